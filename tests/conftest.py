@@ -12,7 +12,6 @@ import pytest
 
 from bridge.mavlink.profiles.autopilots import AUTO, CHOICES
 from flightstack.config.files import path_of
-from tests.flight_suite.room import PROFILES
 from tests.real_time import in_real_time, repeated_after_a_pause
 from tests.real_time import pytest_runtest_setup as pytest_runtest_setup
 
@@ -105,17 +104,13 @@ def _deal_out(items: list[pytest.Item]) -> None:
 
 
 def _flown_otherwise(item: pytest.Item) -> bool:
-    """What is shown by another test: of the suite itself, of the grid of faults, or as the other autopilot.
-
-    One server profile flies the first phase, the other one the last.
-    """
+    """What another test shows: that of the suite itself, or the grid of faults between its ends."""
     given = item.callspec.params if hasattr(item, "callspec") else {}
-    if "server_profile" not in given:
+    if "flight_number" not in given:
         return False
-    first = given["server_profile"] == next(iter(PROFILES))
-    if item.name.startswith("test_follows") and first:
+    if item.name.startswith("test_follows"):
         return True  # by test_a_given_vehicle_is_flown
-    return "phase" in given and given["phase"] != ("TAKEOFF" if first else "LAND")
+    return given.get("phase", "LAND") not in ("TAKEOFF", "LAND")
 
 
 def _marked(item: pytest.Item, name: str) -> bool:
@@ -134,15 +129,3 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     config = metafunc.config
     if "flight_number" in metafunc.fixturenames:
         metafunc.parametrize("flight_number", range(config.getoption("--flights")))
-    if "server_profile" in metafunc.fixturenames:
-        metafunc.parametrize("server_profile", _server_profiles(metafunc))
-
-
-def _server_profiles(metafunc: pytest.Metafunc) -> list[str]:
-    option = metafunc.config.getoption
-    if option("--px4") is not None:
-        return ["real-px4"]
-    if option("--vehicle") is not None:
-        return [option("--autopilot")]
-    # what tries the room rather than the vehicle needs one server profile only
-    return list(PROFILES)[: 1 if metafunc.definition.get_closest_marker("simulated") else None]

@@ -16,7 +16,6 @@ from flightstack.core.parameters.filters import ALLOWED, look_here
 _SEED_DIGITS_MAX = 4000  # more than the longest that ``rare`` makes; Python reads 4,300
 # written out here, so that a command does not load the rooms that know them; a test compares them
 AUTOPILOTS = ("auto", "sitl", "crazyflie", "px4", "ardupilot")
-PROFILES = ("px4", "ardupilot")
 
 
 def _number(text: str) -> float | None:
@@ -165,14 +164,6 @@ AcceptRelease = Annotated[
         "Fly an autopilot whose release is not known by the rules of the nearest one.",
     ),
 ]
-Profile = Annotated[
-    str,
-    Option(
-        "--profile",
-        "Autopilot that the simulated vehicle imitates (--personality is the old name).",
-        choices=PROFILES, also=("--personality",),
-    ),
-]  # fmt: skip
 SigningKey = Annotated[
     Path | None,
     Option(

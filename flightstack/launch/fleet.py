@@ -21,7 +21,6 @@ from flightstack.launch.vehicles import longest_s, others_s
 from flightstack.onboard.options import OnboardOptions
 from flightstack.onboard.recording import Described, describe_all, log_in, new_folder
 from logs.schema.names import TEAM, Names, member_name
-from sim.autopilot.profiles import PROFILES, PX4
 from sim.chance import name as seed_name
 from sim.runners.options import TargetOptions, VehicleOptions
 from sim.scenarios import team as teams
@@ -159,13 +158,12 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
         "lockstep": options.lockstep, "rate_hz": rate_hz,
         "duration_s": max(others_s(member.scenario) for member in members),
     }  # fmt: skip
-    values = PROFILES[options.profile].set_before_flight
     compile_first(team.member[0])
     vehicle = launcher.start(
         "vehicle",
         VehicleOptions(
-            **common, leave_out=tuple(urls), url="udpin:127.0.0.1:0", profile=options.profile,
-            listen=(vehicle_at,), connect=(target_at,), signing_key=options.signing_key, parameters=values,
+            **common, leave_out=tuple(urls), url="udpin:127.0.0.1:0",
+            listen=(vehicle_at,), connect=(target_at,), signing_key=options.signing_key,
         ),
     )  # fmt: skip
     here = [member.number for member in members if member.number not in urls]
@@ -213,9 +211,9 @@ def _start(
 ) -> Child:
     """Start the onboard process of a member; in real time each two are connected, by the later one."""
     before = [] if options.lockstep else [each.endpoint for each in members[: member.number - 1]]
-    # the heartbeat of the simulated vehicle is that of the autopilot it imitates
+    # the heartbeat of the simulated vehicle is PX4's
     simulated = member.number not in options.members
-    own = simulated and options.autopilot == AUTO and options.profile == PX4.name
+    own = simulated and options.autopilot == AUTO
     plugged = OnboardOptions(
         vehicle_url=url, signing_key=options.signing_key if simulated else None,
         autopilot=OWN_SITL.name if own else options.autopilot, lockstep=options.lockstep,

@@ -13,7 +13,7 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.config import options as shared
 from flightstack.onboard.options import FlightOptions
 
-DEFAULT_PROFILE, AUTO = "px4", "auto"  # of the simulated vehicle, of the onboard process
+AUTO = "auto"  # of the onboard process
 _SIMULATED, _REAL = "works with the simulated vehicle only", "works with PX4 and ArduPilot only"
 
 
@@ -62,7 +62,6 @@ class RunOptions(shared.Ros2, shared.Result, shared.Simulated):
         ),
     ] = 1  # fmt: skip
     view: shared.View = None
-    profile: shared.Profile = DEFAULT_PROFILE
     autopilot: shared.Autopilot = AUTO
     accept_release: shared.AcceptRelease = False
     px4: Annotated[
@@ -135,7 +134,6 @@ class RunOptions(shared.Ros2, shared.Result, shared.Simulated):
             "vehicle": self.flies.value.removeprefix("--"),
             "program": str(self.program or ""),
             "speed": f"{self.speed:g}" if self.speed != 1.0 else "",
-            "profile": self.profile if self.profile != DEFAULT_PROFILE else "",
             "autopilot": self.autopilot if self.autopilot != AUTO else "",
             "accept_release": "true" if self.accept_release else "",
             "mocap": "true" if self.mocap else "",
@@ -164,7 +162,6 @@ class RunOptions(shared.Ros2, shared.Result, shared.Simulated):
                 own,
                 "is not given to a PX4 or ArduPilot in software",
             ),
-            ("--profile", self.profile != DEFAULT_PROFILE, own, _SIMULATED),
             ("--speed", self.speed != 1.0, not own, f"{_REAL}; --lockstep is faster"),
             ("--instance", self.instance is not None, not own, _REAL),
             ("--mocap", self.mocap, self.flies is Flies.PX4, "works with --px4 only, instead of satellites"),

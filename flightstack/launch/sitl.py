@@ -34,8 +34,6 @@ from flightstack.onboard.options import OnboardOptions
 from flightstack.onboard.recording import describe, log_in, new_folder
 from flightstack.verify.certificate import problems
 from logs.schema.names import NO_PAD
-from sim.autopilot.ground import ORIGIN_WGS84
-from sim.autopilot.profiles import PROFILES
 from sim.chance import name as seed_name
 from sim.runners.options import TargetOptions
 from sim.scenarios.scenario import Scenario, path_of
@@ -84,9 +82,6 @@ def adapted(options: RunOptions, scenario: Scenario) -> Scenario:
         scenario = replace(scenario, onboard=_begun_as(scenario, load_config(name)))
     if options.filter is not None:
         scenario = scenario.with_filter(options.filter)
-    if PROFILES[options.profile].needs_origin and scenario.onboard.vehicle.origin_wgs84 is None:
-        there = replace(scenario.onboard.vehicle, origin_wgs84=ORIGIN_WGS84)
-        scenario = replace(scenario, onboard=replace(scenario.onboard, vehicle=there))
     if options.duration_s is not None:
         if options.duration_s <= 0.0:
             raise ConfigError(

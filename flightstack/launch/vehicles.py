@@ -21,7 +21,6 @@ from flightstack.core.types import Vec3
 from flightstack.launch.launcher import Launcher
 from flightstack.launch.run_options import Flies, RunOptions
 from sim.autopilot.ground import ORIGIN_WGS84
-from sim.autopilot.profiles import PROFILES, PX4
 from sim.px4.options import Px4SimOptions
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
 from sim.runners.options import VehicleOptions
@@ -74,7 +73,7 @@ class Vehicle(Protocol):
 
 
 class OwnVehicle:
-    """The simulated vehicle with the autopilot that it imitates."""
+    """The simulated vehicle with its own autopilot."""
 
     def adapt(self, scenario: Scenario) -> Scenario:
         """Return the scenario unchanged: it is made for this vehicle."""
@@ -83,19 +82,17 @@ class OwnVehicle:
     def start(self, launcher: Launcher, options: RunOptions, scenario: Scenario, target_at: str) -> Flying:
         """Start it; see ``Vehicle.start``."""
         compile_first(scenario)
-        values, at = PROFILES[options.profile].set_before_flight, f"127.0.0.1:{launcher.udp_port()}"
+        at = f"127.0.0.1:{launcher.udp_port()}"
         child = launcher.start(
             "vehicle",
             VehicleOptions(
                 **common_options(launcher, options), lockstep=options.lockstep,
                 signing_key=options.signing_key, rate_hz=scenario.onboard.loop.rate_hz,
                 duration_s=others_s(scenario), connect=(target_at,), url=f"udpin:{at}",
-                profile=options.profile, parameters=values,
             ),
         )  # fmt: skip
-        # the heartbeat of the simulated vehicle is that of the autopilot it imitates
-        own = options.autopilot == AUTO and options.profile == PX4.name
-        autopilot = OWN_SITL.name if own else options.autopilot
+        # the heartbeat of the simulated vehicle is PX4's
+        autopilot = OWN_SITL.name if options.autopilot == AUTO else options.autopilot
         given = {"vehicle_url": f"udpout:{at}", "signing_key": options.signing_key, "autopilot": autopilot}
         return Flying(given, [child], child, pending=[child])
 

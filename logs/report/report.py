@@ -153,7 +153,7 @@ def warnings(flight: Flight, verdict: Verdict) -> list[str]:
 
 
 _OPTIONS = {
-    "profile": "--profile", "autopilot": "--autopilot", "speed": "--speed", "duration_s": "--duration",
+    "autopilot": "--autopilot", "speed": "--speed", "duration_s": "--duration",
     "signing_key": "--signing-key",
 }  # fmt: skip
 _FLAGS = {"accept_release": "--accept-release", "mocap": "--mocap"}

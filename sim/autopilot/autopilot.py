@@ -1,4 +1,4 @@
-"""The MAVLink autopilot other programs see: PX4 or ArduPilot, played by the simulated vehicle.
+"""The MAVLink autopilot that other programs see: PX4, played by the simulated vehicle.
 
 Pure: messages and times in, messages out. No socket, no clock, no randomness.
 """
@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.server.commands import Entry
 from bridge.mavlink.server.owner import Sender
+from bridge.mavlink.server.parameters import Parameters
 from bridge.mavlink.server.server import COMPONENT_ID, SYSTEM_ID, Server
 from bridge.mavlink.server.services import Handler
 from bridge.mavlink.server.telemetry import Snapshot
@@ -19,22 +20,11 @@ from flightstack.core.types import ZERO, Vec3
 from sim.autopilot.commands import SimCommands
 from sim.autopilot.flight import Flight
 from sim.autopilot.ground import degrees_e7
-from sim.autopilot.profiles import PX4, SimulatedProfile
+from sim.autopilot.profiles import PX4, px4_parameters
 from sim.autopilot.telemetry import BUILDERS
 from sim.autopilot.vehicle_like import VehicleLike
 
 __all__ = ["COMPONENT_ID", "SYSTEM_ID", "Autopilot"]
-
-_ORIGIN_NEAR_E7 = 10_000  # 1e-3 degrees, about 100 m
-_NOTHING: frozenset[int] = frozenset()
-_NEED_ORIGIN = frozenset(  # nothing of it is sent before the origin is known
-    {
-        dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
-        dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
-        dialect.MAVLINK_MSG_ID_HOME_POSITION,
-        dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
-    }
-)
 
 
 class Autopilot(Server[Flight]):
@@ -52,7 +42,6 @@ class Autopilot(Server[Flight]):
         system_id: int = SYSTEM_ID,
         epoch_ns: int = 0,
         trim_enu_m_s: Vec3 = ZERO,
-        profile: SimulatedProfile = PX4,
     ) -> None:
         """Put an autopilot on a vehicle.
 
@@ -62,12 +51,11 @@ class Autopilot(Server[Flight]):
             system_id: MAVLink system id, 1 to 255.
             epoch_ns: Unix time of time zero, for SYSTEM_TIME.
             trim_enu_m_s: velocity set-point that keeps a vehicle in place that starts in the air.
-            profile: which autopilot it plays.
         """
-        parameters = profile.new_parameters(system_id)
-        self.flight = Flight(vehicle, parameters, 1.0 / rate_hz, trim_enu_m_s, profile)
+        parameters = Parameters(px4_parameters(system_id))
+        self.flight = Flight(vehicle, parameters, 1.0 / rate_hz, trim_enu_m_s)
         self._epoch_ns = epoch_ns
-        super().__init__(self.flight, profile, parameters, rate_hz, BUILDERS, system_id=system_id)
+        super().__init__(self.flight, PX4, parameters, rate_hz, BUILDERS, system_id=system_id)
 
     def control(self, now_s: float) -> None:
         """Fly; call it after ``handle`` and before the physics."""
@@ -78,9 +66,9 @@ class Autopilot(Server[Flight]):
         estimate = self.flight.vehicle.estimate()
         return Snapshot(self.flight, self.profile, estimate, estimate.valid, now_s, now_s, self._epoch_ns)
 
-    def on_heartbeat(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
+    def on_heartbeat(self, message: Any, _sender: Sender, now_s: float) -> list[Message]:
         """Take note of a ground station's heartbeat."""
-        if self.flight.watches.heartbeat(message.type, sender[0], now_s):
+        if self.flight.watches.heartbeat(message.type, now_s):
             self.flight.say(dialect.MAV_SEVERITY_INFO, "Ground station is back")
         return []
 
@@ -96,20 +84,6 @@ class Autopilot(Server[Flight]):
         """What HEARTBEAT and SYS_STATUS show; a locked firmware is a problem."""
         return super().condition(snapshot), self.flight.vehicle.locked
 
-    def hidden(self, _now_s: float) -> frozenset[int]:
-        """Positions are hidden before the origin is known."""
-        return _NOTHING if self.flight.origin_known else _NEED_ORIGIN
-
-    def _set_origin(self, message: Any, _sender: Sender, now_s: float) -> list[Message]:
-        latitude, longitude = degrees_e7(0.0, 0.0)
-        near = max(abs(message.latitude - latitude), abs(message.longitude - longitude)) <= _ORIGIN_NEAR_E7
-        if self.flight.origin_known:
-            self.flight.texts.refuse("Origin refused: the simulated room does not move", now_s)
-        elif near:
-            self.flight.origin_known = True
-            self.flight.say(dialect.MAV_SEVERITY_INFO, "EKF origin set")
-        else:
-            place = f"{latitude / 1e7:.6f}, {longitude / 1e7:.6f}"
-            self.flight.texts.refuse(f"Origin refused: the simulated room lies at {place}", now_s)
-            return []
-        return [dialect.MAVLink_gps_global_origin_message(latitude, longitude, 0, round(now_s * 1e6))]
+    def _set_origin(self, _message: Any, _sender: Sender, now_s: float) -> list[Message]:
+        self.flight.texts.refuse("Origin refused: the simulated room does not move", now_s)
+        return [dialect.MAVLink_gps_global_origin_message(*degrees_e7(0.0, 0.0), 0, round(now_s * 1e6))]

@@ -15,7 +15,6 @@ from bridge.mavlink.server.telemetry import Battery
 from bridge.mavlink.server.texts import Texts
 from flightstack.core.types import ZERO, Vec3
 from sim.autopilot.pilot import Event, Goal, Pilot
-from sim.autopilot.profiles import GUIDED, PX4, SimulatedProfile, why_no_takeoff
 from sim.autopilot.vehicle_like import Standing, VehicleLike
 from sim.autopilot.watches import ACTION_MODES, HEIGHT_RANGE_M, STREAM_LOST, STRENGTH, Action, Alarm, Watches
 
@@ -32,8 +31,6 @@ class Flight:
         texts: what it says.
         pilot, ground: flies the mode; watches the contacts.
         watches: slow fail-safes, with the battery.
-        profile: which autopilot it plays.
-        origin_known: where the local coordinates lie on earth.
     """
 
     arming = False  # the firmware answers at once
@@ -44,24 +41,20 @@ class Flight:
         parameters: Parameters,
         period_s: float,
         trim_enu_m_s: Vec3 = ZERO,
-        profile: SimulatedProfile = PX4,
     ) -> None:
         self.vehicle = vehicle
-        self.profile = profile
         self.mode = FlightMode.HOLD
         self.failsafe = False
         self.texts = Texts()
         x, y, _ = vehicle.estimate().position_enu_m
-        self.pilot = Pilot(vehicle, parameters, (x, y, 0.0), trim_enu_m_s, repeats=profile.guided)
-        self.watches = Watches(parameters, vehicle, profile.station_id)
+        self.pilot = Pilot(vehicle, parameters, (x, y, 0.0), trim_enu_m_s)
+        self.watches = Watches(parameters, vehicle)
         self._parameters = parameters
         self.ground = Standing(vehicle)
         self._owner = ControlOwner()
         self._setpoint_s = -math.inf
         self._was_armed = vehicle.armed
         self._flew = vehicle.armed and not self.ground.now  # since arming
-        self.origin_known = self._flew or not profile.needs_origin
-        self._arrived = False  # at the end of the present take-off
         self._control_s: float | None = None
         self._period_s = period_s
         self._armed_s = 0.0
@@ -95,14 +88,12 @@ class Flight:
             return int(dialect.MAV_LANDED_STATE_ON_GROUND)
         if self.mode is FlightMode.RETURN and self.pilot.going_down:
             return int(dialect.MAV_LANDED_STATE_LANDING)
-        if self.mode is FlightMode.TAKEOFF and self._arrived:
-            return int(dialect.MAV_LANDED_STATE_IN_AIR)
         return AIRBORNE_STATE[self.mode]
 
     @property
     def positioned(self) -> bool:
         """Whether there is a position to fly by."""
-        return self.origin_known and self.vehicle.estimate().valid
+        return self.vehicle.estimate().valid
 
     @property
     def airborne(self) -> bool:
@@ -137,8 +128,8 @@ class Flight:
         if self.vehicle.armed:
             return None
         problems = self.problems(now_s)
-        if self.mode in _MODES_TO_LEAVE or (self.profile.guided and self.mode is not FlightMode.OFFBOARD):
-            problems.append(f"mode is {self.profile.label(self.mode)}")
+        if self.mode in _MODES_TO_LEAVE:
+            problems.append(f"mode is {self.mode.value}")
         reason = problems[0] if problems else self.vehicle.arm()
         if reason is not None:
             return f"Arming refused: {reason}"
@@ -179,11 +170,6 @@ class Flight:
         if not self.positioned:
             return "Take-off refused: no position estimate"
         z, home_m = self.vehicle.estimate().position_enu_m[2], self.home_enu_m[2]
-        if self.profile.guided:
-            label, aim_m = self.profile.label(self.mode), self.pilot.takeoff_height_m
-            why = why_no_takeoff(self.mode, label, self.armed, self.standing, height_m, aim_m, z)
-            if why is not None:
-                return why
         taking_off = self.mode is FlightMode.TAKEOFF
         if height_m is None:
             if taking_off:
@@ -203,7 +189,7 @@ class Flight:
 
     def land(self, _now_s: float) -> None:
         """Land where it is. On the ground there is nothing to do."""
-        if self.vehicle.armed or self.profile.guided:
+        if self.vehicle.armed:
             self._enter(FlightMode.LAND)
 
     def set_mode(self, mode: FlightMode, now_s: float) -> str | None:
@@ -213,8 +199,6 @@ class Flight:
         if mode is FlightMode.LAND:
             self.land(now_s)
             return None
-        if self.profile.guided:
-            return self._set_guided_mode(mode, now_s)
         if not self.vehicle.estimate().valid:
             return f"Mode {mode.value} refused: no position estimate"
         if mode is FlightMode.OFFBOARD and not self._stream_alive(now_s):
@@ -222,18 +206,6 @@ class Flight:
         if mode is FlightMode.RETURN and not self.vehicle.armed:
             return "Mode return refused: not armed"
         self._enter(mode, restart=mode is FlightMode.HOLD and self.pilot.goal is not None)
-        return None
-
-    def _set_guided_mode(self, mode: FlightMode, now_s: float) -> str | None:
-        """Change the mode freely while disarmed; in flight only with a position."""
-        if self.vehicle.armed and not self.positioned:
-            return f"Mode change to {self.profile.label(mode)} failed: requires position"
-        if mode is FlightMode.OFFBOARD and self.mode in GUIDED:
-            return None  # one and the same on the wire: nothing changes
-        self._enter(mode, restart=mode is FlightMode.HOLD and self.pilot.goal is not None)
-        if mode is FlightMode.OFFBOARD:
-            self.pilot.halt()
-            self._setpoint_s = now_s
         return None
 
     def reposition(self, goal: Goal) -> str | None:
@@ -252,11 +224,6 @@ class Flight:
     def take_setpoint(self, setpoint: Setpoint, sender: Sender, now_s: float) -> str | None:
         """Take a valid set-point; it is flown in OFFBOARD only, but keeps the stream alive in all modes."""
         reason = self._owner.admit(sender, now_s, self._parameters["COM_OF_LOSS_T"])
-        if self.profile.guided:
-            if self.mode not in GUIDED:
-                return reason  # ignored without a word
-            if reason is None:
-                self._enter(FlightMode.OFFBOARD)  # ends a take-off
         if reason is None:
             self.pilot.take(setpoint)
             self._setpoint_s = now_s
@@ -274,12 +241,6 @@ class Flight:
     def stream_ends_s(self) -> float:
         """When the stream of set-points counts as ended, if none comes."""
         return self._setpoint_s + self._parameters["COM_OF_LOSS_T"]
-
-    def refuse_setpoint(self, reason: str, now_s: float) -> None:
-        """Say why a set-point is refused; in ArduPilot's GUIDED it stops the vehicle."""
-        self.texts.refuse(reason, now_s, "set-point")
-        if self.profile.guided and self.mode is FlightMode.OFFBOARD:
-            self.pilot.halt()
 
     def yaw_rad(self) -> float:
         """Present heading by the estimate."""
@@ -311,17 +272,13 @@ class Flight:
         if armed and standing:
             self._disarm_idle(now_s)
             armed = vehicle.armed
-        if armed and standing and self.mode is FlightMode.OFFBOARD and self.profile.guided:
-            self.pilot.stop()  # what stands does not follow set-points
-        elif armed:
+        if armed:
             event = self.pilot.fly(self.mode, estimate, standing, dt_s)
             if event is not None:
                 self._follow(event, now_s)
 
     def _follow(self, event: Event, now_s: float) -> None:
-        if event is Event.ARRIVED and self.profile.guided:
-            self._arrived = True  # and goes on holding that height
-        elif event is Event.ARRIVED:
+        if event is Event.ARRIVED:
             self._enter(FlightMode.HOLD)
             self.pilot.go_on()
         elif event is Event.LANDED:
@@ -335,10 +292,9 @@ class Flight:
         self.failsafe = failsafe
         if mode is self.mode and not restart:
             return
-        label = self.profile.label(mode)
-        if label != self.profile.label(self.mode):
-            self.say(dialect.MAV_SEVERITY_INFO, f"Mode {label}")
-        self.mode, self._arrived = mode, False
+        if mode is not self.mode:
+            self.say(dialect.MAV_SEVERITY_INFO, f"Mode {mode.value}")
+        self.mode = mode
         self.pilot.begin(goal)
 
     def _after_disarm(self, text: str, severity: int = dialect.MAV_SEVERITY_INFO) -> None:
@@ -346,10 +302,7 @@ class Flight:
         self.pilot.stop()
         self._owner.release()
         self._was_armed = self._flew = False
-        if self.profile.guided:  # the mode stays
-            if self.mode is FlightMode.TAKEOFF:
-                self._enter(FlightMode.OFFBOARD)
-        elif self.mode is not FlightMode.OFFBOARD:  # that one ends with its stream, as the companion expects
+        if self.mode is not FlightMode.OFFBOARD:  # that one ends with its stream, as the companion expects
             self._enter(FlightMode.HOLD)
         self.failsafe = False
 
@@ -358,9 +311,7 @@ class Flight:
 
     def _failsafes(self, now_s: float) -> None:
         if self.mode is FlightMode.OFFBOARD and not self._stream_alive(now_s):
-            if self.profile.guided:
-                self.pilot.halt()
-            elif self.vehicle.armed:
+            if self.vehicle.armed:
                 limit_s = self._parameters["COM_OF_LOSS_T"]
                 action = STREAM_LOST[int(self._parameters["COM_OBL_RC_ACT"])]
                 self._act(Alarm(action, f"No set-points for {limit_s:.3g} s"))

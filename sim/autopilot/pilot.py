@@ -166,17 +166,13 @@ class Pilot:
         parameters: Parameters,
         home_enu_m: Vec3,
         trim_enu_m_s: Vec3 = ZERO,
-        *,
-        repeats: bool = False,
     ) -> None:
-        """Set up; ``repeats``: the newest set-point is flown on until it is told to halt."""
         self.home_enu_m = home_enu_m
         self.takeoff_height_m = parameters["MIS_TAKEOFF_ALT"]
         self.goal: Goal | None = None
         self.velocity_setpoint_enu_m_s: Vec3 | None = None
         self._vehicle = vehicle
         self._parameters = parameters
-        self._repeats = repeats
         self._hold = PositionHold(trim_enu_m_s)
         self._setpoint: Setpoint | None = None
         self._fresh = False  # the set-point has not been handed on yet
@@ -212,7 +208,7 @@ class Pilot:
     @property
     def passes_on(self) -> tuple[float, float, float] | None:
         """Speeds over ground, up and down that it hands on, m/s; None while it does more than that."""
-        known = self._version == self._parameters.version and not self._repeats
+        known = self._version == self._parameters.version
         return self._clip if known and self._engaged and self._setpoint is not None else None
 
     def handed_on(self, setpoint: Setpoint) -> None:
@@ -221,11 +217,6 @@ class Pilot:
         if setpoint.yaw_rad is not None:
             self._yaw_rad = setpoint.yaw_rad
         self.velocity_setpoint_enu_m_s = setpoint.velocity_enu_m_s
-
-    def halt(self) -> None:
-        """Stand still instead of what the last set-point said."""
-        if self._setpoint is None or self._setpoint.velocity_enu_m_s != ZERO or self._setpoint.yaw_rate_rad_s:
-            self.take(Setpoint(ZERO, None, 0.0))
 
     def stop(self) -> None:
         """Tell the firmware that no set-point holds."""
@@ -348,7 +339,7 @@ class Pilot:
             self._yaw_rad = setpoint.yaw_rad
         self._yaw_rad += setpoint.yaw_rate_rad_s * dt_s
         # Only news is handed on, so that the firmware's own watchdog sees a broken stream too.
-        if not (self._fresh or self._repeats or setpoint.yaw_rate_rad_s):
+        if not (self._fresh or setpoint.yaw_rate_rad_s):
             return None
         self._fresh = False
         wanted = setpoint.velocity_enu_m_s

@@ -185,9 +185,8 @@ class Watches:
         due_s: when to look next.
     """
 
-    def __init__(self, parameters: Parameters, vehicle: VehicleLike, station_id: str | None = None) -> None:
+    def __init__(self, parameters: Parameters, vehicle: VehicleLike) -> None:
         self._parameters = parameters
-        self._station_id = station_id  # parameter
         self._vehicle = vehicle
         self.battery = BatteryGauge(parameters, vehicle.battery_v, throttle(vehicle))
         self.due_s = -math.inf
@@ -196,16 +195,9 @@ class Watches:
         self._station_lost = False
         self._outside = False
 
-    def heartbeat(self, type_: int, system_id: int, now_s: float) -> bool:
-        """Take note of somebody's HEARTBEAT; True when a ground station is back after a loss.
-
-        The profile says which heartbeats count: those of type GCS (PX4), or of one system id (ArduPilot).
-        """
-        if self._station_id is None:
-            counts = type_ == dialect.MAV_TYPE_GCS
-        else:
-            counts = system_id == self._parameters[self._station_id]
-        if not counts:
+    def heartbeat(self, type_: int, now_s: float) -> bool:
+        """Take note of a HEARTBEAT; True when a ground station is back after a loss."""
+        if type_ != dialect.MAV_TYPE_GCS:
             return False
         back, self._station_lost, self._station_s = self._station_lost, False, now_s
         return back

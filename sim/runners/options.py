@@ -16,7 +16,6 @@ class VehicleOptions(shared.Signing, shared.Zenoh, shared.Simulated):
 
     url: shared.Url = "udpin:127.0.0.1:14580"
     peers: shared.Peers = ()
-    profile: shared.Profile = "px4"
     parameters: Annotated[
         Mapping[str, float],
         Option(

@@ -27,7 +27,6 @@ from flightstack.common.pacing import (
 )
 from logs.recorder.feed import Feed, FeedError
 from sim.autopilot.autopilot import COMPONENT_ID, Autopilot
-from sim.autopilot.profiles import PROFILES
 from sim.clock import NoAnswerError, TickGrid
 from sim.runners.deck import LockstepDeck, RealTimeDeck
 from sim.runners.lockstep import LockstepLoop
@@ -294,7 +293,6 @@ def autopilot_of(vehicle: VehicleSim, options: VehicleOptions, system_id: int, e
         system_id=system_id,
         epoch_ns=epoch_ns,
         trim_enu_m_s=vehicle.trim_velocity_enu_m_s,
-        profile=PROFILES[options.profile],
     )
     for name, value in options.parameters.items():
         autopilot.parameters.preset(name, value)

@@ -82,11 +82,6 @@ LIMITS: Mapping[str, Limits] = MappingProxyType(
 
 
 SCENARIO = "grid"  # starts on the ground, lands by contact on a robot that drives off
-# of our simulated vehicle, with the parameters that its defaults leave unsafe
-PROFILES: Mapping[str, tuple[str, ...]] = {
-    "px4": (),
-    "ardupilot": ("GUID_TIMEOUT=0.5", "FS_GCS_ENABLE=5", "SYSID_MYGCS=1"),
-}
 ORIGIN_WGS84 = (47.397742, 8.545594, 10.0)  # what ArduPilot needs without satellites
 
 
@@ -156,7 +151,7 @@ def configured(scenario: Scenario, folder: Path) -> Path:
 
 
 @contextlib.contextmanager
-def simulated(folder: Path, server_profile: str) -> Iterator[Room]:
+def simulated(folder: Path) -> Iterator[Room]:
     """Start vehicle and robot, in real time; ended whatever happens."""
     scenario = load(SCENARIO)
     config = configured(scenario, folder)
@@ -164,8 +159,7 @@ def simulated(folder: Path, server_profile: str) -> Iterator[Room]:
     target_at, onboard_at = (port.endpoint for port in ports)
     common = ["--scenario", SCENARIO, "--seed", "1", "--duration", "300"]
     try:
-        words = ["--profile", server_profile, "--connect", target_at, "--url", "udpin:127.0.0.1:0"]
-        words += [word for one in PROFILES[server_profile] for word in ("--parameter", one)]
+        words = ["--connect", target_at, "--url", "udpin:127.0.0.1:0"]
         vehicle = StartedChild("vehicle", ["vehicle", *common, *words], folder)
         children.append(vehicle)
         target = StartedChild(
@@ -175,9 +169,9 @@ def simulated(folder: Path, server_profile: str) -> Iterator[Room]:
         url = vehicle.wait_ready().replace("udpin", "udpout")
         target.wait_ready()
         yield Room(
-            url, server_profile, "cf1/target/odom", (target_at,), onboard_at, config, folder,
+            url, PX4.name, "cf1/target/odom", (target_at,), onboard_at, config, folder,
             takeoff_height_m=scenario.onboard.takeoff.height_m, target=target, vehicle=vehicle,
-            limits=LIMITS[OWN_SITL.name] if server_profile == PX4.name else None,
+            limits=LIMITS[OWN_SITL.name],
         )  # fmt: skip
     finally:
         for child in reversed(children):

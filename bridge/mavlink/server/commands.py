@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.server.owner import Right, Sender
-from bridge.mavlink.server.profile import FlightMode, ServerProfile
+from bridge.mavlink.server.profile import FlightMode, ServerProfile, mode_of, why_no_mode
 from bridge.mavlink.server.streams import Streams
 from bridge.mavlink.server.telemetry import Builder, Snapshot, V
 from flightstack.core.types import Vec3
@@ -32,7 +32,7 @@ _WAITING_MAX = 8  # senders that wait for an acknowledgement
 _INT32_MAX = 2**31 - 1
 _INT_NAN = 0x7FF80000  # how a careless client's NaN looks as an integer (PX4 mavlink_receiver.cpp)
 _INT_SCALE = 1e-7  # COMMAND_INT carries degrees times 1e7
-# Frames of COMMAND_INT in which z is above sea level, or above home. That of COMMAND_LONG is in the profile.
+# Frames of COMMAND_INT in which z is above sea level, or above home. COMMAND_LONG counts from sea level.
 _AMSL_FRAMES = frozenset({dialect.MAV_FRAME_GLOBAL, dialect.MAV_FRAME_GLOBAL_INT})
 _HOME_FRAMES = frozenset({dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT, dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT})
 _FORCE = 21196.0  # magic of a forced disarm (MAV_CMD_COMPONENT_ARM_DISARM, param2)
@@ -54,14 +54,9 @@ class Command:
         value = self.params[n - 1]
         return None if math.isnan(value) else value
 
-    @property
-    def above_home(self) -> bool:
-        """Whether param7 counts from home instead of from sea level."""
-        return self.frame in _HOME_FRAMES
-
     def local_z_m(self, height_m: float, home_enu_m: Vec3) -> float:
         """Local height of a height in this command; local heights count from sea level."""
-        return height_m + (home_enu_m[2] if self.above_home else 0.0)
+        return height_m + (home_enu_m[2] if self.frame in _HOME_FRAMES else 0.0)
 
     @property
     def frame_known(self) -> bool:
@@ -102,9 +97,7 @@ class Entry(NamedTuple):
 Table = Mapping[int, Entry]
 
 
-def read_command(
-    message: Any, sender: Sender, now_s: float, long_frame: int = dialect.MAV_FRAME_GLOBAL
-) -> Command | None:
+def read_command(message: Any, sender: Sender, now_s: float) -> Command | None:
     """Bring a COMMAND_LONG or COMMAND_INT into one form; None if its numbers are no numbers."""
     m = message
     if m.get_msgId() == dialect.MAVLINK_MSG_ID_COMMAND_INT:
@@ -114,7 +107,7 @@ def read_command(
         frame = m.frame
     else:
         params = (m.param1, m.param2, m.param3, m.param4, m.param5, m.param6, m.param7)
-        frame = long_frame
+        frame = dialect.MAV_FRAME_GLOBAL
         if abs(m.param5) >= _INT32_MAX or abs(m.param6) >= _INT32_MAX:
             return None
     if any(map(math.isinf, params)):
@@ -188,12 +181,10 @@ class Commands(Generic[V]):
         return [Reply(to, self._acknowledge(number, result, to)) for number, to in waiting]
 
     def _acknowledge(self, number: int, result: int, sender: Sender) -> Message:
-        if result == REJECTED:
-            result = self._profile.refused
         return dialect.MAVLink_command_ack_message(number, result, 0, 0, *sender[:2])
 
     def _run(self, message: Message, sender: Sender, now_s: float) -> Answer:
-        command = read_command(message, sender, now_s, self._profile.long_frame)
+        command = read_command(message, sender, now_s)
         if command is None:
             return Answer(DENIED, f"Command {message.command} denied: bad parameter")
         entry = self.table.get(command.number)
@@ -219,8 +210,6 @@ class Commands(Generic[V]):
 
     def _take_off(self, command: Command) -> Answer:
         height_m = command.given(7)
-        if self._profile.guided and not command.above_home:
-            return Answer(DENIED, "Take-off refused: the height must be above home")
         z_m = None if height_m is None else command.local_z_m(height_m, self._vehicle.home_enu_m)
         return answer(self._vehicle.take_off(z_m, command.now_s))
 
@@ -232,16 +221,14 @@ class Commands(Generic[V]):
         base, main, sub = command.given(1) or 0.0, command.given(2), command.given(3) or 0.0
         if not int(base) & _CUSTOM_MODE or main is None:
             return Answer(DENIED, "Mode refused: only custom modes")
-        mode = self._profile.mode_of(round(main), round(sub))
-        if mode is None:
-            # ArduPilot: FAILED, as for a mode it cannot enter now
-            result = REJECTED if self._profile.guided else DENIED
-            return Answer(result, self._profile.why_no_mode(round(main), round(sub)))
+        mode = mode_of(round(main), round(sub))
+        if mode is None or mode not in self._profile.codes:
+            return Answer(DENIED, why_no_mode(round(main), round(sub)))
         return answer(self._vehicle.set_mode(mode, command.now_s))
 
     def _right_to_mode(self, command: Command) -> Right:
         main, sub = command.given(2), command.given(3) or 0.0
-        landing = main is not None and self._profile.mode_of(round(main), round(sub)) is FlightMode.LAND
+        landing = main is not None and mode_of(round(main), round(sub)) is FlightMode.LAND
         return Right.ANYBODY if landing else Right.OWNER
 
     def _prearm_checks(self, command: Command) -> Answer:

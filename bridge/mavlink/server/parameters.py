@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -33,24 +33,6 @@ class Parameter:
     high: float
     in_flight: bool = False
     choices: tuple[int, ...] = ()  # when only some values of the range mean something
-    stands_for: tuple[str, ...] = ()  # names inside the vehicle; empty: its own
-    scale: float = 1.0  # of the value on the wire to that inside
-    meanings: Mapping[int, int] = field(default_factory=dict)  # value on the wire to that inside
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names inside the vehicle."""
-        return self.stands_for or (self.name,)
-
-    def inside(self, value: float) -> float:
-        """Value on the wire to value inside."""
-        return self.meanings[int(value)] if self.meanings else value / self.scale
-
-    def outside(self, value: float) -> float:
-        """Value inside to value on the wire."""
-        if self.meanings:
-            return next(wire for wire, meaning in self.meanings.items() if meaning == value)
-        return value * self.scale
 
     @property
     def allowed(self) -> str:
@@ -96,29 +78,18 @@ class Refused(NamedTuple):
 
 
 class Parameters:
-    """The values in force; read as ``parameters["COM_OF_LOSS_T"]``, whatever they are called on the wire.
+    """The values in force; read as ``parameters["COM_OF_LOSS_T"]``.
 
     Attributes:
         version: changes with every write.
         left_to_list: values of a list that are still to be sent.
     """
 
-    def __init__(
-        self, rows: Iterable[Parameter], inside: Iterable[Parameter] = (), *, bytewise: bool = True
-    ) -> None:
-        """Set the defaults.
-
-        Args:
-            rows: parameters on the wire; they are listed by name.
-            inside: parameters inside the vehicle, where those on the wire stand for them.
-            bytewise: an integer travels as its bits in the float field, as with PX4; else as its value.
-        """
+    def __init__(self, rows: Iterable[Parameter]) -> None:
+        """Set the defaults; the parameters are listed by name."""
         self._table = tuple(sorted(rows, key=lambda parameter: parameter.name))
-        self._bytewise = bytewise
         self._index = {parameter.name: i for i, parameter in enumerate(self._table)}
-        self._values = {parameter.name: parameter.default for parameter in inside}
-        for parameter in self._table:
-            self._values |= dict.fromkeys(parameter.names, parameter.inside(parameter.default))
+        self._values = {parameter.name: parameter.default for parameter in self._table}
         self.version = 0
         self.left_to_list = self._next = 0
 
@@ -151,8 +122,8 @@ class Parameters:
         """PARAM_VALUE of a parameter."""
         index = self._index[name]
         parameter = self._table[index]
-        value = parameter.outside(self._values[parameter.names[0]])
-        if parameter.type == INT32 and self._bytewise:
+        value = self._values[name]
+        if parameter.type == INT32:  # its bits travel in the float field
             (value,) = _FLOAT.unpack(_INT.pack(int(value)))
         return dialect.MAVLink_param_value_message(
             name.encode(), value, parameter.type, len(self._table), index
@@ -160,8 +131,6 @@ class Parameters:
 
     def preset(self, name: str, value: float) -> None:
         """Set a parameter before anything flies; what is fixed stays.
-
-        Name, value and unit are those on the wire.
 
         Raises:
             ValueError: no such parameter, or a value that is not allowed; the text says what is.
@@ -171,7 +140,7 @@ class Parameters:
         parameter = self.entry(name)
         if not parameter.accepts(value) or (parameter.type != REAL32 and value != int(value)):
             raise ValueError(f"parameter {name}: found {value:g}, allowed is {parameter.allowed}")
-        self._values |= dict.fromkeys(parameter.names, parameter.inside(value))
+        self._values[name] = value
         self.version += 1
 
     def list_all(self) -> None:
@@ -195,18 +164,14 @@ class Parameters:
             Why it was refused, None when it was written.
         """
         parameter = self._table[self._index[name]]
-        if self._bytewise and type_ != parameter.type:
+        if type_ != parameter.type:
             return Refused(_OUT_OF_RANGE, f"{name}: ignored, type {type_} instead of {parameter.type}")
-        bits = self._bytewise and type_ == INT32
-        value = float(_INT.unpack(_FLOAT.pack(wire_value))[0]) if bits else wire_value
-        if not self._bytewise and parameter.type != REAL32 and math.isfinite(value):
-            value = float(math.trunc(value + math.copysign(0.01, value)))  # as ArduPilot's AP_Param
+        value = float(_INT.unpack(_FLOAT.pack(wire_value))[0]) if type_ == INT32 else wire_value
         if not parameter.accepts(value):
             error = _OUT_OF_RANGE if parameter.low < parameter.high else _READ_ONLY
             return Refused(error, f"{name}: {value:.6g}, allowed {parameter.allowed}")
         if armed and not parameter.in_flight:
             return Refused(NOT_NOW, f"{name}: only while disarmed")
-        inside = parameter.inside(min(max(value, parameter.low), parameter.high))
-        self._values |= dict.fromkeys(parameter.names, inside)
+        self._values[name] = min(max(value, parameter.low), parameter.high)
         self.version += 1
         return None

@@ -1,12 +1,12 @@
-"""Server profile: what a vehicle of this project shows and accepts when it plays some autopilot.
+"""PX4 as the vehicles of this project play it: modes, capabilities, and what differs between the vehicles.
 
-The other side, how the flight stack talks to an autopilot, is ``bridge.mavlink.profiles``. All defaults are
-those of PX4 1.18 (``px4_custom_mode.h``, ``Commander.cpp``, ``mavlink_receiver.cpp``).
+The numbers are those of PX4 1.18 (``px4_custom_mode.h``, ``Commander.cpp``, ``mavlink_receiver.cpp``). How
+the flight stack talks to an autopilot is in ``bridge.mavlink.profiles``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, NamedTuple
@@ -77,16 +77,19 @@ AIRBORNE_STATE: Mapping[FlightMode, int] = {
 }
 
 
-def _px4_mode(main: int, sub: int) -> FlightMode | None:
+def mode_of(main: int, sub: int) -> FlightMode | None:
+    """Mode of PX4's two numbers, None if no vehicle here has it."""
     return _BY_CODE.get((main, 0 if main == PX4_CODES[FlightMode.OFFBOARD].main else sub))
 
 
-def _px4_why_no_mode(main: int, sub: int) -> str:
+def why_no_mode(main: int, sub: int) -> str:
+    """Reason why ``mode_of`` gives none."""
     reason = _NOT_HERE.get((main, sub if main == PX4_CODES[FlightMode.HOLD].main else 0))
     return f"Mode refused: {reason}" if reason else f"Mode {main}/{sub} refused: there is none"
 
 
-def _px4_pair(custom_mode: int) -> tuple[int, int]:
+def mode_numbers(custom_mode: int) -> tuple[int, int]:
+    """Main and sub mode of a ``custom_mode``, as DO_SET_MODE has them in param2 and param3."""
     return custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
 
 
@@ -96,8 +99,9 @@ CAPABILITIES = (
     | _M.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
     | _M.MAV_PROTOCOL_CAPABILITY_FLIGHT_TERMINATION
     | _M.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+    | _M.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
 )
-RELEASE = 255  # FIRMWARE_VERSION_TYPE_OFFICIAL
+VERSION = 1 << 24 | 18 << 16 | 255  # AUTOPILOT_VERSION.flight_sw_version: 1.18.0, official
 # The order is that of a datagram: a position counts with the attitude that came before it.
 EVERY_TICK = (_M.MAVLINK_MSG_ID_ATTITUDE, _M.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
 # Indoors there is no GPS; but clients know a good position only by this bit (MAVSDK telemetry_impl.cpp).
@@ -106,46 +110,14 @@ POSITION_SOURCE = _M.MAV_SYS_STATUS_SENSOR_GPS | _M.MAV_SYS_STATUS_SENSOR_VISION
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServerProfile:
-    """One autopilot as a vehicle of this project plays it."""
+    """What differs between the PX4-like vehicles of this project."""
 
     name: str
     mark: bytes  # 8 bytes, AUTOPILOT_VERSION.flight_custom_version: which of this project's vehicles it is
     sensors: int  # MAV_SYS_STATUS_SENSOR bits that are always in good order
     rates_hz: Mapping[int, float]  # default rates by message id; a message that is missing is sent on request
-    autopilot: int = _M.MAV_AUTOPILOT_PX4
-    version: int = 1 << 24 | 18 << 16 | RELEASE  # AUTOPILOT_VERSION.flight_sw_version
-    capabilities: int = CAPABILITIES | _M.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
     codes: Mapping[FlightMode, Code] = field(default_factory=lambda: PX4_CODES)  # the modes that it has
-    custom_mode: Callable[[Code], int] = lambda code: code.custom_mode  # of HEARTBEAT
-    # custom_mode to the pair of numbers that DO_SET_MODE has in param2 and param3; such a pair to the mode
-    pair_of: Callable[[int], tuple[int, int]] = _px4_pair
-    mode_of_pair: Callable[[int, int], FlightMode | None] = _px4_mode
-    why_no_mode: Callable[[int, int], str] = _px4_why_no_mode
-    refused: int = _M.MAV_RESULT_TEMPORARILY_REJECTED  # MAV_RESULT of what cannot be done now
-    bytewise: bool = True  # an integer parameter travels as its bits
-    long_frame: int = _M.MAV_FRAME_GLOBAL  # MAV_FRAME of a place in COMMAND_LONG
-    frames: Mapping[int, bool] = field(  # of set-points; True: turned by the heading
-        default_factory=lambda: {_M.MAV_FRAME_LOCAL_NED: False, _M.MAV_FRAME_BODY_NED: True}
-    )
-    # One mode takes off, follows set-points and stands still without them: its take-off needs that mode and
-    # an armed vehicle, a set-point ends it, and a wrong set-point or silence means "stop", not a fail-safe.
-    guided: bool = False
-    every_tick: tuple[int, ...] = EVERY_TICK
-    # message ids by MAV_DATA_STREAM of REQUEST_DATA_STREAM. PX4 ignores that message, since what MAVProxy and
-    # dronekit ask for at their start (4 Hz of everything) would starve the companion of its position. Where
-    # there are some, a request raises a rate or starts a stream, and never lowers a rate.
-    data_streams: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
-    labels: Mapping[FlightMode, str] = field(default_factory=dict)  # names of modes, where they differ
-
-    def mode_of(self, main: int, sub: int) -> FlightMode | None:
-        """Mode of the numbers of DO_SET_MODE, None if the vehicle has no such mode."""
-        mode = self.mode_of_pair(main, sub)
-        return mode if mode in self.codes else None
-
-    def label(self, mode: FlightMode) -> str:
-        """Name of a mode for people."""
-        return self.labels.get(mode, mode.value)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> ServerProfile:
-        """Itself: nothing of it ever changes."""
+        """Itself: it is constant."""
         return self

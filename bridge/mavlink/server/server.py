@@ -1,7 +1,7 @@
 """One MAVLink vehicle for other programs: messages and times in, messages out.
 
 Pure: no socket, no clock, no randomness. Behaviour follows PX4 1.18 (``Commander.cpp``,
-``mavlink_receiver.cpp``, ``streams/*.hpp``), except where the code says so, or where the profile differs.
+``mavlink_receiver.cpp``, ``streams/*.hpp``), except where the code says so.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.server.commands import Commands, Entry
 from bridge.mavlink.server.owner import Right, Sender
 from bridge.mavlink.server.parameters import Parameters
-from bridge.mavlink.server.profile import FlightMode, ServerProfile
+from bridge.mavlink.server.profile import FlightMode, ServerProfile, mode_numbers, mode_of, why_no_mode
 from bridge.mavlink.server.services import Handler, Services
 from bridge.mavlink.server.setpoints import read_setpoint
 from bridge.mavlink.server.streams import Streams
@@ -37,7 +37,7 @@ class Server(ABC, Generic[V]):
 
     Attributes:
         vehicle: the vehicle.
-        profile: which autopilot it plays.
+        profile: what differs between the vehicles.
         parameters: values in force.
         streams: rates of the telemetry.
         messages: ids of the messages that can be asked for.
@@ -79,7 +79,7 @@ class Server(ABC, Generic[V]):
             dialect.MAVLINK_MSG_ID_SET_MODE: self._on_set_mode,
             dialect.MAVLINK_MSG_ID_TIMESYNC: self._on_timesync,
             dialect.MAVLINK_MSG_ID_HEARTBEAT: self.on_heartbeat,
-            **Services(vehicle, parameters, self.streams, profile).handlers,
+            **Services(vehicle, parameters).handlers,
             **self.own_handlers(),
         }
         self._heartbeat_due_s = -math.inf
@@ -218,9 +218,9 @@ class Server(ABC, Generic[V]):
     def on_setpoint(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
         """SET_POSITION_TARGET_LOCAL_NED, which has no answer but the text of a refusal."""
         vehicle = self.vehicle
-        setpoint = read_setpoint(message, vehicle.yaw_rad, self.profile.frames)
+        setpoint = read_setpoint(message, vehicle.yaw_rad)
         if isinstance(setpoint, str):
-            vehicle.refuse_setpoint(setpoint, now_s)
+            vehicle.texts.refuse(setpoint, now_s, "set-point")
             return []
         refused = vehicle.take_setpoint(setpoint, sender, now_s)
         if refused is not None:
@@ -237,11 +237,11 @@ class Server(ABC, Generic[V]):
         """SET_MODE, which has no answer but the text."""
         if message.target_system != self.system_id:
             return []
-        vehicle, profile = self.vehicle, self.profile
-        pair = profile.pair_of(message.custom_mode)
-        mode = profile.mode_of(*pair)
-        if mode is None:
-            reason: str | None = profile.why_no_mode(*pair)
+        vehicle = self.vehicle
+        pair = mode_numbers(message.custom_mode)
+        mode = mode_of(*pair)
+        if mode is None or mode not in self.profile.codes:
+            reason: str | None = why_no_mode(*pair)
         else:
             right = Right.ANYBODY if mode is FlightMode.LAND else Right.OWNER
             reason = vehicle.forbids(sender, right, now_s)

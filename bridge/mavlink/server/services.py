@@ -13,8 +13,6 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.codec.decoding import Message, parameter_name
 from bridge.mavlink.server.owner import Right, Sender
 from bridge.mavlink.server.parameters import NOT_NOW, Parameters, Refused
-from bridge.mavlink.server.profile import ServerProfile
-from bridge.mavlink.server.streams import Streams
 from bridge.mavlink.server.telemetry import VehiclePort
 
 Handler = Callable[[Any, Sender, float], list[Message]]
@@ -43,13 +41,14 @@ _REFUSED_SETPOINTS = {
 
 
 class Services:
-    """Handlers by message id; each returns the answer to the sender."""
+    """Handlers by message id; each returns the answer to the sender.
 
-    def __init__(
-        self, vehicle: VehiclePort, parameters: Parameters, streams: Streams[Any], profile: ServerProfile
-    ) -> None:
-        self._vehicle, self._parameters, self._streams = vehicle, parameters, streams
-        self._groups = profile.data_streams
+    REQUEST_DATA_STREAM has none, as in PX4: what MAVProxy and dronekit request at their start (4 Hz of every
+    message) would starve the companion of its position.
+    """
+
+    def __init__(self, vehicle: VehiclePort, parameters: Parameters) -> None:
+        self._vehicle, self._parameters = vehicle, parameters
         m = dialect
         self.handlers: dict[int, Handler] = {
             m.MAVLINK_MSG_ID_PING: _ping,
@@ -64,8 +63,6 @@ class Services:
             m.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: _file_transfer,
             **dict.fromkeys(_REFUSED_SETPOINTS, self._refuse_setpoint),
         }
-        if profile.data_streams:
-            self.handlers[m.MAVLINK_MSG_ID_REQUEST_DATA_STREAM] = self._data_stream
 
     def _parameter_list(self, _message: Any, _sender: Sender, _now_s: float) -> list[Message]:
         self._parameters.list_all()  # goes out with the telemetry of the next ticks
@@ -92,15 +89,6 @@ class Services:
         self._vehicle.texts.refuse(refused.reason, now_s)
         # The error first: MAVSDK takes a value that differs for a lost write and sends it five times more.
         return [_parameter_error(name.encode(), -1, refused.error, sender), in_force]
-
-    def _data_stream(self, message: Any, _sender: Sender, now_s: float) -> list[Message]:
-        """REQUEST_DATA_STREAM, start only."""
-        if message.start_stop and message.req_message_rate:
-            interval_us = 1e6 / message.req_message_rate
-            for message_id in self._groups.get(message.req_stream_id, ()):
-                if not self._streams.rarer(message_id, interval_us):
-                    self._streams.set_interval(message_id, interval_us, now_s)
-        return []
 
     def _refuse_setpoint(self, message: Any, _sender: Sender, now_s: float) -> list[Message]:
         kind = _REFUSED_SETPOINTS[message.get_msgId()]

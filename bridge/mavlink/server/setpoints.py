@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, NamedTuple
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.frames import enu_from_ned, flu_from_frd, quaternion_from_yaw, world_from_body, yaw_enu_from_ned
 from flightstack.core.types import Vec3
@@ -18,6 +20,7 @@ _VELOCITY = 0b000111000
 _ACCELERATION = 0b111000000
 _YAW = 1 << 10
 _YAW_RATE = 1 << 11
+_FRAMES = (dialect.MAV_FRAME_LOCAL_NED, dialect.MAV_FRAME_BODY_NED)
 
 
 class Setpoint(NamedTuple):
@@ -28,15 +31,11 @@ class Setpoint(NamedTuple):
     yaw_rate_rad_s: float  # counter-clockwise; 0 holds the present heading
 
 
-def read_setpoint(
-    message: Any, yaw_rad: Callable[[], float | None], frames: Mapping[int, bool]
-) -> Setpoint | str:
+def read_setpoint(message: Any, yaw_rad: Callable[[], float | None]) -> Setpoint | str:
     """Turn SET_POSITION_TARGET_LOCAL_NED into a set-point, or into the reason why it is refused.
 
-    Args:
-        message: the message; a body frame is turned by the heading only (as PX4 and ArduPilot do).
-        yaw_rad: gives the present heading of the vehicle, counter-clockwise from east; None: not known.
-        frames: accepted MAV_FRAME; True for a body frame.
+    A body frame is turned by the heading only, as PX4 does. ``yaw_rad`` gives the present heading of the
+    vehicle, counter-clockwise from east; None: not known.
     """
     mask = message.type_mask
     if mask & _POSITION != _POSITION or mask & _ACCELERATION != _ACCELERATION or mask & _VELOCITY:
@@ -46,11 +45,10 @@ def read_setpoint(
         return "Set-point dropped: velocity not finite"
     if v[0] * v[0] + v[1] * v[1] + v[2] * v[2] > SPEED_MAX_M_S**2:
         return f"Set-point dropped: above {SPEED_MAX_M_S:g} m/s"
-    turned = frames.get(message.coordinate_frame)
-    if turned is None:
-        known = " or ".join(map(str, frames))
+    if message.coordinate_frame not in _FRAMES:
+        known = " or ".join(map(str, _FRAMES))
         return f"Set-point dropped: frame {message.coordinate_frame}, only {known}"
-    if turned:
+    if message.coordinate_frame == dialect.MAV_FRAME_BODY_NED:
         heading_rad = yaw_rad()
         if heading_rad is None:
             return "Set-point dropped: body frame, but the heading is not known"

@@ -44,7 +44,7 @@ class Streams(Generic[V]):
         """
         self._period_s = 1.0 / rate_hz
         self._hidden: frozenset[int] = frozenset()
-        self._default_s = dict.fromkeys(profile.every_tick, self._period_s)
+        self._default_s = dict.fromkeys(EVERY_TICK, self._period_s)
         self._default_s |= {id_: max(self._period_s, 1.0 / hz) for id_, hz in profile.rates_hz.items()}
         order = (*EVERY_TICK, *(id_ for id_ in builders if id_ not in EVERY_TICK))
         self._streams = {

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.frames import Quat, euler_from_quaternion, frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.server.owner import Right, Sender
-from bridge.mavlink.server.profile import POSITION_SOURCE, FlightMode, ServerProfile
+from bridge.mavlink.server.profile import CAPABILITIES, POSITION_SOURCE, VERSION, FlightMode, ServerProfile
 from bridge.mavlink.server.setpoints import Setpoint
 from bridge.mavlink.server.texts import Texts
 from flightstack.core.types import Vec3
@@ -102,9 +102,6 @@ class VehiclePort(Protocol):
     def take_setpoint(self, setpoint: Setpoint, sender: Sender, now_s: float) -> str | None:
         """Take a valid set-point; it is flown in OFFBOARD only, but keeps the stream alive in all modes."""
 
-    def refuse_setpoint(self, reason: str, now_s: float) -> None:
-        """Take note of a set-point that is refused, and say why."""
-
 
 V = TypeVar("V", bound=VehiclePort)
 
@@ -136,7 +133,7 @@ Builder = Callable[[Snapshot[V]], Message]
 
 
 def heartbeat(s: Snapshot[V]) -> Message:
-    """HEARTBEAT with the profile's modes, and PX4's states (PX4 streams/HEARTBEAT.hpp)."""
+    """HEARTBEAT with PX4's modes and states (PX4 streams/HEARTBEAT.hpp)."""
     vehicle, profile = s.vehicle, s.profile
     code, armed = profile.codes[vehicle.mode], vehicle.armed
     if armed:
@@ -145,9 +142,9 @@ def heartbeat(s: Snapshot[V]) -> Message:
         state = dialect.MAV_STATE_UNINIT if vehicle.problems(s.now_s) else dialect.MAV_STATE_STANDBY
     return dialect.MAVLink_heartbeat_message(
         dialect.MAV_TYPE_QUADROTOR,
-        profile.autopilot,
+        dialect.MAV_AUTOPILOT_PX4,
         code.base | (dialect.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0),
-        profile.custom_mode(code),
+        code.custom_mode,
         state,
         3,
     )
@@ -215,9 +212,9 @@ def battery_status(s: Snapshot[V]) -> Message:
 
 def autopilot_version(s: Snapshot[V]) -> Message:
     """AUTOPILOT_VERSION."""
-    who, zeros = s.profile, [0] * 8
+    zeros = [0] * 8
     return dialect.MAVLink_autopilot_version_message(
-        who.capabilities, who.version, 0, 0, 0, list(who.mark), zeros, zeros, 0, 0, 0
+        CAPABILITIES, VERSION, 0, 0, 0, list(s.profile.mark), zeros, zeros, 0, 0, 0
     )
 
 

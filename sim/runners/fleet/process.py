@@ -8,14 +8,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import replace
 
 from bridge.mavlink.transport.address import parse_udp_url
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import EPOCH_NS, quiet_garbage_collector
 from logs.recorder.feed import Feed
 from logs.schema.names import Names, member_name
-from sim.autopilot.profiles import PROFILES
 from sim.clock import TickGrid
 from sim.runners.deck import RealTimeDeck
 from sim.runners.fleet.lockstep import FleetLockstep, LockstepMember
@@ -83,7 +81,7 @@ def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitSta
         urls.append(url)
         name = member_name(number)
         vehicle = VehicleSim(scenario, seed)
-        autopilot = autopilot_of(vehicle, _own(options, number), number, epoch_ns)
+        autopilot = autopilot_of(vehicle, options, number, epoch_ns)
         log = VehicleLog(feed, epoch_ns, name, Names(name, number))
         members.append(Member(number, VehicleNode(vehicle, autopilot, endpoint, log, _teller(name))))
     grid = TickGrid(options.rate_hz)
@@ -103,14 +101,6 @@ def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitSta
     feed.flush()
     while not stop.is_set:  # whoever started this process ends it
         time.sleep(_PAUSE_S)
-
-
-def _own(options: VehicleOptions, number: int) -> VehicleOptions:
-    """Options of one vehicle: its station is the companion, which has its system id."""
-    station = PROFILES[options.profile].station_id
-    if station is None or station not in options.parameters:
-        return options
-    return replace(options, parameters={**options.parameters, station: number})
 
 
 def _teller(name: str) -> Callable[[bool], None]:

@@ -30,7 +30,7 @@ LANDED_MAX_S = 40.0  # from the loss of the companion to motors off, by the vehi
 
 
 @pytest.fixture
-def room(request, tmp_path, server_profile, flight_number):
+def room(request, tmp_path, flight_number):
     option = request.config.getoption
     if option("--vehicle") is not None:
         where = given(request.config, tmp_path)
@@ -39,7 +39,7 @@ def room(request, tmp_path, server_profile, flight_number):
             tmp_path, option("--px4"), option("--scenario"), flight_number, speed=option("--speed")
         )
     else:
-        where = simulated(tmp_path, server_profile)
+        where = simulated(tmp_path)
     with where as one:
         yield one
 

@@ -1,4 +1,4 @@
-"""PX4 and ArduCopter: the simulated vehicle as either, their own programs, and the check before a flight."""
+"""PX4 and ArduCopter: the simulated vehicle, programs of both, and the check before a flight."""
 
 import json
 import os
@@ -14,43 +14,22 @@ import pytest
 from flightstack.common.strict_toml import dumps
 from flightstack.config.files import path_of
 from logs.reader.flight import load_flight
-from logs.reader.reader import LogFile
 from sim.scenarios.scenario import PathKind, load
 from tests.integration.flights.test_sitl import KEYS
 from tests.integration.runs import WALL_MAX_S, called, flightstack
 from tests.integration.sim_processes import ROOT, verb
 from tests.px4_flight import px4_or_skip
 
-PROFILES = ("px4", "ardupilot")
 PAGE = ROOT / "docs" / "how_to" / "autopilots.md"
 
 
 @pytest.mark.parametrize(("scenario", "seed"), [("lab", 1), ("large", 0)], ids=["Crazyflie", "1 kg"])
-@pytest.mark.parametrize("plays", PROFILES)
-def test_lockstep_landing_and_its_replay(flown, plays, scenario, seed):
-    landing = flown(scenario, seed, *(() if plays == "px4" else ("--profile", plays)))
+def test_lockstep_landing_and_its_replay(flown, scenario, seed):
+    landing = flown(scenario, seed)
     assert (landing.json["outcome"], landing.json["violation"]) == ("landed", False)
     done = flightstack("replay", landing.log)
     assert done.code == 0, done.out
     assert "wire: equal" in done.out
-
-
-def test_from_the_ground_as_ardupilot_with_an_origin_to_be_told(flown):
-    landing = flown("paper_moving_1", 0, "--profile", "ardupilot")
-    assert (landing.json["outcome"], landing.json["violation"]) == ("landed", False)
-    (config,) = [a.data.decode() for a in LogFile(landing.log).attachments() if a.name == "onboard.toml"]
-    assert "origin_wgs84 = [47.397742, 8.545594, 10.0]" in config
-
-
-@pytest.mark.xdist_group("real-time")
-def test_real_time_landing_after_the_check(tmp_path):  # as PX4: test_fly.py
-    words = ("--scenario", "lab", "--seed", 2, "--profile", "ardupilot", "--no-report", "--json")
-    done = flightstack("sitl", *words, "--out", tmp_path)
-    assert (done.code, done.json["outcome"], done.json["violation"]) == (0, "landed", False), done.err
-    found = LogFile(tmp_path / "flight.mcap").metadata()["preflight"]
-    assert found["profile"] == "ardupilot"
-    assert found["problem"] == ""
-    assert not any("UNSAFE" in value for value in found.values())
 
 
 @contextmanager
@@ -110,21 +89,18 @@ def test_preflight_of_nobody_and_of_nonsense():
 @pytest.mark.xdist_group("real-time")
 def test_onboard_does_not_arm_what_is_unsafe():
     onboard = ("onboard", "--config", "crazyflie", "--no-record", "--duration", 20)
-    with vehicle_process("--profile", "ardupilot") as (child, url):
+    with vehicle_process("--parameter", "COM_OF_LOSS_T=3") as (child, url):
         done = flightstack(*onboard, "--vehicle", url)
         assert done.code == 1, done.out
-        assert "UNSAFE: GUID_TIMEOUT is 3 s: until then it flies on" in done.out
-        assert (
-            "WAIT: unsafe parameters of the autopilot: GUID_TIMEOUT, FS_GCS_ENABLE, SYSID_MYGCS" in done.out
-        )
-        other = flightstack(*onboard, "--vehicle", url, "--autopilot", "px4")
+        assert "UNSAFE: COM_OF_LOSS_T is 3 s: until then it flies on" in done.out
+        assert "WAIT: unsafe parameters of the autopilot: COM_OF_LOSS_T" in done.out
+        other = flightstack(*onboard, "--vehicle", url, "--autopilot", "ardupilot")
         assert other.code == 1
-        assert "is for autopilot 12: it is not flown" in other.out
+        assert "is for autopilot 3: it is not flown" in other.out
         child.send_signal(signal.SIGTERM)
         assert "armed" not in child.communicate(timeout=WALL_MAX_S)[0].split()
 
 
-STAND_IN = Path(__file__).parents[2] / "ardupilot_stand_in.py"
 ORIGIN_WGS84 = (47.397742, 8.545594, 10.0)
 
 
@@ -154,7 +130,9 @@ def test_arducopters_program_is_started_and_flown_over_tcp(tmp_path):
     target = replace(scenario.target, path=PathKind.STILL, speed_m_s=0.0)
     still.write_text(dumps(replace(scenario, name="still", target=target)))
     program = tmp_path / "arducopter"
-    program.write_text(f'#!/bin/sh\nexec {sys.executable} {STAND_IN} "$@"\n')
+    program.write_text(
+        f'#!/bin/sh\nPYTHONPATH={ROOT} exec {sys.executable} -m tests.ardupilot_program "$@"\n'
+    )
     program.chmod(0o755)
     done = flightstack(
         "sitl", "--scenario", still, "--ardupilot", program, "--config", config,

@@ -1,4 +1,4 @@
-"""Vehicles of a fleet in real time, of three kinds: one of ``sitl``, two by their URLs."""
+"""Vehicles of a fleet in real time: one of ``sitl``, two by their URLs, the last one a Crazyflie."""
 
 import numpy as np
 import pytest
@@ -8,15 +8,13 @@ from logs.reader.reader import LogFile
 from logs.replay.replay import replay
 from logs.schema.fleet_rows import unpack_neighbours
 from logs.verdict.fleet import judge_fleet
-from sim.autopilot.ground import ORIGIN_WGS84
-from sim.autopilot.profiles import PROFILES
 from sim.scenarios.team import one_of
 from tests.integration.runs import Flying, called
 from tests.integration.sim_processes import verb
 from tests.integration.wires.bridge_processes import member_behind_the_bridge
 from tests.processes.ports import free_port
 
-TEAM = f"""
+TEAM = """
 name = "two_cross"
 description = "Two vehicles fly to each other's side of the room, a third one lands beside them"
 base = "paper_static_1"
@@ -30,7 +28,6 @@ target.position_m = [1.0, 0.0]
 start.offset_m = [-2.2, 0.1, 1.0]
 [[member]]
 onboard.fleet.id = 2
-onboard.vehicle.origin_wgs84 = {list(ORIGIN_WGS84)}
 target.position_m = [-1.0, 0.0]
 start.offset_m = [2.2, -0.1, 1.0]
 [[member]]
@@ -40,11 +37,11 @@ target.position_m = [0.0, 2.0]
 start.kind = "ground"
 start.ground_position_m = [-0.6, 2.3]
 """
-KINDS = {1: "sitl", 2: "ardupilot", 3: "crazyflie"}
+KINDS = {1: "sitl", 2: "sitl", 3: "crazyflie"}
 
 
 @pytest.mark.xdist_group("real-time")
-def test_three_kinds_of_vehicles_hear_each_other_land_and_replay(tmp_path):
+def test_vehicles_from_three_sources_hear_each_other_land_and_replay(tmp_path):
     (team_file := tmp_path / "team.toml").write_text(TEAM)
     places, out = [f"127.0.0.1:{free_port(udp=True)}" for _ in range(2)], tmp_path / "out"
     options = ("--seed", 1, "--duration", 90)
@@ -52,19 +49,10 @@ def test_three_kinds_of_vehicles_hear_each_other_land_and_replay(tmp_path):
     run = Flying(out, "--scenario", team_file, *options, *(w for m in members for w in ("--member", m)))
     try:
         run.wait_for("robots: ")
-        robots, profile = run.lines[-1].split()[1], PROFILES[KINDS[2]]
-        values = profile.set_before_flight | {profile.station_id: 2}
-        parameters = [f"{name}={value:g}" for name, value in values.items()]
+        robots = run.lines[-1].split()[1]
         words = ("--scenario", team_file, "--seed", 1, "--member", 2, "--url", f"udpin:{places[0]}")
-        wires = (
-            "--connect",
-            robots,
-            "--profile",
-            KINDS[2],
-            *(w for p in parameters for w in ("--parameter", p)),
-        )
         crazyflie = (*one_of(team_file, 1, 3), 3, f"udpin:{places[1]}", robots)
-        with verb("vehicle", *words, *wires), member_behind_the_bridge(*crazyflie) as plant:
+        with verb("vehicle", *words, "--connect", robots), member_behind_the_bridge(*crazyflie) as plant:
             assert run.end() == 0, "\n".join(run.lines)
             assert plant.vehicle.on_pad
     finally:

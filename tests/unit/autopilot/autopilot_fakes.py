@@ -10,7 +10,6 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.server.profile import FlightMode
 from sim.autopilot.autopilot import Autopilot
-from sim.autopilot.profiles import PX4, SimulatedProfile
 
 NAN = math.nan
 FEET_M = 0.0144
@@ -100,9 +99,9 @@ class FakeVehicle:
 class Rig:
     """An autopilot on a fake vehicle, with time."""
 
-    def __init__(self, profile: SimulatedProfile = PX4, **vehicle: object) -> None:
+    def __init__(self, **vehicle: object) -> None:
         self.vehicle = FakeVehicle(**vehicle)  # type: ignore[arg-type]
-        self.autopilot = Autopilot(self.vehicle, RATE_HZ, profile=profile)
+        self.autopilot = Autopilot(self.vehicle, RATE_HZ)
         self.tick = 0
         self.telemetry: list = []
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from bridge.mavlink.server.parameters import INT32
+from bridge.mavlink.server.parameters import INT32, Parameters
 from bridge.mavlink.server.profile import FlightMode
 from sim.autopilot.ground import degrees_e7, x_of, y_of
-from sim.autopilot.profiles import PX4
+from sim.autopilot.profiles import px4_parameters
 from sim.autopilot.watches import BATTERY, FENCE, STATION_LOST, STREAM_LOST, BatteryGauge, Charge
 from sim.plant.params import load
 from sim.plant.rotors import BatteryModel, drain
@@ -190,14 +190,14 @@ STATION = mav.MAVLink_heartbeat_message(mav.MAV_TYPE_GCS, 8, 0, 0, 4, 3)
 
 
 def voltage_at(remaining: float) -> float:
-    p = PX4.new_parameters(1)
+    p = Parameters(px4_parameters(1))
     return p["BAT1_V_EMPTY"] + remaining * (p["BAT1_V_CHARGED"] - p["BAT1_V_EMPTY"])
 
 
 def rig_with(**parameters: float) -> Rig:
     rig = Rig()
     for name, value in parameters.items():
-        if PX4.new_parameters(1).entry(name).type == INT32:
+        if Parameters(px4_parameters(1)).entry(name).type == INT32:
             assert set_int(rig, name, int(value)) == value
         else:
             assert set_real(rig, name, value) == pytest.approx(value)
@@ -242,7 +242,7 @@ def test_battery_that_drains_warns_once_a_level_and_shows_it() -> None:
 
 
 def test_load_does_not_look_like_an_empty_battery_and_noise_not_like_a_new_alarm() -> None:
-    gauge = BatteryGauge(PX4.new_parameters(1), 4.0, 0.0)
+    gauge = BatteryGauge(Parameters(px4_parameters(1)), 4.0, 0.0)
     at_rest = gauge.remaining
     for _ in range(100):
         gauge.step(4.0 - 0.25, 0.67, 0.1, armed=True)
@@ -290,7 +290,7 @@ def test_actions_that_do_not_exist_are_refused(value: int) -> None:
 
 
 def test_every_allowed_action_has_a_meaning() -> None:
-    p = PX4.new_parameters(1)
+    p = Parameters(px4_parameters(1))
     assert set(p.entry("COM_OBL_RC_ACT").choices) == set(STREAM_LOST)
     assert set(p.entry("NAV_DLL_ACT").choices) == set(STATION_LOST)
     assert set(p.entry("GF_ACTION").choices) == set(FENCE)
@@ -390,5 +390,5 @@ def test_charge_of_the_simulated_cell_is_read_right_in_hover() -> None:
     cell.record.used_a_s = used * params.charge_a_s
     drain(cell.record, np.full(4, hover_rpm), 0.01)
     throttle = hover_rpm / cell.rpm_max
-    gauge = BatteryGauge(PX4.new_parameters(1), cell.voltage_v, throttle)
+    gauge = BatteryGauge(Parameters(px4_parameters(1)), cell.voltage_v, throttle)
     assert gauge.remaining == pytest.approx(1.0 - used, abs=0.03)

@@ -14,18 +14,18 @@ from flightstack.common.strict_toml import ConfigError, from_table
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.onboard.preflight import check, lines, needs_of, record, verdict
 from sim.autopilot.autopilot import Autopilot
-from sim.autopilot.profiles import ARDUPILOT as PLAYS_ARDUPILOT
-from sim.autopilot.profiles import PX4 as PLAYS_PX4
+from sim.autopilot.profiles import px4_parameters
 from sim.scenarios import scenario
+from tests.fake_autopilot import OnUdp
 from tests.unit.autopilot.autopilot_fakes import RATE_HZ, FakeVehicle
-from tests.unit.onboard.fake_release import SAFE
+from tests.unit.onboard.safe_parameters import ARDUPILOT_46_DEFAULT, SAFE, packed
 
 NEEDS = Needs((0.5, 0.5, 0.5), 3.0, 0.5, (0.8, 0.6, 1.5))
 ARDUPILOT_UNSAFE = {"GUID_TIMEOUT", "FS_GCS_ENABLE", "SYSID_MYGCS"}  # with its defaults
 
 
 def asked(name):
-    """Parameters of the newest release that the simulator has."""
+    """Parameters of the newest release; of ArduCopter that of the fake."""
     return table(name).asked(name, "4.6" if name == "ardupilot" else table(name).releases[-1])
 
 
@@ -72,16 +72,11 @@ def test_what_a_person_accepted_does_not_keep_it_from_arming():
 
 
 @pytest.mark.parametrize("name", scenario.names())
-@pytest.mark.parametrize("who", [PLAYS_PX4, PLAYS_ARDUPILOT], ids=lambda who: who.name)
-def test_the_simulators_own_parameters_are_safe_for_every_scenario(name, who):
+def test_the_simulators_own_parameters_are_safe_for_every_scenario(name):
     """So a lockstep flight, whose vehicle is always the simulator, need not ask."""
-    values = who.new_parameters(1)
-    for parameter, value in who.set_before_flight.items():
-        values.preset(parameter, value)
-    shown = {p.name: p.outside(values[p.names[0]]) for p in who.parameters(1)}
-    rules = "sitl" if who is PLAYS_PX4 else who.name
-    assert {each.name.name for each in asked(rules) if each.rule.missing is None} <= set(shown)
-    assert unsafe(rules, shown, needs_of(scenario.load(name).onboard)) == set()
+    shown = {parameter.name: parameter.default for parameter in px4_parameters(1)}
+    assert {each.name.name for each in asked("sitl") if each.rule.missing is None} <= set(shown)
+    assert unsafe("sitl", shown, needs_of(scenario.load(name).onboard)) == set()
 
 
 def test_accepted_names_are_checked():
@@ -104,9 +99,9 @@ def test_accepted_names_are_checked():
 class Vehicle:
     """The simulated autopilot on a socket, answered for by a thread until it is closed."""
 
-    def __init__(self, profile=PLAYS_PX4, *, mute=(), heartbeat=None, fake=None):
+    def __init__(self, *, mute=(), heartbeat=None, fake=None):
         self.endpoint = Endpoint("udpin:127.0.0.1:0", 1, 1)
-        self.autopilot = Autopilot(fake or FakeVehicle(), RATE_HZ, profile=profile)
+        self.autopilot = Autopilot(fake or FakeVehicle(), RATE_HZ)
         self.asked = []
         self._mute, self._heartbeat = mute, heartbeat
         self._over = threading.Event()
@@ -161,13 +156,14 @@ def test_the_simulator_is_recognised_and_safe():
 
 
 def test_ardupilots_default_time_out_keeps_it_from_arming():
-    report = talk(Vehicle(PLAYS_ARDUPILOT))
+    version = packed("4.6")
+    report = talk(OnUdp("ardupilot", version, ARDUPILOT_46_DEFAULT))
     assert (report.profile, report.version) == (ARDUPILOT, "4.6.0")
     assert {f.name for f in report.blocking} == ARDUPILOT_UNSAFE
     assert "GUID_TIMEOUT" in verdict(report)
     assert "accepted_parameters" in verdict(report)
     assert any("UNSAFE: GUID_TIMEOUT is 3 s: until then it flies on" in line for line in lines(report))
-    assert talk(Vehicle(PLAYS_ARDUPILOT), accepted=ARDUPILOT_UNSAFE).safe
+    assert talk(OnUdp("ardupilot", version, ARDUPILOT_46_DEFAULT), accepted=ARDUPILOT_UNSAFE).safe
 
 
 def test_a_lost_companion_comes_down_only_if_its_own_heartbeats_are_minded():

@@ -9,7 +9,8 @@ from bridge.mavlink.preflight.table import Needs, Table, table
 from bridge.mavlink.preflight.talk import examine
 from flightstack.common.strict_toml import ConfigError, from_table
 from flightstack.onboard.preflight import lines, record, verdict
-from tests.unit.onboard.fake_release import DEV, SAFE, FakeRelease, packed
+from tests.fake_autopilot import OnUdp
+from tests.unit.onboard.safe_parameters import DEV, SAFE, packed
 
 NEEDS = Needs((0.5, 0.5, 0.5), 3.0, 0.5, (0.8, 0.6, 1.5))
 # by autopilot and name: level of, and values that are not safe; a name is in the releases that have it
@@ -81,7 +82,7 @@ def test_the_fakes_are_of_every_release_of_the_tables():
 
 @RELEASES
 def test_a_safe_vehicle_of_any_release_may_arm(autopilot, release):
-    report = talk(FakeRelease(autopilot, packed(release), SAFE[autopilot, release]))
+    report = talk(OnUdp(autopilot, packed(release), SAFE[autopilot, release]))
     assert (verdict(report), report.notes, report.rules) == (None, (), release)
     assert {f.level for f in report.findings} == {Level.OK}
     assert {f.name for f in report.findings} == set(SAFE[autopilot, release])
@@ -128,7 +129,7 @@ def test_what_is_missing_is_as_bad_as_what_is_not_safe(autopilot, release):
 @pytest.mark.parametrize(("autopilot", "release"), [("ardupilot", "4.7"), ("px4", "1.18")])
 def test_the_names_of_the_release_before_are_refused(autopilot, release):
     older = {"4.7": "4.6", "1.18": "1.16"}[release]
-    report = talk(FakeRelease(autopilot, packed(release), SAFE[autopilot, older], says_unknown=True))
+    report = talk(OnUdp(autopilot, packed(release), SAFE[autopilot, older], says_unknown=True))
     missing = {f.name for f in report.findings if f.value is None}
     assert missing >= {"4.7": {"WP_SPD", "ARMING_SKIPCHK"}, "1.18": {"MAN_OVERRIDE_SPD"}}[release]
     assert any("refused: DOES_NOT_EXIST" in f.why for f in report.findings)
@@ -180,20 +181,20 @@ def test_a_release_that_is_not_known_is_refused_by_name_or_flown_by_the_nearest_
 ):
     monkeypatch.setattr(module, "_VERSION_TRIES", 2)
     safe = SAFE[autopilot, nearest]
-    refused = talk(FakeRelease(autopilot, version, safe))
+    refused = talk(OnUdp(autopilot, version, safe))
     assert not refused.safe
     assert verdict(refused).startswith(why)
     assert f"--accept-release flies it by the rules of {nearest}" in verdict(refused)
-    flown = talk(FakeRelease(autopilot, version, safe), accept_release=True)
+    flown = talk(OnUdp(autopilot, version, safe), accept_release=True)
     assert (verdict(flown), flown.rules) == (None, nearest)
     assert any(f"judged by the rules of {nearest} (--accept-release)" in line for line in lines(flown))
     assert why in record(flown)["notes"]
-    bad = talk(FakeRelease(autopilot, version, safe | {next(iter(safe)): 60.0}), accept_release=True)
+    bad = talk(OnUdp(autopilot, version, safe | {next(iter(safe)): 60.0}), accept_release=True)
     assert not bad.safe
 
 
 def test_a_build_of_a_known_release_that_is_none_is_noted():
-    report = talk(FakeRelease("ardupilot", packed("4.8", DEV), SAFE["ardupilot", "4.8"]))
+    report = talk(OnUdp("ardupilot", packed("4.8", DEV), SAFE["ardupilot", "4.8"]))
     assert report.safe
     assert report.notes == ("ArduCopter 4.8.0 dev is not a release: judged by the rules of 4.8",)
 

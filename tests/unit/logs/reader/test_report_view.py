@@ -193,7 +193,7 @@ NOT_TOLD |= {"ros_domain", "instance", "members", "runs", "as_json", "with_repor
 
 def test_every_option_that_changes_a_run_is_in_its_log_and_in_the_command():
     given = {
-        "duration_s": 20.0, "signing_key": Path("a key"), "profile": "ardupilot", "autopilot": "ardupilot",
+        "duration_s": 20.0, "signing_key": Path("a key"), "autopilot": "ardupilot",
         "accept_release": True, "config_file": Path("paper"), "px4": Path("px4"), "mocap": True, "speed": 2.0,
     }  # fmt: skip
     options = RunOptions(scenario="room", **given)
@@ -202,7 +202,7 @@ def test_every_option_that_changes_a_run_is_in_its_log_and_in_the_command():
     names = {"config_file": "config", "px4": "program"}
     assert options.told.keys() - {"vehicle"} == {names.get(name, name) for name in given}
     assert command({"seed": "7", **options.told}, "scenario.toml") == (
-        "flightstack sitl --scenario scenario.toml --seed 7 --px4 px4 --profile ardupilot "
+        "flightstack sitl --scenario scenario.toml --seed 7 --px4 px4 "
         "--autopilot ardupilot --speed 2 --duration 20 --signing-key 'a key' --accept-release --mocap"
     )
 

@@ -10,11 +10,9 @@ from bridge.mavlink.line_budget import LineTooSlowError
 from bridge.mavlink.preflight.table import Needs, Severity, table
 from bridge.mavlink.profiles.autopilots import ARDUPILOT, CRAZYFLIE, OWN_SITL, PX4
 from bridge.mavlink.profiles.profile import Reading
-from bridge.mavlink.server.profile import FlightMode
 from flightstack.core.parameters.flight import BarrierShape, FlightConfig
 from flightstack.core.types import Mode, Request
 from flightstack.onboard.preflight import line_plan, needs_of
-from sim.autopilot.profiles import PROFILES as SIMULATED
 from sim.scenarios import scenario
 from tests.unit.verify.certificate_page import BEGIN, END, split
 
@@ -26,10 +24,6 @@ EXAMPLE = "lab"  # scenario whose command box the wanted values are for
 def _table(head, rows):
     lines = ["| " + " | ".join(cells) + " |" for cells in (head, *rows)]
     return "\n".join([lines[0], "|---" * len(head) + "|", *lines[1:]])
-
-
-def _yes(value):
-    return "yes" if value else "no"
 
 
 def _steps(profile, request):
@@ -122,40 +116,6 @@ def rules(name):
     return _table(["parameter", "wanted", "otherwise", "why"], rows)
 
 
-def played():
-    """What the simulated vehicle plays."""
-    who = list(SIMULATED.values())
-
-    def mode(p, wanted):
-        return str(p.custom_mode(p.codes[wanted]))
-
-    rows = [
-        ("`--profile`", lambda p: f"`{p.name}`"),
-        ("MAV_AUTOPILOT", lambda p: str(p.autopilot)),
-        *((f"custom_mode: {m.value}", lambda p, m=m: mode(p, m)) for m in FlightMode),
-        (
-            "refused for now",
-            lambda p: dialect.enums["MAV_RESULT"][p.refused].name.removeprefix("MAV_RESULT_"),
-        ),
-        ("frames of set-points", lambda p: ", ".join(map(str, p.frames))),
-        ("set-points in its take-off", lambda p: "end it" if p.guided else "wait for the switch"),
-        (
-            "silence, or a wrong set-point",
-            lambda p: "stops, stays in the mode" if p.guided else "fail-safe; dropped",
-        ),
-        ("arming outside the external mode", lambda p: _yes(not p.guided)),
-        ("needs an origin", lambda p: _yes(p.needs_origin)),
-        ("sends unasked", lambda p: "its streams" if p.rates_hz else "HEARTBEAT, STATUSTEXT"),
-        ("REQUEST_DATA_STREAM", lambda p: "raises rates" if p.data_streams else "ignored"),
-        ("integer parameters", lambda p: "bytes of the integer" if p.bytewise else "converted to a float"),
-        (
-            "set by `sitl`",
-            lambda p: ", ".join(f"{k} = {v:g}" for k, v in p.set_before_flight.items()) or "nothing",
-        ),
-    ]
-    return _table(["", *(p.name for p in who)], [[n, *(value(p) for p in who)] for n, value in rows])
-
-
 def line_rates():
     config = FlightConfig(barrier=BarrierShape(alpha_1_m=1.0, beta_m=1.5))
     rows = []
@@ -171,7 +131,7 @@ def line_rates():
 
 
 def tables():
-    found = {"profiles": profiles(), "played": played(), "line rates": line_rates()}
+    found = {"profiles": profiles(), "line rates": line_rates()}
     return found | {f"rules {p.name}": rules(p.name) for p in PROFILES if table(p.name)}
 
 

@@ -26,10 +26,8 @@ from bridge.mavlink.profiles.profile import Encoding, Reading
 from bridge.target.ros2_target import TargetType
 from flightstack.compiled.core import Core
 from flightstack.config.options import AUTOPILOTS
-from flightstack.config.options import PROFILES as SIMULATED_CHOICES
 from flightstack.core.types import Landed, Mode, Request
 from flightstack.onboard.options import CORES, TARGET_TYPES
-from sim.autopilot.profiles import PROFILES as SIMULATED
 from tests.unit.mavlink.client.autopilots_page import PAGE, split, tables
 from tests.unit.mavlink.client.vehicle_link_fakes import (
     HEIGHT,
@@ -56,9 +54,8 @@ def test_every_profile_is_whole():
     assert (AUTO, *PROFILES) == CHOICES
 
 
-def test_the_command_knows_cores_and_autopilots_and_the_server_profiles_of_the_simulator():
+def test_the_command_knows_cores_and_autopilots():
     assert AUTOPILOTS == CHOICES
-    assert tuple(SIMULATED) == SIMULATED_CHOICES
     assert tuple(each.value for each in Core) == CORES
     assert tuple(each.value for each in TargetType) == TARGET_TYPES
 

@@ -135,7 +135,6 @@ def test_control_passes_on_when_it_is_disarmed(flown) -> None:
     assert flown.command(176, *HOLD, sender=STRANGER) == ACCEPTED  # nobody owns what stands disarmed
 
 
-FRAMES = {1: False, 8: True}
 BAD = {
     "not a number": (setpoint(NAN), "not finite"),
     "infinite": (setpoint(0.0, math.inf), "not finite"),
@@ -202,14 +201,14 @@ def test_set_points_for_another_vehicle_are_ignored(flown) -> None:
 
 
 def test_axes_and_signs() -> None:
-    velocity, yaw_rad, rate = read_setpoint(setpoint(0.1, 0.2, -0.3, yaw=0.0), lambda: 1.0, FRAMES)
+    velocity, yaw_rad, rate = read_setpoint(setpoint(0.1, 0.2, -0.3, yaw=0.0), lambda: 1.0)
     assert velocity == (0.2, 0.1, 0.3)
     assert (yaw_rad, rate) == (pytest.approx(math.pi / 2), 0.0)  # nose to the north
-    north = read_setpoint(setpoint(1.0, 0.5, 0.25, frame=8, mask=1479, rate=0.5), lambda: math.pi / 2, FRAMES)
+    north = read_setpoint(setpoint(1.0, 0.5, 0.25, frame=8, mask=1479, rate=0.5), lambda: math.pi / 2)
     assert north.velocity_enu_m_s == pytest.approx((0.5, 1.0, -0.25))
     assert (north.yaw_rad, north.yaw_rate_rad_s) == (None, -0.5)  # clockwise in NED
 
 
 def test_a_body_frame_needs_the_heading() -> None:
-    dropped = read_setpoint(setpoint(1.0, frame=8), lambda: None, FRAMES)
+    dropped = read_setpoint(setpoint(1.0, frame=8), lambda: None)
     assert dropped == "Set-point dropped: body frame, but the heading is not known"
