@@ -18,22 +18,13 @@ class PoseOptions(shared.Zenoh, shared.Signing):
     pose_type: Annotated[
         str, Option("--pose-type", "PoseStamped or PoseWithCovarianceStamped.", choices=POSE_TYPES)
     ] = POSE_TYPES[0]
-    frame_id: Annotated[str | None, Option("--frame", "Refuse poses in any other frame.", metavar="NAME")] = (
-        None
-    )
-    offset_flu_m: Annotated[
-        tuple[float, float, float],
-        Option("--offset", "From the markers' centre to the vehicle's, m, forward left up.", metavar="X Y Z"),
-    ] = (0.0, 0.0, 0.0)
-    pose_speed_m_s: Annotated[
-        float,
-        Option(
-            "--pose-speed-max",
-            "A pose that needs a higher speed is refused as a jump.",
-            metavar="M/S",
-            span=(0.1, 50.0),
-        ),
-    ] = 5.0
+    frame_id: Annotated[str | None, Option("--frame", "Refuse poses in any other frame.", "NAME")] = None
+    offset_flu_m: Annotated[tuple[float, float, float], Option(
+        "--offset", "From the markers' centre to the vehicle's, m, forward left up.", "X Y Z"
+    )] = (0.0, 0.0, 0.0)  # fmt: skip
+    pose_speed_m_s: Annotated[float, Option(
+        "--pose-speed-max", "A pose that needs a higher speed is refused as a jump.", "M/S", span=(0.1, 50.0)
+    )] = 5.0  # fmt: skip
     ros_domain: shared.RosDomain = 0
     duration_s: shared.Duration = None
 
@@ -42,22 +33,15 @@ class PoseOptions(shared.Zenoh, shared.Signing):
 class MocapOptions(PoseOptions):
     """The mocap bridge."""
 
-    pose_key: Annotated[
-        str,
-        Option(
-            "--key",
-            "Source of the poses: a Zenoh key, ros2:/TOPIC (rmw_zenoh), ros2dds:/TOPIC "
-            "(docs/how_to/mocap.md).",
-            metavar="KEY",
-        ),
-    ]
+    pose_key: Annotated[str, Option(
+        "--key",
+        "Source of the poses: a Zenoh key, ros2:/TOPIC (rmw_zenoh), ros2dds:/TOPIC (docs/how_to/mocap.md).",
+        "KEY"
+    )]  # fmt: skip
     vehicle_url: shared.VehicleUrl
-    origin: Annotated[
-        tuple[float, float, float] | None,
-        Option(
-            "--origin",
-            "Position on earth of the room's origin, degrees and m; ArduPilot needs one for its position.",
-            metavar="LAT LON ALT",
-        ),
-    ] = None
+    origin: Annotated[tuple[float, float, float] | None, Option(
+        "--origin",
+        "Position on earth of the room's origin, degrees and m; ArduPilot needs one for its position.",
+        "LAT LON ALT"
+    )] = None  # fmt: skip
     system_id: shared.SystemId = 1

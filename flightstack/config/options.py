@@ -92,20 +92,13 @@ def seconds(name: str, help: str, low: float | None = None, high: float | None =
     return Option(name, help, metavar="S", span=(low, high))
 
 
-Connect = Annotated[
-    tuple[str, ...],
-    Option(
-        "--connect", "Zenoh endpoint to connect to, e.g. tcp/10.0.0.2:7447; repeatable.", metavar="ENDPOINT"
-    ),
-]
-ZenohConfig = Annotated[
-    Path | None,
-    Option(
-        "--zenoh-config",
-        "Zenoh configuration (JSON5): routers, TLS, passwords, access (docs/how_to/zenoh.md).",
-        metavar="FILE", path="file", exists=True,
-    ),
-]  # fmt: skip
+Connect = Annotated[tuple[str, ...], Option(
+    "--connect", "Zenoh endpoint to connect to, e.g. tcp/10.0.0.2:7447; repeatable.", "ENDPOINT"
+)]  # fmt: skip
+ZenohConfig = Annotated[Path | None, Option(
+    "--zenoh-config", "Zenoh configuration (JSON5): routers, TLS, passwords, access (docs/how_to/zenoh.md).",
+    "FILE", path="file", exists=True
+)]  # fmt: skip
 Lockstep = Annotated[bool, Option("--lockstep", "Simulated time, as fast as possible, deterministic.")]
 Rate = Annotated[int, Option("--rate", "Ticks a second.", span=(10, 500))]
 Recorder = Annotated[Path | None, Option("--recorder", "Socket of a running `record`.", metavar="SOCKET")]
@@ -113,108 +106,68 @@ Namespace = Annotated[str, Option("--namespace", "First part of all Zenoh keys a
 Duration = Annotated[
     float | None, seconds("--duration", "End after this time in seconds of stack time.", 0.1)
 ]
-Speed = Annotated[
-    float,
-    Option(
-        "--speed",
-        "Stack time against real time, for a simulator of the same speed; never for a real vehicle.",
-        metavar="X", span=(0.1, 20.0),
-    ),
-]  # fmt: skip
-Clock = Annotated[
-    Path | None,
-    Option(
-        "--clock",
-        "Use the clock of `px4-sim --clock FILE` instead of the wall clock; never for a real vehicle.",
-        metavar="FILE", path="file",
-    ),
-]  # fmt: skip
+Speed = Annotated[float, Option(
+    "--speed", "Stack time against real time, for a simulator of the same speed; never for a real vehicle.",
+    "X", span=(0.1, 20.0)
+)]  # fmt: skip
+Clock = Annotated[Path | None, Option(
+    "--clock", "Use the clock of `px4-sim --clock FILE` instead of the wall clock; never for a real vehicle.",
+    "FILE", path="file"
+)]  # fmt: skip
 Url = Annotated[str, Option("--url", "MAVLink URL to serve; port 0 takes a free one.")]
-Peers = Annotated[
-    tuple[str, ...],
-    Option(
-        "--peer",
-        "Send telemetry there without being asked, e.g. 127.0.0.1:14540 for MAVSDK, 127.0.0.1:14550 for a "
-        "ground station; repeatable.",
-        metavar="HOST:PORT",
-    ),
-]
-VehicleUrl = Annotated[
-    str,
-    Option(
-        "--vehicle",
-        "MAVLink URL: udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE[:BAUD], by default "
-        "at 921600 baud.",
-        metavar="URL",
-    ),
-]
+Peers = Annotated[tuple[str, ...], Option(
+    "--peer", "Send telemetry there without being asked, e.g. 127.0.0.1:14540 for MAVSDK, 127.0.0.1:14550 "
+    "for a ground station; repeatable.", "HOST:PORT"
+)]  # fmt: skip
+VehicleUrl = Annotated[str, Option(
+    "--vehicle", "MAVLink URL: udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE[:BAUD], by "
+    "default at 921600 baud.", "URL"
+)]  # fmt: skip
 SystemId = Annotated[int, Option("--system-id", "MAVLink system id of the vehicle.", span=(1, 255))]
-Autopilot = Annotated[
-    str,
-    Option(
-        "--autopilot",
-        "Autopilot of the vehicle; auto: the heartbeat says which (docs/how_to/autopilots.md).",
-        choices=AUTOPILOTS,
-    ),
-]
-AcceptRelease = Annotated[
-    bool,
-    Option(
-        "--accept-release",
-        "Fly an autopilot whose release is not known by the rules of the nearest one.",
-    ),
-]
-SigningKey = Annotated[
-    Path | None,
-    Option(
-        "--signing-key", "Sign MAVLink with this key and ignore unsigned frames (see `key`).", metavar="FILE"
-    ),
-]
+Autopilot = Annotated[str, Option(
+    "--autopilot", "Autopilot of the vehicle; auto: the heartbeat says which (docs/how_to/autopilots.md).",
+    choices=AUTOPILOTS
+)]  # fmt: skip
+AcceptRelease = Annotated[bool, Option(
+    "--accept-release", "Fly an autopilot whose release is not known by the rules of the nearest one."
+)]  # fmt: skip
+SigningKey = Annotated[Path | None, Option(
+    "--signing-key", "Sign MAVLink with this key and ignore unsigned frames (see `key`).", "FILE"
+)]  # fmt: skip
 AllowUnsigned = Annotated[
     bool, Option("--allow-unsigned", "Listen on a network without a key: everybody there can fly it.")
 ]
-RosDomain = Annotated[
-    int,
-    Option("--ros-domain", "Domain of the ROS 2 nodes.", span=(0, 232), variable="ROS_DOMAIN_ID"),
-]
+RosDomain = Annotated[int, Option(
+    "--ros-domain", "Domain of the ROS 2 nodes.", span=(0, 232), variable="ROS_DOMAIN_ID"
+)]  # fmt: skip
 Mocap = Annotated[bool, Option("--mocap", "Give PX4 the scenario's motion capture instead of satellites.")]
-View = Annotated[
-    str | None,
-    Option(
-        "--view",
-        "The scene in 3-D during flight: in a window of Rerun, a browser, or a file (docs/how_to/live.md).",
-        metavar="[native|web|FILE.rrd]", bare="native",
-    ),
-]  # fmt: skip
-OneMember = Annotated[
-    int | None,
-    Option(
-        "--member",
-        "With a scenario of several vehicles: member N alone, with its seed, namespace and system id.",
-        metavar="N", span=(1, None),
-    ),
-]  # fmt: skip
+View = Annotated[str | None, Option(
+    "--view",
+    "The scene in 3-D during flight: in a window of Rerun, a browser, or a file (docs/how_to/live.md).",
+    "[native|web|FILE.rrd]", bare="native"
+)]  # fmt: skip
+OneMember = Annotated[int | None, Option(
+    "--member",
+    "With a scenario of several vehicles: member N alone, with its seed, namespace and system id.", "N",
+    span=(1, None)
+)]  # fmt: skip
 Member = Annotated[
     str | None, Option("--member", "Take the flight of this member of a fleet, e.g. cf2.", metavar="NAME")
 ]
 AsJson = Annotated[bool, json()]
-Workers = Annotated[
-    int | None,
-    Option("--workers", "Worker processes; default: one for each processor.", span=(1, 1024)),
-]
+Workers = Annotated[int | None, Option(
+    "--workers", "Worker processes; default: one for each processor.", span=(1, 1024)
+)]  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
 class Simulated:
     """What is simulated."""
 
-    scenario: Annotated[
-        str | Path,
-        Option("--scenario", "Scenario: a name (see `scenarios`) or a file.", metavar="NAME_OR_FILE"),
-    ]
-    seed: Annotated[
-        int, Option("--seed", "Random seed or a file with one.", metavar="NUMBER_OR_FILE", read=seed)
-    ] = 0
+    scenario: Annotated[str | Path, Option(
+        "--scenario", "Scenario: a name (see `scenarios`) or a file.", "NAME_OR_FILE"
+    )]  # fmt: skip
+    seed: Annotated[int, Option("--seed", "Random seed or a file with one.", "NUMBER_OR_FILE", read=seed)] = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,12 +175,9 @@ class Zenoh:
     """Where a process is plugged into Zenoh."""
 
     connect: Connect = ()
-    listen: Annotated[
-        tuple[str, ...],
-        Option(
-            "--listen", "Zenoh endpoint to listen on; default: a free port of loopback.", metavar="ENDPOINT"
-        ),
-    ] = ()
+    listen: Annotated[tuple[str, ...], Option(
+        "--listen", "Zenoh endpoint to listen on; default: a free port of loopback.", "ENDPOINT"
+    )] = ()  # fmt: skip
     zenoh_config: ZenohConfig = None
 
 
@@ -243,15 +193,11 @@ class Signing:
 class Ros2:
     """Where a flight is shown to ROS 2."""
 
-    ros2_where: Annotated[
-        str | None,
-        Option(
-            "--ros2",
-            "Show the flight to ROS 2: endpoint of its router, as tcp/127.0.0.1:7447, or a Zenoh "
-            "configuration.",
-            metavar="ENDPOINT|FILE",
-        ),
-    ] = None
+    ros2_where: Annotated[str | None, Option(
+        "--ros2",
+        "Show the flight to ROS 2: endpoint of its router, as tcp/127.0.0.1:7447, or a Zenoh configuration.",
+        "ENDPOINT|FILE"
+    )] = None  # fmt: skip
     ros_domain: RosDomain = 0
 
 
@@ -259,9 +205,8 @@ class Ros2:
 class Result:
     """What remains of a flight."""
 
-    out: Annotated[
-        Path | None,
-        Option("--out", "Folder for log and report; default: a new folder in runs/.", path="folder"),
-    ] = None
+    out: Annotated[Path | None, Option(
+        "--out", "Folder for log and report; default: a new folder in runs/.", path="folder"
+    )] = None  # fmt: skip
     as_json: Annotated[bool, json("Print one JSON object as the last line.")] = False
     with_report: Annotated[bool, Option("--report/--no-report", "Write the HTML report.")] = True

@@ -28,8 +28,9 @@ from flightstack.common.processes import (
 from flightstack.core.mission.machine import parse
 from flightstack.core.types import Phase
 from flightstack.onboard.recording import start_recorder
-from flightstack.watch.live import REFRESH_HZ, live_view
+from flightstack.watch.live import REFRESH_HZ, LiveView
 from flightstack.watch.options import WatchOptions
+from flightstack.watch.state import Watch
 
 NAMESPACE = "cf1"
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT, signal.SIGHUP)
@@ -215,7 +216,8 @@ class Launcher:
         problem: str | None = None
         if shown is not None:
             session = zenoh_link.open_session([], shown.endpoints)
-            view = live_view(session, shown.namespaces, shown.title, self.console)
+            watches = {namespace: Watch(session, namespace) for namespace in shown.namespaces}
+            view = LiveView(watches, shown.title, self.console)
             view.live.start()
         try:
             while flying:

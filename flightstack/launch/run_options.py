@@ -46,61 +46,42 @@ class RunOptions(shared.Ros2, shared.Result, shared.Simulated):
     """One run, or several."""
 
     filter: Annotated[str | None, shared.safety_filter("Safety filter; default: the configuration's")] = None
-    config_file: Annotated[
-        Path | None,
-        shared.config("Configuration instead of the scenario's, or of the one for an autopilot"),
-    ] = None
+    config_file: Annotated[Path | None, shared.config(
+        "Configuration instead of the scenario's, or of the one for an autopilot"
+    )] = None  # fmt: skip
     lockstep: shared.Lockstep = False
     speed: shared.Speed = 1.0
     duration_s: shared.Duration = None
-    runs: Annotated[
-        int,
-        Option(
-            "--runs",
-            "Fly N times, with the seeds from --seed on, and print a summary.",
-            metavar="N", span=(1, None),
-        ),
-    ] = 1  # fmt: skip
+    runs: Annotated[int, Option(
+        "--runs", "Fly N times, with the seeds from --seed on, and print a summary.", "N", span=(1, None)
+    )] = 1  # fmt: skip
     view: shared.View = None
     autopilot: shared.Autopilot = AUTO
     accept_release: shared.AcceptRelease = False
-    px4: Annotated[
-        Path | None,
-        _program(Flies.PX4, "Fly this PX4 (SITL program or build folder) on the simulated vehicle."),
-    ] = None
+    px4: Annotated[Path | None, _program(
+        Flies.PX4, "Fly this PX4 (SITL program or build folder) on the simulated vehicle."
+    )] = None  # fmt: skip
     px4_sih: Annotated[
         Path | None, _program(Flies.PX4_SIH, "Fly this PX4 with its own physics of a 1 kg quadrotor.")
     ] = None
-    ardupilot: Annotated[
-        Path | None,
-        _program(Flies.ARDUPILOT, "Fly this ArduCopter (SITL program) with its own physics."),
-    ] = None
-    instance: Annotated[
-        int | None,
-        Option(
-            "--px4-instance",
-            "Number that selects the ports of PX4 or ArduPilot; default: a free one, ArduPilot 0.",
-            metavar="N", span=(0, 9), also=("--instance",),
-        ),
-    ] = None  # fmt: skip
+    ardupilot: Annotated[Path | None, _program(
+        Flies.ARDUPILOT, "Fly this ArduCopter (SITL program) with its own physics."
+    )] = None  # fmt: skip
+    instance: Annotated[int | None, Option(
+        "--px4-instance",
+        "Number that selects the ports of PX4 or ArduPilot; default: a free one, ArduPilot 0.", "N",
+        span=(0, 9), also=("--instance",)
+    )] = None  # fmt: skip
     mocap: shared.Mocap = False
-    members: Annotated[
-        Mapping[int, str],
-        Option(
-            "--member",
-            "MAVLink URL of a vehicle from elsewhere that flies as member N of a team; repeatable "
-            "(docs/how_it_works/fleet.md).",
-            metavar="N=URL", read=_members,
-        ),
-    ] = field(default_factory=dict)  # fmt: skip
-    listen: Annotated[
-        tuple[str, ...],
-        Option(
-            "--listen",
-            "Additional Zenoh endpoint for watchers; one on loopback is there and printed; repeatable.",
-            metavar="ENDPOINT",
-        ),
-    ] = ()
+    members: Annotated[Mapping[int, str], Option(
+        "--member", "MAVLink URL of a vehicle from elsewhere that flies as member N of a team; repeatable "
+        "(docs/how_it_works/fleet.md).", "N=URL", read=_members
+    )] = field(default_factory=dict)  # fmt: skip
+    listen: Annotated[tuple[str, ...], Option(
+        "--listen",
+        "Additional Zenoh endpoint for watchers; one on loopback is there and printed; repeatable.",
+        "ENDPOINT"
+    )] = ()  # fmt: skip
     zenoh_config: shared.ZenohConfig = None
     signing_key: shared.SigningKey = None
 

@@ -19,53 +19,32 @@ class FlightOptions(shared.Signing, shared.Ros2, shared.Zenoh):
     """What it needs to fly any vehicle: vehicle, target, configuration, links."""
 
     vehicle_url: shared.VehicleUrl
-    target_key: Annotated[
-        str,
-        Option(
-            "--target",
-            "Source of the target: a Zenoh key, ros2:/TOPIC (rmw_zenoh), ros2dds:/TOPIC "
-            "(docs/how_to/ros2.md).",
-            metavar="KEY",
-        ),
-    ] = "cf1/target/odom"
-    target_type: Annotated[
-        str,
-        Option(
-            "--target-type",
-            "Message type of the target; for all types but odometry the velocity is estimated.",
-            choices=TARGET_TYPES,
-        ),
-    ] = "odometry"
-    target_offset_m: Annotated[
-        tuple[float, float, float],
-        Option(
-            "--target-offset",
-            "Landing spot from the tracked frame, in that frame's axes, m: forward, left, up.",
-            metavar="X Y Z",
-        ),
-    ] = (0.0, 0.0, 0.0)
+    target_key: Annotated[str, Option(
+        "--target",
+        "Source of the target: a Zenoh key, ros2:/TOPIC (rmw_zenoh), ros2dds:/TOPIC (docs/how_to/ros2.md).",
+        "KEY"
+    )] = "cf1/target/odom"  # fmt: skip
+    target_type: Annotated[str, Option(
+        "--target-type", "Message type of the target; for all types but odometry the velocity is estimated.",
+        choices=TARGET_TYPES
+    )] = "odometry"  # fmt: skip
+    target_offset_m: Annotated[tuple[float, float, float], Option(
+        "--target-offset", "Landing spot from the tracked frame, in that frame's axes, m: forward, left, up.",
+        "X Y Z"
+    )] = (0.0, 0.0, 0.0)  # fmt: skip
     config_file: Annotated[Path, shared.config()]
-    namespace: Annotated[
-        str | None,
-        Option(
-            "--namespace",
-            "First part of all Zenoh keys and topics; default: cf1, or cf and the id of [fleet].",
-        ),
-    ] = None
+    namespace: Annotated[str | None, Option(
+        "--namespace", "First part of all Zenoh keys and topics; default: cf1, or cf and the id of [fleet]."
+    )] = None  # fmt: skip
     no_record: Annotated[bool, Option("--no-record", "Record nothing.")] = False
     duration_s: shared.Duration = None
     system_id: shared.SystemId = 1
     autopilot: shared.Autopilot = "auto"
     accept_release: shared.AcceptRelease = False
-    core: Annotated[
-        str,
-        Option(
-            "--core",
-            "Code of the control step: plain Python, or compiled by numba, equal to the last bit; auto: "
-            "compiled in real time where it has been compiled before.",
-            choices=CORES,
-        ),
-    ] = "auto"
+    core: Annotated[str, Option(
+        "--core", "Code of the control step: plain Python, or compiled by numba, equal to the last bit; "
+        "auto: compiled in real time where it has been compiled before.", choices=CORES
+    )] = "auto"  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,10 +55,6 @@ class OnboardOptions(FlightOptions):
     lockstep: shared.Lockstep = False
     speed: shared.Speed = 1.0
     clock: shared.Clock = None
-    shared_log: Annotated[
-        bool,
-        Option(
-            "--shared-log",
-            "The recorder writes several flights: names in the log begin with the namespace.",
-        ),
-    ] = False
+    shared_log: Annotated[bool, Option(
+        "--shared-log", "The recorder writes several flights: names in the log begin with the namespace."
+    )] = False  # fmt: skip

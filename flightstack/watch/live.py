@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
@@ -11,7 +11,6 @@ from rich.panel import Panel
 from rich.table import Column, Table
 from rich.text import Text
 
-from bridge.zenoh import zenoh_link
 from flightstack.common.text import one_line
 from flightstack.core.types import FilterStatus, Landed, Mode, Phase
 from flightstack.watch.state import News, Watch, name_of
@@ -36,61 +35,31 @@ _LOUD = "bold white on red"
 
 
 class LiveView:
-    """Draws a ``Watch``; the flight does not depend on it."""
+    """Draws the flight of one vehicle, or a line for each of several; no flight depends on it."""
 
-    def __init__(
-        self,
-        session: zenoh_link.Session,
-        namespace: str,
-        title: str,
-        console: Console,
-        whom: str = "",
-        role: zenoh_link.Role = zenoh_link.Role.PEER,
-    ) -> None:
-        self.watch = Watch(session, namespace, role=role)
-        self._title, self._whom = title, whom
+    def __init__(self, watches: Mapping[str, Watch], title: str, console: Console, whom: str = "") -> None:
+        self._watches, self._title, self._whom = watches, title, whom
         self.live = Live(self._draw(), console=console, refresh_per_second=REFRESH_HZ, transient=False)
 
     def poll(self) -> None:
-        """Take what has come and redraw."""
-        self.watch.poll()
-        self.live.update(self._draw())
-
-    def _draw(self) -> Panel:
-        return draw(self.watch, self._title, self._whom)
-
-
-class FleetView:
-    """Draws a line for each vehicle of a fleet; no flight depends on it."""
-
-    def __init__(
-        self, session: zenoh_link.Session, namespaces: Sequence[str], title: str, console: Console
-    ) -> None:
-        self.watches = {namespace: Watch(session, namespace) for namespace in namespaces}
-        self._title = title
-        self.live = Live(self._draw(), console=console, refresh_per_second=REFRESH_HZ, transient=False)
-
-    def poll(self) -> None:
-        """Take what has come and redraw."""
-        for watch in self.watches.values():
+        """Take the new samples and redraw."""
+        for watch in self._watches.values():
             watch.poll()
         self.live.update(self._draw())
 
     def _draw(self) -> Panel:
-        right = (Column(name, justify="right") for name in ("e_z, m", "d, m", "h, m", "overruns"))
-        table = Table("vehicle", "phase", *right, "filter", "why", box=None, padding=(0, 2))
-        for namespace, watch in self.watches.items():
-            table.add_row(Text(namespace), *_line(watch), style="none" if watch.news is News.FRESH else "dim")
-        return Panel(table, title=Text(self._title), title_align="left")
+        if len(self._watches) == 1:
+            return draw(next(iter(self._watches.values())), self._title, self._whom)
+        return draw_fleet(self._watches, self._title)
 
 
-def live_view(
-    session: zenoh_link.Session, namespaces: Sequence[str], title: str, console: Console
-) -> LiveView | FleetView:
-    """Return the view of one vehicle, or that of several."""
-    if len(namespaces) > 1:
-        return FleetView(session, namespaces, title, console)
-    return LiveView(session, namespaces[0], title, console)
+def draw_fleet(watches: Mapping[str, Watch], title: str) -> Panel:
+    """Return a table with a line for each vehicle."""
+    right = (Column(name, justify="right") for name in ("e_z, m", "d, m", "h, m", "overruns"))
+    table = Table("vehicle", "phase", *right, "filter", "why", box=None, padding=(0, 2))
+    for namespace, watch in watches.items():
+        table.add_row(Text(namespace), *_line(watch), style="none" if watch.news is News.FRESH else "dim")
+    return Panel(table, title=Text(title), title_align="left")
 
 
 def _line(watch: Watch) -> tuple[str | Text, ...]:

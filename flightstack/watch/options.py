@@ -16,15 +16,11 @@ DEFAULT = "tcp/127.0.0.1:7448"  # endpoint of the onboard process in README and 
 class WatchOptions:
     """Where a flight is watched, and how it is shown."""
 
-    connect: Annotated[
-        tuple[str, ...],
-        Option(
-            "--connect",
-            f"Zenoh endpoint of the onboard process, as `sitl` prints it; repeatable; default: {DEFAULT}, "
-            "or the endpoint of --zenoh-config.",
-            metavar="ENDPOINT",
-        ),
-    ] = ()
+    connect: Annotated[tuple[str, ...], Option(
+        "--connect",
+        "Zenoh endpoint of the onboard process, as `sitl` prints it; repeatable; default: "
+        f"{DEFAULT}, or the endpoint of --zenoh-config.", "ENDPOINT"
+    )] = ()  # fmt: skip
     zenoh_config: shared.ZenohConfig = None
     namespace: shared.Namespace = "cf1"
     once: Annotated[

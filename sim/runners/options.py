@@ -16,14 +16,10 @@ class VehicleOptions(shared.Signing, shared.Zenoh, shared.Simulated):
 
     url: shared.Url = "udpin:127.0.0.1:14580"
     peers: shared.Peers = ()
-    parameters: Annotated[
-        Mapping[str, float],
-        Option(
-            "--parameter",
-            "Parameter of the autopilot, set before it starts; repeatable.",
-            metavar="NAME=VALUE", read=shared.numbers,
-        ),
-    ] = field(default_factory=dict)  # fmt: skip
+    parameters: Annotated[Mapping[str, float], Option(
+        "--parameter", "Parameter of the autopilot, set before it starts; repeatable.", "NAME=VALUE",
+        read=shared.numbers
+    )] = field(default_factory=dict)  # fmt: skip
     rate_hz: shared.Rate = 100
     lockstep: shared.Lockstep = False
     duration_s: shared.Duration = None
@@ -31,14 +27,10 @@ class VehicleOptions(shared.Signing, shared.Zenoh, shared.Simulated):
     recorder: shared.Recorder = None
     system_id: shared.SystemId = 1
     member: shared.OneMember = None
-    leave_out: Annotated[
-        tuple[int, ...],
-        Option(
-            "--leave-out",
-            "Member of a team that is not simulated here, by its number; repeatable.",
-            metavar="N", span=(1, None),
-        ),
-    ] = ()  # fmt: skip
+    leave_out: Annotated[tuple[int, ...], Option(
+        "--leave-out", "Member of a team that is not simulated here, by its number; repeatable.", "N",
+        span=(1, None)
+    )] = ()  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -40,27 +40,19 @@ class PreflightOptions(shared.Signing):
     system_id: shared.SystemId = 1
     autopilot: shared.Autopilot = "auto"
     accept_release: shared.AcceptRelease = False
-    config_file: Annotated[
-        Path | None,
-        shared.config("Configuration of the flight; default: the paper's limits, no parameter accepted"),
-    ] = None
+    config_file: Annotated[Path | None, shared.config(
+        "Configuration of the flight; default: the paper's limits, no parameter accepted"
+    )] = None  # fmt: skip
     wait_s: Annotated[
         float, Option("--wait", "Longest wait for the vehicle's heartbeat.", metavar="S", span=(0.1, 600.0))
     ] = 10.0
-    provision_signing: Annotated[
-        bool,
-        Option(
-            "--provision-signing",
-            "First give the vehicle the key of --signing-key; over a cable or loopback.",
-        ),
-    ] = False
-    remove_signing: Annotated[
-        bool,
-        Option(
-            "--remove-signing",
-            "Take the key of --signing-key away from the vehicle, and end; over a cable or loopback.",
-        ),
-    ] = False
+    provision_signing: Annotated[bool, Option(
+        "--provision-signing", "First give the vehicle the key of --signing-key; over a cable or loopback."
+    )] = False  # fmt: skip
+    remove_signing: Annotated[bool, Option(
+        "--remove-signing",
+        "Take the key of --signing-key away from the vehicle, and end; over a cable or loopback."
+    )] = False  # fmt: skip
     as_json: shared.AsJson = False
 
 

@@ -22,16 +22,14 @@ class RecordOptions:
         Path, Option("--socket", "Socket to listen on; the other verbs take it as --recorder.")
     ]
     out: Annotated[Path, Option("--out", "MCAP file to write.", path="file")]
-    until_clients: Annotated[
-        int | None,
-        Option("--until-clients", "End when this number of clients have disconnected.", span=(1, None)),
-    ] = None
+    until_clients: Annotated[int | None, Option(
+        "--until-clients", "End when this number of clients have disconnected.", span=(1, None)
+    )] = None  # fmt: skip
     connect: shared.Connect = ()
     zenoh_config: shared.ZenohConfig = None
-    keys: Annotated[
-        tuple[str, ...],
-        Option("--key", "Additional Zenoh keys to record, e.g. 'cf1/**'; repeatable.", metavar="EXPR"),
-    ] = ()
+    keys: Annotated[tuple[str, ...], Option(
+        "--key", "Additional Zenoh keys to record, e.g. 'cf1/**'; repeatable.", "EXPR"
+    )] = ()  # fmt: skip
 
 
 @click.command()

@@ -31,36 +31,25 @@ class CampaignOptions(shared.Result):
     """Options of ``campaign``."""
 
     scenario: Annotated[str, Argument(metavar="SCENARIO")]
-    runs: Annotated[int, Option("--runs", "Landings.", span=(1, 10000000))] = 1000
+    runs: Annotated[int, Option("--runs", "Landings.", span=(1, 10_000_000))] = 1000
     first_seed: Annotated[int, Option("--seed", "First seed.", span=(0, 2**62))] = 0
     filter: Annotated[str | None, shared.safety_filter("Safety filter; default: the scenario's")] = None
-    workers: Annotated[
-        int | None, Option("--workers", "Worker processes; default: one for each processor.", span=(1, 1024))
-    ] = None
+    workers: shared.Workers = None
     cluster: Annotated[
         str | None, Option("--cluster", "Fly on a Dask cluster, e.g. tcp://10.0.0.2:8786.", metavar="ADDRESS")
     ] = None
-    out: Annotated[
-        Path | None,
-        Option(
-            "--out",
-            "Folder; a campaign that it already holds in part is continued. Default: a new folder in runs/.",
-            path="folder",
-        ),
-    ] = None
+    out: Annotated[Path | None, Option(
+        "--out",
+        "Folder; a campaign that it already holds in part is continued. Default: a new folder in runs/.",
+        path="folder"
+    )] = None  # fmt: skip
     require: Annotated[
         str | None, Option("--require", "Check the limits of a tier; status 1 on a miss.", choices=_TIERS)
     ] = None
-    against: Annotated[
-        Path | None,
-        Option(
-            "--against",
-            "Campaign with the paper's filter: --require compares the landing time with it.",
-            metavar="DIR",
-            exists=True,
-            path="folder",
-        ),
-    ] = None
+    against: Annotated[Path | None, Option(
+        "--against", "Campaign with the paper's filter: --require compares the landing time with it.", "DIR",
+        exists=True, path="folder"
+    )] = None  # fmt: skip
 
 
 @click.command()

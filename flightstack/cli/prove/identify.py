@@ -44,37 +44,24 @@ class IdentifyOptions:
     """Options of ``identify``."""
 
     logs: Annotated[tuple[Path, ...], Argument(metavar="[LOG...]", exists=True, path="file")] = ()
-    flights: Annotated[
-        Path | None,
-        Option(
-            "--flights",
-            "Fit a vehicle's file to the recorded flights in DIR (Parquet, CSV) instead.",
-            metavar="DIR",
-            exists=True,
-            path="folder",
-        ),
-    ] = None
+    flights: Annotated[Path | None, Option(
+        "--flights", "Fit a vehicle's file to the recorded flights in DIR (Parquet, CSV) instead.", "DIR",
+        exists=True, path="folder"
+    )] = None  # fmt: skip
     vehicle: Annotated[
         str, Option("--vehicle", "With --flights: the file that the fit starts from.", metavar="NAME_OR_FILE")
     ] = "crazyflie21_room"
-    columns: Annotated[
-        Path | None,
-        Option(
-            "--columns",
-            "With --flights: TOML with the recordings' columns, units and signs; default: NanoBench's.",
-            metavar="FILE",
-            path="file",
-            exists=True,
-        ),
-    ] = None
-    leave_out: Annotated[
-        bool,
-        Option("--leave-out", "With --flights: also predict each kind of path by a fit to the other kinds."),
-    ] = False
-    out: Annotated[
-        Path | None,
-        Option("--out", "With --flights: write the vehicle's file there.", metavar="FILE", path="file"),
-    ] = None
+    columns: Annotated[Path | None, Option(
+        "--columns",
+        "With --flights: TOML with the recordings' columns, units and signs; default: NanoBench's.", "FILE",
+        path="file", exists=True
+    )] = None  # fmt: skip
+    leave_out: Annotated[bool, Option(
+        "--leave-out", "With --flights: also predict each kind of path by a fit to the other kinds."
+    )] = False  # fmt: skip
+    out: Annotated[Path | None, Option(
+        "--out", "With --flights: write the vehicle's file there.", "FILE", path="file"
+    )] = None  # fmt: skip
     as_json: Annotated[bool, Option("--json", "Print one JSON object instead of TOML.")] = False
 
 

@@ -28,37 +28,23 @@ class RareOptions:
     """Options of ``rare``."""
 
     scenario: Annotated[str, Argument(metavar="SCENARIO")]
-    event: Annotated[
-        str,
-        Option(
-            "--of",
-            "The failure: a violation of the barrier, or a crash or touch beyond the pad.",
-            choices=_EVENTS,
-        ),
-    ] = _EVENTS[0]
-    landings: Annotated[
-        int,
-        Option(
-            "--landings",
-            "Landings of a level, a multiple of 10; a level is a factor of 10 in the rate.",
-            span=(100, 1000000),
-        ),
-    ] = 500
+    event: Annotated[str, Option(
+        "--of", "The failure: a violation of the barrier, or a crash or touch beyond the pad.",
+        choices=_EVENTS
+    )] = _EVENTS[0]  # fmt: skip
+    landings: Annotated[int, Option(
+        "--landings", "Landings of a level, a multiple of 10; a level is a factor of 10 in the rate.",
+        span=(100, 1_000_000)
+    )] = 500  # fmt: skip
     seed: Annotated[
         int, Option("--seed", "Of the estimate; each makes an independent one.", span=(0, 2**62))
     ] = 0
     filter: Annotated[str | None, shared.safety_filter("Safety filter; default: the scenario's")] = None
-    workers: Annotated[
-        int | None, Option("--workers", "Worker processes; default: one for each processor.", span=(1, 1024))
-    ] = None
-    out: Annotated[
-        Path | None,
-        Option(
-            "--out",
-            "Folder; an estimate that it holds in part is continued. Default: a new folder in runs/.",
-            path="folder",
-        ),
-    ] = None
+    workers: shared.Workers = None
+    out: Annotated[Path | None, Option(
+        "--out", "Folder; an estimate that it holds in part is continued. Default: a new folder in runs/.",
+        path="folder"
+    )] = None  # fmt: skip
     as_json: shared.AsJson = False
 
 

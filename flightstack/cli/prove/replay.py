@@ -30,14 +30,11 @@ class ReplayOptions:
 
     log: Annotated[Path, Argument(path="file", exists=True)]
     check: Annotated[bool, Option("--check", "Compare bit by bit; this is also the default.")] = False
-    settings: Annotated[
-        tuple[str, ...],
-        Option(
-            "--set",
-            "Show what another configuration would have commanded, e.g. barrier.alpha_1_m=1.2; repeatable.",
-            metavar="KEY=VALUE",
-        ),
-    ] = ()
+    settings: Annotated[tuple[str, ...], Option(
+        "--set",
+        "Show what another configuration would have commanded, e.g. barrier.alpha_1_m=1.2; repeatable.",
+        "KEY=VALUE"
+    )] = ()  # fmt: skip
     member: shared.Member = None
     as_json: shared.AsJson = False
 

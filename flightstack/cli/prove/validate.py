@@ -30,35 +30,22 @@ class ValidateOptions(shared.Result):
     """Options of ``validate``."""
 
     folder: Annotated[Path, Argument(metavar="DIR", exists=True, path="folder")]
-    columns: Annotated[
-        Path | None,
-        Option(
-            "--columns",
-            "TOML with the recordings' columns, units and signs; default: those of NanoBench.",
-            metavar="FILE",
-            path="file",
-            exists=True,
-        ),
-    ] = None
-    vehicle: Annotated[
-        str | None,
-        Option(
-            "--vehicle",
-            "Vehicle to simulate: a name of sim/vehicles or a file; default: crazyflie21_room.",
-            metavar="NAME_OR_FILE",
-        ),
-    ] = None
+    columns: Annotated[Path | None, Option(
+        "--columns", "TOML with the recordings' columns, units and signs; default: those of NanoBench.",
+        "FILE", path="file", exists=True
+    )] = None  # fmt: skip
+    vehicle: Annotated[str | None, Option(
+        "--vehicle", "Vehicle to simulate: a name of sim/vehicles or a file; default: crazyflie21_room.",
+        "NAME_OR_FILE"
+    )] = None  # fmt: skip
     shuffle_pwm: Annotated[
         bool, Option("--shuffle-pwm", "Control experiment: the motor commands in random order; it must fail.")
     ] = False
     seed: Annotated[int, Option("--seed", "Random seed.", span=(0, 2**31))] = 0
-    workers: Annotated[
-        int | None, Option("--workers", "Worker processes; default: one for each processor.", span=(1, 1024))
-    ] = None
-    out: Annotated[
-        Path | None,
-        Option("--out", "Folder for page and JSON; default: a new folder in runs/.", path="folder"),
-    ] = None
+    workers: shared.Workers = None
+    out: Annotated[Path | None, Option(
+        "--out", "Folder for page and JSON; default: a new folder in runs/.", path="folder"
+    )] = None  # fmt: skip
 
 
 @click.command()

@@ -47,14 +47,10 @@ def key(file: Path) -> None:
 class RouterOptions:
     """Options of ``router``."""
 
-    listen: Annotated[
-        tuple[str, ...],
-        Option(
-            "--listen",
-            "Endpoint to listen on; default: the configuration's, or tcp/127.0.0.1:7447; repeatable.",
-            metavar="ENDPOINT",
-        ),
-    ] = ()
+    listen: Annotated[tuple[str, ...], Option(
+        "--listen", "Endpoint to listen on; default: the configuration's, or tcp/127.0.0.1:7447; repeatable.",
+        "ENDPOINT"
+    )] = ()  # fmt: skip
     connect: shared.Connect = ()
     zenoh_config: shared.ZenohConfig = None
 

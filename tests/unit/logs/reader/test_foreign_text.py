@@ -15,7 +15,7 @@ from rich.text import Text
 from flightstack.cli.main import main
 from flightstack.common.terminal import Terminal
 from flightstack.common.text import one_line, plain
-from flightstack.watch.live import FleetView
+from flightstack.watch.live import draw_fleet
 from flightstack.watch.state import News
 from logs.reader.flight import load_flight
 from logs.recorder.mcap_file import McapFile
@@ -78,10 +78,8 @@ def test_the_view_of_a_fleet_takes_reasons_for_words(monkeypatch):
     )
     health = SimpleNamespace(reason="it said: log [/fs/microsd] full\nready tcp/1")
     watch = SimpleNamespace(step=step, news=News.FRESH, over=False, timings=[], health=health)
-    view = FleetView.__new__(FleetView)
-    view.watches, view._title = {"[cf1]": watch}, "[t]"
     out = io.StringIO()
-    Console(file=out).print(view._draw())
+    Console(file=out).print(draw_fleet({"[cf1]": watch}, "[t]"))
     assert "log [/fs/microsd] full\\nready tcp/1" in out.getvalue()
     assert "[cf1]" in out.getvalue()
     assert "[t]" in out.getvalue()
