@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Vec3
+from logs.reader.flight_data import PAD_RADIUS_M
 from logs.schema.cdr import packer
 from logs.schema.rows import ControllerStepRow
 from logs.schema.schemas import MARKER_ARRAY
@@ -17,7 +18,6 @@ ARROW, CUBE, SPHERE, CYLINDER, LINE_STRIP, TRIANGLE_LIST = 0, 1, 2, 3, 4, 11  # 
 LIFETIME_S = 0.5  # two and a half periods of 5 Hz: a picture that is not repeated disappears
 PATH_POINTS = 200  # of one path; when full, every second point goes and the spacing doubles
 PATH_PERIOD_NS = 100_000_000  # 10 Hz to begin with
-PAD_RADIUS_M = 0.10  # m, landing pad, unless the run says otherwise
 REACH = 2.5  # of the barrier surface, in distances of its peak
 FLEET_REACH = 1.0  # the same in a fleet
 SECTORS, RINGS = 24, 8  # of the barrier surface: 24 x 8 x 2 triangles

@@ -19,9 +19,12 @@ from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Vec3
 from logs.reader.flight_data import (
     ATTACHMENT,
+    PAD_RADIUS_M,
     Event,
     Fleet,
     Flight,
+    Floats,
+    Ints,
     Steps,
     TargetOdometry,
     Timing,
@@ -30,7 +33,7 @@ from logs.reader.flight_data import (
 )
 from logs.reader.reader import LogError, LogFile, Message
 from logs.schema.cdr import codec
-from logs.schema.names import FLEET, NO_PAD
+from logs.schema.names import NO_PAD
 from logs.schema.rows import ControllerStepRow, FleetPairRow, LogRow, LoopTimingRow, TrueStateRow
 from logs.schema.schemas import CONTROLLER_STEP, FLEET_PAIR, LOG, LOOP_TIMING, ODOMETRY, TRUE_STATE
 
@@ -43,10 +46,8 @@ __all__ = [
     "Truth",
     "load_fleet",
     "load_flight",
-    "load_flights",
 ]
 
-PAD_RADIUS_M = 0.10  # m, a Crazyflie's pad, where the log holds neither a run nor a configuration
 TARGET_TOPIC_END = "/target/odom"  # below any namespace
 
 _DTYPES = {"Floats": np.float64, "Ints": np.int64, "Bools": np.bool_}
@@ -64,28 +65,20 @@ def load_flight(path: Path | str, member: str | None = None) -> Flight:
         LogError: not a log, or it holds neither controller steps nor true states, no such member, or a fleet
             where no member is named.
     """
-    log = LogFile(path, member).single()
-    by_kind: dict[str, list[Message]] = {}
-    for message in log.messages():
-        kind = _kind(message)
-        if kind:
-            by_kind.setdefault(kind, []).append(message)
-    return _flight(log, by_kind, log.problem)
+    return _read(LogFile(path, member).single()).flights[""]
 
 
-def load_fleet(path: Path | str) -> Fleet:
-    """Read the flights of a fleet, in one pass."""
-    whole = LogFile(path)
-    if not whole.members:
-        raise LogError(f"{path} is the log of one flight; that of a fleet has a metadata record {FLEET!r}")
-    logs = {member: LogFile(path, member) for member in whole.members}
-    views = {member: log.view for member, log in logs.items()}
-    found: dict[str, dict[str, list[Message]]] = {member: {} for member in logs}
+def load_fleet(path: Path | str, member: str | None = None) -> Fleet:
+    """Read all flights of a log in one pass; the name of a single flight, and of a member alone, is empty."""
+    return _read(LogFile(path, member))
+
+
+def _read(whole: LogFile) -> Fleet:
+    path = whole.path
+    logs = {name: LogFile(path, name) for name in whole.members} or {"": whole}
+    found: dict[str, dict[str, list[Message]]] = {name: {} for name in logs}
     pairs: dict[tuple[int, int], FleetPairRow] = {}
-    said: list[Message] = []
     for message in whole.messages():
-        if message.schema == LOG:
-            said.append(message)
         if message.schema == FLEET_PAIR:
             try:
                 pair = FleetPairRow.unpack(message.data)
@@ -93,15 +86,16 @@ def load_fleet(path: Path | str) -> Fleet:
                 raise LogError(f"{path}: {message.topic}: {error}; recorded by another version?") from error
             pairs[pair.one, pair.other] = pair
         kind = _kind(message)
-        for member, view in views.items() if kind else ():
-            if view is not None and view.topic(message.topic) is not None:
-                data = view.data(message.schema, message.data)
-                if data is not None:
-                    found[member].setdefault(kind, []).append(message._replace(data=data))
+        for name, log in logs.items() if kind else ():
+            seen = message if log is whole else log.part_of(message)
+            if seen is not None:
+                found[name].setdefault(kind, []).append(seen)
+        if kind == LOG and "" not in logs:
+            found.setdefault("", {}).setdefault(kind, []).append(message)
     problem, parts = whole.problem, whole.parts
-    flights = {member: _flight(log, found[member], problem) for member, log in logs.items()}
+    flights = {name: _flight(log, found[name], problem) for name, log in logs.items()}
     origin_ns = min(flight.origin_ns for flight in flights.values())
-    said.sort(key=lambda message: message.log_time_ns)
+    said = sorted(found.get("", {}).get(LOG, []), key=lambda message: message.log_time_ns)
     return Fleet(
         path=whole.path,
         flights=flights,
@@ -113,42 +107,40 @@ def load_fleet(path: Path | str) -> Fleet:
     )
 
 
-def load_flights(path: Path | str, member: str | None = None) -> list[Flight]:
-    """Read all flights of a log: the one, those of all members of a fleet, or of one member."""
-    if member is None and LogFile(path).members:
-        return list(load_fleet(path).flights.values())
-    return [load_flight(path, member)]
-
-
 def _flight(log: LogFile, by_kind: Mapping[str, list[Message]], problem: str) -> Flight:
     path = log.path
     for messages in by_kind.values():
         messages.sort(key=lambda message: message.log_time_ns)
-    problems = [f"the log is cut short or damaged ({problem})"] if problem else []
+    damage = [f"the log is cut short or damaged ({problem})"] if problem else []
     spine = by_kind.get(CONTROLLER_STEP, []) + by_kind.get(TRUE_STATE, [])
     if not spine:
         found = ", ".join(sorted(by_kind)) or "nothing this stack writes"
         of = f", {log.member}" if log.member else ""
         raise LogError(
             f"{path}{of}: found {found}; a flight needs controller steps ({CONTROLLER_STEP}) or true states "
-            f"({TRUE_STATE})" + (f"; {problems[0]}" if problems else "")
+            f"({TRUE_STATE})" + (f"; {damage[0]}" if damage else "")
         )
     times_ns = [m.log_time_ns for m in spine]
     origin_ns = min(times_ns)
     attachments = {a.name: a.data for a in log.attachments()}
     run = log.metadata().get("run", {})
-    config = _config(attachments, problems)
+    config, problems = _config(attachments)
+    steps = _columns(Steps, ControllerStepRow, by_kind.get(CONTROLLER_STEP, []), origin_ns, damage)
+    timing = _columns(Timing, LoopTimingRow, by_kind.get(LOOP_TIMING, []), origin_ns, damage)
+    truth = _columns(Truth, TrueStateRow, by_kind.get(TRUE_STATE, []), origin_ns, damage)
+    target = _target(by_kind.get(ODOMETRY, []), origin_ns, damage)
+    events = _events(by_kind.get(LOG, []), origin_ns, damage)
     return Flight(
         path=path,
         member=log.member,
         complete=log.complete,
         origin_ns=origin_ns,
         duration_s=(max(times_ns) - origin_ns) * 1e-9,
-        steps=_columns(Steps, ControllerStepRow, by_kind.get(CONTROLLER_STEP, []), origin_ns, problems),
-        timing=_columns(Timing, LoopTimingRow, by_kind.get(LOOP_TIMING, []), origin_ns, problems),
-        truth=_columns(Truth, TrueStateRow, by_kind.get(TRUE_STATE, []), origin_ns, problems),
-        target=_target(by_kind.get(ODOMETRY, []), origin_ns, problems),
-        events=_events(by_kind.get(LOG, []), origin_ns, problems),
+        steps=steps,
+        timing=timing,
+        truth=truth,
+        target=target,
+        events=events,
         metadata=log.metadata(),
         attachments=attachments,
         config=config,
@@ -156,7 +148,8 @@ def _flight(log: LogFile, by_kind: Mapping[str, list[Message]], problem: str) ->
         velocity_max_m_s=_velocity_max(run, config),
         pad_radius_m=_pad_radius(run, config),
         pad_carries=run.get("pad") != NO_PAD,
-        problems=tuple(problems),
+        damage=tuple(damage),
+        problems=(*damage, *problems),
     )
 
 
@@ -168,9 +161,9 @@ def _kind(message: Message) -> str:
 
 
 def _unpacked(
-    schema: str, messages: Sequence[Message], unpack: Callable[[bytes], Any], problems: list[str]
-) -> tuple[list[tuple[Any, ...]], Any]:
-    """Values of the messages that can be read, field by field, and their log times in ns, (n,)."""
+    schema: str, messages: Sequence[Message], unpack: Callable[[bytes], Any], damage: list[str]
+) -> tuple[list[Any], Ints]:
+    """Return the messages that can be read, and their log times in ns, (n,)."""
     rows, times_ns, refused = [], [], []
     for message in messages:
         try:
@@ -181,35 +174,50 @@ def _unpacked(
     if not rows:
         raise LogError(refused[0])
     if refused:
-        problems.append(f"{len(refused)} messages of {schema} cannot be read; first: {refused[0]}")
-    return list(zip(*rows, strict=True)), np.array(times_ns, dtype=np.int64)
+        damage.append(f"{len(refused)} messages of {schema} cannot be read; first: {refused[0]}")
+    return rows, np.array(times_ns, dtype=np.int64)
 
 
 def _columns(
-    cls: type[_Columns], row: Any, messages: Sequence[Message], origin_ns: int, problems: list[str]
+    cls: type[_Columns], row: Any, messages: Sequence[Message], origin_ns: int, damage: list[str]
 ) -> _Columns | None:
-    """Fill a dataclass of arrays whose field names are those of the row; ``None`` without messages."""
     if not messages:
         return None
-    values, times_ns = _unpacked(messages[0].schema, messages, row.unpack, problems)
-    by_name = dict(zip(row._fields, values, strict=True))
+    try:
+        rows, times_ns = _unpacked(messages[0].schema, messages, row.unpack, damage)
+    except LogError as error:
+        if cls is not Timing:
+            raise
+        damage.append(f"loop timing: {error}")
+        return None
+    return columns(cls, rows, since(times_ns, origin_ns))
+
+
+def columns(cls: type[_Columns], rows: Sequence[Any], t_s: Floats) -> _Columns:
+    """Return rows of a log as arrays, at times (n,)."""
+    by_name = dict(zip(rows[0]._fields, zip(*rows, strict=True), strict=True))
     wanted = {f.name: _DTYPES[str(f.type)] for f in fields(cls) if f.name != "t_s"}
     arrays: dict[str, Any] = {name: np.array(by_name[name]).astype(dtype) for name, dtype in wanted.items()}
-    return cls(t_s=(times_ns - origin_ns) * 1e-9, **arrays)
+    return cls(t_s=t_s, **arrays)
 
 
-def _target(messages: Sequence[Message], origin_ns: int, problems: list[str]) -> TargetOdometry | None:
+def since(times_ns: Ints, origin_ns: int) -> Floats:
+    return np.asarray((times_ns - origin_ns) * 1e-9, dtype=np.float64)
+
+
+def _target(messages: Sequence[Message], origin_ns: int, damage: list[str]) -> TargetOdometry | None:
     """Samples from outside: one that cannot be read is counted, never fatal."""
     if not messages:
         return None
     _, unpack = codec(ODOMETRY, frame_id=None)
     try:
-        (headers, _, poses, twists), times_ns = _unpacked(ODOMETRY, messages, unpack, problems)
+        rows, times_ns = _unpacked(ODOMETRY, messages, unpack, damage)
     except LogError as error:
-        problems.append(f"target odometry: {error}")
+        damage.append(f"target odometry: {error}")
         return None
+    headers, _, poses, twists = zip(*rows, strict=True)
     return TargetOdometry(
-        t_s=(times_ns - origin_ns) * 1e-9,
+        t_s=since(times_ns, origin_ns),
         stamp_ns=np.array([stamp_ns for stamp_ns, _ in headers], dtype=np.int64),
         position_enu_m=np.array([position for (position, _), _ in poses]),
         velocity_child_m_s=np.array([linear for (linear, _), _ in twists]),
@@ -217,29 +225,28 @@ def _target(messages: Sequence[Message], origin_ns: int, problems: list[str]) ->
     )
 
 
-def _events(messages: Sequence[Message], origin_ns: int, problems: list[str]) -> tuple[Event, ...]:
+def _events(messages: Sequence[Message], origin_ns: int, damage: list[str]) -> tuple[Event, ...]:
     events: list[Event] = []
     for message in messages:
         try:
             row = LogRow.unpack(message.data)
         except ValueError as error:
-            problems.append(f"event: {error}")
+            damage.append(f"event: {error}")
             continue
         t_s = (message.log_time_ns - origin_ns) * 1e-9
         events.append(Event(t_s, row.level, row.name, row.msg))
     return tuple(events)
 
 
-def _config(attachments: dict[str, bytes], problems: list[str]) -> FlightConfig | None:
-    """Configuration the onboard process flew with, if the log holds it."""
+def _config(attachments: dict[str, bytes]) -> tuple[FlightConfig | None, tuple[str, ...]]:
+    """Return the configuration that flew, if the log holds it, and why it cannot be read."""
     data = attachments.get(ATTACHMENT)
     if data is None:
-        return None
+        return None, ()
     try:
-        return read_config(data)
+        return read_config(data), ()
     except ConfigError as error:
-        problems.append(f"{ATTACHMENT} in the log: {error}")
-        return None
+        return None, (f"{ATTACHMENT} in the log: {error}",)
 
 
 def _barrier(run: dict[str, str], config: FlightConfig | None) -> Barrier | None:

@@ -7,7 +7,7 @@ number that was not known at a tick is NaN; nothing is ever filled with zeros.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from logs.schema.rows import ControllerStepColumns, FleetPairRow, LoopTimingColu
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+PAD_RADIUS_M = 0.10  # m, a Crazyflie's pad, where the log holds neither a run nor a configuration
 ATTACHMENT = "onboard.toml"  # name in the log
 
 
@@ -108,7 +109,8 @@ class Flight:
         path: the log.
         member: of the fleet whose log it is, None in the log of one flight.
         complete: whether the recorder closed the file and every byte could be read.
-        problems: what was wrong with the log, in words; empty for a good one.
+        damage: parts of the log that could not be read, as text; empty for a good one.
+        problems: the same, and a configuration of another version.
         origin_ns: log time of ``t_s = 0``.
         duration_s: from the first to the last step or true state.
         steps, timing, truth, target: ``None`` where the log has no such messages.
@@ -123,21 +125,22 @@ class Flight:
     """
 
     path: Path
-    complete: bool
-    problems: tuple[str, ...]
     origin_ns: int
     duration_s: float
-    steps: Steps | None
-    timing: Timing | None
-    truth: Truth | None
-    target: TargetOdometry | None
-    events: tuple[Event, ...]
-    metadata: dict[str, dict[str, str]]
-    attachments: dict[str, bytes]
-    config: FlightConfig | None
-    barrier: Barrier | None
-    velocity_max_m_s: Vec3 | None
-    pad_radius_m: float
+    complete: bool = True
+    damage: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()
+    steps: Steps | None = None
+    timing: Timing | None = None
+    truth: Truth | None = None
+    target: TargetOdometry | None = None
+    events: tuple[Event, ...] = ()
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    config: FlightConfig | None = None
+    barrier: Barrier | None = None
+    velocity_max_m_s: Vec3 | None = None
+    pad_radius_m: float = PAD_RADIUS_M
     member: str | None = None
     pad_carries: bool = True
 

@@ -162,6 +162,13 @@ class LogFile:
             elif isinstance(record, Channel):
                 channels[record.id] = record
 
+    def part_of(self, message: Message) -> Message | None:
+        """Return a message of the whole log as this member sees it; None for one of another member."""
+        if self.view is None or self.view.topic(message.topic) is None:
+            return None
+        data = self.view.data(message.schema, message.data)
+        return None if data is None else message._replace(data=data)
+
     def records(self) -> Iterator[Any]:
         """Yield the MCAP records that can be read, those in chunks included, in the order they were written.
 

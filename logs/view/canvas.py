@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Literal
 
+import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
 from logs.derive.markers import OWN_COLOR, Color, Path
-from logs.view.read import Ints
+from logs.reader.flight_data import Flight, Floats, Ints, shape
 
 FLIGHT = "flight"  # timeline: seconds since the first step
 LOG_TIME = "log_time"  # timeline: date and time of the log
@@ -154,3 +155,26 @@ class Canvas:
             return False
         self._slots[name] = slot
         return True
+
+
+def times(flight: Flight, t_s: Floats) -> Ints:
+    """Log times in ns, (n,)."""
+    return flight.origin_ns + np.round(t_s * 1e9).astype(np.int64)
+
+
+def every(at_ns: Ints, period_ns: int) -> Ints:
+    """Indices of the first time of each period: a screen shows less than what is recorded."""
+    slots = at_ns // period_ns
+    return np.flatnonzero(np.diff(slots, prepend=slots[:1] - 1))
+
+
+def rgba(color: Color) -> tuple[int, int, int, int]:
+    """A color in 0 to 255, as Rerun wants it."""
+    red, green, blue, opacity = (round(255 * part) for part in color)
+    return red, green, blue, opacity
+
+
+def run_of(flight: Flight) -> dict[str, str]:
+    """Metadata of the run; for a real flight barrier and pad of the configuration."""
+    known = {} if flight.config is None else shape(flight.config)
+    return known | flight.metadata.get("run", {})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import subprocess
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from urllib.parse import quote
 
@@ -13,10 +14,11 @@ import rerun as rr
 
 from flightstack.common.processes import Port, ended
 from flightstack.core.types import Phase
+from logs.reader.flight import columns, since
+from logs.reader.flight_data import Event, Flight, Floats, Steps, Timing
 from logs.schema.events import CONTROLLER, Severity
-from logs.schema.rows import ControllerStepRow, LogRow, LoopTimingRow
+from logs.schema.rows import ControllerStepRow, LoopTimingRow
 from logs.view.canvas import Canvas, blueprint
-from logs.view.read import Seen
 from logs.view.view import draw, viewer_program
 
 NATIVE, WEB = "native", "web"
@@ -61,10 +63,17 @@ class LiveRecording:
         if self._canvas is None:
             self._canvas = Canvas(self._stream, steps[0].stamp_ns)
             self._stream.send_blueprint(blueprint(_center(steps[0]), SIZE_M))
-        rows = [(row.stamp_ns, row) for row in steps]
-        seen = Seen(self._run, steps=rows, timings=[(row.stamp_ns, row) for row in timings])
-        seen.events = self._entered(steps, reason)
-        draw(self._canvas, seen)
+        origin_ns, end_ns = steps[0].stamp_ns, steps[-1].stamp_ns
+        piece = Flight(
+            path=Path(),
+            origin_ns=origin_ns,
+            duration_s=(end_ns - origin_ns) * 1e-9,
+            steps=columns(Steps, steps, _since(origin_ns, steps)),
+            timing=columns(Timing, timings, _since(origin_ns, timings)) if timings else None,
+            events=tuple(self._entered(origin_ns, steps, reason)),
+            metadata={"run": self._run},
+        )
+        draw(self._canvas, piece)
 
     def close(self) -> None:
         """End the recording, and the server of the web viewer; bounded."""
@@ -91,7 +100,7 @@ class LiveRecording:
         self._stream.connect_grpc(at)
         return at
 
-    def _entered(self, steps: Sequence[ControllerStepRow], reason: str) -> list[tuple[int, LogRow]]:
+    def _entered(self, origin_ns: int, steps: Sequence[ControllerStepRow], reason: str) -> list[Event]:
         """Phases that began; the reason is that of the last."""
         events = []
         for row in steps:
@@ -99,11 +108,14 @@ class LiveRecording:
                 self._phase = row.phase
                 name = Phase(row.phase).name if row.phase in Phase._value2member_map_ else str(row.phase)
                 level = Severity.ERROR if row.phase == Phase.ABORT else Severity.INFO
-                events.append((row.stamp_ns, LogRow(row.stamp_ns, level, CONTROLLER, name, "", "", 0)))
+                events.append(Event((row.stamp_ns - origin_ns) * 1e-9, level, CONTROLLER, name))
         if events and reason:
-            at_ns, last = events[-1]
-            events[-1] = (at_ns, last._replace(msg=f"{last.msg}: {reason}"))
+            events[-1] = replace(events[-1], text=f"{events[-1].text}: {reason}")
         return events
+
+
+def _since(origin_ns: int, rows: Sequence[ControllerStepRow | LoopTimingRow]) -> Floats:
+    return since(np.array([row.stamp_ns for row in rows], dtype=np.int64), origin_ns)
 
 
 def _new(path: Path) -> Path:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 import rerun as rr
 
@@ -14,15 +16,15 @@ from logs.derive.markers import (
     FLEET_REACH,
     NOMINAL_COLOR,
     PAD_COLOR,
-    PAD_RADIUS_M,
     REACH,
     TARGET_COLOR,
     Color,
     Path,
     surface,
 )
-from logs.view.canvas import WORLD, Canvas
-from logs.view.read import Floats, Seen, column, every, times
+from logs.reader.flight_data import PAD_RADIUS_M, Flight, Floats
+from logs.verdict.pairs import PairSeries
+from logs.view.canvas import PAIRS, WORLD, Canvas, every, rgba, run_of, times
 
 SCENE_PERIOD_NS = 20_000_000  # 50 Hz
 PATH_PERIOD_NS = 200_000_000  # 5 Hz: each row is a whole path
@@ -38,26 +40,44 @@ VELOCITIES = (
     ("flown", "own_velocity_enu_m_s", FLOWN_COLOR),
 )
 
+LINE_PERIOD_S = 0.1  # between two pictures of the lines between vehicles
+NEAR = 3.0  # in the ellipsoid's measure; a line joins two nearer vehicles in flight
+WARN = 1.5  # in the ellipsoid's measure; below it the line is orange, red inside the ellipsoid
+PAIR_LINE_RADIUS_M = 0.003
+FAR_COLOR: Color = (0.6, 0.6, 0.6, 1.0)
+WARN_COLOR: Color = (0.9, 0.6, 0.0, 1.0)
+INSIDE_COLOR: Color = (0.84, 0.15, 0.16, 1.0)
+# as in the report: Okabe and Ito (2008), and Tol
+MEMBER_COLORS: tuple[Color, ...] = (
+    (0.0, 0.45, 0.70, 1.0), (0.84, 0.37, 0.0, 1.0), (0.0, 0.62, 0.45, 1.0), (0.80, 0.47, 0.65, 1.0),
+    (0.90, 0.62, 0.0, 1.0), (0.34, 0.71, 0.91, 1.0), (0.53, 0.13, 0.33, 1.0), (0.27, 0.67, 0.60, 1.0),
+)  # fmt: skip
+PAIR_COLORS: tuple[Color, ...] = (
+    (0.20, 0.13, 0.53, 1.0), (0.67, 0.27, 0.60, 1.0), (0.07, 0.47, 0.20, 1.0), (0.60, 0.60, 0.20, 1.0),
+    (0.40, 0.07, 0.0, 1.0), (0.40, 0.60, 0.80, 1.0), (0.87, 0.80, 0.47, 1.0), (0.53, 0.53, 0.53, 1.0),
+)  # fmt: skip
 
-def scene(canvas: Canvas, seen: Seen) -> None:
-    """Send what the controller saw: vehicle, target with its pad and barrier, both paths."""
+
+def scene(canvas: Canvas, flight: Flight) -> None:
+    """Send what the controller knew: vehicle, target with its pad and barrier, both paths."""
     canvas.style(WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
-    if not seen.steps:
+    steps, run = flight.steps, run_of(flight)
+    if steps is None:
         return
-    steps = [seen.steps[i] for i in every(seen.steps, SCENE_PERIOD_NS)]
-    at_ns = times(steps)
-    for name, valid, position, yaw in (
-        ("vehicle", "own_valid", "own_position_enu_m", "own_yaw_rad"),
-        ("target", "target_valid", "target_position_enu_m", "target_yaw_rad"),
+    at_ns = times(flight, steps.t_s)
+    shown = every(at_ns, SCENE_PERIOD_NS)
+    for name, valid, position_m, yaw_rad in (
+        ("vehicle", steps.own_valid, steps.own_position_enu_m, steps.own_yaw_rad),
+        ("target", steps.target_valid, steps.target_position_enu_m, steps.target_yaw_rad),
     ):
-        good = column(steps, valid) > 0.0
-        position_m, half_rad = column(steps, position)[good], 0.5 * column(steps, yaw)[good]
+        good = shown[valid[shown]]
+        place_m, half_rad = position_m[good], 0.5 * yaw_rad[good]
         nothing = np.zeros_like(half_rad)
         turn = np.stack([nothing, nothing, np.sin(half_rad), np.cos(half_rad)], axis=1)
-        moved = rr.Transform3D.columns(translation=position_m, quaternion=turn)
+        moved = rr.Transform3D.columns(translation=place_m, quaternion=turn)
         canvas.columns(f"{WORLD}/{name}", at_ns[good], moved)
         if name == "target":  # the barrier goes with the target but does not turn with it
-            canvas.columns(SPOT, at_ns[good], rr.Transform3D.columns(translation=position_m))
+            canvas.columns(SPOT, at_ns[good], rr.Transform3D.columns(translation=place_m))
     canvas.style(
         f"{WORLD}/vehicle/body",
         rr.Boxes3D(
@@ -65,8 +85,8 @@ def scene(canvas: Canvas, seen: Seen) -> None:
             labels=[canvas.member] if canvas.member else None,
         ),
     )  # fmt: skip
-    if "ellipsoid_xy_m" in seen.run and "ellipsoid_z_m" in seen.run:  # those of two touch at their limit
-        beside_m, above_m = 0.5 * float(seen.run["ellipsoid_xy_m"]), 0.5 * float(seen.run["ellipsoid_z_m"])
+    if "ellipsoid_xy_m" in run and "ellipsoid_z_m" in run:  # those of two touch at their limit
+        beside_m, above_m = 0.5 * float(run["ellipsoid_xy_m"]), 0.5 * float(run["ellipsoid_z_m"])
         canvas.style(
             f"{WORLD}/vehicle/ellipsoid",
             rr.Ellipsoids3D(
@@ -74,7 +94,7 @@ def scene(canvas: Canvas, seen: Seen) -> None:
                 line_radii=[ELLIPSOID_LINE_M], fill_mode="majorwireframe",
             ),
         )  # fmt: skip
-    radius_m, thickness_m = float(seen.run.get("pad_radius_m", PAD_RADIUS_M)), 0.01
+    radius_m, thickness_m = float(run.get("pad_radius_m", PAD_RADIUS_M)), 0.01
     canvas.style(
         f"{WORLD}/target/pad",
         rr.Cylinders3D(
@@ -82,27 +102,28 @@ def scene(canvas: Canvas, seen: Seen) -> None:
             colors=[rgba(PAD_COLOR)], fill_mode="solid",
         ),
     )  # fmt: skip
-    _barrier(canvas, seen)
-    _paths(canvas, seen)
+    _barrier(canvas, run)
+    _paths(canvas, flight)
 
 
-def truth(canvas: Canvas, seen: Seen) -> None:
-    """Send what the simulator knows, where there was one."""
-    if not seen.truths:
+def truth(canvas: Canvas, flight: Flight) -> None:
+    """Send the simulator's true states, if there are any."""
+    if flight.truth is None:
         return
-    scene = [seen.truths[i] for i in every(seen.truths, SCENE_PERIOD_NS)]
+    at_ns = times(flight, flight.truth.t_s)
+    shown = every(at_ns, SCENE_PERIOD_NS)
     moved = rr.Transform3D.columns(
-        translation=column(scene, "position_enu_m"), quaternion=column(scene, "orientation")
+        translation=flight.truth.position_enu_m[shown], quaternion=flight.truth.orientation[shown]
     )
-    canvas.columns(f"{WORLD}/true_vehicle", times(scene), moved)
+    canvas.columns(f"{WORLD}/true_vehicle", at_ns[shown], moved)
     body = rr.Boxes3D(half_sizes=[BODY_HALF_M], colors=[rgba(TRUE_COLOR)])
     canvas.style(f"{WORLD}/true_vehicle/body", body)
 
 
-def _barrier(canvas: Canvas, seen: Seen) -> None:
-    if "barrier_alpha_1_m" not in seen.run or "barrier_beta_m" not in seen.run:
+def _barrier(canvas: Canvas, run: Mapping[str, str]) -> None:
+    if "barrier_alpha_1_m" not in run or "barrier_beta_m" not in run:
         return
-    barrier = Barrier(float(seen.run["barrier_alpha_1_m"]), float(seen.run["barrier_beta_m"]))
+    barrier = Barrier(float(run["barrier_alpha_1_m"]), float(run["barrier_beta_m"]))
     if barrier.alpha_1_m <= 0.0:
         return
     reach = FLEET_REACH if canvas.member else REACH
@@ -123,17 +144,21 @@ def _normals(corners: Floats) -> Floats:
     return np.repeat(normal, 3, axis=0)
 
 
-def _paths(canvas: Canvas, seen: Seen) -> None:
+def _paths(canvas: Canvas, flight: Flight) -> None:
     """Send both paths as they grow."""
-    for name, valid, field, color in (
-        ("vehicle_path", "own_valid", "own_position_enu_m", canvas.own_color),
-        ("target_path", "target_valid", "target_position_enu_m", TARGET_COLOR),
+    steps = flight.steps
+    assert steps is not None
+    for name, valid, position_m, color in (
+        ("vehicle_path", steps.own_valid, steps.own_position_enu_m, canvas.own_color),
+        ("target_path", steps.target_valid, steps.target_position_enu_m, TARGET_COLOR),
     ):
         path = canvas.paths.setdefault(name, Path())
         strips, at_ns = [], []
-        for time_ns, row in seen.steps:
-            if getattr(row, valid):
-                path.add(time_ns, getattr(row, field))
+        for time_ns, known, (x, y, z) in zip(
+            times(flight, steps.t_s).tolist(), valid, position_m.tolist(), strict=True
+        ):
+            if known:
+                path.add(time_ns, (x, y, z))
             if not canvas.due(name, PATH_PERIOD_NS, time_ns):
                 continue
             if (marker := path.marker(0, color)) is not None:
@@ -147,24 +172,51 @@ def _paths(canvas: Canvas, seen: Seen) -> None:
             canvas.style(f"{WORLD}/{name}", style)
 
 
-def velocities(canvas: Canvas, seen: Seen) -> None:
+def velocities(canvas: Canvas, flight: Flight) -> None:
     """Send arrows at the vehicle, one metre a metre a second; none where there is no such velocity."""
-    steps = [seen.steps[i] for i in every(seen.steps, SCENE_PERIOD_NS)]
-    if not steps:
+    steps = flight.steps
+    if steps is None:
         return
-    origin_m = column(steps, "own_position_enu_m")
+    at_ns = times(flight, steps.t_s)
+    shown = every(at_ns, SCENE_PERIOD_NS)
     for name, field, color in VELOCITIES:
-        vector = column(steps, field)
-        there = np.isfinite(vector).all(axis=1) & (column(steps, "own_valid") > 0.0)
+        vector = getattr(steps, field)[shown]
+        there = np.isfinite(vector).all(axis=1) & steps.own_valid[shown]
         if name == "command":
-            there &= column(steps, "setpoint_sent") > 0.0
-        columns = rr.Arrows3D.columns(vectors=vector[there], origins=origin_m[there])
-        canvas.columns(f"{WORLD}/velocity/{name}", times(steps), columns.partition(there.astype(int)))
+            there &= steps.setpoint_sent[shown]
+        columns = rr.Arrows3D.columns(vectors=vector[there], origins=steps.own_position_enu_m[shown][there])
+        canvas.columns(f"{WORLD}/velocity/{name}", at_ns[shown], columns.partition(there.astype(int)))
         style = rr.Arrows3D.from_fields(radii=[ARROW_RADIUS_M], colors=[rgba(color)])
         canvas.style(f"{WORLD}/velocity/{name}", style)
 
 
-def rgba(color: Color) -> tuple[int, int, int, int]:
-    """A color in 0 to 255, as Rerun wants it."""
-    red, green, blue, opacity = (round(255 * part) for part in color)
-    return red, green, blue, opacity
+def pairs(canvas: Canvas, series: Sequence[PairSeries], origin_ns: int) -> None:
+    """Send the distances of all pairs and the lines between those that are near."""
+    for number, pair in enumerate(series):
+        name = pair.name.replace("–", "_")
+        at_ns = origin_ns + np.round(pair.t_s * 1e9).astype(np.int64)
+        color = [rgba(PAIR_COLORS[number % len(PAIR_COLORS)])]
+        for what, values in (("measure", pair.measure), ("distance", pair.distance_m)):
+            entity = f"{PAIRS}/{what}/{name}"
+            canvas.style(entity, rr.SeriesLines(colors=color, names=[name]))
+            canvas.columns(entity, at_ns, rr.Scalars.columns(scalars=values))
+        every = np.flatnonzero(np.diff(pair.t_s // LINE_PERIOD_S, prepend=-1.0))
+        near = (pair.flying & (pair.measure < NEAR))[every]
+        shown = every[near]
+        strips = np.stack([pair.one_m[shown], pair.other_m[shown]], axis=1)
+        colors = [rgba(_line_color(float(measure))) for measure in pair.measure[shown]]
+        lines = rr.LineStrips3D.columns(strips=list(strips), colors=colors)
+        entity = f"{WORLD}/pairs/{name}"
+        if len(shown):
+            canvas.columns(entity, at_ns[every], lines.partition(near.astype(int)))
+            canvas.style(entity, rr.LineStrips3D.from_fields(radii=[PAIR_LINE_RADIUS_M]))
+    if series:
+        ends = np.array([min(p.t_s[0] for p in series), max(p.t_s[-1] for p in series)])
+        limit = f"{PAIRS}/measure/limit"
+        canvas.style(limit, rr.SeriesLines(colors=[rgba(INSIDE_COLOR)], names=["limit"]))
+        at_ns = origin_ns + np.round(ends * 1e9).astype(np.int64)
+        canvas.columns(limit, at_ns, rr.Scalars.columns(scalars=np.ones(2)))
+
+
+def _line_color(measure: float) -> Color:
+    return INSIDE_COLOR if measure < 1.0 else WARN_COLOR if measure < WARN else FAR_COLOR

@@ -20,15 +20,12 @@ from flightstack.common.text import one_line
 from flightstack.core.types import Phase
 from logs.derive.markers import FILTERED_COLOR, NOMINAL_COLOR, OWN_COLOR, TARGET_COLOR, Color
 from logs.reader.flight import load_fleet
-from logs.reader.reader import LogFile
+from logs.reader.flight_data import Event, Flight, Floats, Ints
 from logs.schema.events import Severity
 from logs.schema.names import FLEET
-from logs.schema.rows import LogRow
-from logs.verdict.pairs import PairSeries, pair_series
-from logs.view.canvas import AXES, EVENTS, PHASE, RUN, Canvas, blueprint
-from logs.view.fleet import MEMBER_COLORS, pairs
-from logs.view.read import Floats, Ints, Seen, column, read, read_fleet, times
-from logs.view.scene import TRUE_COLOR, VELOCITIES, rgba, scene, truth, velocities
+from logs.verdict.pairs import pair_series
+from logs.view.canvas import AXES, EVENTS, PHASE, RUN, Canvas, blueprint, rgba, run_of, times
+from logs.view.scene import MEMBER_COLORS, TRUE_COLOR, VELOCITIES, pairs, scene, truth, velocities
 
 ZERO_COLOR: Color = (0.84, 0.15, 0.16, 1.0)
 _LEVELS: dict[int, str] = {
@@ -53,48 +50,39 @@ _CURVES = (
 
 class Recording:
     def __init__(self, log: Path, member: str | None = None) -> None:
-        """Read the log."""
-        self._members: dict[str, Seen]  # by name; of one flight "" alone
-        self._events: list[tuple[int, LogRow]] = []  # of a fleet
-        self._pairs: list[PairSeries] = []
-        if LogFile(log, member).members:
-            self._members, self._events = read_fleet(log)
-            self._pairs = pair_series(load_fleet(log))
-            name = LogFile(log).metadata()[FLEET].get("scenario", "fleet")
-        else:
-            self._members = {"": read(log, member)}
-            name = self._members[""].run.get("scenario", "flight")
-        self.problem = next(iter(self._members.values())).problem
+        self._fleet = load_fleet(log, member)
+        self._pairs = pair_series(self._fleet)
+        first = next(iter(self._fleet.flights.values()))
+        self.problem = "; ".join(first.damage)
+        told = self._fleet.metadata.get(FLEET, run_of(first))
         self._stream = rr.RecordingStream("flightstack")
-        self._stream.send_recording_name(f"{name}: {log.name}")
+        self._stream.send_recording_name(f"{told.get('scenario', 'flight')}: {log.name}")
 
     def save(self, out: Path) -> None:
         self._stream.save(out, default_blueprint=self._blueprint())
-        origin_ns = min(seen.origin_ns for seen in self._members.values())
-        for number, (name, seen) in enumerate(self._members.items()):
+        fleet = self._fleet
+        for number, (name, flight) in enumerate(fleet.flights.items()):
             color = MEMBER_COLORS[number % len(MEMBER_COLORS)] if name else OWN_COLOR
-            draw(Canvas(self._stream, origin_ns, name, color), seen)
-        if "" not in self._members:
-            whole = Canvas(self._stream, origin_ns)
-            events(whole, self._events)
-            pairs(whole, self._pairs, origin_ns)
+            draw(Canvas(self._stream, fleet.origin_ns, name, color), flight)
+        if "" not in fleet.flights:
+            whole = Canvas(self._stream, fleet.origin_ns)
+            events(whole, fleet.origin_ns, fleet.events)
+            pairs(whole, self._pairs, fleet.origin_ns)
         self._stream.flush()
         self._stream.disconnect()
 
     def _blueprint(self) -> Any:
         """Look at the middle of what the vehicles and the targets did."""
-        shown = [
-            each
-            for seen in self._members.values()
-            for each in (
-                column(seen.steps, "own_position_enu_m"),
-                column(seen.steps, "target_position_enu_m"),
-                column(seen.truths, "position_enu_m"),
-            )
-        ]
-        points = np.concatenate([each.reshape(-1, 3) for each in shown])
+        flights = self._fleet.flights
+        shown: list[Floats] = []
+        for flight in flights.values():
+            if flight.steps is not None:
+                shown += (flight.steps.own_position_enu_m, flight.steps.target_position_enu_m)
+            if flight.truth is not None:
+                shown.append(flight.truth.position_enu_m)
+        points = np.concatenate(shown)
         points = points[np.isfinite(points).all(axis=1)]
-        members = [name for name in self._members if name]
+        members = [name for name in flights if name]
         if not len(points):
             return blueprint((0.0, 0.0, 0.0), 1.0, members, pairs=bool(self._pairs))
         low, high = points.min(axis=0), points.max(axis=0)
@@ -119,54 +107,55 @@ def viewer_program() -> str:
     return program
 
 
-def draw(canvas: Canvas, seen: Seen) -> None:
+def draw(canvas: Canvas, flight: Flight) -> None:
     """Send all of a flight, or the next piece of it."""
     for part in (scene, velocities, truth, _curves):
-        part(canvas, seen)
-    canvas.style(RUN, rr.TextDocument(_run_text(seen), media_type="text/markdown"))
-    events(canvas, seen.events)
+        part(canvas, flight)
+    canvas.style(RUN, rr.TextDocument(_run_text(flight), media_type="text/markdown"))
+    if not canvas.member:  # a fleet has one list of events
+        events(canvas, flight.origin_ns, flight.events)
 
 
-def _curves(canvas: Canvas, seen: Seen) -> None:
-    if seen.truths:
-        _curve(canvas, "/safety/h/true", times(seen.truths), column(seen.truths, "h_m"), TRUE_COLOR)
-    steps = seen.steps
-    if steps:
-        at_ns = times(steps)
-        apart_m = column(steps, "own_position_enu_m") - column(steps, "target_position_enu_m")
-        apart_m[(column(steps, "own_valid") * column(steps, "target_valid")) == 0.0] = np.nan
+def _curves(canvas: Canvas, flight: Flight) -> None:
+    steps, true, timing = flight.steps, flight.truth, flight.timing
+    if true is not None:
+        _curve(canvas, "/safety/h/true", times(flight, true.t_s), true.h_m, TRUE_COLOR)
+    if steps is not None:
+        at_ns = times(flight, steps.t_s)
+        apart_m = steps.own_position_enu_m - steps.target_position_enu_m
+        apart_m[~(steps.own_valid & steps.target_valid)] = np.nan
         _curve(canvas, "/safety/h/zero", at_ns[[0, -1]], np.zeros(2), ZERO_COLOR)
         for entity, field, scale, color in _CURVES:
-            _curve(canvas, entity, at_ns, scale * column(steps, field), color)
+            _curve(canvas, entity, at_ns, scale * getattr(steps, field), color)
         _curve(canvas, "/distance/horizontal", at_ns, np.hypot(apart_m[:, 0], apart_m[:, 1]), OWN_COLOR)
         _curve(canvas, "/distance/height", at_ns, apart_m[:, 2], TARGET_COLOR)
         for name, field, color in VELOCITIES:
-            vector = column(steps, field)
+            vector = getattr(steps, field)
             if name == "command":
-                vector[column(steps, "setpoint_sent") == 0.0] = np.nan
+                vector = np.where(steps.setpoint_sent[:, None], vector, np.nan)
             for axis, values in zip(AXES, vector.T, strict=True):
                 _curve(canvas, f"/velocity/{axis}/{name}", at_ns, values, color)
-        _phases(canvas, seen)
-    for name, color in (("lateness", NOMINAL_COLOR), ("exec", OWN_COLOR), ("solve", FILTERED_COLOR)):
-        if seen.timings:
-            at_ns, values = times(seen.timings), 1e3 * column(seen.timings, f"{name}_s")
-            _curve(canvas, f"/loop/{name}", at_ns, values, color)
+        _phases(canvas, at_ns, steps.phase)
+    if timing is not None:
+        for name, color in (("lateness", NOMINAL_COLOR), ("exec", OWN_COLOR), ("solve", FILTERED_COLOR)):
+            values = 1e3 * getattr(timing, f"{name}_s")
+            _curve(canvas, f"/loop/{name}", times(flight, timing.t_s), values, color)
 
 
-def _phases(canvas: Canvas, seen: Seen) -> None:
-    phase = column(seen.steps, "phase").astype(int)
+def _phases(canvas: Canvas, at_ns: Ints, phase: Ints) -> None:
     before = np.concatenate(([-1 if canvas.phase is None else canvas.phase], phase[:-1]))
     begins = np.flatnonzero(phase != before)
     canvas.phase = int(phase[-1])
-    names = [Phase(p).name if p in Phase._value2member_map_ else str(p) for p in phase[begins]]
-    canvas.columns(PHASE, times(seen.steps)[begins], rr.StateChange.columns(state=names))
+    names = [Phase(p).name if p in Phase._value2member_map_ else str(p) for p in phase[begins].tolist()]
+    canvas.columns(PHASE, at_ns[begins], rr.StateChange.columns(state=names))
 
 
-def events(canvas: Canvas, rows: Sequence[tuple[int, LogRow]]) -> None:
-    if rows:
-        texts = [f"{row.name}: {row.msg}" for _, row in rows]
-        levels = [_LEVELS.get(row.level, "INFO") for _, row in rows]
-        canvas.columns(EVENTS, times(rows), rr.TextLog.columns(text=texts, level=levels))
+def events(canvas: Canvas, origin_ns: int, said: Sequence[Event]) -> None:
+    if said:
+        texts = [f"{event.source}: {event.text}" for event in said]
+        levels = [_LEVELS.get(event.level, "INFO") for event in said]
+        at_ns = origin_ns + np.round(np.array([event.t_s for event in said]) * 1e9).astype(np.int64)
+        canvas.columns(EVENTS, at_ns, rr.TextLog.columns(text=texts, level=levels))
 
 
 def _curve(canvas: Canvas, entity: str, at_ns: Ints, values: Floats, color: Color) -> None:
@@ -175,10 +164,10 @@ def _curve(canvas: Canvas, entity: str, at_ns: Ints, values: Floats, color: Colo
     canvas.columns(entity, at_ns, rr.Scalars.columns(scalars=values))
 
 
-def _run_text(seen: Seen) -> str:
-    rows = [f"| {_words(key)} | {_words(value)} |" for key, value in seen.run.items()]
+def _run_text(flight: Flight) -> str:
+    rows = [f"| {_words(key)} | {_words(value)} |" for key, value in run_of(flight).items()]
     rows = rows or ["| no metadata | |"]
-    broken = f"\n\n**The log is broken:** {_words(seen.problem)}" if seen.problem else ""
+    broken = f"\n\n**The log is broken:** {_words('; '.join(flight.damage))}" if flight.damage else ""
     return "\n".join(["| run | |", "|---|---|", *rows]) + broken
 
 

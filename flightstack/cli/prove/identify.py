@@ -83,10 +83,10 @@ def identify(options: IdentifyOptions) -> None:
         return
     if not options.logs:
         raise click.UsageError("found neither LOG nor --flights; give logs of flights, or --flights DIR")
-    from logs.reader.flight import load_flights
+    from logs.reader.flight import load_fleet
 
     logs = options.logs
-    flights = [flight for path in logs for flight in load_flights(path)]
+    flights = [flight for path in logs for flight in load_fleet(path).flights.values()]
     found = gather(flights)
     click.echo(
         json.dumps(_as_json(found)) if options.as_json else _as_toml(found, len(flights)), nl=options.as_json

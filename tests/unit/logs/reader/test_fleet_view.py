@@ -20,7 +20,6 @@ from logs.verdict.pairs import pair_series
 pytest.importorskip("rerun", reason="needs the extra [view]")
 from rerun.chunk import RrdReader
 
-from logs.view.read import read, read_fleet
 from logs.view.view import Recording
 
 pytestmark = [pytest.mark.xdist_group("fleet_log"), pytest.mark.slow]
@@ -114,10 +113,6 @@ def test_a_member_alone_is_as_a_single_flight(fleet, tmp_path):
     entities = {chunk.entity_path for chunk in chunks(tmp_path / "one.rrd")}
     assert {"/world/vehicle/body", "/safety/h/controller", "/phase", "/events", "/run"} <= entities
     assert not {e for e in entities if "cf" in e or e.startswith("/pairs")}
-    seen, (found, events) = read(fleet.log, "cf2"), read_fleet(fleet.log)
-    assert repr(found["cf2"].steps) == repr(seen.steps)  # NaN is not equal to itself
-    assert found["cf2"].run == seen.run
-    assert len(events) > len(seen.events) > 0
 
 
 @pytest.fixture(scope="module")

@@ -19,15 +19,14 @@ from flightstack.core.safety.robust_barrier import RobustBarrier
 from flightstack.core.types import FilterStatus, Phase
 from flightstack.launch.run_options import RunOptions
 from logs.reader.flight import load_flight
-from logs.reader.reader import LogError
 from logs.report.compare import write_comparison
 from logs.report.derived import estimate_errors, fault_spans, held_margin_m, tilt_deg
 from logs.report.links import TARGET, load_streams, missing, missing_of_256
 from logs.report.page import html, page, table
 from logs.report.report import command, repeat_section
 from logs.report.tables import ages_table, faults_table, links_table, phases_table
+from logs.view.canvas import every, times
 from logs.view.layout_files import NAMES, layout
-from logs.view.read import column, every, read
 from tests.synthetic_flight import BARRIER, BOX, landing, write_log
 from tests.unit.logs.helpers import record
 
@@ -283,24 +282,23 @@ def test_wrong_files_are_refused(tmp_path):
 
 
 def test_a_log_without_a_flight_is_refused(tmp_path):
-    with pytest.raises(LogError, match="no flight to show"):
-        read(record(tmp_path / "empty.mcap", ticks=0))
+    done = run(record(tmp_path / "empty.mcap", ticks=0), "--save", tmp_path / "x.rrd")
+    assert (done.exit_code, "a flight needs controller steps" in done.output) == (2, True)
 
 
-def test_rows_of_a_log(log):
-    seen = read(log)
-    assert (seen.namespace, len(seen.steps), len(seen.truths), len(seen.events)) == ("cf1", 300, 300, 3)
-    assert seen.origin_ns == seen.steps[0][0]
-    np.testing.assert_allclose(column(seen.steps, "own_position_enu_m")[:, 0], 0.01 * np.arange(300))
-    assert len(every(seen.steps, 20_000_000)) == 150
-    assert seen.problem == ""
+def test_a_screen_shows_the_first_step_of_each_period(log):
+    flight = load_flight(log)
+    at_ns = times(flight, flight.steps.t_s)
+    assert at_ns[0] == flight.origin_ns
+    assert every(at_ns, 20_000_000).tolist() == list(range(0, 300, 2))
+    assert flight.damage == ()
 
 
 def test_a_broken_log_is_shown_up_to_its_break(tmp_path):
     killed = record(tmp_path / "killed.mcap", close=False)
-    seen = read(killed)
-    assert seen.problem
-    assert len(seen.steps) > 200
+    flight = load_flight(killed)
+    assert flight.damage
+    assert len(flight.steps.t_s) > 200
     done = run(killed, "--save", tmp_path / "killed.rrd")
     assert done.exit_code == 1
     assert "the log is broken" in done.output
