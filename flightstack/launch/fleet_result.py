@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -17,10 +18,9 @@ from flightstack.launch.sitl import Flight
 from logs.reader.flight import load_fleet
 from logs.reader.flight_data import Fleet
 from logs.reader.reader import LogError
-from logs.report.fleet import Pages, write_fleet
-from logs.report.report import ReportError
-from logs.verdict.fleet import FleetVerdict, fleet_result, judge_fleet
+from logs.report.report import ReportError, write_report
 from logs.verdict.types import Outcome
+from logs.verdict.verdict import FleetVerdict, fleet_result, judge_fleet
 
 _UNKNOWN = (
     "outcome", "violation", "vehicles", "ellipsoid_violations", "ellipsoid_min", "distance_min_m",
@@ -67,15 +67,12 @@ def values_of(flown: FleetFlown, *, with_report: bool) -> dict[str, Any]:
         return {**flown.about, **dict.fromkeys(_UNKNOWN), "reason": said, "log": log_path}
     verdict = judge_fleet(log)
     pages = _written(flown, log, verdict) if with_report else None
-    return fleet_result(
-        log, verdict, pages.page if pages else None, flown.about, _factor(log, flown.wall_s),
-        pages.members if pages else None,
-    )  # fmt: skip
+    return fleet_result(log, verdict, pages, flown.about, _factor(log, flown.wall_s))
 
 
-def _written(flown: FleetFlown, log: Fleet, verdict: FleetVerdict) -> Pages | None:
+def _written(flown: FleetFlown, log: Fleet, verdict: FleetVerdict) -> dict[str, Path] | None:
     try:
-        return write_fleet(log, verdict, flown.folder / "report.html")
+        return write_report(log, verdict, flown.folder / "report.html")
     except ReportError as error:  # the flight counts all the same
         print(f"flightstack: {error}", file=sys.stderr)
         return None

@@ -64,7 +64,7 @@ _FLEET_ROWS = (
 
 
 def fleet_table(values: Mapping[str, Any], reason: str) -> Group:
-    """Return the values of ``logs.verdict.fleet.fleet_result`` as tables; "-" for what is not known.
+    """Return the values of ``logs.verdict.verdict.fleet_result`` as tables; "-" for what is not known.
 
     Of a member: the least h outside the pad, error and speeds at touchdown, time to land.
     """

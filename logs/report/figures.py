@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import plotly.graph_objects as go
 
-from logs.reader.flight_data import Flight, Floats
-from logs.report.derived import Errors, estimate_errors, root_mean_square
+from logs.reader.fleet_words import Words
+from logs.reader.flight_data import Fleet, Flight, Floats
+from logs.report.derived import Errors, Side, estimate_errors, root_mean_square
 from logs.report.links import Stream
 from logs.report.loop import data_age, histograms, loop_timing
 from logs.report.series import (
@@ -21,10 +22,26 @@ from logs.report.series import (
     vehicle_state,
     velocities,
 )
+from logs.report.several import (
+    altitudes,
+    barriers,
+    best_h,
+    distances,
+    flown_m_s,
+    h_error_mm,
+    plan,
+    room_3d,
+    sent_m_s,
+    series,
+    target_age_ms,
+    tick_us,
+    vectors,
+)
 from logs.report.space import altitude_over_distance, plan_view, trajectory_3d
-from logs.report.timeline import timeline
+from logs.report.timeline import compared_timeline, fleet_timeline, timeline
 from logs.schema.events import ContactBit
-from logs.verdict.types import Verdict
+from logs.verdict.types import RADIUS_ABOVE_M, RADIUS_BESIDE_M, Verdict
+from logs.verdict.verdict import PairSeries
 
 
 @dataclass(frozen=True)
@@ -39,6 +56,7 @@ class Panel:
 
 
 def panels(flight: Flight, verdict: Verdict, streams: Sequence[Stream]) -> list[Panel]:
+    """Panels of one flight; the first is the timeline."""
     touch = touch_index(flight)
     both = "Solid: true states of the simulator. Dashed: the vehicle's own estimate."
     source = both if flight.truth is not None else "The vehicle's own estimate; the log holds no true states."
@@ -76,6 +94,54 @@ def panels(flight: Flight, verdict: Verdict, streams: Sequence[Stream]) -> list[
     ]  # fmt: skip
 
 
+def compared_panels(sides: Sequence[Side]) -> list[Panel]:
+    both = "A is blue, B is orange; each on the time since its own landing began."
+    best = f"{both} From true states where the log has them, else by the vehicle's estimate."
+    return [
+        Panel("timeline", "Phases and faults", "", both, compared_timeline(sides)),
+        Panel("barrier", "Barrier value over time", "", best, series(sides, best_h, "h [m]")),
+        Panel("altitude", "Relative altitude over horizontal distance", "", best, altitudes(sides)),
+        Panel("sent", "Velocity sent", "", both, vectors(sides, sent_m_s)),
+        Panel("flown", "Velocity flown", "", best, vectors(sides, flown_m_s)),
+        Panel(
+            "error", "Error of the estimated h", "", f"{both} Needs true states.",
+            series(sides, h_error_mm, "error of h [mm]"),
+        ),
+        Panel("age", "Age of the target state", "", both, series(sides, target_age_ms, "age [ms]")),
+        Panel(
+            "tick", "Time spent in a tick", "", f"{both} Wall clock.", series(sides, tick_us, "time [µs]")
+        ),
+    ]  # fmt: skip
+
+
+def fleet_panels(fleet: Fleet, words: Words, pairs: Sequence[PairSeries]) -> list[Panel]:
+    return [
+        Panel(
+            "timeline", "Who did what, and who waited for whom", "", _LANES, fleet_timeline(fleet, words)
+        ),
+        Panel("room", "All paths in the room", "", _ROOM, room_3d(fleet)),
+        Panel("plan", "Paths from above", "", _ROOM, plan(fleet)),
+        Panel("pairs", "Distance of each pair", "", _NEAR, distances(fleet, pairs)),
+        Panel("barriers", "Barrier value of each member", "", _BARRIERS, barriers(fleet)),
+    ]  # fmt: skip
+
+
+_LANES = (
+    "Two lanes for each member: its phase, and what it told the others that it was about to do. Orange: it "
+    "flew and gave way to another one. Red, where there are any: a member heard nothing of another one for "
+    "longer than it lets pass. Touch or point at a bar to read it."
+)
+_ROOM = (
+    "True paths, or the vehicles' own estimates where the log has no true states. Dotted: the pads. Circle: "
+    "start. Square: end."
+)
+_NEAR = (
+    f"By true states. The ellipsoid of two vehicles has the semi-axes {2 * RADIUS_BESIDE_M:g} m sideways and "
+    f"{2 * RADIUS_ABOVE_M:g} m up and down; its measure is 1 on the surface, below is too near. It counts "
+    "while both fly; thin: one of them rests. Dotted, in metres, of up to three pairs: the limit along the "
+    "line between the two. Of many pairs the nearest are shown at first; touch a name to show or hide one."
+)
+_BARRIERS = "h of each member over its own pad since its landing began; below zero is unsafe outside the pad."
 _TIMELINE = (
     "The whole log. Touch or point at a bar or an event to read it; bands in the figures below have the same "
     "colours."

@@ -11,6 +11,7 @@ import plotly.graph_objects as go
 from flightstack.core.types import FilterStatus
 from logs.reader.flight_data import Flight, Floats, Steps
 from logs.report.derived import estimate_errors, held_margin_m, tilt_deg
+from logs.report.space import marker
 from logs.report.style import (
     BOUNDARY,
     COMMAND,
@@ -86,10 +87,8 @@ def _mark_lowest(figure: go.Figure, t: Floats, h: Floats, where: str, symbol: st
     at = int(np.argmin(known))
     if not np.isfinite(known[at]):
         return
-    edge = INK if symbol.endswith("open") else "white"
-    style = {"symbol": symbol, "size": 12, "color": INK, "line": {"color": edge, "width": 1.5}}
     name = f"lowest {where}: {h[at]:.4f} m".replace("-", "−")
-    figure.add_trace(go.Scatter(x=[float(t[at])], y=[float(h[at])], mode="markers", name=name, marker=style))
+    marker(figure, t[at], h[at], name, symbol, INK)
 
 
 _Drawn = tuple[str, Floats, str, str, float]  # name, velocity (n, 3), colour, dash, width

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -158,7 +159,7 @@ def altitude_over_distance(flight: Flight, touch: int | None) -> go.Figure | Non
     if touch is not None and flight.truth is not None:
         points.append(("touchdown", flight.truth.e_m[touch], "triangle-up"))
     for name, e_m, symbol in points:
-        _marker(figure, float(np.hypot(e_m[0], e_m[1])), float(e_m[2]), name, symbol, INK)
+        marker(figure, float(np.hypot(e_m[0], e_m[1])), float(e_m[2]), name, symbol, INK)
     figure.add_vline(
         flight.pad_radius_m, line={"color": LIMIT, "width": 1, "dash": "dot"},
         annotation={"text": "pad radius", "font": {"size": 12, "color": LIMIT}, "yanchor": "top"},
@@ -190,16 +191,12 @@ def plan_view(flight: Flight, touch: int | None) -> go.Figure | None:
         known = now[np.isfinite(now).all(1)]
         if dash != "solid" or not len(known):
             continue
-        _marker(figure, known[0, 0], known[0, 1], f"{name}: start", "circle", color)
-        _marker(figure, known[-1, 0], known[-1, 1], f"{name}: end", "square", color)
+        marker(figure, known[0, 0], known[0, 1], f"{name}: start", "circle", color)
+        marker(figure, known[-1, 0], known[-1, 1], f"{name}: end", "square", color)
     if touch is not None and flight.truth is not None:
         x, y = flight.truth.position_enu_m[touch, :2]
-        px, py = flight.truth.pad_position_enu_m[touch, :2]
-        _marker(figure, x, y, "touchdown", "triangle-up", INK)
-        r = flight.pad_radius_m
-        figure.add_shape(
-            type="circle", x0=px - r, x1=px + r, y0=py - r, y1=py + r, line={"color": TARGET, "width": 1.2}
-        )
+        marker(figure, x, y, "touchdown", "triangle-up", INK)
+        circle(figure, flight.truth.pad_position_enu_m[touch], flight.pad_radius_m, TARGET)
     layout(figure, 520)
     figure.update_xaxes(title_text="east x [m]", constrain="domain")
     figure.update_yaxes(title_text="north y [m]", scaleanchor="x", scaleratio=1)
@@ -222,11 +219,14 @@ def _ground_paths(flight: Flight) -> list[tuple[str, str, str, Floats, Floats]]:
     return [p for p in paths if np.isfinite(p[4]).all(1).any()]
 
 
-def _marker(figure: go.Figure, x: float, y: float, name: str, symbol: str, color: str) -> None:
+def marker(figure: go.Figure, x: float, y: float, name: str, symbol: str, color: str, **more: Any) -> None:
     edge = color if symbol.endswith("open") else "white"
-    figure.add_trace(
-        go.Scatter(
-            x=[float(x)], y=[float(y)], mode="markers", name=name,
-            marker={"symbol": symbol, "size": 12, "color": color, "line": {"color": edge, "width": 1.5}},
-        )
-    )  # fmt: skip
+    style = {"symbol": symbol, "size": 12, "color": color, "line": {"color": edge, "width": 1.5}}
+    figure.add_trace(go.Scatter(x=[float(x)], y=[float(y)], mode="markers", name=name, marker=style, **more))
+
+
+def circle(figure: go.Figure, center_m: Floats, radius_m: float, color: str) -> None:
+    x, y, r = center_m[0], center_m[1], radius_m
+    figure.add_shape(
+        type="circle", x0=x - r, x1=x + r, y0=y - r, y1=y + r, line={"color": color, "width": 1.2}
+    )

@@ -7,7 +7,8 @@ colour means the same in every figure, and true and estimated values also differ
 from __future__ import annotations
 
 import html
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import plotly.graph_objects as go
@@ -15,7 +16,7 @@ from plotly.subplots import make_subplots
 
 from flightstack.common.text import one_line
 from flightstack.core.types import Phase
-from logs.reader.flight_data import Flight, Floats, phase_name
+from logs.reader.flight_data import Fleet, Flight, Floats, phase_name
 from logs.report.derived import fault_spans
 
 TRUE = "#0072B2"  # blue
@@ -154,25 +155,48 @@ def _bands(rows: int, begin_s: float, end_s: float, bottom: float, color: str) -
     ]  # fmt: skip
 
 
-def time_axis(figure: go.Figure, flight: Flight, *, rows: int = 1) -> None:
-    """Label and limit the common time axis; the page moves all figures with this mark together."""
-    what = "since the landing began" if flight.landing_start_s is not None else "since the log began"
-    zero = zero_s(flight)
-    whole = [-zero, flight.duration_s - zero]
+class Axis(NamedTuple):
+    """A time axis; the page moves all figures with the same one together."""
+
+    title: str
+    landing: list[float]  # range of the page's button "Landing"
+    whole: list[float]  # range of the page's button "Whole flight"
+    first: list[float]  # range at first
+
+
+def axis_of(flights: Sequence[Flight]) -> Axis:
+    """Axis of flights, each on the time since its own landing began."""
+    began = any(flight.landing_start_s is not None for flight in flights)
+    shown = [shown_range(flight) for flight in flights]
+    landing = [min(low for low, _ in shown), max(high for _, high in shown)]
+    ends_s = [flight.duration_s - zero_s(flight) for flight in flights]
+    whole = [min(-zero_s(flight) for flight in flights), max(ends_s)]
+    return Axis(f"time since the {'landing' if began else 'log'} began [s]", landing, whole, landing)
+
+
+def fleet_axis(fleet: Fleet) -> Axis:
+    """Axis of all members together, from the beginning of the log."""
+    members = [(flight, (flight.origin_ns - fleet.origin_ns) * 1e-9) for flight in fleet.flights.values()]
+    end_s = max(flight.duration_s + shift_s for flight, shift_s in members)
+    begins = [f.landing_start_s + shift_s for f, shift_s in members if f.landing_start_s is not None]
+    landing = [max(0.0, min(begins, default=0.0) - 1.0), end_s]
+    return Axis("time since the log began [s]", landing, [0.0, end_s], [0.0, end_s])
+
+
+def time_axis(figure: go.Figure, axis: Axis, rows: int = 1, hovermode: str = "x unified") -> None:
     figure.update_layout(
-        hovermode="x unified",
-        meta={"time": True, "rows": rows, "landing": shown_range(flight), "whole": whole},
+        hovermode=hovermode,
+        meta={"time": True, "rows": rows, "landing": axis.landing, "whole": axis.whole},
     )
-    figure.update_xaxes(range=shown_range(flight))
-    figure.update_xaxes(
-        title_text=f"time {what} [s]", row=rows if rows > 1 else None, col=1 if rows > 1 else None
-    )
+    figure.update_xaxes(range=axis.first)
+    lowest = {"row": rows, "col": 1} if rows > 1 else {}
+    figure.update_xaxes(title_text=axis.title, **lowest)
 
 
 def over_time(figure: go.Figure, flight: Flight, height_px: int, *, rows: int = 1) -> None:
     layout(figure, height_px)
     add_phases(figure, flight, rows=rows)
-    time_axis(figure, flight, rows=rows)
+    time_axis(figure, axis_of([flight]), rows)
 
 
 def rows_of(rows: int, spacing: float) -> go.Figure:

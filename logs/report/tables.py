@@ -1,14 +1,15 @@
-"""Tables of the report as HTML: result, phases, faults, links, run, versions, events."""
+"""Tables of the report as HTML: result, phases, faults, links, run, versions, events, two flights."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from flightstack.common.strict_toml import to_table
 from flightstack.core.mission.machine import parse
-from logs.reader.flight_data import Bools, Flight, Floats, phase_name
-from logs.report.derived import fault_spans
+from logs.reader.flight_data import Bools, Event, Flight, Floats, phase_name
+from logs.report.derived import Side, estimate_errors, fault_spans, root_mean_square
 from logs.report.links import Stream
 from logs.report.page import html, paragraph, table, time_link
 from logs.schema.events import Severity
@@ -92,13 +93,16 @@ def versions_table(metadata: Mapping[str, Mapping[str, str]]) -> str:
     return table(("made with", "value"), rows) if rows else paragraph("The log does not name versions.")
 
 
-def events_table(flight: Flight) -> str:
-    """Events in order, times since the landing began; each time links to it in the figures."""
-    if not flight.events:
+def events_table(events: Sequence[Event], zero_s: float | None = None) -> str:
+    """Events in order, each with a link to its time: since ``zero_s``, else since the log began."""
+    if not events:
         return paragraph("No events in this log.")
-    zero = flight.landing_start_s or 0.0
-    rows = [(_at(e.t_s - zero), severity(e.level), e.source, e.text) for e in flight.events[:EVENTS_MAX]]
-    more = len(flight.events) - len(rows)
+    rows = [
+        (time_link(e.t_s, f"{e.t_s:.2f}") if zero_s is None else _at(e.t_s - zero_s), severity(e.level),
+         e.source, e.text)
+        for e in events[:EVENTS_MAX]
+    ]  # fmt: skip
+    more = len(events) - len(rows)
     shown = table(("time [s]", "level", "from", "event"), rows, numbers=(0,), row_class=1)
     return shown + paragraph(f"{more} later events are in the log only.") if more > 0 else shown
 
@@ -187,3 +191,79 @@ def number(value: float | None, digits: int) -> str:
 
 def scaled(value: float | None, factor: float, digits: int) -> str:
     return number(None if value is None else value * factor, digits)
+
+
+def _p99(values: Floats) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(np.percentile(known, 99)) if len(known) else None
+
+
+def _error_m(side: Side) -> float | None:
+    errors = estimate_errors(side.flight)
+    return None if errors is None else root_mean_square(errors.h_m)
+
+
+def _lost(side: Side) -> float | None:
+    lost = [stream.lost for stream in side.streams if stream.lost is not None]
+    return float(sum(lost)) if lost else None
+
+
+# name, unit, digits, factor, value
+_NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None]], ...] = (
+    ("lowest h", "mm", 1, 1e3, lambda s: s.verdict.h_min_m),
+    ("lowest h outside the pad", "mm", 1, 1e3, lambda s: s.verdict.h_min_outside_pad_m),
+    ("touchdown error", "mm", 1, 1e3, lambda s: s.verdict.touchdown_error_m),
+    ("touchdown speed, vertical", "m/s", 3, 1.0, lambda s: s.verdict.touchdown_speed_vertical_m_s),
+    ("touchdown speed, horizontal", "m/s", 3, 1.0, lambda s: s.verdict.touchdown_speed_horizontal_m_s),
+    ("time to land", "s", 2, 1.0, lambda s: s.verdict.time_to_land_s),
+    ("length of the log", "s", 2, 1.0, lambda s: s.flight.duration_s),
+    ("error of h, root mean square", "mm", 1, 1e3, _error_m),
+    ("age of the target state, 99 %", "ms", 1, 1e3,
+     lambda s: None if s.flight.steps is None else _p99(s.flight.steps.target_age_s)),
+    ("whole tick, 99 %", "µs", 0, 1e6,
+     lambda s: None if s.flight.timing is None else _p99(s.flight.timing.exec_s)),
+    ("overruns", "", 0, 1.0,
+     lambda s: None if s.flight.timing is None else float(s.flight.timing.overruns[-1])),
+    ("messages lost", "", 0, 1.0, _lost),
+    ("faults injected", "", 0, 1.0, lambda s: float(len(fault_spans(s.flight)))),
+    ("phases", "", 0, 1.0, lambda s: float(len(s.flight.phase_spans()))),
+)  # fmt: skip
+
+
+def compared_numbers(a: Side, b: Side) -> str:
+    rows: list[tuple[str, ...]] = [
+        ("outcome", a.verdict.outcome.value, b.verdict.outcome.value, "", ""),
+        ("barrier violation", YES_NO[a.verdict.violation], YES_NO[b.verdict.violation], "", ""),
+    ]
+    for name, unit, digits, factor, value in _NUMBERS:
+        of_a, of_b = (None if v is None else factor * v for v in (value(a), value(b)))
+        change = None if of_a is None or of_b is None else of_b - of_a
+        sign = "+" if change is not None and round(change, digits) > 0.0 else ""
+        shown = [number(v, digits) for v in (of_a, of_b, change)]
+        rows.append((name, shown[0], shown[1], sign + shown[2], unit))
+    return table(("result", "A", "B", "B − A", "unit"), rows, numbers=(1, 2, 3))
+
+
+def compared_settings(a: Flight, b: Flight) -> str:
+    rows: list[tuple[str, str, str]] = []
+    of_a, of_b = _all_settings(a), _all_settings(b)
+    for key in sorted(of_a.keys() | of_b.keys()):
+        left, right = of_a.get(key, "–"), of_b.get(key, "–")
+        if left != right:
+            rows.append((key, left, right))
+    return table(("setting", "A", "B"), rows) if rows else paragraph("Nothing that the logs tell of.")
+
+
+def _all_settings(flight: Flight) -> dict[str, str]:
+    found = {f"{n}.{key}": v for n in ("run", "made") for key, v in flight.metadata.get(n, {}).items()}
+    if flight.config is not None:
+        _flatten("onboard", to_table(flight.config), found)
+    return found
+
+
+def _flatten(prefix: str, values: object, found: dict[str, str]) -> None:
+    if isinstance(values, dict):
+        for key, value in values.items():
+            _flatten(f"{prefix}.{key}", value, found)
+    else:
+        found[prefix] = str(values)

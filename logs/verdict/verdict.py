@@ -1,4 +1,4 @@
-"""The verdict on a flight.
+"""The verdict on a flight, and on a fleet: the list of its members' verdicts.
 
 Judging begins with the first controller step in phase APPROACH and looks at the simulator's true states,
 not at the controller's estimate:
@@ -21,22 +21,34 @@ nothing but the ground, gently.
 Data that is missing is never taken for safe: without it a flight has not landed, and an absent violation is
 "not known" (``None``) instead of False. A log without true states, as of real hardware, is judged by the
 vehicle's own estimate; ``judged_from`` says which.
+
+A fleet has landed when all members have; else its outcome is that of the worst member. A vehicle that
+collides with another one has crashed, also after its own landing. Where the simulator did not follow a pair
+to the end, an absent collision or ellipsoid violation is "not known".
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
-from logs.reader.flight_data import Flight
-from logs.schema.names import LOSSES
+import numpy as np
+
+from logs.reader.flight import load_fleet
+from logs.reader.flight_data import Bools, Fleet, Flight, Floats
+from logs.reader.reader import LogFile
+from logs.schema.events import ContactBit
+from logs.schema.names import FLEET, LOSSES
 from logs.verdict.estimate import judge_estimate
 from logs.verdict.truth import judge_truth
-from logs.verdict.types import Outcome, Verdict
+from logs.verdict.types import GAP_MAX_S, RADIUS_ABOVE_M, RADIUS_BESIDE_M, Outcome, Verdict
 
-__all__ = ["Outcome", "Verdict", "judge", "verdict_result"]
+__all__ = ["Outcome", "Verdict", "fleet_result", "judge", "judge_fleet", "judged", "verdict_result"]
+
+_WORST_FIRST = (Outcome.CRASHED, Outcome.TIMEOUT, Outcome.UNKNOWN, Outcome.ABORTED, Outcome.LANDED)
 
 
 def judge(flight: Flight) -> Verdict:
@@ -85,3 +97,216 @@ def verdict_result(
         "log": str(flight.path),
         "report": str(report) if report is not None else None,
     }
+
+
+class Near(Protocol):
+    """How near two vehicles came, by their ids; a verdict needs these fields."""
+
+    @property
+    def one(self) -> int: ...
+
+    @property
+    def other(self) -> int: ...
+
+    @property
+    def distance_min_m(self) -> float: ...  # of the centres of mass; infinite: none yet
+
+    @property
+    def ellipsoid_min(self) -> float: ...  # in the ellipsoid's measure while both flew; infinite: never
+
+    @property
+    def violations(self) -> int: ...  # times inside the ellipsoid
+
+    @property
+    def collided_ms(self) -> int | None: ...  # first overlap of their shapes; None or negative: never
+
+
+@dataclass(frozen=True, slots=True)
+class FleetVerdict:
+    """Verdict on a fleet."""
+
+    outcome: Outcome  # worst outcome of the members
+    reason: str  # reason, as text
+    violation: bool | None  # whether a member violated the barrier over its pad; None: not known
+    members: dict[str, Verdict]  # verdicts by member; one that collided with another vehicle has crashed
+    collisions: int | None  # pairs whose shapes overlapped; None: data is missing
+    # times that two in flight came inside the ellipsoid about each other; None: data is missing
+    ellipsoid_violations: int | None
+    # smallest distance of two in flight in its measure; None: no two at once, or not known
+    ellipsoid_min: float | None
+    # smallest distance of two centres of mass; None: not known, or a single member
+    distance_min_m: float | None
+
+    @property
+    def outcomes(self) -> tuple[Outcome, ...]:
+        return tuple(each.outcome for each in self.members.values())
+
+
+def fleet_verdict(
+    members: Mapping[str, Verdict],
+    pairs: Collection[Near],
+    names: Mapping[int, str],
+    *,
+    complete: bool = True,
+) -> FleetVerdict:
+    """Judge a fleet by its members' verdicts and by how near they came to each other."""
+    struck = [pair for pair in pairs if pair.collided_ms is not None and pair.collided_ms >= 0]
+    ends = [each for pair in struck for each in ((pair.one, pair.other), (pair.other, pair.one))]
+    hits = {names[one]: names[other] for one, other in ends}
+    judged = {name: _struck(each, hits.get(name)) for name, each in members.items()}
+    outcome = min((each.outcome for each in judged.values()), key=_WORST_FIRST.index)
+    inside = sum(pair.violations for pair in pairs)
+    return FleetVerdict(
+        outcome,
+        _reason(outcome, judged, hits),
+        any_known(each.violation for each in judged.values()),
+        judged,
+        len(struck) if struck or complete else None,
+        inside if inside or complete else None,
+        least(pair.ellipsoid_min for pair in pairs) if complete else None,
+        least(pair.distance_min_m for pair in pairs) if complete else None,
+    )
+
+
+def _struck(verdict: Verdict, by: str | None) -> Verdict:
+    if by is None:
+        return verdict
+    reason = f"collision with {by}"
+    return replace(verdict, outcome=Outcome.CRASHED, reason=reason, time_to_land_s=None)
+
+
+def _reason(outcome: Outcome, judged: Mapping[str, Verdict], hits: Collection[str]) -> str:
+    if outcome is Outcome.LANDED:
+        return f"all {len(judged)} landed"
+    worst = {name: each for name, each in judged.items() if each.outcome is outcome}
+    return "; ".join(
+        f"{name}: {'collision' if name in hits else each.reason}" for name, each in worst.items()
+    )
+
+
+def judge_fleet(fleet: Fleet) -> FleetVerdict:
+    """Judge the flights of a log."""
+    members = {name: judge(flight) for name, flight in fleet.flights.items()}
+    return fleet_verdict(members, fleet.pairs.values(), fleet.ids, complete=pairs_known(fleet))
+
+
+def judged(log: Path, member: str | None = None) -> tuple[Fleet, FleetVerdict]:
+    """Read and judge a log; a member alone has the verdict that it has in its fleet."""
+    LogFile(log, member)  # refuses a name that is none
+    fleet = load_fleet(log)
+    verdict = judge_fleet(fleet)
+    if member is None:
+        return fleet, verdict
+    alone = replace(fleet, flights={"": fleet.flights[member]})
+    return alone, replace(verdict, members={"": verdict.members[member]})
+
+
+def pairs_known(fleet: Fleet) -> bool:
+    """Whether every pair of a fleet was followed up to the end of the true states, in a whole log."""
+    number = len(fleet.flights)
+    ends_ns = [f.origin_ns + f.truth.t_s[-1] * 1e9 for f in fleet.flights.values() if f.truth is not None]
+    if not all(flight.complete for flight in fleet.flights.values()):
+        return False
+    if len(fleet.pairs) < number * (number - 1) // 2 or len(ends_ns) < number:
+        return False
+    return all(max(ends_ns) - pair.stamp_ns <= GAP_MAX_S * 1e9 for pair in fleet.pairs.values())
+
+
+def fleet_result(
+    fleet: Fleet,
+    verdict: FleetVerdict,
+    pages: Mapping[str, Path] | None = None,
+    about: Mapping[str, object] | None = None,
+    realtime_factor: float | None = None,
+) -> dict[str, Any]:
+    """Return the result of a log as plain values for JSON: the keys of ``flightstack sitl --json``.
+
+    ``pages`` are the reports of the members by name, and the main one by ""; ``about`` says what was flown,
+    by default what the log says.
+    """
+    pages = pages or {}
+    vehicles = {
+        name: verdict_result(
+            fleet.flights[name], each, pages.get(name), None if name else about, realtime_factor
+        )
+        for name, each in verdict.members.items()
+    }
+    if "" in vehicles:
+        return vehicles[""]
+    if about is None:
+        filters = dict.fromkeys(str(each["filter"]) for each in vehicles.values())
+        about = flown_by({**fleet.metadata.get(FLEET, {}), "filter": ", ".join(filters)})
+    return {
+        **about,
+        "outcome": verdict.outcome.value,
+        "violation": verdict.violation,
+        "reason": verdict.reason,
+        "vehicles": vehicles,
+        "records_lost": sum(int(n) for n in fleet.metadata.get(LOSSES, {}).values()),
+        "ellipsoid_violations": verdict.ellipsoid_violations,
+        "ellipsoid_min": verdict.ellipsoid_min,
+        "distance_min_m": verdict.distance_min_m,
+        "collisions": verdict.collisions,
+        "realtime_factor": realtime_factor,
+        "log": str(fleet.path),
+        "report": str(pages[""]) if "" in pages else None,
+    }
+
+
+def any_known(values: Iterable[bool | None]) -> bool | None:
+    """Return whether one is true; None if that is not known."""
+    found = set(values)
+    return True if True in found else None if None in found else False
+
+
+def least(values: Iterable[float | None]) -> float | None:
+    """Return the smallest of what is known and finite; None if nothing is."""
+    return min((value for value in values if value is not None and value < float("inf")), default=None)
+
+
+class PairSeries(NamedTuple):
+    """Two members over time, by their true states; (n,) each."""
+
+    name: str  # both members, for example cf1–cf2
+    t_s: Floats  # seconds since the origin of the fleet
+    one_m: Floats  # (n, 3) position of the first
+    other_m: Floats  # (n, 3) position of the second
+    distance_m: Floats  # distance of the centres of mass
+    measure: Floats  # distance in the ellipsoid's measure, 1 on its surface
+    flying: Bools  # whether both flew
+
+
+def shift_s(fleet: Fleet, flight: Flight) -> float:
+    """What to add to the times of a member, to count from the origin of the fleet."""
+    return (flight.origin_ns - fleet.origin_ns) * 1e-9
+
+
+def pair_series(fleet: Fleet) -> list[PairSeries]:
+    """Distances of all pairs whose true states are in the log, where both are."""
+    found = []
+    for (a, one), (b, other) in combinations(fleet.flights.items(), 2):
+        if one.truth is None or other.truth is None:
+            continue
+        t_s, to_s = one.truth.t_s + shift_s(fleet, one), other.truth.t_s + shift_s(fleet, other)
+        both = (t_s >= to_s[0]) & (t_s <= to_s[-1])
+        if not both.any():
+            continue
+        t_s = t_s[both]
+        there_m = np.column_stack([np.interp(t_s, to_s, column) for column in other.truth.position_enu_m.T])
+        here_m = one.truth.position_enu_m[both]
+        apart_m = here_m - there_m
+        beside, above = 2.0 * RADIUS_BESIDE_M, 2.0 * RADIUS_ABOVE_M
+        measure = np.sqrt(
+            (apart_m[:, 0] ** 2 + apart_m[:, 1] ** 2) / beside**2 + (apart_m[:, 2] / above) ** 2
+        )
+        nearest = np.clip(np.searchsorted(to_s, t_s), 0, len(to_s) - 1)
+        flying = _flying(one)[both] & _flying(other)[nearest]
+        distance_m = np.linalg.norm(apart_m, axis=1)
+        found.append(PairSeries(f"{a}–{b}", t_s, here_m, there_m, distance_m, measure, flying))
+    return found
+
+
+def _flying(flight: Flight) -> Bools:
+    assert flight.truth is not None
+    rests = flight.truth.contacts & int(ContactBit.PAD | ContactBit.GROUND)
+    return np.asarray(flight.truth.motors_running & (rests == 0))

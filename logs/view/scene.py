@@ -23,7 +23,7 @@ from logs.derive.markers import (
     surface,
 )
 from logs.reader.flight_data import PAD_RADIUS_M, Flight, Floats
-from logs.verdict.pairs import PairSeries
+from logs.verdict.verdict import PairSeries
 from logs.view.canvas import PAIRS, WORLD, Canvas, every, rgba, run_of, times
 
 SCENE_PERIOD_NS = 20_000_000  # 50 Hz

@@ -23,7 +23,7 @@ from logs.reader.flight import load_fleet
 from logs.reader.flight_data import Event, Flight, Floats, Ints
 from logs.schema.events import Severity
 from logs.schema.names import FLEET
-from logs.verdict.pairs import pair_series
+from logs.verdict.verdict import pair_series
 from logs.view.canvas import AXES, EVENTS, PHASE, RUN, Canvas, blueprint, rgba, run_of, times
 from logs.view.scene import MEMBER_COLORS, TRUE_COLOR, VELOCITIES, pairs, scene, truth, velocities
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 
 from logs.schema.names import member_name
-from logs.verdict.fleet import FleetVerdict, any_known, fleet_verdict, least
 from logs.verdict.types import Outcome
+from logs.verdict.verdict import FleetVerdict, any_known, fleet_verdict, least
 from sim.campaign.rows import Row, row_of
 from sim.runners.fleet.team import TeamLanding
 

@@ -11,8 +11,8 @@ import gc
 from collections import Counter
 from dataclasses import dataclass, field, replace
 
-from logs.verdict.fleet import FleetVerdict
 from logs.verdict.types import Outcome
+from logs.verdict.verdict import FleetVerdict
 from sim.campaign.team_rows import judge_team
 from sim.chance import stream
 from sim.runners.fleet.team import land_team, warm_up

@@ -8,7 +8,7 @@ from enum import StrEnum
 
 from flightstack.core.controller import Outputs
 from flightstack.core.types import Neighbour
-from logs.verdict.fleet import FleetVerdict
+from logs.verdict.verdict import FleetVerdict
 from sim.campaign.team_rows import judge_team
 from sim.runners.fleet.team import Exchange, land_team
 from sim.runners.fleet.words import Words

@@ -65,18 +65,9 @@ def verdict(log_file: Path, member: str | None, as_json: bool) -> None:
 
     Exit status: 0 landed, 1 anything else that flew, 2 the LOG cannot be read.
     """
-    from logs.reader.flight import load_fleet, load_flight
-    from logs.verdict.fleet import fleet_result, judge_fleet, judge_member
-    from logs.verdict.verdict import judge, verdict_result
+    from logs.verdict.verdict import fleet_result, judged
 
-    if _open(log_file, member).members:
-        fleet = load_fleet(log_file)
-        values = fleet_result(fleet, judge_fleet(fleet))
-    elif member is not None:
-        values = verdict_result(*judge_member(log_file, member))
-    else:
-        flight = load_flight(log_file)
-        values = verdict_result(flight, judge(flight))
+    values = fleet_result(*judged(log_file, member))
     show_verdict(values, as_json=as_json)
     sys.exit(LANDED if values["outcome"] == "landed" else NOT_LANDED)
 

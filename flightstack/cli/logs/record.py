@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import click
 
@@ -68,38 +68,18 @@ def report(log: Path, other: Path | None, member: str | None, out: Path | None, 
 
     Prints the verdict on a LOG and where its page is. Exit status: 0 written, 2 wrong input.
     """
+    from logs.report.report import write_comparison, write_report
+
     if other is None:
         from flightstack.cli.logs.log import show_verdict
+        from logs.verdict.verdict import fleet_result, judged
 
-        values = _written(log, member, out)
+        fleet, verdict = judged(log, member)
+        values = fleet_result(fleet, verdict, write_report(fleet, verdict, out))
         show_verdict(values, as_json=as_json)
         if not as_json:
             click.echo(values["report"])
     elif as_json:
         raise click.UsageError("--json is for the report of one LOG, not for a comparison")
     else:
-        from logs.report.compare import write_comparison
-
         click.echo(write_comparison(log, other, out, member))
-
-
-def _written(log: Path, member: str | None, out: Path | None) -> dict[str, Any]:
-    """Write the report of one flight or of a fleet; its result."""
-    from logs.reader.flight import load_fleet, load_flight
-    from logs.reader.reader import LogFile
-    from logs.report.fleet import write_fleet
-    from logs.report.report import write_page
-    from logs.verdict.fleet import fleet_result, judge_fleet, judge_member
-    from logs.verdict.verdict import judge, verdict_result
-
-    if LogFile(log, member).members:
-        fleet = load_fleet(log)
-        found = judge_fleet(fleet)
-        pages = write_fleet(fleet, found, out)
-        return fleet_result(fleet, found, pages.page, pages=pages.members)
-    if member is not None:
-        flight, verdict = judge_member(log, member)
-    else:
-        flight = load_flight(log)
-        verdict = judge(flight)
-    return verdict_result(flight, verdict, write_page(flight, verdict, out))

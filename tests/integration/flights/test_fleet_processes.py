@@ -7,7 +7,7 @@ from logs.reader.flight import load_fleet
 from logs.reader.reader import LogFile
 from logs.replay.replay import replay
 from logs.schema.fleet_rows import unpack_neighbours
-from logs.verdict.fleet import judge_fleet
+from logs.verdict.verdict import judge_fleet
 from sim.scenarios.team import one_of
 from tests.integration.runs import Flying, called
 from tests.integration.sim_processes import verb

@@ -12,8 +12,8 @@ from flightstack.core.types import ZERO, Phase
 from logs.reader.flight import load_fleet
 from logs.reader.reader import LogFile
 from logs.tools.compare import compare
-from logs.verdict.fleet import judge_fleet
 from logs.verdict.types import Outcome
+from logs.verdict.verdict import judge_fleet
 from sim.runners.fleet.team import land_team
 from sim.runners.fleet.words import Words
 from sim.scenarios import team as teams

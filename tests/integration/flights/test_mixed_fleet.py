@@ -19,7 +19,7 @@ from logs.reader.reader import LogFile
 from logs.replay.replay import replay
 from logs.schema.fleet_rows import unpack_neighbours
 from logs.schema.rows import FleetWordRow
-from logs.verdict.fleet import judge_fleet
+from logs.verdict.verdict import judge_fleet
 from sim.plant import params
 from sim.px4.airframe import parameters
 from sim.px4.program import InstanceClaim, Px4Error, Px4Model, Px4Program

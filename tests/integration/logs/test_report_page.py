@@ -12,9 +12,8 @@ from html.parser import HTMLParser
 import pytest
 
 from logs.reader.flight import load_fleet
-from logs.report.compare import write_comparison
-from logs.report.fleet import write_fleet
-from logs.report.report import ReportError, write_report
+from logs.report.report import ReportError, write_comparison, write_report
+from logs.verdict.verdict import judged
 from tests.fleet_log import fly_fleet, near
 from tests.synthetic_flight import landing, write_log
 
@@ -59,6 +58,10 @@ def browse(tmp_path):
     return opened
 
 
+def report_of(log, out=None):
+    return write_report(*judged(log), out)[""]
+
+
 class Page(HTMLParser):
     """Classes and attributes of the elements, scripts left out."""
 
@@ -99,7 +102,7 @@ def errors(console):
 def test_every_figure_is_drawn_without_a_complaint(tmp_path, browse):
     rows = landing()
     rows.steps = [row._replace(wanted_enu_m_s=row.filtered_enu_m_s) for row in rows.steps]
-    page = write_report(write_log(tmp_path / "flight.mcap", rows))
+    page = report_of(write_log(tmp_path / "flight.mcap", rows))
     dom, console = browse(page, "#t=2.5")
     assert errors(console) == []
     seen = Page(dom)
@@ -114,16 +117,18 @@ def test_every_figure_is_drawn_without_a_complaint(tmp_path, browse):
 def test_the_page_of_a_fleet_is_drawn_without_a_complaint(tmp_path, browse, monkeypatch):
     log = tmp_path / "flight.mcap"
     verdict = fly_fleet(log, near(), 1, monkeypatch)
-    pages = write_fleet(load_fleet(log), verdict)
-    dom, console = browse(pages.page)
+    pages = write_report(load_fleet(log), verdict)
+    dom, console = browse(pages[""])
     assert errors(console) == []
     seen = Page(dom)
     assert seen.body["data-figures"] == seen.body["data-figures-drawn"] == str(FLEET_FIGURES)
     assert seen.tags["canvas"] >= 1  # the paths in the room
     for words in ("All landed", "cf1–cf3", "cf3 right of way", "time since the log began [s]"):
         assert words in seen.text.replace("\N{WORD JOINER}", "")
-    assert {each.name for each in pages.members.values()} <= set(seen.sources)  # links to the members
-    assert len(pages.page.read_text(encoding="utf-8")) < SIZE_MAX
+    assert {each.name for member, each in pages.items() if member} <= set(
+        seen.sources
+    )  # links to the members
+    assert len(pages[""].read_text(encoding="utf-8")) < SIZE_MAX
 
 
 @pytest.mark.parametrize("kind", ["bare estimate", "cut short", "no steps"])
@@ -137,7 +142,7 @@ def test_poor_logs_give_a_page_that_says_so(tmp_path, browse, kind):
     elif kind == "no steps":
         rows.steps = []
         expected = "no controller steps in this log"
-    page = write_report(write_log(tmp_path / "flight.mcap", rows, complete=complete))
+    page = report_of(write_log(tmp_path / "flight.mcap", rows, complete=complete))
     dom, console = browse(page)
     assert errors(console) == []
     seen = Page(dom)
@@ -170,14 +175,14 @@ def test_a_comparison_draws_both_flights(tmp_path, browse):
 def test_a_flight_that_never_began_to_land(tmp_path):
     rows = landing()
     rows.cut(0.5)
-    page = Page(write_report(write_log(tmp_path / "flight.mcap", rows)).read_text(encoding="utf-8"))
+    page = Page(report_of(write_log(tmp_path / "flight.mcap", rows)).read_text(encoding="utf-8"))
     assert "the landing never began" in page.text
     assert "a barrier violation cannot be excluded" in page.text
 
 
 def test_the_page_is_whole_and_names_every_number_with_its_unit(tmp_path):
     rows = landing()
-    out = write_report(write_log(tmp_path / "flight.mcap", rows), tmp_path / "there" / "report.html")
+    out = report_of(write_log(tmp_path / "flight.mcap", rows), tmp_path / "there" / "report.html")
     assert out == tmp_path / "there" / "report.html"
     text = out.read_text(encoding="utf-8")
     page = Page(text)
@@ -205,7 +210,7 @@ def test_text_from_the_log_stays_text(tmp_path):
     evil = "</script><script>document.title='x'</script><b>&"
     rows.run["scenario"] = evil
     rows.events.append((rows.steps[-1].stamp_ns, 40, evil))
-    text = write_report(write_log(tmp_path / "flight.mcap", rows)).read_text(encoding="utf-8")
+    text = report_of(write_log(tmp_path / "flight.mcap", rows)).read_text(encoding="utf-8")
     assert evil not in text
     assert Page(text).text.count(evil) == 4  # title, headline, run, event
 
@@ -223,4 +228,4 @@ def test_without_the_plotting_library_the_reason_is_given(tmp_path, monkeypatch)
 
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(ReportError, match=r"crazyflie-flightstack\[report\]"):
-        write_report(log)
+        report_of(log)

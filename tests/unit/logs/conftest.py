@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from logs.verdict.fleet import FleetVerdict
+from logs.verdict.verdict import FleetVerdict
 from tests.fleet_log import fly_fleet, near
 
 

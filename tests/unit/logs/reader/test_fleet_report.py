@@ -12,12 +12,9 @@ from flightstack.cli.main import main
 from flightstack.core.types import Intent
 from logs.reader.fleet_words import load_words, waited_s
 from logs.reader.flight import load_fleet
-from logs.report import fleet as fleet_page
-from logs.report.compare import write_comparison
-from logs.report.fleet import write_fleet
-from logs.report.fleet_figures import distances
-from logs.verdict.fleet import judge_fleet
-from logs.verdict.pairs import pair_series
+from logs.report.report import render_fleet, write_comparison, write_report
+from logs.report.several import distances
+from logs.verdict.verdict import judge_fleet, pair_series
 from tests.fleet_log import near
 from tests.synthetic_flight import landing, write_log
 
@@ -38,7 +35,7 @@ def words(read):
 
 @pytest.fixture(scope="module")
 def pages(read, tmp_path_factory):
-    return write_fleet(read, judge_fleet(read), tmp_path_factory.mktemp("pages") / "report.html")
+    return write_report(read, judge_fleet(read), tmp_path_factory.mktemp("pages") / "report.html")
 
 
 def run(*arguments):
@@ -126,13 +123,13 @@ def test_distances_are_those_that_were_judged(read, fleet):
 
 
 def test_the_page_of_all_links_those_of_the_members(pages):
-    text = pages.page.read_text(encoding="utf-8")
+    text = pages[""].read_text(encoding="utf-8")
     assert "All landed" in text
     assert "Mind when reading" not in text
     for member in MEMBERS:
         assert f'<a href="report_{member}.html">{member}</a>' in text
-        own = pages.members[member]
-        assert own.parent == pages.page.parent
+        own = pages[member]
+        assert own.parent == pages[""].parent
         page = own.read_text(encoding="utf-8")
         assert '<a href="report.html">The whole fleet</a>' in page
         assert f"flightstack replay flight.mcap --check --member {member}" in page
@@ -146,16 +143,16 @@ def test_the_page_of_all_links_those_of_the_members(pages):
 
 def test_a_page_says_what_is_missing(read):
     no_pairs = replace(read, pairs={})
-    text = fleet_page.render(no_pairs, judge_fleet(no_pairs), {})
+    text = render_fleet(no_pairs, judge_fleet(no_pairs), {})
     assert "did not follow all pairs to the end" in text
     assert "not known" in text
     verdict = replace(judge_fleet(read), ellipsoid_min=9.0)
-    assert "not the one that the simulator judged by" in fleet_page.render(read, verdict, {})
+    assert "not the one that the simulator judged by" in render_fleet(read, verdict, {})
 
 
 def test_a_violation_is_in_the_headline(read):
     verdict = replace(judge_fleet(read), ellipsoid_violations=2, violation=True)
-    text = fleet_page.render(read, verdict, {})
+    text = render_fleet(read, verdict, {})
     assert "All landed, with a barrier violation and an ellipsoid violation" in text
 
 

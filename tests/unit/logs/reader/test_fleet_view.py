@@ -15,7 +15,7 @@ from flightstack.cli.main import main
 from logs.reader.flight import load_fleet
 from logs.reader.reader import LogFile
 from logs.schema.rows import LogRow
-from logs.verdict.pairs import pair_series
+from logs.verdict.verdict import pair_series
 
 pytest.importorskip("rerun", reason="needs the extra [view]")
 from rerun.chunk import RrdReader

@@ -23,6 +23,7 @@ from logs.report.report import write_report
 from logs.report.style import words
 from logs.schema import schemas
 from logs.schema.events import Severity, pack_log
+from logs.verdict.verdict import judged
 from tests.unit.logs.helpers import CHANNELS, EPOCH_NS, payloads
 
 HERE = Path(__file__).parents[4]
@@ -110,7 +111,7 @@ def test_a_log_of_others_is_shown_and_not_obeyed(tmp_path):
     result = CliRunner().invoke(main, ["log", "verdict", str(log)])
     assert "[/x]" in result.output
     assert not CONTROLS.search(result.output)
-    page = write_report(log, tmp_path / "page.html").read_text()
+    page = write_report(*judged(log), tmp_path / "page.html")[""].read_text()
     for text in ("<script>alert", "<b onload", "<i>"):
         assert text not in page.replace("<i></i>", "")
     shown = load_flight(log)

@@ -19,11 +19,10 @@ from flightstack.core.safety.robust_barrier import RobustBarrier
 from flightstack.core.types import FilterStatus, Phase
 from flightstack.launch.run_options import RunOptions
 from logs.reader.flight import load_flight
-from logs.report.compare import write_comparison
 from logs.report.derived import estimate_errors, fault_spans, held_margin_m, tilt_deg
 from logs.report.links import TARGET, load_streams, missing, missing_of_256
 from logs.report.page import html, page, table
-from logs.report.report import command, repeat_section
+from logs.report.report import command, repeat_section, write_comparison
 from logs.report.tables import ages_table, faults_table, links_table, phases_table
 from logs.view.canvas import every, times
 from logs.view.layout_files import NAMES, layout
