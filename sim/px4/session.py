@@ -233,7 +233,7 @@ class Px4Session:
         if time.monotonic() - self._connected_s > BOOT_MAX_S:
             raise NoAnswerError(
                 f"PX4 sent no HIL_ACTUATOR_CONTROLS in its first {BOOT_MAX_S:g} s: look at its console; its "
-                "airframe needs PWM_MAIN_FUNC1 to 4 = 101 to 104 (docs/how_to/px4_sim.md)"
+                "airframe needs PWM_MAIN_FUNC1 to 4 = 101 to 104 (docs/reference/px4_sim.md)"
             )
         return None
 

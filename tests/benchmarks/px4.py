@@ -1,6 +1,6 @@
 """A real PX4 on the simulated vehicle: what becomes of a flight when something fails, and how fast it flies.
 
-The fault table stands in docs/how_to/px4_sim.md.
+The fault table stands in docs/reference/results.md.
 """
 
 from __future__ import annotations
