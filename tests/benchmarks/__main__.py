@@ -13,13 +13,8 @@ BENCHMARKS = {
     "campaign_speed": "campaign_speed:main",
     "codec": "speed:codec_times",
     "control_step": "speed:control_step",
-    "fleet_step": "speed:fleet_step",
-    "fuzz_vehicle": "flights:fuzz_vehicle",
     "lockstep": "speed:lockstep",
-    "loop_period": "speed:loop_period",
-    "qp_agreement": "speed:qp_agreement",
     # for hours, or with a picture or a page as their result
-    "crash_safety": "flights:crash_safety",
     "crazyflie_faults": "crazyflie_landings:faults",
     "crazyflie_landings": "crazyflie_landings:main",
     "fault_grid": "fault_grid:main",
@@ -30,11 +25,10 @@ BENCHMARKS = {
     "proven": "proven:main",
     "px4_faults": "px4:faults",
     "px4_speed": "px4:speed",
-    "replay": "flights:replays",
     "tier_results": "tier_results:main",
     "vehicle_figures": "vehicle.figures:main",
 }
-BENCH = list(BENCHMARKS)[: list(BENCHMARKS).index("crash_safety")]
+BENCH = list(BENCHMARKS)[: list(BENCHMARKS).index("crazyflie_faults")]
 
 
 def run(name: str) -> None:

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import gc
 import math
-import random
 import statistics
 import tempfile
 import time
-from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
-from unittest import mock
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -19,16 +16,13 @@ from bridge.mavlink.client.companion import velocity_setpoint
 from bridge.mavlink.client.link import COMPONENT_ID
 from bridge.mavlink.codec.packing import pack
 from bridge.mavlink.profiles.autopilots import PX4
-from flightstack.common.pacing import RealTimePacer, ask_for_priority
 from flightstack.common.strict_toml import from_table
 from flightstack.compiled.core import compiled
-from flightstack.core.controller import Controller, Outputs
+from flightstack.core.controller import Controller
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.projection import project
-from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.types import (
     ZERO,
-    FilterStatus,
     Inputs,
     Landed,
     Mode,
@@ -38,14 +32,11 @@ from flightstack.core.types import (
     Vec3,
     VehicleStatus,
 )  # fmt: skip
-from logs.reader.reader import LogFile
 from logs.schema import schemas
 from logs.schema.cdr import codec
 from logs.schema.codec_mavlink import pack_mavlink
 from logs.schema.controller_rows import TickInputs, pack_controller_input
-from logs.schema.rows import ControllerStepRow, LoopTimingRow
-from sim.runners.fleet.team import land_team
-from sim.scenarios.team import load as load_team
+from logs.schema.rows import ControllerStepRow
 from tests.integration.runs import flightstack
 from tests.synthetic_flight import landing
 
@@ -178,104 +169,3 @@ def lockstep() -> None:
             factors.append(sitl(folder, "paper_moving_1", seed, "--lockstep")["realtime_factor"])
     runs = ", ".join(f"{f:.1f}" for f in factors)
     print(f"{statistics.median(factors):.1f} x real time (asked 50); runs {runs}")
-
-
-def bare_loop(ticks: int = 1500) -> tuple[float, int]:
-    """Relative standard deviation and overruns of a loop without any work."""
-    ask_for_priority()
-    pacer = RealTimePacer(100)
-    periods = [pacer.wait().period_s for _ in range(ticks)][1:]
-    return statistics.pstdev(periods) / statistics.fmean(periods), pacer.overruns
-
-
-def loop_period() -> None:
-    """Real time at 100 Hz: spread of the period and overruns of a flight, beside a loop that only sleeps."""
-    with tempfile.TemporaryDirectory() as folder:
-        sitl(folder, "paper_moving_1")
-        log = LogFile(Path(folder) / "flight.mcap")
-        rows = [LoopTimingRow.unpack(m.data) for m in log.messages(["/cf1/loop/timing"])]
-    periods = [row.period_s for row in rows[1:]]
-    mean = statistics.fmean(periods)
-    spread = statistics.pstdev(periods) / mean
-    exec_us = sorted(row.exec_s * 1e6 for row in rows)
-    print(f"{len(rows)} ticks: mean period {mean * 1e3:.3f} ms, overruns {rows[-1].overruns} (limit 0)")
-    print(f"relative standard deviation of the period {spread:.2%} (limit 5 %)")
-    bare, bare_overruns = bare_loop()
-    print(f"a loop that only sleeps, in the same minute: {bare:.2%}, overruns {bare_overruns}")
-    p50, p99 = (exec_us[int(len(exec_us) * share)] for share in (0.5, 0.99))
-    print(f"decode, step and send: p50 {p50:.0f} us, p99 {p99:.0f} us")
-
-
-PROGRAMS = 100_000
-
-
-def qp_agreement() -> None:
-    """OSQP against the exact projection on random programs: largest difference (limit 1e-6), and costs."""
-    chance, solver = random.Random(1), SafetyFilter(0.7)
-    worst, counts, solver_us, exact_us = 0.0, dict.fromkeys(FilterStatus, 0), [], []
-    for _ in range(PROGRAMS):
-        box = tuple(chance.choice((0.2, 0.5, 1.0, 2.0)) for _ in range(3))
-        lower = tuple(-b for b in box)
-        nominal = tuple(chance.uniform(-1, 1) * chance.choice((0.1, 1.0, 3.0)) for _ in range(3))
-        gradient = (chance.uniform(-2, 2), chance.uniform(-2, 2), 1.0)
-        h, dh_dt = chance.uniform(-0.5, 1.0), chance.uniform(-0.4, 0.4)
-        result = solver.solve(nominal, h, gradient, dh_dt, lower, box)
-        started = time.perf_counter_ns()
-        exact = project(nominal, gradient, -0.7 * h - dh_dt, lower, box)
-        exact_us.append((time.perf_counter_ns() - started) / 1e3)
-        counts[result.status] += 1
-        if result.status is FilterStatus.SOLVED:
-            solver_us.append(result.solve_s * 1e6)
-        assert (exact is None) == (result.status is FilterStatus.INFEASIBLE)
-        if exact is not None:
-            worst = max(worst, *(abs(a - b) for a, b in zip(exact, result.velocity_enu_m_s, strict=True)))
-            assert all(abs(u) <= b for u, b in zip(result.velocity_enu_m_s, box, strict=True))
-    assert worst < 1e-6, worst
-    print(
-        f"largest difference {worst:.1e} m/s (limit 1e-6); "
-        + ", ".join(f"{s.name} {n}" for s, n in counts.items())
-    )
-    print(f"median solver {statistics.median(solver_us):.1f} us, exact {statistics.median(exact_us):.1f} us")
-
-
-FLEET_ROUNDS = 3
-
-
-def fleet_inputs() -> dict[int, list[tuple[Inputs, float]]]:
-    """What each controller of a flight of ``fleet_8`` was given, tick by tick."""
-    team, given = load_team("fleet_8"), defaultdict(list)
-    step = Controller.step
-
-    def noted(self: Controller, inputs: Inputs, now_s: float, *, command_failed: bool = False) -> Outputs:
-        assert self.config.fleet is not None
-        given[self.config.fleet.id].append((inputs, now_s))
-        return step(self, inputs, now_s, command_failed=command_failed)
-
-    with mock.patch.object(Controller, "step", noted):
-        land_team(team, 3)
-    return given
-
-
-def fleet_step() -> None:
-    """Control steps of eight vehicles in flight, us of process time, beside those of a lone vehicle."""
-    given, team = fleet_inputs(), load_team("fleet_8")
-    medians, tails, alone = [], [], []
-    for _ in range(FLEET_ROUNDS):
-        took = []
-        for n, ticks in given.items():
-            controller = Controller(team.member[n - 1].onboard)
-            gc.collect()
-            gc.disable()
-            for inputs_, now_s in ticks:
-                started = time.process_time_ns()
-                out = controller.step(inputs_, now_s)
-                if out.phase in (Phase.APPROACH, Phase.LAND):
-                    took.append((time.process_time_ns() - started) / 1e3)
-            gc.enable()
-        took.sort()
-        medians.append(took[len(took) // 2])
-        tails.append(took[int(len(took) * 0.99)])
-        alone.append(statistics.median(one_round(Controller)))
-    p50, p99, one = (statistics.median(each) for each in (medians, tails, alone))
-    print(f"p50 {p50:.0f} us   p99 {p99:.0f} us (asked 300)")
-    print(f"{p50 / one:.1f} times the median of a lone vehicle, {one:.0f} us")

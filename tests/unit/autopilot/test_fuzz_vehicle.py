@@ -1,4 +1,4 @@
-"""A flying vehicle under 100 000 hostile datagrams: nothing raises, grows, changes or gets lost."""
+"""A flying vehicle under 20 000 hostile datagrams: nothing raises, grows, changes or gets lost."""
 
 import gc
 import tracemalloc
@@ -12,7 +12,7 @@ from tests.unit.autopilot.fuzz_helpers import Fuzz, intervals_us, state
 pytestmark = pytest.mark.slow
 
 KEY = SigningKey(bytes(range(32)))
-DATAGRAMS = 100_000  # in all
+DATAGRAMS = 20_000  # in all
 BATCH = 1000
 
 
@@ -45,12 +45,12 @@ def test_nothing_but_the_owner_moves_the_vehicle_and_nothing_of_the_owner_is_los
     assert fuzz.good > DATAGRAMS // 4
     assert fuzz.accidents <= 20 * DATAGRAMS / 2**16  # a checksum of 16 bits is right by chance now and then
     counters = fuzz.endpoint.counters
-    assert min(counters.bad_crc, counters.unknown_id, counters.version_1, counters.oversize) > 100
+    assert min(counters.bad_crc, counters.unknown_id, counters.version_1, counters.oversize) > 20
     assert counters.undecodable == 0
     if fuzz.signer is not None:
         assert not fuzz.acts
         assert fuzz.endpoint._signer.streams == 1
-        assert min(counters.unsigned, counters.bad_signature, counters.replayed) > 1000
+        assert min(counters.unsigned, counters.bad_signature, counters.replayed) > 200
     else:
         assert sum(fuzz.acts.values()) > DATAGRAMS // 4
 
@@ -60,15 +60,17 @@ def traced_bytes():
     return tracemalloc.get_traced_memory()[0]
 
 
-def test_memory_does_not_grow(fuzz):
-    fuzz.run(2000)
+def test_memory_does_not_grow():
+    fuzz = Fuzz(seed=1, key=KEY)
+    fuzz.run(1000)
     tracemalloc.start()
-    fuzz.run(2000)
+    fuzz.run(500)
     first = traced_bytes()
-    fuzz.run(5000)
+    fuzz.run(2500)
     last = traced_bytes()
     tracemalloc.stop()
-    assert last - first < 100_000  # bytes; a leak of one small object a datagram would be more
+    fuzz.close()
+    assert last - first < 50_000  # bytes; a leak of one small object a datagram would be more
 
 
 def test_the_attack_would_be_noticed():

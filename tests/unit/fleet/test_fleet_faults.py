@@ -5,16 +5,10 @@ from pathlib import Path
 import pytest
 
 from logs.verdict.types import Outcome
-from tests.fault_grid.fleet import MOMENTS_S, NAMESAKES, SEED, WHO, WIRE_TEST, Way, fly, row
+from tests.fault_grid.fleet import MOMENTS_S, SEED, WHO, Way, fly, row
 
 ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs" / "reference" / "fault_grid.md").read_text()
-
-
-def test_the_page_names_the_tests_of_a_second_process():
-    assert NAMESAKES in PAGE
-    assert "def test_a_second_process_of_this_vehicle_refuses_the_start" in (ROOT / WIRE_TEST).read_text()
-    assert "def test_of_two_processes_of_another_vehicle_the_first_is_heard" in (ROOT / WIRE_TEST).read_text()
 
 
 @pytest.mark.parametrize("moment", MOMENTS_S)
