@@ -108,11 +108,8 @@ def _look(folder: Path, victim: str, lockstep: bool, killed_s: float) -> Crash:
 
 MISSING_MAX_S = 0.5
 CASES = [
-    *(
-        pytest.param(v, False, marks=pytest.mark.xdist_group("real-time"))
-        for v in ("record", "vehicle", "onboard")
-    ),
-    *((v, True) for v in ("record", "target", "launcher")),
+    *(pytest.param(v, False, marks=pytest.mark.xdist_group("real-time")) for v in ("record", "onboard")),
+    *((v, True) for v in ("record", "launcher")),
 ]
 
 

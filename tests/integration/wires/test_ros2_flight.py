@@ -13,18 +13,14 @@ from pathlib import Path
 
 import pytest
 
-from bridge.frames import world_from_body
-from bridge.ros2.cdr import decode_odometry
-from bridge.ros2.ros2_names import parse_topic_key, topic_key
-from bridge.target.ros2_target import ROS_TYPES, TargetType
+from bridge.ros2.ros2_names import parse_topic_key
 from bridge.zenoh import zenoh_link
 from flightstack.core.types import Phase
 from tests.integration.runs import WALL_MAX_S
 from tests.processes.bounded import killed, line_of
-from tests.unit.target.ros2_helpers import PATIENCE_S, decode, on_free_ports, pose_stamped, rmw_session, until
+from tests.unit.target.ros2_helpers import PATIENCE_S, decode, on_free_ports, rmw_session, until
 
 ROOT = Path(__file__).parents[3]
-PAD_M = 0.2  # of the pad above the floor
 
 
 def commands():
@@ -73,13 +69,6 @@ class Parts:
         self.endpoint = onboard[onboard.index("--ros2") + 1]
         self._words["router"] += ["--listen", self.endpoint]
         self.running = {}
-
-    def change(self, name, word, other):
-        self._words[name] = [other if one == word else one for one in self._words[name]]
-        assert other in self._words[name]
-
-    def add(self, name, *words):
-        self._words[name] += words
 
     def start(self, name):
         errors = self._stack.enter_context((self._folder / f"{name}.txt").open("w"))
@@ -133,21 +122,6 @@ def test_the_page_lands_and_ros_2_sees_it(tmp_path):
     check(node)
 
 
-@pytest.mark.xdist_group("real-time")
-def test_a_router_that_dies_in_flight_and_comes_back_costs_a_pause(tmp_path):
-    with ExitStack() as stack:
-        parts = Parts(tmp_path, stack)
-        for name in ("router", "target", "vehicle", "onboard"):
-            parts.start(name)
-        parts.line("onboard", "-> APPROACH")
-        parts.running["router"].kill()
-        parts.line("onboard", "-> HOLD")
-        parts.start("router")
-        parts.line("onboard", "-> APPROACH")
-        parts.line("onboard", "-> LANDED")
-        assert parts.running["onboard"].wait(PATIENCE_S) == 0
-
-
 def check(node):
     for topic, numbers in node.sequences.items():
         assert numbers == list(range(numbers[0], numbers[0] + len(numbers))), topic  # none lost on the way
@@ -182,39 +156,3 @@ def end(child):
     with suppress(subprocess.TimeoutExpired):
         child.communicate(timeout=PATIENCE_S)
     killed(child)
-
-
-@pytest.mark.xdist_group("real-time")
-def test_a_landing_on_a_target_that_sends_poses_alone(tmp_path):
-    """A tracker's view of a TurtleBot3: the pose of the floor between its wheels, and nothing else."""
-    with ExitStack() as stack:
-        parts = Parts(tmp_path, stack)
-        offset = ["--target-offset", "-0.032", "0", f"{PAD_M}"]
-        parts.change("onboard", "ros2:/cf1/target/odom", "ros2:/tracker/turtlebot")
-        parts.add("onboard", "--target-type", "pose", *offset)
-        parts.start("router")
-        node = rmw_session(parts.endpoint)
-        stack.callback(node.close)
-        heard = zenoh_link.ring_subscriber(
-            node, topic_key(0, "/cf1/target/odom", *ROS_TYPES[TargetType.ODOMETRY])
-        )
-        told = zenoh_link.dropping_publisher(
-            node, topic_key(0, "/tracker/turtlebot", *ROS_TYPES[TargetType.POSE])
-        )
-        for name in ("target", "vehicle", "onboard"):
-            parts.start(name)
-        onboard, deadline_s, sent = parts.running["onboard"], time.monotonic() + WALL_MAX_S, 0
-        while onboard.poll() is None:
-            assert time.monotonic() < deadline_s
-            for sample in zenoh_link.drain(heard):
-                pad = decode_odometry(sample.payload.to_bytes())
-                back = world_from_body(pad.orientation_wxyz, (-0.032, 0.0, PAD_M))
-                floor = tuple(p - b for p, b in zip(pad.position_m, back, strict=True))
-                told.put(pose_stamped(pad.stamp_ns, "map", floor, pad.orientation_wxyz), attachment=bytes(33))
-                sent += 1
-            time.sleep(0.002)
-        said = onboard.stdout.read()
-        assert onboard.returncode == 0, said + parts.errors("onboard")
-        assert "LANDED" in said
-        assert parts.errors("onboard") == ""
-        assert sent > 500

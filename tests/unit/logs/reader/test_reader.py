@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
-from logs.reader.reader import LogError, LogFile, open_log
+from logs.reader.reader import LogFile, open_log
 from logs.schema import schemas
 from logs.tools.recover import recover
 from tests.unit.logs.helpers import EPOCH_NS, record
@@ -68,22 +68,6 @@ def test_our_reader_reads_the_same(recorded):
     assert {m.topic for m in log.messages({"/tf", "/rosout"})} == {"/tf", "/rosout"}
     assert log.metadata()["run"]["seed"] == "1"
     assert [(a.name, a.data) for a in log.attachments()] == [("s.toml", b"x = 1")]
-
-
-@pytest.mark.parametrize(
-    ("content", "expected"),
-    [(b"", "is empty"), (b"hello, world", "not an MCAP file"), (b"\x89MCA", "not an MCAP file")],
-)
-def test_not_a_log(tmp_path, content, expected):
-    path = tmp_path / "x.mcap"
-    path.write_bytes(content)
-    with pytest.raises(LogError, match=expected):
-        open_log(path)
-
-
-def test_no_such_log(tmp_path):
-    with pytest.raises(LogError, match="No such file"):
-        LogFile(tmp_path / "none.mcap")
 
 
 NODE = Path(__file__).parents[3] / "node"

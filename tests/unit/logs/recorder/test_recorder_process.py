@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import io
 import os
-import random
 import signal
-import statistics
 import subprocess
 import sys
 import threading
@@ -24,10 +22,9 @@ from logs.recorder.record_zenoh import ZenohSource, topic_and_schema
 from logs.recorder.recorder import RecorderError, RecorderProcess, problems
 from logs.recorder.recorder_process import Syncer
 from logs.schema import schemas
-from logs.schema.codec_mavlink import pack_mavlink
 from tests.processes.bounded import line_of
 from tests.processes.ports import free_endpoint
-from tests.unit.logs.helpers import DEADLINE_S, EPOCH_NS, timing, wait_until
+from tests.unit.logs.helpers import DEADLINE_S, timing, wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -53,41 +50,6 @@ def start(tmp_path, *, file_limit=None, until="None"):
     )
     assert line_of(process.stdout) == "ready\n"
     return process, *paths
-
-
-def test_killed_recorder_leaves_all_but_the_last_half_second(tmp_path):
-    process, path, out = start(tmp_path)
-    client = Feed.connect(str(path), "onboard", lossless=True)
-    channel = client.channel("/t", schemas.LOOP_TIMING)
-    sent = 0
-
-    def on_disk():
-        nonlocal sent
-        client.write(channel, EPOCH_NS + sent, time.monotonic_ns(), sent, timing(sent))
-        client.flush()
-        sent += 1
-        return [m.publish_time_ns for m in LogFile(out).messages({"/t"})]
-
-    latencies = []
-    for _ in range(4):
-        first, begun = sent, time.monotonic()
-        wait_until(lambda first=first: len(on_disk()) > first, "the record on disk")
-        latencies.append(time.monotonic() - begun)
-    seen = on_disk()
-    process.send_signal(signal.SIGKILL)
-    process.wait(DEADLINE_S)
-    assert min(latencies) < 0.5  # the machine may be busy once, not always
-    log = LogFile(out)
-    recovered = list(log.messages({"/t"}))
-    assert [m.sequence for m in recovered] == list(range(len(recovered)))
-    assert len(recovered) >= len(seen) > 0
-    assert [m.data for m in recovered] == [timing(i) for i in range(len(recovered))]
-    assert not log.complete
-    assert log.problem
-    client.write(channel, 0, 0, 0, b"")
-    client.flush()
-    assert not client.alive
-    client.close()
 
 
 def test_told_to_stop_it_takes_what_is_in_the_sockets(tmp_path):
@@ -121,60 +83,6 @@ def test_ends_by_itself_after_the_last_client(tmp_path):
     assert LogFile(out).complete
 
 
-def test_simulated_time_lost_by_a_kill_is_bounded_in_lockstep(tmp_path):
-    """Lockstep runs many times faster than the wall clock; the bound holds in simulated time, too."""
-    lost_s = []
-    for seed in range(4):
-        folder = tmp_path / str(seed)
-        folder.mkdir()
-        process, path, out = start(folder)
-        client = Feed.connect(str(path), "onboard", lossless=True)
-        channel = client.channel("/t", schemas.LOOP_TIMING)
-        begun_s, tick = time.monotonic(), 0
-        end_s = 0.4 + 0.3 * random.Random(seed).random()
-        while time.monotonic() - begun_s < end_s:
-            client.write(channel, EPOCH_NS + tick * 10_000_000, 0, tick, timing(tick))
-            tick += 1
-            if tick % 10 == 0:
-                client.flush()  # as the onboard process does
-                time.sleep(0.01)  # ten ticks of 10 ms in 10 ms: ten times real time
-        process.send_signal(signal.SIGKILL)
-        process.wait(DEADLINE_S)
-        recovered = [m.sequence for m in LogFile(out).messages({"/t"})]
-        assert recovered == list(range(len(recovered)))
-        lost_s.append((tick - len(recovered)) * 0.01)
-        client.close()
-    assert statistics.median(lost_s) <= 0.5, lost_s  # the machine may be busy once, not always
-
-
-def test_full_disk_ends_the_recorder_and_stalls_nobody(tmp_path):
-    process, path, out = start(tmp_path, file_limit=200_000)
-    client = Feed.connect(str(path), "onboard", lossless=True)
-    channel = client.channel("/t", schemas.MAVLINK)
-    frame = pack_mavlink(1, bytes([0xFD, 250]) + bytes(8) + os.urandom(250) + b"ab")
-    longest_s, sent = 0.0, 0
-    while client.alive:
-        begun_s = time.monotonic()
-        client.write(channel, sent, sent, sent, frame[:-8] + os.urandom(4) + frame[-4:])
-        client.flush()
-        longest_s = max(longest_s, time.monotonic() - begun_s)
-        sent += 1
-        assert sent < 200_000, "the recorder goes on on a full disk"
-    assert longest_s < 4.0  # less than the patience with a recorder that does not answer
-    client.close()
-    _, errors = process.communicate(timeout=DEADLINE_S)
-    assert process.returncode == 1
-    assert "writing failed (File too large)" in errors
-    assert "goodbye" not in errors  # the clients did nothing wrong
-    assert not path.exists()
-    log = LogFile(out)
-    sequences = [m.sequence for m in log.messages({"/t"})]
-    assert len(sequences) > 0
-    assert sequences == list(range(len(sequences)))
-    assert out.stat().st_size <= 200_000
-    assert not log.complete
-
-
 def test_a_disk_that_is_full_from_the_start_is_refused(tmp_path):
     process = subprocess.run(
         [sys.executable, "-c", LIMITS.format(0) + RECORD, tmp_path / "feed.sock", tmp_path / "flight.mcap"],
@@ -185,16 +93,6 @@ def test_a_disk_that_is_full_from_the_start_is_refused(tmp_path):
     assert "File too large" in process.stderr
     assert "Traceback" not in process.stderr
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_kernels_own_full_disk(tmp_path):
-    """/dev/full takes nothing and says ENOSPC, as a full disk does."""
-    with Path("/dev/full").open("wb", buffering=0) as full:
-        file = McapFile(tmp_path / "x.mcap", stream=SafeStream(full))
-        assert file.failure == "No space left on device"
-        file.write(file.channel("/t", schemas.LOOP_TIMING), 0, 0, 0, timing(0))
-        assert file.messages == 0
-        file.close()
 
 
 def test_the_file_is_brought_to_the_disk_while_recording(tmp_path):
