@@ -217,32 +217,6 @@ def test_the_independent_model_would_notice_a_wrong_sign():
         assert np.abs(flown - wrong)[:, 10 + axis].max() > 10.0 * good[axis]
 
 
-@pytest.mark.parametrize(
-    ("slow", "step_rpm", "time_s"), [(False, 300.0, 0.07), (True, 30.0, 0.136), (True, -30.0, 0.108)]
-)
-def test_motor_lag_as_seen_from_the_thrust(slow, step_rpm, time_s):
-    """63 % of a small thrust step after the time constant."""
-    plant = FreePlant(slow)
-    plant.rotors(HOVER_RPM)
-    plant.run(1)
-    before = plant.record.rotors.thrust_n
-    plant.run(round(time_s * 1000), HOVER_RPM + step_rpm)
-    reached = plant.record.rotors.thrust_n - before
-    plant.run(3000)
-    whole = plant.record.rotors.thrust_n - before
-    assert reached / whole == pytest.approx(1.0 - math.exp(-1.0), abs=0.012)
-
-
-def test_a_spun_up_pair_turns_the_body_the_other_way():
-    """All of M1 and M3's new angular momentum is taken from the body; the air's drag adds its share later."""
-    plant = FreePlant()
-    plant.rotors(HOVER_RPM)
-    plant.record.rotors.q1 = plant.record.rotors.q2 = 0.0
-    plant.run(1000, (HOVER_RPM + 1000.0, HOVER_RPM, HOVER_RPM + 1000.0, HOVER_RPM))
-    gained = 2.0 * 34.5e-9 * 1000.0 * 2.0 * math.pi / 60.0
-    assert plant.state[12] == pytest.approx(-gained / 29.8e-6, rel=1e-3)
-
-
 NOMINAL_S = 0.07
 HOVER_COUNTS = linear.MASS * linear.G / 4.0 / linear.N_PER_COUNT
 STEP_DEG = 1.0

@@ -11,10 +11,6 @@ from sim.plant.ground_effect import GroundRecord, ground_effect, set_up_ground, 
 from sim.plant.params import STEP_S, Plant, load
 from sim.plant.rotation import rotation_axes
 from sim.plant.rotors import (
-    MIX_YAW,
-    POSITION_X,
-    POSITION_Y,
-    RAD_S_PER_RPM,
     BatteryModel,
     Rotors,
     drain,
@@ -61,66 +57,6 @@ def test_thrust_map_and_its_inverse_agree(thrust_n):
 def test_thrust_never_pulls_down():
     for rpm in (0.0, 100.0, 1000.0, 2189.0):
         assert settled((rpm,) * 4).thrust_n == 0.0
-
-
-@pytest.mark.parametrize(("spread", "steps"), [(1.0, 70), (1.3, 91)])
-def test_first_order_lag_has_its_time_constant(spread, steps):
-    r = rotors(motor_lag=spread)
-    for _ in range(steps):
-        turn(r, (1000.0,) * 4)
-    assert r.rpm[0] == pytest.approx(1000.0 * (1.0 - math.exp(-1.0)), rel=1e-9)
-
-
-@pytest.mark.parametrize(("step_rpm", "time_s"), [(100.0, 0.136), (-100.0, 0.108)])
-def test_slow_motors_rise_and_fall_at_hover(step_rpm, time_s):
-    r = rotors(slow=True)
-    r.rpm = (HOVER,) * 4
-    steps = 0
-    while abs(r.rpm[0] - HOVER) < abs(step_rpm) * (1.0 - math.exp(-1.0)):
-        turn(r, (HOVER + step_rpm,) * 4)
-        steps += 1
-    assert steps * STEP_S == pytest.approx(time_s, abs=0.002)
-
-
-@pytest.mark.parametrize("motor", range(4))
-def test_each_motor_turns_the_body_its_way(motor):
-    faster = [HOVER] * 4
-    faster[motor] += 500.0
-    r = settled(tuple(faster))
-    # r x F with F along z: torque (y F, -x F); a counter-clockwise rotor drags the body clockwise
-    assert math.copysign(1, r.torque_x) == POSITION_Y[motor]
-    assert math.copysign(1, r.torque_y) == -POSITION_X[motor]
-    assert math.copysign(1, r.torque_z) == MIX_YAW[motor]
-    more = ROTOR.thrust_n(HOVER + 500.0) - ROTOR.thrust_n(HOVER)
-    assert abs(r.torque_x) == pytest.approx(more * ROTOR.arm_m, rel=1e-9)
-    assert abs(r.torque_y) == pytest.approx(more * ROTOR.arm_m, rel=1e-9)
-
-
-def test_drag_torque_is_the_identified_share_of_thrust():
-    r = settled((HOVER, 0.0, HOVER, 0.0))  # both counter-clockwise
-    assert -r.torque_z / r.thrust_n == pytest.approx(0.00735, rel=0.05)  # drone-models: thrust2torque
-
-
-def test_spinning_up_a_counterclockwise_rotor_turns_the_body_clockwise():
-    r = rotors()
-    r.rpm = (HOVER,) * 4
-    turn(r, (HOVER + 1000.0, HOVER, HOVER, HOVER))
-    change = (r.rpm[0] - HOVER) * RAD_S_PER_RPM
-    drag = settled(r.rpm).torque_z
-    assert r.record.torque_z - drag == pytest.approx(-ROTOR.inertia_kg_m2 * change / STEP_S, rel=1e-9)
-
-
-def test_gyroscopic_torque_is_minus_omega_cross_h():
-    command = (20000.0, 15000.0, 20000.0, 15000.0)
-    still, turning = settled(command), rotors()
-    turning.rpm = command
-    wx, wy = 3.0, -2.0
-    turning = turn(turning, command, wx, wy)
-    hz = -ROTOR.inertia_kg_m2 * sum(m * c for m, c in zip(MIX_YAW, command, strict=True)) * RAD_S_PER_RPM
-    assert hz > 0.0  # counter-clockwise rotors are faster
-    assert turning.torque_x - still.torque_x == pytest.approx(-wy * hz, rel=1e-9)
-    assert turning.torque_y - still.torque_y == pytest.approx(wx * hz, rel=1e-9)
-    assert turning.torque_z == still.torque_z
 
 
 LEVEL = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
