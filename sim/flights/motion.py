@@ -1,7 +1,7 @@
-"""What motion capture says of a recorded flight beside its pose: angular rates, and the clock of the log.
+"""Angular rates by motion capture, and the difference of its clock to that of the log.
 
-The gyro is logged on board, the attitude by motion capture: both show the same rotation, so the time by which
-they differ is that of the two clocks. Over radio it may wander by a tenth of a second within a flight.
+The gyro is logged on board, the attitude by motion capture. Both show the same rotation, so their lag is the
+difference of the clocks. Over radio it may wander by a tenth of a second within a flight.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from sim.flights.recording import Floats, Recording
 
-BAND_HZ = (0.5, 6.0)  # of a Crazyflie's attitude in flight; above it the derivative of the attitude is noise
-WINDOW_S = 4.0  # of one estimate of the clock
-LAG_MAX_S = 0.25  # searched
-CORRELATION_MIN = 0.7  # below it gyro and attitude do not tell the lag
+BAND_HZ = (0.5, 6.0)  # band of a Crazyflie's attitude; above it the derivative of the attitude is noise
+WINDOW_S = 4.0  # time window of one estimate of the lag
+LAG_MAX_S = 0.25  # greatest lag that is searched
+CORRELATION_MIN = 0.7  # below it the lag is unknown
 
 
 def rates_rad_s(recording: Recording) -> Floats:
@@ -39,7 +39,7 @@ def band(rates: Floats, step_s: float) -> Floats:
 
 
 def clock_lag_s(recording: Recording) -> Floats:
-    """Return (n,) by how much the log is behind motion capture around each sample, s; NaN where unknown."""
+    """Return (n,) delay of the log behind motion capture around each sample, s; NaN where unknown."""
     r = recording
     true, gyro = (band(rates, r.step_s)[:, :2] for rates in (rates_rad_s(r), r.rates_rad_s))
     longest = round(LAG_MAX_S / r.step_s)

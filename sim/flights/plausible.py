@@ -1,7 +1,7 @@
-"""Whether the values of a recording can be what the table of columns says: units, signs, order.
+"""Checks the values of a recording against the table of columns: units, signs, order.
 
-Each quantity is held against another one of the same flight, or against what a small quadrotor can do. Where
-a factor of ``FAR`` is between them, the unit that would fit is looked for.
+Each quantity is compared with another one of the same flight, or with the range of a small quadrotor. Where
+they differ by more than a factor of ``FAR``, the error names the unit that would fit.
 """
 
 from __future__ import annotations
@@ -15,18 +15,23 @@ from scipy.spatial.transform import Rotation
 from sim.flights.motion import band, rates_rad_s
 from sim.flights.recording import QUANTITIES, Floats, Group, Recording, RecordingError
 
-FAR = 6.0  # units differ by more, except degrees of yaw from nothing
-STEP_S = (0.5e-3, 0.1)  # of recordings that show a quadrotor's motion
-ROOM_M = 50.0  # widest
-CELL_V = 3.7
-DUTY = 0.5  # in flight; batteries and vehicles leave a factor of 2
-TILT_MAX_DEG = 60.0  # median of a flight
+FAR = 6.0  # allowed factor; all units differ by more
+STEP_S = (0.5e-3, 0.1)  # period of recordings that show a quadrotor's motion
+ROOM_M = 50.0  # greatest width of a flight
+CELL_V = 3.7  # voltage of a LiPo cell
+DUTY = 0.5  # usual duty in flight, within a factor of 2
+TILT_MAX_DEG = 60.0  # greatest median tilt of a flight
 OPPOSITE = -0.5  # correlation of an axis with the wrong sign
-MOVES = {"attitude": 0.05, "position": 0.05, "velocity": 0.05, "tilt": 0.01}  # less is noise; SI
+MOVES = {
+    "attitude": 0.05,
+    "position": 0.05,
+    "velocity": 0.05,
+    "tilt": 0.01,
+}  # least motion that is compared, SI; below it there is only noise
 
 
 class _Scale(NamedTuple):
-    """How large a quantity is against what it should be."""
+    """Size of a quantity over its expected size."""
 
     name: str
     ratio: float
@@ -34,16 +39,15 @@ class _Scale(NamedTuple):
 
 
 def check(recording: Recording, columns: Mapping[str, Group]) -> None:
-    """Refuse a recording whose values cannot be what ``columns`` says.
-
-    Raises RecordingError: names each quantity, what was found, and the unit that would fit.
-    """
+    """Refuse values that contradict ``columns``: RecordingError with each quantity and the unit that fits."""
     low, high = STEP_S
     if not low <= recording.step_s <= high:
         scale = _Scale("time", recording.step_s / 0.01, f"samples are {recording.step_s:.3g} s apart")
         raise RecordingError(_wrong(scale, columns) + f"; {low:g} to {high:g} s are allowed")
     far = [scale for scale in _scales(recording) if not 1.0 / FAR <= scale.ratio <= FAR]
-    far = [scale for scale in far if _fits(scale, columns)] or far  # the others follow from those
+    far = [
+        scale for scale in far if _fits(scale, columns)
+    ] or far  # those without a fitting unit are consequences
     found = [_wrong(scale, columns) for scale in far] + list(_turned(recording))
     if found:
         raise RecordingError("; ".join(found))
@@ -56,7 +60,7 @@ def _fits(scale: _Scale, columns: Mapping[str, Group]) -> list[str]:
 
 
 def _wrong(scale: _Scale, columns: Mapping[str, Group]) -> str:
-    """Say what was found and which unit would fit."""
+    """Sentence on the value found and the unit that would fit."""
     declared, fits = abs(columns[scale.name].factors[0]), _fits(scale, columns)
     unit = next(u for u, factor in QUANTITIES[scale.name].units.items() if np.isclose(factor, declared))
     hint = f"unit {' or '.join(fits)} would fit" if fits else "no unit fits: are these its columns?"
@@ -64,7 +68,7 @@ def _wrong(scale: _Scale, columns: Mapping[str, Group]) -> str:
 
 
 def _scales(r: Recording) -> Iterator[_Scale]:
-    """Yield the scale of every quantity that this flight can tell."""
+    """Yield the scale of each quantity that the flight shows."""
     moving = np.isfinite(r.duty).all(axis=1) & (r.duty.max(axis=1) > 0.0)
     span_m = max(_spread(r.position_m), 1e-9)
     if span_m > ROOM_M:
@@ -92,13 +96,13 @@ def _scales(r: Recording) -> Iterator[_Scale]:
         if name == "rates":
             values, reference = band(values, r.step_s), band(reference, r.step_s)
         size, true = _spread(values), _spread(reference)
-        rests = size == 0.0 and name.startswith("setpoint")  # a set-point may stand still, a sensor does not
+        rests = size == 0.0 and name.startswith("setpoint")  # a set-point may be constant, a sensor is not
         if true > least and not rests:
             yield _Scale(name, size / true, f"{size / true:.3g} times the {told}")
 
 
 def _turned(r: Recording) -> Iterator[str]:
-    """Yield each group of columns whose axes are turned, or whose sign is wrong."""
+    """Yield a sentence for each group of columns with turned axes or a wrong sign."""
     up = _matrix(r)[:, 2, 2]
     tilt_deg = float(np.degrees(np.arccos(np.clip(np.median(up), -1.0, 1.0))))
     if tilt_deg > TILT_MAX_DEG:
@@ -124,7 +128,7 @@ def _signs(name: str, values: Floats, reference: Floats, kind: str) -> Iterator[
 
 
 def _spread(values: Floats) -> float:
-    """Return the median distance from the median, over all axes: a part that is damaged does not count."""
+    """Median distance from the median over all axes: robust against damaged parts."""
     good = values[np.isfinite(values).all(axis=1)]
     return float(np.median(np.linalg.norm(good - np.median(good, axis=0), axis=1))) if len(good) else 0.0
 

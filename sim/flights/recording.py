@@ -23,12 +23,12 @@ Floats = NDArray[np.float64]
 
 SUFFIXES = (".parquet", ".csv")
 PWM_MAX = 65535.0  # Crazyflie firmware motors.c: 16 bit
-SAMPLES_MIN = 200  # 2 s at 100 Hz: less says nothing about a flight
+SAMPLES_MIN = 200  # 2 s at 100 Hz
 COLUMNS = Path(__file__).with_name("crazyflie_vicon.toml")
 
 
 class RecordingError(ValueError):
-    """A recording that cannot be used: says what was found, what is allowed, what to do."""
+    """A recording that cannot be used, with the value found and the allowed ones."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ QUANTITIES: dict[str, Quantity] = {
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Where the columns of a quantity are, and how they become SI units in the project's axes."""
+    """Columns of a quantity, and their factors to SI units in the project's axes."""
 
     columns: tuple[str, ...]
     factors: tuple[float, ...]
@@ -95,7 +95,7 @@ class Recording:
 
     @property
     def by_pid(self) -> bool:
-        """Whether the PID controller flew: only then its thrust command is not zero throughout."""
+        """Whether the PID controller flew: with Mellinger its thrust command is always zero."""
         return self.thrust_command is None or bool(np.any(self.thrust_command > 0.0))
 
 
@@ -188,7 +188,7 @@ def _numbers(table: pa.Table, group: Group) -> Floats:
     except (ValueError, TypeError, pa.ArrowException) as error:
         raise RecordingError(f"columns {', '.join(group.columns)} are not numbers: {error}") from error
     values = made[0] if len(made) == 1 else np.stack(made, axis=1)
-    values[~np.isfinite(values)] = np.nan  # infinite is missing, too
+    values[~np.isfinite(values)] = np.nan  # infinite counts as missing
     return values
 
 

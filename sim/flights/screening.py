@@ -1,8 +1,8 @@
-"""Which parts of a recorded flight can be used, and why the others cannot.
+"""Selects the usable parts of a recorded flight, with the reasons for the others.
 
-Every check marks samples. A marked sample spoils ``MARGIN_S`` on both sides of it, since loggers interpolate
-over damaged values. What is left, in the air and in one piece for ``PIECE_MIN_S`` at least, is used. A flight
-that is damaged for longer is not used at all: its estimator or its link were ill before a limit was crossed.
+Every check marks samples. A marked sample also excludes ``MARGIN_S`` on both sides, since loggers interpolate
+over damaged values. Pieces of at least ``PIECE_MIN_S`` in the air are used. A flight with more damage than
+``DAMAGED_MAX`` is excluded: its estimator or link were faulty before a limit was crossed.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from sim.flights.recording import Group, Recording, read_recording
 
 Mask = NDArray[np.bool_]
 
-GAP_FACTOR = 5.0  # periods without a sample: nothing is known of what happened between
+GAP_FACTOR = 5.0  # periods without a sample that count as a gap
 SPEED_MAX_M_S = 6.0  # between two samples of motion capture: no Crazyflie in a room is faster
-FROZEN_S = 0.05  # motion capture repeats its last pose while it does not see the body
+FROZEN_S = 0.05  # motion capture repeats its last pose while the body is hidden
 ESTIMATE_OFF_M = 0.3  # an estimate farther from motion capture has diverged; good flights stay within 0.2 m
 CLOCKS_OFF_S = 0.05  # 5 cm at 1 m/s: as much as the errors that are compared
-CLOCKS_S = 0.5  # for so long: clocks wander over seconds, a shorter difference is chance
+CLOCKS_S = 0.5  # minimum duration of a clock difference; shorter ones are chance
 VOLTAGE_V = (2.5, 4.4)  # of one LiPo cell under load
 ABOVE_GROUND_M = 0.15  # in the air, and away from the ground effect (3 propeller diameters)
-START_S = 0.5  # after lift-off and before landing, when the feet may touch
-MARGIN_S = 0.1
-DAMAGED_MAX = 0.05  # share of the time in the air; gaps do not count, since what they part is sound
+START_S = 0.5  # time after lift-off and before landing with possible contact
+MARGIN_S = 0.1  # excluded time beside a marked sample
+DAMAGED_MAX = 0.05  # damaged share of the time in the air; gaps do not count
 PIECE_MIN_S = 2.0
-FLIGHT_MIN_S = 3.0
+FLIGHT_MIN_S = 3.0  # in the air, and usable
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,15 +45,14 @@ class Reason:
 
 @dataclass(frozen=True, slots=True)
 class Screened:
-    """The usable parts of a flight. ``usable``: whether anything is left to compare with."""
+    """The usable parts of a flight."""
 
-    recording: Recording  # all of it
+    recording: Recording
     pieces: tuple[slice, ...]  # slices of samples, each without a gap, a damaged value or contact
-    left_out: tuple[Reason, ...]  # what else there is
+    left_out: tuple[Reason, ...]  # the other parts
 
     @property
     def usable(self) -> bool:
-        """Whether enough of the flight is left."""
         return bool(self.pieces)
 
     @property
@@ -63,9 +62,9 @@ class Screened:
 
 
 def load(path: Path, columns: Mapping[str, Group]) -> Screened:
-    """Read a flight, check its units and signs, and find what can be used of it.
+    """Read a flight, check units and signs, and screen it.
 
-    Raises RecordingError: it cannot be read, or cannot be what the columns say.
+    Raises RecordingError: it cannot be read, or contradicts the columns.
     """
     recording = read_recording(path, columns)
     check(recording, columns)
@@ -73,7 +72,6 @@ def load(path: Path, columns: Mapping[str, Group]) -> Screened:
 
 
 def screen(recording: Recording) -> Screened:
-    """Find what can be used of a flight."""
     r = recording
     ground = np.nanmin(r.position_m[:, 2]) if np.any(np.isfinite(r.position_m[:, 2])) else 0.0
     with np.errstate(invalid="ignore"):
@@ -120,7 +118,7 @@ def _highest_m(r: Recording) -> float:
 
 
 def _damage(r: Recording) -> Iterator[tuple[str, Mask]]:
-    """Yield what is wrong with the vehicle's link or its estimator, with the samples that show it."""
+    """Yield faults of the vehicle's link or estimator, with the samples that show them."""
     with np.errstate(invalid="ignore"):
         yield "motor commands outside 0 to 65535", np.any((r.duty < 0.0) | (r.duty > 1.0 + 1e-6), axis=1)
         low, high = VOLTAGE_V
@@ -133,7 +131,7 @@ def _damage(r: Recording) -> Iterator[tuple[str, Mask]]:
 
 
 def _gaps(r: Recording, flying: Mask) -> Iterator[tuple[str, Mask]]:
-    """Yield what the recording does not show, though the flight went on."""
+    """Yield gaps of the recording during the flight, with their samples."""
     needed = [r.position_m, r.velocity_m_s, r.attitude, r.rates_rad_s, r.duty, r.battery_v[:, None]]
     if r.estimate_position_m is not None:
         needed.append(r.estimate_position_m)
@@ -151,13 +149,13 @@ def _steps(r: Recording) -> NDArray[np.float64]:
 
 
 def _frozen(r: Recording) -> Mask:
-    """Mark samples of a pose that repeats to the last bit for ``FROZEN_S``."""
+    """Samples of a pose that repeats to the last bit for ``FROZEN_S``."""
     same = np.concatenate([[False], np.all(np.diff(r.position_m, axis=0) == 0.0, axis=1)])
     return _lasting(same, FROZEN_S, r.step_s)
 
 
 def _lasting(mask: Mask, seconds: float, step_s: float) -> Mask:
-    """Keep the marks that last for some time."""
+    """Marks that last at least ``seconds``."""
     kept = np.zeros_like(mask)
     for run in _runs(mask):
         kept[run] = (run.stop - run.start) * step_s >= seconds
@@ -165,7 +163,7 @@ def _lasting(mask: Mask, seconds: float, step_s: float) -> Mask:
 
 
 def _spread(mask: Mask, margin_s: float, step_s: float) -> Mask:
-    """Mark what lies within ``margin_s`` of a marked sample, too."""
+    """Samples within ``margin_s`` of a marked sample."""
     width = 2 * round(margin_s / step_s) + 1
     return np.convolve(mask, np.ones(width), mode="same") > 0.5
 

@@ -1,7 +1,7 @@
-"""Error tapes: what was wrong with the estimate on board of recorded flights, sample by sample.
+"""Error tapes: errors of the estimate on board of recorded flights, sample by sample.
 
-The estimate follows the true path closely, only late by a time that varies. So an error is split into that
-delay and what is left; both can be played back on any other path.
+The estimate follows the true path with a delay that varies. So an error is split into this delay and a
+remainder; both can be replayed on any other path.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from sim.chance import Chance
 from sim.flights.recording import Floats, Recording, RecordingError, find_recordings, read_columns
 from sim.flights.screening import Screened, load
 
-FLIGHTS = "FLIGHTSTACK_FLIGHTS"  # environment variable that names the folder of recorded flights
-DELAY_S = (-0.1, 0.2)  # of an estimate; beyond that the clocks differ
-SPEED_MIN_M_S = 0.3  # rms: in slower flights a delay does not show
-SLOW_M_S = 0.1  # well below this speed the delay is taken to be the flight's mean, the rest is an offset
+FLIGHTS = "FLIGHTSTACK_FLIGHTS"  # environment variable with the folder of recorded flights
+DELAY_S = (-0.1, 0.2)  # delay of an estimate; a delay beyond means that the clocks differ
+SPEED_MIN_M_S = 0.3  # rms speed below which a delay has no visible effect
+SLOW_M_S = 0.1  # well below this speed the delay is the flight's mean, and the rest an offset
 STILL_M_S = (0.16, 0.54)  # error along and across the velocity = share * (speed + this), as flights show
-CUT_S = 0.3  # from both ends of a piece, where the truth of another time lies outside
+CUT_S = 0.3  # cut from both ends of a piece, where the truth of another time lies outside
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,14 +33,12 @@ class Piece:
 
     delay_s: Floats  # (n,) of the position behind the truth
     velocity_delay_s: Floats  # (n,) of the velocity
-    position_m: Floats  # (n, 3) what is left of the position's error, world axes
-    # along, across: (n,) error of the velocity along and left of the horizontal velocity, as shares of the
-    # speed plus ``STILL_M_S``
-    along: Floats
-    across: Floats
-    velocity_m_s: Floats  # (n, 3) what is left of the velocity's error
-    # (n, 3) rotation vector of the believed attitude against the true one, body FLU; the flight's mean: what
-    # varies besides is more than a gyro allows, so motion capture and log have made it
+    position_m: Floats  # (n, 3) remaining error of the position, world axes
+    along: Floats  # (n,) error along the horizontal velocity, as share of the speed plus ``STILL_M_S``
+    across: Floats  # (n,) the same to its left
+    velocity_m_s: Floats  # (n, 3) remaining error of the velocity
+    # (n, 3) rotation vector of the estimated attitude against the true one, body FLU: mean of the flight. Its
+    # variation exceeds that of a gyro: it comes from motion capture and log.
     turn_rad: Floats
     speed_m_s: Floats  # (n,) recorded horizontal speed
 
@@ -55,10 +53,9 @@ class Tape:
 
 
 def tape_of(flight: Screened, *, raw: bool = False) -> Tape | None:
-    """Take the errors from a flight; None where it has no estimate, is too slow or too short.
+    """Errors of a flight; None where it has no estimate, is too slow or too short.
 
-    ``flight``: usable or not; ``raw``: everything is an offset of position and velocity, in the world's axes;
-    no delay.
+    ``raw``: the whole error is an offset of position and velocity, in world axes, without a delay.
     """
     r = flight.recording
     if r.estimate_position_m is None or r.estimate_velocity_m_s is None:
@@ -128,7 +125,7 @@ def _delay_s(truth: Floats, estimate: Floats, pieces: list[slice], step_s: float
 
 
 def _earlier(values: Floats, piece: slice, samples: Floats) -> Floats:
-    """Values of so many samples before each sample of a piece, straight between samples."""
+    """Values ``samples`` before each sample of a piece, interpolated linearly."""
     at = np.arange(piece.start, piece.stop) - samples
     return np.stack([np.interp(at, np.arange(len(values)), column) for column in values.T], axis=1)
 
@@ -139,7 +136,7 @@ def _speed(r: Recording, piece: slice) -> Floats:
 
 
 def _turn_rad(r: Recording, pieces: list[slice]) -> Floats:
-    """Mean turn of the believed attitude, (3,)."""
+    """Mean rotation of the estimated attitude against the true one, (3,)."""
     if r.estimate_attitude_rad is None:
         return np.zeros(3)
     angles = np.concatenate([r.estimate_attitude_rad[p] for p in pieces])
@@ -150,7 +147,7 @@ def _turn_rad(r: Recording, pieces: list[slice]) -> Floats:
 
 @cache
 def read_tape(path: Path, *, raw: bool = False) -> Tape | None:
-    """Make the tape of a recorded flight, once in a process; None where it gives none.
+    """The tape of a recorded flight, cached in the process; None where there is none.
 
     Raises RecordingError: it cannot be read, or has other columns or units.
     """
@@ -158,7 +155,7 @@ def read_tape(path: Path, *, raw: bool = False) -> Tape | None:
 
 
 def draw_tape(folder: Path, rng: Chance, *, raw: bool = False) -> Tape:
-    """Draw a flight, again if it gives no tape; no other one is read.
+    """Draw flights until one gives a tape; the others are not read.
 
     Raises RecordingError: no such folder, or no flight in it gives a tape.
     """

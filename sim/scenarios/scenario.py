@@ -116,8 +116,9 @@ class TapeKind(Enum):
 class StateError:
     """Error of a measured state as in recorded flights: a varying delay above all, and correlated errors.
 
-    Defaults: ``sim.validation.sensing_fit.fit`` on 43 flights of a Crazyflie 2.1 in a Vicon room (NanoBench,
-    arXiv 2603.09908), see docs/how_it_works/own_state.md. Standard deviations, unless said otherwise.
+    Defaults: ``tests.benchmarks.vehicle.state_error_fit`` on 43 flights of a Crazyflie 2.1 in a Vicon room
+    (NanoBench, arXiv 2603.09908), see docs/how_it_works/own_state.md. Standard deviations, unless another
+    quantity is named.
     """
 
     tape: str | None = None  # folder of recorded flights; their error instead of the model below

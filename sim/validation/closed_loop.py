@@ -1,16 +1,17 @@
 """Flies the recorded set-points with the simulated vehicle and its firmware, and compares the two flights.
 
-The simulated vehicle stands where the real one stood, and gets the recorded set-points at the recorded times.
-What differs from airframe to airframe and from day to day is taken from the recording's first seconds: the
-battery's voltage, the thrust of the motors against the vehicle file's, and how unequal they are. Everything
-else is the vehicle file's. The estimate on board has the errors of recorded flights, by chance.
+The simulated vehicle starts at the recorded place and gets the recorded set-points at the recorded times.
+Quantities that differ between airframes and days are taken from the first seconds of the recording: battery
+voltage, thrust of the motors relative to the vehicle file, and the differences between the motors. All other
+parameters are those of the vehicle file. The estimate on board has drawn errors like recorded flights.
 
-The real vehicles were given positions and no velocities, but for take-off and landing, which the firmware's
-own commander flies with velocities: only so do the Mellinger flights climb and hover as recorded.
+The real vehicles got positions without velocities, except for take-off and landing, which the firmware's
+commander flies with velocities: the Mellinger flights climb and hover as recorded only with these.
 """
 
 from __future__ import annotations
 
+import math
 import zlib
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -33,23 +34,27 @@ from sim.scenarios.scenario import (
 )
 from sim.vehicle.vehicle import VehicleSim
 
-SETTLE_S = 0.2  # on the ground, before the first set-point
-AWAY_M = 100.0  # where the ground robot stands
-SATURATED = 1.0 - 1e-6  # of the duty
-SIDEWAYS_M = 0.005
-KNOWN_S = 8.0  # of what is compared, for what differs from airframe to airframe
+SETTLE_S = 0.2  # time on the ground before the first set-point
+AWAY_M = 100.0  # distance of the ground robot, east
+SATURATED = 1.0 - 1e-6  # duty from which a motor counts as saturated
+SIDEWAYS_M = 0.005  # horizontal set-point change that ends the take-off
+KNOWN_S = 8.0  # compared time that identifies the airframe
 
 
 class Flown(NamedTuple):
-    """What a flight shows."""
+    """Statistics of a flight."""
 
     horizontal_m: float  # rms of the distance between position and set-point, level
     vertical_m: float  # the same, up and down
     duty: float  # mean over the motors, 0 to 1
     saturated: float  # share of samples with a motor at full duty
-    tilt_rms_rad: float  # of body z against the vertical
-    tilt_p95_rad: float  # 95th percentile of it
-    sag_v_s: float  # how fast the voltage falls
+    tilt_rms_rad: float  # tilt of body z against the vertical, rms
+    tilt_p95_rad: float  # 95th percentile of the tilt
+    sag_v_s: float  # rate at which the voltage falls
+
+    @property
+    def tracking_rms_m(self) -> float:
+        return math.hypot(self.horizontal_m, self.vertical_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +62,8 @@ class ClosedLoop:
     """A flight beside its simulation."""
 
     controller: str  # pid or mellinger
-    thrust: float  # of this airframe's motors, as share of the vehicle file's; 1 where the file is right
-    recorded: Flown  # recorded, simulated: what the two flights show
+    thrust: float  # of this airframe's motors relative to the vehicle file
+    recorded: Flown
     simulated: Flown
 
 
@@ -74,8 +79,7 @@ class Track(NamedTuple):
 def fly(flight: Screened, params: Params, seed: int) -> ClosedLoop | None:
     """Fly the set-points of a flight; None where it has none, or they do not begin on the ground.
 
-    ``flight``: with pieces; only what lies in them is compared; ``params``: of the simulated vehicle;
-    ``seed``: of noise, which is another one for every name of a flight.
+    Only the usable pieces are compared. The noise is drawn from ``seed`` and the name of the flight.
     """
     r = flight.recording
     span = _commanded(r)
@@ -102,7 +106,7 @@ def fly(flight: Screened, params: Params, seed: int) -> ClosedLoop | None:
 
 
 def _commanded(r: Recording) -> slice | None:
-    """Find the samples from the first set-point to the last; None where it flies before the first."""
+    """Find the samples from the first set-point to the last; None where the motors run before the first."""
     if r.setpoint_position_m is None:
         return None
     given = np.isfinite(r.setpoint_position_m).all(axis=1) & np.any(r.setpoint_position_m != 0.0, axis=1)
@@ -113,7 +117,7 @@ def _commanded(r: Recording) -> slice | None:
 
 
 def _simulate(r: Recording, span: slice, params: Params, plant: Plant, seed: int) -> Track | None:
-    """Fly the set-points; what lies outside ``span`` is NaN. None where the firmware refuses to arm."""
+    """Fly the set-points; NaN outside ``span``. None where the firmware refuses to arm."""
     start, stop = span.start, span.stop
     assert r.setpoint_position_m is not None
     x, y, ground = r.position_m[start].tolist()
@@ -152,25 +156,27 @@ def _simulate(r: Recording, span: slice, params: Params, plant: Plant, seed: int
 
 
 def _airframe(r: Recording, start: int, compared: Mask, params: Params) -> Plant:
-    """Find thrust, motors and battery of this airframe in the first seconds of what is compared."""
+    """Find thrust, motors and battery of this airframe in the first compared seconds."""
     rotor, battery = params.rotor, params.battery
     first = np.flatnonzero(compared)[: round(KNOWN_S / r.step_s)]
-    sag_v = battery.hover_sag_v  # a motor has duty * (voltage at rest) - sag in the mean
+    sag_v = battery.hover_sag_v  # mean motor voltage = duty * (voltage at rest) - sag
     volts = r.duty[first] * (r.battery_v[first, None] + sag_v) - sag_v
     rpm = battery.speed_at_zero_v_rpm + battery.speed_per_volt_rpm * volts
     thrust_n = np.maximum(0.0, (rotor.thrust_linear_n_rpm + rotor.thrust_square_n_rpm2 * rpm) * rpm)
-    share = 1.0 / np.maximum(thrust_n.mean(axis=0), rotor.thrust_min_n)  # a weak motor is given more
+    share = 1.0 / np.maximum(thrust_n.mean(axis=0), rotor.thrust_min_n)  # a weak motor gets a higher duty
     share /= share.mean()
     gained_m_s = r.velocity_m_s[first[-1], 2] - r.velocity_m_s[first[0], 2]
     lift_m_s2 = params.contact.gravity_m_s2 + gained_m_s / (r.time_s[first[-1]] - r.time_s[first[0]])
     thrust = params.body.mass_kg * lift_m_s2 / float((thrust_n @ share * _up(r)[first]).mean())
     m1, m2, m3, m4 = share.tolist()
     hover_rpm = rotor.rpm(params.body.mass_kg * params.contact.gravity_m_s2 / 4.0 / thrust)
-    power = float((rpm * rpm * rpm).mean()) / hover_rpm**3  # of the hover's
+    power = float((rpm * rpm * rpm).mean()) / hover_rpm**3  # relative to the hover
     current_a = battery.idle_current_a + battery.hover_current_a * power
     rest_v = float(r.battery_v[first].mean()) + battery.resistance_ohm * current_a
     charge = (rest_v - battery.empty_v) / (battery.full_v - battery.empty_v)
-    charge += current_a * (r.time_s[first].mean() - r.time_s[start]) / battery.charge_a_s  # of the take-off
+    charge += (
+        current_a * (r.time_s[first].mean() - r.time_s[start]) / battery.charge_a_s
+    )  # used in the take-off
     return Plant(thrust=thrust, motors=(m1, m2, m3, m4), battery_charge=charge)
 
 

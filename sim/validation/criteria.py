@@ -1,7 +1,7 @@
-"""What the simulator must reach beside recorded flights, each limit with its reason, and what it has reached.
+"""Limits on the simulator beside recorded flights, each with its reason, and the verdict on them.
 
 Every number is a statistic over flights with an interval of 95 % by bootstrap over flights: two flights of a
-day are more alike than two samples of a noise, so that samples of one flight do not count as many.
+day are more alike than two samples of a noise, so the samples of one flight do not count as many.
 """
 
 from __future__ import annotations
@@ -10,38 +10,35 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import bootstrap
 
 from sim.flights.recording import Floats
-from sim.validation.closed_loop import Flown
+from sim.validation.open_loop import HORIZONS_S
 from sim.validation.run import Compared
-from sim.validation.sensing import SPEED_EDGES_M_S, Error
+from sim.validation.sensing import SPEED_EDGES_M_S
 
-HORIZONS_S = (0.1, 0.25, 0.5)
 RESAMPLES = 999
 CONFIDENCE = 0.95
 MET, OPEN, MISSED = "met", "open", "missed"
 SHARE_MIN = 0.01  # rarer saturation does not change a flight
+TRACKING_WITHIN = 0.25  # difference of two tracking errors that counts as agreement, as share
+
+Statistic = Callable[..., Any]  # of arrays of the same shape along ``axis``
 
 
 class Estimate(NamedTuple):
-    """A statistic over flights with its interval; the ends are NaN where one flight alone gives it."""
+    """A statistic over flights with its interval; the ends are NaN where it is based on one flight."""
 
     value: float
     low: float
     high: float
 
 
-def over_flights(statistic: Callable[..., Floats], *samples: Sequence[float]) -> Estimate | None:
-    """Find a statistic of one number or several a flight, and its interval.
-
-    ``statistic``: of arrays of the same shape along ``axis``; ``samples``: for each number, its value in each
-    flight; flights where one is NaN are left out.
-    Returns None without a flight.
-    """
+def over_flights(statistic: Statistic, *samples: Sequence[float]) -> Estimate | None:
+    """A statistic of one or several numbers a flight; a flight with NaN is left out. None: no flights."""
     table = np.array(samples, dtype=np.float64)
     table = table[:, np.isfinite(table).all(axis=0)]
     if not table.shape[1]:
@@ -56,54 +53,74 @@ def over_flights(statistic: Callable[..., Floats], *samples: Sequence[float]) ->
     return Estimate(value, float(found.confidence_interval.low), float(found.confidence_interval.high))
 
 
-def median_ratio(a: Floats, b: Floats, axis: int) -> Floats:
-    """Median over flights of one number over another."""
-    return np.asarray(np.median(a / b, axis=axis))
+def number(flight: Compared, path: str) -> float:
+    """Number of a flight by its path, as ``closed_loop.recorded.duty``; NaN where a part is missing."""
+    found: Any = flight
+    for step in path.split("."):
+        if found is None:
+            return float("nan")
+        found = found[int(step)] if step.isdigit() else getattr(found, step)
+    return float(found)
 
 
-def ratio_of_means(a: Floats, b: Floats, axis: int) -> Floats:
-    """Mean of one share over the mean of another; what is less than ``SHARE_MIN`` counts as that."""
-    return np.asarray(np.maximum(a.mean(axis=axis), SHARE_MIN) / np.maximum(b.mean(axis=axis), SHARE_MIN))
+def estimate(flights: Sequence[Compared], statistic: Statistic, *paths: str) -> Estimate | None:
+    """A statistic of the numbers at some paths."""
+    return over_flights(statistic, *([number(flight, path) for flight in flights] for path in paths))
 
 
-def ratio_of_rms(a: Floats, b: Floats, axis: int) -> Floats:
-    """Root mean square over flights of one number over that of another."""
-    return np.asarray(np.sqrt((a**2).mean(axis=axis) / (b**2).mean(axis=axis)))
+def median_ratio(a: Floats, b: Floats, axis: int) -> Any:
+    return np.median(a / b, axis=axis)
 
 
-def difference_of_means(a: Floats, b: Floats, axis: int) -> Floats:
-    """Mean over flights of a difference."""
-    return np.asarray((a - b).mean(axis=axis))
+def ratio_of_means(a: Floats, b: Floats, axis: int) -> Any:
+    """Mean of a share over the mean of another; a mean below ``SHARE_MIN`` counts as ``SHARE_MIN``."""
+    return np.maximum(a.mean(axis=axis), SHARE_MIN) / np.maximum(b.mean(axis=axis), SHARE_MIN)
+
+
+def ratio_of_rms(a: Floats, b: Floats, axis: int) -> Any:
+    return np.sqrt((a**2).mean(axis=axis) / (b**2).mean(axis=axis))
+
+
+def difference_of_means(a: Floats, b: Floats, axis: int) -> Any:
+    return (a - b).mean(axis=axis)
+
+
+def median_difference(a: Floats, b: Floats, axis: int) -> Any:
+    """Median over flights of the difference of two numbers, as share of the second."""
+    return np.median(np.abs(a / b - 1.0), axis=axis)
+
+
+def share_within(a: Floats, b: Floats, axis: int) -> Any:
+    """Share of flights where two numbers differ by at most ``TRACKING_WITHIN``."""
+    return (np.abs(a / b - 1.0) <= TRACKING_WITHIN).mean(axis=axis)
 
 
 @dataclass(frozen=True)
 class Criterion:
-    """One limit."""
+    """A limit on a statistic of the simulator's numbers and the recorded ones."""
 
     part: str  # open loop, closed loop or sensing
     text: str  # what is compared; by default rms errors, those of the simulator over others
-    low: float  # low, high: limits, both allowed
-    high: float
+    low: float  # least value allowed
+    high: float  # greatest value allowed
     reason: str  # of the limits
-    find: Callable[[Sequence[Compared]], Estimate | None]  # the statistic; None where no flight tells it
-    cause: str | None = None  # why the simulator differs where the limit is missed; None: the text says it
-    # the simulator draws its numbers, and flights differ in them as widely: the limit is missed where the
-    # whole interval lies outside it
-    by_chance: bool = False
-    scale: float = 1.0  # scale, unit: for the eye
-    unit: str = ""
+    statistic: Statistic
+    paths: tuple[str, ...]  # its numbers in a flight
+    cause: str | None = None  # text of a miss, with the value; None: ``text`` says it
+    by_chance: bool = False  # drawn numbers vary: missed only where the whole interval is outside the limits
+    scale: float = 1.0  # factor from the value to the printed number
+    unit: str = ""  # of the printed number
 
     @property
     def limit(self) -> str:
-        """The limits as text."""
         low, high = (f"{self.scale * value:.4g}" for value in (self.low, self.high))
-        if self.low == -np.inf:
+        if math.isinf(self.low):
             return f"≤ {high}{self.unit}"
-        return f"≥ {low}{self.unit}" if self.high == np.inf else f"{low} to {high}{self.unit}"
+        return f"≥ {low}{self.unit}" if math.isinf(self.high) else f"{low} to {high}{self.unit}"
 
 
 class Verdict(NamedTuple):
-    """A criterion and what was found: within its limits, or too far by chance, or missed."""
+    """A criterion, the estimate and ``MET``, ``OPEN`` or ``MISSED``."""
 
     criterion: Criterion
     found: Estimate | None
@@ -111,30 +128,29 @@ class Verdict(NamedTuple):
 
     @property
     def met(self) -> bool:
-        """Whether the flights do not contradict."""
         return self.word != MISSED
 
     @property
-    def told(self) -> str:
-        """What was found as text, with its interval."""
+    def text(self) -> str:
+        """The estimate with its interval, as text."""
         if self.found is None:
-            return "no flight tells"
+            return "no flight covers it"
         value, low, high = (f"{self.criterion.scale * each:.3g}" for each in self.found)
         interval = "" if np.isnan(self.found.low) else f" ({low} to {high})"
         return f"{value}{self.criterion.unit}{interval}"
 
 
 def judge(flights: Sequence[Compared]) -> list[Verdict]:
-    """Hold the flights against all criteria."""
-    found = [(criterion, criterion.find(flights)) for criterion in CRITERIA]
-    told = {criterion.part for criterion, estimate in found if estimate is not None}
-    return [Verdict(c, estimate, _word(c, estimate, c.part in told)) for c, estimate in found]
+    """Compare the flights with all criteria."""
+    found = [(c, estimate(flights, c.statistic, *c.paths)) for c in CRITERIA]
+    covered = {criterion.part for criterion, value in found if value is not None}
+    return [Verdict(c, value, _word(c, value, c.part in covered)) for c, value in found]
 
 
-def _word(criterion: Criterion, found: Estimate | None, part_told: bool) -> str:
-    """Judge one; a speed that nobody flew is open, a part without any number is missed."""
+def _word(criterion: Criterion, found: Estimate | None, part_covered: bool) -> str:
+    """A criterion without flights is open; missed where no criterion of its part has any."""
     if found is None:
-        return OPEN if part_told else MISSED
+        return OPEN if part_covered else MISSED
     if criterion.low <= found.value <= criterion.high:
         return MET
     outside = found.low > criterion.high or found.high < criterion.low
@@ -142,130 +158,62 @@ def _word(criterion: Criterion, found: Estimate | None, part_told: bool) -> str:
 
 
 def causes(verdicts: Sequence[Verdict]) -> list[str]:
-    """Say in words what differs: named causes first, then what each part misses."""
-    told = [
-        v.criterion.cause.format(v.found.value)
-        for v in verdicts
-        if not v.met and v.found is not None and v.criterion.cause is not None
-    ]
-    for part in dict.fromkeys(v.criterion.part for v in verdicts):
-        missed = [v for v in verdicts if not v.met and v.criterion.part == part and v.found is not None]
+    """Sentences on what differs: named causes first, then the misses of each part."""
+    missed = [v for v in verdicts if not v.met]
+    told = [v.criterion.cause.format(v.found.value) for v in missed if v.found and v.criterion.cause]
+    for part in dict.fromkeys(v.criterion.part for v in missed):
+        of_part = [v for v in missed if v.criterion.part == part]
         plain = [
-            f"{v.criterion.text}: {v.told}, limit {v.criterion.limit}"
-            for v in missed
-            if v.found is not None and v.criterion.cause is None
+            f"{v.criterion.text}: {v.text}, limit {v.criterion.limit}"
+            for v in of_part
+            if v.found and not v.criterion.cause
         ]
         if plain:
             told.append(f"{MEANING[part]}: " + "; ".join(plain))
-        unknown = [
-            v.criterion.text for v in verdicts if v.found is None and not v.met and v.criterion.part == part
-        ]
-        if unknown:
-            told.append(f"{part} is not judged by any flight: " + "; ".join(unknown))
+        uncovered = [v.criterion.text for v in of_part if v.found is None]
+        if uncovered:
+            told.append(f"{part} is not judged by any flight: " + "; ".join(uncovered))
     return told
 
 
 MEANING = {
     "open loop": "the recorded motor commands do not move the plant as they moved the vehicle",
     "closed loop": "the simulated firmware and vehicle do not fly the set-points as the recorded ones",
-    "sensing": "the simulated own state is not as wrong as the recorded one",
+    "sensing": "the simulated vehicle state is not as wrong as the recorded one",
 }
-_HALF = "a model that knows the motor commands must halve the error of one that knows nothing"
-_TORQUE = (
-    "torque that no command shows is integrated twice: 0.63 was reached, 0.25 with the recorded attitude"
-)
+_HALF = "a model that knows the motor commands must halve the error of one that does not know them"
+_TORQUE = "unknown torque is integrated twice: 0.63 was reached, 0.25 with the recorded attitude"
 OPEN_LOOP_MAX = {  # of the error of constant velocity: position, velocity
     0.1: ((0.5, _HALF), (0.5, _HALF)),
     0.25: ((0.5, _HALF), (0.5, _HALF)),
     0.5: ((0.5, _HALF), (0.75, _TORQUE)),
 }
-_SPEEDS = tuple(pairwise(SPEED_EDGES_M_S))
-TRACKING_WITHIN = 0.25
-SHUFFLED = "shuffled"
-_NOTHING = "the motor commands tell nothing: in random order they predict as well"
+_QUANTITIES = (("position_m", "position"), ("velocity_m_s", "velocity"))
+_SHUFFLED = "the motor commands tell nothing: in random order they predict as well"
 
 
-def _open_loop(of: str, seconds: float, quantity: str) -> Callable[[Sequence[Compared]], Estimate | None]:
-    """Ratio of the model's error to that of ``of``."""
-
-    def find(flights: Sequence[Compared]) -> Estimate | None:
-        found = [
-            (getattr(own, quantity), getattr(random, quantity))
-            for flight in flights
-            if flight.open_loop is not None and flight.shuffled is not None
-            for own, random in zip(flight.open_loop.horizons, flight.shuffled.horizons, strict=True)
-            if own.seconds == seconds
-        ]
-        others = [random.model if of == SHUFFLED else getattr(own, of) for own, random in found]
-        return over_flights(median_ratio, [own.model for own, _ in found], others)
-
-    return find
+def _closed(name: str) -> tuple[str, str]:
+    return f"closed_loop.simulated.{name}", f"closed_loop.recorded.{name}"
 
 
-def _thrust(flights: Sequence[Compared]) -> Estimate | None:
-    return over_flights(np.median, [f.open_loop.thrust_ratio for f in flights if f.open_loop is not None])
-
-
-def _closed_loop(
-    statistic: Callable[..., Floats], value: Callable[[Flown], float]
-) -> Callable[[Sequence[Compared]], Estimate | None]:
-    """Statistic of a value of the simulated flights and the recorded ones."""
-
-    def find(flights: Sequence[Compared]) -> Estimate | None:
-        both = [f.closed_loop for f in flights if f.closed_loop is not None]
-        return over_flights(statistic, [value(c.simulated) for c in both], [value(c.recorded) for c in both])
-
-    return find
-
-
-def tracking_m(flown: Flown) -> float:
-    """Return the rms distance between position and set-point."""
-    return math.hypot(flown.horizontal_m, flown.vertical_m)
-
-
-def share_within(a: Floats, b: Floats, axis: int) -> Floats:
-    """Share of flights where two numbers differ by at most ``TRACKING_WITHIN``."""
-    return np.asarray((np.abs(a / b - 1.0) <= TRACKING_WITHIN).mean(axis=axis))
-
-
-def median_difference(a: Floats, b: Floats, axis: int) -> Floats:
-    """Median over flights of how much two numbers differ, as a share."""
-    return np.asarray(np.median(np.abs(a / b - 1.0), axis=axis))
-
-
-def _sensing(
-    statistic: Callable[..., Floats], quantity: str, value: Callable[[Error], float]
-) -> Callable[[Sequence[Compared]], Estimate | None]:
-    """Statistic of a value of the simulated error and the recorded one."""
-
-    def find(flights: Sequence[Compared]) -> Estimate | None:
-        both = [f.sensing for f in flights if f.sensing is not None]
-        pairs = [(getattr(s.simulated, quantity), getattr(s.recorded, quantity)) for s in both]
-        return over_flights(statistic, [value(a) for a, _ in pairs], [value(b) for _, b in pairs])
-
-    return find
-
-
-def _at(band: int) -> Callable[[Error], float]:
-    return lambda error: error.by_speed[band]
+def _sensed(name: str) -> tuple[str, str]:
+    return f"sensing.simulated.{name}", f"sensing.recorded.{name}"
 
 
 CRITERIA = (
     Criterion(
         "open loop", "thrust, plant / recording", 0.95, 1.05,
         "5 % of thrust are 3 % of PWM; airframes differ by 2.3 % (standard deviation)",
-        _thrust, "the plant's thrust is {:.2f} times the recorded one",
+        np.median, ("open_loop.thrust_ratio",), "the plant's thrust is {:.2f} times the recorded one",
     ),
     *(
         Criterion(
-            "open loop", f"{name} after {seconds:g} s / {told}", -np.inf, limit,
-            reason, _open_loop(of, seconds, quantity),
+            "open loop", f"{name} after {seconds:g} s / {reference}", -np.inf, limit, reason, median_ratio,
+            (f"open_loop.horizons.{place}.{quantity}.model", f"open_loop.horizons.{place}.{quantity}.{key}"),
         )
-        for seconds in HORIZONS_S
-        for (quantity, name), (allowed, why) in zip(
-            (("position_m", "position"), ("velocity_m_s", "velocity")), OPEN_LOOP_MAX[seconds], strict=True
-        )
-        for of, told, limit, reason in (
+        for place, seconds in enumerate(HORIZONS_S)
+        for (quantity, name), (allowed, why) in zip(_QUANTITIES, OPEN_LOOP_MAX[seconds], strict=True)
+        for key, reference, limit, reason in (
             ("constant_velocity", "constant velocity", allowed, why),
             ("ideal", "ideal body", 1.0, "lag, drag and battery must help, or they are wrong"),
         )
@@ -273,43 +221,40 @@ CRITERIA = (
     *(
         Criterion(
             "open loop", f"{name} after 0.1 s / commands in random order", -np.inf, 0.8,
-            "what the commands tell is their order", _open_loop(SHUFFLED, 0.1, quantity), cause,
+            "the information of the commands is in their order", median_ratio,
+            (f"open_loop.horizons.0.{quantity}.model", f"shuffled.horizons.0.{quantity}.model"), cause,
         )
-        for quantity, name, cause in (
-            ("position_m", "position", _NOTHING),
-            ("velocity_m_s", "velocity", None),
-        )
+        for (quantity, name), cause in zip(_QUANTITIES, (_SHUFFLED, None), strict=True)
     ),
     Criterion(
         "closed loop", "flights with tracking within 25 %", 0.8, np.inf,
         "two flights of the same path by the same vehicle differ by as much",
-        _closed_loop(share_within, tracking_m), scale=100.0, unit=" %",
+        share_within, _closed("tracking_rms_m"), scale=100.0, unit=" %",
     ),
     Criterion(
         "closed loop", "PWM in hover, median difference", -np.inf, 0.03,
         "airframes differ by 2.3 % of thrust (standard deviation), 1.5 % of PWM",
-        _closed_loop(median_difference, lambda flown: flown.duty), scale=100.0, unit=" %",
+        median_difference, _closed("duty"), scale=100.0, unit=" %",
     ),
     Criterion(
         "closed loop", "saturated time / recorded", 0.5, 2.0,
         "it counts rare peaks: a percent of thrust changes it by a third",
-        _closed_loop(ratio_of_means, lambda flown: flown.saturated), by_chance=True,
+        ratio_of_means, _closed("saturated"), by_chance=True,
     ),
     *(
         Criterion(
             "sensing", f"{name} at {low:g} to {high:g} m/s / recorded", 0.8, 1.2,
             "a filter that is tuned to it then declares an envelope that is right to 20 %",
-            _sensing(ratio_of_rms, name, _at(band)), by_chance=True,
+            ratio_of_rms, _sensed(f"{name}.by_speed.{band}"), by_chance=True,
         )
         for name in ("position", "velocity")
-        for band, (low, high) in enumerate(_SPEEDS)
+        for band, (low, high) in enumerate(pairwise(SPEED_EDGES_M_S))
     ),
     *(
         Criterion(
             "sensing", f"delay of {name} - recorded", -0.005, 0.005,
             "half a sample of the recordings; 5 mm at 1 m/s",
-            _sensing(difference_of_means, name, lambda error: error.delay_s), by_chance=True,
-            scale=1000.0, unit=" ms",
+            difference_of_means, _sensed(f"{name}.delay_s"), by_chance=True, scale=1000.0, unit=" ms",
         )
         for name in ("position", "velocity")
     ),

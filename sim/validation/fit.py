@@ -1,13 +1,13 @@
 """Fits the numbers of a vehicle's file to recorded flights.
 
 Each flight is fitted alone by least squares (scipy). The result is the median over the flights, with an
-interval from a bootstrap over them: flights differ by more than one flight is uncertain, since airframes,
-batteries and propellers do. Fitted is what the flights show and nothing else: forces over the mass, torques
-over the rotors' thrust. Mass and the rotors' thrust curve stay those of the base.
+interval from a bootstrap over them: the spread between flights (airframes, batteries, propellers) exceeds the
+uncertainty of one flight. The fit is limited to numbers that flights show: forces over the mass, torques over
+the rotors' thrust. Mass and thrust curve are those of the base.
 
-Three kinds of errors are made small together, each over its usual size: the specific force along the body's z
-axis (thrust, lag), the one across it (drag, the markers' misalignment), and what the gyro shows next, as an
-observer of rate and unknown torque predicts it. The last makes the fit hold for flights under feedback: a
+Three kinds of residuals are minimised together, each over its usual size: the specific force along body z
+(thrust, lag), the one across it (drag, misalignment of the markers), and the next gyro sample minus its
+prediction by an observer of rate and unknown torque. The last is needed for flights under feedback: a
 regression of angular acceleration on torque finds the inverse of the controller instead of the body.
 """
 
@@ -30,26 +30,26 @@ from sim.plant.params import Params
 from sim.plant.rotors import POSITION_X, POSITION_Y
 from sim.validation.open_loop import SAMPLE_S, Piece, pieces, rotations
 
-WINDOW = 5  # samples, over which velocity is differentiated
-FINE = 5  # steps of the motors in a sample: the firmware commands them at 500 Hz
-SKIP = 50  # samples at the beginning of a piece, in which the lags forget
-SIZES = (0.15, 0.3, 0.024)  # usual errors: thrust and across, m/s^2, and gyro, rad/s
-LEVEL = 0.95  # of the intervals
-SECONDS_MIN = 3.0
-VOLTAGE_LAG_S = 0.1  # it is logged at 10 Hz
+WINDOW = 5  # samples over which the velocity is differentiated
+FINE = 5  # motor steps in a sample: the firmware commands the motors at 500 Hz
+SKIP = 50  # samples at the beginning of a piece in which the lags settle
+SIZES = (0.15, 0.3, 0.024)  # usual residuals: along z and across, m/s^2, and gyro, rad/s
+LEVEL = 0.95  # confidence of the intervals
+SECONDS_MIN = 3.0  # usable time of a flight
+VOLTAGE_LAG_S = 0.1  # the voltage is logged at 10 Hz
 
 
 class Values(NamedTuple):
     """Fitted numbers."""
 
     hover_v: float  # mean voltage at the motors in hover
-    exponent: float  # of that voltage in the thrust, near hover
-    lag_s: float  # of the motors' speed
+    exponent: float  # of the thrust as a power of that voltage, near hover
+    lag_s: float  # of the motor speed
     drag_1_s: float  # drag over mass along body x and y
-    climb_drag_1_s: float  # along body z
+    climb_drag_1_s: float  # drag over mass along body z
     inertia_kg_m2: float  # about body x and y, for the base's mass and arm
-    drag_above_com_m: float  # moment of the drag over the drag
-    rate_damping_1_s: float  # of roll and pitch rate
+    drag_above_com_m: float  # lever arm of the drag
+    rate_damping_1_s: float  # damping of roll and pitch rate
     delay_s: float  # from a logged command to the gyro, beyond the lag
     resistance_ohm: float  # of the battery, for the base's currents
 
@@ -60,7 +60,7 @@ HIGH = Values(20.0, 4.0, 0.3, 5.0, 5.0, 1.0, 1.0, 60.0, 0.06, 5.0)
 
 @dataclass(frozen=True, slots=True)
 class FlightFit:
-    """One flight's own numbers and their standard errors by the Jacobian."""
+    """Numbers of one flight with their standard errors by the Jacobian."""
 
     name: str
     values: Values
@@ -79,19 +79,18 @@ class Number:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """What all flights say together."""
+    """Result over all flights."""
 
     numbers: Mapping[str, Number]  # by the names of ``Values``
     flights: tuple[FlightFit, ...]
 
     @property
     def values(self) -> Values:
-        """The medians."""
         return Values(*(self.numbers[name].value for name in Values._fields))
 
 
 class _Data(NamedTuple):
-    """A piece as the residuals need it."""
+    """A piece in the form of the residuals."""
 
     duty: F64  # (n, 4)
     battery_v: F64  # (n,)
@@ -114,12 +113,11 @@ def _data(piece: Piece) -> _Data:
 def _innovations(
     torque: F64, aside: F64, rates: F64, moment: float, damping: float, gains: F64, out: F64
 ) -> None:
-    """What the gyro shows next, minus what an observer predicts.
+    """Gyro samples minus their predictions by an observer, ``out``: (n,) rad/s.
 
     ``torque``: (n,) angular acceleration by the rotors until the next sample, rad/s^2; ``aside``: (n,) body
-    velocity that the drag's moment follows, m/s; ``rates``: (n,) of the gyro; ``moment``: angular
-    acceleration per m/s; ``damping``: 1/s; ``gains``: of the rate, of the unknown torque that fades and that
-    stays (1/s), and what a sample leaves; ``out``: (n,) rad/s.
+    velocity that causes the drag's moment, m/s; ``moment``: angular acceleration per m/s of it; ``gains``: of
+    the rate, of the fading and the constant unknown torque (1/s), and the share that remains after a sample.
     """
     rate, fades, stays = rates[0], 0.0, 0.0
     for i in range(len(rates)):
@@ -152,7 +150,7 @@ class _Problem:
         self.steepness = steepness(params)
 
     def speeds(self, d: _Data, hover_v: float, exponent: float, lag_s: float) -> F64:
-        """Speeds (n, 4) that the motors settle at, over the hover's, as ``sim.plant.rotors`` has them."""
+        """Settled motor speeds (n, 4) over the hover speed, by the map of ``sim.plant.rotors``."""
         slope, sag_v = exponent / self.steepness, np.full(len(d.duty), self.battery.hover_sag_v)
         for _ in range(2):  # the sag follows the speed, and the speed the sag
             motor_v = d.duty * (d.battery_v + sag_v)[:, None] - sag_v[:, None]
@@ -164,7 +162,7 @@ class _Problem:
         return np.asarray(speeds, dtype=np.float64)
 
     def residuals(self, unknown: F64) -> F64:
-        """All errors over their usual sizes."""
+        """All residuals over their usual sizes."""
         hover_v, exponent, lag_s, drag, climb_drag, inertia, above, damping, delay_s, *rest = unknown.tolist()
         ahead, left, *gains = rest
         parts = []
@@ -185,13 +183,11 @@ class _Problem:
             )
             parts += [error[first:] for error in errors]
             moment = drag * self._mass * above / inertia
-            for axis, signs, aside in ((0, POSITION_Y, d.velocity[:, 1]), (1, POSITION_X, -d.velocity[:, 0])):
-                torque = (
-                    (1 if axis == 0 else -1)
-                    * self._arm
-                    / inertia
-                    * (each @ np.array(signs, dtype=np.float64))
-                )
+            for axis, sign, places, aside in (
+                (0, 1, POSITION_Y, d.velocity[:, 1]),
+                (1, -1, POSITION_X, -d.velocity[:, 0]),
+            ):
+                torque = sign * self._arm / inertia * (each @ np.array(places, dtype=np.float64))
                 out = np.empty(len(torque))
                 rate = np.ascontiguousarray(d.rates[:, axis])
                 _innovations(torque, np.ascontiguousarray(aside), rate, moment, damping, np.array(gains), out)
@@ -207,7 +203,7 @@ def steepness(params: Params) -> float:
 
 
 def start_values(params: Params) -> Values:
-    """The numbers that a vehicle's file has already."""
+    """The numbers of a vehicle's file."""
     body, battery = params.body, params.battery
     rpm = params.rotor.rpm(body.mass_kg * params.contact.gravity_m_s2 / 4.0)
     hover_v = battery.motor_v(rpm)
@@ -221,8 +217,7 @@ def start_values(params: Params) -> Values:
 def fit_flight(flight: Screened, params: Params) -> FlightFit | None:
     """Fit one flight; None if less than ``SECONDS_MIN`` of it can be used.
 
-    ``flight``: usable pieces; ``params``: base, from which the fit starts and which gives what the flight
-    cannot show.
+    ``params`` is the base: start of the fit, and source of the numbers that a flight cannot show.
     """
     usable = [piece for piece in pieces(flight) if len(piece.duty) > 4 * SKIP]
     if sum(len(piece.duty) for piece in usable) * SAMPLE_S < SECONDS_MIN:
@@ -235,28 +230,18 @@ def fit_flight(flight: Screened, params: Params) -> FlightFit | None:
     low = np.array([*LOW[:-1], -0.3, -0.3, 0.1, 0.0, 0.0, 0.0])
     high = np.array([*HIGH[:-1], 0.3, 0.3, 1.95, 400.0, 100.0, 0.999])
     found = least_squares(
-        problem.residuals,
-        np.clip(guess, low, high),
-        bounds=(low, high),
-        x_scale=scale,
-        loss="soft_l1",
-        f_scale=3.0,
-        ftol=1e-4,
-        xtol=1e-4,
-        max_nfev=30,
-    )
+        problem.residuals, np.clip(guess, low, high), bounds=(low, high), x_scale=scale,
+        loss="soft_l1", f_scale=3.0, ftol=1e-4, xtol=1e-4, max_nfev=30,
+    )  # fmt: skip
     errors = _standard_errors(found.jac, found.fun)
     own = Values._make([*found.x[:9].tolist(), start.resistance_ohm])
     resistance, its_error = _resistance(data, problem, own)
-    return FlightFit(
-        flight.recording.name,
-        own._replace(resistance_ohm=resistance),
-        Values._make([*errors[:9].tolist(), its_error]),
-    )
+    values = own._replace(resistance_ohm=resistance)
+    return FlightFit(flight.recording.name, values, Values._make([*errors[:9].tolist(), its_error]))
 
 
 def _standard_errors(jacobian: F64, residuals: F64) -> F64:
-    """Of least squares, by the Jacobian; infinite for what the residuals do not depend on."""
+    """Standard errors of least squares; infinite for an unknown without effect on the residuals."""
     freedom = max(1, len(residuals) - jacobian.shape[1])
     size = np.linalg.norm(jacobian, axis=0)
     if not np.all(size > 0.0):
@@ -267,7 +252,7 @@ def _standard_errors(jacobian: F64, residuals: F64) -> F64:
 
 
 def _resistance(data: Sequence[_Data], problem: _Problem, values: Values) -> tuple[float, float]:
-    """Resistance of the battery and its standard error: how the voltage follows the power within a flight."""
+    """Resistance of the battery and its standard error, by the voltage as a function of the power."""
     rows, volts = [], []
     for number, d in enumerate(data):
         speeds = problem.speeds(d, values.hover_v, values.exponent, values.lag_s)
@@ -283,10 +268,7 @@ def _resistance(data: Sequence[_Data], problem: _Problem, values: Values) -> tup
 
 
 def together(flights: Sequence[FlightFit], seed: int = 0) -> Fit:
-    """Medians over flights and their intervals; of one flight alone, those of its Jacobian.
-
-    Raises ValueError: no flight.
-    """
+    """Medians over flights with intervals; below three flights by the Jacobians. ValueError: no flight."""
     if not flights:
         raise ValueError("found no flight that can be fitted, one at least is needed")
     numbers = {}
@@ -305,7 +287,7 @@ def together(flights: Sequence[FlightFit], seed: int = 0) -> Fit:
 
 
 def fitted(params: Params, values: Values) -> Params:
-    """The vehicle with fitted numbers."""
+    """The base with the fitted numbers."""
     b, rotor = params.body, params.rotor
     rpm = rotor.rpm(b.mass_kg * params.contact.gravity_m_s2 / 4.0)
     slope = values.exponent / steepness(params)

@@ -1,4 +1,4 @@
-"""Fits a vehicle's file to a folder of recorded flights, and tests the fit on paths that it has not seen."""
+"""Fits a vehicle's file to a folder of recorded flights, and tests the fit on paths outside its data."""
 
 from __future__ import annotations
 
@@ -17,29 +17,26 @@ from sim.scenarios.scenario import VEHICLE_FILES
 from sim.validation.fit import LEVEL, Fit, FlightFit, Number, fit_flight, fitted, together
 from sim.validation.open_loop import HORIZONS_S, Compared, compare
 
-FULL_V = 3.7  # under load, at which ``thrust_max_n`` is told
+FULL_V = 3.7  # voltage under load for which ``thrust_max_n`` is stated
 
 
 @dataclass(frozen=True, slots=True)
 class Gathered:
     """Flights of a folder."""
 
-    flights: tuple[tuple[Screened, FlightFit], ...]  # that were fitted, with their fits
-    left_out: tuple[tuple[str, str], ...]  # the others, with the reason
+    flights: tuple[tuple[Screened, FlightFit], ...]  # fitted flights with their fits
+    left_out: tuple[tuple[str, str], ...]  # names of the other flights, with the reason
 
     @property
     def fits(self) -> list[FlightFit]:
-        """Of each flight."""
         return [fit for _, fit in self.flights]
 
 
 def gather(
     folder: Path, columns: Mapping[str, Group], params: Params, done: Callable[[], object] = lambda: None
 ) -> Gathered:
-    """Fit each flight of a folder alone.
+    """Fit each flight of a folder alone; ``done`` is called after each flight.
 
-    ``folder``: of recordings; ``columns``: their columns and units; ``params``: base; ``done``: called after
-    each flight.
     Raises RecordingError: the folder has no recordings, or none that can be fitted.
     """
     flights, left_out = [], []
@@ -69,13 +66,13 @@ def kind(name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """One kind of path, flown by numbers fitted to the others."""
+    """Prediction of one kind of path by a fit to the other kinds."""
 
     kind: str  # of path
-    flights: int  # how many
-    # position, velocity: error over that of constant velocity at ``HORIZONS_S``, median over the flights
+    flights: int  # number of flights
+    # Errors over those of constant velocity at ``HORIZONS_S``, medians over the flights; ideal: rigid body.
     position: list[float]
-    ideal_position: list[float]  # ideal_position, ideal_velocity: the same of the ideal rigid body
+    ideal_position: list[float]
     velocity: list[float]
     ideal_velocity: list[float]
 
@@ -85,10 +82,7 @@ def _ratios(errors: Compared) -> tuple[float, float]:
 
 
 def leave_one_out(gathered: Gathered, params: Params) -> list[LeftOut]:
-    """Fit all kinds of paths but one and predict that one, for each kind.
-
-    Raises ValueError: only one kind.
-    """
+    """For each kind of path, predict it by a fit to the others. Raises ValueError: only one kind."""
     kinds = sorted({kind(fit.name) for fit in gathered.fits})
     if len(kinds) < 2:
         raise ValueError(f"found flights of one path only ({kinds[0]}), to leave one out takes two at least")
@@ -108,10 +102,7 @@ def leave_one_out(gathered: Gathered, params: Params) -> list[LeftOut]:
 
 
 def toml(fit: Fit, params: Params, base: str) -> str:
-    """Vehicle file with the fitted numbers, each with its source; everything else is the base's.
-
-    ``fit``: of the flights; ``params``: of the base; ``base``: its name or file.
-    """
+    """Vehicle file with the fitted numbers and their sources, on a base that is a name or a file."""
     vehicle, n = fitted(params, fit.values), fit.numbers
     if base not in VEHICLE_FILES.names():
         base = str(Path(base).resolve())

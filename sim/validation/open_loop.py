@@ -1,19 +1,19 @@
 """Recorded motor commands and battery voltage, fed into the plant: how far it flies from the recorded flight.
 
 Every ``EVERY_S`` the plant starts from the true state: position, velocity and attitude of motion capture,
-rates of the gyro. From there on it sees nothing but the recorded commands and voltages. What a person with
-the flight at hand would calibrate is calibrated before each start, from the past only:
+rates of the gyro. After the start it gets only the recorded commands and voltages. Before each start three
+quantities are calibrated from the past:
 
-- thrust: one factor, so that the last ``CALIBRATION_S`` gave the recorded change of velocity;
+- thrust: one factor, so that the last ``CALIBRATION_S`` give the recorded change of velocity;
 - marker misalignment: two angles, from the same change of velocity;
-- torque: an observer follows the gyro and finds the torque that the plant lacks. A slow part of it stays
-  (motors that differ, a centre of mass that is not in the middle), a fast part fades in the prediction.
+- torque: an observer follows the gyro and finds the torque that is missing in the plant. A slow part of it is
+  constant in the prediction (unequal motors, an offset centre of mass), a fast part fades.
 
-The recorded controller answers torque that the plant does not know of, and its answer is in the commands:
-what the plant lacks works against the rates that the commands alone would make. ``ANSWER_1_S`` expects that.
+The recorded commands contain the controller's reaction to the missing torque, so the missing torque opposes
+the rates that the commands alone would cause. ``ANSWER_1_S`` models this.
 
 The ideal rigid body has no motor lag, drag or battery sag, and gets the same calibration. Constant velocity
-keeps velocity and rates as they are at the start.
+means velocity and rates of the start.
 """
 
 from __future__ import annotations
@@ -37,17 +37,15 @@ from sim.world.bodies import move_body
 HORIZONS_S = (0.1, 0.25, 0.5)
 EVERY_S = 0.1
 SAMPLE_S = 0.01  # recordings are resampled at this period
-STEPS = 10  # of the plant in it
+STEPS = 10  # plant steps in a sample
 CALIBRATION_S = 1.0
 BACK = round(CALIBRATION_S / SAMPLE_S)
 COMMAND_DELAY_MS = 8  # from a logged command to its effect on the gyro beyond the motors' lag, fitted
-# of the observer, chosen for the smallest errors after 0.5 s; flat about these values
-RATE_GAIN = (
-    1.4  # correction of the rate per error of the rate, each sample; the gyro's filter makes it exceed 1
-)
-FAST_GAIN, SLOW_GAIN = 40.0, 10.0  # of the lacking angular acceleration, 1/s
+# Gains of the observer: they give the smallest errors after 0.5 s, with a flat minimum.
+RATE_GAIN = 1.4  # correction of the rate per error of the rate in a sample; above 1 due to the gyro's filter
+FAST_GAIN, SLOW_GAIN = 40.0, 10.0  # of the missing angular acceleration, 1/s
 FADES_S = 0.1  # correlation time of its fast part
-ANSWER_1_S = 9.0
+ANSWER_1_S = 9.0  # missing angular acceleration per body rate, opposing
 
 
 class Compared(NamedTuple):
@@ -70,11 +68,10 @@ class Horizon:
 
 @dataclass(frozen=True, slots=True)
 class OpenLoop:
-    """A flight beside the plant."""
+    """Result of a flight."""
 
     horizons: tuple[Horizon, ...]  # errors at ``HORIZONS_S``
-    # thrust of the plant over the recorded one, over the whole flight; 1.1 is 10 % too much
-    thrust_ratio: float
+    thrust_ratio: float  # thrust of the plant over the recorded one, mean over the starts
     starts: int  # number of predictions
 
 
@@ -90,7 +87,7 @@ class Piece(NamedTuple):
 
 
 def pieces(flight: Screened) -> Iterator[Piece]:
-    """Yield the usable pieces, resampled: logs leave a row out now and then."""
+    """Yield the usable pieces, resampled, since logs have missing rows."""
     r = flight.recording
     attitude = _continuous(r.attitude)
     for part in flight.pieces:
@@ -116,9 +113,9 @@ def _continuous(quaternion: F64) -> F64:
 
 
 def commanded_rpm(params: Params, duty: F64, battery_v: F64) -> F64:
-    """Speeds (n, 4) that motors settle at with duty cycles (n, 4) and a voltage under load (n,)."""
+    """Settled motor speeds (n, 4) for duty cycles (n, 4) and voltage under load (n,)."""
     rotor, battery = params.rotor, params.battery
-    if rotor.volt_map is None:  # the firmware makes thrust of the duty, as far as the battery allows it
+    if rotor.volt_map is None:  # the duty is a thrust, limited by the battery
         a, b = rotor.thrust_square_n_rpm2, rotor.thrust_linear_n_rpm
         rpm = (np.sqrt(b * b + 4.0 * a * rotor.thrust_max_n * duty) - b) / (2.0 * a)
         limit = battery.speed_at_zero_v_rpm + battery.speed_per_volt_rpm * battery_v
@@ -150,11 +147,10 @@ def _follow(
 
 @jitted
 def _observe(acceleration: F64, rates: F64, fade: float, fast: F64, slow: F64) -> None:
-    """Find the angular acceleration (n, 3) that the plant lacks at each sample, from the past only.
+    """Find the missing angular acceleration at each sample from the past: ``fast`` and ``slow`` part (n, 3).
 
     ``acceleration``: (n, 3) of the plant with the recorded rates, until the next sample, rad/s^2; ``rates``:
-    (n, 3) of the gyro; ``fade``: what is left of the fast part after a sample; ``fast``: the part that fades;
-    ``slow``: the part that stays.
+    (n, 3) of the gyro; ``fade``: share of the fast part that remains after a sample.
     """
     for axis in range(3):
         rate, fades, stays = rates[0, axis], 0.0, 0.0
@@ -174,10 +170,10 @@ def _predict(
 ) -> None:
     """Fly from each start.
 
-    ``commands``: (n, 4) rpm; ``starts``: (m,) samples; ``states``: (m, 24): position, velocity, quaternion,
-    rates, rotor speeds, thrust factor, angular acceleration that stays, and that fades; ``fade``: what is
-    left of the latter after a step; ``ends``: (h,) samples after the start at which the state is kept,
-    increasing; ``found``: (m, h, 10) position, velocity, quaternion.
+    ``commands``: (n, 4) rpm; ``starts``: (m,) samples; ``states``: (m, 24) position, velocity, quaternion,
+    rates, rotor speeds, thrust factor, slow and fast missing angular acceleration; ``fade``: share of the
+    last that remains after a step; ``ends``: (h,) samples after the start whose states are stored, in
+    increasing order; ``found``: (m, h, 10) position, velocity, quaternion.
     """
     v = vehicle[0]
     body, wrench = v.world.body, v.world.wrench
@@ -225,9 +221,8 @@ class Model:
     def fly(self, piece: Piece, starts: I64, ends: I64) -> tuple[F64, Rotation, F64]:
         """Calibrate before each start and predict.
 
-        ``piece``: of n samples; ``starts``: (m,) samples, not within ``BACK`` of the beginning; ``ends``:
-        (h,) samples after the start, increasing.
-        Returns states found (m, h, 10), misalignment of the markers (m), thrust factors of the starts (m,).
+        ``starts``: (m,) samples, later than ``BACK``; ``ends``: (h,) samples after the start, increasing.
+        Returns states (m, h, 10), misalignments of the markers (m), thrust factors (m,).
         """
         commands = commanded_rpm(self._params, np.clip(piece.duty, 0.0, 1.0), piece.battery_v)
         n = len(commands)
@@ -251,9 +246,9 @@ class Model:
         return found, misaligned, scale
 
     def _force(self, piece: Piece, axes: F64, thrust: F64, starts: I64) -> F64:
-        """Vectors b (m, 3) in the body frame by which the plant's thrust must be multiplied.
+        """Vectors b (m, 3) in the body frame that scale the plant's thrust.
 
-        Over ``BACK`` samples: change of velocity, without weight and drag = sum of (R thrust / mass) b.
+        Over ``BACK`` samples: change of velocity without weight and drag = sum of (R thrust / mass) b.
         """
         b = self._params.body
         drag = np.einsum("nij,j,nkj,nk->ni", axes, np.array(b.drag_n_s_m), axes, piece.velocity) / b.mass_kg
@@ -276,17 +271,15 @@ class Model:
 
 
 def ideal(params: Params) -> Params:
-    """The vehicle as a rigid body without drag, whose motors obey at once."""
+    """The vehicle as a rigid body without drag and motor lag."""
     body = replace(params.body, drag_n_s_m=(0.0, 0.0, 0.0), drag_above_com_m=0.0, rate_damping_n_m_s=0.0)
     return replace(params, body=body, rotor=replace(params.rotor, lag_s=1e-6))
 
 
 def compare(flight: Screened, params: Params, *, shuffle_seed: int | None = None) -> OpenLoop | None:
-    """Compare the plant with a recorded flight.
+    """Compare the plant with the usable pieces of a flight; None if no piece is long enough.
 
-    ``flight``: usable pieces of it; ``shuffle_seed``: draws the order in which the motor commands are flown;
-    the control experiment.
-    Returns None if no piece is long enough.
+    ``shuffle_seed``: control experiment with the motor commands in random order.
     """
     ends = np.array([round(seconds / SAMPLE_S) for seconds in HORIZONS_S])
     usable = [p for p in pieces(flight) if len(p.duty) > BACK + 1 + ends[-1]]
@@ -325,17 +318,15 @@ def _errors(found: F64, piece: Piece, after: I64, misaligned: Rotation) -> F64:
     """Errors (m, h, 3) of position, velocity and attitude of states (m, h, 10)."""
     position = np.linalg.norm(found[..., :3] - piece.position[after], axis=-1)
     velocity = np.linalg.norm(found[..., 3:6] - piece.velocity[after], axis=-1)
-    angle = [
-        (
-            rotations(found[:, end, 6:]).inv() * rotations(piece.quaternion[after[:, end]]) * misaligned
-        ).magnitude()
-        for end in range(after.shape[1])
-    ]
-    return np.stack([position, velocity, np.stack(angle, axis=1)], axis=-1)
+    angle = np.empty_like(position)
+    for end in range(after.shape[1]):
+        own, true = rotations(found[:, end, 6:]), rotations(piece.quaternion[after[:, end]])
+        angle[:, end] = (own.inv() * true * misaligned).magnitude()
+    return np.stack([position, velocity, angle], axis=-1)
 
 
 def _constant(piece: Piece, starts: I64, ends: I64) -> F64:
-    """Keep velocity and rates: states (m, h, 10)."""
+    """States (m, h, 10) by constant velocity and rates."""
     rows = []
     attitude, v = rotations(piece.quaternion[starts]), piece.velocity[starts]
     for seconds in ends * SAMPLE_S:
@@ -346,7 +337,7 @@ def _constant(piece: Piece, starts: I64, ends: I64) -> F64:
 
 
 def _shuffled(usable: list[Piece], chance: np.random.Generator) -> list[Piece]:
-    """Give every sample the motor commands of another one of the flight."""
+    """The motor commands of the flight in random order."""
     duty = np.concatenate([p.duty for p in usable])
     chance.shuffle(duty)
     ends = np.cumsum([len(p.duty) for p in usable])[:-1]

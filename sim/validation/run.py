@@ -1,6 +1,6 @@
 """Compares the simulator with each flight of a folder, in worker processes.
 
-A flight that cannot be read, or of which nothing is left, is told with its reasons; the others are compared.
+A flight that cannot be read or used is listed with the reasons; the others are compared.
 """
 
 from __future__ import annotations
@@ -29,14 +29,13 @@ VEHICLE = "crazyflie21_room"  # the vehicle of the recorded flights that the pro
 
 @dataclass(frozen=True)
 class Plan:
-    """What to compare with what."""
+    """Inputs of a comparison."""
 
     folder: Path  # of recorded flights
     columns: Path | None = None  # table of columns; None: that of `crazyflie_vicon.toml`
     vehicle: str = VEHICLE  # name or file of the simulated vehicle
-    # whether the open loop gets the motor commands in random order; then it must fail
-    shuffle_pwm: bool = False
-    seed: int = 0  # of everything random
+    shuffle_pwm: bool = False  # control experiment: motor commands of the open loop in random order
+    seed: int = 0  # of all random numbers
 
 
 @dataclass(frozen=True)
@@ -45,8 +44,8 @@ class Compared:
 
     name: str  # of the file, without suffix
     used_s: float  # time that was compared; 0 if the flight is left out
-    left_out: tuple[Reason, ...]  # parts that were not used, or all of it, with the reasons
-    # open_loop, closed_loop, sensing: None where the flight is left out, or has not the columns
+    left_out: tuple[Reason, ...]  # unused parts, or the whole flight, with the reasons
+    # None where the flight is left out or lacks the columns:
     open_loop: OpenLoop | None = None
     closed_loop: ClosedLoop | None = None
     sensing: Sensing | None = None
@@ -54,12 +53,11 @@ class Compared:
 
     @property
     def used(self) -> bool:
-        """Whether anything of the flight was compared."""
         return self.used_s > 0.0
 
 
 def compare(path: Path, columns: dict[str, Group], params: Params, plan: Plan) -> Compared:
-    """Compare one flight; random numbers depend on its name, not on its place in the folder."""
+    """Compare one flight; its random numbers depend on its name, not on the other files of the folder."""
     try:
         flight = load(path, columns)
     except RecordingError as error:
@@ -81,11 +79,9 @@ def compare(path: Path, columns: dict[str, Group], params: Params, plan: Plan) -
 def run(
     plan: Plan, paths: Sequence[Path], workers: int, on_flight: Callable[[Compared], None]
 ) -> list[Compared]:
-    """Compare flights.
+    """Compare flights in ``workers`` processes; the result is sorted by name.
 
-    ``plan``: what to compare with what; ``paths``: of the recordings; ``workers``: number of processes;
-    ``on_flight``: called with each flight as it is done, in any order.
-    Returns the flights by name.
+    ``on_flight`` is called with each flight when it is done, in any order.
     Raises RecordingError: the table of columns is wrong; ConfigError: the vehicle's file is wrong;
     BrokenProcessPool: a process was killed.
     """
@@ -98,7 +94,7 @@ def run(
 
 
 def _each(work: Callable[[Path], Compared], paths: Sequence[Path], workers: int) -> Iterator[Compared]:
-    """Yield results as they come; Ctrl-C ends the processes at once."""
+    """Yield results as they arrive; Ctrl-C ends the processes at once."""
     if workers == 1 or len(paths) <= 1:
         yield from map(work, paths)
         return

@@ -1,14 +1,15 @@
-"""How far a vehicle's own estimate is from the truth: delay, error by axis and speed, correlation, spectrum.
+"""Error of the estimated vehicle state: delay, error by axis and speed, correlation, spectrum.
 
 The error has three parts. A constant delay is found first, by least squares, then a constant offset. What is
-left grows with speed: the delay varies. ``compare`` does that with the recorded estimate of a flight and with
-simulated ones along the same true path.
+left grows with speed: the delay varies. ``compare`` analyses the recorded estimate of a flight and simulated
+ones along the same true path.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -22,7 +23,7 @@ from sim.scenarios.scenario import StateError
 
 DELAY_S = (-0.1, 0.2)  # searched for the delay; clocks of radio and motion capture may differ by tens of ms
 SPEED_EDGES_M_S = (0.0, 0.35, 0.65, 0.85, 1.5)  # bands around 0.2, 0.5, 0.75 and 1 m/s
-DRAWS = 6  # simulated estimates of a flight: the errors of the model's flights differ as the recorded ones do
+DRAWS = 6  # simulated estimates of a flight, since the errors of the model differ from flight to flight
 SLOWEST = 10.0  # percent of the time that show a constant offset
 CORRELATION_S = 1.0  # longest lag of the correlation
 CORRELATED = 1.0 / np.e  # the correlation time is the first lag where the correlation falls below this
@@ -31,10 +32,7 @@ BANDS_HZ = ((0.0, 0.5), (0.5, 2.0), (2.0, 8.0), (8.0, 50.0))  # of the spectrum
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """A piece of estimate and truth at the same instants, n samples ``step_s`` apart.
-
-    It lasts longer than ``DELAY_S`` spans.
-    """
+    """A piece of estimate and truth at the same instants, n samples, longer than ``DELAY_S`` spans."""
 
     step_s: float  # between two samples
     truth: Floats  # (n, 3) position in m or velocity in m/s
@@ -44,108 +42,79 @@ class Trace:
 
 @dataclass(frozen=True, slots=True)
 class Error:
-    """What is wrong with an estimate; m for positions, m/s for velocities."""
+    """Error of an estimate in a flight; m for positions, m/s for velocities."""
 
     delay_s: float  # of the estimate behind the truth, that fits best
-    offset: tuple[float, float, float]  # (3,) error at low speed
-    rms: tuple[float, float, float]  # (3,) error on each axis without delay and offset
+    offset: tuple[float, ...]  # (3,) error at low speed
+    rms: tuple[float, ...]  # (3,) error on each axis without delay and offset
     along: float  # rms of the error along the horizontal velocity
     across: float  # rms of the horizontal error across it
-    median: float  # median, p95: of the norm of the error as it stands, delay and offset included
-    p95: float
-    # rms of the horizontal error, without delay and offset, in each band of ``SPEED_EDGES_M_S``; NaN where
-    # nobody flew
-    by_speed: tuple[float, ...]
+    median: float  # of the norm of the error, delay and offset included
+    p95: float  # 95th percentile of the same
+    by_speed: tuple[float, ...]  # rms of the horizontal error by bands of ``SPEED_EDGES_M_S``; NaN: not flown
     correlation_s: float  # time after which the horizontal error is forgotten
     spectrum: tuple[float, ...]  # share of the horizontal error's power in each band of ``BANDS_HZ``
+
+    @property
+    def rms_norm(self) -> float:
+        return math.sqrt(sum(each**2 for each in self.rms))
+
+
+_SIZES = ("rms", "along", "across", "by_speed")  # of ``Error``: averaged as mean squares
 
 
 def analyse(traces: list[Trace]) -> Error:
     """Find the error of an estimate in pieces of one flight. Raises ValueError: no trace."""
     if not traces:
         raise ValueError("found no pieces of flight, one at least is needed")
-    found = minimize_scalar(
-        lambda delay_s: float(np.sum(_centred(_residuals(traces, delay_s)) ** 2)),
-        bounds=DELAY_S,
-        method="bounded",
-        options={"xatol": 1e-4},
-    )
-    delay_s = float(found.x)
-    parts = _residuals(traces, delay_s)
-    offset = _offset(traces, parts)
+    step_s = traces[0].step_s
+    # Both ends are cut off: there the truth of another time lies outside the piece.
+    inner = slice(math.ceil(DELAY_S[1] / step_s), math.floor(DELAY_S[0] / step_s))
+
+    def errors(delay_s: float) -> list[Floats]:
+        return [(t.estimate - _delayed(t.truth, delay_s / step_s))[inner] for t in traces]
+
+    def misfit(delay_s: float) -> float:
+        left = np.concatenate(errors(delay_s))
+        return float(np.sum((left - left.mean(axis=0)) ** 2))
+
+    delay_s = float(minimize_scalar(misfit, bounds=DELAY_S, method="bounded", options={"xatol": 1e-4}).x)
+    parts = errors(delay_s)
+    speed = np.concatenate([t.speed_m_s[inner] for t in traces])
+    slow = speed <= np.percentile(speed, SLOWEST)  # there a delay does not look like an offset
+    offset = np.median(np.concatenate(parts)[slow], axis=0)
     parts = [part - offset for part in parts]
     left = np.concatenate(parts)
     raw = np.linalg.norm(np.concatenate([t.estimate - t.truth for t in traces]), axis=1)
-    speed = np.concatenate([t.speed_m_s[_inner(t.step_s)] for t in traces])
     horizontal = np.sum(left[:, :2] ** 2, axis=1)
-    along, across = _along(traces, left)
+    moves = np.concatenate([np.gradient(t.truth[:, :2], axis=0)[inner] for t in traces])
+    ahead = moves / np.maximum(np.linalg.norm(moves, axis=1), 1e-12)[:, None]
+    moving = speed > SPEED_EDGES_M_S[1]
+    if not moving.any():
+        moving = np.ones(len(left), dtype=bool)
+    along = left[:, 0] * ahead[:, 0] + left[:, 1] * ahead[:, 1]
+    across = left[:, 1] * ahead[:, 0] - left[:, 0] * ahead[:, 1]
     bands = np.digitize(speed, SPEED_EDGES_M_S) - 1
-    by_speed = tuple(
-        float(np.sqrt(horizontal[bands == band].mean())) if np.any(bands == band) else float("nan")
-        for band in range(len(SPEED_EDGES_M_S) - 1)
-    )
     return Error(
         delay_s,
-        _three(offset),
-        _three(np.sqrt((left**2).mean(axis=0))),
-        along,
-        across,
+        tuple(offset.tolist()),
+        tuple(np.sqrt((left**2).mean(axis=0)).tolist()),
+        float(np.sqrt((along[moving] ** 2).mean())),
+        float(np.sqrt((across[moving] ** 2).mean())),
         float(np.median(raw)),
         float(np.percentile(raw, 95.0)),
-        by_speed,
-        _correlation_s(parts, traces[0].step_s),
-        _spectrum(parts, traces[0].step_s),
+        tuple(
+            float(np.sqrt(horizontal[bands == band].mean())) if np.any(bands == band) else float("nan")
+            for band in range(len(SPEED_EDGES_M_S) - 1)
+        ),
+        _correlation_s(parts, step_s),
+        _spectrum(parts, step_s),
     )
-
-
-def _three(values: Floats) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return (x, y, z)
-
-
-def _residuals(traces: list[Trace], delay_s: float) -> list[Floats]:
-    """Estimate minus the truth of ``delay_s`` before, for the inner part of each piece."""
-    return [
-        (trace.estimate - _delayed(trace.truth, delay_s / trace.step_s))[_inner(trace.step_s)]
-        for trace in traces
-    ]
-
-
-def _inner(step_s: float) -> slice:
-    """Cut off both ends, where the truth of another time lies outside the piece."""
-    return slice(math.ceil(DELAY_S[1] / step_s), math.floor(DELAY_S[0] / step_s))
-
-
-def _offset(traces: list[Trace], parts: list[Floats]) -> Floats:
-    """Median error of the slowest tenth of the time, in which no delay passes for an offset."""
-    speed = np.concatenate([trace.speed_m_s[_inner(trace.step_s)] for trace in traces])
-    slow = speed <= np.percentile(speed, SLOWEST)
-    offset: Floats = np.median(np.concatenate(parts)[slow], axis=0)
-    return offset
 
 
 def _delayed(values: Floats, samples: float) -> Floats:
     at = np.arange(len(values)) - samples
     return np.stack([np.interp(at, np.arange(len(values)), column) for column in values.T], axis=1)
-
-
-def _centred(parts: list[Floats]) -> Floats:
-    left: Floats = np.concatenate(parts)
-    left -= left.mean(axis=0)
-    return left
-
-
-def _along(traces: list[Trace], left: Floats) -> tuple[float, float]:
-    """Return rms along and across the horizontal direction of motion, where there is one."""
-    moves = np.concatenate([np.gradient(t.truth[:, :2], axis=0)[_inner(t.step_s)] for t in traces])
-    length = np.linalg.norm(moves, axis=1)
-    ahead = moves / np.maximum(length, 1e-12)[:, None]
-    moving = np.concatenate([t.speed_m_s[_inner(t.step_s)] for t in traces]) > SPEED_EDGES_M_S[1]
-    if not moving.any():
-        moving = np.ones(len(left), dtype=bool)
-    along = left[:, 0] * ahead[:, 0] + left[:, 1] * ahead[:, 1]
-    across = left[:, 1] * ahead[:, 0] - left[:, 0] * ahead[:, 1]
-    return float(np.sqrt((along[moving] ** 2).mean())), float(np.sqrt((across[moving] ** 2).mean()))
 
 
 def _correlation_s(parts: list[Floats], step_s: float) -> float:
@@ -186,19 +155,18 @@ class Errors:
 
 @dataclass(frozen=True, slots=True)
 class Sensing:
-    """What is wrong with the recorded estimate of a flight, and with simulated ones on its path."""
+    """Errors of the recorded estimate of a flight, and of simulated ones on its path."""
 
     recorded: Errors
     simulated: Errors
 
 
 def compare(flight: Screened, seed: int, error: StateError | None = None) -> Sensing | None:
-    """Hold simulated estimates against the recorded one; None where there is none to compare with.
+    """Compare simulated estimates with the recorded one; None where the flight has no usable estimate.
 
-    The model knows nothing of the flight but its true path: delay and size of the errors are drawn anew for
-    each of ``DRAWS`` estimates. So single flights differ from it; over many the two agree if the model does.
-
-    ``flight``: screened; ``seed``: of the draws; ``error``: parameters, or a tape; None: the defaults.
+    The model gets only the true path of the flight: delay and size of the errors are drawn anew for each of
+    ``DRAWS`` estimates. So single flights differ from it; over many the two agree if the model is right.
+    ``error``: parameters, or a tape; None: the defaults.
     """
     r = flight.recording
     estimates = (r.estimate_position_m, r.estimate_velocity_m_s)
@@ -240,16 +208,11 @@ def _errors(flight: Screened, pieces: list[slice], estimates: list[Floats]) -> E
 
 
 def _mean(errors: list[Error]) -> Error:
-    """Mean of several, root mean square of what is a size."""
-
-    def mean(name: str) -> Floats:
-        return np.asarray(np.mean([getattr(error, name) for error in errors], axis=0))
-
-    def rms(name: str) -> Floats:
-        return np.asarray(np.sqrt(np.mean(np.square([getattr(error, name) for error in errors]), axis=0)))
-
-    return Error(
-        float(mean("delay_s")), _three(mean("offset")), _three(rms("rms")), float(rms("along")),
-        float(rms("across")), float(mean("median")), float(mean("p95")), tuple(rms("by_speed").tolist()),
-        float(mean("correlation_s")), tuple(mean("spectrum").tolist()),
-    )  # fmt: skip
+    """Mean of several; root mean square of ``_SIZES``."""
+    made: dict[str, Any] = {}
+    for field in fields(Error):
+        values = np.array([getattr(error, field.name) for error in errors])
+        square = field.name in _SIZES
+        mean = (np.sqrt(np.mean(np.square(values), axis=0)) if square else values.mean(axis=0)).tolist()
+        made[field.name] = tuple(mean) if isinstance(mean, list) else mean
+    return Error(**made)

@@ -9,7 +9,7 @@ from sim.flights.screening import Screened, load
 from sim.plant.state_error import PastRecord, mismeasured_path, state_errors
 from sim.scenarios.scenario import StateError
 from sim.validation.sensing import compare
-from sim.validation.sensing_fit import fit
+from tests.benchmarks.vehicle.state_error_fit import fit
 from tests.recorded import flights
 
 pytestmark = pytest.mark.slow

@@ -1,0 +1,160 @@
+"""Figures of a comparison with recorded flights."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from logs.report.style import BOUNDARY, COMMAND, ESTIMATED, FLOWN, LIMIT, NOMINAL, TRUE, layout
+
+Told = dict[str, Any]
+DEGREES = 57.29578
+_SIDES = ("recorded", "simulated")
+
+
+def _bars(
+    names: Sequence[str], found: Sequence[Told], color: str, name: str, scale: float, **more: Any
+) -> Any:
+    """Bars with the interval of each value."""
+    each = np.array([(f["value"], *f["interval"]) for f in found], dtype=np.float64)  # None becomes NaN
+    values, low, high = scale * each.T
+    return go.Bar(
+        x=list(names), y=values, name=name, legendgroup=name, marker={"color": color},
+        error_y={"type": "data", "array": high - values, "arrayminus": values - low, "color": "#1f2933",
+                 "thickness": 1}, **more,
+    )  # fmt: skip
+
+
+def _titled(figure: go.Figure) -> go.Figure:
+    """Make room for the titles of subplots below the buttons, in smaller type."""
+    figure.update_layout(margin={"t": 64})
+    figure.update_annotations(font={"size": 13})
+    return figure
+
+
+def open_loop(told: Told) -> go.Figure | None:
+    """Errors of model, constant velocity and ideal body after each horizon."""
+    if not any(one["open_loop"] for one in told["by_flight"]):
+        return None
+    shown = (("position_m", "position [mm]", 1000.0), ("velocity_m_s", "velocity [mm/s]", 1000.0),
+             ("attitude_rad", "attitude [degrees]", DEGREES))  # fmt: skip
+    figure = make_subplots(rows=1, cols=3, subplot_titles=[text for _, text, _ in shown])
+    names = [f"{seconds} s" for seconds in told["open_loop"]]
+    colors = {"model": TRUE, "constant_velocity": LIMIT, "ideal": NOMINAL}
+    for column, (quantity, _, scale) in enumerate(shown, 1):
+        for predictor, color in colors.items():
+            found = [
+                {"value": each[quantity][predictor], "interval": each[quantity]["interval"][predictor]}
+                for each in told["open_loop"].values()
+            ]
+            figure.add_trace(
+                _bars(names, found, color, predictor.replace("_", " "), scale, showlegend=column == 1),
+                row=1, col=column,
+            )  # fmt: skip
+    return _titled(layout(figure, 400))
+
+
+def ratios(told: Told) -> go.Figure | None:
+    """Ratio of the model's error of position and velocity to that of constant velocity, by flight."""
+    flights = [one for one in told["by_flight"] if one["open_loop"]]
+    if not flights:
+        return None
+    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06)
+    names = [one["name"] for one in flights]
+    for row, (quantity, text) in enumerate((("position_m", "position"), ("velocity_m_s", "velocity")), 1):
+        for place, color in enumerate((ESTIMATED, TRUE, COMMAND)):
+            each = [one["open_loop"]["horizons"][place] for one in flights]
+            figure.add_scatter(
+                x=names, y=[h[quantity]["model"] / h[quantity]["constant_velocity"] for h in each],
+                mode="markers", marker={"color": color, "size": 7}, name=f"{each[0]['seconds']:g} s",
+                legendgroup=str(place), showlegend=row == 1, row=row, col=1,
+            )  # fmt: skip
+        figure.add_hline(y=0.5, line={"color": BOUNDARY, "dash": "dash", "width": 1}, row=row, col=1)
+        figure.update_yaxes(title_text=text, rangemode="tozero", row=row, col=1)
+    layout(figure, 620)
+    figure.update_layout(margin={"b": 170}, legend={"y": 1.0, "yanchor": "bottom"})
+    figure.update_xaxes(tickangle=90, tickfont={"size": 10}, automargin=True)
+    return figure
+
+
+_FLOWN = (
+    ("tracking error, level [mm]", "horizontal_m", 1000.0, (0.75, 1.25)),
+    ("tracking error, vertical [mm]", "vertical_m", 1000.0, (0.75, 1.25)),
+    ("mean PWM [%]", "duty", 100.0, (0.97, 1.03)),
+    ("time with a saturated motor [%]", "saturated", 100.0, (0.5, 2.0)),
+    ("tilt, rms [degrees]", "tilt_rms_rad", DEGREES, ()),
+    ("fall of the battery [mV/s]", "sag_v_s", 1000.0, ()),
+)
+
+
+def closed_loop(told: Told) -> go.Figure | None:
+    """Simulated over recorded values of each flight."""
+    flights = [one for one in told["by_flight"] if one["closed_loop"]]
+    if not flights:
+        return None
+    figure = make_subplots(
+        rows=2, cols=3, subplot_titles=[text for text, *_ in _FLOWN], vertical_spacing=0.16
+    )
+    colors = dict(
+        zip(sorted({one["closed_loop"]["controller"] for one in flights}), (FLOWN, TRUE), strict=False)
+    )
+    for place, (_, key, scale, limits) in enumerate(_FLOWN):
+        where = {"row": place // 3 + 1, "col": place % 3 + 1}
+        recorded, simulated = ([scale * one["closed_loop"][side][key] for one in flights] for side in _SIDES)
+        low, high = min(*recorded, *simulated), max(*recorded, *simulated)
+        low, high = low - 0.05 * (high - low), high + 0.05 * (high - low)
+        for factor in (1.0, *limits):
+            style = {"color": LIMIT} if factor == 1.0 else {"color": BOUNDARY, "dash": "dash"}
+            figure.add_scatter(
+                x=[low, high], y=[factor * low, factor * high], mode="lines", line=style | {"width": 1},
+                hoverinfo="skip", showlegend=False, **where,
+            )  # fmt: skip
+        for controller, color in colors.items():
+            chosen = [i for i, one in enumerate(flights) if one["closed_loop"]["controller"] == controller]
+            figure.add_scatter(
+                x=[recorded[i] for i in chosen], y=[simulated[i] for i in chosen], mode="markers",
+                marker={"color": color, "size": 7}, text=[flights[i]["name"] for i in chosen],
+                name=controller, legendgroup=controller, showlegend=place == 0, **where,
+            )  # fmt: skip
+        figure.update_xaxes(title_text="recorded", range=[low, high], **where)
+        figure.update_yaxes(title_text="simulated" if where["col"] == 1 else "", range=[low, high], **where)
+    return _titled(layout(figure, 700))
+
+
+def sensing(told: Told) -> go.Figure | None:
+    """Error by speed, spectrum, and delay of each flight, for position and velocity."""
+    flights = [one for one in told["by_flight"] if one["sensing"]]
+    if not flights:
+        return None
+    rows = (("position", "mm"), ("velocity", "mm/s"))
+    titles = [
+        text
+        for name, unit in rows
+        for text in (
+            f"{name}: level error [{unit}] by speed [m/s]",
+            f"{name}: share of power by band [Hz]",
+            f"{name}: delay [ms]",
+        )
+    ]
+    figure = make_subplots(rows=2, cols=3, subplot_titles=titles, vertical_spacing=0.2)
+    for row, (name, _) in enumerate(rows, 1):
+        found = told["sensing"][name]
+        edges, bands = found["speed_m_s"], found["bands_hz"]
+        parts = [f"{low:g}–{high:g}" for low, high in bands]
+        speeds = [f"{low:g}–{high:g}" for low, high in pairwise(edges)]
+        for side, color in zip(_SIDES, (FLOWN, TRUE), strict=True):
+            shown = {"showlegend": row == 1}
+            by_speed, spectrum = found[side]["by_speed"], found[side]["spectrum"]
+            figure.add_trace(_bars(speeds, by_speed, color, side, 1000.0, **shown), row=row, col=1)
+            figure.add_trace(_bars(parts, spectrum, color, side, 1.0, showlegend=False), row=row, col=2)
+            figure.add_box(
+                y=[1000.0 * one["sensing"][side][name]["delay_s"] for one in flights], name=side,
+                boxpoints="all", text=[one["name"] for one in flights], marker={"color": color, "size": 4},
+                showlegend=False, legendgroup=side, row=row, col=3,
+            )  # fmt: skip
+    return _titled(layout(figure, 720))
