@@ -119,14 +119,6 @@ def passed_at(checks, since_s, seconds, ahead_s=0.0):
     return [t for t in times if checks.step([sample(t + ahead_s, late_s=-ahead_s)], t, armed=True).passed]
 
 
-@pytest.mark.parametrize("ahead_s", [0.04, 0.15, 60.0, 3600.0, 1e9, -1.8e9])
-def test_one_wrong_stamp_costs_one_pose(ahead_s):
-    checks = PoseChecks()
-    passed_at(checks, 0.0, 2.0)
-    assert passed_at(checks, 2.0, 0.01, ahead_s) == []
-    assert len(passed_at(checks, 2.01, 5.0)) == 500
-
-
 @pytest.mark.parametrize("by_s", [-1.7e9, -2.0, -0.2, 0.04, 0.2, 3600.0])
 def test_a_clock_that_was_set_is_followed_after_poses_that_agree(by_s):
     checks = PoseChecks()
@@ -134,20 +126,6 @@ def test_a_clock_that_was_set_is_followed_after_poses_that_agree(by_s):
     passed = passed_at(checks, 2.0, 2.0, by_s)
     assert passed[0] == pytest.approx(2.3, abs=0.011)
     assert len(passed) >= 169
-
-
-@pytest.mark.parametrize("rate", [-0.03, -1e-4, 1e-4, 0.03])
-def test_a_clock_that_drifts_is_followed(rate):
-    checks = PoseChecks()
-    assert all(passed_at(checks, 0.01 * k, 0.01, rate * 0.01 * k) for k in range(6000))
-
-
-def test_a_queue_that_fills_and_stays_full_is_never_believed_in_flight():
-    checks = PoseChecks()
-    passed_at(checks, 0.0, 2.0)
-    late = [passed_at(checks, 2.0 + 0.01 * k, 0.01, -min(2.0, 0.005 * k)) for k in range(3000)]
-    assert not any(late[25:])
-    assert passed_at(checks, 32.0, 1.0)
 
 
 def test_two_bodies_that_take_turns_are_never_believed():

@@ -4,7 +4,6 @@ import os
 import subprocess
 import sys
 import threading
-from pathlib import Path
 
 import pytest
 
@@ -98,27 +97,6 @@ def test_ports_kept_for_a_run_are_not_given_to_another():
     finally:
         for port in ports:
             port.close()
-
-
-AUTOGROUP = Path("/proc/self/autogroup")  # of a kernel that shares processors among sessions
-
-
-@pytest.mark.parametrize("steps", [0, 7])
-def test_the_session_of_a_child_has_the_niceness_of_its_starter(tmp_path, steps):
-    program = (
-        "import os, sys; from pathlib import Path; from flightstack.common.processes import Child; "
-        f"os.setpriority(os.PRIO_PROCESS, 0, {steps}); "
-        "child = Child('sleeper', ['60'], Path(sys.argv[1]), program=['sleep']); "
-        "print(os.getpriority(os.PRIO_PROCESS, child.process.pid)); "
-        f"group = Path(f'/proc/{{child.process.pid}}/{AUTOGROUP.name}'); "
-        "print(group.read_text() if group.exists() else ''); child.process.kill()"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program, tmp_path], capture_output=True, text=True, timeout=60, check=True
-    )
-    own, *group = done.stdout.split()
-    assert own == str(steps)
-    assert group[1:] == (["nice", str(steps)] if AUTOGROUP.exists() else [])
 
 
 @pytest.mark.parametrize("keeps", [True, False])

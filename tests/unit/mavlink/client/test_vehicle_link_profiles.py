@@ -10,7 +10,7 @@ from bridge.mavlink.client.texts import EVENT
 from bridge.mavlink.codec.wide_messages import MESSAGES
 from bridge.mavlink.endpoint import dialect
 from bridge.mavlink.line_budget import LineTooSlowError, bytes_per_s, plan
-from bridge.mavlink.profiles.autopilots import ARDUPILOT, PX4
+from bridge.mavlink.profiles.autopilots import PX4
 from flightstack.core.types import Mode, Request
 from tests.unit.mavlink.client.vehicle_link_fakes import (
     HEIGHT,
@@ -28,17 +28,6 @@ def vehicle():
     fake = FakeAutopilot()
     yield fake
     fake.endpoint.close()
-
-
-def test_ardupilot_gets_no_setpoint_while_it_takes_off(vehicle):
-    link = VehicleLink(
-        f"udpout:127.0.0.1:{vehicle.endpoint.local_port}", takeoff_height_m=HEIGHT, profile=ARDUPILOT
-    )
-    link.command(Request.TAKEOFF, 0.0)
-    assert not link.send_setpoint(Setpoint((0.0, 0.0, 0.0), 0.0), 0.0)
-    link.command(Request.EXTERNAL, 1.0)
-    assert link.send_setpoint(Setpoint((0.0, 0.0, 0.0), 0.0), 1.0)
-    link.close()
 
 
 @pytest.fixture

@@ -1,6 +1,5 @@
 """Serial lines (pseudo-terminals) and TCP connections under an endpoint: cut, full, lost and found again."""
 
-import random
 import select
 import termios
 import time
@@ -58,23 +57,6 @@ def connected(far, endpoint):
     until(passed, "the line was not connected")
     while far.read():
         pass
-
-
-def test_noise_and_cuts_lose_nothing_but_the_frames_they_hit(wire):
-    far, endpoint = wire
-    connected(far, endpoint)
-    rng, frames, received = random.Random(1), frames_of(1500, seed=2), []
-    stream, noise = bytearray(), 0
-    for frame in frames:
-        stray = rng.randbytes(rng.randrange(0, 140))
-        noise += len(stray)
-        stream += stray + frame
-    assert noise > 100_000
-    tail = frames_of(12, seed=3)
-    feed(far, endpoint, bytes(stream) + b"".join(tail), received)
-    until(lambda: take_more(endpoint, received) >= len(frames) + len(tail), "frames are missing")
-    assert received == frames + tail
-    assert endpoint.counters.garbage_bytes == noise
 
 
 def take_more(endpoint, received):

@@ -60,19 +60,6 @@ def test_wrapped_angle_is_in_half_open_range(angle):
     assert -math.pi < frames.wrap_angle(angle) <= math.pi
 
 
-def test_minus_pi_wraps_to_plus_pi():
-    assert frames.wrap_angle(-math.pi) == math.pi
-    assert frames.wrap_angle(3 * math.pi) == pytest.approx(math.pi)
-
-
-def test_level_nose_east_is_yaw_90_in_ned():
-    assert frames.ned_frd_from_enu_flu((1.0, 0.0, 0.0, 0.0)) == pytest.approx((S, 0.0, 0.0, S))
-
-
-def test_level_nose_north_is_identity_in_ned():
-    assert frames.ned_frd_from_enu_flu((S, 0.0, 0.0, S)) == pytest.approx((1.0, 0.0, 0.0, 0.0))
-
-
 def test_nose_north_rolled_right_30_degrees():
     # Right wing down, nose to the north: +30 deg of roll in NED/FRD, and in ENU/FLU the same 30 deg of roll
     # after the turn to the north.
