@@ -21,13 +21,14 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Neighbour, Operator, Phase, VehicleStatus
 from flightstack.onboard.runner import Arrived, Runner, Taken, VehicleInputs
 from flightstack.onboard.state_text import StateText, StateTextError
-from logs.replay.compare import Tally, TickDifference, fields_of, values_of
+from logs.replay.compare import Tally, TickDifference
 from logs.replay.read import ROSOUT, FlightInputs, ReplayError, TickRecord
 from logs.replay.wire import WireReplay
 from logs.schema.controller_rows import TickInputs, power_row, step_row
 from logs.schema.events import CONTROLLER
 from logs.schema.rows import ControllerStateRow, ControllerStepRow, LogRow
 from logs.schema.schemas import CONTROLLER_POWER, CONTROLLER_STEP
+from logs.tools.compare import messages_of, values_of
 
 __all__ = ["FlightInputs", "PhaseChange", "ReplayError", "Result", "TickDifference", "replay"]
 
@@ -245,14 +246,14 @@ class _Run:
         replayed = row.pack()
         topic = self.flight.topic("controller/step")
         found = [
-            TickDifference(topic, tick, *each) for each in fields_of(CONTROLLER_STEP, record.step, replayed)
+            TickDifference(topic, tick, *each) for each in messages_of(CONTROLLER_STEP, record.step, replayed)
         ]
         if record.power is not None and not self.changed:
             again = power_row(at, given.inputs.power, out.reserve).pack()
             power = self.flight.topic("controller/power")
             found += [
                 TickDifference(power, tick, *each)
-                for each in fields_of(CONTROLLER_POWER, record.power, again)
+                for each in messages_of(CONTROLLER_POWER, record.power, again)
             ]
         events = [LogRow(given.stamp_ns, e.level, CONTROLLER, e.text, "", "", 0) for e in out.events]
         if record.events != events:

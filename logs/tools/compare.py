@@ -7,9 +7,12 @@ topic is compared on its own, ordered by log time and sequence number.
 
 from __future__ import annotations
 
-import math
+import dataclasses
+import struct
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +24,7 @@ from logs.recorder.recording import RECORDER, RECORDER_NAME
 from logs.schema.codec_mavlink import MAVLINK_PEERS
 from logs.schema.names import LOSSES, split
 from logs.schema.rows import LogRow
-from logs.schema.schemas import CONTROLLER_STEP, DIAGNOSTIC_ARRAY, LOG, LOOP_TIMING
+from logs.schema.schemas import CONTROLLER_STEP, DIAGNOSTIC_ARRAY, LOG, LOOP_TIMING, store_for
 from logs.tools.recover import LOG_TOOL
 
 WALL_CLOCK_SCHEMAS = frozenset({LOOP_TIMING, DIAGNOSTIC_ARRAY})
@@ -34,6 +37,7 @@ WALL_CLOCK_METADATA_KEYS = frozenset(
 MAX_DIFFERENCES = 100  # more are not reported; the first ones tell the story
 
 ABSENT = "absent"
+_F64 = struct.Struct("<d")
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,39 +114,55 @@ def _topic(topic: str, a: list[Message], b: list[Message]) -> Iterator[MessageDi
 
 
 def _data(topic: str, index: int, x: Message, y: Message) -> Iterator[MessageDifference]:
-    """Name the fields that differ; if none does by value, the bytes differ in their padding."""
-    named = 0
     if x.schema == y.schema:
-        values_a, values_b = dict(_leaves(x.decode())), dict(_leaves(y.decode()))
-        for field in values_a | values_b:
-            value_a, value_b = values_a.get(field, ABSENT), values_b.get(field, ABSENT)
-            if not _same(value_a, value_b):
-                named += 1
-                yield MessageDifference(topic, index, field, str(value_a), str(value_b))
-    if not named:
-        yield MessageDifference(topic, index, "data", x.data.hex(), y.data.hex())
-
-
-def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield (dotted name, plain value) of everything in a decoded message."""
-    fields = getattr(value, "__dataclass_fields__", None)
-    if fields is not None:
-        for field, declared in fields.items():
-            if "ClassVar" not in str(declared.type):
-                yield from _leaves(getattr(value, field), f"{name}.{field}" if name else field)
-    elif isinstance(value, list | np.ndarray):
-        yield f"{name}.length", len(value)
-        for i, item in enumerate(value):
-            yield from _leaves(item, f"{name}[{i}]")
+        found = messages_of(x.schema, x.data, y.data)
     else:
-        yield name, value
+        found = iter([("data", x.data.hex(), y.data.hex())])
+    for field, a, b in found:
+        yield MessageDifference(topic, index, field, a, b)
 
 
-def _same(a: Any, b: Any) -> bool:
-    if isinstance(a, float) and isinstance(b, float):
-        both_nan = math.isnan(a) and math.isnan(b)
-        return both_nan or (a == b and math.copysign(1.0, a) == math.copysign(1.0, b))
-    return bool(a == b)
+def messages_of(schema: str, a: bytes, b: bytes) -> Iterator[tuple[str, str, str]]:
+    """Yield (field, a, b) of the fields that differ in two messages in CDR, the bytes if no value does."""
+    if a == b:
+        return
+    found: list[tuple[str, str, str]] = []
+    with suppress(Exception):  # a library raises whatever it likes about damaged bytes
+        store = store_for(schema)
+        found = list(values_of(store.deserialize_cdr(a, schema), store.deserialize_cdr(b, schema)))
+    yield from found or [("data", a.hex(), b.hex())]
+
+
+def values_of(a: Any, b: Any, name: str = "") -> Iterator[tuple[str, str, str]]:
+    """Yield (field, a, b) of each difference, bit by bit: NaN equals a NaN of the same bits, 0.0 not -0.0."""
+    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
+        a, b = a.tolist(), b.tolist()
+    if type(a) is not type(b):
+        yield name, _text(a), _text(b)
+    elif dataclasses.is_dataclass(a) and not isinstance(a, type):
+        for each in dataclasses.fields(a):
+            inner = f"{name}.{each.name}" if name else each.name
+            yield from values_of(getattr(a, each.name), getattr(b, each.name), inner)
+    elif isinstance(a, tuple | list):
+        if len(a) != len(b):
+            yield f"{name}.length", str(len(a)), str(len(b))
+        names = getattr(a, "_fields", None)
+        for n, (x, y) in enumerate(zip(a, b, strict=False)):
+            inner = f"{name}[{n}]" if not names else f"{name}.{names[n]}" if name else names[n]
+            yield from values_of(x, y, inner)
+    elif isinstance(a, float):
+        raw_a, raw_b = _F64.pack(a), _F64.pack(b)
+        if raw_a != raw_b:
+            if str(a) != str(b):
+                yield name, str(a), str(b)
+            else:
+                yield name, f"{a} (bytes {raw_a.hex()})", f"{b} (bytes {raw_b.hex()})"
+    elif a != b:
+        yield name, _text(a), _text(b)
+
+
+def _text(value: Any) -> str:
+    return value.name if isinstance(value, Enum) else repr(value)
 
 
 def _metadata(a: dict[str, dict[str, str]], b: dict[str, dict[str, str]]) -> Iterator[MessageDifference]:
