@@ -11,7 +11,7 @@ from flightstack.common.pacing import EPOCH_NS
 from flightstack.common.strict_toml import dumps
 from flightstack.core.controller import state_class
 from flightstack.onboard.log import OnboardLog
-from logs.recorder.feed_wire import Kind, Record, encode_json
+from logs.recorder.feed import Kind, Record, encode_json
 from logs.recorder.mcap_file import McapFile
 from logs.recorder.recording import Recorder
 from logs.schema import schemas

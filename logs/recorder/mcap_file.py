@@ -112,7 +112,7 @@ class McapFile:
         self._stream.failure = self._stream.failure or why
 
     def descriptor(self) -> int:
-        """Return the descriptor of the open file, for :class:`logs.recorder.recorder_process.Syncer`."""
+        """Return the descriptor of the open file, for :class:`logs.recorder.recorder.Syncer`."""
         return self._stream.descriptor()
 
     def channel(self, topic: str, schema: str) -> int:

@@ -12,8 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bridge.zenoh.zenoh_link import ZenohLinkError, drain, open_session, parse_attachment, ring_subscriber
-from logs.recorder.recorder_process import RecorderError
-from logs.recorder.recording import Recorder
+from logs.recorder.recording import Recorder, RecorderError
 
 CDR_ENCODING = "application/cdr;"  # as Zenoh writes an encoding that carries a schema
 _RMW_KEY = re.compile(r"\d+/(?P<topic>.+)/(?P<package>\w+)::msg::dds_::(?P<name>\w+)_/[^/]+")

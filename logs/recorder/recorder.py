@@ -1,21 +1,285 @@
-"""The flight recorder: one process, many clients, one MCAP file.
+"""The flight recorder: one process, many clients on a local socket, one MCAP file.
 
 It is a process of its own, so it outlives a crash of the others, closes the file then, and its disk and
-compressor never stand in the way of the control loop.
+compressor never stand in the way of the control loop. A write is safe from a crash of the recorder at once,
+but the kernel may keep it for half a minute. A thread brings the file to the disk, since that may take long
+on a memory card: the loop reads meanwhile.
 """
 
 from __future__ import annotations
 
+import contextlib
+import os
+import selectors
 import signal
+import socket
+import stat
 import sys
+import threading
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
+from typing import Protocol
 
 from flightstack.common.hangup import ASK, begun, on_hangup
-from logs.recorder.recorder_process import RecorderError, RecorderProcess, Source
-from logs.recorder.recording import Statistics
+from logs.recorder.feed import SOCKET_PATH_MAX, Splitter, WireError
+from logs.recorder.mcap_file import McapFile
+from logs.recorder.recording import Recorder, RecorderError, Statistics
 from logs.schema.schemas import typestore
+
+# Wall time; `recording` flushes by log time. A killed recorder loses this, what waits in sockets and what
+# the clients gather (0.1 s in lockstep); a power cut also the time the disk takes: half a second in all.
+FLUSH_PERIOD_S = 0.25
+READ_PERIOD_S = 0.004  # wall time; clients flush every tick, reading them in batches saves the processor
+GRACE_S = 3.0  # wall time the clients have to finish after the recorder was told to stop
+_RECEIVE_BYTES = 2**18
+
+
+class Source(Protocol):
+    """Something other than a client that brings messages, polled from the loop."""
+
+    def poll(self, recorder: Recorder) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class RecorderProcess:
+    """Listening socket, its clients, and the file."""
+
+    def __init__(self, socket_path: Path | None, out: Path, source: Source | None = None) -> None:
+        """Listen and create the file."""
+        self._selector = selectors.DefaultSelector()
+        self._wake_in, self._wake_out = socket.socketpair()
+        self._wake_in.setblocking(False)
+        self._wake_out.setblocking(False)
+        self._socket_path = socket_path
+        self._listener = _listen(socket_path) if socket_path else None
+        try:
+            file = McapFile(out)
+            self._syncer = Syncer(file.descriptor(), out)
+            if file.failure:  # not even the head of the file fits
+                out.unlink()
+                raise OSError(0, file.failure)
+        except OSError as error:
+            self._stop_listening()
+            taken = isinstance(error, FileExistsError)
+            what = "exists already; choose another name" if taken else error.strerror
+            raise RecorderError(f"cannot write the log {out}: {what}") from error
+        self._recorder = Recorder(file)
+        if self._listener:
+            self._selector.register(self._listener, selectors.EVENT_READ)
+        self._selector.register(self._wake_in, selectors.EVENT_READ)
+        self._source = source
+        self._splitters: dict[socket.socket, Splitter] = {}
+        self._stops = 0
+        self._gone = 0
+
+    def stop(self) -> None:
+        """Ask the loop to end once the clients are done; the second time, at once. For signal handlers."""
+        with contextlib.suppress(OSError):
+            self._wake_out.send(b"\x00")
+
+    def run(self, until_clients: int | None = None) -> Statistics:
+        """Record until told to stop, the disk is full, or this many clients have come and gone.
+
+        Returns:
+            What was recorded. The file is closed.
+        """
+        flushed_s = time.monotonic()
+        deadline_s = float("inf")
+        while True:
+            self._pass(max(0.0, flushed_s + FLUSH_PERIOD_S - time.monotonic()))
+            now_s = time.monotonic()
+            if now_s - flushed_s >= FLUSH_PERIOD_S:
+                self._recorder.flush()
+                self._syncer.ask()
+                flushed_s = now_s
+            if self._syncer.failure:
+                self._recorder.fail(self._syncer.failure)
+            if self._recorder.failure:
+                break  # the clients see their sockets close, and fly on
+            if self._stops and deadline_s == float("inf"):
+                deadline_s = now_s + GRACE_S
+            enough = until_clients is not None and self._gone >= until_clients
+            if not self._splitters and (self._stops or enough):
+                break
+            if self._stops > 1 or now_s >= deadline_s:
+                break
+        return self._finish()
+
+    def _pass(self, patience_s: float) -> None:
+        """Wait for input, then read all of it."""
+        if self._source:  # it has no descriptor to wait for
+            patience_s = min(patience_s, READ_PERIOD_S)
+        ready = [key.fileobj for key, _ in self._selector.select(patience_s)]
+        for fileobj in ready:
+            if fileobj is self._wake_in:
+                self._stops += len(self._wake_in.recv(16))
+            elif fileobj is self._listener:
+                self._accept()
+            elif isinstance(fileobj, socket.socket):
+                self._receive(fileobj)
+        if self._source:
+            self._source.poll(self._recorder)
+        if ready and not self._stops and not self._source:
+            self._pause()
+
+    def _pause(self) -> None:
+        """Let records gather for a moment; a stop ends it."""
+        with selectors.SelectSelector() as selector:
+            selector.register(self._wake_in, selectors.EVENT_READ)
+            selector.select(READ_PERIOD_S)
+
+    def _accept(self) -> None:
+        assert self._listener is not None
+        while True:
+            try:
+                client, _ = self._listener.accept()
+            except OSError:
+                return
+            client.setblocking(False)
+            self._splitters[client] = Splitter()
+            self._selector.register(client, selectors.EVENT_READ)
+
+    def _receive(self, client: socket.socket) -> bool:
+        """Read what one client has sent; False if nothing."""
+        splitter = self._splitters[client]
+        try:
+            data = client.recv(_RECEIVE_BYTES)
+        except (BlockingIOError, InterruptedError):
+            return False
+        except OSError:
+            data = b""
+        if not data:
+            self._drop(client)
+            return False
+        number = client.fileno()
+        try:
+            for record in splitter.feed(data):
+                self._recorder.handle(number, record)
+        except WireError:
+            self._recorder.statistics.invalid += 1
+            self._drop(client)
+            return False
+        return True
+
+    def _drop(self, client: socket.socket) -> None:
+        self._recorder.gone(client.fileno(), self._splitters.pop(client).pending)
+        self._gone += 1
+        self._selector.unregister(client)
+        client.close()
+
+    def _finish(self) -> Statistics:
+        """Read the sockets to their end, in bounded time, and close everything."""
+        if self._listener:
+            self._accept()
+        deadline_s = time.monotonic() + GRACE_S
+        for client in list(self._splitters):
+            while time.monotonic() < deadline_s and self._receive(client):
+                pass
+        for client in list(self._splitters):
+            self._drop(client)
+        if self._source:
+            self._source.poll(self._recorder)
+            self._source.close()
+        self._stop_listening()
+        self._selector.close()
+        self._wake_in.close()
+        self._wake_out.close()
+        counts = self._recorder.statistics
+        counts.syncs, counts.sync_worst_s = self._syncer.count, self._syncer.worst_s
+        self._recorder.finish()
+        self._syncer.close()
+        counts.failure = counts.failure or self._syncer.failure
+        return counts
+
+    def _stop_listening(self) -> None:
+        if self._listener and self._socket_path:
+            self._listener.close()
+            self._socket_path.unlink(missing_ok=True)
+
+
+def _listen(path: Path) -> socket.socket:
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        _remove_stale(path)
+        before = os.umask(0o177)  # only this user may write into the log
+        try:
+            listener.bind(str(path))
+        finally:
+            os.umask(before)
+        listener.listen(64)
+    except OSError as error:
+        listener.close()
+        hint = ""
+        if len(str(path)) > SOCKET_PATH_MAX:
+            hint = f"; paths of sockets have at most {SOCKET_PATH_MAX} bytes"
+        raise RecorderError(f"cannot listen at {path}: {error}{hint}") from error
+    listener.setblocking(False)
+    return listener
+
+
+def _remove_stale(path: Path) -> None:
+    """Remove a socket that a killed recorder left; one that answers stays and makes the bind fail."""
+    if not path.exists() or not stat.S_ISSOCK(path.stat().st_mode):
+        return
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        try:
+            probe.connect(str(path))
+        except ConnectionRefusedError:
+            path.unlink(missing_ok=True)
+
+
+class Syncer:
+    """Calls ``fdatasync`` on one open file whenever asked and idle."""
+
+    def __init__(self, descriptor: int, path: Path) -> None:
+        """Start the thread; the name of the file in its directory is brought to the disk at once."""
+        _sync_directory(path.parent)
+        self._descriptor = os.dup(descriptor)  # the file may be closed before the last wait
+        self._wanted = threading.Event()
+        self._closing = False
+        self.count = 0  # calls so far
+        self.worst_s = 0.0  # wall time of the longest call, s
+        self.failure = ""  # error of the disk; empty without one
+        self._thread = threading.Thread(target=self._work, name="sync", daemon=True)
+        self._thread.start()
+
+    def ask(self) -> None:
+        """Have everything written so far on the disk soon; never waits."""
+        self._wanted.set()
+
+    def close(self) -> None:
+        """Wait for the disk a last time, with everything written so far, and end the thread."""
+        self._closing = True
+        self._wanted.set()
+        self._thread.join()
+        os.close(self._descriptor)
+
+    def _work(self) -> None:
+        closing = False
+        while not closing:
+            self._wanted.wait()
+            self._wanted.clear()
+            closing = self._closing  # read before the call, so that the last call comes after close()
+            begun_s = time.monotonic()
+            try:
+                os.fdatasync(self._descriptor)
+            except OSError as error:
+                self.failure = error.strerror or str(error)
+                return
+            self.count += 1
+            self.worst_s = max(self.worst_s, time.monotonic() - begun_s)
+
+
+def _sync_directory(directory: Path) -> None:
+    descriptor = os.open(directory, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
 
 __all__ = ["RecorderError", "RecorderProcess", "problems", "record_main"]
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from logs.derive.derive import Derive, Derivers
-from logs.recorder.feed_wire import Kind, Record
+from logs.recorder.feed import Kind, Record
 from logs.recorder.mcap_file import McapFile
 from logs.schema.events import Severity, pack_log
 from logs.schema.names import LOSSES
@@ -22,6 +22,10 @@ _TOLD = ("clients", "invalid", "refused", "skipped", "unfinished_bytes", "crashe
          "failure")  # fmt: skip
 # What records with wrong content raise; a recorder that dies of one would take the others' log with it.
 _NONSENSE = (ValueError, KeyError, TypeError, AttributeError, RecursionError, struct.error)
+
+
+class RecorderError(Exception):
+    """The recorder cannot start."""
 
 
 @dataclass

@@ -25,10 +25,9 @@ from flightstack.core.controller import Outputs
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Inputs
 from flightstack.onboard.runner import LinkedVehicle, Refusals, decoded
-from logs.replay.compare import TickDifference
 from logs.replay.read import ROSOUT, SINK, SOURCE, TickRecord
 from logs.schema.controller_rows import TickInputs
-from logs.tools.compare import values_of
+from logs.tools.compare import TickDifference, values_of
 
 _SAID_BY_THE_WIRE = ("target sample refused: ", "vehicle: ")  # the other lines are about the socket
 _ID_AND_PAYLOAD = slice(7, -2)  # of an unsigned frame: what is left of head, sequence number and checksum

@@ -12,11 +12,13 @@ from logs.reader.fleet_words import Words
 from logs.reader.flight_data import Fleet, Flight, Floats
 from logs.report.derived import Errors, Side, estimate_errors, root_mean_square
 from logs.report.links import Stream
-from logs.report.loop import data_age, histograms, loop_timing
 from logs.report.series import (
     barrier_over_time,
+    data_age,
     estimate_error,
     filter_activity,
+    histograms,
+    loop_timing,
     share_active,
     tracking,
     vehicle_state,

@@ -1,4 +1,4 @@
-"""Are two flight logs the same? Message by message, with declared exceptions.
+"""Are two flight logs, or a log and its replay, the same? Value by value, with declared exceptions.
 
 Two runs of one seed in lockstep must give equal logs. What depends on the wall clock by nature is named in
 the tables below and nowhere else. Messages of different processes reach the recorder in any order, so each
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
@@ -186,3 +186,39 @@ def _attachments(first: LogFile, second: LogFile) -> Iterator[MessageDifference]
         elif (x.media_type, x.data) != (y.media_type, y.data):
             sizes = (f"{x.media_type} {len(x.data)} bytes", f"{y.media_type} {len(y.data)} bytes")
             yield MessageDifference(f"attachment {name}", -1, "content", *sizes)
+
+
+SHOWN_MAX = 10  # differences kept; the others are counted
+
+
+@dataclass(frozen=True, slots=True)
+class TickDifference:
+    """One value that differs."""
+
+    topic: str  # topic of the recorded value
+    tick: int  # tick number
+    field: str  # dotted name as in the message definition
+    recorded: str  # value in the log, as text
+    replayed: str  # value of this replay, as text
+
+    def __str__(self) -> str:
+        return (
+            f"{self.topic} tick {self.tick} {self.field}: recorded {self.recorded}, replayed {self.replayed}"
+        )
+
+
+@dataclass
+class Tally:
+    """Differences of one kind: their number, and the first ones."""
+
+    count: int = 0
+    ticks: int = 0  # that hold one
+    first: list[TickDifference] = dataclasses.field(default_factory=list)
+
+    def add(self, found: Iterable[TickDifference]) -> None:
+        before = self.count
+        for each in found:
+            self.count += 1
+            if len(self.first) < SHOWN_MAX:
+                self.first.append(each)
+        self.ticks += self.count > before

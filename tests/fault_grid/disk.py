@@ -20,10 +20,10 @@ from flightstack.onboard.log import OnboardLog
 from flightstack.onboard.runner import Taken
 from logs.reader.reader import LogFile
 from logs.recorder import feed as feed_module
-from logs.recorder import recorder_process
+from logs.recorder import recorder as recorder_process
 from logs.recorder.feed import Feed
 from logs.recorder.mcap_file import McapFile, SafeStream
-from logs.recorder.recorder_process import RecorderProcess
+from logs.recorder.recorder import RecorderProcess
 from tests.fault_grid.flight import Flight
 from tests.fault_grid.table import Way
 

@@ -17,8 +17,8 @@ from flightstack.common.text import plain
 from flightstack.config import options as shared
 
 if TYPE_CHECKING:
-    from logs.replay.compare import Tally
     from logs.replay.replay import PhaseChange, Result
+    from logs.tools.compare import Tally
 
 EQUAL, DIFFERENT, UNUSABLE = 0, 1, 2
 _WORST_FIRST = ("unusable", "different", "equal")

@@ -7,7 +7,7 @@ import os
 import time
 
 from flightstack.common.pacing import EPOCH_NS
-from logs.recorder.feed_wire import Kind, Record, encode_json
+from logs.recorder.feed import Kind, Record, encode_json
 from logs.recorder.mcap_file import McapFile
 from logs.recorder.recording import Recorder
 from logs.schema import schemas

@@ -15,7 +15,7 @@ from flightstack.common.strict_toml import ConfigError, decoded, parse_toml, rea
 from flightstack.compiled import jit
 from flightstack.config import options
 from logs.recorder.feed import Feed, FeedError
-from logs.recorder.recorder_process import RecorderError, _listen
+from logs.recorder.recorder import RecorderError, _listen
 from sim.validation import run as validation
 
 SHIPPED = Path(options.__file__).parent / "sitl-1kg.toml"

@@ -19,8 +19,7 @@ from logs.reader.reader import LogFile
 from logs.recorder.feed import Feed
 from logs.recorder.mcap_file import McapFile, SafeStream
 from logs.recorder.record_zenoh import ZenohSource, topic_and_schema
-from logs.recorder.recorder import RecorderError, RecorderProcess, problems
-from logs.recorder.recorder_process import Syncer
+from logs.recorder.recorder import RecorderError, RecorderProcess, Syncer, problems
 from logs.schema import schemas
 from tests.processes.bounded import line_of
 from tests.processes.ports import free_endpoint

@@ -25,10 +25,11 @@ from flightstack.core.types import (
     VehicleStatus,
 )
 from logs.reader.flight_data import Steps
-from logs.schema import cdr, rows, schemas, stubs
+from logs.schema import cdr, rows, schemas
 from logs.schema.controller_rows import TickInputs, pack_controller_input, unpack_controller_input
 from logs.schema.rows import ControllerInputRow, ControllerStepRow, LogRow, LoopTimingRow
 from logs.schema.schemas import fields_of
+from tests import row_stubs as stubs
 
 STORE = schemas.typestore()
 T = STORE.types
@@ -149,7 +150,7 @@ def test_fields_read_from_a_definition_are_those_of_the_generic_parser(name):
 
 
 def test_the_stub_and_the_columns_are_those_of_the_definitions():
-    assert stubs.STUB.read_text(encoding="ascii") == stubs.text(), "run python -m logs.schema.stubs"
+    assert stubs.STUB.read_text(encoding="ascii") == stubs.text(), "run python -m tests.row_stubs"
     names = [field.name for field in dataclasses.fields(Steps)]
     assert names == ["t_s", *ControllerStepRow._fields[1:]]
 

@@ -1,16 +1,17 @@
-"""Makes ``rows.pyi``, the types of ``rows.py`` for mypy: ``python -m logs.schema.stubs``."""
+"""Makes ``logs/schema/rows.pyi``, the types of ``rows.py`` for mypy: ``python -m tests.row_stubs``."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+from logs.schema import rows
 from logs.schema.cdr import CODES, HEADER_TYPE, TIME_TYPES
 from logs.schema.rows import COLUMNS, ROWS, class_name, column_fields, value_name
 from logs.schema.schemas import Field, fields_of
 
-STUB = Path(__file__).with_name("rows.pyi")
+STUB = Path(rows.__file__).with_suffix(".pyi")
 _HEAD = """\
-# Made from the message definitions by `python -m logs.schema.stubs`; changes belong there.
+# Made from the message definitions by `python -m tests.row_stubs`; changes belong there.
 # fmt: off
 # ruff: noqa
 from dataclasses import dataclass
