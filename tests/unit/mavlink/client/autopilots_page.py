@@ -1,4 +1,4 @@
-"""The tables of docs/how_to/autopilots.md, from the code; run as a module it writes them into the page.
+"""The tables of docs/reference/autopilots.md, from the code; run as a module it writes them into the page.
 
 python -m tests.unit.mavlink.client.autopilots_page
 """
@@ -16,7 +16,7 @@ from flightstack.onboard.preflight import line_plan, needs_of
 from sim.scenarios import scenario
 from tests.unit.verify.certificate_page import BEGIN, END, split
 
-PAGE = Path(__file__).parents[4] / "docs" / "how_to" / "autopilots.md"
+PAGE = Path(__file__).parents[4] / "docs" / "reference" / "autopilots.md"
 PROFILES = (OWN_SITL, CRAZYFLIE, PX4, ARDUPILOT)
 EXAMPLE = "lab"  # scenario whose command box the wanted values are for
 
@@ -33,7 +33,7 @@ def _steps(profile, request):
 
 def _takeoff_height(profile):
     own = any(step.command == dialect.MAV_CMD_NAV_TAKEOFF for step in profile.sequences[Request.TAKEOFF])
-    return profile.takeoff_altitude.value if own else "not told: it climbs by set-points"
+    return profile.takeoff_altitude.value if own else "not sent: it climbs by set-points"
 
 
 def _modes(profile, mode):
@@ -61,28 +61,28 @@ def profiles():
         ("takes off in", lambda p: _modes(p, Mode.TAKEOFF)),
         ("holds in", lambda p: _modes(p, Mode.HOLD)),
         ("lands in", lambda p: _modes(p, Mode.LAND)),
-        ("on the ground, before anything", lambda p: ", ".join(s.name for s in p.prepare) or "nothing"),
+        ("first command on the ground", lambda p: ", ".join(s.name for s in p.prepare) or "nothing"),
         ("take-off", lambda p: _steps(p, Request.TAKEOFF)),
         ("height of the take-off", _takeoff_height),
         (
             "set-points during its take-off",
-            lambda p: "allowed" if p.stream_in_takeoff else "held back: one ends it",
+            lambda p: "allowed" if p.stream_in_takeoff else "not sent: one would end it",
         ),
         (
-            "set-points before the switch",
+            "set-points before the mode switch",
             lambda p: f"for {p.prestream_s:g} s" if p.prestream_s else "not needed",
         ),
-        ("switch", lambda p: _steps(p, Request.EXTERNAL)),
+        ("mode switch", lambda p: _steps(p, Request.EXTERNAL)),
         ("set-point", lambda p: f"mask {p.setpoint_mask}, frame {p.frame}"),
         ("landing", lambda p: _steps(p, Request.LAND)),
         ("kill", lambda p: _steps(p, Request.MOTORS_OFF)),
-        ("left-out command parameters", lambda p: f"{p.unset:g}"),
+        ("unused command parameters", lambda p: f"{p.unset:g}"),
         *((f"answers: {r.value}", lambda p, r=r: _answers(p, r)) for r in Reading),
-        ("streams are asked for by", _streams),
+        ("streams are requested with", _streams),
         ("integer parameters", lambda p: p.encoding.value),
-        ("origin is told", lambda p: "when `vehicle.origin_wgs84` is set" if p.needs_origin else "no"),
+        ("origin is sent", lambda p: "when `vehicle.origin_wgs84` is set" if p.needs_origin else "no"),
         ("TIMESYNC", lambda p: p.time_sync),
-        ("set-points stop", lambda p: p.stream_lost),
+        ("when set-points stop", lambda p: p.stream_lost),
     ]
     return _table(
         ["", *(p.title for p in PROFILES)], [[n, *(value(p) for p in PROFILES)] for n, value in rows]
