@@ -17,8 +17,7 @@ from typing import Protocol
 
 from bridge.crazyflie.checks import ESTIMATOR, KALMAN
 from bridge.crazyflie.node import COMPONENT_ID, Node
-from bridge.crazyflie.options import CrazyflieOptions
-from bridge.crazyflie.rules import Rules
+from bridge.crazyflie.rules import CrazyflieOptions, Rules
 from bridge.crazyflie.types import Arrived, Link, Packet, Pose, SetParam
 from bridge.frames import yaw_from_quaternion
 from bridge.mavlink.endpoint import Endpoint, parse_peer, parse_url

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import click
 
 from flightstack.common import hangup, streams
-from flightstack.common.processes import end_with_parent
+from flightstack.common.processes import LaunchError, end_with_parent
 from flightstack.common.strict_toml import ConfigError
 from flightstack.common.text import plain
 
@@ -166,10 +166,11 @@ class Verbs(click.Group):
             raise
         except (hangup.CalledOffError, Exception) as error:
             called_off = hangup.called_off()  # a library that was being loaded turns it into its own error
-            if called_off is None and not isinstance(error, (ConfigError, ValueError, OSError)):
+            if called_off is None and not isinstance(error, (ConfigError, ValueError, OSError, LaunchError)):
                 raise
             click.echo(f"flightstack: {plain(called_off or error)}", err=True)
-            ctx.exit(INTERRUPTED if called_off else WRONG_INPUT)
+            status = error.code if isinstance(error, LaunchError) else WRONG_INPUT
+            ctx.exit(INTERRUPTED if called_off else status)
 
 
 @click.group(cls=Verbs, context_settings=CONTEXT)

@@ -44,7 +44,7 @@ _SOCKET_PATH_MAX = 107  # bytes of a unix socket's path (unix(7))
 
 
 class LaunchError(RuntimeError):
-    """A child that did not start; the text holds what it said."""
+    """A process that did not start, or that could not be kept running; the text holds what it said."""
 
     def __init__(self, text: str, code: int = 1) -> None:
         super().__init__(text)

@@ -21,9 +21,8 @@ from flightstack.core.types import Vec3
 from flightstack.launch.launcher import Launcher
 from flightstack.launch.run_options import Flies, RunOptions
 from sim.autopilot.ground import ORIGIN_WGS84
-from sim.px4.options import Px4SimOptions
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
-from sim.runners.options import VehicleOptions
+from sim.runners.options import Px4SimOptions, VehicleOptions
 from sim.scenarios.scenario import Scenario, StartKind
 from sim.vehicle.vehicle import compile_first
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+from flightstack.common.processes import LaunchError
 from sim.campaign.rows import Row, error_row
 from sim.campaign.workers import code_fingerprint, fly_seed_as
 
@@ -12,7 +13,7 @@ CONNECT_S = 10.0  # s of wall time until scheduler and a worker have answered
 AHEAD = 4  # seeds given out for each thread of the cluster; the rest waits here
 
 
-class ClusterError(RuntimeError):
+class ClusterError(LaunchError):
     """The cluster cannot be used."""
 
 

@@ -19,7 +19,7 @@ from sim.campaign.rows import Row, RowsFile, write_parquet
 from sim.campaign.run import ABOUT, ROWS, SUMMARY, Plan, alone, identity, known_rows
 from sim.campaign.subset import Estimate, estimate
 from sim.campaign.summary import why
-from sim.campaign.workers import Workers
+from sim.campaign.workers import Workers, WorkersError
 from sim.runners.companion import warm_up
 from sim.scenarios.team import TeamScenario
 
@@ -49,10 +49,10 @@ def score(event: Event, row: Row, pad_radius_m: float) -> float:
         pad_radius_m: of the scenario.
 
     Raises:
-        RuntimeError: the landing could not be flown.
+        WorkersError: the landing could not be flown.
     """
     if row.outcome not in tuple(Outcome):
-        raise RuntimeError(f"seed {row.seed} could not be flown: {row.reason}")
+        raise WorkersError(f"seed {row.seed} could not be flown: {row.reason}")
     if event is Event.MISS:
         if row.outcome in (Outcome.CRASHED, Outcome.TIMEOUT):
             return 0.0

@@ -28,6 +28,7 @@ from typing import Any
 
 from flightstack.common.forked import forget_handlers, may_fork
 from flightstack.common.pacing import quiet_garbage_collector
+from flightstack.common.processes import LaunchError
 from sim.campaign.rows import Row, error_row, row_of
 from sim.campaign.team_rows import team_row
 from sim.runners.companion import warm_up
@@ -108,7 +109,7 @@ def code_fingerprint() -> str:
     return digest.hexdigest()[:16]
 
 
-class WorkersError(RuntimeError):
+class WorkersError(LaunchError):
     """No worker can be kept running."""
 
 

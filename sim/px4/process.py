@@ -17,12 +17,12 @@ from sim.clock import NS_PER_S, NoAnswerError
 from sim.plant.vehicle_types import Truth
 from sim.px4.link import LinkClosedError, Px4Link, Px4Server, parse_endpoint
 from sim.px4.messages import Px4Mocap
-from sim.px4.options import Px4SimOptions
 from sim.px4.plant import Px4Plant
 from sim.px4.sensors import STEP_MS
 from sim.px4.session import STEP_S, Event, NoLockstepError, NotPx4Error, Px4Session
 from sim.runners.deck import RealTimeDeck
 from sim.runners.log import VehicleLog
+from sim.runners.options import Px4SimOptions
 from sim.scenarios.scenario import Scenario
 
 SPEED_MAX = 100.0

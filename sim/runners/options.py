@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated
 
 from flightstack.common.options import Option
@@ -44,3 +45,37 @@ class TargetOptions(shared.Ros2, shared.Zenoh, shared.Simulated):
     duration_s: shared.Duration = None
     namespace: shared.Namespace = "cf1"
     recorder: shared.Recorder = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Px4SimOptions(shared.Zenoh, shared.Simulated):
+    """How PX4 is served. Without Zenoh the deck stands where the scenario puts it."""
+
+    tcp: Annotated[str, Option(
+        "--tcp", "Where PX4 connects to; port 0 takes a free one.", "HOST:PORT"
+    )] = "127.0.0.1:4560"  # fmt: skip
+    speed: Annotated[float, Option(
+        "--speed", "Simulated against real time; 0: as fast as PX4 answers.", span=(0.0, 100.0)
+    )] = 1.0  # fmt: skip
+    clock: Annotated[Path | None, Option(
+        "--clock",
+        "Write the simulated time there, for `target --clock` and `onboard --clock`, and wait for both.",
+        "FILE", path="file"
+    )] = None  # fmt: skip
+    silent_max_s: Annotated[
+        float, shared.seconds("--silent-max", "End when PX4 has not answered for S seconds.", 1.0)
+    ] = 10.0
+    once: Annotated[bool, Option(
+        "--once", "End when the first PX4 disconnects, instead of waiting for the next."
+    )] = False  # fmt: skip
+    form: Annotated[str | None, Option(
+        "--parameters",
+        "Print PX4's parameters for the vehicle and end: shell lines, airframe file, or for PX4's console.",
+        choices=("env", "airframe", "console")
+    )] = None  # fmt: skip
+    mocap: shared.Mocap = False
+    duration_s: shared.Duration = None
+    namespace: shared.Namespace = "cf1"
+    member: shared.OneMember = None
+    recorder: shared.Recorder = None
+    allow_unsigned: shared.AllowUnsigned = False

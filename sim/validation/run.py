@@ -9,12 +9,14 @@ import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import active_children, get_context
 from pathlib import Path
 from zlib import crc32
 
+from flightstack.common.processes import LaunchError
 from sim.flights.recording import COLUMNS, Group, RecordingError, read_columns
 from sim.flights.screening import Reason, load
 from sim.plant.params import Params
@@ -83,7 +85,7 @@ def run(
 
     ``on_flight`` is called with each flight when it is done, in any order.
     Raises RecordingError: the table of columns is wrong; ConfigError: the vehicle's file is wrong;
-    BrokenProcessPool: a process was killed.
+    LaunchError: a process was killed.
     """
     columns, params = read_columns(plan.columns or COLUMNS), load_vehicle(plan.vehicle)
     done: list[Compared] = []
@@ -110,6 +112,8 @@ def _each(work: Callable[[Path], Compared], paths: Sequence[Path], workers: int)
     try:
         for future in as_completed([pool.submit(work, path) for path in paths]):
             yield future.result()
+    except BrokenProcessPool:
+        raise LaunchError("a worker process was killed; is the machine out of memory?") from None
     except BaseException:
         for process in active_children():
             process.terminate()

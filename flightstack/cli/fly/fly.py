@@ -20,15 +20,10 @@ def fly(options: FlyOptions) -> None:
 
     Exit status: 0 landed, 1 not landed, 2 wrong input.
     """
-    from flightstack.common.processes import LaunchError
     from flightstack.common.terminal import Terminal
     from flightstack.launch import fly as launch
     from flightstack.launch.result import conclude
 
     console = Terminal(stderr=options.as_json)
-    try:
-        flown = launch.run(options, console)
-    except LaunchError as error:
-        click.echo(f"flightstack: {error}", err=True)
-        sys.exit(error.code)
+    flown = launch.run(options, console)
     sys.exit(conclude(flown, console, as_json=options.as_json, with_report=options.with_report))

@@ -31,8 +31,7 @@ def onboard(options: OnboardOptions) -> None:
         try:
             ended = process.run(load(options.config_file), options, say, own)
         except LaunchError as error:
-            click.echo(f"flightstack: {error}; --no-record flies without a log", err=True)
-            sys.exit(1)
+            raise LaunchError(f"{error}; --no-record flies without a log") from error
     say(f"{ended.phase.name}: {ended.reason}")
     if own is not None and own.problem is not None:
         click.echo(f"onboard: WARNING: {own.problem}", err=True)

@@ -64,26 +64,16 @@ def campaign(options: CampaignOptions) -> None:
     """
     from flightstack.onboard.recording import new_folder
     from sim.campaign import run as core
-    from sim.campaign.cluster import ClusterError
-    from sim.campaign.workers import WorkersError
 
     wanted = core.plan(options.scenario, options.runs, options.first_seed, options.filter)
     scenario = wanted.scenario
     folder = options.out or new_folder(f"campaign-{scenario.name}-{short_name(wanted.filter_name)}")
     console = Terminal(stderr=options.as_json)
-    try:
-        title = f"{scenario.name}, filter {wanted.filter_name}"
-        with Bar(console, title, wanted.runs) as bar:
-            flown = core.fly(
-                wanted,
-                folder,
-                workers=options.workers or os.cpu_count() or 1,
-                cluster=options.cluster,
-                on_row=lambda row: bar.done(row.outcome, *(["violations"] if row.violation else [])),
-            )
-    except (WorkersError, ClusterError) as error:
-        click.echo(f"flightstack: {error}", err=True)
-        sys.exit(INCOMPLETE)
+    with Bar(console, f"{scenario.name}, filter {wanted.filter_name}", wanted.runs) as bar:
+        flown = core.fly(
+            wanted, folder, workers=options.workers or os.cpu_count() or 1, cluster=options.cluster,
+            on_row=bar.row,
+        )  # fmt: skip
     status = _tell(console, wanted, folder, flown, as_json=options.as_json, with_report=options.with_report)
     if options.require is not None:
         status = max(status, _check(flown, options.require, options.against))

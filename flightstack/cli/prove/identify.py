@@ -4,39 +4,15 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import Annotated
 
 import click
-import numpy as np
 
 from flightstack.cli.options import takes, without_recordings
 from flightstack.cli.prove.progress import Bar
 from flightstack.common.options import Argument, Option
 from flightstack.common.terminal import Terminal
-from flightstack.core.types import FilterStatus, Phase
-
-if TYPE_CHECKING:
-    from flightstack.identify.samples import Link, Motion
-    from flightstack.identify.velocity_loop import Loop, Segment
-    from logs.reader.flight_data import Flight, Floats, Steps
-
-FLYING = (Phase.TAKEOFF, Phase.APPROACH, Phase.LAND, Phase.HOLD, Phase.CLIMB)  # no contact, our set-points
-_NS = 1e-9  # s
-
-
-class Found(NamedTuple):
-    """All identified numbers; ``None`` if the logs do not show one, with the reason in ``missing``."""
-
-    horizontal: Loop
-    vertical: Loop
-    spread: float  # of the lags between logs, and twice their standard errors
-    tracking_error_m_s: float | None
-    own_noise_m: float | None
-    link: Link | None
-    motion: Motion | None
-    missing: tuple[str, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,13 +60,14 @@ def identify(options: IdentifyOptions) -> None:
     if not options.logs:
         raise click.UsageError("found neither LOG nor --flights; give logs of flights, or --flights DIR")
     from logs.reader.flight import load_fleet
+    from logs.tools import identified
 
-    logs = options.logs
-    flights = [flight for path in logs for flight in load_fleet(path).flights.values()]
-    found = gather(flights)
-    click.echo(
-        json.dumps(_as_json(found)) if options.as_json else _as_toml(found, len(flights)), nl=options.as_json
-    )
+    flights = [flight for path in options.logs for flight in load_fleet(path).flights.values()]
+    found = identified.gather(flights)
+    if options.as_json:
+        click.echo(json.dumps(found.as_json()))
+    else:
+        click.echo(identified.toml(found, len(flights)), nl=False)
 
 
 def _identify_vehicle(options: IdentifyOptions, folder: Path) -> None:
@@ -131,185 +108,3 @@ def _identify_vehicle(options: IdentifyOptions, folder: Path) -> None:
             for name, ratios in (("position", row.position), ("velocity", row.velocity))
         )
         click.echo(f"# without {row.kind} ({row.flights}): errors over those of constant velocity: {numbers}")
-
-
-def gather(flights: list[Flight]) -> Found:
-    """Identify everything.
-
-    Raises:
-        ValueError: the flights do not show the velocity loop.
-    """
-    from flightstack.identify.velocity_loop import identify as fit
-
-    steps = [flight.steps for flight in flights if flight.steps is not None]
-    if not steps:
-        raise ValueError(f"{flights[0].path}: no controller steps; record a flight of the onboard process")
-    period_s = float(np.median(np.concatenate([np.diff(s.t_s) for s in steps])))
-    each = [_segments(s) for s in steps]
-    horizontal = fit([seg for x, y, _ in each for seg in (*x, *y)], period_s, "horizontally")
-    vertical = fit([seg for *_, z in each for seg in z], period_s, "vertically")
-    spread = max(2.0 * loop.errors[4] / loop.lag_s for loop in (horizontal, vertical))
-    missing: list[str] = []
-    for number, (x, y, z) in enumerate(each if len(each) > 1 else ()):
-        for loop, segments in ((horizontal, [*x, *y]), (vertical, z)):
-            alone = _try(f"spread, log {number + 1}", missing, partial(fit, segments, period_s, "it alone"))
-            if alone is not None:
-                spread = max(spread, abs(alone.lag_s / loop.lag_s - 1.0))
-    own = _try("own noise", missing, lambda: _own_noise_m(steps))
-    link = _try("target", missing, lambda: _link(flights))
-    motion = _try("target motion", missing, lambda: _motion(flights))
-    error = _try("tracking error", missing, lambda: _tracking_error_m_s(steps))
-    return Found(horizontal, vertical, spread, error, own, link, motion, tuple(missing))
-
-
-def _try(what: str, missing: list[str], find: Any) -> Any:
-    """Return the result, or ``None`` and keep the reason: only the velocity loop is required."""
-    try:
-        return find()
-    except ValueError as error:
-        missing.append(f"{what}: {error}")
-        return None
-
-
-def _segments(steps: Steps) -> tuple[list[Segment], list[Segment], list[Segment]]:
-    """Return, for each axis, the spans without gaps in which the vehicle follows our set-points."""
-    from flightstack.identify.velocity_loop import Segment
-
-    good = steps.setpoint_sent & steps.own_valid & np.isin(steps.phase, FLYING)
-    good &= np.isfinite(steps.own_velocity_enu_m_s).all(1) & np.isfinite(steps.command_enu_m_s).all(1)
-    new = np.concatenate(([True], (np.diff(steps.tick) != 1) | (good[1:] != good[:-1])))
-    starts = np.flatnonzero(new)
-    axes: tuple[list[Segment], list[Segment], list[Segment]] = ([], [], [])
-    for start, end in zip(starts, [*starts[1:], len(good)], strict=True):
-        if good[start]:
-            for axis, pieces in enumerate(axes):
-                pieces.append(
-                    Segment(
-                        steps.command_enu_m_s[start:end, axis], steps.own_velocity_enu_m_s[start:end, axis]
-                    )
-                )
-    return axes
-
-
-def _own_noise_m(steps: list[Steps]) -> float:
-    from flightstack.identify.samples import noise
-
-    return max(
-        noise(s.t_s[fresh], s.own_position_enu_m[fresh]) for s in steps for fresh in (_fresh(s, FLYING),)
-    )
-
-
-def _fresh(steps: Steps, phases: tuple[Phase, ...]) -> Any:
-    """Return (n,) whether the vehicle state is valid and new in a tick; a slow link repeats it."""
-    known = steps.own_valid & np.isin(steps.phase, phases) & np.isfinite(steps.own_position_enu_m).all(1)
-    moved = np.any(np.diff(steps.own_position_enu_m, axis=0) != 0.0, axis=1)
-    return known & np.concatenate(([True], moved))
-
-
-def _target(flights: list[Flight]) -> list[tuple[Floats, Floats, Floats, Floats]]:
-    """Return stamp, arrival, position and velocity of each log's samples, in the order of measurement."""
-    rows = []
-    for flight in flights:
-        target = flight.target
-        if target is None:
-            continue
-        stamps, first = np.unique(target.stamp_ns, return_index=True)
-        arrival = target.t_s[first]
-        stamp = np.asarray((stamps - flight.origin_ns) * _NS, dtype=np.float64)
-        rows.append((stamp, arrival, target.position_enu_m[first], target.velocity_child_m_s[first]))
-    if not rows:
-        raise ValueError("no odometry in the log")
-    return rows
-
-
-def _link(flights: list[Flight]) -> Link:
-    from flightstack.identify.samples import link
-
-    found = [link(*row) for row in _target(flights)]
-    return max(found, key=lambda one: one.position_noise_m)
-
-
-def _motion(flights: list[Flight]) -> Motion:
-    from flightstack.identify.samples import Motion, motion
-
-    found = [motion(stamp, position) for stamp, _, position, _ in _target(flights)]
-    return Motion(*(float(column) for column in np.max(np.array(found), axis=0)))
-
-
-def _tracking_error_m_s(steps: list[Steps]) -> float:
-    """Return the 95 % quantile of the vertical velocity error (commanded minus flown) in filtered ticks."""
-    filtered = (FilterStatus.SOLVED, FilterStatus.CLOSED_FORM)
-    short = []
-    for s in steps:
-        used = np.isin(s.filter_status, filtered) & np.isin(s.phase, (Phase.APPROACH, Phase.LAND))
-        used &= s.setpoint_sent & s.own_valid
-        short.append((s.filtered_enu_m_s - s.own_velocity_enu_m_s)[used, 2])
-    together = np.concatenate(short)
-    together = together[np.isfinite(together)]
-    if len(together) < 100:
-        raise ValueError(f"found {len(together)} filtered ticks, at least 100 are needed")
-    return float(max(0.0, np.percentile(together, 95.0)))
-
-
-def _as_json(found: Found) -> dict[str, Any]:
-    def plain(value: Any) -> Any:
-        return value._asdict() if hasattr(value, "_asdict") else value
-
-    return {name: plain(value) for name, value in found._asdict().items()}
-
-
-def _as_toml(found: Found, count: int) -> str:
-    h, v = found.horizontal, found.vertical
-    weights = (1.0 / max(h.errors[2], 1e-6) ** 2, 1.0 / max(v.errors[2], 1e-6) ** 2)
-    damping, rate_z_1_s = (weights[0] * h.damping + weights[1] * v.damping) / sum(weights), v.model_rate_1_s
-    late, model = h.model_dead_time_s, "of the model without dead time that lags as much"
-    if late:  # the model's swing is then the horizontal loop's; upwards it lags as much
-        damping, rate_z_1_s, model = h.damping, 2.0 * h.damping / v.lag_s, "of the model"
-    lines = [
-        f"# identified from {count} log{'s' * (count > 1)}; +- one standard error",
-        "[velocity_loop]",
-        f"lag_xy_s = {h.lag_s:.3f}     # +- {h.errors[4]:.3f}",
-        f"lag_z_s = {v.lag_s:.3f}      # +- {v.errors[4]:.3f}",
-        f"dead_time_s = {late:.3f}  # part of lag_xy_s; 0: short enough for a model without",
-        f"rate_xy_1_s = {h.model_rate_1_s:.2f}   # {model}",
-        f"rate_z_1_s = {rate_z_1_s:.2f}",
-        f"damping = {damping:.2f}       # horizontal {h.damping:.2f} +- {h.errors[2]:.2f}, "
-        f"vertical {v.damping:.2f} +- {v.errors[2]:.2f}",
-        *(f"# {name}: {_described(loop)}" for name, loop in (("horizontal", h), ("vertical", v))),
-        "",
-        "[envelope]",
-        f"lag_spread = {found.spread:.2f} # seen here; other vehicles and batteries may differ more",
-    ]
-    if found.link is not None:
-        lines.append(f"target_rate_hz = {found.link.rate_hz:.0f}.0")
-    if found.motion is not None:
-        lines += [
-            f"target_climb_max_m_s = {found.motion.climb_m_s:.2f}",
-            f"target_acceleration_max_m_s2 = {found.motion.acceleration_m_s2:.2f}",
-            f"# fastest horizontally: {found.motion.speed_m_s:.2f} m/s, for touchdown.target_speed_max_m_s",
-        ]
-    if found.own_noise_m is not None:
-        lines += ["", "[own]", f"position_noise_m = {found.own_noise_m:.4f} # at least"]
-    if found.link is not None:
-        link = found.link
-        lines += ["", "[target]"]
-        if link.delay_s is not None:
-            lines.append(f"delay_s = {link.delay_s:.3f} # if both clocks agree")
-        lines += [
-            f"position_noise_m = {max(1e-4, link.position_noise_m):.4f}",
-            f"velocity_noise_m_s = {max(1e-4, link.velocity_noise_m_s):.4f}",
-            f"# {100.0 * link.loss:.1f} % lost; 95 % come within {link.delay_spread_s:.3f} s of the fastest",
-        ]
-    if found.tracking_error_m_s is not None:
-        lines += ["", "[robust]", f"tracking_error_m_s = {found.tracking_error_m_s:.3f} # 95 % stay below"]
-    lines += [f"# not found: {reason}" for reason in found.missing]
-    return "\n".join(lines) + "\n"
-
-
-def _described(loop: Loop) -> str:
-    gain, rate, damping, dead, _ = loop.errors
-    return (
-        f"gain {loop.gain:.3f} +- {gain:.3f}, rate {loop.rate_1_s:.2f} +- {rate:.2f} 1/s, damping "
-        f"{loop.damping:.2f} +- {damping:.2f}, dead time {1000.0 * loop.dead_time_s:.0f} +- "
-        f"{1000.0 * dead:.0f} ms; {100.0 * loop.explained:.0f} % of {loop.time_s:.0f} s explained"
-    )

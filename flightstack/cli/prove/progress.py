@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+if TYPE_CHECKING:
+    from sim.campaign.rows import Row
 
 _REFRESH_S = 0.1  # s of wall time between two times that it is drawn, at least
 
@@ -35,6 +39,10 @@ class Bar:
 
     def __exit__(self, *_: object) -> None:
         self._progress.stop()
+
+    def row(self, row: Row) -> None:
+        """Count a landing of a campaign."""
+        self.done(row.outcome, *(["violations"] if row.violation else []))
 
     def done(self, *kinds: str) -> None:
         """Count one thing, under each of these kinds."""

@@ -61,7 +61,6 @@ def rare(options: RareOptions) -> None:
     from flightstack.onboard.recording import new_folder
     from sim.campaign import rare as core
     from sim.campaign.run import plan
-    from sim.campaign.workers import WorkersError
 
     wanted = core.Rare(
         plan(options.scenario, options.landings, options.seed, options.filter), core.Event(options.event)
@@ -74,13 +73,10 @@ def rare(options: RareOptions) -> None:
         with Bar(console, title, None) as bar:
             told = core.fly(
                 wanted, folder, workers=options.workers or os.cpu_count() or 1,
-                on_row=lambda row: bar.done(row.outcome, *(["violations"] if row.violation else [])),
+                on_row=bar.row,
             )  # fmt: skip
     except KeyboardInterrupt:
         click.echo(f"flightstack: interrupted; the same command with --out {folder} goes on", err=True)
-        sys.exit(INCOMPLETE)
-    except (WorkersError, RuntimeError) as error:
-        click.echo(f"flightstack: {error}", err=True)
         sys.exit(INCOMPLETE)
     if options.as_json:
         click.echo(json.dumps(told))

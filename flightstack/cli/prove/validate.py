@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import sys
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -76,17 +75,11 @@ def validate(options: ValidateOptions) -> None:
     except RecordingError as error:
         console.print(str(error), soft_wrap=True)
         paths = []
-    try:
-        with Bar(console, f"flights of {plan.folder}", len(paths)) as bar:
-            flights = core.run(
-                plan,
-                paths,
-                options.workers or os.cpu_count() or 1,
-                on_flight=lambda one: bar.done("used" if one.used else "left out"),
-            )
-    except BrokenProcessPool:
-        click.echo("flightstack: a worker process was killed; is the machine out of memory?", err=True)
-        sys.exit(FAILED)
+    with Bar(console, f"flights of {plan.folder}", len(paths)) as bar:
+        flights = core.run(
+            plan, paths, options.workers or os.cpu_count() or 1,
+            on_flight=lambda one: bar.done("used" if one.used else "left out"),
+        )  # fmt: skip
     told = summary(plan, flights, judge(flights))
     for flight in flights:
         if flight.left_out:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from bridge.crazyflie.options import CrazyflieOptions
+from bridge.crazyflie.rules import CrazyflieOptions
 from bridge.mocap.options import MocapOptions
 from flightstack.cli.options import takes
 from flightstack.common.hangup import say

@@ -233,7 +233,8 @@ def test_the_simulated_crazyflie_is_identified_from_its_flights(flights):
 
 def test_one_short_flight_is_refused_with_what_to_fly(flights, tmp_path):
     short = tmp_path / "short.mcap"
-    assert run("log", "cut", flights[0], "--to", "1.2", "--out", short).exit_code == 0
+    whole = flights[0].read_bytes()
+    short.write_bytes(whole[: len(whole) // 6])
     result = run("identify", short)
     assert result.exit_code == 2, result.output
     assert "fly longer" in result.output

@@ -7,7 +7,7 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from bridge.crazyflie.options import CrazyflieOptions
+from bridge.crazyflie.rules import CrazyflieOptions
 from bridge.mocap.options import MocapOptions
 from flightstack.cli.main import main
 from flightstack.cli.options import takes
@@ -20,8 +20,7 @@ from flightstack.launch.run_options import FlyOptions, RunOptions
 from flightstack.launch.sitl import prepare, sum_up
 from flightstack.onboard.options import FlightOptions, OnboardOptions
 from flightstack.watch.options import WatchOptions
-from sim.px4.options import Px4SimOptions
-from sim.runners.options import TargetOptions, VehicleOptions
+from sim.runners.options import Px4SimOptions, TargetOptions, VehicleOptions
 from sim.scenarios.scenario import load as load_scenario
 
 
