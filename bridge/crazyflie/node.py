@@ -40,7 +40,7 @@ from bridge.mavlink.server import telemetry
 from bridge.mavlink.server.commands import ACCEPTED, DENIED, REJECTED, Answer, Command, Entry, Reply
 from bridge.mavlink.server.owner import Right, Sender
 from bridge.mavlink.server.parameters import Parameters, fixed
-from bridge.mavlink.server.profile import PX4_CODES, FlightMode, ServerProfile
+from bridge.mavlink.server.profile import ServerProfile
 from bridge.mavlink.server.server import COMPONENT_ID, SYSTEM_ID, Server
 from bridge.mavlink.server.telemetry import Builder, Snapshot
 
@@ -56,7 +56,6 @@ PROFILE = ServerProfile(
     | _M.MAV_SYS_STATUS_SENSOR_3D_ACCEL
     | _M.MAV_SYS_STATUS_SENSOR_3D_MAG
     | _M.MAV_SYS_STATUS_SENSOR_BATTERY,
-    codes={mode: code for mode, code in PX4_CODES.items() if mode is not FlightMode.RETURN},
     rates_hz={
         _M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50.0,
         _M.MAVLINK_MSG_ID_SYS_STATUS: 5.0,

@@ -43,16 +43,12 @@ class SimCommands:
         self._streams = streams
         m, owner = dialect, Right.OWNER
         self.table: dict[int, Entry] = {
-            m.MAV_CMD_NAV_RETURN_TO_LAUNCH: Entry(self._return, owner),
             m.MAV_CMD_DO_SET_HOME: Entry(self._set_home, owner, place=True),
             m.MAV_CMD_DO_FLIGHTTERMINATION: Entry(self._terminate, Right.OWNER_OR_GROUND),
             m.MAV_CMD_DO_REPOSITION: Entry(self._reposition, owner, place=True),
             m.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: Entry(self._reboot, owner),
             m.MAV_CMD_INJECT_FAILURE: Entry(self._inject_failure, owner),
         }
-
-    def _return(self, command: Command) -> Answer:
-        return answer(self._flight.set_mode(FlightMode.RETURN, command.now_s))
 
     def _terminate(self, command: Command) -> Answer:
         if not (command.given(1) or 0.0) > 0.5:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -16,10 +17,14 @@ from bridge.mavlink.server.texts import Texts
 from flightstack.core.types import ZERO, Vec3
 from sim.autopilot.pilot import Event, Goal, Pilot
 from sim.autopilot.vehicle_like import Standing, VehicleLike
-from sim.autopilot.watches import ACTION_MODES, HEIGHT_RANGE_M, STREAM_LOST, STRENGTH, Action, Alarm, Watches
+from sim.autopilot.watches import STATION_LOST, Watches
 
+HEIGHT_RANGE_M = (0.1, 20.0)  # m above home of take-off and reposition; the room is lower
+_REACH_M = 50.0  # m from home of a reposition
+# Mode that COM_OBL_RC_ACT selects (PX4 failsafe.cpp). 0 is the position mode: without sticks it cannot be
+# flown, and PX4 too ends by landing.
+STREAM_LOST: Mapping[int, FlightMode] = {0: FlightMode.LAND, 4: FlightMode.LAND, 5: FlightMode.HOLD}
 _ESTIMATE_LOST_S = 0.5  # s without a valid estimate until it lands by itself
-_MODES_TO_LEAVE = frozenset({FlightMode.LAND, FlightMode.RETURN})  # no arming in these, as in PX4
 
 
 class Flight:
@@ -68,8 +73,7 @@ class Flight:
     @property
     def battery(self) -> Battery:
         """Battery, with PX4's estimate of its charge."""
-        gauge = self.watches.battery
-        return Battery(self.vehicle.battery_v, round(100 * gauge.remaining), gauge.level)
+        return Battery(self.vehicle.battery_v, round(100 * self.watches.charge))
 
     @property
     def standing(self) -> bool:
@@ -84,11 +88,7 @@ class Flight:
     @property
     def landed_state(self) -> int:
         """MAV_LANDED_STATE."""
-        if self.ground.now:
-            return int(dialect.MAV_LANDED_STATE_ON_GROUND)
-        if self.mode is FlightMode.RETURN and self.pilot.going_down:
-            return int(dialect.MAV_LANDED_STATE_LANDING)
-        return AIRBORNE_STATE[self.mode]
+        return int(dialect.MAV_LANDED_STATE_ON_GROUND) if self.standing else AIRBORNE_STATE[self.mode]
 
     @property
     def positioned(self) -> bool:
@@ -101,10 +101,8 @@ class Flight:
         return self.vehicle.armed and not self.standing
 
     def sensors_healthy(self, _now_s: float) -> int:
-        """The position, and the fence: healthy also when none is set, or MAVProxy calls a breach."""
-        outside = self.watches.outside(self.vehicle.estimate().position_enu_m, self.home_enu_m)
-        fence = 0 if outside else dialect.MAV_SYS_STATUS_GEOFENCE
-        return (POSITION_SOURCE if self.positioned else 0) | int(fence)
+        """The position, and the fence that it does not have: else MAVProxy reports a breach."""
+        return (POSITION_SOURCE if self.positioned else 0) | int(dialect.MAV_SYS_STATUS_GEOFENCE)
 
     def problems(self, _now_s: float) -> list[str]:
         """Reasons why the vehicle would not arm now; empty when ready."""
@@ -113,8 +111,6 @@ class Flight:
             found.append("firmware is locked, restart it (command 246)")
         if not self.positioned:
             found.append("no position estimate")
-        if self.watches.battery.critical:
-            found.append(f"battery at {100 * self.watches.battery.remaining:.0f} %")
         return found
 
     def forbids(self, sender: Sender, right: Right, now_s: float) -> str | None:
@@ -128,7 +124,7 @@ class Flight:
         if self.vehicle.armed:
             return None
         problems = self.problems(now_s)
-        if self.mode in _MODES_TO_LEAVE:
+        if self.mode is FlightMode.LAND:
             problems.append(f"mode is {self.mode.value}")
         reason = problems[0] if problems else self.vehicle.arm()
         if reason is not None:
@@ -203,8 +199,6 @@ class Flight:
             return f"Mode {mode.value} refused: no position estimate"
         if mode is FlightMode.OFFBOARD and not self._stream_alive(now_s):
             return "Mode offboard refused: no set-points"
-        if mode is FlightMode.RETURN and not self.vehicle.armed:
-            return "Mode return refused: not armed"
         self._enter(mode, restart=mode is FlightMode.HOLD and self.pilot.goal is not None)
         return None
 
@@ -214,9 +208,12 @@ class Flight:
             return "Reposition refused: no position estimate"
         if not self.airborne:
             return "Reposition refused: not in the air"
-        too_far = self.watches.too_far(goal.point_enu_m, self.home_enu_m)
-        if too_far is not None:
-            return f"Reposition refused: {too_far}"
+        x, y, z = (a - b for a, b in zip(goal.point_enu_m, self.home_enu_m, strict=True))
+        low, high = HEIGHT_RANGE_M
+        if not low <= z <= high:
+            return f"Reposition refused: {z:.4g} m above home, {low:g} to {high:g}"
+        if math.hypot(x, y) > _REACH_M:
+            return f"Reposition refused: {math.hypot(x, y):.4g} m from home, at most {_REACH_M:g}"
         if self.mode is not FlightMode.HOLD or goal != self.pilot.goal:
             self._enter(FlightMode.HOLD, restart=True, goal=goal)
         return None
@@ -265,10 +262,10 @@ class Flight:
         if self._was_armed and not armed:
             self._after_disarm("Disarmed by the firmware", dialect.MAV_SEVERITY_CRITICAL)
         self._failsafes(now_s)
-        if now_s >= self.watches.due_s:
-            position, flying = estimate.position_enu_m, armed and not standing
-            for alarm in self.watches.step(now_s, position, self.home_enu_m, flying=flying):
-                self._act(alarm)
+        if self.watches.step(now_s) and armed and not standing:
+            mode = STATION_LOST[int(self._parameters["NAV_DLL_ACT"])]
+            if mode is not None:
+                self._fall_back(mode, f"No ground station for {self._parameters['COM_DL_LOSS_T']:g} s")
         if armed and standing:
             self._disarm_idle(now_s)
             armed = vehicle.armed
@@ -313,28 +310,22 @@ class Flight:
         if self.mode is FlightMode.OFFBOARD and not self._stream_alive(now_s):
             if self.vehicle.armed:
                 limit_s = self._parameters["COM_OF_LOSS_T"]
-                action = STREAM_LOST[int(self._parameters["COM_OBL_RC_ACT"])]
-                self._act(Alarm(action, f"No set-points for {limit_s:.3g} s"))
+                mode = STREAM_LOST[int(self._parameters["COM_OBL_RC_ACT"])]
+                self._fall_back(mode, f"No set-points for {limit_s:.3g} s")
             else:
                 self._enter(FlightMode.HOLD)
         lost = now_s - self._estimate_seen_s > _ESTIMATE_LOST_S
         if lost and self.airborne and self.mode is not FlightMode.LAND:
-            self._act(Alarm(Action.LAND, "No position estimate"))
+            self._fall_back(FlightMode.LAND, "No position estimate")
 
-    def _act(self, alarm: Alarm) -> None:
-        """Do what a fail-safe wants, unless the present mode does as much."""
-        action, text = alarm
-        if action is Action.NONE:
-            return
-        if action is Action.WARN or not self.vehicle.armed:
-            self.say(dialect.MAV_SEVERITY_WARNING, text)
-            return
-        if self.standing or not self.vehicle.estimate().valid:
-            action = Action.LAND  # which disarms what stands, and needs no position
-        if STRENGTH.get(self.mode, Action.NONE) >= action:
+    def _fall_back(self, mode: FlightMode, text: str) -> None:
+        """Hold or land because of a failure; on the ground, or without a position, land."""
+        if self.standing or not self.positioned:
+            mode = FlightMode.LAND  # which disarms what stands, and needs no position
+        if self.mode is FlightMode.LAND:
             self.say(dialect.MAV_SEVERITY_CRITICAL, text)
             return
-        mode, doing = ACTION_MODES[action]
+        doing = "landing" if mode is FlightMode.LAND else "holding"
         self.say(dialect.MAV_SEVERITY_CRITICAL, f"{text}: {doing}")
         self._enter(mode, failsafe=True, restart=True)
 

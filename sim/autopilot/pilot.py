@@ -1,4 +1,4 @@
-"""Flies one mode: velocity set-points for hold, take-off, landing, return and offboard.
+"""Flies one mode: velocity set-points for hold, take-off, landing and offboard.
 
 In its own modes the velocities come from position errors; in offboard they are those of the set-points.
 Modes themselves, arming and fail-safes are in ``sim.autopilot.flight``; nothing here decides about them.
@@ -121,7 +121,6 @@ def _clamp(value: float, low: float, high: float) -> float:
 
 
 _ARRIVED_M = 0.05  # m, half the Crazyflie's size: height reached
-_ARRIVED_XY_M = 0.10  # m, home reached
 _ARRIVED_M_S = 0.15  # m/s
 
 
@@ -141,20 +140,11 @@ class Goal(NamedTuple):
     speed_m_s: float | None  # over ground; None: MPC_XY_CRUISE
 
 
-class _Leg(Enum):
-    """Parts of a return."""
-
-    CLIMB = auto()
-    HOME = auto()
-    WAIT = auto()
-    LAND = auto()
-
-
 class Pilot:
     """Turns mode, estimate and set-point into velocities for the firmware.
 
     Attributes:
-        home_enu_m: where a return ends; local, z is its height above the floor.
+        home_enu_m: local; heights of take-off and reposition count from it.
         takeoff_height_m: height of the next or present take-off, local.
         goal: where to hold; None: where the vehicle comes to rest.
         velocity_setpoint_enu_m_s: handed to the firmware last; None: nothing holds.
@@ -178,8 +168,6 @@ class Pilot:
         self._fresh = False  # the set-point has not been handed on yet
         self._engaged = False  # the position loop has taken over in this mode
         self._yaw_rad = 0.0  # heading to hold
-        self._leg = _Leg.CLIMB
-        self._leg_s = 0.0  # since the leg began
         self._version = -1  # of the parameters that the limits below are from
         self._limits = OwnLimits(1.0, 1.0, 0.0, 0.0, 0.0)
         self._clip = (0.0, 0.0, 0.0)  # m/s: over ground, up, down
@@ -187,19 +175,12 @@ class Pilot:
             FlightMode.HOLD: self._fly_hold,
             FlightMode.TAKEOFF: self._fly_takeoff,
             FlightMode.LAND: self._fly_land,
-            FlightMode.RETURN: self._fly_return,
             FlightMode.OFFBOARD: self._fly_offboard,
         }
-
-    @property
-    def going_down(self) -> bool:
-        """Whether a return is in its last part."""
-        return self._leg is _Leg.LAND
 
     def begin(self, goal: Goal | None = None) -> None:
         """Begin a mode, from wherever the vehicle is."""
         self._engaged, self._fresh, self.goal = False, True, goal
-        self._leg, self._leg_s = _Leg.CLIMB, 0.0
 
     def take(self, setpoint: Setpoint) -> None:
         """Keep the newest set-point; it is flown in OFFBOARD."""
@@ -288,46 +269,13 @@ class Pilot:
         if standing:
             return Event.LANDED
         self._engage(estimate)
-        self._descend(estimate, dt_s)
-        return None
-
-    def _descend(self, estimate: CheckedEstimate, dt_s: float) -> None:
         down_m_s = -self._limits.speed_down_m_s
         if estimate.valid:
             position = estimate.position_enu_m
             self._command(self._hold.step(position, self._limits, dt_s, vertical_m_s=down_m_s))
         else:
             self._command(self._hold.sink(down_m_s, dt_s))
-
-    def _fly_return(self, estimate: CheckedEstimate, standing: bool, dt_s: float) -> Event | None:
-        if standing:
-            return Event.LANDED
-        position, home, p = estimate.position_enu_m, self.home_enu_m, self._parameters
-        distance_m = math.hypot(position[0] - home[0], position[1] - home[1])
-        self._leg_s += dt_s
-        if self._engage(estimate):
-            if distance_m < p["RTL_MIN_DIST"]:
-                self._next(_Leg.LAND)
-            else:
-                self._hold.aim(max(position[2], home[2] + p["RTL_RETURN_ALT"]))
-        point = self._hold.point_enu_m
-        if self._leg is _Leg.CLIMB and _at_height(estimate, point[2]):
-            self._hold.point_enu_m = (home[0], home[1], point[2])
-            self._next(_Leg.HOME)
-        elif self._leg is _Leg.HOME and distance_m < _ARRIVED_XY_M and _slow(estimate):
-            self._next(_Leg.WAIT)
-        elif self._leg is _Leg.WAIT and self._leg_s >= p["RTL_LAND_DELAY"]:
-            self._next(_Leg.LAND)
-        if self._leg is _Leg.LAND:
-            self._descend(estimate, dt_s)
-        elif estimate.valid:
-            self._command(self._hold.step(position, self._limits, dt_s))
-        else:
-            self._command(self._hold.sink(0.0, dt_s))
         return None
-
-    def _next(self, leg: _Leg) -> None:
-        self._leg, self._leg_s = leg, 0.0
 
     def _fly_offboard(self, estimate: CheckedEstimate, _standing: bool, dt_s: float) -> Event | None:
         setpoint = self._setpoint
@@ -351,10 +299,6 @@ class Pilot:
 def _at_height(estimate: CheckedEstimate, height_m: float) -> bool:
     error_m = height_m - estimate.position_enu_m[2]
     return abs(error_m) < _ARRIVED_M and abs(estimate.velocity_enu_m_s[2]) < _ARRIVED_M_S
-
-
-def _slow(estimate: CheckedEstimate) -> bool:
-    return math.hypot(*estimate.velocity_enu_m_s[:2]) < _ARRIVED_M_S
 
 
 def clip(velocity_enu_m_s: Vec3, xy_m_s: float, up_m_s: float, down_m_s: float) -> Vec3:

@@ -26,30 +26,23 @@ _FOR_QGROUNDCONTROL = (
     fixed("SYS_PARAM_VER", 1),
 )
 
-# Values of the ..._ACT parameters: tables in sim.autopilot.watches.
+# Values of the ..._ACT parameters: tables in sim.autopilot.flight and watches.
 _OWN = (
     real("COM_OF_LOSS_T", 0.5, 0.1, 5.0),  # s, silence of the companion before COM_OBL_RC_ACT
-    one_of("COM_OBL_RC_ACT", 4, 0, 3, 4, 5),  # then: land, return, land, hold
+    one_of("COM_OBL_RC_ACT", 4, 0, 4, 5),  # then: land, land, hold
     real("COM_DISARM_LAND", 2.0, 0.1, 20.0),  # s, PX4's default
     real("COM_DISARM_PRFLT", 10.0, 1.0, 120.0),  # s, PX4's default
     fixed("COM_RC_IN_MODE", 4),  # no stick input
     fixed("MAN_OVERRIDE_SPD", -1.0, REAL32),  # sticks never take over
-    # warn; land when critical; twice return, and land in emergency: it does not estimate the time left
-    one_of("COM_LOW_BAT_ACT", 0, 0, 2, 3, 5),
+    fixed("COM_LOW_BAT_ACT", 0),  # a low battery has no effect
     integer("COM_DL_LOSS_T", 10, 1, 300),  # s without a ground station's heartbeat before NAV_DLL_ACT
-    one_of("NAV_DLL_ACT", 0, 0, 1, 2, 3),  # then: nothing, hold, return, land
-    real("BAT_LOW_THR", 0.15, 0.12, 0.5),  # share of charge; these three are PX4's
-    real("BAT_CRIT_THR", 0.07, 0.05, 0.5),
-    real("BAT_EMERGEN_THR", 0.05, 0.03, 0.5),
+    one_of("NAV_DLL_ACT", 0, 0, 1, 3),  # then: nothing, hold, land
     real("BAT1_V_EMPTY", 3.5, 2.5, 4.0),  # V at rest; the simulated cell's
     real("BAT1_V_CHARGED", 4.15, 3.5, 4.35),  # V at rest
     real("BAT1_V_LOAD_DROP", 0.37, 0.0, 1.0),  # V at full throttle; 0.25 V in hover at 0.67
-    one_of("GF_ACTION", 2, 0, 1, 2, 3, 5),  # outside: nothing, warn, hold, return, land
-    real("GF_MAX_HOR_DIST", 0.0, 0.0, 10000.0),  # m from home; 0: no limit
-    real("GF_MAX_VER_DIST", 0.0, 0.0, 10000.0),  # m above home; 0: no limit
-    real("RTL_RETURN_ALT", 1.0, 0.1, 20.0),  # m above home, on the way back
-    real("RTL_MIN_DIST", 0.3, 0.0, 20.0),  # m; nearer to home it lands where it is
-    real("RTL_LAND_DELAY", 0.0, 0.0, 60.0),  # s over home before it lands
+    fixed("GF_ACTION", 0),  # no fence
+    fixed("GF_MAX_HOR_DIST", 0.0, REAL32),
+    fixed("GF_MAX_VER_DIST", 0.0, REAL32),
     integer("SYS_FAILURE_EN", 0, 0, 1),  # command 420 may let things fail
     real("MIS_TAKEOFF_ALT", 0.5, 0.1, 20.0, in_flight=True),  # m above where it stands
     real("MPC_TKO_SPEED", 0.5, 0.1, 1.0, in_flight=True),  # m/s

@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.server.owner import Right, Sender
-from bridge.mavlink.server.profile import FlightMode, ServerProfile, mode_of, why_no_mode
+from bridge.mavlink.server.profile import FlightMode, mode_of, why_no_mode
 from bridge.mavlink.server.streams import Streams
 from bridge.mavlink.server.telemetry import Builder, Snapshot, V
 from flightstack.core.types import Vec3
@@ -133,14 +133,13 @@ class Commands(Generic[V]):
     def __init__(
         self,
         vehicle: V,
-        profile: ServerProfile,
         streams: Streams[V],
         builders: Mapping[int, Builder[V]],
         snapshot: Callable[[float], Snapshot[V] | None],
         own: Table,
     ) -> None:
         """Set up. ``builders`` are messages that can be asked for, by id; ``own`` are further commands."""
-        self._vehicle, self._profile, self._streams = vehicle, profile, streams
+        self._vehicle, self._streams = vehicle, streams
         self._builders, self._snapshot = builders, snapshot
         self._waiting: list[tuple[int, Sender]] = []  # command and sender
         m, anybody, owner = dialect, Right.ANYBODY, Right.OWNER
@@ -222,7 +221,7 @@ class Commands(Generic[V]):
         if not int(base) & _CUSTOM_MODE or main is None:
             return Answer(DENIED, "Mode refused: only custom modes")
         mode = mode_of(round(main), round(sub))
-        if mode is None or mode not in self._profile.codes:
+        if mode is None:
             return Answer(DENIED, why_no_mode(round(main), round(sub)))
         return answer(self._vehicle.set_mode(mode, command.now_s))
 

@@ -7,7 +7,7 @@ the flight stack talks to an autopilot is in ``bridge.mavlink.profiles``.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 from typing import Any, NamedTuple
 
@@ -22,7 +22,6 @@ class FlightMode(Enum):
     HOLD = "hold"
     TAKEOFF = "take-off"
     LAND = "land"
-    RETURN = "return"
     OFFBOARD = "offboard"
 
 
@@ -46,7 +45,6 @@ PX4_CODES: Mapping[FlightMode, Code] = {
     FlightMode.HOLD: Code(4, 3, _AUTO),  # AUTO.LOITER
     FlightMode.TAKEOFF: Code(4, 2, _AUTO),
     FlightMode.LAND: Code(4, 6, _AUTO),
-    FlightMode.RETURN: Code(4, 5, _AUTO),  # AUTO.RTL
     FlightMode.OFFBOARD: Code(6, 0, _EXTERNAL),
 }
 _BY_CODE = {(code.main, code.sub): mode for mode, code in PX4_CODES.items()}
@@ -72,7 +70,6 @@ AIRBORNE_STATE: Mapping[FlightMode, int] = {
     FlightMode.HOLD: dialect.MAV_LANDED_STATE_IN_AIR,
     FlightMode.TAKEOFF: dialect.MAV_LANDED_STATE_TAKEOFF,
     FlightMode.LAND: dialect.MAV_LANDED_STATE_LANDING,
-    FlightMode.RETURN: dialect.MAV_LANDED_STATE_IN_AIR,
     FlightMode.OFFBOARD: dialect.MAV_LANDED_STATE_IN_AIR,
 }
 
@@ -116,7 +113,6 @@ class ServerProfile:
     mark: bytes  # 8 bytes, AUTOPILOT_VERSION.flight_custom_version: which of this project's vehicles it is
     sensors: int  # MAV_SYS_STATUS_SENSOR bits that are always in good order
     rates_hz: Mapping[int, float]  # default rates by message id; a message that is missing is sent on request
-    codes: Mapping[FlightMode, Code] = field(default_factory=lambda: PX4_CODES)  # the modes that it has
 
     def __deepcopy__(self, memo: dict[int, Any]) -> ServerProfile:
         """Itself: it is constant."""

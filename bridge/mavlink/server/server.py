@@ -69,9 +69,7 @@ class Server(ABC, Generic[V]):
             dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION: autopilot_version,
         }
         self.messages = frozenset(requestable)
-        self.commands = Commands(
-            vehicle, profile, self.streams, requestable, self.snapshot, self.own_commands()
-        )
+        self.commands = Commands(vehicle, self.streams, requestable, self.snapshot, self.own_commands())
         self._handlers: dict[int, Handler] = {
             dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: self.on_setpoint,
             dialect.MAVLINK_MSG_ID_COMMAND_LONG: self.on_command,
@@ -240,7 +238,7 @@ class Server(ABC, Generic[V]):
         vehicle = self.vehicle
         pair = mode_numbers(message.custom_mode)
         mode = mode_of(*pair)
-        if mode is None or mode not in self.profile.codes:
+        if mode is None:
             reason: str | None = why_no_mode(*pair)
         else:
             right = Right.ANYBODY if mode is FlightMode.LAND else Right.OWNER

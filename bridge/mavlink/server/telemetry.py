@@ -11,7 +11,14 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.frames import Quat, euler_from_quaternion, frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.server.owner import Right, Sender
-from bridge.mavlink.server.profile import CAPABILITIES, POSITION_SOURCE, VERSION, FlightMode, ServerProfile
+from bridge.mavlink.server.profile import (
+    CAPABILITIES,
+    POSITION_SOURCE,
+    PX4_CODES,
+    VERSION,
+    FlightMode,
+    ServerProfile,
+)
 from bridge.mavlink.server.setpoints import Setpoint
 from bridge.mavlink.server.texts import Texts
 from flightstack.core.types import Vec3
@@ -42,7 +49,6 @@ class Battery(NamedTuple):
 
     voltage_v: float
     percent: int  # -1: not known
-    charge_state: int = dialect.MAV_BATTERY_CHARGE_STATE_UNDEFINED
 
 
 class VehiclePort(Protocol):
@@ -134,8 +140,8 @@ Builder = Callable[[Snapshot[V]], Message]
 
 def heartbeat(s: Snapshot[V]) -> Message:
     """HEARTBEAT with PX4's modes and states (PX4 streams/HEARTBEAT.hpp)."""
-    vehicle, profile = s.vehicle, s.profile
-    code, armed = profile.codes[vehicle.mode], vehicle.armed
+    vehicle = s.vehicle
+    code, armed = PX4_CODES[vehicle.mode], vehicle.armed
     if armed:
         state = dialect.MAV_STATE_CRITICAL if vehicle.failsafe else dialect.MAV_STATE_ACTIVE
     else:
@@ -206,7 +212,7 @@ def battery_status(s: Snapshot[V]) -> Message:
     unknown = dialect.MAV_BATTERY_FUNCTION_UNKNOWN
     return dialect.MAVLink_battery_status_message(
         0, unknown, dialect.MAV_BATTERY_TYPE_LIPO, 0x7FFF, voltages, -1, -1, -1, battery.percent, 0,
-        battery.charge_state,
+        dialect.MAV_BATTERY_CHARGE_STATE_UNDEFINED,
     )  # fmt: skip
 
 

@@ -210,7 +210,7 @@ class Stretch:
             self._yaw_rad = rules.yaw_rad = memory.yaw_rad
             self._yaw_told_rad = yaw = yaw_enu_from_ned(narrow(yaw_ned_from_enu(memory.yaw_rad)))
             rules.yaw_told_rad, rules.cos_yaw, rules.sin_yaw = yaw, math.cos(yaw), math.sin(yaw)
-        self._watch_book.write(self._watches, flight.home_enu_m)
+        self._watch_book.write(self._watches)
         if clip is not None and clip != self._clip:
             self._clip = clip
             rules.speeds[:] = clip
@@ -269,7 +269,7 @@ class Stretch:
         if setpoint is not None:
             flight.take_setpoint(setpoint, self._sender, now_s)
         node.control(now_s)
-        self._watch_book.write(self._watches, flight.home_enu_m)
+        self._watch_book.write(self._watches)
         node.vehicle.advance(grid.ms(last + 1) - grid.ms(last) - ahead_ms)
         return done, how if self._goes_on(flies) else BEFORE
 

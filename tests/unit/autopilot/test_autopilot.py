@@ -262,7 +262,6 @@ def test_mode_codes_are_those_of_px4() -> None:
         FlightMode.HOLD: 0x03040000,
         FlightMode.TAKEOFF: 0x02040000,
         FlightMode.LAND: 0x06040000,
-        FlightMode.RETURN: 0x05040000,
         FlightMode.OFFBOARD: 0x00060000,
     }
 

@@ -10,9 +10,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.server.parameters import INT32, Parameters
 from bridge.mavlink.server.profile import FlightMode
+from sim.autopilot.flight import STREAM_LOST
 from sim.autopilot.ground import degrees_e7, x_of, y_of
 from sim.autopilot.profiles import px4_parameters
-from sim.autopilot.watches import BATTERY, FENCE, STATION_LOST, STREAM_LOST, BatteryGauge, Charge
+from sim.autopilot.watches import STATION_LOST, Watches
 from sim.plant.params import load
 from sim.plant.rotors import BatteryModel, drain
 from tests.unit.autopilot.autopilot_fakes import (
@@ -20,6 +21,7 @@ from tests.unit.autopilot.autopilot_fakes import (
     NAN,
     OFFBOARD,
     RATE_HZ,
+    FakeVehicle,
     Rig,
     set_int,
     set_real,
@@ -65,47 +67,6 @@ def test_geodesy_goes_there_and_back() -> None:
     latitude_e7, longitude_e7 = degrees_e7(12.34, -5.67)
     assert x_of(longitude_e7 / 1e7) == pytest.approx(12.34, abs=0.01)
     assert y_of(latitude_e7 / 1e7) == pytest.approx(-5.67, abs=0.01)
-
-
-def test_return_climbs_flies_home_lands_and_disarms() -> None:
-    rig = Rig().fly()
-    assert rig.command(192, -1.0, 1.0, 0.0, NAN, *NEAR, 0.5) == ACCEPTED
-    rig.run(12.0)
-    x, y, _ = rig.vehicle.state.position_enu_m
-    assert (x, y) == pytest.approx((1.0, 2.0), abs=0.5)  # single precision of COMMAND_LONG is 0.4 m
-    assert rig.command(20) == ACCEPTED
-    highest, states = 0.0, set()
-    while rig.vehicle.armed:
-        rig.run(0.1)
-        highest = max(highest, rig.vehicle.state.position_enu_m[2])
-        states.add(rig.autopilot.flight.landed_state)
-        assert rig.now_s < 60.0
-    assert highest == pytest.approx(1.0, abs=0.06)
-    assert math.hypot(*rig.vehicle.state.position_enu_m[:2]) < 0.15
-    assert rig.texts()[-3:] == ["Mode return", "Landed, disarmed", "Mode hold"]
-    assert states == {1, 2, 4}
-    assert 0x05040000 in [m.custom_mode for m in rig.seen(mav.MAVLINK_MSG_ID_HEARTBEAT)]
-
-
-def test_return_near_home_lands_there_and_waits_when_told_to() -> None:
-    near = Rig().fly()
-    assert near.command(20) == ACCEPTED
-    near.run(0.5)
-    assert near.autopilot.flight.landed_state == mav.MAV_LANDED_STATE_LANDING
-    rig = Rig()
-    set_real(rig, "RTL_MIN_DIST", 0.0)
-    set_real(rig, "RTL_LAND_DELAY", 5.0)
-    rig.fly().command(20)
-    rig.run(6.0)
-    assert rig.vehicle.state.position_enu_m[2] == pytest.approx(1.0, abs=0.05)
-    rig.run(6.0)
-    assert not rig.vehicle.armed
-
-
-def test_return_needs_an_armed_vehicle() -> None:
-    rig = Rig()
-    assert rig.command(20) == REJECTED
-    assert rig.texts() == ["Mode return refused: not armed"]
 
 
 def test_reposition_flies_there_with_heading_and_speed_and_pause_stops() -> None:
@@ -180,10 +141,10 @@ def test_failures_need_the_parameter_and_say_why_not() -> None:
 
 
 def test_prearm_checks_tell_all_problems() -> None:
-    rig = Rig(locked=True, battery_v=3.0)
+    rig = Rig(locked=True)
     rig.vehicle.state.valid = False
     assert rig.command(401) == ACCEPTED
-    assert [t.split(":")[0] for t in rig.texts()] == ["Battery emergency, 0 %", *["Preflight fail"] * 3][1:]
+    assert [t.split(":")[0] for t in rig.texts()] == ["Preflight fail"] * 2
 
 
 STATION = mav.MAVLink_heartbeat_message(mav.MAV_TYPE_GCS, 8, 0, 0, 4, 3)
@@ -205,70 +166,15 @@ def rig_with(**parameters: float) -> Rig:
 
 
 @pytest.mark.parametrize(
-    ("act", "remaining", "mode", "text"),
-    [
-        (0, 0.03, FlightMode.OFFBOARD, "Battery emergency, 3 %"),
-        (2, 0.10, FlightMode.OFFBOARD, "Battery low, 10 %"),
-        (2, 0.06, FlightMode.LAND, "Battery critical, 6 %: landing"),
-        (3, 0.06, FlightMode.RETURN, "Battery critical, 6 %: returning"),
-        (3, 0.03, FlightMode.LAND, "Battery emergency, 3 %: landing"),
-    ],
-)
-def test_battery_acts_as_its_parameter_says(act: int, remaining: float, mode: FlightMode, text: str) -> None:
-    rig = rig_with(COM_LOW_BAT_ACT=act, BAT_LOW_THR=0.15).offboard()
-    rig.autopilot.flight.watches.battery.voltage_v = rig.vehicle.battery_v = voltage_at(remaining)
-    rig.run(0.3, (0.0, 0.0, 0.0))
-    assert rig.mode is mode
-    assert text in rig.texts()
-    assert rig.autopilot.flight.failsafe is (mode is not FlightMode.OFFBOARD)
-
-
-def test_battery_that_drains_warns_once_a_level_and_shows_it() -> None:
-    rig = rig_with(COM_LOW_BAT_ACT=2).fly()
-    start_v, end_v = voltage_at(0.3), voltage_at(0.0)
-    for tick in range(2000):
-        rig.vehicle.battery_v = start_v + (end_v - start_v) * tick / 2000
-        rig.run(0.01)
-    texts = [t for t in rig.texts() if t.startswith("Battery")]
-    assert [t.split(",")[0] for t in texts] == ["Battery low", "Battery critical", "Battery emergency"]
-    states = [m.charge_state for m in rig.seen(mav.MAVLINK_MSG_ID_BATTERY_STATUS)]
-    assert states == sorted(states)
-    assert states[0] == 1
-    assert not rig.vehicle.armed  # it has landed
-    remaining = rig.seen(mav.MAVLINK_MSG_ID_SYS_STATUS)[-1].battery_remaining
-    assert 0 <= remaining < 5
-    assert rig.command(400, 1.0) == mav.MAV_RESULT_TEMPORARILY_REJECTED
-    assert "Arming refused: battery at" in rig.texts()[-1]
-
-
-def test_load_does_not_look_like_an_empty_battery_and_noise_not_like_a_new_alarm() -> None:
-    gauge = BatteryGauge(Parameters(px4_parameters(1)), 4.0, 0.0)
-    at_rest = gauge.remaining
-    for _ in range(100):
-        gauge.step(4.0 - 0.25, 0.67, 0.1, armed=True)
-    assert gauge.remaining == pytest.approx(at_rest, abs=0.02)
-    alarms = []
-    for tick in range(400):
-        alarms.append(gauge.step(voltage_at(0.15) + 0.01 * math.sin(tick), 0.0, 0.5, armed=False))
-    assert [a for a in alarms if a is not None] == [Charge.LOW]
-    for _ in range(20):
-        gauge.step(4.1, 0.0, 1.0, armed=True)
-    assert gauge.level is Charge.LOW  # in flight it never gets better
-    gauge.step(4.1, 0.0, 1.0, armed=False)
-    assert gauge.level is Charge.OK
-
-
-@pytest.mark.parametrize(
     ("act", "mode", "doing"),
     [
         (0, FlightMode.LAND, "landing"),
-        (3, FlightMode.RETURN, "returning"),
         (4, FlightMode.LAND, "landing"),
         (5, FlightMode.HOLD, "holding"),
     ],
 )
 def test_loss_of_set_points_does_what_the_parameter_says(act: int, mode: FlightMode, doing: str) -> None:
-    rig = rig_with(COM_OBL_RC_ACT=act, RTL_MIN_DIST=0.0).offboard()
+    rig = rig_with(COM_OBL_RC_ACT=act).offboard()
     rig.run(0.5, (0.3, 0.0, 0.0))
     rig.run(0.6)
     assert rig.mode is mode
@@ -282,28 +188,25 @@ def test_loss_of_set_points_does_what_the_parameter_says(act: int, mode: FlightM
         assert not rig.autopilot.flight.failsafe
 
 
-@pytest.mark.parametrize("value", [1, 2, 6, 7, -1])
+@pytest.mark.parametrize("value", [1, 2, 3, 6, 7, -1])
 def test_actions_that_do_not_exist_are_refused(value: int) -> None:
     rig = Rig()
     assert set_int(rig, "COM_OBL_RC_ACT", value) == 4
-    assert "allowed 0, 3, 4, 5" in rig.texts()[0]
+    assert "allowed 0, 4, 5" in rig.texts()[0]
 
 
 def test_every_allowed_action_has_a_meaning() -> None:
     p = Parameters(px4_parameters(1))
     assert set(p.entry("COM_OBL_RC_ACT").choices) == set(STREAM_LOST)
     assert set(p.entry("NAV_DLL_ACT").choices) == set(STATION_LOST)
-    assert set(p.entry("GF_ACTION").choices) == set(FENCE)
-    levels = (Charge.LOW, Charge.CRITICAL, Charge.EMERGENCY)
-    assert {(level, act) for level in levels for act in p.entry("COM_LOW_BAT_ACT").choices} == set(BATTERY)
 
 
 @pytest.mark.parametrize(
     ("act", "mode"),
-    [(0, FlightMode.HOLD), (1, FlightMode.HOLD), (2, FlightMode.RETURN), (3, FlightMode.LAND)],
+    [(0, FlightMode.HOLD), (1, FlightMode.HOLD), (3, FlightMode.LAND)],
 )
 def test_loss_of_the_ground_station(act: int, mode: FlightMode) -> None:
-    rig = rig_with(NAV_DLL_ACT=act, COM_DL_LOSS_T=2, RTL_MIN_DIST=0.0)
+    rig = rig_with(NAV_DLL_ACT=act, COM_DL_LOSS_T=2)
     rig.handle(STATION, GROUND_STATION)
     rig.command(400, 1.0)
     rig.command(22, *[NAN] * 6, 0.5)
@@ -328,34 +231,6 @@ def test_a_ground_station_that_never_was_is_not_missed() -> None:
     assert rig.mode is FlightMode.HOLD
 
 
-@pytest.mark.parametrize(
-    ("act", "mode"),
-    [
-        (0, FlightMode.OFFBOARD),
-        (1, FlightMode.OFFBOARD),
-        (2, FlightMode.HOLD),
-        (3, FlightMode.RETURN),
-        (5, FlightMode.LAND),
-    ],
-)
-def test_geofence(act: int, mode: FlightMode) -> None:
-    rig = rig_with(GF_ACTION=act, GF_MAX_HOR_DIST=0.5).offboard()
-    rig.run(2.0, (0.4, 0.0, 0.0))
-    assert rig.mode is mode
-    told = [t for t in rig.texts() if "GF_MAX_HOR_DIST is 0.5" in t]
-    assert len(told) == (act > 0)
-
-
-def test_geofence_has_a_ceiling_and_refuses_goals_outside() -> None:
-    rig = rig_with(GF_MAX_VER_DIST=1.0).fly()
-    assert rig.command(192, -1.0, 1.0, 0.0, NAN, NAN, NAN, 1.5) == mav.MAV_RESULT_TEMPORARILY_REJECTED
-    rig.run(0.1, (0.0, 0.0, 0.0))
-    rig.command(176, *OFFBOARD)
-    rig.run(3.0, (0.0, 0.0, -0.5))
-    assert rig.mode is FlightMode.HOLD
-    assert rig.vehicle.state.position_enu_m[2] < 1.8
-
-
 def test_set_points_are_clipped_only_where_a_limit_was_lowered_and_never_silently() -> None:
     free = Rig().offboard()
     free.run(0.01, (3.0, 4.0, 0.0))
@@ -375,12 +250,23 @@ def test_set_points_are_clipped_only_where_a_limit_was_lowered_and_never_silentl
 
 
 def test_a_weaker_fail_safe_does_not_stop_a_landing() -> None:
-    rig = rig_with(GF_ACTION=2, GF_MAX_HOR_DIST=0.1).fly()
+    rig = rig_with(NAV_DLL_ACT=1, COM_DL_LOSS_T=1).fly()
+    rig.handle(STATION, GROUND_STATION)
     rig.command(21)
-    rig.vehicle.state.position_enu_m = (1.0, 0.0, 0.5)
-    rig.run(0.2)
+    rig.run(1.2)
+    assert "No ground station for 1 s" in rig.texts()
     assert rig.mode is FlightMode.LAND
     assert not rig.autopilot.flight.failsafe
+
+
+def charge(voltage_v: float, throttle: float) -> float:
+    vehicle = FakeVehicle(battery_v=voltage_v, motor_commands=(throttle,) * 4)
+    return Watches(Parameters(px4_parameters(1)), vehicle).charge
+
+
+def test_load_does_not_look_like_an_empty_battery() -> None:
+    assert charge(4.0 - 0.25, 0.67) == pytest.approx(charge(4.0, 0.0), abs=0.02)
+    assert (charge(3.0, 0.0), charge(4.3, 0.0)) == (0.0, 1.0)
 
 
 def test_charge_of_the_simulated_cell_is_read_right_in_hover() -> None:
@@ -389,6 +275,4 @@ def test_charge_of_the_simulated_cell_is_read_right_in_hover() -> None:
     cell = BatteryModel(params, hover_rpm)
     cell.record.used_a_s = used * params.charge_a_s
     drain(cell.record, np.full(4, hover_rpm), 0.01)
-    throttle = hover_rpm / cell.rpm_max
-    gauge = BatteryGauge(Parameters(px4_parameters(1)), cell.voltage_v, throttle)
-    assert gauge.remaining == pytest.approx(1.0 - used, abs=0.03)
+    assert charge(cell.voltage_v, hover_rpm / cell.rpm_max) == pytest.approx(1.0 - used, abs=0.03)

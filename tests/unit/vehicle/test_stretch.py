@@ -72,22 +72,6 @@ def test_stretches_and_python_alternate_where_the_target_is_lost():
     assert_equal(rare, 7, 0.3)
 
 
-def test_a_battery_that_becomes_low_in_a_stretch_is_seen_at_the_same_tick():
-    field = load("field")
-    low = replace(field, vehicle=replace(field.vehicle, battery_charge=(0.48, 0.48)))
-    told = [
-        event.t_s
-        for event in assert_equal(low, 3, 0.3, ("BAT_LOW_THR", 0.5)).events
-        if "Battery low" in event.text
-    ]
-    assert 0.5 < min(told) < 4.0  # in the air
-
-
-def test_a_fence_is_met_at_the_same_tick():
-    seen = assert_equal(load("field"), 3, 0.05, ("GF_MAX_HOR_DIST", 0.4), ("GF_ACTION", 5))
-    assert any("Outside the geofence: 0.5 m" in event.text for event in seen.events)
-
-
 def test_from_the_ground_at_another_rate():
     field = load("field")
     takeoff = replace(field.onboard.takeoff, start_offset_m=(-1.0, 0.0, 1.0))
