@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from bridge.ros2.codec import CODES, HEADER_TYPE, TIME_TYPES
 from logs.schema import rows
-from logs.schema.cdr import CODES, HEADER_TYPE, TIME_TYPES
 from logs.schema.rows import COLUMNS, ROWS, class_name, column_fields, value_name
 from logs.schema.schemas import Field, fields_of
 
@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from logs.schema.schemas import Field
+from bridge.ros2.codec import Field
 
 Vec3 = tuple[float, float, float]
 Vec4 = tuple[float, float, float, float]

@@ -14,7 +14,6 @@ from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Outputs
 from logs.derive.derive import STEP_SUFFIX, Deriver
-from logs.schema.cdr import packer
 from logs.schema.events import pack_string
 from logs.schema.rows import ControllerStepRow, HealthRow
 from logs.schema.schemas import (
@@ -26,6 +25,7 @@ from logs.schema.schemas import (
     STRING,
     TF_MESSAGE,
     TWIST_STAMPED,
+    packer,
     type_hash,
 )
 

@@ -23,7 +23,6 @@ from logs.derive.diagnostics import Health
 from logs.derive.frames import FrameDecoder
 from logs.derive.markers import FLEET_REACH, REACH, Scene
 from logs.reader.flight_data import ATTACHMENT, read_config, shape
-from logs.schema.cdr import packer
 from logs.schema.events import pack_string
 from logs.schema.names import Names, split
 from logs.schema.rows import ControllerStepRow, LoopTimingRow
@@ -37,6 +36,7 @@ from logs.schema.schemas import (
     STRING,
     TF_MESSAGE,
     TWIST_STAMPED,
+    packer,
 )
 
 PERIOD_NS = 20_000_000  # 50 Hz: as fast as a screen shows it

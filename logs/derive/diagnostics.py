@@ -12,9 +12,8 @@ from enum import IntEnum
 from typing import Any, NamedTuple
 
 from logs.derive.frames import FrameCounter
-from logs.schema.cdr import packer
 from logs.schema.rows import ControllerStepRow, LoopTimingRow
-from logs.schema.schemas import DIAGNOSTIC_ARRAY
+from logs.schema.schemas import DIAGNOSTIC_ARRAY, packer
 
 TOPIC = "/diagnostics"
 PERIOD_NS = 1_000_000_000

@@ -10,9 +10,8 @@ from typing import NamedTuple
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Vec3
 from logs.reader.flight_data import PAD_RADIUS_M
-from logs.schema.cdr import packer
 from logs.schema.rows import ControllerStepRow
-from logs.schema.schemas import MARKER_ARRAY
+from logs.schema.schemas import MARKER_ARRAY, packer
 
 ARROW, CUBE, SPHERE, CYLINDER, LINE_STRIP, TRIANGLE_LIST = 0, 1, 2, 3, 4, 11  # visualization_msgs/msg/Marker
 LIFETIME_S = 0.5  # two and a half periods of 5 Hz: a picture that is not repeated disappears

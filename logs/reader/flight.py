@@ -32,10 +32,9 @@ from logs.reader.flight_data import (
     read_config,
 )
 from logs.reader.reader import LogError, LogFile, Message
-from logs.schema.cdr import codec
 from logs.schema.names import NO_PAD
 from logs.schema.rows import ControllerStepRow, FleetPairRow, LogRow, LoopTimingRow, TrueStateRow
-from logs.schema.schemas import CONTROLLER_STEP, FLEET_PAIR, LOG, LOOP_TIMING, ODOMETRY, TRUE_STATE
+from logs.schema.schemas import CONTROLLER_STEP, FLEET_PAIR, LOG, LOOP_TIMING, ODOMETRY, TRUE_STATE, codec
 
 __all__ = [
     "Event",

@@ -18,7 +18,7 @@ import struct
 from collections.abc import Mapping
 from typing import Protocol
 
-from logs.schema.cdr import CDR_HEADER
+from bridge.ros2.codec import CDR_HEADER
 
 MAVLINK_PEERS = "mavlink_peers"  # metadata: name -> HOST:PORT
 NAMED_MAX = 99  # peers that get a name of their own, since any sender can reach an open port

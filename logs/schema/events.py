@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from enum import IntEnum, IntFlag
 
-from logs.schema.cdr import packer
 from logs.schema.rows import LogRow
-from logs.schema.schemas import STRING
+from logs.schema.schemas import STRING, packer
 
 ONBOARD, CONTROLLER = "onboard", "controller"  # sources of events; the controller's are part of its decisions
 CAUSE = "cause of the abort: "  # begins the onboard process's event with what the autopilot said of it

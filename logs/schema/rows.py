@@ -15,7 +15,7 @@ from collections import namedtuple
 from dataclasses import make_dataclass
 from typing import Any
 
-from logs.schema.cdr import CODES, HEADER_TYPE, TIME_TYPES, codec
+from bridge.ros2.codec import CODES, HEADER_TYPE, TIME_TYPES
 from logs.schema.schemas import (
     CONTROLLER_INPUT,
     CONTROLLER_NEIGHBOURS,
@@ -29,6 +29,7 @@ from logs.schema.schemas import (
     LOOP_TIMING,
     TRUE_STATE,
     Field,
+    codec,
     fields_of,
 )
 

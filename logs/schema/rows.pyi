@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from logs.schema.schemas import Field
+from bridge.ros2.codec import Field
 
 Vec3 = tuple[float, float, float]
 Vec4 = tuple[float, float, float, float]

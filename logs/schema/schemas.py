@@ -7,11 +7,13 @@ for. One store serves writer, reader and comparison.
 
 from __future__ import annotations
 
-import re
+from collections.abc import Callable
 from functools import cache
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
+from bridge.ros2.codec import MAP, Field, Pack, Unpack, fields_of_text, standard
+from bridge.ros2.codec import codec as cdr_codec
 from logs.schema import mavlink_types
 
 if TYPE_CHECKING:  # a process that packs rows needs none of it: a fortieth of a second of each start
@@ -57,24 +59,7 @@ _OURS = {
     HEALTH: "Health.msg",
     MAVLINK: "Mavlink.msg",
 }
-# Standard types that our own are made of, so that no process waits for the whole store when it starts.
-_STANDARD = {
-    "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
-    "std_msgs/msg/Header": "builtin_interfaces/Time stamp\nstring frame_id",
-    "geometry_msgs/msg/Vector3": "float64 x\nfloat64 y\nfloat64 z",
-    "geometry_msgs/msg/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
-    STRING: "string data",
-    LOG: "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\nstring file\nstring function\n"
-    "uint32 line",
-}
-_FIELD = re.compile(r"(?P<kind>[\w/]+)(\[(?P<bound><=)?(?P<count>\d*)\])? +(?P<name>[a-z]\w*) *(#.*)?")
 _SEPARATOR = "=" * 80
-
-
-class Field(NamedTuple):
-    name: str
-    kind: str  # "float64", "string", or the full name of a message type
-    length: int | None  # of an array; None: a single value, 0: a sequence
 
 
 class UnknownSchemaError(ValueError):
@@ -95,13 +80,24 @@ def typestore() -> Typestore:
 @cache
 def fields_of(name: str) -> tuple[Field, ...]:
     """Return the fields of a message type, in order."""
-    text = _own_text(name) if name in _OURS else _STANDARD.get(name)
-    if text is None:
-        return tuple(_field(field, *node) for field, node in _known(name).fielddefs[name][1])
-    found = [match for line in text.splitlines() if (match := _FIELD.fullmatch(line.rstrip()))]
-    return tuple(
-        Field(each["name"], _full(each["kind"]), _length(each["bound"], each["count"])) for each in found
-    )
+    if name in _OURS:
+        return fields_of_text(_own_text(name))
+    known = standard(name)
+    if known is not None:
+        return known
+    return tuple(_field(field, *node) for field, node in _known(name).fielddefs[name][1])
+
+
+def codec(
+    schema: str, frame_id: str | None = MAP, make: Callable[[tuple[Any, ...]], Any] = tuple
+) -> tuple[Pack, Unpack]:
+    """Return the packer and unpacker of any type of the log; as ``bridge.ros2.codec.codec``."""
+    return cdr_codec(schema, frame_id, make, fields_of)
+
+
+@cache
+def packer(schema: str, frame_id: str | None = MAP) -> Pack:
+    return codec(schema, frame_id)[0]
 
 
 def _field(name: str, node: Nodetype, detail: Any) -> Field:
@@ -114,18 +110,6 @@ def _field(name: str, node: Nodetype, detail: Any) -> Field:
         return Field(name, detail[0], None)
     inner, count = detail
     return Field(name, _field(name, *inner).kind, count if node is Nodetype.ARRAY else 0)
-
-
-def _full(kind: str) -> str:
-    """``std_msgs/Header`` as ``std_msgs/msg/Header``."""
-    package, separator, name = kind.partition("/")
-    return f"{package}/msg/{name}" if separator else kind
-
-
-def _length(bound: str | None, count: str | None) -> int | None:
-    if count is None:
-        return None
-    return 0 if bound or not count else int(count)
 
 
 def store_for(name: str) -> Typestore:

@@ -33,10 +33,10 @@ from flightstack.core.types import (
     VehicleStatus,
 )  # fmt: skip
 from logs.schema import schemas
-from logs.schema.cdr import codec
 from logs.schema.codec_mavlink import pack_mavlink
 from logs.schema.controller_rows import TickInputs, pack_controller_input
 from logs.schema.rows import ControllerStepRow
+from logs.schema.schemas import codec
 from tests.integration.runs import flightstack
 from tests.synthetic_flight import landing
 

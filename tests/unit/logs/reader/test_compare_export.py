@@ -15,12 +15,12 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
 
+from bridge.ros2.codec import CDR_HEADER
 from flightstack.cli.main import main
 from logs.reader.reader import LogError
 from logs.recorder.mcap_file import McapFile
 from logs.recorder.recording import RECORDER_NAME
 from logs.schema import schemas
-from logs.schema.cdr import CDR_HEADER
 from logs.schema.codec_mavlink import pack_mavlink
 from logs.schema.events import pack_log
 from logs.schema.names import LOSSES

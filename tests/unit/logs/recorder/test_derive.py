@@ -15,9 +15,9 @@ from logs.derive.diagnostics import Health
 from logs.derive.frames import SENDERS_MAX, FrameCounter
 from logs.derive.markers import PATH_POINTS, surface
 from logs.schema import schemas
-from logs.schema.cdr import codec
 from logs.schema.codec_mavlink import pack_mavlink
 from logs.schema.rows import ControllerStepRow, LoopTimingRow
+from logs.schema.schemas import codec
 
 STORE = schemas.typestore()
 EPOCH_NS = 1_577_836_800_000_000_000

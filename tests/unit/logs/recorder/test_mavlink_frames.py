@@ -16,7 +16,6 @@ from bridge.mavlink.codec.decoding import decode
 from bridge.mavlink.codec.wide_messages import MESSAGES
 from logs.derive.frames import TOPICS_MAX, FrameDecoder
 from logs.schema import mavlink_types, schemas
-from logs.schema.cdr import codec
 from logs.schema.codec_mavlink import (
     MAVLINK_PEERS,
     NAMED_MAX,
@@ -27,6 +26,7 @@ from logs.schema.codec_mavlink import (
     peer_of,
     unpack_mavlink,
 )
+from logs.schema.schemas import codec
 
 STORE = schemas.typestore()
 stamps = st.integers(0, (2**31 - 1) * 10**9)

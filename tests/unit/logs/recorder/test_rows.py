@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bridge.ros2 import codec as cdr
 from flightstack.core.types import (
     FilterStatus,
     Inputs,
@@ -25,7 +26,7 @@ from flightstack.core.types import (
     VehicleStatus,
 )
 from logs.reader.flight_data import Steps
-from logs.schema import cdr, rows, schemas
+from logs.schema import rows, schemas
 from logs.schema.controller_rows import TickInputs, pack_controller_input, unpack_controller_input
 from logs.schema.rows import ControllerInputRow, ControllerStepRow, LogRow, LoopTimingRow
 from logs.schema.schemas import fields_of
@@ -138,12 +139,12 @@ def test_a_number_out_of_range_is_an_error():
 
 
 def test_a_type_that_is_not_packed_here_is_refused_when_its_packer_is_made(monkeypatch):
-    monkeypatch.setitem(schemas._STANDARD, "some_msgs/msg/Names", "string[3] names")
+    monkeypatch.setitem(cdr._STANDARD, "some_msgs/msg/Names", "string[3] names")
     with pytest.raises(TypeError, match="hold numbers only"):
         cdr.codec("some_msgs/msg/Names")
 
 
-@pytest.mark.parametrize("name", [*schemas._OURS, *schemas._STANDARD])
+@pytest.mark.parametrize("name", [*schemas._OURS, *cdr._STANDARD])
 def test_fields_read_from_a_definition_are_those_of_the_generic_parser(name):
     expected = tuple(schemas._field(field, *node) for field, node in STORE.fielddefs[name][1])
     assert fields_of(name) == expected

@@ -23,12 +23,10 @@ sequence of other messages             tuple of tuples
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable, Sequence
-from functools import cache
-from typing import Any
-
-from logs.schema.schemas import Field, fields_of
+from typing import Any, NamedTuple
 
 CDR_HEADER = b"\x00\x01\x00\x00"  # plain CDR, little-endian, no options (OMG DDSI-RTPS 10.5)
 MAP = "map"  # the world frame of every message of ours
@@ -41,19 +39,82 @@ CODES = {
 _NS = 1_000_000_000  # nanoseconds in a second
 _ALIGNMENT_MAX = 8  # bytes, of the largest number
 
+# Standard types by their ROS 2 definitions: no process waits for a whole store of types when it starts.
+_STANDARD = {
+    "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
+    "std_msgs/msg/Header": "builtin_interfaces/Time stamp\nstring frame_id",
+    "std_msgs/msg/String": "string data",
+    "rcl_interfaces/msg/Log": "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\n"
+    "string file\nstring function\nuint32 line",
+    "geometry_msgs/msg/Vector3": "float64 x\nfloat64 y\nfloat64 z",
+    "geometry_msgs/msg/Point": "float64 x\nfloat64 y\nfloat64 z",
+    "geometry_msgs/msg/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
+    "geometry_msgs/msg/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
+    "geometry_msgs/msg/PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance",
+    "geometry_msgs/msg/PoseStamped": "std_msgs/Header header\ngeometry_msgs/Pose pose",
+    "geometry_msgs/msg/PoseWithCovarianceStamped": "std_msgs/Header header\n"
+    "geometry_msgs/PoseWithCovariance pose",
+    "geometry_msgs/msg/Twist": "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular",
+    "geometry_msgs/msg/TwistWithCovariance": "geometry_msgs/Twist twist\nfloat64[36] covariance",
+    "geometry_msgs/msg/TwistStamped": "std_msgs/Header header\ngeometry_msgs/Twist twist",
+    "geometry_msgs/msg/Transform": "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation",
+    "geometry_msgs/msg/TransformStamped": "std_msgs/Header header\nstring child_frame_id\n"
+    "geometry_msgs/Transform transform",
+    "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms",
+    "nav_msgs/msg/Odometry": "std_msgs/Header header\nstring child_frame_id\n"
+    "geometry_msgs/PoseWithCovariance pose\ngeometry_msgs/TwistWithCovariance twist",
+}
+_FIELD = re.compile(r"(?P<kind>[\w/]+)(\[(?P<bound><=)?(?P<count>\d*)\])? +(?P<name>[a-z]\w*) *(#.*)?")
+
 Pack = Callable[[Sequence[Any]], bytes]
 Unpack = Callable[[bytes], Any]
 
 
+class Field(NamedTuple):
+    name: str
+    kind: str  # "float64", "string", or the full name of a message type
+    length: int | None  # of an array; None: a single value, 0: a sequence
+
+
+def fields_of_text(text: str) -> tuple[Field, ...]:
+    """Return the fields of a message definition, in order."""
+    found = [match for line in text.splitlines() if (match := _FIELD.fullmatch(line.rstrip()))]
+    return tuple(Field(m["name"], _full(m["kind"]), _length(m["bound"], m["count"])) for m in found)
+
+
+def standard(schema: str) -> tuple[Field, ...] | None:
+    """Return the fields of a standard type; None: not one of the table."""
+    return fields_of_text(_STANDARD[schema]) if schema in _STANDARD else None
+
+
+def _full(kind: str) -> str:
+    """``std_msgs/Header`` as ``std_msgs/msg/Header``."""
+    package, separator, name = kind.partition("/")
+    return f"{package}/msg/{name}" if separator else kind
+
+
+def _length(bound: str | None, count: str | None) -> int | None:
+    if count is None:
+        return None
+    return 0 if bound or not count else int(count)
+
+
 def codec(
-    schema: str, frame_id: str | None = MAP, make: Callable[[tuple[Any, ...]], Any] = tuple
+    schema: str,
+    frame_id: str | None = MAP,
+    make: Callable[[tuple[Any, ...]], Any] = tuple,
+    fields: Callable[[str], tuple[Field, ...] | None] = standard,
+    *,
+    foreign: bool = False,
 ) -> tuple[Pack, Unpack]:
     """Return the functions that pack the value of a message as CDR, and make it again.
 
     The packer raises a struct.error for a number out of the range of its field, the unpacker a ValueError for
-    a payload that is cut short, too long, or of another encoding or frame.
+    a payload that is cut short, too long, or of another encoding or frame. With ``frame_id`` None each
+    message has its own. ``fields`` gives the fields of a type. Payloads of foreign programs may have bytes
+    behind the message, and texts without a NUL at their end.
     """
-    compiler = _Compiler(frame_id)
+    compiler = _Compiler(frame_id, fields)
     names = compiler.message(schema, "row")
     compiler.flush()
     pack = ["def pack(row):", *compiler.pack, f"    return {'bytes(out)' if compiler.large else 'out'}"]
@@ -64,23 +125,18 @@ def codec(
         "def unpack(data):",
         "    try:",
         *("    " + line for line in compiler.unpack),
-        "        if at != len(data):",
+        f"        if at != len(data) and not {foreign}:",
         "            raise ValueError(f'{len(data)} bytes, of which the last {len(data) - at} mean nothing')",
         "    except (ValueError, error) as problem:",
-        f"        text = f'not a {schema} of this stack: {{problem}}; it begins with {{data[:20].hex()}}'",
+        f"        text = f'not a {schema}{'' if foreign else ' of this stack'}: {{problem}}; "
+        "it begins with {data[:20].hex()}'",
         "        raise ValueError(text) from problem",
         f"    return make(({names}))",
     ]
-    scope = {**compiler.constants, "NS": _NS, "CDR": CDR_HEADER, "error": struct.error, "text_at": _text_at}
-    scope |= {"bytes_at": _bytes_at, "refuse": _refuse, "make": make}
+    scope = {**compiler.constants, "NS": _NS, "CDR": CDR_HEADER, "error": struct.error, "bytes_at": _bytes_at}
+    scope |= {"text_at": _foreign_text_at if foreign else _text_at, "refuse": _refuse, "make": make}
     exec("\n".join(pack + unpack), scope)
     return scope["pack"], scope["unpack"]
-
-
-@cache
-def packer(schema: str, frame_id: str | None = MAP) -> Pack:
-    """Return the packer alone; as :func:`codec`."""
-    return codec(schema, frame_id)[0]
 
 
 class _Compiler:
@@ -89,7 +145,10 @@ class _Compiler:
     A name joins field names by two underscores, helpers follow three: ROS allows neither in a field's name.
     """
 
-    def __init__(self, frame_id: str | None) -> None:
+    def __init__(
+        self, frame_id: str | None, fields: Callable[[str], tuple[Field, ...] | None] = standard
+    ) -> None:
+        self._known = fields
         self.pack: list[str] = []
         self.unpack: list[str] = []
         self.constants: dict[str, Any] = {}
@@ -103,7 +162,7 @@ class _Compiler:
 
     def message(self, schema: str, value: str) -> str:
         """Treat all fields; their variables, which make up the value."""
-        fields = fields_of(schema)
+        fields = self._fields(schema)
         names = [f"{value}__{field.name}" for field in fields]
         joined = "".join(f"{name}, " for name in names)
         self.pack.append(f"{self._indent}({joined}) = {value}")
@@ -132,7 +191,7 @@ class _Compiler:
 
     def _field(self, field: Field, v: str) -> None:
         kind = field.kind
-        numbers = _numbers(kind)
+        numbers = self._numbers(kind)
         if field.length and kind not in CODES:
             raise TypeError(
                 f"field {field.name}: an array of {kind}; arrays of fixed length hold numbers only"
@@ -154,6 +213,22 @@ class _Compiler:
         else:
             values = self.message(kind, v)
             self._after.append(f"{v} = ({values})")
+
+    def _fields(self, schema: str) -> tuple[Field, ...]:
+        fields = self._known(schema)
+        if fields is None:
+            raise TypeError(f"unknown message type {schema!r}")
+        return fields
+
+    def _numbers(self, kind: str) -> list[str]:
+        """Codes of a number, or of a message made of numbers of one type; empty for everything else."""
+        if kind in CODES:
+            return [CODES[kind]]
+        if kind == "string":
+            return []
+        fields = self._fields(kind)
+        codes = [CODES.get(field.kind, "") if field.length is None else "" for field in fields]
+        return codes if len(set(codes)) == 1 and codes[0] else []
 
     def _header(self, v: str) -> None:
         if self._frame is None:
@@ -223,16 +298,6 @@ class _Compiler:
         lines.append(self._indent + text)
 
 
-def _numbers(kind: str) -> list[str]:
-    """Codes of a number, or of a message made of numbers of one type; empty for everything else."""
-    if kind in CODES:
-        return [CODES[kind]]
-    if kind == "string":
-        return []
-    codes = [CODES.get(field.kind, "") if field.length is None else "" for field in fields_of(kind)]
-    return codes if len(set(codes)) == 1 and codes[0] else []
-
-
 def _layout(codes: Sequence[str], at: int) -> struct.Struct:
     """Layout of numbers that begin ``at`` bytes from the start of the payload, or so many modulo 8."""
     out = "<"
@@ -249,6 +314,10 @@ def _text_at(data: bytes, at: int, size: int) -> str:
     if raw[-1:] != b"\x00":
         raise ValueError(f"the text of {size} bytes at byte {at} has no end")
     return raw[:-1].decode()
+
+
+def _foreign_text_at(data: bytes, at: int, size: int) -> str:
+    return _bytes_at(data, at, size).removesuffix(b"\x00").decode()
 
 
 def _bytes_at(data: bytes, at: int, size: int) -> bytes:
