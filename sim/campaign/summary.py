@@ -14,6 +14,7 @@ from enum import Enum
 from typing import Any
 
 import numpy as np
+from scipy.special import betaincinv
 
 from logs.verdict.types import Outcome
 from sim.campaign.rows import ERROR, Row
@@ -50,45 +51,10 @@ def count(rows: Sequence[Row]) -> Counts:
 
 
 def upper_bound(events: int, runs: int, confidence: float = CONFIDENCE) -> float:
-    """Upper Clopper-Pearson bound of a rate: the p at which so few events become improbable.
-
-    One-sided: solves P(X <= events; runs, p) = 1 - confidence. For no event it is 1 - (1 - confidence)^(1/n).
-
-    Args:
-        events: how often it happened.
-        runs: in how many.
-        confidence: that the true rate is below.
-
-    Raises:
-        ValueError: not 0 <= events <= runs, or no runs.
-    """
+    """One-sided upper Clopper-Pearson bound of a rate: the p for which P(X <= events) is 1 - confidence."""
     if not 0 <= events <= runs or runs < 1:
         raise ValueError(f"{events} events in {runs} runs: a number of runs and no more events are needed")
-    if events == runs:
-        return 1.0
-    low, high = events / runs, 1.0
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        if _at_most(events, runs, middle) > 1.0 - confidence:
-            low = middle
-        else:
-            high = middle
-    return high
-
-
-def _at_most(events: int, runs: int, p: float) -> float:
-    """P(X <= events) of a binomial distribution."""
-    if p >= 1.0:
-        return 0.0
-    logs = [
-        math.lgamma(runs + 1)
-        - math.lgamma(k + 1)
-        - math.lgamma(runs - k + 1)
-        + (k * math.log(p) if k else 0.0)
-        + (runs - k) * math.log1p(-p)
-        for k in range(events + 1)
-    ]
-    return math.fsum(map(math.exp, logs)) if p > 0.0 else 1.0
+    return 1.0 if events == runs else float(betaincinv(events + 1, runs - events, confidence))
 
 
 def quantile(rows: Sequence[Row], value: Callable[[Row], float | None], share: float) -> float | None:
