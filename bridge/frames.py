@@ -18,12 +18,11 @@ Quat = tuple[float, float, float, float]
 
 _SQRT_HALF = math.sqrt(0.5)
 _POLE = 1.0 - 1e-12  # sine of a pitch that is 90 degrees but for 1e-6 rad
-_NED_AXIS = (1, 0, 2, 4, 3, 5)  # which ENU axis a NED axis is, of a position and of a rotation
+_NED_AXIS = (1, 0, 2, 4, 3, 5)  # ENU axis of each NED axis, of position and rotation
 _NED_SIGN = (1.0, 1.0, -1.0, 1.0, 1.0, -1.0)
 
 
 def ned_from_enu(v: Vec3) -> Vec3:
-    """Turn an ENU vector into NED."""
     return (v[1], v[0], -v[2])
 
 
@@ -33,7 +32,6 @@ def enu_from_ned(v: Vec3) -> Vec3:
 
 
 def frd_from_flu(v: Vec3) -> Vec3:
-    """Turn a vector in the body's FLU axes into its FRD axes."""
     return (v[0], -v[1], -v[2])
 
 
@@ -137,7 +135,7 @@ def upper_triangle(covariance: Sequence[float]) -> tuple[float, ...]:
 def euler_from_quaternion(q: Quat) -> Vec3:
     """Roll, pitch and yaw, turned about z, then y, then x, of a unit quaternion; pitch in [-pi/2, pi/2].
 
-    With the nose straight up or down roll and yaw turn about the same axis: all of it is called yaw.
+    With the nose straight up or down roll and yaw have the same axis: roll is 0 then.
     """
     w, x, y, z = q
     sine = 2.0 * (w * y - z * x)

@@ -27,56 +27,56 @@ from bridge.mavlink.transport.address import Peer, PeerTable, check_policy, pars
 from bridge.mavlink.transport.open import open_transport
 
 _PASSED = ("received", "sent", "bytes_in", "bytes_out", "unknown_frames", "stale_answered")
-_SENDERS_MAX = 16  # other systems and components that are counted one by one
+_SENDERS_MAX = 16  # greatest number of other systems and components with a counter
 
 
 @dataclass(slots=True)
 class EndpointCounters(FrameCounters):
-    """Counts of one endpoint; each reason to drop something has one of its own."""
+    """Counters of one endpoint, one for each reason to drop something."""
 
     received: int = 0  # frames decoded
     sent: int = 0  # frames handed to the socket, once per peer
-    bytes_in: int = 0  # everything that came over the line, frames or not
-    bytes_out: int = 0  # what the system took
-    send_errors: int = 0  # datagrams the system did not take; frames while a line or connection was lost
-    outgoing_full: int = 0  # serial and TCP: whole frames for which the line had no room
+    bytes_in: int = 0  # all received bytes
+    bytes_out: int = 0  # all sent bytes
+    send_errors: int = 0  # datagrams rejected by the system; frames during a lost line or connection
+    outgoing_full: int = 0  # serial and TCP: frames dropped by a full buffer
     connections_lost: int = 0  # serial and TCP
-    peers_refused: int = 0  # heartbeats of senders for whom the peer table had no room
+    peers_refused: int = 0  # heartbeats of senders without room in the peer table
     oversize: int = 0  # datagrams longer than 4096 bytes
-    withheld: int = 0  # answers not sent: more bytes than a sender without heartbeat had sent us
-    setup_signing: int = 0  # attempts to set a key over the network, never obeyed
-    unchecked: int = 0  # without a key: signed frames, taken as if they were unsigned
+    withheld: int = 0  # replies dropped: more bytes than a sender without heartbeat had sent
+    setup_signing: int = 0  # ignored attempts to set a key over the network
+    unchecked: int = 0  # without a key: signed frames, accepted as unsigned ones
     # With a key only:
     stale_answered: int = 0  # heartbeats sent to peers whose signing clock is behind
     unsigned: int = 0  # frames without a signature
     bad_signature: int = 0  # signed with another key, forged or changed
     replayed: int = 0  # not later than the last frame of the same stream
-    stale: int = 0  # a new stream that is a minute or more behind our clock
+    stale: int = 0  # a new stream a minute or more behind our clock
     ahead: int = 0  # more than an hour ahead of our clock
     reflected: int = 0  # frames with our own ids
-    streams_refused: int = 0  # a new stream for which the table had no room
+    streams_refused: int = 0  # a new stream without room in the table
 
     def add(self, name: str) -> None:
-        """Count one more of ``name``."""
         setattr(self, name, getattr(self, name) + 1)
 
     def dropped(self) -> str:
-        """What was thrown away, as one line; empty when nothing was."""
+        """Everything that was dropped, as one line; empty if nothing was."""
         counts = asdict(self)
         return ", ".join(f"{name} {n}" for name, n in counts.items() if n and name not in _PASSED)
 
 
 @dataclass(slots=True)
 class LinkCounters:
-    """Frames and set-points that were not let through."""
+    """Frames and set-points that were rejected."""
 
     foreign: int = 0  # frames of other systems or components
-    held_lost: int = 0  # lockstep: frames that no tick ever claimed
-    setpoints_refused: int = 0  # not finite, or forbidden while the vehicle takes off by itself
-    senders: dict[tuple[int, int], int] = field(default_factory=dict)  # of them, by system and component
+    held_lost: int = 0  # lockstep: frames without a tick
+    setpoints_refused: int = 0  # not finite, or during a take-off of the vehicle
+    # foreign frames by system and component
+    senders: dict[tuple[int, int], int] = field(default_factory=dict)
 
     def add_foreign(self, sender: tuple[int, int]) -> None:
-        """Count a frame of somebody else."""
+        """Count a frame of another sender."""
         self.foreign += 1
         if sender in self.senders or len(self.senders) < _SENDERS_MAX:
             self.senders[sender] = self.senders.get(sender, 0) + 1
@@ -84,22 +84,22 @@ class LinkCounters:
 
 __all__ = ["Direction", "Endpoint", "Peer", "Received", "dialect", "parse_peer", "parse_url"]
 
-_CHUNKS_PER_CALL = 512  # a flood must not keep the loop in receive() for ever,
-_RECEIVE_MAX_S = 0.004  # s of processor time: nor may datagrams that are full of small frames
-_UNTIMED_BYTES = 4096  # in one call, before the clock is looked at, which costs as much as a small datagram
+_CHUNKS_PER_CALL = 512  # greatest number in one call of receive()
+_RECEIVE_MAX_S = 0.004  # s of processor time in one call
+_UNTIMED_BYTES = 4096  # bytes before the first reading of the clock, which costs as much as a datagram
 _HEARTBEAT = bytes(3)  # message id 0, on the wire
 _SETUP_SIGNING: int = dialect.MAVLINK_MSG_ID_SETUP_SIGNING
 
 
 class Direction(Enum):
-    """Which way a frame went, seen from this process."""
+    """Direction of a frame, seen from this process."""
 
     IN = "in"
     OUT = "out"
 
 
 class Received(NamedTuple):
-    """One frame that arrived."""
+    """A received frame."""
 
     message: Message
     raw: bytes
@@ -110,9 +110,9 @@ Tap = Callable[[Direction, bytes, Peer], None]
 
 
 class Endpoint:
-    """A UDP socket, serial line or TCP connection that speaks MAVLink 2; not thread-safe, owned by one loop.
+    """MAVLink 2 over a UDP socket, serial line or TCP connection; not thread-safe, owned by one loop.
 
-    With a key every frame is signed, and what is not signed with it is dropped before it is decoded.
+    With a key every frame is signed, and frames without its signature are dropped before decoding.
     """
 
     dialect = dialect
@@ -131,18 +131,15 @@ class Endpoint:
     ) -> None:
         """Open the socket or line.
 
-        ``url``: ``udpin:HOST:PORT`` listens; ``udpout:HOST:PORT`` sends there first, ``tcp:HOST:PORT``
-        connects there, ``serial:DEVICE:BAUD`` is a line: they hear nobody else; ``system_id``: our MAVLink
-        system id, 1 to 255; ``component_id``: our MAVLink component id, 1 to 255; ``max_peers``: how many
-        senders of heartbeats are remembered and served at a time; ``signing_key``: sign everything, and hear
-        nothing unsigned; ``always``: ``udpin`` only: peers that get telemetry before they speak, and never
-        expire; ``allow_unsigned``: listen to a network without a key; ``link_id``: of signing, for endpoints
-        that share key and ids, 0 to 255.
-        Raises ValueError: bad URL or id, the host has no IPv4 address, it would listen to a network without a
-        key, or the state of signing cannot be understood; OSError: the address cannot be bound, for example
-        because another process has the port, the device cannot be opened, or the state of signing cannot be
-        read or written. A TCP connection that is refused is no error: it is tried again, and ``take_notices``
-        says so.
+        ``url``: ``udpin:HOST:PORT`` listens; ``udpout:HOST:PORT`` and ``tcp:HOST:PORT`` have one peer, as
+        ``serial:DEVICE:BAUD``; ``system_id``, ``component_id``: ours, 1 to 255; ``max_peers``: greatest
+        number of senders of heartbeats in the table; ``signing_key``: sign all frames and accept only signed
+        ones; ``always``: ``udpin`` only: peers that get telemetry from the start and never expire;
+        ``allow_unsigned``: listen to a network without a key; ``link_id``: of signing, for endpoints with the
+        same key and ids, 0 to 255. Raises ValueError: bad URL or id, the host has no IPv4 address, a network
+        without a key, or an invalid state of signing; OSError: the address cannot be bound (used by another
+        process), the device cannot be opened, or the state of signing cannot be read or written. A refused
+        TCP connection is not an error: it is tried again, with a text in ``take_notices``.
         """
         for name, value in (("system", system_id), ("component", component_id)):
             if not 1 <= value <= 255:
@@ -153,11 +150,11 @@ class Endpoint:
         warning = check_policy(
             url, address, configured, signed=signing_key is not None, allow_unsigned=allow_unsigned
         )
-        # called with every valid frame both ways, for the recorder; an outgoing frame is shown once. It sees
-        # frames without their signatures: nothing to learn from, and the same whatever the clock. Frames of
-        # unknown messages, whose checksum cannot be checked, are shown to it and to nobody else.
+        # Called with every valid frame in both directions, for the recorder; once for an outgoing frame.
+        # Frames have no signatures there: these would depend on the clock. Frames of unknown messages, whose
+        # checksum cannot be checked, go only there.
         self.tap: Tap | None = None
-        self.counters = EndpointCounters()  # what passed and what was thrown away
+        self.counters = EndpointCounters()  # frames and bytes by outcome
         self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
         self._peers = PeerTable(configured if kind == "udpin" else (address,), max_peers)
         self._transport = open_transport(url, address, self.counters)
@@ -168,28 +165,26 @@ class Endpoint:
             raise
         self._framer = StreamFramer(self.counters) if self._transport.is_stream else None
         self._answers = StaleAnswers()
-        self._unknown: list[bytes] = []  # frames of unknown messages in the chunk at hand
-        self.local_port = self._transport.local_port  # the UDP port the socket is bound to, 0 of others
-        self.baud = self._transport.baud  # bits a second of a serial line, None of others
+        self._unknown: list[bytes] = []  # frames of unknown messages in the current chunk
+        self.local_port = self._transport.local_port  # UDP port of the socket; 0 of other links
+        self.baud = self._transport.baud  # bits a second of a serial line; None of other links
         signer_warning = self._signer.warning if self._signer else None
-        # what a person should know before flying
+        # texts for the operator before a flight
         self.warnings = tuple(text for text in (warning, signer_warning) if text is not None)
 
     @property
     def peers(self) -> tuple[Peer, ...]:
-        """Whom ``send`` reaches: configured peers, and everyone with a heartbeat heard in the last 10 s."""
+        """Receivers of ``send``: configured peers, and senders of a heartbeat in the last 10 s."""
         return self._peers.reached
 
     @property
     def signed(self) -> bool:
-        """Whether frames are signed."""
         return self._signer is not None
 
     def receive(self) -> list[Received]:
-        """Take what is in the socket now, in order of arrival; never blocks, never raises.
+        """Return the frames in the socket, in order of arrival; never blocks, never raises.
 
-        It stops after 4 ms of work with all but the first 4 kB; what a flood left in the socket then waits
-        for the next call.
+        After the first 4 kB it stops at 4 ms of work; the rest of a flood waits for the next call.
         """
         received: list[Received] = []
         size, until_s = 0, math.inf
@@ -219,7 +214,7 @@ class Endpoint:
         return split_frames(data, self.counters, self._unknown.append)
 
     def _take_unknown(self, frame: bytes, peer: Peer) -> None:
-        """Show a frame of an unknown message to the recorder; it may neither make a peer nor earn credit."""
+        """Pass a frame of an unknown message to the recorder; it neither makes a peer nor adds allowance."""
         refused = self._refused(frame)
         if refused is not None:
             self.counters.add(refused.value)
@@ -227,7 +222,7 @@ class Endpoint:
             self.tap(Direction.IN, without_signature(frame) if frame[2] & FLAG_SIGNED else frame, peer)
 
     def _take(self, frame: bytes, peer: Peer, received: list[Received]) -> None:
-        """Check a frame, decode it, note its sender; what is refused is counted."""
+        """Check and decode a frame and record its sender; rejected frames are counted."""
         counters, size = self.counters, len(frame)
         refused = self._refused(frame)
         if refused is not None:
@@ -242,7 +237,7 @@ class Endpoint:
         except Exception:  # a frame from the network must never stop the loop
             counters.undecodable += 1
             return
-        if message.get_msgId() == _SETUP_SIGNING:  # keys come from files; and no key may get into the log
+        if message.get_msgId() == _SETUP_SIGNING:  # keys come only from files, and must not be logged
             counters.setup_signing += 1
             return
         counters.received += 1
@@ -253,10 +248,10 @@ class Endpoint:
         received.append(Received(message, frame, peer))
 
     def _refused(self, frame: bytes) -> Refusal | None:
-        """Why signing keeps a frame out, None to let it in."""
+        """Why signing rejects a frame; None: accepted."""
         signed = frame[2] & FLAG_SIGNED
         if self._signer is None:
-            self.counters.unchecked += signed  # cannot be checked: no better than an unsigned one
+            self.counters.unchecked += signed  # unchecked: same as an unsigned one
             return None
         return self._signer.refusal(frame) if signed else Refusal.UNSIGNED
 
@@ -264,21 +259,21 @@ class Endpoint:
         """Send our heartbeat to a peer whose clock is behind: a signed frame moves an autopilot's forward."""
         heartbeat = self._answers.due(peer)
         if heartbeat is not None and self._signer is not None:
-            mav = self._mav  # no new number, and not shown to the tap: it depends on wall time
+            mav = self._mav  # no new number and not recorded: it depends on wall time
             frame = pack(heartbeat, mav.seq, mav.srcSystem, mav.srcComponent)
             self._transport.send((self._signer.sign(frame),), peer)
             self.counters.stale_answered += 1
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until something is there; False when nothing came in ``timeout_s`` of wall time."""
+        """Wait for input; False when nothing arrived in ``timeout_s`` of wall time."""
         return self._transport.wait(max(0.0, timeout_s))
 
     def fileno(self) -> int:
-        """Descriptor for a ``select`` over several links; ask anew each time, since a line may be lost."""
+        """Descriptor for a ``select`` over several links; it changes when a line is lost."""
         return self._transport.fileno()
 
     def take_notices(self) -> list[str]:
-        """Texts for a person since the last call: the line was lost, or is back."""
+        """Texts for the operator since the last call: the line was lost or is back."""
         return self._transport.take_notices()
 
     def pack(self, message: Message) -> bytes:
@@ -294,9 +289,8 @@ class Endpoint:
     def send(self, messages: Sequence[Message], peer: Peer | None = None) -> None:
         """Send messages, in order; by UDP in one datagram (more only when they exceed 1400 bytes).
 
-        ``messages``: instances of the dialect's message classes; ``peer``: whom to; None means every peer
-        known. Without any peer nothing is sent or numbered. Somebody without a heartbeat gets no more bytes
-        than came from there: what is over that is dropped.
+        ``peer``: None: all known peers; without any peer nothing is sent or numbered. A peer without a
+        heartbeat gets at most as many bytes as it has sent; the rest is dropped.
         Raises struct.error: a field does not fit its type on the wire.
         """
         if self._signer is not None:
@@ -318,10 +312,10 @@ class Endpoint:
                 self.tap(Direction.OUT, frame, peers[0])
 
     def repeat(self, frame: bytes, peer: Peer | None = None) -> None:
-        """Send a frame again, byte for byte: no new sequence number, not shown to the tap.
+        """Send a frame again, byte for byte: no new sequence number, not recorded.
 
-        How often that happens is a matter of wall time; so it stays out of log and numbering. With a key it
-        is signed anew, since the receiver takes no timestamp twice; a frame damaged on purpose stays damaged.
+        Repetitions depend on wall time, so they are kept out of log and numbering. With a key the frame gets
+        a new signature, since a receiver rejects a repeated timestamp.
         """
         wire = self._signer.sign(frame) if self._signer is not None and intact(frame) else frame
         for to in (peer,) if peer is not None else self.peers:
@@ -352,7 +346,7 @@ class Endpoint:
             signed = self._signer.sign(frame) if self._signer is not None else frame
             size += len(signed)
             if allowance_bytes is not None and size > allowance_bytes:
-                self._mav.seq = number  # never sent, so the next one has it
+                self._mav.seq = number  # not sent: the next frame has this number
                 self.counters.withheld += len(messages) - len(frames)
                 break
             frames.append(frame)

@@ -1,4 +1,4 @@
-"""What a flight needs of a serial line, and the rates at which it fits into it. Pure."""
+"""Message rates at which a flight fits into a serial line. Pure."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.codec.wide_messages import MESSAGES
 
 _BITS_PER_BYTE = 10  # of a serial line, 8N1
-_USABLE = 0.9  # of the line; the rest is for answers, texts and what the autopilot sends unasked
+_USABLE = 0.9  # share of the line; the rest is for replies, texts and other messages of the autopilot
 _FRAME = 12  # bytes around a payload: header and checksum of MAVLink 2
 _SIGNATURE = 13  # bytes
-_IN_A_ROW = 3  # periods in the oldest state that is believed: two may be lost one after the other
+_IN_A_ROW = 3  # periods within the greatest age of the state: two messages in a row may be lost
 _BAUDS = (9_600, 19_200, 38_400, 57_600, 115_200, 230_400, 460_800, 921_600, 1_500_000, 3_000_000)
-# Besides position and attitude, Hz
+# besides position and attitude, Hz
 _ASKED_HZ = {dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0, dialect.MAVLINK_MSG_ID_SYS_STATUS: 2.0}
 _UNASKED_HZ = {dialect.MAVLINK_MSG_ID_HEARTBEAT: 1.0, dialect.MAVLINK_MSG_ID_TIMESYNC: 10.0}  # PX4 v1.16
 _OUT_HZ = {dialect.MAVLINK_MSG_ID_HEARTBEAT: 1.0, dialect.MAVLINK_MSG_ID_TIMESYNC: 10.0}
@@ -25,7 +25,7 @@ _SETPOINT: int = dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
 
 
 class LineTooSlowError(ValueError):
-    """The line cannot carry the flight; the text holds the numbers."""
+    """The line cannot carry the flight; the text contains the numbers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,15 +33,14 @@ class LinePlan:
     """Rates of a flight over one line."""
 
     state_hz: float  # position and attitude, each
-    setpoint_every: int  # a set-point goes out every so many ticks
-    setpoint_hz: float  # that as a rate
-    in_bytes_s: float  # what the asked telemetry needs, from the vehicle to us
-    out_bytes_s: float  # set-points, heartbeats and answers, from us to the vehicle
+    setpoint_every: int  # ticks between two set-points
+    setpoint_hz: float  # the same as a rate
+    in_bytes_s: float  # telemetry, from the vehicle to the companion
+    out_bytes_s: float  # set-points, heartbeats and replies, from the companion to the vehicle
     capacity_bytes_s: float | None  # of the line, in each direction; None: not limited
 
     @property
     def text(self) -> str:
-        """For a person."""
         carries = "no limit known"
         if self.capacity_bytes_s is not None:
             carries = f"the line carries {self.capacity_bytes_s:.0f} B/s each way"
@@ -52,21 +51,16 @@ class LinePlan:
 
 
 def bytes_per_s(rates_hz: Mapping[int, float], *, signed: bool = False) -> float:
-    """Bytes a second of messages, frames and all.
-
-    Rates are by message id; ``signed`` frames carry a signature.
-    """
+    """Bytes a second of messages with their frames; rates are by message id."""
     around = _FRAME + (_SIGNATURE if signed else 0)
     return sum(rate_hz * float(MESSAGES[id_].unpacker.size + around) for id_, rate_hz in rates_hz.items())
 
 
 def plan(baud: int | None, rate_hz: float, own_age_max_s: float, *, signed: bool = False) -> LinePlan:
-    """Choose the highest rates that fit, whole parts of the loop's.
+    """Choose the highest rates that fit, integer fractions of the loop rate.
 
-    ``baud``: bits a second of the serial line, None where there is none: then nothing is made rarer;
-    ``rate_hz``: of the loop; ``own_age_max_s``: oldest own state that the configuration believes, s. The
-    lowest rate is three times its inverse, for state and set-points alike; ``signed``: frames carry
-    signatures.
+    ``baud``: bits a second of the serial line; None: no limit; ``rate_hz``: of the loop; ``own_age_max_s``:
+    greatest age of the vehicle state. The lowest rate of state and set-points is three times its inverse.
     Raises LineTooSlowError: not even the lowest rates fit.
     """
     capacity = None if baud is None else baud / _BITS_PER_BYTE
@@ -90,8 +84,8 @@ def plan(baud: int | None, rate_hz: float, own_age_max_s: float, *, signed: bool
         use = f"set the line to {enough} baud or more" if enough else "use another link"
         raise LineTooSlowError(
             f"the serial line of {baud} baud is too slow: at {slowest_hz:.3g} Hz, the lowest rate that keeps "
-            f"the own state younger than checks.own_age_max_s = {own_age_max_s:g} s, the flight needs "
+            f"the vehicle state younger than checks.own_age_max_s = {own_age_max_s:g} s, the flight needs "
             f"{needs_in(slowest_hz):.0f} B/s in and {needs_out(slowest_hz):.0f} B/s out, and the line "
-            f"carries {capacity:.0f} B/s each way, of which {_USABLE:.0%} are planned with; {use}"
+            f"carries {capacity:.0f} B/s each way, of which {_USABLE:.0%} may be used; {use}"
         )
     return LinePlan(state, *setpoint, needs_in(state), needs_out(setpoint[1]), capacity)

@@ -1,7 +1,7 @@
-"""Which poses of motion capture may go to a vehicle: order, age, rate and jumps. Pure.
+"""Checks poses of motion capture for a vehicle: order, age, rate and jumps. Pure.
 
-An estimator believes a pose at once: the Crazyflie's has no gate for outliers (firmware mm_pose.c), and one
-swapped marker turns it over. So a pose is passed on only when it could have come from the one before.
+The Crazyflie's estimator has no gate for outliers (firmware mm_pose.c): one swapped marker flips the vehicle.
+So a pose is forwarded only when the vehicle can have reached it from the last one.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from flightstack.core.types import Vec3
 
 
 class Refusal(Enum):
-    """Why a pose is not passed on; the value says what to look at."""
+    """Reason to reject a pose; the value is the text for the operator."""
 
     UNREADABLE = "not a geometry_msgs/msg/PoseStamped"
     FRAME = "in another frame: --frame names the one that is the vehicle's east-north-up"
@@ -33,45 +33,45 @@ class Refusal(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a good pose is."""
+    """Limits of a good pose."""
 
     frame_id: str | None = None  # None: any
     late_max_s: float = 0.1  # behind the quickest of the last samples
-    # a clock that was set is followed when its poses have agreed for so long: there is none meanwhile
+    # agreement of the poses after a step of their clock; no pose is good meanwhile
     clock_proof_s: float = 0.3
-    gap_max_s: float = 0.2  # without a good pose: there is none; the flight stack's own state lasts as long
-    rate_min_hz: float = 20.0  # a slower stream is said to be one; PX4 wants 30 to 50
-    rate_max_hz: float = 100.0  # no more than that is passed on
+    gap_max_s: float = 0.2  # greatest age of the last good pose; same as that of the vehicle state
+    rate_min_hz: float = 20.0  # a lower rate is reported; PX4 needs 30 to 50
+    rate_max_hz: float = 100.0  # greatest forwarded rate
     speed_max_m_s: float = 5.0  # of the body, with the allowances below for noise
     jump_m: float = 0.05
     turn_rate_max_rad_s: float = 20.0
     turn_rad: float = 0.2
     room_m: float = 100.0  # the Crazyflie's estimator resets beyond (estimator supervisor)
-    gap_believed_s: float = 1.0  # of a gap, in which it may have flown on
-    return_m: float = 0.5  # after poses that were refused: how far from the last good one it may come back
-    settle_s: float = 1.0  # after a jump: so long in its new place until it is believed, disarmed
+    gap_believed_s: float = 1.0  # greatest part of a gap in which the vehicle may have moved
+    return_m: float = 0.5  # allowed distance from the last good pose after rejected ones
+    settle_s: float = 1.0  # time at a new place after a jump until it is accepted, disarmed only
 
 
 class Sample(NamedTuple):
-    """A pose as it came; ``pose`` None: it could not be read."""
+    """A received pose; ``pose`` None: unreadable."""
 
     pose: Pose | None
     arrival_s: float
 
 
 class Passed(NamedTuple):
-    """A pose that may go on."""
+    """A pose to forward."""
 
     pose: Pose
-    measured_s: float  # on our clock: arrival, less how late it was
-    resets: int  # how often the series has begun anew, for estimators that want to know
+    measured_s: float  # on our clock: arrival minus lateness
+    resets: int  # number of restarts of the series, for estimators
 
 
 class Step(NamedTuple):
-    """What became of the samples of one step."""
+    """Result of one call of ``PoseChecks.step``."""
 
     passed: tuple[Passed, ...]
-    problem: str | None  # why there is no pose to rely on now
+    problem: str | None  # why there is no good pose, or None
 
 
 _RATE_WINDOW_S = 1.0
@@ -86,10 +86,10 @@ _REFUSALS = {
 
 @dataclass(slots=True)
 class PoseChecks:
-    """Call ``step`` often, with what has come."""
+    """Checks the poses of one body; ``step`` is called at every turn of the loop."""
 
     limits: Limits = field(default_factory=Limits)
-    # refused samples by reason; ``thinned`` those left out for the rate
+    # rejected samples by reason; ``thinned``: omitted for the rate
     counts: dict[Refusal, int] = field(default_factory=lambda: dict.fromkeys(Refusal, 0))
     thinned: int = 0
     passed: int = 0
@@ -97,7 +97,7 @@ class PoseChecks:
     _clock: SenderClock = field(init=False)
     _sent_s: float = -math.inf
     _resets: int = 0
-    _elsewhere: Passed | None = None  # the newest of a series after a jump
+    _elsewhere: Passed | None = None  # newest pose of a series after a jump
     _elsewhere_since_s: float = 0.0
     _refused: Refusal | None = None
     _window_s: float = -math.inf
@@ -108,10 +108,7 @@ class PoseChecks:
         self._clock = SenderClock(self.limits.late_max_s, self.limits.clock_proof_s)
 
     def step(self, samples: Sequence[Sample], now_s: float, *, armed: bool) -> Step:
-        """Judge samples in their order.
-
-        While the vehicle is armed no jump is believed, however long it lasts.
-        """
+        """Check samples in their order; while the vehicle is armed no jump is accepted."""
         good = [passed for sample in samples if (passed := self._judge(sample, armed)) is not None]
         self._count_rate(len(good), now_s)
         kept = tuple(passed for passed in good if self._due(passed.measured_s))
@@ -148,7 +145,7 @@ class PoseChecks:
         if returns and self._reaches(last, passed, math.inf if before is None else self.limits.return_m):
             return passed
         if before is not None and self._reaches(before, passed, math.inf):
-            return self._carried(passed, armed)  # it goes on where it should not be
+            return self._carried(passed, armed)  # the series continues at the new place
         self._elsewhere_since_s = passed.measured_s
         self._elsewhere = passed
         return Refusal.JUMP
@@ -172,7 +169,7 @@ class PoseChecks:
         return passed._replace(resets=self._resets)
 
     def _due(self, at_s: float) -> bool:
-        if at_s - self._sent_s < 0.75 / self.limits.rate_max_hz:  # nearer than jitter: one too many
+        if at_s - self._sent_s < 0.75 / self.limits.rate_max_hz:  # above the greatest rate, beyond jitter
             self.thinned += 1
             return False
         self._sent_s = at_s
@@ -200,7 +197,7 @@ class PoseChecks:
 
 
 def _apart(a: Passed, b: Passed) -> float:
-    """How unlike two poses are: metres plus radians."""
+    """Distance of two poses: metres plus radians."""
     turned_rad = angle_between(a.pose.orientation_wxyz, b.pose.orientation_wxyz)
     return math.dist(a.pose.position_m, b.pose.position_m) + turned_rad
 
@@ -213,10 +210,7 @@ def angle_between(a: Quat, b: Quat) -> float:
 
 
 def centre(pose: Pose, offset_flu_m: Vec3) -> Pose:
-    """Pose of a point of the body: the markers' centre is seldom the vehicle's.
-
-    ``offset_flu_m`` leads from there to the vehicle's centre, in the body's axes.
-    """
+    """Pose of the vehicle's centre, at ``offset_flu_m`` from the markers' centre in body axes."""
     dx, dy, dz = world_from_body(pose.orientation_wxyz, offset_flu_m)
     x, y, z = pose.position_m
     return pose._replace(position_m=(x + dx, y + dy, z + dz))

@@ -25,18 +25,17 @@ from flightstack.common.pacing import run_promptly
 from flightstack.core.parameters.flight import check_origin
 from flightstack.core.types import ZERO, Vec3
 
-CAPACITY = 256  # samples between two polls; the oldest go first
+CAPACITY = 256  # samples between two polls; the oldest are dropped
 _DECODERS = {TargetType.POSE: decode_pose, TargetType.POSE_COVARIANCE: decode_pose_with_covariance}
 
 
 def parse_spec(text: str, pose_type: str = TargetType.POSE.value, domain: int = 0) -> TargetSpec:
-    """Understand ``KEY``, ``ros2:/TOPIC`` or ``ros2dds:/TOPIC``.
-
-    Raises ValueError: not a topic or key, or not a type of pose.
-    """
+    """Parse ``KEY``, ``ros2:/TOPIC`` or ``ros2dds:/TOPIC``. Raises ValueError: not a topic or pose type."""
     found = TargetType(pose_type)
     if found not in _DECODERS:
-        raise ValueError(f"{pose_type!r} are no poses: allowed is {', '.join(t.value for t in _DECODERS)}")
+        raise ValueError(
+            f"{pose_type!r} is not a pose type: allowed is {', '.join(t.value for t in _DECODERS)}"
+        )
     return TargetSpec.parse(text, found, domain)
 
 
@@ -44,21 +43,17 @@ class MocapSource:
     """Receives poses under one key."""
 
     def __init__(self, session: zenoh_link.Session, spec: TargetSpec, offset_flu_m: Vec3 = ZERO) -> None:
-        """Subscribe. ``offset_flu_m`` leads from the markers' centre to the vehicle's, in the body's axes.
-
-        Raises ValueError: the key is not allowed.
-        """
+        """``offset_flu_m``: from the markers' centre to the vehicle's. Raises ValueError: bad key."""
         self._subscriber = zenoh_link.ring_subscriber(session, spec.key, CAPACITY)
         self._spec, self._offset_flu_m = spec, offset_flu_m
         self._decode = _DECODERS[spec.type]
-        self.problem_text: str | None = None  # why the newest sample is unreadable, None while it is not
+        self.problem_text: str | None = None  # why the newest sample is unreadable, or None
 
     def poll(self, now_s: float) -> list[Sample]:
-        """Take all that has come, oldest first; never blocks."""
+        """Return all samples that arrived, oldest first; never blocks."""
         return [self._sample(sample, now_s) for sample in zenoh_link.drain(self._subscriber)]
 
     def close(self) -> None:
-        """Undeclare the subscriber."""
         self._subscriber.undeclare()
 
     def _sample(self, sample: zenoh_link.Sample, now_s: float) -> Sample:
@@ -86,7 +81,7 @@ class CheckedPoses:
 
     @property
     def problem(self) -> str | None:
-        """Why there is no pose to rely on, None while there is."""
+        """Why there is no good pose, or None."""
         return self._problem
 
     def poll(self, now_s: float, *, armed: bool) -> Passed | None:
@@ -98,20 +93,20 @@ class CheckedPoses:
         return step.passed[-1] if step.passed else None
 
 
-TICK_S = 0.002  # s; longest a pose waits for the loop
+TICK_S = 0.002  # s; greatest delay of a pose by the loop
 _AUTOPILOT = dialect.MAV_COMP_ID_AUTOPILOT1
 _SAY_S = 2.0  # s between two texts about the same
 
 
 class Told:
-    """Says what changes, and what lasts every two seconds."""
+    """Prints each text when it changes and every two seconds."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self._say = say
         self._last: dict[str, tuple[str | None, float]] = {}
 
     def about(self, topic: str, text: str | None, now_s: float, *, good: str | None = None) -> None:
-        """Tell a text, or that it is over."""
+        """Report a text, or its end."""
         before, said_s = self._last.get(topic, (None, 0.0))
         changed = (text is None) != (before is None)
         if text is not None and (changed or now_s - said_s >= _SAY_S):
@@ -153,11 +148,11 @@ class Bridge:
                 if not self._vehicle.flies(self.now_s):
                     return
                 if not told:
-                    self._say("mocap: the vehicle is armed: ends when it is not, or when told once more")
+                    self._say("mocap: the vehicle is armed: ends when it is disarmed, or on a second signal")
                     told = True
 
     def turn(self) -> None:
-        """Wait for a tick or the vehicle, then pass on what has come."""
+        """Wait for a tick or a message, then forward poses."""
         self._endpoint.wait(TICK_S)
         for notice in (*self._endpoint.take_notices(), *self._senders.take_notices()):
             self._say(f"mocap: {notice}")
@@ -179,7 +174,7 @@ class Bridge:
     def _vehicle_problem(self, now_s: float) -> str | None:
         vehicle = self._vehicle
         if not vehicle.heard(now_s):
-            return "mocap: the vehicle is not heard"
+            return "mocap: no message from the vehicle"
         if vehicle.unknown_autopilot is not None:
             return (
                 f"mocap: autopilot {vehicle.unknown_autopilot} is not known: PX4 (12) and ArduPilot (3) are"
@@ -199,10 +194,9 @@ def limits(options: PoseOptions) -> Limits:
 
 
 def run(options: MocapOptions, say: Callable[[str], None] = print) -> int:
-    """Pass poses on until told to end and the vehicle is disarmed; prints ``ready`` when it listens.
+    """Forward poses until a signal arrives and the vehicle is disarmed; prints ``ready`` when it listens.
 
-    Raises ValueError: a URL or key that is not understood, or a network without a key; OSError: an address
-    that cannot be opened.
+    Raises ValueError: bad URL or key, or a network without a key; OSError: an address cannot be opened.
     """
     origin = None
     if options.origin is not None:
@@ -227,7 +221,7 @@ def run(options: MocapOptions, say: Callable[[str], None] = print) -> int:
         vehicle = MocapVehicle(options.system_id, limits(options), origin)
         source = MocapSource(session, spec, options.offset_flu_m)
         bridge = Bridge(source, vehicle, endpoint, options.system_id, say)
-        run_promptly()  # an old pose is no own state
+        run_promptly()  # a delayed pose is useless
         stop = Stop().install()
         say("ready")
         sys.stdout.flush()
@@ -237,7 +231,7 @@ def run(options: MocapOptions, say: Callable[[str], None] = print) -> int:
 
 
 def summary(checks: PoseChecks) -> str:
-    """What became of all poses, as one line."""
+    """Counts of all poses as one line."""
     refused = ", ".join(f"{reason.name.lower()} {n}" for reason, n in checks.counts.items() if n)
     passed = f"{checks.passed} poses passed on, {checks.thinned} left out for the rate"
     return f"mocap: {passed}; refused: {refused or 'none'}"

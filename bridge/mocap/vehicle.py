@@ -1,4 +1,4 @@
-"""The MAVLink side of motion capture: poses to a vehicle as its autopilot wants them. Pure."""
+"""The MAVLink side of motion capture: poses in the form that the vehicle's autopilot needs. Pure."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from bridge.mocap.checks import Limits, Passed, PoseChecks, Sample
 from flightstack.core.types import Landed, Mode, VehicleStatus
 
 COMPONENT_ID = dialect.MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY
-SILENT_S = 3.0  # s without the vehicle's heartbeat: it is gone, and what it wants is asked anew
+SILENT_S = 3.0  # s without the vehicle's heartbeat after which it is gone
 _HEARTBEAT_S = 1.0
-_HELLO_S = 0.2  # s between heartbeats until the vehicle has been heard
+_HELLO_S = 0.2  # s between heartbeats before the first message of the vehicle
 _UNKNOWN = (math.nan, *([0.0] * 20))  # NaN first: not known (MAVLink)
 
 
@@ -63,13 +63,13 @@ def odometry(passed: Passed, time_us: int) -> Message:
 
 @dataclass(frozen=True, slots=True)
 class Wants:
-    """What an autopilot wants of poses from outside."""
+    """Requirements of an autopilot on external poses."""
 
     title: str
     message: Callable[[Passed, int], Message]
     rate_max_hz: float
     needs_origin: bool  # without SET_GPS_GLOBAL_ORIGIN it has no position
-    settings: str  # its parameters, for a person
+    settings: str  # its parameters, as text
 
 
 WANTS: Mapping[int, Wants] = {
@@ -87,12 +87,12 @@ WANTS: Mapping[int, Wants] = {
 
 
 class MocapVehicle:
-    """Call ``handle`` with what the vehicle says, then ``step``."""
+    """Sends poses to a vehicle: ``handle`` its messages, then ``step``."""
 
     def __init__(self, system_id: int, limits: Limits, origin: Origin | None) -> None:
         """Set up. ``origin`` is the place on earth of the room's zero, for an autopilot that needs one."""
-        self.checks = PoseChecks(limits)  # of the poses, with their counts
-        self.wants: Wants | None = None  # what the vehicle wants; None before its first heartbeat
+        self.checks = PoseChecks(limits)  # checks of the poses, with counters
+        self.wants: Wants | None = None  # requirements of the vehicle; None before its first heartbeat
         # MAV_AUTOPILOT of a vehicle that is not in the table, else None
         self.unknown_autopilot: int | None = None
         self._limits, self._origin, self._system_id = limits, origin, system_id
@@ -103,7 +103,7 @@ class MocapVehicle:
 
     @property
     def origin_missing(self) -> bool:
-        """Whether the vehicle needs an origin and nobody gave one."""
+        """Whether the vehicle needs an origin and none is configured."""
         return (
             self.wants is not None
             and self.wants.needs_origin
@@ -112,27 +112,27 @@ class MocapVehicle:
         )
 
     def heard(self, now_s: float) -> bool:
-        """Whether the vehicle is there."""
+        """Whether the vehicle sends messages."""
         return now_s - self._heard_s <= SILENT_S
 
     def flies(self, now_s: float) -> bool:
-        """Whether it is there and armed: then it needs its poses."""
+        """Whether it sends messages and is armed: then it needs its poses."""
         return self._armed and self.heard(now_s)
 
     def handle(self, message: Message, now_s: float) -> list[Message]:
-        """Take a message of the vehicle's autopilot; returns what to answer."""
+        """Handle a message of the vehicle's autopilot; returns the reply."""
         id_ = message.get_msgId()
         if id_ == dialect.MAVLINK_MSG_ID_HEARTBEAT:
             self._on_heartbeat(message, now_s)
         elif id_ == dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN:
             self._origin_known = True
         elif id_ == dialect.MAVLINK_MSG_ID_TIMESYNC and message.tc1 == 0:
-            # PX4 takes our time stamps once it has synchronised with such answers (Timesync.cpp)
+            # PX4 uses our time stamps after a synchronisation by these replies (Timesync.cpp)
             return [dialect.MAVLink_timesync_message(max(1, round(now_s * 1e9)), message.ts1)]
         return []
 
     def step(self, samples: Sequence[Sample], now_s: float) -> tuple[list[Message], str | None]:
-        """What to send now, and why there is no pose to rely on."""
+        """Messages to send now, and why there is no good pose."""
         judged = self.checks.step(samples, now_s, armed=self.flies(now_s))
         messages: list[Message] = []
         if now_s - self._beat_s >= (_HEARTBEAT_S if self.heard(now_s) else _HELLO_S) - 1e-9:

@@ -1,6 +1,6 @@
 """Target odometry on Zenoh: ``nav_msgs/msg/Odometry`` in CDR, with rmw_zenoh's attachment.
 
-A sample of it, its noise, and the odometry of another point of the same body are here, too.
+Also its decoded samples, their noise, and the odometry of another point of the same body.
 """
 
 from __future__ import annotations
@@ -41,20 +41,21 @@ __all__ = [
 ]
 
 ENCODING = "application/cdr;nav_msgs/msg/Odometry"
-_UNIT_TOLERANCE = 0.01  # of the squared norm, as tf2 (buffer_core.cpp, QUATERNION_NORMALIZATION_TOLERANCE)
-_LARGEST = 1e9  # m, m/s, rad/s: beyond this a number is damage, not a measurement
-TOLD_FACTOR = 1.5  # a sender that is so much worse than configured is worth a word
-_UNUSED_M2 = 1e3  # diff_drive_controller and others write 1e6 where nothing is measured
+# tolerance of the squared norm, as tf2 (buffer_core.cpp, QUATERNION_NORMALIZATION_TOLERANCE)
+_UNIT_TOLERANCE = 0.01
+_LARGEST = 1e9  # m, m/s, rad/s: greater numbers are damaged data
+TOLD_FACTOR = 1.5  # noise over the configured one that triggers a warning
+_UNUSED_M2 = 1e3  # diff_drive_controller and others write 1e6 for unmeasured values
 
 
 class RawSample(NamedTuple):
-    """One received sample, for the controller and, unchanged, for the log."""
+    """A received sample, for the controller and, unchanged, for the log."""
 
     payload: bytes
     attachment: bytes | None = None
     sequence: int | None = None  # from the attachment, None without one
     source_time_ns: int | None = None  # from the attachment, Unix time
-    odometry: Odometry | None = None  # that the payload was made from; None: it came as it is
+    odometry: Odometry | None = None  # source of the payload; None: the payload was received
 
 
 class SampleSource(Protocol):
@@ -65,9 +66,8 @@ class SampleSource(Protocol):
 
 
 def sample_of(raw: RawSample, arrival_s: float) -> TargetSample:
-    """Turn a received sample into one with velocities in the world frame; decodes only what came serialised.
+    """A received sample with velocities in the world frame; ``arrival_s`` is on the stack's clock.
 
-    ``raw``: as a target source hands it over; ``arrival_s``: when it arrived, on the stack's clock.
     Raises OdometryError: as ``sample_from_cdr``.
     """
     if raw.odometry is None:
@@ -80,9 +80,8 @@ def sample_of(raw: RawSample, arrival_s: float) -> TargetSample:
 
 
 def sample_from_cdr(payload: bytes, arrival_s: float) -> TargetSample:
-    """Turn a serialised odometry message into a sample with velocities in the world frame.
+    """A serialised message (CDR with header) as a sample with velocities in the world frame.
 
-    ``payload``: CDR with its 4-byte header; ``arrival_s``: when it arrived, on the stack's clock.
     Raises OdometryError: malformed, a number not finite or beyond 1e9, or the orientation no unit quaternion.
     """
     return _sample(*decode_pose_and_twist(payload), arrival_s)
@@ -125,7 +124,7 @@ class MeasurementNoise(NamedTuple):
 
 
 def noise_of(pose_covariance: Sequence[float], twist_covariance: Sequence[float]) -> MeasurementNoise:
-    """Read position and linear velocity out of two covariances of 36 numbers."""
+    """Noise of position and linear velocity from two covariances of 36 numbers."""
     return MeasurementNoise(
         sigma_of(pose_covariance[0], pose_covariance[7]), sigma_of(twist_covariance[0], twist_covariance[7])
     )
@@ -149,8 +148,8 @@ def worse_than_told(noise: MeasurementNoise, link: TargetLink) -> str:
     if not found:
         return ""
     return (
-        f"its covariance says {' and '.join(found)}: flown with larger margins; configure what it says, the "
-        "certificate counts that"
+        f"its covariance has {' and '.join(found)}: flown with larger margins; configure these values, since "
+        "the certificate uses the configured ones"
     )
 
 
@@ -160,9 +159,9 @@ def shift_pose(pose: Pose, offset_m: Vec3) -> Pose:
 
 
 def shift_odometry(odometry: Odometry, offset_m: Vec3) -> Odometry:
-    """Return the odometry of the point at ``offset_m`` in the axes of the child frame.
+    """The odometry of the point at ``offset_m`` in the axes of the child frame.
 
-    The velocity is that of a rigid body, v + w x r. Covariances are left as they are.
+    The velocity is that of a rigid body, v + w x r. Covariances are unchanged.
     """
     (wx, wy, wz), (x, y, z) = odometry.angular_rad_s, offset_m
     return replace(
@@ -191,7 +190,7 @@ class OdometryPublisher:
         """Declare the publisher.
 
         Args:
-            session: an open Zenoh session; it stays the caller's.
+            session: an open Zenoh session, owned by the caller.
             key: key expression, for example ``cf1/target/odom``.
             frame_id: frame of the pose.
             child_frame_id: frame of the twist.
@@ -209,7 +208,7 @@ class OdometryPublisher:
 
     @property
     def matched(self) -> bool:
-        """Whether there is a subscriber; samples that are put before are lost."""
+        """Whether there is a subscriber; samples before are lost."""
         return zenoh_link.is_matched(self._publisher)
 
     def encode(
@@ -239,9 +238,9 @@ class OdometryPublisher:
         """Send a serialised message.
 
         Args:
-            payload: from ``encode``, perhaps made earlier.
+            payload: from ``encode``.
             source_time_ns: time of sending, Unix time or the simulated clock's.
-            attachment: replaces rmw_zenoh's attachment, for keys that are not for ROS 2.
+            attachment: instead of rmw_zenoh's, for keys outside of ROS 2.
         """
         self.sequence += 1
         if attachment is None:
@@ -269,7 +268,7 @@ class OdometrySubscriber:
         self._subscriber = declare(session, key, capacity)
 
     def poll(self) -> list[RawSample]:
-        """Take all samples that have arrived, oldest first; never blocks."""
+        """Return all samples that have arrived, oldest first; never blocks."""
         return [raw_sample(sample) for sample in zenoh_link.drain(self._subscriber)]
 
     def close(self) -> None:
@@ -278,7 +277,7 @@ class OdometrySubscriber:
 
 
 def raw_sample(sample: zenoh_link.Sample) -> RawSample:
-    """Take payload and attachment out of a Zenoh sample."""
+    """Payload and attachment of a Zenoh sample."""
     attachment: bytes | None = sample.attachment.to_bytes() if sample.attachment is not None else None
     parsed = parse_attachment(attachment)
     sequence, source_time_ns = parsed if parsed is not None else (None, None)

@@ -1,8 +1,8 @@
-"""Estimates the velocity of targets that send poses only: poses in, odometry out.
+"""Turns poses of a target into odometry by an estimate of its velocity.
 
-The velocity is that of the stack's own target estimator (position and velocity measured) with the
-velocity measured so badly that it says nothing. Nothing goes on before the estimate has settled, none of
-an outlier; what goes on is the pose as it was measured, with that velocity, in the form of any other target.
+The estimator is that of the stack (position and velocity measured), with a velocity noise so large that the
+velocity has no influence. Odometry is the measured pose with the estimated velocity; there is none before
+the estimate has settled, and none for an outlier.
 """
 
 from __future__ import annotations
@@ -16,30 +16,24 @@ from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.target.estimator import RESTART_S, TargetEstimator
 from flightstack.core.types import ZERO
 
-SETTLED_M_S = (
-    0.05  # standard deviation of the velocity at which it may be flown by; a quarter of the Burger's
-)
-UNKNOWN_M_S = 100.0  # standard deviation of the velocity "measured" as zero: no robot is near it
-GATE_SIGMAS = 6.0  # a pose further from the expected one is an outlier: 1 in 10^8 by chance
-OUTLIERS_MAX = 5  # in a row: then it is there, and all begins anew
-UNSETTLED_MAX = 50  # poses without a velocity after which it is said
+SETTLED_M_S = 0.05  # greatest standard deviation of a usable velocity; a quarter of the Burger's
+UNKNOWN_M_S = 100.0  # standard deviation of the "measured" velocity zero, far above that of robots
+GATE_SIGMAS = 6.0  # distance from the expected pose that makes an outlier: 1 in 10^8 by chance
+OUTLIERS_MAX = 5  # outliers in a row after which the estimate restarts there
+UNSETTLED_MAX = 50  # poses without a velocity that trigger a warning
 
 
 class PoseTrack:
-    """Turns poses of one target into odometry.
-
-    ``link``: noise of the poses and of the target's motion, as for the flight's own filter;
-    ``child_frame_id``: what the target is to be called in the odometry.
-    """
+    """Turns poses of one target into odometry of ``child_frame_id``; ``link``: noise of poses and motion."""
 
     def __init__(self, link: TargetLink, child_frame_id: str) -> None:
         self._estimator = TargetEstimator(replace(link, velocity_noise_m_s=UNKNOWN_M_S))
         self._noise_m, self._child = link.position_noise_m, child_frame_id
-        self._last: Pose | None = None  # believed
+        self._last: Pose | None = None  # last accepted pose
         self._outliers = 0
-        self._unsettled = 0  # poses since all began anew
-        self.problem = ""  # why so many are withheld, "" when they are not
-        self.withheld = 0  # poses that made no odometry: unsettled, outliers, repeated or out of order
+        self._unsettled = 0  # poses since the last restart
+        self.problem = ""  # why poses are withheld, or ""
+        self.withheld = 0  # poses without odometry: unsettled, outliers, repeated or out of order
 
     def take(self, pose: Pose) -> Odometry | None:
         """Take a pose; returns its odometry, or ``None`` while the velocity is not known."""
@@ -59,7 +53,7 @@ class PoseTrack:
             return None
         if not 0.0 < step_s <= RESTART_S:
             if last is not None and -RESTART_S <= step_s < 0.0:
-                return None  # out of order; further back the sender's clock began anew
+                return None  # out of order; a greater step back is a restart of the sender's clock
             self._estimator.memory.time_s = math.nan
             last = None
         self._outliers, self._last = 0, pose
@@ -73,11 +67,11 @@ class PoseTrack:
                 self.problem = (
                     f"the velocity is known to {motion.velocity_sigma_m_s:.3f} m/s after so many poses, "
                     f"{SETTLED_M_S:g} m/s are needed: send more of them, or set target.position_noise_m and "
-                    "target.jerk_xy_m_s3_sqrthz lower if that is true; none goes on"
+                    "target.jerk_xy_m_s3_sqrthz lower if that is true; no pose is used"
                 )
             return None
         self.problem = ""
-        # Between two poses, unfiltered: it is recorded, nothing flies by it.
+        # Between two poses, unfiltered: for the record only.
         turned_rad = wrap_angle(yaw_rad - yaw_from_quaternion(last.orientation_wxyz))
         return Odometry(
             pose.stamp_ns,
@@ -93,4 +87,4 @@ class PoseTrack:
     def _is_outlier(self, pose: Pose, time_s: float) -> bool:
         expected = self._estimator.at(time_s)
         allowed_m = GATE_SIGMAS * math.hypot(expected.position_sigma_m, self._noise_m)
-        return not math.dist(pose.position_m, expected.position_enu_m) <= allowed_m  # also where it is NaN
+        return not math.dist(pose.position_m, expected.position_enu_m) <= allowed_m  # also for NaN

@@ -1,8 +1,8 @@
 """The source of the target's motion: a Zenoh key, or a ROS 2 topic of one of four message types.
 
-``KEY`` is a key as it stands, ``ros2:/TOPIC`` a topic of rmw_zenoh, ``ros2dds:/TOPIC`` one behind
-zenoh-bridge-ros2dds. Whatever comes leaves as ``nav_msgs/msg/Odometry``: serialised, which is logged and
-replayed, and, where it was made here, also as the values that are flown by.
+``KEY`` is a Zenoh key, ``ros2:/TOPIC`` a topic of rmw_zenoh, ``ros2dds:/TOPIC`` one behind
+zenoh-bridge-ros2dds. The output is ``nav_msgs/msg/Odometry``: serialised, for log and replay, and, if it was
+converted here, also as values.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ from bridge.zenoh import zenoh_link
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.types import ZERO, Vec3
 
-TEXTS_MAX = 32  # different problems told of one flight; the counts go on
-OFFSET_MAX_M = 5.0  # of the landing spot from the tracked frame, each axis; more is a wrong unit
-LOOK_EVERY = 100  # samples between two looks at frames and covariances
+TEXTS_MAX = 32  # greatest number of different warnings of a flight; the counters continue
+OFFSET_MAX_M = 5.0  # greatest offset of the landing spot on an axis; a greater one is a wrong unit
+LOOK_EVERY = 100  # samples between two checks of frames and covariances
 CAPACITY = 1024  # samples between two polls
 
 
-_Made = list[Odometry] | None  # odometry made of a message; None: the message is odometry as it is wanted
+_Made = list[Odometry] | None  # odometry from a message; None: the message is the odometry
 
 
 class Dialect(Enum):
-    """How ROS 2 names things on Zenoh."""
+    """Naming of ROS 2 entities on Zenoh."""
 
     PLAIN = ""
     RMW_ZENOH = "ros2:"
@@ -55,7 +55,7 @@ class Dialect(Enum):
 
 
 class TargetType(Enum):
-    """Message types that hold the pose of a target."""
+    """Message types with the pose of a target."""
 
     ODOMETRY = "odometry"
     POSE = "pose"
@@ -90,9 +90,9 @@ ROS_TYPES = {
 
 @dataclass(frozen=True, slots=True)
 class TargetSpec:
-    """The source that ``--target`` and its options name."""
+    """The source of ``--target`` and its options."""
 
-    text: str  # as given
+    text: str  # argument of the command
     dialect: Dialect
     name: str  # key, or topic with its leading slash
     type: TargetType = TargetType.ODOMETRY
@@ -118,7 +118,7 @@ class TargetSpec:
 
     @property
     def key(self) -> str:
-        """Key expression to subscribe to."""
+        """Key expression of the subscription."""
         if self.dialect is Dialect.RMW_ZENOH:
             return any_type_key(self.domain, self.name)
         return bridge_key(self.name) if self.dialect is Dialect.ROS2DDS else self.name
@@ -141,13 +141,12 @@ class TargetSpec:
 
 
 class TargetSource:
-    """Receives the target's motion; polled, never called back.
+    """Receives the target's motion; polled, without callbacks.
 
-    ``session``: an open Zenoh session that reaches the target; it stays the caller's; ``spec``: what to
-    receive; ``frame_id``: in which the pose is wanted; ``child_frame_id``: which frame of ``/tf`` it is, or
-    what to call a target that sends poses alone; ``link``: noise of poses, for the velocity of a target that
-    sends none; ``lossless``: hold up the sender when full instead of dropping the oldest (lockstep).
-    Raises ValueError: the key is not allowed.
+    ``session``: owned by the caller; ``frame_id``: of the poses; ``child_frame_id``: of the target in
+    ``/tf``, and its name for a target that sends poses only; ``link``: noise of poses, for their velocity;
+    ``lossless``: block the sender when full instead of dropping the oldest (lockstep). Raises ValueError: the
+    key is not allowed.
     """
 
     def __init__(
@@ -171,7 +170,7 @@ class TargetSource:
         self._chain = TransformChain(frame_id, child_frame_id)
         self._texts: list[str] = []
         self._told: dict[str, None] = {}
-        self.refused = 0  # samples that made no odometry, but for poses the velocity is not yet known of
+        self.refused = 0  # samples without odometry, except for poses before the velocity is known
         self._convert: Callable[[bytes], _Made] = {
             TargetType.ODOMETRY: self._odometry,
             TargetType.POSE: lambda payload: self._pose(decode_pose(payload)),
@@ -201,23 +200,22 @@ class TargetSource:
         return taken
 
     def take_problems(self) -> list[str]:
-        """Texts since the last call, each of them once a flight."""
+        """Warnings since the last call, each once a flight."""
         texts, self._texts = self._texts, []
         return texts
 
     @property
     def told(self) -> tuple[str, ...]:
-        """All texts of the flight so far, oldest first."""
+        """All warnings of the flight, oldest first."""
         return tuple(self._told)
 
     def close(self) -> None:
-        """Undeclare the subscribers."""
         self._subscriber.undeclare()
         if self._fixed is not None:
             self._fixed.undeclare()
 
     def _is_wanted(self, key: str) -> bool:
-        """Return whether a key of the topic has the message type that we read."""
+        """Whether a key of the topic has the expected message type."""
         found, wanted = parse_topic_key(key), ROS_TYPES[self._spec.type]
         if found is None:
             self._refuse(f"{self._spec.text}: the key {key} is not one of rmw_zenoh")
@@ -225,7 +223,7 @@ class TargetSource:
         if found.type_name != wanted.name:
             self._refuse(
                 f"{self._spec.text}: the topic carries {found.type_name}, {wanted.name} is needed; give "
-                "--target-type if it is another one on purpose"
+                "--target-type if the other type is intended"
             )
             return False
         if found.type_hash not in (wanted.type_hash, NO_HASH):
@@ -237,7 +235,7 @@ class TargetSource:
         return True
 
     def _odometry(self, payload: bytes) -> _Made:
-        # Refused samples go on too: the controller counts them, and the log holds them as they came.
+        # Rejected samples are returned, too: the controller counts them, and the log has them unchanged.
         if self._until_look == 0:
             self._until_look = LOOK_EVERY
             self._look_at(payload)
@@ -251,12 +249,12 @@ class TargetSource:
         try:
             odometry = decode_odometry(payload)
         except OdometryError:
-            return  # the controller's decoder says what is wrong with each
+            return  # the controller's decoder reports the error of each
         self._is_framed(odometry.frame_id)
         if odometry.child_frame_id != self._child:
             self._tell(
                 f"{self._spec.text}: child_frame_id is {odometry.child_frame_id!r}, "
-                f"checks.target_child_frame is {self._child!r}: refused; set it if this is the robot"
+                f"checks.target_child_frame is {self._child!r}: rejected; set it if this is the robot"
             )
         self._compare(odometry.pose_covariance, odometry.twist_covariance)
 
@@ -292,8 +290,8 @@ class TargetSource:
         if frame_id == self._frame:
             return True
         self._tell(
-            f"{self._spec.text}: frame_id is {frame_id!r}, checks.target_frame is {self._frame!r}: refused; "
-            "set it only if that frame is the vehicle's own east-north-up"
+            f"{self._spec.text}: frame_id is {frame_id!r}, checks.target_frame is {self._frame!r}: rejected; "
+            "set it only if that frame is the vehicle's east-north-up frame"
         )
         return False
 
@@ -307,9 +305,9 @@ class TargetSource:
             self._texts.append(text)
 
 
-KEYS_MAX = 8  # keys that are remembered
-_CAPACITY = 64  # samples kept between two looks
-# A chunk of the key holds the word: robot1/odom, 0/odom/nav_msgs::msg::dds_::Odometry_/RIHS01_...
+KEYS_MAX = 8  # greatest number of keys
+_CAPACITY = 64  # samples between two polls
+# A chunk of the key contains the name: robot1/odom, 0/odom/nav_msgs::msg::dds_::Odometry_/RIHS01_...
 _LIKELY = (
     "**/$*odom$*/**", "**/$*Odometry$*/**", "**/$*pose$*/**", "**/$*Pose$*/**", "**/tf/**",
 )  # fmt: skip
@@ -318,8 +316,8 @@ _LIKELY = (
 class KeySearch:
     """Subscribes to keys with names of odometry, a pose or tf, from the first ``keys`` until ``stop``.
 
-    While it does, all samples of such keys travel to this process: use it only where nothing flies.
-    What the session publishes itself is not found.
+    Meanwhile all samples of such keys are sent to this process: for use without a flight. Keys that the
+    session publishes are not found.
     """
 
     def __init__(self, session: zenoh_link.Session) -> None:
@@ -341,7 +339,7 @@ class KeySearch:
         return tuple(sorted(self._found))
 
     def stop(self) -> None:
-        """End the search and forget its results; may be called at any time."""
+        """End the search and drop its results; may be called at any time."""
         for subscriber in self._subscribers:
             subscriber.undeclare()
         self._subscribers, self._found = [], {}

@@ -1,9 +1,9 @@
-"""The pose of one frame in another from transforms that come edge by edge, as on ROS 2's ``/tf``.
+"""The pose of one frame in another from single transforms, as on ROS 2's ``/tf``.
 
-A pose is given out for each new transform of the tracked frame itself, at its stamp; if it is fixed to
-another frame (``/tf_static``), for each new transform of that one. The edges above are taken as they were
-last, and, but for the fixed ones, must not be older than ``EDGE_AGE_MAX_S`` against it: a localisation that
-died must not go on steering by the wheels alone.
+There is a pose for each new transform of the tracked frame, at its stamp; if it is fixed to another frame
+(``/tf_static``), for each new transform of that one. The newest transforms of the frames above are used. They
+must be fixed, or at most ``EDGE_AGE_MAX_S`` older: after a failure of the localisation the odometry of the
+wheels must not be used alone.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from bridge.frames import Quat, world_from_body
 from bridge.ros2.cdr import Pose, Transform
 
 EDGE_AGE_MAX_S = 1.0  # AMCL sends map -> odom at the rate of the laser, 5 Hz on a TurtleBot3
-FRAMES_MAX = 256  # kept; further ones are ignored
+FRAMES_MAX = 256  # further frames are ignored
 DEPTH_MAX = 16  # edges from the tracked frame to the world's
 
 
@@ -24,11 +24,11 @@ class TransformChain:
     def __init__(self, frame_id: str, child_frame_id: str) -> None:
         self._frame, self._child = frame_id, child_frame_id
         self._edges: dict[str, Pose] = {}  # child: its pose in its parent
-        self._fixed: dict[str, Pose] = {}  # the same, for good
-        self.problem = f"no transform of {child_frame_id!r} yet"  # why there is no pose, "" when there is
+        self._fixed: dict[str, Pose] = {}  # the same of ``/tf_static``
+        self.problem = f"no transform of {child_frame_id!r} yet"  # why there is no pose, or ""
 
     def take_fixed(self, transforms: Iterable[Transform]) -> None:
-        """Take the transforms of one message of frames that are fixed to others."""
+        """Use the transforms of one message of ``/tf_static``."""
         for transform in transforms:
             child, edge = _without_slash(transform)
             _keep(self._fixed, child, edge, child == self._child)
@@ -74,7 +74,7 @@ class TransformChain:
                     pose = _compose(fixed, pose)
                     continue
                 self.problem = (
-                    f"{self._child!r} is known in {pose.frame_id!r}, but nothing says where that is in "
+                    f"{self._child!r} is known in {pose.frame_id!r}, but there is no transform from that to "
                     f"{self._frame!r}"
                 )
                 return None
@@ -86,12 +86,12 @@ class TransformChain:
                 )
                 return None
             pose = _compose(above, pose)
-        self.problem = f"{self._child!r} is more than {DEPTH_MAX} transforms below, or they make a circle"
+        self.problem = f"{self._child!r} is more than {DEPTH_MAX} transforms below, or they form a circle"
         return None
 
 
 def _without_slash(transform: Transform) -> tuple[str, Pose]:
-    """Return the name without the leading slash of ROS 1's tf."""
+    """The name without the leading slash of ROS 1's tf."""
     pose = transform.pose
     return transform.child_frame_id.removeprefix("/"), pose._replace(frame_id=pose.frame_id.removeprefix("/"))
 
@@ -114,7 +114,7 @@ def _compose(above: Pose, pose: Pose) -> Pose:
 
 
 def _product(a: Quat, b: Quat) -> Quat:
-    """Return the rotation ``b`` followed by ``a`` (Hamilton product)."""
+    """The rotation ``b`` followed by ``a`` (Hamilton product)."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
     return (

@@ -1,1 +1,1 @@
-"""Zenoh sessions, alarms, attachments."""
+"""Zenoh sessions, connection alarms, attachments."""

@@ -1,9 +1,9 @@
 """Zenoh sessions that connect to the given endpoints only and are polled from the owner's loop.
 
-No scouting and no gossip unless a configuration file asks for it, and no callbacks: a callback runs in
-another thread, swallows exceptions, and keeps the process from ending when the session is not closed.
-Zenoh retries a connection without a message, so an alarm watches it; a refused certificate, a wrong password
-and a machine that is switched off look the same from here.
+Without scouting and gossip unless a configuration file enables them, and without callbacks: a callback runs
+in another thread, hides exceptions, and blocks the end of a process with an open session. Zenoh retries a
+connection silently, so an alarm watches it; a rejected certificate, a wrong password and a missing machine
+cannot be distinguished.
 """
 
 from __future__ import annotations
@@ -22,37 +22,37 @@ import zenoh.ext
 from flightstack.common.pacing import ask_for_priority, give_up_priority
 from flightstack.common.strict_toml import decoded
 
-Session = Any  # the zenoh package's own types are not relied on
+Session = Any  # independent of the types of the zenoh package
 Publisher = Any
 Subscriber = Any
 Sample = Any
 
 LOOPBACK = "tcp/127.0.0.1:0"  # any free port, this machine only
 LOOPBACK_ROUTER = "tcp/127.0.0.1:7447"  # where clients and ROS 2 nodes look for a router
-_LEASE_MS = 2000  # a peer silent this long is dropped and dialled again; liveness is judged by message age
-_CLIENT_WAIT_MS = 10_000  # for a router that is not there yet
+_LEASE_MS = 2000  # a peer without messages is disconnected and dialled again; liveness is the age of messages
+_CLIENT_WAIT_MS = 10_000  # wait for a router that has not started
 _RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 1.5}
 
 
 class Role(Enum):
     """The role of a session (``mode`` of a Zenoh configuration)."""
 
-    PEER = "peer"  # speaks with those it dialled and those who dialled it, and passes nothing on
-    CLIENT = "client"  # speaks through a router, with all of its clients and peers
-    ROUTER = "router"  # passes on, but not from one of its peers to another
+    PEER = "peer"  # exchanges data with direct connections only
+    CLIENT = "client"  # exchanges data with all clients and peers of a router
+    ROUTER = "router"  # forwards data, but not between its peers
 
 
 _DEFAULTS: dict[str, Any] = {
     "connect/retry": _RETRY,
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
-    "scouting/delay": 0,  # else open() stalls 500 ms when a peer is not there yet
+    "scouting/delay": 0,  # else open() blocks 500 ms without a peer
     "transport/link/tx/lease": _LEASE_MS,
-    # our messages are below the size for which it pays, and a session needs /dev/shm to be there for it
+    # our messages are too small for shared memory, which needs /dev/shm
     "transport/shared_memory/enabled": False,
 }
 _ROLE_DEFAULTS: dict[Role, dict[str, Any]] = {
-    Role.PEER: {"listen/endpoints": [LOOPBACK]},  # Zenoh's own: every interface
+    Role.PEER: {"listen/endpoints": [LOOPBACK]},  # default of Zenoh: every interface
     Role.CLIENT: {"listen/endpoints": [], "connect/timeout_ms": _CLIENT_WAIT_MS},
     # By gossip with their router ROS 2 nodes find each other (rmw_zenoh DEFAULT_RMW_ZENOH_ROUTER_CONFIG).
     Role.ROUTER: {"listen/endpoints": [LOOPBACK_ROUTER], "scouting/gossip/enabled": True},
@@ -67,16 +67,11 @@ _HELP = (
 
 
 class ZenohLinkError(OSError):
-    """A session that could not be opened; the text says which endpoint and why."""
+    """A session that could not be opened, with endpoint and reason."""
 
 
 def check_endpoint(endpoint: str) -> str:
-    """Return the endpoint if it is well formed.
-
-    Zenoh itself takes a malformed endpoint to connect to without a word and retries for ever.
-
-    Raises ValueError: it is not; the text says what is allowed.
-    """
+    """Check an endpoint, since Zenoh silently retries a malformed one. Raises ValueError: malformed."""
     match = _IP.match(endpoint.partition("?")[0].partition("#")[0])
     if (match and int(match.group(2)) <= 65535) or _UNIX.match(endpoint):
         return endpoint
@@ -93,18 +88,17 @@ def open_session(
 ) -> Session:
     """Open a session with these endpoints and no others.
 
-    What a configuration file sets is kept; endpoints given here take the place of the file's. A peer, the
-    default, returns at once even if nobody answers on ``connect``: that is retried in the background every
-    0.05 to 0.5 s. A client needs its router within 10 s, and then outlives it. A refused connection is
-    silent; look at ``transports`` and at message ages. Close it when done.
+    Settings of a configuration file are used; endpoints given here replace those of the file. A peer, the
+    default, returns at once even without a connection: this is retried in the background every 0.05 to 0.5 s.
+    A client needs its router within 10 s, and continues after a loss. A rejected connection is not reported;
+    see ``transports`` and the age of messages. Close the session after use.
 
     Args:
-        listen: where others may connect; empty means the file's, or a free port on loopback.
-        connect: whom to connect to; empty means the file's.
+        listen: endpoints for incoming connections; empty: those of the file, or a free port on loopback.
+        connect: endpoints to connect to; empty: those of the file.
         config_file: a Zenoh configuration (JSON5), for example with TLS keys and access rules.
-        role: what to be if the file does not say; a router passes on nothing from one peer to another.
-        prompt: its threads run as soon as they wake, before those of other programs, where the system allows
-            it: what comes late in a flight counts as lost.
+        role: if the file does not set the mode; a router does not forward between its peers.
+        prompt: real-time priority for its threads, where the system allows it.
 
     Raises:
         ValueError: an endpoint is malformed, or the file is.
@@ -113,16 +107,16 @@ def open_session(
     listen = [check_endpoint(endpoint) for endpoint in listen]
     connect = [check_endpoint(endpoint) for endpoint in connect]
     config = _configuration(listen, connect, config_file, role)
-    prompt = prompt and ask_for_priority()  # threads have that of the one that starts them
+    prompt = prompt and ask_for_priority()  # threads inherit the priority
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
         hint = "is the port taken"
         if _role(config) is Role.CLIENT:
-            hint = "is the router there, and does it let us in"
+            hint = "is the router running, and does it accept us"
         raise ZenohLinkError(
             f"cannot open a Zenoh session that listens on {_endpoints(config, 'listen') or 'nothing'} and "
-            f"connects to {_endpoints(config, 'connect') or 'nobody'}: {_reason(error)}; {hint}?"
+            f"connects to {_endpoints(config, 'connect') or 'nothing'}: {_reason(error)}; {hint}?"
         ) from error
     finally:
         if prompt:
@@ -205,7 +199,7 @@ def fifo_subscriber(session: Session, key: str, capacity: int = 1024) -> Subscri
 def kept_subscriber(session: Session, key: str, capacity: int = 256) -> Subscriber:
     """Declare a ring subscriber that also receives what publishers cache for late subscribers.
 
-    ROS 2's *transient local*: rmw_zenoh and zenoh-bridge-ros2dds keep it in advanced publishers.
+    ROS 2's *transient local*: rmw_zenoh and zenoh-bridge-ros2dds store it in advanced publishers.
     """
     return zenoh.ext.declare_advanced_subscriber(
         session,
@@ -216,15 +210,12 @@ def kept_subscriber(session: Session, key: str, capacity: int = 256) -> Subscrib
 
 
 def liveliness_token(session: Session, key: str) -> Any:
-    """Declare a token that others see while this session is open and connected to them.
-
-    Raises ValueError: the key is not allowed.
-    """
+    """Declare a token that connected sessions see while this one is open. Raises ValueError: bad key."""
     return session.liveliness().declare_token(_key(key))
 
 
 def drain(subscriber: Subscriber) -> list[Sample]:
-    """Take all samples that have arrived, oldest first; never blocks."""
+    """Return all samples that have arrived, oldest first; never blocks."""
     samples: list[Sample] = []
     while (sample := subscriber.try_recv()) is not None:
         samples.append(sample)
@@ -270,7 +261,7 @@ def open_to_all(listen: Sequence[str] = (), *, config_file: Path | None = None) 
 
 
 def knows_router(session: Session) -> bool:
-    """Return whether one of the connections is to a router."""
+    """Whether one of the connections is to a router."""
     return any(True for _ in session.info.routers_zid())
 
 
@@ -290,19 +281,19 @@ def _key(key: str) -> Any:
         ) from error
 
 
-PATIENCE_S = 3.0  # s without a connection before it is said; a restarted router is back in less
+PATIENCE_S = 3.0  # s without a connection before a warning; a restarted router needs less
 LOOK_EVERY_S = 1.0
 
 
 class ConnectionAlarm:
     """Watches one session; poll it in every tick.
 
-    ``whom`` are the endpoints it dials; with none it waits to be dialled and nothing is wrong.
+    ``whom`` are the endpoints it connects to; without any there is no alarm.
     """
 
     def __init__(self, session: Session, whom: Sequence[str], role: Role = Role.PEER) -> None:
         self._session, self._whom = session, ", ".join(whom)
-        self._since_s: float | None = None  # without a connection
+        self._since_s: float | None = None  # start of the time without a connection
         self._next_s = -1.0
         self._said = False
         self._said_router = role is not Role.PEER
@@ -321,8 +312,8 @@ class ConnectionAlarm:
         if not self._said_router and knows_router(self._session):
             self._said_router = True
             texts.append(
-                f"Zenoh: {self._whom} is a router, and we are its peer: it passes on nothing from its other "
-                "peers, such as ROS 2 nodes; be a client, with mode client in --zenoh-config "
+                f"Zenoh: {self._whom} is a router, and we are its peer: it does not forward from its other "
+                "peers, such as ROS 2 nodes; use mode client in --zenoh-config "
                 "(docs/how_to/zenoh.md)"
             )
         return texts
@@ -334,8 +325,8 @@ class ConnectionAlarm:
             return []
         self._said = True
         return [
-            f"Zenoh: no connection to {self._whom} for {now_s - self._since_s:.0f} s: nobody is there, or it "
-            "refuses our certificate or password"
+            f"Zenoh: no connection to {self._whom} for {now_s - self._since_s:.0f} s: no reply, or it "
+            "rejects our certificate or password"
         ]
 
 
@@ -346,10 +337,8 @@ _OLD_NAMES = (b"\x0fsequence_number", b"\x10source_timestamp", b"\x0asource_gid"
 
 
 def pack_attachment(sequence: int, source_time_ns: int, gid: bytes) -> bytes:
-    """Make the 33-byte attachment.
+    """The 33-byte attachment: sequence from 1, Unix time of sending, id of the publisher (16 bytes).
 
-    ``sequence``: number of the sample, from 1; ``source_time_ns``: when it was sent, Unix time; ``gid``: 16
-    bytes that no other publisher has.
     Raises ValueError: ``gid`` has another length.
     """
     if len(gid) != GID_BYTES:

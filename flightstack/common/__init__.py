@@ -1,1 +1,1 @@
-"""What every room may use: signals, child processes, pacing, strict TOML, the clock of a simulation."""
+"""Used by all packages: signals, child processes, pacing, strict TOML, the clock of a simulation."""

@@ -1,4 +1,4 @@
-"""Child processes made by fork: they use the modules that their parent has loaded."""
+"""Child processes by fork, which share the loaded modules of their parent."""
 
 from __future__ import annotations
 
@@ -21,71 +21,66 @@ PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _PR_SET_NAME = 15
 _NAME_BYTES = 15  # of a thread's name
 _LAST_STREAM = 2  # standard error
-_LOOK_MAX_S = 0.05  # s between two looks whether a child has ended, as subprocess has
+_LOOK_MAX_S = 0.05  # s between two checks of a child, as in subprocess
 
 
 def may_fork() -> bool:
-    """Whether a child may go on from here: on Linux, and where no other thread runs.
-
-    What another thread has locked, Zenoh's for example, would stay locked in the child.
-    """
+    """Whether a fork is safe: on Linux, without other threads, whose locks the child could not release."""
     if sys.platform != "linux" or threading.current_thread() is not threading.main_thread():
         return False
     return len(list(Path("/proc/self/task").iterdir())) == 1
 
 
 def end_with(parent: int, name: str) -> None:
-    """Have the kernel end this process when its parent is killed, and show it under this name (``ps -e``).
-
-    ``parent``: process id of the one that started this one; ``name``: of the process; 15 bytes are shown.
-    """
+    """Name this process (15 bytes, ``ps -e``); the kernel ends it when its parent ``parent`` is killed."""
     if sys.platform != "linux":
         return
     kernel = ctypes.CDLL(None)
     kernel.prctl(_PR_SET_NAME, name.encode()[:_NAME_BYTES])
     kernel.prctl(PR_SET_PDEATHSIG, int(signal.SIGTERM))
-    if os.getppid() != parent:  # it was killed before
+    if os.getppid() != parent:  # the parent was killed before
         os._exit(1)
 
 
 def hand_on_niceness(pid: int) -> None:
-    """Give the niceness of this process to the session of a child, or to its own.
+    """Apply the niceness of this process to the session of a child, or to its own.
 
-    Linux shares processors among sessions before it looks at niceness (sched(7), autogroup), and a session
-    begins with none: what is started with ``nice`` would take as much from others as without.
+    Linux schedules sessions before processes (sched(7), autogroup), and a new session has niceness 0: without
+    this, ``nice`` would have no effect on other programs.
     """
     steps = os.getpriority(os.PRIO_PROCESS, 0)
     if steps > 0:
-        with contextlib.suppress(OSError):  # no such groups; or not root, and asked twice within 0.1 s
+        with contextlib.suppress(OSError):  # no autogroups; or not root, and a second change within 0.1 s
             Path(f"/proc/{pid}/autogroup").write_text(str(steps))
 
 
 class Forked:
-    """A child process made by ``os.fork``; it has those methods of ``subprocess.Popen`` that are used here.
+    """A child process by ``os.fork`` with the methods of ``subprocess.Popen`` that are used here.
 
-    It has a session, signal handlers, standard streams and files of its own; it ends with ``os._exit``, so
-    that nothing runs that this process has registered for its end.
+    It has a session, signal handlers, standard streams and files of its own, and ends with ``os._exit``
+    without exit handlers of the parent.
 
-    ``name``: under which the system shows it; ``run``: what it does; ends as a Python program does, with
-    SystemExit or an exception; ``errors``: file for what it writes to standard error.
+    ``name``: shown by the system; ``run``: its function, which ends as a Python program does, with SystemExit
+    or an exception; ``errors``: file of its standard error.
     """
 
     def __init__(self, name: str, run: Callable[[], object], errors: IO[bytes]) -> None:
-        # its exit status, negative: the signal that ended it; None: it runs, as far as is known
+        # exit status; negative: the signal that ended it; None: not known to have ended
         self.returncode: int | None = None
         parent, (output, written) = os.getpid(), os.pipe()
-        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # until it has its own
+        # until it has its own handlers
+        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
         try:
-            self.pid = os.fork()  # its process id
+            self.pid = os.fork()
             if self.pid == 0:
                 _go_on(name, run, parent, written, errors.fileno(), blocked)
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
         os.close(written)
-        self.stdout: IO[bytes] | None = os.fdopen(output, "rb")  # what it writes to standard output
+        self.stdout: IO[bytes] | None = os.fdopen(output, "rb")  # its standard output
 
     def poll(self) -> int | None:
-        """Exit status if it has ended, else None."""
+        """Exit status, or None while it runs."""
         if self.returncode is None:
             pid, status = os.waitpid(self.pid, os.WNOHANG)
             if pid:
@@ -93,10 +88,7 @@ class Forked:
         return self.returncode
 
     def wait(self, timeout: float | None = None) -> int:
-        """Wait for its end; its exit status.
-
-        Raises subprocess.TimeoutExpired: it runs longer than so many seconds.
-        """
+        """Wait for its exit status. Raises subprocess.TimeoutExpired: after ``timeout`` seconds."""
         until_s = None if timeout is None else time.monotonic() + timeout
         look_s = 0.0005
         while (code := self.poll()) is None:
@@ -107,45 +99,42 @@ class Forked:
         return code
 
     def send_signal(self, number: int) -> None:
-        """Send it a signal, unless it has ended."""
         if self.poll() is None:
             os.kill(self.pid, number)
 
     def terminate(self) -> None:
-        """Ask it to end."""
         self.send_signal(signal.SIGTERM)
 
     def kill(self) -> None:
-        """End it."""
         self.send_signal(signal.SIGKILL)
 
 
 def _go_on(
     name: str, run: Callable[[], object], parent: int, output: int, errors: int, blocked: Iterable[int]
 ) -> NoReturn:
-    """Be the child."""
+    """The child's part."""
     code = 1
     try:
         end_with(parent, name)
         leave_parent(output, errors)
         signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
-        gc.freeze()  # what is shared with the parent is not looked through, and so not copied
+        gc.freeze()  # memory shared with the parent is not scanned, and so not copied
         code = _code_of(run)
         for thread in threading.enumerate():
             if thread is not threading.current_thread() and not thread.daemon:
                 thread.join()
-    except BaseException:  # nothing of the parent's may catch it
+    except BaseException:  # no handler of the parent may catch it
         traceback.print_exc()
     for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError):  # nobody reads it any longer
+        with contextlib.suppress(OSError):  # its reader is gone
             stream.flush()
     os._exit(code)
 
 
 def leave_parent(output: int, errors: int) -> None:
-    """Have a session, signal handlers, standard streams and files of its own; call it in a child after fork.
+    """Separate a child from its parent after fork: session, signal handlers, standard streams, files.
 
-    ``output``: file number that becomes standard output; ``errors``: the same of standard error.
+    ``output``, ``errors``: file numbers that become standard output and error.
     """
     os.setsid()
     hand_on_niceness(os.getpid())
@@ -164,14 +153,14 @@ def forget_handlers() -> None:
 
 
 def _own_streams(output: int, errors: int) -> None:
-    """Have no input, these two outputs, and no other file of the parent's."""
+    """No input, these two outputs, and no other file of the parent."""
     nothing = os.open(os.devnull, os.O_RDONLY)
-    # one of them may have a number of these, if the parent had no streams
+    # their numbers may be those of standard streams if the parent had none
     for place, number in enumerate([_above(each) for each in (nothing, output, errors)]):
         os.dup2(number, place)
     for number in [int(each.name) for each in Path("/proc/self/fd").iterdir()]:
         if number > _LAST_STREAM:
-            with contextlib.suppress(OSError):  # the one that was open to list them
+            with contextlib.suppress(OSError):  # the descriptor of the listing itself
                 os.close(number)
     sys.stdin = os.fdopen(0, closefd=False)
     sys.stdout = os.fdopen(1, "w", closefd=False)
@@ -184,7 +173,7 @@ def _above(number: int) -> int:
 
 
 def _code_of(run: Callable[[], object]) -> int:
-    """Exit status with which a Python program ends that does this."""
+    """Exit status of a Python program that ends by this exception or result."""
     try:
         run()
     except SystemExit as ended:

@@ -1,4 +1,4 @@
-"""Signals that ask a process to end: while it starts, and when its terminal goes away in flight."""
+"""Signals that end a process: during its start, and after the loss of its terminal in flight."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ ASK = (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT)
 
 
 class CalledOffError(KeyboardInterrupt):
-    """A signal before the process handles signals itself: it unwinds the start, which ends the children."""
+    """A signal during the start, before the process has its own handlers."""
 
 
-_COMPILER = "llvmlite"  # in the paths of the files whose callbacks drop exceptions
+_COMPILER = "llvmlite"  # in the paths of files whose callbacks drop exceptions
 _AGAIN_S = 0.01
 _came: list[CalledOffError] = []
 
 
 def start() -> None:
-    """From now on a signal raises ``CalledOffError``, until the process has handlers of its own.
+    """Until the process has its own handlers, a signal raises ``CalledOffError``. Main thread only.
 
-    Main thread only. A signal is kept for ``begun``, since some callers of Python drop its exceptions.
+    A signal is also stored for ``begun``, since some callbacks drop exceptions.
     """
     _came.clear()
     for number in ASK:
@@ -34,15 +34,12 @@ def start() -> None:
 
 
 def called_off() -> CalledOffError | None:
-    """The newest signal that came while the process started, whatever became of its exception."""
+    """The newest signal during the start, even if its exception was dropped."""
     return _came[-1] if _came else None
 
 
 def begun() -> None:
-    """Call it once the process has handlers of its own.
-
-    Raises CalledOffError: a signal came before, and its exception was dropped.
-    """
+    """Called when the process has its own handlers. Raises CalledOffError: an earlier one was dropped."""
     if _came:
         raise _came[-1]
 
@@ -66,22 +63,19 @@ class Stop:
     __slots__ = ("count",)
 
     def __init__(self) -> None:
-        self.count = 0  # how often it was told
+        self.count = 0  # number of signals
 
     @property
     def is_set(self) -> bool:
-        """Whether an end was asked for."""
+        """Whether an end was requested."""
         return self.count > 0
 
     def ask(self) -> None:
-        """Ask for an orderly end, as a first signal does."""
+        """Request an orderly end, as the first signal does."""
         self.count = max(self.count, 1)
 
     def install(self) -> Stop:
-        """Take over the signals, once all is ready that takes long; main thread only.
-
-        Raises CalledOffError: as of ``begun``.
-        """
+        """Install the handlers after the slow part of a start; main thread only. Raises as ``begun``."""
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._set)
         signal.signal(signal.SIGQUIT, signal.SIG_DFL)
@@ -99,12 +93,11 @@ class Stop:
 
 
 def say(text: str) -> None:
-    """Print a line."""
     click.echo(plain(text))
 
 
 def on_hangup(handler: Callable[[int, FrameType | None], None]) -> None:
     """Call ``handler`` on SIGHUP; one that was told to ignore it (``nohup``) does. Main thread only."""
-    number = getattr(signal, "SIGHUP", None)  # not on every system
+    number = getattr(signal, "SIGHUP", None)  # not on all systems
     if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
         signal.signal(number, handler)

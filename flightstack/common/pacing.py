@@ -1,8 +1,8 @@
-"""When ticks happen: absolute deadlines in real time, the simulator's word in lockstep.
+"""Times of the ticks: absolute deadlines in real time, the simulator's messages in lockstep.
 
-Stack time is seconds since the process began (monotonic clock) or simulated time. ``unix_ns`` turns it into
-the time of the log. In lockstep that is simulated time after a fixed date, so that one seed makes one log.
-What keeps a tick from being late in real time, priority, memory and no garbage collection, is at the end.
+Stack time is seconds since the start of the process (monotonic clock) or simulated time. ``unix_ns`` converts
+it to the time of the log. In lockstep this is simulated time after a fixed date, so that equal seeds give
+equal logs. Priority, memory and garbage collection, which prevent late ticks, are at the end.
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ from flightstack.common.streams import never_wait
 
 EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01T00:00:00Z, time zero of simulated clocks
 PAIR = struct.Struct("<qq")  # lockstep messages on Zenoh: (tick, number), see docs/how_it_works/lockstep.md
-RUN_AHEAD_TICKS = 20  # how far the target may be ahead of the onboard process's credit
-NO_GO = -1  # the target may not drive yet
-TARGET_SILENT_S = 5.0  # s without the target's answer in lockstep after which it counts as dead
-COMPANION_SILENT_S = 10.0  # s, the same for the onboard process: longer than it waits for target and recorder
+RUN_AHEAD_TICKS = 20  # greatest lead of the target before the onboard process's credit
+NO_GO = -1  # credit: the target may not drive yet
+TARGET_SILENT_S = 5.0  # s without a message of the target in lockstep after which it counts as dead
+# s, the same for the onboard process: longer than its waits for target and recorder
+COMPANION_SILENT_S = 10.0
 _LOOK_MAX_S = 0.1  # s
 PRIORITY = 10  # of 1 to 99 under SCHED_FIFO: above all ordinary processes, below the kernel's own threads
 _DAY_NS = 86_400_000_000_000
@@ -34,9 +35,9 @@ _LOCK_WHAT_IS_USED = 1 | 2 | 4  # MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT of mlocka
 
 @dataclass(frozen=True, slots=True)
 class FastClock:
-    """The wall clock, ``speed`` times as fast; for simulators that run as fast.
+    """The wall clock, ``speed`` times as fast, for simulators with that speed.
 
-    Processes of one run agree about ``unix_ns``: it counts from the last midnight (UTC), when it was right.
+    Processes of a run agree on ``unix_ns``: it counts from the last midnight (UTC), where it was correct.
     """
 
     speed: float = 1.0
@@ -62,15 +63,15 @@ class Tick(NamedTuple):
     number: int
     now_s: float
     unix_ns: int
-    period_s: float  # since the last tick began, wall time in lockstep; 0 for the first
+    period_s: float  # since the start of the last tick, wall time in lockstep; 0 for the first
     lateness_s: float  # behind the deadline; 0 in lockstep
     overruns: int = 0  # deadlines missed so far
 
 
 class Silence:
-    """How long another process has not answered, in lockstep, where only its death may count.
+    """Time without a message of another process in lockstep, without pauses of the machine.
 
-    Time counts while this process looks: a machine that pauses pauses both, and its pause is one short look.
+    Only the time between calls of ``look`` counts, each at most ``_LOOK_MAX_S``.
     """
 
     def __init__(self) -> None:
@@ -78,7 +79,7 @@ class Silence:
         self._silent_s = 0.0
 
     def look(self) -> float:
-        """Return the seconds of silence; call at least every 0.1 s."""
+        """Seconds without a message; called at least every 0.1 s."""
         now_s = time.monotonic()
         self._silent_s += min(now_s - self._looked_s, _LOOK_MAX_S)
         self._looked_s = now_s
@@ -100,7 +101,7 @@ class RealTimePacer:
         self.overruns = 0  # deadlines missed so far
         self._monotonic, self._sleep = monotonic, sleep
         self._start_s = monotonic()
-        self.unix_start_ns = unix_ns()  # Unix time of zero of the stack clock
+        self.unix_start_ns = unix_ns()  # Unix time at zero of the stack clock
         self._next = 0  # deadline number
         self._ticks = 0
         self._last_s: float | None = None
@@ -129,7 +130,7 @@ class RealTimePacer:
 
 
 class LockstepClock:
-    """Ticks as the simulator names them."""
+    """Ticks by the simulator."""
 
     def __init__(self, rate_hz: int) -> None:
         self.period_s = 1.0 / rate_hz
@@ -145,10 +146,10 @@ class LockstepClock:
 
 
 def ask_for_priority() -> bool:
-    """Ask the system to run this process as soon as it wakes; False where that is not allowed or not known.
+    """Request real-time priority; False where it is not allowed or not available.
 
-    Ordinary scheduling lets a process that computes keep its core for some milliseconds (3 to 4 on Linux),
-    which is where a tick is late. Needs CAP_SYS_NICE or an rtprio limit.
+    With ordinary scheduling another process keeps its core for some milliseconds (3 to 4 on Linux), which
+    delays ticks. Needs CAP_SYS_NICE or an rtprio limit.
     """
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
@@ -164,11 +165,10 @@ def give_up_priority() -> None:
 
 
 def keep_memory() -> bool:
-    """Keep in memory what this process uses; False where that is not allowed or not known.
+    """Lock the memory of this process; False where it is not allowed or not available.
 
-    A system that is short of memory takes pages of programs away, and reads them again when they are used:
-    a tick then waits for the disk, for 0.8 s where that was seen. Needs root or an unlimited memlock limit;
-    with another limit later allocations could fail.
+    A system with little free memory evicts pages of programs: a tick then waits for the disk (0.8 s
+    measured). Needs root or an unlimited memlock limit; with another limit later allocations could fail.
     """
     try:
         unlimited = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
@@ -179,10 +179,7 @@ def keep_memory() -> bool:
 
 
 def run_promptly() -> None:
-    """Be a process that a flight waits for: ask for priority and memory, wait for no reader of the output.
-
-    The system may refuse the first two.
-    """
+    """Request priority and locked memory, if the system allows them, and do not wait for output."""
     never_wait()
     ask_for_priority()
     keep_memory()

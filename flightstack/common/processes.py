@@ -20,42 +20,40 @@ from typing import IO, Any, Protocol
 
 from flightstack.common.forked import PR_SET_PDEATHSIG, Forked, end_with, hand_on_niceness, may_fork
 
-# until a child says ready: s of wall time without computing, and s of processor time in all; a slow computer
-# takes minutes for what another one loads and compiles in seconds
+# Limits for the start of a child: s of wall time without computing, and s of processor time; a slow computer
+# needs minutes for loading and compiling.
 START_TIME_MAX_S, START_WORK_MAX_S = 120.0, 1800.0
-_WORKING_S = 0.2  # s of processor time that show that a process computes
+_WORKING_S = 0.2  # s of processor time by which a process counts as computing
 _STAT_TIMES = slice(
     11, 13
 )  # of the fields behind the name in /proc/PID/stat (proc(5)): user and system, in ticks
 CLI = "flightstack.cli.main"  # the module of the command
 _WRONG_INPUT = 2  # exit status of every verb
-_PARENT = "FLIGHTSTACK_PARENT"  # environment: process id of who started a verb and takes it along, its name
-# A function between fork and exec could find locks taken for ever that threads of the parent held (Zenoh's):
-# the new process calls the kernel itself, before it becomes the program.
+_PARENT = "FLIGHTSTACK_PARENT"  # environment: parent process id, with which the child exits, and the name
+# A function between fork and exec could wait forever for locks of the parent's threads (Zenoh): so the new
+# process itself calls the kernel before it becomes the program.
 _TIE = (
     f"import ctypes, os, sys; ctypes.CDLL(None).prctl({PR_SET_PDEATHSIG}, int(sys.argv[1])); "
     "os.getppid() == int(sys.argv[2]) or sys.exit(1); os.execvp(sys.argv[3], sys.argv[3:])"
 )
-END_TIME_MAX_S = 10.0  # s until a child that was asked to end has ended
-CLOSE_TIME_MAX_S = 60.0  # s for the recorder: what it was sent must reach a slow disk
+END_TIME_MAX_S = 10.0  # s from SIGTERM to SIGKILL of a child
+CLOSE_TIME_MAX_S = 60.0  # s for the recorder, which may write to a slow disk
 
 
 _SOCKET_PATH_MAX = 107  # bytes of a unix socket's path (unix(7))
 
 
 class LaunchError(RuntimeError):
-    """A process that did not start, or that could not be kept running; the text holds what it said."""
+    """A process that did not start, or could not be kept running, with its output."""
 
     def __init__(self, text: str, code: int = 1) -> None:
         super().__init__(text)
-        # exit status for who started it: 2 if the child found its input wrong, else 1
+        # exit status of the launcher: 2 after wrong input of the child, else 1
         self.code = 2 if code == _WRONG_INPUT else 1
 
 
 def socket_folder() -> Path:
-    """Make a folder of this user alone, whose path is short enough for the sockets in it.
-
-    ``TMPDIR`` of batch systems may be longer than the path of a socket.
+    """Make a private folder with a path short enough for sockets, which ``TMPDIR`` may exceed.
 
     Raises LaunchError: no folder can be made.
     """
@@ -74,31 +72,29 @@ def socket_folder() -> Path:
 
 
 class Running(Protocol):
-    """A process of a run, as far as its launcher looks after it."""
+    """A process of a run, for its launcher."""
 
     @property
     def name(self) -> str:
         """What it is."""
 
-    def alive(self) -> bool:
-        """Whether it still runs."""
+    def alive(self) -> bool: ...
 
     def errors(self) -> str:
-        """The last that it said of what went wrong."""
+        """Last lines of its standard error."""
 
     def end(self, within_s: float) -> int:
-        """Ask it to end, after so many seconds make it; its exit status."""
+        """End it by SIGTERM, after some seconds by SIGKILL; returns its exit status."""
 
 
 class Child:
-    """One process of the run, its output kept in a file.
+    """One process of the run; its standard error is written to a file.
 
-    A verb is loaded by this process, once for all its children, and goes on from there (``Forked``). Where
-    that is not possible it is a program of its own.
+    A verb is forked from this process, which has loaded the modules (``Forked``); where this is not possible,
+    it is started as a program.
 
-    ``name``: of the process and its file; ``arguments``: of the program; ``folder``: for what it writes to
-    standard error; ``program``: words before the arguments; None: ``flightstack``; ``works_in``: its working
-    folder; None: ours.
+    ``name``: of the process and its file; ``folder``: of that file; ``program``: words before the arguments;
+    None: ``flightstack``; ``works_in``: its working folder; None: ours.
     """
 
     def __init__(
@@ -121,7 +117,7 @@ class Child:
         assert self.process.stdout is not None
         os.set_blocking(self.process.stdout.fileno(), False)
         self._text = b""
-        self._read: list[str] = []  # lines that came with the one that was waited for
+        self._read: list[str] = []  # lines that arrived with the ``ready`` line
 
     def _program(
         self,
@@ -133,7 +129,7 @@ class Child:
         if program is None:
             words, told = [sys.executable, "-m", CLI], {_PARENT: f"{os.getpid()} {self.name}"}
         else:
-            words, told = tied(program), {}  # it would hand on what it was told
+            words, told = tied(program), {}  # it would inherit the environment
         process = subprocess.Popen(
             [*words, *arguments],
             cwd=works_in,
@@ -141,21 +137,18 @@ class Child:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=errors,
-            start_new_session=True,  # Ctrl-C reaches the launcher alone, which ends the children in order
+            start_new_session=True,  # Ctrl-C reaches only the launcher, which ends the children in order
         )
         hand_on_niceness(process.pid)
         return process
 
     def yield_to_others(self, steps: int) -> None:
         """Lower its priority, so that it does not delay the flight."""
-        with contextlib.suppress(OSError):  # a help, not a need
+        with contextlib.suppress(OSError):  # optional
             os.setpriority(os.PRIO_PROCESS, self.process.pid, steps)
 
     def wait_ready(self) -> str:
-        """Wait for the line ``ready ...`` and return what follows the word.
-
-        Raises LaunchError: the process ended or said nothing in time.
-        """
+        """Wait for the line ``ready ...`` and return its rest. Raises LaunchError: the end, or too late."""
         until, worked_s = time.monotonic() + START_TIME_MAX_S, 0.0
         try:
             while time.monotonic() < until and worked_s < START_WORK_MAX_S:
@@ -168,7 +161,7 @@ class Child:
                     break
                 if (now_s := _processor_s(self.process.pid)) >= worked_s + _WORKING_S:
                     until, worked_s = time.monotonic() + START_TIME_MAX_S, now_s
-        except BaseException:  # a signal: nobody else may know this child yet
+        except BaseException:  # a signal: no other code ends this child yet
             self.end()
             raise
         hung, code = self.process.poll() is None, self.end()
@@ -177,7 +170,7 @@ class Child:
         raise LaunchError(f"{self.name} did not start: {said}", code)
 
     def lines(self, timeout_s: float) -> list[str]:
-        """Whole lines of output that came within the time."""
+        """Complete lines of output that arrived within the time."""
         assert self.process.stdout is not None
         read, self._read = self._read, []
         with selectors.DefaultSelector() as selector:
@@ -188,15 +181,14 @@ class Child:
         return read + [line.decode(errors="replace") for line in whole]
 
     def errors(self) -> str:
-        """Last lines that it wrote to standard error."""
+        """Last lines of its standard error."""
         return "\n".join(self.output.read_text(errors="replace").strip().splitlines()[-5:])
 
     def alive(self) -> bool:
-        """Whether it still runs."""
         return self.process.poll() is None
 
     def end(self, within_s: float = END_TIME_MAX_S) -> int:
-        """Ask it to end, after so many seconds make it; its exit status."""
+        """End it by SIGTERM, after some seconds by SIGKILL; returns its exit status."""
         code = ended(self.process, within_s)
         if self.process.stdout is not None:
             self.process.stdout.close()
@@ -222,14 +214,14 @@ def _loaded(arguments: Sequence[str]) -> Callable[[], object] | None:
 
 
 def ended(process: subprocess.Popen[Any] | Forked, within_s: float = END_TIME_MAX_S) -> int:
-    """Ask a process to end, after so many seconds make it; its exit status."""
+    """End a process by SIGTERM, after some seconds by SIGKILL; returns its exit status."""
     if process.poll() is None:
         process.terminate()
     for _ in range(2):
         with contextlib.suppress(subprocess.TimeoutExpired):
             return process.wait(within_s)
         process.kill()
-    return -signal.SIGKILL  # the kernel holds it, e.g. at a disk that does not answer
+    return -signal.SIGKILL  # blocked in the kernel, for example by a disk without reply
 
 
 def tied(program: Sequence[str | Path], number: signal.Signals = signal.SIGTERM) -> list[str]:
@@ -247,13 +239,11 @@ def end_with_parent() -> None:
 
 
 class Port:
-    """A port of loopback for a server to come, kept from other runs as long as this object is open.
+    """A port of loopback for a later server, reserved against other runs while this object is open.
 
-    A port found free by binding to port 0 is from the range that outgoing connections draw from, and may be
-    gone a moment later. These lie below that range, and the same number of the other kind, TCP or UDP, serves
-    as the reservation.
-
-    ``udp``: for a server of UDP, not of TCP.
+    A free port by binding to port 0 is in the range of outgoing connections, and may be used a moment later.
+    These ports are below that range; the same number of the other protocol (TCP or UDP) is the reservation.
+    ``udp``: for a UDP server.
     """
 
     _RANGE = range(20_000, 32_000)  # Linux draws outgoing ports from 32768 on (ip_local_port_range)

@@ -1,9 +1,9 @@
 """The clock of a simulator that paces itself, shared with the processes of its run through a file.
 
-The simulator writes its time, and the others use it instead of the wall's. Each of them writes until when it
-waits, and the simulator does not pass that time before: a busy machine slows down all of them together, and
-none falls behind. The file holds integers of 64 bits: Unix time of the clock's zero, simulated time, and for
-each follower the simulated time until which it waits, all in nanoseconds.
+The simulator writes its time, which the other processes use instead of wall time. Each of them writes the
+time until which it sleeps, and the simulator waits for it there: a busy machine slows down all processes
+alike. The file holds 64-bit integers in nanoseconds: Unix time of the clock's zero, simulated time, and for
+each follower the simulated time until which it sleeps.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from typing import Protocol
 from flightstack.common.pacing import FastClock
 
 _ZERO, _NOW, _FIRST = 0, 1, 2  # places in the file
-_ABSENT = -1  # a follower that has not begun, or was given up
+_ABSENT = -1  # a follower that has not started, or was given up
 _NS = 1_000_000_000
-_ROUNDING_NS = 1_000  # more than seconds in floats are off by; less than any step
-_PAUSE_S = 50e-6  # s between two looks; with the system's timer slack about 0.1 ms
+_ROUNDING_NS = 1_000  # above the rounding of seconds as float, below any step
+_PAUSE_S = 50e-6  # s between two polls; with the system's timer slack about 0.1 ms
 _FOLLOWER_MAX_S = 0.5  # s of wall time that the simulator waits for a follower, which may have been killed
-_STALL_MAX_S = 2.5  # s of wall time without a step, after which followers go on by the wall's clock
+_STALL_MAX_S = 2.5  # s of wall time without a step after which followers use wall time
 
 
 class Follower(IntEnum):
-    """Who may follow: the place of each in the file."""
+    """Followers, with their places in the file."""
 
     ONBOARD = 0
     TARGET = 1
@@ -42,10 +42,7 @@ def _opened(path: Path) -> memoryview:
 
 
 class SimulationClock:
-    """The simulator's end: writes the time, and waits for those who live by it.
-
-    ``path``: file of the clock; made anew.
-    """
+    """The simulator's end: writes the time and waits for the followers. Creates the file."""
 
     def __init__(self, path: Path) -> None:
         path.write_bytes(bytes(_SIZE))
@@ -59,11 +56,9 @@ class SimulationClock:
         return self._cells[_ZERO] + self._cells[_NOW]
 
     def advance(self, now_ns: int, stopped: Callable[[], bool]) -> None:
-        """Set the time, then wait until every follower has done what was due.
+        """Set the simulated time, then wait until no follower is due; ``stopped`` ends the wait.
 
-        One that has not within half a second of wall time is not waited for until it is back.
-
-        ``now_ns``: simulated time; never less than before; ``stopped``: ends the wait.
+        A follower that needs more than half a second of wall time is ignored until it returns.
         """
         cells = self._cells
         cells[_NOW] = now_ns
@@ -83,13 +78,11 @@ class SimulationClock:
 
 
 class FollowedClock:
-    """A follower's end, with the methods that a pacer needs.
+    """A follower's end, a ``Clock``.
 
-    A simulator that does not step for 2.5 s has stopped: then time passes as on the wall's clock, so that the
-    follower's own time-outs still end. The same holds when the process is to end.
-
-    ``path``: file of the clock; ``follower``: who this is; ``stopped``: whether the process is to end.
-    Raises OSError: there is no such file; ValueError: it is not the file of a clock.
+    Without a step for 2.5 s the simulator has stopped: then time passes as wall time, so that time-outs of
+    the follower still end. The same applies when ``stopped`` says that this process ends. Raises OSError:
+    there is no such file; ValueError: it is not the file of a clock.
     """
 
     def __init__(self, path: Path, follower: Follower, stopped: Callable[[], bool] = lambda: False) -> None:
@@ -98,9 +91,9 @@ class FollowedClock:
             raise ValueError(f"{path} is not a simulator's clock: it has {size} bytes, a clock has {_SIZE}")
         self._cells, self._place, self._stopped = _opened(path), _FIRST + follower, stopped
         self._seen_ns, self._moved_s = self._cells[_NOW], time.monotonic()
-        self._ahead_s = 0.0  # of simulated time, by stalls that are over
-        self._stall_s = 0.0  # by the present one
-        self._least_s = 0.0  # to which it has slept
+        self._ahead_s = 0.0  # lead before simulated time by past stalls
+        self._stall_s = 0.0  # the same by the current stall
+        self._least_s = 0.0  # end of the last sleep
 
     def monotonic(self) -> float:
         """Simulated time, s."""
@@ -115,9 +108,9 @@ class FollowedClock:
         return max(self._least_s, now_ns / _NS + self._ahead_s + self._stall_s)
 
     def sleep(self, seconds: float) -> None:
-        """Let the simulator go on for so many seconds, and wait until it has."""
+        """Sleep for simulated seconds, while the simulator advances."""
         until_s = self.monotonic() + seconds
-        # The simulator waits when it has come so far: then this must have, too, whatever was rounded.
+        # The simulator waits at this time, so it counts as reached despite rounding.
         until_ns = int((until_s - self._ahead_s - self._stall_s) * _NS) - _ROUNDING_NS
         self._cells[self._place] = until_ns
         while self._cells[_NOW] < until_ns and self.monotonic() < until_s:
@@ -130,7 +123,7 @@ class FollowedClock:
 
 
 class Clock(Protocol):
-    """What a pacer in real time needs."""
+    """Interface of a clock for pacing in real time."""
 
     def monotonic(self) -> float:
         """Seconds since some time in the past."""
@@ -152,11 +145,9 @@ def chosen_clock(
 ) -> Clock:
     """Clock of a process by its options.
 
-    ``speed``: of stack time against the wall's; ``file``: of a simulator's clock; None: the wall's;
-    ``follower``: who this is; ``stopped``: whether the process is to end; ``lockstep``: the simulator counts
-    the ticks.
-    Raises ValueError: options that exclude each other, or a file that is no clock; OSError: there is no such
-    file.
+    ``speed``: of stack time over wall time; ``file``: of a simulator's clock; None: wall time; ``lockstep``:
+    ticks by the simulator.
+    Raises ValueError: options that exclude each other, or an invalid file; OSError: there is no such file.
     """
     given = {"--speed": speed != 1.0, "--clock": file is not None, "--lockstep": lockstep}
     names = [name for name, is_given in given.items() if is_given]

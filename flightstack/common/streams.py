@@ -1,8 +1,8 @@
-"""Standard output and error by which nobody can end a flight.
+"""Standard output and error that cannot end a flight.
 
-Their reader may end (``| head``, a closed terminal) or stop reading, their disk may be full, and they may be
-closed from the start. What cannot be written is lost, and nothing else happens: no exception reaches a
-library that would turn it into an exit, and no file gets the number of a standard stream.
+The reader may end (``| head``, a closed terminal) or stop reading, the disk may be full, and the streams may
+be closed at the start. Then output is lost without an exception, which a library could turn into an exit, and
+no other file gets the number of a standard stream.
 """
 
 from __future__ import annotations
@@ -15,19 +15,20 @@ import select
 import sys
 from typing import Any
 
-_GONE = (errno.EPIPE, errno.EIO, errno.EBADF)  # nobody reads any more; the others (ENOSPC) may pass
-_PART = select.PIPE_BUF  # bytes that a pipe that is ready takes without waiting
+# permanent: the reader is gone; others (ENOSPC) may be temporary
+_GONE = (errno.EPIPE, errno.EIO, errno.EBADF)
+_PART = select.PIPE_BUF  # bytes that a ready pipe accepts without blocking
 _NUMBERS = {"stdout": 1, "stderr": 2}
 
 
 class Stream(io.FileIO):
     """A standard stream that never raises."""
 
-    waits = True  # for a reader that is slow; a process in a flight does not
-    lost: OSError | None = None  # why something could not be written; None: everything was
+    waits = True  # for a slow reader; False in a flight
+    lost: OSError | None = None  # error of the first lost output, or None
 
     def write(self, data: Any) -> int:
-        """Write bytes, or lose them; how many of them are done with."""
+        """Write or drop bytes; returns their number."""
         size = memoryview(data).nbytes
         part = data if Stream.waits else memoryview(data).cast("B")[:_PART]
         try:
@@ -39,18 +40,18 @@ class Stream(io.FileIO):
             if error.errno in _GONE:
                 _to_nothing(self.fileno())
             return size
-        return size if written is None else written  # None: a stream that does not block is full
+        return size if written is None else written  # None: a non-blocking stream is full
 
 
 def guard() -> bool:
-    """Put such streams in the place of the standard ones; call it before anything else opens a file.
+    """Replace the standard streams; called before any file is opened.
 
-    Streams that are not the process's own (a test's) stay; returns whether standard output is its own.
+    Replaced streams (in tests) are kept; returns whether standard output was that of the process.
     """
     for number in range(3):
         try:
             os.fstat(number)
-        except OSError:  # closed: the next file would get its number, and what libraries print
+        except OSError:  # closed: the next file would get its number, and the output of libraries
             os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
     for name, number in _NUMBERS.items():
         old = getattr(sys, name)
@@ -64,7 +65,7 @@ def guard() -> bool:
             io.TextIOWrapper(
                 raw if at_once else io.BufferedWriter(raw),
                 encoding=old.encoding if old is not None else "utf-8",
-                # no character that the terminal's encoding lacks raises
+                # characters outside the terminal's encoding do not raise
                 errors=old.errors if old is not None and old.errors != "strict" else "backslashreplace",
                 line_buffering=number == 2 or (old is not None and old.line_buffering),
                 write_through=at_once,
@@ -90,13 +91,13 @@ def problem() -> str | None:
 
 
 def reader_gone() -> bool:
-    """Whether nobody reads standard output any more."""
+    """Whether the reader of standard output is gone."""
     raw = _raw(sys.stdout)
     return isinstance(raw, Stream) and raw.lost is not None and raw.lost.errno in _GONE
 
 
 def _raw(stream: object) -> object:
-    """The file under a text stream."""
+    """The file of a text stream."""
     buffer = getattr(stream, "buffer", None)
     return getattr(buffer, "raw", buffer)
 

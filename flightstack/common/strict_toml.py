@@ -1,7 +1,7 @@
 """Reads TOML into dataclasses. msgspec checks types and ranges; errors name the allowed values.
 
-A number's range is written beside its field, ``Annotated[float, span(0.1, 10.0)]``; its unit ends its
-name. msgspec ignores unknown keys of a dataclass and takes NaN: both are refused here.
+The range of a number is in its annotation, ``Annotated[float, span(0.1, 10.0)]``; its name ends with the
+unit. msgspec ignores unknown keys of a dataclass and accepts NaN: both are rejected here.
 """
 
 from __future__ import annotations
@@ -43,10 +43,9 @@ def span(low: float, high: float) -> msgspec.Meta:
 
 
 class Files(Generic[T]):
-    """TOML files of one type: those in a package, found by name, and those of the user, by path.
+    """TOML files of the dataclass ``cls``: by name in ``package``, or by path.
 
-    ``cls``: dataclass that a file is read into; ``package``: that holds the files; ``kind``: what a file is,
-    in errors; ``hint``: end of the error for a name that does not exist.
+    ``kind``: name of the type in errors; ``hint``: end of the error for an unknown name.
     """
 
     def __init__(self, cls: type[T], package: str, kind: str, hint: str = "") -> None:
@@ -54,7 +53,7 @@ class Files(Generic[T]):
         self._folder = resources.files(package)
 
     def names(self) -> list[str]:
-        """Names of the files that come with the package."""
+        """Names of the files in the package."""
         files = (Path(file.name) for file in self._folder.iterdir())
         return sorted(file.stem for file in files if file.suffix == ".toml")
 
@@ -80,9 +79,9 @@ class Files(Generic[T]):
             raise ConfigError(f"{path}: {error}") from None
 
     def table(self, path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:
-        """Parse a file; what it leaves out is that of the file which its key ``base`` names, if it has one.
+        """Parse a file; omitted keys are those of the file that its key ``base`` names.
 
-        ``path``: of the file; ``above``: files that have this one as their base.
+        ``above``: files with this one as their base.
         Raises ConfigError: a file is missing or not TOML, or is its own base.
         """
         table = read_toml(path)
@@ -101,10 +100,7 @@ class Files(Generic[T]):
 
 
 def over(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
-    """A table with what another one has instead; tables below are joined, everything else is replaced.
-
-    ``base``: stays as it is; ``table``: whose values come first.
-    """
+    """Merge ``table`` over ``base``: sub-tables are merged, other values replaced. Returns a new table."""
     joined = dict(base)
     for key, value in table.items():
         below = base.get(key)
@@ -123,10 +119,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def parse_toml(data: bytes) -> dict[str, Any]:
-    """Parse TOML in any encoding that says which it is.
-
-    Raises ConfigError: not TOML, or text without a known encoding.
-    """
+    """Parse TOML in UTF-8 or by its byte order mark. Raises ConfigError: not TOML or another encoding."""
     try:
         return tomllib.loads(decoded(data))
     except (ValueError, RecursionError) as error:  # of tomllib, or of the encoding
@@ -134,10 +127,7 @@ def parse_toml(data: bytes) -> dict[str, Any]:
 
 
 def decoded(data: bytes) -> str:
-    """Text in UTF-8, or in the encoding of its byte order mark, as editors on Windows write it.
-
-    Raises ValueError: neither.
-    """
+    """Text in UTF-8, or by its byte order mark, as of editors on Windows. Raises ValueError: neither."""
     encoding = next((name for mark, name in _MARKS if data.startswith(mark)), "utf-8")
     try:
         text = data.decode(encoding)
@@ -151,7 +141,7 @@ def decoded(data: bytes) -> str:
 
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
-    (codecs.BOM_UTF32_LE, "utf-32"),  # begins with the mark of UTF-16
+    (codecs.BOM_UTF32_LE, "utf-32"),  # starts with the mark of UTF-16
     (codecs.BOM_UTF32_BE, "utf-32"),
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
@@ -183,7 +173,7 @@ def _places(kind: inspect.Type, value: object, at: str) -> Iterator[tuple[str, t
 
     Raises ConfigError: an unknown or missing key, or a number that is not finite.
     """
-    if isinstance(kind, inspect.UnionType):  # it may be left out
+    if isinstance(kind, inspect.UnionType):  # optional
         kind = next(each for each in kind.types if not isinstance(each, inspect.NoneType))
     if isinstance(value, float) and not math.isfinite(value):
         raise ConfigError(f"{at}: found {value!r}, a finite number is needed")
@@ -206,7 +196,7 @@ def _places(kind: inspect.Type, value: object, at: str) -> Iterator[tuple[str, t
 
 
 def _allowed(kind: inspect.Type, at: str) -> str:
-    """What a type allows, in words."""
+    """The values that a type allows, as text."""
     match kind:
         case inspect.IntType(ge=low, le=high):
             return "an integer" if low is None else f"an integer, {low:g} to {high:g}"

@@ -1,4 +1,4 @@
-"""The terminal: tables, bars and styles by Rich, and every text as it is written, never as its markup."""
+"""The terminal by Rich: tables, bars and styles, without interpreting markup in texts."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Terminal(Console):
         super().__init__(stderr=stderr, highlight=False, markup=False, emoji=False)
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """Render; colours and cursor movements are Rich's own only."""
+        """Render with colours and cursor movements of Rich only."""
         for segment in super().render(renderable, options):
             if segment.control or (text := plain(segment.text)) == segment.text:
                 yield segment

@@ -1,11 +1,11 @@
-"""Text that others wrote (names, paths, messages of vehicles, records of logs) as it may be shown."""
+"""Makes external text (names, paths, messages of vehicles, records of logs) safe to print."""
 
 from __future__ import annotations
 
 import re
 
-# C0 and C1 but for tab and line feed, marks that turn the direction of writing, separators of lines, and what
-# is no character (bytes of a path that are not UTF-8)
+# C0 and C1 except tab and line feed, marks of the writing direction, line separators, and surrogates (bytes
+# of a path that are not UTF-8)
 _HIDDEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 
 

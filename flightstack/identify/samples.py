@@ -1,7 +1,7 @@
-"""Noise, rate and motion of measurements, from the measurements alone. Pure: arrays in.
+"""Noise, rate and motion of measurements from the measurements alone. Pure.
 
-A parabola through a short window follows any real motion; what is left is noise. Noise that neighbouring
-samples share (an estimator's, a slow drift) does not show: the values are lower bounds.
+A parabola through a short window follows any real motion; the residual is noise. Correlated noise (of an
+estimator, or a slow drift) is not visible: the values are lower bounds.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-NOISE_SAMPLES = 9  # of a window for noise
+NOISE_SAMPLES = 9  # samples of a window for noise
 MOTION_S = 0.6  # window for velocity and acceleration
 SAMPLES_MIN = 100
-OFTEN = 99.0  # percentile that is called the largest: single windows are noise
+OFTEN = 99.0  # percentile used as the largest value: single windows are noise
 MAD_TO_SIGMA = 1.4826  # median of absolute values to standard deviation, of a normal distribution
 
 
 class Link(NamedTuple):
-    """What a link's samples show."""
+    """Statistics of a link."""
 
     rate_hz: float
-    loss: float  # share of samples that did not come
+    loss: float  # share of missing samples
     delay_spread_s: float  # 95 % of the delay above its smallest
     delay_s: float | None  # smallest delay, if the clocks agree
     position_noise_m: float  # standard deviation on an axis
@@ -32,7 +32,7 @@ class Link(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """How what is measured moved."""
+    """Largest speeds and acceleration."""
 
     speed_m_s: float  # horizontal
     climb_m_s: float
@@ -74,13 +74,13 @@ def motion(time_s: Floats, position_m: Floats) -> Motion:
         fit = np.linalg.lstsq(np.vander(time_s[window] - centre, 3), position_m[window], rcond=None)[0]
         rows.append((np.hypot(*fit[1][:2]), abs(fit[1][2]), 2.0 * np.hypot(*fit[0][:2])))
     if not rows:
-        raise ValueError("samples come too seldom to show motion")
+        raise ValueError("the rate of the samples is too low to show motion")
     speed, climb, acceleration = np.percentile(np.array(rows), OFTEN, axis=0)
     return Motion(float(speed), float(climb), float(acceleration))
 
 
 def link(stamp_s: Floats, arrival_s: Floats, position_m: Floats, velocity_m_s: Floats) -> Link:
-    """What the samples of a link show.
+    """Statistics of the samples of a link.
 
     ``stamp_s``: (n,) of the measurement, increasing; ``arrival_s``: (n,) on our clock; ``position_m``: (n,
     3); ``velocity_m_s``: (n, 3), in any frame that turns slowly.

@@ -1,13 +1,13 @@
-"""How a vehicle's velocity loop answers, found in what was commanded and what was flown. Pure: arrays in.
+"""Identifies a vehicle's velocity loop from commanded and measured velocities. Pure.
 
 Model of one axis: gain, second-order low-pass and dead time,
 
     v(s) = gain exp(-theta s) w^2 / (s^2 + 2 zeta w s + w^2) u(s) + disturbance.
 
-Command and velocity pass the same high-pass first, which takes out wind and weight and changes nothing of
-the loop between them. How the loop was moving when a stretch of flight begins is free. The parameters
-minimise the squared difference of model and flight; their standard errors come from the scores of blocks of a
-second, since gusts make neighbouring differences alike.
+Command and velocity first pass the same high-pass, which removes wind and weight and leaves the loop between
+them unchanged. The initial state of each segment is free. The parameters minimise the squared difference of
+model and flight; their standard errors come from the scores of blocks of a second, since gusts correlate
+neighbouring differences.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from scipy import optimize, signal
 Floats = NDArray[np.float64]
 
 HIGH_PASS_S = 2.0  # s; slower changes are disturbance
-BLOCK_S = 1.0  # s over which differences are taken to be alike
-SEGMENT_MIN_S = 1.5  # s; shorter ones say little besides how they began
-TIME_MIN_S = 3.0  # s compared, all segments together
+BLOCK_S = 1.0  # s over which differences count as correlated
+SEGMENT_MIN_S = 1.5  # s; shorter segments depend mostly on their initial state
+TIME_MIN_S = 3.0  # s in all segments together
 EXCITATION_MIN_M_S = 0.04  # standard deviation of the high-passed command
 EXPLAINED_MIN = 0.6  # share of the velocity's variance that the model must explain
 ERROR_MAX = 0.2  # relative standard error of the lag
 START = (1.0, 6.0, 0.7, 0.02)  # gain, rate, damping, dead time
 LOW, HIGH = (0.2, 0.5, 0.1, 0.0), (2.0, 50.0, 2.0, 0.6)
-# s; a shorter dead time is a part of the second-order model's lag, which is then as good a model
+# s; a shorter dead time is included in the lag of the second-order model
 DEAD_TIME_MIN_S = 0.12
 
 
 class TooLittleError(ValueError):
-    """The flight does not show the parameters; says what to fly."""
+    """The flight does not show the parameters; the text says how to fly."""
 
 
 class Segment(NamedTuple):
@@ -64,14 +64,13 @@ class Loop(NamedTuple):
 
     @property
     def model_rate_1_s(self) -> float:
-        """Rate of the stack's model, which lags as much."""
+        """Rate of the stack's model with the same lag."""
         return 2.0 * self.damping / (self.lag_s - self.model_dead_time_s)
 
 
 def identify(segments: Sequence[Segment], period_s: float, axis: str) -> Loop:
-    """Find the loop of an axis, or of several that are alike.
+    """Identify the loop of an axis, or of several equal ones; ``axis``: its name in errors.
 
-    ``segments``: what was flown; ``period_s``: of a tick; ``axis``: its name, for errors.
     Raises TooLittleError: too short, too little excitation, or the model does not explain the flight.
     """
     kept = [s for s in segments if len(s.command_m_s) * period_s >= SEGMENT_MIN_S]

@@ -1,7 +1,8 @@
-"""Turns a request, held as a level, into MAVLink commands until the heartbeat shows what was wanted.
+"""Repeats the MAVLink commands of a request until the heartbeat shows the requested status.
 
-Telemetry is the truth: no acknowledgement proves that anything was done (PX4 answers a mode change twice, the
-first time always with ACCEPTED, and one can be lost). A refusal only says whether trying again makes sense.
+Only telemetry counts: an acknowledgement does not prove that a command was carried out (PX4 answers a mode
+change twice, the first time always with ACCEPTED, and either can be lost). A rejection only decides on
+retries.
 """
 
 from __future__ import annotations
@@ -22,26 +23,22 @@ _RESULTS: dict[int, str] = {
     value: entry.name.removeprefix("MAV_RESULT_") for value, entry in dialect.enums["MAV_RESULT"].items()
 }
 _TEXTS_KEPT = 4
-_WORKING_S = 3.0  # s until the next try of what the vehicle says it is working on (as MAVSDK waits)
-_DATUM_PERIOD_S = 1.0  # s between two requests for what a take-off counts from
+_WORKING_S = 3.0  # s until the next try after MAV_RESULT_IN_PROGRESS (as MAVSDK)
+_DATUM_PERIOD_S = 1.0  # s between two requests for the datum of the take-off height
 _DATUM_TRIES = 30
-_FINALS = 2  # final refusals until a request is given up: one may be of an earlier try
+_FINALS = 2  # final rejections until a request is given up: one may belong to an earlier try
 
 
 class CommandSequencer:
-    """Pure: time and status come in, messages go out; nothing is sent or waited for here.
+    """Pure: gets time and status, returns messages.
 
-    Once a heartbeat newer than the request has shown what was wanted, nothing more is sent for that request:
-    when the mode changes afterwards somebody changed it, and the controller decides, not a retry.
+    After a heartbeat newer than the request has shown the requested status, nothing more is sent for it: a
+    later change of mode has another cause, and the controller decides on it.
     """
 
     def __init__(
         self, profile: Profile, target_system: int, target_component: int, takeoff_height_m: float
     ) -> None:
-        """Set up for one vehicle. ``takeoff_height_m`` is what TAKEOFF climbs from where it stands.
-
-        Raises ValueError: the height is not a positive number.
-        """
         if not (takeoff_height_m > 0.0 and math.isfinite(takeoff_height_m)):
             raise ValueError(f"take-off height is {takeoff_height_m} m: a positive number is needed")
         self._profile = profile
@@ -49,18 +46,17 @@ class CommandSequencer:
         self._height_m = takeoff_height_m
         self._stream_start_s: float | None = None
         self._stream_last_s = -math.inf
-        # height of home above sea level, for autopilots that count from there; None: not told yet, and then
-        # it is asked for before anything is armed
+        # height of home above sea level, for autopilots with that datum; None: requested before arming
         self.home_amsl_m: float | None = None
-        # arrival, s, and newest height above home, m, for autopilots that count from there: home moves to
-        # where it stands when it arms, unless somebody has locked it
+        # arrival, s, and newest height above home, m, for autopilots with that datum; arming moves home to
+        # the vehicle unless it is locked
         self.above_home: tuple[float, float] | None = None
-        self._entered_s = -math.inf  # when the present step came up
+        self._entered_s = -math.inf  # start of the current step
         self._datum_tries = 0
         self._datum_s = -math.inf
-        self._offset_m = 0.0  # height from which this take-off counts, above what its command counts from
-        self.failed: str | None = None  # why the present request was given up, None while it is not
-        self.reached = False  # a heartbeat has shown what the present request wants
+        self._offset_m = 0.0  # height of the vehicle above the datum of its take-off command
+        self.failed: str | None = None  # why the current request was given up, or None
+        self.reached = False  # a heartbeat has shown the requested status
         self._request = Request.NONE
         self._since_s = -math.inf
         self._step: Step | None = None
@@ -70,31 +66,27 @@ class CommandSequencer:
         self._last_result: str | None = None
         self._working = False
         self._finals = 0
-        self._begun = False  # something has been asked for
+        self._begun = False  # there was a request
         self._texts: list[str] = []
 
     @property
     def request(self) -> Request:
-        """The request being worked on."""
         return self._request
 
     def idle(self, request: Request, status: VehicleStatus | None) -> bool:
-        """Whether ``step`` sends nothing for this request as long as the status does not change.
-
-        ``request``: that ``step`` would get.
-        """
+        """Whether ``step`` sends nothing for this request until the status changes."""
         if request is not self._request or self.failed is not None:
             return False
         return self.reached or (self._begun and self._step is None and self._next_step(status) is None)
 
     def note_setpoint(self, now_s: float) -> None:
-        """Take note that a set-point goes out now; some autopilots want a stream before they switch."""
+        """Record that a set-point is sent now; some autopilots need a stream before a mode change."""
         if self._stream_start_s is None or now_s - self._stream_last_s > _STREAM_GAP_S:
             self._stream_start_s = now_s
         self._stream_last_s = now_s
 
     def note_ack(self, command: int, result: int) -> None:
-        """Take note of a COMMAND_ACK: for the reason of a failure, and whether to try again."""
+        """Record a COMMAND_ACK: for the reason of a failure, and whether to try again."""
         if self._step is None or command != self._step.command:
             return
         self._last_result = _RESULTS.get(result, f"result {result}")
@@ -103,7 +95,7 @@ class CommandSequencer:
         self._finals += reading is Reading.FINAL
 
     def note_text(self, text: str) -> None:
-        """Take note of what the vehicle says, for the reason of a failure."""
+        """Record a text of the vehicle for the reason of a failure."""
         if self._step is not None and text not in self._texts:
             self._texts = [*self._texts, text][-_TEXTS_KEPT:]
 
@@ -120,7 +112,7 @@ class CommandSequencer:
         if step is not self._step:
             self._enter(step, now_s)
         if step is None:
-            # Before the first request nothing counts as reached: the vehicle may leave the prepared mode.
+            # Before the first request there is nothing to reach: the vehicle may leave the prepared mode.
             self.reached = self._begun and status is not None and status.arrival_s > self._since_s
             return []
         datum = self._lacking(step)
@@ -149,7 +141,7 @@ class CommandSequencer:
             return None
         if self._counts_from_sea_level:
             return dialect.MAVLINK_MSG_ID_HOME_POSITION if self.home_amsl_m is None else None
-        if step.command != _NAV_TAKEOFF or self._tries > 0:  # a repeated one has the height of the first
+        if step.command != _NAV_TAKEOFF or self._tries > 0:  # a repeated one uses the height of the first
             return None
         newer = self.above_home is not None and self.above_home[0] > self._entered_s
         return None if newer else dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT

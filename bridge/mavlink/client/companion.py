@@ -1,4 +1,4 @@
-"""The companion's own messages: heartbeat, velocity set-point, origin, and the request for a message."""
+"""Messages of the companion: heartbeat, velocity set-point, origin, and the request for a message."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _E7 = 1e7  # degrees to MAVLink's integers
 
 
 class Origin(NamedTuple):
-    """Place on earth of local (0, 0, 0); WGS84."""
+    """Position of local (0, 0, 0) on earth, WGS84."""
 
     latitude_deg: float
     longitude_deg: float
@@ -29,21 +29,20 @@ class OriginSender:
     """SET_GPS_GLOBAL_ORIGIN until the vehicle shows its origin, on the ground and disarmed only."""
 
     def __init__(self, origin: Origin | None, target_system: int) -> None:
-        """Set up; None: there is nothing to tell."""
+        """``origin`` None: nothing is sent."""
         self._origin, self._target_system = origin, target_system
         self._tries = 0
         self._last_s = -math.inf
 
     def restart(self) -> None:
-        """Start over: the vehicle may have forgotten its origin."""
+        """Start over after a restart of the vehicle, which may have lost its origin."""
         self._tries = 0
 
     def step(self, status: VehicleStatus | None, known: bool, now_s: float) -> list[Message]:
-        """Return what to send now.
+        """Return the message to send now.
 
-        ``status``: newest status of the vehicle; ``known``: it has shown its origin, or a local position,
-        which it has only with one. Nothing is sent then: an origin that is set again resets estimates;
-        ``now_s``: the stack's clock.
+        ``known``: the vehicle has sent its origin or a local position, which requires one. Then nothing is
+        sent, since setting the origin again resets the estimate.
         """
         origin = self._origin
         if origin is None or status is None or status.armed or known or self._tries >= _TRIES:
@@ -58,14 +57,14 @@ class OriginSender:
 
 
 def companion_heartbeat() -> Message:
-    """Heartbeat of an onboard controller that is active."""
+    """Heartbeat of an active onboard controller."""
     return dialect.MAVLink_heartbeat_message(
         dialect.MAV_TYPE_ONBOARD_CONTROLLER, dialect.MAV_AUTOPILOT_INVALID, 0, 0, dialect.MAV_STATE_ACTIVE, 3
     )
 
 
 def request_message(target: tuple[int, int], message_id: int, unset: float) -> Message:
-    """Command REQUEST_MESSAGE; ``unset`` is the autopilot's value of a parameter that is not given."""
+    """Command REQUEST_MESSAGE; ``unset`` is the autopilot's value of an omitted parameter."""
     params = (float(message_id), *(unset,) * 5, 0.0)
     return dialect.MAVLink_command_long_message(*target, dialect.MAV_CMD_REQUEST_MESSAGE, 0, *params)
 
@@ -83,7 +82,6 @@ class Setpoint(Protocol):
 
 
 def velocity_setpoint(setpoint: Setpoint, profile: Profile, target: tuple[int, int], now_s: float) -> Message:
-    """SET_POSITION_TARGET_LOCAL_NED of a velocity and heading."""
     unused = (0.0, 0.0, 0.0)
     return dialect.MAVLink_set_position_target_local_ned_message(
         round(now_s * 1000) & 0xFFFFFFFF,

@@ -26,10 +26,10 @@ __all__ = ["COMPONENT_ID", "CommandSequencer", "LinkCounters", "VehicleLink", "V
 
 COMPONENT_ID = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 _HEARTBEAT_S = 1.0  # s; every autopilot judges a link by heartbeats of 1 Hz
-_HELLO_S = 0.2  # s of wall time between heartbeats until the vehicle has been heard
-_TEXTS_MAX = 256  # texts kept until somebody takes them
+_HELLO_S = 0.2  # s of wall time between heartbeats before the first message of the vehicle
+_TEXTS_MAX = 256  # texts kept until ``take_texts``
 _HELD_MAX = 4096  # messages kept in lockstep until their tick is known
-_RESTARTED = "restarted, or heard again after a silence: what does not come is asked for again"
+_RESTARTED = "restarted, or heard again after a silence: missing telemetry is requested again"
 
 
 class VehicleLink:
@@ -54,16 +54,11 @@ class VehicleLink:
     ) -> None:
         """Open the link.
 
-        ``url``: MAVLink URL, as ``bridge.mavlink.transport.address.parse_url`` reads it;
-        ``takeoff_height_m``: height of ``Request.TAKEOFF`` above where it stands, m; ``rate_hz``: rate of the
-        loop, asked of the vehicle for position and attitude; ``profile``: what the autopilot wants; None: the
-        one that fits its first heartbeat; ``system_id``: the one vehicle that is listened to;
-        ``component_id``: its autopilot; ``defer_timesync``: lockstep, see above; ``signing_key``: sign
-        everything, and hear nothing unsigned; ``allow_unsigned``: listen to a network without a key;
-        ``origin``: where its local coordinates begin, told to a vehicle that needs it and does not know;
-        ``endpoint``: takes the place of one opened here, and of the URL and key; ``line``: lower rates of
-        position, attitude and set-points, for a slow serial line; ``power``: ask for the throttle, and keep
-        what is told of battery and motors.
+        ``takeoff_height_m``: climb of ``Request.TAKEOFF``, m; ``rate_hz``: rate of the loop, requested for
+        position and attitude; ``profile``: None: by the first heartbeat; ``defer_timesync``: lockstep, see
+        below; ``origin``: sent to a vehicle that needs one and has none; ``endpoint``: used instead of
+        opening one from URL and key; ``line``: rates for a slow serial line; ``power``: request the throttle,
+        for ``VehicleState.power``. The others are those of ``Endpoint``.
         Raises ValueError: bad URL or id, a rate or height that is not positive, or a network without a key;
         OSError: the address cannot be opened.
         """
@@ -71,25 +66,23 @@ class VehicleLink:
             raise ValueError(f"loop rate is {rate_hz} Hz: a positive number is needed")
         if not (takeoff_height_m > 0.0 and math.isfinite(takeoff_height_m)):
             raise ValueError(f"take-off height is {takeoff_height_m} m: a positive number is needed")
-        self.state = VehicleState(profile)  # decoder with its counters of refused telemetry
-        # counters, senders: what was not let through; which address is the vehicle's
+        self.state = VehicleState(profile)  # decoder with its counters of rejected telemetry
         self.counters, self.senders = LinkCounters(), Senders()
-        # lockstep: TIMESYNC requests are not answered here but handed to ``take_timesync``, and what arrived
-        # is stamped with the simulated time of the request that follows it
+        # lockstep: TIMESYNC requests are passed to ``take_timesync``, and a message is stamped with the
+        # simulated time of the request that follows it
         self.defer_timesync = defer_timesync
         self._power = power
         if power:
             self.state.watch_power()
-        # why this vehicle is not flown at all, None while nothing speaks against it
+        # why this vehicle is not supported, or None
         self.refused: str | None = None
-        self.heard = False  # the vehicle has been heard
+        self.heard = False  # a message of the vehicle has arrived
         self._target = (system_id, component_id)
         self._takeoff_height_m, self._rate_hz, self._origin = takeoff_height_m, rate_hz, origin
         self._line, self._setpoints = line, 0
         self._wants = self._wanted(profile) if profile is not None else None
         self._kill = CommandSequencer(PX4, *self._target, takeoff_height_m)
         self._assembler = TextAssembler()
-        # the socket, whose ``tap`` sees every frame
         self.endpoint = endpoint or Endpoint(  # the companion shares the vehicle's system id
             url, system_id, COMPONENT_ID, signing_key=signing_key, allow_unsigned=allow_unsigned
         )
@@ -98,10 +91,10 @@ class VehicleLink:
         self._held: list[Message] = []
         self._timesync_ns: int | None = None
         self._heartbeat_at_s = self._hello_at_s = -math.inf
-        self._hello = b""  # heartbeat sent first, repeated until the vehicle has been heard
-        self._restarted_s = -math.inf  # the newest restart that was acted on
+        self._hello = b""  # first heartbeat, repeated until a message of the vehicle arrives
+        self._restarted_s = -math.inf  # newest restart that was handled
         self._warned: str | None = None
-        self._judged: object = None  # what was said of the vehicle when ``refused`` was found out
+        self._judged: object = None  # autopilot, type and profile at the last evaluation of ``refused``
         self._handlers: dict[int, Callable[[Message, float], None]] = {
             dialect.MAVLINK_MSG_ID_COMMAND_ACK: self._on_ack,
             dialect.MAVLINK_MSG_ID_STATUSTEXT: self._on_text,
@@ -111,7 +104,7 @@ class VehicleLink:
 
     @property
     def own(self) -> OwnState | None:
-        """Newest state of the vehicle; its age is for the reader to judge."""
+        """Newest vehicle state; the reader checks its age."""
         return self.state.own
 
     @property
@@ -126,18 +119,18 @@ class VehicleLink:
 
     @property
     def failed(self) -> str | None:
-        """Why the present request was given up, or None."""
+        """Why the current request was given up, or None."""
         return self._wants.sequencer.failed if self._wants is not None else None
 
     @property
     def profile(self) -> Profile | None:
-        """What is flown: as given, or as the heartbeat said; None before."""
+        """The profile in use: the configured one, or by the heartbeat; None before."""
         return self.state.profile
 
     def adopt(self, profile: Profile) -> None:
-        """Fly by this profile from now on: the check before the flight knows it better than a heartbeat.
+        """Use this profile, which the preflight check found.
 
-        Raises RuntimeError: a profile was given, or a heartbeat has been taken; it stays.
+        Raises RuntimeError: there is a profile already, configured or by a heartbeat.
         """
         if self.state.profile is not None:
             raise RuntimeError(f"the link flies by {self.state.profile.name} already, not by {profile.name}")
@@ -146,11 +139,11 @@ class VehicleLink:
         self._wants = self._wanted(profile)
 
     def poll(self, now_s: float) -> None:
-        """Take everything that has arrived and queue what is due: heartbeat, requests for telemetry.
+        """Handle all messages that arrived and queue what is due: heartbeat, requests for telemetry.
 
-        What arrived is stamped with ``now_s``, the stack's clock. With ``defer_timesync`` the stamp is the
-        simulated time of the TIMESYNC request that follows a message, ``ts1 / 1e9``; what no request has
-        followed yet waits for the next call.
+        Messages are stamped with ``now_s``, the stack's clock. With ``defer_timesync`` the stamp is the
+        simulated time of the next TIMESYNC request, ``ts1 / 1e9``; messages without a following request
+        wait for the next call.
         """
         tick_s: float | None = None if self.defer_timesync else now_s
         target, status = self._target, self.state.status
@@ -180,9 +173,9 @@ class VehicleLink:
             self._queue_due(tick_s)
 
     def command(self, request: Request, now_s: float) -> None:
-        """Work towards a request; call it every tick with the level that is wanted."""
+        """Work towards a request; called every tick with the current one."""
         if self._wants is None:
-            if request is Request.MOTORS_OFF:  # the same for all: sent also to one that is not known
+            if request is Request.MOTORS_OFF:  # the same for all autopilots: sent without a profile, too
                 self._outgoing += self._kill.step(request, None, now_s)
             return
         sequencer, _, origin = self._wants
@@ -199,8 +192,7 @@ class VehicleLink:
     def send_setpoint(self, setpoint: Setpoint, now_s: float) -> bool:
         """Queue a velocity set-point; the only way to send a velocity.
 
-        Returns false when it was refused: a number is not finite, or the autopilot would take it as the end
-        of its own take-off.
+        Returns false when it was rejected: a number is not finite, or it would end a take-off of the vehicle.
         """
         velocity, yaw = setpoint.velocity_enu_m_s, setpoint.yaw_rad
         profile = self.state.profile
@@ -212,7 +204,7 @@ class VehicleLink:
         self.state.follow(True)
         self._setpoints += 1
         if self._line is not None and self._setpoints % self._line.setpoint_every:
-            return True  # the line has no room for each; a newer one follows
+            return True  # the line has no room for every set-point; a newer one follows
         self._outgoing.append(velocity_setpoint(setpoint, profile, self._target, now_s))
         return True
 
@@ -239,12 +231,12 @@ class VehicleLink:
 
     @property
     def heeded(self) -> frozenset[int]:
-        """Ids of the messages that mean something to it."""
+        """Ids of the messages that have an effect here."""
         asked = self._wants.streams.asked if self._wants is not None else ()
         return frozenset((*self._handlers, *self.state.heeded, *asked))
 
     def silent_until_s(self, request: Request) -> float:
-        """Until when it sends nothing but set-points while this is wanted and only the own state comes."""
+        """Time until which only set-points are sent if the request stays and only the state arrives."""
         wants, waits = self._wants, self._outgoing or self._held or self._line
         restarted = self.state.restarted_s != self._restarted_s
         if wants is None or waits or restarted or not self.state.following:
@@ -252,7 +244,7 @@ class VehicleLink:
         return min(self._heartbeat_at_s + _HEARTBEAT_S - 1e-9, wants.idle_until_s(request, self.status))
 
     def hear(self, now_s: float) -> bool:
-        """Take what has come past the ticks and send a heartbeat that is due; False: more is to be sent."""
+        """Handle messages that arrived outside of ticks and send a due heartbeat; False: more is due."""
         for received in self.endpoint.receive():
             self._handle(received.message, now_s)
         self._queue_due(now_s)
@@ -263,14 +255,13 @@ class VehicleLink:
         return True
 
     def took(self, own: OwnState, ticks: int, *, setpoints: bool) -> None:
-        """Take note of ticks past ``poll``, with the newest own state; each had a set-point or none had."""
+        """Record ticks outside of ``poll`` with the newest state; all with a set-point or none."""
         self.state.took(own)
         self._setpoints += ticks if setpoints else 0
         if self._wants is not None:
             self._wants.took(own.arrival_s, ticks, setpoints=setpoints)
 
     def close(self) -> None:
-        """Close the endpoint."""
         self.endpoint.close()
 
     def _wanted(self, profile: Profile) -> Wants:
@@ -301,7 +292,7 @@ class VehicleLink:
             handle(message, arrival_s)
 
     def _shorten_held(self) -> None:
-        surplus = len(self._held) - _HELD_MAX  # a vehicle that never asks for the time is not in lockstep
+        surplus = len(self._held) - _HELD_MAX  # a vehicle without TIMESYNC requests is not in lockstep
         self.counters.held_lost += surplus
         del self._held[:surplus]
 
@@ -331,14 +322,14 @@ class VehicleLink:
             self._said(*said)
 
     def _said(self, severity: int, text: str) -> None:
-        """Pass on what the vehicle says; it may be the reason why a command fails."""
+        """Pass on a text of the vehicle; it may be the reason of a failed command."""
         self._say(severity, text)
         if self._wants is not None:
             self._wants.sequencer.note_text(text)
 
     def _on_timesync(self, message: Message, arrival_s: float) -> None:
         if message.tc1 != 0:
-            return  # somebody's answer, not a request
+            return  # a reply, not a request
         if self.defer_timesync:
             self._timesync_ns = message.ts1
         else:
@@ -346,7 +337,7 @@ class VehicleLink:
             self.endpoint.send([reply], self.senders.known)
 
     def _say_hello(self) -> None:
-        # The vehicle may be waiting to learn where we are; before that, no clock but the wall's counts.
+        # The vehicle may wait for our address; before its first message only wall time is available.
         wall_s = time.monotonic()
         if wall_s - self._hello_at_s >= _HELLO_S:
             self._hello_at_s = wall_s

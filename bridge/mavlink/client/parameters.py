@@ -1,7 +1,6 @@
-"""Reads parameters by name (mavlink.io, services/parameter): bounded tries, answers matched by name; pure.
+"""Reads parameters by name (mavlink.io, services/parameter): bounded tries, replies matched by name; pure.
 
-A parameter that does not come is missing, with the reason; nothing is ever guessed for it. Where
-an answer came only to a later request, each parameter is asked for more often.
+A parameter without reply is missing, with the reason. After a lost reply the number of tries is raised.
 """
 
 from __future__ import annotations
@@ -15,12 +14,12 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.codec.decoding import Message, parameter_name
 from bridge.mavlink.profiles.profile import Encoding
 
-_AT_ONCE = 5  # questions without an answer yet; a radio's buffer is small
-_PERIOD_S = 0.4  # s between two tries; PX4 and ArduPilot answer within 0.05 s on a wire
+_AT_ONCE = 5  # pending requests; the buffer of a radio is small
+_PERIOD_S = 0.4  # s between two tries; PX4 and ArduPilot reply within 0.05 s on a wire
 _TRIES = 5
-_TRIES_LOSSY = 15  # where an answer was lost: a line of 57,600 baud full of telemetry loses most of them
+_TRIES_LOSSY = 15  # after a lost reply: a busy line of 57,600 baud loses most of them
 _FLOAT = struct.Struct("<f")
-# How the bytes of the float field are read where integers travel as they are.
+# Layout of the float field with bytewise integers.
 _BYTES: Mapping[int, struct.Struct] = {
     dialect.MAV_PARAM_TYPE_UINT8: struct.Struct("<Bxxx"),
     dialect.MAV_PARAM_TYPE_INT8: struct.Struct("<bxxx"),
@@ -35,13 +34,13 @@ _ERRORS = {number: entry.name.removeprefix("MAV_PARAM_ERROR_") for number, entry
 
 
 class ParameterReader:
-    """Names in, requests out, values in."""
+    """Requests parameters by name and collects their values."""
 
     def __init__(
         self, names: Iterable[str], target_system: int, target_component: int, encoding: Encoding
     ) -> None:
-        self.values: dict[str, float] = {}  # what has come
-        self.missing: dict[str, str] = {}  # what will not come, and why
+        self.values: dict[str, float] = {}  # received values
+        self.missing: dict[str, str] = {}  # reasons of the missing ones
         self._open = list(dict.fromkeys(names))
         self._target = (target_system, target_component)
         self._encoding = encoding
@@ -51,11 +50,10 @@ class ParameterReader:
 
     @property
     def done(self) -> bool:
-        """Whether there is nothing left to ask."""
         return not self._open
 
     def take(self, message: Message) -> None:
-        """Take a message of the vehicle; those that are no answer to a question of ours are ignored."""
+        """Handle a message of the vehicle; messages without relation to a request are ignored."""
         kind = message.get_msgId()
         if kind == dialect.MAVLINK_MSG_ID_PARAM_VALUE:
             self._value(message)
@@ -65,7 +63,7 @@ class ParameterReader:
                 self._close(name, f"refused: {_ERRORS.get(message.error, f'error {message.error}')}")
 
     def step(self, now_s: float) -> list[Message]:
-        """Return the requests to send now; those without an answer for too long become missing."""
+        """Return the requests to send now; a parameter without reply becomes missing."""
         most = self._tries_max
         for name in [n for n in self._open if self._tries[n] >= most and self._waited(n, now_s)]:
             self._close(name, f"no answer to {most} requests in {most * _PERIOD_S:g} s")

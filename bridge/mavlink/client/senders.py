@@ -1,8 +1,8 @@
-"""Which frames are the vehicle's: its ids, from the address where it is known. Pure.
+"""Selects the frames of one vehicle by ids and address. Pure.
 
-Ids alone identify nobody: a script or router with default ids, or a second vehicle, has the same. So a sender
-is its address and its ids, and a heartbeat also names its kind (type and autopilot). What contradicts the
-known sender is counted, reported whenever the count has doubled, and ignored while that sender is well.
+Ids do not identify a sender: a script or router with default ids, or a second vehicle, has the same. So a
+sender is its address and its ids, and a heartbeat adds its kind (type and autopilot). Frames that contradict
+the known sender are ignored while it is alive, counted, and reported whenever the count has doubled.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.profiles.autopilots import named
 from bridge.mavlink.transport.address import Peer
 
-SILENT_S = 2.5  # s without a frame of a sender of heartbeats, which come at 1 Hz, after which it is not well
-_APART_S = 0.5  # s for which two addresses alternate that are two senders; datagrams overtake less
-_GAP_MAX = 4  # between sequence numbers of one stream: three frames lost, of 256 that can be told apart
-_STEADY = 8  # frames in a row after which a stream is one without gaps
-_AGAIN_S = 0.95  # s until a heartbeat that was not believed is: the known ones come at 1 Hz
-_OTHERS_MAX = 8  # other addresses remembered at a time; the oldest makes room
+SILENT_S = 2.5  # s without a frame after which the known sender is not alive; heartbeats have 1 Hz
+_APART_S = 0.5  # s of alternating addresses that prove two senders; datagrams overtake each other by less
+_GAP_MAX = 4  # greatest step of the sequence number (modulo 256) within a stream: three lost frames
+_STEADY = 8  # frames in a row that make a stream without gaps
+_AGAIN_S = 0.95  # s after which a repeated contradicting heartbeat is accepted: heartbeats have 1 Hz
+_OTHERS_MAX = 8  # greatest number of other addresses; the oldest is replaced
 
 
 class Kind(NamedTuple):
-    """Type and autopilot, as a heartbeat names them."""
+    """Type and autopilot of a heartbeat."""
 
     type: int  # MAV_TYPE
     autopilot: int  # MAV_AUTOPILOT
@@ -41,7 +41,7 @@ class _Other:
 
     first_s: float
     last_s: float
-    met: bool = False  # the known sender was heard after it
+    met: bool = False  # the known sender was heard after this one
 
 
 @dataclass(slots=True)
@@ -49,14 +49,15 @@ class Senders:
     """Admits the frames of one vehicle. All times are of one clock, the caller's."""
 
     known: Peer | None = None  # address of the vehicle; None before its first frame
-    ignored: int = 0  # frames with its ids that were not admitted
-    # why no flight may begin: a second address with the same ids is alive. None: there is none.
-    doubled: str | None = None
-    _now_s: float = -math.inf  # of the newest frame
+    ignored: int = 0  # rejected frames with its ids
+    doubled: str | None = None  # error text while a second address with the same ids is alive
+    _now_s: float = -math.inf  # arrival of the newest frame
     _kind: Kind | None = None
-    _beat_s: float = -math.inf  # newest frame of the known sender, once it has sent a heartbeat
+    _beat_s: float = -math.inf  # newest frame of the known sender after its first heartbeat
     _claims: tuple[int, int] | None = None  # base_mode and custom_mode of that heartbeat
-    _doubted: tuple[tuple[int, int], float] | None = None  # the same of one not believed yet, and its time
+    _doubted: tuple[tuple[int, int], float] | None = (
+        None  # the same of a contradicting heartbeat, and its time
+    )
     _sequence: int = 0  # of the newest frame of the known sender
     _steady: int = 0  # its frames in a row without a gap
     _others: dict[Peer, _Other] = field(default_factory=dict)
@@ -64,7 +65,7 @@ class Senders:
     _notices: list[str] = field(default_factory=list)
 
     def begin(self, now_s: float) -> None:
-        """Start another clock; the known sender stays and counts as heard now."""
+        """Change to another clock; the known sender is kept and counts as heard now."""
         if self._kind is not None:
             self._beat_s = now_s
         self.ignored, self._due, self._now_s = 0, 1, now_s
@@ -72,22 +73,19 @@ class Senders:
 
     @property
     def suspects(self) -> bool:
-        """Whether another address was heard so lately that it may be a second vehicle: nothing arms then."""
+        """Whether another address was heard so recently that it may be a second vehicle: blocks arming."""
         return any(self._now_s - other.last_s <= SILENT_S for other in self._others.values())
 
     def take_notices(self) -> list[str]:
-        """Texts for a person since the last call."""
+        """Texts for the operator since the last call."""
         notices, self._notices = self._notices, []
         return notices
 
     def admits(self, message: Message, peer: Peer, now_s: float, *, armed: bool) -> bool:
-        """Whether a frame with the vehicle's ids is the vehicle's.
+        """Whether a frame with the vehicle's ids comes from the vehicle.
 
-        Another address takes over only by a heartbeat, once the known one is silent; in flight only one of
-        the same kind. So a radio that restarts behind another port is followed, and a second vehicle is not.
-
-        ``message``: the frame; ``peer``: its address; ``now_s``: when it counts as arrived; ``armed``: the
-        vehicle is armed.
+        Another address replaces a silent one by a heartbeat; in flight only by one of the same kind. So a
+        radio that restarts behind another port is followed, and a second vehicle is not.
         """
         self._now_s = now_s
         beats = message.get_msgId() == dialect.MAVLINK_MSG_ID_HEARTBEAT
@@ -101,7 +99,7 @@ class Senders:
                 self._meet(now_s)
             if kind is None:
                 self._count(message.get_header().seq)
-                if well:  # heartbeats may come more seldom, or be lost
+                if well:  # heartbeats may be rarer, or lost
                     self._beat_s = now_s
                 return True
             if fits and self._believed(message, now_s, well=well):
@@ -117,10 +115,10 @@ class Senders:
         return False
 
     def _believed(self, heartbeat: Message, now_s: float, *, well: bool) -> bool:
-        """Whether a heartbeat is of the known stream.
+        """Whether a heartbeat belongs to the known stream.
 
-        One that says something new, and whose sequence number does not continue the stream, must come again
-        after a second without another one: what a router puts onto the same line has numbers of its own.
+        A heartbeat with new content whose sequence number does not continue the stream must be repeated after
+        a second without a contradiction: frames that a router adds to the line have numbers of their own.
         """
         claims = (heartbeat.base_mode, heartbeat.custom_mode)
         number = heartbeat.get_header().seq
@@ -135,7 +133,7 @@ class Senders:
         return True
 
     def _count(self, number: int) -> None:
-        """Take note of a sequence number: a stream with many gaps, filtered by a router, tells nothing."""
+        """Record a sequence number; a stream with many gaps, as behind a filtering router, is not checked."""
         self._steady = self._steady + 1 if (number - self._sequence) % 256 <= _GAP_MAX else 0
         self._sequence = number
 
@@ -144,7 +142,7 @@ class Senders:
             other.met = other.met or now_s - other.first_s >= _APART_S
 
     def _note(self, peer: Peer, now_s: float, *, well: bool) -> None:
-        """Remember another address; one that alternates with the known one is a second sender."""
+        """Record another address; one that alternates with the known one is a second sender."""
         other = self._others.get(peer)
         if other is None or now_s - other.last_s > SILENT_S:
             if len(self._others) >= _OTHERS_MAX:

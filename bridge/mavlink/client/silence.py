@@ -12,20 +12,20 @@ _SENDERS_SHOWN = 4
 
 
 class _Cause(NamedTuple):
-    """One reason to throw frames away, with the counters that show it."""
+    """A reason for dropped frames, with its counters."""
 
     counters: tuple[str, ...]
     text: str  # with the count as {n}
 
 
-# The first that applies is named. Frames of unknown messages come with those of any vehicle, so who speaks
-# instead of this one comes before them.
+# The first cause that applies is named. Every vehicle sends some unknown messages, so other senders come
+# first.
 _SIGNING = (
     _Cause(("bad_signature",), "{n} frames are signed with another key than --signing-key"),
-    _Cause(("unsigned",), "{n} frames have no signature: with --signing-key only signed ones are heard"),
+    _Cause(("unsigned",), "{n} frames have no signature: with --signing-key only signed ones are accepted"),
     _Cause(
         ("stale", "replayed", "ahead"),
-        "{n} signed frames are refused by their time stamps: its clock and ours differ",
+        "{n} signed frames are rejected by their time stamps: its clock and ours differ",
     ),
     _Cause(("reflected",), "{n} frames have our own ids: the link sends back what we send"),
 )
@@ -37,13 +37,13 @@ _DAMAGE = (
 
 
 class Arrivals:
-    """What an endpoint has counted since the last look."""
+    """Increments of an endpoint's counters since the last call."""
 
     def __init__(self) -> None:
         self._before: dict[str, int] = {}
 
     def grown(self, counters: EndpointCounters) -> dict[str, int]:
-        """Return by how much each counter has grown since the last call; those that have not are left out."""
+        """Increments of the counters since the last call, without zeros."""
         now = asdict(counters)
         grown = {name: n - self._before.get(name, 0) for name, n in now.items()}
         self._before = now
@@ -57,11 +57,10 @@ def why_silent(
     *,
     heard_s: float | None = None,
 ) -> str:
-    """Return a sentence: no heartbeat of the vehicle arrives, and the likely reason.
+    """Sentence on the missing heartbeat of a vehicle with the likely reason.
 
-    ``system_id``: of the vehicle; its autopilot is component 1; ``grown``: what the endpoint has counted
-    since the last look, by name of the counter; ``senders``: (system, component) of the frames that came from
-    others, with their number; ``heard_s``: seconds since its last heartbeat; None: there was none.
+    ``grown``: increments of the endpoint's counters; ``senders``: number of frames by (system, component) of
+    other senders; ``heard_s``: seconds since its last heartbeat; None: there was none.
     """
     since = "" if heard_s is None else f" for {heard_s:.0f} s"
     text = f"no heartbeat of system {system_id}, component 1{since}: "

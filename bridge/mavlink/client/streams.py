@@ -1,6 +1,6 @@
-"""Asks the vehicle for the telemetry the stack needs: each second at first, then seldom while none comes.
+"""Requests the telemetry of the stack: every second at first, then at a lower rate while none arrives.
 
-An autopilot may have no position for minutes (no satellites yet, no origin), and none to send before.
+An autopilot may have no position to send for minutes (no satellites, no origin).
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.codec.decoding import Message
 
 _SET_MESSAGE_INTERVAL = 511  # MAV_CMD
-_CHECK_S = 1.0  # s over which a rate is judged
-_ENOUGH = 0.7  # of the rate asked for; the rest is loss and rounding to the autopilot's own ticks
-_ROUNDING_S = 1e-6  # s, more than the rounding of a time
-_TRIES = 5  # one each _CHECK_S, of each way to ask
-_AGAIN_S = 3.0  # s between two tries after those, while nothing comes at all
+_CHECK_S = 1.0  # s over which a rate is measured
+_ENOUGH = 0.7  # share of the requested rate; the rest is loss and rounding to the autopilot's ticks
+_ROUNDING_S = 1e-6  # s, above the rounding of a time
+_TRIES = 5  # of each kind of request, one every _CHECK_S
+_AGAIN_S = 3.0  # s between two later tries, while nothing arrives
 
 
 @dataclass(slots=True)
@@ -32,10 +32,10 @@ class _Stream:
 
 
 class StreamRequests:
-    """Pure: counts what comes and returns SET_MESSAGE_INTERVAL commands while it is too little.
+    """Pure: counts messages and returns SET_MESSAGE_INTERVAL commands while their rate is too low.
 
-    Where a profile names a data stream for a message, REQUEST_DATA_STREAM is tried after those, and both in
-    turn from then on.
+    Where a profile names a data stream for a message, REQUEST_DATA_STREAM and SET_MESSAGE_INTERVAL alternate
+    after ``_TRIES``.
     """
 
     def __init__(
@@ -51,28 +51,27 @@ class StreamRequests:
         self._target = (target_system, target_component)
         self._unset = unset
         self._data_streams = data_streams
-        # before that ``step`` returns nothing
-        self.quiet_until_s = -math.inf  # before that no stream can be due
+        self.quiet_until_s = -math.inf  # ``step`` returns nothing before
 
     def seen(self, message_id: int, count: int = 1) -> None:
-        """Take note of messages of the vehicle."""
+        """Count messages of the vehicle."""
         stream = self._streams.get(message_id)
         if stream is not None:
             stream.seen += count
 
     @property
     def asked(self) -> tuple[int, ...]:
-        """Ids of the messages asked for."""
+        """Ids of the requested messages."""
         return tuple(self._streams)
 
     def restart(self) -> None:
-        """Ask again at once for what does not come: the vehicle has restarted and forgotten the requests."""
+        """Request missing messages again at once: a restarted vehicle has lost the requests."""
         for stream in self._streams.values():
             stream.tries = min(stream.tries, 1)
         self.quiet_until_s = -math.inf
 
     def step(self, now_s: float) -> list[Message]:
-        """Return the commands to send now; call it only once the vehicle has been heard."""
+        """Return the commands to send now; called only after the first message of the vehicle."""
         if now_s < self.quiet_until_s:
             return []
         streams = self._streams.values()
@@ -86,12 +85,12 @@ class StreamRequests:
         if stream.tries and elapsed_s < _CHECK_S:
             return False
         if stream.tries and stream.seen >= _ENOUGH * stream.rate_hz * elapsed_s:
-            stream.tries = 1  # it comes: should it stop one day, it is asked for again
+            stream.tries = 1  # arrives; requested again should it stop
             stream.seen, stream.since_s = 0, now_s
             return False
         if stream.tries < (2 * _TRIES if stream.message_id in self._data_streams else _TRIES):
             return True
-        if stream.seen:  # less than was asked for, which is all that this vehicle or line gives
+        if stream.seen:  # a lower rate, the limit of this vehicle or line
             stream.seen, stream.since_s = 0, now_s
             return False
         return elapsed_s >= _AGAIN_S
@@ -99,7 +98,7 @@ class StreamRequests:
     def _ask(self, stream: _Stream, now_s: float) -> Message:
         stream.tries += 1
         stream.seen, stream.since_s = 0, now_s
-        by_group = (stream.tries - 1) // _TRIES % 2 == 1  # _TRIES times in each of the two ways, in turn
+        by_group = (stream.tries - 1) // _TRIES % 2 == 1  # alternate after _TRIES
         if by_group and stream.message_id in self._data_streams:
             group, rate_hz = self._data_streams[stream.message_id], round(stream.rate_hz)
             return dialect.MAVLink_request_data_stream_message(*self._target, group, rate_hz, 1)

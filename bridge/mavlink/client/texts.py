@@ -1,9 +1,9 @@
-"""What the vehicle says: STATUSTEXT, whose long texts travel in chunks, and PX4's events.
+"""Texts of the vehicle: STATUSTEXT, whose long texts are split into chunks, and PX4's events.
 
-PX4 sends an event as a number with arguments (MAVLink EVENT) on every link; the same words as STATUSTEXT it
-sends only where a ground station is. The texts are PX4's own, in ``px4_events.json`` (release and licence are
-named there), made by ``python -m tests.tables px4_events FILE`` from the metadata of a PX4 build. An event
-that the table does not have is told by its number. Format: github.com/mavlink/libevents, README.
+PX4 sends an event as a number with arguments (MAVLink EVENT) on every link, and the same text as STATUSTEXT
+only to a ground station. The texts are those of PX4, in ``px4_events.json`` (with release and licence), made
+by ``python -m tests.tables px4_events FILE`` from the metadata of a PX4 build. An event outside the table is
+shown by its number. Format: github.com/mavlink/libevents, README.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class TextAssembler:
     def add(self, message: Message) -> list[tuple[int, str]]:
         """Take one STATUSTEXT; return the texts (severity, text) that it completes.
 
-        A text whose chunks stop coming is given out, marked with an ellipsis, when the next one starts.
+        An incomplete text is returned with an ellipsis when the next one starts.
         """
         texts: list[tuple[int, str]] = []
         if self._parts and (message.id != self._id or message.chunk_seq != self._next):
@@ -85,7 +85,7 @@ class _Table(NamedTuple):
 
 def event_text(message: Message) -> tuple[int, str] | None:
     """MAV_SEVERITY and text of an EVENT; None for one that is not addressed to people."""
-    severity: int = message.log_levels & 0x0F  # the lower half is for others, the upper for PX4's own log
+    severity: int = message.log_levels & 0x0F  # lower half: external level; upper half: PX4's log
     if severity > _SHOWN_MAX:
         return None
     known = _table().events.get(message.id)
@@ -125,7 +125,7 @@ def _filled(template: str, values: list[float | str]) -> str:
 
 @cache
 def _table() -> _Table:
-    """Read the table when the first event comes; it takes a millisecond."""
+    """Read the table at the first event; it takes a millisecond."""
     raw: dict[str, Any] = json.loads(
         files("bridge.mavlink.client").joinpath("px4_events.json").read_text(encoding="utf-8")
     )

@@ -1,4 +1,4 @@
-"""Pure decoder: MAVLink telemetry in, the newest own state and status out, in the stack's frames."""
+"""Pure decoder of MAVLink telemetry: newest vehicle state and status in the stack's frames."""
 
 from __future__ import annotations
 
@@ -20,33 +20,33 @@ _GLOBAL_POSITION = dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 _ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
 _PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
 _REBOOT_S = 1.0  # s; a boot clock that falls back further than this after a silence is a reboot
-# s for which refused messages have to agree: above the default of checks.own_age_max_s, so that the own state
-# counts as lost meanwhile
+# s for which rejected messages have to agree: above the default of checks.own_age_max_s, so that the vehicle
+# state counts as lost meanwhile
 _PROOF_S = 0.3
 _TICK_S = 0.1  # s; period of the slowest loop: a message arrives at a tick
-_YAW_AGE_MAX_S = 0.5  # s between a position and the attitude its heading is taken from
+_YAW_AGE_MAX_S = 0.5  # s between a position and the attitude with its heading
 _LARGEST = 1e6  # m, m/s: a number beyond this is damage
-_THROTTLE_AGE_MAX_S = 1.0  # s; an older throttle, from VFR_HUD, counts as not told
+_THROTTLE_AGE_MAX_S = 1.0  # s; an older throttle of VFR_HUD counts as missing
 _VOLTAGE_UNKNOWN = 0xFFFF  # mV, MAVLink SYS_STATUS.voltage_battery
 _LANDED = {state.value: state for state in Landed}
 
 
 class Battery(NamedTuple):
-    """What SYS_STATUS says of the battery; ``None`` for what it does not know."""
+    """Battery of SYS_STATUS; None for unknown values."""
 
     arrival_s: float
     voltage_v: float | None
-    share: float | None  # 0 to 1, charge that is left
+    share: float | None  # remaining charge, 0 to 1
 
 
 @dataclass(slots=True)
 class StateCounters:
-    """Telemetry that was refused, and why."""
+    """Refused telemetry by reason."""
 
     not_finite: int = 0  # NaN, infinite or absurd numbers
-    out_of_order: int = 0  # not newer than what is already there
+    out_of_order: int = 0  # not newer than the newest
     ahead: int = 0  # time stamp from the future
-    without_yaw: int = 0  # position without an attitude, or with one too old to go with it
+    without_yaw: int = 0  # position without a recent attitude
     other_autopilot: int = 0  # heartbeat of another autopilot than the configured one, or of no multirotor
 
 
@@ -54,32 +54,32 @@ class VehicleState:
     """Keeps the newest of what the vehicle says. Who said it has been checked before."""
 
     def __init__(self, profile: Profile | None) -> None:
-        # what the modes are read by; None while it is not known, and then there is no status
+        # for the meaning of the modes; None: not known yet, and then there is no status
         self.profile = profile
         self.counters = StateCounters()
-        self.own: OwnState | None = None  # newest own state, None until a position and an attitude have come
-        # newest status, None until a heartbeat has come; ``arrival_s`` is the heartbeat's
+        self.own: OwnState | None = None  # newest vehicle state; None before a position and an attitude
+        # newest status, None before a heartbeat; ``arrival_s`` is that of the heartbeat
         self.status: VehicleStatus | None = None
-        # altitude of home above sea level, None until HOME_POSITION has come
+        # altitude of home above sea level, None before HOME_POSITION
         self.home_amsl_m: float | None = None
-        # arrival, s, and newest height above home, m; None until GLOBAL_POSITION_INT has come
+        # arrival, s, and newest height above home, m; None before GLOBAL_POSITION_INT
         self.above_home: tuple[float, float] | None = None
         self.autopilot: int | None = None  # MAV_AUTOPILOT of the newest heartbeat, None before
         self.type: int | None = None  # MAV_TYPE of the newest heartbeat, None before
-        # the vehicle has said where its local coordinates begin, since it restarted last
+        # the vehicle has sent its origin since its last restart
         self.origin_known = False
-        # when it seemed to have restarted, on the stack's clock: its boot clock stepped, or its heartbeat
-        # came back after a silence. -inf before that.
+        # time of the last restart on the stack's clock: its boot clock stepped, or its heartbeat returned
+        # after a silence; -inf: none
         self.restarted_s = -math.inf
-        self._beat_s = math.inf  # arrival of the newest heartbeat, whatever it says
+        self._beat_s = math.inf  # arrival of the newest heartbeat
         self._following = profile is None or profile.stream_in_takeoff
         self._custom_mode = 0
-        self.battery: Battery | None = None  # newest battery state, None until SYS_STATUS has come
-        # newest of battery and motors, None until one has come; kept only after ``watch_power``
+        self.battery: Battery | None = None  # newest battery state, None before SYS_STATUS
+        # newest data of battery and motors, None before; updated only after ``watch_power``
         self.power: Power | None = None
         self._throttle, self._throttle_s, self._cos_tilt = math.nan, -math.inf, math.nan
         self._watches_power = False
-        # lateness is no reason to refuse: a simulator may be slower than real time
+        # late messages are accepted: a simulator may be slower than real time
         self._position_clock, self._attitude_clock = (
             SenderClock(math.inf, _PROOF_S, _TICK_S, _REBOOT_S) for _ in range(2)
         )
@@ -99,42 +99,39 @@ class VehicleState:
         }
 
     def watch_power(self) -> None:
-        """Keep ``power`` from now on."""
+        """Update ``power`` from now on."""
         self._watches_power = True
         self._handlers[dialect.MAVLINK_MSG_ID_VFR_HUD] = self._on_vfr_hud
 
     @property
     def following(self) -> bool:
-        """Whether in the external mode the vehicle flies our set-points, and not its own take-off."""
+        """Whether the external mode follows our set-points, and not a take-off of the vehicle."""
         return self._following
 
     def follow(self, following: bool) -> None:
-        """Take note that a set-point goes out, or a take-off."""
+        """Record that a set-point (True) or a take-off command (False) is sent."""
         if following != self._following:
             self._following = following
             self._refresh()
 
     @property
     def heeded(self) -> frozenset[int]:
-        """Ids of the messages that mean something to it."""
+        """Ids of the messages that have an effect here."""
         counts_from_home = self.profile is None or self.profile.takeoff_altitude is TakeoffAltitude.ABOVE_HOME
         return frozenset(self._handlers) - (set() if counts_from_home else {_GLOBAL_POSITION})
 
     def took(self, own: OwnState) -> None:
-        """Take note of an own state that was decoded elsewhere, with the attitude of the same time."""
+        """Record a vehicle state that was decoded elsewhere, with the attitude of the same time."""
         self.own, self._yaw_enu_rad, self._yaw_time_s = own, own.yaw_rad, own.source_time_s
 
     def update(self, message: Message, arrival_s: float) -> None:
-        """Take one message of the vehicle; messages of no interest are ignored.
-
-        ``arrival_s`` is on the stack's clock.
-        """
+        """Handle a message of the vehicle; ``arrival_s`` is on the stack's clock."""
         handler = self._handlers.get(message.get_msgId())  # not .id: in STATUSTEXT that is a field
         if handler is not None:
             handler(message, arrival_s)
 
     def tilted(self, roll_rad: float, pitch_rad: float) -> None:
-        """Take note of its tilt, to be told with the power."""
+        """Record the tilt, for ``power``."""
         self._cos_tilt = math.cos(roll_rad) * math.cos(pitch_rad)
 
     def _on_position(self, m: Message, arrival_s: float) -> None:
@@ -154,14 +151,14 @@ class VehicleState:
         if not _usable(m.roll, m.pitch, m.yaw, m.rollspeed, m.pitchspeed, m.yawspeed):
             self.counters.not_finite += 1
         elif self._in_time(self._attitude_clock, time_s, arrival_s):
-            # the age of a heading is judged against the position's own time stamp
+            # the age of a heading is relative to the time stamp of the position
             self._yaw_enu_rad = yaw_enu_from_ned(m.yaw)
             self._yaw_time_s = time_s
             if self._watches_power:
                 self.tilted(m.roll, m.pitch)
 
     def _in_time(self, clock: SenderClock, time_s: float, arrival_s: float) -> bool:
-        """Whether a boot clock can be true; one that is followed after a step is that of a restart."""
+        """Whether a boot time is plausible; one that is accepted after a step means a restart."""
         reading = clock.accept(time_s, arrival_s)
         if reading is Reading.STEPPED:
             self._restart(arrival_s)
@@ -177,7 +174,7 @@ class VehicleState:
         self._beat_s = arrival_s
         self.autopilot, self.type, profile = m.autopilot, m.type, self.profile
         if profile is None or refusal(m.autopilot, m.type, profile) is not None:
-            self.counters.other_autopilot += 1  # its mode numbers would mean something else
+            self.counters.other_autopilot += 1  # its mode numbers have another meaning
             return
         armed = bool(m.base_mode & _ARMED)
         if not armed and not profile.stream_in_takeoff:
@@ -186,11 +183,11 @@ class VehicleState:
         self.status = VehicleStatus(arrival_s, armed, self._mode(), self._landed, self._ready)
 
     def _restart(self, arrival_s: float) -> None:
-        """Take note of a restart, or of a silence long enough for one."""
+        """Record a restart, or a silence long enough for one."""
         self.restarted_s, self.origin_known = arrival_s, False
 
     def _mode(self) -> Mode:
-        """Mode of the newest heartbeat; an external mode that does not follow us is a take-off of its own."""
+        """Mode of the newest heartbeat; an external mode without set-points is a take-off of the vehicle."""
         assert self.profile is not None
         mode = self.profile.mode(self._custom_mode)
         return Mode.TAKEOFF if mode is Mode.EXTERNAL and not self._following else mode
@@ -239,7 +236,7 @@ class VehicleState:
 
 
 def _usable(a: float, b: float, c: float, d: float, e: float, f: float) -> bool:
-    """Whether all are numbers of sensible size; a NaN is none."""
+    """Whether all are numbers of sensible size; NaN is not."""
     most = _LARGEST
     return (
         -most < a < most and -most < b < most and -most < c < most

@@ -1,4 +1,4 @@
-"""Requests of the companion to the vehicle: mode, message rates and origin, in the way of its autopilot."""
+"""Requests of the companion to the vehicle: mode, message rates and origin, as its profile needs them."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from bridge.mavlink.client.streams import StreamRequests
 from bridge.mavlink.profiles.profile import Profile
 from flightstack.core.types import Request, VehicleStatus
 
-_LANDED_STATE_HZ = 5.0  # Hz; as often as PX4 sends it by itself
+_LANDED_STATE_HZ = 5.0  # Hz; the default of PX4
 _THROTTLE_HZ = 10.0  # Hz of VFR_HUD, where the thrust reserve is estimated
 
 
 class Wants(NamedTuple):
-    """Senders of requests, each of which is repeated until the vehicle complies."""
+    """Senders of requests; each request is repeated until the vehicle shows it."""
 
     sequencer: CommandSequencer
     streams: StreamRequests
     origin: OriginSender
 
     def idle_until_s(self, request: Request, status: VehicleStatus | None) -> float:
-        """Time until which nothing is sent if request and status do not change, s; -inf: it is due now."""
+        """Time until which nothing is due if request and status do not change, s; -inf: due now."""
         return self.streams.quiet_until_s if self.sequencer.idle(request, status) else -math.inf
 
     def took(self, now_s: float, ticks: int, *, setpoints: bool) -> None:
-        """Take note of ticks until now in which position and attitude came; each had a set-point or none."""
+        """Record ticks in which position and attitude arrived; all with a set-point or none."""
         for id_ in (dialect.MAVLINK_MSG_ID_ATTITUDE, dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED):
             self.streams.seen(id_, ticks)
         if setpoints:
@@ -45,11 +45,10 @@ def wanted(
     power: bool,
     origin: Origin | None,
 ) -> Wants:
-    """Return the senders of commands, of message rates and of the origin for one autopilot.
+    """The senders of commands, message rates and origin for one autopilot.
 
-    ``profile``: of the autopilot; ``target``: its system and component id; ``takeoff_height_m``: height of a
-    take-off above where it stands; ``state_hz``: rate of position and attitude; ``power``: whether the
-    throttle is asked for; ``origin``: where its local coordinates begin, for who needs to be told.
+    ``takeoff_height_m``: climb of a take-off; ``state_hz``: rate of position and attitude; ``power``: request
+    the throttle; ``origin``: sent to an autopilot that needs one.
     """
     rates_hz = {
         dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: state_hz,

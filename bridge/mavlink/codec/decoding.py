@@ -1,8 +1,8 @@
 """Turns a checked MAVLink 2 frame into pymavlink's message object, at half the cost of pymavlink's decode.
 
-The frame's checksum and length have been checked by ``framing``; what is left is to unpack the payload and to
-put the fields, which travel sorted by size, into the order of the constructor. The result equals that of
-``MAVLink.decode`` for every message of the dialect, which a test holds.
+``framing`` has checked checksum and length of the frame. Here the payload is unpacked, and its fields, which
+are sorted by size on the wire, are put into the order of the constructor. The result equals that of
+``MAVLink.decode`` for every message of the dialect (tested).
 """
 
 from __future__ import annotations
@@ -47,15 +47,14 @@ def parameter_name(field: str | bytes) -> str:
 def decode(frame: bytes) -> Message:
     """Decode one frame from ``split_frames``.
 
-    Raises KeyError: the message is not known; Exception: whatever a message class raises for its field
-    values.
+    Raises KeyError: the message is not known; Exception: of a message class for its field values.
     """
     length, incompat, compat, sequence, system, component, id_low, id_high = _HEADER.unpack_from(frame)
     id_ = id_low | id_high << 16
     layout = _LAYOUTS[id_]
     end = _HEADER_BYTES + length
     payload = frame[_HEADER_BYTES:end]
-    # Trailing zeros are cut by the sender; what a newer dialect appended is cut here.
+    # The sender omits trailing zeros; fields that a newer dialect has appended are dropped here.
     if length != layout.size:
         payload = payload[: layout.size].ljust(layout.size, b"\x00")
     values = layout.unpacker.unpack(payload)

@@ -1,12 +1,12 @@
 """Finds the MAVLink 2 frames in a datagram or in a byte stream: pure bytes in, bytes out.
 
-A stream parser believes the length byte of whatever looks like a start; one stray 0xFD then costs several
-good frames, and a cut datagram spoils the next. So each datagram stands alone here, a frame counts only when
-its checksum is right, and after anything else the search goes on at the very next byte. Of a stream, what is
-cut is kept in a bounded buffer until the rest has come.
+A parser that accepts the length byte of every start marker loses several good frames to a stray 0xFD, and a
+cut datagram damages the next one. So each datagram is parsed alone, a frame counts only with a correct
+checksum, and after anything else the search continues at the next byte. The incomplete end of a stream is
+kept in a bounded buffer.
 
-The checksum also covers the message's definition. So a frame of a message that is not known cannot be
-checked; it is kept raw where the frames around it show its length, and never decoded.
+The checksum also covers the message's definition, so a frame of an unknown message cannot be checked: it is
+kept raw where the frames around it show its length, and never decoded.
 """
 
 from __future__ import annotations
@@ -28,12 +28,13 @@ _SIGNATURE = 13  # bytes: link id, timestamp, signature
 FLAG_SIGNED = 0x01  # the only incompatibility flag MAVLink 2 defines
 
 _UNKNOWN_RUN_MAX = 4  # frames of unknown messages in a row that are kept
-# Bytes of a stream kept; four frames of the greatest length: unknown ones, and what shows where they end
+# buffered bytes of a stream: four frames of the greatest length, for unknown ones and those that show their
+# end
 REST_MAX = 1120
 
 # CRC_EXTRA of every known message: the checksum also covers the message's definition.
 CRC_EXTRA: dict[int, bytes] = {id_: bytes([cls.crc_extra]) for id_, cls in MESSAGES.items()}
-# CRC-16/MCRF4XX by fastcrc; pymavlink's slow class only where that has no build.
+# CRC-16/MCRF4XX by fastcrc; pymavlink's slow class where fastcrc has no build.
 checksum = dialect.mcrf4xx or (lambda data: dialect.x25crc(data).crc)
 
 
@@ -42,18 +43,18 @@ class FrameCounters:
     """What was thrown away, for the log and for the person who wonders why nothing arrives."""
 
     garbage_bytes: int = 0  # bytes that belong to no accepted frame
-    bad_crc: int = 0  # looked like a frame of a known message, but the checksum was wrong
-    unknown_id: int = 0  # looked like a frame of an unknown message, and nothing shows that it is one
+    bad_crc: int = 0  # candidates for a frame of a known message with a wrong checksum
+    unknown_id: int = 0  # candidates for a frame of an unknown message without confirmation
     unknown_frames: int = 0  # frames of unknown messages: recorded raw, not checked, not decoded
-    version_1: int = 0  # valid MAVLink 1 frames, refused: they can never be signed
-    undecodable: int = 0  # good checksum, yet the payload could not be decoded
+    version_1: int = 0  # valid MAVLink 1 frames, rejected: they cannot be signed
+    undecodable: int = 0  # correct checksum, invalid payload
 
 
 class NoFrame(IntEnum):
     """Why no checked frame begins at a byte; all values are below the end of any frame."""
 
     INVALID = 0
-    CUT_SHORT = -1  # the bytes end before the frame would
+    CUT_SHORT = -1  # the bytes end within the frame
     UNKNOWN = -2  # the message is not known
 
 
@@ -62,34 +63,33 @@ def split_frames(
 ) -> Iterator[bytes]:
     """Yield every MAVLink 2 frame of a known message with a correct checksum, in order.
 
-    ``datagram``: the bytes of one datagram, anything at all; ``counters``: counts what was skipped, if given;
-    ``unknown``: called with each frame of an unknown message: its header is plausible, behind it the datagram
-    ends or more frames come up to a checked one or the end, and no checked frame is inside it.
-    Returns frames from marker to checksum, or to the end of the signature of a signed frame.
+    Frames reach from marker to checksum, or to the end of the signature. ``counters`` counts skipped bytes
+    and candidates. ``unknown`` is called with each frame of an unknown message: its header is plausible, it
+    is followed by the end or by frames up to a checked one or the end, and contains no checked frame.
     """
     yield from _scan(datagram, counters if counters is not None else FrameCounters(), unknown, None)
 
 
 class StreamFramer:
-    """Takes a stream in pieces and gives its frames.
+    """Splits a stream that arrives in chunks into frames.
 
-    Behind a checked frame the next start is believed for as long as its own length says. Elsewhere, after
-    noise, only a header that names a known message of a fitting length is waited for; so a stray 0xFD keeps
-    nothing back. A candidate that turns out wrong costs its first byte alone.
+    After a checked frame, the parser waits for the complete next frame. After noise it waits only for a
+    header of a known message with a fitting length, so a stray 0xFD does not delay frames. Of a wrong
+    candidate only the first byte is skipped.
     """
 
     def __init__(self, counters: FrameCounters) -> None:
         self._counters = counters
         self._rest = b""
-        self.in_sync = True  # a frame may begin right at the start of the rest
+        self.in_sync = True  # a frame may start at the first buffered byte
 
     @property
     def waiting_bytes(self) -> int:
-        """Bytes kept for later."""
+        """Buffered bytes."""
         return len(self._rest)
 
     def push(self, piece: bytes, unknown: Callable[[bytes], None] | None = None) -> Iterator[bytes]:
-        """Take the next piece; yields frames as :func:`split_frames` does."""
+        """Add a chunk; yields frames as ``split_frames`` does."""
         data, self._rest = self._rest + piece, b""
         self._rest = data[(yield from _scan(data, self._counters, unknown, self)) :]
 
@@ -176,11 +176,10 @@ def frame_end(data: bytes, pos: int, size: int, count: FrameCounters) -> int:
 
 
 def _unknown_end(data: bytes, pos: int, size: int, *, whole: bool = True) -> int:
-    """End of the frame of an unknown message that starts at ``pos``, judged by the bytes that follow it.
+    """End of the frame of an unknown message that starts at ``pos``, by the bytes after it.
 
-    ``whole``: no more bytes come, as in a datagram; else the frame behind it may still be on its way.
-
-    Returns the end; INVALID when nothing shows that this is a frame; CUT_SHORT when that is not clear yet.
+    INVALID: the bytes do not confirm a frame; CUT_SHORT: not decided yet. ``whole``: no more bytes follow, as
+    in a datagram.
     """
     first = at = _claimed_end(data, pos, size)
     for _ in range(_UNKNOWN_RUN_MAX):
@@ -234,8 +233,8 @@ def _holds_frame(data: bytes, start: int, stop: int, size: int) -> bool:
 def _with_flags(frame: bytes, end: int, flags: int) -> bytes:
     """Set the flags and correct the checksum; the message need not be known.
 
-    The checksum is linear: of two messages of the same length the difference depends on the bytes that differ
-    alone, and CRC_EXTRA is the same in both.
+    The checksum is linear: between two messages of the same length and CRC_EXTRA its difference depends only
+    on the bytes that differ.
     """
     crc_at = end - _CHECKSUM
     changed = bytearray(frame[:end])

@@ -1,7 +1,7 @@
 """Turns pymavlink's message objects into MAVLink 2 frames, at a quarter of the cost of pymavlink's ``pack``.
 
-The frames equal those of ``MAVLink_message.pack`` byte for byte, and what it refuses is refused with the same
-kind of error, for every message of pymavlink, which a test holds. Frames are unsigned; ``signing`` signs.
+Frames and kinds of errors equal those of ``MAVLink_message.pack`` for every message of pymavlink (tested).
+Frames are unsigned; ``signing`` signs.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ Payload = Callable[[Message], bytes]
 
 
 def pack(message: Message, sequence: int, system_id: int, component_id: int) -> bytes:
-    """Serialise a message; it keeps the frame, for ``get_msgbuf``, but its header stays as it is.
+    """Serialise a message; it stores the frame for ``get_msgbuf``, and its header is unchanged.
 
     Raises struct.error: a field does not fit its type on the wire; IndexError: an array is too short.
     """
     id_bytes, extra, payload_of = _PACKERS[message._header.msgId]
     payload = payload_of(message)
-    if payload[-1] == 0:  # trailing zeros are not sent, but for one byte at least
+    if payload[-1] == 0:  # trailing zeros are omitted, except for the first byte
         payload = payload.rstrip(_ZERO) or _ZERO
     body = _HEAD(len(payload), 0, 0, sequence, system_id, component_id) + id_bytes + payload
     frame: bytes = _MARKER + body + checksum(body + extra).to_bytes(2, "little")
@@ -39,7 +39,7 @@ def pack(message: Message, sequence: int, system_id: int, component_id: int) -> 
 
 def _payload(cls: Any) -> Payload:
     kind_of = dict(zip(cls.fieldnames, cls.fieldtypes, strict=True))
-    # pymavlink keeps the bytes of a string beside the text
+    # pymavlink stores the bytes of a string beside the text
     names = [f"_{name}_raw" if kind_of[name] == "char" else name for name in cls.ordered_fieldnames]
     pack_values = cls.unpacker.pack
     if all(length == 1 for length in cls.lengths):

@@ -1,8 +1,8 @@
-"""MAVLink messages that pymavlink's dialect ``ardupilotmega`` does not have, as classes of the same make.
+"""MAVLink messages that pymavlink's dialect ``ardupilotmega`` lacks, as classes of the same form.
 
-They come from ``wide_messages.csv``: what pymavlink's dialect ``all`` has besides (loading that one would
-cost 0.6 s at every start), and messages of MAVLink's ``common`` that pymavlink has in no dialect although PX4
-sends them. ``python -m tests.tables messages`` renews the first and keeps the second.
+They come from ``wide_messages.csv``: the additional messages of pymavlink's dialect ``all`` (which takes 0.6
+s to load), and messages of MAVLink's ``common`` that PX4 sends and pymavlink lacks. ``python -m tests.tables
+messages`` updates the first and keeps the second.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-# Type of MAVLink to code of ``struct``.
+# MAVLink type to ``struct`` code
 CODES = {
     "char": "c", "uint8_t": "B", "int8_t": "b", "uint16_t": "H", "int16_t": "h", "uint32_t": "I",
     "int32_t": "i", "float": "f", "uint64_t": "Q", "int64_t": "q", "double": "d",
@@ -27,7 +27,7 @@ class WideField(NamedTuple):
     kind: str  # type of MAVLink, without the array
     name: str
     array: int  # elements; 0: no array
-    extension: bool  # behind the sorted fields, and not in CRC_EXTRA
+    extension: bool  # after the sorted fields, not in CRC_EXTRA
 
     @property
     def size(self) -> int:
@@ -62,7 +62,7 @@ class Definition(NamedTuple):
 
     @property
     def line(self) -> str:
-        """As in the table."""
+        """The line of the table."""
         return ";".join([str(self.id), self.name, str(self.crc_extra), *map(_text, self.fields)])
 
     @property
@@ -149,5 +149,5 @@ def _text(field: WideField) -> str:
     return f"{'+' if field.extension else ''}{field.kind}{array} {field.name}"
 
 
-# Every message known, by id: pymavlink's and, behind them, the wide ones.
+# All known messages by id: pymavlink's, then the wide ones.
 MESSAGES: dict[int, Any] = {**dialect.mavlink_map, **{d.id: make_class(d) for d in definitions()}}

@@ -1,1 +1,1 @@
-"""What a vehicle is asked before a flight, and the rules for its answers."""
+"""Check of a vehicle's parameters before a flight."""

@@ -1,7 +1,7 @@
-"""Gives a vehicle on the ground its MAVLink signing key, or takes it away, by SETUP_SIGNING. Bounded in time.
+"""Sets or removes the MAVLink signing key of a vehicle on the ground by SETUP_SIGNING. Bounded in time.
 
-PX4 from 1.18 on takes a first key unsigned on any link; a key of zeros, signed with the present one, ends
-signing. ArduPilot takes a key, too, and never signs on its first USB link. Both refuse while armed.
+PX4 from 1.18 on accepts a first key unsigned on any link; a key of zeros, signed with the current one, ends
+signing. ArduPilot accepts a key, too, and never signs on its first USB link. Both reject it while armed.
 """
 
 from __future__ import annotations
@@ -25,17 +25,16 @@ _SLICE_S = 0.02  # s between two looks
 
 
 def provision(url: str, system_id: int, key: SigningKey, *, remove: bool, wait_s: float) -> str | None:
-    """Give the vehicle a key, or take it away; the key is sent in clear, so only over a cable or loopback.
+    """Set or remove a key; it is sent unencrypted, so only over a cable or loopback.
 
-    ``url``: MAVLink URL of the vehicle; ``key``: to give, or the present one; ``remove``: take it away;
-    ``wait_s``: for its first heartbeat.
-    Returns why it was not done, None when the vehicle has shown that it was.
+    ``key``: the new key, or the current one with ``remove``; ``wait_s``: for the first heartbeat.
+    Returns the reason of a failure; None when the vehicle has shown the change.
     Raises ValueError: bad URL, or one that leads over a network; OSError: the address cannot be opened.
     """
     kind, host, port = parse_url(url)
     if kind != "serial" and not is_local(resolve(f"MAVLink URL {url!r}", host, port)):
         raise ValueError(
-            f"{url!r} leads over a network, where everybody could read the key: give or remove it over a "
+            f"{url!r} leads over a network, where the key could be read: set or remove it over a "
             "cable (serial:DEVICE) or loopback"
         )
     endpoint = Endpoint(url, system_id, _COMPONENT_ID, signing_key=key if remove else None)
@@ -48,7 +47,7 @@ def provision(url: str, system_id: int, key: SigningKey, *, remove: bool, wait_s
 class _Talk:
     def __init__(self, endpoint: Endpoint, system_id: int, *, remove: bool) -> None:
         self._endpoint, self._target, self._remove = endpoint, (system_id, 1), remove
-        self._heartbeat: tuple[Peer, bool] | None = None  # sender; whether it is armed
+        self._heartbeat: tuple[Peer, bool] | None = None  # sender; armed
         self._said_s = -math.inf
 
     def run(self, key: SigningKey, wait_s: float) -> str | None:
@@ -79,7 +78,7 @@ class _Talk:
         )
 
     def _changed(self) -> int:
-        """Return how many frames came that are signed, or no longer are."""
+        """Number of frames that show the change: signed ones, or unsigned ones after a removal."""
         counters = self._endpoint.counters
         return counters.unsigned if self._remove else counters.unchecked
 

@@ -1,4 +1,4 @@
-"""Judges the parameters of a vehicle, and whether its release is one whose parameters are known; pure."""
+"""Judges the parameters of a vehicle by the rules for its release; pure."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _TYPE = "FIRMWARE_VERSION_TYPE"
 
 
 class Level(Enum):
-    """How bad a finding is."""
+    """Severity of a finding."""
 
     OK = "ok"
-    INFO = "info"  # works, and could work better
-    NOTE = "note"  # a person should know
+    INFO = "info"  # works, could work better
+    NOTE = "note"  # information for the operator
     UNSAFE = "UNSAFE"  # does not arm, unless accepted by name
     ACCEPTED = "accepted"  # unsafe, and accepted by name
 
@@ -30,20 +30,20 @@ _LEVEL_OF = {Severity.UNSAFE: Level.UNSAFE, Severity.NOTE: Level.NOTE, Severity.
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What became of one parameter."""
+    """Result for one parameter."""
 
     name: str
     level: Level
-    value: float | None  # as the vehicle sent it
+    value: float | None  # in the vehicle's unit; None: missing
     unit: str
     wanted: str
     why: str
-    means: str  # of the setting, in all releases
-    elsewhere: str  # its name, and where it can be converted its value, in other releases
+    means: str  # name of the setting over all releases
+    elsewhere: str  # name in other releases, with the value where it can be converted
 
     @property
     def shown(self) -> str:
-        """Value with unit, and what other releases call it."""
+        """Value with unit, and the names of other releases."""
         if self.value is None:
             return "missing"
         unit = f" {self.unit}" if self.unit else ""
@@ -51,7 +51,6 @@ class Finding:
 
     @property
     def text(self) -> str:
-        """In one line."""
         line = f"{self.name} is {self.shown}"
         return line if self.level is Level.OK else f"{line}: {self.why}; set it to {self.wanted}"
 
@@ -63,11 +62,10 @@ def judge(
     needs: Needs,
     accepted: Collection[str],
 ) -> list[Finding]:
-    """Judge all parameters.
+    """Judge all parameters of the vehicle's release.
 
-    ``asked``: parameters of the vehicle's release; ``values``: that came, by name; ``missing``: reasons of
-    the others, by name; ``accepted``: names, of any release, that a person has accepted whatever they are set
-    to.
+    ``values``: received, by name; ``missing``: reasons of the others, by name; ``accepted``: names, of any
+    release, that the operator has accepted with any value.
     """
     found = (_finding(each, values.get(each.name.name), missing, needs, accepted) for each in asked)
     return [finding for finding in found if finding is not None]
@@ -94,7 +92,7 @@ def _finding(
 
 
 class Release(NamedTuple):
-    """Release of a vehicle's firmware, as its AUTOPILOT_VERSION has it."""
+    """Firmware release of a vehicle from AUTOPILOT_VERSION."""
 
     major: int
     minor: int
@@ -103,12 +101,11 @@ class Release(NamedTuple):
 
     @property
     def text(self) -> str:
-        """As ``1.16.0``, with what it is short of a release."""
+        """As ``1.16.0 beta``."""
         return f"{self.major}.{self.minor}.{self.patch} {self.kind}".rstrip()
 
 
 def release_of(message: Message) -> Release:
-    """Return the release of an AUTOPILOT_VERSION."""
     version = message.flight_sw_version
     entry = dialect.enums[_TYPE].get(version & 0xFF)
     kind = entry.name.removeprefix(f"{_TYPE}_").lower() if entry is not None else f"type {version & 0xFF}"
@@ -117,18 +114,17 @@ def release_of(message: Message) -> Release:
 
 
 class Choice(NamedTuple):
-    """Which rules are taken for a vehicle."""
+    """The rules that apply to a vehicle."""
 
     release: str  # of the table
-    problem: str | None  # why the vehicle is not flown, None when nothing speaks against it
-    note: str | None  # what a person should know
+    problem: str | None  # why the vehicle may not fly, or None
+    note: str | None  # information for the operator
 
 
 def choose(table: Table, release: Release | None, silence: str, *, accept: bool) -> Choice:
-    """Choose the rules of a release; for one that is not known the nearest.
+    """Choose the rules of a release; of the nearest one for an unknown release.
 
-    ``table``: rules of the autopilot; ``release``: of the vehicle; None: it did not send it; ``silence``: why
-    not; ``accept``: fly a release that is not known.
+    ``release``: None: not received, for the reason ``silence``; ``accept``: allow an unknown release.
     """
     newest, oldest = table.releases[-1], table.releases[0]
     number = (release.major, release.minor) if release is not None else (0, 0)

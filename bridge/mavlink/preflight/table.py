@@ -1,4 +1,4 @@
-"""Rules for an autopilot's parameters as its TOML file has them: names, units and meanings by release."""
+"""Rules for an autopilot's parameters in a TOML file: names, units and meanings by release."""
 
 from __future__ import annotations
 
@@ -15,39 +15,35 @@ from flightstack.common.strict_toml import Files
 from flightstack.core.types import Vec3
 
 _FILE_OF = {OWN_SITL.name: "px4", PX4.name: "px4", ARDUPILOT.name: "ardupilot"}  # others have no parameters
-_SLACK = 1e-6  # of a parameter in single precision
+_SLACK = 1e-6  # relative tolerance of a parameter in single precision
 _NAME_MAX = 16  # characters, MAVLink PARAM_VALUE
 
 
 class Needs(NamedTuple):
-    """What the flight needs of its autopilot."""
+    """Requirements of the flight on the autopilot."""
 
     velocity_max_m_s: Vec3  # command box
     altitude_max_m: float  # above the ground
     takeoff_height_m: float
-    acceleration_max_m_s2: Vec3  # of the wanted velocity, ENU
-    system_id: int = 1  # of the vehicle, and so of the companion, which shares it
+    acceleration_max_m_s2: Vec3  # of the commanded velocity, ENU
+    system_id: int = 1  # of the vehicle and its companion
 
     @property
     def horizontal_m_s(self) -> float:
-        """Longest horizontal velocity that may be commanded."""
         x, y, _ = self.velocity_max_m_s
         return math.hypot(x, y)
 
     @property
     def vertical_m_s(self) -> float:
-        """Largest vertical velocity that may be commanded."""
         return self.velocity_max_m_s[2]
 
     @property
     def horizontal_m_s2(self) -> float:
-        """Largest horizontal acceleration of the wanted velocity."""
         x, y, _ = self.acceleration_max_m_s2
         return math.hypot(x, y)
 
     @property
     def vertical_m_s2(self) -> float:
-        """Largest vertical acceleration of the wanted velocity."""
         return self.acceleration_max_m_s2[2]
 
 
@@ -62,17 +58,16 @@ class Need(Enum):
     SYSTEM_ID = "system_id"
 
     def of(self, needs: Needs) -> float:
-        """Return the number that a flight needs."""
         return float(getattr(needs, self.value))
 
 
 class Severity(Enum):
-    """What a value that is not safe, or does not come, leads to."""
+    """Consequence of an unsafe or missing value."""
 
     UNSAFE = "unsafe"  # does not arm, unless accepted by name
-    NOTE = "note"  # a person should know
-    INFO = "info"  # worth a try
-    IGNORED = "ignored"  # of a value that does not come: not every vehicle has it
+    NOTE = "note"  # information for the operator
+    INFO = "info"  # could work better
+    IGNORED = "ignored"  # for a missing value: not every vehicle has it
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +78,7 @@ class Name:
     since: str = ""  # first release; empty: the oldest of the table
     before: str = ""  # first release that no longer has it; empty: none
     unit: str = ""
-    scale: float = 1.0  # 1 of the parameter in the rule's unit
+    scale: float = 1.0  # factor from the parameter's unit to the rule's
 
     def has(self, release: str) -> bool:
         """Whether a release of the table has this name."""
@@ -101,19 +96,19 @@ class Name:
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """What one setting of the vehicle has to be, under each of its names. Exactly one condition is given.
+    """Requirement on one setting of the vehicle under all its names, with exactly one condition.
 
     Numbers are in the rule's unit: a parameter's value times the ``scale`` of its name.
     """
 
-    means: str  # ours, the same over all releases
+    means: str  # our name of the setting, the same over all releases
     names: tuple[Name, ...]
-    text: str  # what happens otherwise
+    text: str  # consequence of another value
     severity: Severity = Severity.UNSAFE
-    missing: Severity | None = None  # of a value that does not come; None: the rule's
-    profiles: tuple[str, ...] = ()  # of those that share the file; empty: all
-    stops: tuple[str, ...] = ()  # values with which the motors stop in the air: unsafe, whatever the severity
-    wanted: str = ""  # in words; {} stands for the number; empty: made from the condition
+    missing: Severity | None = None  # severity of a missing value; None: that of the rule
+    profiles: tuple[str, ...] = ()  # profiles of the file with this rule; empty: all
+    stops: tuple[str, ...] = ()  # values that stop the motors in the air: always unsafe
+    wanted: str = ""  # allowed values as text; {}: the number; empty: from the condition
     # conditions
     between: tuple[float, float] | None = None
     at_least: float | None = None
@@ -164,7 +159,7 @@ class Rule:
         return high is not None and number <= high + _SLACK
 
     def stops_motors(self, number: float) -> bool:
-        """Whether with a number the motors stop in the air."""
+        """Whether this value stops the motors in the air."""
         return number in _numbers(self.stops)
 
     def wanted_in(self, name: Name, needs: Needs) -> str:
@@ -194,11 +189,11 @@ def _numbers(values: tuple[str, ...]) -> set[float]:
 
 
 class Asked(NamedTuple):
-    """A parameter of one release, and the rule for it."""
+    """A parameter of one release with its rule."""
 
     name: Name
     rule: Rule
-    others: tuple[tuple[Name, bool], ...]  # names in other releases; whether they only differ by unit
+    others: tuple[tuple[Name, bool], ...]  # names in other releases; True: the value can be converted
 
     def elsewhere(self, value: float | None) -> str:
         """Return names and, where it can be converted, values in other releases; empty: the same."""
@@ -216,7 +211,7 @@ class Table:
     """All rules for one autopilot."""
 
     title: str
-    releases: tuple[str, ...]  # whose parameters are known, the oldest first
+    releases: tuple[str, ...]  # known releases, the oldest first
     rule: tuple[Rule, ...]
 
     def __post_init__(self) -> None:
@@ -263,9 +258,6 @@ _FILES = Files(Table, "bridge.mavlink.preflight", "rules")
 
 @cache
 def table(profile: str) -> Table | None:
-    """Return the rules of a profile; None: its vehicle has no parameters.
-
-    Raises ConfigError: the file that comes with the package is broken.
-    """
+    """The rules of a profile; None: its vehicle has no parameters. Raises ConfigError: a broken file."""
     file = _FILE_OF.get(profile)
     return _FILES.load(file) if file is not None else None

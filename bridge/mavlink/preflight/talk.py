@@ -1,4 +1,4 @@
-"""The talk before a flight: who is there, and what are its parameters? Bounded in time, never changes one."""
+"""Identifies the vehicle before a flight and reads its parameters. Bounded in time; writes nothing."""
 
 from __future__ import annotations
 
@@ -21,39 +21,38 @@ from bridge.mavlink.preflight.table import table as table_of
 from bridge.mavlink.profiles.autopilots import OWN_SITL, found, marked, refusal
 from bridge.mavlink.profiles.profile import Profile
 
-_HELLO_S = 0.2  # s between heartbeats until the vehicle is heard
+_HELLO_S = 0.2  # s between heartbeats before the first message of the vehicle
 _HEARTBEAT_S = 1.0
 _VERSION_S = 0.5  # s between two tries
-_VERSION_TRIES = 12  # a line of 57,600 baud full of telemetry loses most answers
+_VERSION_TRIES = 12  # a busy line of 57,600 baud loses most replies
 _VERSION_TRIES_UNNEEDED = 4  # where the rules do not depend on the release
-_SAY_S = 2.0  # s between two sentences about what is waited for
+_SAY_S = 2.0  # s between two texts on the wait
 _VOLTAGE_UNKNOWN = 0xFFFF  # mV, MAVLink SYS_STATUS.voltage_battery
 _SLICE_S = 0.02  # s between two looks
-_READ_MAX_S = 30.0  # s for everything, once the vehicle is heard
+_READ_MAX_S = 30.0  # s for the whole check after the first message of the vehicle
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What the talk came to."""
+    """Result of the check."""
 
-    profile: Profile | None  # what flies the vehicle, None when it was not recognised
-    version: str | None  # its release, None when it did not say
-    findings: tuple[Finding, ...]  # one for each rule; none when it did not come so far
-    problem: str | None  # why it is not flown whatever its parameters, None when nothing speaks against it
-    notes: tuple[str, ...] = ()  # what a person should know of the release
-    rules: str | None = None  # release whose rules were taken; None where there are none
-    # what the flight needs of a serial line, and what was measured on it; None of other links
+    profile: Profile | None  # of the autopilot; None: not recognised
+    version: str | None  # release of the autopilot; None: not received
+    findings: tuple[Finding, ...]  # one for each rule; empty if the check ended before
+    problem: str | None  # why the vehicle may not fly, apart from parameters; or None
+    notes: tuple[str, ...] = ()  # information on the release for the operator
+    rules: str | None = None  # release whose rules were used; None: no rules
+    # required and measured rates of a serial line; None: other link
     line: str | None = None
-    rest_v: float | None = None  # voltage of its battery; None while it is armed, and where it did not say
+    rest_v: float | None = None  # battery voltage before arming; None: armed, or not received
 
     @property
     def blocking(self) -> tuple[Finding, ...]:
-        """Findings that keep it from arming."""
+        """Findings that prevent arming."""
         return tuple(finding for finding in self.findings if finding.level is Level.UNSAFE)
 
     @property
     def safe(self) -> bool:
-        """Whether it may arm."""
         return self.problem is None and not self.blocking
 
 
@@ -70,13 +69,12 @@ def examine(
     say: Callable[[str], None] = lambda _text: None,
     senders: Senders | None = None,
 ) -> Report:
-    """Ask the vehicle and judge its answers.
+    """Check the vehicle; consumes the messages of ``endpoint`` meanwhile.
 
-    ``endpoint``: to it; its messages of that time are taken; ``chosen``: the profile that was given; None: by
-    the heartbeat; ``accepted``: names of parameters that a person has accepted; ``wait_s``: for its first
-    heartbeat; ``accept_release``: judge a release that is not known by the nearest rules; ``stopped``: the
-    talk is broken off when it says so; ``say``: takes a sentence every two seconds about what it waits for,
-    and how long yet; ``senders``: learn the vehicle's address, for the flight; None: nobody needs it.
+    ``chosen``: configured profile; None: by the heartbeat; ``accepted``: names of accepted parameters;
+    ``wait_s``: for the first heartbeat; ``accept_release``: allow an unknown release, with the nearest rules;
+    ``stopped``: ends the check early; ``say``: gets a text on the wait every two seconds; ``senders``: learns
+    the vehicle's address for the flight.
     """
     talk = _Talk(endpoint, system_id, chosen, senders or Senders(), accept_release=accept_release)
     began_s = time.monotonic()
@@ -95,7 +93,7 @@ def examine(
         talk.turn(now_s)
     reader, profile = talk.reader, talk.profile
     if stopped():
-        return Report(profile, talk.version, (), "broken off by the operator")
+        return Report(profile, talk.version, (), "cancelled by the operator")
     if talk.refused is not None:
         return Report(profile, talk.version, (), talk.refused)
     if profile is None or reader is None:
@@ -107,7 +105,7 @@ def examine(
 
 
 class _Talk:
-    """One turn after the other; what has been found so far."""
+    """State of the check; ``turn`` makes one step."""
 
     def __init__(
         self, endpoint: Endpoint, system_id: int, chosen: Profile | None, senders: Senders, *,
@@ -131,35 +129,35 @@ class _Talk:
         self._version_over = False
         self._foreign = LinkCounters()
         self._arrivals = Arrivals()
-        self._why = ""  # nothing is heard, as of the last look that found anything
+        self._why = ""  # reason of the silence, from the last increment of the counters
 
     @property
     def version(self) -> str | None:
-        """Release of the vehicle in words; None: not told."""
+        """Release of the vehicle as text; None: not received."""
         return self._release.text if self._release is not None else None
 
     @property
     def over(self) -> bool:
-        """Whether nothing is left to find out."""
+        """Whether the check is complete."""
         read = self.reader is not None and self.reader.done
         return self.refused is not None or (read and not self._senders.suspects)
 
     def waits_for(self) -> str:
-        """Say what has not come yet."""
+        """What has not arrived yet, as text."""
         if not self.heard:
             grown = self._arrivals.grown(self._endpoint.counters)
             if grown.keys() - {"sent"} or not self._why:
                 self._why = why_silent(self._target[0], grown, self._foreign.senders)
             return self._why
         if self.reader is None:
-            return "the vehicle does not say its version (AUTOPILOT_VERSION)"
+            return "the vehicle does not send its version (AUTOPILOT_VERSION)"
         names = [each.name.name for each in self.asked]
         known = self.reader.values.keys() | self.reader.missing.keys()
         left = [name for name in names if name not in known]
-        return f"{len(known)} of {len(names)} parameters have come; missing are {', '.join(left[:4])}"
+        return f"{len(known)} of {len(names)} parameters received; missing are {', '.join(left[:4])}"
 
     def turn(self, now_s: float) -> None:
-        """Say what is due, wait a little, take what came."""
+        """Send due requests, wait briefly, handle the input."""
         messages: list[Message] = []
         if now_s - self._said_s >= (_HEARTBEAT_S if self.heard else _HELLO_S):
             self._said_s = now_s
@@ -228,6 +226,6 @@ class _Talk:
 
 
 def _tries(profile: Profile) -> int:
-    """Return how often the release is asked for."""
+    """Number of requests for the release."""
     unneeded = profile is OWN_SITL or table_of(profile.name) is None
     return _VERSION_TRIES_UNNEEDED if unneeded else _VERSION_TRIES

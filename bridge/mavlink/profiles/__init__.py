@@ -1,1 +1,1 @@
-"""How the autopilots differ, as tables."""
+"""Differences between autopilots, as tables."""

@@ -1,7 +1,7 @@
-"""What differs between autopilots, as one table, and which one is there by HEARTBEAT and AUTOPILOT_VERSION.
+"""Table of the supported autopilots, and their detection by HEARTBEAT and AUTOPILOT_VERSION.
 
-Nothing else in the stack asks which autopilot it talks to. This project's own vehicles fly by PX4's commands
-and show its MAV_AUTOPILOT, but have other parameters; a recorded one has none.
+No other part of the stack distinguishes autopilots. This project's vehicles use PX4's commands and
+MAV_AUTOPILOT, but have other parameters; a recorded vehicle has none.
 Sources: PX4 ``px4_custom_mode.h``, ``mavlink_receiver.cpp`` and ``offboardCheck.cpp`` (v1.16); ArduPilot
 ``ArduCopter/mode.h``, ``mode_guided.cpp`` and ``GCS_Mavlink.cpp`` (4.6); both measured in their own SITL.
 """
@@ -51,7 +51,7 @@ _NAV_TAKEOFF = 22
 _ARM_DISARM = 400
 _CUSTOM_MODE_ENABLED = 1  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 _AIRBORNE = frozenset({Landed.IN_AIR, Landed.TAKEOFF, Landed.LANDING})
-# MAV_TYPE of what hovers and takes velocities in all axes; a plane or rover has other modes and limits.
+# MAV_TYPE of vehicles that hover and follow velocities in all axes.
 _MULTIROTORS = frozenset(
     {
         dialect.MAV_TYPE_QUADROTOR,
@@ -82,7 +82,7 @@ def _airborne(status: VehicleStatus) -> bool:
 
 
 def _flying(status: VehicleStatus) -> bool:
-    # A vehicle in the air is never sent a take-off, whatever its mode: somebody else may be flying it.
+    # A vehicle in the air never gets a take-off command: another client may control it.
     return status.armed and (status.mode is Mode.TAKEOFF or status.landed in _AIRBORNE)
 
 
@@ -95,17 +95,17 @@ def _guided_or_armed(status: VehicleStatus) -> bool:
 
 
 def _landing(status: VehicleStatus) -> bool:
-    # Disarmed and in the air contradict each other; on the ground the command does no harm.
+    # Disarmed in the air is a contradiction; on the ground the command is harmless.
     return status.mode is Mode.LAND or not (status.armed or status.landed in _AIRBORNE)
 
 
 def _offboard_or_airborne(status: VehicleStatus) -> bool:
-    # A vehicle in the air is never switched for a take-off: somebody else may be flying it.
+    # The mode of a vehicle in the air is not changed for a take-off: another client may control it.
     return _external(status) or _airborne(status)
 
 
 def _may_arm_in_its_mode(status: VehicleStatus) -> bool:
-    # Without set-points PX4's checks fail in OFFBOARD, where a landing by set-points leaves it, and in LAND.
+    # Without set-points PX4's checks fail in OFFBOARD (the mode after a landing by set-points) and in LAND.
     standing = status.landed is Landed.ON_GROUND and not status.armed
     return not (standing and status.mode in (Mode.EXTERNAL, Mode.LAND))
 
@@ -132,7 +132,7 @@ _OFFBOARD = Step(
     prestream=True,
 )
 _OWN_TAKEOFF = (_ARM, Step(_NAV_TAKEOFF, "take off", _takeoff, _flying))
-# The kill is tried for a minute: while it is wanted, giving up early helps nobody.
+# The kill is repeated for a minute.
 _KILL = Step(
     _ARM_DISARM,
     "force disarm",
@@ -141,7 +141,7 @@ _KILL = Step(
     blind=True,
     tries=120,
 )
-# PX4 answers a mode change twice, the first time always with ACCEPTED; so no ACCEPTED is believed.
+# PX4 answers a mode change twice, the first time always with ACCEPTED, so ACCEPTED proves nothing.
 _ANSWERS: Mapping[int, Reading] = {
     dialect.MAV_RESULT_ACCEPTED: Reading.NOTED,
     dialect.MAV_RESULT_IN_PROGRESS: Reading.WORKING,
@@ -165,8 +165,8 @@ PX4 = Profile(
     },
     sequences={
         Request.NONE: (),
-        # By set-points: COM_OBL_RC_ACT acts in OFFBOARD alone, so a companion that dies in the climb of
-        # AUTO.TAKEOFF would leave it hovering.
+        # By set-points: COM_OBL_RC_ACT acts only in OFFBOARD, so after a crash of the companion in the climb
+        # of AUTO.TAKEOFF the vehicle would hover.
         Request.TAKEOFF: (replace(_OFFBOARD, done=_offboard_or_airborne), _ARM),
         Request.EXTERNAL: (_OFFBOARD,),
         Request.LAND: (_LAND,),
@@ -175,13 +175,13 @@ PX4 = Profile(
     answers=_ANSWERS,
     takeoff_altitude=TakeoffAltitude.AMSL,
     stream_in_takeoff=True,
-    # s; PX4 wants one set-point younger than COM_OF_LOSS_T = 1.0 s at its next health check
+    # s; PX4 needs one set-point younger than COM_OF_LOSS_T = 1.0 s at its next health check
     prestream_s=0.3,
     unset=math.nan,
     encoding=Encoding.BYTEWISE,
     needs_origin=False,
-    stream_lost="COM_OBL_RC_ACT after COM_OF_LOSS_T; goes on by itself when the stream comes back",
-    time_sync="asked at 10 Hz, answered",
+    stream_lost="COM_OBL_RC_ACT after COM_OF_LOSS_T; continues when the stream returns",
+    time_sync="requested at 10 Hz, answered",
     prepare=(
         Step(
             _DO_SET_MODE,
@@ -194,25 +194,26 @@ PX4 = Profile(
     ),
 )
 
-OWN_SITL = replace(  # our simulated vehicle plays PX4 unless told otherwise
+OWN_SITL = replace(  # the simulated vehicle imitates PX4 by default
     PX4,
     name="sitl",
     title="own simulator, OFFBOARD",
-    # s; it judges each set-point as it comes, and a deck may be rising until it is flown
+    # s; it checks each set-point at its arrival, and a deck may rise meanwhile
     prestream_s=0.05,
-    stream_lost="COM_OBL_RC_ACT after COM_OF_LOSS_T; stays in that mode when the stream comes back",
-    time_sync="asked in lockstep: it is the tick",
+    stream_lost="COM_OBL_RC_ACT after COM_OF_LOSS_T; remains in that mode when the stream returns",
+    time_sync="requested in lockstep: it is the tick",
 )
 
 CRAZYFLIE = replace(
     PX4,
     name="crazyflie",
     title="Crazyflie behind the bridge, OFFBOARD",
-    # In its own take-off the bridge lands it when the companion dies; in OFFBOARD the motors stop after 2 s.
+    # After a crash of the companion the bridge lands it from its own take-off; in OFFBOARD the motors stop
+    # after 2 s.
     sequences={**PX4.sequences, Request.TAKEOFF: _OWN_TAKEOFF},
-    prepare=(),  # nothing of it depends on the mode
+    prepare=(),  # arming does not depend on the mode
     stream_lost="the firmware stops the motors after 2 s, or the bridge lands it (--land-on-silence)",
-    time_sync="nobody asks",
+    time_sync="not requested",
 )
 
 _GUIDED = _fixed(_CUSTOM_MODE_ENABLED, 4.0, 0.0, None, None, None, None)
@@ -221,7 +222,7 @@ ARDUPILOT = Profile(
     title="ArduCopter, GUIDED",
     autopilot=dialect.MAV_AUTOPILOT_ARDUPILOTMEGA,
     modes={
-        4: Mode.EXTERNAL,  # GUIDED; whether it follows us or takes off by itself it does not show
+        4: Mode.EXTERNAL,  # GUIDED; also in a take-off of the vehicle
         5: Mode.HOLD,  # LOITER
         9: Mode.LAND,
         16: Mode.HOLD,  # POSHOLD
@@ -232,7 +233,7 @@ ARDUPILOT = Profile(
         Request.TAKEOFF: (
             Step(_DO_SET_MODE, "switch to GUIDED", _GUIDED, _guided_or_airborne),
             _ARM,
-            # A repeated take-off starts its spool-up again, so more time between tries.
+            # A repeated take-off restarts the spool-up, so there is more time between tries.
             Step(_NAV_TAKEOFF, "take off", _takeoff, _airborne, period_s=4.0, tries=4),
         ),
         Request.EXTERNAL: (Step(_DO_SET_MODE, "switch to GUIDED", _GUIDED, _external),),
@@ -246,10 +247,10 @@ ARDUPILOT = Profile(
     unset=0.0,
     encoding=Encoding.C_CAST,
     needs_origin=True,
-    stream_lost="stops after GUID_TIMEOUT, stays in GUIDED and armed; goes on when the stream comes back",
-    time_sync="answered when asked; needed by nobody",
-    # Its pre-arm bit depends on the mode, so the mode comes first; one set in the first seconds after boot is
-    # acknowledged, then lost: tried for as long as the stack waits.
+    stream_lost="stops after GUID_TIMEOUT, remains in GUIDED and armed; continues when the stream returns",
+    time_sync="answered on request; not needed",
+    # The pre-arm bit depends on the mode, so the mode comes first. A mode that is set in the first seconds
+    # after boot is acknowledged and lost: repeated during the whole wait.
     prepare=(Step(_DO_SET_MODE, "switch to GUIDED", _GUIDED, _guided_or_armed, period_s=1.0, tries=3600),),
     asked_hz={dialect.MAVLINK_MSG_ID_SYS_STATUS: 2.0},  # all SRx_ rates may be 0
     data_streams={
@@ -261,15 +262,12 @@ ARDUPILOT = Profile(
 
 PROFILES: Mapping[str, Profile] = {p.name: p for p in (OWN_SITL, CRAZYFLIE, PX4, ARDUPILOT)}
 CHOICES = (AUTO, *PROFILES)
-# Of those that show the same MAV_AUTOPILOT the real one counts: the others fly by the same commands.
+# The real autopilots; other profiles with the same MAV_AUTOPILOT use the same commands.
 _BY_AUTOPILOT: Mapping[int, Profile] = {p.autopilot: p for p in (PX4, ARDUPILOT)}
 
 
 def profile(name: str) -> Profile | None:
-    """Profile by name, None for ``auto``.
-
-    Raises ValueError: there is none of that name; the text lists those there are.
-    """
+    """Profile by name, None for ``auto``. Raises ValueError: unknown name; the text lists the known ones."""
     if name == AUTO:
         return None
     try:
@@ -279,29 +277,27 @@ def profile(name: str) -> Profile | None:
 
 
 def found(autopilot: int) -> Profile | None:
-    """Profile of a heartbeat's MAV_AUTOPILOT, None when there is none."""
     return _BY_AUTOPILOT.get(autopilot)
 
 
 def refusal(autopilot: int, type_: int, chosen: Profile | None) -> str | None:
-    """Why a vehicle with this heartbeat is not flown, None when it is.
+    """Why a vehicle with this heartbeat is not supported, or None.
 
-    ``autopilot`` is its MAV_AUTOPILOT, ``type_`` its MAV_TYPE, ``chosen`` the profile that was given, None
-    for ``auto``.
+    ``autopilot`` is its MAV_AUTOPILOT, ``type_`` its MAV_TYPE, ``chosen`` the configured profile; None: auto.
     """
     if chosen is None and found(autopilot) is None:
         known = ", ".join(f"{p.title} ({number})" for number, p in _BY_AUTOPILOT.items())
         name = named("MAV_AUTOPILOT", autopilot)
-        return f"the vehicle's heartbeat says autopilot {name}: it is not flown; known are {known}"
+        return f"unsupported autopilot {name} in the vehicle's heartbeat; supported are {known}"
     if chosen is not None and autopilot != chosen.autopilot:
         return (
-            f"the vehicle's heartbeat says autopilot {autopilot}, but profile '{chosen.name}' is for "
-            f"autopilot {chosen.autopilot}: it is not flown; choose the profile that fits, or auto"
+            f"the vehicle's heartbeat has autopilot {autopilot}, but profile '{chosen.name}' is for "
+            f"autopilot {chosen.autopilot}; choose the profile that fits, or auto"
         )
     if type_ not in _MULTIROTORS:
         types = ", ".join(named("MAV_TYPE", number) for number in sorted(_MULTIROTORS))
         name = named("MAV_TYPE", type_)
-        return f"the vehicle's heartbeat says type {name}: it is not flown; known are {types}"
+        return f"unsupported vehicle type {name} in the vehicle's heartbeat; supported are {types}"
     return None
 
 
@@ -311,7 +307,7 @@ def named(enum: str, number: int) -> str:
     return f"{entry.name.removeprefix(f'{enum}_')} ({number})" if entry is not None else str(number)
 
 
-# flight_custom_version, where others have eight digits of their revision
+# flight_custom_version; other autopilots have eight digits of their revision there
 SITL_MARK = b"cfstack\x00"
 CRAZYFLIE_MARK = b"cfbridge"
 _MARKED: Mapping[bytes, Profile] = {SITL_MARK: OWN_SITL, CRAZYFLIE_MARK: CRAZYFLIE}

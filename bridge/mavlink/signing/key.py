@@ -1,4 +1,4 @@
-"""The file that holds a MAVLink signing key: read with care, made with care."""
+"""The file of a MAVLink signing key, readable by its owner only."""
 
 from __future__ import annotations
 
@@ -17,10 +17,8 @@ _HELP = "a key file holds 32 bytes or 64 hexadecimal characters; `flightstack ke
 
 @dataclass(frozen=True, slots=True)
 class SigningKey:
-    """A secret key shared by all who may speak on a link.
+    """A secret key shared by all members of a link.
 
-    ``secret``: 32 bytes, never shown; ``path``: file it came from; the state of signing is kept beside it.
-    None: nothing is kept.
     Raises ValueError: the secret has another length, or all its bytes are the same.
     """
 
@@ -31,28 +29,26 @@ class SigningKey:
         if len(self.secret) != KEY_BYTES:
             raise ValueError(f"signing key has {len(self.secret)} bytes: {KEY_BYTES} are needed; {_HELP}")
         if len(set(self.secret)) == 1:
-            raise ValueError(f"signing key is one byte repeated, which anybody can guess; {_HELP}")
+            raise ValueError(f"signing key is one byte repeated, which can be guessed; {_HELP}")
 
 
 def load_key(path: Path) -> SigningKey:
-    """Read a key file.
+    """Read a key file: an ordinary file with mode 0600 or 0400.
 
-    It is an ordinary file that nobody but its owner may read or write, mode 0600 or 0400.
-
-    Raises ValueError: others may read it, or it holds no key; OSError: it cannot be read.
+    Raises ValueError: another mode, or no key in it; OSError: it cannot be read.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
         raise OSError(error.errno, f"signing key {path}: {error.strerror}; {_HELP}") from error
     try:
-        mode = os.fstat(descriptor).st_mode  # of the file that is read, whatever the name means by now
+        mode = os.fstat(descriptor).st_mode  # of the opened file; the name may have changed
         if not stat.S_ISREG(mode):
             raise ValueError(f"signing key {path} is no ordinary file; {_HELP}")
         if mode & 0o077:
             raise ValueError(
-                f"signing key {path} has mode {mode & 0o777:04o}: others than its owner can get at it; "
-                f"make it yours alone with `chmod 600 {path}`, or a new key if they may have read it"
+                f"signing key {path} has mode {mode & 0o777:04o}: other users can access it; "
+                f"restrict it with  `chmod 600 {path}`, or a new key if they may have read it"
             )
         data = os.read(descriptor, _READ_MAX)
     finally:
@@ -64,16 +60,15 @@ def load_key(path: Path) -> SigningKey:
 
 
 def make_key(path: Path) -> None:
-    """Write a new random key, as 64 hexadecimal characters, readable by its owner alone.
+    """Write a new random key, as 64 hexadecimal characters, readable by its owner only.
 
-    Raises FileExistsError: there is a file of that name; a key is never written over; OSError: it cannot be
-    written.
+    Raises FileExistsError: the file exists and is not overwritten; OSError: it cannot be written.
     """
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
     except FileExistsError as error:
         raise FileExistsError(
-            error.errno, f"{path} exists and is not written over; give another name"
+            error.errno, f"{path} exists and is not overwritten; give another name"
         ) from error
     with os.fdopen(descriptor, "w") as file:
         file.write(secrets.token_hex(KEY_BYTES) + "\n")

@@ -1,7 +1,7 @@
-"""MAVLink 2 message signing (mavlink.io, guide/message_signing): verify, judge the time, then remember.
+"""MAVLink 2 message signing (mavlink.io, guide/message_signing): check the signature, then the time.
 
-A frame without the right signature leaves no trace: it can neither make an entry nor move a time. Streams
-are told apart by link, system and component, not by address, so a frame repeated from elsewhere is old too.
+A frame without a correct signature changes no state. A stream is a link, system and component, independent of
+the address, so a frame that is replayed from another address is old, too.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from bridge.mavlink.transport.address import Peer
 
 Stream = tuple[int, int, int]  # link id, system id, component id
 
-STREAMS_MAX = 64  # more senders than any link of this stack has; only holders of the key can fill it
+STREAMS_MAX = 64  # above the number of senders of any link; only holders of the key can fill the table
 TIMESTAMP_MAX = 2**48 - 1
 _READ_MAX = 65536  # bytes; 64 streams need 3000
 
@@ -32,16 +32,16 @@ _READ_MAX = 65536  # bytes; 64 streams need 3000
 class SigningState:
     """Times in units of 10 us since 2015-01-01 UTC, as MAVLink 2 signing counts them."""
 
-    clock: int = 0  # our clock when this was written
-    sent: int = 0  # timestamp of the last frame that we signed
-    # timestamp of the last frame accepted of each stream; the longest silent comes first
+    clock: int = 0  # our clock at the time of writing
+    sent: int = 0  # timestamp of the last signed frame
+    # timestamp of the last accepted frame of each stream; the least recent stream first
     streams: dict[Stream, int] = field(default_factory=dict)
 
 
 def load_state(path: Path) -> SigningState:
-    """Read a state; an empty one when there is no file yet.
+    """Read a state; an empty one without a file.
 
-    Raises ValueError: the file holds something else; OSError: it cannot be read.
+    Raises ValueError: invalid content; OSError: it cannot be read.
     """
     try:
         with path.open("rb") as file:
@@ -63,10 +63,7 @@ def load_state(path: Path) -> SigningState:
 
 
 def save_state(path: Path, state: SigningState) -> None:
-    """Write a state, whole or not at all; readable by its owner alone.
-
-    Raises OSError: it cannot be written.
-    """
+    """Write a state atomically, readable by its owner only. Raises OSError: it cannot be written."""
     rows = [[*stream, timestamp] for stream, timestamp in state.streams.items()]
     text = json.dumps({"clock": state.clock, "sent": state.sent, "streams": rows})
     new = path.with_name(f"{path.name}.{os.getpid()}")
@@ -96,15 +93,15 @@ def _stream(link: object, system: object, component: object) -> Stream:
 EPOCH_NS = 1_420_070_400_000_000_000  # 2015-01-01T00:00:00Z, time zero of signing
 TICK_NS = 10_000  # unit of a signing timestamp
 _S = 1_000_000_000 // TICK_NS  # ticks in a second
-STALE_TICKS = 60 * _S  # a new stream may be so far behind our clock (mavlink.io: one minute)
-AHEAD_TICKS = 3600 * _S  # any frame may be so far ahead: ArduPilot adds a minute at every start
-_SAVE_S = 10.0  # s between two writes of the state: what a crash may forget
-_TAG = 6  # bytes of SHA-256 that travel
+STALE_TICKS = 60 * _S  # greatest delay of a new stream behind our clock (mavlink.io: one minute)
+AHEAD_TICKS = 3600 * _S  # greatest lead of a frame: ArduPilot adds a minute at every start
+_SAVE_S = 10.0  # s between two writes of the state
+_TAG = 6  # bytes of SHA-256 in a frame
 _STAMP = 12  # bytes from the timestamp to the end
 
 
 class Refusal(Enum):
-    """Why a frame was not let in; the value is the name of its counter."""
+    """Reason to reject a frame; the value is the name of its counter."""
 
     UNSIGNED = "unsigned"
     REFLECTED = "reflected"
@@ -128,18 +125,16 @@ class Signer:
         unix_ns: Callable[[], int] = time.time_ns,
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """Take up where the last run ended.
+        """Continue from the state of the last run.
 
-        ``key``: the secret, and beside which file to remember; ``system_id``: our own; ``component_id``: our
-        own; ``link_id``: tells endpoints with the same ids and key apart, 0 to 255; ``unix_ns``: system
-        clock; it may jump; ``monotonic_ns``: clock that never goes back.
-        Raises ValueError: bad link id, or the state file holds something else; OSError: the state cannot be
-        read or written.
+        ``link_id``: distinguishes endpoints with the same ids and key, 0 to 255; ``unix_ns``: system clock,
+        which may jump; ``monotonic_ns``: clock that never goes back.
+        Raises ValueError: bad link id or state file; OSError: the state cannot be read or written.
         """
         if not 0 <= link_id <= 255:
             raise ValueError(f"signing link id is {link_id}: allowed is 0 to 255")
-        self.warning: str | None = None  # what a person should know about the clock, or None
-        self.state_errors = 0  # writes of the state that failed; tried again 10 s later
+        self.warning: str | None = None  # text for the operator on the clock, or None
+        self.state_errors = 0  # failed writes of the state, each repeated 10 s later
         self._own = bytes((system_id, component_id))
         self._link = bytes((link_id,))
         self._keyed = hashlib.sha256(key.secret)
@@ -150,15 +145,15 @@ class Signer:
         self._start = self._first_time()
         self._saved_s = self._start_ns / 1e9
         if self._path is not None:
-            save_state(self._path, self._snapshot())  # now, so that a folder without rights is an error now
+            save_state(self._path, self._snapshot())  # now, so that missing rights are an error at the start
 
     @property
     def streams(self) -> int:
-        """How many streams are remembered."""
+        """Number of streams in the table."""
         return len(self._state.streams)
 
     def now(self) -> int:
-        """Our clock in signing ticks; it never goes back, not even over a restart."""
+        """Our clock in signing ticks; it never goes back, also over a restart."""
         elapsed = (self._monotonic_ns() - self._start_ns) // TICK_NS
         return max(self._system(), self._start + elapsed)
 
@@ -172,7 +167,7 @@ class Signer:
     def refusal(self, frame: bytes) -> Refusal | None:
         """Judge a signed frame from ``split_frames``; None lets it in, and remembers its timestamp."""
         if frame[5:7] == self._own:
-            return Refusal.REFLECTED  # our own signature is right, wherever it comes back from
+            return Refusal.REFLECTED  # our signature is correct from any address
         if not hmac.compare_digest(self._tag(frame[:-_TAG]), frame[-_TAG:]):
             return Refusal.BAD_SIGNATURE
         stamp = int.from_bytes(frame[-_STAMP:-_TAG], "little")
@@ -189,7 +184,7 @@ class Signer:
         elif stamp <= last:
             return Refusal.REPLAYED
         else:
-            del streams[stream]  # the longest silent stays first
+            del streams[stream]  # the least recent stream remains first
         streams[stream] = stamp
         return None
 
@@ -201,7 +196,7 @@ class Signer:
             self._save(self._path)
 
     def close(self) -> None:
-        """Write the state for the last time; may be called twice."""
+        """Write the state a last time; may be called twice."""
         if self._path is not None:
             self._save(self._path)
 
@@ -229,10 +224,10 @@ class Signer:
             return system
         behind_s = (stored - system) / _S
         self.warning = (
-            f"the system clock is {behind_s:.0f} s behind the last run with this signing key: signing goes "
-            f"on from that run's time; set the clock, and if that time was wrong delete {self._path}"
+            f"the system clock is {behind_s:.0f} s behind the last run with this signing key: signing "
+            f"continues from that run's time;  set the clock, and if that time was wrong delete {self._path}"
         )
-        # As ArduPilot does at start: later than anything that may have been sent after the last write.
+        # As in ArduPilot: later than all frames that may have been sent after the last write.
         return stored + STALE_TICKS
 
     def _make_room(self, now: int) -> bool:
@@ -250,14 +245,14 @@ def _state_path(key: SigningKey, system_id: int, component_id: int, link_id: int
     return key.path.with_name(f"{key.path.name}.{system_id}-{component_id}-{link_id}.state")
 
 
-ANSWERED = frozenset({Refusal.STALE, Refusal.REPLAYED})  # the signature was right, the time was not
-ANSWER_S = 1.0  # s between two answers to one address
-_PEERS_MAX = 4  # addresses answered at a time: whoever repeats recorded frames gets no more than that
+ANSWERED = frozenset({Refusal.STALE, Refusal.REPLAYED})  # correct signature, wrong time
+ANSWER_S = 1.0  # s between two replies to one address
+_PEERS_MAX = 4  # greatest number of addresses with replies, which bounds the replies to replayed frames
 _HEARTBEAT = 0  # message id
 
 
 class StaleAnswers:
-    """Decides whom to send our newest heartbeat."""
+    """Chooses the peers that get our newest heartbeat."""
 
     def __init__(self, clock_s: Callable[[], float] = time.monotonic) -> None:
         self._clock_s = clock_s

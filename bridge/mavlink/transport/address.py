@@ -1,4 +1,4 @@
-"""MAVLink URLs and addresses: which may be used without a signing key, and which senders are answered."""
+"""MAVLink URLs and addresses: policy without a signing key, and the table of peers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ipaddress import IPv4Address
 
 Peer = tuple[str, int]
 
-DEFAULT_BAUD = 921_600  # bits/s of a serial line that names none, as PX4's TELEM2 has
+DEFAULT_BAUD = 921_600  # default of a serial line, bits/s, as of PX4's TELEM2
 _BAUDS = range(1_200, 12_000_001)  # bits/s
 _URL = re.compile(r"^(udpin|udpout|tcp):(?://)?([^:/\s]+):(\d{1,5})$")
 _IPV6 = re.compile(r"^\w+:(//)?(\[|[^/]*::)")
@@ -26,10 +26,9 @@ _PEER_HELP = "allowed is HOST:PORT, PORT 1 to 65535, for example 127.0.0.1:14550
 
 
 def parse_url(url: str) -> tuple[str, str, int]:
-    """Split an endpoint URL.
+    """Split an endpoint URL into kind ("udpin", "udpout", "tcp"), host, port; or "serial", device, bits/s.
 
-    Returns kind ("udpin", "udpout", "tcp"), host and port; or "serial", device and bits a second.
-    Raises ValueError: the URL is none of the allowed forms.
+    Raises ValueError: the URL has none of the allowed forms.
     """
     line = _SERIAL.match(url)
     if line is not None:
@@ -54,9 +53,7 @@ def parse_url(url: str) -> tuple[str, str, int]:
 
 
 def parse_udp_url(url: str, who: str) -> tuple[str, str, int]:
-    """Split the URL of a part that speaks UDP only, as ``parse_url`` does.
-
-    ``who`` is the subject of the error's sentence, for example "the simulated vehicle".
+    """As ``parse_url``, for UDP only; ``who`` is the subject of the error text.
 
     Raises ValueError: another kind of link, or none of the allowed forms.
     """
@@ -69,19 +66,13 @@ def parse_udp_url(url: str, who: str) -> tuple[str, str, int]:
 
 
 def baud_of(url: str) -> int | None:
-    """Bits a second of a serial line; None for everything else, whose speed is not known.
-
-    Raises ValueError: the URL is none of the allowed forms.
-    """
+    """Bits a second of a serial line; None of other links. Raises ValueError: not an allowed form."""
     kind, _, number = parse_url(url)
     return number if kind == "serial" else None
 
 
 def parse_peer(text: str) -> Peer:
-    """Address of a configured peer from ``HOST:PORT``.
-
-    Raises ValueError: another form, or the host has no IPv4 address.
-    """
+    """Address of a peer ``HOST:PORT``. Raises ValueError: another form, or no IPv4 address of the host."""
     match = _PEER.match(text)
     if "[" in text or "::" in text:
         raise ValueError(f"MAVLink peer {text!r} has an IPv6 address; MAVLink links here use IPv4 alone")
@@ -91,10 +82,7 @@ def parse_peer(text: str) -> Peer:
 
 
 def resolve(what: str, host: str, port: int, help_text: str = _URL_HELP) -> Peer:
-    """IPv4 address of a host.
-
-    Raises ValueError: it has none; ``what`` and ``help_text`` go into the message.
-    """
+    """IPv4 address of a host. Raises ValueError: it has none; the text has ``what`` and ``help_text``."""
     try:
         info = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)
     except OSError as error:
@@ -111,20 +99,19 @@ def is_local(address: Peer) -> bool:
 def local_host_for(address: Peer) -> str:
     """Our own address on the way to ``address``, so that the socket does not listen on other interfaces."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.connect(address)  # UDP: chooses a route, sends nothing
+        probe.connect(address)  # UDP: selects a route without sending
         return str(probe.getsockname()[0])
 
 
 def check_policy(
     url: str, address: Peer, always: tuple[Peer, ...], *, signed: bool, allow_unsigned: bool
 ) -> str | None:
-    """Refuse an endpoint that anybody on the network could command.
+    """Reject an endpoint that accepts commands of any host of the network; returns a warning, or None.
 
-    ``url``: as it was given; ``address``: where it listens, or whom it calls, who alone is heard then; device
-    and baud of a cable; ``always``: peers that get telemetry unasked; ``signed``: there is a signing key;
-    ``allow_unsigned``: a person has said that none is wanted.
-    Returns a warning, or None.
-    Raises ValueError: what is wrong, and what to do.
+    ``address``: local address, or that of the only peer; device and baud of a serial line; ``always``: peers
+    that get telemetry from the start; ``signed``: with a key; ``allow_unsigned``: the operator accepts the
+    risk.
+    Raises ValueError: not allowed.
     """
     kind = parse_url(url)[0]
     listens = kind == "udpin"
@@ -132,7 +119,7 @@ def check_policy(
         raise ValueError("a signing key and --allow-unsigned exclude each other: give one of them")
     if always and not listens:
         raise ValueError(f"MAVLink URL {url!r} calls one address and speaks to no other peer: use udpin")
-    if kind == "serial":  # a cable: who holds its other end can do more than send
+    if kind == "serial":  # a cable: its other end has physical access
         return None
     if is_local(address):
         for host, port in [peer for peer in always if not is_local(peer)]:
@@ -145,16 +132,16 @@ def check_policy(
         return None
     if listens and not allow_unsigned:
         raise ValueError(
-            f"MAVLink URL {url!r} listens to the network, where anybody could fly the vehicle: give "
+            f"MAVLink URL {url!r} listens to the network, where any host could control the vehicle: give "
             "--signing-key FILE (`flightstack key FILE` makes one), or listen on 127.0.0.1; "
-            "--allow-unsigned takes the risk, on a network where you trust everybody"
+            "--allow-unsigned takes the risk, on a network with trusted hosts only"
         )
-    who = "anybody on the network" if listens else "whoever can forge its address"
+    who = "any host on the network" if listens else "a host that forges its address"
     return f"MAVLink is not signed on {url!r}: {who} can command the vehicle"
 
 
-EXPIRY_S = 10.0  # s of wall time; a vehicle or companion that is alive sends a heartbeat every second
-_STRANGERS_MAX = 16  # senders without heartbeat remembered at a time; the longest silent makes room
+EXPIRY_S = 10.0  # s of wall time without a heartbeat, which has 1 Hz
+_STRANGERS_MAX = 16  # greatest number of senders without heartbeat; the least recent is replaced
 
 
 @dataclass(slots=True)
@@ -164,16 +151,16 @@ class _Stranger:
 
 
 class PeerTable:
-    """Bounded tables of senders; everybody else's frames are heard, too, but never answered.
+    """Bounded tables of senders; frames of other senders are accepted without replies.
 
-    ``configured``: peers that get everything from the start and never expire; ``peers_max``: how many others,
-    with a heartbeat, are served at a time.
+    ``configured``: peers that get all frames from the start and never expire; ``peers_max``: greatest number
+    of other peers, which have sent a heartbeat.
     """
 
     def __init__(self, configured: tuple[Peer, ...], peers_max: int) -> None:
         self._configured = configured
         self._peers_max = peers_max
-        self._beating: dict[Peer, float] = {}  # when each was heard last
+        self._beating: dict[Peer, float] = {}  # time of the last heartbeat
         self._strangers: dict[Peer, _Stranger] = {}
 
     @property
@@ -187,7 +174,7 @@ class PeerTable:
 
     @property
     def remembered(self) -> int:
-        """Entries of both tables."""
+        """Number of entries of both tables."""
         return len(self._beating) + len(self._strangers)
 
     def heard(self, peer: Peer, size: int, *, heartbeat: bool) -> bool:
@@ -215,13 +202,13 @@ class PeerTable:
         return 0 if stranger is None else stranger.credit_bytes
 
     def spend(self, peer: Peer, size: int) -> None:
-        """Note bytes sent to somebody with an allowance."""
+        """Subtract bytes sent from a peer's allowance."""
         stranger = self._strangers.get(peer)
         if stranger is not None:
             stranger.credit_bytes -= size
 
     def _room(self, now_s: float) -> bool:
-        """Whether one more peer fits; the place of one that has expired is free."""
+        """Whether there is room for a peer; the place of an expired one is free."""
         for peer, heard_s in list(self._beating.items()):
             if len(self._beating) >= self._peers_max and now_s - heard_s > EXPIRY_S:
                 del self._beating[peer]

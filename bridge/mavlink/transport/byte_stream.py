@@ -1,7 +1,7 @@
-"""MAVLink over a byte stream that may break: a serial line or a TCP connection.
+"""MAVLink over a serial line or a TCP connection that is reopened after a loss.
 
-A lost connection is opened again every half second. Outgoing frames wait in a bounded buffer; where there is
-no room the new frame is dropped whole, so that the other side never sees half of one. Nothing blocks.
+Opening is tried every half second. Outgoing frames wait in a bounded buffer; without room a new frame is
+dropped as a whole, so that the other side never gets a part of one. Only ``wait`` blocks.
 """
 
 from __future__ import annotations
@@ -18,35 +18,35 @@ from bridge.mavlink.transport.address import Peer
 from bridge.mavlink.transport.transport import Chunk, LineCounters
 
 RETRY_S = 0.5  # s between two tries to open a lost connection
-_READ_BYTES = 4096  # taken at a time
-_NOTICES_MAX = 32  # kept until somebody takes them
-OUTGOING_MAX = 4096  # bytes waiting; at 57,600 baud a serial line takes less, see SerialLine
+_READ_BYTES = 4096  # of one read
+_NOTICES_MAX = 32  # texts kept until ``take_notices``
+OUTGOING_MAX = 4096  # buffered bytes of TCP; a serial line has less
 
 
 class Channel(Protocol):
     """An open connection. All methods raise OSError when it is lost."""
 
     def fileno(self) -> int:
-        """Descriptor, not blocking."""
+        """Non-blocking descriptor."""
 
     def established(self) -> bool:
         """Whether it is open for reading and writing; False while it is being opened."""
 
     def read(self, size: int) -> bytes | None:
-        """Bytes that are there, None when there are none now."""
+        """Available bytes; None: no bytes now."""
 
     def write(self, data: bytes) -> int:
-        """Hand over as many bytes as there is room for now; their number."""
+        """Write as many bytes as there is room for, and return their number."""
 
     def close(self) -> None:
-        """Close it at once; never raises."""
+        """Close without waiting; never raises."""
 
 
 class ByteStream:
-    """A connection that is opened again when it is lost; see :class:`.transport.Transport`.
+    """A ``Transport`` that reopens a lost connection.
 
-    ``name`` and ``peer`` are the other side's, for notices and the log. ``connect`` opens a channel, or
-    begins to. ``outgoing_max`` are bytes of frames that may wait to be sent.
+    ``name`` and ``peer`` of the other side are for notices and the log. ``connect`` opens a channel, or
+    starts to. ``outgoing_max``: bytes of frames that may wait.
     """
 
     is_stream = True
@@ -71,17 +71,17 @@ class ByteStream:
         self._lost_s = self._retry_s = clock_s()
         self._outgoing: deque[bytes] = deque()
         self._waiting_bytes = 0
-        self._rest = b""  # of the frame that has gone out in part
+        self._rest = b""  # rest of a frame that is sent in part
         self._notices: list[str] = []
-        self._nothing, self._never = socket.socketpair()  # its descriptor is never readable
+        self._nothing, self._never = socket.socketpair()  # a descriptor that is never readable
 
     def open_now(self) -> None:
-        """Open it for the first time. Raises OSError: it cannot be opened."""
+        """Open for the first time. Raises OSError: it cannot be opened."""
         self._channel = self._connect()
         self._look()
 
     def receive(self) -> Chunk | None:
-        """Take the next bytes; None when there are none now."""
+        """Next bytes; None: no bytes now."""
         channel = self._ready()
         if channel is None:
             return None
@@ -111,7 +111,7 @@ class ByteStream:
         self._write()
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until there is something to receive, writing what waits meanwhile."""
+        """Wait for input and write pending frames meanwhile."""
         until_s = self._clock_s() + timeout_s
         while True:
             channel = self._ready()
@@ -130,7 +130,7 @@ class ByteStream:
                 return True
             if writable:
                 self._write()
-                if self._waiting_bytes:  # the line is slow, though it takes bytes: do not turn for nothing
+                if self._waiting_bytes:  # the slow line accepts bytes: no busy loop
                     time.sleep(min(left_s, 0.001))
             if self._clock_s() >= until_s:
                 return False
@@ -157,7 +157,7 @@ class ByteStream:
         self._never.close()
 
     def _ready(self) -> Channel | None:
-        """The connection, opened again if it is time; None while there is none."""
+        """The connection, reopened when due; None while there is none."""
         if self._channel is None:
             now_s = self._clock_s()
             if self._closed or now_s < self._retry_s:
@@ -171,7 +171,7 @@ class ByteStream:
         return self._look()
 
     def _look(self) -> Channel | None:
-        """Whether the connection stands; says so when that is new."""
+        """The established connection, with a notice when it is new; else None."""
         channel = self._channel
         assert channel is not None
         try:
@@ -186,7 +186,7 @@ class ByteStream:
         return channel
 
     def _lose(self, error: OSError) -> None:
-        """Close the connection; what waited is old by the time there is another."""
+        """Close the connection and drop pending frames, which would be too old later."""
         if self._channel is not None:
             self._channel.close()
             self._channel = None
@@ -205,7 +205,7 @@ class ByteStream:
         self._say(f"{self._name} {what} ({error.strerror or error}): tried again every {RETRY_S:g} s")
 
     def _write(self) -> None:
-        """Hand over what waits, as far as there is room; the rest of a frame always goes first."""
+        """Write pending bytes while there is room; the rest of a started frame goes first."""
         channel = self._channel
         if channel is None:
             return

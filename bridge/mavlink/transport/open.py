@@ -18,19 +18,17 @@ from bridge.mavlink.transport.transport import DatagramTransport, LineCounters, 
 
 _FRAME_MAX = 280  # bytes; one frame of the greatest length must fit into every queue
 _BITS_PER_BYTE = 10  # on a serial line: a start bit, eight bits of data, a stop bit (8N1)
-_QUEUE_S = 0.1  # s of a serial line that outgoing frames may wait: a set-point that is older is of no use
-_KERNEL_QUEUE_S = 0.05  # s of bytes that may wait in the kernel: what waits longer is old when it goes out
-_CONNECT_MAX_S = 2.0  # s until a TCP connection that nobody answers is given up
-_UNANSWERED_MAX_MS = 2000  # ms that sent bytes may stay unacknowledged: a peer that vanished is then noticed
-_SEND_BUFFER = 4096  # bytes, asked of the kernel for TCP: what waits there is old when it goes out
+_QUEUE_S = 0.1  # s of buffered frames on a serial line: an older set-point is useless
+_KERNEL_QUEUE_S = 0.05  # s of bytes in the kernel's buffer
+_CONNECT_MAX_S = 2.0  # s until a TCP connection without reply is given up
+_UNANSWERED_MAX_MS = 2000  # ms without acknowledgement until a TCP connection counts as lost
+_SEND_BUFFER = 4096  # bytes of the kernel's buffer for TCP, small against delay
 
 
 def open_transport(url: str, address: Peer, counters: LineCounters) -> Transport:
-    """Open what a URL names.
+    """Open a URL of ``parse_url``; ``address``: IPv4 address and port, or device and baud.
 
-    ``url``: as :func:`bridge.mavlink.transport.address.parse_url` reads it; ``address``: IPv4 address and
-    port, or device and baud; ``counters``: of the endpoint.
-    Raises OSError: it cannot be opened; a TCP connection that is refused is tried again instead.
+    Raises OSError: it cannot be opened; a refused TCP connection is tried again instead.
     """
     kind = parse_url(url)[0]
     if kind == "serial":
@@ -52,12 +50,12 @@ def open_transport(url: str, address: Peer, counters: LineCounters) -> Transport
 
 
 def _bytes_in(time_s: float, baud: int) -> int:
-    """What a serial line carries in this time, one frame at least."""
+    """Bytes that a serial line carries in a time; at least one frame."""
     return max(_FRAME_MAX, round(baud / _BITS_PER_BYTE * time_s))
 
 
 def _number(device: int, request: int) -> int:
-    """What a device answers to a request for a number of bytes."""
+    """Integer result of an ioctl request."""
     (answer,) = struct.unpack("i", fcntl.ioctl(device, request, bytes(4)))
     return int(answer)
 
@@ -78,7 +76,7 @@ class _SerialChannel:
         try:
             self._fd: int = self._port.fileno()
             attributes = termios.tcgetattr(self._fd)
-            attributes[6][termios.VMIN] = 1  # no bytes is then told apart from a line that hung up
+            attributes[6][termios.VMIN] = 1  # distinguishes an empty line from a hang-up
             termios.tcsetattr(self._fd, termios.TCSANOW, attributes)
         except (OSError, termios.error) as error:
             self._port.close()
@@ -91,8 +89,8 @@ class _SerialChannel:
         return True
 
     def read(self, size: int) -> bytes | None:
-        # Reading an empty line waits for a worker of the kernel (n_tty_read): on a busy machine 0.3 s.
-        if _number(self._fd, termios.FIONREAD) == 0:  # OSError of a device that has gone
+        # Reading an empty line waits for a kernel worker (n_tty_read), up to 0.3 s on a busy machine.
+        if _number(self._fd, termios.FIONREAD) == 0:  # OSError: the device is gone
             return None
         try:
             data = os.read(self._fd, size)
@@ -103,12 +101,12 @@ class _SerialChannel:
         return data
 
     def write(self, data: bytes) -> int:
-        # Only as long as little waits in the kernel, whose buffer would hold seconds of it.
+        # Only a small part of the kernel's buffer is used: it would hold seconds of frames.
         room = self._queue_max - _number(self._fd, termios.TIOCOUTQ)
         return os.write(self._fd, data[:room]) if room > 0 else 0
 
     def close(self) -> None:
-        # Little waits in the kernel, and of a device that has gone nothing is waited for.
+        # The kernel's buffer is nearly empty; a missing device is not waited for.
         with contextlib.suppress(OSError):
             self._port.close()
 
@@ -122,7 +120,7 @@ _REASONS = {
 
 
 class _TcpChannel:
-    """A connection, being opened or open; OSError when it is refused at once."""
+    """A connecting or established connection; OSError when it is refused at once."""
 
     def __init__(self, address: Peer) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)

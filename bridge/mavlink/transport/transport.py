@@ -1,4 +1,4 @@
-"""What carries the bytes of a MAVLink endpoint: UDP, which is here, a serial line or a TCP connection."""
+"""Interface of the transports of a MAVLink endpoint, and UDP; ``byte_stream`` has serial lines and TCP."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Chunk(NamedTuple):
 
 
 class LineCounters(Protocol):
-    """Counts that a transport keeps."""
+    """Counters of a transport."""
 
     bytes_in: int
     bytes_out: int
@@ -29,42 +29,40 @@ class LineCounters(Protocol):
 
 
 class Transport(Protocol):
-    """One way to the other side. Nothing of it ever blocks but ``wait``, and that is bounded."""
+    """A connection to the other side. Only ``wait`` blocks, for a bounded time."""
 
-    local_port: int  # UDP or TCP port of ours; 0 where there is none
-    baud: int | None  # bits a second of a serial line, None where the speed is not known
-    is_stream: bool  # chunks are pieces of one stream, cut anywhere; else each stands alone
+    local_port: int  # our UDP or TCP port; 0: none
+    baud: int | None  # bits a second of a serial line; None: other link
+    is_stream: bool  # chunks are parts of a stream, cut anywhere; else independent datagrams
 
     def receive(self) -> Chunk | None:
-        """Take the next bytes; None when there are none now. Never raises."""
+        """Next bytes; None: no bytes now. Never raises."""
 
     def send(self, frames: Sequence[bytes], peer: Peer) -> None:
-        """Send whole frames, in order; what does not go is dropped whole and counted. Never raises."""
+        """Send whole frames in order; a frame that cannot be sent is dropped and counted. Never raises."""
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until there is something to receive; False when nothing came in ``timeout_s``."""
+        """Wait for input; False when nothing arrived in ``timeout_s``."""
 
     def fileno(self) -> int:
-        """Descriptor that becomes readable when something can be received; it may change after a loss."""
+        """Descriptor that is readable when there is input; it may change after a loss."""
 
     def take_notices(self) -> list[str]:
-        """Texts about the connection since the last call: lost, found again."""
+        """Texts about the connection since the last call: lost, connected again."""
 
     def close(self) -> None:
         """Close it; may be called twice."""
 
 
-_RECEIVED_MAX = 4096  # bytes of a datagram that is looked at; nobody joins frames beyond an Ethernet frame
+_RECEIVED_MAX = 4096  # greatest datagram, bytes, above an Ethernet frame
 _DATAGRAM_MAX = 1400  # bytes; below an Ethernet frame and PX4's 1600-byte buffer (mavlink_receiver.cpp)
-_SOCKET_BUFFER = 1 << 20  # bytes, asked for; the kernel may give less
+_SOCKET_BUFFER = 1 << 20  # requested bytes; the kernel may give less
 
 
 class DatagramTransport:
-    """A UDP socket; see :class:`bridge.mavlink.transport.open.Transport`.
+    """A UDP socket; one that does not listen has ``address`` as its only peer.
 
-    One that does not listen sends to the address, and hears nobody else.
-
-    Raises OSError: the address cannot be bound, or there is no route to it.
+    Raises  OSError: the address cannot be bound, or there is no route to it.
     """
 
     baud: int | None = None
@@ -80,7 +78,7 @@ class DatagramTransport:
                 self._socket.bind(address)
             else:
                 self._socket.bind((local_host_for(address), 0))
-                self._socket.connect(address)  # the kernel drops what comes from elsewhere
+                self._socket.connect(address)  # the kernel drops other senders
         except OSError as error:
             self._socket.close()
             hint = "is another process listening there?" if listens else "is there a route to it?"
@@ -90,14 +88,14 @@ class DatagramTransport:
         self._readable.register(self._socket, select.POLLIN)
 
     def receive(self) -> Chunk | None:
-        """Take one datagram; None when there is none. What is too long comes back empty, and is counted."""
-        if not self._readable.poll(0):  # a third of what a call costs that finds nothing
+        """One datagram; None: no datagram. An oversized one is counted and returned empty."""
+        if not self._readable.poll(0):  # a third of the cost of an empty recvfrom
             return None
         try:
             datagram, peer = self._socket.recvfrom(_RECEIVED_MAX + 1)
         except BlockingIOError:
             return None
-        except OSError:  # a peer's port was closed, or ours: nothing to mend here
+        except OSError:  # the port of a peer, or ours, was closed
             return Chunk(b"", ("", 0))
         self._counters.bytes_in += len(datagram)
         if len(datagram) > _RECEIVED_MAX:
@@ -111,19 +109,16 @@ class DatagramTransport:
             self._send(datagram, peer)
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until a datagram is there; False when none came in time."""
         return bool(self._readable.poll(1e3 * timeout_s))
 
     def fileno(self) -> int:
-        """Descriptor of the socket."""
         return self._socket.fileno()
 
     def take_notices(self) -> list[str]:
-        """Nothing: UDP has no connection that could be lost."""
+        """UDP has no connection that could be lost."""
         return []
 
     def close(self) -> None:
-        """Close the socket; may be called twice."""
         self._socket.close()
 
     def _send(self, datagram: bytes, peer: Peer) -> None:
@@ -131,8 +126,8 @@ class DatagramTransport:
             try:
                 self._counters.bytes_out += self._socket.sendto(datagram, peer)
             except ConnectionRefusedError:
-                continue  # says that an earlier datagram found no listener: not about this one
-            except OSError:  # full buffer or no route: the caller sends again next tick
+                continue  # an earlier datagram had no listener; this one was not sent
+            except OSError:  # full buffer or no route: a newer frame follows in the next tick
                 self._counters.send_errors += 1
             return
         self._counters.send_errors += 1

@@ -96,7 +96,7 @@ def test_onboard_does_not_arm_what_is_unsafe():
         assert "WAIT: unsafe parameters of the autopilot: COM_OF_LOSS_T" in done.out
         other = flightstack(*onboard, "--vehicle", url, "--autopilot", "ardupilot")
         assert other.code == 1
-        assert "is for autopilot 3: it is not flown" in other.out
+        assert "is for autopilot 3; choose the profile that fits" in other.out
         child.send_signal(signal.SIGTERM)
         assert "armed" not in child.communicate(timeout=WALL_MAX_S)[0].split()
 

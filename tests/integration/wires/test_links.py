@@ -142,7 +142,7 @@ def test_a_key_is_never_written_over_nor_read_when_others_can(key_file):
     before = key_file.read_bytes()
     again = flightstack("key", key_file)
     assert again.code == 2
-    assert "not written over" in again.err
+    assert "not overwritten" in again.err
     assert key_file.read_bytes() == before
     key_file.chmod(0o644)
     refused = flightstack("vehicle", "--scenario", "paper_moving_1", "--signing-key", key_file)

@@ -109,7 +109,7 @@ def test_another_type_under_the_topic_is_said():
         ) as started,
     ):
         wait_for(lambda: started.said("geometry_msgs/msg/PoseStamped is needed"), "the reason")
-        wait_for(lambda: started.said("the vehicle is not heard"), "the other reason")
+        wait_for(lambda: started.said("no message from the vehicle"), "the other reason")
         assert started.end() == 0
 
 

@@ -325,7 +325,7 @@ def test_the_table_names_every_autopilot_of_the_stack():
 
 
 def test_odometry_is_no_pose():
-    with pytest.raises(ValueError, match="are no poses: allowed is pose, pose-covariance"):
+    with pytest.raises(ValueError, match="is not a pose type: allowed is pose, pose-covariance"):
         parse_spec("a/b", "odometry")
 
 

@@ -228,7 +228,7 @@ def test_nobody_there_is_a_failure_in_the_time_given():
 
 def test_the_operator_may_break_it_off():
     report = talk(Vehicle(mute=("PARAM_VALUE",)), stopped=lambda: True)
-    assert report.problem == "broken off by the operator"
+    assert report.problem == "cancelled by the operator"
 
 
 @pytest.mark.parametrize(

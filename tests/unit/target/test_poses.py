@@ -281,7 +281,7 @@ def test_a_direct_transform_and_one_with_a_slash_of_ros_1():
 def test_edges_come_in_messages_of_their_own_and_the_tracked_one_sets_the_time():
     chain = TransformChain("map", "foot")
     assert chain.take([edge(9, "odom", "foot", (1.0, 0.0, 0.0))]) == []
-    assert "nothing says where that is in 'map'" in chain.problem
+    assert "there is no transform from that to 'map'" in chain.problem
     assert chain.take([edge(10, "map", "odom", (0.0, 0.0, 0.0), quaternion_from_yaw(math.pi / 2))]) == []
     [found] = chain.take([edge(11, "odom", "foot", (2.0, 0.0, 0.0))])
     assert (found.stamp_ns, found.position_m) == (11, pytest.approx((0.0, 2.0, 0.0)))

@@ -253,7 +253,7 @@ def one_edge(parent, child):
         (TargetType.POSE, ros.pose_stamped(STAMP, FRAME, (0.0, 0.0, 0.0), (0.0,) * 4), "never set"),
         (TargetType.POSE, b"\x00\x01\x00\x00", "cut short"),
         (TargetType.TF, one_edge(FRAME, "other"), "no transform of 'base_footprint'"),
-        (TargetType.TF, one_edge("map", CHILD), "nothing says where that is"),
+        (TargetType.TF, one_edge("map", CHILD), "there is no transform from that"),
     ],
     ids=["other frame", "no quaternion", "cut short", "other child", "no chain"],
 )  # fmt: skip

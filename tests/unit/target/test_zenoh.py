@@ -300,7 +300,7 @@ def test_a_client_cannot_listen(file):
 
 def test_a_client_without_a_router_is_told_so(file):
     path = file("{connect: {timeout_ms: 200}}")
-    with pytest.raises(ZenohLinkError, match="is the router there"):
+    with pytest.raises(ZenohLinkError, match="is the router running"):
         open_session(connect=[free_endpoint()], config_file=path, role=Role.CLIENT)
 
 

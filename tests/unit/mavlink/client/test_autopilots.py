@@ -73,7 +73,7 @@ def test_names_and_heartbeats_give_profiles():
 @pytest.mark.parametrize(
     ("autopilot", "type_", "chosen", "words"),
     [
-        (0, 2, None, ["GENERIC (0)", "PX4", "ArduCopter", "not flown"]),
+        (0, 2, None, ["unsupported", "GENERIC (0)", "PX4", "ArduCopter"]),
         (99, 2, None, ["99"]),
         (12, 1, None, ["FIXED_WING (1)", "QUADROTOR (2)"]),
         (3, 10, ARDUPILOT, ["GROUND_ROVER (10)"]),

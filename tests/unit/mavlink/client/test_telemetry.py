@@ -299,7 +299,7 @@ def test_names_of_sixteen_characters_and_repeated_names():
         ({"sent": 10}, "nothing arrives"),
         ({"bad_signature": 3, "unsigned": 1}, "3 frames are signed with another key than --signing-key"),
         ({"unsigned": 4, "received": 2}, "4 frames have no signature"),
-        ({"stale": 1, "ahead": 2}, "3 signed frames are refused by their time stamps"),
+        ({"stale": 1, "ahead": 2}, "3 signed frames are rejected by their time stamps"),
         ({"reflected": 5}, "5 frames have our own ids"),
         ({"version_1": 5, "garbage_bytes": 9}, "5 frames are MAVLink 1"),
         ({"bad_crc": 1, "unknown_id": 1}, "2 frames are damaged or of unknown messages"),

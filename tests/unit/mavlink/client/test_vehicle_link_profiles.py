@@ -135,7 +135,7 @@ def test_a_vehicle_that_restarts_while_it_is_waited_for_is_asked_and_told_anew(v
     assert asked(again) == {1.0, 30.0, 32.0, 245.0}
     assert any(m.get_type() == "SET_GPS_GLOBAL_ORIGIN" for m in again)
     assert [text for _, text in auto.take_texts()] == [
-        "restarted, or heard again after a silence: what does not come is asked for again"
+        "restarted, or heard again after a silence: missing telemetry is requested again"
     ]
     seen = [second for second in range(41, 140) if 32.0 in asked(tick(float(second), beat))]
     assert len(seen) > 10  # for as long as it takes, by the group's request in between

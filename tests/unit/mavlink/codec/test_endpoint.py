@@ -329,7 +329,7 @@ def test_network_with_a_key_or_on_purpose_without():
     assert signed.warnings == ()
     signed.close()
     unsigned = Endpoint("udpin:0.0.0.0:0", 1, 1, allow_unsigned=True)
-    assert "anybody on the network can command" in unsigned.warnings[0]
+    assert "any host on the network can command" in unsigned.warnings[0]
     unsigned.close()
     with pytest.raises(ValueError, match="exclude each other"):
         Endpoint("udpin:0.0.0.0:0", 1, 1, signing_key=KEY, allow_unsigned=True)

@@ -244,7 +244,7 @@ def test_made_key_is_private_random_and_never_written_over(tmp_path):
     assert stat.S_IMODE(one.stat().st_mode) == 0o600
     assert load_key(one).secret != load_key(two).secret
     assert load_key(one).secret.hex() not in repr(load_key(one))
-    with pytest.raises(FileExistsError, match="not written over"):
+    with pytest.raises(FileExistsError, match="not overwritten"):
         make_key(one)
 
 
