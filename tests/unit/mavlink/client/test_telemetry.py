@@ -9,7 +9,7 @@ from bridge.mavlink.client.parameters import ParameterReader
 from bridge.mavlink.client.silence import Arrivals, why_silent
 from bridge.mavlink.client.vehicle_state import VehicleState
 from bridge.mavlink.endpoint import EndpointCounters, LinkCounters, dialect
-from bridge.mavlink.profiles.autopilots import ARDUPILOT, OWN_SITL, PX4, profile
+from bridge.mavlink.profiles.autopilots import PX4
 from bridge.mavlink.profiles.profile import Encoding
 from flightstack.core.types import Landed, Mode, VehicleStatus
 from tests.unit.mavlink.client.vehicle_link_fakes import (
@@ -164,21 +164,10 @@ def test_px4_modes(state, custom_mode, mode):
     assert state.status.mode is mode
 
 
-def test_ardupilot_modes():
-    assert [ARDUPILOT.mode(m) for m in (4, 9, 17, 0)] == [Mode.EXTERNAL, Mode.LAND, Mode.HOLD, Mode.OTHER]
-
-
 def test_heartbeat_of_another_autopilot_is_no_status(state):
     state.update(heartbeat(4, armed=True, autopilot=3), 0.0)
     assert state.status is None
     assert state.counters.other_autopilot == 1
-
-
-def test_profile_by_name():
-    assert profile("px4") is PX4
-    assert profile("sitl") is OWN_SITL
-    with pytest.raises(ValueError, match="sitl, crazyflie, px4, ardupilot"):
-        profile("betaflight")
 
 
 REAL, INT32, INT8 = dialect.MAV_PARAM_TYPE_REAL32, dialect.MAV_PARAM_TYPE_INT32, dialect.MAV_PARAM_TYPE_INT8
