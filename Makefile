@@ -12,24 +12,26 @@ PIP := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-c
 fly: $(VENV)/.fly
 	$(BIN)/flightstack sitl --scenario paper_moving_1
 
-# what `make test` and `make quick` have in common
+# what `make test` and `make quick` have in common; the argument is done meanwhile
 define CHECK
 $(BIN)/ruff check .
 $(BIN)/ruff format --check .
 $(BIN)/lint-imports --no-logo --no-cache
-@# meanwhile the simulator's loops are compiled once, and the tests' sources, and not by each worker
-$(BIN)/python -m sim.runners.warm_up & $(BIN)/mypy && $(BIN)/python -m pytest --collect-only -q >/dev/null && wait $$!
+$(1) & $(BIN)/mypy && wait $$!
 endef
+# the simulator's loops are compiled once, and the tests' sources, and not by each worker
+WARM := $(BIN)/python -m sim.runners.warm_up
+COLLECT := $(BIN)/python -m pytest --collect-only -q >/dev/null
 
 # a test that ends its worker is given to the next one, which it ends, too
 test: $(VENV)/.test
-	$(CHECK)
+	$(call CHECK,($(WARM) && $(COLLECT)))
 	$(BIN)/python -m pytest -n auto --dist loadgroup --max-worker-restart 1 -q
 
-# the unit tests without those marked slow
+# the unit tests without those marked slow; one worker a core, as none of them flies in real time
 quick: $(VENV)/.test
-	$(CHECK)
-	$(BIN)/python -m pytest -n auto --dist loadgroup -q -m "not slow" tests/unit
+	$(call CHECK,$(WARM))
+	$(BIN)/python -m pytest -n logical --dist loadgroup -q -m "not slow" tests/unit
 
 bench: $(VENV)/.test
 	$(BIN)/python -m tests.benchmarks

@@ -66,9 +66,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_auto_num_workers() -> int:
-    """One worker for each stream of flights in real time, which mostly wait, and one for each core."""
-    return STREAMS + (os.cpu_count() or 1)
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """One worker for each core; with ``-n auto`` also one for each stream of flights, which mostly wait."""
+    streams = 0 if config.option.numprocesses == "logical" else STREAMS
+    return streams + (os.cpu_count() or 1)
 
 
 @pytest.hookimpl(tryfirst=True)  # before the workers look at the groups

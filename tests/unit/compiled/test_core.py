@@ -59,6 +59,7 @@ def flown(scenario, make, monkeypatch):
     return rows, repr(flight.controller.state)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("filter_name", ["robust", "paper"])
 @pytest.mark.parametrize("name", ["storm", "room"])
 def test_each_step_of_a_landing_is_the_same_to_the_last_bit(plain, monkeypatch, name, filter_name):

@@ -32,6 +32,8 @@ from sim.scenarios.scenario import (
 )
 from sim.vehicle.vehicle import VehicleSim
 
+pytestmark = pytest.mark.slow
+
 STEPS = 300
 
 

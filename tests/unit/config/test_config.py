@@ -207,6 +207,7 @@ def test_no_margin_is_blown_up_by_more_than_half():
         assert 0.1 < held.margin_m < 0.16
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["paper_static_1", "paper_moving_1", "lab"])
 def test_the_crazyflies_configuration_lands_where_the_velocity_loop_is_twice_as_quick_too(name):
     # the paper's loop has 11.5 1/s where 5.2 is configured: the cone may be left by centimetres, no swinging

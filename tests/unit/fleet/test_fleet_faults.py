@@ -7,6 +7,8 @@ import pytest
 from logs.verdict.types import Outcome
 from tests.fault_grid.fleet import MOMENTS_S, SEED, WHO, Way, fly, row
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs" / "reference" / "fault_grid.md").read_text()
 

@@ -153,6 +153,7 @@ def test_a_team_has_one_wind_of_its_own_gusts():
     assert [each.wind.direction_rad for each, _ in team_of(given).singles(4)] == [0.5]
 
 
+@pytest.mark.slow
 def test_a_flight_inwards_that_a_neighbour_turns_round_stays_above_the_barrier():
     """The fifth vehicle came 11 mm below it when sinking counted on flying on inwards."""
     landings = land_team(team.load("fleet_8"), 20866).landings

@@ -11,6 +11,8 @@ from sim.campaign.team_rows import judge_team
 from sim.runners.fleet.team import land_team
 from sim.scenarios import scenario, team
 
+pytestmark = pytest.mark.slow
+
 BUSY = (Phase.LAND, Phase.TOUCHDOWN)
 
 
