@@ -30,7 +30,7 @@ from bridge.mocap.checks import Passed
 from flightstack.core.types import ZERO, Vec3
 
 INFO, WARNING = dialect.MAV_SEVERITY_INFO, dialect.MAV_SEVERITY_WARNING
-CRITICAL = dialect.MAV_SEVERITY_CRITICAL
+CRITICAL, NOTICE = dialect.MAV_SEVERITY_CRITICAL, dialect.MAV_SEVERITY_NOTICE
 
 
 class Craft(Known):

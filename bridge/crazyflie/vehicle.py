@@ -12,7 +12,7 @@ import math
 
 from bridge.crazyflie import rules as limits
 from bridge.crazyflie.checks import STUCK
-from bridge.crazyflie.craft import CRITICAL, INFO, Craft
+from bridge.crazyflie.craft import CRITICAL, INFO, NOTICE, Craft
 from bridge.crazyflie.pilot import Done, Ground, yaw_rate
 from bridge.crazyflie.types import Info, Order, Velocity
 from bridge.mavlink.server.owner import Right, Sender
@@ -86,11 +86,12 @@ class Vehicle(Craft):
         height_m = home_m + limits.TAKEOFF_M if height_m is None else height_m
         low, high = limits.HEIGHT_RANGE_M
         if not low <= height_m - home_m <= high:
-            return f"Take-off refused: {height_m - home_m:.3g} m above home, {low:g} to {high:g}"
-        if not self.standing and self.state is not None:
-            height_m = max(height_m, self.state.position_enu_m[2])  # it never descends for that
+            return f"Take-off refused: {height_m - home_m:.4g} m above home, {low:g} to {high:g}"
         if self.mode is FlightMode.TAKEOFF and height_m == self._pilot.takeoff_z_m:
             return None
+        if not self.standing and self.state is not None and height_m < self.state.position_enu_m[2]:
+            self.texts.say(NOTICE, "Already higher than the take-off height")
+            height_m = self.state.position_enu_m[2]  # it never descends for that
         self._pilot.takeoff_z_m = height_m
         self._enter(FlightMode.TAKEOFF, now_s)
         return None
