@@ -23,32 +23,26 @@ from bridge.crazyflie.types import (
     Packet,
     ParamValue,
 )
-from bridge.mavlink.server.owner import ControlOwner
-from bridge.mavlink.server.profile import AIRBORNE_STATE, FlightMode
-from bridge.mavlink.server.texts import Texts
+from bridge.mavlink.server.commander import Commander
+from bridge.mavlink.server.profile import FlightMode
 from bridge.mocap.checks import Passed
-from flightstack.core.types import ZERO, Vec3
 
 INFO, WARNING = dialect.MAV_SEVERITY_INFO, dialect.MAV_SEVERITY_WARNING
-CRITICAL, NOTICE = dialect.MAV_SEVERITY_CRITICAL, dialect.MAV_SEVERITY_NOTICE
+CRITICAL = dialect.MAV_SEVERITY_CRITICAL
 
 
-class Craft(Known):
-    """Call the methods as things come.
+class Craft(Known, Commander):
+    """Call the methods as events come. Home is the origin, at the height where it stands or was armed."""
 
-    Attributes:
-        mode: meaningful also while disarmed.
-        failsafe: the mode was not asked for.
-        home_enu_m: the origin, at the height where it stands; armed, where it was armed.
-    """
+    height_range_m = limits.HEIGHT_RANGE_M
+    stream_lost_s = limits.STREAM_S
 
     def __init__(self, rules: limits.Rules) -> None:
+        Commander.__init__(self)
+        Known.__init__(self, mocap=rules.mocap)
         self.rules = rules
-        self.mode, self.failsafe = FlightMode.HOLD, False
-        self.home_enu_m: Vec3 = ZERO
+        self.takeoff_z_m = limits.TAKEOFF_M
         self._arming = Arming()
-        super().__init__(mocap=rules.mocap)
-        self.texts, self.owner = Texts(), ControlOwner()
         self.settings = Settings(rules.drag_1_s, restore=rules.restore)
         self._packets: list[Packet] = []
         self._pilot = Pilot()
@@ -79,11 +73,6 @@ class Craft(Known):
     def standing(self) -> bool:
         """Not in the air, as far as can be told without a sensor for it."""
         return not (self.armed and self._moved)
-
-    @property
-    def landed_state(self) -> int:
-        """MAV_LANDED_STATE."""
-        return 1 if self.standing else AIRBORNE_STATE[self.mode]
 
     def take_packets(self) -> list[Packet]:
         """What goes to the Crazyflie, in order."""
@@ -135,7 +124,7 @@ class Craft(Known):
         before, self.state = self.state, state
         if not self.armed:  # a take-off that waits for the arming climbs from where it stands then
             height_m = state.position_enu_m[2]
-            self._pilot.takeoff_z_m += height_m - self.home_enu_m[2]
+            self.takeoff_z_m += height_m - self.home_enu_m[2]
             self.home_enu_m = (0.0, 0.0, height_m)
         if self._silence_said:
             self.texts.say(INFO, "Radio is back")
@@ -210,17 +199,20 @@ class Craft(Known):
 
     # Changes
 
-    def _enter(self, mode: FlightMode, now_s: float, *, failsafe: bool = False) -> None:
-        self.failsafe = failsafe
-        if mode is self.mode and mode is FlightMode.LAND:
-            return  # it goes on
-        self._change(mode)
+    def _enter(
+        self, mode: FlightMode, now_s: float, *, failsafe: bool = False, restart: bool = False
+    ) -> None:
+        """Change the mode; any but a landing begins anew at the present place."""
+        super()._enter(mode, now_s, failsafe=failsafe, restart=restart or mode is not FlightMode.LAND)
+
+    def _begin(self, now_s: float) -> None:
         self._pilot.begin(now_s)
 
-    def _change(self, mode: FlightMode) -> None:
-        if mode is not self.mode:
-            self.texts.say(INFO, f"Mode {mode.value}")
-        self.mode = mode
+    def _height_m(self) -> float:
+        return self.state.position_enu_m[2] if self.state is not None else -math.inf
+
+    def _default_takeoff_z_m(self) -> float:
+        return self.home_enu_m[2] + limits.TAKEOFF_M
 
     def _fall_back(self, reason: str, now_s: float) -> None:
         if self.standing:

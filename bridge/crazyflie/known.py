@@ -8,8 +8,8 @@ from bridge.crazyflie.checks import FIT, HEALTH_AGE_MAX_S, STATE_AGE_MAX_S, Seen
 from bridge.crazyflie.rules import LOST_S
 from bridge.crazyflie.types import CrazyflieState, Health, Info, Link, Outside
 from bridge.frames import Quat, body_from_world, yaw_from_quaternion
+from bridge.mavlink.server.commander import Battery
 from bridge.mavlink.server.profile import POSITION_SOURCE
-from bridge.mavlink.server.telemetry import Battery
 from bridge.mocap.checks import Limits, Passed
 from flightstack.core.types import ZERO, Vec3
 

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from enum import Enum, auto
 
-from bridge.crazyflie.rules import STANDING_S, TAKEOFF_M, TAKEOFF_MAX_S
+from bridge.crazyflie.rules import STANDING_S, TAKEOFF_MAX_S
 from bridge.crazyflie.types import CrazyflieState, Velocity
 from bridge.frames import wrap_angle, yaw_from_quaternion
 from bridge.mavlink.server.profile import FlightMode
@@ -109,24 +109,25 @@ class Done(Enum):
 
 
 class Pilot:
-    """Flies take-off, hold and landing; what it does not know it does not guess.
-
-    Attributes:
-        takeoff_z_m: height of the next or present take-off.
-        since_s: begin of the present mode.
-    """
+    """Flies take-off, hold and landing."""
 
     def __init__(self) -> None:
-        self.takeoff_z_m = TAKEOFF_M
         self._anchor: Anchor | None = None
-        self.since_s = -math.inf
+        self.since_s = -math.inf  # begin of the present mode
 
     def begin(self, now_s: float) -> None:
         """Begin a mode, from wherever it is."""
         self._anchor, self.since_s = None, now_s
 
     def step(
-        self, mode: FlightMode, state: CrazyflieState | None, now_s: float, *, standing: bool, placed: bool
+        self,
+        mode: FlightMode,
+        takeoff_z_m: float,
+        state: CrazyflieState | None,
+        now_s: float,
+        *,
+        standing: bool,
+        placed: bool,
     ) -> tuple[Velocity | None, Done | None]:
         """Velocity to send, and whether the mode is done.
 
@@ -139,7 +140,7 @@ class Pilot:
                 return Velocity((0.0, 0.0, -DESCENT_M_S), 0.0), None
             return (None if standing else Velocity(ZERO, 0.0)), None
         if self._anchor is None:
-            self._anchor = Anchor.here(state, self.takeoff_z_m if mode is FlightMode.TAKEOFF else None)
+            self._anchor = Anchor.here(state, takeoff_z_m if mode is FlightMode.TAKEOFF else None)
         anchor = self._anchor
         turn_rad_s = yaw_rate(anchor.yaw_rad, state)
         if mode is FlightMode.LAND:

@@ -12,10 +12,9 @@ import math
 
 from bridge.crazyflie import rules as limits
 from bridge.crazyflie.checks import STUCK
-from bridge.crazyflie.craft import CRITICAL, INFO, NOTICE, Craft
+from bridge.crazyflie.craft import CRITICAL, INFO, Craft
 from bridge.crazyflie.pilot import Done, Ground, yaw_rate
 from bridge.crazyflie.types import Info, Order, Velocity
-from bridge.mavlink.server.owner import Right, Sender
 from bridge.mavlink.server.profile import FlightMode
 from bridge.mavlink.server.setpoints import Setpoint
 
@@ -28,7 +27,7 @@ class Vehicle(Craft):
     def __init__(self, rules: limits.Rules) -> None:
         super().__init__(rules)
         self._ground = Ground()
-        self._stream_s = self._client_s = self._own_s = -math.inf
+        self._client_s = self._own_s = -math.inf
         self._stream_end_said = self._ends = False
         self._idle_since_s = 0.0
 
@@ -37,10 +36,6 @@ class Vehicle(Craft):
     def client(self, now_s: float) -> None:
         """A client's heartbeat."""
         self._client_s = now_s
-
-    def forbids(self, sender: Sender, right: Right, now_s: float) -> str | None:
-        """Why this sender may not do something now; disarmed, everybody may."""
-        return self.owner.forbids(sender, right, now_s, limits.STREAM_S) if self.armed else None
 
     def arm(self, now_s: float) -> str | None:
         """Ask the supervisor; ``armed`` or a text shows what became of it."""
@@ -75,66 +70,23 @@ class Vehicle(Craft):
             self._motors_off(now_s, "Disarmed by force" if force else "Disarmed", forced=force)
         return None
 
-    def take_off(self, height_m: float | None, now_s: float) -> str | None:
-        """Climb and hold there; disarmed: as soon as it is armed.
-
-        ``height_m`` is z of its world; None: 0.5 m above home.
-        """
-        if self._ends:
-            return f"Take-off refused: {_ENDS}"
-        home_m = self.home_enu_m[2]
-        height_m = home_m + limits.TAKEOFF_M if height_m is None else height_m
-        low, high = limits.HEIGHT_RANGE_M
-        if not low <= height_m - home_m <= high:
-            return f"Take-off refused: {height_m - home_m:.4g} m above home, {low:g} to {high:g}"
-        if self.mode is FlightMode.TAKEOFF and height_m == self._pilot.takeoff_z_m:
-            return None
-        if not self.standing and self.state is not None and height_m < self.state.position_enu_m[2]:
-            self.texts.say(NOTICE, "Already higher than the take-off height")
-            height_m = self.state.position_enu_m[2]  # it never descends for that
-        self._pilot.takeoff_z_m = height_m
-        self._enter(FlightMode.TAKEOFF, now_s)
-        return None
-
-    def land(self, now_s: float) -> None:
-        """Go down where it is; nothing can refuse that."""
-        if self.armed:
-            self._enter(FlightMode.LAND, now_s)
-
     def end(self, now_s: float) -> None:
         """Land because the bridge ends: from now on nothing arms it or takes it out of the landing."""
         self._ends = True
         self.land(now_s)
 
-    def set_mode(self, mode: FlightMode, now_s: float) -> str | None:
-        """Change the mode."""
-        if mode is FlightMode.TAKEOFF:
-            return self.take_off(None, now_s)
-        if mode is FlightMode.LAND:
-            self.land(now_s)
-            return None
+    def _why_no_mode(self, mode: FlightMode, now_s: float) -> str | None:
         if self._ends:
-            return f"Mode {mode.value} refused: {_ENDS}"
-        if mode is FlightMode.OFFBOARD and now_s - self._stream_s > limits.STREAM_S:
-            return "Mode offboard refused: no set-points"
-        if mode is FlightMode.OFFBOARD and not self.position_known(now_s):
-            return "Mode offboard refused: no position estimate"
-        self._enter(mode, now_s)
-        return None
+            return _ENDS
+        blind = mode is FlightMode.OFFBOARD and self._streamed(now_s) and not self.position_known(now_s)
+        return "no position estimate" if blind else None
 
-    def refuse_setpoint(self, reason: str, now_s: float) -> None:
-        """Say why a set-point is refused."""
-        self.texts.refuse(reason, now_s, "set-point")
-
-    def take_setpoint(self, setpoint: Setpoint, sender: Sender, now_s: float) -> str | None:
+    def _take(self, setpoint: Setpoint, now_s: float) -> None:
         """Pass a velocity on, once, when it is armed and in OFFBOARD; a longer one is cut to the limit."""
         velocity_enu_m_s, yaw_rad, yaw_rate_rad_s = setpoint
-        reason = self.owner.admit(sender, now_s, limits.STREAM_S)
-        if reason is not None:
-            return reason
-        self._stream_s, self._stream_end_said = now_s, False
+        self._stream_end_said = False
         if not (self.armed and self.mode is FlightMode.OFFBOARD):
-            return None
+            return
         speed_m_s = math.hypot(*velocity_enu_m_s)
         if speed_m_s > self.rules.speed_max_m_s:
             share = self.rules.speed_max_m_s / speed_m_s
@@ -147,7 +99,6 @@ class Vehicle(Craft):
         self._command(Velocity(velocity_enu_m_s, yaw_rate_rad_s))
         if self._ground.stands(velocity_enu_m_s[2], state, now_s):  # a client that landed may disarm
             self._moved = False
-        return None
 
     def step(self, now_s: float) -> None:
         """Whatever time brings; call it at least every 10 ms."""
@@ -160,7 +111,7 @@ class Vehicle(Craft):
             self.texts.say(CRITICAL, text if text[0].isupper() else f"Arming failed: {text}")
         if self.armed and not was_armed:
             self.texts.say(INFO, "Armed")
-        if not self.armed and self.mode is FlightMode.OFFBOARD and now_s - self._stream_s > limits.STREAM_S:
+        if not self.armed and self.mode is FlightMode.OFFBOARD and now_s - self._setpoint_s > limits.STREAM_S:
             self._change(FlightMode.HOLD)
         if not (self.armed and self.standing):
             self._idle_since_s = now_s
@@ -195,7 +146,9 @@ class Vehicle(Craft):
         if state is not None and not placed and self.mode is not FlightMode.LAND:
             self._fall_back("No position estimate", now_s)
             return
-        velocity, done = self._pilot.step(self.mode, state, now_s, standing=self.standing, placed=placed)
+        velocity, done = self._pilot.step(
+            self.mode, self.takeoff_z_m, state, now_s, standing=self.standing, placed=placed
+        )
         if done is Done.LANDED:
             self._motors_off(now_s, "Landed, disarmed", forced=False)
             return
@@ -209,7 +162,7 @@ class Vehicle(Craft):
 
     def _fly_offboard(self, now_s: float) -> None:
         """Nothing is sent here; only what has stopped is said."""
-        silence_s = now_s - self._stream_s
+        silence_s = now_s - self._setpoint_s
         if silence_s > limits.LEVEL_OUT_S and not self._stream_end_said and self._moved:
             self._stream_end_said = True
             self.texts.say(CRITICAL, "Set-points stopped: firmware levels out, motors off at 2 s")

@@ -71,7 +71,7 @@ class SimCommands:
         if distance_m > _HOME_REACH_M:
             reason = f"Home refused: {distance_m:.4g} m from the origin, at most {_HOME_REACH_M:g}"
             return Answer(REJECTED, reason)
-        self._flight.pilot.home_enu_m = point  # local coordinates stay as they are
+        self._flight.home_enu_m = point  # local coordinates stay as they are
         self._streams.hasten(dialect.MAVLINK_MSG_ID_HOME_POSITION)
         return Answer()
 
@@ -95,7 +95,7 @@ class SimCommands:
             None if yaw is None else yaw_enu_from_ned(yaw),
             speed_m_s if speed_m_s is not None and speed_m_s > 0.0 else None,
         )
-        return answer(self._flight.reposition(goal))
+        return answer(self._flight.reposition(goal, command.now_s))
 
     def _reboot(self, command: Command) -> Answer:
         what = integer(command.given(1))
@@ -103,7 +103,7 @@ class SimCommands:
             return Answer()  # "do nothing", for example when only the companion shall restart
         if what != 1:
             return Answer(DENIED, "Reboot refused: param1 must be 1, nothing else can be done")
-        reason = self._flight.reboot()
+        reason = self._flight.reboot(command.now_s)
         if reason is None:
             self._streams.reset(command.now_s)
         return answer(reason, DENIED)

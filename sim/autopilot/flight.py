@@ -1,4 +1,4 @@
-"""What the autopilot does with its vehicle: arming, modes, and fail-safes."""
+"""The simulated vehicle's arming, modes and fail-safes."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from collections.abc import Mapping
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.frames import yaw_from_quaternion
-from bridge.mavlink.server.owner import ControlOwner, Right, Sender
+from bridge.mavlink.server.commander import Battery, Commander
+from bridge.mavlink.server.owner import Sender
 from bridge.mavlink.server.parameters import Parameters
-from bridge.mavlink.server.profile import AIRBORNE_STATE, POSITION_SOURCE, FlightMode
+from bridge.mavlink.server.profile import POSITION_SOURCE, FlightMode
 from bridge.mavlink.server.setpoints import Setpoint
-from bridge.mavlink.server.telemetry import Battery
-from bridge.mavlink.server.texts import Texts
 from flightstack.core.types import ZERO, Vec3
 from sim.autopilot.pilot import Event, Goal, Pilot
 from sim.autopilot.vehicle_like import Standing, VehicleLike
@@ -27,37 +26,23 @@ STREAM_LOST: Mapping[int, FlightMode] = {0: FlightMode.LAND, 4: FlightMode.LAND,
 _ESTIMATE_LOST_S = 0.5  # s without a valid estimate until it lands by itself
 
 
-class Flight:
-    """Modes, arming and fail-safes. Methods that can refuse return the reason, or None when done.
+class Flight(Commander):
+    """The simulated vehicle's commander."""
 
-    Attributes:
-        mode: flight mode; meaningful also while disarmed.
-        failsafe: the present mode was not asked for but forced by a failure.
-        texts: what it says.
-        pilot, ground: flies the mode; watches the contacts.
-        watches: slow fail-safes, with the battery.
-    """
-
-    arming = False  # the firmware answers at once
+    height_range_m = HEIGHT_RANGE_M
 
     def __init__(
-        self,
-        vehicle: VehicleLike,
-        parameters: Parameters,
-        period_s: float,
-        trim_enu_m_s: Vec3 = ZERO,
+        self, vehicle: VehicleLike, parameters: Parameters, period_s: float, trim_enu_m_s: Vec3 = ZERO
     ) -> None:
+        super().__init__()
         self.vehicle = vehicle
-        self.mode = FlightMode.HOLD
-        self.failsafe = False
-        self.texts = Texts()
         x, y, _ = vehicle.estimate().position_enu_m
-        self.pilot = Pilot(vehicle, parameters, (x, y, 0.0), trim_enu_m_s)
+        self.home_enu_m = (x, y, 0.0)
+        self.pilot = Pilot(vehicle, parameters, trim_enu_m_s)
         self.watches = Watches(parameters, vehicle)
-        self._parameters = parameters
         self.ground = Standing(vehicle)
-        self._owner = ControlOwner()
-        self._setpoint_s = -math.inf
+        self._parameters = parameters
+        self._goal: Goal | None = None  # of the mode that begins
         self._was_armed = vehicle.armed
         self._flew = vehicle.armed and not self.ground.now  # since arming
         self._control_s: float | None = None
@@ -67,7 +52,6 @@ class Flight:
 
     @property
     def armed(self) -> bool:
-        """Motors may run."""
         return self.vehicle.armed
 
     @property
@@ -77,18 +61,11 @@ class Flight:
 
     @property
     def standing(self) -> bool:
-        """On the ground or on the pad, not just touching."""
         return self.ground.now
 
     @property
-    def home_enu_m(self) -> Vec3:
-        """Home, local."""
-        return self.pilot.home_enu_m
-
-    @property
-    def landed_state(self) -> int:
-        """MAV_LANDED_STATE."""
-        return int(dialect.MAV_LANDED_STATE_ON_GROUND) if self.standing else AIRBORNE_STATE[self.mode]
+    def stream_lost_s(self) -> float:
+        return self._parameters["COM_OF_LOSS_T"]
 
     @property
     def positioned(self) -> bool:
@@ -105,7 +82,6 @@ class Flight:
         return (POSITION_SOURCE if self.positioned else 0) | int(dialect.MAV_SYS_STATUS_GEOFENCE)
 
     def problems(self, _now_s: float) -> list[str]:
-        """Reasons why the vehicle would not arm now; empty when ready."""
         found = []
         if self.vehicle.locked:
             found.append("firmware is locked, restart it (command 246)")
@@ -113,11 +89,23 @@ class Flight:
             found.append("no position estimate")
         return found
 
-    def forbids(self, sender: Sender, right: Right, now_s: float) -> str | None:
-        """Why this sender may not do something now; on the ground and disarmed everybody may."""
-        if not self.vehicle.armed:
-            return None
-        return self._owner.forbids(sender, right, now_s, self._parameters["COM_OF_LOSS_T"])
+    def _why_no_mode(self, _mode: FlightMode, _now_s: float) -> str | None:
+        return None if self.positioned else "no position estimate"
+
+    def _height_m(self) -> float:
+        return self.vehicle.estimate().position_enu_m[2]
+
+    def _default_takeoff_z_m(self) -> float:
+        if self.mode is FlightMode.TAKEOFF:
+            return self.takeoff_z_m
+        ground_z_m = self._height_m() if self.standing else self.home_enu_m[2]
+        return ground_z_m + self._parameters["MIS_TAKEOFF_ALT"]
+
+    def _take(self, setpoint: Setpoint, _now_s: float) -> None:
+        self.pilot.take(setpoint)
+
+    def _begin(self, _now_s: float) -> None:
+        self.pilot.begin(self._goal)
 
     def arm(self, now_s: float) -> str | None:
         """Arm; nothing moves before a mode says so."""
@@ -134,7 +122,7 @@ class Flight:
         self.say(dialect.MAV_SEVERITY_INFO, "Armed")
         return None
 
-    def disarm(self, _now_s: float, *, force: bool) -> str | None:
+    def disarm(self, now_s: float, *, force: bool) -> str | None:
         """Disarm; in the air only by force."""
         if not self.vehicle.armed:
             self.vehicle.disarm(force)  # also clears the firmware's memory of a crash
@@ -144,67 +132,23 @@ class Flight:
         reason = self.vehicle.disarm(force)
         if reason is not None:
             return f"Disarming refused: {reason}"
-        self._after_disarm("Disarmed by force" if force else "Disarmed")
+        self._after_disarm("Disarmed by force" if force else "Disarmed", now_s)
         return None
 
-    def reboot(self) -> str | None:
+    def reboot(self, now_s: float) -> str | None:
         """Restart the firmware, also a locked one; parameters, home and boot clock stay."""
         if self.vehicle.armed:
             return "Reboot refused: armed"
         reason = self.vehicle.reboot()
         if reason is not None:
             return f"Reboot refused: {reason}"
-        self._enter(FlightMode.HOLD)
+        self._enter(FlightMode.HOLD, now_s)
         self.say(dialect.MAV_SEVERITY_INFO, "Firmware restarted")
         return None
 
-    def take_off(self, height_m: float | None, _now_s: float) -> str | None:
-        """Climb and hold there; when disarmed, as soon as it is armed. It never descends for that.
-
-        ``height_m`` is local, 0.1 to 20 m above home; None: MIS_TAKEOFF_ALT above where it stands.
-        """
-        if not self.positioned:
-            return "Take-off refused: no position estimate"
-        z, home_m = self.vehicle.estimate().position_enu_m[2], self.home_enu_m[2]
-        taking_off = self.mode is FlightMode.TAKEOFF
-        if height_m is None:
-            if taking_off:
-                return None
-            height_m = (z if self.standing else home_m) + self._parameters["MIS_TAKEOFF_ALT"]
-        low, high = HEIGHT_RANGE_M
-        if not low <= height_m - home_m <= high:
-            return f"Take-off refused: {height_m - home_m:.4g} m above home, {low:g} to {high:g}"
-        if taking_off and height_m == self.pilot.takeoff_height_m:
-            return None
-        if not self.standing and height_m < z:
-            self.say(dialect.MAV_SEVERITY_NOTICE, "Already higher than the take-off height")
-            height_m = z
-        self.pilot.takeoff_height_m = height_m
-        self._enter(FlightMode.TAKEOFF)
-        return None
-
-    def land(self, _now_s: float) -> None:
-        """Land where it is. On the ground there is nothing to do."""
-        if self.vehicle.armed:
-            self._enter(FlightMode.LAND)
-
-    def set_mode(self, mode: FlightMode, now_s: float) -> str | None:
-        """Change the mode."""
-        if mode is FlightMode.TAKEOFF:
-            return self.take_off(None, now_s)
-        if mode is FlightMode.LAND:
-            self.land(now_s)
-            return None
-        if not self.vehicle.estimate().valid:
-            return f"Mode {mode.value} refused: no position estimate"
-        if mode is FlightMode.OFFBOARD and not self._stream_alive(now_s):
-            return "Mode offboard refused: no set-points"
-        self._enter(mode, restart=mode is FlightMode.HOLD and self.pilot.goal is not None)
-        return None
-
-    def reposition(self, goal: Goal) -> str | None:
+    def reposition(self, goal: Goal, now_s: float) -> str | None:
         """Fly to a point near home and hold there."""
-        if not self.vehicle.estimate().valid:
+        if not self.positioned:
             return "Reposition refused: no position estimate"
         if not self.airborne:
             return "Reposition refused: not in the air"
@@ -214,23 +158,14 @@ class Flight:
             return f"Reposition refused: {z:.4g} m above home, {low:g} to {high:g}"
         if math.hypot(x, y) > _REACH_M:
             return f"Reposition refused: {math.hypot(x, y):.4g} m from home, at most {_REACH_M:g}"
-        if self.mode is not FlightMode.HOLD or goal != self.pilot.goal:
-            self._enter(FlightMode.HOLD, restart=True, goal=goal)
+        self._enter(FlightMode.HOLD, now_s, goal=goal)
         return None
-
-    def take_setpoint(self, setpoint: Setpoint, sender: Sender, now_s: float) -> str | None:
-        """Take a valid set-point; it is flown in OFFBOARD only, but keeps the stream alive in all modes."""
-        reason = self._owner.admit(sender, now_s, self._parameters["COM_OF_LOSS_T"])
-        if reason is None:
-            self.pilot.take(setpoint)
-            self._setpoint_s = now_s
-        return reason
 
     def flown(self, now_s: float, setpoint: Setpoint | None, sender: Sender) -> None:
         """Take note of ticks until now past ``control``; of the last one's set-point if they had one each."""
         self._control_s = self._estimate_seen_s = now_s
         if setpoint is not None:
-            self._owner.admit(sender, now_s, self._parameters["COM_OF_LOSS_T"])
+            self.owner.admit(sender, now_s, self._parameters["COM_OF_LOSS_T"])
             self._setpoint_s = now_s
             self.pilot.handed_on(setpoint)
 
@@ -240,7 +175,6 @@ class Flight:
         return self._setpoint_s + self._parameters["COM_OF_LOSS_T"]
 
     def yaw_rad(self) -> float:
-        """Present heading by the estimate."""
         return yaw_from_quaternion(self.vehicle.estimate().quaternion)
 
     def say(self, severity: int, text: str) -> None:
@@ -260,65 +194,63 @@ class Flight:
         if not standing:
             self._flew = True
         if self._was_armed and not armed:
-            self._after_disarm("Disarmed by the firmware", dialect.MAV_SEVERITY_CRITICAL)
+            self._after_disarm("Disarmed by the firmware", now_s, dialect.MAV_SEVERITY_CRITICAL)
         self._failsafes(now_s)
         if self.watches.step(now_s) and armed and not standing:
             mode = STATION_LOST[int(self._parameters["NAV_DLL_ACT"])]
             if mode is not None:
-                self._fall_back(mode, f"No ground station for {self._parameters['COM_DL_LOSS_T']:g} s")
+                self._fall_back(now_s, mode, f"No ground station for {self._parameters['COM_DL_LOSS_T']:g} s")
         if armed and standing:
             self._disarm_idle(now_s)
             armed = vehicle.armed
         if armed:
-            event = self.pilot.fly(self.mode, estimate, standing, dt_s)
+            event = self.pilot.fly(self.mode, self.takeoff_z_m, estimate, standing, dt_s)
             if event is not None:
                 self._follow(event, now_s)
 
     def _follow(self, event: Event, now_s: float) -> None:
         if event is Event.ARRIVED:
-            self._enter(FlightMode.HOLD)
+            self._enter(FlightMode.HOLD, now_s)
             self.pilot.go_on()
         elif event is Event.LANDED:
-            self._try_disarm("Landed, disarmed")
+            self._try_disarm("Landed, disarmed", now_s)
         else:
             self.texts.refuse("Set-point clipped to MPC_XY_VEL_MAX or MPC_Z_VEL_MAX", now_s)
 
     def _enter(
-        self, mode: FlightMode, *, failsafe: bool = False, restart: bool = False, goal: Goal | None = None
+        self,
+        mode: FlightMode,
+        now_s: float,
+        *,
+        failsafe: bool = False,
+        restart: bool = False,
+        goal: Goal | None = None,
     ) -> None:
-        self.failsafe = failsafe
-        if mode is self.mode and not restart:
-            return
-        if mode is not self.mode:
-            self.say(dialect.MAV_SEVERITY_INFO, f"Mode {mode.value}")
-        self.mode = mode
-        self.pilot.begin(goal)
+        self._goal = goal
+        super()._enter(mode, now_s, failsafe=failsafe, restart=restart or goal != self.pilot.goal)
 
-    def _after_disarm(self, text: str, severity: int = dialect.MAV_SEVERITY_INFO) -> None:
+    def _after_disarm(self, text: str, now_s: float, severity: int = dialect.MAV_SEVERITY_INFO) -> None:
         self.say(severity, text)
         self.pilot.stop()
-        self._owner.release()
+        self.owner.release()
         self._was_armed = self._flew = False
         if self.mode is not FlightMode.OFFBOARD:  # that one ends with its stream, as the companion expects
-            self._enter(FlightMode.HOLD)
+            self._enter(FlightMode.HOLD, now_s)
         self.failsafe = False
 
-    def _stream_alive(self, now_s: float) -> bool:
-        return now_s - self._setpoint_s <= self._parameters["COM_OF_LOSS_T"] + 1e-9
-
     def _failsafes(self, now_s: float) -> None:
-        if self.mode is FlightMode.OFFBOARD and not self._stream_alive(now_s):
+        if self.mode is FlightMode.OFFBOARD and not self._streamed(now_s):
             if self.vehicle.armed:
                 limit_s = self._parameters["COM_OF_LOSS_T"]
                 mode = STREAM_LOST[int(self._parameters["COM_OBL_RC_ACT"])]
-                self._fall_back(mode, f"No set-points for {limit_s:.3g} s")
+                self._fall_back(now_s, mode, f"No set-points for {limit_s:.3g} s")
             else:
-                self._enter(FlightMode.HOLD)
+                self._enter(FlightMode.HOLD, now_s)
         lost = now_s - self._estimate_seen_s > _ESTIMATE_LOST_S
         if lost and self.airborne and self.mode is not FlightMode.LAND:
-            self._fall_back(FlightMode.LAND, "No position estimate")
+            self._fall_back(now_s, FlightMode.LAND, "No position estimate")
 
-    def _fall_back(self, mode: FlightMode, text: str) -> None:
+    def _fall_back(self, now_s: float, mode: FlightMode, text: str) -> None:
         """Hold or land because of a failure; on the ground, or without a position, land."""
         if self.standing or not self.positioned:
             mode = FlightMode.LAND  # which disarms what stands, and needs no position
@@ -327,16 +259,16 @@ class Flight:
             return
         doing = "landing" if mode is FlightMode.LAND else "holding"
         self.say(dialect.MAV_SEVERITY_CRITICAL, f"{text}: {doing}")
-        self._enter(mode, failsafe=True, restart=True)
+        self._enter(mode, now_s, failsafe=True, restart=True)
 
     def _disarm_idle(self, now_s: float) -> None:
         if not self._flew:
             if now_s - self._armed_s >= self._parameters["COM_DISARM_PRFLT"]:
-                self._try_disarm("Disarmed: no take-off")
+                self._try_disarm("Disarmed: no take-off", now_s)
         elif now_s - self.ground.since_s >= self._parameters["COM_DISARM_LAND"]:
-            self._try_disarm("Disarmed: landed")
+            self._try_disarm("Disarmed: landed", now_s)
 
-    def _try_disarm(self, text: str) -> None:
+    def _try_disarm(self, text: str, now_s: float) -> None:
         self.vehicle.stop_setpoint()
         if self.vehicle.disarm(False) is None:
-            self._after_disarm(text)
+            self._after_disarm(text, now_s)

@@ -144,8 +144,6 @@ class Pilot:
     """Turns mode, estimate and set-point into velocities for the firmware.
 
     Attributes:
-        home_enu_m: local; heights of take-off and reposition count from it.
-        takeoff_height_m: height of the next or present take-off, local.
         goal: where to hold; None: where the vehicle comes to rest.
         velocity_setpoint_enu_m_s: handed to the firmware last; None: nothing holds.
     """
@@ -154,11 +152,8 @@ class Pilot:
         self,
         vehicle: VehicleLike,
         parameters: Parameters,
-        home_enu_m: Vec3,
         trim_enu_m_s: Vec3 = ZERO,
     ) -> None:
-        self.home_enu_m = home_enu_m
-        self.takeoff_height_m = parameters["MIS_TAKEOFF_ALT"]
         self.goal: Goal | None = None
         self.velocity_setpoint_enu_m_s: Vec3 | None = None
         self._vehicle = vehicle
@@ -168,6 +163,7 @@ class Pilot:
         self._fresh = False  # the set-point has not been handed on yet
         self._engaged = False  # the position loop has taken over in this mode
         self._yaw_rad = 0.0  # heading to hold
+        self._takeoff_z_m = 0.0  # height of the take-off, local
         self._version = -1  # of the parameters that the limits below are from
         self._limits = OwnLimits(1.0, 1.0, 0.0, 0.0, 0.0)
         self._clip = (0.0, 0.0, 0.0)  # m/s: over ground, up, down
@@ -205,8 +201,11 @@ class Pilot:
         self.velocity_setpoint_enu_m_s = None
         self._engaged = False
 
-    def fly(self, mode: FlightMode, estimate: CheckedEstimate, standing: bool, dt_s: float) -> Event | None:
+    def fly(
+        self, mode: FlightMode, takeoff_z_m: float, estimate: CheckedEstimate, standing: bool, dt_s: float
+    ) -> Event | None:
         """Fly one step; only while armed."""
+        self._takeoff_z_m = takeoff_z_m
         if self._version != self._parameters.version:
             self._read_limits()
         return self._fly[mode](estimate, standing, dt_s)
@@ -253,7 +252,7 @@ class Pilot:
 
     def _fly_takeoff(self, estimate: CheckedEstimate, standing: bool, dt_s: float) -> Event | None:
         self._engage(estimate)
-        goal_m = self.takeoff_height_m
+        goal_m = self._takeoff_z_m
         self._hold.aim(goal_m)
         if not estimate.valid:
             self._command(self._hold.sink(0.0, dt_s))

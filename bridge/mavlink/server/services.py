@@ -11,9 +11,9 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.decoding import Message, parameter_name
+from bridge.mavlink.server.commander import Commander
 from bridge.mavlink.server.owner import Right, Sender
 from bridge.mavlink.server.parameters import NOT_NOW, Parameters, Refused
-from bridge.mavlink.server.telemetry import VehiclePort
 
 Handler = Callable[[Any, Sender, float], list[Message]]
 
@@ -47,7 +47,7 @@ class Services:
     message) would starve the companion of its position.
     """
 
-    def __init__(self, vehicle: VehiclePort, parameters: Parameters) -> None:
+    def __init__(self, vehicle: Commander, parameters: Parameters) -> None:
         self._vehicle, self._parameters = vehicle, parameters
         m = dialect
         self.handlers: dict[int, Handler] = {

@@ -1,26 +1,23 @@
-"""Messages that every vehicle sends, each made from a snapshot; and the vehicle as the server sees it."""
+"""Messages that every vehicle sends, each made from a snapshot."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.frames import Quat, euler_from_quaternion, frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
 from bridge.mavlink.codec.decoding import Message
-from bridge.mavlink.server.owner import Right, Sender
+from bridge.mavlink.server.commander import Battery, Commander
 from bridge.mavlink.server.profile import (
     CAPABILITIES,
     POSITION_SOURCE,
     PX4_CODES,
     VERSION,
-    FlightMode,
     ServerProfile,
 )
-from bridge.mavlink.server.setpoints import Setpoint
-from bridge.mavlink.server.texts import Texts
 from flightstack.core.types import Vec3
 
 
@@ -44,72 +41,7 @@ class EstimateLike(Protocol):
         """Angular velocity in body axes."""
 
 
-class Battery(NamedTuple):
-    """Battery of one cell."""
-
-    voltage_v: float
-    percent: int  # -1: not known
-
-
-class VehiclePort(Protocol):
-    """A vehicle as the server sees it. Methods that can refuse return the reason, None when done."""
-
-    texts: Texts
-    mode: FlightMode  # meaningful also while disarmed
-    failsafe: bool  # the mode was not asked for but forced by a failure
-
-    @property
-    def armed(self) -> bool:
-        """Motors may run."""
-
-    @property
-    def arming(self) -> bool:
-        """Whether arming has been asked for and its result is not known yet."""
-
-    @property
-    def landed_state(self) -> int:
-        """MAV_LANDED_STATE."""
-
-    @property
-    def battery(self) -> Battery:
-        """Battery."""
-
-    @property
-    def home_enu_m(self) -> Vec3:
-        """Home, local."""
-
-    def sensors_healthy(self, now_s: float, /) -> int:
-        """MAV_SYS_STATUS_SENSOR bits in good order, besides those of the profile."""
-
-    def problems(self, now_s: float, /) -> list[str]:
-        """Reasons why the vehicle would not arm now; empty when ready."""
-
-    def yaw_rad(self) -> float | None:
-        """Heading, counter-clockwise from east; None: not known."""
-
-    def forbids(self, sender: Sender, right: Right, now_s: float) -> str | None:
-        """Why this sender may not do something now; on the ground and disarmed every sender may."""
-
-    def arm(self, now_s: float) -> str | None:
-        """Arm."""
-
-    def disarm(self, now_s: float, /, *, force: bool) -> str | None:
-        """Disarm; in the air only by force."""
-
-    def take_off(self, height_m: float | None, now_s: float, /) -> str | None:
-        """Climb to a local height and hold there; None: to the default height."""
-
-    def land(self, now_s: float, /) -> None:
-        """Land where it is; this cannot be refused."""
-
-    def set_mode(self, mode: FlightMode, now_s: float) -> str | None:
-        """Change the mode."""
-
-    def take_setpoint(self, setpoint: Setpoint, sender: Sender, now_s: float) -> str | None:
-        """Take a valid set-point; it is flown in OFFBOARD only, but keeps the stream alive in all modes."""
-
-
-V = TypeVar("V", bound=VehiclePort)
+V = TypeVar("V", bound=Commander)
 
 
 @dataclass(slots=True)

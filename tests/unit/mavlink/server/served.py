@@ -153,14 +153,15 @@ class Simulated(Served):
         return self
 
     def state(self) -> list[object]:
-        pilot, vehicle = self.rig.autopilot.flight.pilot, self.rig.vehicle
+        flight, vehicle = self.rig.autopilot.flight, self.rig.vehicle
+        pilot = flight.pilot
         goal = pilot.goal and (
             *[round(v, 4) for v in pilot.goal.point_enu_m],
             pilot.goal.yaw_rad,
             pilot.goal.speed_m_s,
         )
-        home = [round(v, 4) for v in pilot.home_enu_m]
-        rest = [goal, home, round(pilot.takeoff_height_m, 6), vehicle.reboots, dict(vehicle.failures)]
+        home = [round(v, 4) for v in flight.home_enu_m]
+        rest = [goal, home, round(flight.takeoff_z_m, 6), vehicle.reboots, dict(vehicle.failures)]
         return [*super().state()[:-1], *rest]
 
 
