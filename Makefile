@@ -20,7 +20,7 @@ $(BIN)/lint-imports --no-logo --no-cache
 $(1) & $(BIN)/mypy && wait $$!
 endef
 # the simulator's loops are compiled once, and the tests' sources, and not by each worker
-WARM := $(BIN)/python -m sim.runners.warm_up
+WARM := $(BIN)/python -m sim.runners.landing
 COLLECT := $(BIN)/python -m pytest --collect-only -q >/dev/null
 
 # a test that ends its worker is given to the next one, which it ends, too

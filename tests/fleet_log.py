@@ -19,10 +19,10 @@ from logs.schema.events import CONTROLLER, pack_log
 from logs.schema.fleet_rows import word_row
 from logs.schema.rows import FleetPairRow, LogRow
 from sim.campaign.team_rows import judge_team
+from sim.runners import landing as team_runner
 from sim.runners.companion import Companion
-from sim.runners.fleet import team as team_runner
-from sim.runners.fleet.pairs import Pairs
 from sim.runners.log import VehicleLog
+from sim.runners.room import Pairs
 from sim.scenarios.team import ExchangeLink, TeamScenario, load
 from tests.unit.logs.replay.replay_helpers import NoSession
 

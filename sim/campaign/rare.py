@@ -20,8 +20,7 @@ from sim.campaign.run import ABOUT, ROWS, SUMMARY, Plan, alone, identity, known_
 from sim.campaign.subset import Estimate, estimate
 from sim.campaign.summary import why
 from sim.campaign.workers import Workers, WorkersError
-from sim.runners.companion import warm_up
-from sim.scenarios.team import TeamScenario
+from sim.runners.landing import warm_up
 
 FAILURES = "failures"  # folder of files with seeds
 FAILURES_KEPT = 20
@@ -79,7 +78,7 @@ class Rare:
     event: Event
 
     def __post_init__(self) -> None:
-        if isinstance(self.plan.scenario, TeamScenario):
+        if not self.plan.scenario.is_alone:
             raise ConfigError(
                 f"{self.plan.scenario_name}: found a team, allowed: the scenario of one vehicle; "
                 "`flightstack campaign` flies teams"
@@ -107,7 +106,7 @@ def fly(wanted: Rare, folder: Path, *, workers: int, on_row: OnRow) -> dict[str,
         about = {**identity(plan), "event": wanted.event.value, "landings a level": plan.runs}
         known = {row.seed: row for row in known_rows(about, folder)}
         (folder / ABOUT).write_text(json.dumps(about, indent=1) + "\n")
-        warm_up(scenario)
+        warm_up(plan.scenario)
         with (
             RowsFile(folder / ROWS) as file,
             Workers(plan.scenario_toml, workers, plan.duration_max_s) as here,

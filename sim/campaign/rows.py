@@ -107,8 +107,8 @@ class Row:
         return replace(self, wall_s=None)
 
 
-def row_of(landing: Landing) -> Row:
-    """Make the row of a landing."""
+def vehicle_row(landing: Landing) -> Row:
+    """Make the row of a vehicle's landing."""
     verdict, seen = landing.verdict, landing.seen
     steps, truth, start_s = seen.steps, seen.truth, seen.landing_start_s
     begin = len(truth.t_s) if start_s is None else int(np.searchsorted(truth.t_s, start_s))

@@ -23,14 +23,15 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from flightstack.common.strict_toml import ConfigError, dumps
+from flightstack.common.strict_toml import ConfigError
 from flightstack.core.parameters.filters import FILTERS, named
 from flightstack.verify.certificate import problems
 from sim.campaign.rows import Row, RowsError, RowsFile, missing, read_rows, write_parquet, write_rows
 from sim.campaign.summary import repeat_command, summary
-from sim.campaign.workers import Workers, code_fingerprint, prepare
+from sim.campaign.workers import Workers, code_fingerprint
+from sim.runners.landing import warm_up
 from sim.scenarios.scenario import Scenario
-from sim.scenarios.team import AnyScenario, TeamScenario, first_of, load_any
+from sim.scenarios.team import TeamScenario, load, text
 
 ROWS, ABOUT, SUMMARY, LOCK, PAGE = (
     "rows.csv",
@@ -56,25 +57,24 @@ class Plan:
     """
 
     scenario_name: str
-    scenario: AnyScenario
+    scenario: TeamScenario
     runs: int
     first_seed: int
 
     @property
     def scenario_toml(self) -> str:
         """The scenario as text."""
-        return dumps(self.scenario)
+        return text(self.scenario)
 
     @property
     def command(self) -> str:
         """Command that repeats one seed, with ``{seed}``."""
-        team = isinstance(self.scenario, TeamScenario)
-        return repeat_command(self.scenario_name, self.filter_name, team=team)
+        return repeat_command(self.scenario_name, self.filter_name, team=not self.scenario.is_alone)
 
     @property
     def first(self) -> Scenario:
         """The scenario of the first, or only, vehicle."""
-        return first_of(self.scenario)
+        return self.scenario.member[0]
 
     @property
     def filter_name(self) -> str:
@@ -84,8 +84,7 @@ class Plan:
     @property
     def duration_max_s(self) -> float:
         """Longest landing, simulated; a team's vehicles cost one after the other."""
-        team = self.scenario.member if isinstance(self.scenario, TeamScenario) else (self.scenario,)
-        return sum(each.duration_max_s for each in team)
+        return sum(each.duration_max_s for each in self.scenario.member)
 
 
 def plan(scenario_name: str, runs: int, first_seed: int, filter_name: str | None) -> Plan:
@@ -94,11 +93,10 @@ def plan(scenario_name: str, runs: int, first_seed: int, filter_name: str | None
     Raises:
         ConfigError: it must not fly.
     """
-    scenario = load_any(scenario_name)
+    scenario = load(scenario_name)
     if filter_name is not None:
         scenario = scenario.with_filter(filter_name)
-    team = scenario.member if isinstance(scenario, TeamScenario) else (scenario,)
-    found = dict.fromkeys(text for each in team for text in problems(each.onboard))
+    found = dict.fromkeys(problem for each in scenario.member for problem in problems(each.onboard))
     if found:
         raise ConfigError(f"{scenario_name}: refused before take-off: " + "; ".join(found))
     return Plan(scenario_name, scenario, runs, first_seed)
@@ -211,7 +209,7 @@ def _rows(wanted: Plan, todo: list[int], workers: int, cluster: str | None) -> I
         with Cluster(cluster, wanted.scenario_toml) as there:
             yield from there.fly(todo)
         return
-    prepare(wanted.scenario)  # compiled once, for all workers
+    warm_up(wanted.scenario)  # compiled once, for all workers
     with Workers(wanted.scenario_toml, workers, wanted.duration_max_s) as here:
         yield from here.fly(todo)
 

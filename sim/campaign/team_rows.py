@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterable, Sequence
 from logs.schema.names import member_name
 from logs.verdict.types import Outcome
 from logs.verdict.verdict import FleetVerdict, any_known, fleet_verdict, least
-from sim.campaign.rows import Row, row_of
-from sim.runners.fleet.team import TeamLanding
+from sim.campaign.rows import Row, vehicle_row
+from sim.runners.landing import TeamLanding
 
 
 def judge_team(flown: TeamLanding) -> FleetVerdict:
@@ -18,10 +18,15 @@ def judge_team(flown: TeamLanding) -> FleetVerdict:
     return fleet_verdict(members, flown.pairs, names)
 
 
-def team_row(flown: TeamLanding) -> Row:
-    """Make the row of a team: sums of retries and of times in the phases, of everything else the worst."""
+def row_of(flown: TeamLanding) -> Row:
+    """Make the row of a team: sums of retries and of times in the phases, of everything else the worst.
+
+    Of one vehicle it has no values of a team.
+    """
+    if len(flown.landings) == 1:
+        return vehicle_row(flown.landings[0])
     verdict = judge_team(flown)
-    rows = [row_of(landing) for landing in flown.landings]
+    rows = [vehicle_row(landing) for landing in flown.landings]
     deepest = min(rows, key=lambda row: _or(row.h_min_outside_pad_m, float("inf")))
     all_landed = verdict.outcome is Outcome.LANDED
     return Row(

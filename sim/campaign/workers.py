@@ -29,13 +29,10 @@ from typing import Any
 from flightstack.common.forked import forget_handlers, may_fork
 from flightstack.common.pacing import quiet_garbage_collector
 from flightstack.common.processes import LaunchError
-from sim.campaign.rows import Row, error_row, row_of
-from sim.campaign.team_rows import team_row
-from sim.runners.companion import warm_up
-from sim.runners.fleet.team import land_team
-from sim.runners.fleet.team import warm_up as warm_up_team
-from sim.runners.landing import land
-from sim.scenarios.team import AnyScenario, TeamScenario, from_text
+from sim.campaign.rows import Row, error_row
+from sim.campaign.team_rows import row_of
+from sim.runners.landing import land_team, warm_up
+from sim.scenarios.team import TeamScenario, from_text
 
 _ALONE = threading.Lock()  # a cluster's worker may have threads; more than one would only wait for each other
 _PACKAGES = ("flightstack", "bridge", "sim", "logs")
@@ -47,24 +44,16 @@ _LOOK_S = 1.0  # s of wall time between two looks at the clock
 _END_S = 5.0  # s of wall time a worker has to end
 
 
-def prepare(scenario: AnyScenario) -> None:
-    """Compile everything that a flight calls, or load it from the cache."""
-    if isinstance(scenario, TeamScenario):
-        warm_up_team(scenario)
-    else:
-        warm_up(scenario)
-
-
 @lru_cache(maxsize=4)
-def loaded(scenario_toml: str) -> AnyScenario:
+def loaded(scenario_toml: str) -> TeamScenario:
     """Scenario from its text, with all code compiled."""
     scenario = from_text(scenario_toml)
-    prepare(scenario)
+    warm_up(scenario)
     return scenario
 
 
 @lru_cache(maxsize=4)
-def prepared(scenario_toml: str) -> AnyScenario:
+def prepared(scenario_toml: str) -> TeamScenario:
     """Scenario from its text, with all code compiled; the collector then leaves alone what exists."""
     scenario = loaded(scenario_toml)
     quiet_garbage_collector()
@@ -76,9 +65,7 @@ def fly_seed(scenario_toml: str, seed: int) -> Row:
     with _ALONE:
         scenario = prepared(scenario_toml)
         try:
-            if isinstance(scenario, TeamScenario):
-                return team_row(land_team(scenario, seed))
-            return row_of(land(scenario, seed))
+            return row_of(land_team(scenario, seed))
         except Exception as error:
             return error_row(seed, f"{type(error).__name__}: {error}")
         finally:

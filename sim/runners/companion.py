@@ -12,8 +12,7 @@ from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.profiles.autopilots import OWN_SITL
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import Tick
-from flightstack.compiled.core import compile_core, with_compiled_program
-from flightstack.compiled.jit import telling
+from flightstack.compiled.core import with_compiled_program
 from flightstack.core.controller import Controller, Outputs
 from flightstack.core.types import Neighbour
 from flightstack.onboard.leaving import Leaving
@@ -30,19 +29,8 @@ from sim.runners.stretch.stretch import Stretch, suited
 from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.scenario import Scenario
 from sim.vehicle.vehicle import VehicleSim
-from sim.vehicle.vehicle import warm_up as warm_up_vehicle
 
 OnStep = Callable[[Tick, Outputs], None]
-
-
-def warm_up(scenario: Scenario) -> None:
-    """Compile everything that a landing calls, or load it from the cache, before the first begins."""
-    warm_up_vehicle(scenario)
-    compile_core(scenario.onboard)
-    stretch = Companion(scenario, 0).stretch
-    if stretch is not None:
-        with telling():
-            stretch.warm_up()
 
 
 class Companion:
@@ -63,11 +51,12 @@ class Companion:
         on_step: called after every controller step.
         system_id: MAVLink system id of the vehicle; its number in a team.
         target_seed: chance of the robot; None: the same.
+        alone: no other vehicle is near: many ticks at once are allowed.
     """
 
     def __init__(
         self, scenario: Scenario, seed: int, on_step: OnStep | None = None, system_id: int = SYSTEM_ID,
-        target_seed: int | None = None,
+        target_seed: int | None = None, *, alone: bool = True,
     ) -> None:  # fmt: skip
         config = scenario.onboard
         rate_hz = config.loop.rate_hz
@@ -107,7 +96,7 @@ class Companion:
         leaving = Leaving(scenario.duration_max_s)
         ticks = VehicleTicks(linked, rate_hz)
         self.stretch = None
-        if on_step is None and suited(self.controller, node):
+        if alone and on_step is None and suited(self.controller, node):
             self.stretch = Stretch(
                 self.controller, self._link, ticks, target, node, self._loop, self._notes, grid,
                 scenario.duration_max_s, radio_s,
@@ -116,16 +105,14 @@ class Companion:
             self.controller, ticks, linked, target, leaving, self, words=lambda: self.neighbours
         )
 
-    def fly(self) -> Seen:
-        """Run to the end."""
-        self.begin()
+    def fly(self) -> None:
+        """Fly all ticks after ``begin``, many at once where that is possible."""
         tick = 0
         while not self._stop.is_set and tick != self.ticks_max:
             flown = self.stretch.fly(tick) if self.stretch is not None else 0
             if not flown:
                 self._loop.tick(tick)
             tick += flown or 1
-        return self.seen()
 
     def begin(self) -> None:
         """Prepare for ``tick``."""

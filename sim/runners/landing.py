@@ -1,32 +1,50 @@
-"""One seeded landing in one process, noted and judged: ``land(scenario, seed)``, without sockets.
+"""Seeded landings in one process, noted and judged, without sockets: ``land`` and ``land_team``.
 
 The same code as over the wires flies: the vehicle's lockstep loop with its autopilot and faults, the robot,
 the companion's link and its runner of ticks. Only the wires are handed over directly, with their rounding;
 so a landing equals ``flightstack sitl --lockstep`` of the same scenario and seed to the last bit.
+
+Vehicles that share a room fly tick by tick. What they have of each other is of the tick before, so that their
+order does not matter: the jets of the rotors, collisions, and what the companions send each other
+(``Exchange``). One vehicle alone flies many ticks at once where that is possible.
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from flightstack.compiled.core import compile_core
+from flightstack.compiled.jit import telling
+from flightstack.core.controller import Outputs
+from flightstack.core.types import Neighbour, Phase
 from logs.verdict.truth import judge_truth
 from logs.verdict.types import Verdict
+from sim.clock import TickGrid
 from sim.runners.companion import Companion, OnStep
 from sim.runners.notes import Seen
-from sim.scenarios.scenario import Scenario
+from sim.runners.room import Pair, Pairs, warm_up_room
+from sim.runners.words import Words
+from sim.scenarios.scenario import Scenario, load
+from sim.scenarios.team import TeamScenario, alone
+from sim.vehicle.air import Air
+
+# Called once a tick, when all members have flown it, with its number and the outputs of all controllers (None
+# where the flight is over). Returns what each companion knows of the others from the next tick on.
+Exchange = Callable[[int, Sequence[Outputs | None]], Sequence[tuple[Neighbour, ...]]]
 
 
 @dataclass(frozen=True)
 class Landing:
-    """What became of it.
+    """What became of a vehicle.
 
     Attributes:
         seed: of all chance.
         verdict: judged from the true states, as a flight log is.
         seen: what a log of it would hold, as far as a verdict needs it.
         simulated_s: length.
-        wall_s: time it took.
+        wall_s: time it took; of a team all of it.
         retries: how often the landing was begun anew.
     """
 
@@ -36,6 +54,33 @@ class Landing:
     simulated_s: float
     wall_s: float
     retries: int
+
+
+@dataclass(frozen=True)
+class TeamLanding:
+    """What became of a team."""
+
+    seed: int  # of the team
+    landings: tuple[Landing, ...]  # cf1 first; a verdict covers collisions until that flight was over
+    pairs: tuple[Pair, ...]  # of all members, (1, 2) first
+    waits_s: tuple[float, ...]  # longest time that each member waited for its right of way
+    simulated_s: float  # until the last flight was over
+    wall_s: float
+
+
+class _Waits:
+    """Ticks in a row in which each member would land and has no right of way; the most of them."""
+
+    def __init__(self, members: int) -> None:
+        self.most, self._now = [0] * members, [0] * members
+
+    def count(self, outputs: Sequence[Outputs | None]) -> None:
+        for n, out in enumerate(outputs):
+            if out is None or out.phase is not Phase.APPROACH or out.snapshot.way.may_land:
+                self._now[n] = 0
+                continue
+            self._now[n] += 1
+            self.most[n] = max(self.most[n], self._now[n])
 
 
 def land(scenario: Scenario, seed: int, *, on_step: OnStep | None = None) -> Landing:
@@ -49,10 +94,83 @@ def land(scenario: Scenario, seed: int, *, on_step: OnStep | None = None) -> Lan
     Raises:
         RuntimeError: the simulation did not come to its end.
     """
+    return land_team(alone(scenario), seed, on_step=on_step).landings[0]
+
+
+def land_team(
+    team: TeamScenario, seed: int, *, exchange: Exchange | None = None, on_step: OnStep | None = None
+) -> TeamLanding:
+    """Fly the landings of a team and judge each.
+
+    A member whom no other comes near flies the same bits as ``land`` with its own scenario and seed
+    (``TeamScenario.singles``).
+
+    Args:
+        team: everything that is not chance.
+        seed: chance.
+        exchange: what the companions send each other; None: their controllers' own messages, as late and as
+            lossy as the scenario says.
+        on_step: called after every controller step of a vehicle that is alone.
+
+    Raises:
+        ValueError: two vehicles begin inside each other.
+        RuntimeError: the simulation did not come to its end.
+    """
     began_s = time.perf_counter()
-    flight = Companion(scenario, seed, on_step)
-    seen = flight.fly()
-    verdict = judge_truth(seen, seen.truth)
-    simulated_s = float(seen.steps.t_s[-1])
+    singles = list(team.singles(seed))
+    robot = team.target_seed(seed)
+    members = [
+        Companion(each, own, on_step, system_id=n, target_seed=robot, alone=team.is_alone)
+        for n, (each, own) in enumerate(singles, 1)
+    ]
+    waits = _Waits(len(members))
+    pairs = _fly(team, members, exchange or Words(team, seed), waits)
+    seen = [member.seen() for member in members]
+    judged = [judge_truth(each, each.truth) for each in seen]
     wall_s = time.perf_counter() - began_s
-    return Landing(seed, verdict, seen, simulated_s, wall_s, flight.controller.memory.retries)
+    landings = tuple(
+        Landing(own, verdict, each, float(each.steps.t_s[-1]), wall_s, member.controller.memory.retries)
+        for member, each, verdict, (_, own) in zip(members, seen, judged, singles, strict=True)
+    )
+    simulated_s = max(landing.simulated_s for landing in landings)
+    waits_s = tuple(ticks / team.rate_hz for ticks in waits.most)
+    return TeamLanding(seed, landings, pairs, waits_s, simulated_s, wall_s)
+
+
+def _fly(
+    team: TeamScenario, members: Sequence[Companion], exchange: Exchange, waits: _Waits
+) -> tuple[Pair, ...]:
+    """Fly until all flights are over; return how near each two came."""
+    for member in members:
+        member.begin()
+    if team.is_alone:
+        members[0].fly()
+        return ()
+    air, pairs = Air([member.vehicle.physics for member in members]), Pairs(members, TickGrid(team.rate_hz))
+    for tick in range(max(member.ticks_max for member in members)):
+        if all(member.ended for member in members):
+            break
+        air.blow()
+        for member in members:
+            member.tick(tick)
+        pairs.end(tick)
+        outputs = [member.outputs for member in members]
+        waits.count(outputs)
+        for member, neighbours in zip(members, exchange(tick, outputs), strict=True):
+            member.neighbours = neighbours
+    return pairs.found()
+
+
+def warm_up(team: TeamScenario) -> None:
+    """Compile everything that a flight calls, or load it from the cache, before the first begins."""
+    first = team.member[0]
+    warm_up_room(team)
+    compile_core(first.onboard)
+    stretch = Companion(first, 0).stretch if team.is_alone else None
+    if stretch is not None:
+        with telling():
+            stretch.warm_up()
+
+
+if __name__ == "__main__":  # so that no run waits for it
+    warm_up(alone(load("lab")))

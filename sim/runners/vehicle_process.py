@@ -1,6 +1,7 @@
-"""The simulated vehicle as a process, and its loop in real time (``lockstep`` has the other one).
+"""The simulated vehicles as a process, and their loop in real time (``lockstep`` has the other one).
 
-MAVLink is on one side, the robot's true pose on the other.
+Each has a MAVLink endpoint on one side, the true pose of its robot on the other. Vehicles of a team share a
+process since what happens between them is physical: jets and collisions need all states at once.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from typing import Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -26,19 +26,25 @@ from flightstack.common.pacing import (
     run_promptly,
 )
 from logs.recorder.feed import Feed, FeedError
+from logs.schema.names import OWN, Names, member_name
 from sim.autopilot.autopilot import COMPONENT_ID, Autopilot
 from sim.clock import NoAnswerError, TickGrid
 from sim.runners.deck import LockstepDeck, RealTimeDeck
 from sim.runners.lockstep import LockstepLoop
+from sim.runners.lockstep_team import LockstepMember, TeamLockstep
 from sim.runners.log import VehicleLog
 from sim.runners.options import VehicleOptions
+from sim.runners.room import Member, Room, warm_up_room
 from sim.runners.vehicle_node import VehicleNode
+from sim.runners.words import Words
 from sim.scenarios.scenario import Scenario
-from sim.vehicle.vehicle import VehicleSim, warm_up
+from sim.scenarios.team import TeamScenario
+from sim.vehicle.vehicle import VehicleSim
 
 _BEHIND_MAX_S = 0.1  # s; after a longer pause of the machine, simulated time is put back instead of caught up
 _MS = 1e-3
 _NS_PER_MS = 1_000_000
+_PAUSE_S = 0.1  # s between two looks at the signals when all flights are over
 
 
 class RealTimeVehicle:
@@ -106,37 +112,18 @@ class RealTimeVehicle:
         self.node.autopilot.flight.say(dialect.MAV_SEVERITY_WARNING, text)
 
 
-class Between(Protocol):
-    """What happens between several vehicles."""
-
-    def begin(self) -> None:
-        """Before a tick."""
-
-    def end(self, tick: int, epoch_ns: int) -> None:
-        """After a tick that all have flown; ``epoch_ns`` is the Unix time of tick 0."""
-
-    def write(self, tick: int, epoch_ns: int) -> None:
-        """When nothing follows; arguments as of ``end``."""
-
-
 class RealTimeLoop:
     """Runs ticks until the end.
 
     Args:
-        vehicles: one, or several.
+        vehicles: at least one.
         grid: of the ticks.
         stop: ends the process.
-        between: what happens between the vehicles; None: nothing.
+        room: what happens between the vehicles.
     """
 
-    def __init__(
-        self,
-        vehicles: Sequence[RealTimeVehicle],
-        grid: TickGrid,
-        stop: Stop,
-        between: Between | None = None,
-    ) -> None:
-        self._vehicles, self._grid, self._stop, self._between = vehicles, grid, stop, between
+    def __init__(self, vehicles: Sequence[RealTimeVehicle], grid: TickGrid, stop: Stop, room: Room) -> None:
+        self._vehicles, self._grid, self._stop, self._room = vehicles, grid, stop, room
         self._start_s, self._epoch_ns = 0.0, 0
 
     def run(self, ticks: int | None) -> None:
@@ -145,7 +132,7 @@ class RealTimeLoop:
         Args:
             ticks: how many; None for no end.
         """
-        vehicles, grid, between = self._vehicles, self._grid, self._between
+        vehicles, grid, room = self._vehicles, self._grid, self._room
         run_promptly()  # a vehicle is nobody's ordinary process: its physics wait for no other program
         self._start_s = time.monotonic()
         self._set_epoch(time.time_ns())  # making the vehicle took a while
@@ -157,18 +144,17 @@ class RealTimeLoop:
                     since_start_ms = int((time.monotonic() - self._start_s) / _MS)
                     vehicle.advance_to(min(since_start_ms, grid.ms(tick)))
                     vehicle.receive()
-            self._catch_breath(time.monotonic() - deadline_s)
+            self._resync_clock(time.monotonic() - deadline_s)
             for vehicle in vehicles:
                 vehicle.advance_to(grid.ms(tick))
-            if between is not None:
-                if tick > 0:
-                    between.end(tick - 1, self._epoch_ns)
-                between.begin()
+            if tick > 0:
+                room.end(tick - 1, self._epoch_ns)
+            room.begin()
             for vehicle in vehicles:
                 vehicle.tick(tick)
             tick += 1
-        if between is not None and tick > 1:
-            between.write(tick - 2, self._epoch_ns)
+        if tick > 1:
+            room.write(tick - 2, self._epoch_ns)
 
     def _heard(self, within_s: float) -> Sequence[RealTimeVehicle]:
         """Vehicles for which something has come, or nobody when nothing came in this time."""
@@ -183,7 +169,7 @@ class RealTimeLoop:
         for vehicle in self._vehicles:
             vehicle.node.log.epoch_ns = epoch_ns
 
-    def _catch_breath(self, late_s: float) -> None:
+    def _resync_clock(self, late_s: float) -> None:
         """After a long pause go on from here: simulated time stood still, the log's clock moves."""
         if late_s > _BEHIND_MAX_S:
             give_up_priority()
@@ -193,27 +179,23 @@ class RealTimeLoop:
                 vehicle.warn(f"Machine paused {late_s:.2f} s: simulation too")
 
 
-def vehicle_main(scenario: Scenario, options: VehicleOptions) -> int:
-    """Run the vehicle until SIGTERM, SIGINT or ``duration_s``; prints ``ready URL`` when it can be reached.
+def vehicle_main(team: TeamScenario, options: VehicleOptions) -> int:
+    """Run the vehicles until SIGTERM, SIGINT or ``duration_s``; prints ``ready URL ...``, cf1's first.
 
-    Prints ``armed`` and ``disarmed``, too, whenever that changes.
+    Prints ``armed`` and ``disarmed``, too, whenever that changes; of several vehicles with the name.
+
+    Args:
+        team: everything that is not chance.
+        options: a port that is not 0 is that of cf1, and the others follow; system id and namespace are those
+            of a vehicle that is alone, members of a team have their own.
 
     Returns:
         Exit status: 0 in order, 1 when something it needs did not come, 2 for wrong input.
     """
-    return served(lambda stop, stack: _fly(scenario, options, stop, stack))
-
-
-def served(fly: Callable[[Stop, ExitStack], None]) -> int:
-    """Call what flies; say what went wrong, and return the exit status, as ``vehicle_main`` has it.
-
-    Args:
-        fly: gets what ends it, and a stack for what it has to close.
-    """
     stop = Stop()
     try:
         with ExitStack() as stack:
-            fly(stop, stack)
+            _fly(team, options, stop, stack)
     except ValueError as error:
         print(f"vehicle: {error}", file=sys.stderr)
         return 2
@@ -223,45 +205,86 @@ def served(fly: Callable[[Stop, ExitStack], None]) -> int:
     return 0
 
 
-def _fly(scenario: Scenario, options: VehicleOptions, stop: Stop, stack: ExitStack) -> None:
-    lockstep, rate_hz, namespace = options.lockstep, options.rate_hz, options.namespace
-    if options.leave_out:
-        raise ValueError("--leave-out is for a scenario of several vehicles: this one has no members")
-    endpoint, url = opened(options, options.url, options.system_id, stack)
+def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitStack) -> None:
+    lockstep, grid = options.lockstep, TickGrid(options.rate_hz)
+    here = _here(team, options)
+    endpoints = [opened(options, number, system_id, stack) for number, system_id, _, _ in here]
     session = joined(options, stack)
-    warm_up(scenario)
-    vehicle = VehicleSim(scenario, options.seed)
+    if session is None and not team.is_alone:
+        raise ValueError("vehicles of a team follow robots on Zenoh; --connect, --listen or --zenoh-config")
+    warm_up_room(team)
+    simulated = [VehicleSim(scenario, seed) for _, _, scenario, seed in here]
     epoch_ns = EPOCH_NS if lockstep else time.time_ns()
-    feed = Feed.connect(options.recorder, "vehicle", lossless=lockstep)
+    feed = Feed.connect(options.recorder, "vehicle", lossless=lockstep, vehicles=len(here))
     stack.callback(feed.close)
-    autopilot = autopilot_of(vehicle, options, options.system_id, epoch_ns)
-    node = VehicleNode(vehicle, autopilot, endpoint, VehicleLog(feed, epoch_ns, namespace), _tell)
-    grid = TickGrid(rate_hz)
-    loop: LockstepLoop | RealTimeLoop
-    if lockstep:
-        deck = LockstepDeck(session, namespace) if session is not None else None
-        loop = LockstepLoop(node, deck, grid, stop, scenario.vehicle.setpoint_delay_s)
-    else:
-        follower = RealTimeDeck(session, namespace) if session is not None else None
-        loop = RealTimeLoop([RealTimeVehicle(node, follower, grid)], grid, stop)
+    members = []
+    for (number, system_id, _, _), (endpoint, _), vehicle in zip(here, endpoints, simulated, strict=True):
+        name = options.namespace if team.is_alone else member_name(number)
+        log = VehicleLog(feed, epoch_ns, name, OWN if team.is_alone else Names(name, number))
+        autopilot = autopilot_of(vehicle, options, system_id, epoch_ns)
+        node = VehicleNode(vehicle, autopilot, endpoint, log, _teller("" if team.is_alone else f" {name}"))
+        members.append(Member(number, name, node))
+    room, ticks = Room(members, grid, feed), grid.count(options.duration_s)
     stop.install()
-    print(f"ready {url}", flush=True)
+    print("ready", *(url for _, url in endpoints), flush=True)
     quiet_garbage_collector()
-    loop.run(grid.count(options.duration_s))
+    if not lockstep:
+        decks = [RealTimeDeck(session, each.name) if session is not None else None for each in members]
+        vehicles = [RealTimeVehicle(each.node, deck, grid) for each, deck in zip(members, decks, strict=True)]
+        RealTimeLoop(vehicles, grid, stop, room).run(ticks)
+        return
+    radios_s = [scenario.vehicle.setpoint_delay_s for _, _, scenario, _ in here]
+    if session is None or team.is_alone:
+        deck = LockstepDeck(session, members[0].name) if session is not None else None
+        LockstepLoop(members[0].node, deck, grid, stop, radios_s[0]).run(ticks)
+        return
+    in_step = [
+        LockstepMember(member, session, grid, stop, radio_s)
+        for member, radio_s in zip(members, radios_s, strict=True)
+    ]
+    TeamLockstep(in_step, room, Words(team, options.seed), stop, epoch_ns).run(ticks)
+    feed.flush()
+    while not stop.is_set:  # whoever started this process ends it
+        time.sleep(_PAUSE_S)
 
 
-def opened(options: VehicleOptions, url: str, system_id: int, stack: ExitStack) -> tuple[Endpoint, str]:
+def _here(team: TeamScenario, options: VehicleOptions) -> list[tuple[int, int, Scenario, int]]:
+    """Number, system id, scenario and seed of each vehicle that is simulated here."""
+    if options.leave_out and team.is_alone:
+        raise ValueError("--leave-out is for a scenario of several vehicles: this one has no members")
+    if options.leave_out and options.lockstep:
+        raise ValueError(
+            "--leave-out is for real time: a vehicle from elsewhere does not wait for the others"
+        )
+    here = [
+        (number, options.system_id if team.is_alone else number, scenario, seed)
+        for number, (scenario, seed) in enumerate(team.singles(options.seed), 1)
+        if number not in options.leave_out
+    ]
+    if not here:
+        raise ValueError("--leave-out leaves no vehicle; the scenario of one of them simulates it alone")
+    return here
+
+
+def opened(options: VehicleOptions, number: int, system_id: int, stack: ExitStack) -> tuple[Endpoint, str]:
     """Open the MAVLink endpoint of a vehicle; returns it, and the URL with the port that it has.
+
+    Args:
+        options: its URL is that of the first vehicle.
+        number: of the vehicle, from 1.
+        system_id: of the vehicle.
+        stack: closes it.
 
     Raises:
         ValueError: options that exclude each other, or an URL that is not understood.
         OSError: the address cannot be bound.
     """
-    kind, host, port = parse_udp_url(url, "the simulated vehicle")
+    kind, host, port = parse_udp_url(options.url, "the simulated vehicle")
+    port += number - 1 if port else 0
     if options.lockstep and options.peers:
         raise ValueError("--peer is for real time: in lockstep the companion calls first")
     endpoint = Endpoint(
-        url,
+        f"{kind}:{host}:{port}",
         system_id,
         COMPONENT_ID,
         signing_key=load_key(options.signing_key) if options.signing_key else None,
@@ -299,9 +322,13 @@ def autopilot_of(vehicle: VehicleSim, options: VehicleOptions, system_id: int, e
     return autopilot
 
 
-def _tell(armed: bool) -> None:
-    """For whoever started us: whether it may end us."""
-    print("armed" if armed else "disarmed", flush=True)
+def _teller(name: str) -> Callable[[bool], None]:
+    """Prints whether a vehicle is armed, for the process that started this one and may end it."""
+
+    def tell(armed: bool) -> None:
+        print(f"{'armed' if armed else 'disarmed'}{name}", flush=True)
+
+    return tell
 
 
 def _close(endpoint: Endpoint) -> None:

@@ -1,4 +1,4 @@
-"""A scenario of several vehicles in one room, each with a robot of its own, or all with one.
+"""Scenarios of teams: vehicles in one room, each with its robot, or all with one. One vehicle is a team too.
 
 A file names the scenario that all members share (``base``), then what the team has instead, in the tables of
 a scenario, and then what each member has instead, in tables ``[[member]]``. So every key of a scenario can be
@@ -110,6 +110,11 @@ class TeamScenario:
             )
 
     @property
+    def is_alone(self) -> bool:
+        """Whether there is one vehicle."""
+        return len(self.member) == 1
+
+    @property
     def rate_hz(self) -> int:
         """Ticks in a second, of all members."""
         return self.member[0].onboard.loop.rate_hz
@@ -154,100 +159,94 @@ class TeamScenario:
         Args:
             seed: of the team.
         """
+        if self.is_alone:
+            yield self.member[0], seed
+            return
         drawn_rad = stream(seed, "wind.direction").uniform(-math.pi, math.pi)
         for number, each in enumerate(self.member, 1):
             if each.wind.direction_rad is None:
                 each = replace(each, wind=replace(each.wind, direction_rad=drawn_rad))
             yield each, seed_of(seed, number)
 
+    def one(self, seed: int, number: int | None) -> tuple[Scenario, int]:
+        """Scenario and seed of one vehicle.
 
-AnyScenario = Scenario | TeamScenario
+        Args:
+            seed: of the team.
+            number: of the vehicle; None: there is only one.
+
+        Raises:
+            ConfigError: with what was found and what is allowed.
+        """
+        members = list(self.singles(seed))
+        if self.is_alone and number is not None:
+            raise ConfigError(f"--member: found {number}; {self.name} is of one vehicle: leave it out")
+        if not self.is_alone and (number is None or not 1 <= number <= len(members)):
+            what = "missing" if number is None else f"found {number}"
+            raise ConfigError(f"--member: {what}; allowed are 1 to {len(members)} of {self.name}")
+        return members[(number or 1) - 1]
+
 
 _FILES = Files(TeamScenario, "sim.scenarios.teams", "team")
-names, path_of = _FILES.names, _FILES.path_of
+names = _FILES.names
+
+
+def alone(scenario: Scenario) -> TeamScenario:
+    """The scenario of one vehicle as a team of one."""
+    return TeamScenario(scenario.name, scenario.description, (scenario,))
+
+
+def path_of(name_or_file: str | Path) -> Path:
+    """File of a scenario, of one vehicle or of several, by name or path.
+
+    Raises:
+        ConfigError: neither a known name nor a file.
+    """
+    if name_or_file in names():
+        return _FILES.path_of(name_or_file)
+    if name_or_file in scenarios.names() or Path(name_or_file).is_file():
+        return scenarios.path_of(name_or_file)
+    known = f"{', '.join(scenarios.names())}; of several vehicles: {', '.join(names())}"
+    raise ConfigError(f"scenario {str(name_or_file)!r}: neither a file nor one of: {known}")
 
 
 def load(name_or_file: str | Path) -> TeamScenario:
-    """Load a team by name or path.
+    """Load a scenario by name or path; that of one vehicle is a team of one.
 
     Raises:
         ConfigError: with file, key, what was found and what is allowed.
     """
     path = path_of(name_or_file)
+    table = read_toml(path)
+    if "member" not in table and name_or_file not in names():
+        return alone(scenarios.load(name_or_file))
     try:
-        team = assigned(_team(path, read_toml(path)))
+        team = assigned(_team(path, table))
         return replace(team, member=tuple(scenarios.in_place(each, path.parent) for each in team.member))
     except ConfigError as error:
-        text = str(error)
-        raise ConfigError(text if text.startswith(str(path)) else f"{path}: {text}") from None
+        found = str(error)
+        raise ConfigError(found if found.startswith(str(path)) else f"{path}: {found}") from None
 
 
-def load_any(name_or_file: str | Path) -> AnyScenario:
-    """Load a scenario, of one vehicle or of a team, by name or path.
-
-    Raises:
-        ConfigError: with file, key, what was found and what is allowed.
-    """
-    if name_or_file in names():
-        return load(name_or_file)
-    if name_or_file not in scenarios.names() and not Path(name_or_file).is_file():
-        known = f"{', '.join(scenarios.names())}; of several vehicles: {', '.join(names())}"
-        raise ConfigError(f"scenario {str(name_or_file)!r}: neither a file nor one of: {known}")
-    return load(name_or_file) if is_team(name_or_file) else scenarios.load(name_or_file)
-
-
-def one_of(name_or_file: str | Path, seed: int, number: int | None) -> tuple[Scenario, int]:
-    """Scenario and seed of one vehicle: of a scenario of its own, or of a member of a team.
-
-    Args:
-        name_or_file: of the scenario.
-        seed: of it, of all members of a team.
-        number: of the member; None: it is the scenario of one vehicle.
-
-    Raises:
-        ConfigError: with what was found and what is allowed.
-    """
-    found = load_any(name_or_file)
-    if isinstance(found, Scenario):
-        if number is not None:
-            raise ConfigError(f"--member: found {number}; {name_or_file} is of one vehicle: leave it out")
-        return found, seed
-    if number is None or not 1 <= number <= len(found.member):
-        what = "missing" if number is None else f"found {number}"
-        raise ConfigError(f"--member: {what}; allowed are 1 to {len(found.member)} of {name_or_file}")
-    return list(found.singles(seed))[number - 1]
-
-
-def is_team(name_or_file: str | Path) -> bool:
-    """Whether a name or file is that of a team; of what there is not, neither is known."""
-    path = Path(name_or_file)
-    if name_or_file in names() or not path.is_file() or name_or_file in scenarios.names():
-        return name_or_file in names()
-    return "member" in read_toml(path)
-
-
-def from_text(toml: str) -> AnyScenario:
+def from_text(toml: str) -> TeamScenario:
     """Scenario from text in which nothing is left to a base.
 
     Raises:
         ConfigError: with key, what was found and what is allowed.
     """
     table = parse_toml(toml.encode())
-    return from_table(TeamScenario, table) if "member" in table else from_table(Scenario, table)
+    return _team(Path(), table) if "member" in table else alone(from_table(Scenario, table))
 
 
 def text(team: TeamScenario) -> str:
-    """Return a team as a file in which nothing is left to a base."""
+    """Return a scenario as a file in which nothing is left to a base."""
+    if team.is_alone:
+        return dumps(team.member[0])
     table = to_table(team)
     for member in table["member"]:
         for key in ("name", "description"):  # they follow from the team's
             del member[key]
     return dumps(table)
-
-
-def first_of(scenario: AnyScenario) -> Scenario:
-    """The scenario of the first, or only, vehicle."""
-    return scenario.member[0] if isinstance(scenario, TeamScenario) else scenario
 
 
 def assigned(team: TeamScenario) -> TeamScenario:

@@ -20,20 +20,17 @@ from flightstack.core.controller import Controller
 from flightstack.core.fleet.member import FleetMember
 from flightstack.onboard.runner import LinkedVehicle
 from sim.autopilot.autopilot import Autopilot
-from sim.campaign.workers import prepare
 from sim.runners import landing
 from sim.runners.companion import Companion
-from sim.runners.fleet import team
-from sim.runners.fleet.pairs import Pairs
-from sim.runners.fleet.team import land_team
-from sim.runners.fleet.words import Words
-from sim.runners.landing import land
+from sim.runners.landing import land_team, warm_up
 from sim.runners.landing_target import DirectTarget
 from sim.runners.landing_wire import Inlet
 from sim.runners.notes import Notes
+from sim.runners.room import Pairs
 from sim.runners.stretch import stretch
 from sim.runners.stretch.stretch import Stretch
-from sim.scenarios.team import AnyScenario, TeamScenario, first_of, load_any
+from sim.runners.words import Words
+from sim.scenarios.team import TeamScenario, load
 from sim.vehicle import vehicle
 from sim.vehicle.air import Air
 from sim.vehicle.vehicle import VehicleSim
@@ -75,7 +72,6 @@ PARTS: tuple[tuple[Any, str, str], ...] = (
     (Notes, "truth", NOTES),
     (Notes, "seen", NOTES),
     (landing, "judge_truth", NOTES),
-    (team, "judge_truth", NOTES),
     (Companion, "__init__", SET_UP),
     (FleetMember, "take", HEARS),
     (FleetMember, "way", WAY),
@@ -122,19 +118,17 @@ class Meter:
             yield
 
 
-def flown_s(scenario: AnyScenario, seed: int) -> float:
+def flown_s(scenario: TeamScenario, seed: int) -> float:
     """Fly a landing, or those of a team; simulated time of all its vehicles."""
-    if isinstance(scenario, TeamScenario):
-        return sum(each.simulated_s for each in land_team(scenario, seed).landings)
-    return land(scenario, seed).simulated_s
+    return sum(each.simulated_s for each in land_team(scenario, seed).landings)
 
 
-def us_per_tick(scenario: AnyScenario, seed: int) -> dict[str, float]:
+def us_per_tick(scenario: TeamScenario, seed: int) -> dict[str, float]:
     """What each part of one landing, or of a team's, costs a tick of a vehicle, us."""
     meter = Meter()
     with meter.watching():
         began_ns = time.perf_counter_ns()
-        ticks = flown_s(scenario, seed) * first_of(scenario).onboard.loop.rate_hz
+        ticks = flown_s(scenario, seed) * scenario.member[0].onboard.loop.rate_hz
         whole_ns = time.perf_counter_ns() - began_ns
     meter.spent_ns[REST] = whole_ns - meter.spent_ns.total()
     return {part: spent_ns / ticks / 1e3 for part, spent_ns in meter.spent_ns.items()}
@@ -144,11 +138,11 @@ def main(scenario_name: str = "lab") -> None:
     """Fly, measure, print; arguments are the scenario, and a filter if it is not the scenario's own."""
     if len(sys.argv) > 1:
         scenario_name = sys.argv[1]
-    scenario = load_any(scenario_name)
+    scenario = load(scenario_name)
     if len(sys.argv) > 2:
         scenario = scenario.with_filter(sys.argv[2])
         scenario_name += f", {sys.argv[2]}"
-    prepare(scenario)
+    warm_up(scenario)
     flown_s(scenario, 0)
     quiet_garbage_collector()
     factors, spent = [], []
@@ -166,7 +160,7 @@ def main(scenario_name: str = "lab") -> None:
     rows = [us_per_tick(scenario, seed) for seed in range(LANDINGS)]
     parts = {part: statistics.median(row[part] for row in rows) for part in rows[0]}
     whole = sum(parts.values())
-    period_us = 1e6 / first_of(scenario).onboard.loop.rate_hz
+    period_us = 1e6 / scenario.member[0].onboard.loop.rate_hz
     print(
         f"a tick under the meter, which makes short calls look longer: {whole:.0f} us of "
         f"{period_us:.0f}; {ASKED:.0f} x would be {period_us / ASKED:.0f}"

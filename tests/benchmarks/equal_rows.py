@@ -12,10 +12,10 @@ import sys
 from dataclasses import replace
 from functools import cache, partial
 
-from sim.campaign.rows import Row, row_of
-from sim.campaign.workers import prepare
-from sim.runners.landing import land
+from sim.campaign.rows import Row, vehicle_row
+from sim.runners.landing import land, warm_up
 from sim.scenarios.scenario import Scenario, load
+from sim.scenarios.team import alone
 
 NAMES = [
     f"{tier}_{kind}" for tier in ("lab", "room", "field", "storm", "deck") for kind in ("robust", "paper")
@@ -27,14 +27,14 @@ def scenario(name: str) -> Scenario:
     """The tier with its filter, with all code compiled."""
     tier, _, kind = name.rpartition("_")
     found = load(tier).with_filter(kind)
-    prepare(found)
+    warm_up(alone(found))
     return found
 
 
 def both(name: str, seed: int) -> tuple[Row, Row]:
     """Rows of one landing, in stretches and tick by tick, but for wall time."""
     flown = (land(scenario(name), seed), land(scenario(name), seed, on_step=lambda _tick, _out: None))
-    one, other = (replace(row_of(each), wall_s=0.0) for each in flown)
+    one, other = (replace(vehicle_row(each), wall_s=0.0) for each in flown)
     return one, other
 
 

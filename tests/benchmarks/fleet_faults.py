@@ -15,7 +15,7 @@ from logs.verdict.types import Outcome
 from logs.verdict.verdict import FleetVerdict
 from sim.campaign.team_rows import judge_team
 from sim.chance import stream
-from sim.runners.fleet.team import land_team, warm_up
+from sim.runners.landing import land_team, warm_up
 from sim.scenarios.team import ExchangeLink, TeamScenario, load
 from tests.fault_grid.fleet import Way, broken
 

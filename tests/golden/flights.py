@@ -12,7 +12,7 @@ from flightstack.common.strict_toml import dumps, parse_toml
 from logs.reader.reader import LogFile
 from logs.replay.read import ROSOUT, SINK, SOURCE
 from logs.schema.schemas import schema_text
-from sim.scenarios.team import TeamScenario, load_any, text
+from sim.scenarios.team import load, text
 
 TOPICS = (
     "controller/input", "controller/step", "controller/state", "controller/power", "controller/neighbours",
@@ -119,8 +119,7 @@ def path_of(name: str) -> Path:
 
 def fly(flight: Flight, target: Path) -> None:
     """Fly it and keep what a replay needs."""
-    scenario = load_any(flight.scenario)
-    table = parse_toml((text(scenario) if isinstance(scenario, TeamScenario) else dumps(scenario)).encode())
+    table = parse_toml(text(load(flight.scenario)).encode())
     for each in table.get("member", [table]):
         _change(each, flight.changes)
     with tempfile.TemporaryDirectory() as folder:

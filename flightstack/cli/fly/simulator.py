@@ -22,19 +22,14 @@ def vehicle(options: VehicleOptions) -> None:
     """
     from logs.schema.names import member_name
     from sim.runners import vehicle_process
-    from sim.scenarios.team import TeamScenario, load_any, one_of
+    from sim.scenarios.team import alone, load
 
+    team = load(options.scenario)
     if options.member is not None:
-        alone, seed = one_of(options.scenario, options.seed, options.member)
+        single, seed = team.one(options.seed, options.member)
         name = member_name(options.member)
-        own = replace(options, seed=seed, namespace=name, system_id=options.member)
-        sys.exit(vehicle_process.vehicle_main(alone, own))
-    scenario = load_any(options.scenario)
-    if isinstance(scenario, TeamScenario):
-        from sim.runners.fleet.process import fleet_main
-
-        sys.exit(fleet_main(scenario, options))
-    sys.exit(vehicle_process.vehicle_main(scenario, options))
+        team, options = alone(single), replace(options, seed=seed, namespace=name, system_id=options.member)
+    sys.exit(vehicle_process.vehicle_main(team, options))
 
 
 @click.command()
@@ -50,9 +45,9 @@ def target(options: TargetOptions) -> None:
     if "numba" not in sys.modules:
         os.environ.setdefault(OFF, "1")
     from sim.runners import target_process
-    from sim.scenarios.team import load_any
+    from sim.scenarios.team import load
 
-    sys.exit(target_process.target_main(load_any(options.scenario), options))
+    sys.exit(target_process.target_main(load(options.scenario), options))
 
 
 @click.command()
@@ -65,8 +60,7 @@ def scenarios(name: str | None) -> None:
     from sim.scenarios import scenario, team
 
     if name is not None:
-        path_of = team.path_of if name in team.names() else scenario.path_of
-        click.echo(path_of(name).read_text(), nl=False)
+        click.echo(team.path_of(name).read_text(), nl=False)
         return
     for known in scenario.names():
         click.echo(f"{known:18} {scenario.load(known).description}")

@@ -26,10 +26,10 @@ def sitl(options: RunOptions) -> None:
     from flightstack.launch.fleet_result import conclude_fleet, fly_fleet
     from flightstack.launch.result import conclude
     from flightstack.launch.sitl import fly_all, fly_one, run
-    from sim.scenarios.team import is_team
+    from sim.scenarios.team import load
 
     result = {"as_json": options.as_json, "with_report": options.with_report}
-    console, team = Terminal(stderr=options.as_json), is_team(options.scenario)
+    console, team = Terminal(stderr=options.as_json), not load(options.scenario).is_alone
     try:
         if options.runs > 1:
             sys.exit(fly_all(options, options.runs, console, fly_fleet if team else fly_one, **result))

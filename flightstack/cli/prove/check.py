@@ -113,12 +113,12 @@ def _load(name_or_file: str) -> list[Part]:
                 return [Part([from_table(FlightConfig, table["onboard"], "onboard")])]
             except ConfigError as error:
                 raise ConfigError(f"{path}: {error}") from None
-    from sim.scenarios.team import TeamScenario, load_any
+    from sim.scenarios.team import load as load_scenario
 
-    found = load_any(path if path.is_file() else name_or_file)
-    if isinstance(found, TeamScenario):
-        return of_team(found)
-    return [Part([found.onboard], scenario=found)]
+    found = load_scenario(path if path.is_file() else name_or_file)
+    if found.is_alone:
+        return [Part([found.member[0].onboard], scenario=found.member[0])]
+    return of_team(found)
 
 
 def of_team(team: TeamScenario) -> list[Part]:

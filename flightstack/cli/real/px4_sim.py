@@ -23,9 +23,9 @@ def px4_sim(options: Px4SimOptions) -> None:
     from sim.plant import params
     from sim.px4 import process
     from sim.px4.airframe import parameter_text
-    from sim.scenarios.team import one_of
+    from sim.scenarios.team import load
 
-    loaded, seed = one_of(options.scenario, options.seed, options.member)
+    loaded, seed = load(options.scenario).one(options.seed, options.member)
     if options.form is not None:
         poses = loaded.vehicle.mocap if options.mocap else None
         click.echo(parameter_text(params.load(loaded.vehicle.airframe), options.form, poses))

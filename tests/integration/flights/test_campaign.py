@@ -16,7 +16,7 @@ import pytest
 
 from flightstack.core.types import ZERO
 from logs.reader.flight import load_flight
-from sim.campaign.rows import read_rows, row_of
+from sim.campaign.rows import read_rows, vehicle_row
 from sim.campaign.run import plan
 from sim.campaign.summary import LIMITS, Tier, count, misses
 from sim.runners.landing import land
@@ -342,7 +342,7 @@ PAPER_RUNS = 10  # enough for a median
 def rows_of(tier, runs, filter_name):
     """Rows of a campaign of these seeds, flown in this process."""
     scenario = plan(tier.value, runs, 0, filter_name).first
-    return [row_of(land(scenario, seed)) for seed in range(runs)]
+    return [vehicle_row(land(scenario, seed)) for seed in range(runs)]
 
 
 @pytest.mark.parametrize("tier", list(Tier), ids=lambda tier: tier.value)

@@ -8,7 +8,7 @@ from logs.reader.reader import LogFile
 from logs.replay.replay import replay
 from logs.schema.fleet_rows import unpack_neighbours
 from logs.verdict.verdict import judge_fleet
-from sim.scenarios.team import one_of
+from sim.scenarios.team import load
 from tests.integration.runs import Flying, called
 from tests.integration.sim_processes import verb
 from tests.integration.wires.bridge_processes import member_behind_the_bridge
@@ -51,7 +51,7 @@ def test_vehicles_from_three_sources_hear_each_other_land_and_replay(tmp_path):
         run.wait_for("robots: ")
         robots = run.lines[-1].split()[1]
         words = ("--scenario", team_file, "--seed", 1, "--member", 2, "--url", f"udpin:{places[0]}")
-        crazyflie = (*one_of(team_file, 1, 3), 3, f"udpin:{places[1]}", robots)
+        crazyflie = (*load(team_file).one(1, 3), 3, f"udpin:{places[1]}", robots)
         with verb("vehicle", *words, "--connect", robots), member_behind_the_bridge(*crazyflie) as plant:
             assert run.end() == 0, "\n".join(run.lines)
             assert plant.vehicle.on_pad

@@ -14,8 +14,8 @@ from logs.reader.reader import LogFile
 from logs.tools.compare import compare
 from logs.verdict.types import Outcome
 from logs.verdict.verdict import judge_fleet
-from sim.runners.fleet.team import land_team
-from sim.runners.fleet.words import Words
+from sim.runners.landing import land_team
+from sim.runners.words import Words
 from sim.scenarios import team as teams
 from tests.integration.runs import Flying, called, flightstack
 

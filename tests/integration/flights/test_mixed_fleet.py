@@ -23,7 +23,7 @@ from logs.verdict.verdict import judge_fleet
 from sim.plant import params
 from sim.px4.airframe import parameters
 from sim.px4.program import InstanceClaim, Px4Error, Px4Model, Px4Program
-from sim.scenarios.team import load, one_of
+from sim.scenarios.team import load
 from tests.integration.runs import Flying
 from tests.integration.sim_processes import verb
 from tests.integration.wires.bridge_processes import member_behind_the_bridge
@@ -57,7 +57,7 @@ def px4_on_its_simulator(folder, instance, robots):
 
     Yields what the simulator has said, once it has ended.
     """
-    scenario, _ = one_of(TEAM, SEED, PX4)
+    scenario, _ = load(TEAM).one(SEED, PX4)
     wanted = parameters(params.load(scenario.vehicle.airframe), scenario.vehicle.mocap)
     words = ("--scenario", TEAM, "--seed", SEED, "--member", PX4, "--mocap", "--once", "--connect", robots)
     with verb("px4-sim", *words, "--tcp", f"127.0.0.1:{4560 + instance}") as (child, _):
@@ -99,7 +99,7 @@ def test_three_kinds_cross_land_and_replay(tmp_path):
         try:
             run.wait_for("robots: ")
             robots = run.lines[-1].split()[1]
-            crazyflie = (*one_of(TEAM, SEED, CRAZYFLIE), CRAZYFLIE, f"udpin:{bridge_at}", robots)
+            crazyflie = (*load(TEAM).one(SEED, CRAZYFLIE), CRAZYFLIE, f"udpin:{bridge_at}", robots)
             with (
                 member_behind_the_bridge(*crazyflie) as plant,
                 px4_on_its_simulator(tmp_path / "px4", claim.number, robots) as said,

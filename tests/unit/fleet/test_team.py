@@ -7,8 +7,7 @@ import pytest
 from logs.verdict.types import Outcome
 from sim.chance import fresh, member, moved, stream
 from sim.runners.companion import Companion
-from sim.runners.fleet.team import land_team
-from sim.runners.landing import land
+from sim.runners.landing import land, land_team
 from sim.scenarios import team
 from sim.scenarios.scenario import load
 from sim.scenarios.team import TeamScenario

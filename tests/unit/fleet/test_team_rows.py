@@ -4,18 +4,17 @@ from dataclasses import replace
 
 import pytest
 
-from flightstack.common.strict_toml import ConfigError, dumps
+from flightstack.common.strict_toml import ConfigError
 from logs.verdict.types import Outcome
 from sim.campaign.rare import Event, Rare
-from sim.campaign.rows import read_rows, row_of, write_rows
+from sim.campaign.rows import read_rows, vehicle_row, write_rows
 from sim.campaign.run import plan
 from sim.campaign.summary import summary
-from sim.campaign.team_rows import judge_team, team_row
+from sim.campaign.team_rows import judge_team, row_of
 from sim.campaign.workers import fly_seed
-from sim.runners.fleet.pairs import Pair
-from sim.runners.fleet.team import TeamLanding
-from sim.runners.landing import land
-from sim.scenarios.team import load
+from sim.runners.landing import TeamLanding, land
+from sim.runners.room import Pair
+from sim.scenarios.team import load, text
 from tests.unit.fleet.fleet_helpers import FIELD, at, team_of
 
 LANDED, ABORTED, TIMEOUT, CRASHED = Outcome.LANDED, Outcome.ABORTED, Outcome.TIMEOUT, Outcome.CRASHED
@@ -74,14 +73,8 @@ def test_vehicles_that_never_flew_at_once_have_no_ellipsoid(flown):
 
 
 def test_the_row_of_a_team_of_one_is_that_of_its_landing(landing, flown):
-    row, alone = team_row(flown((LANDED,))), row_of(landing)
-    assert (row.outcomes, row.collisions, row.ellipsoid_violations) == ("landed", 0, 0)
-    assert (row.ellipsoid_min, row.distance_min_m) == (None, None)
-    empty = {"outcomes": "", "collisions": None, "ellipsoid_violations": None, "wait_max_s": None}
-    told = {"reason": alone.reason, "simulated_s": alone.simulated_s, "wall_s": alone.wall_s}
-    ours, theirs = (set(filter(None, each.cells.split(";"))) for each in (row, alone))
-    assert ours == theirs
-    assert replace(row, **empty, **told, cells=alone.cells) == alone
+    alone = replace(landing, verdict=replace(landing.verdict, outcome=LANDED, reason="was landed"))
+    assert row_of(flown((LANDED,))) == vehicle_row(alone)
 
 
 def test_the_row_of_a_team_has_the_worst_of_its_members(flown, landing):
@@ -94,21 +87,21 @@ def test_the_row_of_a_team_has_the_worst_of_its_members(flown, landing):
             touchdown_error_m=0.09, time_to_land_s=20.0,
         ),
     )  # fmt: skip
-    row = team_row(replace(team, landings=(team.landings[0], worse)))
+    row = row_of(replace(team, landings=(team.landings[0], worse)))
     assert (row.violation, row.started_safe, row.retries) == (None, None, 2 + landing.retries)
     assert (row.h_min_m, row.h_min_outside_pad_m) == (-0.6, -0.5)
     assert (row.touchdown_error_m, row.time_to_land_s) == (0.09, 20.0)
     assert (row.simulated_s, row.wall_s, row.wait_max_s) == (7.0, 0.5, 2.5)
-    crashed = team_row(flown((LANDED, CRASHED), FAR))
+    crashed = row_of(flown((LANDED, CRASHED), FAR))
     assert crashed.time_to_land_s is None
     assert crashed.outcomes == "landed crashed"
 
 
 def test_a_campaign_flies_teams(tmp_path):
-    text = dumps(team_of(at(0.0, 0.0), at(6.0, 0.0)))
-    rows = [fly_seed(text, seed) for seed in (0, 1)]
+    toml = text(team_of(at(0.0, 0.0), at(6.0, 0.0)))
+    rows = [fly_seed(toml, seed) for seed in (0, 1)]
     assert [row.outcomes for row in rows] == ["landed landed"] * 2
-    assert rows[0].untimed() == fly_seed(text, 0).untimed()
+    assert rows[0].untimed() == fly_seed(toml, 0).untimed()
     write_rows(tmp_path / "rows.csv", rows)
     assert read_rows(tmp_path / "rows.csv") == rows
     told = summary(rows, "fly {seed}", wall_s=1.0, flown_s=14.0)

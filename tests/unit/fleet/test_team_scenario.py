@@ -8,7 +8,7 @@ import pytest
 from flightstack.common.strict_toml import ConfigError, dumps, from_table
 from flightstack.config import files as configurations
 from logs.verdict.types import Outcome
-from sim.runners.fleet.team import land_team
+from sim.runners.landing import land_team
 from sim.scenarios import scenario, team
 from sim.scenarios.team import TeamScenario
 
@@ -147,8 +147,8 @@ onboard.checks.wait_time_max_s = 99.0
 
 def test_one_member_is_taken_with_its_seed_and_one_vehicle_as_it_is():
     singles = list(team.load("fleet_3").singles(5))
-    assert [team.one_of("fleet_3", 5, number) for number in (1, 2, 3)] == singles
-    assert team.one_of("field", 5, None) == (scenario.load("field"), 5)
+    assert [team.load("fleet_3").one(5, number) for number in (1, 2, 3)] == singles
+    assert team.load("field").one(5, None) == (scenario.load("field"), 5)
 
 
 @pytest.mark.parametrize(
@@ -161,11 +161,14 @@ def test_one_member_is_taken_with_its_seed_and_one_vehicle_as_it_is():
 )
 def test_a_member_that_there_is_not_is_refused(name, number, error):
     with pytest.raises(ConfigError, match=error):
-        team.one_of(name, 0, number)
+        team.load(name).one(0, number)
 
 
 def test_an_unknown_team_is_told_with_those_there_are():
-    with pytest.raises(ConfigError, match="team 'fleet_9': neither a file nor one of: fleet_3, fleet_8"):
+    with pytest.raises(
+        ConfigError,
+        match=r"scenario 'fleet_9': .*; of several vehicles: fleet_3, fleet_8",
+    ):
         team.load("fleet_9")
 
 

@@ -14,9 +14,8 @@ from flightstack.onboard import lockstep
 from flightstack.onboard.lockstep import LockstepWords, joined, split
 from logs.schema.rows import FleetWordRow
 from sim.clock import NoAnswerError, TickGrid
-from sim.runners.fleet import words_wire
-from sim.runners.fleet.words import Words
-from sim.runners.fleet.words_wire import MemberWords
+from sim.runners import words as words_wire
+from sim.runners.words import MemberWords, Words
 from sim.scenarios import team
 from tests.processes.ports import free_endpoint
 from tests.unit.target.ros2_helpers import until

@@ -17,7 +17,7 @@ from flightstack.common.pacing import EPOCH_NS
 from flightstack.common.strict_toml import dumps, from_table, to_table
 from flightstack.core.types import Phase, TargetSample
 from logs.verdict.verdict import Outcome
-from sim.campaign.rows import row_of
+from sim.campaign.rows import vehicle_row
 from sim.robot.target import TargetMeasurement
 from sim.runners.landing import land
 from sim.runners.landing_target import in_world
@@ -112,7 +112,7 @@ def short(name, **changes):
 
 def test_equal_seeds_are_equal_and_others_are_not():
     scenario = short("lab")
-    first, again, other = (row_of(land(scenario, seed)).untimed() for seed in (4, 4, 5))
+    first, again, other = (vehicle_row(land(scenario, seed)).untimed() for seed in (4, 4, 5))
     assert first == again
     assert first.outcome == Outcome.LANDED
     assert other.h_min_outside_pad_m != first.h_min_outside_pad_m

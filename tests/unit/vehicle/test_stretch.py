@@ -10,8 +10,10 @@ from hypothesis import strategies as st
 from flightstack.compiled.jit import is_off, jitted
 from flightstack.compiled.program import OwnProgram, layout_is_known
 from flightstack.core import numeric
-from sim.runners.companion import Companion, warm_up
+from sim.runners.companion import Companion
+from sim.runners.landing import warm_up
 from sim.scenarios.scenario import Start, load
+from sim.scenarios.team import alone
 
 numbers = st.floats(-1e3, 1e3)
 
@@ -100,7 +102,7 @@ def test_another_layout_of_the_solvers_memory_is_noticed(monkeypatch):
 
 
 def test_it_is_compiled_before_the_first_landing():
-    warm_up(load("field"))
+    warm_up(alone(load("field")))
     stretch = Companion(load("field"), 0).stretch
     assert (stretch is None) == is_off()
     if stretch is not None:

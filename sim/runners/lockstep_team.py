@@ -15,10 +15,9 @@ from flightstack.common.pacing import NO_GO, PAIR, Silence
 from flightstack.onboard.lockstep import CREDIT_EVERY
 from sim.clock import TickGrid
 from sim.runners.deck import LockstepDeck
-from sim.runners.fleet.room import Member, Room
-from sim.runners.fleet.words import Words
-from sim.runners.fleet.words_wire import MemberWords
 from sim.runners.lockstep import LockstepLoop
+from sim.runners.room import Member, Room
+from sim.runners.words import MemberWords, Words
 
 
 class LockstepMember:
@@ -64,7 +63,7 @@ class LockstepMember:
             self.of.over = self.words.is_set
 
 
-class FleetLockstep:
+class TeamLockstep:
     """Runs ticks until the flights of all are over.
 
     Args:
