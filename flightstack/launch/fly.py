@@ -57,4 +57,4 @@ def run(options: FlyOptions, console: Console) -> Flown:
         if recorder is not None:
             problem = end_recorder(recorder) or problem
     about = {"scenario": None, "seed": None, "config": name, "filter": config.filter}
-    return Flown(about, folder, log, wall_s, onboard.process.returncode, flight.last_line, problem)
+    return Flown(about, folder, log, wall_s, (flight,), problem)

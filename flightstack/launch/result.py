@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -13,12 +13,12 @@ from rich.console import Console, Group
 from rich.table import Column, Table
 from rich.text import Text
 
-from logs.reader.flight import load_flight
-from logs.reader.flight_data import Flight
+from flightstack.launch.launcher import Followed
+from logs.reader.flight import load_fleet
 from logs.reader.reader import LogError
-from logs.report.report import ReportError, write_page
+from logs.report.report import ReportError, write_report
 from logs.verdict.types import SOURCES
-from logs.verdict.verdict import Verdict, judge, verdict_result
+from logs.verdict.verdict import Verdict, fleet_result, judge_fleet
 
 _ABOUT = ("scenario", "seed", "config", "filter")
 _ROWS = (
@@ -34,14 +34,16 @@ _ROWS = (
 )
 
 
-def verdict_table(values: Mapping[str, Any], reason: str) -> Group:
-    """Return the values of ``logs.verdict.verdict.verdict_result`` as a table; "-" for what is not known."""
+def result_table(values: Mapping[str, Any], reason: str) -> Group:
+    """Return the values of ``logs.verdict.verdict.fleet_result`` as tables; "-" for what is not known."""
+    if values.get("vehicles") is not None:
+        return _fleet_table(values, reason)
     told = {name: values[name] for name in _ABOUT if values.get(name) is not None}
     title = ", ".join(f"{name} {value}" for name, value in told.items())
     table = Table("result", Column("value", justify="right"), "unit")
     for name, key, unit in _ROWS:
-        table.add_row(name, _shown(values[key]), unit)
-    source = SOURCES.get(values["judged_from"], "what the onboard process said")
+        table.add_row(name, _shown(values.get(key)), unit)
+    source = SOURCES.get(values.get("judged_from") or "", "what the onboard process said")
     return Group(Text(title, style="italic"), table, Text(f"judged from {source}"), Text(reason))
 
 
@@ -63,11 +65,8 @@ _FLEET_ROWS = (
 )
 
 
-def fleet_table(values: Mapping[str, Any], reason: str) -> Group:
-    """Return the values of ``logs.verdict.verdict.fleet_result`` as tables; "-" for what is not known.
-
-    Of a member: the least h outside the pad, error and speeds at touchdown, time to land.
-    """
+def _fleet_table(values: Mapping[str, Any], reason: str) -> Group:
+    """Of a member: the least h outside the pad, error and speeds at touchdown, time to land."""
     told = {name: values[name] for name in _ABOUT if values.get(name) is not None}
     title = ", ".join(f"{name} {value}" for name, value in told.items())
     table = Table("vehicle", *(Column(name, justify="right") for name, _, _ in _MEMBER_COLUMNS))
@@ -87,94 +86,80 @@ def _shown(value: object, factor: float = 1.0) -> str:
 
 
 _VERDICT = tuple(field.name for field in fields(Verdict))
+_FLEET = (
+    "outcome", "violation", "vehicles", "ellipsoid_violations", "ellipsoid_min", "distance_min_m",
+    "collisions", "realtime_factor",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Flown:
-    """What remains of a flight: its log and its problems.
+    """What remains of a run: its log and its problems."""
 
-    Attributes:
-        about: what was flown, the first keys of ``--json``.
-        folder: where everything is.
-        log: the flight log; None: nothing was recorded.
-        wall_s: wall time from the first tick to the end.
-        code: exit status of the onboard process; None if it was ended.
-        last_line: the last that the onboard process said.
-        problem: a process that failed.
-        interrupted: whether the operator ended it.
-    """
-
-    about: Mapping[str, object]
+    about: Mapping[str, object]  # what was flown, the first keys of ``--json``
     folder: Path
-    log: Path | None
-    wall_s: float
-    code: int | None
-    last_line: str
-    problem: str | None
-    interrupted: bool = False
+    log: Path | None  # None: nothing was recorded
+    wall_s: float  # wall time from the first tick to the end
+    flights: Sequence[Followed]  # onboard processes, one of each vehicle
+    problem: str | None  # a process that failed
+    interrupted: bool = False  # by the operator
 
 
 def conclude(flown: Flown, console: Console, *, as_json: bool, with_report: bool) -> int:
-    """Judge a flight, write its report, print the result.
-
-    Returns:
-        Exit status: 0 landed, 1 anything else.
-    """
-    values = conclude_values(flown, with_report=with_report)
+    """Judge a run, write its report, print the result; return the exit status: 0 landed, 1 anything else."""
+    values = concluded(flown, with_report=with_report)
     if as_json:
         print(json.dumps(values))
     else:
         problem = f"; {flown.problem}" if flown.problem else ""
-        console.print(verdict_table(values, f"{values['reason']}{problem}"))
-        _paths(console, values, with_report=with_report)
+        console.print(result_table(values, f"{_reasons(values)}{problem}"))
+        console.print(Text(f"log     {values['log'] or 'none, as asked for'}"), soft_wrap=True)
+        if values["report"] is not None:
+            console.print(Text(f"report  {values['report']}"), soft_wrap=True)
     if flown.problem:
         print(f"flightstack: {flown.problem}", file=sys.stderr)
     return 0 if landed(values, flown) else 1
 
 
-def conclude_values(flown: Flown, *, with_report: bool) -> dict[str, object]:
-    """Judge a flight and write its report; the keys of ``--json``, ``None`` for what is not known.
+def concluded(flown: Flown, *, with_report: bool) -> dict[str, Any]:
+    """Judge a run and write its report; the keys of ``--json``, ``None`` for what is not known.
 
     Without a log the outcome is the one that the onboard process reported, and nothing is measured.
     """
-    flight = _flight(flown)
-    if flight is None:
-        outcome = "landed" if flown.log is None and flown.code == 0 else None
+    said = "; ".join(f"{each.name}: {each.last_line}".removeprefix(": ") for each in flown.flights)
+    try:
+        log = load_fleet(flown.log) if flown.log is not None else None
+    except LogError as error:  # a log that cannot be used
+        print(f"flightstack: no result: {flown.problem or said} {error}", file=sys.stderr)
+        log = None
+    if log is None:
+        alone = len(flown.flights) == 1
+        code = flown.flights[0].child.process.returncode
         return {
             **flown.about,
-            **dict.fromkeys((*_VERDICT, "realtime_factor")),
-            "outcome": outcome,
-            "reason": flown.last_line,
+            **dict.fromkeys((*_VERDICT, "realtime_factor") if alone else _FLEET),
+            "outcome": "landed" if flown.log is None and code == 0 else None,
+            "reason": said,
             "log": str(flown.log) if flown.log is not None and flown.log.exists() else None,
             "report": None,
         }
-    verdict = judge(flight)
-    report = None
+    verdict, pages = judge_fleet(log), None
     if with_report:
         try:
-            report = write_page(flight, verdict, flown.folder / "report.html")
+            pages = write_report(log, verdict, flown.folder / "report.html")
         except ReportError as error:  # the flight counts all the same
             print(f"flightstack: {error}", file=sys.stderr)
-    flown_s = float(flight.steps.t_s[-1] - flight.steps.t_s[0]) if flight.steps is not None else 0.0
-    factor = flown_s / flown.wall_s if flown.wall_s > 0.0 else None
-    return verdict_result(flight, verdict, report, flown.about, factor)
-
-
-def _flight(flown: Flown) -> Flight | None:
-    """The flight in the log; a log that cannot be used is named on standard error."""
-    try:
-        return load_flight(flown.log) if flown.log is not None else None
-    except LogError as error:
-        print(f"flightstack: no result: {flown.problem or flown.last_line} {error}", file=sys.stderr)
-        return None
+    times = [flight.steps.t_s for flight in log.flights.values() if flight.steps is not None]
+    longest_s = max((float(t_s[-1] - t_s[0]) for t_s in times), default=None)
+    factor = longest_s / flown.wall_s if longest_s is not None and flown.wall_s > 0.0 else None
+    return fleet_result(log, verdict, pages, flown.about, factor)
 
 
 def landed(values: Mapping[str, object], flown: Flown) -> bool:
-    """Return whether the vehicle landed and no process failed."""
+    """Return whether all vehicles landed and no process failed."""
     return values["outcome"] == "landed" and flown.problem is None
 
 
-def _paths(console: Console, values: Mapping[str, object], *, with_report: bool) -> None:
-    console.print(Text(f"log     {values['log'] or 'none, as asked for'}"), soft_wrap=True)
-    if with_report and values["report"] is not None:
-        console.print(Text(f"report  {values['report']}"), soft_wrap=True)
+def _reasons(values: Mapping[str, Any]) -> str:
+    vehicles = values.get("vehicles") or {}
+    return "\n".join(f"{name}: {each['reason']}" for name, each in vehicles.items()) or values["reason"]

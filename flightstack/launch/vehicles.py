@@ -11,7 +11,7 @@ import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from bridge.mavlink.profiles.autopilots import ARDUPILOT, AUTO, OWN_SITL
 from bridge.mavlink.profiles.autopilots import PX4 as PX4_PROFILE
@@ -20,10 +20,12 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.core.types import Vec3
 from flightstack.launch.launcher import Launcher
 from flightstack.launch.run_options import Flies, RunOptions
+from logs.schema.names import TEAM
 from sim.autopilot.ground import ORIGIN_WGS84
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
 from sim.runners.options import Px4SimOptions, VehicleOptions
 from sim.scenarios.scenario import Scenario, StartKind
+from sim.scenarios.team import TeamScenario
 from sim.vehicle.vehicle import compile_first
 
 _EAST_DEG = 90.0  # where the nose points
@@ -37,34 +39,41 @@ class Flying:
     """A vehicle that has been started.
 
     Attributes:
-        options: of the onboard process.
+        options: of the onboard process of each vehicle.
         children: processes that have to outlive it.
         teller: the one that says when the motors are armed and disarmed.
         clock: options by which robot and onboard process keep its time.
         pending: processes that are not ready yet; others may start meanwhile.
     """
 
-    options: Mapping[str, Any]
+    options: Sequence[Mapping[str, Any]]
     children: list[Running]
     teller: Child | None = None
     clock: Mapping[str, Any] = field(default_factory=dict)
     pending: Sequence[Child] = ()
 
 
+class Places(NamedTuple):
+    """Zenoh endpoints of the simulator."""
+
+    target: str  # of the robots
+    vehicle: str  # of the vehicles, where there are several
+
+
 class Vehicle(Protocol):
-    """A vehicle that ``sitl`` can fly."""
+    """A kind of vehicle that ``sitl`` can fly."""
 
     def adapt(self, scenario: Scenario) -> Scenario:
         """Return the scenario with the changes that this vehicle needs."""
 
-    def start(self, launcher: Launcher, options: RunOptions, scenario: Scenario, target_at: str) -> Flying:
+    def start(self, launcher: Launcher, options: RunOptions, team: TeamScenario, at: Places) -> Flying:
         """Start it; where its URL depends on that, wait until it can be flown.
 
         Args:
-            launcher: holds the processes; its folder holds ``scenario.toml``.
+            launcher: holds the processes; its folder holds the scenario.
             options: of the run.
-            scenario: adapted.
-            target_at: Zenoh endpoint at which the robot will be.
+            team: adapted; only the simulated vehicle flies in a team of several.
+            at: endpoints of the simulator.
 
         Raises:
             LaunchError: it did not start, or does not become ready.
@@ -78,22 +87,30 @@ class OwnVehicle:
         """Return the scenario unchanged: it is made for this vehicle."""
         return scenario
 
-    def start(self, launcher: Launcher, options: RunOptions, scenario: Scenario, target_at: str) -> Flying:
+    def start(self, launcher: Launcher, options: RunOptions, team: TeamScenario, at: Places) -> Flying:
         """Start it; see ``Vehicle.start``."""
-        compile_first(scenario)
-        at = f"127.0.0.1:{launcher.udp_port()}"
+        compile_first(team.member[0])
+        several, elsewhere = not team.is_alone, options.members
+        place = f"127.0.0.1:{0 if several else launcher.udp_port()}"
         child = launcher.start(
             "vehicle",
             VehicleOptions(
-                **common_options(launcher, options), lockstep=options.lockstep,
-                signing_key=options.signing_key, rate_hz=scenario.onboard.loop.rate_hz,
-                duration_s=others_s(scenario), connect=(target_at,), url=f"udpin:{at}",
+                **common_options(launcher, options, team), lockstep=options.lockstep,
+                signing_key=options.signing_key, rate_hz=team.rate_hz, duration_s=others_s(team),
+                connect=(at.target,), listen=(at.vehicle,) if several else (), url=f"udpin:{place}",
+                leave_out=tuple(elsewhere),
             ),
         )  # fmt: skip
+        urls = iter(child.wait_ready().replace("udpin", "udpout").split() if several else [f"udpout:{place}"])
         # the heartbeat of the simulated vehicle is PX4's
         autopilot = OWN_SITL.name if options.autopilot == AUTO else options.autopilot
-        given = {"vehicle_url": f"udpout:{at}", "signing_key": options.signing_key, "autopilot": autopilot}
-        return Flying(given, [child], child, pending=[child])
+        given = [
+            {"vehicle_url": elsewhere[number], "autopilot": options.autopilot}
+            if number in elsewhere
+            else {"vehicle_url": next(urls), "signing_key": options.signing_key, "autopilot": autopilot}
+            for number in range(1, len(team.member) + 1)
+        ]
+        return Flying(given, [child], child, pending=() if several else [child])
 
 
 class _Px4Start:
@@ -129,8 +146,9 @@ class Px4OnPlant:
         """Return the scenario unchanged: the vehicle stands on the floor below a hover start."""
         return scenario
 
-    def start(self, launcher: Launcher, options: RunOptions, scenario: Scenario, target_at: str) -> Flying:
+    def start(self, launcher: Launcher, options: RunOptions, team: TeamScenario, at: Places) -> Flying:
         """Start the simulator, then PX4; see ``Vehicle.start``."""
+        scenario = team.member[0]
         compile_first(scenario)
         px4 = _Px4Start(launcher, options)
         clock: Mapping[str, Any] = {"clock": launcher.socket.with_name("clock")}
@@ -138,8 +156,8 @@ class Px4OnPlant:
         simulator = launcher.start(
             "px4-sim",
             Px4SimOptions(
-                **common_options(launcher, options), connect=(target_at,), once=True, mocap=options.mocap,
-                tcp=f"127.0.0.1:{SIMULATOR_PORT + px4.number}", speed=options.speed, **clock,
+                **common_options(launcher, options, team), connect=(at.target,), once=True, **clock,
+                tcp=f"127.0.0.1:{SIMULATOR_PORT + px4.number}", speed=options.speed, mocap=options.mocap,
             ),
         )  # fmt: skip
         simulator.wait_ready()
@@ -149,7 +167,7 @@ class Px4OnPlant:
 
         wanted = parameters(params.load(scenario.vehicle.airframe), poses)
         child, given = px4.run(Px4Model.NONE_IRIS, wanted)
-        return Flying(given, [simulator, child], simulator, clock)
+        return Flying([given], [simulator, child], simulator, clock)
 
 
 class Px4WithItsOwnPhysics:
@@ -159,14 +177,14 @@ class Px4WithItsOwnPhysics:
         """Move the robot: PX4 starts at its origin."""
         return around_the_start(scenario)
 
-    def start(self, launcher: Launcher, options: RunOptions, scenario: Scenario, target_at: str) -> Flying:
+    def start(self, launcher: Launcher, options: RunOptions, team: TeamScenario, at: Places) -> Flying:
         """Start it; see ``Vehicle.start``."""
-        del target_at
+        del at
         from sim.px4.airframe import SAFE_PARAMETERS
 
         child, given = _Px4Start(launcher, options).run(Px4Model.SIHSIM_QUADX, SAFE_PARAMETERS)
-        given["target_offset_m"] = _to_the_floor_m(scenario)
-        return Flying(given, [child], clock={"speed": options.speed})
+        given["target_offset_m"] = _to_the_floor_m(team.member[0])
+        return Flying([given], [child], clock={"speed": options.speed})
 
 
 class ArduPilotWithItsOwnPhysics:
@@ -176,9 +194,9 @@ class ArduPilotWithItsOwnPhysics:
         """Move the robot: ArduPilot starts at its origin."""
         return around_the_start(scenario)
 
-    def start(self, launcher: Launcher, options: RunOptions, scenario: Scenario, target_at: str) -> Flying:
+    def start(self, launcher: Launcher, options: RunOptions, team: TeamScenario, at: Places) -> Flying:
         """Start it; the onboard process waits for its heartbeat."""
-        del target_at
+        del at
         number = options.instance or 0
         folder = launcher.folder / "ardupilot"
         folder.mkdir(exist_ok=True)
@@ -194,9 +212,10 @@ class ArduPilotWithItsOwnPhysics:
         launcher.children.append(child)
         url = f"tcp:127.0.0.1:{_ARDUPILOT_TCP + 10 * number}"
         given = {
-            "vehicle_url": url, "autopilot": ARDUPILOT.name, "target_offset_m": _to_the_floor_m(scenario),
+            "vehicle_url": url, "autopilot": ARDUPILOT.name,
+            "target_offset_m": _to_the_floor_m(team.member[0]),
         }  # fmt: skip
-        return Flying(given, [child], clock={"speed": options.speed})
+        return Flying([given], [child], clock={"speed": options.speed})
 
 
 # What ArduCopter's simulated quadrotor needs besides its defaults: its frame and battery, calibrations that
@@ -238,20 +257,25 @@ def configuration_for(flies: Flies, scenario: Scenario) -> str | None:
     return _PX4_CONFIG.get(scenario.vehicle.airframe) if flies is Flies.PX4 else None
 
 
-def common_options(launcher: Launcher, options: RunOptions) -> dict[str, Any]:
+def scenario_file(folder: Path, team: TeamScenario) -> Path:
+    """Return the place of the scenario in the folder of a run."""
+    return folder / ("scenario.toml" if team.is_alone else TEAM)
+
+
+def common_options(launcher: Launcher, options: RunOptions, team: TeamScenario) -> dict[str, Any]:
     """Options of every process of the simulator."""
-    file = launcher.folder / "scenario.toml"
+    file = scenario_file(launcher.folder, team)
     return {"scenario": file, "seed": options.seed, "recorder": launcher.socket}
 
 
-def longest_s(scenario: Scenario) -> float:
+def longest_s(team: TeamScenario) -> float:
     """Return the longest time of a flight, s: its duration and the time for an abort."""
-    return scenario.duration_max_s + scenario.onboard.retreat.abort_time_max_s
+    return max(each.duration_max_s + each.onboard.retreat.abort_time_max_s for each in team.member)
 
 
-def others_s(scenario: Scenario) -> float:
-    """Return how long the simulator's processes run, s: longer than the onboard process."""
-    return longest_s(scenario) + 10.0
+def others_s(team: TeamScenario) -> float:
+    """Return how long the simulator's processes run, s: longer than the onboard processes."""
+    return longest_s(team) + 10.0
 
 
 def around_the_start(scenario: Scenario) -> Scenario:

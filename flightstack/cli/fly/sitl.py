@@ -22,20 +22,16 @@ def sitl(options: RunOptions) -> None:
     options.check()
     from flightstack.common.processes import LaunchError
     from flightstack.common.terminal import Terminal
-    from flightstack.launch import fleet
-    from flightstack.launch.fleet_result import conclude_fleet, fly_fleet
     from flightstack.launch.result import conclude
-    from flightstack.launch.sitl import fly_all, fly_one, run
-    from sim.scenarios.team import load
+    from flightstack.launch.runs import fly_all
+    from flightstack.launch.sitl import run
 
-    result = {"as_json": options.as_json, "with_report": options.with_report}
-    console, team = Terminal(stderr=options.as_json), not load(options.scenario).is_alone
+    console = Terminal(stderr=options.as_json)
     try:
         if options.runs > 1:
-            sys.exit(fly_all(options, options.runs, console, fly_fleet if team else fly_one, **result))
-        if team:
-            sys.exit(conclude_fleet(fleet.run(options, console), console, **result))
-        sys.exit(conclude(run(options, console), console, **result))
+            sys.exit(fly_all(options, console))
+        flown = run(options, console)
+        sys.exit(conclude(flown, console, as_json=options.as_json, with_report=options.with_report))
     except LaunchError as error:
         click.echo(f"flightstack: {error}", err=True)
         sys.exit(error.code)

@@ -78,10 +78,9 @@ def show_verdict(values: dict[str, Any], *, as_json: bool) -> None:
         click.echo(json.dumps(values))
         return
     from flightstack.common.terminal import Terminal
-    from flightstack.launch.result import fleet_table, verdict_table
+    from flightstack.launch.result import result_table
 
-    table = fleet_table if "vehicles" in values else verdict_table
-    Terminal().print(table(values, values["reason"]))
+    Terminal().print(result_table(values, values["reason"]))
 
 
 @log.command()

@@ -85,7 +85,6 @@ def test_all_members_can_have_another_filter():
 @pytest.mark.parametrize(
     ("text", "error"),
     [
-        (ABOUT + 'base = "field"\n', "mine.toml: member: found 0, allowed: 1 to 250 tables .*; write one"),
         (
             ABOUT + 'base = "feild"\n[[member]]\n',
             "mine.toml: base: scenario 'feild': neither a file nor one of",

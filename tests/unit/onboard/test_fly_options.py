@@ -17,7 +17,8 @@ from flightstack.config.files import load, path_of
 from flightstack.launch import fly
 from flightstack.launch.launcher import Launcher
 from flightstack.launch.run_options import FlyOptions, RunOptions
-from flightstack.launch.sitl import prepare, sum_up
+from flightstack.launch.runs import sum_up
+from flightstack.launch.sitl import prepare
 from flightstack.onboard.options import FlightOptions, OnboardOptions
 from flightstack.watch.options import WatchOptions
 from sim.runners.options import Px4SimOptions, TargetOptions, VehicleOptions
@@ -129,11 +130,11 @@ def test_runs_are_counted_and_what_did_not_fly_is_no_landing():
 def test_a_configuration_that_does_not_say_where_to_begin_begins_where_the_scenario_does(scenario, config):
     given = load_scenario(scenario).onboard.takeoff.start_offset_m
     assert load(config).takeoff.start_offset_m is None
-    flown = prepare(RunOptions(scenario=scenario, px4=Path("px4"))).onboard
+    flown = prepare(RunOptions(scenario=scenario, px4=Path("px4"))).member[0].onboard
     assert flown.takeoff.start_offset_m == given
     assert flown.vehicle == load(config).vehicle
 
 
 def test_a_configuration_that_says_where_to_begin_is_flown_as_it_is():
-    flown = prepare(RunOptions(scenario="grid", config_file=path_of("crazyflie"))).onboard
+    flown = prepare(RunOptions(scenario="grid", config_file=path_of("crazyflie"))).member[0].onboard
     assert flown == load("crazyflie")
