@@ -6,7 +6,6 @@ if it were new. A Crazyflie that is not heard sends no heartbeat, only the text 
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable
 from typing import Any
@@ -33,7 +32,6 @@ from bridge.crazyflie.types import (
     StateBlock,
 )
 from bridge.crazyflie.vehicle import Vehicle
-from bridge.frames import yaw_from_quaternion, yaw_ned_from_enu
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.profiles.autopilots import CRAZYFLIE_MARK
 from bridge.mavlink.server import telemetry
@@ -76,11 +74,8 @@ def _home_position(s: Snapshot[Vehicle]) -> Message:
 
 
 def _vfr_hud(s: Snapshot[Vehicle]) -> Message:
-    health, (vx, vy, vz) = s.vehicle.health, s.estimate.velocity_enu_m_s
-    percent = round(100 * health.throttle) if health is not None else 0
-    speed, yaw_rad = math.hypot(vx, vy), yaw_ned_from_enu(yaw_from_quaternion(s.estimate.quaternion))
-    heading = round(math.degrees(yaw_rad)) % 360
-    return _M.MAVLink_vfr_hud_message(speed, speed, heading, percent, s.estimate.position_enu_m[2], vz)
+    health = s.vehicle.health
+    return telemetry.vfr_hud(s, round(100 * health.throttle) if health is not None else 0)
 
 
 BUILDERS: dict[int, Builder[Vehicle]] = {

@@ -28,11 +28,7 @@ __all__ = ["COMPONENT_ID", "SYSTEM_ID", "Autopilot"]
 
 
 class Autopilot(Server[Flight]):
-    """One autopilot. At each tick: ``telemetry``, ``handle`` what came, ``control``, physics.
-
-    Attributes:
-        flight: modes and arming.
-    """
+    """One autopilot. At each tick: ``telemetry``, ``handle`` each message, ``control``, physics."""
 
     def __init__(
         self,
@@ -43,14 +39,10 @@ class Autopilot(Server[Flight]):
         epoch_ns: int = 0,
         trim_enu_m_s: Vec3 = ZERO,
     ) -> None:
-        """Put an autopilot on a vehicle.
+        """Set up; a vehicle that is flying already is held at its place.
 
-        Args:
-            vehicle: it may already be flying; then it is held where it is.
-            rate_hz: rate of the loop, and of position and attitude on the wire.
-            system_id: MAVLink system id, 1 to 255.
-            epoch_ns: Unix time of time zero, for SYSTEM_TIME.
-            trim_enu_m_s: velocity set-point that keeps a vehicle in place that starts in the air.
+        ``rate_hz`` is that of the loop, and of position and attitude on the wire. ``epoch_ns`` is the Unix
+        time of time zero. ``trim_enu_m_s`` keeps a vehicle in place that starts in the air.
         """
         parameters = Parameters(px4_parameters(system_id))
         self.flight = Flight(vehicle, parameters, 1.0 / rate_hz, trim_enu_m_s)
@@ -67,21 +59,17 @@ class Autopilot(Server[Flight]):
         return Snapshot(self.flight, self.profile, estimate, estimate.valid, now_s, now_s, self._epoch_ns)
 
     def on_heartbeat(self, message: Any, _sender: Sender, now_s: float) -> list[Message]:
-        """Take note of a ground station's heartbeat."""
         if self.flight.watches.heartbeat(message.type, now_s):
             self.flight.say(dialect.MAV_SEVERITY_INFO, "Ground station is back")
         return []
 
     def own_commands(self) -> dict[int, Entry]:
-        """Commands of the simulated vehicle alone."""
         return SimCommands(self.flight, self.parameters, self.streams).table
 
     def own_handlers(self) -> dict[int, Handler]:
-        """SET_GPS_GLOBAL_ORIGIN."""
         return {dialect.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN: self._set_origin}
 
     def condition(self, snapshot: Snapshot[Flight]) -> object:
-        """What HEARTBEAT and SYS_STATUS show; a locked firmware is a problem."""
         return super().condition(snapshot), self.flight.vehicle.locked
 
     def _set_origin(self, _message: Any, _sender: Sender, now_s: float) -> list[Message]:

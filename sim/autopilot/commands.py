@@ -31,11 +31,7 @@ _KINDS = dialect.enums["FAILURE_TYPE"]
 
 
 class SimCommands:
-    """Handlers of the commands.
-
-    Attributes:
-        table: MAV_CMD to handler.
-    """
+    """Handlers of the commands, by MAV_CMD in ``table``."""
 
     def __init__(self, flight: Flight, parameters: Parameters, streams: Streams[Flight]) -> None:
         self._flight = flight

@@ -74,7 +74,6 @@ class Flight(Commander):
 
     @property
     def airborne(self) -> bool:
-        """Armed and off the ground."""
         return self.vehicle.armed and not self.standing
 
     def sensors_healthy(self, _now_s: float) -> int:
@@ -123,7 +122,6 @@ class Flight(Commander):
         return None
 
     def disarm(self, now_s: float, *, force: bool) -> str | None:
-        """Disarm; in the air only by force."""
         if not self.vehicle.armed:
             self.vehicle.disarm(force)  # also clears the firmware's memory of a crash
             return None
@@ -165,14 +163,14 @@ class Flight(Commander):
         """Take note of ticks until now past ``control``; of the last one's set-point if they had one each."""
         self._control_s = self._estimate_seen_s = now_s
         if setpoint is not None:
-            self.owner.admit(sender, now_s, self._parameters["COM_OF_LOSS_T"])
+            self.owner.admit(sender, now_s, self.stream_lost_s)
             self._setpoint_s = now_s
             self.pilot.handed_on(setpoint)
 
     @property
     def stream_ends_s(self) -> float:
         """When the stream of set-points counts as ended, if none comes."""
-        return self._setpoint_s + self._parameters["COM_OF_LOSS_T"]
+        return self._setpoint_s + self.stream_lost_s
 
     def yaw_rad(self) -> float:
         return yaw_from_quaternion(self.vehicle.estimate().quaternion)
@@ -241,9 +239,8 @@ class Flight(Commander):
     def _failsafes(self, now_s: float) -> None:
         if self.mode is FlightMode.OFFBOARD and not self._streamed(now_s):
             if self.vehicle.armed:
-                limit_s = self._parameters["COM_OF_LOSS_T"]
                 mode = STREAM_LOST[int(self._parameters["COM_OBL_RC_ACT"])]
-                self._fall_back(now_s, mode, f"No set-points for {limit_s:.3g} s")
+                self._fall_back(now_s, mode, f"No set-points for {self.stream_lost_s:.3g} s")
             else:
                 self._enter(FlightMode.HOLD, now_s)
         lost = now_s - self._estimate_seen_s > _ESTIMATE_LOST_S

@@ -37,20 +37,12 @@ class OwnLimits:
 
 
 class PositionHold:
-    """A position loop with a clamped integral and a slew limit; its output is a velocity set-point, ENU.
+    """A position loop with a clamped integral and a slew limit; its output is a velocity set-point, ENU."""
 
-    Args:
-        trim_enu_m_s: velocity set-point at which the vehicle is known to stay where it is.
-
-    Attributes:
-        point_enu_m: where it wants to be.
-        velocity_enu_m_s: set-point put out last.
-    """
-
-    def __init__(self, trim_enu_m_s: Vec3 = ZERO) -> None:
-        self._trim_m_s = trim_enu_m_s
-        self.point_enu_m: Vec3 = ZERO
-        self.velocity_enu_m_s: Vec3 = ZERO
+    def __init__(self, trim_enu_m_s: Vec3) -> None:
+        self._trim_m_s = trim_enu_m_s  # set-point that keeps the vehicle in place
+        self.point_enu_m: Vec3 = ZERO  # where to hold
+        self.velocity_enu_m_s: Vec3 = ZERO  # newest set-point
         self._integral_m_s: Vec3 = trim_enu_m_s
 
     def engage(self, position_enu_m: Vec3, velocity_enu_m_s: Vec3, gain_xy_1_s: float) -> None:
@@ -96,7 +88,7 @@ class PositionHold:
         return self._slew(((vx + ix) * scale, (vy + iy) * scale, vertical_m_s), dt_s)
 
     def sink(self, vertical_m_s: float, dt_s: float) -> Vec3:
-        """Velocity without any position: level, and up or down as told."""
+        """Velocity without a position: vertical only."""
         return self._slew((0.0, 0.0, vertical_m_s), dt_s)
 
     def _slew(self, wanted: Vec3, dt_s: float) -> Vec3:
@@ -141,21 +133,11 @@ class Goal(NamedTuple):
 
 
 class Pilot:
-    """Turns mode, estimate and set-point into velocities for the firmware.
+    """Turns mode, estimate and set-point into velocities for the firmware."""
 
-    Attributes:
-        goal: where to hold; None: where the vehicle comes to rest.
-        velocity_setpoint_enu_m_s: handed to the firmware last; None: nothing holds.
-    """
-
-    def __init__(
-        self,
-        vehicle: VehicleLike,
-        parameters: Parameters,
-        trim_enu_m_s: Vec3 = ZERO,
-    ) -> None:
-        self.goal: Goal | None = None
-        self.velocity_setpoint_enu_m_s: Vec3 | None = None
+    def __init__(self, vehicle: VehicleLike, parameters: Parameters, trim_enu_m_s: Vec3 = ZERO) -> None:
+        self.goal: Goal | None = None  # where to hold; None: where the vehicle comes to rest
+        self.velocity_setpoint_enu_m_s: Vec3 | None = None  # the firmware's newest; None: none holds
         self._vehicle = vehicle
         self._parameters = parameters
         self._hold = PositionHold(trim_enu_m_s)
@@ -219,6 +201,24 @@ class Pilot:
             min(down, p["MPC_LAND_SPEED"]),
         )  # fmt: skip
 
+    def _approach(
+        self,
+        estimate: CheckedEstimate,
+        limits: OwnLimits,
+        dt_s: float,
+        *,
+        vertical_m_s: float | None = None,
+        learn: bool = True,
+    ) -> None:
+        """Fly towards the hold point; without a position level, at the vertical velocity."""
+        if estimate.valid:
+            at = estimate.position_enu_m
+            velocity = self._hold.step(at, limits, dt_s, vertical_m_s=vertical_m_s, learn=learn)
+        else:
+            velocity = self._hold.sink(vertical_m_s or 0.0, dt_s)
+        self.velocity_setpoint_enu_m_s = velocity
+        self._vehicle.set_velocity(velocity, self._yaw_rad)
+
     def _engage(self, estimate: CheckedEstimate) -> bool:
         """Take over a vehicle in motion; True the first time in a mode."""
         if self._engaged:
@@ -227,10 +227,6 @@ class Pilot:
         self._yaw_rad = yaw_from_quaternion(estimate.quaternion)
         self._engaged = True
         return True
-
-    def _command(self, velocity_enu_m_s: Vec3) -> None:
-        self.velocity_setpoint_enu_m_s = velocity_enu_m_s
-        self._vehicle.set_velocity(velocity_enu_m_s, self._yaw_rad)
 
     def _fly_hold(self, estimate: CheckedEstimate, standing: bool, dt_s: float) -> Event | None:
         if standing:
@@ -244,21 +240,16 @@ class Pilot:
                 self._yaw_rad = goal.yaw_rad
             if goal.speed_m_s is not None:
                 limits = replace(limits, speed_xy_m_s=min(goal.speed_m_s, self._clip[0]))
-        if estimate.valid:
-            self._command(self._hold.step(estimate.position_enu_m, limits, dt_s))
-        else:
-            self._command(self._hold.sink(0.0, dt_s))
+        self._approach(estimate, limits, dt_s)
         return None
 
     def _fly_takeoff(self, estimate: CheckedEstimate, standing: bool, dt_s: float) -> Event | None:
         self._engage(estimate)
         goal_m = self._takeoff_z_m
         self._hold.aim(goal_m)
-        if not estimate.valid:
-            self._command(self._hold.sink(0.0, dt_s))
-            return None
-        self._command(self._hold.step(estimate.position_enu_m, self._limits, dt_s, learn=not standing))
-        return Event.ARRIVED if _at_height(estimate, goal_m) else None
+        self._approach(estimate, self._limits, dt_s, learn=not standing)
+        arrived = estimate.valid and _at_height(estimate, goal_m)
+        return Event.ARRIVED if arrived else None
 
     def go_on(self) -> None:
         """Hold where the take-off ended, with what it has learnt."""
@@ -268,12 +259,7 @@ class Pilot:
         if standing:
             return Event.LANDED
         self._engage(estimate)
-        down_m_s = -self._limits.speed_down_m_s
-        if estimate.valid:
-            position = estimate.position_enu_m
-            self._command(self._hold.step(position, self._limits, dt_s, vertical_m_s=down_m_s))
-        else:
-            self._command(self._hold.sink(down_m_s, dt_s))
+        self._approach(estimate, self._limits, dt_s, vertical_m_s=-self._limits.speed_down_m_s)
         return None
 
     def _fly_offboard(self, estimate: CheckedEstimate, _standing: bool, dt_s: float) -> Event | None:
@@ -291,7 +277,8 @@ class Pilot:
         self._fresh = False
         wanted = setpoint.velocity_enu_m_s
         velocity = clip(wanted, *self._clip)
-        self._command(velocity)
+        self.velocity_setpoint_enu_m_s = velocity
+        self._vehicle.set_velocity(velocity, self._yaw_rad)
         return None if velocity == wanted else Event.CLIPPED
 
 

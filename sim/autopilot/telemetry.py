@@ -10,8 +10,6 @@ from bridge.frames import (
     frd_from_flu,
     ned_frd_from_enu_flu,
     ned_from_enu,
-    yaw_from_quaternion,
-    yaw_ned_from_enu,
 )
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.server import telemetry as common
@@ -42,7 +40,7 @@ def _global_position_int(s: Snapshot[Flight]) -> Message:
     x, y, z = s.estimate.position_enu_m
     above_home_mm = round(1000 * (z - s.vehicle.home_enu_m[2]))
     velocity_cm_s = (round(100 * v) for v in ned_from_enu(s.estimate.velocity_enu_m_s))
-    heading = round(100 * _heading_deg(s)) % 36000
+    heading = round(100 * common.heading_deg(s)) % 36000
     return dialect.MAVLink_global_position_int_message(
         s.boot_ms, *degrees_e7(x, y), round(1000 * z), above_home_mm, *velocity_cm_s, heading
     )
@@ -60,10 +58,7 @@ def _gps_raw_int(s: Snapshot[Flight]) -> Message:
 
 
 def _vfr_hud(s: Snapshot[Flight]) -> Message:
-    vx, vy, vz = s.estimate.velocity_enu_m_s
-    speed, height = math.hypot(vx, vy), s.estimate.position_enu_m[2]
-    percent, heading = round(25 * sum(s.vehicle.vehicle.duty)), round(_heading_deg(s)) % 360
-    return dialect.MAVLink_vfr_hud_message(speed, speed, heading, percent, height, vz)
+    return common.vfr_hud(s, round(25 * sum(s.vehicle.vehicle.duty)))
 
 
 def _altitude(s: Snapshot[Flight]) -> Message:
@@ -132,8 +127,3 @@ BUILDERS: dict[int, Builder[Flight]] = {
     dialect.MAVLINK_MSG_ID_HOME_POSITION: _home_position,
     dialect.MAVLINK_MSG_ID_ODOMETRY: _odometry,
 }
-
-
-def _heading_deg(s: Snapshot[Flight]) -> float:
-    """Heading clockwise from north, 0 to 360."""
-    return math.degrees(yaw_ned_from_enu(yaw_from_quaternion(s.estimate.quaternion))) % 360.0

@@ -9,72 +9,58 @@ from flightstack.core.types import Vec3
 
 
 class CheckedEstimate(EstimateLike, Protocol):
-    """State by the on-board estimator, and whether it is good."""
+    """State by the on-board estimator."""
 
     @property
     def valid(self) -> bool:
-        """Whether the numbers may be flown by."""
+        """Whether position and velocity may be flown by."""
 
 
 class VehicleLike(Protocol):
-    """The vehicle; ``sim.vehicle.vehicle.VehicleSim`` is one."""
+    """The vehicle; ``sim.vehicle.vehicle.VehicleSim`` is one. Methods that can refuse return the reason."""
 
     @property
-    def battery_v(self) -> float:
-        """Voltage of the one cell."""
+    def battery_v(self) -> float: ...  # of the one cell
 
     @property
-    def armed(self) -> bool:
-        """Motors may run."""
+    def armed(self) -> bool: ...
 
     @property
-    def locked(self) -> bool:
-        """The firmware's supervisor has locked the motors until a restart."""
+    def locked(self) -> bool: ...  # the firmware's supervisor has locked the motors until a restart
 
     @property
-    def on_pad(self) -> bool:
-        """In contact with the top of the pad."""
+    def on_pad(self) -> bool: ...  # in contact with the top of the pad
 
     @property
-    def on_ground(self) -> bool:
-        """In contact with the ground."""
+    def on_ground(self) -> bool: ...  # in contact with the ground
 
     @property
-    def landed(self) -> bool:
-        """At rest on something."""
+    def landed(self) -> bool: ...  # at rest on something
 
     @property
     def motor_commands(self) -> tuple[float, float, float, float]:
-        """Commands of the motors M1 to M4, 0 to 1 of the highest speed there is now."""
+        """Commands of the motors M1 to M4, 0 to 1 of the highest speed at the present voltage."""
 
     @property
     def duty(self) -> tuple[float, float, float, float]:
-        """Duty cycles of the motors M1 to M4, 0 to 1; with the battery's voltage they make the motors'."""
+        """Duty cycles of the motors M1 to M4, 0 to 1."""
 
-    def arm(self) -> str | None:
-        """Arm; the reason if refused."""
+    def arm(self) -> str | None: ...
 
-    def disarm(self, force: bool) -> str | None:
-        """Disarm; the reason if refused."""
+    def disarm(self, force: bool) -> str | None: ...
 
-    def set_velocity(self, velocity_enu_m_s: Vec3, yaw_rad: float) -> None:
-        """Hand a velocity set-point to the firmware."""
+    def set_velocity(self, velocity_enu_m_s: Vec3, yaw_rad: float) -> None: ...
 
     def stop_setpoint(self) -> None:
-        """Tell the firmware that no set-point holds any more."""
+        """Notify the firmware that no set-point holds any more."""
 
-    def estimate(self) -> CheckedEstimate:
-        """State by the estimator now."""
+    def estimate(self) -> CheckedEstimate: ...
 
     def reboot(self) -> str | None:
-        """Restart the firmware, which also unlocks it; the reason if refused."""
+        """Restart the firmware, which also unlocks it."""
 
     def inject_failure(self, unit: int, kind: int, instance: int) -> str | None:
-        """Let something fail: numbers of FAILURE_UNIT and FAILURE_TYPE, instance 0 for all.
-
-        Returns:
-            None when it took effect, else why not.
-        """
+        """Let something fail: numbers of FAILURE_UNIT and FAILURE_TYPE, instance 0 for all."""
 
 
 _CONTACT_S = 0.3  # s of unbroken contact until the vehicle counts as standing; bounces are shorter
@@ -82,17 +68,12 @@ _NO_CONTACT_S = 0.1  # s without contact until it counts as flying again
 
 
 class Standing:
-    """Watches the contacts.
-
-    Attributes:
-        now: on the ground or on the pad, not just touching.
-        since_s: when that began.
-    """
+    """Watches the contacts."""
 
     def __init__(self, vehicle: VehicleLike) -> None:
         self._vehicle = vehicle
-        self.now = vehicle.landed or vehicle.on_pad or vehicle.on_ground
-        self.since_s = 0.0
+        self.now = vehicle.landed or vehicle.on_pad or vehicle.on_ground  # not just touching
+        self.since_s = 0.0  # when that began
         self._contact = self.now
         self._changed_s = 0.0
 

@@ -23,16 +23,11 @@ FRAME_MAX = 280  # bytes; header, payload, checksum and signature
 
 
 class FrameStream:
-    """Feed it what came; holds fewer than ``FRAME_MAX`` bytes between calls.
-
-    Attributes:
-        garbage_bytes: bytes that belonged to no frame.
-        bad: frames of a good checksum that could not be decoded.
-    """
+    """Splits received bytes into messages; holds fewer than ``FRAME_MAX`` bytes between calls."""
 
     def __init__(self) -> None:
-        self.garbage_bytes = 0
-        self.bad = 0
+        self.garbage_bytes = 0  # that belonged to no frame
+        self.bad = 0  # frames of a good checksum that could not be decoded
         self._rest = b""
         self._version_1 = dialect.MAVLink(None)
 
@@ -71,19 +66,15 @@ _ENDPOINT = re.compile(r"^([^:/\s]+):(\d{1,5})$")
 _ENDPOINT_HELP = "allowed is HOST:PORT, PORT up to 65535 (0 takes a free one), for example 127.0.0.1:4560"
 _CHUNK = 65536  # bytes taken at a time
 _SEND_MAX_S = 5.0  # s that PX4 may leave its socket full
-SLICE_S = 0.1  # s between two looks at who else wants something
+SLICE_S = 0.1  # s, longest wait for the socket
 
 
 class LinkClosedError(ConnectionError):
-    """PX4 has gone."""
+    """PX4 has closed the connection."""
 
 
 def parse_endpoint(text: str, *, allow_unsigned: bool) -> tuple[str, int]:
-    """Address and port from ``HOST:PORT``.
-
-    Raises:
-        ValueError: another form, or an address of a network without leave: this link has no signatures.
-    """
+    """Address and port from ``HOST:PORT``."""
     match = _ENDPOINT.match(text)
     if match is None or int(match.group(2)) > 65535:
         raise ValueError(f"TCP endpoint {text!r} is not understood: {_ENDPOINT_HELP}")
@@ -114,11 +105,7 @@ class Px4Link:
         self.stream = FrameStream()
 
     def send(self, messages: Iterable[Message]) -> None:
-        """Send in one piece.
-
-        Raises:
-            LinkClosedError: it has gone, or has taken nothing for long.
-        """
+        """Send in one piece."""
         data = b""
         for message in messages:
             data += pack(message, self._sequence, SYSTEM_ID, COMPONENT_ID)
@@ -129,11 +116,7 @@ class Px4Link:
             raise LinkClosedError(f"sending to PX4 failed: {error}") from error
 
     def receive(self, timeout_s: float) -> Sequence[Message]:
-        """What has come within the time, or within ``SLICE_S`` if that is shorter; perhaps nothing.
-
-        Raises:
-            LinkClosedError: it has gone.
-        """
+        """Messages received within the time, or within ``SLICE_S`` if that is shorter."""
         if timeout_s < SLICE_S and not select.select([self._socket], [], [], max(0.0, timeout_s))[0]:
             return ()
         try:
@@ -147,18 +130,13 @@ class Px4Link:
         return self.stream.feed(data)
 
     def close(self) -> None:
-        """Hang up."""
-        with contextlib.suppress(OSError):  # it may have done so first
+        with contextlib.suppress(OSError):  # PX4 may have closed it first
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 
 
 class Px4Server:
-    """The listening socket.
-
-    Raises:
-        OSError: the port is taken.
-    """
+    """The listening socket."""
 
     def __init__(self, host: str, port: int) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -174,15 +152,13 @@ class Px4Server:
 
     @property
     def port(self) -> int:
-        """Port listened on."""
         return int(self._socket.getsockname()[1])
 
     def accept(self) -> Px4Link | None:
-        """Next connection; None when none came for a moment."""
+        """Next connection; None when none came within ``SLICE_S``."""
         if not select.select([self._socket], [], [], SLICE_S)[0]:
             return None
         return Px4Link(self._socket.accept()[0])
 
     def close(self) -> None:
-        """Listen no more."""
         self._socket.close()

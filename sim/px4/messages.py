@@ -26,7 +26,7 @@ _SIGMA_MIN_M, _SIGMA_MIN_RAD = 1e-4, 1e-3  # a variance of zero would be believe
 
 
 class Px4Mocap:
-    """Call ``poll`` at every step."""
+    """Poses from motion capture; call ``poll`` at every step."""
 
     def __init__(self, link: OdometryLink, seed: int) -> None:
         link = replace(link, rate_hz=min(link.rate_hz, RATE_MAX_HZ))
@@ -82,12 +82,8 @@ class Answer(NamedTuple):
 
 def answer_of(message: Message) -> Answer:
     """Read a HIL_ACTUATOR_CONTROLS."""
-    return Answer(
-        int(message.time_usec),
-        tuple(message.controls),
-        bool(message.mode & _ARMED),
-        bool(message.flags & _LOCKSTEP),
-    )
+    armed, lockstep = bool(message.mode & _ARMED), bool(message.flags & _LOCKSTEP)
+    return Answer(int(message.time_usec), tuple(message.controls), armed, lockstep)
 
 
 def hil_sensor(time_us: int, readings: Readings) -> Message:
@@ -109,18 +105,11 @@ def hil_gps(time_us: int, fix: Fix) -> Message:
     speed = math.hypot(north, east)
     course = round(math.degrees(math.atan2(east, north)) % 360.0 * 100.0) % 36000
     return dialect.MAVLink_hil_gps_message(
-        time_us,
-        dialect.GPS_FIX_TYPE_RTK_FIXED,
-        fix.latitude_e7,
-        fix.longitude_e7,
-        round(fix.altitude_amsl_m * 1e3),
-        _EPH_CM,
-        _EPV_CM,
-        min(65534, round(speed * 100.0)),
-        *_int16(fix.velocity_ned_m_s, 100.0),
-        course if speed > _COG_MIN_M_S else _COG_UNKNOWN,
-        _SATELLITES,
-    )
+        time_us, dialect.GPS_FIX_TYPE_RTK_FIXED,
+        fix.latitude_e7, fix.longitude_e7, round(fix.altitude_amsl_m * 1e3), _EPH_CM, _EPV_CM,
+        min(65534, round(speed * 100.0)), *_int16(fix.velocity_ned_m_s, 100.0),
+        course if speed > _COG_MIN_M_S else _COG_UNKNOWN, _SATELLITES,
+    )  # fmt: skip
 
 
 def hil_state(time_us: int, body: Body, accel_frd_m_s2: Vec3, gravity_m_s2: float) -> Message:
@@ -128,16 +117,10 @@ def hil_state(time_us: int, body: Body, accel_frd_m_s2: Vec3, gravity_m_s2: floa
     speed_cm_s = min(65535, round(math.hypot(*body.velocity_enu_m_s) * 100.0))
     x, y, z = body.position_enu_m
     return dialect.MAVLink_hil_state_quaternion_message(
-        time_us,
-        ned_frd_from_enu_flu(body.quaternion),
-        *frd_from_flu(body.angular_velocity_flu_rad_s),
-        *degrees_e7(x, y),
-        round(z * 1e3),
-        *_int16(ned_from_enu(body.velocity_enu_m_s), 100.0),
-        speed_cm_s,
-        speed_cm_s,
-        *_int16(accel_frd_m_s2, 1000.0 / gravity_m_s2),
-    )
+        time_us, ned_frd_from_enu_flu(body.quaternion), *frd_from_flu(body.angular_velocity_flu_rad_s),
+        *degrees_e7(x, y), round(z * 1e3), *_int16(ned_from_enu(body.velocity_enu_m_s), 100.0),
+        speed_cm_s, speed_cm_s, *_int16(accel_frd_m_s2, 1000.0 / gravity_m_s2),
+    )  # fmt: skip
 
 
 def _int16(v: Vec3, scale: float) -> tuple[int, int, int]:

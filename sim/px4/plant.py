@@ -50,11 +50,7 @@ def fly_commanded(vehicle: Cell[VehicleRecord], wanted: F64, begin_ms: int, end_
 
 
 def start_position(scenario: Scenario, params: Params, pad_enu_m: Vec3) -> Vec3:
-    """Where the vehicle stands: at its start on the ground, or on the floor below a given hover start.
-
-    Raises:
-        ConfigError: the start is drawn by chance, which may be inside the robot.
-    """
+    """Where the vehicle stands: at its start on the ground, or on the floor below a given hover start."""
     z = -params.geometry.foot_bottom_m - 1e-5
     if scenario.start.kind is StartKind.GROUND:
         return (*scenario.start.ground_position_m, z)
@@ -67,20 +63,7 @@ def start_position(scenario: Scenario, params: Params, pad_enu_m: Vec3) -> Vec3:
 
 
 class Px4Plant:
-    """One vehicle, standing on the floor, and its deck.
-
-    Attributes:
-        params: of the vehicle's file.
-        plant: factors by which this vehicle differs from the nominal one.
-        wanted: rotor speeds to aim at, rpm, M1..M4; set it before ``advance``.
-
-    Args:
-        scenario: plant, wind, target, start, judge.
-        seed: of the run.
-
-    Raises:
-        ConfigError: faults, which need the simulated firmware, or a start that cannot be had.
-    """
+    """One vehicle, standing on the floor, and its deck; set ``wanted`` before ``advance``."""
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
         if scenario.fault:
@@ -94,7 +77,7 @@ class Px4Plant:
         self._vehicle = physics.vehicle
         physics.record.motor_share[:] = 1.0
         physics.ground_ms[0] = physics.since_ms[0] = 0
-        self.wanted = np.zeros(4)
+        self.wanted = np.zeros(4)  # rotor speeds to aim at, rpm, M1..M4
         self._ms = self._supplied_ms = 0
         self._world.set_vehicle(start_position(scenario, self.params, self._world.deck_position))
 
@@ -117,23 +100,20 @@ class Px4Plant:
         self._physics.judge_once_airborne(self._ms)
 
     @property
-    def time_s(self) -> float:
-        """Simulated time."""
+    def time_s(self) -> float:  # simulated
         return self._ms * STEP_S
 
     @property
     def on_pad(self) -> bool:
-        """In contact with the pad's top (bounces shorter than 30 ms don't count)."""
+        """Whether it touches the pad's top; bounces shorter than 30 ms do not count."""
         return self._physics.on_pad(self._ms)
 
     @property
     def on_ground(self) -> bool:
-        """In contact with the floor."""
         return self._physics.on_ground(self._ms)
 
     @property
     def rotor_rpm(self) -> Four:
-        """Speeds of M1..M4."""
         return self._rotors.rpm
 
     def body(self) -> Body:

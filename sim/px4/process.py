@@ -32,7 +32,7 @@ _NS_PER_STEP = STEP_MS * 1_000_000
 
 
 class Px4Node:
-    """What the process does besides PX4: the deck follows the robot, the truth goes into the log."""
+    """Moves the deck with the robot, and logs the truth."""
 
     def __init__(
         self, deck: RealTimeDeck | None, log: VehicleLog, clock: FastClock | SimulationClock, stop: Stop
@@ -44,16 +44,16 @@ class Px4Node:
         self._touched = self._stale = False
 
     def begin(self) -> None:
-        """A flight begins."""
+        """Begin a flight."""
         self._touched = False
         self.log.epoch_ns = self._clock.unix_ns()
 
     def end(self, flown_s: float) -> None:
-        """It is over, after so much simulated time."""
+        """End a flight of this simulated time."""
         self._deck_s += flown_s
 
     def before_step(self, flight: Px4Session) -> None:
-        """Say the time to those who live by it; at 83 Hz do what is due."""
+        """Publish the simulated time; at 83 Hz log the truth and move the deck."""
         if isinstance(self._clock, SimulationClock):
             passed_ns = round(self._deck_s * NS_PER_S) + flight.steps * _NS_PER_STEP
             self._clock.advance(passed_ns, lambda: self._stop.is_set)
@@ -62,7 +62,7 @@ class Px4Node:
         now_ns = flight.steps * _NS_PER_STEP
         behind_ns = self._clock.unix_ns() - self.log.epoch_ns - now_ns
         if self._deck is not None and abs(behind_ns) > _BEHIND_MAX_NS:
-            self.log.epoch_ns += behind_ns  # PX4's start, or a busy machine: the others' clock went on
+            self.log.epoch_ns += behind_ns  # PX4's start, or a busy machine: the other clocks have advanced
         truth = flight.plant.truth()
         self.log.truth(flight.steps // _LOG_EVERY, now_ns, truth)
         if self._deck is not None:
@@ -95,7 +95,7 @@ def _say(text: str) -> None:
     print(text, flush=True)
 
 
-# A vehicle in flight waits for no other program; a simulation that cannot keep up lets others run.
+# A vehicle in flight gets priority over other programs; a simulation that cannot keep up gives it up.
 _PRIORITY: Mapping[Event, Callable[[], object]] = {
     Event.ARMED: ask_for_priority,
     Event.DISARMED: give_up_priority,
@@ -113,9 +113,7 @@ def px4_sim_main(scenario: Scenario, options: Px4SimOptions) -> int:
     """Serve PX4 until SIGTERM, SIGINT or ``duration_s``; prints ``ready tcp:HOST:PORT`` when it may connect.
 
     Every PX4 that connects finds the vehicle at its start: PX4 does not reconnect, a new one is a new flight.
-
-    Returns:
-        Exit status: 0 in order, 1 when PX4 fell silent or something else did not come, 2 for wrong input.
+    Exit status: 0 in order, 1 when PX4 or another part did not reply, 2 for wrong input.
     """
     speed = options.speed
     stop = Stop()
@@ -149,15 +147,9 @@ def px4_sim_main(scenario: Scenario, options: Px4SimOptions) -> int:
                 plant = Px4Plant(scenario, options.seed)
                 poses = Px4Mocap(scenario.vehicle.mocap, options.seed) if options.mocap else None
                 flight = Px4Session(
-                    link,
-                    plant,
-                    options.seed,
-                    stop,
-                    speed=speed,
-                    silent_max_s=options.silent_max_s,
-                    tell=partial(_tell, paced=speed > 0.0),
-                    mocap=poses,
-                )
+                    link, plant, options.seed, stop, speed=speed, silent_max_s=options.silent_max_s,
+                    tell=partial(_tell, paced=speed > 0.0), mocap=poses,
+                )  # fmt: skip
                 if _serve(flight, link, node, stop, options.duration_s) or (options.once and flight.steps):
                     break
     except ValueError as error:

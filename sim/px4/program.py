@@ -1,4 +1,4 @@
-"""PX4's own software in the loop as a child process: started, made ready, asked, ended; each wait bounded."""
+"""PX4's own software in the loop as a child process; every wait is bounded."""
 
 from __future__ import annotations
 
@@ -70,15 +70,7 @@ class Px4Files(NamedTuple):
 
 
 def find_px4(place: Path) -> Px4Files:
-    """The files of a PX4 SITL build.
-
-    Args:
-        place: the program ``px4``, or a folder that holds it: itself, in ``bin``, or a PX4-Autopilot source
-            tree that was built.
-
-    Raises:
-        FileNotFoundError: it is not there, or ``etc`` or ``px4-alias.sh`` are not beside it.
-    """
+    """The files of a PX4 SITL build at the program ``px4``, its folder, or a built source tree."""
     place = place.expanduser().absolute()
     tried = [place]
     if place.is_dir():
@@ -98,14 +90,7 @@ def find_px4(place: Path) -> Px4Files:
 
 
 class InstanceClaim:
-    """The lowest instance number that no other program of this project uses, kept until ``close``.
-
-    Args:
-        numbers: that will do; PX4's system id is one more (rcS).
-
-    Raises:
-        Px4Error: all are taken.
-    """
+    """The lowest free instance number, reserved until ``close``. PX4's system id is one more (rcS)."""
 
     def __init__(self, numbers: Sequence[int] = INSTANCES) -> None:
         for number in numbers:
@@ -131,7 +116,7 @@ class InstanceClaim:
 
 
 def _instance_runs(number: int) -> bool:
-    """Whether a PX4 of this number runs already, started by anybody: it holds a lock file."""
+    """Whether any PX4 of this number runs already: it holds a lock file."""
     lock = Path(f"/tmp/px4_lock-{number}")  # src: PX4 platforms/posix/src/px4/common/main.cpp
     if not lock.exists():
         return False
@@ -142,33 +127,14 @@ def _instance_runs(number: int) -> bool:
 
 
 class Px4Program:
-    """One PX4 SITL process; a launcher looks after it as a ``Running``.
+    """One PX4 SITL process; a launcher manages it as a ``Running``.
 
-    Attributes:
-        name: of the process, among those of a run.
-        folder: its working folder: parameters, its own log (``log/``), output (``px4.txt``).
-        simulator_port: TCP port of the simulator that it connects to (``NONE_IRIS``).
-        onboard_port: UDP port to which it sends a companion computer's MAVLink: ``udpin:127.0.0.1:PORT``.
-        onboard_local_port: UDP port from which it does so: ``udpout:127.0.0.1:PORT`` meets it there.
-        ground_port: UDP port of loopback on which it answers ground stations.
-        absent: wanted parameters that this release of PX4 does not have, once it is ready.
-
-    Args:
-        binary: see ``find_px4``.
-        folder: made when missing; parameters of an earlier run there are thrown away.
-        model: who computes the physics.
-        instance: number that moves all ports, 0 to 9.
-        parameters: PX4's, by name; integers for PX4's integers.
-        speed: of ``SIHSIM_QUADX`` against real time; with ``NONE_IRIS`` the simulator sets the speed.
-        origin_wgs84: of the room: degrees, degrees, m; None leaves PX4's.
-
-    Raises:
-        FileNotFoundError: no PX4 there.
-        ValueError: an instance that does not exist.
-        OSError: it could not be started.
+    ``parameters`` are PX4's by name, with integers for PX4's integers. ``speed`` is that of ``SIHSIM_QUADX``
+    against real time; with ``NONE_IRIS`` the simulator sets the speed. ``origin_wgs84`` is the room's,
+    degrees, degrees, m; None leaves PX4's.
     """
 
-    name = "px4"
+    name = "px4"  # of the process, among those of a run
 
     def __init__(
         self,
@@ -184,14 +150,15 @@ class Px4Program:
         if instance not in INSTANCES:
             raise ValueError(f"PX4 instance {instance}: allowed are 0 to {INSTANCES.stop - 1}")
         files = find_px4(binary)
-        self.folder = folder.absolute()
-        self.instance = instance
-        self.simulator_port = 4560 + instance
+        self.folder = folder.absolute()  # working folder: parameters, its log (log/), output (px4.txt)
+        self.instance = instance  # moves all ports
+        self.simulator_port = 4560 + instance  # TCP, of the simulator that it connects to (NONE_IRIS)
+        # UDP: to and from which it sends a companion's MAVLink; on which it replies to ground stations
         self.onboard_port, self.onboard_local_port = 14540 + instance, 14580 + instance
         self.ground_port = 18570 + instance
         self._parameters = dict(parameters or {})
         self._speed, self._model, self._origin = speed, model, origin_wgs84
-        self.absent: list[str] = []
+        self.absent: list[str] = []  # wanted parameters that this release does not have, once it is ready
         self._bin = self.folder / "bin"
         self.output = self.folder / "px4.txt"
         self._lay_out(files)
@@ -207,16 +174,13 @@ class Px4Program:
             ]
             self.process = subprocess.Popen(
                 tied(["sh", "-c", _END_TOGETHER, "sh", *program], signal.SIGHUP),
-                cwd=self.folder,
-                env=self._environment(),
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
+                cwd=self.folder, env=self._environment(),
+                stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
                 start_new_session=True,  # its start script's children are ended with it
-            )
+            )  # fmt: skip
 
     def _lay_out(self, files: Px4Files) -> None:
-        """Its working folder: links to the program by the names of its modules, no parameters of old."""
+        """Link the program by the names of its modules, and delete the parameters of an earlier run."""
         self._bin.mkdir(parents=True, exist_ok=True)
         for name in ("parameters.bson", "parameters_backup.bson"):
             (self.folder / name).unlink(missing_ok=True)
@@ -239,19 +203,16 @@ class Px4Program:
         return ours
 
     def wait_ready(self, timeout_s: float = BOOT_MAX_S) -> None:
-        """Wait until it would arm, with all parameters as wanted and the room's origin.
+        """Wait until it would arm, with the wanted parameters and the room's origin.
 
         The simulator has to run: PX4 waits for it. The origin is set after PX4 has a position, since with
         satellites its first fix would set another. In HOLD it arms only with an origin; with motion capture
         its checks fail for some seconds after it was set.
-
-        Raises:
-            Px4Error: it ended, the time is over, or it does not take a parameter.
         """
         until_s = time.monotonic() + timeout_s
-        self._wait_said(_BOOTED, until_s)
+        self._wait_for(_BOOTED, until_s)
         self._settle_parameters()
-        self._wait_said(_POSITIONED, until_s)
+        self._wait_for(_POSITIONED, until_s)
         if self._origin is None:
             return
         self.console("commander", "set_ekf_origin", *(f"{value:.9g}" for value in self._origin))
@@ -262,8 +223,8 @@ class Px4Program:
             self._keep_waiting(until_s, repr(_CHECKED))
             time.sleep(_ASK_S)
 
-    def _wait_said(self, text: str, until_s: float) -> None:
-        while text not in self._said():
+    def _wait_for(self, text: str, until_s: float) -> None:
+        while text not in self._output():
             self._keep_waiting(until_s, repr(text))
             time.sleep(_LOOK_S)
 
@@ -300,11 +261,7 @@ class Px4Program:
         )
 
     def console(self, module: str, *words: str, timeout_s: float = CONSOLE_MAX_S) -> str:
-        """What a module answers at PX4's console, e.g. ``console("param", "show", "MAV_SYS_ID")``.
-
-        Raises:
-            Px4Error: PX4 does not run, does not answer in time, or the command failed.
-        """
+        """Reply of a module at PX4's console, e.g. ``console("param", "show", "MAV_SYS_ID")``."""
         done = self._client(module, words, timeout_s)
         if done.returncode != 0:
             command = " ".join((module, *words))
@@ -319,14 +276,9 @@ class Px4Program:
         try:
             return subprocess.run(
                 [self._bin / f"px4-{module}", "--instance", str(self.instance), *words],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                errors="replace",
-                timeout=timeout_s,
-                check=False,
-            )
+                stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+                text=True, errors="replace", timeout=timeout_s, check=False,
+            )  # fmt: skip
         except FileNotFoundError as error:
             raise Px4Error(f"this PX4 has no module {module!r}") from error
         except subprocess.TimeoutExpired as error:
@@ -339,22 +291,21 @@ class Px4Program:
         if time.monotonic() > until_s:
             raise Px4Error(f"PX4 did not come to {what} in time; its last lines:\n{self.errors()}")
 
-    def _said(self) -> str:
+    def _output(self) -> str:
         return self.output.read_text(errors="replace")
 
     def errors(self) -> str:
         """Its last lines of output."""
-        lines = [line for line in self._said().splitlines() if line.strip()]
-        return "\n".join(lines[-_LAST_LINES:]) or "(it said nothing)"
+        lines = [line for line in self._output().splitlines() if line.strip()]
+        return "\n".join(lines[-_LAST_LINES:]) or "(no output)"
 
     def alive(self) -> bool:
-        """Whether it still runs."""
         return self.process.poll() is None
 
     def end(self, within_s: float = END_MAX_S) -> int:
-        """Ask it to end, after so many seconds make it, and all that it started; its exit status."""
+        """Terminate it, after this time kill it with all that it started; its exit status."""
         if self.alive():
-            self._signal(signal.SIGCONT)  # a stopped process hears nothing
+            self._signal(signal.SIGCONT)  # a stopped process gets no SIGTERM
             self._signal(signal.SIGTERM)
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.wait(within_s)

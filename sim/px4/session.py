@@ -28,18 +28,12 @@ class NoLockstepError(RuntimeError):
 
 
 class Lockstep:
-    """Call ``sent`` with every HIL_SENSOR, ``take`` with every answer.
-
-    Attributes:
-        started: PX4 has begun to answer.
-        old: answers that did not belong to the last HIL_SENSOR, passed over.
-        newest_us: time in the newest answer; -1 before the first.
-    """
+    """Call ``sent`` with every HIL_SENSOR, ``take`` with every answer."""
 
     def __init__(self) -> None:
-        self.started = False
-        self.old = 0
-        self.newest_us = -1
+        self.started = False  # PX4 has begun to answer
+        self.old = 0  # answers that did not belong to the last HIL_SENSOR, ignored
+        self.newest_us = -1  # time in the newest answer; -1 before the first
         self._sent_us: int | None = None
         self._before_us = -1  # newest answer when the last HIL_SENSOR went out
         self._behind_us = [0]  # by how much PX4's clock may be behind ours: not at all, or by the first time
@@ -59,11 +53,7 @@ class Lockstep:
         self._before_us = self.newest_us
 
     def take(self, answer: Answer) -> bool:
-        """Whether this answers the last HIL_SENSOR, so that the simulation may step.
-
-        Raises:
-            NoLockstepError: PX4 does not wait for the simulation.
-        """
+        """Whether this answers the last HIL_SENSOR, so that the simulation may step."""
         if not answer.lockstep:
             raise NoLockstepError(
                 "PX4's HIL_ACTUATOR_CONTROLS has no lockstep flag: it was built without lockstep; "
@@ -80,9 +70,9 @@ class Lockstep:
         return False
 
     def adopt(self) -> None:
-        """Call after a long wait in vain: a clock that is neither of the two is believed the second time.
+        """After a long wait without an answer accept another clock of PX4, the second time that it is seen.
 
-        Once may have been a late answer to an earlier HIL_SENSOR.
+        The first time may have been a late answer to an earlier HIL_SENSOR.
         """
         behind_us = None
         if self._sent_us is not None and self.newest_us > self._before_us:
@@ -102,11 +92,11 @@ _BEHIND_MAX_S = 0.1  # s; after a longer pause of the machine time is put back i
 
 
 class NotPx4Error(RuntimeError):
-    """Who connected is not PX4; the text says what came instead."""
+    """The client is not PX4; the text names it."""
 
 
 class Event(Enum):
-    """What whoever started us may want to know."""
+    """Reported to the launcher."""
 
     CONNECTED = "connected"
     LOCKSTEP = "lockstep"
@@ -118,19 +108,9 @@ class Event(Enum):
 class Px4Session:
     """Vehicle, sensors and one PX4.
 
-    Attributes:
-        nudges: steps that went on without an answer.
-        steps: done so far.
-
-    Args:
-        link: the connection.
-        plant: standing at its start.
-        seed: of the sensors' noise.
-        stop: ends every wait.
-        speed: of simulated time against the wall's; 0: as fast as PX4 answers.
-        silent_max_s: wall time without an answer after which PX4 counts as dead.
-        tell: called at every event.
-        mocap: poses instead of satellites.
+    ``stop`` ends every wait. ``speed`` is simulated time over wall time; 0: as fast as PX4 replies.
+    ``silent_max_s`` is the wall time without an answer after which PX4 counts as dead. ``tell`` is called at
+    every event. ``mocap`` gives poses instead of satellites.
     """
 
     def __init__(
@@ -151,24 +131,18 @@ class Px4Session:
         self.lockstep = Lockstep()
         self._speed, self._silent_max_s, self._tell = speed, silent_max_s, tell
         self.steps = 0
-        self.nudges = 0
+        self.nudges = 0  # steps without an answer
         self._armed = self._paused = False
         self._state_every_us = 0  # 0: not asked for
         self._state_due_us = 0
         self._start_s = self._connected_s = self._answered_s = time.monotonic()
 
     @property
-    def time_us(self) -> int:
-        """PX4's clock."""
+    def time_us(self) -> int:  # PX4's clock
         return FIRST_US + self.steps * STEP_US
 
     def greet(self) -> None:
-        """Wait for the first message; PX4 sends its heartbeat at once.
-
-        Raises:
-            NotPx4Error: nothing came, or it is another autopilot's.
-            LinkClosedError: it has gone again.
-        """
+        """Wait for the first message; PX4 sends its heartbeat at once."""
         until_s = time.monotonic() + HELLO_MAX_S
         while not self._stop.is_set:
             left_s = until_s - time.monotonic()
@@ -185,14 +159,7 @@ class Px4Session:
                 return
 
     def step(self) -> None:
-        """Do one step.
-
-        Raises:
-            NoAnswerError: PX4 fell silent, or never began.
-            NoLockstepError: PX4 does not wait for the simulation.
-            NotPx4Error: it says that it is another autopilot.
-            LinkClosedError: it has gone.
-        """
+        """Do one step."""
         self._send()
         answer = self._wait() if self.lockstep.started else self._look()
         if answer is not None:
@@ -238,7 +205,7 @@ class Px4Session:
         return None
 
     def _wait(self) -> Answer | None:
-        """Wait for the answer to this step's HIL_SENSOR; None: go on without, for once."""
+        """Wait for the answer to this step's HIL_SENSOR; None: do this step without."""
         began_s = time.monotonic()
         while not self._stop.is_set:
             answer = self._note(self._link.receive(SLICE_S))
@@ -264,7 +231,7 @@ class Px4Session:
         )
 
     def _note(self, messages: Iterable[Message]) -> Answer | None:
-        """Look at what came; the newest answer to the last HIL_SENSOR, if there is one."""
+        """Take messages; the newest answer to the last HIL_SENSOR, if there is one."""
         newest = None
         for message in messages:
             kind = message.get_type()
@@ -282,7 +249,7 @@ class Px4Session:
         return newest
 
     def _command(self, message: Message) -> None:
-        """PX4 asks for the truth by SET_MESSAGE_INTERVAL, and for nothing else."""
+        """PX4 requests the truth by SET_MESSAGE_INTERVAL; other commands are ignored."""
         if message.command != dialect.MAV_CMD_SET_MESSAGE_INTERVAL or message.param1 != HIL_STATE_QUATERNION:
             return
         wanted_us = message.param2

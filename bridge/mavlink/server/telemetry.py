@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.frames import Quat, euler_from_quaternion, frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
+from bridge.frames import (
+    Quat,
+    euler_from_quaternion,
+    frd_from_flu,
+    ned_frd_from_enu_flu,
+    ned_from_enu,
+    yaw_from_quaternion,
+    yaw_ned_from_enu,
+)
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.server.commander import Battery, Commander
 from bridge.mavlink.server.profile import (
@@ -117,6 +126,18 @@ def home_position(s: Snapshot[V], latitude_e7: int, longitude_e7: int) -> Messag
     return dialect.MAVLink_home_position_message(
         latitude_e7, longitude_e7, round(1000 * home[2]), *ned_from_enu(home), q, 0.0, 0.0, 0.0, s.boot_us
     )
+
+
+def heading_deg(s: Snapshot[V]) -> float:
+    """Heading clockwise from north, 0 to 360."""
+    return math.degrees(yaw_ned_from_enu(yaw_from_quaternion(s.estimate.quaternion))) % 360.0
+
+
+def vfr_hud(s: Snapshot[V], throttle_percent: int) -> Message:
+    """VFR_HUD."""
+    vx, vy, vz = s.estimate.velocity_enu_m_s
+    speed, height, heading = math.hypot(vx, vy), s.estimate.position_enu_m[2], round(heading_deg(s)) % 360
+    return dialect.MAVLink_vfr_hud_message(speed, speed, heading, throttle_percent, height, vz)
 
 
 def sys_status(s: Snapshot[V]) -> Message:
