@@ -20,9 +20,7 @@ from flightstack.onboard.recording import describe, end_recorder, log_in, new_fo
 def run(options: FlyOptions, console: Console) -> Flown:
     """Fly until the onboard process has ended; the recorder starts first and ends last.
 
-    Raises:
-        ConfigError: wrong input.
-        LaunchError: a process did not start.
+    Raises ConfigError: wrong input; LaunchError: a process did not start.
     """
     config, name, live = load(options.config_file), options.config_file.stem, not options.as_json
     namespace = options.namespace or namespace_of(config)

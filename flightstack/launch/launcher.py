@@ -42,63 +42,42 @@ LAND_MAX_S = (
 
 @dataclass(frozen=True)
 class Shown:
-    """The data of the live view.
+    """The data of the live view."""
 
-    Attributes:
-        endpoints: Zenoh endpoints of the onboard processes.
-        title: of the view.
-        namespaces: first parts of their keys.
-    """
-
-    endpoints: Sequence[str]
-    title: str
-    namespaces: Sequence[str] = (NAMESPACE,)
+    endpoints: Sequence[str]  # Zenoh endpoints of the onboard processes
+    title: str  # of the view
+    namespaces: Sequence[str] = (NAMESPACE,)  # first parts of their keys
 
 
 @dataclass
 class Followed:
-    """An onboard process that is watched.
+    """An onboard process that is watched."""
 
-    Attributes:
-        child: the process.
-        name: before its lines, where there are several; empty: it is the only one.
-        last_line: the last that it said.
-        aborted: whether it has given up and left the vehicle to its autopilot, or has failed.
-        problem: why it has failed; None: it has not.
-    """
-
-    child: Child
-    name: str = ""
-    last_line: str = ""
-    aborted: bool = False
-    problem: str | None = None
+    child: Child  # the process
+    name: str = ""  # prefix of its lines where there are several; empty: the only one
+    last_line: str = ""  # newest line of the process
+    aborted: bool = False  # whether it aborted, so that the autopilot lands, or failed
+    problem: str | None = None  # reason of a failure; None: none
 
 
 class Launcher:
     """Context manager that owns the child processes and ends all of them on exit.
 
-    Attributes:
-        children: running processes of this flight, in the order in which they were started.
-        interrupted: whether the operator asked for the end of the run.
-        socket: where the recorder listens.
-        reserved: what others may have again once all children have ended: ports, numbers.
-
-    Args:
-        folder: for what the children say.
-        console: for the lines of the onboard process.
-        tells: whether these are shown.
-        real: a vehicle that is not ours to end: Ctrl-C, SIGTERM and a terminal that closes go to the onboard
-            process, which lands it; the run ends with that process and not before.
+    ``folder``: for the output of the children; ``tells``: whether the lines of the onboard process are shown;
+    ``real``: a real vehicle: Ctrl-C, SIGTERM and a closed terminal go to the onboard process, which lands the
+    vehicle; the run ends with that process.
     """
 
     def __init__(self, folder: Path, console: Console, *, tells: bool, real: bool = False) -> None:
         self.folder, self.console = folder, console
+        # running processes of this flight, in the order in which they were started
         self.children: list[Running] = []
-        self.interrupted = False
+        self.interrupted = False  # whether the operator asked for the end of the run
         self._tells, self._real = tells, real
+        # ports and numbers that are reserved until all children have ended
         self.reserved = contextlib.ExitStack()
         self._sockets = socket_folder()
-        self.socket = self._sockets / "recorder"
+        self.socket = self._sockets / "recorder"  # where the recorder listens
 
     def __enter__(self) -> Launcher:
         self._previous = {number: signal.getsignal(number) for number in _SIGNALS}
@@ -125,26 +104,22 @@ class Launcher:
     def endpoint(self) -> str:
         """Return a Zenoh endpoint on loopback, on a port that is reserved for this flight.
 
-        Raises:
-            LaunchError: there is no free port.
+        Raises LaunchError: there is no free port.
         """
         return self.reserved.enter_context(contextlib.closing(Port())).endpoint
 
     def udp_port(self) -> int:
         """Return the number of a UDP port of loopback that is reserved for this flight.
 
-        Raises:
-            LaunchError: there is no free port.
+        Raises LaunchError: there is no free port.
         """
         return self.reserved.enter_context(contextlib.closing(Port(udp=True))).number
 
     def start(self, verb: str, options: object, of: str = "") -> Child:
         """Start a verb of ``flightstack`` with the options of its process.
 
-        Args:
-            verb: the verb.
-            options: dataclass of the verb's options.
-            of: whose process it is, where there are several of this verb.
+        ``options``: dataclass of the verb's options; ``of``: vehicle of the process, where the verb runs
+        several times.
         """
         child = Child(f"{verb}-{of}" if of else verb, [verb, *argv(options)], self.folder)
         self.children.append(child)
@@ -153,8 +128,7 @@ class Launcher:
     def record(self, log: Path) -> Child:
         """Start the recorder and wait until it listens at ``socket``.
 
-        Raises:
-            LaunchError: it did not start.
+        Raises LaunchError: it did not start.
         """
         recorder = start_recorder(self.socket, log)
         self.children.append(recorder)
@@ -163,14 +137,9 @@ class Launcher:
     def view(self, where: str, endpoint: str, config: Path, namespace: str = NAMESPACE) -> None:
         """Start the view in 3-D and wait until it is ready. It only listens; the flight never waits for it.
 
-        Args:
-            where: of the option ``--view``.
-            endpoint: Zenoh endpoint of the onboard process.
-            config: file with the configuration of the onboard process.
-            namespace: first part of its Zenoh keys.
-
-        Raises:
-            LaunchError: it did not start.
+        ``where``: of the option ``--view``; ``endpoint``: Zenoh endpoint of the onboard process; ``config``:
+        file with the configuration of the onboard process; ``namespace``: first part of its Zenoh keys.
+        Raises LaunchError: it did not start.
         """
         watch = self.start(
             "watch",
@@ -201,12 +170,9 @@ class Launcher:
     ) -> str | None:
         """Watch until the onboard processes have ended; return the problem, or None.
 
-        Args:
-            flights: the onboard processes.
-            others: processes that have to outlive them.
-            limit_s: wall time after which the run is given up; None: the onboard process knows its own.
-            shown: for the live view; None: there is none.
-            teller: process that says when the motors are armed and disarmed; None: nobody does.
+        ``others``: processes that must outlive the flights; ``limit_s``: wall time after which the run is
+        given up; None: no limit; ``shown``: data of the live view; None: no view; ``teller``: process that
+        reports arming and disarming.
         """
         self._take_over()
         begun()

@@ -125,11 +125,7 @@ class RunOptions(shared.Ros2, shared.Result, shared.Simulated):
         return {name: value for name, value in values.items() if value}
 
     def check(self) -> None:
-        """Refuse options that cannot be combined.
-
-        Raises:
-            ConfigError: which options, and why.
-        """
+        """Refuse options that cannot be combined. Raises ConfigError: which options, and why."""
         if len(self._programs) > 1:
             raise ConfigError(
                 f"only one of {', '.join(flies.value for flies in Flies if flies.value)} can be flown"

@@ -38,8 +38,7 @@ def fly_all(options: RunOptions, console: Console) -> int:
     A run that does not start counts as not landed, and the next is flown; Ctrl-C ends after the current one.
     Returns the exit status: 0 all landed, 1 some did not.
 
-    Raises:
-        ConfigError: wrong input.
+    Raises ConfigError: wrong input.
     """
     runs = options.runs
     base = options.out or new_folder(f"{Path(options.scenario).stem}-{runs}-runs")
@@ -73,9 +72,7 @@ def fly_all(options: RunOptions, console: Console) -> int:
 def sum_up(rows: Sequence[Row], runs: int) -> dict[str, object]:
     """Return counts and medians of several runs.
 
-    Args:
-        rows: the values of each run, with ``landed``.
-        runs: how many were asked for.
+    ``rows``: values of each run, with ``landed``; ``runs``: number of requested runs.
     """
     counts = Counter(row.get("outcome") for row in rows)
     return {

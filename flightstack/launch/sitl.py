@@ -48,8 +48,7 @@ RECORDER_YIELDS = 10  # steps of nice, shared by the vehicles: each of them is w
 def prepare(options: RunOptions) -> TeamScenario:
     """Load and check the scenario, with the configuration for the chosen autopilot.
 
-    Raises:
-        ConfigError: it must not fly.
+    Raises ConfigError: it must not fly.
     """
     team = load(options.scenario)
     if not team.is_alone:
@@ -98,11 +97,7 @@ def _check_team(options: RunOptions, team: TeamScenario) -> None:
 
 
 def adapted(options: RunOptions, scenario: Scenario) -> Scenario:
-    """Return a scenario as the options want it.
-
-    Raises:
-        ConfigError: it must not fly.
-    """
+    """Return a scenario as the options want it. Raises ConfigError: it must not fly."""
     name = options.config_file or configuration_for(options.flies, scenario)
     if name is not None:
         scenario = replace(scenario, onboard=_begun_as(scenario, load_config(name)))
@@ -135,7 +130,7 @@ class _Vehicle:
     """A vehicle of the run."""
 
     number: int  # in the team, from 1
-    names: Names  # of its records in the log
+    names: Names  # names of its records in the log
     scenario: Scenario
     seed: int
     endpoint: str  # Zenoh endpoint of its onboard process
@@ -150,9 +145,7 @@ class _Vehicle:
 def run(options: RunOptions, console: Console) -> Flown:
     """Fly a scenario with processes of its own.
 
-    Raises:
-        ConfigError: wrong input.
-        LaunchError: a process did not start.
+    Raises ConfigError: wrong input; LaunchError: a process did not start.
     """
     team = prepare(options)
     name = short_name(team.member[0].onboard.filter)

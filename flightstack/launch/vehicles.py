@@ -36,21 +36,14 @@ _PX4_CONFIG = {"crazyflie20": "px4-crazyflie", "quad_1000g": "px4-1kg"}
 
 @dataclass
 class Flying:
-    """A vehicle that has been started.
+    """A vehicle that has been started."""
 
-    Attributes:
-        options: of the onboard process of each vehicle.
-        children: processes that have to outlive it.
-        teller: the one that says when the motors are armed and disarmed.
-        clock: options by which robot and onboard process keep its time.
-        pending: processes that are not ready yet; others may start meanwhile.
-    """
-
-    options: Sequence[Mapping[str, Any]]
-    children: list[Running]
-    teller: Child | None = None
+    options: Sequence[Mapping[str, Any]]  # of the onboard process of each vehicle
+    children: list[Running]  # processes that must outlive the flight
+    teller: Child | None = None  # process that reports arming and disarming
+    # options by which robot and onboard process follow its clock
     clock: Mapping[str, Any] = field(default_factory=dict)
-    pending: Sequence[Child] = ()
+    pending: Sequence[Child] = ()  # processes that are not ready yet
 
 
 class Places(NamedTuple):
@@ -69,14 +62,9 @@ class Vehicle(Protocol):
     def start(self, launcher: Launcher, options: RunOptions, team: TeamScenario, at: Places) -> Flying:
         """Start it; where its URL depends on that, wait until it can be flown.
 
-        Args:
-            launcher: holds the processes; its folder holds the scenario.
-            options: of the run.
-            team: adapted; only the simulated vehicle flies in a team of several.
-            at: endpoints of the simulator.
-
-        Raises:
-            LaunchError: it did not start, or does not become ready.
+        ``launcher``: holds the processes; its folder holds the scenario; ``team``: adapted; only the
+        simulated vehicle flies in a team of several; ``at``: endpoints of the simulator.
+        Raises LaunchError: it did not start, or does not become ready.
         """
 
 

@@ -21,15 +21,10 @@ DRIFT = 1e-3
 
 
 class Offset(NamedTuple):
-    """Our clock minus the other one's.
+    """Our clock minus the other one's."""
 
-    Attributes:
-        ns: estimate.
-        bound_ns: most that the estimate may be wrong by.
-    """
-
-    ns: int
-    bound_ns: int
+    ns: int  # estimate
+    bound_ns: int  # bound of its error
 
 
 class Least:
@@ -40,12 +35,7 @@ class Least:
         self._at_ns = 0
 
     def note(self, value_ns: int, now_ns: int) -> None:
-        """Note a value.
-
-        Args:
-            value_ns: of a message.
-            now_ns: our clock.
-        """
+        """Note a value. ``value_ns``: of a message; ``now_ns``: our clock."""
         least_ns = self.at(now_ns)
         self._value_ns = value_ns if least_ns is None else min(value_ns, least_ns)
         self._at_ns = now_ns
@@ -68,10 +58,8 @@ class OtherClock:
 
         If not, one of them has jumped, and all that was known is forgotten.
 
-        Args:
-            stamp_ns: of the message, by the other clock.
-            arrival_ns: of the message, by ours.
-            echo_ns: that it told; None: it has not heard us.
+        ``stamp_ns``: of the message, by the other clock; ``arrival_ns``: of the message, by ours;
+        ``echo_ns``: its reported value; None: it has received nothing from us.
         """
         self._ahead.note(arrival_ns - stamp_ns, arrival_ns)
         if echo_ns is not None:
@@ -90,8 +78,7 @@ class OtherClock:
     def offset(self, now_ns: int) -> Offset | None:
         """Return our clock minus the other one; None as long as not both directions are known.
 
-        Args:
-            now_ns: our clock.
+        ``now_ns``: our clock.
         """
         ahead_ns, echo_ns = self._ahead.at(now_ns), self._echo.at(now_ns)
         if ahead_ns is None or echo_ns is None:

@@ -74,21 +74,14 @@ class _Member:
 class FleetWire:
     """Words of this vehicle and of the others.
 
-    Args:
-        session: an open Zenoh session; it stays the caller's.
-        namespace: first part of the key of this vehicle.
-        fleet: of the configuration.
-
-    Attributes:
-        doubled: another process that says it is this vehicle, in words; empty: none was heard.
-
-    Raises:
-        ValueError: the namespace makes no key.
+    ``session``: an open Zenoh session; it stays the caller's; ``namespace``: first part of the key of this
+    vehicle; ``fleet``: of the configuration.
+    Raises ValueError: the namespace makes no key.
     """
 
     def __init__(self, session: zenoh_link.Session, namespace: str, fleet: Fleet) -> None:
         self._fleet = fleet
-        self.doubled = ""
+        self.doubled = ""  # another process with this vehicle's id, as text; empty: none
         self._process = secrets.randbits(64)
         self._members = {n: _Member(fleet) for n in fleet.others}
         self._counts = _Counts()
@@ -102,9 +95,7 @@ class FleetWire:
     def begin(self, epoch_ns: int, now_s: Callable[[], float]) -> None:
         """Take the clock of the ticks; before that nothing is said.
 
-        Args:
-            epoch_ns: Unix time of zero of the stack clock.
-            now_s: reads the stack clock.
+        ``epoch_ns``: Unix time of zero of the stack clock; ``now_s``: reads the stack clock.
         """
         self._epoch_ns, self._now_s = epoch_ns, now_s
 
@@ -134,8 +125,7 @@ class FleetWire:
     def say(self, word: Neighbour | None) -> bytes | None:
         """Tell the others what the controller has to tell them; return it as it went out.
 
-        Args:
-            word: ``Outputs.own_word``; None: nothing is said.
+        ``word``: ``Outputs.own_word``; None: nothing is sent.
         """
         if word is None:
             return None

@@ -79,9 +79,8 @@ class _Nobody:
 class Leaving:
     """One flight's end; ``operator`` before each step, ``ended`` after it.
 
-    Args:
-        duration_s: on the stack's clock, after which the flight is aborted; None: no such limit.
-        person: who may abort or end it; None: nobody.
+    ``duration_s``: on the stack's clock, after which the flight is aborted; None: no such limit; ``person``:
+    operator who may abort or end it; None: no operator.
     """
 
     def __init__(self, duration_s: float | None, person: Person | None = None) -> None:
@@ -94,9 +93,7 @@ class Leaving:
     def operator(self, status: VehicleStatus | None, now_s: float) -> Operator:
         """Return what the controller is to be told in this tick.
 
-        Args:
-            status: newest status of the vehicle.
-            now_s: the stack's clock.
+        ``status``: newest status of the vehicle; ``now_s``: the stack's clock.
         """
         asked = self.person.operator
         if asked is Operator.EMERGENCY_STOP or status is None or not status.armed:
@@ -110,11 +107,8 @@ class Leaving:
     def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
         """Return how the flight ended; None if it has not ended.
 
-        Args:
-            out: of this tick.
-            memory: of the controller.
-            status: newest status of the vehicle.
-            now_s: the stack's clock.
+        ``out``: of this tick; ``memory``: of the controller; ``status``: newest status of the vehicle;
+        ``now_s``: the stack's clock.
         """
         if out.finished:
             told = f"; {self._duration_s:g} s are over" if self._over(now_s) else ""

@@ -101,14 +101,9 @@ def _known(value: float | None) -> float:
 class LiveRos2:
     """Publishes one flight to ROS 2; nothing depends on it.
 
-    Args:
-        session: reaches the ROS 2 nodes; it stays the caller's.
-        domain: their ROS_DOMAIN_ID.
-        namespace: first part of the topics.
-        rate_hz: of the ticks.
-
-    Raises:
-        ValueError: a namespace or domain that ROS 2 does not allow.
+    ``session``: reaches the ROS 2 nodes; it stays the caller's; ``domain``: their ROS_DOMAIN_ID;
+    ``namespace``: first part of the topics; ``rate_hz``: of the ticks.
+    Raises ValueError: a namespace or domain that ROS 2 does not allow.
     """
 
     def __init__(self, session: zenoh_link.Session, domain: int, namespace: str, rate_hz: int) -> None:
@@ -127,11 +122,8 @@ class LiveRos2:
     def show(self, tick: Tick, out: Outputs, step: ControllerStepRow, health: bytes | None) -> None:
         """Publish what is due.
 
-        Args:
-            tick: the tick.
-            out: what was decided in it.
-            step: the same as a row of the log.
-            health: serialised, when it is due.
+        ``out``: what was decided in it; ``step``: the same as a row of the log; ``health``: serialised, when
+        it is due.
         """
         now_ns = tick.unix_ns
         for topic, _, payload in self._derive.step(now_ns, step):

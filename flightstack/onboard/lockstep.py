@@ -44,8 +44,7 @@ _LENGTH = struct.Struct("<I")
 class Patience:
     """Wall time for which a process in lockstep that is to end still waits for the others' ticks.
 
-    Args:
-        person: who may end it.
+    ``person``: operator who may end it.
     """
 
     def __init__(self, person: Person) -> None:
@@ -65,10 +64,7 @@ class Patience:
 class VehicleTicks:
     """Ticks of the vehicle: it asks for each by TIMESYNC.
 
-    Args:
-        vehicle: whose link is polled.
-        rate_hz: ticks in a second.
-        stopped: whether it is no longer waited for; by default one that has not asked is not waited for.
+    ``stopped``: whether to stop waiting; by default there is no wait for a vehicle that has not asked.
     """
 
     def __init__(
@@ -82,11 +78,7 @@ class VehicleTicks:
         self._last_ns = sim_ns
 
     def wait(self) -> Tick:
-        """Wait until the vehicle asks, for a bounded wall time.
-
-        Raises:
-            ClockStoppedError: it does not.
-        """
+        """Wait until the vehicle asks, for a bounded wall time. Raises ClockStoppedError: it does not."""
         link = self._vehicle.link
         first, silence = self._last_ns < 0, None
         most_s, due_s = (FIRST_WAIT_MAX_S, SAID_S) if first else (LOST_RUN_MAX_S, math.inf)
@@ -120,13 +112,8 @@ class VehicleTicks:
 class LockstepWires:
     """Clock and source of target samples: a tick begins when vehicle and target have both come to it.
 
-    Args:
-        ticks: of the vehicle.
-        odometry: the target's samples.
-        session: on which the target says how many of them belong to each tick.
-        namespace: first part of its keys.
-        person: who may end the process.
-        words: of the other vehicles of a fleet; None: it flies alone.
+    ``odometry``: samples of the target; ``session``: brings the number of samples of each tick; ``words``:
+    messages of the other vehicles of a fleet; None: no fleet.
     """
 
     def __init__(
@@ -154,8 +141,7 @@ class LockstepWires:
     def wait(self) -> Tick:
         """Wait for the vehicle, then for the target and the words; each for a bounded wall time.
 
-        Raises:
-            ClockStoppedError: the vehicle does not come, or the process is to end.
+        Raises ClockStoppedError: the vehicle does not come, or the process is to end.
         """
         try:
             tick = self._ticks.wait()
@@ -215,9 +201,7 @@ class LockstepWords:
     The vehicles' process takes what all tell, and hands out to each what it hears, tick by tick. So order
     depends on no wall time. In place of ``FleetWire``, whose clocks and networks are those of real time.
 
-    Args:
-        session: an open Zenoh session; it stays the caller's.
-        namespace: first part of the keys of this vehicle.
+    ``session`` stays open; ``namespace``: first part of the keys of this vehicle.
     """
 
     doubled = ""  # the launcher gives each vehicle one process
@@ -235,9 +219,7 @@ class LockstepWords:
 
         Before the first tick there are none; then it waits until the simulator has subscribed to its words.
 
-        Args:
-            tick: that begins.
-            stopped: whether nothing is waited for any more.
+        ``stopped``: whether to stop waiting.
         """
         first, self._tick, silence = self._tick is None, tick, Silence()
         come = self._is_heard if first else self._has
@@ -259,8 +241,7 @@ class LockstepWords:
     def say(self, word: Neighbour | None) -> bytes | None:
         """Tell the others what the controller has to tell them in this tick; return it as the log has it.
 
-        Args:
-            word: ``Outputs.own_word``; None: nothing, which is told, too.
+        ``word``: ``Outputs.own_word``; None: an empty message is sent.
         """
         tick = self._tick
         if tick is None:

@@ -58,15 +58,8 @@ class FeedLike(Protocol):
 class OnboardLog:
     """Turns one tick into log messages, and every so often into live ones.
 
-    Args:
-        feed: to the recorder.
-        session: of the live topics.
-        namespace: first part of the topics.
-        rate_hz: of the ticks.
-        lockstep: in simulated time.
-        reserve: the thrust reserve is estimated.
-        state: class of the controller's state; that of a fleet has the others' words beside it.
-        names: of what it writes; with those of other flights where they share the log.
+    ``session``: of the live topics; ``reserve``: the thrust reserve is estimated; ``state``: class of the
+    controller's state; ``names``: of the records, which differ where several flights share the log.
     """
 
     def __init__(
@@ -154,11 +147,8 @@ class OnboardLog:
     def step(self, tick: Tick, taken: Taken, out: Outputs, state: State) -> ControllerStepRow:
         """Write the frames, inputs, events and decisions of a tick; return the decisions.
 
-        Args:
-            tick: the tick.
-            taken: what the controller was given; what it made of that is in ``out``.
-            out: what it decided.
-            state: the controller's, after the tick; written once a second.
+        ``taken``: inputs of the controller; ``out``: its outputs; ``state``: its state after the tick,
+        written once a second.
         """
         unix_ns = self._unix_ns = tick.unix_ns
         self.frames()

@@ -21,12 +21,7 @@ _SHOWN = (Level.UNSAFE, Level.ACCEPTED, Level.NOTE, Level.INFO)
 
 
 def needs_of(config: FlightConfig, system_id: int = 1) -> Needs:
-    """Return what a flight of this configuration needs from its autopilot.
-
-    Args:
-        config: what is to be flown.
-        system_id: of the vehicle.
-    """
+    """Return what a flight of this configuration needs from its autopilot."""
     limits = config.limits
     acceleration_m_s2 = strategy_of(config).acceleration_max_m_s2
     return Needs(
@@ -37,13 +32,9 @@ def needs_of(config: FlightConfig, system_id: int = 1) -> Needs:
 def line_plan(baud: int | None, config: FlightConfig, *, signed: bool) -> LinePlan:
     """Return the rates at which the flight of this configuration fits into a serial line.
 
-    Args:
-        baud: of a serial line, None of other links.
-        config: what is to be flown.
-        signed: MAVLink is signed.
-
-    Raises:
-        LineTooSlowError: it does not fit.
+    ``baud``: of a serial line, None of other links; ``config``: what is to be flown; ``signed``: MAVLink is
+    signed.
+    Raises LineTooSlowError: it does not fit.
     """
     return plan(baud, config.loop.rate_hz, config.checks.own_age_max_s, signed=signed)
 
@@ -62,19 +53,11 @@ def check(
 ) -> Report:
     """Ask the vehicle for its parameters and judge them.
 
-    Args:
-        endpoint: to the vehicle.
-        config: what is to be flown.
-        autopilot: name of a profile, or ``auto``.
-        system_id: of the vehicle.
-        wait_s: for its first heartbeat.
-        accept_release: judge a release that is not known by the nearest rules.
-        stopped: the check is broken off when it says so.
-        say: takes a sentence every two seconds about what the check waits for.
-        senders: learn the vehicle's address; None: nobody needs it.
-
-    Raises:
-        ValueError: there is no such autopilot.
+    ``endpoint``: to the vehicle; ``config``: what is to be flown; ``autopilot``: name of a profile, or
+    ``auto``; ``wait_s``: longest wait for its first heartbeat; ``accept_release``: judge an unknown release
+    by the nearest rules; ``stopped``: whether to break off; ``say``: takes a sentence every two seconds about
+    what the check waits for; ``senders``: learn the vehicle's address. Raises ValueError: there is no such
+    autopilot.
     """
     accepted = config.vehicle.accepted_parameters
     try:

@@ -228,12 +228,10 @@ def run(
 ) -> Ended:
     """Fly until landed, aborted, told to end, or out of time.
 
-    Raises:
-        ConfigError: the configuration must not fly.
-        ValueError: a URL, endpoint or key that is not understood, a network without a key, a speed that a
-            real vehicle or lockstep does not have, or compiled code that is not possible.
-        OSError: an address or file that cannot be opened.
-        LaunchError: its own recorder did not start.
+    Raises ConfigError: the configuration must not fly; ValueError: a URL, endpoint or key that is not
+    understood, a network without a key, a speed that a real vehicle or lockstep does not have, or compiled
+    code that is not possible; OSError: an address or file that cannot be opened; LaunchError: its own
+    recorder did not start.
     """
     _check_speed(options)
     _check_fleet(config, options)

@@ -25,8 +25,7 @@ _PACKAGES = ("pymavlink", "osqp", "eclipse-zenoh", "mcap")
 def new_folder(name: str) -> Path:
     """Make a folder in ``runs`` for the files of a flight.
 
-    Raises:
-        ConfigError: too many of this name and second.
+    Raises ConfigError: too many of this name and second.
     """
     base = f"{datetime.now().strftime('%Y%m%d-%H%M%S')}-{name}"
     for number in range(1000):
@@ -42,8 +41,7 @@ def new_folder(name: str) -> Path:
 def log_in(folder: Path) -> Path:
     """The log to be written in a folder, which is made where it is missing.
 
-    Raises:
-        ConfigError: there is a log already.
+    Raises ConfigError: there is a log already.
     """
     folder.mkdir(parents=True, exist_ok=True)
     log = folder / LOG
@@ -55,8 +53,7 @@ def log_in(folder: Path) -> Path:
 def start_recorder(socket: Path, log: Path) -> Child:
     """Start a recorder and wait until it listens; it says what goes wrong in a file beside the log.
 
-    Raises:
-        LaunchError: it did not start.
+    Raises LaunchError: it did not start.
     """
     recorder = Child("record", ["record", "--socket", str(socket), "--out", str(log)], log.parent)
     recorder.wait_ready()
@@ -71,26 +68,18 @@ def end_recorder(recorder: Child) -> str | None:
 
 
 class OwnRecorder:
-    """Context manager with the recorder of an onboard process without ``--recorder``: a child process.
-
-    Attributes:
-        problem: why the log is not whole; known when the context has ended.
-    """
+    """Context manager with the recorder of an onboard process without ``--recorder``: a child process."""
 
     def __init__(self) -> None:
-        self.problem: str | None = None
+        self.problem: str | None = None  # why the log is not whole; known when the context has ended
         self._child: Child | None = None
         self._sockets: Path | None = None
 
     def start(self, config: FlightConfig, run: Mapping[str, str]) -> tuple[Path, Path]:
         """Start it, with a log in a new folder of ``runs``; its socket and the log.
 
-        Args:
-            config: of the onboard process.
-            run: what is known of the run, for the log.
-
-        Raises:
-            LaunchError: it did not start.
+        ``config``: of the onboard process; ``run``: what is known of the run, for the log.
+        Raises LaunchError: it did not start.
         """
         self._sockets = socket_folder()
         socket, log = self._sockets / "recorder", log_in(new_folder("onboard"))
@@ -113,19 +102,12 @@ class OwnRecorder:
 
 
 class Described(NamedTuple):
-    """What is told of a flight before it begins.
+    """What is told of a flight before it begins."""
 
-    Attributes:
-        config: of the onboard process.
-        run: what else is known of the run; its entries take the place of those made here.
-        attachments: files (TOML) by name.
-        names: of its records in the log.
-    """
-
-    config: FlightConfig
-    run: Mapping[str, str]
-    attachments: Mapping[str, bytes]
-    names: Names = OWN
+    config: FlightConfig  # of the onboard process
+    run: Mapping[str, str]  # entries about the run; they replace those made here
+    attachments: Mapping[str, bytes]  # files (TOML) by name
+    names: Names = OWN  # names of its records in the log
 
 
 def describe(
@@ -133,14 +115,8 @@ def describe(
 ) -> None:
     """Write into the log what is needed to read it and to fly it again; onboard writes its own part.
 
-    Args:
-        recorder: socket of the recorder.
-        config: as in ``Described``; the same of the others.
-        run: see there.
-        attachments: see there.
-
-    Raises:
-        FeedError: there is no recorder.
+    ``recorder``: socket of the recorder; the others as in ``Described``.
+    Raises FeedError: there is no recorder.
     """
     describe_all(recorder, [Described(config, run, attachments)])
 
@@ -153,14 +129,9 @@ def describe_all(
 ) -> None:
     """Write the same of several flights in one log, and what is told of all.
 
-    Args:
-        recorder: socket of the recorder.
-        flights: each with names of its own.
-        fleet: metadata of all; None: it is one flight.
-        attachments: files (TOML) of all, by name.
-
-    Raises:
-        FeedError: there is no recorder.
+    ``recorder``: socket of the recorder; ``fleet``: metadata of all flights, None: one flight;
+    ``attachments``: files (TOML) of all, by name.
+    Raises FeedError: there is no recorder.
     """
     feed = Feed.connect(str(recorder), "launcher", lossless=True)
     if fleet is not None:

@@ -31,17 +31,11 @@ from flightstack.onboard.leaving import Ended
 
 
 class Arrived(NamedTuple):
-    """What came of the target since the last tick.
+    """Data of the target since the last tick."""
 
-    Attributes:
-        samples: for the controller.
-        problems: of messages that could not be decoded.
-        messages: as they came, for the log; none where the log has no use for them.
-    """
-
-    samples: tuple[TargetSample, ...] = ()
-    problems: Sequence[str] = ()
-    messages: Sequence[RawSample] = ()
+    samples: tuple[TargetSample, ...] = ()  # samples for the controller
+    problems: Sequence[str] = ()  # errors of messages that could not be decoded
+    messages: Sequence[RawSample] = ()  # raw messages for the log; empty where it does not record them
 
 
 NOTHING = Arrived()
@@ -75,8 +69,7 @@ class Clock(Protocol):
     def wait(self) -> Tick:
         """Wait for the next tick; what the vehicle has sent until then is taken.
 
-        Raises:
-            ClockStoppedError: there is none.
+        Raises ClockStoppedError: there is none.
         """
 
 
@@ -121,11 +114,7 @@ Words = Callable[[], tuple[Neighbour, ...]]  # what other vehicles said since th
 
 
 class Runner:
-    """Runs ticks.
-
-    Attributes:
-        now_s: stack clock at the newest tick.
-    """
+    """Runs ticks."""
 
     def __init__(
         self,
@@ -140,7 +129,7 @@ class Runner:
         self._controller, self._clock, self._vehicle, self._words = controller, clock, vehicle, words
         self._target, self._ending, self._sink = target, ending, sink
         self._landing = False
-        self.now_s = 0.0
+        self.now_s = 0.0  # stack clock at the newest tick
 
     @property
     def memory(self) -> Memory:
@@ -150,8 +139,7 @@ class Runner:
     def tick(self) -> Ended | None:
         """Run one tick; the vehicle is answered before anything is written down.
 
-        Raises:
-            ClockStoppedError: there is no further tick.
+        Raises ClockStoppedError: there is no further tick.
         """
         tick = self._clock.wait()
         began_s = time.perf_counter()
@@ -191,9 +179,7 @@ class LiveTarget:
     Samples of a tick in which the process stalled are not used: they may have come later than the tick.
     The shortest delay of a sample would be too short from then on, and later ones would count as too late.
 
-    Args:
-        source: of the samples.
-        clock: the stack's, s.
+    ``source``: of the samples; ``clock``: the stack's, s.
     """
 
     def __init__(self, source: SampleSource, clock: Callable[[], float]) -> None:
@@ -213,14 +199,10 @@ class LiveTarget:
 
 
 class LinkedVehicle:
-    """The vehicle behind a MAVLink link, which the clock polls.
-
-    Attributes:
-        link: to the vehicle.
-    """
+    """The vehicle behind a MAVLink link, which the clock polls."""
 
     def __init__(self, link: VehicleLink, *, lockstep: bool) -> None:
-        self.link, self._lockstep = link, lockstep
+        self.link, self._lockstep = link, lockstep  # to the vehicle
         self._reply: Message = None
 
     @property

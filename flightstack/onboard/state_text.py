@@ -37,21 +37,16 @@ class _Plan(NamedTuple):
 
 
 class StateText(Generic[T]):
-    """Writes and reads one dataclass.
-
-    Attributes:
-        layout: Version, then names and types of all fields.
-    """
+    """Writes and reads one dataclass."""
 
     def __init__(self, cls: type[T]) -> None:
         """Settle how each field is written.
 
-        Raises:
-            TypeError: A field's declared type is not one of bool, int, float, str, enum, tuple,
-                dataclass, named tuple, or one of these or None.
+        Raises TypeError: A field's declared type is not one of bool, int, float, str, enum, tuple, dataclass,
+        named tuple, or one of these or None.
         """
         self._plan = _plan(cls, cls.__name__)
-        self.layout = f"{VERSION} {self._plan.layout}"
+        self.layout = f"{VERSION} {self._plan.layout}"  # Version, then names and types of all fields
 
     def dumps(self, value: T) -> str:
         """Return the value as text."""
@@ -60,8 +55,7 @@ class StateText(Generic[T]):
     def loads(self, layout: str, text: str) -> T:
         """Return the value that :meth:`dumps` wrote.
 
-        Raises:
-            StateTextError: Of another layout, or not such a text.
+        Raises StateTextError: Of another layout, or not such a text.
         """
         if layout != self.layout:
             raise StateTextError(f"layout {layout!r} found, this version reads {self.layout!r}")

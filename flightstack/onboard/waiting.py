@@ -31,62 +31,37 @@ _PROBLEMS = 2  # about samples, in one report
 
 
 class VehicleSeen(NamedTuple):
-    """What the vehicle link has received so far.
+    """What the vehicle link has received so far."""
 
-    Attributes:
-        heartbeat_age_s: of the newest heartbeat; None: there was none.
-        silence: sentence for a heartbeat that does not come (``bridge.mavlink.client.silence``).
-        own_age_s: of the newest own state; None: there was none.
-        own_believed: its position and velocity agree.
-        refused: positions refused since the last report, by cause (fields of ``StateCounters``).
-        status: newest status.
-        readiness_told: SYS_STATUS, which says whether it may be armed, has come.
-        says: its newest texts that may be reasons.
-        heartbeat_every_s: longest interval between two heartbeats since the last report.
-        own_every_s: the same of own states.
-    """
-
-    heartbeat_age_s: float | None
-    silence: str
-    own_age_s: float | None
-    own_believed: bool
+    heartbeat_age_s: float | None  # age of the newest heartbeat; None: none received
+    silence: str  # sentence for a missing heartbeat (``bridge.mavlink.client.silence``)
+    own_age_s: float | None  # age of the newest vehicle state; None: none received
+    own_believed: bool  # whether its position and velocity agree
+    # positions refused since the last report, by cause (fields of ``StateCounters``)
     refused: Mapping[str, int]
-    status: VehicleStatus | None
-    readiness_told: bool
-    says: tuple[str, ...]
-    heartbeat_every_s: float = 0.0
-    own_every_s: float = 0.0
+    status: VehicleStatus | None  # newest status
+    readiness_told: bool  # whether SYS_STATUS, with the readiness to arm, was received
+    says: tuple[str, ...]  # newest texts of the vehicle that may be reasons
+    heartbeat_every_s: float = 0.0  # longest interval between two heartbeats since the last report
+    own_every_s: float = 0.0  # the same of own states
 
 
 class TargetSeen(NamedTuple):
-    """What the target's link has received so far.
+    """What the target's link has received so far."""
 
-    Attributes:
-        name: key or topic, as given.
-        age_s: of the newest sample that was believed; None: there was none.
-        contradicts: its positions contradict its velocity.
-        every_s: longest interval between two that were believed, since the last report.
-        arrived: samples since the last report, believed or not, those that made no odometry included.
-        problems: what was found wrong with samples.
-        keys: others that a target might be under.
-    """
-
-    name: str
-    age_s: float | None
-    arrived: int
-    problems: tuple[str, ...]
-    keys: tuple[str, ...]
-    contradicts: bool = False
-    every_s: float = 0.0
+    name: str  # key or topic, as given
+    age_s: float | None  # age of the newest accepted sample; None: none
+    arrived: int  # samples since the last report, refused ones included
+    problems: tuple[str, ...]  # errors of samples
+    keys: tuple[str, ...]  # other keys that might be a target
+    contradicts: bool = False  # whether its positions contradict its velocity
+    every_s: float = 0.0  # longest interval between two accepted samples since the last report
 
 
 def missing(vehicle: VehicleSeen, target: TargetSeen, checks: Checks) -> tuple[str, ...]:
     """Return the known causes that keep the flight from beginning, one sentence each.
 
-    Args:
-        vehicle: what its link has shown.
-        target: what its link has shown.
-        checks: limits of the configuration.
+    ``checks``: limits of the configuration.
     """
     return (*_of_vehicle(vehicle, checks), *_of_target(target, checks))
 
@@ -208,10 +183,7 @@ _BOUNDS: Mapping[Phase, _Bound] = {
 def countdown(config: FlightConfig, phase: Phase, in_phase_s: float) -> str:
     """Return what ends the phase, the latest time, and the setting; empty for a phase without a limit.
 
-    Args:
-        config: of the flight.
-        phase: the present one.
-        in_phase_s: seconds since it began.
+    ``in_phase_s``: seconds since the phase began.
     """
     bound = _BOUNDS.get(phase)
     if bound is None:
@@ -221,24 +193,13 @@ def countdown(config: FlightConfig, phase: Phase, in_phase_s: float) -> str:
 
 
 class WaitReport:
-    """Call ``note_text`` with the vehicle's texts and ``step`` in every tick.
-
-    Attributes:
-        lacking: what was missing at the last report, while the flight waits and after it was given up.
-    """
+    """Call ``note_text`` with the vehicle's texts and ``step`` in every tick."""
 
     def __init__(
         self, config: FlightConfig, system_id: int, link: VehicleLink, wires: ZenohWires, *, searches: bool
     ) -> None:
-        """Set up.
-
-        Args:
-            config: of the flight.
-            system_id: of the vehicle.
-            link: to it.
-            wires: of the target.
-            searches: look for other keys while no sample comes.
-        """
+        """Set up. ``wires``: of the target; ``searches``: look for other keys while no sample comes."""
+        # what was missing at the last report, while the flight waits and after it was given up
         self.lacking: tuple[str, ...] = ()
         self._config, self._system_id, self._link, self._wires = config, system_id, link, wires
         self._searches = searches
@@ -274,12 +235,8 @@ class WaitReport:
     ) -> str | None:
         """Return what a person should read now, if anything.
 
-        Args:
-            out: of this tick.
-            memory: of the controller, after it.
-            arrived: samples of the target in this tick.
-            problems: why some of them could not be decoded.
-            now_s: the stack's clock.
+        ``out``: of this tick; ``memory``: of the controller, after it; ``arrived``: samples of the target in
+        this tick; ``problems``: why some of them could not be decoded; ``now_s``: the stack's clock.
         """
         phase = out.phase
         if phase not in (Phase.WAIT, Phase.ABORT):

@@ -47,11 +47,7 @@ class Left(Protocol):
 def fly(ticks: Ticks, vehicle: Left, leaving: Leaving, failed: Callable[[str], None]) -> Ended:
     """Fly until the flight is over or something breaks, then leave the vehicle.
 
-    Args:
-        ticks: of the flight.
-        vehicle: that flies.
-        leaving: when the flight is over.
-        failed: takes the text of an exception.
+    ``leaving``: decides when the flight is over; ``failed``: takes the text of an exception.
     """
     ended: Ended | None = None
     works = True

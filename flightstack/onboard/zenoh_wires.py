@@ -19,40 +19,24 @@ from logs.schema.rows import ControllerStepRow
 
 @dataclass(frozen=True)
 class ZenohPlan:
-    """Where the process is plugged in.
+    """Where the process is plugged in."""
 
-    Attributes:
-        target: whose motion to follow.
-        connect: endpoints to dial.
-        listen: endpoints to listen on.
-        namespace: first part of our keys and topics.
-        config_file: Zenoh configuration of the session that is flown by.
-        ros2: where ROS 2 is, with a target that is a ROS 2 topic; without it such a target is looked for on
-            the session that is flown by.
-        lockstep: with a simulated target.
-    """
-
-    target: TargetSpec
-    connect: Sequence[str] = ()
-    listen: Sequence[str] = ()
-    namespace: str = "cf1"
-    config_file: Path | None = None
+    target: TargetSpec  # target to follow
+    connect: Sequence[str] = ()  # endpoints to dial
+    listen: Sequence[str] = ()  # endpoints to listen on
+    namespace: str = "cf1"  # first part of our keys and topics
+    config_file: Path | None = None  # Zenoh configuration of the session that is flown by
+    # where ROS 2 is, with a target that is a ROS 2 topic; without it such a target is looked for on the
+    # session that is flown by
     ros2: Ros2Network | None = None
-    lockstep: bool = False
+    lockstep: bool = False  # with a simulated target
 
 
 class ZenohWires:
     """Owns the sessions.
 
-    Attributes:
-        session: that is flown by.
-        odometry: the target's motion.
-        search: for other keys a target might be under; idle until it is asked.
-        target: whose motion it is.
-
-    Raises:
-        ValueError: an endpoint, key, topic, domain or configuration that is not understood.
-        ZenohLinkError: a session that could not be opened.
+    Raises ValueError: an endpoint, key, topic, domain or configuration that is not understood;
+    ZenohLinkError: a session that could not be opened.
     """
 
     def __init__(self, config: FlightConfig, plan: ZenohPlan) -> None:
@@ -60,6 +44,7 @@ class ZenohWires:
             raise ValueError(
                 f"--target {plan.target.text}: in lockstep it is a Zenoh key of the simulated target"
             )
+        # that is flown by
         self.session = zenoh_link.open_session(
             plan.listen, plan.connect, config_file=plan.config_file, prompt=not plan.lockstep
         )
@@ -75,17 +60,18 @@ class ZenohWires:
             )
             self._shown = LiveRos2(self._sessions[-1], plan.ros2.domain, plan.namespace, rate_hz)
         where = self.session if plan.target.dialect is Dialect.PLAIN else self._sessions[-1]
+        # the target's motion
         self.odometry = TargetSource(
             where, plan.target, checks.target_frame, checks.target_child_frame, config.target,
             lossless=plan.lockstep,
         )  # fmt: skip
-        self.search = KeySearch(where)
+        self.search = KeySearch(where)  # for other keys a target might be under; idle until it is asked
         self._texts = [
             f"Zenoh listens on {endpoint} without rules: every process that reaches this endpoint "
             "can send a target (docs/how_to/zenoh.md)"
             for endpoint in zenoh_link.open_to_all(plan.listen, config_file=plan.config_file)
         ]
-        self._lockstep, self.target = plan.lockstep, plan.target
+        self._lockstep, self.target = plan.lockstep, plan.target  # whose motion it is
 
     def texts(self, now_s: float) -> list[str]:
         """What a person should know since the last call; in lockstep nothing that wall time has a part in."""

@@ -32,16 +32,7 @@ class News(Enum):
 
 
 class Watch:
-    """Subscribes to the live keys of one onboard process; polled, nothing depends on it.
-
-    Attributes:
-        step: newest controller step, ``None`` before the first.
-        health: newest health.
-        timings: the last second of loop timing.
-        new_steps: what came with the last poll.
-        new_timings: the same of loop timing.
-        refused: samples that were not what their key promises.
-    """
+    """Subscribes to the live keys of one onboard process; polled, nothing depends on it."""
 
     def __init__(
         self,
@@ -53,26 +44,20 @@ class Watch:
     ) -> None:
         """Subscribe.
 
-        Args:
-            session: an open Zenoh session; it stays the caller's.
-            namespace: first part of the keys, for example ``cf1``.
-            clock: seconds that never go back.
-            role: what the session is.
-
-        Raises:
-            ValueError: the namespace makes no allowed key.
+        ``session`` stays open; ``namespace``: first part of the keys; ``clock``: monotonic, s; ``role``: what
+        the session is. Raises ValueError: the namespace makes no allowed key.
         """
         self._session, self._clock, self._role = session, clock, role
         self._subscribers = {
             name: zenoh_link.ring_subscriber(session, f"{namespace}/{name}", _RING)
             for name in ("controller/step", "loop/timing", "health")
         }
-        self.step: ControllerStepRow | None = None
-        self.health: HealthRow | None = None
-        self.timings: deque[LoopTimingRow] = deque(maxlen=_TIMINGS)
-        self.new_steps: list[ControllerStepRow] = []
-        self.new_timings: list[LoopTimingRow] = []
-        self.refused = 0
+        self.step: ControllerStepRow | None = None  # newest controller step, ``None`` before the first
+        self.health: HealthRow | None = None  # newest health
+        self.timings: deque[LoopTimingRow] = deque(maxlen=_TIMINGS)  # the last second of loop timing
+        self.new_steps: list[ControllerStepRow] = []  # steps of the last poll
+        self.new_timings: list[LoopTimingRow] = []  # the same of loop timing
+        self.refused = 0  # samples that are not of the type of their key
         self._began_s = clock()
         self._step_s = self._health_s = math.nan
 

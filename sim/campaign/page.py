@@ -36,19 +36,14 @@ _HISTOGRAMS: tuple[tuple[str, str, str, float, Callable[[Row], float | None]], .
 
 
 def write_page(path: Path, wanted: Plan, flown: Flown) -> None:
-    """Write the page.
-
-    Raises:
-        ReportError: the plotting library is not installed.
-    """
+    """Write the page. Raises ReportError: the plotting library is not installed."""
     path.write_text(render(wanted, flown), encoding="utf-8")
 
 
 def render(wanted: Plan, flown: Flown) -> str:
     """Return the page as text; ``flown`` has a summary.
 
-    Raises:
-        ReportError: the plotting library is not installed.
+    Raises ReportError: the plotting library is not installed.
     """
     need_libraries()
     title = f"{wanted.scenario.name}, filter {wanted.filter_name}"

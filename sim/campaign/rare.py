@@ -42,13 +42,8 @@ def score(event: Event, row: Row, pad_radius_m: float) -> float:
     ``violation``: lowest h outside the pad above the limit of a violation. ``miss``: the distance of the
     touch from the pad's edge; 0 for a touch beyond it, a crash, or an end that nobody declared.
 
-    Args:
-        event: the failure.
-        row: of the landing.
-        pad_radius_m: of the scenario.
-
-    Raises:
-        WorkersError: the landing could not be flown.
+    ``event``: the failure; ``row``: of the landing.
+    Raises WorkersError: the landing could not be flown.
     """
     if row.outcome not in tuple(Outcome):
         raise WorkersError(f"seed {row.seed} could not be flown: {row.reason}")
@@ -64,18 +59,11 @@ def score(event: Event, row: Row, pad_radius_m: float) -> float:
 
 @dataclass(frozen=True)
 class Rare:
-    """What to estimate.
+    """What to estimate. Raises ConfigError: a team."""
 
-    Attributes:
-        plan: scenario with its filter; ``runs`` are the landings of a level, ``first_seed`` the estimate's.
-        event: the failure.
-
-    Raises:
-        ConfigError: a team.
-    """
-
+    # scenario with its filter; ``runs`` are the landings of a level, ``first_seed`` the estimate's
     plan: Plan
-    event: Event
+    event: Event  # the failure
 
     def __post_init__(self) -> None:
         if not self.plan.scenario.is_alone:
@@ -88,17 +76,10 @@ class Rare:
 def fly(wanted: Rare, folder: Path, *, workers: int, on_row: OnRow) -> dict[str, Any]:
     """Fly what is missing; return the result, which is also in the folder.
 
-    Args:
-        wanted: what.
-        folder: where; made if it is not there.
-        workers: number of processes.
-        on_row: called with each row, also those of earlier calls.
-
-    Raises:
-        RowsError: the folder holds something else, or is in use.
-        ValueError: a number of landings that levels cannot have.
-        WorkersError: no worker can be kept running.
-        RuntimeError: a landing could not be flown.
+    ``on_row``: called with each row, those of earlier calls included.
+    Raises RowsError: the folder holds something else, or is in use; ValueError: a number of landings that
+    levels cannot have; WorkersError: no worker can be kept running; RuntimeError: a landing could not be
+    flown.
     """
     plan, scenario = wanted.plan, wanted.plan.first
     folder.mkdir(parents=True, exist_ok=True)

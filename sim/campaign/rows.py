@@ -34,68 +34,41 @@ class RowsError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What a campaign keeps of one landing; ``None`` where a value does not apply or is not known.
+    """What a campaign keeps of one landing; ``None`` where a value does not apply or is not known."""
 
-    Attributes:
-        seed: of all chance.
-        outcome: ``Outcome``, or "error".
-        reason: why, in words.
-        violation: as in ``Verdict``.
-        started_safe: as in ``Verdict``.
-        h_min_m: lowest true h.
-        h_min_outside_pad_m: the same where d > pad radius.
-        h_min_d_m: d at the tick that shows it.
-        h_min_e_z_m: e_z at that tick.
-        touchdown_error_m: d at first contact.
-        touchdown_speed_vertical_m_s: relative to the pad, positive downwards.
-        touchdown_speed_horizontal_m_s: relative to the pad.
-        time_to_land_s: begin of the landing to first contact, if landed.
-        retries: times it went back to the approach.
-        approach_s, land_s, touchdown_s, hold_s, climb_s, abort_s: time in the phases.
-        own_age_max_s: greatest age of the own state since the landing began.
-        target_age_max_s: the same of the target's.
-        simulated_s: length of the run.
-        wall_s: time it took; the only value that chance does not fix.
-        cells: map of h: "i j mm" for each cell of (d, e_z) that was visited, with the lowest h there.
-        outcomes: of a team's members, cf1 first; empty for one vehicle alone, as all that follows.
-        collisions: pairs of vehicles that collided.
-        ellipsoid_violations: times that two came inside the ellipsoid about each other, both in flight.
-        ellipsoid_min: smallest distance of two in flight in its measure; below 1: inside.
-        distance_min_m: smallest distance of two vehicles.
-        wait_max_s: longest time that a vehicle waited for its right of way.
-    """
-
-    seed: int
-    outcome: str
-    reason: str
-    violation: bool | None = None
-    started_safe: bool | None = None
-    h_min_m: float | None = None
-    h_min_outside_pad_m: float | None = None
-    h_min_d_m: float | None = None
-    h_min_e_z_m: float | None = None
-    touchdown_error_m: float | None = None
-    touchdown_speed_vertical_m_s: float | None = None
-    touchdown_speed_horizontal_m_s: float | None = None
-    time_to_land_s: float | None = None
-    retries: int | None = None
+    seed: int  # seed of all chance
+    outcome: str  # ``Outcome``, or "error"
+    reason: str  # reason as text
+    violation: bool | None = None  # as in ``Verdict``
+    started_safe: bool | None = None  # as in ``Verdict``
+    h_min_m: float | None = None  # lowest true h
+    h_min_outside_pad_m: float | None = None  # the same where d > pad radius
+    h_min_d_m: float | None = None  # d at the tick that shows it
+    h_min_e_z_m: float | None = None  # e_z at that tick
+    touchdown_error_m: float | None = None  # d at first contact
+    touchdown_speed_vertical_m_s: float | None = None  # relative to the pad, positive downwards
+    touchdown_speed_horizontal_m_s: float | None = None  # relative to the pad
+    time_to_land_s: float | None = None  # begin of the landing to first contact, if landed
+    retries: int | None = None  # times it went back to the approach
+    # time in each phase, s
     approach_s: float | None = None
     land_s: float | None = None
     touchdown_s: float | None = None
     hold_s: float | None = None
     climb_s: float | None = None
     abort_s: float | None = None
-    own_age_max_s: float | None = None
-    target_age_max_s: float | None = None
-    simulated_s: float | None = None
-    wall_s: float | None = None
-    cells: str = ""
-    outcomes: str = ""
-    collisions: int | None = None
+    own_age_max_s: float | None = None  # greatest age of the own state since the landing began
+    target_age_max_s: float | None = None  # the same of the target's
+    simulated_s: float | None = None  # length of the run
+    wall_s: float | None = None  # wall time; the only value that the seed does not determine
+    cells: str = ""  # map of h: "i j mm" for each cell of (d, e_z) that was visited, with the lowest h there
+    outcomes: str = ""  # outcomes of a team's members, cf1 first; of one vehicle this and all below are empty
+    collisions: int | None = None  # pairs of vehicles that collided
+    # times that two came inside the ellipsoid about each other, both in flight
     ellipsoid_violations: int | None = None
-    ellipsoid_min: float | None = None
-    distance_min_m: float | None = None
-    wait_max_s: float | None = None
+    ellipsoid_min: float | None = None  # smallest distance of two in flight in its measure; below 1: inside
+    distance_min_m: float | None = None  # smallest distance of two vehicles
+    wait_max_s: float | None = None  # longest time that a vehicle waited for its right of way
 
     @property
     def landed(self) -> bool:
@@ -211,8 +184,7 @@ def _value(name: str, text: str) -> Any:
 def read_rows(path: Path) -> list[Row]:
     """Read a file of rows; a last line that was cut off is left out.
 
-    Raises:
-        RowsError: it is not such a file, or a line in it is damaged.
+    Raises RowsError: it is not such a file, or a line in it is damaged.
     """
     rows: list[Row] = []
     with path.open(newline="", encoding="utf-8") as file:
@@ -244,9 +216,7 @@ def write_rows(path: Path, rows: Iterable[Row]) -> None:
 def write_parquet(path: Path, *, long_seeds: bool = False) -> Path | None:
     """Write the rows of a file beside it in Parquet, a piece at a time; the new file, None without pyarrow.
 
-    Args:
-        path: of the rows.
-        long_seeds: seeds may have more than 63 bits, and are texts.
+    ``path``: of the rows; ``long_seeds``: seeds may have more than 63 bits, and are texts.
     """
     try:
         from pyarrow import bool_, float64, int64, parquet, string

@@ -47,19 +47,12 @@ OnRow = Callable[[Row], None]
 
 @dataclass(frozen=True)
 class Plan:
-    """The campaign to fly.
+    """The campaign to fly."""
 
-    Attributes:
-        scenario_name: as it was given; goes into the commands.
-        scenario: with the filter to fly.
-        runs: number of landings.
-        first_seed: seeds are this one and the following.
-    """
-
-    scenario_name: str
-    scenario: TeamScenario
-    runs: int
-    first_seed: int
+    scenario_name: str  # name or file as given; used in the commands
+    scenario: TeamScenario  # scenario with the filter to fly
+    runs: int  # number of landings
+    first_seed: int  # first of consecutive seeds
 
     @property
     def scenario_toml(self) -> str:
@@ -88,11 +81,7 @@ class Plan:
 
 
 def plan(scenario_name: str, runs: int, first_seed: int, filter_name: str | None) -> Plan:
-    """Load and check a scenario.
-
-    Raises:
-        ConfigError: it must not fly.
-    """
+    """Load and check a scenario. Raises ConfigError: it must not fly."""
     scenario = load(scenario_name)
     if filter_name is not None:
         scenario = scenario.with_filter(filter_name)
@@ -104,28 +93,18 @@ def plan(scenario_name: str, runs: int, first_seed: int, filter_name: str | None
 
 @dataclass(frozen=True)
 class Flown:
-    """The result of a call.
+    """Result of a call."""
 
-    Attributes:
-        rows: all rows of the folder, by seed.
-        missing: number of landings without a row.
-        summary: None without any row.
-    """
-
-    rows: list[Row]
-    missing: int
-    summary: dict[str, Any] | None
+    rows: list[Row]  # all rows of the folder, by seed
+    missing: int  # number of landings without a row
+    summary: dict[str, Any] | None  # None without any row
 
 
 def known_rows(now: dict[str, Any], folder: Path) -> list[Row]:
     """Rows that a folder holds already.
 
-    Args:
-        now: what all of them must share (``identity``).
-        folder: may be empty.
-
-    Raises:
-        RowsError: they are of something else, or damaged.
+    ``now``: what all rows must share (``identity``).
+    Raises RowsError: they are of something else, or damaged.
     """
     path, about = folder / ROWS, folder / ABOUT
     if not path.exists() and not about.exists():
@@ -157,17 +136,10 @@ def _seeds_wanted(wanted: Plan, folder: Path, rows: list[Row]) -> list[Row]:
 def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row: OnRow) -> Flown:
     """Fly the missing landings and write the summary; an interrupt keeps the rows flown so far.
 
-    Args:
-        wanted: what to fly.
-        folder: where; made if it is not there.
-        workers: number of processes; not used on a cluster.
-        cluster: address of a Dask scheduler; None: here.
-        on_row: called with each row, also those of earlier calls.
-
-    Raises:
-        RowsError: the folder holds something else, or another campaign runs there.
-        WorkersError: no worker can be kept running.
-        ClusterError: the cluster cannot be used.
+    ``workers``: number of processes, unused on a cluster; ``cluster``: address of a Dask scheduler, None:
+    this machine; ``on_row``: called with each row, those of earlier calls included. Raises RowsError: the
+    folder holds something else, or another campaign runs there; WorkersError: no worker can be kept running;
+    ClusterError: the cluster cannot be used.
     """
     began_s = time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
@@ -257,11 +229,7 @@ def _interrupts() -> Iterator[list[int]]:
 
 @contextmanager
 def alone(folder: Path) -> Iterator[None]:
-    """Keep other campaigns out of a folder.
-
-    Raises:
-        RowsError: there is one.
-    """
+    """Keep other campaigns out of a folder. Raises RowsError: there is one."""
     with (folder / LOCK).open("w") as lock:
         try:
             fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the workers do not hold it, too

@@ -28,54 +28,35 @@ Scores = Callable[[Sequence[int]], Sequence[float]]
 
 @dataclass(frozen=True)
 class Level:
-    """One level.
+    """One level."""
 
-    Attributes:
-        begins_at: score at or below which all its landings are; infinite for the first.
-        ends_at: score at or below which the next one's are; 0 for the last.
-        share: of its landings that are at or below ``ends_at``.
-        variation: coefficient of variation of that share, correlation within the chains included.
-        accepted: share of the moves that were; 1 for the first.
-    """
-
-    begins_at: float
-    ends_at: float
-    share: float
-    variation: float
-    accepted: float
+    begins_at: float  # score at or below which all its landings are; infinite for the first
+    ends_at: float  # score at or below which the next one's are; 0 for the last
+    share: float  # of its landings that are at or below ``ends_at``
+    variation: float  # coefficient of variation of that share, correlation within the chains included
+    accepted: float  # share of accepted moves; 1 for the first level
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What was found.
+    """What was found."""
 
-    Attributes:
-        rate: of failures; 0 if the last level had none.
-        low: lower end of the 95 % interval, of a log-normal distribution.
-        high: upper end; if no failure was found, the upper bound of the rate.
-        levels: one or more.
-        landings: that were flown.
-        failures: seeds of the last level's failures, drawn with the probabilities that failures have.
-    """
-
-    rate: float
-    low: float
-    high: float
-    levels: tuple[Level, ...]
-    landings: int
+    rate: float  # of failures; 0 if the last level had none
+    low: float  # lower end of the 95 % interval, of a log-normal distribution
+    high: float  # upper end; if no failure was found, the upper bound of the rate
+    levels: tuple[Level, ...]  # one or more
+    landings: int  # number of flown landings
+    # seeds of the last level's failures, drawn with the probabilities that failures have
     failures: tuple[int, ...]
 
 
 def estimate(scores: Scores, number: int, seed: int) -> Estimate:
     """Estimate the rate of failures.
 
-    Args:
-        scores: flies landings, a batch at a time, and returns their scores.
-        number: of landings in a level, a multiple of 1 / ``SHARE``.
-        seed: of this estimate; another one makes another, independent estimate.
-
-    Raises:
-        ValueError: the number is no such multiple, or below 100.
+    ``scores``: flies landings, a batch at a time, and returns their scores; ``number``: of landings in a
+    level, a multiple of 1 / ``SHARE``; ``seed``: of this estimate; another one makes another, independent
+    estimate.
+    Raises ValueError: the number is no such multiple, or below 100.
     """
     length = round(1.0 / SHARE)
     if number < 100 or number % length:

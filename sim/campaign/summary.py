@@ -66,11 +66,8 @@ def quantile(rows: Sequence[Row], value: Callable[[Row], float | None], share: f
 def summary(rows: Sequence[Row], command: str, *, wall_s: float, flown_s: float) -> dict[str, Any]:
     """Return what ``--json`` prints.
 
-    Args:
-        rows: at least one.
-        command: that flies one of the seeds alone, with ``{seed}``.
-        wall_s: time of this call.
-        flown_s: simulated time flown in it.
+    ``rows``: at least one; ``command``: that flies one of the seeds alone, with ``{seed}``; ``wall_s``: time
+    of this call; ``flown_s``: simulated time flown in it.
     """
     counts = count(rows)
     lowest = [row.h_min_outside_pad_m for row in rows if row.h_min_outside_pad_m is not None]
@@ -163,10 +160,8 @@ def lines(told: dict[str, Any]) -> list[tuple[str, str]]:
 def repeat_command(scenario: str, filter_name: str, *, team: bool = False) -> str:
     """Command that flies one seed alone, with ``{seed}`` for the seed.
 
-    Args:
-        scenario: name or file.
-        filter_name: of the safety filter.
-        team: several vehicles, which fly in one process only; one alone flies over the real wires.
+    ``scenario``: name or file; ``filter_name``: of the safety filter; ``team``: several vehicles, which fly
+    in one process only; one alone flies over the real wires.
     """
     name = shlex.quote(scenario).replace("{", "{{").replace("}", "}}")
     if team:
@@ -186,23 +181,14 @@ class Tier(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits of a campaign. Crashes and undeclared misses are never allowed.
+    """Limits of a campaign. Crashes and undeclared misses are never allowed."""
 
-    Attributes:
-        landed_min: share.
-        violations_max: share.
-        error_m: touchdown error, median and 95 %.
-        vertical_m_s: touchdown speed relative to the pad, 95 %.
-        horizontal_m_s: the same, horizontal.
-        slower_max: median time to land over that of the paper's filter; None: not asked.
-    """
-
-    landed_min: float
-    violations_max: float
-    error_m: tuple[float, float]
-    vertical_m_s: float
-    horizontal_m_s: float
-    slower_max: float | None
+    landed_min: float  # share
+    violations_max: float  # share
+    error_m: tuple[float, float]  # touchdown error, median and 95 %
+    vertical_m_s: float  # touchdown speed relative to the pad, 95 %
+    horizontal_m_s: float  # the same, horizontal
+    slower_max: float | None  # median time to land over that of the paper's filter; None: not asked
 
 
 LIMITS: dict[Tier, Limits] = {
@@ -217,10 +203,8 @@ LIMITS: dict[Tier, Limits] = {
 def misses(tier: Tier, rows: Sequence[Row], paper: Sequence[Row] | None) -> list[str]:
     """Return the limits that a campaign does not meet, in words; empty when it meets all.
 
-    Args:
-        tier: whose limits.
-        rows: at least one.
-        paper: rows of the paper's filter on the same scenario; without them a limit on the time is missed.
+    ``tier``: whose limits; ``rows``: at least one; ``paper``: rows of the paper's filter on the same
+    scenario; without them a limit on the time is missed.
     """
     limits, counts = LIMITS[tier], count(rows)
     n = counts.runs

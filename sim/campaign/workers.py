@@ -73,11 +73,7 @@ def fly_seed(scenario_toml: str, seed: int) -> Row:
 
 
 def fly_seed_as(code: str, scenario_toml: str, seed: int) -> Row:
-    """Fly one landing on another machine; refuse if its code differs.
-
-    Raises:
-        RuntimeError: it is not.
-    """
+    """Fly one landing on another machine; refuse if its code differs. Raises RuntimeError: it is not."""
     here = code_fingerprint()
     if here != code:
         raise RuntimeError(f"other code on this worker: {here}, not {code}; install the same version")
@@ -136,10 +132,8 @@ class _Worker:
 def _work(pipe: Connection, scenario_toml: str, not_its_own: Sequence[Connection]) -> None:
     """Fly seeds until the pipe is closed; Ctrl-C is for the parent.
 
-    Args:
-        pipe: seeds come and rows go.
-        scenario_toml: what is flown.
-        not_its_own: ends of the parent that it has of a fork: a pipe is closed when nobody has its other end.
+    ``pipe``: seeds come and rows go; ``scenario_toml``: what is flown; ``not_its_own``: ends of the parent
+    that it has of a fork: a pipe is closed when nobody has its other end.
     """
     for one in not_its_own:
         one.close()
@@ -157,10 +151,8 @@ def _work(pipe: Connection, scenario_toml: str, not_its_own: Sequence[Connection
 class Workers:
     """A fixed number of them, kept running; ends them all on leaving.
 
-    Args:
-        scenario_toml: the scenario as text.
-        number: how many.
-        duration_max_s: of a landing, simulated.
+    ``scenario_toml``: the scenario as text; ``number``: how many; ``duration_max_s``: of a landing,
+    simulated.
     """
 
     def __init__(self, scenario_toml: str, number: int, duration_max_s: float) -> None:
@@ -186,8 +178,7 @@ class Workers:
     def fly(self, seeds: Iterable[int]) -> Iterator[Row]:
         """Yield the rows of these seeds as they come, in any order.
 
-        Raises:
-            WorkersError: workers end before they fly anything.
+        Raises WorkersError: workers end before they fly anything.
         """
         waiting = deque(seeds)
         while waiting or any(worker.seed is not None for worker in self._workers):

@@ -153,11 +153,7 @@ def drive(motion: Cell[MotionRecord], dt_s: float, driving: bool) -> None:
 def drive_on(motion: Cell[MotionRecord], dt_s: float, driving: bool, pads: F64) -> None:
     """``drive`` once for each row, which is filled with the numbers of the pad's motion after it.
 
-    Args:
-        motion: changed in place.
-        dt_s: of each step.
-        driving: or braking, in all of them.
-        pads: (n, 12), filled.
+    ``dt_s``: of each step; ``driving``: or braking, in all of them; ``pads``: (n, 12), filled.
     """
     pad = motion[0].pad
     for row in pads:
@@ -174,11 +170,9 @@ class TargetModel:
     ``time_s``, and so are the numbers of ``pad``; the body-frame twist holds until the next step. Heave
     goes on all the time, driving or not: it is the sea's.
 
-    Args:
-        spec: path, speeds, limits, pad.
-        seed: draws speed, turn rate and heading where the spec asks for it, the time until the first change
-            of stop-and-go and reversing, and the phase of the heave.
-        step_s: expected time between steps (used to choose the heave velocity of the first interval).
+    ``spec``: path, speeds, limits, pad; ``seed``: draws speed, turn rate and heading where the spec asks for
+    it, the time until the first change of stop-and-go and reversing, and the phase of the heave; ``step_s``:
+    expected time between steps (used to choose the heave velocity of the first interval).
     """
 
     def __init__(self, spec: TargetSpec, seed: int, *, step_s: float = 0.01) -> None:
@@ -233,10 +227,7 @@ class TargetModel:
 class TargetError:
     """What motion capture makes of the true state; one call a sample, in order.
 
-    Args:
-        spec: errors.
-        seed: of the run.
-        rate_hz: of the samples.
+    ``spec``: errors; ``rate_hz``: of the samples.
     """
 
     def __init__(self, spec: StateError, seed: int, rate_hz: float) -> None:
@@ -249,8 +240,7 @@ class TargetError:
     def apply(self, pad: Sequence[float]) -> tuple[Sequence[float], float, Sequence[float]]:
         """Position (ENU, m), heading (rad) and velocity in the body frame (m/s) as measured.
 
-        Args:
-            pad: true motion, numbers of a PadRecord.
+        ``pad``: true motion, numbers of a PadRecord.
         """
         if not len(self._left):
             self._left = self._rows.take(BLOCK)
@@ -294,11 +284,8 @@ class TargetOdometry:
     def run(self, pads: F64) -> tuple[list[int], F64]:
         """The same for several steps.
 
-        Args:
-            pads: (n, 12) true motion after each step, numbers of a PadRecord.
-
-        Returns:
-            Index of the step in which each sample arrived; and (m, 9) the numbers of a TargetMeasurement.
+        ``pads``: (n, 12) true motion after each step, numbers of a PadRecord.
+        Returns index of the step in which each sample arrived; and (m, 9) the numbers of a TargetMeasurement.
         """
         values = pads[:, _MEASURED]
 

@@ -30,12 +30,7 @@ SHAPE: Shape[TargetMeasurement] = Shape(_move, lambda first, now: first._replace
 class TargetFaults:
     """Schedule and effects; what was held back comes with a later sample or call.
 
-    Args:
-        faults: of the scenario; those of the vehicle are not for us.
-        seed: of the run.
-
-    Attributes:
-        locked: how many faults lock the robot's wheels.
+    ``faults``: those of the scenario; faults of the vehicle are ignored.
     """
 
     def __init__(self, faults: Iterable[Fault], seed: int) -> None:
@@ -43,7 +38,7 @@ class TargetFaults:
         self._schedule.add(fault for fault in faults if fault.of_the_robot)
         self._samples = SampleFaults(SHAPE)
         self._texts: list[FaultText] = []
-        self.locked = 0
+        self.locked = 0  # number of faults that lock the robot's wheels
 
     @property
     def waits_for_landing(self) -> bool:
@@ -82,26 +77,19 @@ class TargetFaults:
 
 
 class TargetMotion:
-    """Model and odometry on a grid of ticks.
-
-    Attributes:
-        tick: where it is.
-        model: true motion at that tick.
-        faults: of robot and odometry.
-        drives_at_once: whether it drives before the landing begins.
-        due: samples released since somebody took them.
-    """
+    """Model and odometry on a grid of ticks."""
 
     def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:
-        self.tick = 0
-        self.model = TargetModel(scenario.target, seed, step_s=grid.period_s)
-        self.faults = TargetFaults(scenario.fault, seed)
+        self.tick = 0  # current tick
+        self.model = TargetModel(scenario.target, seed, step_s=grid.period_s)  # true motion at that tick
+        self.faults = TargetFaults(scenario.fault, seed)  # faults of robot and odometry
+        # whether the robot drives before the landing begins
         self.drives_at_once = not scenario.target.wait_for_landing
         self._odometry = TargetOdometry(scenario.odometry, seed)
         # The odometry takes one sample a step at most.
         self._substeps = -(-round(scenario.odometry.rate_hz) // grid.rate_hz)
         self._step_s = grid.period_s / self._substeps
-        self.due = self._measure()
+        self.due = self._measure()  # samples released and not yet taken
 
     def step(self, driving: bool) -> None:
         """Go on to the next tick."""
@@ -115,9 +103,8 @@ class TargetMotion:
     def run(self, ticks: int, driving: bool) -> tuple[F64, list[int], F64]:
         """Go on by some ticks, in compiled calls while no fault is on.
 
-        Returns:
-            The pad's motion at each, (ticks, 12) numbers of a PadRecord; index of the tick at which each
-            sample was released; and (m, 9) the numbers of these. ``due`` is left empty.
+        Returns the pad's motion at each, (ticks, 12) numbers of a PadRecord; index of the tick at which each
+        sample was released; and (m, 9) the numbers of these. ``due`` is left empty.
         """
         steps = ticks * self._substeps
         if not self.due and self.faults.quiet_until(self.model.pad[0] + steps * round(self._step_s * NS)):

@@ -36,22 +36,9 @@ OnStep = Callable[[Tick, Outputs], None]
 class Companion:
     """The onboard process, called by the vehicle's loop whenever that waits for its answer.
 
-    Attributes:
-        name: of the vehicle, and its namespace: cf1 for system id 1.
-        controller: of the flight.
-        vehicle: the simulated vehicle.
-        ticks_max: after so many the flight is over, or never.
-        outputs: of the newest tick; None before the first one and after the last one.
-        stretch: flies many ticks at once; None where nobody may, or somebody is called after every step.
-        neighbours: what other vehicles have said since the last tick; whoever flies several puts it there.
-
-    Args:
-        scenario: everything that is not chance.
-        seed: chance.
-        on_step: called after every controller step.
-        system_id: MAVLink system id of the vehicle; its number in a team.
-        target_seed: chance of the robot; None: the same.
-        alone: no other vehicle is near: many ticks at once are allowed.
+    ``on_step``: called after every controller step; ``system_id``: MAVLink system id of the vehicle, its
+    number in a team; ``target_seed``: seed of the robot, None: ``seed``; ``alone``: no other vehicle is near,
+    so that many ticks at once are allowed.
     """
 
     def __init__(
@@ -60,7 +47,7 @@ class Companion:
     ) -> None:  # fmt: skip
         config = scenario.onboard
         rate_hz = config.loop.rate_hz
-        self.name = member_name(system_id)
+        self.name = member_name(system_id)  # name and namespace of the vehicle: cf1 for system id 1
         self.controller = with_compiled_program(Controller(config))
         self._on_step = on_step
         self._stop = Stop()
@@ -68,7 +55,7 @@ class Companion:
         grid = TickGrid(rate_hz)
         ticks_max = grid.count(scenario.duration_max_s + config.retreat.abort_time_max_s + 10.0)
         assert ticks_max is not None  # there is a duration
-        self.ticks_max = ticks_max
+        self.ticks_max = ticks_max  # most ticks of a flight
         target = DirectTarget(scenario, seed if target_seed is None else target_seed, grid)
         here, there = wires((system_id, COMPONENT_ID), (system_id, COMPANION_ID))
         self._link = VehicleLink(
@@ -81,10 +68,12 @@ class Companion:
             endpoint=there,
             power=config.reserve is not None,
         )
-        self.vehicle = vehicle = VehicleSim(scenario, seed)
+        self.vehicle = vehicle = VehicleSim(scenario, seed)  # the simulated vehicle
         trim = vehicle.trim_velocity_enu_m_s
         autopilot = Autopilot(vehicle, rate_hz, system_id=system_id, trim_enu_m_s=trim)
+        # outputs of the newest tick; None before the first and after the last
         self.outputs: Outputs | None = None
+        # messages of other vehicles since the last tick; set by ``land_team``
         self.neighbours: tuple[Neighbour, ...] = ()
         self._notes = Notes(config, scenario.target.pad_radius_m)
         node = VehicleNode(vehicle, autopilot, here, VehicleNotes(self._notes, self.name))
@@ -95,6 +84,7 @@ class Companion:
         linked = LinkedVehicle(self._link, lockstep=True)
         leaving = Leaving(scenario.duration_max_s)
         ticks = VehicleTicks(linked, rate_hz)
+        # batch of ticks; None where not possible, or with ``on_step``
         self.stretch = None
         if alone and on_step is None and suited(self.controller, node):
             self.stretch = Stretch(
@@ -121,8 +111,7 @@ class Companion:
     def tick(self, tick: int) -> None:
         """Fly one tick; when the flight is over the vehicle stays in the world.
 
-        Args:
-            tick: its number, the next one.
+        ``tick``: number of the next tick.
         """
         if self._stop.is_set:
             self._loop.coast(tick)
@@ -135,11 +124,7 @@ class Companion:
         return self._stop.is_set
 
     def seen(self) -> Seen:
-        """Return what a log of the flight would hold.
-
-        Raises:
-            RuntimeError: it did not come to its end.
-        """
+        """Return what a log of the flight would hold. Raises RuntimeError: it did not come to its end."""
         if not self._over:
             raise RuntimeError(f"the landing was not over after {self.ticks_max} ticks")
         return self._notes.seen()

@@ -40,11 +40,7 @@ class DeckDecoder:
         self._prefix = b""
 
     def decode(self, payload: bytes) -> DeckState:
-        """Decode a true pose.
-
-        Raises:
-            OdometryError: malformed, or a number is not finite.
-        """
+        """Decode a true pose. Raises OdometryError: malformed, or a number is not finite."""
         at = len(payload) - _DOUBLES_BYTES
         if not self._prefix or payload[_STRINGS_AT:at] != self._prefix:
             decode_odometry(payload)  # raises if anything is wrong
@@ -120,10 +116,7 @@ class RealTimeDeck:
     def follow(self, position_enu_m: Vec3, yaw_rad: float, now_s: float) -> DeckState | None:
         """What the deck, which is here now, should do next; None before the first pose.
 
-        Args:
-            position_enu_m: where the simulated deck is.
-            yaw_rad: its heading.
-            now_s: simulated time.
+        ``position_enu_m``: where the simulated deck is; ``yaw_rad``: its heading.
         """
         last = self._last
         if last is None:
@@ -136,11 +129,7 @@ class RealTimeDeck:
 def follow(last: DeckState, age_s: float, position_enu_m: Vec3, yaw_rad: float) -> DeckState:
     """State to give the deck so that it meets where the robot is now, without a jump if it is near.
 
-    Args:
-        last: the newest true pose.
-        age_s: its age.
-        position_enu_m: where the simulated deck is.
-        yaw_rad: its heading.
+    ``last``: the newest true pose; ``position_enu_m``: where the simulated deck is; ``yaw_rad``: its heading.
     """
     there = reckon(last, age_s)
     x, y, z = position_enu_m

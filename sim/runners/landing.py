@@ -37,23 +37,14 @@ Exchange = Callable[[int, Sequence[Outputs | None]], Sequence[tuple[Neighbour, .
 
 @dataclass(frozen=True)
 class Landing:
-    """What became of a vehicle.
+    """What became of a vehicle."""
 
-    Attributes:
-        seed: of all chance.
-        verdict: judged from the true states, as a flight log is.
-        seen: what a log of it would hold, as far as a verdict needs it.
-        simulated_s: length.
-        wall_s: time it took; of a team all of it.
-        retries: how often the landing was begun anew.
-    """
-
-    seed: int
-    verdict: Verdict
-    seen: Seen
-    simulated_s: float
-    wall_s: float
-    retries: int
+    seed: int  # seed of all chance
+    verdict: Verdict  # by the true states, as for a flight log
+    seen: Seen  # records of a log that a verdict needs
+    simulated_s: float  # length of the flight
+    wall_s: float  # wall time of the flight, of a team the whole
+    retries: int  # number of times that the landing started again
 
 
 @dataclass(frozen=True)
@@ -105,16 +96,9 @@ def land_team(
     A member whom no other comes near flies the same bits as ``land`` with its own scenario and seed
     (``TeamScenario.singles``).
 
-    Args:
-        team: everything that is not chance.
-        seed: chance.
-        exchange: what the companions send each other; None: their controllers' own messages, as late and as
-            lossy as the scenario says.
-        on_step: called after every controller step of a vehicle that is alone.
-
-    Raises:
-        ValueError: two vehicles begin inside each other.
-        RuntimeError: the simulation did not come to its end.
+    ``exchange``: messages between the companions; None: their controllers' own, as late and as lossy as the
+    scenario says; ``on_step``: called after every controller step of a vehicle that is alone. Raises
+    ValueError: two vehicles begin inside each other; RuntimeError: the simulation did not come to its end.
     """
     began_s = time.perf_counter()
     singles = list(team.singles(seed))

@@ -59,19 +59,12 @@ def _decks(pads: F64, decks: F64) -> None:
 
 
 class Ahead(NamedTuple):
-    """What the robot says at n ticks, the next ones.
+    """What the robot says at n ticks, the next ones."""
 
-    Attributes:
-        decks: (n, 8) position, heading, velocity and turn rate of the pad.
-        samples: (m, 9) time, position, velocity, heading and turn rate of the target.
-        come_before: how many of these have come before the first tick.
-        come: (n,) how many of these have come until each tick.
-    """
-
-    decks: F64
-    samples: F64
-    come_before: int
-    come: I64
+    decks: F64  # (n, 8) position, heading, velocity and turn rate of the pad
+    samples: F64  # (m, 9) time, position, velocity, heading and turn rate of the target
+    come_before: int  # how many of these have come before the first tick
+    come: I64  # (n,) how many of these have come until each tick
 
 
 class DirectTarget(LockstepDeck):

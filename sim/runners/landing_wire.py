@@ -37,9 +37,8 @@ def _plan(cls: Any) -> _Plan:
 def _rounding(floats: list[str], lengths: dict[str, int]) -> _Round:
     """Function that rounds attributes; written out, it takes half as long as a loop over names.
 
-    Args:
-        floats: names of those that have 32 bits.
-        lengths: of those that are arrays, by name; they arrive as lists.
+    ``floats``: names of those that have 32 bits; ``lengths``: of those that are arrays, by name; they arrive
+    as lists.
     """
     single = [name for name in floats if name not in lengths]
     wire = struct.Struct(f"<{len(single)}f")
@@ -61,18 +60,14 @@ _PLANS: dict[int, _Plan] = {id_: _plan(cls) for id_, cls in dialect.mavlink_map.
 
 
 class Inlet(Endpoint):
-    """One end of the wire, in place of a socket.
-
-    Attributes:
-        other: the end it sends to.
-        answer: called when somebody waits here: the other side's turn.
-    """
+    """One end of the wire, in place of a socket."""
 
     def __init__(self, system_id: int, component_id: int) -> None:
         self.tap = None
         self.counters = EndpointCounters()
         self.warnings = ()
-        self.other: Inlet = self
+        self.other: Inlet = self  # receiving end
+        # called when this end waits: the other side runs
         self.answer: Callable[[], None] | None = None
         self._ids = (system_id, component_id)
         self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=component_id)

@@ -43,14 +43,8 @@ class Left(Protocol):
 class LockstepLoop:
     """Runs ticks until the end.
 
-    Args:
-        node: the vehicle.
-        deck: true poses of its robot; None: it stands.
-        grid: of the ticks.
-        stop: ends the process.
-        radio_s: delay of set-points on their way to the vehicle.
-        left: whether the companion has left; None: it stays until ``stop``, and so it is one of many vehicles
-            that do not wait for each other where one has no companion.
+    ``deck``: true poses of the robot; None: it stands; ``radio_s``: delay of set-points to the vehicle;
+    ``left``: whether the companion of one of several vehicles has left; None: it stays until ``stop``.
     """
 
     def __init__(
@@ -94,11 +88,8 @@ class LockstepLoop:
     def run(self, ticks: int | None) -> None:
         """Simulate.
 
-        Args:
-            ticks: how many; None for no end.
-
-        Raises:
-            NoAnswerError: companion or target never came.
+        ``ticks``: number of ticks; None: no end.
+        Raises NoAnswerError: companion or target never came.
         """
         self.begin()
         tick = 0
@@ -110,8 +101,7 @@ class LockstepLoop:
     def begin(self) -> None:
         """Wait until somebody can be sent to, and the deck's first pose is there: tick 0 must be whole.
 
-        Raises:
-            NoAnswerError: companion or target never came.
+        Raises NoAnswerError: companion or target never came.
         """
         endpoint, deck = self._node.endpoint, self._deck
 
@@ -134,11 +124,8 @@ class LockstepLoop:
     def tick(self, tick: int) -> None:
         """Simulate one tick, which must be the next one.
 
-        Args:
-            tick: its number.
-
-        Raises:
-            NoAnswerError: the companion never came.
+        ``tick``: its number.
+        Raises NoAnswerError: the companion never came.
         """
         self.ask(tick)
         self.act(tick)
@@ -146,8 +133,7 @@ class LockstepLoop:
     def ask(self, tick: int) -> None:
         """Begin a tick: send what is due, ask the companion, and simulate what does not wait for its answer.
 
-        Args:
-            tick: its number, the next one.
+        ``tick``: number of the next tick.
         """
         node, grid = self._node, self._grid
         now_ns = grid.ns(tick)
@@ -168,12 +154,9 @@ class LockstepLoop:
     def act(self, tick: int, silence: Silence | None = None) -> None:
         """End a tick: await the companion's answer, act on it, and simulate the rest.
 
-        Args:
-            tick: its number, that of ``ask``.
-            silence: of all companions of several vehicles in this tick; None: this one's alone.
-
-        Raises:
-            NoAnswerError: the companion never came.
+        ``tick``: its number, that of ``ask``; ``silence``: that of the companions of all vehicles in
+        this tick; None: of this one.
+        Raises NoAnswerError: the companion never came.
         """
         node, grid = self._node, self._grid
         now_ns = grid.ns(tick)
@@ -187,8 +170,7 @@ class LockstepLoop:
 
         Nothing is sent or written, for the flight is over; its autopilot still sees to the vehicle.
 
-        Args:
-            tick: its number, the next one.
+        ``tick``: number of the next tick.
         """
         node, grid = self._node, self._grid
         now_ns = grid.ns(tick)

@@ -23,12 +23,7 @@ from sim.runners.words import MemberWords, Words
 class LockstepMember:
     """A member with its loop, its words, and credit for its robot when no onboard process gives any.
 
-    Args:
-        member: the vehicle.
-        session: on which robots and onboard processes are.
-        grid: of the ticks.
-        stop: ends the process.
-        radio_s: delay of set-points on their way to the vehicle.
+    ``session``: connects robots and onboard processes; ``radio_s``: delay of set-points to the vehicle.
     """
 
     def __init__(
@@ -66,12 +61,7 @@ class LockstepMember:
 class TeamLockstep:
     """Runs ticks until the flights of all are over.
 
-    Args:
-        members: all of them, the one with system id 1 first.
-        room: in which they are.
-        words: passes on what they tell.
-        stop: ends the process.
-        epoch_ns: Unix time of tick 0.
+    ``words``: passes their messages on; ``epoch_ns``: Unix time of tick 0.
     """
 
     def __init__(
@@ -83,11 +73,8 @@ class TeamLockstep:
     def run(self, ticks: int | None) -> None:
         """Simulate.
 
-        Args:
-            ticks: how many; None for no end.
-
-        Raises:
-            NoAnswerError: a companion or a target never came.
+        ``ticks``: number of ticks; None: no end.
+        Raises NoAnswerError: a companion or a target never came.
         """
         for member in self._members:
             member.words.await_listener(self._stop)

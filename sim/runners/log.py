@@ -46,11 +46,7 @@ class EventLog:
 
     @classmethod
     def connect(cls, path: str | Path | None, name: str, epoch_ns: int, *, lossless: bool) -> EventLog:
-        """Connect to the recorder, if there is one.
-
-        Raises:
-            FeedError: nobody listens there.
-        """
+        """Connect to the recorder, if there is one. Raises FeedError: nobody listens there."""
         return cls(Feed.connect(path, name, lossless=lossless), name, epoch_ns)
 
     def event(self, now_ns: int, level: int, text: str) -> None:

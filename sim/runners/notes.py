@@ -36,19 +36,12 @@ _SHARED = tuple(f.name for f in fields(Truth) if f.type == "Floats" and f.name i
 
 @dataclass(frozen=True)
 class SeenSteps:
-    """Controller steps, n of them.
+    """Controller steps, n of them."""
 
-    Attributes:
-        t_s: (n,) time.
-        phase: (n,) ``Phase``.
-        own_age_s: (n,) age of the own state, NaN without one.
-        target_age_s: (n,) age of the target's, NaN without one.
-    """
-
-    t_s: Floats
-    phase: Ints
-    own_age_s: Floats
-    target_age_s: Floats
+    t_s: Floats  # (n,) time
+    phase: Ints  # (n,) ``Phase``
+    own_age_s: Floats  # (n,) age of the own state, NaN without one
+    target_age_s: Floats  # (n,) age of the target's, NaN without one
 
 
 @dataclass(frozen=True)
@@ -101,12 +94,8 @@ class Notes:
     ) -> None:
         """Note the controller steps and true states of consecutive ticks, with an own state of each.
 
-        Args:
-            first: number of the first tick.
-            times_ns: of all, n of them.
-            phase: in all.
-            ages_s: (n,) of the target's state.
-            truths: (n, 41) numbers of the true states.
+        ``first``: number of the first tick; ``times_ns``: of all, n of them; ``phase``: in all; ``ages_s``:
+        (n,) of the target's state; ``truths``: (n, 41) numbers of the true states.
         """
         number = int(phase)
         self._steps += [(t, number, 0.0, age_s) for t, age_s in zip(times_ns, ages_s.tolist(), strict=True)]

@@ -47,46 +47,29 @@ class Followed(Protocol):
 
 @dataclass(slots=True)
 class Pair:
-    """How near two members came.
+    """How near two members came."""
 
-    Attributes:
-        one: number of the one, from 1.
-        other: number of the other, a higher one.
-        distance_min_m: smallest distance of their centres of mass at any time.
-        flying_distance_min_m: the same while both flew; infinite if they never did at once.
-        ellipsoid_min: smallest distance in the ellipsoid's measure while both flew; below 1: inside.
-        violations: number of times that they came inside.
-        inside_ms: length of the ticks in which they were inside.
-        collided_ms: when their shapes overlapped first; None: never.
-    """
-
-    one: int
-    other: int
-    distance_min_m: float = math.inf
-    flying_distance_min_m: float = math.inf
+    one: int  # number of the first vehicle, from 1
+    other: int  # number of the second, a higher one
+    distance_min_m: float = math.inf  # smallest distance of their centres of mass at any time
+    flying_distance_min_m: float = math.inf  # the same while both flew; infinite if they never did at once
+    # smallest distance in the ellipsoid's measure while both flew; below 1: inside
     ellipsoid_min: float = math.inf
-    violations: int = 0
-    inside_ms: int = 0
-    collided_ms: int | None = None
+    violations: int = 0  # number of times that they came inside
+    inside_ms: int = 0  # length of the ticks in which they were inside
+    collided_ms: int | None = None  # when their shapes overlapped first; None: never
 
 
 class Pairs:
     """Follows all pairs; who collides breaks its propellers at the end of that tick.
 
-    Attributes:
-        all: the pairs, (1, 2) first; their least distances are there after ``found``.
-
-    Args:
-        members: of the team.
-        grid: of their ticks.
-
-    Raises:
-        ValueError: two vehicles begin inside each other.
+    Raises ValueError: two vehicles begin inside each other.
     """
 
     def __init__(self, members: Sequence[Followed], grid: TickGrid) -> None:
         self._members, self._grid = members, grid
         shapes = [Shape.of(member.vehicle.physics.params) for member in members]
+        # the pairs, (1, 2) first; their least distances are there after ``found``
         self.all = [Pair(i, j) for i, j in combinations(range(1, len(members) + 1), 2)]
         self._team, self._inside = Team(shapes), [False] * len(self.all)
         self._before, self._flew = self._states(), self._flying()
@@ -98,11 +81,7 @@ class Pairs:
             )
 
     def end(self, tick: int) -> None:
-        """Judge a tick that all have flown, since the end of the last one.
-
-        Args:
-            tick: its number.
-        """
+        """Judge a tick that all have flown, since the end of the last one. ``tick``: its number."""
         if not self.all:
             return
         grid, before, flew = self._grid, self._before, self._flew
@@ -178,13 +157,7 @@ class Room:
 
     What one has of the others is of the tick before.
 
-    Args:
-        members: all of them, by their numbers.
-        grid: of the ticks.
-        feed: to the recorder.
-
-    Raises:
-        ValueError: two vehicles begin inside each other.
+    Raises ValueError: two vehicles begin inside each other.
     """
 
     def __init__(self, members: Sequence[Member], grid: TickGrid, feed: Feed) -> None:
@@ -201,9 +174,7 @@ class Room:
     def end(self, tick: int, epoch_ns: int) -> None:
         """Judge a tick that all have flown; write about ten times a second.
 
-        Args:
-            tick: its number.
-            epoch_ns: Unix time of tick 0.
+        ``tick``: its number; ``epoch_ns``: Unix time of tick 0.
         """
         self._pairs.end(tick)
         if (tick + 1) % self._every == 0:

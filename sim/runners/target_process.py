@@ -57,12 +57,7 @@ NODE = "flightstack_target"  # name of the ROS 2 node
 
 
 class Robot:
-    """Model, odometry and publishers; the same in lockstep and in real time.
-
-    Attributes:
-        namespace: first part of its keys.
-        driving: whether it has set off.
-    """
+    """Model, odometry and publishers; the same in lockstep and in real time."""
 
     def __init__(
         self,
@@ -74,12 +69,12 @@ class Robot:
         *,
         lossless: bool,
     ) -> None:
-        self.namespace, self.grid = namespace, TickGrid(rate_hz)
+        self.namespace, self.grid = namespace, TickGrid(rate_hz)  # first part of its keys
         self.epoch_ns = EPOCH_NS  # Unix time of tick 0
         self.samples = 0
         self._motion = TargetMotion(scenario, seed, self.grid)
         self.faults = self._motion.faults
-        self.driving = self._motion.drives_at_once
+        self.driving = self._motion.drives_at_once  # whether the robot drives
         key = f"{namespace}/sim/target/truth"
         self.truth = OdometryPublisher(session, key, child_frame_id="target", lossless=lossless)
         key = f"{namespace}/target/odom"
@@ -98,8 +93,7 @@ class Robot:
     def publish(self, sent_ns: int) -> None:
         """Publish the true state of this tick, and the samples released since the last.
 
-        Args:
-            sent_ns: time of sending, Unix time or simulated.
+        ``sent_ns``: time of sending, Unix time or simulated.
         """
         model = self._motion.model
         stamp_ns = self.epoch_ns + self.grid.ns(self.tick)
@@ -155,13 +149,7 @@ class Credit:
 
 
 class LockstepRobot:
-    """A robot with its reader's credit.
-
-    Args:
-        robot: the robot.
-        log: of its events.
-        session: on which it publishes.
-    """
+    """A robot with its reader's credit. ``log``: of its events; ``session``: on which it publishes."""
 
     def __init__(self, robot: Robot, log: EventLog, session: zenoh_link.Session) -> None:
         self.robot, self._log = robot, log
@@ -209,10 +197,7 @@ class LockstepRobot:
 class RealTimeRobot:
     """A robot that sees in the controller's steps when the landing begins.
 
-    Args:
-        robot: the robot.
-        log: of its events.
-        session: on which it publishes.
+    ``log``: of its events; ``session``: on which it publishes.
     """
 
     def __init__(self, robot: Robot, log: EventLog, session: zenoh_link.Session) -> None:
@@ -260,8 +245,7 @@ def phase_of(payload: bytes) -> int | None:
 def target_main(team: TeamScenario, options: TargetOptions) -> int:
     """Run the robots until SIGTERM, SIGINT or ``duration_s``; prints ``ready`` when they can be reached.
 
-    Returns:
-        Exit status: 0 in order, 1 when something it needs did not come, 2 for wrong input.
+    Returns exit status: 0 in order, 1 when something it needs did not come, 2 for wrong input.
     """
     lockstep = options.lockstep
     stop = Stop()
@@ -332,11 +316,7 @@ class _Lockstep:
         print("ready", flush=True)
 
     def run(self, ticks: int | None) -> None:
-        """Drive until the end.
-
-        Raises:
-            NoAnswerError: no subscribers, or no credit.
-        """
+        """Drive until the end. Raises NoAnswerError: no subscribers, or no credit."""
         robots = self._robots
         self._await_subscribers()
         quiet_garbage_collector()

@@ -28,19 +28,14 @@ _HEADER_BYTES = 10  # of a MAVLink 2 frame
 
 
 class Held(Generic[T]):
-    """What waits for its time, or for the end of a stall.
-
-    Attributes:
-        size: items that wait.
-        overflows: items lost because too many waited.
-    """
+    """What waits for its time, or for the end of a stall."""
 
     def __init__(self) -> None:
         self._timed: list[tuple[int, int, T]] = []
         self._stalled: dict[Running, list[T]] = {}
         self._count = 0
-        self.size = 0
-        self.overflows = 0
+        self.size = 0  # number of waiting items
+        self.overflows = 0  # items dropped because too many waited
 
     def hold(self, item: T, due_ns: int, stall: Running | None) -> None:
         """Keep an item until ``due_ns``, or until the stall is over."""
@@ -86,10 +81,7 @@ class Wire:
     def send(self, messages: Sequence[Message], peers: Sequence[Peer], now_ns: int) -> None:
         """Send what is due of these messages and of earlier ones, each in a datagram of its own.
 
-        Args:
-            messages: may be changed.
-            peers: whom to.
-            now_ns: simulated time.
+        ``messages`` may be changed.
         """
         for frame in self._leaving.due(now_ns):
             self._ship(frame)
@@ -137,17 +129,13 @@ def _untold(armed: bool) -> None:
 
 @dataclass(slots=True)
 class VehicleNode:
-    """One simulated vehicle on the wire.
-
-    Attributes:
-        tell: called when the vehicle has been armed or disarmed.
-    """
+    """One simulated vehicle on the wire."""
 
     vehicle: VehicleSim
     autopilot: Autopilot
     endpoint: Endpoint
     log: VehicleLog
-    tell: Callable[[bool], None] = _untold
+    tell: Callable[[bool], None] = _untold  # called when the vehicle has been armed or disarmed
     wire: Wire = field(init=False)
     _armed: bool = field(default=False, init=False)
     _judged: bool = field(default=False, init=False)

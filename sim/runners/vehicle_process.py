@@ -50,10 +50,7 @@ _PAUSE_S = 0.1  # s between two looks at the signals when all flights are over
 class RealTimeVehicle:
     """One vehicle: acts on what comes when it comes, and sends at its ticks.
 
-    Args:
-        node: the vehicle.
-        deck: true poses of its robot; None: it stands.
-        grid: of the ticks.
+    ``deck``: true poses of the robot; None: it stands.
     """
 
     def __init__(self, node: VehicleNode, deck: RealTimeDeck | None, grid: TickGrid) -> None:
@@ -115,11 +112,8 @@ class RealTimeVehicle:
 class RealTimeLoop:
     """Runs ticks until the end.
 
-    Args:
-        vehicles: at least one.
-        grid: of the ticks.
-        stop: ends the process.
-        room: what happens between the vehicles.
+    ``vehicles``: at least one; ``grid``: of the ticks; ``stop``: ends the process; ``room``: what happens
+    between the vehicles.
     """
 
     def __init__(self, vehicles: Sequence[RealTimeVehicle], grid: TickGrid, stop: Stop, room: Room) -> None:
@@ -127,11 +121,7 @@ class RealTimeLoop:
         self._start_s, self._epoch_ns = 0.0, 0
 
     def run(self, ticks: int | None) -> None:
-        """Simulate.
-
-        Args:
-            ticks: how many; None for no end.
-        """
+        """Simulate. ``ticks``: number of ticks; None: no end."""
         vehicles, grid, room = self._vehicles, self._grid, self._room
         run_promptly()  # a vehicle is nobody's ordinary process: its physics wait for no other program
         self._start_s = time.monotonic()
@@ -184,13 +174,9 @@ def vehicle_main(team: TeamScenario, options: VehicleOptions) -> int:
 
     Prints ``armed`` and ``disarmed``, too, whenever that changes; of several vehicles with the name.
 
-    Args:
-        team: everything that is not chance.
-        options: a port that is not 0 is that of cf1, and the others follow; system id and namespace are those
-            of a vehicle that is alone, members of a team have their own.
-
-    Returns:
-        Exit status: 0 in order, 1 when something it needs did not come, 2 for wrong input.
+    ``team``: everything that is not chance; ``options``: a port that is not 0 is that of cf1, and the others
+    follow; system id and namespace are those of a vehicle that is alone, members of a team have their own.
+    Returns exit status: 0 in order, 1 when something it needs did not come, 2 for wrong input.
     """
     stop = Stop()
     try:
@@ -269,15 +255,10 @@ def _here(team: TeamScenario, options: VehicleOptions) -> list[tuple[int, int, S
 def opened(options: VehicleOptions, number: int, system_id: int, stack: ExitStack) -> tuple[Endpoint, str]:
     """Open the MAVLink endpoint of a vehicle; returns it, and the URL with the port that it has.
 
-    Args:
-        options: its URL is that of the first vehicle.
-        number: of the vehicle, from 1.
-        system_id: of the vehicle.
-        stack: closes it.
-
-    Raises:
-        ValueError: options that exclude each other, or an URL that is not understood.
-        OSError: the address cannot be bound.
+    ``options``: its URL is that of the first vehicle; ``number``: of the vehicle, from 1; ``stack``: closes
+    it.
+    Raises ValueError: options that exclude each other, or an URL that is not understood; OSError: the address
+    cannot be bound.
     """
     kind, host, port = parse_udp_url(options.url, "the simulated vehicle")
     port += number - 1 if port else 0

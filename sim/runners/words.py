@@ -34,12 +34,7 @@ _MATCH_PAUSE_S = 0.002  # s between two looks for subscribers
 
 
 class Words:
-    """Passes words on, as ``TeamScenario.exchange`` has it.
-
-    Args:
-        team: number of members, ticks, delay and loss.
-        seed: of the team.
-    """
+    """Passes words on, as ``TeamScenario.exchange`` has it."""
 
     def __init__(self, team: TeamScenario, seed: int) -> None:
         link, rate_hz = team.exchange, team.rate_hz
@@ -59,9 +54,7 @@ class Words:
     def __call__(self, tick: int, outputs: Sequence[Outputs | None]) -> list[tuple[Neighbour, ...]]:
         """Take the outputs of a tick; return the words that each member hears with the next one.
 
-        Args:
-            tick: number of the tick that all have flown.
-            outputs: of all controllers; None where the flight is over.
+        ``outputs``: those of all controllers at this tick; None where the flight is over.
         """
         arrive_s = self._grid.ns(tick + self._ticks) / NS_PER_S
         told = [None if each is None else each.own_word for each in outputs]
@@ -71,9 +64,7 @@ class Words:
     def pass_on(self, tick: int, told: Sequence[T | None]) -> list[list[T]]:
         """Take what is told at a tick, in any form; return what each member hears with the next one.
 
-        Args:
-            tick: its number.
-            told: by each member; None: nothing.
+        ``told``: message of each member; None: none.
         """
         self._under_way.append(
             [
@@ -109,15 +100,10 @@ class _Way:
 
 
 class MemberWords:
-    """What one member tells, and what it hears.
-
-    Attributes:
-        namespace: of the member.
-        tick: at which the vehicles are.
-    """
+    """Messages that one member sends and receives."""
 
     def __init__(self, session: zenoh_link.Session, namespace: str) -> None:
-        self.namespace, self.tick = namespace, 0
+        self.namespace, self.tick = namespace, 0  # namespace: of the member; tick: at which the vehicles are
         self._told = zenoh_link.fifo_subscriber(session, f"{namespace}/{TOLD}")
         self._heard = zenoh_link.blocking_publisher(session, f"{namespace}/{HEARD}")
         self._tick, self._payload = -1, _NOTHING
@@ -135,9 +121,7 @@ class MemberWords:
 
         One that answers its vehicle and tells nothing is waited for once.
 
-        Args:
-            silence: of all members in this tick.
-            stop: ends the process.
+        ``silence``: that of all members in this tick.
         """
         looks = 0
         while not self._told_now() and not self._silent and not stop.is_set:
@@ -154,8 +138,7 @@ class MemberWords:
     def await_listener(self, stop: Stop) -> None:
         """Wait until the member hears: what is put before is lost, and would never come again.
 
-        Raises:
-            NoAnswerError: it does not.
+        Raises NoAnswerError: it does not.
         """
 
         def matched() -> bool:

@@ -30,8 +30,8 @@ ALLOWED_AFTER: dict[bool, tuple[After, ...]] = {
 class Fault:
     """What fails, how, from when to when; the numbers that may be given depend on what and how.
 
-    Raises:
-        ConfigError: a combination that does not exist, a number that is missing, not taken or out of range.
+    Raises ConfigError: a combination that does not exist, a number that is missing, not taken or out of
+    range.
     """
 
     what: What

@@ -233,8 +233,7 @@ class Scenario:
     def with_filter(self, name: str) -> Scenario:
         """Return the same scenario flown with another safety filter.
 
-        Raises:
-            ConfigError: no name of a filter, or the filter refuses the configuration.
+        Raises ConfigError: no name of a filter, or the filter refuses the configuration.
         """
         return replace(self, onboard=replace(self.onboard, filter=name))
 
@@ -246,8 +245,7 @@ names, path_of = _FILES.names, _FILES.path_of
 def table(name_or_file: str | Path) -> dict[str, Any]:
     """Parse a scenario's file, not checked yet; what it leaves out is that of its base.
 
-    Raises:
-        ConfigError: no such file, or not TOML.
+    Raises ConfigError: no such file, or not TOML.
     """
     return _FILES.table(path_of(name_or_file))
 
@@ -264,9 +262,7 @@ def load(name_or_file: str | Path) -> Scenario:
 def in_place(scenario: Scenario, beside: Path) -> Scenario:
     """The same with its filter found and the full paths of its tapes.
 
-    Args:
-        scenario: as read.
-        beside: folder of its file, where tapes may be.
+    ``scenario``: as read; ``beside``: folder of its file, where tapes may be.
     """
     look_here(scenario.onboard.filter)
     vehicle, odometry = scenario.vehicle, scenario.odometry

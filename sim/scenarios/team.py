@@ -89,8 +89,7 @@ class TeamScenario:
     def _check_target(self) -> None:
         """Refuse a robot of all members that is not the same for each of them, at each time.
 
-        Raises:
-            ConfigError: which key, and what is allowed.
+        Raises ConfigError: which key, and what is allowed.
         """
         first = self.member[0]
         for number, each in enumerate(self.member, 1):
@@ -122,8 +121,7 @@ class TeamScenario:
     def with_filter(self, name: str) -> TeamScenario:
         """Return the same team, all members with another safety filter.
 
-        Raises:
-            ConfigError: no name of a filter, or the filter refuses the configuration.
+        Raises ConfigError: no name of a filter, or the filter refuses the configuration.
         """
         return replace(self, member=tuple(each.with_filter(name) for each in self.member))
 
@@ -143,11 +141,7 @@ class TeamScenario:
         return min((_apart_m(*two) for two in combinations(lines, 2)), default=math.inf)
 
     def target_seed(self, seed: int) -> int | None:
-        """Seed of the one robot of all members, that of the first one; None: each robot has its member's.
-
-        Args:
-            seed: of the team.
-        """
+        """Seed of the one robot of all members, that of the first one; None: each robot has its member's."""
         return seed_of(seed, 1) if self.one_target else None
 
     def singles(self, seed: int) -> Iterator[tuple[Scenario, int]]:
@@ -155,9 +149,6 @@ class TeamScenario:
 
         A room has one mean wind; its direction is drawn from the team's seed where a member gives none.
         Gusts are each member's own.
-
-        Args:
-            seed: of the team.
         """
         if self.is_alone:
             yield self.member[0], seed
@@ -171,12 +162,8 @@ class TeamScenario:
     def one(self, seed: int, number: int | None) -> tuple[Scenario, int]:
         """Scenario and seed of one vehicle.
 
-        Args:
-            seed: of the team.
-            number: of the vehicle; None: there is only one.
-
-        Raises:
-            ConfigError: with what was found and what is allowed.
+        ``seed``: of the team; ``number``: of the vehicle; None: there is only one.
+        Raises ConfigError, with found and allowed value.
         """
         members = list(self.singles(seed))
         if self.is_alone and number is not None:
@@ -199,8 +186,7 @@ def alone(scenario: Scenario) -> TeamScenario:
 def path_of(name_or_file: str | Path) -> Path:
     """File of a scenario, of one vehicle or of several, by name or path.
 
-    Raises:
-        ConfigError: neither a known name nor a file.
+    Raises ConfigError: neither a known name nor a file.
     """
     if name_or_file in names():
         return _FILES.path_of(name_or_file)
@@ -213,8 +199,7 @@ def path_of(name_or_file: str | Path) -> Path:
 def load(name_or_file: str | Path) -> TeamScenario:
     """Load a scenario by name or path; that of one vehicle is a team of one.
 
-    Raises:
-        ConfigError: with file, key, what was found and what is allowed.
+    Raises ConfigError, with file, key, found and allowed value.
     """
     path = path_of(name_or_file)
     table = read_toml(path)
@@ -231,8 +216,7 @@ def load(name_or_file: str | Path) -> TeamScenario:
 def from_text(toml: str) -> TeamScenario:
     """Scenario from text in which nothing is left to a base.
 
-    Raises:
-        ConfigError: with key, what was found and what is allowed.
+    Raises ConfigError, with key, found and allowed value.
     """
     table = parse_toml(toml.encode())
     return _team(Path(), table) if "member" in table else alone(from_table(Scenario, table))
@@ -254,8 +238,7 @@ def assigned(team: TeamScenario) -> TeamScenario:
 
     Each vehicle keeps its start; robot and odometry of another member's tables become its own.
 
-    Raises:
-        ConfigError: a start or a pad has no place before chance is drawn.
+    Raises ConfigError: a start or a pad has no place before chance is drawn.
     """
     if team.assignment is Assignment.FIXED:
         return team

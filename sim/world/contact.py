@@ -22,12 +22,7 @@ PAD, GROUND, ROBOT, PAD_EDGE = (
 
 @jitted
 def touched(sensors: Doubles, pad_m: float) -> int:
-    """Contact bits.
-
-    Args:
-        sensors: readings, see ``SENSORS``.
-        pad_m: height of the pad's top.
-    """
+    """Contact bits. ``sensors``: readings, see ``SENSORS``; ``pad_m``: height of the pad's top."""
     bits = GROUND if sensors[0] > 0.0 else 0
     if sensors[1] > 0.0:
         bits |= ROBOT

@@ -99,11 +99,8 @@ def _turned(q: F64, yaw: float) -> tuple[float, float, float, float]:
 def look(r: RestRecord, body: BodyRecord, deck: DeckRecord, on_pad: bool) -> None:
     """Take note of a step at its end, with the deck moved on.
 
-    Args:
-        r: changed in place.
-        body: the vehicle.
-        deck: the deck.
-        on_pad: whether the vehicle touched the top of the pad, and nothing else, in that step.
+    ``body``: the vehicle; ``on_pad``: whether the vehicle touched the top of the pad, and nothing else, in
+    that step.
     """
     q = body.quaternion
     x, y = body.position[0] - deck.position[0], body.position[1] - deck.position[1]

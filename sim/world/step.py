@@ -64,10 +64,7 @@ class WorldRecord(Record):
 def apart(reach: ReachRecord, body: BodyRecord, deck: DeckRecord) -> bool:
     """Return whether vehicle and floor, and vehicle and robot, cannot touch; False for NaN.
 
-    Args:
-        reach: bounds.
-        body: the vehicle's.
-        deck: the pad's.
+    ``reach``: bounds; ``body``: the vehicle's; ``deck``: the pad's.
     """
     p, d, below = body.position, deck.position, reach.vehicle
     x, y, z = p[0] - d[0], p[1] - d[1], p[2] - d[2]

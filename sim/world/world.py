@@ -29,9 +29,7 @@ _LIBRARIES = ("libmujoco*.so*", "libmujoco*.dylib", "mujoco.dll")  # Linux, macO
 def mujoco_function(name: str) -> int:
     """Address of a function of MuJoCo's C library, which its Python package has loaded.
 
-    Raises:
-        OSError: the package holds no such library.
-        AttributeError: the library has no such function.
+    Raises OSError: the package holds no such library; AttributeError: the library has no such function.
     """
     folder = Path(mujoco.__file__).parent
     found = sorted(each for kind in _LIBRARIES for each in folder.glob(kind))
@@ -72,14 +70,8 @@ def _step(world: Cell[WorldRecord]) -> None:
 class World:
     """The vehicle's rigid body and the deck.
 
-    Attributes:
-        record: their state.
-
-    Args:
-        params: geometry and contact.
-        mass_kg: true mass; the inertia scales with it.
-        target: pad and robot shapes.
-        record: where to keep everything; None for a place of its own.
+    ``params``: geometry and contact; ``mass_kg``: true mass; the inertia scales with it; ``target``: pad and
+    robot shapes; ``record``: where to keep everything; None for a place of its own.
     """
 
     def __init__(
@@ -87,7 +79,7 @@ class World:
     ) -> None:
         self._model = model = mujoco.MjModel.from_xml_string(model_xml(params, mass_kg, target))
         self._data = data = mujoco.MjData(model)
-        self.record = r = new(WorldRecord) if record is None else record
+        self.record = r = new(WorldRecord) if record is None else record  # their state
         measure_reach(model, r.reach)
         r.wrench.mass, r.wrench.inertia[:] = mass_kg, model.body("vehicle").inertia
         set_up_rest(r.rest, params, target.pad_radius_m)
@@ -121,12 +113,8 @@ class World:
     def step(self, force: Vec3, torque: Vec3) -> int:
         """Do one step.
 
-        Args:
-            force: on the centre of mass, weight included, world frame, N.
-            torque: body frame, N m.
-
-        Returns:
-            Contact bits of the state the step began with, and whether it is tumbled now.
+        ``force``: on the centre of mass, weight included, world frame, N; ``torque``: body frame, N m.
+        Returns contact bits of the state the step began with, and whether it is tumbled now.
         """
         wrench = self.record.wrench
         wrench.force[:], wrench.torque[:] = force, torque
