@@ -1,8 +1,8 @@
-"""Arming and motors-off with the firmware's supervisor: asked, repeated while unanswered, and given up.
+"""Arming and motors-off requests to the firmware's supervisor: repeated until answered, then given up.
 
 Motors off is three packets: a stop set-point, the notice that no more set-points come, without which the
 supervisor locks two seconds later (firmware supervisor.c), and a disarming request, which it obeys in flight
-too. What a forced disarm does not show at once becomes an emergency stop, which latches until a restart.
+too. A forced disarm that has no effect becomes an emergency stop, which latches until a restart.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from bridge.crazyflie.types import ArmReply, CrazyflieState, Info, Order, Packet
 
 REPEAT_S = 0.05  # s between two of the same; two packets of state
 ARM_MAX_S = 0.6  # s until an unanswered arming request has failed
-KILL_UNSEEN_S = 0.2  # s until a forced disarm that is not seen becomes an emergency stop
-OFF_MAX_S = 1.0  # s; no longer is anything repeated
-NOTICES = 6  # how often the notice is sent again once the motors are off, in case one gets lost
+KILL_UNSEEN_S = 0.2  # s until a forced disarm without effect becomes an emergency stop
+OFF_MAX_S = 1.0  # s, longest time that motors-off is repeated
+NOTICES = 6  # repeats of the notice once the motors are off, in case one gets lost
 REFUSED = "the supervisor refused"
 _OFF = (Order.STOP, Order.NOTIFY_STOP, Order.DISARM)
 
@@ -29,14 +29,10 @@ class _Asked:
 
 
 class Arming:
-    """What was asked of the supervisor and has not been seen yet.
-
-    Attributes:
-        armed: somebody armed it through this bridge, and the firmware has shown it since.
-    """
+    """Requests to the supervisor whose effect has not been observed yet."""
 
     def __init__(self) -> None:
-        self.armed = False
+        self.armed = False  # by a client of this bridge, confirmed by the firmware
         self._arm: _Asked | None = None
         self._off: _Asked | None = None
         self._latched = False
@@ -54,7 +50,7 @@ class Arming:
         return self._arm is not None or self._off is not None or self._notices > 0
 
     def ask(self, state: CrazyflieState, now_s: float) -> list[Packet]:
-        """Begin arming; one that arms itself needs no packet."""
+        """Begin arming; firmware that arms itself needs no packet."""
         self._off, self._notices = None, 0
         if state.info & Info.ARMED:
             self.armed = True
@@ -65,7 +61,7 @@ class Arming:
     def reply(self, reply: ArmReply) -> str | None:
         """Take the supervisor's answer; the reason when it refused.
 
-        One that arms itself refuses while it arms itself anew, and has no need to be asked.
+        Firmware that arms itself refuses requests while it does so; that refusal is ignored.
         """
         if self._arm is None or reply.accepted:
             return None
@@ -76,7 +72,7 @@ class Arming:
         return REFUSED
 
     def off(self, now_s: float, *, forced: bool) -> list[Packet]:
-        """Motors off, now; again when asked again, so that nobody waits for a packet that was lost."""
+        """Motors off, now; a repeated request sends the packets again, since they may have been lost."""
         self.armed, self._arm = False, None
         since_s = self._off.since_s if self._off is not None and self._off.forced else now_s
         self._off = _Asked(since_s, now_s, forced or (self._off is not None and self._off.forced))
@@ -89,16 +85,12 @@ class Arming:
         return [Order.EMERGENCY_STOP, *packets]
 
     def forget(self, *, armed: bool) -> None:
-        """The link is gone, and with it what was asked."""
+        """Drop all open requests: the link is lost."""
         self.armed, self._arm, self._off, self._latched = armed, None, None, False
         self._notices = 0
 
     def step(self, state: CrazyflieState | None, now_s: float) -> tuple[list[Packet], str | None]:
-        """Repeat what is unanswered.
-
-        Returns:
-            Packets, and a text when something was given up.
-        """
+        """Packets to repeat, and a text when a request was given up."""
         if self._arm is not None:
             return self._step_arm(self._arm, state, now_s)
         if self._off is not None:

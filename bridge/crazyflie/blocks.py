@@ -1,8 +1,8 @@
-"""Log blocks of one connection: asked for, and asked for anew when they fall silent.
+"""Log blocks of one connection: requested, and requested anew when none arrives.
 
-The firmware deletes them when it has heard nothing for a second (crtp.c, log.c), and cflib never looks
-whether a block arrives. It also asks for a long one in two packets and does not look whether the second has
-arrived; a block that is too short is never decoded.
+The firmware deletes them when it has received nothing for a second (crtp.c, log.c), and cflib does not check
+that blocks arrive. It requests a long block in two packets without checking that the second has arrived; a
+block that is too short is never decoded.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from bridge.crazyflie.state import (
 )
 from bridge.crazyflie.types import Event, HealthBlock, OutsideBlock, StateBlock
 
-SILENT_S = 1.0  # s without a packet of a block until it is asked for anew
+SILENT_S = 1.0  # s without a packet of a block until it is requested anew
 
 
 class _Kind(NamedTuple):
@@ -50,7 +50,7 @@ class _Block:
         self._config: Any = None
 
     def ask(self, crazyflie: Any) -> None:
-        """Ask for it under a new number; data of the old one is not decoded any more."""
+        """Request it under a new number; data of the old number is no longer decoded."""
         if self._config is not None:
             self._config.delete()
             crazyflie.log.log_blocks.remove(self._config)
@@ -68,14 +68,10 @@ class _Block:
 
 
 class LogBlocks:
-    """Call ``step`` often. Several are asked for at once, and none is waited for."""
+    """Call ``step`` often. Blocks are requested together, without waiting for each other."""
 
     def __init__(self, crazyflie: Any, put: Callable[[Event], None]) -> None:
-        """Ask for nothing yet. ``put`` is called by cflib's thread.
-
-        Raises:
-            ValueError: the firmware has not all variables.
-        """
+        """Ask for nothing yet. ``put`` is called by cflib's thread."""
         self._crazyflie = crazyflie
         known = crazyflie.log.toc.get_element_by_complete_name
         self._blocks = []
@@ -88,7 +84,7 @@ class LogBlocks:
                 self._blocks.append(_Block(kind._replace(variables=there), put))
 
     def step(self) -> None:
-        """Ask for what has been silent for a second."""
+        """Request the blocks of which no packet has arrived for a second."""
         since_s = time.monotonic() - SILENT_S
         for block in self._blocks:
             if max(block.heard_s, block.asked_s) <= since_s:
@@ -96,6 +92,6 @@ class LogBlocks:
 
     @property
     def waits_for(self) -> str | None:
-        """A needed block that has not come yet; None: all have."""
+        """A needed block that has not arrived yet; None: all have."""
         waiting = (block for block in self._blocks if block.kind.needed and block.heard_s == -math.inf)
         return next((block.kind.name for block in waiting), None)

@@ -13,7 +13,7 @@ STATE_AGE_MAX_S = 0.3  # s; thirty packets missing
 HEALTH_AGE_MAX_S = 1.0  # s; ten packets missing
 VARIANCE_MAX_M2 = 0.01  # m2 on each axis: 0.1 m; settled ones have 0.001 and less (cflib reset_estimator)
 TILT_MAX_DEG = 2.0  # degrees; each makes 6.8 cm/s of drift, and an accelerometer's zero is 1 degree off
-BATTERY_MIN_V = 3.7  # V at rest, a sixth of the charge; the firmware lands nobody when it runs empty
+BATTERY_MIN_V = 3.7  # V at rest, a sixth of the charge; the firmware does not land on an empty battery
 ESTIMATOR, KALMAN = "stabilizer.estimator", "2"
 # stabilizer.controller that fly velocities: 0 is the default, which is PID (firmware controller.c). Mellinger
 # (2) holds height zero for a velocity set-point, or gives full thrust (firmware controller_mellinger.c).
@@ -118,7 +118,7 @@ def _estimator(seen: Seen) -> str | None:
 
 def _position(seen: Seen) -> str | None:
     if seen.health is None or seen.now_s - seen.health.at_s > HEALTH_AGE_MAX_S:
-        return "no word of the position estimate's variance"
+        return "no variance of the position estimate received"
     worst = max(seen.health.variance_m2)
     # a filter that does not run has no variance
     if math.isfinite(sum(seen.health.variance_m2)) and 0.0 < worst <= VARIANCE_MAX_M2:

@@ -1,4 +1,4 @@
-"""What comes from a Crazyflie, what its silence means, and how a flight ends: the part without clients."""
+"""Events from a Crazyflie, losses of its link, and the end of a flight: the part without clients."""
 
 from __future__ import annotations
 
@@ -61,21 +61,21 @@ class Craft(Known, Commander):
 
     @property
     def arming(self) -> bool:
-        """Whether the supervisor has been asked and has not answered."""
+        """Whether an arming request has no answer yet."""
         return self._arming.arming
 
     @property
     def busy(self) -> bool:
-        """Armed, or not done with the supervisor: the link must not be closed yet."""
+        """Armed, or waiting for the supervisor: the link must not be closed yet."""
         return self.armed or self._arming.busy
 
     @property
     def standing(self) -> bool:
-        """Not in the air, as far as can be told without a sensor for it."""
+        """Not in the air, as far as the commands show: there is no sensor for it."""
         return not (self.armed and self._moved)
 
     def take_packets(self) -> list[Packet]:
-        """What goes to the Crazyflie, in order."""
+        """Take the packets for the Crazyflie, in order."""
         packets, self._packets = self._packets, []
         return packets
 
@@ -98,7 +98,7 @@ class Craft(Known, Commander):
             self.texts.say(WARNING, warning)
 
     def param(self, event: ParamValue, now_s: float) -> None:
-        """A parameter's value, after somebody wrote it."""
+        """A parameter's value, after a write."""
         if event.value is None:
             self.texts.refuse(f"The firmware has no parameter {event.name}", now_s)
             return
@@ -107,7 +107,7 @@ class Craft(Known, Commander):
         self.texts.say(INFO, f"{event.name} is {event.value}")
 
     def lost(self, event: Lost, now_s: float) -> None:
-        """The link is gone; in the bridge's own modes it lands meanwhile, blindly."""
+        """The link is lost; in the bridge's own modes the vehicle lands blindly meanwhile."""
         if self.link.protocol is not None:
             self.texts.say(CRITICAL, f"Radio lost: {event.reason}")
         else:
@@ -120,9 +120,9 @@ class Craft(Known, Commander):
         self._arming.forget(armed=self.armed)
 
     def take_state(self, state: CrazyflieState, now_s: float, *, restarted: bool = False) -> None:
-        """A new state; ``restarted``: the firmware has, since the one before."""
+        """A new state; ``restarted``: the firmware has restarted since the last one."""
         before, self.state = self.state, state
-        if not self.armed:  # a take-off that waits for the arming climbs from where it stands then
+        if not self.armed:  # a take-off that waits for the arming climbs from the place of the arming
             height_m = state.position_enu_m[2]
             self.takeoff_z_m += height_m - self.home_enu_m[2]
             self.home_enu_m = (0.0, 0.0, height_m)
@@ -135,7 +135,7 @@ class Craft(Known, Commander):
             self._sink_s = limits.BLIND_SPARE_S + limits.BLIND_SHARE * max(0.0, height_m) / DESCENT_M_S
         if restarted:
             self._stop("it restarted", now_s)
-            if before is not None:  # its settings are those of its start again
+            if before is not None:  # its settings are the defaults again
                 self._packets += [Order.STOP, Order.RECONNECT]
                 self.lost(Lost("it restarted"), now_s)
                 return
@@ -148,7 +148,7 @@ class Craft(Known, Commander):
             self._stop("by the firmware", now_s)
 
     def _stays_armed(self, state: CrazyflieState) -> bool:
-        """Whether it is armed, or arms itself anew: such firmware is disarmed for 0.12 s every 30 s."""
+        """Whether it is armed, or arms itself again: such firmware is disarmed for 0.12 s every 30 s."""
         if state.info & Info.ARMED:
             self._armed_state = state
             return True
@@ -158,7 +158,7 @@ class Craft(Known, Commander):
         return rearms and last is not None and state.at_s - last.at_s <= limits.REARM_S
 
     def emergency_stop(self, now_s: float) -> None:
-        """Stop the motors by the way that latches until a restart."""
+        """Stop the motors; latched until a restart."""
         if self.link.protocol is None:
             self._kill_s = now_s
             self.texts.say(CRITICAL, "Emergency stop waits for the radio")
@@ -172,7 +172,7 @@ class Craft(Known, Commander):
             self.texts.refuse(f"Arming refused: {reason}", now_s)
 
     def mocap(self, problem: str | None, passed: Passed | None = None, now_s: float = -math.inf) -> None:
-        """Why there are no good poses from outside now, None: there are; and the newest, if it is new."""
+        """Take the state of the poses from outside: the problem, None if they are good, and a new pose."""
         self._note_pose(problem, passed, now_s)
         if self.armed and problem is not None and self.mocap_problem is None:
             self.texts.say(CRITICAL, problem)
@@ -228,13 +228,13 @@ class Craft(Known, Commander):
         self._ended()
 
     def _stop(self, reason: str, now_s: float) -> None:
-        """End a flight that the firmware has ended: the last set-point must not outlive it."""
+        """End a flight that the firmware has ended, so that its last set-point is not flown again."""
         if self.armed:
             self._end(reason)
             self._packets += self._arming.off(now_s, forced=False)
 
     def _end(self, reason: str) -> None:
-        """It is no longer armed, whoever did that."""
+        """Take note that it is no longer armed."""
         if self.armed:
             self.texts.say(CRITICAL, f"Disarmed: {reason}")
         self._arming.armed = False
@@ -243,4 +243,4 @@ class Craft(Known, Commander):
     def _ended(self) -> None:
         self._moved = self.failsafe = False
         self.owner.release()
-        self.mode = FlightMode.HOLD  # in OFFBOARD the next client would find control taken
+        self.mode = FlightMode.HOLD  # in OFFBOARD control would not be free for the next client

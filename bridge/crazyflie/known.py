@@ -1,4 +1,4 @@
-"""The newest that is known of a Crazyflie, and whether that is fresh and good enough."""
+"""Newest state and condition of a Crazyflie, and whether they are fresh and good enough."""
 
 from __future__ import annotations
 
@@ -20,22 +20,17 @@ _AT_REST_G = 0.1  # g; an accelerometer that shows another length shows more tha
 
 
 class Known:
-    """Poses from outside come through this bridge or by another program.
+    """Poses from outside come through this bridge or from another program.
 
-    The firmware logs the time of the newest (``locSrvZ.tick``), whoever sent it: once that has changed, poses
-    are expected.
-
-    Attributes:
-        link: the firmware on the other side.
-        state: newest state; its age is for the reader to judge.
-        health: newest quality of the estimate, and battery.
-        mocap_problem: why there are no good poses from outside, None: there are, or none are needed.
+    The firmware logs the time of the newest pose from any sender (``locSrvZ.tick``): once that has changed,
+    poses are expected.
     """
 
     def __init__(self, *, mocap: bool) -> None:
         self.link = Link()
-        self.state: CrazyflieState | None = None
-        self.health: Health | None = None
+        self.state: CrazyflieState | None = None  # newest, of any age
+        self.health: Health | None = None  # newest quality of the estimate, and battery
+        # reason why there are no good poses from outside; None: there are, or none are needed
         self.mocap_problem: str | None = "mocap: no pose yet" if mocap else None
         self._mocap, self._posed_s = mocap, -math.inf
         self._pose_quaternion: Quat | None = None  # of the newest pose through this bridge
@@ -87,7 +82,7 @@ class Known:
             self._compare_level(None)
 
     def take_outside(self, outside: Outside) -> None:
-        """What the firmware says of poses from outside, and of gravity."""
+        """Take the firmware's time of the newest pose from outside, and gravity."""
         before, self._outside = self._outside, outside
         if before is None:
             self._leaning = None  # gravity is measured from now on

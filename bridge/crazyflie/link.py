@@ -1,8 +1,8 @@
 """Where cflib's threads end: callbacks only put into bounded queues, one worker thread calls cflib.
 
 cflib may block for 2 s in a send (radiodriver.py), and for ever while it connects; so the MAVLink loop never
-calls it. The loop takes events with ``poll`` and hands over packets with ``send``; both return at once. In
-the outbox few things wait for the radio: the urgent first, and no velocity that has grown old.
+calls it. The loop takes events with ``poll`` and hands over packets with ``send``; both return at once. The
+outbox sends urgent packets first, and drops velocities that are too old.
 """
 
 from __future__ import annotations
@@ -44,18 +44,18 @@ from bridge.crazyflie.types import (
 
 __all__ = ["ORDERS_MAX", "VELOCITY_AGE_MAX_S", "CrazyflieLink", "Outbox"]
 
-PARAMS = (  # what the bridge looks at before it lets anybody arm
+PARAMS = (  # checked before arming
     "stabilizer.estimator", "stabilizer.controller", "deck.bcFlow2", "deck.bcLighthouse4", "deck.bcLoco",
     *DRAG,
 )  # fmt: skip
-EVENTS_MAX = 512  # five seconds of packets; older ones are no use to anybody
-SILENT_S = 2.0  # s without any answer while connecting, after which an attempt is given up
-UNANSWERED_S = 0.5  # s the same for the first answer in a blind landing: cflib asks for that one only once
-CONNECT_MAX_S = 120.0  # s of one attempt; 1,235 questions of which every fifth is lost take 40
-RESEND_S = 0.05  # s without an answer until cflib asks again over UDP; its own 0.2 s are for a radio
+EVENTS_MAX = 512  # five seconds of packets; older ones are useless
+SILENT_S = 2.0  # s without any answer until an attempt to connect is given up
+UNANSWERED_S = 0.5  # s, the same for the first answer in a blind landing, which cflib requests only once
+CONNECT_MAX_S = 120.0  # s of one attempt; 1,235 requests of which every fifth is lost take 40
+RESEND_S = 0.05  # s without an answer until cflib repeats a request over UDP; its own 0.2 s suit a radio
 RETRY_S = 0.5  # s between two attempts
-REOPEN_S = 0.1  # s the same in a blind landing: without set-points the motors stop at 2 s
-FLOWN_S = 0.5  # s since the last set-point: it flies
+REOPEN_S = 0.1  # s, the same in a blind landing: without set-points the motors stop at 2 s
+FLOWN_S = 0.5  # s since the last set-point until it no longer counts as flying
 _ANSWERS = (CRTPPort.PARAM, CRTPPort.MEM, CRTPPort.LOGGING, CRTPPort.PLATFORM, CRTPPort.LINKCTRL)
 _LOG_DATA = (CRTPPort.LOGGING, 2)  # port, channel
 LOGS_MAX_S = 10.0  # s until each log block's first packet has come
@@ -79,20 +79,11 @@ class _Tables(TocCache):  # type: ignore[misc]
 
 
 class CrazyflieLink:
-    """One Crazyflie by URI; opens the link again and again until closed.
-
-    Attributes:
-        events_lost: events that found no room; the oldest go first.
-    """
+    """One Crazyflie by URI; opens the link again and again until closed."""
 
     def __init__(self, uri: str, cache: Path | None = None) -> None:
-        """Start connecting.
-
-        Args:
-            uri: as cflib has it: ``radio://0/80/2M/E7E7E7E7E7``, ``usb://0``, ``udp://HOST:PORT``.
-            cache: folder for tables of contents, so that a second connection is fast.
-        """
-        self.events_lost = 0
+        """Start connecting; with a ``cache`` of tables of contents a second connection is fast."""
+        self.events_lost = 0  # for lack of room; the oldest first
         self._uri, self._tables = uri, _Tables(rw_cache=str(cache) if cache else None)
         self._events: deque[Arrived] = deque()
         self._lock = threading.Lock()
@@ -107,7 +98,7 @@ class CrazyflieLink:
         self._current: Any = None  # cflib's object of the present connection
         self._flown_s = -math.inf  # last set-point handed on
         self._fully = threading.Event()
-        # cflib logs a trace for every packet it cannot use; what counts, missing packets, is watched here.
+        # cflib logs a trace for every packet that it cannot use; missing packets are counted here.
         logging.getLogger("cflib").setLevel(logging.CRITICAL)
         cflib.crtp.init_drivers()
         self._thread = threading.Thread(target=self._run, name="crazyflie-link", daemon=True)
@@ -150,7 +141,7 @@ class CrazyflieLink:
             self._events.append(arrived)
         try:
             os.write(self._write_fd, b"\x00")
-        except (BlockingIOError, OSError):  # full: it is readable already; closed: nobody reads any more
+        except (BlockingIOError, OSError):  # full: it is readable already; closed: there is no reader
             return
 
     def _run(self) -> None:
@@ -168,7 +159,7 @@ class CrazyflieLink:
                 self._closing.wait(REOPEN_S if self._flies else RETRY_S)
 
     def _connection(self, crazyflie: Any) -> str:
-        """Connect, then send what comes until the end; returns why it ended."""
+        """Connect, then send packets until the connection ends; the reason of the end."""
         if not self._flies:
             self._outbox.clear()  # nothing from before this connection may act
         self._broken, self._heard_s = None, time.monotonic()
@@ -181,7 +172,7 @@ class CrazyflieLink:
 
         self._listen(crazyflie, put)
         crazyflie.open_link(self._uri)
-        if self._flies and self._protocol is not None:  # until it answers; meanwhile set-points have a form
+        if self._flies and self._protocol is not None:  # until it answers: set-points need a form meanwhile
             crazyflie.platform._protocolVersion = self._protocol
         senders = _senders(crazyflie, put)
         reason = self._wait_connected(crazyflie, senders)
@@ -221,8 +212,8 @@ class CrazyflieLink:
     def _pass_on(self, crazyflie: Any, senders: _Senders, wait_s: float) -> Packet | None:
         """Wait for a packet; set-points and orders go out as soon as the link is open.
 
-        Nothing waits for the end of a connection's set-up: a blind landing continues meanwhile, and what
-        finds no link is dropped.
+        They do not wait until a connection is set up, so that a blind landing continues; without a link
+        they are dropped.
         """
         packet = self._outbox.get(wait_s, time.monotonic)
         if not isinstance(packet, Velocity | Order) or packet is Order.RECONNECT:
@@ -231,7 +222,7 @@ class CrazyflieLink:
             self._flown_s = time.monotonic()
         elif packet is Order.STOP:
             self._flown_s = -math.inf
-        # before the version has come cflib would send the form of years ago
+        # before the version is known cflib would send an outdated form
         if crazyflie.link is not None and crazyflie.platform.get_protocol_version() >= 0:
             senders[packet if isinstance(packet, Order) else Velocity](packet)
         return None
@@ -254,16 +245,16 @@ class CrazyflieLink:
     def _close(self, crazyflie: Any) -> None:
         """Close the link with the motors off, unless it flies.
 
-        cflib itself sends a set-point of no thrust at the end, and then nothing: within two seconds after a
-        flight the supervisor takes that for a lost link, and locks. So the stop and its notice go out
-        instead. cflib joins its threads for up to two seconds, in which the next connection may begin.
+        cflib itself ends with a set-point of no thrust: within two seconds after a flight the supervisor
+        takes the silence for a lost link, and locks. So the stop and its notice are sent instead. cflib joins
+        its threads for up to two seconds, in which the next connection may begin.
         """
         if crazyflie.link is not None and not self._flies:
             crazyflie.commander.send_stop_setpoint()
             for _ in range(3):  # in case one gets lost
                 crazyflie.commander.send_notify_setpoint_stop()
         crazyflie.commander.send_setpoint = lambda *_: None
-        self._current = None  # what its threads still say counts no more
+        self._current = None  # later events of its threads are ignored
         closer = threading.Thread(
             target=_close_quietly, args=(crazyflie,), name="crazyflie-close", daemon=True
         )
@@ -273,13 +264,13 @@ class CrazyflieLink:
 
     def _listen(self, crazyflie: Any, put: Callable[[Event], None]) -> None:
         def resend(_uri: str) -> None:
-            # The UDP driver never asks again by itself; then one lost answer hangs the connection for ever.
+            # The UDP driver never repeats a request: one lost answer would hang the connection for ever.
             if crazyflie.link is not None and crazyflie.link.get_name() == "udp":
                 crazyflie.link.needs_resending = True
                 crazyflie.send_packet = partial(crazyflie.send_packet, timeout=RESEND_S)
 
         def heard(packet: Any) -> None:
-            # Log blocks of an earlier connection go on: they are no answer to anything.
+            # Log blocks of an earlier connection still arrive: they answer no request.
             answer = packet.port in _ANSWERS and (packet.port, packet.channel) != _LOG_DATA
             if answer and self._current is crazyflie:
                 self._heard_s = time.monotonic()
@@ -321,7 +312,7 @@ def _senders(crazyflie: Any, put: Callable[[Event], None]) -> _Senders:
     commander, supervisor = crazyflie.commander, crazyflie.supervisor
 
     def velocity(packet: Velocity) -> None:
-        yaw_rate_deg_s = packet.yaw_rate_rad_s * 57.29577951308232  # CRTP wants degrees a second
+        yaw_rate_deg_s = packet.yaw_rate_rad_s * 57.29577951308232  # CRTP counts in degrees a second
         commander.send_velocity_world_setpoint(*packet.velocity_enu_m_s, yaw_rate_deg_s)
 
     def pose(packet: Pose) -> None:

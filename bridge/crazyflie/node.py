@@ -1,7 +1,7 @@
 """The MAVLink vehicle that clients see in front of a Crazyflie: it plays PX4, messages in and out.
 
 Pure: no socket, no clock, no thread. Telemetry is made from new states only, so an old one is never sent as
-if it were new. A Crazyflie that is not heard sends no heartbeat, only the text that says so.
+if it were new. Without a state from the Crazyflie no heartbeat is sent, only a text.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from bridge.mavlink.server.telemetry import Builder, Snapshot
 
 __all__ = ["COMPONENT_ID", "PROFILE", "SYSTEM_ID", "Node"]
 
-READINESS_S = 1.0  # s between two looks at whether it could be armed
+READINESS_S = 1.0  # s between two checks whether it could be armed
 _RATE_HZ = 1000.0 / STATE_PERIOD_MS  # of new states
 _M = dialect
 PROFILE = ServerProfile(
@@ -65,12 +65,12 @@ PROFILE = ServerProfile(
 _NOTHING: frozenset[int] = frozenset()
 # A position is sent only while the estimate may be flown by, as PX4 does.
 _NEED_POSITION = frozenset({_M.MAVLINK_MSG_ID_LOCAL_POSITION_NED})
-_GAP_S = 0.05  # s, five packets: after so long without a state, only what is not a part of it is sent
+_GAP_S = 0.05  # s, five packets: without a state for longer, only messages are sent that are no part of it
 _OF_STATE = _NEED_POSITION | {_M.MAVLINK_MSG_ID_ATTITUDE, _M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION}
 
 
 def _home_position(s: Snapshot[Vehicle]) -> Message:
-    return telemetry.home_position(s, 0, 0)  # its place on earth is not known
+    return telemetry.home_position(s, 0, 0)  # unknown place on earth
 
 
 def _vfr_hud(s: Snapshot[Vehicle]) -> Message:
@@ -91,16 +91,11 @@ BUILDERS: dict[int, Builder[Vehicle]] = {
 
 
 class Node(Server[Vehicle]):
-    """Call ``take`` and ``handle`` as things come, then ``step``; send what they return.
-
-    Attributes:
-        late: states that had been held up too long to be sent.
-        clock: the firmware's clock.
-    """
+    """Call ``take`` and ``handle`` as events and messages arrive, then ``step``; send the results."""
 
     def __init__(self, rules: Rules, system_id: int = SYSTEM_ID) -> None:
-        self.late = 0
-        self.clock = BootClock()
+        self.late = 0  # states that were delayed too long to be sent
+        self.clock = BootClock()  # of the firmware
         self._streamed: list[Message] = []  # made from new states, not sent yet
         self._readiness_due_s, self._readiness = READINESS_S, ""
         self._shown_armed = False
@@ -124,11 +119,11 @@ class Node(Server[Vehicle]):
         }
 
     def take(self, arrived: Arrived, at_s: float) -> None:
-        """An event of the link; ``at_s`` is its arrival on the bridge's clock."""
+        """Take an event of the link; ``at_s`` is its arrival on the bridge's clock."""
         self._events[type(arrived.event)](arrived.event, at_s)
 
     def step(self, now_s: float) -> tuple[list[Message], list[Reply]]:
-        """Fly, and return the telemetry for everybody and late acknowledgements of arming."""
+        """Fly, and return the telemetry for all clients and late acknowledgements of arming."""
         vehicle = self.vehicle
         vehicle.step(now_s)
         if now_s >= self._readiness_due_s and not vehicle.armed:
@@ -140,7 +135,7 @@ class Node(Server[Vehicle]):
         return messages, self.commands.finish(ACCEPTED if vehicle.armed else REJECTED)
 
     def snapshot(self, now_s: float) -> Snapshot[Vehicle] | None:
-        """State of the Crazyflie; None while it is not heard."""
+        """State of the Crazyflie; None while none arrives."""
         vehicle = self.vehicle
         if vehicle.state is None or not vehicle.alive(now_s):
             return None
@@ -148,12 +143,12 @@ class Node(Server[Vehicle]):
         return Snapshot(vehicle, self.profile, vehicle.state, known, now_s, vehicle.state.boot_ms / 1000.0)
 
     def streamed(self, snapshot: Snapshot[Vehicle]) -> list[Message]:
-        """Messages made from the states since the last call, or of the condition while no state comes."""
+        """Messages made from the states since the last call; while none arrives, those of the condition."""
         messages, self._streamed = self._streamed, []
         return messages + self.stream(snapshot) if self._gap(snapshot.now_s) else messages
 
     def hidden(self, now_s: float) -> frozenset[int]:
-        """Position is hidden while it is not known, and all of a state that is not new."""
+        """Hide the position while it is not good, and all of a state that is not new."""
         if self._gap(now_s):
             return _OF_STATE
         return _NOTHING if self.vehicle.position_known(now_s) else _NEED_POSITION
@@ -163,27 +158,27 @@ class Node(Server[Vehicle]):
         return self.clock.now_ns(now_s) if self.clock.running else None
 
     def own_commands(self) -> dict[int, Entry]:
-        """The emergency stop, which is also for a Crazyflie that seems to be disarmed."""
+        """The emergency stop, also of a Crazyflie that seems to be disarmed."""
         return {dialect.MAV_CMD_DO_FLIGHTTERMINATION: Entry(self._terminate, Right.OWNER_OR_GROUND)}
 
     def on_heartbeat(self, message: Any, _sender: Sender, now_s: float) -> list[Message]:
-        """Take note of a client; another vehicle is none."""
+        """Take note of a client; heartbeats of other vehicles do not count."""
         if message.autopilot == dialect.MAV_AUTOPILOT_INVALID:
             self.vehicle.client(now_s)
         return []
 
     def on_setpoint(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        """Its sender is a client, besides."""
+        """The sender also counts as a client."""
         self.vehicle.client(now_s)
         return super().on_setpoint(message, sender, now_s)
 
     def on_command(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        """Its sender is a client, besides."""
+        """The sender also counts as a client."""
         self.vehicle.client(now_s)
         return super().on_command(message, sender, now_s)
 
     def _new_home(self, now_s: float) -> list[Message]:
-        """Home before the heartbeat that shows it armed: clients add their take-off height to it."""
+        """Send home before the heartbeat that shows it armed: clients add their take-off height to it."""
         changed, self._shown_armed = self.vehicle.armed != self._shown_armed, self.vehicle.armed
         snapshot = self.snapshot(now_s) if changed else None
         return [_home_position(snapshot)] if snapshot is not None else []
@@ -199,7 +194,7 @@ class Node(Server[Vehicle]):
         return Answer()
 
     def _tell_readiness(self, now_s: float) -> None:
-        """Say what keeps it from arming, when that changes; a number in it that changes does not count."""
+        """Report what prevents arming, when that changes in more than a number."""
         found = self.vehicle.problems(now_s)
         text = f"Not ready: {found[0]}" if found else "Ready to arm"
         kind = re.sub(r"[-+.\d]+", "", text)
@@ -219,7 +214,7 @@ class Node(Server[Vehicle]):
         if late_s > LATE_MAX_S:
             self.late += 1
             return
-        state = decode_state(block, boot_ms, at_s - late_s)  # as old as it is, not as it came
+        state = decode_state(block, boot_ms, at_s - late_s)  # the time of the state, not of its arrival
         restarts, self._restarts = self._restarts, self.clock.restarts
         self.vehicle.take_state(state, at_s, restarted=restarts != self.clock.restarts)
         snapshot = self.snapshot(state.at_s)  # this clock is as even as the Crazyflie's

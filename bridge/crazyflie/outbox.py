@@ -14,16 +14,11 @@ _URGENT = frozenset({Order.EMERGENCY_STOP, Order.STOP, Order.DISARM})
 
 
 class Outbox:
-    """Thread-safe; ``put`` never blocks.
-
-    Attributes:
-        late: velocities dropped for their age.
-        lost: orders dropped because too many waited.
-    """
+    """Thread-safe; ``put`` never blocks."""
 
     def __init__(self) -> None:
-        self.late = 0
-        self.lost = 0
+        self.late = 0  # velocities dropped for their age
+        self.lost = 0  # orders dropped because too many waited
         self._ready = threading.Condition()
         self._orders: deque[Order | SetParam] = deque()
         self._velocity: tuple[Velocity, float] | None = None

@@ -20,10 +20,10 @@ ARRIVED_M, ARRIVED_M_S = 0.05, 0.15  # m, m/s; height reached
 # m/s, without a position: the bias of an accelerometer makes the firmware's own vertical velocity drift by
 # 0.05 m/s in a second, until it climbs while it seems to sink
 UNPLACED_M_S = 0.4
-STOPPED_SHARE = 0.3  # of the descent: slower than that it stands on something
-LANDING_MIN_S = 1.0  # s after which a stop counts: a climb has to end first
-STOPPED_TIME_S = 0.4  # s of that; longer than the descent takes to begin
-SINKING_M_S = -0.1  # m/s; a set-point below that is a wish to go down, above it may be an error of control
+STOPPED_SHARE = 0.3  # share of the descent speed; slower than that it stands on something
+LANDING_MIN_S = 1.0  # s of a landing until a stop counts: a climb has to end first
+STOPPED_TIME_S = 0.4  # s that the stop has to last; longer than the descent takes to begin
+SINKING_M_S = -0.1  # m/s; a set-point below that is a descent command, above it may be an error of control
 YAW_GAIN_1_S = 2.0  # 1/s; CRTP velocity set-points have a yaw rate, no yaw
 YAW_RATE_MAX_RAD_S = 1.5  # rad/s
 
@@ -36,15 +36,11 @@ def yaw_rate(wanted_rad: float, state: CrazyflieState) -> float:
 
 @dataclass(slots=True)
 class Anchor:
-    """A point to hold, with the heading.
-
-    Attributes:
-        stopped_since_s: since when it no longer sinks though it is told to; infinite: it does.
-    """
+    """A point to hold, with the heading."""
 
     point_enu_m: Vec3
     yaw_rad: float
-    stopped_since_s: float = math.inf
+    stopped_since_s: float = math.inf  # when it stopped to follow the descent command; infinite: it follows
 
     @classmethod
     def here(cls, state: CrazyflieState, height_m: float | None = None) -> Anchor:
@@ -76,7 +72,7 @@ class Anchor:
         return high and abs(state.velocity_enu_m_s[2]) < ARRIVED_M_S
 
     def down(self, state: CrazyflieState, now_s: float) -> bool:
-        """Whether something has held it up for a while, though told to go down; call it at every step."""
+        """Whether it has not followed the descent command for a while; call it at every step."""
         if state.velocity_enu_m_s[2] < -STOPPED_SHARE * DESCENT_M_S:
             self.stopped_since_s = math.inf
             return False
@@ -85,7 +81,7 @@ class Anchor:
 
 
 class Ground:
-    """Tells when a vehicle flown by somebody else stands: told to sink, and not sinking for a second."""
+    """Detects that a vehicle flown by a client stands: it does not follow a descent command for a second."""
 
     def __init__(self) -> None:
         self._since_s = math.inf
@@ -116,7 +112,7 @@ class Pilot:
         self.since_s = -math.inf  # begin of the present mode
 
     def begin(self, now_s: float) -> None:
-        """Begin a mode, from wherever it is."""
+        """Begin a mode at the present place."""
         self._anchor, self.since_s = None, now_s
 
     def step(

@@ -72,7 +72,7 @@ _URI = re.compile(
 )
 TICK_S = 0.01  # s; longest sleep
 POSE_TICK_S = 0.002  # s; the same with motion capture, which cannot wake the loop
-SHUT_DOWN_MAX_S = 20.0  # s to land in when told to end in the air
+SHUT_DOWN_MAX_S = 20.0  # s for the landing when the bridge ends in flight
 
 
 class LinkLike(Protocol):
@@ -110,7 +110,7 @@ class Loop:
         return time.monotonic() - self._start_s
 
     def turn(self) -> None:
-        """Sleep until something comes, or for a tick, then act on all of it."""
+        """Sleep until something arrives, or for a tick, then act on all of it."""
         select.select((self._endpoint.fileno(), self._link.fileno()), (), (), self._tick_s)
         node, endpoint = self._node, self._endpoint
         for arrived in self._link.poll():
@@ -143,12 +143,12 @@ class Loop:
                 self._link.send(packet)
 
     def run(self, stop: Stop, duration_s: float | None) -> int:
-        """Turn until told to end; in the air it lands first, unless told twice. The exit status.
+        """Turn until a signal; in flight it lands first, but not after a second signal. The exit status.
 
         An exception ends it in the same way: without set-points the firmware would stop the motors.
         """
         vehicle, status = self._node.vehicle, 0
-        told_s: float | None = None
+        ending_s: float | None = None
         while stop.count < 2:
             try:
                 self.turn()
@@ -158,10 +158,10 @@ class Loop:
                     self._say(f"crazyflie: lands, then ends: {traceback.format_exc()}")
                 self._descend()
             over = stop.count or status or (duration_s is not None and self.now_s >= duration_s)
-            if told_s is None and over:
-                told_s = self.now_s
-                vehicle.end(told_s)
-            if told_s is None or (vehicle.busy and self.now_s - told_s <= SHUT_DOWN_MAX_S):
+            if ending_s is None and over:
+                ending_s = self.now_s
+                vehicle.end(ending_s)
+            if ending_s is None or (vehicle.busy and self.now_s - ending_s <= SHUT_DOWN_MAX_S):
                 continue
             for packet in vehicle.settings.leave(self.now_s):
                 self._link.send(packet)
@@ -170,7 +170,7 @@ class Loop:
         return status
 
     def _descend(self) -> None:
-        """Go on with the landing alone, after what else a turn does has failed."""
+        """Continue the landing alone, after another part of a turn has failed."""
         time.sleep(self._tick_s)
         with suppress(Exception):
             self._node.step(self.now_s)
@@ -179,11 +179,7 @@ class Loop:
 
 
 def check_uri(uri: str) -> None:
-    """Refuse what cflib would try for ever.
-
-    Raises:
-        ValueError: the URI is none of cflib's.
-    """
+    """Refuse a URI that cflib would try for ever."""
     if not _URI.match(uri):
         raise ValueError(
             f"Crazyflie URI {uri!r} is not understood: allowed is radio://DONGLE/CHANNEL/RATE or "
@@ -198,17 +194,10 @@ def run(
     poses: PosesLike | None = None,
     say: Callable[[str], None] = print,
 ) -> int:
-    """Serve until told to end; prints ``ready URL`` when clients can reach it.
+    """Serve until a signal; prints ``ready URL`` when clients can reach it.
 
-    Args:
-        options: of the bridge.
-        drag_1_s: for the firmware's filter, body axes; None leaves what it has.
-        poses: of motion capture; None: the Crazyflie positions itself.
-        say: prints a line.
-
-    Raises:
-        ValueError: a URL or key that is not understood, a network without a key, or cflib is not installed.
-        OSError: an address that cannot be opened.
+    ``drag_1_s`` is for the firmware's filter, in body axes; None leaves its value. ``poses`` are those of
+    motion capture; None: the Crazyflie positions itself.
     """
     try:
         from bridge.crazyflie.link import CrazyflieLink

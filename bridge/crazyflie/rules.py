@@ -11,28 +11,28 @@ from flightstack.common.options import Option
 from flightstack.config import options as shared
 from flightstack.core.types import Vec3
 
-SILENT_S = 0.5  # s without state: said; the flight stack calls its own state lost after 0.2 s
-LOST_S = 1.0  # s without state: no heartbeat any more
-RECONNECT_S = 3.0  # s without state: the firmware has stopped by itself; the link is opened anew
-BLIND_SPARE_S, BLIND_SHARE = 1.0, 1.2  # s, besides so many times the height over the descent's speed
-POSE_AGE_MAX_S = 0.5  # s without a pose from outside: the position is not known, whatever the variance is
-REARM_S = 0.4  # s; firmware that arms itself does so anew every 30 s, for 0.12 s
-CLIENT_SILENT_S = 3.0  # s without any client's heartbeat
+SILENT_S = 0.5  # s without state until it is reported; the flight stack calls its state lost after 0.2 s
+LOST_S = 1.0  # s without state until no heartbeat is sent
+RECONNECT_S = 3.0  # s without state until the link is opened anew; the firmware has stopped by then
+BLIND_SPARE_S, BLIND_SHARE = 1.0, 1.2  # s, and factor of height / descent speed: longest blind landing
+POSE_AGE_MAX_S = 0.5  # s without a pose from outside until the position is not good, at any variance
+REARM_S = 0.4  # s; firmware that arms itself is disarmed for 0.12 s every 30 s
+CLIENT_SILENT_S = 3.0  # s without a heartbeat of any client until it lands
 STREAM_S = 1.0  # s without set-points until control is free and OFFBOARD has no stream; PX4's COM_OF_LOSS_T
 LEVEL_OUT_S = 0.5  # s after which the firmware's watchdog acts (supervisor.c)
 OWN_PERIOD_S = 0.02  # s between two set-points of the bridge's own modes
-STANDING_S = 1.0  # s of being told to sink without sinking
+STANDING_S = 1.0  # s without following a descent command until it counts as standing
 SPEED_MAX_M_S = 1.0  # m/s, longest velocity passed on
 HEIGHT_RANGE_M = (0.1, 3.0)  # m above home of a take-off
-IDLE_S = 10.0  # s armed on the ground; PX4's COM_DISARM_PRFLT
-KILL_KEPT_S = 10.0  # s; a kill without a link is done when there is one again
-TAKEOFF_MAX_S = 15.0  # s; 3 m take 8: longer, and something holds it
+IDLE_S = 10.0  # s armed on the ground until it is disarmed; PX4's COM_DISARM_PRFLT
+KILL_KEPT_S = 10.0  # s that a kill without a link stays pending until the link is back
+TAKEOFF_MAX_S = 15.0  # s until a take-off is given up; 3 m take 8
 TAKEOFF_M = 0.5  # m above home, of a take-off without a height
 
 
 @dataclass(frozen=True, slots=True)
 class Rules:
-    """What a person chose."""
+    """The operator's choices."""
 
     speed_max_m_s: float = SPEED_MAX_M_S
     land_on_silence: bool = False  # land when set-points stop, instead of leaving it to the firmware

@@ -24,7 +24,7 @@ class Settings:
     """What to write, and what was there before."""
 
     def __init__(self, drag_1_s: Vec3 | None, *, restore: bool) -> None:
-        """Args: ``drag_1_s``: None leaves the firmware's. ``restore``: write back on leaving."""
+        """``drag_1_s`` None leaves the firmware's; ``restore`` writes the old values back at the end."""
         self._wanted = {ESTIMATOR: float(KALMAN)}
         if drag_1_s is not None:
             self._wanted.update(zip(DRAG, drag_1_s, strict=True))

@@ -37,11 +37,11 @@ OUTSIDE_PERIOD_MS = 100
 OUTSIDE_VARIABLES: tuple[str, ...] = ("acc.x", "acc.y", "acc.z", "locSrvZ.tick")
 FETCHED_AS: Mapping[str, str] = dict.fromkeys(HEALTH_VARIABLES[-4:], "uint16_t")  # older firmware has 32 bits
 _PWM_MAX = 65535.0
-LATE_MAX_S = 0.2  # s; a packet that was held up longer is not the present any more
+LATE_MAX_S = 0.2  # s; a packet that was delayed longer is ignored
 _WRAP_MS = 1 << 24
 _REBOOT_MS = 1000  # a clock that falls back further is a restart, less is a packet out of order
 _DRIFT = 0.1  # of a simulated firmware's clock, at most; CrazySim's ran at 0.97
-_SPAN_S, _SPAN_PACKETS = 0.25, 10  # s, number; packets that were held up arrive in less
+_SPAN_S, _SPAN_PACKETS = 0.25, 10  # s, number; delayed packets arrive in less time
 _MAGNITUDE = (1 << 9) - 1  # of a quaternion's element, besides a sign bit (quatcompress.h)
 
 
@@ -50,13 +50,10 @@ class BootClock:
 
     The packet with the shortest way sets the zero of lateness; a longer way is lateness. The shortest is
     forgotten after half a second of packets: the clock of a simulated firmware may be slow, or stall.
-
-    Attributes:
-        restarts: how often the firmware has restarted, or its clock was set back.
     """
 
     def __init__(self) -> None:
-        self.restarts = 0
+        self.restarts = 0  # of the firmware, or steps back of its clock
         self._last_ms: int | None = None
         self._last_at_s = 0.0
         self.begin()
@@ -116,9 +113,6 @@ def decode_state(block: StateBlock, boot_ms: int, at_s: float) -> CrazyflieState
 
     The packet holds every variable of ``STATE_VARIABLES``; ``boot_ms`` is unwrapped time, ``at_s`` the
     arrival.
-
-    Raises:
-        KeyError: a variable is missing.
     """
     v = block.values
     x, y, z, vx, vy, vz = (v[name] / 1000.0 for name in STATE_VARIABLES[:6])
@@ -136,12 +130,7 @@ def decode_state(block: StateBlock, boot_ms: int, at_s: float) -> CrazyflieState
 
 
 def decode_health(block: HealthBlock, at_s: float) -> Health:
-    """Turn a packet into what it says of estimate, battery and motors.
-
-    Raises:
-        KeyError: a variable is missing.
-        ValueError: ``pm.state`` is none of the known ones.
-    """
+    """Decode quality of the estimate, battery and motors."""
     v: Mapping[str, float] = block.values
     variance = (v["kalman.varPX"], v["kalman.varPY"], v["kalman.varPZ"])
     throttle = sum(v[name] for name in HEALTH_VARIABLES[-4:]) / (4.0 * _PWM_MAX)
@@ -149,7 +138,7 @@ def decode_health(block: HealthBlock, at_s: float) -> Health:
 
 
 def decode_outside(block: OutsideBlock, at_s: float) -> Outside:
-    """Turn a packet into what it says of gravity and poses; variables may be missing."""
+    """Decode gravity and the time of the newest pose; variables may be missing."""
     v = block.values
     acceleration = (v["acc.x"], v["acc.y"], v["acc.z"]) if {"acc.x", "acc.y", "acc.z"} <= v.keys() else None
     return Outside(at_s, acceleration, int(v["locSrvZ.tick"]) if "locSrvZ.tick" in v else None)

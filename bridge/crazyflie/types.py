@@ -1,4 +1,4 @@
-"""The words between the cflib side and the MAVLink side of the Crazyflie bridge: plain data, no threads.
+"""Data between the cflib side and the MAVLink side of the Crazyflie bridge.
 
 World is the Crazyflie's own (x, y, z up), taken as ENU; body is FLU. Metres, seconds, radians, volts.
 """
@@ -77,7 +77,7 @@ Packet = Velocity | Pose | Order | SetParam
 
 
 class Connected(NamedTuple):
-    """The link is open and everything asked at its start has been answered."""
+    """The link is open, and all requests of its start have been answered."""
 
     protocol: int
     params: dict[str, str]  # of ``crazyflie_link.PARAMS``; those the firmware does not have are missing
@@ -134,7 +134,7 @@ class Arrived(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class CrazyflieState:
-    """What one log packet says; all of one moment."""
+    """State of one log packet, all of one time."""
 
     at_s: float  # bridge clock
     boot_ms: int  # firmware clock, unwrapped
@@ -168,7 +168,7 @@ class Outside:
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """What is known of the firmware on the other side; ``protocol`` None: not connected."""
+    """The firmware of the present connection; ``protocol`` None: not connected."""
 
     protocol: int | None = None
     params: dict[str, str] = field(default_factory=dict)

@@ -22,7 +22,7 @@ _ENDS = "the bridge ends"
 
 
 class Vehicle(Craft):
-    """Call the methods as things come, then ``step``, then take ``packets`` and ``texts``."""
+    """Call the methods as events arrive, then ``step``, then take ``packets`` and ``texts``."""
 
     def __init__(self, rules: limits.Rules) -> None:
         super().__init__(rules)
@@ -31,14 +31,14 @@ class Vehicle(Craft):
         self._stream_end_said = self._ends = False
         self._idle_since_s = 0.0
 
-    # What clients want; the reason if refused
+    # Commands of clients; the reason if refused
 
     def client(self, now_s: float) -> None:
         """A client's heartbeat."""
         self._client_s = now_s
 
     def arm(self, now_s: float) -> str | None:
-        """Ask the supervisor; ``armed`` or a text shows what became of it."""
+        """Request arming from the supervisor; ``armed`` or a text shows the result."""
         if self.armed or self.arming:
             return None
         if self.state is not None and self.state.info & STUCK == Info.CRASHED and not self._ends:
@@ -101,7 +101,7 @@ class Vehicle(Craft):
             self._moved = False
 
     def step(self, now_s: float) -> None:
-        """Whatever time brings; call it at least every 10 ms."""
+        """Do what is due; call it at least every 10 ms."""
         self._note_pose(self.mocap_problem, None, now_s)
         self._watch_radio(now_s)
         was_armed = self.armed
@@ -161,7 +161,7 @@ class Vehicle(Craft):
             self._command(velocity)
 
     def _fly_offboard(self, now_s: float) -> None:
-        """Nothing is sent here; only what has stopped is said."""
+        """Send nothing; report and handle the end of the stream."""
         silence_s = now_s - self._setpoint_s
         if silence_s > limits.LEVEL_OUT_S and not self._stream_end_said and self._moved:
             self._stream_end_said = True

@@ -125,9 +125,6 @@ class Commands(Generic[V]):
 
     Arming, modes, take-off, landing and requests for messages are here; ``own`` adds what only this vehicle
     has. Results are those of PX4's ``Commander.cpp``.
-
-    Attributes:
-        table: MAV_CMD to handler.
     """
 
     def __init__(

@@ -36,10 +36,8 @@ class ControlOwner:
     def admit(self, sender: Sender, now_s: float, silence_s: float) -> str | None:
         """Give control to the sender of a valid set-point, if no other sender has it.
 
-        Without set-points for ``silence_s`` control is free.
-
-        Returns:
-            The reason when another sender has control, else None.
+        Without set-points for ``silence_s`` control is free. The reason when another
+        sender has control, else None.
         """
         if sender != self._owner and self._owner is not None and now_s - self._heard_s <= silence_s:
             return f"Set-point dropped: {_name(self._owner, sender)} has control"

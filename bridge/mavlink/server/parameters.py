@@ -78,38 +78,25 @@ class Refused(NamedTuple):
 
 
 class Parameters:
-    """The values in force; read as ``parameters["COM_OF_LOSS_T"]``.
-
-    Attributes:
-        version: changes with every write.
-        left_to_list: values of a list that are still to be sent.
-    """
+    """The values in force; read as ``parameters["COM_OF_LOSS_T"]``."""
 
     def __init__(self, rows: Iterable[Parameter]) -> None:
         """Set the defaults; the parameters are listed by name."""
         self._table = tuple(sorted(rows, key=lambda parameter: parameter.name))
         self._index = {parameter.name: i for i, parameter in enumerate(self._table)}
         self._values = {parameter.name: parameter.default for parameter in self._table}
-        self.version = 0
-        self.left_to_list = self._next = 0
+        self.version = 0  # changes with every write
+        self.left_to_list = self._next = 0  # values of a list that are still to be sent
 
     def __getitem__(self, name: str) -> float:
-        """Value of a parameter.
-
-        Raises:
-            KeyError: there is none of that name.
-        """
+        """Value of a parameter."""
         return self._values[name]
 
     def __len__(self) -> int:
         return len(self._table)
 
     def entry(self, name: str) -> Parameter:
-        """Type and range of a parameter.
-
-        Raises:
-            KeyError: there is none of that name.
-        """
+        """Type and range of a parameter."""
         return self._table[self._index[name]]
 
     def find(self, name: str, index: int) -> str | None:
@@ -130,11 +117,7 @@ class Parameters:
         )
 
     def preset(self, name: str, value: float) -> None:
-        """Set a parameter before anything flies; what is fixed stays.
-
-        Raises:
-            ValueError: no such parameter, or a value that is not allowed; the text says what is.
-        """
+        """Set a parameter before anything flies; what is fixed stays."""
         if name not in self._index:
             raise ValueError(f"parameter {name!r} is not known: allowed is {', '.join(self._index)}")
         parameter = self.entry(name)
@@ -156,12 +139,9 @@ class Parameters:
         return [self.message(name) for name in names]
 
     def set(self, name: str, wire_value: float, type_: int, *, armed: bool) -> Refused | None:
-        """Write a parameter from PARAM_SET.
+        """Write a parameter from PARAM_SET; None when it was written.
 
         ``wire_value`` is the message's float field, ``type_`` its MAV_PARAM_TYPE.
-
-        Returns:
-            Why it was refused, None when it was written.
         """
         parameter = self._table[self._index[name]]
         if type_ != parameter.type:

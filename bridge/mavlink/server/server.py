@@ -27,23 +27,13 @@ from bridge.mavlink.server.texts import Text, TextWire
 SYSTEM_ID = 1
 COMPONENT_ID = dialect.MAV_COMP_ID_AUTOPILOT1  # clients look for the autopilot nowhere else
 _HEARTBEAT_S = 1.0
-_LOG_MAX = 1024  # texts kept for a log that nobody takes
+_LOG_MAX = 1024  # texts kept until the log takes them
 _BROADCAST = frozenset({dialect.MAV_CMD_REQUEST_MESSAGE})  # the only command obeyed when sent to system 0
 _NOTHING: frozenset[int] = frozenset()
 
 
 class Server(ABC, Generic[V]):
-    """One autopilot on the wire; a subclass adds what is its vehicle's own.
-
-    Attributes:
-        vehicle: the vehicle.
-        profile: what differs between the vehicles.
-        parameters: values in force.
-        streams: rates of the telemetry.
-        messages: ids of the messages that can be asked for.
-        commands: handlers of COMMAND_LONG and COMMAND_INT.
-        system_id: MAVLink system id; the component id is always 1.
-    """
+    """One autopilot on the wire; a subclass adds what its vehicle alone has."""
 
     def __init__(
         self,
@@ -68,7 +58,7 @@ class Server(ABC, Generic[V]):
             dialect.MAVLINK_MSG_ID_HEARTBEAT: heartbeat,
             dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION: autopilot_version,
         }
-        self.messages = frozenset(requestable)
+        self.messages = frozenset(requestable)  # ids
         self.commands = Commands(vehicle, self.streams, requestable, self.snapshot, self.own_commands())
         self._handlers: dict[int, Handler] = {
             dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: self.on_setpoint,
@@ -86,7 +76,7 @@ class Server(ABC, Generic[V]):
         self._texts_to_log: list[Text] = []
         self._wire = TextWire()
 
-    # What a subclass has of its own
+    # For subclasses
 
     @abstractmethod
     def snapshot(self, now_s: float) -> Snapshot[V] | None:
@@ -97,7 +87,7 @@ class Server(ABC, Generic[V]):
         """Take note of a heartbeat of another program."""
 
     def own_commands(self) -> dict[int, Entry]:
-        """Commands besides those of every vehicle, or in their place."""
+        """Commands besides the common ones, or in their place."""
         return {}
 
     def own_handlers(self) -> dict[int, Handler]:
@@ -125,18 +115,14 @@ class Server(ABC, Generic[V]):
         return frozenset(self._handlers)
 
     def handle(self, message: Message, sender: Sender, now_s: float) -> list[Message]:
-        """Act on one message. Its checksum is valid; all else may be wrong with it.
-
-        Returns:
-            Answers for this sender.
-        """
+        """Act on one message of a valid checksum; its content may be wrong. Answers for this sender."""
         handler = self._handlers.get(message.get_msgId())  # some messages have a field named id
         if handler is None or sender[:2] == (self.system_id, COMPONENT_ID) or not self._for_us(message):
             return []
         return handler(message, sender, now_s)
 
     def telemetry(self, now_s: float) -> list[Message]:
-        """Messages for everybody that are due: heartbeat, texts, streams, values of a parameter list."""
+        """Messages for all clients that are due: heartbeat, texts, streams, values of a parameter list."""
         snapshot = self.snapshot(now_s)
         messages = self._announced(snapshot, now_s) if snapshot is not None else []
         if self.vehicle.texts.waiting:
@@ -151,20 +137,18 @@ class Server(ABC, Generic[V]):
         return messages
 
     def silent_until_s(self, now_s: float, heeded: frozenset[int]) -> float:
-        """Until when ``telemetry`` has nothing for who heeds these messages, if the vehicle does not change.
+        """Time until which nothing is due for these message ids, if the vehicle does not change.
 
-        Args:
-            now_s: of the next tick.
-            heeded: ids; of those that come at every tick it does not speak.
+        ``now_s`` is that of the next tick. Messages of every tick do not count.
         """
         if self._calm(now_s) is None:
             return -math.inf
         return min(self._heartbeat_due_s, self.streams.next_s(heeded))
 
     def brief(self, now_s: float, heeded: frozenset[int]) -> list[Message] | None:
-        """What is left of ``telemetry`` for who heeds these messages, without those of every tick.
+        """``telemetry`` of these message ids alone, without those of every tick.
 
-        None where it has more to say; then nothing has changed.
+        None, and no change, where another message is due.
         """
         snapshot = self._calm(now_s)
         if snapshot is None:
@@ -172,7 +156,7 @@ class Server(ABC, Generic[V]):
         return [*self._announced(snapshot, now_s), *self.streams.pass_over(now_s, snapshot, *heeded)]
 
     def _calm(self, now_s: float) -> Snapshot[V] | None:
-        """State of the vehicle if nothing has changed that it tells at once."""
+        """State of the vehicle if nothing has changed that is sent at once."""
         snapshot, texts = self.snapshot(now_s), self.vehicle.texts.waiting or self._texts_to_log
         if snapshot is None or texts or self.parameters.left_to_list:
             return None
