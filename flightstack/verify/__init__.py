@@ -1,1 +1,1 @@
-"""The certificate: proves what the filter guarantees for a configuration, and that it is feasible."""
+"""The certificate: proves the guarantees of the filter for a configuration, and its feasibility."""

@@ -1,9 +1,8 @@
 """Proven bounds: the largest value of a function over a whole box, and the ranges of a barrier's derivatives.
 
-Samples can miss the worst point. Here a function comes with an upper bound over any cell, from the exact
-ranges of its monotone pieces (``Shape``: of slope and curvature); the cell with the largest bound is cut in
-two until no cell can hold more than ``TOLERANCE`` above a value that was really found. Cells may reach to
-infinity.
+Samples can miss the worst point. Here a function has an upper bound over any cell, from the exact ranges of
+its monotone pieces (``Shape``: of slope and curvature). The cell with the largest bound is halved until no
+bound exceeds the largest computed value by more than ``TOLERANCE``. Cells may reach to infinity.
 """
 
 from __future__ import annotations
@@ -16,8 +15,8 @@ from typing import NamedTuple
 
 from flightstack.core.safety.barrier import Barrier
 
-TOLERANCE = 1e-4  # of the value: m/s, m/s^2 or mm
-CELLS_MAX = 20_000  # more are not needed by a hundredfold; what is left open stays in the bound
+TOLERANCE = 1e-4  # in the unit of the value: m/s, m/s^2 or mm
+CELLS_MAX = 20_000  # a hundred times the usual number; the bound remains valid at this limit
 EQUAL = 1e-9  # values this close are the same
 ROUNDING = 1e-12  # relative; a dozen operations err by less than 3e-15
 
@@ -60,9 +59,9 @@ def most(
 ) -> Most:
     """Bound a function from above over a box.
 
-    ``upper``: a number that the function does not exceed within a cell; ``value``: the function itself, at a
-    point with finite coordinates; ``domain``: the box, one span a coordinate; ``likely``: points to look at
-    first; of equal points the first one found is named.
+    ``upper``: upper bound of the function in a cell; ``value``: the function at a point with finite
+    coordinates; ``domain``: the box, one span a coordinate; ``likely``: points to evaluate first; of equal
+    points the first is returned.
     Raises ValueError: the function is not a number somewhere.
     """
 

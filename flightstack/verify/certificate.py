@@ -1,9 +1,9 @@
-"""Proves before take-off that a configuration is safe for everything it declares, over the whole envelope.
+"""Proves before take-off that a configuration is safe over its whole declared envelope.
 
 ``checks`` proves or refutes each claim of docs/how_it_works/robust_filter.md at its worst point.
-``problems`` are the refuted claims without which no landing is possible: the onboard process refuses such a
-configuration. Each filter names the function that makes its checks. The paper's filter has the paper's
-checks alone: it promises nothing for a vehicle that lags.
+``problems`` are the refuted claims that are necessary for a landing: the onboard process rejects such a
+configuration. Each filter has its function of checks. The paper's filter has only the paper's checks: it
+guarantees nothing for a vehicle with lag.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""When landing barrier, box and the rows of neighbours have a common point, at what distance.
+"""Distances at which landing barrier, box and the rows of neighbours have a common point.
 
 With h the value of a neighbour's barrier and g its gradient, its row is at worst
 
     g . u >= |g| w + a t - rate h,
 
 w the neighbour's speed, a t the growth of its ellipsoid at the largest latency: this vehicle has the whole
-share, and the neighbour comes straight at it. g is a unit vector whose vertical part is multiplied by
-k = radius_xy / radius_z. Of the box its horizontal disc counts, and no slew limit.
+share, and the neighbour approaches directly. g is a unit vector whose vertical part is multiplied by
+k = radius_xy / radius_z. Of the box the horizontal disc is used, without slew limit.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class Crowd(NamedTuple):
 
 
 def crowd(config: FlightConfig, shape: Shape, climb_m_s: float) -> Crowd:
-    """Gather it; the configuration has a table [fleet].
+    """By a configuration with a table [fleet].
 
-    ``shape``: boundary that is held; ``climb_m_s``: fastest climb of the pad.
+    ``shape``: boundary; ``climb_m_s``: fastest climb of the pad.
     """
     fleet = config.fleet
     assert fleet is not None
@@ -44,10 +44,10 @@ def crowd(config: FlightConfig, shape: Shape, climb_m_s: float) -> Crowd:
 
 
 def anywhere_m(config: FlightConfig, c: Crowd) -> float:
-    """Return the h above which any number of neighbours leaves a common point.
+    """The h above which any number of neighbours has a common point.
 
-    The point is the pad's horizontal velocity, with any climb: it meets the landing barrier wherever that is
-    not negative.
+    The point is the pad's horizontal velocity with any climb, which meets a landing barrier that is not
+    negative.
     """
     fleet = config.fleet
     assert fleet is not None
@@ -73,9 +73,9 @@ def begins(config: FlightConfig, c: Crowd) -> Check:
 
 
 def up_the_slope_m_s(config: FlightConfig, c: Crowd) -> float:
-    """Return the horizontal speed that is left where the slope is steepest, up the slope.
+    """The remaining horizontal speed up the steepest slope.
 
-    The landing barrier, at 0, asks for (speed + w_pad) slope + the pad's climb, and all climb is used up.
+    The landing barrier at 0 requires (speed + w_pad) slope + the pad's climb, the whole climb of the box.
     """
     vx, vy, vz = config.limits.velocity_max_m_s
     if c.steepest <= 0.0:
@@ -84,11 +84,10 @@ def up_the_slope_m_s(config: FlightConfig, c: Crowd) -> float:
 
 
 def one_short_m_s(config: FlightConfig, c: Crowd, aside_m_s: float, lowest: float) -> tuple[float, float]:
-    """Return by how much one neighbour's row can be missed at h = 0, and the elevation of that g (rad).
+    """The largest violation of one neighbour's row at h = 0, and the elevation of its g (rad).
 
-    ``c``: what decides; ``aside_m_s``: fastest that the vehicle gets out of the way horizontally; upwards it
-    has its box; ``lowest``: elevation of g; -pi / 2: from straight above, and the vehicle has to climb all
-    the same.
+    ``aside_m_s``: greatest horizontal speed of evasion; ``lowest``: least elevation of g; -pi / 2: from
+    directly above, while the vehicle has to climb.
     """
     vz = config.limits.velocity_max_m_s[2]
 

@@ -1,4 +1,4 @@
-"""Checks for any filter: contact differs from a descent, and a vehicle that does not follow is detected."""
+"""Checks for any filter: contact can be distinguished from a descent, missing motion is detected."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.parameters.reserve import GRAVITY_M_S2
 from flightstack.verify.types import Check, Need
 
-FALL_MAX_M_S = 1.0  # twice the speed of a landing; landing gear bears it
+FALL_MAX_M_S = 1.0  # twice the speed of a landing, within the strength of the landing gear
 
 
 def contact(config: FlightConfig, descent_m_s: float, key: str) -> Check:

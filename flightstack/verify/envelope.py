@@ -16,7 +16,7 @@ from flightstack.core.target.track import TargetState
 from flightstack.core.types import ZERO, Inputs
 from flightstack.verify.bound import Shape, Span
 
-SETTLE_SAMPLES = 2000  # after which the estimator's covariance no longer changes
+SETTLE_SAMPLES = 2000  # samples after which the estimator's covariance is constant
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,19 +24,19 @@ class Extremes:
     """Worst values of the declared envelope, for the robust filter."""
 
     barrier: Barrier  # the paper's
-    shape: Shape  # boundary held, with margins from the usual one to that of a target almost lost
-    usual: Shape  # the same while samples come as they should
-    pad_radius_m: float  # outside of it the barrier must hold
+    shape: Shape  # boundary with margins from the usual one to that of a target almost lost
+    usual: Shape  # the same while all samples arrive
+    pad_radius_m: float  # radius outside of which the barrier must hold
     box_speed_m_s: float  # fastest closing on the target that velocity box and target allow together
-    target_speed_m_s: float  # of the target, horizontally; also of a vehicle that stands over a moving target
+    target_speed_m_s: float  # horizontal speed of the target; also relative, of a vehicle at rest over it
     target_climb_m_s: float  # heave of the pad
     target_acceleration_m_s2: float  # horizontal
     heave_acceleration_m_s2: float  # vertical; 0 for a target that does not heave
     slip_m_s: float  # horizontal speed against the target while it is followed
-    position_error_m: float  # of vehicle minus target, horizontally, with the factor that is covered
+    position_error_m: float  # horizontal error of vehicle minus target, with the covered factor
     height_error_m: float  # the same upwards
-    growth_m: float  # of the margin from one sample of the target to the next
-    velocity_error_m_s: float  # of the target's estimated velocity on an axis, likewise
+    growth_m: float  # growth of the margin between two samples of the target
+    velocity_error_m_s: float  # error of the target's estimated velocity on an axis, likewise
     lag_xy_s: float  # lag_xy_s, lag_z_s: slowest vehicle of the spread
     lag_z_s: float
 
@@ -63,7 +63,7 @@ def extremes(config: FlightConfig) -> Extremes:
         target_climb_m_s=envelope.target_climb_max_m_s,
         target_acceleration_m_s2=acceleration,
         heave_acceleration_m_s2=acceleration if envelope.target_climb_max_m_s > 0.0 else 0.0,
-        # the set-point's lead takes out the lag that is told; where the vehicle differs remains
+        # the set-point's lead compensates the declared lag; the difference of the vehicle remains
         slip_m_s=(envelope.lag_spread * loop.lag_xy_s + loop.dead_time_s) * acceleration + velocity_error,
         position_error_m=robust.sigma_factor * math.hypot(usual.position_sigma_m, own_m),
         height_error_m=robust.sigma_factor * math.hypot(usual.position_sigma_z_m, own_m),
@@ -83,16 +83,16 @@ def _margin_m(strategy: RobustFilter, motion: TargetMotion) -> float:
 class Errors(NamedTuple):
     """Standard deviations of the target's estimate, at three ages of its newest sample."""
 
-    fresh: TargetMotion  # its delay: just arrived
-    usual: TargetMotion  # its delay and a period: the next one arrives
-    lost: TargetMotion  # the age limit: just not lost
+    fresh: TargetMotion  # at the age of the delay: a new sample
+    usual: TargetMotion  # at delay and period: before the next sample
+    lost: TargetMotion  # at the age limit
 
 
 def estimate_errors(link: TargetLink, rate_hz: float, age_max_s: float) -> Errors:
-    """Standard deviations of the target's estimate: usually at worst, and when it is almost lost.
+    """Standard deviations of the target's estimate at several ages of its newest sample.
 
-    The estimator's covariance does not depend on what is measured, so running it on zeros gives it exactly.
-    Almost lost is the worse of the very first sample (when least is known) and a later one, on each axis.
+    The estimator's covariance is independent of the measured values, so running it on zeros is exact. At the
+    age limit it is the worse one of the first sample and a later one, on each axis.
     """
     estimator, period_s = TargetEstimator(link), 1.0 / rate_hz
     first: TargetMotion | None = None

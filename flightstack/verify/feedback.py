@@ -1,11 +1,11 @@
 """Checks that the loop with fed-back velocity and disturbance is stable for every declared vehicle.
 
-``linear`` writes it down as x' = A x, with the vehicle's own loop as in velocity_tracking.py, the position
+``linear`` is the loop x' = A x, with the vehicle's own loop as in velocity_tracking.py, the position
 loop over the pad around it, and the delay as a first-order Padé element. A depends on the vehicle linearly
 through W = w^2 and D = 2 z w. So over a small piece of the spread, with (W, D) in a rectangle, a quadratic
-Lyapunov function that decays at the rectangle's four corners decays in all of it (a convex hull of matrices):
-nothing can hide between. Pieces for which that fails are halved. Where the own state is estimated
-(``own.velocity_error_m_s``), the estimator's states take the place of the observer's.
+Lyapunov function that decays at the rectangle's four corners decays in all of it (a convex hull of matrices).
+Pieces for which this fails are halved. With an estimated vehicle state (``own.velocity_error_m_s``) the
+estimator's states replace those of the observer.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from flightstack.core.target.own_estimator import PUSH_TIME_S, steady_gains
 from flightstack.verify.types import Check, Need
 
 F64 = npt.NDArray[np.float64]
-TICKS_LATE = 1.5  # a set-point holds for a tick, and comes a tick after what it was computed from
-SHARE = 0.5  # of the decay at a piece's middle that all of it is asked for
-PIECE_MIN = 1e-6  # of the spread's factor; a piece so small that still fails is a loop that swings
+TICKS_LATE = 1.5  # a set-point is held for a tick, and follows its inputs by a tick
+SHARE = 0.5  # required decay of a piece, as share of that at its middle
+PIECE_MIN = 1e-6  # least size of a piece, in the spread's factor; failing there, the loop is unstable
 PIECES_MAX = 10_000
-MIN_DECAY_1_S = 0.1  # of what is proven: half of an error is gone in seven seconds
+MIN_DECAY_1_S = 0.1  # required proven decay: half of an error in seven seconds
 
 
 def linear(config: FlightConfig, faster: float, damped: float | None = None) -> F64:
@@ -67,7 +67,7 @@ def linear(config: FlightConfig, faster: float, damped: float | None = None) -> 
 
 
 def _estimated(config: FlightConfig, faster: float, damped: float) -> F64:
-    """Return the same with the estimator of the own state, whose gains act a tick each.
+    """Return the same with the estimator of the vehicle state, whose gains act once a tick.
 
     States: position against the target, velocity, acceleration; what the delay holds of position and of
     velocity; the estimator's five, of the time of the measurement; smoothed derivative of the velocity
@@ -78,10 +78,10 @@ def _estimated(config: FlightConfig, faster: float, damped: float) -> F64:
     w, drag = loop.rate_xy_1_s, 2.0 * loop.damping * loop.rate_xy_1_s
     late_s = told_s + TICKS_LATE * period_s
     p, v, a, held_p, held_v, q, m, dm, e, f, s = np.eye(11)
-    position, velocity = held_p - p - q, held_v - v - m - e  # what the measurements miss
+    position, velocity = held_p - p - q, held_v - v - m - e  # errors of the measurements
     now_p, now_m = q + told_s * m, m + told_s * (dm + f)
     aim = s + feedback.error_rate_1_s * (-gain * now_p - now_m) - f
-    u = now_m + e + (drag * dm + feedback.tilt_rate_1_s * (aim - dm)) / (w * w)  # as sent
+    u = now_m + e + (drag * dm + feedback.tilt_rate_1_s * (aim - dm)) / (w * w)  # the set-point
     gains = steady_gains(loop, config.own, period_s)
     added = [(k * position + j * velocity) / period_s for k, j in zip(*gains, strict=True)]
     fades_1_s, push_fades_1_s = 1.0 / config.own.velocity_error_time_s, 1.0 / PUSH_TIME_S
@@ -103,10 +103,7 @@ def _estimated(config: FlightConfig, faster: float, damped: float) -> F64:
 
 
 def decay_1_s(config: FlightConfig, slower: float, faster: float) -> tuple[float, float]:
-    """Return the proven decay rate of every loop between these factors, and the factor of the lowest rate.
-
-    Returns the rate in 1/s, not positive if some vehicle's loop cannot be proven to; and the factor.
-    """
+    """The proven decay rate of all loops between these factors (1/s; not positive: none), and its factor."""
     least, where = math.inf, 1.0
     pieces = [(slower, faster)]
     for _ in range(PIECES_MAX):
@@ -130,7 +127,7 @@ def decay_1_s(config: FlightConfig, slower: float, faster: float) -> tuple[float
 
 def _decays(config: FlightConfig, centre: F64, rate_1_s: float, low: float, high: float) -> bool:
     """Return whether one quadratic function decays at this rate in the whole rectangle of (W, D)."""
-    # the sum of squares of the modes at the middle
+    # Lyapunov function: sum of squares of the modes at the middle
     modes = np.linalg.inv(np.linalg.eig(centre).eigenvectors)
     shape: F64 = (modes.conj().T @ modes).real
     if not float(np.linalg.eigvalsh(shape)[0]) > 0.0:
@@ -149,7 +146,7 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
         "lower velocity_feedback.error_rate_1_s, far_error_rate_1_s or observer_rate_1_s, or "
         "robust.gain_over_pad_1_s and gain_descent_1_s, or raise loop.rate_hz"
     )
-    # one, unless gains differ after the commit or far away
+    # one setting, unless gains differ after the commit or far away
     flown = {config, config.descending, config.far}
     told = min(decay_1_s(one, 1.0, 1.0)[0] for one in flown)
     least, where = min(decay_1_s(one, 1.0 / (1.0 + spread), 1.0 / (1.0 - spread)) for one in flown)

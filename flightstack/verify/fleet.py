@@ -1,4 +1,4 @@
-"""Checks of a configuration with a table [fleet]: what keeps two vehicles apart, and what is not proven.
+"""Checks of a configuration with a table [fleet]: separation of two vehicles, and its limits.
 
 docs/how_it_works/fleet.md derives every line; ``crowd`` has those about common points of several rows,
 ``team`` those of all members together.
@@ -18,7 +18,7 @@ from flightstack.verify.bound import Shape, Span
 from flightstack.verify.envelope import extremes
 from flightstack.verify.types import Check, Need
 
-LATE_TICKS = 1.0  # that a process may miss in a row, besides the tick in which a command holds
+LATE_TICKS = 1.0  # missed ticks in a row, in addition to the tick of a command
 
 
 def fleet_checks(config: FlightConfig) -> list[Check]:
@@ -28,7 +28,7 @@ def fleet_checks(config: FlightConfig) -> list[Check]:
         return []
     robust = issubclass(strategy_class(config.filter), RobustFilter)
     spread, loop = config.envelope.lag_spread, config.velocity_loop
-    # the set-point's lead takes out the lag that is told; where the vehicle differs remains
+    # the set-point's lead compensates the declared lag; the difference of the vehicle remains
     lag_s = (spread if robust else 1.0 + spread) * max(loop.lag_xy_s, loop.lag_z_s)
     if robust:
         x = extremes(config)
@@ -57,10 +57,10 @@ def fleet_checks(config: FlightConfig) -> list[Check]:
 
 
 def apart(fleet: Fleet, lag_s: float) -> Check:
-    """Check that two vehicles whose rows are met come to rest before their distance is used up.
+    """Check that two vehicles whose rows are met stop before their distance is zero.
 
-    With the distance y = h, velocities behind the wanted ones by a first-order lag T, and both rows met,
-    T y'' + y' + rate y >= 0: h is convex, so that its bend adds to y''. For rate T <= 1/4 the roots are real,
+    With the distance y = h, velocities that follow the commands by a first-order lag T, and both rows met,
+    T y'' + y' + rate y >= 0: h is convex, so its curvature adds to y''. For rate T <= 1/4 the roots are real,
     and y stays positive from wherever y' >= -L y, L the larger root.
     """
     left = 1.0 - fleet.rate_1_s * lag_s / PART_OF_LAG
@@ -104,10 +104,10 @@ def margin(config: FlightConfig, fleet: Fleet) -> Check:
 
 
 def shares(fleet: Fleet, period_s: float) -> Check:
-    """Check that who gives way goes on with that until nobody counts on it any more.
+    """Check that a vehicle keeps its share until no other one relies on it.
 
-    Who counts on it does so in a tick at most ZERO_LATENCIES after the word, for the period of that tick and
-    of late ones; who said it holds the whole share in all ticks up to HOLD_LATENCIES.
+    A receiver relies on a message in ticks until ZERO_LATENCIES after it, for the period of that tick and of
+    late ones; the sender keeps the whole share in all ticks until HOLD_LATENCIES.
     """
     spare_s = (HOLD_LATENCIES - ZERO_LATENCIES) * fleet.latency_max_s
     needed_s = (1.0 + LATE_TICKS) * period_s
@@ -178,9 +178,9 @@ def jump(config: FlightConfig, fleet: Fleet) -> Check:
 def slew(config: FlightConfig, fleet: Fleet, slew_m_s2: Vec3, *, whole: bool) -> Check:
     """Check that the slew limit follows a row that binds.
 
-    Where it binds, g . (u - c) = -rate h: g . u has to grow by rate times the closing speed, and by what the
-    other one accelerates; a bend of h helps. With half of the share half of that is this vehicle's. What is
-    left is homogeneous in g and concave, so that it is lowest along an axis.
+    Where it binds, g . (u - c) = -rate h: g . u has to grow by rate times the closing speed plus the
+    acceleration of the other vehicle; the curvature of h reduces this. With half of the share it is half of
+    this. The remaining room is homogeneous in g and concave, so it is least along an axis.
     """
     part, v = (1.0 if whole else 0.5), config.limits.velocity_max_m_s
     needed = [part * (fleet.rate_1_s * (m + fleet.speed_max_m_s) + fleet.acceleration_max_m_s2) for m in v]
@@ -201,8 +201,9 @@ def slew(config: FlightConfig, fleet: Fleet, slew_m_s2: Vec3, *, whole: bool) ->
 
 def touchdowns(config: FlightConfig, fleet: Fleet, descent_s: float) -> Check:
     """Check that pads that were not in conflict stay apart until two vehicles have touched."""
-    ahead_s = fleet.age_max_s + descent_s  # conflicts are looked for until the touchdown, in words so old
-    unseen_s = max(0.0, ahead_s - KEPT_PART * fleet.descent_s)  # in which they come nearer as they do already
+    # horizon of the conflict search: until the touchdown, from messages of this age
+    ahead_s = fleet.age_max_s + descent_s
+    unseen_s = max(0.0, ahead_s - KEPT_PART * fleet.descent_s)  # time of further approach at the current rate
     accelerated = 0.5 * config.envelope.target_acceleration_max_m_s2 * ahead_s * ahead_s
     moved_m = min(
         accelerated + config.touchdown.target_speed_max_m_s * unseen_s,

@@ -24,26 +24,26 @@ from flightstack.verify.envelope import Extremes
 from flightstack.verify.feedback import linear
 
 F64 = npt.NDArray[np.float64]
-STEP_S = 3e-3  # of the impulse responses; what they do between two steps is bounded
-DOUBLINGS = (11, 14)  # responses of 6 s, or up to 49 s; what is left after is bounded
-SLACK = 0.03  # share of its reach that a piece may owe to vehicles beside its middle
+STEP_S = 3e-3  # of the impulse responses; their values between two steps are bounded
+DOUBLINGS = (11, 14)  # responses of 6 s, or up to 49 s; the rest is bounded
+SLACK = 0.03  # greatest share of a piece's result by vehicles beside its middle
 PIECE_MIN = 1e-4  # of the spread's factor
 _POSITION, _VELOCITY, _PULL, _HELD, _MODEL, _MODEL_PULL, _, _SLOPE = range(8)  # states of ``linear``
 _TARGET, _ERROR, _OTHER = range(3)  # inputs
 
 
 def follow_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
-    """Return the largest distance from the middle while the target is followed, and its vehicle.
+    """The largest distance from the middle while the target is followed, and its vehicle.
 
-    Returns the distance in m, infinite if none is proven; and how many times as fast as declared that
-    vehicle's velocity loop is. For a vehicle that estimates its own state no bound is known: infinite.
+    Returns the distance in m, infinite if none is proven, and the factor of that vehicle's velocity loop to
+    the declared one. With an estimated vehicle state no bound is known: infinite.
     """
     if config.own.learns:
         return math.inf, 1.0
     spread = config.envelope.lag_spread
     low, high = 1.0 / (1.0 + spread), 1.0 / (1.0 - spread)
     pieces = [(*_reach_m(config, x, low, high), low, high)]
-    while True:  # the piece that may reach farthest comes first
+    while True:  # the piece with the largest bound first
         least, own_m, low, high = heapq.heappop(pieces)
         if -least <= (1.0 + SLACK) * own_m or high - low < PIECE_MIN:
             return -least, 0.5 * (low + high)
@@ -90,7 +90,7 @@ def _ports(config: FlightConfig, factor: float) -> tuple[F64, F64, F64]:
     w, drag = loop.rate_xy_1_s, 2.0 * loop.damping * loop.rate_xy_1_s
     smoothing_s = max(loop.slope_time_s, 1.0 / config.loop.rate_hz)
     inputs, outputs, through = np.zeros((8, 3)), np.zeros((3, 8)), np.zeros((3, 3))
-    # seen from the target all velocities turn the other way, twice in the delay's state; r' knows of it
+    # relative to the target all velocities change sign, twice in the delay's state
     inputs[[_VELOCITY, _HELD, _MODEL, _SLOPE], _TARGET] = -1.0, -2.0, -1.0, 1.0 / smoothing_s
     push = feedback.tilt_rate_1_s * (feedback.error_rate_1_s + 1.0 / smoothing_s)
     inputs[[_PULL, _MODEL_PULL, _SLOPE], _ERROR] = factor * factor * push, push, -1.0 / smoothing_s**2
@@ -107,7 +107,7 @@ def _gains(loop: F64, inputs: F64, outputs: F64) -> F64 | None:
     """Return integrals over the absolute impulse responses, outputs x inputs; None for an unstable loop.
 
     Between two steps a response differs from the straight line by at most h^3 / 12 of its second derivative,
-    in the integral. After the last step it begins anew, with what is left.
+    in the integral. After the last step it starts again from the remaining state.
     """
     step, grown = matrix_exp(loop * STEP_S), matrix_exp(np.abs(loop) * STEP_S)
     bend = np.abs(outputs @ loop @ loop) @ grown
@@ -118,7 +118,7 @@ def _gains(loop: F64, inputs: F64, outputs: F64) -> F64 | None:
             powers = np.concatenate([powers, powers @ factor])
             factor = factor @ factor
         if not np.isfinite(factor).all():
-            return None  # so unstable that it is beyond all numbers
+            return None  # unstable beyond the range of floats
         left = np.abs(factor)
         if doubling < DOUBLINGS[0] or not float(np.abs(np.linalg.eigvals(left)).max()) < 0.5:
             continue

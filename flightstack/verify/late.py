@@ -1,10 +1,10 @@
 """Checks that the loop of position, lead and vehicle comes to rest, for each vehicle of the spread.
 
-One axis, tick by tick: the vehicle's second-order loop with its dead time, the age of the own state, and the
-filter's own functions (``velocity_tracking.py``) without their bounds, between which they are linear. So a
-tick is a matrix, whose columns are the tick of each unit vector; its largest eigenvalue shows how fast an
-error fades. Delays are rounded to whole ticks. Vehicles are taken from a grid: the rate is continuous in
-them, and the rate that is needed leaves room for those in between.
+One axis, tick by tick: the vehicle's second-order loop with its dead time, the age of the vehicle state, and
+the filter's functions (``velocity_tracking.py``), which are linear within their bounds. So a tick is a
+matrix, whose columns are the tick of each unit vector; its largest eigenvalue is the decay of an error.
+Delays are rounded to whole ticks. Vehicles are those of a grid: the rate is continuous in them, and the
+required rate has room for those in between.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from flightstack.verify.feedback import F64
 from flightstack.verify.follow import matrix_exp
 from flightstack.verify.types import Check, Need
 
-LATE_TICKS = 1  # a set-point comes a tick after what it was computed from
-MIN_DECAY_1_S = 0.1  # half of an error is gone in seven seconds; of a slower position loop half its gain
+LATE_TICKS = 1  # a set-point follows its inputs by a tick
+MIN_DECAY_1_S = 0.1  # half of an error in seven seconds; with a slower position loop half its gain
 SLOWER = (-1.0, -0.5, 0.0, 0.5, 1.0)  # shares of the spread
-RESPONSES = (1.0, 1.15, 1.3)  # velocity flown, as a share of the set-point: identified ones reach 1.3
+RESPONSES = (1.0, 1.15, 1.3)  # steady velocity as share of the set-point: identified ones reach 1.3
 # at which a loop with a dead time still must not swing up: its phase turns without end, so that the gain
 # alone keeps it from that, and an identified gain is the mean of large and small commands
 RESPONSE_LATE = 1.35 * RESPONSES[-1]
@@ -44,8 +44,8 @@ _TARGET, _ERROR = 8, 9
 def tick_matrix(config: FlightConfig, gain_1_s: float, slower: float, response: float) -> F64:
     """Return the matrix of one tick.
 
-    ``gain_1_s``: of the position loop; ``slower``: the vehicle's lag and dead time as a share of the declared
-    ones; ``response``: steady velocity as a share of the set-point.
+    ``gain_1_s``: of the position loop; ``slower``: lag and dead time over the declared ones; ``response``:
+    steady velocity as share of the set-point.
     """
     loop, period_s = config.velocity_loop, 1.0 / config.loop.rate_hz
     free = replace(loop, error_max_m_s=1e9, disturbance_max_m_s=1e9)
@@ -63,7 +63,7 @@ def tick_matrix(config: FlightConfig, gain_1_s: float, slower: float, response: 
         ]
     )
     step = matrix_exp(rates * period_s)[:3].tolist()
-    sent = max(late, acts) + 1  # set-points kept, newest last
+    sent = max(late, acts) + 1  # stored set-points, newest last
     size = STATES + sent + 2 * aged
 
     def tick(x: Sequence[float]) -> list[float]:
@@ -87,7 +87,7 @@ def tick_matrix(config: FlightConfig, gain_1_s: float, slower: float, response: 
 def decay_1_s(config: FlightConfig, gain_1_s: float, slower: float, response: float) -> float:
     """Return the rate at which an error fades; negative for a loop that swings up."""
     whole = tick_matrix(config, gain_1_s, slower, response)
-    own = np.delete(np.delete(whole, _TARGET, 0), _TARGET, 1)  # the target's velocity stays as it is
+    own = np.delete(np.delete(whole, _TARGET, 0), _TARGET, 1)  # the target's velocity is constant
     return -math.log(float(np.abs(np.linalg.eigvals(own)).max())) * config.loop.rate_hz
 
 

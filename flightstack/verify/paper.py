@@ -2,8 +2,8 @@
 
 At the slope s, with the horizontal unit vector n away from the target, the best velocity in the box gives
 ``v_z + |s| (|n_x| v_x + |n_y| v_y)``; the worst target takes ``|s| w + w_z``. What is left must not be
-negative, for every distance and direction. By the apex the filter's gradient is shortened, from s towards 0;
-what is left is linear in |s|, and s = 0 is met at the peak besides, so that the bound covers it.
+negative, for every distance and direction. Near the apex the filter's gradient is shortened, from s towards
+0; the rest is linear in |s|, and s = 0 occurs at the peak, too, so the bound covers it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from flightstack.core.types import Vec3
 from flightstack.verify.bound import Cell, Most, Shape, Span, most
 from flightstack.verify.types import Check, Need
 
-TICK_S = 0.05  # s; a shorter tick is quick enough for a vehicle that lags less
+TICK_S = 0.05  # s; greatest tick with less lag
 QUARTER = Span(0.0, math.pi / 2.0)  # of directions: box and target are symmetric
 ANYWHERE = Span(0.0, math.inf)  # distances
 
@@ -121,8 +121,8 @@ def slews(config: FlightConfig, slew_m_s2: Vec3, key: str) -> Check:
 def lags(config: FlightConfig) -> Check:
     """Check that a lagging vehicle comes to rest within the pad, outside of which the barrier must hold.
 
-    The paper takes the vehicle to fly its command at once. One that lags flies on for its lag: at full speed
-    towards the cone, v tau farther than the filter knows.
+    The paper assumes a vehicle without lag. One with lag continues for its lag: at full speed towards the
+    cone, v tau farther than in the filter.
     """
     loop, pad_m = config.velocity_loop, config.touchdown.pad_radius_m
     lag_s = (1.0 + config.envelope.lag_spread) * loop.lag_xy_s
@@ -139,11 +139,11 @@ def lags(config: FlightConfig) -> Check:
 
 
 def answers(config: FlightConfig) -> list[Check]:
-    """Check that position loop, filter, slew limit and tick suit the vehicle that the paper leaves out.
+    """Check that position loop, filter, slew limit and tick fit a vehicle with lag, which the paper omits.
 
-    The position loop around a lag is damped by 1 / sqrt(2) for a product of 1/2. A filter that lets h fall
-    more than twice as quickly as the vehicle comes to the middle, or more quickly than its vertical velocity
-    settles, takes it down where the cone is narrow and keeps it there while the robot drives on.
+    The position loop around a lag has a damping of 1 / sqrt(2) for a product of 1/2. A filter that lets h
+    fall more than twice as fast as the vehicle approaches the middle, or faster than its vertical velocity
+    settles, brings it down in the narrow part of the cone, where it remains while the robot moves on.
     """
     loop, slower, tick_s = config.velocity_loop, 1.0 + config.envelope.lag_spread, 1.0 / config.loop.rate_hz
     (kx, ky, kz), (ax, ay, _) = config.position_loop.gain_1_s, config.limits.slew_max_m_s2

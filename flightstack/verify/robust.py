@@ -19,7 +19,7 @@ from flightstack.verify.envelope import Extremes
 from flightstack.verify.paper import shortfall
 from flightstack.verify.types import Check, Need
 
-HELD_M = 0.005  # m below the boundary outside the pad that no verdict calls a violation, whatever the vehicle
+HELD_M = 0.005  # m below the boundary outside the pad that no verdict counts as a violation
 
 
 def rate(config: FlightConfig, x: Extremes) -> Check:
@@ -60,7 +60,8 @@ def demand_change(config: FlightConfig, x: Extremes, shape: Shape, d: Span, sign
     """Return how fast that velocity rises (sign 1) or falls (sign -1) by motion over the boundary, m/s^2."""
     slope, bend = shape.slope(d), shape.curvature_1_m(d)
     ax, ay, _ = config.slew_max_m_s2
-    inside = x.slip_m_s if sign > 0.0 else x.box_speed_m_s  # it may come in fast, which lets the demand fall
+    # an inward speed may be high, which reduces the demand
+    inside = x.slip_m_s if sign > 0.0 else x.box_speed_m_s
     speed = x.box_speed_m_s if slope.low < 0.0 else inside
     pushed = math.hypot(ax, ay) + x.target_acceleration_m_s2
     return (
@@ -148,11 +149,11 @@ def reserve(config: FlightConfig, table: Reserve, x: Extremes) -> Check:
 
 
 def between_ticks_m(config: FlightConfig, x: Extremes) -> float:
-    """Return the largest loss of h because the condition holds at ticks only.
+    """The largest loss of h because the condition holds at ticks only.
 
-    A demand that grows with g costs g T^2 / 2 a tick, and the rate r brings it back: g T / (2 r) if it grew
-    for ever. It cannot: it is bounded, so that it grows and falls in turn, at the worst as a saw-tooth with
-    these slopes; then the loss is g T / (2 r) (1 - exp(-r t_up)) / (1 - exp(-r (t_up + t_down))).
+    A demand that grows with g costs g T^2 / 2 a tick, and the rate r restores it: g T / (2 r) for permanent
+    growth. The demand is bounded, so it grows and falls in turn, at worst as a saw-tooth with these slopes;
+    then the loss is g T / (2 r) (1 - exp(-r t_up)) / (1 - exp(-r (t_up + t_down))).
     """
     rate_1_s, period_s = config.robust.rate_1_s, 1.0 / config.loop.rate_hz
     growth = outside(x, lambda d: demand_change(config, x, x.usual, d)).bound
@@ -168,8 +169,8 @@ def between_ticks_m(config: FlightConfig, x: Extremes) -> float:
 def depth_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
     """Return the lowest h outside the pad, and its distance.
 
-    What the margin lacks there (it fades towards the pad, and is sized for the slope at the pad's edge), plus
-    what is lost between two ticks and between two samples of the target.
+    Missing margin there (it fades towards the pad, and is sized for the slope at the pad's edge), plus the
+    losses between two ticks and between two samples of the target.
     """
     robust, held_m = config.robust, x.usual.margin_m.low
     kept_m = robust.tracking_error_m_s / robust.rate_1_s
@@ -203,7 +204,7 @@ def holds(config: FlightConfig, x: Extremes) -> Check:
 def estimator(config: FlightConfig, x: Extremes) -> Check:
     """Check that the target estimator's noise model covers the declared acceleration."""
     link, factor = config.target, config.robust.sigma_factor
-    # white jerk of density j makes a standard deviation j sqrt(t) of acceleration; within a second
+    # white jerk of density j gives a standard deviation j sqrt(t) of the acceleration; t is a second
     rooms = (
         factor * link.jerk_growth_max * link.jerk_xy_m_s3_sqrthz - x.target_acceleration_m_s2,
         factor * link.jerk_z_m_s3_sqrthz - x.heave_acceleration_m_s2,

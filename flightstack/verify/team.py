@@ -1,4 +1,4 @@
-"""Checks of all members of a fleet together: what no configuration alone can tell."""
+"""Checks of all members of a fleet together."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ def team_checks(
 ) -> list[Check]:
     """Checks of all members together.
 
-    ``configs``: of the members; each has a table [fleet]; ``starts_enu_m``: where they begin in the air, as
-    far as that is known; ``touch_m``: of all places of one vehicle beside another at which they overlap, the
-    outermost; ``pads_apart_m``: least distance that any two pads can come to.
+    ``configs``: of the members, each with a table [fleet]; ``starts_enu_m``: known start places in the air;
+    ``touch_m``: outermost offset of one vehicle from another at which they overlap; ``pads_apart_m``: least
+    distance of any two pads.
     """
     fleets = [config.fleet for config in configs if config.fleet is not None]
     return [

@@ -5,9 +5,9 @@ distance from the middle and z the difference between the velocity and the comma
 
     y' <= -K y + z + q,      z' <= -z / tau + rho (a + K (K y + z + q)),
 
-K the descent's gain, tau the vehicle's lag, rho the share of it by which the set-point's lead is wrong, a the
-target's acceleration, q the error of its estimated velocity and K times that of its position.
-Off-diagonal terms are positive, so that the system with equality lies above everything that can happen.
+K the descent's gain, tau the vehicle's lag, rho the relative error of the set-point's lead, a the target's
+acceleration, q the error of its estimated velocity plus K times that of its position. Off-diagonal terms are
+positive, so the system with equality is an upper bound of all motions.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def follows(config: FlightConfig, x: Extremes) -> list[Check]:
             "m/s",
             f"horizontally the box has {min(vx, vy):g} m/s, the target {x.target_speed_m_s:g}",
             "raise limits.velocity_max_m_s or lower touchdown.target_speed_max_m_s",
-            Need.PROOF,  # it may still catch a slower one
+            Need.PROOF,  # it may still reach a slower one
         ),
         Check(
             "descent on a heaving pad",
@@ -71,7 +71,7 @@ def reach(config: FlightConfig, x: Extremes) -> list[Check]:
     robust = config.robust
     d = robust.commit_radius_m
     fade = 1.0 - math.exp(-((d / robust.fade_radius_m) ** 2))
-    # the boundary rises out to its peak, the margin everywhere
+    # the boundary rises up to its peak, the margin everywhere
     ring = min(d, x.barrier.peak_distance_m)
     floor = x.barrier.height(ring) + x.usual.margin_m.high * fade
     hover = floor + config.velocity_loop.lag_z_s * robust.tracking_error_m_s + x.height_error_m
@@ -167,13 +167,13 @@ def damping(config: FlightConfig, x: Extremes) -> Check:
 
 
 def tilts(config: FlightConfig, x: Extremes) -> Check:
-    """Check that the bound of the set-point leaves the acceleration that is counted on.
+    """Check that the bound of the set-point leaves the required acceleration.
 
     A second-order loop whose set-point is e ahead of its velocity accelerates with w e / (2 z): e over its
-    lag without the dead time. The nominal command counts on its braking. And from rest to the full speed v
-    such a vehicle lags v / (2 A) behind, less v / (2 a) of the command's own ramp, besides its lag: more than
-    ``checks.follow_lag_max_s`` of flight is taken for a vehicle that does not follow, which then lands where
-    it is, beside a robot that drives.
+    lag without the dead time. The nominal command relies on its braking. From rest to the full speed v such a
+    vehicle lags by v / (2 A), minus v / (2 a) of the command's ramp, in addition to its lag: above
+    ``checks.follow_lag_max_s`` of flight it counts as a vehicle that does not follow, and lands beside the
+    robot.
     """
     loop, (ax, ay, _) = config.velocity_loop, config.slew_max_m_s2
     speed, slew = max(config.limits.velocity_max_m_s[:2]), min(ax, ay)
@@ -196,10 +196,10 @@ def tilts(config: FlightConfig, x: Extremes) -> Check:
 
 
 def modelled(config: FlightConfig) -> Check:
-    """Check that rate and damping of the model make the lag that is declared beside them.
+    """Check that rate and damping of the model agree with the declared lag.
 
-    The corrections take the lag from one and the disturbance from the other: with both far apart they fly a
-    disturbance that is not there. The shipped loops, identified, agree within a factor of 1.5.
+    The corrections use the lag of one and the disturbance of the other: a large difference looks like a
+    disturbance. The identified loops of the shipped configurations agree within a factor of 1.5.
     """
     loop = config.velocity_loop
     axes = (
@@ -240,8 +240,8 @@ def drift_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
 def _drift_of_m(config: FlightConfig, x: Extremes, lag_s: float, rho: float) -> tuple[float, float]:
     """The same for one tau and rho.
 
-    The comparison system is linear: it is solved exactly from step to step, and what its slope allows between
-    two steps is added.
+    The linear comparison system is solved exactly from step to step, plus the possible growth between two
+    steps.
     """
     gain, decay_1_s = config.robust.gain_over_pad_1_s, 1.0 / max(lag_s, STEP_S)
     error = x.velocity_error_m_s + gain * x.position_error_m

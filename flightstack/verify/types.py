@@ -10,8 +10,8 @@ from enum import Enum
 class Need(Enum):
     """What a check is needed for."""
 
-    FLIGHT = "flight"  # without it the set cannot work: the onboard process refuses it
-    PROOF = "proof"  # without it nothing is promised of the worst case; it may still fly
+    FLIGHT = "flight"  # necessary for a flight: the onboard process rejects the configuration
+    PROOF = "proof"  # necessary for the guarantee in the worst case; a flight is possible
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,12 +20,12 @@ class Check:
 
     Attributes:
         name: short, unique.
-        claim: what holds everywhere in the envelope if ``room`` is not negative.
+        claim: true in the whole envelope if ``room`` is not negative.
         room: distance to the limit at the worst point.
         unit: of the room.
-        worst: the worst point, in words.
-        remedy: what to change if there is too little.
-        need: what hangs on it.
+        worst: the worst point, as text.
+        remedy: change of the configuration if the room is negative.
+        need: consequence of a negative room.
     """
 
     name: str

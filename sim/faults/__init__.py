@@ -1,1 +1,1 @@
-"""Injected faults and who carries them out."""
+"""Injected faults and their effects."""

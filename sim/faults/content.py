@@ -1,4 +1,4 @@
-"""Faults of what messages say: heartbeat, set-points, time stamps."""
+"""Faults of message contents: heartbeat, set-points, time stamps."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Rewrite = Callable[[Any, int], None]  # changes a message in place; time in ns
 _By = Callable[[Running, Any, int], None]  # the same for a running fault
 
 _TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
-_SERVO: int = dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW  # the one with 32 bits of microseconds
+_SERVO: int = dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW  # the message with a 32-bit time in microseconds
 _HEARTBEAT_FIELDS = ("base_mode", "custom_mode", "system_status")
 _VELOCITY_FIELDS = ("vx", "vy", "vz")
 _MODE_BITS, _STATES = 1 << 26, 9  # PX4's modes end in bit 26; MAV_STATE has nine
@@ -64,7 +64,7 @@ def _standing_ns(running: Running, now_ns: int) -> int:
     return now_ns - (now_ns - running.start_ns) % round(running.fault.period * NS)
 
 
-# fault and simulated time to what the clock shows, ns
+# fault and simulated time to the time of the faulty clock, ns
 _CLOCKS: Mapping[Kind, Callable[[Running, int], int]] = {
     Kind.OFF: lambda _, __: 0,
     Kind.STUCK: lambda running, _: running.start_ns,
@@ -79,13 +79,13 @@ _CLOCKS: Mapping[Kind, Callable[[Running, int], int]] = {
 
 
 def clock_ns(running: Running, now_ns: int) -> int:
-    """What a faulty clock shows, ns; never negative."""
+    """Time of a faulty clock, ns; never negative."""
     return max(0, _CLOCKS[running.fault.kind](running, now_ns))
 
 
 def _clock(running: Running, message: Any, now_ns: int) -> None:
     if message.get_msgId() == _TIMESYNC:
-        if message.tc1 != 0:  # an answer; a request is ours to make in lockstep only
+        if message.tc1 != 0:  # a reply; requests are sent in lockstep only
             message.tc1 = max(1, clock_ns(running, now_ns))
         return
     boot_ms = getattr(message, "time_boot_ms", None)

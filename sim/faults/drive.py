@@ -1,4 +1,4 @@
-"""Faults of the drive: what is left of the commanded speeds, and of the battery."""
+"""Faults of motors and battery."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ EMPTY_V = 3.0  # at rest; firmware platform_defaults_cf2.h: DEFAULT_BAT_CRITICAL
 
 
 class MotorFaults:
-    """Speed that a motor aims at = share * commanded + held; share 1 and held 0 when it is sound.
+    """Target speed of a motor = share * command + held; share 1 and held 0 without a fault.
 
-    ``share``: of M1..M4, changed in place; ``held``: of M1..M4, rpm, changed in place; ``rotors``: present
-    speeds; ``rotor``: static map of the thrust; ``hover_rpm``: speed at which the share of the thrust of a
-    weak motor is exact; elsewhere within some per cent, since thrust is not quite a square of the speed.
+    ``share`` and ``held`` (rpm) of M1..M4 are changed in place. ``hover_rpm``: speed at which the thrust of a
+    weak motor is exact; elsewhere within some per cent, since thrust is not exactly quadratic in speed.
     """
 
     def __init__(self, share: F64, held: F64, rotors: RotorRecord, rotor: Rotor, hover_rpm: float) -> None:
@@ -26,7 +25,7 @@ class MotorFaults:
         share[:], held[:] = 1.0, 0.0
 
     def begin(self, running: Running) -> None:
-        """A fault is on; of several on one motor the newest counts."""
+        """Start a fault; of several on one motor the newest counts."""
         fault = running.fault
         assert fault.motor is not None
         share = held = 0.0
@@ -39,7 +38,6 @@ class MotorFaults:
         self._apply()
 
     def end(self, running: Running, now_ns: int) -> None:
-        """It is over."""
         del now_ns
         self._running = [one for one in self._running if one[0] is not running]
         self._apply()
@@ -60,7 +58,6 @@ class BatteryFaults:
         self._taken: dict[Running, tuple[float, float]] = {}  # charge (A s) and voltage (V)
 
     def begin(self, running: Running) -> None:
-        """A fault is on."""
         b, fault = self._record, running.fault
         left_a_s = float(b.charge_a_s - b.used_a_s)
         charge_a_s, volts = {
@@ -72,7 +69,7 @@ class BatteryFaults:
         self._take(charge_a_s, volts)
 
     def end(self, running: Running, now_ns: int) -> None:
-        """It is over: what it took is back."""
+        """Restore charge and voltage."""
         del now_ns
         charge_a_s, volts = self._taken.pop(running)
         self._take(-charge_a_s, -volts)

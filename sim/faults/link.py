@@ -1,4 +1,4 @@
-"""Faults of the MAVLink wire: what becomes of a message, both ways."""
+"""Faults of the MAVLink wire in both directions."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class Way(Enum):
 
 
 class Fate(NamedTuple):
-    """What becomes of a message."""
+    """Effect of the faults on a message."""
 
-    due_ns: tuple[int, ...]  # when it arrives; none: never, two: twice
-    damaged: bool = False  # its checksum does not fit
-    stall: Running | None = None  # it waits for the end of this fault
+    due_ns: tuple[int, ...]  # arrival times; empty: lost; two: duplicated
+    damaged: bool = False  # wrong checksum
+    stall: Running | None = None  # the message waits for the end of this fault
 
 
 # direction and messages (None: all) that a fault concerns
@@ -39,7 +39,7 @@ CONCERNS: dict[What, tuple[Way, frozenset[int] | None]] = {
     What.SETPOINTS: (Way.IN, frozenset({dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED})),
     What.CLOCK: (Way.OUT, None),
 }
-# whoever injects faults must be able to end them
+# the command that ends faults must arrive
 _COMMANDS = frozenset(
     {
         dialect.MAVLINK_MSG_ID_COMMAND_LONG,
@@ -51,7 +51,7 @@ _COMMANDS = frozenset(
 
 HELD_BACK_NS = 30_000_000  # of a reordered message: three ticks at 100 Hz
 
-Due = list[int]  # when a message arrives, ns; none: never, two: twice
+Due = list[int]  # arrival times of a message, ns; empty: lost; two: duplicated
 
 
 def _later(due: Due, by_ns: int) -> Due:
@@ -80,26 +80,22 @@ class LinkFaults:
         self._running: list[_One] = []
 
     def begin(self, running: Running) -> None:
-        """A fault is on."""
         rewrite, lost = rewrite_of(running), LOST.get(running.fault.kind)
         self._running.append(_One(running, rewrite, None if lost is None else lost(running)))
 
     def end(self, running: Running, now_ns: int) -> None:
-        """It is over; the wire lets go of what waited for it."""
+        """End a fault; messages that waited for it are released."""
         del now_ns
         self._running = [one for one in self._running if one.running is not running]
 
     def active(self, way: Way) -> bool:
-        """Whether messages in this direction have to go through ``fate``."""
+        """Whether messages in this direction have to pass ``fate``."""
         if not self._running:
             return False
         return any(CONCERNS[one.running.fault.what][0] is way for one in self._running)
 
     def fate(self, way: Way, message: Message, now_ns: int) -> Fate:
-        """Decide on one message, which may be changed in place; call it once a message, in order.
-
-        ``way``: direction; ``message``: decoded, or about to be packed.
-        """
+        """Effect on one message, which may be changed in place; called once for each message, in order."""
         id_: int = message.get_msgId()
         if id_ in _COMMANDS and message.command == dialect.MAV_CMD_INJECT_FAILURE:
             return Fate((now_ns,))

@@ -14,7 +14,7 @@ OK: int = dialect.FAILURE_TYPE_OK
 
 Make = Callable[[tuple[int, ...]], list[Fault]]  # from motor numbers
 
-_OFFSET_M = (0.3, 0.0, 0.0)  # of a wrong position
+_OFFSET_M = (0.3, 0.0, 0.0)  # error of a wrong position
 
 
 def _motors(kind: Kind) -> Make:
@@ -41,7 +41,7 @@ _TYPES: dict[int, Kind] = {
     _D.FAILURE_TYPE_INTERMITTENT: Kind.INTERMITTENT,
 }
 _POSITION: dict[int, Make] = {type_: _mocap(kind) for type_, kind in _TYPES.items()}
-# unit and type (but OK) to faults, with the defaults of the table
+# unit and type (except OK) to faults, with the defaults of the table
 FAILURES: dict[int, dict[int, Make]] = {
     _D.FAILURE_UNIT_SENSOR_GPS: _POSITION,
     _D.FAILURE_UNIT_SENSOR_VIO: _POSITION,
@@ -59,7 +59,7 @@ FAILURES: dict[int, dict[int, Make]] = {
         for type_, kind in _TYPES.items()
     },
 }
-# what FAILURE_TYPE_OK heals
+# faults that FAILURE_TYPE_OK heals
 PARTS: dict[int, frozenset[What]] = {
     unit: frozenset(fault.what for make in kinds.values() for fault in make(MOTORS))
     for unit, kinds in FAILURES.items()
@@ -87,10 +87,7 @@ def motors_of(unit: int, instance: int) -> tuple[int, ...] | str:
 
 
 def faults_of(unit: int, kind: int, instance: int) -> list[Fault] | str:
-    """Faults that a failure means (none for OK), or why it is not simulated.
-
-    ``unit``: FAILURE_UNIT; ``kind``: FAILURE_TYPE; ``instance``: 0 all, else which one, from 1.
-    """
+    """Faults of FAILURE_UNIT, FAILURE_TYPE and instance (0: all), none for OK; or why it is not simulated."""
     if unit not in FAILURES:
         names = ", ".join(UNITS[u] for u in FAILURES)
         return f"failure unit {UNITS.get(unit, unit)} is not simulated; these are: {names}"

@@ -1,4 +1,4 @@
-"""Faults of a stream of samples: motion capture, vehicle state, target odometry; and what a stream loses."""
+"""Faults of a stream of samples: motion capture, vehicle state, target odometry; and losses of a stream."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ S = TypeVar("S")
 HELD_MAX = 8192  # samples; 5 s at 500 Hz are 2500
 ESTIMATE_PERIOD_NS = NS // 100  # of the log stream on which a Crazyflie sends its estimate
 
-Lost = Callable[[int], bool]  # whether what comes at this time (ns) is lost
+Lost = Callable[[int], bool]  # whether a sample at this time (ns) is lost
 
 
 def _in_bursts(running: Running) -> Lost:
-    fault, burst, change_ns = running.fault, True, running.start_ns  # turns at once: to a good time
+    fault, burst, change_ns = running.fault, True, running.start_ns  # starts with a good time
 
     def lost(now_ns: int) -> bool:
         nonlocal burst, change_ns
@@ -54,13 +54,13 @@ LOST: Mapping[Kind, Callable[[Running], Lost]] = {
 
 
 class Shape(NamedTuple, Generic[S]):
-    """What faults do to a kind of sample."""
+    """Effect of faults on a kind of sample."""
 
     move: Callable[[S, Vec3, float], S]  # by an offset (ENU, m) and a turn (rad)
     freeze: Callable[[S, S], S]  # the first sample, with the time stamp of the second
 
 
-Change = Callable[[Any, int], Any]  # a sample and the time (ns) to what becomes of it
+Change = Callable[[Any, int], Any]  # (sample, time in ns) to the changed sample
 
 
 def _stuck(running: Running, shape: Shape[Any]) -> Change:
@@ -131,16 +131,14 @@ class SampleFaults(Generic[S]):
 
     @property
     def running(self) -> bool:
-        """Whether any fault is on."""
         return bool(self._running)
 
     @property
     def active(self) -> bool:
-        """Whether samples have to go through ``deliver``."""
+        """Whether samples have to pass ``deliver``."""
         return bool(self._running or self._held)
 
     def begin(self, running: Running) -> None:
-        """A fault is on."""
         kind = running.fault.kind
         lost = LOST[kind](running) if kind in LOST else lambda _: False
         change = CHANGES[kind](running, self._shape) if kind in CHANGES else lambda sample, _: sample
@@ -148,17 +146,14 @@ class SampleFaults(Generic[S]):
         self._running.append(_One(running, lost, change, delay_ns))
 
     def end(self, running: Running, now_ns: int) -> None:
-        """It is over; what it held back is due now."""
+        """End a fault; delayed samples are due now."""
         self._running = [one for one in self._running if one.running is not running]
         if running.fault.kind is Kind.DELAYED:
             self._held = deque((min(due_ns, now_ns), sample) for due_ns, sample in self._held)
             self.release_ns = self._held[0][0] if self._held else NEVER_NS
 
     def deliver(self, now_ns: int, samples: list[S]) -> list[S]:
-        """What arrives now, in order, when ``samples`` would have arrived.
-
-        ``samples``: those of now; may be empty.
-        """
+        """Samples that arrive now, in order, where ``samples`` (may be empty) would arrive without faults."""
         for sample in samples:
             kept = self._through(sample, now_ns)
             if kept is not None and len(self._held) < HELD_MAX:
@@ -198,10 +193,8 @@ ESTIMATE: Shape[Estimate] = Shape(_move_estimate, lambda first, _: first)
 class EstimateFaults:
     """Faults of the estimate on its way from the firmware to its autopilot.
 
-    On a Crazyflie that is a log stream over the radio: the firmware flies on by the good estimate, autopilot
-    and companion see the bad one.
-
-    ``due_ns``: when ``sample`` is to be called next.
+    On a Crazyflie that is a log stream over the radio: the firmware uses the correct estimate, autopilot and
+    companion get the faulty one. ``due_ns``: time of the next call of ``sample``.
     """
 
     def __init__(self) -> None:
@@ -214,19 +207,18 @@ class EstimateFaults:
         self.due_ns = NEVER_NS
 
     def begin(self, running: Running) -> None:
-        """A fault is on."""
         self._samples.begin(running)
         if self.due_ns == NEVER_NS:
             self.due_ns = running.start_ns
 
     def end(self, running: Running, now_ns: int) -> None:
-        """It is over; after the last one the present estimate counts again, what was held is dropped."""
+        """End a fault; delayed samples are due now."""
         self._samples.end(running, now_ns)
         if not self._samples.running:
             self._reset()
 
     def sample(self, now_ns: int, estimate: Estimate) -> None:
-        """Put an estimate on its way."""
+        """Send an estimate."""
         self.due_ns += ESTIMATE_PERIOD_NS
         if self._arrived is None:
             self._arrived, self._arrived_ns = estimate, now_ns
@@ -234,10 +226,7 @@ class EstimateFaults:
             self._arrived, self._arrived_ns = arrived, now_ns
 
     def report(self, now_ns: int, estimate: Estimate) -> Estimate:
-        """What the autopilot has; invalid when nothing has come for as long as the estimator would bear.
-
-        ``estimate``: what the firmware has.
-        """
+        """The autopilot's estimate by that of the firmware; invalid after ``INNOVATION_AGE_MAX_S``."""
         arrived = self._arrived
         if arrived is None:
             return estimate

@@ -1,4 +1,4 @@
-"""When faults begin and end; the same for the vehicle and for the robot."""
+"""Schedule of faults, for the vehicle and for the robot."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from sim.chance import Chance, stream
 from sim.plant.sensors import NEVER_NS, NS
 from sim.scenarios.fault_spec import After, Fault
 
-RUNNING_MAX = 64  # faults at a time; more by command are refused
+RUNNING_MAX = 64  # active faults; further commands are rejected
 
 
 @dataclass(slots=True, eq=False)
 class Running:
-    """A fault and what belongs to it; each has a random stream of its own."""
+    """A fault in progress, with its random stream."""
 
     fault: Fault
     rng: Chance
@@ -26,24 +26,24 @@ class Running:
     over: bool = False
 
     def happens(self) -> bool:
-        """Draw whether it strikes, with the probability ``value``."""
+        """Draw whether the fault has an effect, with the probability ``value``."""
         return bool(self.rng.random() < self.fault.amount)
 
     def paused(self, now_ns: int) -> bool:
-        """Whether an intermittent fault pauses now; it begins with a pause."""
+        """Whether an intermittent fault pauses; it starts with a pause."""
         since_s = (now_ns - self.start_ns) / NS
         return since_s % self.fault.period < self.fault.amount
 
 
 class Change(NamedTuple):
-    """A fault begins (``running.active``) or ends."""
+    """Start (``running.active``) or end of a fault."""
 
     running: Running
     begins: bool
 
 
 class FaultText(NamedTuple):
-    """A fault has begun or ended."""
+    """Text on the start or end of a fault."""
 
     begins: bool
     text: str
@@ -54,10 +54,10 @@ class FaultText(NamedTuple):
 
 @dataclass(slots=True)
 class Schedule:
-    """Begin and end of all faults; times are simulated, integer ns."""
+    """Start and end of all faults; times are simulated, integer ns."""
 
     seed: int
-    next_ns: int = NEVER_NS  # when something is due
+    next_ns: int = NEVER_NS  # time of the next start or end
     _waiting: list[Running] = field(default_factory=list)  # for their reference
     _due: list[tuple[int, int, bool, Running]] = field(default_factory=list)
     _active: list[Running] = field(default_factory=list)
@@ -77,22 +77,22 @@ class Schedule:
 
     @property
     def active(self) -> tuple[Running, ...]:
-        """Faults that are on, in the order of their beginning."""
+        """Active faults in the order of their start."""
         return tuple(self._active)
 
     def waits_for(self, after: After) -> bool:
-        """Whether a fault waits for this."""
+        """Whether a fault waits for this event."""
         return any(running.fault.after is after for running in self._waiting)
 
     def refer(self, after: After, now_ns: int) -> None:
-        """It has happened: faults that waited for it are planned from now on."""
+        """An event occurred: plan the faults that waited for it."""
         ready = [r for r in self._waiting if r.fault.after is after]
         self._waiting = [r for r in self._waiting if r.fault.after is not after]
         for running in ready:
             self._plan(running, now_ns + round(running.fault.start_s * NS))
 
     def due(self, now_ns: int) -> list[Change]:
-        """Take what begins and ends by now, in order of time."""
+        """Return starts and ends until now, in order of time."""
         changes = []
         while self._due and self._due[0][0] <= now_ns:
             _, _, begins, running = heapq.heappop(self._due)
@@ -102,7 +102,7 @@ class Schedule:
         return changes
 
     def heal(self, running: Running) -> Change:
-        """End a fault that is on, now."""
+        """End an active fault now."""
         return self._end(running)
 
     def _plan(self, running: Running, start_ns: int) -> None:

@@ -1,6 +1,6 @@
-"""All faults of one vehicle: carried out on time, injected and healed on demand, and told.
+"""All faults of one vehicle: by schedule and by command, with texts.
 
-Nothing here runs unless a fault begins, ends or is on: the compiled loop knows of two numbers a motor only.
+This code runs only while a fault starts, ends or is active; the compiled loop has only two numbers a motor.
 """
 
 from __future__ import annotations
@@ -19,19 +19,17 @@ from sim.faults.schedule import RUNNING_MAX, Change, FaultText, Running, Schedul
 from sim.scenarios.fault_spec import After, Fault
 from sim.scenarios.fault_table import What
 
-TEXTS_MAX = 256  # that nobody has asked for yet; the oldest are forgotten
+TEXTS_MAX = 256  # texts kept until ``take_texts``; the oldest are dropped
 
 MocapSample = tuple[float, ...]  # x, y, z (ENU, m), yaw (rad)
 
 
 class Effect(Protocol):
-    """Carries out the faults of some part."""
+    """Applies the faults of one part."""
 
-    def begin(self, running: Running) -> None:
-        """A fault is on."""
+    def begin(self, running: Running) -> None: ...
 
-    def end(self, running: Running, now_ns: int) -> None:
-        """It is over."""
+    def end(self, running: Running, now_ns: int) -> None: ...
 
 
 def _move_mocap(sample: MocapSample, offset: Vec3, turn: float) -> MocapSample:
@@ -43,11 +41,7 @@ MOCAP: Shape[MocapSample] = Shape(_move_mocap, lambda first, _: first)
 
 
 class Faults:
-    """Schedule and effects.
-
-    ``faults``: of the scenario; those of the robot are not for us; ``motors``: carries out faults of motors;
-    ``battery``: carries out faults of the battery.
-    """
+    """Schedule and effects; faults of the robot are ignored."""
 
     def __init__(
         self, faults: Iterable[Fault], seed: int, motors: MotorFaults, battery: BatteryFaults
@@ -55,10 +49,10 @@ class Faults:
         self._schedule = Schedule(seed)
         ours = [fault for fault in faults if not fault.of_the_robot]
         self._schedule.add(ours)
-        self.quiet = not ours  # there never was a fault, nor is one planned; then nobody has to ask
-        self.mocap = SampleFaults(MOCAP)  # motion capture on its way into the estimator
+        self.quiet = not ours  # there was no fault and none is planned
+        self.mocap = SampleFaults(MOCAP)  # motion capture on its way to the estimator
         self.own_state = EstimateFaults()  # the estimate on its way to the autopilot
-        self.link = LinkFaults()  # MAVLink wire; for the process that owns it
+        self.link = LinkFaults()  # for the owner of the MAVLink wire
         self._effects: dict[What, Effect] = {
             What.MOTOR: motors,
             What.BATTERY: battery,
@@ -75,7 +69,7 @@ class Faults:
 
     @property
     def waits_for_takeoff(self) -> bool:
-        """Whether somebody has to tell when the vehicle takes off."""
+        """Whether ``took_off`` has to be called at the take-off."""
         return self._schedule.waits_for(After.TAKEOFF)
 
     def took_off(self, now_ns: int) -> None:
@@ -83,16 +77,12 @@ class Faults:
         self._schedule.refer(After.TAKEOFF, now_ns)
 
     def run(self, now_ns: int) -> None:
-        """Begin and end what is due."""
+        """Start and end due faults."""
         for change in self._schedule.due(now_ns):
             self._apply(change, now_ns)
 
     def inject(self, unit: int, kind: int, instance: int, now_ns: int) -> str | None:
-        """Carry out MAV_CMD_INJECT_FAILURE; None when done, else why not.
-
-        ``unit``: FAILURE_UNIT; ``kind``: FAILURE_TYPE; OK heals what is on, scenario's faults too;
-        ``instance``: 0 all, else which one, from 1.
-        """
+        """MAV_CMD_INJECT_FAILURE; returns the reason of a rejection. OK also heals scheduled faults."""
         found = faults_of(unit, kind, instance)
         if isinstance(found, str):
             return found
@@ -100,20 +90,20 @@ class Faults:
             self._heal(unit, instance, now_ns)
             return None
         active = {running.fault for running in self._schedule.active}
-        fresh = [fault for fault in found if fault not in active]  # asked again: done already
+        fresh = [fault for fault in found if fault not in active]  # a repeated command
         if len(active) + len(fresh) > RUNNING_MAX:
             return f"{len(active)} faults are on, at most {RUNNING_MAX} are possible; heal some"
         self.fail(fresh, now_ns)
         return None
 
     def fail(self, faults: Iterable[Fault], now_ns: int) -> None:
-        """Begin faults now, those after ``time`` at least."""
+        """Start faults now, those with a time after ``time`` at least."""
         self.quiet = False
         self._schedule.add(faults, now_ns)
         self.run(now_ns)
 
     def take_texts(self) -> list[FaultText]:
-        """What has begun and ended since the last call."""
+        """Texts on starts and ends since the last call."""
         if not self._texts:
             return []
         texts = list(self._texts)

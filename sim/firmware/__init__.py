@@ -1,1 +1,1 @@
-"""What runs on the Crazyflie: attitude and velocity loops, mixer, estimator, supervisor."""
+"""The Crazyflie's firmware: attitude and velocity loops, mixer, estimator, supervisor."""

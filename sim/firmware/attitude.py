@@ -2,10 +2,10 @@
 
     M = -kR eR - kw w + ki int(-eR) - kd dw/dt,   eR = (Rd' R - R' Rd) as a vector
 
-Quirks kept: eR without the 1/2 of the literature, so that kR counts twice on a small angle; a D-term on roll
-and pitch rate as a raw difference at 500 Hz, which acts as inertia (200 counts make 2.4e-5 kg m^2, more than
-the body's own); outputs clamped to 32000 counts and cut to whole counts.
-The firmware's pitch has the other sign inside; in FLU moments nothing of that remains.
+As in the firmware: eR without the 1/2 of the literature, so that kR counts twice on a small angle; a D-term
+on roll and pitch rate as a raw difference at 500 Hz, which acts as inertia (200 counts make 2.4e-5 kg m^2,
+more than the body's own); outputs clamped to 32000 counts and cut to whole counts. The firmware's pitch has
+the opposite sign inside, which cancels in FLU moments.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Counts = tuple[int, int, int]  # moments about body x, y, z
 
 
 class AttitudeRecord(Record):
-    """What the controller remembers."""
+    """State of the controller."""
 
     wx: float  # last rates, rad/s; NaN before the first
     wy: float
@@ -43,11 +43,7 @@ class AttitudeRecord(Record):
 
 @jitted
 def attitude_moments(a: AttitudeRecord, axes: Nine, desired: Nine, wx: float, wy: float, wz: float) -> Counts:
-    """Return the moments in counts; call at 500 Hz.
-
-    ``axes``: estimated body axes; ``desired``: desired body axes; ``wx``: roll rate by the gyro, FLU rad/s;
-    ``wy``: pitch rate; ``wz``: yaw rate.
-    """
+    """The moments in counts, at 500 Hz; ``axes`` are estimated, ``wx`` to ``wz`` rates of the gyro, rad/s."""
     xx, xy, xz, yx, yy, yz, zx, zy, zz = axes
     dxx, dxy, dxz, dyx, dyy, dyz, dzx, dzy, dzz = desired
     ex = dzx * yx + dzy * yy + dzz * yz - (zx * dyx + zy * dyy + zz * dyz)

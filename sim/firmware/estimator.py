@@ -1,16 +1,16 @@
 """On-board state estimate: IMU at 500 Hz, corrected by position and yaw from the motion capture.
 
-It stands for the Crazyflie's Kalman filter with external pose: same noise figures, same weakness (samples are
-taken as if they were new, so that the estimate lags by the capture's delay when it moves), but with the
-filter's stationary gains instead of a covariance. Per axis the states are position, velocity and an
+It represents the Crazyflie's Kalman filter with external pose: same noise figures, same weakness (the age of
+samples is ignored, so that a moving estimate lags by the capture's delay), but with the filter's stationary
+gains instead of a covariance. Per axis the states are position, velocity and an
 acceleration error; horizontally the latter is a tilt of the attitude estimate (a tilt d makes g d of
 acceleration), vertically it is the accelerometer's bias.
 
-There are two forms. By default all three accelerometer axes count, so that neither wind nor drag passes for
-tilt, and a pose has no roll and pitch. With ``known_drag_1_s`` it is the firmware's form: in flight body z
-alone counts, drag along body x and y is what ``kalman.dragB_x`` and ``_y`` say (along z the accelerometer
-feels it), a pose has a whole attitude, and no bias is learned. What drag is not known makes the velocity too
-high: 16 % at 0.46 1/s.
+There are two forms. By default all three accelerometer axes are used, so that wind and drag do not look like
+tilt, and a pose has no roll and pitch. With ``known_drag_1_s`` it is the firmware's form: in flight only body
+z is used, drag along body x and y is that of ``kalman.dragB_x`` and ``_y`` (along z the accelerometer
+measures it), a pose has a whole attitude, and no bias is estimated. Unknown drag makes the velocity too high:
+16 % at 0.46 1/s.
 
 Gains: steady state of the discrete Kalman filter at the capture's rate. Noise from firmware
 kalman_core_params_defaults.h and kalman_core.c, which add (sigma dt)^2 every 1 ms: procNoiseAcc 0.5 and 1.0
@@ -36,15 +36,15 @@ GYRO_RAD_S = 0.1  # measNoiseGyro
 POSITION_STD_M = 0.01  # extPosStdDev
 YAW_STD_RAD = 2.0 * 4.5e-3  # twice extQuatStdDev
 TILT_STD_RAD = 4.5e-3  # extQuatStdDev (mm_pose.c)
-INNOVATION_AGE_MAX_S = 0.5  # without a sample for this long the estimate counts as invalid
+INNOVATION_AGE_MAX_S = 0.5  # time without a sample after which the estimate is invalid
 
 
 @cache
 def axis_gains(period_s: float, accel_std: float, gravity: float) -> tuple[float, float, float]:
     """Stationary gains on (position, velocity, acceleration error) for one metre of innovation.
 
-    ``period_s``: time between position samples; ``accel_std``: the firmware's acceleration noise of this
-    axis, m/s^2 per 1 ms step; ``gravity``: m/s^2, turns gyro noise into a random walk of the acceleration
+    ``period_s``: between position samples; ``accel_std``: the firmware's acceleration noise of this axis,
+    m/s^2 per 1 ms step; ``gravity``: m/s^2, which turns gyro noise into a random walk of the acceleration
     error.
     """
     t = period_s
@@ -72,7 +72,7 @@ def axis_gains(period_s: float, accel_std: float, gravity: float) -> tuple[float
 def pose_gains(
     period_s: float, gravity: float
 ) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Stationary gains on (position, velocity, tilt), as the firmware takes a pose: position, then attitude.
+    """Stationary gains on (position, velocity, tilt) of a pose: first its position, then its attitude.
 
     Returns gains for one metre and for one radian of innovation.
     """
@@ -81,7 +81,7 @@ def pose_gains(
     q = np.diag([(ACCEL_XY_M_S2 * t * t) ** 2, (ACCEL_XY_M_S2 * t) ** 2, (GYRO_RAD_S * t) ** 2])
     p = np.eye(3) * POSITION_STD_M**2
     gains: list[tuple[float, float, float]] = []
-    for _ in range(round(10.0 / period_s)):  # its slowest part has settled within a second
+    for _ in range(round(10.0 / period_s)):  # the slowest mode settles within a second
         gains.clear()
         for _ in range(round(period_s / t)):
             p = f @ p @ f.T + q
@@ -114,7 +114,7 @@ class EstimatorRecord(Record):
     kz: float  # bias, 1/s^2
     kyaw: float
     by_pose: bool  # the firmware's form
-    body_z: bool  # and it flies, so that body z alone counts
+    body_z: bool  # the firmware's form in flight: only body z is used
     known_drag: Vector  # kalman.dragB_*, body axes, 1/s
     kp_tilt: float  # by the attitude of a pose: position, m per rad
     kv_tilt: float  # velocity, m/s per rad
@@ -125,7 +125,7 @@ class EstimatorRecord(Record):
 
 @jitted
 def predict(e: EstimatorRecord, gyro: F64, accel: F64) -> None:
-    """Advance by one step with what the IMU measured (rad/s and m/s^2, body)."""
+    """Advance by one step with the IMU's measurement (rad/s and m/s^2, body)."""
     s = e.sensed
     half = 0.5 * e.step
     ax, ay, az = gyro[0] * half, gyro[1] * half, gyro[2] * half
@@ -140,7 +140,7 @@ def predict(e: EstimatorRecord, gyro: F64, accel: F64) -> None:
     scale = 1.5 - 0.5 * (w * w + x * x + y * y + z * z)  # one Newton step of 1 / sqrt
     w, x, y, z = w * scale, x * scale, y * scale, z * scale
     q[0], q[1], q[2], q[3] = w, x, y, z
-    # not rotation_axes: a product in another order, rounded otherwise, would change every recorded run
+    # not rotation_axes: its order of products rounds differently and would change recorded runs
     x2, y2, z2 = x + x, y + y, z + z
     xx, yy, zz, xy, xz, yz = x * x2, y * y2, z * z2, x * y2, x * z2, y * z2
     wx, wy, wz = w * x2, w * y2, w * z2
@@ -165,7 +165,7 @@ def predict(e: EstimatorRecord, gyro: F64, accel: F64) -> None:
 
 @jitted
 def correct(e: EstimatorRecord, x: float, y: float, z: float, yaw: float) -> None:
-    """Take a motion-capture sample as if it were measured now."""
+    """Correct by a motion-capture sample, without regard to its age."""
     p, v = e.sensed.position, e.sensed.velocity
     rx, ry, rz = x - p[0], y - p[1], z - p[2]
     p[0], p[1], p[2] = p[0] + e.kp * rx, p[1] + e.kp * ry, p[2] + e.kp_z * rz
@@ -179,13 +179,14 @@ def correct(e: EstimatorRecord, x: float, y: float, z: float, yaw: float) -> Non
 
 @jitted
 def correct_tilt(e: EstimatorRecord, quaternion: F64) -> None:
-    """Take roll and pitch of a pose, after ``correct`` has taken the rest."""
+    """Correct by roll and pitch of a pose, after ``correct``."""
     s = e.sensed
     w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
     mx, my, mz = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
     w, x, y, z = s.quaternion[0], s.quaternion[1], s.quaternion[2], s.quaternion[3]
     bx, by, bz = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
-    about_x, about_y = by * mz - bz * my, bz * mx - bx * mz  # turns the believed body z into the measured
+    # rotates the estimated body z to the measured one
+    about_x, about_y = by * mz - bz * my, bz * mx - bx * mz
     s.position[0] += e.kp_tilt * about_y
     s.position[1] -= e.kp_tilt * about_x
     s.velocity[0] += e.kv_tilt * about_y
@@ -195,11 +196,10 @@ def correct_tilt(e: EstimatorRecord, quaternion: F64) -> None:
 
 @jitted
 def replace_estimate(e: EstimatorRecord, state: F64, quaternion: F64, turn: F64) -> None:
-    """Believe this state from now on.
+    """Replace the estimate; the axes follow in the next ``predict``.
 
-    ``e``: changed in place; the next ``predict`` follows with the axes; ``state``: position (m) and velocity
-    (m/s), ENU; ``quaternion``: true attitude; ``turn``: small rotation vector of the believed attitude
-    against the true one, body, rad.
+    ``state``: position (m) and velocity (m/s), ENU; ``quaternion``: true attitude; ``turn``: small rotation
+    vector of the estimated attitude against the true one, body, rad.
     """
     s = e.sensed
     for i in range(3):
@@ -241,11 +241,10 @@ def _correct_tilt(estimator: Cell[EstimatorRecord], quaternion: F64) -> None:
 
 
 class Estimator:
-    """Predict and correct. ``sensed`` holds the result, updated in place.
+    """The estimator of one vehicle; ``sensed`` is the result.
 
-    ``mocap_period_s``: time between motion-capture samples; ``step_s``: time between calls of ``predict``;
-    ``gravity_m_s2``: of the place; ``record``: where to keep everything; None for a place of its own;
-    ``known_drag_1_s``: ``kalman.dragB_*``, for the firmware's form; None for the other.
+    ``mocap_period_s``: between motion-capture samples; ``step_s``: between calls of ``predict``; ``record``:
+    its memory; ``known_drag_1_s``: ``kalman.dragB_*``, for the firmware's form; None: the other form.
     """
 
     def __init__(
@@ -284,7 +283,7 @@ class Estimator:
         """Start converged: where the corrections would have balanced the accelerometer's bias."""
         sensed, gravity = self.sensed, float(self.record.gravity)
         sensed.position[:], sensed.velocity[:], sensed.quaternion[:] = position, velocity, quaternion
-        if self.record.by_pose:  # nothing is learned that could balance it
+        if self.record.by_pose:  # without an estimated bias that could compensate it
             return
         a, b, c = accel_bias
         bx, by, bz = (axes[i] * a + axes[3 + i] * b + axes[6 + i] * c for i in range(3))
@@ -292,11 +291,11 @@ class Estimator:
         turn_estimate(sensed, by / gravity, -bx / gravity, 0.0)
 
     def correct(self, x: float, y: float, z: float, yaw: float) -> None:
-        """Take a motion-capture sample, see ``correct``."""
+        """Correct by a motion-capture sample, without regard to its age."""
         _correct(self._cell, x, y, z, yaw)
 
     def take_pose(self, position: Vec3, quaternion: tuple[float, float, float, float]) -> None:
-        """Take a whole pose from outside, in the firmware's form."""
+        """Correct by a whole external pose, in the firmware's form."""
         w, x, y, z = quaternion
         self.correct(*position, math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z)))
         _correct_tilt(self._cell, np.array(quaternion))
@@ -306,11 +305,11 @@ class Estimator:
         self.record.known_drag[:] = drag_1_s
 
     def believed(self) -> Estimate:
-        """Newest estimate; valid while samples still come."""
+        """Newest estimate; valid while samples arrive."""
         s = self._read()  # in the order of SensedState
         return Estimate(s[:3], s[3:6], s[6:10], s[10:], self._age_s[0] < INNOVATION_AGE_MAX_S)
 
     @property
     def valid(self) -> bool:
-        """Whether samples still come."""
+        """Whether samples arrive."""
         return bool(self._age_s[0] < INNOVATION_AGE_MAX_S)

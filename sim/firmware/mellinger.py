@@ -3,9 +3,9 @@
     F = m a + kp e + kd de/dt + ki int(e),   e = set-point minus estimate, thrust = F along body z
 
 After firmware controller_mellinger.c of release 2025.12 (attitude: ``sim.firmware.attitude``). It follows
-positions only. Kept: the integrals are bounded (so that a vehicle heavier than ``MASS_KG`` hangs below its
-set-point), and grow while the set-point is out of reach; no thrust means no moments and integrals gone.
-Levelled out it holds the height of the newest set-point.
+positions only. As in the firmware: the integrals are bounded (a vehicle heavier than ``MASS_KG`` is below its
+set-point), and grow while the set-point is out of reach; zero thrust means no moments and a reset of the
+integrals. Levelled out it keeps the height of the newest set-point.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from sim.firmware.setpoint import SensedState, SetpointRecord
 from sim.plant.params import CONTROL_STEP_S
 from sim.plant.rotation import nine
 
-MASS_KG = 0.029  # platform_defaults_cf2.h: CF_MASS; the recorded flights hover where this leads to
+MASS_KG = 0.029  # platform_defaults_cf2.h: CF_MASS; agrees with the hover of recorded flights
 MASS_THRUST = 132000.0  # counts per N: massThrust
 GRAVITY_M_S2 = 9.81  # physicalConstants.h
 KP_XY, KD_XY, KI_XY = 0.4, 0.2, 0.05  # N/m, N s/m, N/(m s)
@@ -30,7 +30,7 @@ K_R_Z, K_W_Z = 60000.0, 12000.0  # yaw: kR_z, kw_z; roll and pitch as in ``sim.f
 
 
 class MellingerRecord(Record):
-    """What the controller remembers."""
+    """State of the controller."""
 
     integral: Vector  # of the position error, m s
     attitude: AttitudeRecord
@@ -64,13 +64,12 @@ def mellinger_update(
 
 @jitted
 def mellinger_reset(m: MellingerRecord) -> None:
-    """Forget integrals."""
     m.integral[:] = 0.0
     m.attitude.integral_z = 0.0
 
 
 class MellingerLoop:
-    """Sets up the controller of one vehicle."""
+    """The controller of one vehicle."""
 
     def __init__(self, record: MellingerRecord | None = None) -> None:
         self.record = r = new(MellingerRecord) if record is None else record
@@ -78,5 +77,4 @@ class MellingerLoop:
         r.attitude.k_r_z, r.attitude.k_w_z = K_R_Z, K_W_Z
 
     def reset(self) -> None:
-        """Forget integrals."""
         mellinger_reset(self.record)

@@ -1,9 +1,9 @@
 """Legacy power distribution and the thrust map: counts to rotor speed commands.
 
-After firmware power_distribution_quadrotor.c and motors.c: what a motor lacks above full duty is taken from
-all four; counts are linear in thrust (65535 = THRUST_MAX) as far as the firmware knows its motors; below
-THRUST_MIN a motor stops. With a map to volts (``Rotor.volt_map``) full duty is the battery's voltage, which
-counts become before they are capped; without one it is 65535 counts.
+After firmware power_distribution_quadrotor.c and motors.c: the excess of a motor above full duty is
+subtracted from all four; counts are linear in thrust (65535 = THRUST_MAX) by the firmware's map; below
+THRUST_MIN a motor stops. With a map to volts (``Rotor.volt_map``) counts are converted to volts and capped at
+the battery's voltage; without one they are capped at 65535.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from sim.plant.params import Battery, Params, Rotor
 from sim.plant.rotors import Four
 
 COUNTS_MAX = 65535.0
-VOLTS_FIRST = 3.0  # Newton's method starts there
+VOLTS_FIRST = 3.0  # start of Newton's method
 NEWTON_STEPS = 6  # from 3 V to between 0.5 and 6 V: exact to 1e-9 V
 OFF: Four = (0.0, 0.0, 0.0, 0.0)
 
@@ -26,13 +26,13 @@ OFF: Four = (0.0, 0.0, 0.0, 0.0)
 def spread(thrust: float, moments: tuple[int, int, int]) -> Four:
     """Counts of M1..M4 from thrust counts and moment counts about body x, y, z (FLU), without limits."""
     mx, my, mz = moments
-    r, p = int(mx / 2), int(my / 2)  # int16 halves, cut towards zero
+    r, p = int(mx / 2), int(my / 2)  # int16 halves, truncated
     return (thrust - r - p - mz, thrust - r + p + mz, thrust + r + p - mz, thrust + r - p + mz)
 
 
 @jitted
 def cap(motors: Four, most: float) -> Four:
-    """Take what a motor lacks above ``most`` from all four; none falls below 0."""
+    """Subtract the excess of a motor above ``most`` from all four; none falls below 0."""
     m1, m2, m3, m4 = motors
     if m1 > most or m2 > most or m3 > most or m4 > most:
         excess = max(m1, m2, m3, m4) - most
@@ -51,7 +51,7 @@ def mix(thrust: float, moments: tuple[int, int, int]) -> Four:
 class MapRecord(Record):
     """Inverse of the thrust map: rpm = (b + sqrt(b^2 + four_a counts)) inverse.
 
-    Where ``in_volts``, counts are ``volt_map`` of a voltage, whose share of the battery's is the duty cycle;
+    With ``in_volts``, counts are ``volt_map`` of a voltage, whose share of the battery's is the duty cycle;
     rpm = no_duty_rpm + duty (rpm_max - no_duty_rpm).
     """
 
@@ -68,7 +68,7 @@ class MapRecord(Record):
 
 @jitted
 def motor_speed(m: MapRecord, counts: float, rpm_max: float) -> float:
-    """Commanded speed, rpm, not above ``rpm_max`` (what the battery allows)."""
+    """Commanded speed, rpm, at most ``rpm_max`` by the battery."""
     if counts < m.off_below:
         return 0.0
     return min((m.b + math.sqrt(m.b * m.b + m.four_a * counts)) * m.inverse, rpm_max)
@@ -76,7 +76,7 @@ def motor_speed(m: MapRecord, counts: float, rpm_max: float) -> float:
 
 @jitted
 def motor_volts(m: MapRecord, counts: float) -> float:
-    """Voltage that the firmware asks for; 0 where the motor stops."""
+    """Commanded voltage; 0 where the motor stops."""
     if counts < m.off_below:
         return 0.0
     k, share, volts = m.volt_map, counts / COUNTS_MAX, VOLTS_FIRST
@@ -124,10 +124,7 @@ def set_up_map(m: MapRecord, rotor: Rotor, battery: Battery) -> MapRecord:
 
 
 def counts_per_n(params: Params, thrust_n: float, battery_v: float | None = None) -> float:
-    """Counts per newton of all four nominal motors at a total thrust near the hover's.
-
-    ``thrust_n``: of all motors; ``battery_v``: under the hover's load; None: of a battery that is half empty.
-    """
+    """Counts per newton of the four nominal motors near hover; ``battery_v`` None: a half-empty battery."""
     rotor, battery = params.rotor, params.battery
     if rotor.volt_map is None:
         return COUNTS_MAX / (4.0 * rotor.thrust_max_n)

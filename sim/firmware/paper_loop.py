@@ -1,12 +1,11 @@
 """The paper's velocity controller, eq. 8: tau_p = -K_v (v - u*) + m G, and geometric attitude control.
 
-The stock Mellinger controller refuses velocity set-points, so that this law is what must have run beside it.
-It knows the nominal mass and the nominal thrust scale, not this vehicle's. At the paper's K_v = 0.5 N s/m on
-32 g the velocity gain is 16 1/s against about 8 1/s of attitude bandwidth: the loop is under-damped by
-design.
+The stock Mellinger controller rejects velocity set-points, so the paper must have used this law in addition.
+It uses the nominal mass and thrust scale instead of this vehicle's. At the paper's K_v = 0.5 N s/m on 32 g
+the velocity gain is 16 1/s against about 8 1/s of attitude bandwidth: the loop is under-damped by design.
 
 Not in the paper: the desired force keeps an upward share and a tilt limit. Without them a downward step of
-0.63 m/s asks for no thrust and a larger one for flying upside down.
+0.63 m/s commands zero thrust and a larger one an inverted attitude.
 """
 
 from __future__ import annotations
@@ -74,12 +73,11 @@ def paper_update(
 
 @jitted
 def paper_reset(p: PaperRecord) -> None:
-    """Forget integrals."""
     p.attitude.integral_z = 0.0
 
 
 class PaperLoop:
-    """Sets up the loop of one vehicle."""
+    """The loop of one vehicle."""
 
     def __init__(self, params: Params, record: PaperRecord | None = None) -> None:
         self.record = r = new(PaperRecord) if record is None else record
@@ -89,15 +87,13 @@ class PaperLoop:
         r.attitude.k_r_z, r.attitude.k_w_z = K_R_Z, K_W_Z
 
     def reset(self) -> None:
-        """Forget integrals."""
         paper_reset(self.record)
 
     def trim(self, force: Vec3, counts_per_n: float, moments: Counts = (0, 0, 0)) -> Vec3:
-        """Return the set-point at which the loop, at rest, asks for ``force`` (world, N).
+        """The set-point at which the loop, at rest, commands ``force`` (world, N).
 
-        ``force``: nominal thrust of the hover; ``counts_per_n``: thrust counts per newton of it, of which the
-        loop knows the nominal value only; ``moments``: counts that balance motors that differ; only an error
-        of the attitude makes them here.
+        ``counts_per_n``: thrust counts per newton; the loop uses the nominal value; ``moments`` have no
+        effect here.
         """
         del moments
         scale = counts_per_n / self.record.counts_per_n

@@ -3,11 +3,11 @@
 After firmware position_controller_pid.c, attitude_pid_controller.c, controller_pid.c and pid.c, gains of
 platform_defaults_cf2.h. Angles in degrees inside, as there. FLU throughout: the firmware's inverted pitch
 cancels.
-Position set-points go through the position loop, velocity set-points do not; a velocity beside a position is
-not used. A set-point of another kind is a change of mode.
-Kept: no integral limit but 5000 in the velocity loop (so it winds up), thrust never below 20000 counts in
-flight, derivative of the measurement, all integrals gone when the mode changes or the thrust is zero; the
-rate loops then also forget the rate, so that their derivative kicks once.
+Position set-points use the position loop, velocity set-points do not; a velocity beside a position is
+ignored. A set-point of another kind is a change of mode. As in the firmware: an integral limit of 5000 in the
+velocity loop (so it winds up), thrust of at least 20000 counts in flight, derivative of the measurement,
+reset of all integrals after a change of mode or zero thrust; the rate loops then also reset the last rate, so
+that their derivative has one peak.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from sim.plant.params import CONTROL_STEP_S, Params
 
 POSITION_EVERY = 5  # firmware stabilizer_types.h: POSITION_RATE 100 Hz
 POSITION_STEP_S = POSITION_EVERY * CONTROL_STEP_S
-LATE_MAX = 60  # set-points under way in a loop with a dead time, 0.6 s
+LATE_MAX = 60  # set-points in the dead time of a loop, 0.6 s
 SPEED_MAX_M_S = (
     1.1 * 1.0
 )  # of the position loop: velMaxOverhead * PID_POS_VEL_X_MAX, and the same for y and z
@@ -38,7 +38,7 @@ DEG = 180.0 / math.pi
 
 
 class PidRecord(Record):
-    """Gains, limits and memory of one PID of pid.c."""
+    """Gains, limits and state of one PID of pid.c."""
 
     kp: float
     ki: float
@@ -64,19 +64,19 @@ def pid_output(p: PidRecord, error: float, measured: float) -> float:
 
 @jitted
 def pid_forget(p: PidRecord) -> None:
-    """Forget integral and previous measurement."""
+    """Reset integral and previous measurement."""
     p.integral, p.previous = 0.0, math.nan
 
 
 def pid_record(
     kp: float, ki: float, kd: float, i_limit: float, dt: float, limit: float = math.inf
 ) -> PidRecord:
-    """A PID that has not run yet."""
+    """A PID in its initial state."""
     return new(PidRecord, (kp, ki, kd, i_limit, dt, limit, 0.0, math.nan))
 
 
 class CascadeRecord(Record):
-    """The twelve PIDs and what they share."""
+    """The twelve PIDs and their common state."""
 
     x: PidRecord  # positions to velocities; x and y in the yawed frame
     y: PidRecord
@@ -94,8 +94,8 @@ class CascadeRecord(Record):
     mode: int  # LEVEL, FREE, TO_POSITION or UNKNOWN
     late: Annotated[F64, 2 * LATE_MAX]  # horizontal set-points of the last calls of the velocity loop, a ring
     late_calls: int  # calls between a set-point and its effect
-    response: float  # velocity aimed at, as a share of the set-point
-    tilt_share: float  # of a new tilt command that counts at once; 1: all of it
+    response: float  # target velocity of the loop, as share of the set-point
+    tilt_share: float  # gain of the low-pass of the tilt command; 1: none
     roll_wanted: float  # degrees
     pitch_wanted: float
     thrust_wanted: float  # counts
@@ -106,7 +106,6 @@ UNKNOWN, FREE, LEVEL, TO_POSITION = -1, 0, 1, 2
 
 @jitted
 def cascade_reset(c: CascadeRecord) -> None:
-    """Forget integrals."""
     for pid in (
         c.x,
         c.y,
@@ -129,7 +128,7 @@ def cascade_reset(c: CascadeRecord) -> None:
 
 @jitted
 def clamp(value: float, limit: float) -> float:
-    """Cut to +-limit."""
+    """Limit to +-limit."""
     return max(-limit, min(limit, value))
 
 
@@ -146,7 +145,7 @@ def continued(before: float, angle: float) -> float:
 def velocity_pids(
     c: CascadeRecord, position: F64, velocity: F64, setpoint: SetpointRecord, yaw: float
 ) -> None:
-    """Find the wanted tilt and thrust (100 Hz)."""
+    """Tilt and thrust commands (100 Hz)."""
     cos, sin = math.cos(yaw), math.sin(yaw)
     vx, vy = c.response * setpoint.vx, c.response * setpoint.vy
     if c.late_calls > 0:
@@ -201,7 +200,7 @@ def cascade_update(
 
 
 class PidLoop:
-    """Sets up the cascade of one vehicle."""
+    """The cascade of one vehicle."""
 
     def __init__(self, params: Params, record: CascadeRecord | None = None) -> None:
         self.record = c = new(CascadeRecord) if record is None else record
@@ -224,14 +223,12 @@ class PidLoop:
         c.tilt_share = slow / max(slow, g.tilt_time_s)
 
     def reset(self) -> None:
-        """Forget integrals."""
         cascade_reset(self.record)
 
     def trim(self, force: Vec3, counts_per_n: float, moments: Counts = (0, 0, 0)) -> Vec3:
-        """Load the integrals for hover at yaw 0 under ``force`` (world, N); the set-point is then zero.
+        """Load the integrals for hover at yaw 0 with ``force`` (world, N); the set-point is then zero.
 
-        ``force``: nominal thrust of the hover; ``counts_per_n``: thrust counts per newton of it; ``moments``:
-        counts that balance motors that differ.
+        ``counts_per_n``: thrust counts per newton; ``moments``: counts that balance unequal motors.
         """
         c = self.record
         c.mode = FREE

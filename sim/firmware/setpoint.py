@@ -1,4 +1,4 @@
-"""What the controllers are given: the newest set-point that has arrived, and the sensed state."""
+"""Inputs of the controllers: the newest arrived set-point and the sensed state."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Axes, Quaternion, Record, Vector, cell, scalars
 from flightstack.core.types import Vec3
 
-ROOM = 256  # set-points under way: twice as many as 0.1 s of delay and 1 kHz can be
+ROOM = 256  # set-points on their way: twice the number at 0.1 s of delay and 1 kHz
 WIDTH = 12  # numbers of a row: time of arrival, then the fields of a set-point
 _ROW = struct.Struct(f"={WIDTH}d")
 
@@ -18,8 +18,8 @@ _ROW = struct.Struct(f"={WIDTH}d")
 class Setpoint(NamedTuple):
     """A velocity or a position in the world (ENU, m/s, m) with a yaw; ``stop`` means motors off.
 
-    With a position the velocity is fed forward, which the Mellinger controller uses and the PID controller
-    does not. ``stop`` is the firmware's null set-point.
+    With a position the velocity is fed forward, which only the Mellinger controller uses. ``stop`` is the
+    firmware's null set-point.
     """
 
     vx: float = 0.0
@@ -32,7 +32,7 @@ class Setpoint(NamedTuple):
     def fields(
         self,
     ) -> tuple[float, float, float, float, bool, float, float, bool, float, float, float]:
-        """All fields as ``SetpointRecord`` has them."""
+        """All fields in the form of ``SetpointRecord``."""
         vx, vy, vz, yaw_rad, stop, position = self
         x, y, z = position or (0.0, 0.0, 0.0)
         return (
@@ -72,15 +72,15 @@ class SensedState(Record):
 class InboxRecord(Record):
     """A ring of rows."""
 
-    rows: Annotated[F64, ROOM * WIDTH]  # times are whole milliseconds, which doubles hold exactly
-    first: int  # numbers of rows since the beginning: the oldest one that has not arrived,
-    end: int  # and the one that is sent next
-    taken_ms: int  # when the present set-point arrived
+    rows: Annotated[F64, ROOM * WIDTH]  # times are integer milliseconds, exact in doubles
+    first: int  # number of the oldest row that has not arrived
+    end: int  # number of the next row
+    taken_ms: int  # arrival of the current set-point
 
 
 @jitted
 def receive(inbox: InboxRecord, s: SetpointRecord, now_ms: int) -> None:
-    """Take the set-points that have arrived."""
+    """Use the set-points that have arrived."""
     while inbox.first < inbox.end:
         at = WIDTH * (inbox.first % ROOM)
         row = inbox.rows[at : at + WIDTH]
@@ -94,10 +94,7 @@ def receive(inbox: InboxRecord, s: SetpointRecord, now_ms: int) -> None:
 
 
 class Inbox:
-    """The sender's end.
-
-    ``record``: the ring; ``setpoint``: the present one, which counts until another arrives.
-    """
+    """The sender's end; ``record``: the ring; ``setpoint``: the current one."""
 
     def __init__(self, record: InboxRecord, setpoint: SetpointRecord) -> None:
         self._rows = record.rows.data
@@ -113,7 +110,7 @@ class Inbox:
         self._end[0] = end + 1
 
     def set(self, setpoint: Setpoint, since_ms: int) -> None:
-        """Let a set-point hold now; what is under way is forgotten."""
+        """Apply a set-point now and drop those on their way."""
         self._first[0] = self._end[0]
         self._taken_ms[0] = since_ms
         self._setpoint[0] = setpoint.fields()

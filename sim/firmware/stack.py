@@ -1,4 +1,4 @@
-"""Everything that runs on the Crazyflie, wired together: set-points in, rotor speed commands out."""
+"""The whole firmware: set-points in, rotor speed commands out."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from sim.plant.rotors import Four
 from sim.scenarios.scenario import VehicleSpec, VelocityLoop
 
 BATTERY_MIN_V = 3.2  # platform_defaults_cf2.h: DEFAULT_BAT_LOW_VOLTAGE
-TILT_MAX_COS = 0.5  # arming tilted by more than 60 degrees is refused
+TILT_MAX_COS = 0.5  # greatest tilt for arming, 60 degrees
 
 PAPER, PID, MELLINGER = 0, 1, 2
 
 
 class FirmwareRecord(Record):
-    """All that the Crazyflie remembers, and set-points on their way."""
+    """State of the Crazyflie, and set-points on their way."""
 
     estimator: EstimatorRecord
     inbox: InboxRecord
@@ -49,13 +49,13 @@ class FirmwareRecord(Record):
 
 @jitted
 def running(commands: F64) -> bool:
-    """Whether any motor is commanded to turn."""
+    """Whether any motor has a speed command."""
     return bool(commands[0] != 0.0 or commands[1] != 0.0 or commands[2] != 0.0 or commands[3] != 0.0)
 
 
 @jitted
 def listen(f: FirmwareRecord, now_ms: int) -> None:
-    """Take the set-points that have arrived."""
+    """Use the set-points that have arrived."""
     receive(f.inbox, f.setpoint, now_ms)
 
 
@@ -116,7 +116,7 @@ class Firmware:
         self._mellinger = MellingerLoop(record.mellinger)
         period_s = 1.0 / spec.mocap.rate_hz
         self.estimator = Estimator(period_s, CONTROL_STEP_S, gravity, record.estimator, spec.known_drag_1_s)
-        self.supervisor = Supervisor(record.supervisor)  # its state
+        self.supervisor = Supervisor(record.supervisor)
 
     @property
     def commands(self) -> Four:
@@ -128,10 +128,10 @@ class Firmware:
         self._commands[:] = commands
 
     def trim(self, force: Vec3, motors: Four, battery_v: float) -> Vec3:
-        """Trim the controller for hover at yaw 0; returns the velocity set-point that holds it.
+        """Trim the controller for hover at yaw 0; returns the velocity set-point of the hover.
 
-        ``force``: of nominal motors, world frame, N; ``motors``: thrust of each as share of the mean motor's;
-        ``battery_v``: under the load of the hover.
+        ``force``: of nominal motors, world frame, N; ``motors``: thrust of each over the mean; ``battery_v``:
+        under the load of the hover.
         """
         thrust_n = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
         each = [
@@ -146,12 +146,12 @@ class Firmware:
         self._mellinger.reset()
 
     def start_flying(self, setpoint: Setpoint) -> None:
-        """Begin armed and in the air at time zero."""
+        """Start armed and in the air at time zero."""
         self._inbox.set(setpoint, 0)
         self.supervisor.start_flying()
 
     def send(self, setpoint: Setpoint, now_ms: int) -> None:
-        """Put a set-point on its way; it arrives after the radio's delay."""
+        """Send a set-point; it arrives after the radio's delay."""
         self._inbox.send(setpoint, now_ms + self._delay_ms)
 
     def arm(self, now_ms: int, battery_v: float) -> str | None:
@@ -164,7 +164,7 @@ class Firmware:
             return f"battery at {battery_v:.2f} V, at least {BATTERY_MIN_V} V are needed"
         fresh = not self.supervisor.motors_allowed
         refused = self.supervisor.arm(now_ms)
-        if refused is None and fresh:  # what came before counts for nothing
+        if refused is None and fresh:  # earlier set-points are dropped
             self._inbox.set(STOP, now_ms)
             self.controller.reset()
             self._mellinger.reset()

@@ -1,11 +1,11 @@
 """Supervisor: arming, set-point watchdog, tumble detection; transitions as data.
 
 After firmware supervisor.c and supervisor_state_machine.c (2026.08), evaluated at 25 Hz, of a build that
-requires arming. Left out: the checks before arming and the spin-up (they count as DISARMED), emergency stop
-and deck faults; what the firmware passes through on its way to DISARMED or LOCKED takes no time here. A
-disarm takes effect at once and also ends CRASHED, for which the firmware has a request of its own.
+requires arming. Omitted: the checks before arming and the spin-up (part of DISARMED), emergency stop and deck
+faults, and the intermediate states before DISARMED and LOCKED. A disarm acts at once and also ends CRASHED,
+for which the firmware has a request of its own.
 
-Compiled code evaluates it in flight; there a state is its place in ``STATES`` and the table one of numbers.
+Compiled code evaluates it in flight; there a state is its index in ``STATES``, and the table has numbers.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ READY_TIMEOUT_MS = 30_000  # platform_defaults.h: preflight timeout
 LANDED_TIMEOUT_MS = 3000  # platform_defaults.h: landing timeout
 TUMBLE_TILTED_G, TUMBLE_TILTED_MS = 0.5, 1000  # platform_defaults.h
 TUMBLE_UPSIDE_DOWN_G, TUMBLE_UPSIDE_DOWN_MS = -0.2, 100
-FREE_FALL_G = 0.1  # supervisor.c: the clock starts anew while nothing is felt at all
+FREE_FALL_G = 0.1  # supervisor.c: the clock restarts in free fall
 
 
 class State(Enum):
-    """States; the value is what the log says."""
+    """States; the value is the text in the log."""
 
     DISARMED = "disarmed"
     READY = "armed, ready to fly"
@@ -41,7 +41,7 @@ class State(Enum):
 
 
 class Condition(IntFlag):
-    """What the transitions look at."""
+    """Conditions of the transitions."""
 
     TIMEOUT = auto()
     WARNING = auto()
@@ -53,7 +53,7 @@ class Condition(IntFlag):
     STAYED_LANDED = auto()
 
 
-# the first condition that holds decides
+# the first true condition decides
 TRANSITIONS: dict[State, tuple[tuple[Condition, State], ...]] = {
     State.DISARMED: (),
     State.READY: (
@@ -80,7 +80,7 @@ MOTORS_ALLOWED = frozenset({State.READY, State.FLYING, State.LEVEL_OUT, State.LA
 
 STATES = tuple(State)
 _WIDEST = max(map(len, TRANSITIONS.values()))
-_NEVER = (Condition(0), State.DISARMED)  # fills the table's shorter rows: a condition that cannot hold
+_NEVER = (Condition(0), State.DISARMED)  # fills the shorter rows of the table: a condition that is never true
 _TABLE = np.array(
     [
         [(condition.value, STATES.index(to)) for condition, to in (*row, *[_NEVER] * (_WIDEST - len(row)))]
@@ -93,7 +93,7 @@ _FLYING, _NOT_FLYING = Condition.FLYING.value, Condition.NOT_FLYING.value
 _WARNING, _FRESH, _TIMEOUT = Condition.WARNING.value, Condition.FRESH.value, Condition.TIMEOUT.value
 _TUMBLED, _STAYED_READY = Condition.TUMBLED.value, Condition.STAYED_READY.value
 _STAYED_LANDED = Condition.STAYED_LANDED.value
-# stands for no time: not tilted
+# no time: not tilted
 _UPRIGHT = -1 << 62
 
 
@@ -105,19 +105,19 @@ class SupervisorRecord(Record):
     motors_last_ms: int
     tilted_since_ms: int
     motors_allowed: bool
-    level: bool  # roll and pitch are held at zero; the vertical set-point stays (supervisor.c)
+    level: bool  # roll and pitch are zero; the vertical set-point remains (supervisor.c)
 
 
 @jitted
 def enter(s: SupervisorRecord, state: int, now_ms: int) -> None:
-    """Go to a state."""
+    """Change to a state."""
     s.state, s.since_ms = state, now_ms
     s.motors_allowed, s.level = _ALLOWED[state], state == _LEVEL_OUT
 
 
 @jitted
 def flies(s: SupervisorRecord) -> bool:
-    """Whether the estimator takes it for flying (supervisor.c: isFlying)."""
+    """Whether the supervisor considers it flying (supervisor.c: isFlying)."""
     return s.state == _IN_FLIGHT or s.state == _LEVEL_OUT
 
 
@@ -168,10 +168,7 @@ def supervise(
 
 
 class Supervisor:
-    """State machine; times in milliseconds of simulated time.
-
-    ``record``: where to keep everything; None for a place of its own.
-    """
+    """State machine; times in milliseconds of simulated time; ``record``: its memory."""
 
     def __init__(self, record: SupervisorRecord | None = None) -> None:
         self.record = new(SupervisorRecord) if record is None else record
@@ -179,7 +176,7 @@ class Supervisor:
         self.restart()
 
     def restart(self) -> None:
-        """As after switching on."""
+        """State after power-on."""
         self._enter(State.DISARMED, 0)
         self.record.motors_last_ms, self.record.tilted_since_ms = -FLYING_HYSTERESIS_MS - 1, _UPRIGHT
 
@@ -188,7 +185,6 @@ class Supervisor:
 
     @property
     def state(self) -> State:
-        """Present state."""
         return STATES[int(self._state[0])]
 
     @property
@@ -197,7 +193,7 @@ class Supervisor:
         return bool(self._allowed[0])
 
     def start_flying(self) -> None:
-        """Begin in the air at time zero."""
+        """Start in the air at time zero."""
         self.record.motors_last_ms = 0
         self._enter(State.FLYING, 0)
 
@@ -213,6 +209,6 @@ class Supervisor:
         return None
 
     def disarm(self, now_ms: int) -> None:
-        """Disarm at once. A locked vehicle stays locked."""
+        """Disarm at once; a locked vehicle remains locked."""
         if self.state is not State.DISARMED and self.state is not State.LOCKED:
             self._enter(State.DISARMED, now_ms)

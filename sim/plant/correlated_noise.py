@@ -1,4 +1,4 @@
-"""Noise on three axes that is correlated in time: gusts, and torque on the body that nothing else explains.
+"""Time-correlated noise on three axes, for gusts and disturbance torques.
 
 Each axis is an Ornstein-Uhlenbeck process.
 """
@@ -18,7 +18,7 @@ class NoiseRecord(Record):
 
     now: Vector
     decay: Vector  # in one step
-    kick: Vector  # standard deviation that one step adds
+    kick: Vector  # standard deviation added in a step
     on: bool
     tape: TapeRecord
 
@@ -32,11 +32,10 @@ def vary(n: NoiseRecord) -> None:
 
 
 class CorrelatedNoise:
-    """Sets up the noise of one purpose.
+    """Noise of one random stream.
 
-    ``rms``: standard deviation on each axis; off where all are zero; ``time_s``: correlation time of each
-    axis; ``purpose``: name of the random stream; ``step_s``: time between calls of ``vary``; ``record``:
-    where to keep everything; None for a place of its own.
+    ``rms``: standard deviation of each axis, off where all are zero; ``time_s``: correlation times;
+    ``purpose``: name of the stream; ``step_s``: time between calls of ``vary``; ``record``: its memory.
     """
 
     def __init__(

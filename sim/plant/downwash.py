@@ -1,4 +1,4 @@
-"""Downwash: the air that one vehicle blows down, at the place of another, and what it does there.
+"""Downwash: the jet of one vehicle at the place of another, and its forces there.
 
 The wakes of four rotors merge into one turbulent jet along the thrust. Its mean velocity is that of
 Bauersfeld, Muller, Ziegler, Coletti and Scaramuzza, "Robotics meets Fluid Dynamics: A Characterization of the
@@ -8,11 +8,12 @@ Induced Airflow below a Quadrotor as a Turbulent Jet" (arXiv 2403.13321), fitted
     U_H = sqrt(T / (2 rho 4 pi R^2))                   b = SPREAD (s/l - ORIGIN) l
 
 with the distance s along the jet, r from its axis, the thrust T, the rotors' radius R and the distance l of
-two motors across the vehicle. The published jet begins 2.5 l below the rotors; nearer, it counts as there.
+two motors across the vehicle. The published jet starts 2.5 l below the rotors; nearer, the value there is
+used.
 
-A vehicle in it loses thrust as the plant's drag along body z has it, a fourth at each rotor by the air there;
-is carried sideways by the rotors' drag; and is pushed as a plate of its board's size (C_D = 1.18, as in Jain,
-Fortmuller, Byun, Makiharju and Mueller, ICUAS 2019). docs/how_it_works/vehicle.md has the numbers.
+A vehicle in it loses thrust by the plant's drag along body z, a quarter at each rotor; the rotors' drag acts
+sideways; and the body has the drag of a plate of its board's size (C_D = 1.18, as in Jain, Fortmuller, Byun,
+Makiharju and Mueller, ICUAS 2019). docs/how_it_works/vehicle.md has the numbers.
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ from sim.plant.rotation import Nine
 from sim.plant.rotors import POSITION_X, POSITION_Y
 
 AIR_KG_M3 = 1.204  # 20 degrees C at sea level
-DECAY = 10.11  # of the velocity on the axis; this, ORIGIN and SPREAD: Bauersfeld et al.
-ORIGIN = -5.817  # lengths l below the rotors where the jet seems to begin: above them
+DECAY = 10.11  # decay of the velocity on the axis; this, ORIGIN and SPREAD: Bauersfeld et al.
+ORIGIN = -5.817  # virtual origin of the jet in lengths l below the rotors; negative: above
 SPREAD = 0.07668  # half width per distance from there
-NEAR = 2.5  # lengths l: from here on it is one jet
-EDGE = 4.0  # half widths; none beyond, faded out over the last one
+NEAR = 2.5  # lengths l from which the four wakes are one jet
+EDGE = 4.0  # half widths of the jet; it fades out over the last one
 PLATE_DRAG = 1.18  # C_D of a flat plate across the flow
 _NARROWS = math.sqrt(2.0) - 1.0
 
@@ -58,9 +59,8 @@ class DownwashRecord(Record):
 def jet_speed(along_m: float, beside_m: float, hover_m_s: float, size_m: float) -> float:
     """Velocity in a jet, m/s.
 
-    ``along_m``: distance from the rotors along the jet; 0 or less: none; ``beside_m``: distance from its
-    axis; ``hover_m_s``: velocity U_H that the rotors induce; ``size_m``: distance l of two motors across the
-    vehicle.
+    ``along_m``: distance from the rotors along the jet; ``beside_m``: distance from its axis; ``hover_m_s``:
+    induced velocity U_H; ``size_m``: distance l of two motors across the vehicle.
     """
     lengths = along_m / size_m
     if lengths <= 0.0:
@@ -71,17 +71,13 @@ def jet_speed(along_m: float, beside_m: float, hover_m_s: float, size_m: float) 
         return 0.0
     fade = min(1.0, EDGE - ratio)
     profile = 1.0 / (1.0 + _NARROWS * ratio * ratio)
-    begins = min(1.0, lengths)  # no step where it goes through the plane of the rotors
+    begins = min(1.0, lengths)  # continuous at the plane of the rotors
     return hover_m_s * DECAY / grown * profile * profile * fade * fade * (3.0 - 2.0 * fade) * begins
 
 
 @jitted
 def add_jet(jets: F64, number: int, x: float, y: float, z: float, air: F64) -> None:
-    """Add what a jet blows at a place.
-
-    ``jets``: (N, JET); ``number``: which one; ``x``: the place, east, m; ``y``: north, m; ``z``: up, m;
-    ``air``: (3,) velocity, m/s, added to.
-    """
+    """Add the velocity of jet ``number`` at a place (ENU, m) to ``air`` (3,), m/s."""
     jet = jets[number]
     x, y, z = x - jet[0], y - jet[1], z - jet[2]
     along = x * jet[3] + y * jet[4] + z * jet[5]
@@ -94,11 +90,7 @@ def add_jet(jets: F64, number: int, x: float, y: float, z: float, air: F64) -> N
 
 @jitted
 def set_jet(d: DownwashRecord, thrust_n: float, position: F64, axes: Nine, jet: F64) -> None:
-    """Find the jet of a vehicle.
-
-    ``d``: its sizes; ``thrust_n``: of all rotors; none blows nothing; ``position``: (3,) its centre of mass,
-    ENU, m; ``axes``: its body axes in the world; ``jet``: (JET,) the result.
-    """
+    """The jet (JET,) of a vehicle by its total thrust, centre of mass (ENU, m) and body axes."""
     for i in range(3):
         jet[i] = position[i] + d.above * axes[6 + i]
         jet[3 + i] = -axes[6 + i]
@@ -121,10 +113,9 @@ def reaches(jets: F64, number: int, x: float, y: float, z: float, radius_m: floa
 
 @jitted
 def feel(d: DownwashRecord, jets: F64, own: int, position: F64, axes: Nine) -> None:
-    """Find the air that all jets but one's own blow at a vehicle; velocities of several jets add up.
+    """Velocity of the air at vehicle ``own`` by the jets of all others, which add up.
 
-    ``jets``: (N, JET); ``own``: number of the vehicle's own; ``position``: (3,) its centre of mass, ENU, m;
-    ``axes``: its body axes in the world.
+    ``jets``: (N, JET); ``position``: (3,) its centre of mass, ENU, m; ``axes``: its body axes in the world.
     """
     d.on = False
     x, y, z, zx, zy, zz = position[0], position[1], position[2], axes[6], axes[7], axes[8]
@@ -154,11 +145,7 @@ def feel(d: DownwashRecord, jets: F64, own: int, position: F64, axes: Nine) -> N
 
 @jitted
 def press(d: DownwashRecord, axes: Nine, force: F64, torque: F64) -> None:
-    """Add what the air of ``feel`` does to a vehicle.
-
-    ``d``: the air; ``axes``: body axes in the world; ``force``: (3,) world frame, N; ``torque``: (3,) body
-    frame, N m.
-    """
+    """Add the effect of the air of ``feel``: ``force`` (3,) world frame, N; ``torque`` (3,) body, N m."""
     zx, zy, zz = axes[6], axes[7], axes[8]
     u, a = d.air, d.along
     along = u[0] * zx + u[1] * zy + u[2] * zz

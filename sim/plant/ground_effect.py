@@ -16,7 +16,7 @@ from sim.plant.rotation import Nine
 from sim.plant.rotors import POSITION_X, POSITION_Y
 
 HEIGHT_MIN_M = 0.020
-UPRIGHT_COS = 0.5  # tilted by more than 60 degrees: no cushion
+UPRIGHT_COS = 0.5  # no ground effect above 60 degrees of tilt
 
 
 class GroundRecord(Record):
@@ -27,7 +27,7 @@ class GroundRecord(Record):
     above: float  # rotor plane above the centre of mass
     gain: float
     pad_radius: float
-    reach: float  # of the effect from the centre of mass, whatever the tilt
+    reach: float  # greatest height of the centre of mass with an effect, at any tilt
 
 
 @jitted
@@ -47,9 +47,8 @@ def ground_effect(
 ) -> None:
     """Compute the factors on the four thrusts, 1 when nothing is near.
 
-    ``g``: sizes; ``ex``: vehicle minus pad centre, east, m; ``ey``: the same, north; ``ez``: the same, up;
-    ``pad_height_m``: height of the pad above the floor; ``axes``: body x, y and z axis in the world, nine
-    numbers.
+    ``ex``, ``ey``, ``ez``: vehicle minus pad centre, ENU, m; ``pad_height_m``: above the floor; ``axes``:
+    body axes in the world.
     """
     factors[:] = 1.0
     height = ez + pad_height_m

@@ -37,10 +37,9 @@ class ImuRecord(Record):
 
 @jitted
 def measure(imu: ImuRecord, velocity: F64, rates: F64, axes: Nine) -> None:
-    """Measure: mean acceleration since the last call, and the rates now.
+    """Measure the mean acceleration since the last call and the current rates; uses six random numbers.
 
-    ``imu``: changed in place; takes six numbers from its tape; ``velocity``: true velocity, world, m/s;
-    ``rates``: true body rates, rad/s; ``axes``: true body axes.
+    ``velocity``: true, world, m/s; ``rates``: true body rates, rad/s; ``axes``: true body axes.
     """
     old, per_step = imu.velocity, imu.per_step
     ax, ay = (velocity[0] - old[0]) * per_step, (velocity[1] - old[1]) * per_step
@@ -56,11 +55,7 @@ def measure(imu: ImuRecord, velocity: F64, rates: F64, axes: Nine) -> None:
 
 
 class Imu:
-    """One IMU.
-
-    ``imu``: noise, biases, filters; ``gravity_m_s2``: of the place; ``step_s``: time between calls of
-    ``measure``; ``record``: where to keep everything; None for a place of its own.
-    """
+    """One IMU; ``step_s``: time between calls of ``measure``; ``record``: its memory."""
 
     def __init__(
         self,
@@ -75,7 +70,7 @@ class Imu:
         rng = stream(seed, "imu.bias")
         r.gyro_bias[:] = imu.gyro_bias_rad_s * rng.standard_normal(3)
         r.accel_bias[:] = imu.accel_bias_m_s2 * rng.standard_normal(3)
-        self.accel_bias: list[float] = r.accel_bias.tolist()  # the bias drawn, m/s^2
+        self.accel_bias: list[float] = r.accel_bias.tolist()  # drawn bias, m/s^2
         band = math.sqrt(0.5 / step_s)  # white noise of density n has n * sqrt(rate / 2) per sample
         r.gyro_sigma = imu.gyro_noise_rad_s_sqrthz * band
         r.accel_sigma = imu.accel_noise_m_s2_sqrthz * band

@@ -21,8 +21,8 @@ CONTROL_STEP_S = 0.002  # firmware stabilizer_types.h: ATTITUDE_RATE 500 Hz
 class Body:
     """Rigid body.
 
-    Its drag acts ``drag_above_com_m`` above the centre of mass, along body z. ``rate_damping_n_m_s`` makes a
-    torque against roll and pitch rates: rotors that sink into their own wind pull harder.
+    Its drag acts ``drag_above_com_m`` above the centre of mass, along body z. ``rate_damping_n_m_s`` is a
+    torque against roll and pitch rates: a rotor that moves down has more thrust.
     """
 
     mass_kg: float
@@ -36,10 +36,9 @@ class Body:
 class Rotor:
     """One motor with its propeller.
 
-    ``volt_map``: what the firmware believes of its motors, share of full counts = sum of volt_map[k] V^k at
-    the motor's mean voltage V. It commands that voltage as a share of the battery's, so that a tired battery
-    saturates. None: it knows the true map, so that counts are linear in thrust and the battery limits the
-    speed only.
+    ``volt_map``: the map of its motors in the firmware, share of full counts = sum of volt_map[k] V^k at the
+    mean voltage V of a motor. It commands V as a share of the battery voltage, so that a low battery
+    saturates. None: the map is exact, counts are linear in thrust, and the battery only limits the speed.
     """
 
     arm_m: float
@@ -169,8 +168,8 @@ class TorqueNoiseShape:
 class VelocityGains:
     """Gains of the PID loop from velocity to degrees of tilt, and to thousands of thrust counts.
 
-    Defaults: Crazyflie firmware, platform_defaults_cf2.h, PID_VEL_X and PID_VEL_Z. An autopilot that shapes
-    its attitude commands answers a horizontal velocity later, and flies another one than commanded.
+    Defaults: Crazyflie firmware, platform_defaults_cf2.h, PID_VEL_X and PID_VEL_Z. The other numbers model an
+    autopilot that filters its attitude commands: a later horizontal response, with another steady velocity.
     """
 
     xy_p: float = 25.0
@@ -178,8 +177,9 @@ class VelocityGains:
     z_p: float = 25.0
     z_i: float = 15.0
     xy_dead_time_s: Annotated[float, span(0.0, 0.6)] = 0.0  # from set-point to velocity error
-    tilt_time_s: Annotated[float, span(0.0, 1.0)] = 0.0  # low-pass of the tilt commanded
-    xy_response: Annotated[float, span(0.5, 3.0)] = 1.0  # velocity aimed at, as a share of the set-point
+    tilt_time_s: Annotated[float, span(0.0, 1.0)] = 0.0  # low-pass of the commanded tilt
+    # target velocity of the loop, as share of the set-point
+    xy_response: Annotated[float, span(0.5, 3.0)] = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,10 +225,7 @@ class Plant:
 
 
 def able_to_hover(plant: Plant, params: Params, reserve: float) -> Plant:
-    """Return the same with at least the charge at which each motor can give its share of this reserve.
-
-    ``plant``: as drawn; ``reserve``: thrust over weight, of the weakest motor.
-    """
+    """Raise the charge of a drawn plant until each motor has ``reserve`` times its share of the weight."""
     battery, rotor = params.battery, params.rotor
     thrust_n = 0.25 * reserve * params.body.mass_kg * plant.mass * params.contact.gravity_m_s2 / plant.thrust
     most_v = max(battery.motor_v(rotor.rpm(thrust_n / motor)) for motor in plant.motors)
@@ -240,10 +237,7 @@ def able_to_hover(plant: Plant, params: Params, reserve: float) -> Plant:
 
 @cache
 def load(airframe: str = "crazyflie20") -> Params:
-    """Read the parameter file of a vehicle that comes with the package, or the user's own by its path.
-
-    Raises ConfigError: no such file, or an unknown, missing or ill-typed key.
-    """
+    """Read a vehicle's file by name or path. Raises ConfigError: no such file, or a wrong key."""
     path = VEHICLE_FILES.path_of(airframe)
     try:
         return from_table(Params, VEHICLE_FILES.table(path))

@@ -32,7 +32,7 @@ class RotorRecord(Record):
     """Rotor speeds and the wrench they make."""
 
     rpm: Motors
-    share: Motors  # of each motor's thrust and drag torque in those of the mean motor
+    share: Motors  # thrust and drag torque of each motor over those of the mean motor
     thrust_n: float  # sum of the thrusts, along body z
     torque_x: float  # on the body, N m
     torque_y: float
@@ -55,8 +55,7 @@ class RotorRecord(Record):
 def turn_rotors(r: RotorRecord, command: F64, wx: float, wy: float) -> None:
     """Advance the speeds towards ``command`` (rpm) by one step and compute the wrench.
 
-    ``r``: changed in place; its ``cushion`` is what the ground effect does to the thrusts; ``command``:
-    commanded speeds, rpm; ``wx``: body roll rate, rad/s; ``wy``: body pitch rate, rad/s.
+    ``wx``, ``wy``: body roll and pitch rate, rad/s. The factors ``r.cushion`` must be current.
     """
     r1, r2, r3, r4 = r.rpm[0], r.rpm[1], r.rpm[2], r.rpm[3]
     c1, c2, c3, c4 = command[0], command[1], command[2], command[3]
@@ -89,11 +88,10 @@ def turn_rotors(r: RotorRecord, command: F64, wx: float, wy: float) -> None:
 
 
 class Rotors:
-    """Sets up the rotors of one vehicle; shows their speeds.
+    """The rotors of one vehicle.
 
-    ``rotor``: static maps, lag, geometry; ``plant``: factors on thrust (and with it torque), of all and of
-    each motor, and on the lag; ``slow``: the slow, asymmetric lag instead of the first-order one; ``step_s``:
-    time between calls of ``turn_rotors``; ``record``: where to keep everything; None for a place of its own.
+    ``plant``: factors on thrust (and torque) and lag; ``slow``: the slow, asymmetric lag instead of the
+    first-order one; ``step_s``: time between calls of ``turn_rotors``; ``record``: its memory.
     """
 
     def __init__(
@@ -129,7 +127,7 @@ class BatteryRecord(Record):
     """Charge and voltage; the rest as in ``params.Battery``."""
 
     voltage_v: float  # under load
-    sag_v: float  # by which the load lowers it
+    sag_v: float  # drop of the voltage by the load
     used_a_s: float
     hover_power: float  # sum of the cubes of the speeds in hover, rpm^3
     charge_a_s: float
@@ -158,10 +156,10 @@ def drain(b: BatteryRecord, rpm: F64, dt_s: float) -> None:
 
 @jitted
 def speed_at_no_duty(b: BatteryRecord) -> float:
-    """Speed, rpm, from which that at full duty is reached in proportion to the duty cycle.
+    """Speed at zero duty, rpm, of the linear map from duty cycle to speed.
 
-    Motors draw their current in pulses, which lower the voltage by sag / duty while they last: a motor has
-    duty * (voltage at rest) - sag in the mean, where the voltage under load is (voltage at rest) - sag.
+    Motors draw current in pulses, which lower the voltage by sag / duty during a pulse: the mean motor
+    voltage is duty * (voltage at rest) - sag, and the voltage under load (voltage at rest) - sag.
     """
     return b.speed_at_zero_v_rpm - b.speed_per_volt_rpm * b.sag_v
 
@@ -175,9 +173,8 @@ def speed_limit(b: BatteryRecord) -> float:
 class BatteryModel:
     """One cell.
 
-    ``battery``: parameters; ``hover_rpm``: speed of all rotors at which it gives its hover current;
-    ``record``: where to keep everything; None for a place of its own; ``charge``: share of a full cell at
-    first.
+    ``hover_rpm``: rotor speed at the hover current; ``record``: its memory; ``charge``: initial share of a
+    full cell.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Measurements on their way: noise, loss, delay."""
+"""Noise, loss and delay of measurements."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from sim.scenarios.scenario import OdometryLink
 NS = 1_000_000_000
 NS_PER_MS = 1_000_000
 NEVER_NS = 1 << 62
-NO_NOISE = -0.0  # which leaves also a zero as it is
-BLOCK = 1024  # numbers drawn at a time; single draws from numpy cost twenty times as much
+NO_NOISE = -0.0  # adding it also keeps the sign of a zero
+BLOCK = 1024  # numbers in one draw: single draws from numpy cost twenty times as much
 
 
 def ms_from(time_ns: int) -> int:
@@ -47,7 +47,7 @@ class Normals:
 
 
 class NoiseRows:
-    """Noise for samples of several values: the numbers of ``Normals``, one for each value that is noisy.
+    """Noise for samples of several values, one number of ``Normals`` for each value with noise.
 
     ``sigmas``: standard deviation for each value; ``purpose``: name of the random stream.
     """
@@ -100,7 +100,7 @@ class Tape:
         self._numbers[BLOCK:] = self._normals.block()
 
     def top_up(self) -> None:
-        """See to it that at least ``BLOCK`` numbers are left."""
+        """Draw until at least ``BLOCK`` numbers are available."""
         if self._next[0] >= BLOCK:
             self._numbers[:BLOCK] = self._numbers[BLOCK:]
             self._numbers[BLOCK:] = self._normals.block()
@@ -108,18 +108,16 @@ class Tape:
 
 
 class Losses:
-    """Which samples of a link never come: some by chance, and all within a drop-out.
+    """Lost samples of a link: some by chance, and all within a drop-out.
 
-    Drop-outs begin as a Poisson process of mean distance ``dropout_every_s`` and last uniformly up to
-    ``dropout_max_s``.
-
-    ``link``: loss and drop-outs; ``purpose``: name of the random stream.
+    Drop-outs start as a Poisson process of mean distance ``dropout_every_s`` with a uniform duration up to
+    ``dropout_max_s``. ``purpose``: name of the random stream.
     """
 
     def __init__(self, link: OdometryLink, seed: int, purpose: str) -> None:
         self._link = link
         self._rng = stream(seed, purpose)
-        self._chances: list[float] = []  # drawn ahead, the last one to be used first
+        self._chances: list[float] = []  # drawn in advance, used from the end
         self._drop_start_ns = self._drop_end_ns = NEVER_NS
         if link.dropout_every_s > 0.0 and link.dropout_max_s > 0.0:
             self._draw_dropout(0)
@@ -130,11 +128,11 @@ class Losses:
 
     @property
     def possible(self) -> bool:
-        """Whether any sample can be lost."""
+        """Whether a sample can be lost."""
         return self._link.loss > 0.0 or self._drop_start_ns != NEVER_NS
 
     def lost(self, measured_ns: int) -> bool:
-        """Whether the next sample is lost; ask once for each, in order."""
+        """Whether the next sample is lost; called once for each sample, in order."""
         while measured_ns >= self._drop_end_ns:
             self._draw_dropout(self._drop_end_ns)
         by_chance = self._link.loss > 0.0 and self._chance() < self._link.loss
@@ -149,13 +147,11 @@ class Losses:
 
 
 class MeasurementChannel:
-    """Samples a quantity at the link's rate and hands the samples out after the link's delay, in order.
+    """Samples a quantity at the link's rate and releases the samples after the link's delay, in order.
 
-    Sample k is measured at time k / rate. A lost one (``Losses``) never comes. Times are integer nanoseconds.
-    ``due_ns`` and ``release_ns`` tell when the next call has something to do.
-
-    ``link``: rate, delay, loss, drop-outs; ``sigmas``: standard deviation of the noise on each value;
-    ``purpose``: name of the random stream.
+    Sample k is measured at time k / rate, and may be lost (``Losses``). Times are integer nanoseconds;
+    ``due_ns`` and ``release_ns`` are those of the next work. ``sigmas``: standard deviation of the noise on
+    each value; ``purpose``: name of the random stream.
     """
 
     def __init__(self, link: OdometryLink, sigmas: Sequence[float], seed: int, purpose: str) -> None:
@@ -171,7 +167,7 @@ class MeasurementChannel:
         self.lost = 0
 
     def sample(self, now_ns: int, values: Sequence[float]) -> None:
-        """Measure ``values`` now. Call when ``now_ns >= due_ns``; one sample a call."""
+        """Measure ``values``; called once for each sample, when ``now_ns >= due_ns``."""
         self._count()
         self._send(now_ns, tuple(map(add, values, self._noise.take())))
 
@@ -180,10 +176,10 @@ class MeasurementChannel:
     ) -> tuple[list[int], F64]:
         """``sample`` and ``release`` at several times, each sample at a fraction of the cost.
 
-        ``times_ns``: in order; ``values``: (n, width) to be measured at each; those of times when none is due
-        are not looked at; ``worsen``: called before with the index of each that is.
-        Returns index of the time at which each sample was released; and (m, 1 + width) when it was measured,
-        ns, and its values.
+        ``times_ns``: in order; ``values``: (n, width) at each time, used where a sample is due; ``worsen``:
+        called before with the index of each such time.
+        Returns for each released sample the index of its release, and (m, 1 + width) time of measurement, ns,
+        and values.
         """
         due: list[int] = []
         for n, now_ns in enumerate(times_ns):

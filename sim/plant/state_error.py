@@ -1,8 +1,8 @@
-"""Errors of a measured state as recorded flights show them: late by a time that varies, and little else.
+"""Errors of a measured state like those of recorded flights: mostly a varying delay.
 
-A row of numbers is drawn ahead for every sample; what the sample says follows from the true path up to now:
-the position of a while ago plus a small error, a velocity with errors that grow with speed, and an attitude
-that is turned. ``Rows`` come from a model (``ModelRows``) or from recorded flights (``TapeRows``).
+A row of numbers is drawn in advance for every sample. The sample follows from the row and the true path: a
+delayed position plus a small error, a velocity with errors that grow with speed, and a rotated attitude.
+``Rows`` come from a model (``ModelRows``) or from recorded flights (``TapeRows``).
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ DELAY = 0  # of the position, s; negative: ahead
 VELOCITY_DELAY = 1  # s
 POSITION = 2  # three: error of the position, ENU, m
 AHEAD, ASIDE = 5, 6  # error of the velocity along and left of the horizontal velocity, as shares of the speed
-STILL_AHEAD, STILL_ASIDE = 7, 8  # and what comes to it at any speed, m/s
+STILL_AHEAD, STILL_ASIDE = 7, 8  # additional error at any speed, m/s
 VELOCITY = 9  # three: error of the velocity in the axes of the world, ENU, m/s
 TURN = 12  # three: turn of the measured attitude against the body, rotation vector, body FLU, rad
 WIDTH = 15
 
 PAST = 128  # states kept: 0.25 s at 500 Hz
 DELAY_MAX_S = 0.2
-DELAY_MIN_S = -0.1  # beyond that a state predicted at constant velocity is no recorded one's like
+DELAY_MIN_S = -0.1  # limit of the prediction at constant velocity
 CUT_S = (3.0, 8.0)  # length of a cut from a recorded flight
 FADE_S = 0.2  # from one cut to the next
 SMOOTH_S = 0.02  # the recorded errors' correlation is round at the top: 0.98 to 0.99 after 10 ms
-SETTLED = 12.0  # times the time constant that noise runs before it is used
+SETTLED = 12.0  # time constants that noise runs before its use
 
 
 class PastRecord(Record):
@@ -77,7 +77,7 @@ def mismeasure(past: PastRecord, position: F64, velocity: F64, row: F64) -> None
     lead_s = max(0.0, -row[DELAY])
     for i in range(3):
         late[i] += velocity[i] * lead_s + row[POSITION + i]
-        if row[VELOCITY_DELAY] < 0.0:  # on by as much as it has changed; a derivative would leap at an impact
+        if row[VELOCITY_DELAY] < 0.0:  # extrapolated by the last change; a derivative would jump at an impact
             late[3 + i] = 2.0 * velocity[i] - late[3 + i]
     speed = math.sqrt(late[3] * late[3] + late[4] * late[4])
     x, y = 1.0, 0.0
@@ -92,7 +92,7 @@ def mismeasure(past: PastRecord, position: F64, velocity: F64, row: F64) -> None
 
 @jitted
 def mismeasured(past: Cell[PastRecord], position: F64, velocity: F64, row: F64) -> None:
-    """Do ``mismeasure``, called from Python."""
+    """``mismeasure`` for plain Python."""
     mismeasure(past[0], position, velocity, row)
 
 
@@ -115,12 +115,11 @@ class Rows(Protocol):
 
 
 class Noise:
-    """Correlated normal noise of several values, each of variance one: white noise through two lags.
+    """Correlated normal noise of several values with variance one: white noise through two lags.
 
     Its correlation after t is (T exp(-t / T) - S exp(-t / S)) / (T - S), (1 + t / T) exp(-t / T) where T = S.
-    So it falls with T, and is smooth from sample to sample: a leap would kick the controllers on board.
-
-    ``rng``: source of chance; ``width``: number of values; ``time_s``: T; ``step_s``: between samples.
+    So it falls with T and is smooth from sample to sample: jumps would excite the controllers on board.
+    ``width``: number of values; ``time_s``: T; ``step_s``: between samples.
     """
 
     def __init__(self, rng: Chance, width: int, time_s: float, smooth_s: float, step_s: float) -> None:
@@ -132,7 +131,7 @@ class Noise:
 
     def take(self, count: int) -> F64:
         """Return the next samples, (count, width)."""
-        from scipy.signal import lfilter  # half a second, and only flights with such errors need it
+        from scipy.signal import lfilter  # takes 0.5 s; needed only for flights with such errors
 
         white = self._gain * self._rng.standard_normal((count, self._width))
         out, self._state = lfilter([1.0], self._lag, white, axis=0, zi=self._state)
@@ -146,8 +145,7 @@ _NOISY = (*range(POSITION, POSITION + 3), AHEAD, ASIDE, VELOCITY + 2, *range(TUR
 class ModelRows:
     """Errors by the parameters of ``StateError``.
 
-    ``spec``: parameters; ``purpose``: whose errors; other purposes have other chance, except for a shared
-    delay; ``rate_hz``: of the samples.
+    ``purpose``: name of the random stream; the delay is shared by all purposes; ``rate_hz``: of the samples.
     """
 
     def __init__(self, spec: StateError, seed: int, purpose: str, rate_hz: float) -> None:
@@ -164,7 +162,7 @@ class ModelRows:
         self._slow_s = spec.delay_slow_s * math.exp(spec.delay_slow_varies * _within(slow))
         self._turn = np.array((spec.tilt_rad, spec.tilt_rad, spec.yaw_rad)) * rng.standard_normal(3)
         self._scale = spec.velocity_scale * _within(float(rng.standard_normal()))
-        one, two, three = rng.spawn(3)  # so that rows do not depend on how many are taken at once
+        one, two, three = rng.spawn(3)  # so that rows do not depend on the size of the blocks
         fast_s, slow_s = spec.delay_fast_time_s, spec.delay_slow_time_s
         self._fast, self._slow = Noise(one, 1, fast_s, fast_s, step_s), Noise(two, 1, slow_s, slow_s, step_s)
         self._state = Noise(three, len(_NOISY), spec.error_time_s, SMOOTH_S, step_s)
@@ -196,14 +194,11 @@ def _within(draw: float) -> float:
 
 
 class TapeRows:
-    """Errors of one recorded flight, cut into pieces and joined; the cuts are drawn.
-
-    ``rng``: source of chance; ``rate_hz``: of the samples.
-    """
+    """Errors of one recorded flight, cut at random into pieces that are joined."""
 
     def __init__(self, tape: Tape, rng: Chance, rate_hz: float) -> None:
         self._rng = rng
-        self._step = 1.0 / (rate_hz * tape.step_s)  # of the recording's samples per sample
+        self._step = 1.0 / (rate_hz * tape.step_s)  # samples of the recording per sample
         self._pieces = [_rows(piece) for piece in tape.pieces]
         lengths = np.array([len(piece) for piece in self._pieces], dtype=np.float64)
         self._shares = lengths / lengths.sum()
@@ -230,7 +225,7 @@ class TapeRows:
         return np.stack([np.interp(at, np.arange(len(piece)), column) for column in piece.T], axis=1)
 
     def _joined(self, before: F64, after: F64) -> F64:
-        """Go over from one cut to the next, evenly: a jump was not recorded."""
+        """Change linearly from one cut to the next, since recordings have no jumps."""
         fade = min(self._fade, len(before), len(after))
         share = (np.arange(1, fade + 1) / (fade + 1))[:, None]
         between = before[len(before) - fade :] * (1.0 - share) + after[:fade] * share
@@ -250,10 +245,10 @@ def _rows(piece: Piece) -> F64:
 
 
 def state_errors(spec: StateError, seed: int, purpose: str, rate_hz: float) -> Rows:
-    """Errors of a run, from the source that the scenario names.
+    """Errors of a run from the source of the scenario.
 
-    ``spec``: source and parameters; ``purpose``: whose errors; ``rate_hz``: of the samples.
-    Raises RecordingError: the scenario names a folder of flights, and it or usable flights in it are missing.
+    ``purpose``: name of the random stream; ``rate_hz``: of the samples.
+    Raises RecordingError: the folder of flights, or a usable flight in it, is missing.
     """
     if spec.tape is None:
         return ModelRows(spec, seed, purpose, rate_hz)

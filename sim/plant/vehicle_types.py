@@ -1,4 +1,4 @@
-"""What the simulated vehicle says of itself: what it believes, and what is true."""
+"""Estimated and true states of the simulated vehicle."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from flightstack.core.types import Vec3
 
 
 class Estimate(NamedTuple):
-    """What the on-board estimator believes."""
+    """Estimate on board."""
 
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3
@@ -33,9 +33,9 @@ class Truth(NamedTuple):
     h_min_m: float
     h_min_outside_pad_m: float  # +inf if no step was outside the pad's radius
     contacts: int  # bits CONTACT_*
-    first_touch_relative_position_enu_m: Vec3  # NaN until there was one
+    first_touch_relative_position_enu_m: Vec3  # NaN before
     first_touch_relative_velocity_enu_m_s: Vec3
-    first_touch_time_s: float  # NaN until there was one
+    first_touch_time_s: float  # NaN before
     motors_running: bool
     battery_v: float
     wind_enu_m_s: Vec3

@@ -37,9 +37,8 @@ def blow(w: WindRecord) -> None:
 class WindModel:
     """Wind at the vehicle: ``x``, ``y``, ``z`` in m/s, world ENU.
 
-    ``wind``: mean, gust rms, direction towards which the mean blows (drawn from the seed if None); ``shape``:
-    correlation times and vertical share; ``step_s``: time between calls of ``step``; ``record``: where to
-    keep everything; None for a place of its own.
+    ``wind``: mean, gust rms, direction towards which the mean blows (None: drawn from the seed); ``shape``:
+    correlation times and vertical share; ``step_s``: time between calls of ``step``; ``record``: its memory.
     """
 
     def __init__(
@@ -65,11 +64,9 @@ class WindModel:
         self._gust.top_up()
 
     def step(self) -> None:
-        """Advance by ``step_s``."""
         self.top_up()
         blow(self.record)
 
     @property
     def now_enu_m_s(self) -> Vec3:
-        """Wind now."""
         return self._read()

@@ -1,7 +1,7 @@
-"""The air between vehicles: the jets of all are gathered, then each feels those of the others.
+"""The air between vehicles: the jets of all vehicles act on the others.
 
-Jets are those of the moment of the call and hold until the next one: of what one vehicle does in a tick, the
-others feel nothing before the next. They are everywhere at once, and no wind carries them.
+The jets of a call are constant until the next one, so a motion of one vehicle reaches the others in the next
+tick. Jets have no transport delay and are not moved by wind.
 """
 
 from __future__ import annotations
@@ -33,11 +33,12 @@ def _feel(vehicle: Cell[VehicleRecord], jets: F64, own: int) -> None:
 
 
 class Air:
-    """The air of a team. ``team``: its vehicles."""
+    """The air of a team of vehicles."""
 
     def __init__(self, team: Sequence[Physics]) -> None:
         self._team = tuple(team)
-        self.jets = np.zeros((len(self._team), JET))  # (N, JET) of the vehicles, at the last call of ``blow``
+        # (N, JET) jets of the vehicles at the last call of ``blow``
+        self.jets = np.zeros((len(self._team), JET))
 
     def blow(self) -> None:
         """Let each vehicle feel the jets of the others as they are now, until the next call."""

@@ -1,7 +1,7 @@
 """Checks that a configuration declares the robot, the pad, the links and the barrier of its scenario.
 
-The certificate proves a configuration for what it declares. These checks compare that with what the scenario
-flies, so that what is called proven is proven of the flight.
+The certificate proves a configuration for what it declares. These checks compare its declarations with the
+scenario, so that a proof applies to the flight.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from flightstack.verify.types import Check, Need
 from sim.plant.params import load
 from sim.scenarios.scenario import Scenario
 
-DELAY_M_S = 0.02  # s by which a declared delay may differ: within it the errors are those of the noise
-NOISE_SHARE = 0.5  # of a link's noise that must be declared; an estimate filters it
+DELAY_M_S = 0.02  # s; allowed difference of a declared delay, within the errors of the noise
+NOISE_SHARE = 0.5  # least declared share of a link's noise, which an estimator filters
 STEP_M, FAR_M = 0.005, 10.0  # distances at which the barriers are compared
 
 
 def declared(scenario: Scenario) -> list[Check]:
-    """Checks of a scenario besides those of its configuration."""
+    """Checks of a scenario in addition to those of its configuration."""
     config, target, spec, link = scenario.onboard, scenario.target, scenario.vehicle, scenario.odometry
     touchdown, envelope, told = config.touchdown, config.envelope, config.target
     judge, own = Barrier(scenario.judge.alpha_1_m, scenario.judge.beta_m), config.barrier.build()
@@ -53,7 +53,7 @@ def declared(scenario: Scenario) -> list[Check]:
             "m",
         ),
     ]
-    if config.filter != "paper":  # the paper's declares nothing of links
+    if config.filter != "paper":  # the paper's filter declares no links
         rows += [
             (
                 "envelope.target_climb_max_m_s",
@@ -109,7 +109,7 @@ def declared(scenario: Scenario) -> list[Check]:
     return [
         Check(
             f"declared, {key}",
-            f"the configuration declares what the scenario has ({there})",
+            f"the configuration declares the values of the scenario ({there})",
             room + 1e-12,
             unit,
             f"onboard.{key}: {found}",

@@ -1,8 +1,8 @@
-"""How near vehicles come to each other, judged every millisecond, and whether their shapes overlap.
+"""Smallest distances between vehicles at every millisecond, and overlaps of their shapes.
 
 A shape is an upright cylinder around rotors and body. Between two ticks the position of one vehicle relative
-to another follows the cubic through positions and velocities at both. Two distances are kept: that of the
-centres of mass, and that in the measure of an ellipsoid about the other vehicle, which is 1 on its surface.
+to another follows the cubic through positions and velocities at both. There are two distances: that of the
+centres of mass, and that in the norm of an ellipsoid around the other vehicle, which is 1 on its surface.
 """
 
 from __future__ import annotations
@@ -42,11 +42,7 @@ class Shape:
 
 @jitted
 def ellipsoid_distance(x: float, y: float, z: float, beside_m: float, above_m: float) -> float:
-    """Distance of a place from the centre of an ellipsoid; 1 on its surface.
-
-    ``x``: the place, east, m; ``y``: north, m; ``z``: up, m; ``beside_m``: semi-axis sideways; ``above_m``:
-    semi-axis up and down.
-    """
+    """Norm of an offset (m) from the centre of an ellipsoid with these semi-axes; 1 on its surface."""
     return math.sqrt((x * x + y * y) / (beside_m * beside_m) + z * z / (above_m * above_m))
 
 
@@ -97,18 +93,18 @@ class Team:
     def __init__(self, shapes: Sequence[Shape]) -> None:
         number = len(shapes) * (len(shapes) - 1) // 2
         self._shapes = np.array([(each.radius_m, each.bottom_m, each.top_m) for each in shapes])
-        # (P, 3) smallest distance of the centres of mass so far, m; the same while both flew; and while both
-        # flew that in the ellipsoid's measure. Infinite before.
+        # (P, 3) smallest distance of the centres of mass, m; the same while both flew; and the norm of the
+        # ellipsoid while both flew. Infinite before.
         self.least = np.full((number, 3), np.inf)
-        # inside: (P,) whether they came inside the ellipsoid in the last call of ``follow`` while both flew;
-        # overlap_ms: (P,) milliseconds after the first tick at which the shapes overlap first; -1: never
+        # inside: (P,) inside the ellipsoid in the last call of ``follow`` while both flew; overlap_ms: (P,)
+        # milliseconds from the first tick to the first overlap of the shapes; -1: never
         self.inside, self.overlap_ms = np.zeros(number, dtype=np.int64), np.full(number, -1, dtype=np.int64)
 
     def follow(self, before: F64, after: F64, flew: I64, steps: int) -> bool:
-        """Follow all pairs from one tick to the next; the first tick itself belongs to the tick before.
+        """Follow all pairs from one tick (exclusive) to the next.
 
-        ``before``: (N, 6) positions (m) and velocities (m/s), ENU; ``after``: (N, 6) the same at the next
-        tick; ``flew``: (N,) whether each flew at both; ``steps``: milliseconds between them.
+        ``before``, ``after``: (N, 6) positions (m) and velocities (m/s), ENU, at both; ``flew``: (N,) whether
+        each flew at both; ``steps``: milliseconds between them.
         Returns whether any pair was inside or overlapped.
         """
         found = (self.least, self.inside, self.overlap_ms)
@@ -116,10 +112,7 @@ class Team:
 
 
 def overlapping(shapes: Sequence[Shape], places: F64) -> list[tuple[int, int]]:
-    """Pairs of members, the lower one first, whose shapes overlap where nothing moves.
-
-    ``shapes``: of the N members; ``places``: (N, 3) positions, ENU, m.
-    """
+    """Pairs of members (the lower first) with overlapping shapes at (N, 3) positions, ENU, m, at rest."""
     team, still = Team(shapes), np.hstack((places, np.zeros_like(places)))
     team.follow(still, still, np.zeros(len(shapes), dtype=np.int64), 1)
     pairs = combinations(range(len(shapes)), 2)

@@ -1,4 +1,4 @@
-"""What is judged of a flight: the barrier's extremes, tumbling, when the vehicle touched what."""
+"""Judged quantities of a flight: extremes of the barrier, tumbling, contacts."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ class JudgeRecord(Record):
     tumbled: bool
 
 
-_height = twin(boundary_height, jitted)  # the very formula of the controller
+_height = twin(boundary_height, jitted)  # the formula of the controller
 
 
 @jitted
 def judge(j: JudgeRecord, world: WorldRecord) -> None:
-    """Keep the smallest h, and whether it tumbled."""
+    """Update the smallest h and the tumbling."""
     p, d = world.body.position, world.deck.position
     ex, ey = p[0] - d[0], p[1] - d[1]
     square = ex * ex + ey * ey
@@ -46,13 +46,13 @@ def judge(j: JudgeRecord, world: WorldRecord) -> None:
 class ContactRecord(Record):
     """Times in ms of simulated time, ``NONE_MS`` for never."""
 
-    bits: int  # all contacts since they were last asked for
-    since_ms: int  # begin of the contact with pad or ground
+    bits: int  # all contacts since the last reading
+    since_ms: int  # start of the contact with pad or ground
     pad_ms: int  # last contact with the pad's top
     ground_ms: int
     judging: bool  # the next touch of the pad is the first
     touch_ms: int  # the first touch
-    touch_e: Vector  # vehicle minus pad centre at the begin of that step, m
+    touch_e: Vector  # vehicle minus pad centre at the start of that step, m
     touch_velocity: Vector  # of the vehicle relative to the pad below it, m/s
 
 
@@ -60,10 +60,10 @@ class ContactRecord(Record):
 def note_contact(
     c: ContactRecord, world: WorldRecord, now_ms: int, before_e: F64, before_velocity: F64
 ) -> None:
-    """Keep contact times; latch the state before the first judged touch of the pad.
+    """Update contact times; latch the state before the first judged touch of the pad.
 
-    ``world``: the deck, and the contacts of the step; ``now_ms``: begin of the step; ``before_e``: vehicle
-    minus pad centre then, m; ``before_velocity``: of the vehicle then, m/s.
+    At the start of the step, ``now_ms``: ``before_e`` is vehicle minus pad centre, m, ``before_velocity``
+    that of the vehicle, m/s.
     """
     deck, bits = world.deck, world.contacts
     c.bits |= bits

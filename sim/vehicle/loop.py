@@ -1,6 +1,6 @@
-"""The vehicle's record, and the compiled loop that flies it, set-points and motion capture included.
+"""The vehicle's record, and its compiled loop with set-points and motion capture.
 
-It needs Python only for what is drawn ahead (noise, chance) and for faults.
+Plain Python only draws random numbers in advance and applies faults.
 """
 
 from __future__ import annotations
@@ -33,18 +33,17 @@ class DragRecord(Record):
     moment: float  # about the centre of mass, of the drag along body x and y, N m per m/s
     damping: float  # torque against roll and pitch rate, N m s
     xy: float  # N s/m
-    along: float  # what drag along body z adds to that
+    along: float  # additional drag along body z
     weight: float  # N
 
 
 def set_up_drag(drag: DragRecord, body: Body, weight_n: float) -> None:
-    """Fill in a record."""
     drag.xy, drag.along, drag.weight = body.drag_n_s_m[0], body.drag_n_s_m[2] - body.drag_n_s_m[0], weight_n
     drag.moment, drag.damping = body.drag_above_com_m * body.drag_n_s_m[0], body.rate_damping_n_m_s
 
 
 class VehicleRecord(Record):
-    """Everything that changes every step."""
+    """State that changes in every step."""
 
     world: WorldRecord
     rotors: RotorRecord
@@ -59,9 +58,9 @@ class VehicleRecord(Record):
     mocap: MocapRecord
     judge: JudgeRecord
     contact: ContactRecord
-    motor_share: Motors  # speed a motor aims at = share * command + held (1 and 0 without a fault)
+    motor_share: Motors  # target speed of a motor = share * command + held (1 and 0 without a fault)
     motor_held: Motors  # rpm
-    drive: Motors  # that speed, rpm
+    drive: Motors  # target speeds, rpm
     before_e: Vector  # vehicle minus pad at the beginning of the last step
     before_velocity: Vector
 
@@ -76,7 +75,7 @@ def sense(vehicle: Cell[VehicleRecord]) -> None:
 
 @jitted
 def cushion(v: VehicleRecord) -> None:
-    """Compute the ground-effect factors of the four thrusts."""
+    """Factors of the ground effect on the four thrusts."""
     p, d = v.world.body.position, v.world.deck.position
     if v.rotors.thrust_n > 0.0:
         axes = rotation_axes(v.world.body.quaternion)
@@ -116,7 +115,7 @@ def push(v: VehicleRecord) -> None:
 
 @jitted
 def surround(v: VehicleRecord, now_ms: int) -> None:
-    """Go on with wind, torque noise and battery."""
+    """Advance wind, torque noise and battery."""
     if now_ms % WIND_EVERY_MS == 0:
         blow(v.wind)
         vary(v.torque_noise)
@@ -135,10 +134,9 @@ def move(v: VehicleRecord, now_ms: int) -> None:
 
 @jitted
 def fly(vehicle: Cell[VehicleRecord], begin_ms: int, end_ms: int) -> None:
-    """Run steps of 1 ms.
+    """Run steps of 1 ms until ``end_ms``, at most until the next event of a fault.
 
-    ``vehicle``: changed in place; what is drawn ahead must suffice (``VehicleSim.advance`` sees to it);
-    ``begin_ms``: time of the first step; ``end_ms``: not beyond the next event of a fault.
+    The random numbers must suffice (``VehicleSim.advance`` draws them).
     """
     v = vehicle[0]
     for now_ms in range(begin_ms, end_ms):

@@ -1,11 +1,10 @@
 """Motion capture for compiled code: the random numbers of each sample are drawn in advance, in plain Python.
 
-When sample k is measured, when it arrives, its noise and whether it is lost depend on the seed alone, not on
-the flight. So all that is left to do in flight is to add the true pose. The numbers and their order are those
-of ``MeasurementChannel``.
+Times, noise and loss of a sample depend only on the seed, so in flight only the true pose is added. The
+numbers and their order are those of ``MeasurementChannel``.
 
-With the errors of recorded flights (``StateError``) a sample is what the estimator on board believes: it
-counts at once and replaces the estimate. A fault that diverts samples gets the same position and heading.
+With the errors of recorded flights (``StateError``) a sample is an estimate on board: it has no delay and
+replaces the estimate. A fault that diverts samples gets the same position and heading.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from sim.plant.state_error import TURN, WIDTH, PastRecord, mismeasure, state_err
 from sim.scenarios.scenario import OdometryLink, StateError
 from sim.world.bodies import BodyRecord
 
-ROWS = 512  # of samples; at most 250 are under way (500 Hz, 0.5 s)
+ROWS = 512  # samples; at most 250 are on their way (500 Hz, 0.5 s)
 LOST = -1
 VALUES = 4  # x, y, z (ENU, m), yaw (rad)
 
@@ -34,10 +33,10 @@ class MocapRecord(Record):
 
     measured_ms: Annotated[I64, ROWS]
     arrives_ms: Annotated[I64, ROWS]  # or LOST
-    values: Annotated[F64, ROWS * VALUES]  # the noise, until it is measured
+    values: Annotated[F64, ROWS * VALUES]  # noise; after the measurement the sample
     measuring: int  # the row that is measured next
     arriving: int  # the row that arrives next
-    diverted: bool  # arriving samples are left to Python: a fault is to work on them
+    diverted: bool  # arriving samples go to Python, for a fault
     recorded: bool  # errors of recorded flights, in the rows of ``errors``
     errors: Annotated[F64, ROWS * WIDTH]
     past: PastRecord
@@ -45,7 +44,7 @@ class MocapRecord(Record):
 
 @jitted
 def measure_pose(m: MocapRecord, body: BodyRecord, now_ms: int) -> None:
-    """Take the samples that are due; there must be rows (``MocapTape.top_up``)."""
+    """Measure the due samples; the rows must be filled (``MocapTape.top_up``)."""
     while m.measured_ms[m.measuring] <= now_ms:
         axes = rotation_axes(body.quaternion)
         at = VALUES * m.measuring
@@ -74,7 +73,7 @@ def next_arrived(m: MocapRecord, now_ms: int) -> int:
 
 @jitted
 def correct_estimate(m: MocapRecord, estimator: EstimatorRecord, body: BodyRecord, now_ms: int) -> None:
-    """Give the estimator what has arrived."""
+    """Pass arrived samples to the estimator."""
     at = next_arrived(m, now_ms)
     while at >= 0:
         if m.recorded:
@@ -100,8 +99,7 @@ def _measure_pose(mocap: Cell[MocapRecord], body: Cell[BodyRecord], now_ms: int)
 class MocapTape:
     """Fills the rows, and returns samples by ``take`` while a fault diverts them.
 
-    ``link``: rate, noise, delay, loss, drop-outs; ``record``: where the rows are; ``body``: the vehicle;
-    ``error``: as in recorded flights, instead of noise and delay of the link.
+    ``error``: errors of recorded flights instead of noise and delay of the link.
     """
 
     def __init__(
@@ -136,7 +134,7 @@ class MocapTape:
         return int(self._measured_ms[-1])
 
     def top_up(self) -> None:
-        """Fill rows for at least the next half second, and for ten minutes at most."""
+        """Fill rows for at least the next half second, and at most ten minutes."""
         if self._measuring[0] < ROWS // 2:
             return
         done = int(self._arriving[0])
@@ -167,7 +165,7 @@ class MocapTape:
         self._cell["diverted"][0] = diverted
 
     def take(self, now_ms: int) -> list[tuple[float, ...]]:
-        """Measure what is due now, and take what has arrived."""
+        """Measure due samples and return the arrived ones."""
         _measure_pose(self._cell, self._body, now_ms)
         samples: list[tuple[float, ...]] = []
         while (at := _next_arrived(self._cell, now_ms)) >= 0:
@@ -175,7 +173,7 @@ class MocapTape:
         return samples
 
     def next_ms(self) -> int:
-        """When ``take`` has something to do."""
+        """Time of the next work for ``take``."""
         measuring, arriving = int(self._measuring[0]), int(self._arriving[0])
         measured_ms = int(self._measured_ms[measuring])
         return min(measured_ms, int(self._arrives_ms[arriving])) if arriving < measuring else measured_ms

@@ -1,4 +1,4 @@
-"""World, rotors, battery, wind and deck of one vehicle with any autopilot, and its true states."""
+"""World, rotors, battery, wind and deck of one vehicle, independent of its autopilot, and its true states."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sim.vehicle.judge import GAP_MS, NONE_MS
 from sim.vehicle.loop import WIND_EVERY_MS, VehicleRecord, set_up_drag
 from sim.world.world import World
 
-AIRBORNE_AFTER_MS = 200  # out of contact for this long begins the judging
+AIRBORNE_AFTER_MS = 200  # time without contact after which the judging starts
 TUMBLED = ContactBit.TUMBLED.value
 _VEHICLE = ContactBit.VEHICLE.value
 _NAN3: Vec3 = (math.nan, math.nan, math.nan)
@@ -30,29 +30,28 @@ _NAN3: Vec3 = (math.nan, math.nan, math.nan)
 class Physics:
     """One vehicle's body and surroundings; times are simulated ones, ms.
 
-    ``scenario``: plant, wind, target, judge; ``params``: of the vehicle, instead of its file's; ``plant``:
-    what is its own, instead of what the seed draws.
+    ``params``: instead of the vehicle's file; ``plant``: instead of the drawn one.
     """
 
     def __init__(
         self, scenario: Scenario, seed: int, params: Params | None = None, plant: Plant | None = None
     ) -> None:
-        self.params = params = params or load(scenario.vehicle.airframe)  # of the vehicle's file
+        self.params = params = params or load(scenario.vehicle.airframe)
         if plant is None:
             plant, reserve = Plant.draw(scenario.vehicle, seed), scenario.vehicle.hover_reserve
             plant = able_to_hover(plant, params, reserve) if reserve > 0.0 else plant
         self.plant = plant  # factors by which this vehicle differs from the nominal one
         mass_kg = params.body.mass_kg * plant.mass
         self.weight_n = mass_kg * params.contact.gravity_m_s2
-        # record, vehicle: memory that the steps of 1 ms work on, in one piece, and its view for them
+        # record: memory of the steps of 1 ms, in one piece; vehicle: its view for compiled code
         self.record = r = new(VehicleRecord)
         self.vehicle = cell(r)
-        # world, rotors, battery, wind: its parts, which are views of that memory
+        # views of its parts
         self.world = World(params, mass_kg, scenario.target, r.world)
         self.rotors = Rotors(params.rotor, plant, scenario.vehicle.slow_motors, STEP_S, r.rotors)
         pad_radius = scenario.target.pad_radius_m
         set_up_ground(r.ground, params.rotor, scenario.vehicle.ground_effect_gain, pad_radius)
-        # rotor speed that holds it in still air
+        # rotor speed of hover in still air
         self.hover_rpm = params.rotor.rpm(self.weight_n / 4.0 / plant.thrust)
         self.battery = BatteryModel(params.battery, self.hover_rpm, r.battery, plant.battery_charge)
         self.wind = WindModel(scenario.wind, params.wind, seed, WIND_EVERY_MS * STEP_S, r.wind)
@@ -68,9 +67,9 @@ class Physics:
         self._h_min, self._h_min_outside, self._tumbled = scalars(
             r.judge, "h_min", "h_min_outside", "tumbled"
         )
-        # pad_ms, ground_ms, since_ms: last contact with pad and floor, and since when it stands; one element
+        # one element each: last contact with pad and floor, start of the current contact
         self.since_ms, self.pad_ms, self.ground_ms = scalars(r.contact, "since_ms", "pad_ms", "ground_ms")
-        # whether touches count, one element
+        # one element: whether touches count
         self._touch_ms, self.judging, self._contacts = scalars(r.contact, "touch_ms", "judging", "bits")
         for times in (self.since_ms, self.pad_ms, self.ground_ms, self._touch_ms):
             times[0] = NONE_MS
@@ -95,21 +94,21 @@ class Physics:
         return bool(now_ms - self.ground_ms[0] <= GAP_MS)
 
     def judge_from_here(self) -> None:
-        """Begin the judged part of the flight; earlier contacts are forgotten."""
+        """Start the judged part of the flight; earlier contacts are dropped."""
         self.judging[0] = True
         self._touch_ms[0] = NONE_MS
 
     def airborne(self, now_ms: int) -> bool:
-        """Whether it has been out of contact long enough to count as off the ground."""
+        """Whether it has been without contact long enough."""
         return bool(now_ms - max(self.pad_ms[0], self.ground_ms[0]) > AIRBORNE_AFTER_MS)
 
     def judge_once_airborne(self, now_ms: int) -> None:
-        """Begin the judging once the vehicle has left the ground."""
+        """Start the judging after the lift-off."""
         if not self.judging[0] and self.airborne(now_ms):
             self.judging[0] = True
 
     def collide(self) -> None:
-        """Note that it has struck another vehicle."""
+        """Record a collision with another vehicle."""
         self._contacts[0] |= _VEHICLE
 
     def body(self) -> Values:

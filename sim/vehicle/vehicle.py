@@ -1,6 +1,6 @@
 """The simulated Crazyflie: body, rotors, firmware, estimator and the deck it lands on, in 1 ms steps.
 
-Deterministic in (scenario, seed). Knows nothing of MAVLink or of the wall clock.
+Deterministic in (scenario, seed); independent of MAVLink and wall time.
 """
 
 from __future__ import annotations
@@ -31,29 +31,24 @@ from sim.vehicle.loop import fly
 from sim.vehicle.mocap import MocapTape
 from sim.vehicle.physics import Physics
 
-LANDED_AFTER_MS = 150  # in contact for this long is landed
-_KEPT = "vehicle"  # name under which the folder of machine code knows that of a flight
-WARM_UP_MS = 100  # every loop of the firmware has run by then, and motion capture has come
-SUPPLY_MS = 320  # the noise of the IMU, of which six numbers go every 2 ms, is drawn so far ahead
+LANDED_AFTER_MS = 150  # time of contact after which it counts as landed
+_KEPT = "vehicle"  # name of a flight's code in the folder of machine code
+WARM_UP_MS = 100  # every loop of the firmware has run, and motion capture has arrived
+SUPPLY_MS = 320  # time for which the noise of the IMU, six numbers every 2 ms, is drawn in advance
 _STATE_TEXTS = tuple(str(state.value) for state in STATES)
 _BROKEN = tuple(Fault(What.MOTOR, Kind.DEAD, motor=motor) for motor in range(1, 5))
 _LOCKED, _CRASHED = STATES.index(State.LOCKED), STATES.index(State.CRASHED)
 
 
 class VehicleSim:
-    """One vehicle with its deck.
-
-    ``time_s``: simulated time.
-    ``scenario``: plant, wind, target, start, judge; ``params``: of the vehicle, instead of its file's;
-    ``plant``: what is its own, instead of what the seed draws.
-    """
+    """One vehicle with its deck; ``params`` replaces its file, ``plant`` the drawn one."""
 
     def __init__(
         self, scenario: Scenario, seed: int, params: Params | None = None, plant: Plant | None = None
     ) -> None:
         self._physics = physics = Physics(scenario, seed, params, plant)
         r, self._vehicle, self._world = physics.record, physics.vehicle, physics.world
-        # factors by which this vehicle differs from the nominal one
+        # factors between this vehicle and the nominal one
         self._params, self.plant, self._rotors = physics.params, physics.plant, physics.rotors
         self._battery, self._wind = physics.battery, physics.wind
         params = self._params
@@ -64,7 +59,7 @@ class VehicleSim:
         self._believed = self._firmware.estimator.believed
         self._mocap = MocapTape(spec.mocap, seed, r.mocap, r.world.body, spec.own)
         motors = MotorFaults(r.motor_share, r.motor_held, r.rotors, params.rotor, physics.hover_rpm)
-        # what fails, when; its ``link`` is for whoever has the MAVLink wire
+        # its ``link`` is for the owner of the MAVLink wire
         self.faults = Faults(scenario.fault, seed, motors, BatteryFaults(r.battery))
         self._ms = self._supplied_ms = 0
         self._allowed, self._state = scalars(r.firmware.supervisor, "motors_allowed", "state")
@@ -72,8 +67,8 @@ class VehicleSim:
         self._read_commands = reader(r.firmware.commands)
         # set-point that holds a hover start against weight and mean wind; zero otherwise
         self.trim_velocity_enu_m_s: Vec3 = ZERO
-        # how long ago the set-points handed over now were sent, at most the radio's delay; a simulation may
-        # run ahead by that much before it has to know them
+        # age of the set-points at their delivery, at most the radio's delay; a simulation may run ahead by
+        # this time without them
         self.sent_before_ms = 0
         physics.judging[0] = scenario.start.kind is StartKind.HOVER
         if scenario.start.kind is StartKind.HOVER:
@@ -155,7 +150,7 @@ class VehicleSim:
         return end_ms <= self._supplied_ms
 
     def flown(self, now_ms: int) -> None:
-        """Take note of steps that somebody else has run with ``fly``."""
+        """Record steps that were run by ``fly`` outside of this object."""
         self._ms = now_ms
 
     def _supply(self) -> None:
@@ -166,9 +161,9 @@ class VehicleSim:
         self._supplied_ms = min(self._ms + SUPPLY_MS, self._mocap.drawn_until_ms)
 
     def _fail(self) -> int:
-        """Begin and end faults, and apply those of vehicle state and motion capture.
+        """Start and end faults, and apply those of vehicle state and motion capture.
 
-        Returns when to call it next, in ms.
+        Returns the time of the next call, ms.
         """
         faults, mocap, now_ms = self.faults, self._mocap, self._ms
         now_ns = now_ms * NS_PER_MS
@@ -187,10 +182,7 @@ class VehicleSim:
         return min(next_ms, ms_from(faults.next_ns))
 
     def inject_failure(self, unit: int, kind: int, instance: int) -> str | None:
-        """Fail, or heal, as MAV_CMD_INJECT_FAILURE asks; None when done, else why not.
-
-        ``unit``: FAILURE_UNIT; ``kind``: FAILURE_TYPE; ``instance``: 0 all, else which one, from 1.
-        """
+        """MAV_CMD_INJECT_FAILURE with FAILURE_UNIT and FAILURE_TYPE; returns the reason of a rejection."""
         return self.faults.inject(unit, kind, instance, self._ms * NS_PER_MS)
 
     def collide(self) -> None:
@@ -237,7 +229,7 @@ class VehicleSim:
         self._firmware.estimator.take_pose(position_enu_m, quaternion)
 
     def reset_estimate(self, position_enu_m: Vec3, yaw_rad: float) -> None:
-        """Start the estimate anew, at rest and level (kalman.resetEstimation)."""
+        """Restart the estimate, at rest and level (kalman.resetEstimation)."""
         level = (math.cos(0.5 * yaw_rad), 0.0, 0.0, math.sin(0.5 * yaw_rad))
         self._firmware.estimator.settle(position_enu_m, ZERO, (0.0,) * 9, level, [0.0, 0.0, 0.0])
 
@@ -250,17 +242,16 @@ class VehicleSim:
         self._firmware.send(STOP, self._ms - self.sent_before_ms)
 
     def begin_judging(self) -> None:
-        """The landing begins: the next touch of the pad is the first."""
+        """The landing starts: the next touch of the pad is the first."""
         self._physics.judge_from_here()
 
     @property
     def physics(self) -> Physics:
-        """Body and surroundings, for who puts several vehicles into one world."""
+        """Body and surroundings, for a world with several vehicles."""
         return self._physics
 
     @property
     def time_s(self) -> float:
-        """Simulated time."""
         return self._ms * STEP_S
 
     @property
@@ -280,7 +271,7 @@ class VehicleSim:
 
     @property
     def supervisor_state(self) -> int:
-        """State of the supervisor, its place in ``STATES``."""
+        """State of the supervisor, as index of ``STATES``."""
         return int(self._state[0])
 
     @property
@@ -290,13 +281,13 @@ class VehicleSim:
 
     @property
     def state_text(self) -> str:
-        """State of the supervisor in words."""
+        """State of the supervisor as text."""
         text: str = _STATE_TEXTS[self._state[0]]
         return text
 
     @property
     def motors_running(self) -> bool:
-        """Whether any motor is commanded to turn."""
+        """Whether any motor has a speed command."""
         return self._read_commands() != OFF
 
     @property
@@ -350,9 +341,9 @@ class VehicleSim:
 
 
 def warm_up(scenario: Scenario) -> None:
-    """Compile everything that a flight calls, or load it from the cache, before a flight begins.
+    """Compile the code of a flight, or load it from the cache.
 
-    Takes about 10 s of processor time the first time on a machine, some milliseconds later.
+    Takes about 10 s of processor time the first time on a machine, then some milliseconds.
     """
     vehicle = VehicleSim(scenario, 0)
     vehicle.arm()
@@ -366,9 +357,9 @@ def warm_up(scenario: Scenario) -> None:
 
 
 def compile_first(scenario: Scenario) -> None:
-    """Compile what is not on disk, before processes start whose limits of time would count it.
+    """Compile code that is not in the cache before processes with time limits start.
 
-    Those made by fork go on with it, also where it cannot be kept.
+    Forked processes use it, also where it cannot be stored.
     """
     if not is_off() and not is_kept(_KEPT):
         warm_up(scenario)
