@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.wide_messages import MESSAGES
 
-_BITS_PER_BYTE = 10  # of a serial line, 8N1
+_BITS_PER_BYTE = 10  # bits of a byte on a serial line, 8N1
 _USABLE = 0.9  # share of the line; the rest is for replies, texts and other messages of the autopilot
 _FRAME = 12  # bytes around a payload: header and checksum of MAVLink 2
 _SIGNATURE = 13  # bytes
@@ -37,7 +37,7 @@ class LinePlan:
     setpoint_hz: float  # the same as a rate
     in_bytes_s: float  # telemetry, from the vehicle to the companion
     out_bytes_s: float  # set-points, heartbeats and replies, from the companion to the vehicle
-    capacity_bytes_s: float | None  # of the line, in each direction; None: not limited
+    capacity_bytes_s: float | None  # capacity of the line in each direction; None: not limited
 
     @property
     def text(self) -> str:

@@ -42,7 +42,7 @@ class Limits:
     gap_max_s: float = 0.2  # greatest age of the last good pose; same as that of the vehicle state
     rate_min_hz: float = 20.0  # a lower rate is reported; PX4 needs 30 to 50
     rate_max_hz: float = 100.0  # greatest forwarded rate
-    speed_max_m_s: float = 5.0  # of the body, with the allowances below for noise
+    speed_max_m_s: float = 5.0  # speed of the body, without the allowances below for noise
     jump_m: float = 0.05
     turn_rate_max_rad_s: float = 20.0
     turn_rad: float = 0.2

@@ -97,7 +97,7 @@ class TargetSpec:
     name: str  # key, or topic with its leading slash
     type: TargetType = TargetType.ODOMETRY
     domain: int = 0
-    offset_m: Vec3 = ZERO  # of the landing spot, in the axes of the tracked frame
+    offset_m: Vec3 = ZERO  # offset of the landing spot in the axes of the tracked frame
 
     @classmethod
     def parse(

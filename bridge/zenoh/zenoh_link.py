@@ -28,7 +28,7 @@ Subscriber = Any
 Sample = Any
 
 LOOPBACK = "tcp/127.0.0.1:0"  # any free port, this machine only
-LOOPBACK_ROUTER = "tcp/127.0.0.1:7447"  # where clients and ROS 2 nodes look for a router
+LOOPBACK_ROUTER = "tcp/127.0.0.1:7447"  # default address of a router for clients and ROS 2 nodes
 _LEASE_MS = 2000  # a peer without messages is disconnected and dialled again; liveness is the age of messages
 _CLIENT_WAIT_MS = 10_000  # wait for a router that has not started
 _RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 1.5}

@@ -19,7 +19,7 @@ from typing import IO, NoReturn
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _PR_SET_NAME = 15
-_NAME_BYTES = 15  # of a thread's name
+_NAME_BYTES = 15  # length of a thread's name
 _LAST_STREAM = 2  # standard error
 _LOOK_MAX_S = 0.05  # s between two checks of a child, as in subprocess
 

@@ -28,7 +28,8 @@ TARGET_SILENT_S = 5.0  # s without a message of the target in lockstep after whi
 # s, the same for the onboard process: longer than its waits for target and recorder
 COMPANION_SILENT_S = 10.0
 _LOOK_MAX_S = 0.1  # s
-PRIORITY = 10  # of 1 to 99 under SCHED_FIFO: above all ordinary processes, below the kernel's own threads
+# priority under SCHED_FIFO, 1 to 99: above all ordinary processes, below the kernel's own threads
+PRIORITY = 10
 _DAY_NS = 86_400_000_000_000
 _LOCK_WHAT_IS_USED = 1 | 2 | 4  # MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT of mlockall(2), Linux
 
@@ -97,7 +98,7 @@ class RealTimePacer:
         sleep: Callable[[float], None] = time.sleep,
         unix_ns: Callable[[], int] = time.time_ns,
     ) -> None:
-        self.period_s = 1.0 / rate_hz  # of a tick
+        self.period_s = 1.0 / rate_hz
         self.overruns = 0  # deadlines missed so far
         self._monotonic, self._sleep = monotonic, sleep
         self._start_s = monotonic()

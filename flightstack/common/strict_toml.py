@@ -25,7 +25,7 @@ import msgspec
 from msgspec import inspect
 
 T = TypeVar("T")
-Each = tuple[T, T, T]  # of a vector: each component has the same range
+Each = tuple[T, T, T]  # vector whose components have the same range
 
 UNITS = (
     "m_s2", "m_s3", "rad_s", "rad_s2", "m_s", "1_s", "1_m", "s", "ms", "us", "m", "cm", "mm", "km_h", "cm_s",
@@ -122,7 +122,7 @@ def parse_toml(data: bytes) -> dict[str, Any]:
     """Parse TOML in UTF-8 or by its byte order mark. Raises ConfigError: not TOML or another encoding."""
     try:
         return tomllib.loads(decoded(data))
-    except (ValueError, RecursionError) as error:  # of tomllib, or of the encoding
+    except (ValueError, RecursionError) as error:  # errors of tomllib and of the encoding
         raise ConfigError(f"not TOML: {error}") from error
 
 
@@ -159,7 +159,7 @@ def from_table(cls: type[T], table: object, where: str = "") -> T:
     except msgspec.ValidationError as error:
         path = re.search(r" - at `\$\.?(.*)`$", str(error))
         at = ".".join(filter(None, (where, path and path[1])))
-        if error.__cause__ is not None:  # of a __post_init__
+        if error.__cause__ is not None:  # error of a __post_init__
             raise ConfigError(f"{at}: {error.__cause__}" if at else str(error.__cause__)) from None
         kind, found = places[at]
         raise ConfigError(f"{at or cls.__name__}: found {found!r}, allowed: {_allowed(kind, at)}") from None
@@ -254,7 +254,7 @@ def _lines(table: dict[str, Any], prefix: str = "") -> Iterator[str]:
     below = {key: _tables(value) for key, value in table.items()}
     for key, value in table.items():
         if not below[key] and not isinstance(value, dict):
-            yield f"{key} = {json.dumps(value, ensure_ascii=False)}"  # of a TOML value too
+            yield f"{key} = {json.dumps(value, ensure_ascii=False)}"  # a valid TOML value, too
     for key, value in table.items():
         name = f"{prefix}.{key}" if prefix else key
         if isinstance(value, dict):

@@ -22,9 +22,9 @@ from flightstack.verify.types import Check, Need
 class Crowd(NamedTuple):
     """What decides about common points."""
 
-    steepest: float  # of the boundary's slope outside the pad
-    climb_m_s: float  # of the pad
-    speed_m_s: float  # of a neighbour
+    steepest: float  # steepest slope of the boundary outside the pad
+    climb_m_s: float  # climb of the pad
+    speed_m_s: float  # speed of a neighbour
     flat: float  # k above
     longest: float  # length of the longest g
     growth_m_s: float  # a t above
@@ -130,7 +130,7 @@ def one(config: FlightConfig, c: Crowd) -> Check:
 
 
 def several(config: FlightConfig, c: Crowd) -> Check:
-    """Check the same of two neighbours that come from opposite sides, in the open."""
+    """Check the same of two neighbours from opposite sides, away from the landing barrier."""
     fleet = config.fleet
     assert fleet is not None
     short_m_s = c.longest * c.speed_m_s + c.growth_m_s

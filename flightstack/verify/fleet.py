@@ -144,7 +144,7 @@ def speed(config: FlightConfig, fleet: Fleet) -> Check:
 
 
 def acceleration(fleet: Fleet, slew_m_s2: Vec3) -> Check:
-    """Check that the ellipsoid grows by all that a velocity may change since it was told."""
+    """Check that the ellipsoid grows by the largest change of a velocity since its message."""
     found = math.hypot(*slew_m_s2)
     lost_m_s = max(0.0, found - fleet.acceleration_max_m_s2) * fleet.latency_max_s
     return Check(
@@ -160,7 +160,7 @@ def acceleration(fleet: Fleet, slew_m_s2: Vec3) -> Check:
 
 
 def jump(config: FlightConfig, fleet: Fleet) -> Check:
-    """Check that a row does not bind yet when its vehicle comes into reach."""
+    """Check that a row does not bind at the time its vehicle enters the reach."""
     allowed_m_s = fleet.rate_1_s * (fleet.reach_m - fleet.radius_xy_m)
     closing_m_s = _fastest_m_s(config, fleet) + fleet.speed_max_m_s
     return Check(

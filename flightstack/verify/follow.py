@@ -24,10 +24,10 @@ from flightstack.verify.envelope import Extremes
 from flightstack.verify.feedback import linear
 
 F64 = npt.NDArray[np.float64]
-STEP_S = 3e-3  # of the impulse responses; their values between two steps are bounded
+STEP_S = 3e-3  # step of the impulse responses; their values between two steps are bounded
 DOUBLINGS = (11, 14)  # responses of 6 s, or up to 49 s; the rest is bounded
 SLACK = 0.03  # greatest share of a piece's result by vehicles beside its middle
-PIECE_MIN = 1e-4  # of the spread's factor
+PIECE_MIN = 1e-4  # least size of a piece in the spread's factor
 _POSITION, _VELOCITY, _PULL, _HELD, _MODEL, _MODEL_PULL, _, _SLOPE = range(8)  # states of ``linear``
 _TARGET, _ERROR, _OTHER = range(3)  # inputs
 
@@ -71,7 +71,7 @@ def _piece_m(config: FlightConfig, x: Extremes, low: float, high: float) -> tupl
             x.velocity_error_m_s + config.robust.gain_over_pad_1_s * x.position_error_m,
         ]
     )
-    own = (gains + through)[:, :_OTHER] @ bounds  # of position, u - v, a
+    own = (gains + through)[:, :_OTHER] @ bounds  # bounds of position, u - v, a
     w, drag = loop.rate_xy_1_s, 2.0 * loop.damping * loop.rate_xy_1_s
     stiff = max(high**2 - middle**2, middle**2 - low**2) * w * w
     differs = np.array([0.0, stiff, (high - middle) * drag])

@@ -16,7 +16,7 @@ from flightstack.verify.bound import Cell, Most, Shape, Span, most
 from flightstack.verify.types import Check, Need
 
 TICK_S = 0.05  # s; greatest tick with less lag
-QUARTER = Span(0.0, math.pi / 2.0)  # of directions: box and target are symmetric
+QUARTER = Span(0.0, math.pi / 2.0)  # directions: box and target are symmetric
 ANYWHERE = Span(0.0, math.inf)  # distances
 
 

@@ -36,7 +36,7 @@ def team_checks(
 
 
 def one_table(fleets: Sequence[Fleet]) -> Check:
-    """Check that members know each other and have the same numbers, as the sum of their rows needs."""
+    """Check that members list each other and have equal numbers, as the sum of their rows requires."""
     first, ids = fleets[0], sorted(fleet.id for fleet in fleets)
     keys = [field.name for field in fields(Fleet) if field.name not in ("id", "members")]
     other = [k for k in keys if any(getattr(each, k) != getattr(first, k) for each in fleets)]
@@ -53,7 +53,7 @@ def one_table(fleets: Sequence[Fleet]) -> Check:
 
 
 def begin(fleet: Fleet, starts_enu_m: Sequence[Vec3]) -> Check:
-    """Check that nobody begins inside the ellipsoid about another one."""
+    """Check that no member starts inside the ellipsoid around another one."""
     least_m, where = math.inf, (0, 0)
     for i, (x, y, z) in enumerate(starts_enu_m):
         for j, (ox, oy, oz) in enumerate(starts_enu_m[:i]):

@@ -25,10 +25,10 @@ from flightstack.verify.envelope import Extremes
 from flightstack.verify.follow import follow_m
 from flightstack.verify.types import Check, Need
 
-STEP_S = 2e-3  # of the comparison system
-PIECES = 20  # of the range of lags
+STEP_S = 2e-3  # step of the comparison system
+PIECES = 20  # pieces of the range of lags
 AGREE = 1.6  # factor between the declared lag and the model's
-DAMPING_MIN = 0.5  # of the position loop around the lagging velocity loop
+DAMPING_MIN = 0.5  # least damping of the position loop around the lagging velocity loop
 
 
 def follows(config: FlightConfig, x: Extremes) -> list[Check]:

@@ -49,7 +49,7 @@ _COMMANDS = frozenset(
 )
 
 
-HELD_BACK_NS = 30_000_000  # of a reordered message: three ticks at 100 Hz
+HELD_BACK_NS = 30_000_000  # delay of a reordered message: three ticks at 100 Hz
 
 Due = list[int]  # arrival times of a message, ns; empty: lost; two: duplicated
 

@@ -19,7 +19,7 @@ from sim.scenarios.fault_table import Kind
 S = TypeVar("S")
 
 HELD_MAX = 8192  # samples; 5 s at 500 Hz are 2500
-ESTIMATE_PERIOD_NS = NS // 100  # of the log stream on which a Crazyflie sends its estimate
+ESTIMATE_PERIOD_NS = NS // 100  # period of a Crazyflie's log stream with its estimate
 
 Lost = Callable[[int], bool]  # whether a sample at this time (ns) is lost
 
@@ -43,7 +43,7 @@ def _all_but_each_nth(running: Running) -> Lost:
     return lambda _: next(count) % n != 0
 
 
-# of samples and of messages
+# time stamps of samples and of messages
 LOST: Mapping[Kind, Callable[[Running], Lost]] = {
     Kind.OFF: lambda _: lambda _: True,
     Kind.LOSS: lambda running: lambda _: running.happens(),
@@ -127,7 +127,7 @@ class SampleFaults(Generic[S]):
         self._shape = shape
         self._running: list[_One] = []
         self._held: deque[tuple[int, S]] = deque()
-        self.release_ns = NEVER_NS  # when a held sample is due
+        self.release_ns = NEVER_NS  # time at which a delayed sample is due
 
     @property
     def running(self) -> bool:

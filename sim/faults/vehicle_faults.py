@@ -64,7 +64,7 @@ class Faults:
 
     @property
     def next_ns(self) -> int:
-        """When anything is due: a beginning, an end, a sample that was held back or is to be taken."""
+        """Time of the next start, end, delayed or due sample."""
         return min(self._schedule.next_ns, self.mocap.release_ns, self.own_state.due_ns)
 
     @property

@@ -104,7 +104,7 @@ class EstimatorRecord(Record):
     """Estimate, gains of the corrections, and constants."""
 
     sensed: SensedState
-    bias_z: float  # of the vertical accelerometer, negative, m/s^2
+    bias_z: float  # bias of the vertical accelerometer, negative, m/s^2
     since_sample_s: float
     kp: float  # horizontal: position
     kv: float  # velocity, 1/s

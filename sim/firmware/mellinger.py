@@ -32,7 +32,7 @@ K_R_Z, K_W_Z = 60000.0, 12000.0  # yaw: kR_z, kw_z; roll and pitch as in ``sim.f
 class MellingerRecord(Record):
     """State of the controller."""
 
-    integral: Vector  # of the position error, m s
+    integral: Vector  # integral of the position error, m s
     attitude: AttitudeRecord
 
 

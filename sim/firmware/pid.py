@@ -27,7 +27,7 @@ POSITION_STEP_S = POSITION_EVERY * CONTROL_STEP_S
 LATE_MAX = 60  # set-points in the dead time of a loop, 0.6 s
 SPEED_MAX_M_S = (
     1.1 * 1.0
-)  # of the position loop: velMaxOverhead * PID_POS_VEL_X_MAX, and the same for y and z
+)  # limits of the position loop: velMaxOverhead * PID_POS_VEL_X_MAX, and the same for y and z
 TILT_MAX_DEG = 20.0  # PID_VEL_ROLL_MAX, PID_VEL_PITCH_MAX
 THRUST_BASE = 36000.0  # counts, PID_VEL_THRUST_BASE
 THRUST_MIN = 20000.0  # counts, PID_VEL_THRUST_MIN
@@ -45,7 +45,7 @@ class PidRecord(Record):
     kd: float
     i_limit: float
     dt: float  # s
-    limit: float  # of the output
+    limit: float  # limit of the output
     integral: float
     previous: float  # last measurement; NaN before the first
 

@@ -76,7 +76,7 @@ class Group:
 class Recording:
     """One flight; n samples. Optional arrays are ``None`` where the file has no such columns."""
 
-    name: str  # of the file, without suffix
+    name: str  # name of the file without suffix
     time_s: Floats  # (n,) from the first sample on
     position_m: Floats  # (n, 3) by motion capture
     velocity_m_s: Floats  # (n, 3) by motion capture

@@ -45,7 +45,7 @@ class DownwashRecord(Record):
     on: bool
     air: Vector  # velocity at the centre of mass, world ENU, m/s
     along: Motors  # velocity along body z at the rotors, m/s
-    loss: float  # of each rotor's thrust per velocity, N s/m
+    loss: float  # loss of each rotor's thrust per velocity, N s/m
     across: float  # the rotors' drag across body z, N s/m
     moment: float  # about the centre of mass, of that drag, N m per m/s
     plate: float  # force per velocity squared, N s^2/m^2
@@ -161,7 +161,7 @@ def press(d: DownwashRecord, axes: Nine, force: F64, torque: F64) -> None:
 
 
 def set_up_downwash(d: DownwashRecord, body: Body, rotor: Rotor, geometry: Geometry) -> DownwashRecord:
-    """Fill in a record for one vehicle; nobody blows yet."""
+    """Set up the record of one vehicle, without jets."""
     half_x, half_y, _ = geometry.body_half_size_m
     d.on = False
     d.loss, d.across = 0.25 * body.drag_n_s_m[2], body.drag_n_s_m[0]

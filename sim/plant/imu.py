@@ -28,7 +28,7 @@ class ImuRecord(Record):
     accel_bias: Vector
     gyro_sigma: float  # white noise per measurement
     accel_sigma: float
-    gyro_gain: float  # of the filters
+    gyro_gain: float  # gain of the filter
     accel_gain: float
     per_step: float  # 1 / (time between measurements)
     gravity: float

@@ -200,7 +200,7 @@ class Params:
 
 @dataclass(frozen=True, slots=True)
 class Plant:
-    """Factors by which this vehicle differs from the nominal one; the firmware does not know them."""
+    """Factors by which this vehicle differs from the nominal one; the firmware uses the nominal values."""
 
     mass: float = 1.0
     motor_lag: float = 1.0

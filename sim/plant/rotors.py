@@ -45,7 +45,7 @@ class RotorRecord(Record):
     arm: float
     gyro: float  # angular momentum per rpm
     reaction: float  # torque per change of speed in a step
-    gain: float  # of the first-order lag, exact for a held command
+    gain: float  # gain of the first-order lag, exact for a constant command
     slow_rise: float
     slow_fall: float
     slow: bool

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from sim.flights.tape import Piece, Tape
 
 # columns of a row
-DELAY = 0  # of the position, s; negative: ahead
+DELAY = 0  # delay of the position, s; negative: ahead
 VELOCITY_DELAY = 1  # s
 POSITION = 2  # three: error of the position, ENU, m
 AHEAD, ASIDE = 5, 6  # error of the velocity along and left of the horizontal velocity, as shares of the speed
@@ -43,7 +43,7 @@ class PastRecord(Record):
     """The true states of the last samples, and the measured one that follows from them."""
 
     states: Annotated[F64, 6 * PAST]  # position (m) and velocity (m/s), ENU; a ring
-    count: int  # of states so far
+    count: int  # number of states so far
     rate: float  # states per second
     late: Annotated[F64, 6]  # measured position and velocity
 
@@ -65,7 +65,7 @@ def _recall(past: PastRecord, delay_s: float, first: int) -> None:
 
 @jitted
 def mismeasure(past: PastRecord, position: F64, velocity: F64, row: F64) -> None:
-    """Take the true state of now (ENU) and write to ``late`` what a sample with these errors says."""
+    """Add the true state (ENU) and write a sample with the errors of ``row`` to ``late``."""
     at = 6 * (past.count % PAST)
     for i in range(3):
         past.states[at + i] = position[i]

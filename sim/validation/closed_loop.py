@@ -62,7 +62,7 @@ class ClosedLoop:
     """A flight beside its simulation."""
 
     controller: str  # pid or mellinger
-    thrust: float  # of this airframe's motors relative to the vehicle file
+    thrust: float  # thrust of this airframe's motors over that of the vehicle file
     recorded: Flown
     simulated: Flown
 

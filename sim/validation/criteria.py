@@ -26,7 +26,7 @@ MET, OPEN, MISSED = "met", "open", "missed"
 SHARE_MIN = 0.01  # rarer saturation does not change a flight
 TRACKING_WITHIN = 0.25  # difference of two tracking errors that counts as agreement, as share
 
-Statistic = Callable[..., Any]  # of arrays of the same shape along ``axis``
+Statistic = Callable[..., Any]  # function of arrays of the same shape along ``axis``
 
 
 class Estimate(NamedTuple):
@@ -100,16 +100,16 @@ class Criterion:
     """A limit on a statistic of the simulator's numbers and the recorded ones."""
 
     part: str  # open loop, closed loop or sensing
-    text: str  # what is compared; by default rms errors, those of the simulator over others
+    text: str  # compared quantity; by default rms errors of the simulator over others
     low: float  # least value allowed
     high: float  # greatest value allowed
-    reason: str  # of the limits
+    reason: str  # reason of the limits
     statistic: Statistic
     paths: tuple[str, ...]  # its numbers in a flight
     cause: str | None = None  # text of a miss, with the value; None: ``text`` says it
     by_chance: bool = False  # drawn numbers vary: missed only where the whole interval is outside the limits
     scale: float = 1.0  # factor from the value to the printed number
-    unit: str = ""  # of the printed number
+    unit: str = ""  # unit of the printed number
 
     @property
     def limit(self) -> str:
@@ -183,7 +183,7 @@ MEANING = {
 }
 _HALF = "a model that knows the motor commands must halve the error of one that does not know them"
 _TORQUE = "unknown torque is integrated twice: 0.63 was reached, 0.25 with the recorded attitude"
-OPEN_LOOP_MAX = {  # of the error of constant velocity: position, velocity
+OPEN_LOOP_MAX = {  # greatest errors over those of constant velocity: position, velocity
     0.1: ((0.5, _HALF), (0.5, _HALF)),
     0.25: ((0.5, _HALF), (0.5, _HALF)),
     0.5: ((0.5, _HALF), (0.75, _TORQUE)),

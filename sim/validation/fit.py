@@ -43,15 +43,15 @@ class Values(NamedTuple):
     """Fitted numbers."""
 
     hover_v: float  # mean voltage at the motors in hover
-    exponent: float  # of the thrust as a power of that voltage, near hover
-    lag_s: float  # of the motor speed
+    exponent: float  # exponent of the thrust as a power of that voltage, near hover
+    lag_s: float  # lag of the motor speed
     drag_1_s: float  # drag over mass along body x and y
     climb_drag_1_s: float  # drag over mass along body z
     inertia_kg_m2: float  # about body x and y, for the base's mass and arm
     drag_above_com_m: float  # lever arm of the drag
     rate_damping_1_s: float  # damping of roll and pitch rate
     delay_s: float  # from a logged command to the gyro, beyond the lag
-    resistance_ohm: float  # of the battery, for the base's currents
+    resistance_ohm: float  # resistance of the battery, for the base's currents
 
 
 LOW = Values(1.0, 0.5, 0.005, -0.5, -2.0, 1e-7, -1.0, -10.0, -0.02, 0.0)

@@ -68,7 +68,7 @@ def kind(name: str) -> str:
 class LeftOut:
     """Prediction of one kind of path by a fit to the other kinds."""
 
-    kind: str  # of path
+    kind: str  # kind of path
     flights: int  # number of flights
     # Errors over those of constant velocity at ``HORIZONS_S``, medians over the flights; ideal: rigid body.
     position: list[float]

@@ -43,7 +43,7 @@ BACK = round(CALIBRATION_S / SAMPLE_S)
 COMMAND_DELAY_MS = 8  # from a logged command to its effect on the gyro beyond the motors' lag, fitted
 # Gains of the observer: they give the smallest errors after 0.5 s, with a flat minimum.
 RATE_GAIN = 1.4  # correction of the rate per error of the rate in a sample; above 1 due to the gyro's filter
-FAST_GAIN, SLOW_GAIN = 40.0, 10.0  # of the missing angular acceleration, 1/s
+FAST_GAIN, SLOW_GAIN = 40.0, 10.0  # gains of the missing angular acceleration, 1/s
 FADES_S = 0.1  # correlation time of its fast part
 ANSWER_1_S = 9.0  # missing angular acceleration per body rate, opposing
 
@@ -120,7 +120,7 @@ def commanded_rpm(params: Params, duty: F64, battery_v: F64) -> F64:
         rpm = (np.sqrt(b * b + 4.0 * a * rotor.thrust_max_n * duty) - b) / (2.0 * a)
         limit = battery.speed_at_zero_v_rpm + battery.speed_per_volt_rpm * battery_v
         return np.minimum(rpm, limit[:, None])
-    sag_v = battery.hover_sag_v  # of pulses: sim.plant.rotors.speed_at_no_duty
+    sag_v = battery.hover_sag_v  # sag by pulses: sim.plant.rotors.speed_at_no_duty
     motor_v = duty * (battery_v[:, None] + sag_v) - sag_v
     return np.maximum(0.0, battery.speed_at_zero_v_rpm + battery.speed_per_volt_rpm * motor_v)
 

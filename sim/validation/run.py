@@ -33,18 +33,18 @@ VEHICLE = "crazyflie21_room"  # the vehicle of the recorded flights that the pro
 class Plan:
     """Inputs of a comparison."""
 
-    folder: Path  # of recorded flights
+    folder: Path  # folder of recorded flights
     columns: Path | None = None  # table of columns; None: that of `crazyflie_vicon.toml`
     vehicle: str = VEHICLE  # name or file of the simulated vehicle
     shuffle_pwm: bool = False  # control experiment: motor commands of the open loop in random order
-    seed: int = 0  # of all random numbers
+    seed: int = 0  # seed of all random numbers
 
 
 @dataclass(frozen=True)
 class Compared:
     """One flight beside the simulator."""
 
-    name: str  # of the file, without suffix
+    name: str  # name of the file without suffix
     used_s: float  # time that was compared; 0 if the flight is left out
     left_out: tuple[Reason, ...]  # unused parts, or the whole flight, with the reasons
     # None where the flight is left out or lacks the columns:

@@ -27,7 +27,7 @@ DRAWS = 6  # simulated estimates of a flight, since the errors of the model diff
 SLOWEST = 10.0  # percent of the time that show a constant offset
 CORRELATION_S = 1.0  # longest lag of the correlation
 CORRELATED = 1.0 / np.e  # the correlation time is the first lag where the correlation falls below this
-BANDS_HZ = ((0.0, 0.5), (0.5, 2.0), (2.0, 8.0), (8.0, 50.0))  # of the spectrum
+BANDS_HZ = ((0.0, 0.5), (0.5, 2.0), (2.0, 8.0), (8.0, 50.0))  # bands of the spectrum
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +44,12 @@ class Trace:
 class Error:
     """Error of an estimate in a flight; m for positions, m/s for velocities."""
 
-    delay_s: float  # of the estimate behind the truth, that fits best
+    delay_s: float  # best-fitting delay of the estimate behind the truth
     offset: tuple[float, ...]  # (3,) error at low speed
     rms: tuple[float, ...]  # (3,) error on each axis without delay and offset
     along: float  # rms of the error along the horizontal velocity
     across: float  # rms of the horizontal error across it
-    median: float  # of the norm of the error, delay and offset included
+    median: float  # median of the norm of the error, with delay and offset
     p95: float  # 95th percentile of the same
     by_speed: tuple[float, ...]  # rms of the horizontal error by bands of ``SPEED_EDGES_M_S``; NaN: not flown
     correlation_s: float  # time after which the horizontal error is forgotten
@@ -60,7 +60,7 @@ class Error:
         return math.sqrt(sum(each**2 for each in self.rms))
 
 
-_SIZES = ("rms", "along", "across", "by_speed")  # of ``Error``: averaged as mean squares
+_SIZES = ("rms", "along", "across", "by_speed")  # fields of ``Error`` that are averaged as root mean squares
 
 
 def analyse(traces: list[Trace]) -> Error:

@@ -53,7 +53,7 @@ class ContactRecord(Record):
     judging: bool  # the next touch of the pad is the first
     touch_ms: int  # the first touch
     touch_e: Vector  # vehicle minus pad centre at the start of that step, m
-    touch_velocity: Vector  # of the vehicle relative to the pad below it, m/s
+    touch_velocity: Vector  # velocity of the vehicle relative to the pad below it, m/s
 
 
 @jitted

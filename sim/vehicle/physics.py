@@ -62,7 +62,7 @@ class Physics:
         set_up_drag(r.drag, params.body, self.weight_n)
         set_up_downwash(r.downwash, params.body, params.rotor, params.geometry)
         judge = scenario.judge
-        self.barrier = Barrier(judge.alpha_1_m, judge.beta_m)  # of the judge
+        self.barrier = Barrier(judge.alpha_1_m, judge.beta_m)
         cell(r.judge)[0] = (judge.alpha_1_m, judge.beta_m, pad_radius, math.inf, math.inf, False)
         self._h_min, self._h_min_outside, self._tumbled = scalars(
             r.judge, "h_min", "h_min_outside", "tumbled"

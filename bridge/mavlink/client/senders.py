@@ -58,7 +58,7 @@ class Senders:
     _doubted: tuple[tuple[int, int], float] | None = (
         None  # the same of a contradicting heartbeat, and its time
     )
-    _sequence: int = 0  # of the newest frame of the known sender
+    _sequence: int = 0  # sequence number of the newest frame of the known sender
     _steady: int = 0  # its frames in a row without a gap
     _others: dict[Peer, _Other] = field(default_factory=dict)
     _due: int = 1  # count of ignored frames at which the next notice is due

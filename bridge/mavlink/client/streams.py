@@ -18,7 +18,7 @@ _SET_MESSAGE_INTERVAL = 511  # MAV_CMD
 _CHECK_S = 1.0  # s over which a rate is measured
 _ENOUGH = 0.7  # share of the requested rate; the rest is loss and rounding to the autopilot's ticks
 _ROUNDING_S = 1e-6  # s, above the rounding of a time
-_TRIES = 5  # of each kind of request, one every _CHECK_S
+_TRIES = 5  # tries of each kind of request, one every _CHECK_S
 _AGAIN_S = 3.0  # s between two later tries, while nothing arrives
 
 

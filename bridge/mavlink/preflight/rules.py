@@ -116,7 +116,7 @@ def release_of(message: Message) -> Release:
 class Choice(NamedTuple):
     """The rules that apply to a vehicle."""
 
-    release: str  # of the table
+    release: str  # release of the table
     problem: str | None  # why the vehicle may not fly, or None
     note: str | None  # information for the operator
 

@@ -25,8 +25,8 @@ class Needs(NamedTuple):
     velocity_max_m_s: Vec3  # command box
     altitude_max_m: float  # above the ground
     takeoff_height_m: float
-    acceleration_max_m_s2: Vec3  # of the commanded velocity, ENU
-    system_id: int = 1  # of the vehicle and its companion
+    acceleration_max_m_s2: Vec3  # largest acceleration of the commanded velocity, ENU
+    system_id: int = 1  # MAVLink id of the vehicle and its companion
 
     @property
     def horizontal_m_s(self) -> float:

@@ -25,7 +25,7 @@ _HELLO_S = 0.2  # s between heartbeats before the first message of the vehicle
 _HEARTBEAT_S = 1.0
 _VERSION_S = 0.5  # s between two tries
 _VERSION_TRIES = 12  # a busy line of 57,600 baud loses most replies
-_VERSION_TRIES_UNNEEDED = 4  # where the rules do not depend on the release
+_VERSION_TRIES_UNNEEDED = 4  # tries with rules that do not depend on the release
 _SAY_S = 2.0  # s between two texts on the wait
 _VOLTAGE_UNKNOWN = 0xFFFF  # mV, MAVLink SYS_STATUS.voltage_battery
 _SLICE_S = 0.02  # s between two looks
@@ -36,7 +36,7 @@ _READ_MAX_S = 30.0  # s for the whole check after the first message of the vehic
 class Report:
     """Result of the check."""
 
-    profile: Profile | None  # of the autopilot; None: not recognised
+    profile: Profile | None  # profile of the autopilot; None: not recognised
     version: str | None  # release of the autopilot; None: not received
     findings: tuple[Finding, ...]  # one for each rule; empty if the check ended before
     problem: str | None  # why the vehicle may not fly, apart from parameters; or None

@@ -45,7 +45,7 @@ class Step:
 
     command: int  # MAV_CMD
     name: str
-    params: Callable[[float], Params]  # of the take-off altitude in the profile's convention, m
+    params: Callable[[float], Params]  # function of the take-off altitude in the profile's convention, m
     done: Callable[[VehicleStatus], bool]
     prestream: bool = False  # set-points must be streaming first
     blind: bool = False  # also sent to a vehicle without status, and after any reply

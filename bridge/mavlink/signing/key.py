@@ -42,7 +42,7 @@ def load_key(path: Path) -> SigningKey:
     except OSError as error:
         raise OSError(error.errno, f"signing key {path}: {error.strerror}; {_HELP}") from error
     try:
-        mode = os.fstat(descriptor).st_mode  # of the opened file; the name may have changed
+        mode = os.fstat(descriptor).st_mode  # mode of the opened file; the name may have changed
         if not stat.S_ISREG(mode):
             raise ValueError(f"signing key {path} is no ordinary file; {_HELP}")
         if mode & 0o077:

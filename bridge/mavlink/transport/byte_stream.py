@@ -18,7 +18,7 @@ from bridge.mavlink.transport.address import Peer
 from bridge.mavlink.transport.transport import Chunk, LineCounters
 
 RETRY_S = 0.5  # s between two tries to open a lost connection
-_READ_BYTES = 4096  # of one read
+_READ_BYTES = 4096  # greatest size of a read
 _NOTICES_MAX = 32  # texts kept until ``take_notices``
 OUTGOING_MAX = 4096  # buffered bytes of TCP; a serial line has less
 
