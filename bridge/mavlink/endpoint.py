@@ -256,7 +256,7 @@ class Endpoint:
         return self._signer.refusal(frame) if signed else Refusal.UNSIGNED
 
     def _answer_stale(self, peer: Peer) -> None:
-        """Send our heartbeat to a peer whose clock is behind: a signed frame moves an autopilot's forward."""
+        """Send our heartbeat to a peer with a late clock: a signed frame advances an autopilot's clock."""
         heartbeat = self._answers.due(peer)
         if heartbeat is not None and self._signer is not None:
             mav = self._mav  # no new number and not recorded: it depends on wall time
@@ -327,7 +327,7 @@ class Endpoint:
             self._transport.send((wire,), to)
 
     def close(self) -> None:
-        """Close the socket or line and write down the state of signing; may be called twice."""
+        """Close the socket or line and write the state of signing; may be called twice."""
         self._transport.close()
         if self._signer is not None:
             self._signer.close()
@@ -335,7 +335,7 @@ class Endpoint:
     def _pack(
         self, messages: Sequence[Message], allowance_bytes: int | None
     ) -> tuple[list[bytes], list[bytes]]:
-        """Frames as they are logged and as they are sent; only as many as an allowance covers."""
+        """Frames for the log and for the wire; as many as the allowance covers."""
         if self._signer is None and allowance_bytes is None:
             frames = [self.pack(message) for message in messages]
             return frames, frames

@@ -159,7 +159,7 @@ class PoseChecks:
         return fits and turned_rad <= limits.turn_rad + limits.turn_rate_max_rad_s * dt_s
 
     def _carried(self, passed: Passed, armed: bool) -> Passed | Refusal:
-        """A series elsewhere is believed when it has lasted, on the ground: somebody carried the vehicle."""
+        """A series at a new place is accepted after a time on the ground: the vehicle was carried."""
         if armed:
             self._elsewhere_since_s = passed.measured_s
         self._elsewhere = passed

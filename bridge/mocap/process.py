@@ -73,7 +73,7 @@ class MocapSource:
 
 
 class CheckedPoses:
-    """Source and checks together, for the Crazyflie bridge: the newest good pose, or why there is none."""
+    """Source and checks for the Crazyflie bridge: newest good pose, or the reason of its absence."""
 
     def __init__(self, source: MocapSource, checks: PoseChecks) -> None:
         self._source, self.checks = source, checks
@@ -140,7 +140,7 @@ class Bridge:
         return time.monotonic() - self._start_s
 
     def run(self, stop: Stop, duration_s: float | None) -> None:
-        """Turn until told to end; a vehicle that is armed keeps its poses, unless told twice."""
+        """Run until a signal; while the vehicle is armed, until a second signal."""
         told = False
         while stop.count < 2:
             self.turn()
@@ -194,10 +194,7 @@ def limits(options: PoseOptions) -> Limits:
 
 
 def run(options: MocapOptions, say: Callable[[str], None] = print) -> int:
-    """Forward poses until a signal arrives and the vehicle is disarmed; prints ``ready`` when it listens.
-
-    Raises ValueError: bad URL or key, or a network without a key; OSError: an address cannot be opened.
-    """
+    """Run until a signal; while the vehicle is armed, until a second signal."""
     origin = None
     if options.origin is not None:
         check_origin("--origin", options.origin)

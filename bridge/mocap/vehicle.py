@@ -45,7 +45,7 @@ def vision_position_estimate(passed: Passed, time_us: int) -> Message:
 
 
 def odometry(passed: Passed, time_us: int) -> Message:
-    """ODOMETRY of type VISION: pose of FRD in NED as a quaternion; velocities are not known."""
+    """ODOMETRY of type VISION: pose of FRD in NED as a quaternion; velocities unknown."""
     pose = passed.pose
     return dialect.MAVLink_odometry_message(
         time_us,
@@ -90,7 +90,7 @@ class MocapVehicle:
     """Sends poses to a vehicle: ``handle`` its messages, then ``step``."""
 
     def __init__(self, system_id: int, limits: Limits, origin: Origin | None) -> None:
-        """Set up. ``origin`` is the place on earth of the room's zero, for an autopilot that needs one."""
+        """``origin``: position of the room's zero on earth, for an autopilot that needs one."""
         self.checks = PoseChecks(limits)  # checks of the poses, with counters
         self.wants: Wants | None = None  # requirements of the vehicle; None before its first heartbeat
         # MAV_AUTOPILOT of a vehicle that is not in the table, else None

@@ -117,7 +117,7 @@ def _sample(
 
 
 class MeasurementNoise(NamedTuple):
-    """Standard deviations of a sample, the larger of x and y; ``None`` if the sender does not report it."""
+    """Standard deviations of a sample, the larger of x and y; None: not reported."""
 
     position_m: float | None
     velocity_m_s: float | None
@@ -131,13 +131,13 @@ def noise_of(pose_covariance: Sequence[float], twist_covariance: Sequence[float]
 
 
 def sigma_of(variance_x: float, variance_y: float) -> float | None:
-    """Return the larger standard deviation of x and y, ``None`` if the sender does not report it."""
+    """The larger standard deviation of x and y; None: not reported."""
     known = 0.0 < variance_x < _UNUSED_M2 and 0.0 < variance_y < _UNUSED_M2  # False for NaN
     return math.sqrt(max(variance_x, variance_y)) if known else None
 
 
 def worse_than_told(noise: MeasurementNoise, link: TargetLink) -> str:
-    """Return a warning if the sender reports more noise than the configuration, else nothing."""
+    """Warning if the sender reports more noise than the configuration; else empty."""
     found: list[str] = []
     for sigma, told, name, unit in (
         (noise.position_m, link.position_noise_m, "position_noise_m", "m"),
@@ -154,7 +154,7 @@ def worse_than_told(noise: MeasurementNoise, link: TargetLink) -> str:
 
 
 def shift_pose(pose: Pose, offset_m: Vec3) -> Pose:
-    """Return the pose of the point at ``offset_m`` in the axes of the pose; the covariance is unchanged."""
+    """The pose of the point at ``offset_m`` in the axes of the pose; the covariance is unchanged."""
     return pose._replace(position_m=_shift(pose.position_m, world_from_body(pose.orientation_wxyz, offset_m)))
 
 

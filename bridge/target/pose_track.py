@@ -36,7 +36,7 @@ class PoseTrack:
         self.withheld = 0  # poses without odometry: unsettled, outliers, repeated or out of order
 
     def take(self, pose: Pose) -> Odometry | None:
-        """Take a pose; returns its odometry, or ``None`` while the velocity is not known."""
+        """The odometry of a pose; None while the velocity is unknown."""
         odometry = self._take(pose)
         self.withheld += odometry is None
         return odometry

@@ -125,7 +125,7 @@ class TargetSpec:
 
     @property
     def fixed_key(self) -> str:
-        """Key expression of the fixed transforms, which are sent once: ``/tf_static`` beside ``/tf``."""
+        """Key expression of the fixed transforms: ``/tf_static`` beside ``/tf``."""
         return replace(self, name=f"{self.name}_static").key
 
     def described(self) -> dict[str, str]:
@@ -135,7 +135,7 @@ class TargetSpec:
 
     @property
     def is_direct(self) -> bool:
-        """Whether it is odometry on a key of its own: what a simulated target sends, also in lockstep."""
+        """Whether it is odometry on a Zenoh key, as of a simulated target, also in lockstep."""
         plain = self.dialect is Dialect.PLAIN and self.type is TargetType.ODOMETRY
         return plain and self.offset_m == ZERO
 
@@ -179,7 +179,7 @@ class TargetSource:
         }[spec.type]
 
     def poll(self) -> list[RawSample]:
-        """Take all samples that have arrived, oldest first, as odometry; never blocks."""
+        """Return all samples that have arrived, oldest first, as odometry; never blocks."""
         if self._fixed is not None:
             self._take(self._fixed, self._fixed_transforms)
         return self._take(self._subscriber, self._convert)
@@ -245,7 +245,7 @@ class TargetSource:
         return [shift_odometry(decode_odometry(payload), self._spec.offset_m)]
 
     def _look_at(self, payload: bytes) -> None:
-        """Report each difference between a sample and the configuration once; a sender does not change it."""
+        """Report each difference between a sample and the configuration once."""
         try:
             odometry = decode_odometry(payload)
         except OdometryError:

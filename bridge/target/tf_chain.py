@@ -19,7 +19,7 @@ DEPTH_MAX = 16  # edges from the tracked frame to the world's
 
 
 class TransformChain:
-    """Follows one frame. The pose of ``child_frame_id`` is wanted in ``frame_id``."""
+    """Tracks the pose of the frame ``child_frame_id`` in ``frame_id``."""
 
     def __init__(self, frame_id: str, child_frame_id: str) -> None:
         self._frame, self._child = frame_id, child_frame_id
@@ -34,7 +34,7 @@ class TransformChain:
             _keep(self._fixed, child, edge, child == self._child)
 
     def take(self, transforms: Iterable[Transform]) -> list[Pose]:
-        """Take the transforms of one message; returns the poses that they make known, oldest first."""
+        """Use the transforms of one message; returns the new poses, oldest first."""
         taken = [_without_slash(transform) for transform in transforms]
         for child, edge in taken:
             _keep(self._edges, child, edge, child == self._child)
@@ -53,7 +53,7 @@ class TransformChain:
         return poses
 
     def _carrier(self) -> tuple[str, Pose | None]:
-        """Return the nearest frame above, or itself, that is not fixed to another, and the pose in it."""
+        """The nearest frame above (or itself) that is not fixed to another, and the pose in it."""
         frame, place = self._child, None
         for _ in range(DEPTH_MAX):
             fixed = self._fixed.get(frame)
@@ -102,7 +102,7 @@ def _keep(edges: dict[str, Pose], child: str, edge: Pose, always: bool) -> None:
 
 
 def _compose(above: Pose, pose: Pose) -> Pose:
-    """A pose in the frame that ``above`` is given in; the stamp stays that of the lower one."""
+    """A pose in the parent frame of ``above``, with the stamp of the lower one."""
     x, y, z = world_from_body(above.orientation_wxyz, pose.position_m)
     ax, ay, az = above.position_m
     return Pose(

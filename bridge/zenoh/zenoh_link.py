@@ -124,7 +124,7 @@ def open_session(
 
 
 def _configuration(listen: Sequence[str], connect: Sequence[str], file: Path | None, role: Role) -> Any:
-    """Return Zenoh's configuration: the arguments first, then the file, then our defaults."""
+    """Zenoh's configuration: arguments, then the file, then our defaults."""
     untouched = zenoh.Config()
     try:
         if file is None:
@@ -170,29 +170,29 @@ def _reason(error: zenoh.ZError) -> str:
 
 
 def blocking_publisher(session: Session, key: str, encoding: str | None = None) -> Publisher:
-    """Declare a publisher whose ``put`` waits for room (lockstep); after 5 s Zenoh drops the connection."""
+    """A publisher whose ``put`` waits for room (lockstep); after 5 s Zenoh drops the connection."""
     return _publisher(session, key, encoding, zenoh.CongestionControl.BLOCK)
 
 
 def dropping_publisher(session: Session, key: str, encoding: str | None = None) -> Publisher:
-    """Declare a publisher whose ``put`` drops the sample when there is no room (real time)."""
+    """A publisher whose ``put`` drops the sample without room (real time)."""
     return _publisher(session, key, encoding, zenoh.CongestionControl.DROP)
 
 
 def ring_subscriber(session: Session, key: str, capacity: int = 256) -> Subscriber:
-    """Declare a subscriber that keeps the newest ``capacity`` samples and drops older ones (real time)."""
+    """A subscriber with the newest ``capacity`` samples; older ones are dropped (real time)."""
     return session.declare_subscriber(_key(key), zenoh.handlers.RingChannel(capacity))
 
 
 def remote_subscriber(session: Session, key: str, capacity: int = 256) -> Subscriber:
-    """Declare a ring subscriber that does not hear what its own session publishes."""
+    """A ring subscriber without the publications of its session."""
     return session.declare_subscriber(
         _key(key), zenoh.handlers.RingChannel(capacity), allowed_origin=zenoh.Locality.REMOTE
     )
 
 
 def fifo_subscriber(session: Session, key: str, capacity: int = 1024) -> Subscriber:
-    """Declare a subscriber that loses nothing: when it is full the sender waits (lockstep)."""
+    """A subscriber without losses: a full one blocks the sender (lockstep)."""
     return session.declare_subscriber(_key(key), zenoh.handlers.FifoChannel(capacity))
 
 
@@ -223,12 +223,12 @@ def drain(subscriber: Subscriber) -> list[Sample]:
 
 
 def is_matched(publisher: Publisher) -> bool:
-    """Return whether there is a subscriber; samples that are put before are lost."""
+    """Whether there is a subscriber; samples before are lost."""
     return bool(publisher.matching_status.matching)  # the status object itself is always true
 
 
 def transports(session: Session) -> int:
-    """Return the number of open connections; 0 long after opening means refused or unreachable."""
+    """Number of open connections; 0 long after opening means rejected or unreachable."""
     return len(session.info.transports())
 
 
@@ -299,7 +299,7 @@ class ConnectionAlarm:
         self._said_router = role is not Role.PEER
 
     def poll(self, now_s: float) -> list[str]:
-        """Return messages about changes since the last call; ``now_s`` never goes back."""
+        """Texts on changes since the last call; ``now_s`` never goes back."""
         if not self._whom or now_s < self._next_s:
             return []
         self._next_s = now_s + LOOK_EVERY_S
@@ -347,7 +347,7 @@ def pack_attachment(sequence: int, source_time_ns: int, gid: bytes) -> bytes:
 
 
 def parse_attachment(data: bytes | None) -> tuple[int, int] | None:
-    """Return sequence number and source time in Unix nanoseconds; None if absent or of another form."""
+    """Sequence number and source time (Unix, ns); None if absent or of another form."""
     if data is None:
         return None
     if len(data) == _NEW.size:

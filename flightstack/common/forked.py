@@ -143,7 +143,7 @@ def leave_parent(output: int, errors: int) -> None:
 
 
 def forget_handlers() -> None:
-    """Handle signals as a new Python does: those that the parent ignores are ignored."""
+    """Signal handling of a new Python process; signals ignored by the parent remain ignored."""
     signal.set_wakeup_fd(-1)
     for number in signal.valid_signals():
         if callable(signal.getsignal(number)):

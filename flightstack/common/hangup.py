@@ -97,7 +97,7 @@ def say(text: str) -> None:
 
 
 def on_hangup(handler: Callable[[int, FrameType | None], None]) -> None:
-    """Call ``handler`` on SIGHUP; one that was told to ignore it (``nohup``) does. Main thread only."""
+    """Call ``handler`` on SIGHUP, unless SIGHUP is ignored (``nohup``). Main thread only."""
     number = getattr(signal, "SIGHUP", None)  # not on all systems
     if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
         signal.signal(number, handler)

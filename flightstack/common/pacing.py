@@ -88,7 +88,7 @@ class Silence:
 
 
 class RealTimePacer:
-    """Absolute deadlines at a fixed rate; a missed one is counted, never made up for by a burst."""
+    """Absolute deadlines at a fixed rate; a missed one is counted and not repeated."""
 
     def __init__(
         self,
@@ -160,7 +160,7 @@ def ask_for_priority() -> bool:
 
 
 def give_up_priority() -> None:
-    """Be an ordinary process again: one that cannot keep up must not take a core from all others."""
+    """Return to ordinary priority: an overloaded process must not block a core."""
     with contextlib.suppress(AttributeError, OSError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
@@ -187,7 +187,7 @@ def run_promptly() -> None:
 
 
 def quiet_garbage_collector() -> None:
-    """Keep collections out of the loop: what exists now stays, and the loop makes no cycles."""
+    """Keep collections out of the loop: existing objects are frozen, and the loop makes no cycles."""
     gc.collect()
     gc.freeze()
     gc.disable()

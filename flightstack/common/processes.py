@@ -196,7 +196,7 @@ class Child:
 
 
 def _processor_s(pid: int) -> float:
-    """Processor time that a process has used; 0 where the system does not tell it so."""
+    """Processor time of a process; 0 where it is not available."""
     try:
         told = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
         return sum(map(int, told[_STAT_TIMES])) / os.sysconf("SC_CLK_TCK")
@@ -205,7 +205,7 @@ def _processor_s(pid: int) -> float:
 
 
 def _loaded(arguments: Sequence[str]) -> Callable[[], object] | None:
-    """Load a verb; what runs it, or None: not all that it needs is installed, which the program explains."""
+    """Load a verb; None: a dependency is not installed, which the started program explains."""
     try:
         main = import_module(CLI).load(arguments[0])
     except ImportError:
@@ -225,14 +225,14 @@ def ended(process: subprocess.Popen[Any] | Forked, within_s: float = END_TIME_MA
 
 
 def tied(program: Sequence[str | Path], number: signal.Signals = signal.SIGTERM) -> list[str]:
-    """Words that start a program to which the kernel sends this signal when our process is killed."""
+    """Words that start a program which gets this signal when our process is killed."""
     if sys.platform != "linux":
         return [*map(str, program)]
     return [sys.executable, "-ISc", _TIE, str(int(number)), str(os.getpid()), *map(str, program)]
 
 
 def end_with_parent() -> None:
-    """Have the kernel end this process when the one that started it as a ``Child`` is killed."""
+    """The kernel ends this process when the one that started it as a ``Child`` is killed."""
     parent, _, name = os.environ.pop(_PARENT, "").partition(" ")
     if parent:
         end_with(int(parent), name)

@@ -75,12 +75,12 @@ def guard() -> bool:
 
 
 def never_wait() -> None:
-    """From now on a reader that does not read loses what is printed: a flight does not wait for it."""
+    """From now on output without a reader is dropped: a flight does not wait for it."""
     Stream.waits = False
 
 
 def problem() -> str | None:
-    """Why standard output is not complete; None: it is, or its reader wanted no more."""
+    """Why standard output is incomplete; None: complete, or the reader ended."""
     raw = _raw(sys.stdout)
     if not isinstance(raw, Stream):
         return None
@@ -110,7 +110,7 @@ def _number(stream: io.TextIOBase) -> int | None:
 
 
 def _to_nothing(number: int) -> None:
-    """Let a stream end nowhere: what libraries and children print there fails no more."""
+    """Redirect a stream to nothing, so that output of libraries and children does not fail."""
     with contextlib.suppress(OSError):
         nothing = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nothing, number)

@@ -34,11 +34,11 @@ UNITS = (
 
 
 class ConfigError(ValueError):
-    """A configuration that must not fly: says where, what was found, what is allowed."""
+    """A configuration that must not fly: place, value found, allowed values."""
 
 
 def span(low: float, high: float) -> msgspec.Meta:
-    """Allowed interval of a number, both ends included; unit as in the field's name."""
+    """Allowed interval of a number, ends included; unit as in the field's name."""
     return msgspec.Meta(ge=low, le=high)
 
 
@@ -234,7 +234,7 @@ def _stem(key: str) -> tuple[str, str]:
 
 
 def to_table(value: Any) -> Any:
-    """Turn a dataclass built by ``from_table`` back into plain TOML data; ``None`` fields are left out."""
+    """Turn a dataclass of ``from_table`` into plain TOML data; ``None`` fields are omitted."""
     if is_dataclass(value):
         items = ((f.name, getattr(value, f.name)) for f in fields(value))
         return {name: to_table(v) for name, v in items if v is not None}

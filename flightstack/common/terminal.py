@@ -11,7 +11,7 @@ from flightstack.common.text import plain
 
 
 class Terminal(Console):
-    """A console on which brackets are brackets, ``:name:`` is no picture, and control characters show."""
+    """A console that prints brackets, ``:name:`` and control characters literally."""
 
     def __init__(self, *, stderr: bool = False) -> None:
         super().__init__(stderr=stderr, highlight=False, markup=False, emoji=False)

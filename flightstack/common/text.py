@@ -10,10 +10,10 @@ _HIDDEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202
 
 
 def plain(text: object) -> str:
-    """Text in which what a terminal would obey can be read instead: no colour, no cursor, no overwriting."""
+    """Text with visible control characters: no colour, no cursor movement, no overwriting."""
     return _HIDDEN.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), str(text))
 
 
 def one_line(text: object) -> str:
-    """The same on one line: what one has written cannot look like a line of another."""
+    """The same in one line, so that a text cannot imitate lines of another one."""
     return plain(text).replace("\n", "\\n").replace("\t", "\\t")

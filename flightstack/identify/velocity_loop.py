@@ -39,7 +39,7 @@ class TooLittleError(ValueError):
 
 
 class Segment(NamedTuple):
-    """Uninterrupted stretch of one axis: (n,) commands and velocities, m/s, one a tick."""
+    """Uninterrupted commands and velocities (n,) of one axis, m/s, one a tick."""
 
     command_m_s: Floats
     velocity_m_s: Floats
@@ -59,7 +59,7 @@ class Loop(NamedTuple):
 
     @property
     def model_dead_time_s(self) -> float:
-        """Dead time of the stack's model: none where a second-order model that lags as much does."""
+        """Dead time of the stack's model; 0 where a second-order model with the same lag suffices."""
         return self.dead_time_s if self.dead_time_s >= DEAD_TIME_MIN_S else 0.0
 
     @property
@@ -121,7 +121,7 @@ def _high_pass(column: Floats, period_s: float) -> Floats:
 
 
 def _difference(passed: Segment, parameters: Floats, period_s: float) -> Floats:
-    """Flown minus model, less whatever the loop's past before the segment explains."""
+    """Measured minus model, without the part explained by the initial state of the segment."""
     gain, rate, damping, dead_time = parameters
     plant = ([rate * rate], [1.0, 2.0 * damping * rate, rate * rate])
     numerator, denominator, _ = signal.cont2discrete(plant, period_s, method="zoh")

@@ -54,7 +54,7 @@ def notices(config: FlightConfig) -> Check:
 
 
 def falls(config: FlightConfig) -> Check:
-    """Check that a vehicle that is taken for standing does not fall far when its motors stop."""
+    """Check that a vehicle that counts as standing does not fall far when its motors stop."""
     gap_m = config.contact.gap_m
     speed = math.sqrt(2.0 * GRAVITY_M_S2 * gap_m)
     return Check(

@@ -130,7 +130,7 @@ def _fastest_m_s(config: FlightConfig, fleet: Fleet) -> float:
 
 
 def speed(config: FlightConfig, fleet: Fleet) -> Check:
-    """Check that no member is faster than the others take it to be when it falls silent."""
+    """Check that no member is faster than the others assume after its last message."""
     box_m_s = math.hypot(*config.limits.velocity_max_m_s)
     return Check(
         "fleet.speed_max_m_s",
@@ -200,7 +200,7 @@ def slew(config: FlightConfig, fleet: Fleet, slew_m_s2: Vec3, *, whole: bool) ->
 
 
 def touchdowns(config: FlightConfig, fleet: Fleet, descent_s: float) -> Check:
-    """Check that pads that were not in conflict stay apart until two vehicles have touched."""
+    """Check that pads without conflict stay apart until two vehicles have touched."""
     # horizon of the conflict search: until the touchdown, from messages of this age
     ahead_s = fleet.age_max_s + descent_s
     unseen_s = max(0.0, ahead_s - KEPT_PART * fleet.descent_s)  # time of further approach at the current rate
@@ -238,7 +238,7 @@ def first_attempt_s(config: FlightConfig, fleet: Fleet, descent_s: float) -> flo
 
 
 def waits(config: FlightConfig, fleet: Fleet, descent_s: float) -> Check:
-    """Check that the last of all members, if all pads are in conflict, gets its turn before it gives up."""
+    """Check that with all pads in conflict the last member gets its turn before its time limit."""
     each_s, before = first_attempt_s(config, fleet, descent_s), len(fleet.others)
     return Check(
         "waits",

@@ -85,7 +85,7 @@ def tick_matrix(config: FlightConfig, gain_1_s: float, slower: float, response: 
 
 
 def decay_1_s(config: FlightConfig, gain_1_s: float, slower: float, response: float) -> float:
-    """Return the rate at which an error fades; negative for a loop that swings up."""
+    """Decay rate of an error; negative for an unstable loop."""
     whole = tick_matrix(config, gain_1_s, slower, response)
     own = np.delete(np.delete(whole, _TARGET, 0), _TARGET, 1)  # the target's velocity is constant
     return -math.log(float(np.abs(np.linalg.eigvals(own)).max())) * config.loop.rate_hz
@@ -161,7 +161,7 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
 
 
 def drift_of_spread_m(config: FlightConfig, x: Extremes, time_s: float) -> tuple[float, float]:
-    """Return the largest of ``drift_m`` of all vehicles, and how many times that one lags as declared."""
+    """The largest ``drift_m`` of all vehicles, and the factor of that one's lag to the declared one."""
     spread = config.envelope.lag_spread
     slower = [1.0 + share * spread for share in SLOWER]
     return max((drift_m(config, x, time_s, lag, each), lag) for lag in slower for each in RESPONSES)

@@ -57,7 +57,7 @@ def demand(x: Extremes, slope: Span) -> float:
 
 
 def demand_change(config: FlightConfig, x: Extremes, shape: Shape, d: Span, sign: float = 1.0) -> float:
-    """Return how fast that velocity rises (sign 1) or falls (sign -1) by motion over the boundary, m/s^2."""
+    """How fast that velocity rises (sign 1) or falls (sign -1) by motion over the boundary, m/s^2."""
     slope, bend = shape.slope(d), shape.curvature_1_m(d)
     ax, ay, _ = config.slew_max_m_s2
     # an inward speed may be high, which reduces the demand
@@ -125,7 +125,7 @@ def slew(config: FlightConfig, x: Extremes) -> Check:
 
 
 def reserve(config: FlightConfig, table: Reserve, x: Extremes) -> Check:
-    """Check that the acceleration of ``slew`` is there down to the lowest voltage."""
+    """Check that the acceleration of ``slew`` is available down to the lowest voltage."""
     worst = demand_growth(config, x)
     low_v, least = table.lowest_voltage_v, table.at(table.lowest_voltage_v)
     up_m_s2 = table.share * (least - 1.0) * GRAVITY_M_S2

@@ -72,7 +72,7 @@ def begin(fleet: Fleet, starts_enu_m: Sequence[Vec3]) -> Check:
 
 
 def pads(config: FlightConfig, fleet: Fleet, apart_m: float) -> Check:
-    """Check that no two pads are in conflict, nor look so by errors of their estimated velocities."""
+    """Check that no two pads are in conflict, also with errors of their estimated velocities."""
     if issubclass(strategy_class(config.filter), RobustFilter):
         x = extremes(config)
         velocity_m_s, position_m = x.velocity_error_m_s, x.position_error_m

@@ -114,7 +114,7 @@ _REWRITES: Mapping[tuple[What, Kind], _By] = {
 
 
 def rewrite_of(running: Running) -> Rewrite | None:
-    """What a fault does to the content of messages; None for the faults that leave it as it is."""
+    """Effect of a fault on the content of messages; None: no effect."""
     what, kind = running.fault.what, running.fault.kind
     if kind is Kind.STUCK and what in _STUCK:
         return _frozen(_STUCK[what])

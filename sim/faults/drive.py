@@ -51,7 +51,7 @@ class MotorFaults:
 
 
 class BatteryFaults:
-    """Changes the battery's record when a fault begins, and back when it ends. ``record``: of the battery."""
+    """Changes the battery's record at the start of a fault, and restores it at the end."""
 
     def __init__(self, record: BatteryRecord) -> None:
         self._record = record

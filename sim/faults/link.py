@@ -74,7 +74,7 @@ class _One(NamedTuple):
 
 
 class LinkFaults:
-    """Running faults of one vehicle's wire; the process asks for the fate of every message."""
+    """Active faults of one vehicle's wire; every message passes ``fate``."""
 
     def __init__(self) -> None:
         self._running: list[_One] = []

@@ -76,7 +76,7 @@ TYPES = _names("FAILURE_TYPE_")
 
 
 def motors_of(unit: int, instance: int) -> tuple[int, ...] | str:
-    """Motors that are meant (none for other units), or why there is no such instance."""
+    """Numbers of the motors (none for other units), or why there is no such instance."""
     if unit != dialect.FAILURE_UNIT_SYSTEM_MOTOR:
         if instance in (0, 1):
             return ()

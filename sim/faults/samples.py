@@ -121,7 +121,7 @@ class _One(NamedTuple):
 
 
 class SampleFaults(Generic[S]):
-    """Carries out the faults of one stream, one after the other in the order of their beginning."""
+    """Applies the faults of one stream one after the other, in the order of their start."""
 
     def __init__(self, shape: Shape[S]) -> None:
         self._shape = shape

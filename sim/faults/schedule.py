@@ -65,7 +65,7 @@ class Schedule:
     _planned: int = 0  # orders what is due at the same time
 
     def add(self, faults: Iterable[Fault], now_ns: int = 0) -> None:
-        """Take faults; those after ``time`` count from zero, others wait for ``refer``."""
+        """Add faults; those after ``time`` count from zero, others wait for ``refer``."""
         for fault in faults:
             rng = stream(self.seed, f"fault.{self._added}.{fault.what.value}.{fault.kind.value}")
             self._added += 1

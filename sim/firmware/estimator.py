@@ -280,7 +280,7 @@ class Estimator:
         quaternion: tuple[float, float, float, float],
         accel_bias: list[float],
     ) -> None:
-        """Start converged: where the corrections would have balanced the accelerometer's bias."""
+        """Start in the state in which the corrections balance the accelerometer's bias."""
         sensed, gravity = self.sensed, float(self.record.gravity)
         sensed.position[:], sensed.velocity[:], sensed.quaternion[:] = position, velocity, quaternion
         if self.record.by_pose:  # without an estimated bias that could compensate it

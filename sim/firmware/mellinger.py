@@ -40,7 +40,7 @@ class MellingerRecord(Record):
 def mellinger_update(
     m: MellingerRecord, sensed: SensedState, setpoint: SetpointRecord, level: bool
 ) -> tuple[float, Counts]:
-    """Return ``(thrust counts per motor, moment counts)``; ``level`` keeps roll and pitch at zero."""
+    """``(thrust counts per motor, moment counts)``; ``level``: roll and pitch zero."""
     p, v, i = sensed.position, sensed.velocity, m.integral
     ex, ey, ez = setpoint.x - p[0], setpoint.y - p[1], setpoint.z - p[2]
     i[0] = max(-I_RANGE_XY, min(I_RANGE_XY, i[0] + ex * CONTROL_STEP_S))

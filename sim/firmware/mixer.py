@@ -88,7 +88,7 @@ def motor_volts(m: MapRecord, counts: float) -> float:
 
 @jitted
 def motor_speeds(m: MapRecord, thrust: float, moments: tuple[int, int, int], rpm_max: float) -> Four:
-    """Commanded speeds of M1..M4, rpm; ``rpm_max`` is what the battery allows at full duty."""
+    """Commanded speeds of M1..M4, rpm; ``rpm_max``: speed at full duty."""
     if m.in_volts:
         m1, m2, m3, m4 = spread(thrust, moments)
         each = (motor_volts(m, m1), motor_volts(m, m2), motor_volts(m, m3), motor_volts(m, m4))
@@ -136,7 +136,7 @@ def counts_per_n(params: Params, thrust_n: float, battery_v: float | None = None
 
 
 def moments_of(counts: Sequence[float]) -> tuple[int, int, int]:
-    """Moment counts about body x, y, z with which ``mix`` makes these differences between M1..M4."""
+    """Moment counts about body x, y, z for which ``mix`` gives these differences between M1..M4."""
     m1, m2, m3, m4 = counts
     return (
         round((m3 + m4 - m1 - m2) / 2.0),

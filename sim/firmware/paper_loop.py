@@ -51,7 +51,7 @@ class PaperRecord(Record):
 def paper_update(
     p: PaperRecord, sensed: SensedState, setpoint: SetpointRecord, level: bool
 ) -> tuple[float, Counts]:
-    """Return ``(thrust counts per motor, moment counts)``; ``level`` keeps roll and pitch at zero."""
+    """``(thrust counts per motor, moment counts)``; ``level``: roll and pitch zero."""
     vx, vy, vz = sensed.velocity[0], sensed.velocity[1], sensed.velocity[2]
     fx = fy = 0.0
     fz = max(UP_SHARE_MIN * p.weight, K_V_N_S_M * (setpoint.vz - vz) + p.weight)

@@ -173,7 +173,7 @@ def velocity_pids(
 def cascade_update(
     c: CascadeRecord, sensed: SensedState, setpoint: SetpointRecord, level: bool
 ) -> tuple[float, Counts]:
-    """Return ``(thrust counts per motor, moment counts)``; ``level`` keeps roll and pitch at zero."""
+    """``(thrust counts per motor, moment counts)``; ``level``: roll and pitch zero."""
     mode = LEVEL if level else TO_POSITION if setpoint.by_position else FREE
     if c.mode != mode:  # controller_pid.c: a change of mode resets all PIDs
         cascade_reset(c)

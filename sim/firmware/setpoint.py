@@ -102,7 +102,7 @@ class Inbox:
         self._setpoint = cell(setpoint)
 
     def send(self, setpoint: Setpoint, arrives_ms: int) -> None:
-        """Put a set-point on its way; when there is no room it takes the place of the one before."""
+        """Send a set-point; without room it replaces the last one."""
         end = self._end[0]
         if end - self._first[0] >= ROOM:
             end -= 1

@@ -69,7 +69,7 @@ def oversee(f: FirmwareRecord, now_ms: int, accel: F64) -> None:
 
 @jitted
 def forget(f: FirmwareRecord) -> None:
-    """Reset the velocity loop; the rates of the last flight are nothing to take a derivative with."""
+    """Reset the velocity loop and the last rates, which are not continuous with the next flight."""
     if f.loop == PAPER:
         paper_reset(f.paper)
         f.paper.attitude.wx = math.nan
@@ -141,7 +141,7 @@ class Firmware:
         return self.controller.trim(force, per_n, moments_of(each))
 
     def choose_mellinger(self) -> None:
-        """Fly by the Mellinger controller from now on (firmware parameter stabilizer.controller)."""
+        """Use the Mellinger controller from now on (firmware parameter stabilizer.controller)."""
         self.record.loop = MELLINGER
         self._mellinger.reset()
 

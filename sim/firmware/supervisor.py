@@ -123,7 +123,7 @@ def flies(s: SupervisorRecord) -> bool:
 
 @jitted
 def tumbled(s: SupervisorRecord, now_ms: int, ax: float, ay: float, az: float) -> bool:
-    """Upside down counts from when it was tilted first (supervisor.c: isTumbledCheck)."""
+    """Upside down; the time counts from the first tilt (supervisor.c: isTumbledCheck)."""
     if abs(ax) < FREE_FALL_G and abs(ay) < FREE_FALL_G and abs(az) < FREE_FALL_G:
         s.tilted_since_ms = _UPRIGHT
     if az >= TUMBLE_TILTED_G:

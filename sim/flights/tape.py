@@ -29,7 +29,7 @@ CUT_S = 0.3  # cut from both ends of a piece, where the truth of another time li
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Errors of n samples in a row; on the recorded path they give the recorded estimate again."""
+    """Errors of n successive samples; on the recorded path they reproduce the recorded estimate."""
 
     delay_s: Floats  # (n,) of the position behind the truth
     velocity_delay_s: Floats  # (n,) of the velocity

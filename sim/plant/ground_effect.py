@@ -71,7 +71,7 @@ def ground_effect(
 
 
 def set_up_ground(g: GroundRecord, rotor: Rotor, gain: float, pad_radius_m: float) -> GroundRecord:
-    """Fill in a record for one vehicle and a round pad; ``gain`` is on the formula's increase."""
+    """Set up the record of one vehicle and a round pad; ``gain`` multiplies the increase."""
     g.radius, g.arm, g.above = rotor.radius_m, rotor.arm_m, rotor.above_com_m
     g.gain, g.pad_radius = gain, pad_radius_m
     g.reach = 4.0 * rotor.radius_m + rotor.arm_m + rotor.above_com_m

@@ -95,7 +95,7 @@ class Battery:
         return self.resistance_ohm * (self.idle_current_a + self.hover_current_a)
 
     def hover_duty(self, speed_rpm: float, voltage_v: float) -> float:
-        """Share of full duty that holds a speed near the hover's, at a voltage under the hover's load."""
+        """Share of full duty at a speed near hover, with the voltage under the load of hover."""
         return (self.motor_v(speed_rpm) + self.hover_sag_v) / (voltage_v + self.hover_sag_v)
 
 

@@ -194,7 +194,7 @@ class BatteryModel:
         b.voltage_v = rest_v - b.sag_v
 
     def load(self, rpm: Sequence[float]) -> float:
-        """Put the load of these rotor speeds on the cell; returns the voltage under it."""
+        """Apply the load of these rotor speeds; returns the voltage under load."""
         drain(self.record, np.array(rpm), 0.0)
         return self.voltage_v
 

@@ -35,7 +35,7 @@ class Normals:
         self._left: list[float] = []
 
     def block(self) -> F64:
-        """Draw the next ``BLOCK`` numbers, in the order of use."""
+        """Noise for the next samples, one a row, in the order of use: the least number of whole blocks."""
         drawn: F64 = self._rng.standard_normal(BLOCK)
         return drawn[::-1]
 
@@ -65,7 +65,7 @@ class NoiseRows:
         return self._left.pop()
 
     def block(self) -> F64:
-        """Noise for the next samples, one a row, in the order of use: as few as fill whole blocks."""
+        """Noise for the next samples, one a row, in the order of use: the least number of whole blocks."""
         width = int(self._noisy.sum())
         if width == 0:
             return np.full((BLOCK, len(self._sigmas)), NO_NOISE)

@@ -40,7 +40,7 @@ SETTLED = 12.0  # time constants that noise runs before its use
 
 
 class PastRecord(Record):
-    """The true states of the last samples, and the measured one that follows from them."""
+    """The true states of the last samples, and the resulting measured one."""
 
     states: Annotated[F64, 6 * PAST]  # position (m) and velocity (m/s), ENU; a ring
     count: int  # number of states so far
@@ -50,7 +50,7 @@ class PastRecord(Record):
 
 @jitted
 def _recall(past: PastRecord, delay_s: float, first: int) -> None:
-    """Write three numbers of the state of ``delay_s`` ago, which is not negative."""
+    """Write three numbers of the state ``delay_s`` (>= 0) ago."""
     back = max(0.0, min(delay_s * past.rate, float(min(past.count, PAST) - 1)))
     whole = int(back)
     share = back - whole
@@ -189,7 +189,7 @@ class ModelRows:
 
 
 def _within(draw: float) -> float:
-    """Cut a standard normal draw of a flight to two standard deviations: no flight was beyond."""
+    """Limit a standard normal draw of a flight to two standard deviations, the range of recorded flights."""
     return max(-2.0, min(2.0, draw))
 
 

@@ -41,7 +41,7 @@ class Air:
         self.jets = np.zeros((len(self._team), JET))
 
     def blow(self) -> None:
-        """Let each vehicle feel the jets of the others as they are now, until the next call."""
+        """Apply to each vehicle the current jets of the others, until the next call."""
         if len(self._team) < 2:
             return
         for number, each in enumerate(self._team):

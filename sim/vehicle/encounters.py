@@ -30,7 +30,7 @@ class Shape:
 
     @classmethod
     def of(cls, params: Params) -> Shape:
-        """Around the rotors and the body of a vehicle's file; of a vehicle that tilts, as if it did not."""
+        """The cylinder around rotors and body of a vehicle's file at level attitude."""
         g, r = params.geometry, params.rotor
         half_x, half_y, half_z = g.body_half_size_m
         return cls(
@@ -88,7 +88,7 @@ def _follow(
 
 
 class Team:
-    """Follows all pairs of a team: (0, 1), (0, 2) and so on, P of them. ``shapes``: of its N members."""
+    """Follows all P pairs of a team: (0, 1), (0, 2) and so on."""
 
     def __init__(self, shapes: Sequence[Shape]) -> None:
         number = len(shapes) * (len(shapes) - 1) // 2

@@ -16,7 +16,7 @@ NONE_MS = -1_000_000
 
 
 class JudgeRecord(Record):
-    """The barrier flown against, and the extremes since they were last asked for."""
+    """The barrier and the extremes since the last reading."""
 
     alpha_1_m: float
     beta_m: float

@@ -63,7 +63,7 @@ def measure_pose(m: MocapRecord, body: BodyRecord, now_ms: int) -> None:
 
 @jitted
 def next_arrived(m: MocapRecord, now_ms: int) -> int:
-    """Take the next sample that has arrived: its first value's index, or -1 when there is none."""
+    """Index of the first value of the next arrived sample, or -1."""
     while m.arriving < m.measuring and m.arrives_ms[m.arriving] <= now_ms:
         m.arriving += 1
         if m.arrives_ms[m.arriving - 1] != LOST:

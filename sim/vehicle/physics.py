@@ -116,7 +116,7 @@ class Physics:
         return self._read_body()
 
     def truth(self, now_ms: int, motors_running: bool) -> Truth:
-        """Return the true state now and the extremes and contacts since the last call; those start anew."""
+        """The current true state, and extremes and contacts since the last call."""
         body, deck = self._read_body(), self._read_deck()  # in the order of their records
         position, pad = body[:3], deck[:3]
         h = self.barrier.h((position[0] - pad[0], position[1] - pad[1], position[2] - pad[2]))

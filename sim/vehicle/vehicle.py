@@ -144,7 +144,7 @@ class VehicleSim:
         self._physics.judge_once_airborne(self._ms)
 
     def supplied_until(self, end_ms: int) -> bool:
-        """See to it that what is drawn ahead lasts until then; False where it cannot."""
+        """Draw random numbers until this time; False where this is not possible."""
         if end_ms > self._supplied_ms:
             self._supply()
         return end_ms <= self._supplied_ms
@@ -186,7 +186,7 @@ class VehicleSim:
         return self.faults.inject(unit, kind, instance, self._ms * NS_PER_MS)
 
     def collide(self) -> None:
-        """Strike another vehicle: the propellers break, so that no motor gives thrust any more."""
+        """A collision with another vehicle breaks the propellers: no motor has thrust any more."""
         self._physics.collide()
         self.faults.fail(_BROKEN, self._ms * NS_PER_MS)
 
@@ -221,11 +221,11 @@ class VehicleSim:
         self._firmware.send(setpoint, self._ms - self.sent_before_ms)
 
     def choose_mellinger(self) -> None:
-        """Fly by the Mellinger controller from now on; it follows positions and no velocities."""
+        """Use the Mellinger controller from now on; it follows positions only."""
         self._firmware.choose_mellinger()
 
     def take_pose(self, position_enu_m: Vec3, quaternion: tuple[float, float, float, float]) -> None:
-        """Take a pose that somebody else has measured; needs ``known_drag_1_s`` in the scenario."""
+        """Use an external pose; needs ``known_drag_1_s`` in the scenario."""
         self._firmware.estimator.take_pose(position_enu_m, quaternion)
 
     def reset_estimate(self, position_enu_m: Vec3, yaw_rad: float) -> None:
@@ -238,7 +238,7 @@ class VehicleSim:
         self._firmware.estimator.know_drag(drag_1_s)
 
     def stop_setpoint(self) -> None:
-        """Send a stop set-point: motors off while it is the newest. It ages like any other."""
+        """Send a stop set-point: motors off while it is the newest; it ages like others."""
         self._firmware.send(STOP, self._ms - self.sent_before_ms)
 
     def begin_judging(self) -> None:
@@ -292,14 +292,14 @@ class VehicleSim:
 
     @property
     def motor_commands(self) -> tuple[float, float, float, float]:
-        """Commands of M1..M4, 0 to 1 of the highest speed that the battery still allows."""
+        """Commands of M1..M4 over the highest speed at the current voltage, 0 to 1."""
         limit = self._battery.rpm_max
         m1, m2, m3, m4 = (min(1.0, max(0.0, c / limit)) for c in self._firmware.commands)
         return (m1, m2, m3, m4)
 
     @property
     def duty(self) -> tuple[float, float, float, float]:
-        """Duty cycles of M1..M4, 0 to 1, where the battery is not compensated for in the motors' map."""
+        """Duty cycles of M1..M4, 0 to 1, for a motor map without compensation of the battery."""
         at_zero, limit = self._battery.rpm_no_duty, self._battery.rpm_max
         m1, m2, m3, m4 = (
             min(1.0, max(0.0, (c - at_zero) / (limit - at_zero))) for c in self._firmware.commands
@@ -336,7 +336,7 @@ class VehicleSim:
         return self.faults.own_state.report(self._ms * NS_PER_MS, believed)
 
     def truth(self) -> Truth:
-        """Return the true state now and the extremes and contacts since the last call; those start anew."""
+        """The current true state, and extremes and contacts since the last call."""
         return self._physics.truth(self._ms, self._read_commands() != OFF)
 
 

@@ -136,7 +136,7 @@ class CommandSequencer:
         return own and self._profile.takeoff_altitude is TakeoffAltitude.AMSL
 
     def _lacking(self, step: Step) -> int | None:
-        """Return the id of the message without which the height of a take-off cannot be given."""
+        """Id of the message that is missing for the height of a take-off; None: none."""
         if self._request is not Request.TAKEOFF:
             return None
         if self._counts_from_sea_level:

@@ -109,12 +109,12 @@ class VehicleLink:
 
     @property
     def status(self) -> VehicleStatus | None:
-        """Newest status of the vehicle; ``arrival_s`` is that of its heartbeat, which comes once a second."""
+        """Newest status of the vehicle; ``arrival_s`` is that of its heartbeat (1 Hz)."""
         return self.state.status
 
     @property
     def power(self) -> Power | None:
-        """Newest state of battery and motors; None where it was not asked for, or has not come."""
+        """Newest state of battery and motors; None: not requested, or not received."""
         return self.state.power
 
     @property
@@ -209,23 +209,23 @@ class VehicleLink:
         return True
 
     def flush(self, extra_messages: Sequence[Message] = ()) -> None:
-        """Send everything queued, then ``extra_messages``, in one datagram to the vehicle."""
+        """Send the queue and ``extra_messages`` in one datagram to the vehicle."""
         messages = [*self._outgoing, *extra_messages]
         self._outgoing.clear()
         self.endpoint.send(messages, self.senders.known)
 
     def take_timesync(self) -> int | None:
-        """Time ``ts1`` in nanoseconds of the newest TIMESYNC request not yet taken; lockstep only."""
+        """Time ``ts1`` (ns) of the newest TIMESYNC request since the last call; lockstep only."""
         ts1_ns, self._timesync_ns = self._timesync_ns, None
         return ts1_ns
 
     @staticmethod
     def timesync_reply(ts1_ns: int) -> Message:
-        """Answer to the request of lockstep tick ``ts1_ns``; tc1 is 1 ns later, for 0 would be a request."""
+        """Reply to the request of lockstep tick ``ts1_ns``; tc1 is 1 ns later, since 0 is a request."""
         return dialect.MAVLink_timesync_message(ts1_ns + 1, ts1_ns)
 
     def take_texts(self) -> list[tuple[int, str]]:
-        """Texts the vehicle has sent since the last call: (MAV_SEVERITY, text)."""
+        """Texts of the vehicle since the last call: (MAV_SEVERITY, text)."""
         texts, self._texts = self._texts, []
         return texts
 
@@ -278,7 +278,7 @@ class VehicleLink:
         self._say(dialect.MAV_SEVERITY_INFO, f"its heartbeat says: {profile.title}")
 
     def _may_stream(self, profile: Profile) -> bool:
-        """Whether a set-point would not end, or keep from beginning, a take-off of the vehicle's own."""
+        """Whether a set-point would not end or prevent a take-off of the vehicle."""
         if profile.stream_in_takeoff or self._wants is None:
             return True
         status = self.status

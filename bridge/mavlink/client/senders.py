@@ -46,7 +46,7 @@ class _Other:
 
 @dataclass(slots=True)
 class Senders:
-    """Admits the frames of one vehicle. All times are of one clock, the caller's."""
+    """Admits the frames of one vehicle. All times are of the caller's clock."""
 
     known: Peer | None = None  # address of the vehicle; None before its first frame
     ignored: int = 0  # rejected frames with its ids

@@ -46,7 +46,7 @@ class StreamRequests:
         unset: float,
         data_streams: Mapping[int, int] = MappingProxyType({}),
     ) -> None:
-        """Set up. ``rates_hz`` is by message id, ``data_streams`` the MAV_DATA_STREAM by message id."""
+        """``rates_hz`` by message id, ``data_streams``: MAV_DATA_STREAM by message id."""
         self._streams = {id_: _Stream(id_, rate) for id_, rate in rates_hz.items()}
         self._target = (target_system, target_component)
         self._unset = unset

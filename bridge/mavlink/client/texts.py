@@ -54,7 +54,7 @@ class TextAssembler:
 
 
 def clean(text: str) -> str:
-    """Printable characters only: the text goes to terminals and logs, and comes from the network."""
+    """Printable characters only: the text comes from the network and goes to terminals and logs."""
     return "".join(c if c.isprintable() else " " for c in text).strip()
 
 

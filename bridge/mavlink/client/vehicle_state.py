@@ -51,7 +51,7 @@ class StateCounters:
 
 
 class VehicleState:
-    """Keeps the newest of what the vehicle says. Who said it has been checked before."""
+    """Newest state and status of the vehicle by its messages, whose sender is already checked."""
 
     def __init__(self, profile: Profile | None) -> None:
         # for the meaning of the modes; None: not known yet, and then there is no status

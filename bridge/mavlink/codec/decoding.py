@@ -24,7 +24,7 @@ _SIGNED = 0x01
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """How one message is packed: for each constructor argument, where it is in the unpacked tuple."""
+    """Layout of a message: position of each constructor argument in the unpacked tuple."""
 
     make: Any
     unpacker: struct.Struct

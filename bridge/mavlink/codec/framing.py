@@ -40,7 +40,7 @@ checksum = dialect.mcrf4xx or (lambda data: dialect.x25crc(data).crc)
 
 @dataclass(slots=True)
 class FrameCounters:
-    """What was thrown away, for the log and for the person who wonders why nothing arrives."""
+    """Counters of dropped bytes and frames, for the log and for diagnosis."""
 
     garbage_bytes: int = 0  # bytes that belong to no accepted frame
     bad_crc: int = 0  # candidates for a frame of a known message with a wrong checksum
@@ -51,7 +51,7 @@ class FrameCounters:
 
 
 class NoFrame(IntEnum):
-    """Why no checked frame begins at a byte; all values are below the end of any frame."""
+    """Why no checked frame starts at a byte; all values are below the end of any frame."""
 
     INVALID = 0
     CUT_SHORT = -1  # the bytes end within the frame
@@ -94,7 +94,7 @@ class StreamFramer:
         self._rest = data[(yield from _scan(data, self._counters, unknown, self)) :]
 
     def worth_waiting(self, data: bytes, pos: int, size: int) -> bool:
-        """Whether the rest of the frame that may begin at ``pos`` shall be waited for."""
+        """Whether to wait for the rest of a possible frame at ``pos``."""
         left = size - pos
         if left > REST_MAX:
             return False
@@ -108,7 +108,7 @@ class StreamFramer:
 def _scan(
     data: bytes, count: FrameCounters, unknown: Callable[[bytes], None] | None, stream: StreamFramer | None
 ) -> Generator[bytes, None, int]:
-    """Yield the frames; returns where what shall be kept begins: of a datagram, without stream, nothing."""
+    """Yield the frames; returns the start of the bytes to buffer (stream only)."""
     size, pos = len(data), 0
     while pos < size:
         end = frame_end(data, pos, size, count)
@@ -134,7 +134,7 @@ def _scan(
 
 
 def _skipped(data: bytes, pos: int, size: int, count: FrameCounters) -> int:
-    """Count the frame of version 1 that starts at ``pos``, or else one byte of garbage; its length."""
+    """Count the frame of version 1 at ``pos``, or one byte of garbage, and return its length."""
     end = version_1_end(data, pos, size)
     if end > 0:
         count.version_1 += 1
@@ -144,22 +144,22 @@ def _skipped(data: bytes, pos: int, size: int, count: FrameCounters) -> int:
 
 
 def with_signed_flag(frame: bytes) -> bytes:
-    """Set the flag of an unsigned frame and correct its checksum; 13 bytes of signature come behind it."""
+    """Set the flag of an unsigned frame and correct its checksum; the signature is appended later."""
     return _with_flags(frame, len(frame), FLAG_SIGNED)
 
 
 def without_signature(frame: bytes) -> bytes:
-    """Turn a signed frame into the same frame as it would have been sent without signing."""
+    """The unsigned form of a signed frame."""
     return _with_flags(frame, len(frame) - _SIGNATURE, 0)
 
 
 def intact(frame: bytes) -> bool:
-    """Whether a whole unsigned frame of a known message still has the checksum it was made with."""
+    """Whether an unsigned frame of a known message has a correct checksum."""
     return frame_end(frame, 0, len(frame), FrameCounters()) == len(frame)
 
 
 def frame_end(data: bytes, pos: int, size: int, count: FrameCounters) -> int:
-    """End of the checked frame that starts at ``pos``, or a :class:`NoFrame`; a wrong checksum is counted."""
+    """End of the checked frame at ``pos``, or a :class:`NoFrame`; a wrong checksum is counted."""
     if data[pos] != _MARKER_V2:
         return NoFrame.INVALID
     end = _claimed_end(data, pos, size)
@@ -205,7 +205,7 @@ def _message_id(data: bytes, pos: int) -> int:
 
 
 def _claimed_end(data: bytes, pos: int, size: int) -> int:
-    """Where the frame whose marker is at ``pos`` ends by its own length and flags, or a :class:`NoFrame`."""
+    """End of the frame at ``pos`` by its length and flags, or a :class:`NoFrame`."""
     if pos + _HEADER_V2 + _CHECKSUM > size:
         return NoFrame.CUT_SHORT
     flags = data[pos + 2]
@@ -216,12 +216,12 @@ def _claimed_end(data: bytes, pos: int, size: int) -> int:
 
 
 def _has_sender(data: bytes, pos: int) -> bool:
-    """Whether system and component of a header can be a sender's: 0 is the address of all."""
+    """Whether system and component of a header are those of a sender; 0 is broadcast."""
     return data[pos + 5] != 0 and data[pos + 6] != 0
 
 
 def _holds_frame(data: bytes, start: int, stop: int, size: int) -> bool:
-    """Whether a checked frame begins within these bytes: stray bytes must never hide a good frame."""
+    """Whether a checked frame starts within these bytes: stray bytes must never hide a good frame."""
     pos = data.find(_MARKER_V2, start, stop)
     while pos >= 0:
         if frame_end(data, pos, size, FrameCounters()) > 0:
@@ -247,7 +247,7 @@ def _with_flags(frame: bytes, end: int, flags: int) -> bytes:
 
 
 def version_1_end(data: bytes, pos: int, size: int) -> int:
-    """End of the checked MAVLink 1 frame that starts at ``pos``, or a :class:`NoFrame`."""
+    """End of the checked MAVLink 1 frame at ``pos``, or a :class:`NoFrame`."""
     if data[pos] != _MARKER_V1:
         return NoFrame.INVALID
     if pos + _HEADER_V1 + _CHECKSUM > size:

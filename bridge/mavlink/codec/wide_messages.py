@@ -67,7 +67,7 @@ class Definition(NamedTuple):
 
     @property
     def on_the_wire(self) -> list[WideField]:
-        """Fields in the order of the wire: by size, extensions behind (MAVLink serialization guide)."""
+        """Fields in the order of the wire: by size, then extensions (MAVLink serialization guide)."""
         extensions = [field for field in self.fields if field.extension]
         rest = [field for field in self.fields if not field.extension]
         return [*sorted(rest, key=lambda field: -field.size), *extensions]

@@ -163,7 +163,7 @@ class Rule:
         return number in _numbers(self.stops)
 
     def wanted_in(self, name: Name, needs: Needs) -> str:
-        """Return what the parameter has to be, in its own unit; rounded up, so that it suffices."""
+        """Required value of the parameter in its unit; rounded up, so that it suffices."""
         unit = f" {name.unit}" if name.unit else ""
 
         def own(number: float) -> str:
@@ -196,7 +196,7 @@ class Asked(NamedTuple):
     others: tuple[tuple[Name, bool], ...]  # names in other releases; True: the value can be converted
 
     def elsewhere(self, value: float | None) -> str:
-        """Return names and, where it can be converted, values in other releases; empty: the same."""
+        """Names and, where they can be converted, values in other releases; empty: the same."""
         texts = []
         for other, converts in self.others:
             converted = ""
@@ -229,7 +229,7 @@ class Table:
                     raise ValueError(f"{a[0].name}: two rules for release {release}")
 
     def asked(self, profile: str, release: str) -> tuple[Asked, ...]:
-        """Return the parameters of one of the table's releases, for one of the profiles that share it."""
+        """Parameters of one of the table's releases for one of its profiles."""
         rules = [rule for rule in self.rule if not rule.profiles or profile in rule.profiles]
         found = []
         for rule in rules:
@@ -246,7 +246,7 @@ class Table:
 
 
 def minor(release: str) -> tuple[int, int]:
-    """Return major and minor number of a release such as ``4.7``. Raises ValueError: it is none."""
+    """Major and minor number of a release such as ``4.7``. Raises ValueError: another form."""
     major, dot, number = release.partition(".")
     if not (dot and major.isdecimal() and number.isdecimal()):
         raise ValueError(f"found {release!r}, a release such as '4.7' is needed")

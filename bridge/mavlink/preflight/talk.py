@@ -192,7 +192,7 @@ class _Talk:
         return [request_message(self._target, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION, profile.unset)]
 
     def _choose(self, profile: Profile) -> None:
-        """Choose the rules; a vehicle of this project's own needs no release for that."""
+        """Choose the rules; those of this project's vehicles do not depend on the release."""
         table = table_of(profile.name)
         if table is None:
             return

@@ -302,7 +302,7 @@ def refusal(autopilot: int, type_: int, chosen: Profile | None) -> str | None:
 
 
 def named(enum: str, number: int) -> str:
-    """Name of an entry of a MAVLink enum with its number; the number alone of an unknown one."""
+    """Name and number of an entry of a MAVLink enum; the number alone if unknown."""
     entry = dialect.enums[enum].get(number)
     return f"{entry.name.removeprefix(f'{enum}_')} ({number})" if entry is not None else str(number)
 
@@ -314,5 +314,5 @@ _MARKED: Mapping[bytes, Profile] = {SITL_MARK: OWN_SITL, CRAZYFLIE_MARK: CRAZYFL
 
 
 def marked(message: Message) -> Profile | None:
-    """Profile of one of this project's own vehicles by its AUTOPILOT_VERSION, None if it is another's."""
+    """Profile of a vehicle of this project by its AUTOPILOT_VERSION; None: another vehicle."""
     return _MARKED.get(bytes(message.flight_custom_version))

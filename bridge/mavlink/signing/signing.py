@@ -30,7 +30,7 @@ _READ_MAX = 65536  # bytes; 64 streams need 3000
 
 @dataclass(slots=True)
 class SigningState:
-    """Times in units of 10 us since 2015-01-01 UTC, as MAVLink 2 signing counts them."""
+    """Times in units of 10 us since 2015-01-01 UTC, the unit of MAVLink 2 signing."""
 
     clock: int = 0  # our clock at the time of writing
     sent: int = 0  # timestamp of the last signed frame
@@ -158,14 +158,14 @@ class Signer:
         return max(self._system(), self._start + elapsed)
 
     def sign(self, frame: bytes) -> bytes:
-        """Sign an unsigned frame of ours; timestamps are the clock's, and each is later than the last."""
+        """Sign an unsigned frame; timestamps are those of the clock and always increase."""
         state = self._state
         state.sent = max(state.sent + 1, self.now())
         body = with_signed_flag(frame) + self._link + state.sent.to_bytes(6, "little")
         return body + self._tag(body)
 
     def refusal(self, frame: bytes) -> Refusal | None:
-        """Judge a signed frame from ``split_frames``; None lets it in, and remembers its timestamp."""
+        """Check a signed frame; None: accepted, and its timestamp is stored."""
         if frame[5:7] == self._own:
             return Refusal.REFLECTED  # our signature is correct from any address
         if not hmac.compare_digest(self._tag(frame[:-_TAG]), frame[-_TAG:]):
@@ -189,7 +189,7 @@ class Signer:
         return None
 
     def save_if_due(self) -> None:
-        """Write the state every ten seconds; failing is counted, for it must not end a flight."""
+        """Write the state every ten seconds; a failure is counted and does not end a flight."""
         now_s = self._monotonic_ns() / 1e9
         if self._path is not None and now_s - self._saved_s >= _SAVE_S:
             self._saved_s = now_s
@@ -231,7 +231,7 @@ class Signer:
         return stored + STALE_TICKS
 
     def _make_room(self, now: int) -> bool:
-        """Forget the longest silent stream that its age alone keeps out; False when there is none."""
+        """Drop the least recent stream that is rejected by its age alone; False: there is none."""
         for stream, stamp in self._state.streams.items():
             if stamp < now - STALE_TICKS:
                 del self._state.streams[stream]
@@ -260,13 +260,13 @@ class StaleAnswers:
         self._answered_s: dict[Peer, float] = {}
 
     def note(self, messages: Sequence[Message]) -> None:
-        """Remember our heartbeat among messages that are sent, or would be if there were anybody."""
+        """Store our heartbeat from messages that are sent, also without peers."""
         for message in messages:
             if message._header.msgId == _HEARTBEAT:
                 self._heartbeat = message
 
     def due(self, peer: Peer) -> Message | None:
-        """Our heartbeat for the sender of a frame that is signed rightly but too old; None: not now."""
+        """Our heartbeat for the sender of a correctly signed, too old frame; None: not now."""
         now_s = self._clock_s()
         said_s = self._answered_s.get(peer)
         if self._heartbeat is None or (said_s is not None and now_s - said_s < ANSWER_S):

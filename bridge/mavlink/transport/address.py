@@ -97,7 +97,7 @@ def is_local(address: Peer) -> bool:
 
 
 def local_host_for(address: Peer) -> str:
-    """Our own address on the way to ``address``, so that the socket does not listen on other interfaces."""
+    """Our address on the route to ``address``, so that the socket listens on one interface only."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.connect(address)  # UDP: selects a route without sending
         return str(probe.getsockname()[0])
@@ -165,7 +165,7 @@ class PeerTable:
 
     @property
     def reached(self) -> tuple[Peer, ...]:
-        """Who gets telemetry: configured peers, and those with a heartbeat heard in the last 10 s."""
+        """Receivers of telemetry: configured peers, and senders of a heartbeat in the last 10 s."""
         oldest_s = time.monotonic() - EXPIRY_S
         alive = [peer for peer, heard_s in self._beating.items() if heard_s >= oldest_s]
         if not self._configured:
@@ -178,7 +178,7 @@ class PeerTable:
         return len(self._beating) + len(self._strangers)
 
     def heard(self, peer: Peer, size: int, *, heartbeat: bool) -> bool:
-        """Note a valid frame; False when it was a heartbeat and there is no room for one more peer."""
+        """Record a valid frame; False: a heartbeat of a new peer without room in the table."""
         now_s = time.monotonic()
         if peer in self._beating:
             self._beating[peer] = now_s
@@ -195,7 +195,7 @@ class PeerTable:
         return not heartbeat
 
     def allowance_bytes(self, peer: Peer) -> int | None:
-        """How much may be sent to a peer now; None: as much as there is, also after a silence of his."""
+        """Bytes that may be sent to a peer now; None: unlimited."""
         if peer in self._configured or peer in self._beating:
             return None
         stranger = self._strangers.get(peer)

@@ -30,7 +30,7 @@ class Channel(Protocol):
         """Non-blocking descriptor."""
 
     def established(self) -> bool:
-        """Whether it is open for reading and writing; False while it is being opened."""
+        """Whether it is open for reading and writing; False while it connects."""
 
     def read(self, size: int) -> bytes | None:
         """Available bytes; None: no bytes now."""
@@ -96,7 +96,7 @@ class ByteStream:
         return Chunk(data, self._peer)
 
     def send(self, frames: Sequence[bytes], _peer: Peer) -> None:
-        """Send frames, or keep them for the next call; without a connection or room they are dropped."""
+        """Send frames, or buffer them; without a connection or room they are dropped."""
         if self._ready() is None:
             self._counters.send_errors += len(frames)
             return
@@ -136,7 +136,7 @@ class ByteStream:
                 return False
 
     def fileno(self) -> int:
-        """Descriptor of the connection; of one that never becomes readable while there is none."""
+        """Descriptor of the connection; without one, a descriptor that is never readable."""
         channel = self._ready()
         return self._nothing.fileno() if channel is None else channel.fileno()
 

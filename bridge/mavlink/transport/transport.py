@@ -104,7 +104,7 @@ class DatagramTransport:
         return Chunk(datagram, peer)
 
     def send(self, frames: Sequence[bytes], peer: Peer) -> None:
-        """Send frames, in order, in one datagram (more only when they exceed 1400 bytes)."""
+        """Send frames, in order, in one datagram (in more above 1400 bytes)."""
         for datagram in _datagrams(frames):
             self._send(datagram, peer)
 
