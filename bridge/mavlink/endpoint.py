@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import NamedTuple
 
@@ -14,7 +14,6 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.codec.decoding import Message, decode
 from bridge.mavlink.codec.framing import (
     FLAG_SIGNED,
-    FrameCounters,
     StreamFramer,
     intact,
     split_frames,
@@ -24,45 +23,10 @@ from bridge.mavlink.codec.packing import pack
 from bridge.mavlink.signing.key import SigningKey
 from bridge.mavlink.signing.signing import ANSWERED, Refusal, Signer, StaleAnswers
 from bridge.mavlink.transport.address import Peer, PeerTable, check_policy, parse_peer, parse_url, resolve
-from bridge.mavlink.transport.open import open_transport
+from bridge.mavlink.transport.byte_stream import open_stream
+from bridge.mavlink.transport.transport import DatagramTransport, EndpointCounters, Transport
 
-_PASSED = ("received", "sent", "bytes_in", "bytes_out", "unknown_frames", "stale_answered")
 _SENDERS_MAX = 16  # greatest number of other systems and components with a counter
-
-
-@dataclass(slots=True)
-class EndpointCounters(FrameCounters):
-    """Counters of one endpoint, one for each reason to drop something."""
-
-    received: int = 0  # frames decoded
-    sent: int = 0  # frames handed to the socket, once per peer
-    bytes_in: int = 0  # all received bytes
-    bytes_out: int = 0  # all sent bytes
-    send_errors: int = 0  # datagrams rejected by the system; frames during a lost line or connection
-    outgoing_full: int = 0  # serial and TCP: frames dropped by a full buffer
-    connections_lost: int = 0  # serial and TCP
-    peers_refused: int = 0  # heartbeats of senders without room in the peer table
-    oversize: int = 0  # datagrams longer than 4096 bytes
-    withheld: int = 0  # replies dropped: more bytes than a sender without heartbeat had sent
-    setup_signing: int = 0  # ignored attempts to set a key over the network
-    unchecked: int = 0  # without a key: signed frames, accepted as unsigned ones
-    # With a key only:
-    stale_answered: int = 0  # heartbeats sent to peers whose signing clock is behind
-    unsigned: int = 0  # frames without a signature
-    bad_signature: int = 0  # signed with another key, forged or changed
-    replayed: int = 0  # not later than the last frame of the same stream
-    stale: int = 0  # a new stream a minute or more behind our clock
-    ahead: int = 0  # more than an hour ahead of our clock
-    reflected: int = 0  # frames with our own ids
-    streams_refused: int = 0  # a new stream without room in the table
-
-    def add(self, name: str) -> None:
-        setattr(self, name, getattr(self, name) + 1)
-
-    def dropped(self) -> str:
-        """Everything that was dropped, as one line; empty if nothing was."""
-        counts = asdict(self)
-        return ", ".join(f"{name} {n}" for name, n in counts.items() if n and name not in _PASSED)
 
 
 @dataclass(slots=True)
@@ -82,7 +46,16 @@ class LinkCounters:
             self.senders[sender] = self.senders.get(sender, 0) + 1
 
 
-__all__ = ["Direction", "Endpoint", "Peer", "Received", "dialect", "parse_peer", "parse_url"]
+__all__ = [
+    "Direction",
+    "Endpoint",
+    "EndpointCounters",
+    "Peer",
+    "Received",
+    "dialect",
+    "parse_peer",
+    "parse_url",
+]
 
 _CHUNKS_PER_CALL = 512  # greatest number in one call of receive()
 _RECEIVE_MAX_S = 0.004  # s of processor time in one call
@@ -157,7 +130,11 @@ class Endpoint:
         self.counters = EndpointCounters()  # frames and bytes by outcome
         self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
         self._peers = PeerTable(configured if kind == "udpin" else (address,), max_peers)
-        self._transport = open_transport(url, address, self.counters)
+        self._transport: Transport = (
+            open_stream(kind, address, self.counters)
+            if kind in ("serial", "tcp")
+            else DatagramTransport(url, kind == "udpin", address, self.counters)
+        )
         try:
             self._signer = Signer(signing_key, system_id, component_id, link_id) if signing_key else None
         except BaseException:

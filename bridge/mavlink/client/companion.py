@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.frames import ned_from_enu, yaw_ned_from_enu
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.profiles.profile import Profile
-from flightstack.core.types import Vec3, VehicleStatus
+from flightstack.core.safety.gate import ApprovedSetpoint
+from flightstack.core.types import VehicleStatus
 
 _PERIOD_S = 1.0  # s between two tries
 _TRIES = 60
@@ -69,19 +70,9 @@ def request_message(target: tuple[int, int], message_id: int, unset: float) -> M
     return dialect.MAVLink_command_long_message(*target, dialect.MAV_CMD_REQUEST_MESSAGE, 0, *params)
 
 
-class Setpoint(Protocol):
-    """What may be sent: made by the safety gate and by nothing else."""
-
-    @property
-    def velocity_enu_m_s(self) -> Vec3:
-        """Velocity, ENU, m/s."""
-
-    @property
-    def yaw_rad(self) -> float:
-        """Heading to hold, counter-clockwise from east."""
-
-
-def velocity_setpoint(setpoint: Setpoint, profile: Profile, target: tuple[int, int], now_s: float) -> Message:
+def velocity_setpoint(
+    setpoint: ApprovedSetpoint, profile: Profile, target: tuple[int, int], now_s: float
+) -> Message:
     unused = (0.0, 0.0, 0.0)
     return dialect.MAVLink_set_position_target_local_ned_message(
         round(now_s * 1000) & 0xFFFFFFFF,

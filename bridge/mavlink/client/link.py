@@ -9,17 +9,18 @@ from collections.abc import Callable, Sequence
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.commands import CommandSequencer
-from bridge.mavlink.client.companion import Origin, Setpoint, companion_heartbeat, velocity_setpoint
+from bridge.mavlink.client.companion import Origin, companion_heartbeat, velocity_setpoint
 from bridge.mavlink.client.senders import Senders
+from bridge.mavlink.client.streams import Wants, wanted
 from bridge.mavlink.client.texts import EVENT, TextAssembler, event_text
 from bridge.mavlink.client.vehicle_state import VehicleState
-from bridge.mavlink.client.wants import Wants, wanted
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.endpoint import Endpoint, LinkCounters
 from bridge.mavlink.line_budget import LinePlan
 from bridge.mavlink.profiles.autopilots import PX4, found, refusal
 from bridge.mavlink.profiles.profile import Profile
 from bridge.mavlink.signing.key import SigningKey
+from flightstack.core.safety.gate import ApprovedSetpoint
 from flightstack.core.types import Landed, OwnState, Power, Request, VehicleStatus
 
 __all__ = ["COMPONENT_ID", "CommandSequencer", "LinkCounters", "VehicleLink", "VehicleState"]
@@ -189,7 +190,7 @@ class VehicleLink:
             known = self.state.origin_known or (own is not None and own.arrival_s >= restarted_s)
             self._outgoing += origin.step(self.status, known, now_s)
 
-    def send_setpoint(self, setpoint: Setpoint, now_s: float) -> bool:
+    def send_setpoint(self, setpoint: ApprovedSetpoint, now_s: float) -> bool:
         """Queue a velocity set-point; the only way to send a velocity.
 
         Returns false when it was rejected: a number is not finite, or it would end a take-off of the vehicle.

@@ -5,8 +5,10 @@ from __future__ import annotations
 import select
 import socket
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from typing import NamedTuple, Protocol
 
+from bridge.mavlink.codec.framing import FrameCounters
 from bridge.mavlink.transport.address import Peer, local_host_for
 
 
@@ -17,15 +19,42 @@ class Chunk(NamedTuple):
     peer: Peer
 
 
-class LineCounters(Protocol):
-    """Counters of a transport."""
+_PASSED = ("received", "sent", "bytes_in", "bytes_out", "unknown_frames", "stale_answered")
 
-    bytes_in: int
-    bytes_out: int
-    send_errors: int
-    oversize: int
-    outgoing_full: int
-    connections_lost: int
+
+@dataclass(slots=True)
+class EndpointCounters(FrameCounters):
+    """Counters of one endpoint, one for each reason to drop something."""
+
+    received: int = 0  # frames decoded
+    sent: int = 0  # frames handed to the socket, once per peer
+    bytes_in: int = 0  # all received bytes
+    bytes_out: int = 0  # all sent bytes
+    send_errors: int = 0  # datagrams rejected by the system; frames during a lost line or connection
+    outgoing_full: int = 0  # serial and TCP: frames dropped by a full buffer
+    connections_lost: int = 0  # serial and TCP
+    peers_refused: int = 0  # heartbeats of senders without room in the peer table
+    oversize: int = 0  # datagrams longer than 4096 bytes
+    withheld: int = 0  # replies dropped: more bytes than a sender without heartbeat had sent
+    setup_signing: int = 0  # ignored attempts to set a key over the network
+    unchecked: int = 0  # without a key: signed frames, accepted as unsigned ones
+    # With a key only:
+    stale_answered: int = 0  # heartbeats sent to peers whose signing clock is behind
+    unsigned: int = 0  # frames without a signature
+    bad_signature: int = 0  # signed with another key, forged or changed
+    replayed: int = 0  # not later than the last frame of the same stream
+    stale: int = 0  # a new stream a minute or more behind our clock
+    ahead: int = 0  # more than an hour ahead of our clock
+    reflected: int = 0  # frames with our own ids
+    streams_refused: int = 0  # a new stream without room in the table
+
+    def add(self, name: str) -> None:
+        setattr(self, name, getattr(self, name) + 1)
+
+    def dropped(self) -> str:
+        """Everything that was dropped, as one line; empty if nothing was."""
+        counts = asdict(self)
+        return ", ".join(f"{name} {n}" for name, n in counts.items() if n and name not in _PASSED)
 
 
 class Transport(Protocol):
@@ -68,7 +97,7 @@ class DatagramTransport:
     baud: int | None = None
     is_stream = False
 
-    def __init__(self, url: str, listens: bool, address: Peer, counters: LineCounters) -> None:
+    def __init__(self, url: str, listens: bool, address: Peer, counters: EndpointCounters) -> None:
         self._counters = counters
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
