@@ -66,7 +66,7 @@ def test_what_a_person_accepted_does_not_keep_it_from_arming():
     findings = judge(asked("px4"), values, {}, NEEDS, ("COM_OF_LOSS_T",))
     (found,) = (f for f in findings if f.level is Level.ACCEPTED)
     assert (
-        "COM_OF_LOSS_T is 2 s: until then it flies on with the last set-point; set it to 0.1 to 1 s"
+        "COM_OF_LOSS_T is 2 s: until then it flies with the last set-point; set it to 0.1 to 1 s"
         in found.text
     )
 
@@ -162,19 +162,19 @@ def test_ardupilots_default_time_out_keeps_it_from_arming():
     assert {f.name for f in report.blocking} == ARDUPILOT_UNSAFE
     assert "GUID_TIMEOUT" in verdict(report)
     assert "accepted_parameters" in verdict(report)
-    assert any("UNSAFE: GUID_TIMEOUT is 3 s: until then it flies on" in line for line in lines(report))
+    assert any("UNSAFE: GUID_TIMEOUT is 3 s: until then it flies with" in line for line in lines(report))
     assert talk(OnUdp("ardupilot", version, ARDUPILOT_46_DEFAULT), accepted=ARDUPILOT_UNSAFE).safe
 
 
 def test_a_lost_companion_comes_down_only_if_its_own_heartbeats_are_minded():
-    """Both parameters together: FS_GCS_ENABLE alone acts on the loss of somebody else."""
+    """Both parameters together: FS_GCS_ENABLE alone acts on the loss of another system."""
     values, needs = SAFE["ardupilot", "4.6"] | {"SYSID_MYGCS": 7}, NEEDS._replace(system_id=7)
     assert unsafe("ardupilot", values, needs) == set()
     for wrong in ({"FS_GCS_ENABLE": 0}, {"SYSID_MYGCS": 255}):
         assert unsafe("ardupilot", values | wrong, needs) == set(wrong)
     findings = judge(asked("ardupilot"), values | {"SYSID_MYGCS": 255}, {}, needs, ())
     (finding,) = (f for f in findings if f.name == "SYSID_MYGCS")
-    assert "set it to 7 (the companion's system id, the vehicle's own)" in finding.text
+    assert "set it to 7 (the system id of companion and vehicle)" in finding.text
 
 
 def test_the_accelerations_are_those_of_the_filter():
