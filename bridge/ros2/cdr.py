@@ -38,7 +38,7 @@ _ENCODINGS = {
 
 
 class OdometryError(ValueError):
-    """A payload that is not a usable ``nav_msgs/msg/Odometry``; the text says what was found."""
+    """A payload that is not a usable message of its type."""
 
 
 @dataclass(frozen=True, slots=True)

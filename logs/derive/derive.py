@@ -142,7 +142,7 @@ class _Told:
 
 
 class Derivers:
-    """Derivations of all clients of one recorder, by topic: a client that comes again continues.
+    """Derivations of all clients of one recorder, by topic: a client that reconnects continues.
 
     In the log of a fleet each member has metadata of its own, with its namespace in front.
     """

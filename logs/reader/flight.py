@@ -1,7 +1,7 @@
 """Read a flight log into numpy arrays.
 
 Three thousand steps with everything around them take a fraction of a second. A damaged log gives
-what can be read of it, and says so.
+what can be read of it, and names the damage.
 """
 
 from __future__ import annotations

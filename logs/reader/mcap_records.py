@@ -60,11 +60,11 @@ _PLACES = {  # records of the index that say where another one begins, and how l
 
 
 class DamageError(ValueError):
-    """A part of a file that cannot be understood; says what was found."""
+    """An unreadable part of a file."""
 
 
 class _Strict(ReadDataStream):  # type: ignore[misc]
-    """Gives the bytes that are asked for, or raises: the package's own stream silently gives fewer."""
+    """Reads the requested bytes or raises: the package's own stream silently returns fewer."""
 
     def read(self, length: int) -> bytes:
         data: bytes = self._stream.read(length) if length > 0 else b""
@@ -204,7 +204,7 @@ class Records:
 
 
 class _Index:
-    """What the summary at the end of a file says; nothing where there is none, or a damaged one."""
+    """The summary at the end of a file; empty without one, or with a damaged one."""
 
     def __init__(self, stream: BinaryIO, size: int) -> None:
         self.declared: dict[tuple[type, int], Any] = {}
@@ -242,7 +242,7 @@ class _Index:
 
 
 def _understood(kind: int, body: bytes, kinds: dict[int, Any] = _KINDS) -> Any:
-    """Return a record that is whole; None for an index of messages, which nobody needs."""
+    """Return a record that is whole; None for an index of messages, which is not used."""
     if kind == Opcode.MESSAGE_INDEX and kinds is _KINDS:
         if len(body) < _INDEX.size or (len(body) - _INDEX.size) % _ENTRY_BYTES:
             raise DamageError("an index of messages that is not whole")

@@ -92,7 +92,7 @@ class Splitter:
 BUFFER_LIMIT = 4 * 2**20  # bytes kept for a slow recorder, several seconds of one vehicle's flight
 PATIENCE_S = 8.0  # wall time a lossless sender, or a closing one, waits for the recorder
 _MESSAGE = int(Kind.MESSAGE)
-_SOCKET_BUFFER = 2**20  # bytes asked of the kernel, which may give less
+_SOCKET_BUFFER = 2**20  # bytes requested from the kernel, which may grant less
 
 
 class FeedError(ConnectionError):

@@ -35,7 +35,7 @@ class ZenohSource:
             raise RecorderError(str(error)) from error
 
     def poll(self, recorder: Recorder) -> None:
-        """Record what has come; the log time is now, the publish time what the sender says."""
+        """Record the samples received; the log time is now, the publish time that of the sender."""
         for subscriber in self._subscribers:
             for sample in drain(subscriber):
                 key, encoding, attachment = str(sample.key_expr), str(sample.encoding), sample.attachment
@@ -47,7 +47,7 @@ class ZenohSource:
 
 
 def topic_and_schema(key: str, encoding: str) -> tuple[str, str] | None:
-    """Return ROS topic and type of a sample; None when nothing says what it is."""
+    """Return ROS topic and type of a sample; None if neither key nor encoding names the type."""
     if match := _RMW_KEY.fullmatch(key):
         return f"/{match['topic']}", f"{match['package']}/msg/{match['name']}"
     if encoding.startswith(CDR_ENCODING):

@@ -32,7 +32,7 @@ from logs.schema.schemas import typestore
 # the clients gather (0.1 s in lockstep); a power cut also the time the disk takes: half a second in all.
 FLUSH_PERIOD_S = 0.25
 READ_PERIOD_S = 0.004  # wall time; clients flush every tick, reading them in batches saves the processor
-GRACE_S = 3.0  # wall time the clients have to finish after the recorder was told to stop
+GRACE_S = 3.0  # s of wall time that clients have to finish after a stop
 _RECEIVE_BYTES = 2**18
 
 
@@ -81,7 +81,7 @@ class RecorderProcess:
             self._wake_out.send(b"\x00")
 
     def run(self, until_clients: int | None = None) -> Statistics:
-        """Record until told to stop, the disk is full, or this many clients have come and gone.
+        """Record until a stop, a full disk, or the end of this many clients.
 
         Returns:
             What was recorded. The file is closed.
@@ -232,7 +232,7 @@ def _remove_stale(path: Path) -> None:
 
 
 class Syncer:
-    """Calls ``fdatasync`` on one open file whenever asked and idle."""
+    """Calls ``fdatasync`` on one open file on request, one call at a time."""
 
     def __init__(self, descriptor: int, path: Path) -> None:
         """Start the thread; the name of the file in its directory is brought to the disk at once."""

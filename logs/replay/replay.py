@@ -155,7 +155,7 @@ class _Run:
             tick = record.given.tick
             if last is not None and tick != last + 1:
                 if damaged:
-                    break  # what is behind the damage began from a state that nobody knows
+                    break  # behind the damage the state is unknown
                 raise self._missing(last, tick)
             last, cut = tick, None
             yield record

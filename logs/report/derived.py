@@ -23,7 +23,7 @@ _RAN = (
 )
 _NEAR_S = 0.02  # a true state farther in time than two ticks is not that of the step
 BEGINS, ENDS = "Fault: ", "Fault over: "
-_RELAYED = "vehicle: "  # the onboard process repeats what the vehicle says
+_RELAYED = "vehicle: "  # prefix of the vehicle's messages in events of the onboard process
 _ENOUGH = 200  # a page with more is not read
 
 
@@ -119,7 +119,7 @@ class FaultSpan(NamedTuple):
 
 
 def fault_spans(flight: Flight) -> list[FaultSpan]:
-    """Faults in the order of their beginning; the same told by two processes counts once."""
+    """Faults in order of their start; one reported by two processes counts once."""
     begun: dict[str, float] = {}
     found: list[FaultSpan] = []
     for event in flight.events:

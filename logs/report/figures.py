@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import plotly.graph_objects as go
 
-from logs.reader.fleet_words import Words
+from logs.reader.fleet_messages import FleetMessages
 from logs.reader.flight_data import Fleet, Flight, Floats
 from logs.report.derived import Errors, Side, estimate_errors, root_mean_square
 from logs.report.links import Stream
@@ -116,7 +116,7 @@ def compared_panels(sides: Sequence[Side]) -> list[Panel]:
     ]  # fmt: skip
 
 
-def fleet_panels(fleet: Fleet, words: Words, pairs: Sequence[PairSeries]) -> list[Panel]:
+def fleet_panels(fleet: Fleet, words: FleetMessages, pairs: Sequence[PairSeries]) -> list[Panel]:
     return [
         Panel(
             "timeline", "Who did what, and who waited for whom", "", _LANES, fleet_timeline(fleet, words)
@@ -129,9 +129,9 @@ def fleet_panels(fleet: Fleet, words: Words, pairs: Sequence[PairSeries]) -> lis
 
 
 _LANES = (
-    "Two lanes for each member: its phase, and what it told the others that it was about to do. Orange: it "
-    "flew and gave way to another one. Red, where there are any: a member heard nothing of another one for "
-    "longer than it lets pass. Touch or point at a bar to read it."
+    "Two lanes for each member: its phase, and the intent that it sent to the others. Orange: it flew and "
+    "gave way to a neighbour. Red, if any: a member received no message from a neighbour for longer than "
+    "allowed. Touch or point at a bar to read it."
 )
 _ROOM = (
     "True paths, or the vehicles' own estimates where the log has no true states. Dotted: the pads. Circle: "

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from logs.reader.fleet_words import Words, waited_s
+from logs.reader.fleet_messages import FleetMessages, waited_s
 from logs.reader.flight_data import Fleet
 from logs.report.page import html, paragraph, table, time_link
 from logs.report.tables import YES_NO, definitions, number, scaled
@@ -16,7 +16,7 @@ from logs.verdict.verdict import FleetVerdict
 _DASH = "\N{WORD JOINER}–\N{WORD JOINER}"  # no line breaks at it
 
 
-def members_table(verdict: FleetVerdict, words: Words, pages: Mapping[str, Path]) -> str:
+def members_table(verdict: FleetVerdict, words: FleetMessages, pages: Mapping[str, Path]) -> str:
     rows = []
     for name, v in verdict.members.items():
         place = html('<a href="{}">{}</a>').format(pages[name].name, name) if name in pages else name
@@ -82,7 +82,7 @@ def pairs_table(fleet: Fleet) -> str:
     return table(head, rows, numbers=range(1, 6))
 
 
-def waits_table(words: Words) -> str:
+def waits_table(words: FleetMessages) -> str:
     spans = [(name, span) for name, each in words.spans.items() for span in each if span.waits]
     if not spans:
         return paragraph("Nobody waited.")
@@ -94,17 +94,17 @@ def waits_table(words: Words) -> str:
     return table(("from [s]", "who", "for whom", "for [s]"), rows, numbers=(0, 3))
 
 
-def messages_table(words: Words) -> str:
-    if not words.ways:
-        return paragraph("The log has no words of a fleet.")
+def messages_table(words: FleetMessages) -> str:
+    if not words.links:
+        return paragraph("The log has no messages between members.")
     rows = []
-    for way in words.ways:
-        lost = max(0, way.told - way.taken)
-        share = f"{100.0 * lost / way.told:.1f}" if way.told else "–"
-        silent_s = sum(until_s - begin_s for begin_s, until_s in way.silent)
+    for link in words.links:
+        lost = max(0, link.sent - link.used)
+        share = f"{100.0 * lost / link.sent:.1f}" if link.sent else "–"
+        silent_s = sum(until_s - begin_s for begin_s, until_s in link.silent)
         rows.append(
-            (f"{way.teller} to {way.hearer}", str(way.told), str(way.taken), share,
-             scaled(way.late_max_s, 1e3, 0), scaled(way.gap_max_s, 1e3, 0), number(silent_s, 2))
+            (f"{link.sender} to {link.receiver}", str(link.sent), str(link.used), share,
+             scaled(link.late_max_s, 1e3, 0), scaled(link.gap_max_s, 1e3, 0), number(silent_s, 2))
         )  # fmt: skip
-    head = ("from, to", "told", "taken", "not taken [%]", "latest [ms]", "longest gap [ms]", "silent [s]")
+    head = ("from, to", "sent", "used", "not used [%]", "latest [ms]", "longest gap [ms]", "silent [s]")
     return table(head, rows, numbers=range(1, 7))

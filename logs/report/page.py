@@ -18,7 +18,7 @@ _LEVEL = 9  # of gzip; the library is packed once a process
 
 
 class ReportError(RuntimeError):
-    """The page cannot be made here; says what is missing."""
+    """The page cannot be made: a library is missing."""
 
 
 def page(title: str, body: str) -> str:
@@ -34,7 +34,7 @@ def header(title: str, badge: str, style: str, sub: str) -> str:
 
 
 def section(key: str, title: str, paper: str, note: str, figure: Any | None) -> str:
-    """One figure with its title and note; a figure that could not be drawn says so."""
+    """One figure with its title and note; without data a note that nothing is drawn."""
     # a "<" in a name could end the script element
     data = html(figure.to_json().replace("<", "\\u003c")) if figure is not None else None
     return _part("section", key, title, paper, note, data)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from logs.reader.fleet_words import Words, load_words
+from logs.reader.fleet_messages import FleetMessages, load_messages
 from logs.reader.flight_data import ATTACHMENT, Fleet, Flight
 from logs.reader.reader import LogFile
 from logs.report.derived import Side
@@ -70,10 +70,10 @@ _WIDE = "wide events"  # style of the tables of events
 _TICK_S = 0.011  # true states are this far apart; the ellipsoid is judged every millisecond
 _SPEED_M_S = 4.0  # at which two vehicles may come nearer between two of them
 _EQUAL = 1e-3  # of the measure: a true state between two ticks is not in the log
-_WAITS = "Times in which a member flew and gave way to others, by its own words."
+_WAITS = "Times in which a member flew and gave way to neighbours, by its own messages."
 _WAYS = (
-    "Taken: words that a tick of the hearer was given. The others got lost, or a newer one overtook them. "
-    "Silent: time beyond the greatest age of a word, while the other one flew."
+    "Used: messages that a tick of the receiver used. The others were lost, or a newer one replaced them. "
+    "Silent: time beyond the maximum age of a message, while the sender flew."
 )
 
 
@@ -158,7 +158,7 @@ def render_fleet(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path])
 
     told = fleet.metadata.get(FLEET, {})
     title = told.get("scenario", fleet.path.stem)
-    words, pairs = load_words(fleet), pair_series(fleet)
+    words, pairs = load_messages(fleet), pair_series(fleet)
     sub = [f"{len(verdict.members)} vehicles", *([f"seed {told['seed']}"] if "seed" in told else [])]
     sub += [told["mode"]] if "mode" in told else []
     source = " and ".join(dict.fromkeys(SOURCES[each.judged_from] for each in verdict.members.values()))
@@ -180,7 +180,7 @@ def render_fleet(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path])
         block("near", "How near they came", _NEAR, pairs_table(fleet)),
         block("waits", "Who waited for whom", _WAITS, waits_table(words)),
         "</div>",
-        block("words", "Words that they told each other", _WAYS, messages_table(words)),
+        block("words", "Messages between members", _WAYS, messages_table(words)),
         block("events", "Events of all", events, events_table(fleet.events), _WIDE),
         _repeat(fleet.path, told, fleet.metadata, fleet.attachments.get(TEAM), TEAM),
         block("versions", "Versions", "", versions_table(fleet.metadata)),
@@ -288,7 +288,7 @@ def warnings(flight: Flight, verdict: Verdict) -> list[str]:
 
 
 def _fleet_warnings(
-    fleet: Fleet, verdict: FleetVerdict, words: Words, series: Sequence[PairSeries]
+    fleet: Fleet, verdict: FleetVerdict, words: FleetMessages, series: Sequence[PairSeries]
 ) -> list[str]:
     texts = [
         f"{name}: {text}"
@@ -335,7 +335,7 @@ def command(run: Mapping[str, str], scenario: str) -> str:
 
 
 def repeat_section(flight: Flight) -> str:
-    """The section with the commands; what cannot be repeated says why."""
+    """The section with the commands that repeat a flight, or the reason why none can."""
     whole, run = flight.attachments.get(_SCENARIO), flight.metadata.get("run", {})
     return _repeat(flight.path, run, flight.metadata, whole, _SCENARIO, flight.member)
 

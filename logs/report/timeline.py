@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 
 from flightstack.core.safety.gate import GateVerdict
 from flightstack.core.types import Intent
-from logs.reader.fleet_words import Words
+from logs.reader.fleet_messages import FleetMessages
 from logs.reader.flight_data import Bools, Event, Fleet, Flight, Floats, phase_name
 from logs.report.derived import Side, fault_spans
 from logs.report.style import (
@@ -154,20 +154,20 @@ def compared_timeline(sides: Sequence[Side]) -> go.Figure | None:
     return lanes.figure()
 
 
-def fleet_timeline(fleet: Fleet, told: Words) -> go.Figure | None:
+def fleet_timeline(fleet: Fleet, messages: FleetMessages) -> go.Figure | None:
     """Draw phases and right of way of all members, silent members, and events."""
     lanes = _Lanes(fleet_axis(fleet))
     for member, flight in fleet.flights.items():
         lanes.phases(f"{member} phase", flight, shift_s(fleet, flight), f"{member}: ")
-        for span in told.spans[member]:
+        for span in messages.spans[member]:
             name, others = span.intent.name.lower(), ", ".join(span.gives_way_to)
             color = NOMINAL if span.waits else _INTENT_COLORS[span.intent]
             text = f"{member}: {name}" + (f", gives way to {others}" if others else "")
             label = f"waits for {others}" if span.waits else name
             lanes.bar(f"{member} right of way", (span.begin_s, span.end_s), color, text, label)
-    for way in [way for way in told.ways if way.silent][:_SILENT_MAX]:
-        for ends in way.silent:
-            text = f"{way.hearer} hears nothing of {way.teller}"
-            lanes.bar(f"{way.hearer} hears no {way.teller}", ends, FAULT, text)
+    for link in [link for link in messages.links if link.silent][:_SILENT_MAX]:
+        for ends in link.silent:
+            text = f"{link.receiver} received no message from {link.sender}"
+            lanes.bar(f"{link.receiver} misses {link.sender}", ends, FAULT, text)
     lanes.events(fleet.events, 0.0)
     return lanes.figure()

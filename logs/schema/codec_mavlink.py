@@ -4,8 +4,8 @@ Frame layouts: MAVLink serialization guide. Version 2: 0xFD, length, incompatibi
 flags, sequence, system, component, message id (3 bytes), payload, checksum (2), signature (13) if flag 1 is
 set. Version 1: 0xFE, length, sequence, system, component, message id, payload, checksum.
 
-Written by hand, since the record is made of the frame's own bytes: a packer made from the definition takes a
-fifth longer, and frames are most of what a log holds.
+Written by hand, since the record is made of the frame's own bytes: a packer made from the definition takes
+twice as long, and frames are most of what a log holds.
 
 Every record names the peer of the frame in its ``frame_id``: short names, which a metadata record explains.
 They count the peers in the order in which they appeared, so that two runs of one seed give them the same

@@ -80,7 +80,7 @@ def _sample(values: Iterable[Any]) -> TargetSample:
 
 
 def power_row(tick: Tick, power: Power | None, reserve: float) -> ControllerPowerRow:
-    """What a tick was told of battery and motors, and its estimate of the thrust reserve."""
+    """Return battery and motors as a tick received them, and its estimate of the thrust reserve."""
     told = (
         (power.arrival_s, power.voltage_v, power.throttle, power.cos_tilt) if power is not None else _NO_POWER
     )
@@ -88,7 +88,7 @@ def power_row(tick: Tick, power: Power | None, reserve: float) -> ControllerPowe
 
 
 def unpack_power(data: bytes) -> Power | None:
-    """Return what the tick of a CDR payload of ``power_row`` was told."""
+    """Return battery and motors in a CDR payload of ``power_row``; None: not received."""
     row = ControllerPowerRow.unpack(data)
     return Power(row.arrival_s, row.voltage_v, row.throttle, row.cos_tilt) if row.told else None
 

@@ -8,7 +8,7 @@ from logs.schema.rows import LogRow
 from logs.schema.schemas import STRING, packer
 
 ONBOARD, CONTROLLER = "onboard", "controller"  # sources of events; the controller's are part of its decisions
-CAUSE = "cause of the abort: "  # begins the onboard process's event with what the autopilot said of it
+CAUSE = "cause of the abort: "  # prefix of the onboard process's event with the autopilot's reason
 
 _pack_string = packer(STRING)
 

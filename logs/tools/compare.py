@@ -34,7 +34,7 @@ PROVENANCE_METADATA = frozenset({LOG_TOOL})  # how the file came about, not what
 WALL_CLOCK_METADATA_KEYS = frozenset(
     {"started", "started_unix_s", "ended", "wall_time_s", "realtime_factor", "host", "out", "log", "pid"}
 )
-MAX_DIFFERENCES = 100  # more are not reported; the first ones tell the story
+MAX_DIFFERENCES = 100  # more are not reported
 
 ABSENT = "absent"
 _F64 = struct.Struct("<d")

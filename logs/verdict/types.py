@@ -72,7 +72,7 @@ class Outcome(StrEnum):
     ABORTED = "aborted"
     CRASHED = "crashed"
     TIMEOUT = "timeout"
-    UNKNOWN = "unknown"  # records are missing that would tell; never of a flight in a campaign
+    UNKNOWN = "unknown"  # records are missing; never in a campaign
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +132,7 @@ class Abort:
 
 
 def abort_declared(flight: Judged) -> Abort | None:
-    """Return the first step in phase ABORT with the event that said why, or ``None``."""
+    """Return the first step in phase ABORT with the event that gives the reason, or ``None``."""
     if flight.steps is None:
         return None
     steps = np.flatnonzero(flight.steps.phase == Phase.ABORT)

@@ -169,7 +169,7 @@ def every(at_ns: Ints, period_ns: int) -> Ints:
 
 
 def rgba(color: Color) -> tuple[int, int, int, int]:
-    """A color in 0 to 255, as Rerun wants it."""
+    """A color in 0 to 255, as Rerun takes it."""
     red, green, blue, opacity = (round(255 * part) for part in color)
     return red, green, blue, opacity
 

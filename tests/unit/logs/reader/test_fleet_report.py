@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from flightstack.cli.main import main
 from flightstack.core.types import Intent
-from logs.reader.fleet_words import load_words, waited_s
+from logs.reader.fleet_messages import load_messages, waited_s
 from logs.reader.flight import load_fleet
 from logs.report.report import render_fleet, write_comparison, write_report
 from logs.report.several import distances
@@ -30,7 +30,7 @@ def read(fleet):
 
 @pytest.fixture(scope="module")
 def words(read):
-    return load_words(read)
+    return load_messages(read)
 
 
 @pytest.fixture(scope="module")
@@ -77,14 +77,14 @@ def test_of_many_pairs_the_nearest_are_shown_at_first(read):
 
 
 def test_lost_words_are_counted(words):
-    link = near().exchange
-    assert len(words.ways) == 6
-    for way in words.ways:
-        assert way.told > 1000
-        assert 1.0 - way.taken / way.told == pytest.approx(link.loss, abs=0.04)
-        assert way.late_max_s == pytest.approx(link.delay_s)
-        assert way.gap_max_s >= link.delay_s
-        assert way.silent == ()
+    exchange = near().exchange
+    assert len(words.links) == 6
+    for link in words.links:
+        assert link.sent > 1000
+        assert 1.0 - link.used / link.sent == pytest.approx(exchange.loss, abs=0.04)
+        assert link.late_max_s == pytest.approx(exchange.delay_s)
+        assert link.gap_max_s >= exchange.delay_s
+        assert link.silent == ()
 
 
 def test_a_member_that_is_not_heard_is_silent(fleet, read, tmp_path):
@@ -101,7 +101,11 @@ def test_a_member_that_is_not_heard_is_silent(fleet, read, tmp_path):
         return pack_neighbours(Tick(m.sequence, 0.0, m.log_time_ns, 0.0, 0.0), kept)
 
     log = copied(fleet.log, tmp_path / "silent.mcap", change)
-    silent = {(way.teller, way.hearer): way.silent for way in load_words(load_fleet(log)).ways if way.silent}
+    silent = {
+        (link.sender, link.receiver): link.silent
+        for link in load_messages(load_fleet(log)).links
+        if link.silent
+    }
     assert list(silent) == [("cf1", "cf2")]
     ((begin_s, end_s),) = silent["cf1", "cf2"]
     assert begin_s == pytest.approx(2.0 + 0.5, abs=0.1)

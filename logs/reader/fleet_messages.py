@@ -18,8 +18,8 @@ from logs.schema.fleet_rows import unpack_neighbours
 from logs.schema.rows import FleetWordRow
 from logs.schema.schemas import CONTROLLER_NEIGHBOURS, FLEET_WORD
 
-AGE_MAX_S = 0.5  # as a configuration has it that says nothing
-_Told = tuple[float, Intent, tuple[str, ...]]  # time, intent, members it gives way to
+AGE_MAX_S = 0.5  # default of the configuration
+_Sent = tuple[float, Intent, tuple[str, ...]]  # time, intent, members it gives way to
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,14 +38,14 @@ class Span:
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
+class Link:
     """Messages from one member to another."""
 
-    teller: str  # sending member
-    hearer: str  # receiving member
-    told: int  # messages sent before the receiver's last tick
+    sender: str  # sending member
+    receiver: str  # receiving member
+    sent: int  # messages sent before the receiver's last tick
     # messages that a tick of the receiver used; the others were lost, or a newer one replaced them
-    taken: int
+    used: int
     late_max_s: float | None  # maximum message age on arrival, s; None: none arrived
     gap_max_s: (
         float  # longest time between two messages, or from the last to the end, while the sender flew, s
@@ -55,20 +55,20 @@ class Way:
 
 
 @dataclass(frozen=True)
-class Words:
+class FleetMessages:
     """Messages of a fleet, sent and received."""
 
     spans: dict[str, tuple[Span, ...]]  # by member, in time order
-    ways: tuple[Way, ...]  # one for each ordered pair of members
+    links: tuple[Link, ...]  # one for each ordered pair of members
     problems: tuple[str, ...]  # unreadable messages, as text
 
 
-def load_words(fleet: Fleet) -> Words:
+def load_messages(fleet: Fleet) -> FleetMessages:
     """Read the messages between members, in one pass over the log."""
     log, names = LogFile(fleet.path), fleet.ids
-    told: dict[str, list[_Told]] = defaultdict(list)
+    sent: dict[str, list[_Sent]] = defaultdict(list)
     ticks: dict[str, list[float]] = defaultdict(list)
-    heard: dict[tuple[str, str], list[tuple[float, float, Intent]]] = defaultdict(list)
+    received: dict[tuple[str, str], list[tuple[float, float, Intent]]] = defaultdict(list)
     refused: list[str] = []
     for message in log.messages():
         member = log.parts.owner(message.topic)
@@ -79,22 +79,26 @@ def load_words(fleet: Fleet) -> Words:
             if message.schema == FLEET_WORD:
                 row = FleetWordRow.unpack(message.data)
                 others = tuple(names.get(number, f"vehicle {number}") for number in row.yields_to)
-                told[member].append((t_s, Intent(row.intent), others))
+                sent[member].append((t_s, Intent(row.intent), others))
                 continue
             ticks[member].append(t_s)
             for word in unpack_neighbours(message.data):
-                teller = names.get(word.id, f"vehicle {word.id}")
-                heard[teller, member].append((t_s, word.arrival_s - word.stamp_s, word.intent))
+                sender = names.get(word.id, f"vehicle {word.id}")
+                received[sender, member].append((t_s, word.arrival_s - word.stamp_s, word.intent))
         except ValueError as error:
             refused.append(f"{message.topic}: {error}")
-    problems = [f"{len(refused)} words of the fleet cannot be read; first: {refused[0]}"] if refused else []
-    ways = []
-    for teller, hearer in permutations(fleet.flights, 2):
-        if ticks[hearer]:
-            told_s = [t_s for t_s, *_ in told[teller]]
-            age_max_s = _age_max_s(fleet, hearer)
-            ways.append(_way(teller, hearer, told_s, heard[teller, hearer], ticks[hearer], age_max_s))
-    return Words({name: _spans(told[name]) for name in fleet.flights}, tuple(ways), tuple(problems))
+    problems = (
+        [f"{len(refused)} messages between members cannot be read; first: {refused[0]}"] if refused else []
+    )
+    links = []
+    for sender, receiver in permutations(fleet.flights, 2):
+        if ticks[receiver]:
+            sent_s = [t_s for t_s, *_ in sent[sender]]
+            age_max_s = _age_max_s(fleet, receiver)
+            links.append(
+                _link(sender, receiver, sent_s, received[sender, receiver], ticks[receiver], age_max_s)
+            )
+    return FleetMessages({name: _spans(sent[name]) for name in fleet.flights}, tuple(links), tuple(problems))
 
 
 def _age_max_s(fleet: Fleet, member: str) -> float:
@@ -102,32 +106,32 @@ def _age_max_s(fleet: Fleet, member: str) -> float:
     return AGE_MAX_S if config is None or config.fleet is None else config.fleet.age_max_s
 
 
-def _spans(told: list[_Told]) -> tuple[Span, ...]:
-    runs = [(key, next(run)[0]) for key, run in groupby(told, key=lambda each: each[1:])]
-    ends_s = [*(begin_s for _, begin_s in runs[1:]), told[-1][0]] if told else []
+def _spans(sent: list[_Sent]) -> tuple[Span, ...]:
+    runs = [(key, next(run)[0]) for key, run in groupby(sent, key=lambda each: each[1:])]
+    ends_s = [*(begin_s for _, begin_s in runs[1:]), sent[-1][0]] if sent else []
     return tuple(Span(begin_s, end_s, *key) for (key, begin_s), end_s in zip(runs, ends_s, strict=True))
 
 
-def _way(
-    teller: str,
-    hearer: str,
-    told_s: list[float],
-    heard: list[tuple[float, float, Intent]],
+def _link(
+    sender: str,
+    receiver: str,
+    sent_s: list[float],
+    received: list[tuple[float, float, Intent]],
     ticks_s: list[float],
     age_max_s: float,
-) -> Way:
+) -> Link:
     begin_s, end_s = ticks_s[0], ticks_s[-1]
-    told = sum(begin_s <= t_s < end_s for t_s in told_s)
-    times_s = [t_s for t_s, _, _ in heard]
-    over = bool(heard) and heard[-1][2] is Intent.DOWN  # then it may fall silent
+    sent = sum(begin_s <= t_s < end_s for t_s in sent_s)
+    times_s = [t_s for t_s, _, _ in received]
+    over = bool(received) and received[-1][2] is Intent.DOWN  # then it may stop sending
     edges = np.array([begin_s, *times_s] if over else [begin_s, *times_s, end_s])
     gaps_s: Floats = np.diff(edges)
     silent = tuple(
         (float(edges[at] + age_max_s), float(edges[at + 1])) for at in np.flatnonzero(gaps_s > age_max_s)
     )
-    late_max_s = max((late_s for _, late_s, _ in heard), default=None)
+    late_max_s = max((late_s for _, late_s, _ in received), default=None)
     gap_max_s = float(gaps_s.max()) if len(gaps_s) else 0.0
-    return Way(teller, hearer, told, len(heard), late_max_s, gap_max_s, silent)
+    return Link(sender, receiver, sent, len(received), late_max_s, gap_max_s, silent)
 
 
 def waited_s(spans: tuple[Span, ...]) -> float:
