@@ -15,8 +15,8 @@ from logs.recorder.feed import Kind, Record, encode_json
 from logs.recorder.mcap_file import McapFile
 from logs.recorder.recording import Recorder
 from logs.schema import schemas
+from logs.schema.controller_rows import word_row
 from logs.schema.events import CONTROLLER, pack_log
-from logs.schema.fleet_rows import word_row
 from logs.schema.rows import FleetPairRow, LogRow
 from sim.campaign.team_rows import judge_team
 from sim.runners import landing as team_runner

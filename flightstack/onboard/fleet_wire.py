@@ -20,7 +20,7 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.sender_clock import Reading, SenderClock
 from flightstack.core.types import Neighbour
 from flightstack.onboard.fleet_clock import OtherClock
-from logs.schema.fleet_rows import Echo, neighbour_of, word_row
+from logs.schema.controller_rows import Echo, neighbour_of, word_row
 from logs.schema.names import member_name
 from logs.schema.rows import FleetWordRow
 from logs.schema.schemas import FLEET_WORD

@@ -29,7 +29,7 @@ from flightstack.common.pacing import (
 from flightstack.core.types import Neighbour
 from flightstack.onboard.leaving import LAND_SHOWN_MAX_S, Person
 from flightstack.onboard.runner import Arrived, ClockStoppedError, LinkedVehicle, decoded
-from logs.schema.fleet_rows import pack_neighbours, unpack_neighbours, word_row
+from logs.schema.controller_rows import pack_neighbours, unpack_neighbours, word_row
 
 CREDIT_EVERY = 10  # ticks
 WAIT_SLICE_S = 0.05  # s of wall time between looks at the signals while waiting

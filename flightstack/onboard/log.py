@@ -13,10 +13,15 @@ from flightstack.core.controller import Outputs
 from flightstack.core.memory import FleetState, State
 from flightstack.onboard.runner import Taken
 from flightstack.onboard.state_text import StateText
-from logs.schema.codec_mavlink import MAVLINK_PEERS, PeerNames, pack_mavlink
-from logs.schema.controller_rows import TickInputs, pack_controller_input, power_row, step_row
+from logs.schema.controller_rows import (
+    TickInputs,
+    pack_controller_input,
+    pack_neighbours,
+    power_row,
+    step_row,
+)
 from logs.schema.events import CONTROLLER, ONBOARD, pack_log
-from logs.schema.fleet_rows import pack_neighbours
+from logs.schema.mavlink import MAVLINK_PEERS, PeerNames, pack_mavlink
 from logs.schema.names import OWN, Names
 from logs.schema.rows import ControllerStateRow, ControllerStepRow, LoopTimingRow
 from logs.schema.schemas import (

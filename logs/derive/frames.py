@@ -1,6 +1,6 @@
 """Recorded MAVLink frames, decoded into messages of named fields, and counted.
 
-Both look at the bytes of the raw record (``logs.schema.codec_mavlink``) directly: frames are most of a log.
+Both look at the bytes of the raw record (``logs.schema.mavlink``) directly: frames are most of a log.
 """
 
 from __future__ import annotations
@@ -9,8 +9,7 @@ import struct
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from logs.schema.codec_mavlink import PEER_CHARACTERS, FrameError
-from logs.schema.mavlink_types import Type, of
+from logs.schema.mavlink import PEER_CHARACTERS, FrameError, Type, of
 
 TOPICS_MAX = 512  # bound on topics, since a sender can invent system ids
 SENDERS_MAX = 256  # senders whose sequence numbers are followed
@@ -37,7 +36,7 @@ class FrameCounter:
         self.lost = 0
 
     def add(self, payload: bytes) -> None:
-        """Count one record of :func:`logs.schema.codec_mavlink.pack_mavlink`."""
+        """Count one record of :func:`logs.schema.mavlink.pack_mavlink`."""
         at = _fixed_at(payload)
         sequence, sender = payload[at + _SEQUENCE], payload[at + _SENDER] << 8 | payload[at + _SENDER + 1]
         last = self._last.get(sender)
@@ -77,7 +76,7 @@ class FrameDecoder:
             self._known.clear()
 
     def step(self, log_time_ns: int, payload: bytes) -> list[tuple[str, str, bytes]]:
-        """Return (topic, schema, CDR) of one record of :func:`logs.schema.codec_mavlink.pack_mavlink`."""
+        """Return (topic, schema, CDR) of one record of :func:`logs.schema.mavlink.pack_mavlink`."""
         del log_time_ns
         if len(payload) < _WORDS_END:
             raise FrameError(f"frame record of {len(payload)} bytes is cut short")

@@ -14,7 +14,7 @@ import numpy as np
 from flightstack.core.types import Intent
 from logs.reader.flight_data import Fleet, Floats
 from logs.reader.reader import LogFile
-from logs.schema.fleet_rows import unpack_neighbours
+from logs.schema.controller_rows import unpack_neighbours
 from logs.schema.rows import FleetWordRow
 from logs.schema.schemas import CONTROLLER_NEIGHBOURS, FLEET_WORD
 

@@ -16,10 +16,9 @@ from flightstack.common.strict_toml import ConfigError, from_table, parse_toml
 from flightstack.core.parameters.flight import FlightConfig
 from logs.reader.flight_data import ATTACHMENT
 from logs.reader.reader import LogError, LogFile
-from logs.schema.codec_mavlink import peer_of, unpack_mavlink
-from logs.schema.controller_rows import TickInputs, unpack_controller_input, unpack_power
+from logs.schema.controller_rows import TickInputs, unpack_controller_input, unpack_neighbours, unpack_power
 from logs.schema.events import CONTROLLER, ONBOARD
-from logs.schema.fleet_rows import unpack_neighbours
+from logs.schema.mavlink import peer_of, unpack_mavlink
 from logs.schema.rows import ControllerStateRow, LogRow
 from logs.schema.schemas import CONTROLLER_INPUT
 

@@ -10,8 +10,7 @@ import plotly.graph_objects as go
 
 from logs.reader.fleet_messages import FleetMessages
 from logs.reader.flight_data import Fleet, Flight, Floats
-from logs.report.derived import Errors, Side, estimate_errors, root_mean_square
-from logs.report.links import Stream
+from logs.report.derived import Errors, Side, Stream, estimate_errors, root_mean_square
 from logs.report.series import (
     barrier_over_time,
     data_age,

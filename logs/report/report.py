@@ -13,13 +13,6 @@ from logs.reader.fleet_messages import FleetMessages, load_messages
 from logs.reader.flight_data import ATTACHMENT, Fleet, Flight
 from logs.reader.reader import LogFile
 from logs.report.derived import Side
-from logs.report.fleet_tables import (
-    fleet_result_table,
-    members_table,
-    messages_table,
-    pairs_table,
-    waits_table,
-)
 from logs.report.page import (
     ReportError,
     block,
@@ -43,12 +36,17 @@ from logs.report.tables import (
     definitions,
     events_table,
     faults_table,
+    fleet_result_table,
     headline,
     links_table,
+    members_table,
+    messages_table,
+    pairs_table,
     phases_table,
     result_table,
     run_table,
     versions_table,
+    waits_table,
 )
 from logs.schema.names import FLEET, TEAM
 from logs.verdict.types import RADIUS_BESIDE_M, SOURCES, TRUTH, Outcome, Verdict
@@ -116,8 +114,8 @@ def _written(target: Path, text: str) -> Path:
 def render(flight: Flight, verdict: Verdict, of: str | None = None) -> str:
     """Return the page of a flight as text, with a link to the page ``of`` its fleet."""
     need_libraries()
+    from logs.report.derived import load_streams
     from logs.report.figures import panels
-    from logs.report.links import load_streams
 
     run = flight.metadata.get("run", {})
     streams = load_streams(flight.path, flight.origin_ns, flight.member)
@@ -212,7 +210,7 @@ def _comparison(a: Side, b: Side) -> str:
 
 
 def _side(name: str, log: Path, member: str | None) -> Side:
-    from logs.report.links import load_streams
+    from logs.report.derived import load_streams
 
     member = member if LogFile(log).members else None  # the other log may be that of a single flight
     LogFile(log, member).single()

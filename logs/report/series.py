@@ -11,9 +11,8 @@ from plotly.subplots import make_subplots
 
 from flightstack.core.types import FilterStatus
 from logs.reader.flight_data import Flight, Floats, Steps
-from logs.report.derived import estimate_errors, held_margin_m, tilt_deg
-from logs.report.links import POSITION, Stream
-from logs.report.links import TARGET as TARGET_STREAM
+from logs.report.derived import POSITION, Stream, estimate_errors, held_margin_m, tilt_deg
+from logs.report.derived import TARGET as TARGET_STREAM
 from logs.report.space import marker
 from logs.report.style import (
     BOUNDARY,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from bridge.ros2.codec import MAP, Field, Pack, Unpack, fields_of_text, standard
 from bridge.ros2.codec import codec as cdr_codec
-from logs.schema import mavlink_types
+from logs.schema import mavlink
 
 if TYPE_CHECKING:  # a process that packs rows needs none of it: a fortieth of a second of each start
     from rosbags.interfaces import Nodetype
@@ -115,11 +115,11 @@ def _field(name: str, node: Nodetype, detail: Any) -> Field:
 def store_for(name: str) -> Typestore:
     """Return the store, with a decoded MAVLink type registered if the name is one."""
     store = typestore()
-    if name not in store.fielddefs and name.startswith(mavlink_types.PACKAGE):
+    if name not in store.fielddefs and name.startswith(mavlink.PACKAGE):
         from rosbags.typesys import get_types_from_msg
 
         try:
-            store.register(get_types_from_msg(mavlink_types.definition(name), name))
+            store.register(get_types_from_msg(mavlink.definition(name), name))
         except KeyError as error:
             raise UnknownSchemaError(f"unknown message type {name!r}: not in the MAVLink dialect") from error
     return store
@@ -132,7 +132,7 @@ def schema_text(name: str) -> str:
     Our own types keep their comments, since viewers show them.
     """
     generated: str = _known(name).generate_msgdef(name, ros_version=2)[0]
-    if name not in _OURS and not name.startswith(mavlink_types.PACKAGE):
+    if name not in _OURS and not name.startswith(mavlink.PACKAGE):
         return generated
     _, separator, used = generated.partition(_SEPARATOR)
     return _own_text(name).rstrip("\n") + "\n" + separator + used
@@ -149,13 +149,13 @@ def _known(name: str) -> Typestore:
     if name not in store.fielddefs:
         raise UnknownSchemaError(
             f"unknown message type {name!r}; allowed are ROS 2 Jazzy standard types, "
-            f"{mavlink_types.PACKAGE}* and {', '.join(_OURS)}"
+            f"{mavlink.PACKAGE}* and {', '.join(_OURS)}"
         )
     return store
 
 
 def _own_text(name: str) -> str:
-    if name.startswith(mavlink_types.PACKAGE):
-        return mavlink_types.definition(name)
+    if name.startswith(mavlink.PACKAGE):
+        return mavlink.definition(name)
     text: str = (files("logs.schema") / "msg" / _OURS[name]).read_text(encoding="ascii")
     return text

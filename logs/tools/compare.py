@@ -21,7 +21,7 @@ import numpy as np
 from flightstack.common.text import one_line
 from logs.reader.reader import LogError, LogFile, Message
 from logs.recorder.recording import RECORDER, RECORDER_NAME
-from logs.schema.codec_mavlink import MAVLINK_PEERS
+from logs.schema.mavlink import MAVLINK_PEERS
 from logs.schema.names import LOSSES, split
 from logs.schema.rows import LogRow
 from logs.schema.schemas import CONTROLLER_STEP, DIAGNOSTIC_ARRAY, LOG, LOOP_TIMING, store_for

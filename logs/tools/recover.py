@@ -14,8 +14,7 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from mcap.records import Message as MessageRecord
 
 from logs.reader.reader import LogFile
-from logs.recorder.mcap_file import CHUNK_BYTES
-from logs.recorder.mcap_writer import ChunkedWriter
+from logs.recorder.mcap_file import CHUNK_BYTES, ChunkedWriter
 from logs.tools.file import new_file
 
 LOG_TOOL = "log_tool"  # metadata: which command made this file, from what

@@ -33,8 +33,8 @@ from flightstack.core.types import (
     VehicleStatus,
 )  # fmt: skip
 from logs.schema import schemas
-from logs.schema.codec_mavlink import pack_mavlink
 from logs.schema.controller_rows import TickInputs, pack_controller_input
+from logs.schema.mavlink import pack_mavlink
 from logs.schema.rows import ControllerStepRow
 from logs.schema.schemas import codec
 from tests.integration.runs import flightstack

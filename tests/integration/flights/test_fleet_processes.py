@@ -6,7 +6,7 @@ import pytest
 from logs.reader.flight import load_fleet
 from logs.reader.reader import LogFile
 from logs.replay.replay import replay
-from logs.schema.fleet_rows import unpack_neighbours
+from logs.schema.controller_rows import unpack_neighbours
 from logs.verdict.verdict import judge_fleet
 from sim.scenarios.team import load
 from tests.integration.runs import Flying, called

@@ -17,7 +17,7 @@ from flightstack.cli.main import main
 from logs.reader.flight import load_fleet
 from logs.reader.reader import LogFile
 from logs.replay.replay import replay
-from logs.schema.fleet_rows import unpack_neighbours
+from logs.schema.controller_rows import unpack_neighbours
 from logs.schema.rows import FleetWordRow
 from logs.verdict.verdict import judge_fleet
 from sim.plant import params

@@ -23,7 +23,7 @@ from rerun.chunk import RrdReader
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Nodetype
 
-from logs.schema.codec_mavlink import unpack_mavlink
+from logs.schema.mavlink import unpack_mavlink
 from logs.view.layout_files import layout
 from tests.integration.runs import COMMAND, flightstack
 from tests.processes.bounded import killed, lines_of

@@ -11,8 +11,8 @@ from logs.recorder.feed import Kind, Record, encode_json
 from logs.recorder.mcap_file import McapFile
 from logs.recorder.recording import Recorder
 from logs.schema import schemas
-from logs.schema.codec_mavlink import pack_mavlink
 from logs.schema.events import Severity, pack_log
+from logs.schema.mavlink import pack_mavlink
 from logs.schema.rows import ControllerStepRow, LoopTimingRow, TrueStateRow
 
 DEADLINE_S = 30.0  # a test that waits this long has failed

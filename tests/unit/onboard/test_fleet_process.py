@@ -17,7 +17,7 @@ from flightstack.onboard.options import OnboardOptions
 from flightstack.onboard.process import Onboard
 from flightstack.onboard.runner import LinkedVehicle
 from logs.schema import schemas
-from logs.schema.fleet_rows import unpack_neighbours
+from logs.schema.controller_rows import unpack_neighbours
 from logs.schema.rows import FleetWordRow
 from tests.processes.ports import free_endpoint
 from tests.unit.target.ros2_helpers import until

@@ -11,7 +11,7 @@ from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.types import Intent, Neighbour
 from flightstack.onboard import fleet_wire
 from flightstack.onboard.fleet_wire import BYTES_MAX, FleetWire
-from logs.schema.fleet_rows import Echo, word_row
+from logs.schema.controller_rows import Echo, word_row
 from logs.schema.rows import FleetWordRow
 from tests.processes.ports import free_endpoint
 from tests.unit.target.ros2_helpers import until

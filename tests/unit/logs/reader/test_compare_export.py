@@ -21,8 +21,8 @@ from logs.reader.reader import LogError
 from logs.recorder.mcap_file import McapFile
 from logs.recorder.recording import RECORDER_NAME
 from logs.schema import schemas
-from logs.schema.codec_mavlink import pack_mavlink
 from logs.schema.events import pack_log
+from logs.schema.mavlink import pack_mavlink
 from logs.schema.names import LOSSES
 from logs.schema.rows import ControllerStepRow, LoopTimingRow
 from logs.tools.compare import ABSENT, compare

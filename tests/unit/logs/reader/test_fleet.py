@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from logs.reader.flight import load_fleet, load_flight
-from logs.reader.members import Members, MemberView
-from logs.reader.reader import LogError, LogFile
+from logs.reader.reader import LogError, LogFile, Members, MemberView
 from logs.recorder.mcap_file import McapFile
 from logs.schema import schemas
 from logs.schema.events import pack_log

@@ -90,7 +90,7 @@ def test_lost_words_are_counted(words):
 def test_a_member_that_is_not_heard_is_silent(fleet, read, tmp_path):
     """The words of cf1 to cf2 are taken out of two seconds of the log."""
     from flightstack.common.pacing import Tick
-    from logs.schema.fleet_rows import pack_neighbours, unpack_neighbours
+    from logs.schema.controller_rows import pack_neighbours, unpack_neighbours
     from tests.unit.logs.replay.test_replay_members import copied
 
     def change(m):

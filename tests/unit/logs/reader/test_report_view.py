@@ -19,8 +19,16 @@ from flightstack.core.safety.robust_barrier import RobustBarrier
 from flightstack.core.types import FilterStatus, Phase
 from flightstack.launch.run_options import RunOptions
 from logs.reader.flight import load_flight
-from logs.report.derived import estimate_errors, fault_spans, held_margin_m, tilt_deg
-from logs.report.links import TARGET, load_streams, missing, missing_of_256
+from logs.report.derived import (
+    TARGET,
+    estimate_errors,
+    fault_spans,
+    held_margin_m,
+    load_streams,
+    missing,
+    missing_of_256,
+    tilt_deg,
+)
 from logs.report.page import html, page, table
 from logs.report.report import command, repeat_section, write_comparison
 from logs.report.tables import ages_table, faults_table, links_table, phases_table

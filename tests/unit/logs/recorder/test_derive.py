@@ -15,7 +15,7 @@ from logs.derive.diagnostics import Health
 from logs.derive.frames import SENDERS_MAX, FrameCounter
 from logs.derive.markers import PATH_POINTS, surface
 from logs.schema import schemas
-from logs.schema.codec_mavlink import pack_mavlink
+from logs.schema.mavlink import pack_mavlink
 from logs.schema.rows import ControllerStepRow, LoopTimingRow
 from logs.schema.schemas import codec
 

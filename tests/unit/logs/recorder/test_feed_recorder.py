@@ -13,8 +13,7 @@ from mcap.reader import make_reader
 from logs.reader.reader import LogFile
 from logs.recorder import feed
 from logs.recorder.feed import HEADER, Feed, FeedError, Kind, Splitter, encode, encode_json
-from logs.recorder.mcap_file import McapFile
-from logs.recorder.mcap_writer import ChunkedWriter
+from logs.recorder.mcap_file import ChunkedWriter, McapFile
 from logs.recorder.recorder import RecorderError, RecorderProcess, problems
 from logs.recorder.recording import Recorder
 from logs.schema import schemas

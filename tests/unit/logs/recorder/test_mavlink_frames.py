@@ -15,8 +15,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from bridge.mavlink.codec.decoding import decode
 from bridge.mavlink.codec.wide_messages import MESSAGES
 from logs.derive.frames import TOPICS_MAX, FrameDecoder
-from logs.schema import mavlink_types, schemas
-from logs.schema.codec_mavlink import (
+from logs.schema import mavlink, schemas
+from logs.schema.mavlink import (
     MAVLINK_PEERS,
     NAMED_MAX,
     OTHERS,
@@ -133,12 +133,12 @@ def decoded(frame, peer=b"p00"):
     return topic, schema, message
 
 
-@pytest.mark.parametrize("number", mavlink_types.numbers())
+@pytest.mark.parametrize("number", mavlink.numbers())
 def test_every_message_of_the_dialect(number):
     cls = MESSAGES[number]
     rng = np.random.default_rng(number)
-    kind = mavlink_types.of(number)
-    assert ROS_TYPE.fullmatch(kind.schema.removeprefix(mavlink_types.PACKAGE))
+    kind = mavlink.of(number)
+    assert ROS_TYPE.fullmatch(kind.schema.removeprefix(mavlink.PACKAGE))
     assert len({f.name for f in kind.fields}) == len(kind.fields)
     for _ in range(3):
         payload = bytes(rng.integers(1, 127, kind.size, dtype=np.uint8))  # no zeros: text fills its field

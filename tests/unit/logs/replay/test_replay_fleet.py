@@ -15,7 +15,7 @@ from flightstack.onboard.runner import Taken
 from logs.reader.reader import LogFile
 from logs.replay.replay import ReplayError, replay
 from logs.schema import schemas
-from logs.schema.fleet_rows import pack_neighbours, unpack_neighbours
+from logs.schema.controller_rows import pack_neighbours, unpack_neighbours
 from tests.golden.flights import write_kept
 from tests.unit.core.fleet.fleet_helpers import RATE_HZ, Flyer, Sky, all_landed, parked, settings_of
 from tests.unit.logs.replay.replay_helpers import FileFeed, NoSession

@@ -13,9 +13,9 @@ from logs.reader.reader import LogFile
 from logs.replay.read import SINK, SOURCE, FlightInputs, TickRecord
 from logs.replay.replay import replay
 from logs.replay.wire import WireReplay
-from logs.schema.codec_mavlink import pack_mavlink, peer_of, unpack_mavlink
 from logs.schema.controller_rows import TickInputs
 from logs.schema.events import ONBOARD
+from logs.schema.mavlink import pack_mavlink, peer_of, unpack_mavlink
 from logs.schema.rows import LogRow
 from tests.golden.flights import path_of, write_kept
 from tests.point_mass import World
