@@ -74,7 +74,6 @@ class FakeAutopilot:
         return []
 
     def handle(self, m):
-        """Answers to a message."""
         self.asked.append(m)
         kind = m.get_type()
         if kind == "COMMAND_LONG":

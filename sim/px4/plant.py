@@ -15,8 +15,8 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Cell
 from flightstack.core.types import Vec3
-from sim.plant.params import STEP_S, Params
-from sim.plant.rotors import Four, speed_limit
+from sim.plant.params import Params
+from sim.plant.rotors import speed_limit
 from sim.plant.vehicle_types import Truth
 from sim.scenarios.scenario import Scenario, StartKind
 from sim.vehicle.loop import CONTROL_EVERY_MS, VehicleRecord, cushion, move, push, surround
@@ -73,7 +73,6 @@ class Px4Plant:
             )
         self._physics = physics = Physics(scenario, seed)
         self.params, self.plant, self._world = physics.params, physics.plant, physics.world
-        self._rotors, self._wind = physics.rotors, physics.wind
         self._vehicle = physics.vehicle
         physics.record.motor_share[:] = 1.0
         physics.ground_ms[0] = physics.since_ms[0] = 0
@@ -98,23 +97,6 @@ class Px4Plant:
             fly_commanded(self._vehicle, self.wanted, self._ms, stop_ms)
             self._ms = stop_ms
         self._physics.judge_once_airborne(self._ms)
-
-    @property
-    def time_s(self) -> float:  # simulated
-        return self._ms * STEP_S
-
-    @property
-    def on_pad(self) -> bool:
-        """Whether it touches the pad's top; bounces shorter than 30 ms do not count."""
-        return self._physics.on_pad(self._ms)
-
-    @property
-    def on_ground(self) -> bool:
-        return self._physics.on_ground(self._ms)
-
-    @property
-    def rotor_rpm(self) -> Four:
-        return self._rotors.rpm
 
     def body(self) -> Body:
         """Return the true state now."""

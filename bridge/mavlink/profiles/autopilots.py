@@ -194,7 +194,7 @@ PX4 = Profile(
     ),
 )
 
-OWN_SITL = replace(  # the simulated vehicle imitates PX4 by default
+OWN_SITL = replace(  # the simulated vehicle imitates PX4
     PX4,
     name="sitl",
     title="own simulator, OFFBOARD",

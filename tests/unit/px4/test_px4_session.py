@@ -87,10 +87,10 @@ def test_steps_with_each_answer_and_tells_what_happens(pair):
     pair.begin()
     pair.answering([(0.7,) * 4] * 50)
     assert pair.session.steps == 51
-    assert pair.session.plant.time_s == pytest.approx(0.204)
-    assert min(pair.session.plant.rotor_rpm) > 5000.0
+    assert pair.session.plant.truth().time_s == pytest.approx(0.204)
+    assert min(pair.session.plant.truth().rotor_rpm) > 5000.0
     pair.answering([(0.7,) * 4] * 200, armed=False)  # outputs of a disarmed PX4 count for nothing
-    assert max(pair.session.plant.rotor_rpm) < 1.0
+    assert max(pair.session.plant.truth().rotor_rpm) < 1.0
     assert pair.events == [Event.CONNECTED, Event.LOCKSTEP, Event.ARMED, Event.DISARMED]
     assert pair.session.nudges == 0
 
@@ -131,7 +131,7 @@ def test_a_px4_of_mavlink_1_flies_too(server):
     old.begin()
     old.answering([(0.7,) * 4] * 20)
     assert old.session.steps == 21
-    assert min(old.session.plant.rotor_rpm) > 1000.0
+    assert min(old.session.plant.truth().rotor_rpm) > 1000.0
 
 
 def test_a_silent_px4_is_called_dead_with_the_time_and_hardly_anything_moves_meanwhile(pair, short):
