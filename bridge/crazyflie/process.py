@@ -20,8 +20,7 @@ from bridge.crazyflie.node import COMPONENT_ID, Node
 from bridge.crazyflie.rules import CrazyflieOptions, Rules
 from bridge.crazyflie.types import Arrived, Link, Packet, Pose, SetParam
 from bridge.frames import yaw_from_quaternion
-from bridge.mavlink.endpoint import Endpoint, parse_peer, parse_url
-from bridge.mavlink.signing.key import load_key
+from bridge.mavlink.endpoint import Endpoint, open_endpoint, parse_url
 from bridge.mocap.checks import Passed
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import run_promptly
@@ -212,17 +211,10 @@ def run(
     )
     kind, host, port = parse_url(options.url)
     with ExitStack() as stack:
-        endpoint = Endpoint(
-            options.url,
-            options.system_id,
-            COMPONENT_ID,
-            signing_key=load_key(options.signing_key) if options.signing_key else None,
-            always=[parse_peer(peer) for peer in options.peers],
-            allow_unsigned=options.allow_unsigned,
+        endpoint = open_endpoint(
+            "crazyflie", options.url, options.system_id, COMPONENT_ID, options, options.peers
         )
         stack.callback(endpoint.close)
-        for warning in endpoint.warnings:
-            print(f"crazyflie: WARNING: {warning}", file=sys.stderr)
         run_promptly()  # before the link: cflib's threads have the priority of the one that starts them
         link = CrazyflieLink(options.uri, options.cache)
         stack.callback(link.close)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -20,11 +21,12 @@ from bridge.mavlink.codec.framing import (
     without_signature,
 )
 from bridge.mavlink.codec.packing import pack
-from bridge.mavlink.signing.key import SigningKey
+from bridge.mavlink.signing.key import SigningKey, load_key
 from bridge.mavlink.signing.signing import ANSWERED, Refusal, Signer, StaleAnswers
 from bridge.mavlink.transport.address import Peer, PeerTable, check_policy, parse_peer, parse_url, resolve
 from bridge.mavlink.transport.byte_stream import open_stream
 from bridge.mavlink.transport.transport import DatagramTransport, EndpointCounters, Transport
+from flightstack.config.options import Signing
 
 _SENDERS_MAX = 16  # greatest number of other systems and components with a counter
 
@@ -329,3 +331,24 @@ class Endpoint:
             frames.append(frame)
             wire.append(signed)
         return frames, wire
+
+
+def open_endpoint(
+    who: str, url: str, system_id: int, component_id: int, signing: Signing, peers: Sequence[str] = ()
+) -> Endpoint:
+    """Open an endpoint with the options of a process, and print its warnings.
+
+    ``who``: the process, before each warning; ``url``, ``system_id`` and ``component_id``: of the endpoint;
+    ``signing``: options with the key; ``peers``: HOST:PORT of those who get telemetry before they speak.
+
+    Raises ValueError: a URL, peer or key that is not understood, or a network without a key; OSError: the
+    address cannot be opened.
+    """
+    endpoint = Endpoint(
+        url, system_id, component_id,
+        signing_key=load_key(signing.signing_key) if signing.signing_key else None,
+        always=[parse_peer(peer) for peer in peers], allow_unsigned=signing.allow_unsigned,
+    )  # fmt: skip
+    for warning in endpoint.warnings:
+        print(f"{who}: WARNING: {warning}", file=sys.stderr)
+    return endpoint

@@ -11,8 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.client.senders import Senders
-from bridge.mavlink.endpoint import Endpoint
-from bridge.mavlink.signing.key import load_key
+from bridge.mavlink.endpoint import Endpoint, open_endpoint
 from bridge.mocap.checks import Limits, Passed, PoseChecks, Sample, centre
 from bridge.mocap.options import MocapOptions, PoseOptions
 from bridge.mocap.vehicle import COMPONENT_ID, MocapVehicle
@@ -201,16 +200,8 @@ def run(options: MocapOptions, say: Callable[[str], None] = print) -> int:
         origin = Origin(*options.origin)
     spec = parse_spec(options.pose_key, options.pose_type, options.ros_domain)
     with ExitStack() as stack:
-        endpoint = Endpoint(
-            options.vehicle_url,
-            options.system_id,
-            COMPONENT_ID,
-            signing_key=load_key(options.signing_key) if options.signing_key else None,
-            allow_unsigned=options.allow_unsigned,
-        )
+        endpoint = open_endpoint("mocap", options.vehicle_url, options.system_id, COMPONENT_ID, options)
         stack.callback(endpoint.close)
-        for warning in endpoint.warnings:
-            print(f"mocap: WARNING: {warning}", file=sys.stderr)
         session = zenoh_link.open_session(
             options.listen, options.connect, config_file=options.zenoh_config, prompt=True
         )

@@ -14,8 +14,7 @@ from contextlib import ExitStack
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.endpoint import Endpoint, parse_peer
-from bridge.mavlink.signing.key import load_key
+from bridge.mavlink.endpoint import Endpoint, open_endpoint
 from bridge.mavlink.transport.address import parse_udp_url
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
@@ -264,17 +263,9 @@ def opened(options: VehicleOptions, number: int, system_id: int, stack: ExitStac
     port += number - 1 if port else 0
     if options.lockstep and options.peers:
         raise ValueError("--peer is for real time: in lockstep the companion calls first")
-    endpoint = Endpoint(
-        f"{kind}:{host}:{port}",
-        system_id,
-        COMPONENT_ID,
-        signing_key=load_key(options.signing_key) if options.signing_key else None,
-        always=[parse_peer(peer) for peer in options.peers],
-        allow_unsigned=options.allow_unsigned,
-    )
+    mine = f"{kind}:{host}:{port}"
+    endpoint = open_endpoint("vehicle", mine, system_id, COMPONENT_ID, options, options.peers)
     stack.callback(_close, endpoint)
-    for warning in endpoint.warnings:
-        print(f"vehicle: WARNING: {warning}", file=sys.stderr)
     return endpoint, f"{kind}:{host}:{endpoint.local_port if kind == 'udpin' else port}"
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import click
 from rich.table import Column, Table
 
-from bridge.mavlink.endpoint import Endpoint
+from bridge.mavlink.endpoint import open_endpoint
 from bridge.mavlink.preflight.provision import provision
 from bridge.mavlink.preflight.rules import Level
 from bridge.mavlink.preflight.talk import Report
@@ -67,14 +67,8 @@ def preflight(options: PreflightOptions) -> None:
     config = load(options.config_file) if options.config_file is not None else _PAPER
     if options.provision_signing or options.remove_signing:
         _set_up_signing(options)
-    endpoint = Endpoint(
-        options.vehicle_url, options.system_id, _COMPONENT_ID,
-        signing_key=load_key(options.signing_key) if options.signing_key else None,
-        allow_unsigned=options.allow_unsigned,
-    )  # fmt: skip
+    endpoint = open_endpoint("preflight", options.vehicle_url, options.system_id, _COMPONENT_ID, options)
     try:
-        for warning in endpoint.warnings:
-            print(f"preflight: WARNING: {warning}", file=sys.stderr)
         report = checks.check(
             endpoint, config, options.autopilot, options.system_id, wait_s=options.wait_s,
             accept_release=options.accept_release,

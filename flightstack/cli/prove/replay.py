@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from logs.tools.compare import Tally
 
 EQUAL, DIFFERENT, UNUSABLE = 0, 1, 2
-_WORST_FIRST = ("unusable", "different", "equal")
+_STATUS = {"unusable": UNUSABLE, "different": DIFFERENT, "equal": EQUAL}  # the worst first
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,88 +50,58 @@ def replay(options: ReplayOptions) -> None:
     """
     from logs.replay.replay import ReplayError
 
-    try:
-        members = () if options.member is not None else _members(options.log)
-        if members:
-            sys.exit(_fleet(options, members))
-        result = _run(options, options.member)
-    except ReplayError as error:
-        if options.as_json:
-            click.echo(json.dumps(_unusable(options.log, error)))
-        raise
-    if options.as_json:
-        click.echo(json.dumps(_object(result, options.settings)))
+    members = () if options.member is not None else _members(options.log)
+    found = {}
+    for member in members or (options.member,):
+        found[member], lines = _one(options, member)
+        if members and not options.as_json:
+            click.echo(plain("\n".join(f"{member}: {line}" for line in lines)))
+    results = [told["result"] for told in found.values()]
+    worst = next(word for word in _STATUS if word in results)
+    if members and options.as_json:
+        whole = {"result": worst, "path": str(options.log), "set": list(options.settings)}
+        click.echo(json.dumps({**whole, "members": found}))
+    elif members:
+        click.echo(f"{worst}: {len(members)} members")
     else:
-        click.echo(plain("\n".join(_lines(result, options.settings))))
-    sys.exit(_status(options, result))
+        if options.as_json:
+            click.echo(json.dumps(found[options.member]))
+        if worst == "unusable":
+            raise ReplayError(found[options.member]["reason"])
+        if not options.as_json:
+            click.echo(plain("\n".join(lines)))
+    shown_only = options.settings and not options.check
+    sys.exit(EQUAL if shown_only and worst == "different" else _STATUS[worst])
 
 
 def _members(log: Path) -> tuple[str, ...]:
-    """Members of a fleet; () for one flight."""
+    """Members of a fleet; () for one flight, and for a log that cannot be read."""
     from logs.reader.reader import LogError, LogFile
-    from logs.replay.replay import ReplayError
 
     try:
         return LogFile(log).members
-    except LogError as error:
-        raise ReplayError(str(error)) from error
+    except LogError:
+        return ()
 
 
-def _run(options: ReplayOptions, member: str | None) -> Result:
-    """Replay one flight."""
+def _one(options: ReplayOptions, member: str | None) -> tuple[dict[str, Any], list[str]]:
+    """Replay one flight; the object of ``--json`` and the lines for a person."""
     from flightstack.verify.certificate import problems
     from logs.replay.read import changed
-    from logs.replay.replay import FlightInputs
+    from logs.replay.replay import FlightInputs, ReplayError
     from logs.replay.replay import replay as run
 
     log, settings = options.log, options.settings
-    config = changed(FlightInputs(log, member).table, settings) if settings else None
-    result = run(log, config, member)
+    try:
+        config = changed(FlightInputs(log, member).table, settings) if settings else None
+        result = run(log, config, member)
+    except ReplayError as error:
+        return {"result": "unusable", "path": str(log), "reason": str(error)}, [f"unusable: {error}"]
     if config is not None:
         result.notes += [f"it would be refused before take-off: {text}" for text in problems(config)]
-    return result
-
-
-def _status(options: ReplayOptions, result: Result) -> int:
-    return DIFFERENT if not result.equal and (options.check or not options.settings) else EQUAL
-
-
-def _fleet(options: ReplayOptions, members: Sequence[str]) -> int:
-    """Replay each member alone and tell; the exit status of the worst."""
-    from logs.replay.replay import ReplayError
-
-    status, told = EQUAL, {}
-    for member in members:
-        try:
-            result = _run(options, member)
-        except ReplayError as error:
-            status = UNUSABLE
-            told[member] = _unusable(options.log, error)
-            lines = [f"unusable: {error}"]
-        else:
-            status = max(status, _status(options, result))
-            told[member] = _object(result, options.settings)
-            lines = _lines(result, options.settings)
-        if not options.as_json:
-            click.echo(plain("\n".join(f"{member}: {line}" for line in lines)))
-    results = {each["result"] for each in told.values()}
-    whole = next(word for word in _WORST_FIRST if word in results)
-    if options.as_json:
-        whole_told = {"result": whole, "path": str(options.log), "set": list(options.settings)}
-        click.echo(json.dumps({**whole_told, "members": told}))
-    else:
-        click.echo(f"{whole}: {len(members)} members")
-    return status
-
-
-def _unusable(log: Path, error: ValueError) -> dict[str, Any]:
-    return {"result": "unusable", "path": str(log), "reason": str(error)}
-
-
-def _object(result: Result, settings: Sequence[str]) -> dict[str, Any]:
-    whole = asdict(result)
-    whole["path"] = str(result.path)
-    return {"result": "equal" if result.equal else "different", "set": list(settings), **whole}
+    word = "equal" if result.equal else "different"
+    told = {"result": word, "set": list(settings), **asdict(result), "path": str(result.path)}
+    return told, _lines(result, settings)
 
 
 def _lines(result: Result, settings: Sequence[str]) -> list[str]:
