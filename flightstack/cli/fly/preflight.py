@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import click
 from rich.table import Column, Table
+from rich.text import Text
 
 from bridge.mavlink.endpoint import open_endpoint
 from bridge.mavlink.preflight.provision import provision
@@ -131,8 +132,7 @@ def _print(report: Report) -> None:
         columns = (Column(name, overflow="fold") for name in ("parameter", "value", "is", "wanted", "why"))
         table = Table(*columns, title=title, title_justify="left")
         for finding in report.findings:
-            style = _STYLE[finding.level]
-            level = f"[{style}]{finding.level.value}[/]"
+            level = Text(finding.level.value, style=_STYLE[finding.level])
             table.add_row(finding.name, finding.shown, level, finding.wanted, finding.why)
         console.print(table)
     for note in report.notes:
