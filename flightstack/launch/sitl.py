@@ -36,7 +36,7 @@ from flightstack.onboard.recording import Described, describe_all, log_in, new_f
 from flightstack.verify.certificate import problems
 from logs.schema.names import NO_PAD, OWN, TEAM, Names, member_name
 from sim.chance import name as seed_name
-from sim.runners.options import TargetOptions
+from sim.options import TargetOptions
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.team import TeamScenario, load, path_of, text
 

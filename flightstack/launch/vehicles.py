@@ -22,8 +22,8 @@ from flightstack.launch.launcher import Launcher
 from flightstack.launch.run_options import Flies, RunOptions
 from logs.schema.names import TEAM
 from sim.autopilot.ground import ORIGIN_WGS84
+from sim.options import Px4SimOptions, VehicleOptions
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
-from sim.runners.options import Px4SimOptions, VehicleOptions
 from sim.scenarios.scenario import Scenario, StartKind
 from sim.scenarios.team import TeamScenario
 from sim.vehicle.vehicle import compile_first

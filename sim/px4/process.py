@@ -14,6 +14,7 @@ from flightstack.common.pacing import FastClock, ask_for_priority, give_up_prior
 from flightstack.common.simulation_clock import SimulationClock
 from logs.recorder.feed import Feed, FeedError
 from sim.clock import NS_PER_S, NoAnswerError
+from sim.options import Px4SimOptions
 from sim.plant.vehicle_types import Truth
 from sim.px4.link import LinkClosedError, Px4Link, Px4Server, parse_endpoint
 from sim.px4.messages import Px4Mocap
@@ -22,7 +23,6 @@ from sim.px4.sensors import STEP_MS
 from sim.px4.session import STEP_S, Event, NoLockstepError, NotPx4Error, Px4Session
 from sim.runners.deck import RealTimeDeck
 from sim.runners.log import VehicleLog
-from sim.runners.options import Px4SimOptions
 from sim.scenarios.scenario import Scenario
 
 SPEED_MAX = 100.0

@@ -42,10 +42,10 @@ from logs.schema.events import Severity
 from logs.schema.names import OWN, Names, member_name
 from logs.schema.rows import ControllerStepRow
 from sim.clock import STARTUP_S, NoAnswerError, TickGrid, wait_until
+from sim.options import TargetOptions
 from sim.robot.target import TargetMeasurement
 from sim.robot.target_motion import TargetMotion
 from sim.runners.log import EventLog
-from sim.runners.options import TargetOptions
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.team import TeamScenario
 

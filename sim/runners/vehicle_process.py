@@ -28,11 +28,11 @@ from logs.recorder.feed import Feed, FeedError
 from logs.schema.names import OWN, Names, member_name
 from sim.autopilot.autopilot import COMPONENT_ID, Autopilot
 from sim.clock import NoAnswerError, TickGrid
+from sim.options import VehicleOptions
 from sim.runners.deck import LockstepDeck, RealTimeDeck
 from sim.runners.lockstep import LockstepLoop
 from sim.runners.lockstep_team import LockstepMember, TeamLockstep
 from sim.runners.log import VehicleLog
-from sim.runners.options import VehicleOptions
 from sim.runners.room import Member, Room, warm_up_room
 from sim.runners.vehicle_node import VehicleNode
 from sim.runners.words import Words

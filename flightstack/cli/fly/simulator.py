@@ -9,7 +9,7 @@ from dataclasses import replace
 import click
 
 from flightstack.cli.options import takes
-from sim.runners.options import TargetOptions, VehicleOptions
+from sim.options import TargetOptions, VehicleOptions
 
 
 @click.command()

@@ -8,7 +8,7 @@ from dataclasses import replace
 import click
 
 from flightstack.cli.options import takes
-from sim.runners.options import Px4SimOptions
+from sim.options import Px4SimOptions
 
 
 @click.command("px4-sim")

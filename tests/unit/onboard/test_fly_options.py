@@ -21,7 +21,7 @@ from flightstack.launch.runs import sum_up
 from flightstack.launch.sitl import prepare
 from flightstack.onboard.options import FlightOptions, OnboardOptions
 from flightstack.watch.options import WatchOptions
-from sim.runners.options import Px4SimOptions, TargetOptions, VehicleOptions
+from sim.options import Px4SimOptions, TargetOptions, VehicleOptions
 from sim.scenarios.scenario import load as load_scenario
 
 
