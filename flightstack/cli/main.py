@@ -35,59 +35,59 @@ class Verb(NamedTuple):
 
 
 _MACHINE_CODE = "flightstack.compiled.jit:make_ready"
-# in the groups of ``--help``, which are the folders of this package
+# in the groups of ``--help``
 GROUPS = {
     "Fly": {
-        "sitl": Verb("fly.sitl:sitl", "Fly a scenario in software, with everything it needs."),
-        "fly": Verb("fly.fly:fly", "Fly a real vehicle onto a real target."),
-        "preflight": Verb("fly.preflight:preflight", "Check the vehicle's safety parameters."),
+        "sitl": Verb("flight:sitl", "Fly a scenario in software, with everything it needs."),
+        "fly": Verb("flight:fly", "Fly a real vehicle onto a real target."),
+        "preflight": Verb("preflight:preflight", "Check the vehicle's safety parameters."),
         "onboard": Verb(
-            "fly.onboard:onboard",
+            "flight:onboard",
             "Run the onboard process alone.",
             ("flightstack.onboard.process", "flightstack.compiled.core"),
         ),
         "vehicle": Verb(
-            "fly.simulator:vehicle",
+            "simulator:vehicle",
             "Run the simulated Crazyflie alone.",
             ("sim.runners.vehicle_process", _MACHINE_CODE),
         ),
         "target": Verb(
-            "fly.simulator:target",
+            "simulator:target",
             "Run the simulated ground robot alone.",
             ("sim.runners.target_process", _MACHINE_CODE),
         ),
-        "watch": Verb("fly.watch:watch", "Show a flight while it flies."),
-        "scenarios": Verb("fly.simulator:scenarios", "List the scenarios, or print one."),
+        "watch": Verb("watch:watch", "Show a flight while it flies."),
+        "scenarios": Verb("simulator:scenarios", "List the scenarios, or print one."),
     },
     "Prove": {
-        "check": Verb("prove.check:check", "Prove a configuration before flight."),
-        "campaign": Verb("prove.campaign:campaign", "Fly many seeds; give rates with bounds."),
-        "rare": Verb("prove.rare:rare", "Estimate the rate of a rare failure."),
-        "replay": Verb("prove.replay:replay", "Run a log through today's controller."),
-        "validate": Verb("prove.validate:validate", "Compare the simulator with recorded flights."),
-        "identify": Verb("prove.identify:identify", "Identify velocity loop and noise from logs."),
+        "check": Verb("check:check", "Prove a configuration before flight."),
+        "campaign": Verb("campaign:campaign", "Fly many seeds; give rates with bounds."),
+        "rare": Verb("campaign:rare", "Estimate the rate of a rare failure."),
+        "replay": Verb("replay:replay", "Run a log through today's controller."),
+        "validate": Verb("validate:validate", "Compare the simulator with recorded flights."),
+        "identify": Verb("identify:identify", "Identify velocity loop and noise from logs."),
     },
     "Logs": {
-        "report": Verb("logs.record:report", "Write the report of a log."),
-        "compare": Verb("logs.log:diff", "Compare two logs message by message."),
-        "view": Verb("logs.view:view", "Show a log in 3-D."),
-        "log": Verb("logs.log:log", "Inspect, judge, repair, export logs."),
+        "report": Verb("logs:report", "Write the report of a log."),
+        "compare": Verb("logs:diff", "Compare two logs message by message."),
+        "view": Verb("logs:view", "Show a log in 3-D."),
+        "log": Verb("logs:log", "Inspect, judge, repair, export logs."),
         "record": Verb(
-            "logs.record:record",
+            "logs:record",
             "Run the recorder alone.",
             ("logs.recorder.recorder", "logs.schema.schemas:typestore"),
         ),
     },
     "Real things": {
-        "config": Verb("real.prepare:config", "List the configurations, or print one."),
-        "bridge": Verb("real.bridge:bridge", "Connect a Crazyflie or motion capture."),
+        "config": Verb("prepare:config", "List the configurations, or print one."),
+        "bridge": Verb("bridge:bridge", "Connect a Crazyflie or motion capture."),
         "px4-sim": Verb(
-            "real.px4_sim:px4_sim",
+            "simulator:px4_sim",
             "Simulate the vehicle for PX4's autopilot.",
             ("sim.px4.process", _MACHINE_CODE),
         ),
-        "router": Verb("real.prepare:router", "Run a Zenoh router."),
-        "key": Verb("real.prepare:key", "Make a MAVLink signing key."),
+        "router": Verb("prepare:router", "Run a Zenoh router."),
+        "key": Verb("prepare:key", "Make a MAVLink signing key."),
     },
 }
 # their exit status is about the flight, whatever becomes of what they print

@@ -10,9 +10,12 @@ import math
 
 from flightstack.core.safety.barrier import Barrier
 from flightstack.verify.robust import HELD_M
+from flightstack.verify.team import team_checks
 from flightstack.verify.types import Check, Need
 from sim.plant.params import load
 from sim.scenarios.scenario import Scenario
+from sim.scenarios.team import TeamScenario
+from sim.vehicle.encounters import Shape
 
 DELAY_M_S = 0.02  # s; allowed difference of a declared delay, within the errors of the noise
 NOISE_SHARE = 0.5  # least declared share of a link's noise, which an estimator filters
@@ -118,3 +121,12 @@ def declared(scenario: Scenario) -> list[Check]:
         )
         for key, found, there, room, unit in rows
     ]
+
+
+def crowd(team: TeamScenario) -> list[Check]:
+    """Checks of all vehicles of a team together."""
+    shapes = [Shape.of(load(each.vehicle.airframe)) for each in team.member]
+    radius_m = 2.0 * max(shape.radius_m for shape in shapes)
+    up_m = max(shape.top_m for shape in shapes) - min(shape.bottom_m for shape in shapes)
+    configs = [each.onboard for each in team.member]
+    return team_checks(configs, team.starts_enu_m(), (radius_m, 0.0, up_m), team.pads_apart_m())

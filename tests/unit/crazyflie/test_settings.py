@@ -7,7 +7,7 @@ import pytest
 from bridge.crazyflie.rules import Rules
 from bridge.crazyflie.settings import DRAG, ECHO_MAX_S, UNKNOWN_DRAG
 from bridge.crazyflie.types import SetParam
-from flightstack.cli.real.bridge import _drag_1_s
+from flightstack.cli.bridge import _drag_1_s
 from flightstack.common.strict_toml import ConfigError
 from tests.crazyflie_firmware.bench import Bench
 from tests.crazyflie_firmware.firmware import Firmware

@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from bridge.mavlink.profiles.autopilots import PROFILES
 from bridge.mavlink.server.parameters import INT32
 from bridge.mavlink.server.profile import EVERY_TICK, FlightMode
-from flightstack.cli.real.bridge import bridge
+from flightstack.cli.bridge import bridge
 from flightstack.config.files import load as load_config
 from flightstack.verify.certificate import checks
 from sim.autopilot.flight import STREAM_LOST

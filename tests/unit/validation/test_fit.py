@@ -13,7 +13,7 @@ import pyarrow.parquet
 import pytest
 from click.testing import CliRunner
 
-from flightstack.cli.prove.identify import identify
+from flightstack.cli.identify import identify
 from sim.flights.recording import read_columns
 from sim.flights.screening import load as load_flight
 from sim.flights.screening import screen

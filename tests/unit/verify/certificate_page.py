@@ -6,7 +6,6 @@ python -m tests.unit.verify.certificate_page
 import math
 from pathlib import Path
 
-from flightstack.cli.prove.check import of_team
 from flightstack.verify.certificate import checks
 from flightstack.verify.envelope import extremes
 from flightstack.verify.fleet import fleet_checks
@@ -14,6 +13,7 @@ from flightstack.verify.follow import follow_m
 from flightstack.verify.robust import between_ticks_m, demand, depth_m, outside
 from flightstack.verify.touchdown import descent_time_s, drift_m
 from sim.scenarios import scenario, team
+from sim.vehicle.declared import crowd
 
 PAGES = Path(__file__).parents[3] / "docs" / "how_it_works"
 TIERS = ("lab", "room", "field", "storm", "deck")
@@ -94,7 +94,7 @@ def verdicts():
 def fleet():
     """Checks of a member of fleet_3, and of all members together."""
     found = team.load("fleet_3")
-    results = [*fleet_checks(found.member[0].onboard), *found_together(found)]
+    results = [*fleet_checks(found.member[0].onboard), *crowd(found)]
     rows = [_row(check.name, [check.claim, _room(check), check.worst]) for check in results]
     return "\n".join(["| check | claim | room | worst point |", "|---|---|---|---|", *rows])
 
@@ -102,11 +102,6 @@ def fleet():
 def _room(check):
     room = f"{check.room:.3g} {check.unit}".strip()
     return room if check.proven else f"**not proven**, {room}"
-
-
-def found_together(found):
-    (*_, together) = of_team(found)
-    return together.together([each.onboard for each in found.member])
 
 
 def tables():

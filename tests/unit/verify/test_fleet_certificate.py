@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flightstack.cli.prove.check import check as check_verb
+from flightstack.cli.check import check as check_verb
 from flightstack.core.fleet.ellipsoid import barrier
 from flightstack.core.fleet.exact import Row, nearest
 from flightstack.core.fleet.shares import share

@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.preflight.provision import provision
 from bridge.mavlink.signing.key import load_key, make_key
-from flightstack.cli.fly.preflight import preflight
+from flightstack.cli.preflight import preflight
 
 
 class Vehicle:

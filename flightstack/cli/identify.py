@@ -10,7 +10,7 @@ from typing import Annotated
 import click
 
 from flightstack.cli.options import takes, without_recordings
-from flightstack.cli.prove.progress import Bar
+from flightstack.cli.progress import Bar
 from flightstack.common.options import Argument, Option
 from flightstack.common.terminal import Terminal
 

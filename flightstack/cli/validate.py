@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from flightstack.cli.options import takes, without_recordings
-from flightstack.cli.prove.progress import Bar
+from flightstack.cli.progress import Bar
 from flightstack.common.options import Argument, Option
 from flightstack.common.terminal import Terminal
 from flightstack.config import options as shared

@@ -1,0 +1,179 @@
+"""The verb ``check``: proves a configuration before flight."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+import click
+
+from flightstack.cli.options import takes
+from flightstack.common.options import Argument
+from flightstack.common.strict_toml import ConfigError, from_table, read_toml
+from flightstack.config import options as shared
+from flightstack.config.files import load, names, path_of
+from flightstack.core.parameters.flight import FlightConfig
+from logs.schema.names import member_name
+
+if TYPE_CHECKING:
+    from flightstack.verify.types import Check
+
+PROVEN, NOT_PROVEN = 0, 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckOptions:
+    """Options of ``check``."""
+
+    config: Annotated[str, Argument(metavar="CONFIG")]
+    filter: Annotated[
+        str | None, shared.safety_filter("Check it for this safety filter; default: the configuration's")
+    ] = None
+    as_json: shared.AsJson = False
+
+
+@click.command()
+@takes(CheckOptions)
+def check(options: CheckOptions) -> None:
+    """Prove before flight that the filter's guarantees hold for everything that CONFIG declares.
+
+    CONFIG is a configuration of `onboard` or a scenario, by name or as a file; of a scenario of several
+    vehicles each member is checked, and all of them together. Each line shows a claim, its worst point, and
+    the distance to its limit there (docs/how_it_works/robust_filter.md, docs/how_it_works/fleet.md). Of a
+    scenario also what its configuration declares of barrier, robot, pad and links is compared with the rest.
+
+    Exit status: 0 all claims proven, 1 at least one not proven, 2 wrong input.
+    """
+    parts = _parts(options.config, options.filter)
+    if options.as_json:
+        click.echo(json.dumps(_as_json(options.config, parts)))
+    else:
+        for part in parts:
+            _show(f"{options.config}{part.of}, filter {part.filter}", part.checks)
+    sys.exit(PROVEN if all(each.proven for part in parts for each in part.checks) else NOT_PROVEN)
+
+
+class Part(NamedTuple):
+    """What is checked at once: a configuration, or those of all vehicles together."""
+
+    filter: str
+    checks: Sequence[Check]
+    members: tuple[str, ...] = ()  # vehicles of a team that have it
+    of: str = ""  # these, for a title
+
+
+def _parts(name_or_file: str, name: str | None) -> list[Part]:
+    """Check a configuration, or those of a scenario, with the filter of this name or its own."""
+    from flightstack.verify.certificate import checks
+
+    config = _configuration(name_or_file)
+    if config is not None:
+        config = replace(config, filter=name or config.filter)
+        return [Part(config.filter, checks(config))]
+    from sim.scenarios.team import load as load_scenario
+    from sim.vehicle.declared import crowd, declared
+
+    team = load_scenario(name_or_file)
+    if name is not None:
+        team = replace(team, member=tuple(each.with_filter(name) for each in team.member))
+    configs = [each.onboard for each in team.member]
+    if team.is_alone:
+        return [Part(configs[0].filter, [*checks(configs[0]), *declared(team.member[0])])]
+    parts = [
+        Part(config.filter, checks(config), members, f" ({', '.join(members)})")
+        for config, members in _alike(configs)
+    ]
+    if all(config.fleet is not None for config in configs):
+        members = tuple(map(member_name, range(1, len(configs) + 1)))
+        parts.append(Part(configs[0].filter, crowd(team), members, f" ({', '.join(members)} together)"))
+    return parts
+
+
+def _configuration(name_or_file: str) -> FlightConfig | None:
+    """The configuration of this name or file; None: it is a scenario."""
+    path = path_of(name_or_file) if name_or_file in names() else Path(name_or_file)
+    if not path.is_file():
+        return None
+    table = read_toml(path)
+    if ("base" in table and table["base"] not in names()) or "member" in table:
+        return None
+    if "onboard" not in table:
+        return load(path)
+    if "name" in table:
+        return None
+    try:
+        return from_table(FlightConfig, table["onboard"], "onboard")
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
+
+
+def _alike(configs: Sequence[FlightConfig]) -> list[tuple[FlightConfig, tuple[str, ...]]]:
+    """Configurations that differ in more than the id, each with the vehicles that have it."""
+    alike: list[tuple[FlightConfig, FlightConfig, list[str]]] = []
+    for number, config in enumerate(configs, 1):
+        fleet = None if config.fleet is None else replace(config.fleet, id=min(config.fleet.members))
+        same = replace(config, fleet=fleet)
+        members = next((members for other, _, members in alike if other == same), None)
+        if members is None:
+            alike.append((same, config, members := []))
+        members.append(member_name(number))
+    return [(config, tuple(members)) for _, config, members in alike]
+
+
+def _as_json(name: str, parts: Sequence[Part]) -> dict[str, object]:
+    every = [result for part in parts for result in part.checks]
+    found: dict[str, object] = {
+        "config": name,
+        "filter": parts[0].filter,
+        "proven": all(result.proven for result in every),
+        "flies": all(result.proven for result in every if result.need.value == "flight"),
+    }
+    rows = [{"members": part.members, "checks": [_row(result) for result in part.checks]} for part in parts]
+    return {**found, "parts": rows} if parts[0].members else {**found, "checks": rows[0]["checks"]}
+
+
+def _row(result: Check) -> dict[str, object]:
+    return {
+        "name": result.name,
+        "claim": result.claim,
+        "proven": result.proven,
+        "need": result.need.value,
+        "room": result.room if math.isfinite(result.room) else None,
+        "unit": result.unit,
+        "worst": result.worst,
+        "remedy": None if result.proven else result.remedy,
+    }
+
+
+def _show(name: str, results: Sequence[Check]) -> None:
+    from rich.table import Column, Table
+    from rich.text import Text
+
+    from flightstack.common.terminal import Terminal
+
+    columns = [Column(heading, overflow="fold") for heading in ("", "claim", "room", "worst point")]
+    columns[2].justify = "right"
+    table = Table(*columns, title=name, title_justify="left")
+    for result in results:
+        word, colour = _WORDS[result.proven, result.need.value]
+        room = "no bound" if math.isinf(result.room) else f"{result.room:.3g} {result.unit}".strip()
+        claim = f"{result.name}: {result.claim}"
+        table.add_row(Text(word, style=colour), Text(claim), Text(room), Text(result.worst))
+    console = Terminal()
+    console.print(table)
+    for result in results:
+        if not result.proven:
+            console.print(Text(f"{result.name}: {result.remedy}"), soft_wrap=True)
+
+
+_WORDS = {
+    (True, "flight"): ("proven", "green"),
+    (True, "proof"): ("proven", "green"),
+    (False, "flight"): ("must not fly", "red"),
+    (False, "proof"): ("not proven", "yellow"),
+}

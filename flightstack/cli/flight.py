@@ -1,0 +1,80 @@
+"""The verbs that fly: ``sitl`` in software, ``fly`` a real vehicle, ``onboard`` its process alone."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import ExitStack
+
+import click
+
+from flightstack.cli.options import takes
+from flightstack.common.hangup import say
+from flightstack.launch.run_options import FlyOptions, RunOptions
+from flightstack.onboard.options import OnboardOptions
+
+
+@click.command()
+@takes(RunOptions)
+def sitl(options: RunOptions) -> None:
+    """Fly a scenario in software: vehicle, target, onboard process and recorder, over the real wires.
+
+    A scenario of several vehicles (`scenarios` lists them) flies all of them, with an onboard process each.
+
+    Exit status: 0 landed, 1 flown but not landed, 2 wrong input.
+    """
+    options.check()
+    from flightstack.common.terminal import Terminal
+    from flightstack.launch.result import conclude
+    from flightstack.launch.runs import fly_all
+    from flightstack.launch.sitl import run
+
+    console = Terminal(stderr=options.as_json)
+    if options.runs > 1:
+        sys.exit(fly_all(options, console))
+    flown = run(options, console)
+    sys.exit(conclude(flown, console, as_json=options.as_json, with_report=options.with_report))
+
+
+@click.command()
+@takes(FlyOptions)
+def fly(options: FlyOptions) -> None:
+    r"""Fly a real vehicle onto a real target: check it, record, show the flight, land, write a report.
+
+    Ctrl-C, or closing the terminal, aborts: the vehicle flies clear and lands. A second Ctrl-C makes it land
+    where it is and ends the onboard process. Ctrl-\ stops the motors.
+
+    Exit status: 0 landed, 1 not landed, 2 wrong input.
+    """
+    from flightstack.common.terminal import Terminal
+    from flightstack.launch import fly as launch
+    from flightstack.launch.result import conclude
+
+    console = Terminal(stderr=options.as_json)
+    flown = launch.run(options, console)
+    sys.exit(conclude(flown, console, as_json=options.as_json, with_report=options.with_report))
+
+
+@click.command()
+@takes(OnboardOptions)
+def onboard(options: OnboardOptions) -> None:
+    """Run the onboard process with any vehicle and target; `fly` adds a live view and a report.
+
+    It records to a log in runs/ unless --recorder or --no-record is given. Ctrl-C, or closing the terminal,
+    aborts: the vehicle flies clear and lands. A second Ctrl-C makes it land where it is and ends the process.
+    """
+    from flightstack.common.processes import LaunchError
+    from flightstack.config.files import load
+    from flightstack.onboard import process
+    from flightstack.onboard.recording import OwnRecorder
+
+    with ExitStack() as stack:
+        records = options.recorder is None and not options.no_record
+        own = stack.enter_context(OwnRecorder()) if records else None
+        try:
+            ended = process.run(load(options.config_file), options, say, own)
+        except LaunchError as error:
+            raise LaunchError(f"{error}; --no-record flies without a log") from error
+    say(f"{ended.phase.name}: {ended.reason}")
+    if own is not None and own.problem is not None:
+        click.echo(f"onboard: WARNING: {own.problem}", err=True)
+    sys.exit(ended.exit_code)

@@ -1,1 +1,0 @@
-"""Verbs that fly, and those of the processes of a flight."""

@@ -1,0 +1,273 @@
+"""The verbs of flight logs: ``log ...``, ``record``, ``report`` and ``view``."""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import click
+
+from flightstack.cli.options import takes, without_rerun
+from flightstack.common.options import Option
+from flightstack.common.text import plain
+from flightstack.config import options as shared
+
+if TYPE_CHECKING:
+    from logs.reader.reader import LogFile
+
+DONE, BROKEN = 0, 1
+LANDED, NOT_LANDED = 0, 1
+SHOWN = 20  # differences printed; the first ones tell the story
+
+_log = click.argument("log_file", metavar="LOG", type=click.Path(dir_okay=False, path_type=Path))
+_member = click.option("--member", metavar="NAME", help="Only the part of this member of a fleet, e.g. cf2.")
+_force = click.option("--force", is_flag=True, help="Replace OUT if it exists.")
+
+
+def _out(command: Callable[..., None]) -> Callable[..., None]:
+    option = click.option(
+        "--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="File to write."
+    )
+    return option(_force(command))
+
+
+@click.group()
+def log() -> None:
+    """Inspect, judge, compare, repair and export flight logs. Of a broken LOG is used what can be read.
+
+    Exit status: 0 done, 1 the LOG is broken (what can be read was used) or differs, 2 wrong input.
+    """
+
+
+@log.command()
+@_log
+@_member
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def info(log_file: Path, member: str | None, as_json: bool) -> None:
+    """Show duration, topics, metadata and attachments of a LOG, and whether it is complete."""
+    from logs.tools import info as tools_info
+
+    found = tools_info.gather(_open(log_file, member))
+    click.echo(json.dumps(found.as_json()) if as_json else plain("\n".join(tools_info.lines(found))))
+    sys.exit(DONE if found.complete else BROKEN)
+
+
+@log.command()
+@_log
+@_member
+@click.option(
+    "--json", "as_json", is_flag=True, help="Print one JSON object, with the keys of `sitl --json`."
+)
+def verdict(log_file: Path, member: str | None, as_json: bool) -> None:
+    """Judge the flight in a LOG from true states, or a real flight from the vehicle's own estimate.
+
+    A fleet has landed when all its members have.
+
+    Exit status: 0 landed, 1 anything else that flew, 2 the LOG cannot be read.
+    """
+    from logs.verdict.verdict import fleet_result, judged
+
+    values = fleet_result(*judged(log_file, member))
+    show_verdict(values, as_json=as_json)
+    sys.exit(LANDED if values["outcome"] == "landed" else NOT_LANDED)
+
+
+def show_verdict(values: dict[str, Any], *, as_json: bool) -> None:
+    """Print a verdict as a table, or as one line of JSON."""
+    if as_json:
+        click.echo(json.dumps(values))
+        return
+    from flightstack.common.terminal import Terminal
+    from flightstack.launch.result import result_table
+
+    Terminal().print(result_table(values, values["reason"]))
+
+
+@log.command()
+@click.argument("log_a", type=click.Path(dir_okay=False, path_type=Path))
+@click.argument("log_b", type=click.Path(dir_okay=False, path_type=Path))
+def diff(log_a: Path, log_b: Path) -> None:
+    """Compare two logs message by message; exit status 0 equal, 1 different.
+
+    Wall-clock measurements (loop timing) are left out.
+    """
+    from logs.tools.compare import compare
+
+    differences = compare(log_a, log_b)
+    for difference in differences[:SHOWN]:
+        click.echo(plain(str(difference)))
+    if len(differences) > SHOWN:
+        click.echo(f"... and {len(differences) - SHOWN} more")
+    click.echo("equal" if not differences else f"{len(differences)} differences")
+    sys.exit(1 if differences else 0)
+
+
+@log.command()
+@_log
+@_member
+@_out
+def recover(log_file: Path, member: str | None, out: Path, force: bool) -> None:
+    """Repair a broken LOG: write all messages that can be read, and a new index."""
+    from logs.tools.recover import recover as recovered
+
+    new = recovered(_open(log_file, member), out, force=force)
+    click.echo(plain(f"{out}: {new.messages} messages; {new.problem or 'the log was whole'}"))
+
+
+@log.command()
+@_log
+@_member
+@click.option("--topic", metavar="TOPIC", required=True, help="Topic to export; `log info` lists them.")
+@click.option("--format", "kind", type=click.Choice(["csv", "parquet"]), required=True)
+@_out
+def export(log_file: Path, member: str | None, topic: str, kind: str, out: Path, force: bool) -> None:
+    """Write one topic of a LOG as a table for other programs."""
+    from logs.tools.export import export_csv, export_parquet
+
+    opened = _open(log_file, member)
+    write = export_csv if kind == "csv" else export_parquet
+    rows = write(opened, topic, out, force=force)
+    click.echo(plain(f"{out}: {rows} rows"))
+    if problem := opened.why_broken:
+        click.echo(plain(f"flightstack: the log is broken; what can be read was used: {problem}"), err=True)
+    sys.exit(BROKEN if problem else DONE)
+
+
+def _open(path: Path, member: str | None) -> LogFile:
+    from logs.reader.reader import LogFile
+
+    return LogFile(path, member)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordOptions:
+    """Options of ``record``."""
+
+    socket_path: Annotated[
+        Path, Option("--socket", "Socket to listen on; the other verbs take it as --recorder.")
+    ]
+    out: Annotated[Path, Option("--out", "MCAP file to write.", path="file")]
+    until_clients: Annotated[int | None, Option(
+        "--until-clients", "End when this number of clients have disconnected.", span=(1, None)
+    )] = None  # fmt: skip
+    connect: shared.Connect = ()
+    zenoh_config: shared.ZenohConfig = None
+    keys: Annotated[tuple[str, ...], Option(
+        "--key", "Additional Zenoh keys to record, e.g. 'cf1/**'; repeatable.", "EXPR"
+    )] = ()  # fmt: skip
+
+
+@click.command()
+@takes(RecordOptions)
+def record(options: RecordOptions) -> None:
+    """Record what the other processes send, until Ctrl-C; the log is readable at any time."""
+    from logs.recorder.recorder import record_main
+
+    sys.exit(
+        record_main(
+            options.socket_path, options.out, options.until_clients, connect=options.connect,
+            keys=options.keys, config_file=options.zenoh_config,
+        )
+    )  # fmt: skip
+
+
+@click.command()
+@click.argument("log", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("other", type=click.Path(exists=True, dir_okay=False, path_type=Path), required=False)
+@click.option("--member", metavar="NAME", help="Take the flight of this member of a fleet, e.g. cf2.")
+@click.option(
+    "--out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="HTML file; default: next to the log, flight.html for flight.mcap, or comparison.html.",
+)
+@click.option(
+    "--json",
+    "as_json",
+    is_flag=True,
+    help="Print the verdict as a JSON object, with the keys of `sitl --json`.",
+)
+def report(log: Path, other: Path | None, member: str | None, out: Path | None, as_json: bool) -> None:
+    """Write the report of a LOG, or a comparison with an OTHER: one self-contained HTML page.
+
+    Of a fleet: a page of all together, and one of each member beside it.
+
+    Prints the verdict on a LOG and where its page is. Exit status: 0 written, 2 wrong input.
+    """
+    from logs.report.report import write_comparison, write_report
+
+    if other is None:
+        from logs.verdict.verdict import fleet_result, judged
+
+        fleet, verdict = judged(log, member)
+        values = fleet_result(fleet, verdict, write_report(fleet, verdict, out))
+        show_verdict(values, as_json=as_json)
+        if not as_json:
+            click.echo(values["report"])
+    elif as_json:
+        raise click.UsageError("--json is for the report of one LOG, not for a comparison")
+    else:
+        click.echo(write_comparison(log, other, out, member))
+
+
+@click.command()
+@click.argument("log_file", metavar="LOG", type=click.Path(dir_okay=False, path_type=Path))
+@click.option(
+    "--save", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE.rrd",
+    help="Write a Rerun recording instead of opening a window.",
+)  # fmt: skip
+@click.option(
+    "--web", is_flag=True, help="Serve Rerun to a browser of this machine, instead of opening a window."
+)
+@click.option(
+    "--layouts", type=click.Path(file_okay=False, path_type=Path), metavar="FOLDER",
+    help="Only write layouts for Foxglove and PlotJuggler there, with the topics of this LOG.",
+)  # fmt: skip
+@click.option("--member", metavar="NAME", help="Show the flight of this member of a fleet alone, e.g. cf2.")
+@click.option("--force", is_flag=True, help="Replace files that exist.")
+def view(
+    log_file: Path, save: Path | None, web: bool, layouts: Path | None, member: str | None, force: bool
+) -> None:
+    """Show a LOG in Rerun: the scene in 3-D, curves and events (docs/how_to/viewing.md).
+
+    Of a fleet: all members in one scene.
+
+    Needs the extra `view`, except for --layouts. Exit status: 0 shown or written, 1 the same of a broken LOG,
+    2 wrong input or no window.
+    """
+    if layouts is not None:
+        from logs.view.layout_files import write_layouts
+
+        for path in write_layouts(log_file, layouts, member, force=force):
+            click.echo(plain(path))
+        return
+    try:
+        from logs.view.view import Recording, open_viewer
+    except ModuleNotFoundError as error:
+        raise without_rerun(error, "view") from error
+    recording = Recording(log_file, member)
+    if save is not None:
+        from logs.tools.file import new_file
+
+        with new_file(save, force=force) as part:
+            recording.save(part)
+        click.echo(plain(f"{save}: open it with `rerun {save}`"))
+    _warn(recording.problem)
+    if save is None:
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / f"{log_file.stem}.rrd"
+            recording.save(file)
+            if open_viewer(file, web=web):
+                raise ValueError(
+                    "Rerun did not open; without a display use --web, or --save and another machine"
+                )
+    sys.exit(BROKEN if recording.problem else SHOWN)
+
+
+def _warn(problem: str) -> None:
+    if problem:
+        click.echo(plain(f"flightstack: the log is broken; what can be read is shown: {problem}"), err=True)

@@ -1,1 +1,0 @@
-"""Verbs that prove: certificate, identification, replay, campaigns."""

@@ -1,1 +1,0 @@
-"""Verbs for real vehicles and other autopilots."""
