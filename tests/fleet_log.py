@@ -90,8 +90,8 @@ class RecordedCompanion(Companion):
 
     recorder: Recorder
 
-    def __init__(self, scenario, seed, on_step=None, system_id=1, target_seed=None):
-        super().__init__(scenario, seed, on_step, system_id, target_seed)
+    def __init__(self, scenario, seed, on_step=None, system_id=1, target_seed=None, *, alone=True):
+        super().__init__(scenario, seed, on_step, system_id, target_seed, alone=alone)
         self.feed = MemberFeed(self.recorder, system_id)
         config, ns = scenario.onboard, self.name
         shape = config.barrier.build()
