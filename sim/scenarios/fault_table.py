@@ -71,42 +71,42 @@ class Cell:
     healable: bool = True  # has an end
 
 
-_REST = Number("time between two beginnings", "s", 0.02, 60.0, 1.0)
+_REST = Number("time from the start of one pause to the next", "s", 0.02, 60.0, 1.0)
 _PAUSE = Number("length of a pause", "s", 0.01, 30.0, 0.3)
-_EACH_NTH = Number("one of so many passes", "1", 2.0, 1000.0, 10.0)
+_EACH_NTH = Number("n", "1", 2.0, 1000.0, 10.0)
 _EXTRA = Number("extra delay", "s", 0.005, 5.0, 0.2)
 _PROBABILITY = Number("probability", "1", 0.001, 1.0, 0.1)
 
 _SAMPLES: Mapping[Kind, Cell] = {
     Kind.OFF: Cell("no samples"),
-    Kind.STUCK: Cell("the first sample again and again, with fresh time stamps"),
-    Kind.WRONG: Cell("position and heading are off by `offset_m`, `yaw_rad`", offset=True),
+    Kind.STUCK: Cell("repeats the first sample, with new time stamps"),
+    Kind.WRONG: Cell("position and heading are wrong by `offset_m`, `yaw_rad`", offset=True),
     Kind.SLOW: Cell("only every n-th sample", _EACH_NTH),
-    Kind.DELAYED: Cell("samples come later, in order; at the end what is held comes at once", _EXTRA),
+    Kind.DELAYED: Cell("samples arrive later, in order; at the end the delayed ones arrive at once", _EXTRA),
     Kind.INTERMITTENT: Cell("pauses without samples", _PAUSE, _REST),
     Kind.GARBAGE: Cell(
         "every sample jumps, uniformly, and has a random heading",
         Number("half-width on each axis", "m", 0.01, 100.0, 1.0),
     ),
     Kind.DRIFT: Cell(
-        "position wanders off in a random direction", Number("speed of the error", "m/s", 0.001, 2.0, 0.05)
+        "position drifts in a random direction", Number("speed of the error", "m/s", 0.001, 2.0, 0.05)
     ),
 }
 _MESSAGES: Mapping[Kind, Cell] = {
     Kind.OFF: Cell("no messages"),
     Kind.SLOW: Cell("only every n-th message", _EACH_NTH),
-    Kind.DELAYED: Cell("messages come later", _EXTRA),
+    Kind.DELAYED: Cell("messages arrive later", _EXTRA),
     Kind.INTERMITTENT: Cell("pauses without messages", _PAUSE, _REST),
 }
 _RANDOM: Mapping[Kind, Cell] = {
-    Kind.LOSS: Cell("messages are lost, each by itself", _PROBABILITY),
-    Kind.REORDER: Cell("messages are held back 30 ms, so that later ones pass them", _PROBABILITY),
-    Kind.DUPLICATE: Cell("messages come twice", _PROBABILITY),
+    Kind.LOSS: Cell("messages are lost independently", _PROBABILITY),
+    Kind.REORDER: Cell("messages are delayed by 30 ms, so that later ones overtake them", _PROBABILITY),
+    Kind.DUPLICATE: Cell("messages arrive twice", _PROBABILITY),
 }
 _LINK: Mapping[Kind, Cell] = {
     **_MESSAGES,
     **_RANDOM,
-    Kind.STUCK: Cell("the wire stalls: messages wait, and come at once at the end"),
+    Kind.STUCK: Cell("the link stalls: messages wait, and arrive at once at the end"),
     Kind.BURST_LOSS: Cell(
         "everything is lost in bursts (two states, exponential times)",
         Number("mean length of a burst", "s", 0.005, 10.0, 0.1),
@@ -119,34 +119,36 @@ TABLE: Mapping[What, Mapping[Kind, Cell]] = MappingProxyType(
     {
         What.MOTOR: {
             Kind.WEAK: Cell(
-                "turns slower than commanded", Number("share of the hover thrust", "1", 0.0, 1.0, 0.6)
+                "turns slower than commanded", Number("fraction of the hover thrust", "1", 0.0, 1.0, 0.6)
             ),
-            Kind.DEAD: Cell("no drive; it runs down"),
-            Kind.STUCK: Cell("keeps the speed it has, whatever is commanded, also after disarming"),
+            Kind.DEAD: Cell("no drive; it slows down"),
+            Kind.STUCK: Cell("keeps its present speed, whatever is commanded, also after disarming"),
         },
         What.BATTERY: {
             Kind.OFF: Cell("empty at once"),
             Kind.DROP: Cell("voltage is lower", Number("by", "V", 0.05, 2.5, 0.5)),
             Kind.LOSS: Cell(
-                "charge is lost at once", Number("share of a full one", "1", 0.01, 1.0, 0.5), healable=False
+                "charge is lost at once",
+                Number("fraction of a full charge", "1", 0.01, 1.0, 0.5),
+                healable=False,
             ),
         },
         What.MOCAP: _SAMPLES,
         What.OWN_STATE: _SAMPLES,
         What.TARGET_ODOMETRY: _SAMPLES,
-        What.ROBOT: {Kind.STUCK: Cell("wheels lock: it stands at once, and drives on at the end")},
+        What.ROBOT: {Kind.STUCK: Cell("wheels lock: it stops at once, and drives again at the end")},
         What.LINK_OUT: _LINK,
         What.LINK_IN: _LINK,
         What.HEARTBEAT: {
             **_MESSAGES,
-            Kind.STUCK: Cell("says for ever what it said first"),
-            Kind.WRONG: Cell("says armed when disarmed, disarmed when armed"),
+            Kind.STUCK: Cell("repeats the first heartbeat"),
+            Kind.WRONG: Cell("reports armed when disarmed, disarmed when armed"),
             Kind.GARBAGE: Cell("mode and state are random numbers"),
         },
         What.SETPOINTS: {
             **_MESSAGES,
             **_RANDOM,
-            Kind.STUCK: Cell("the first velocity again and again"),
+            Kind.STUCK: Cell("repeats the first velocity"),
             Kind.WRONG: Cell("the velocity is scaled", Number("factor", "1", -2.0, 5.0, -1.0)),
             Kind.GARBAGE: Cell(
                 "the velocity is random", Number("half-width on each axis", "m/s", 0.01, 5.0, 0.5)

@@ -14,62 +14,67 @@ from tests.fault_grid.table import GRID, H_MIN_M, WITHIN_S, End, Moment, Need, P
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "fault_grid.md"
 _HEAD = f"""# Grid of faults
 
-What becomes of a flight when one part fails for good, in one way, at one moment: 7 parts, 7 ways, 4 moments,
-{len(GRID)} flights of the scenario `grid` with seed {SEED}. The table of what is demanded is
-`tests/fault_grid/table.py`; a test flies every cell against it and this page. The page is made by
+Results of flights in which one part fails permanently, in one way, at one moment: 7 parts, 7 ways, 4
+moments, {len(GRID)} flights of the scenario `grid` with seed {SEED}. `tests/fault_grid/table.py` has the
+requirements; a test flies every cell and compares it with the requirements and with this page. This command
+writes the page:
 
 ```
 python -m tests.benchmarks fault_grid
 ```
 
-Each flight begins on the ground, robust filter, firmware's velocity loops, touchdown by contact; the robot
-drives off at 0.15 m/s when the landing begins. The fault begins when the companion enters the phase; in the
-take-off 0.2 m above the ground, as nothing falls that stands. It lasts to the end.
+Each flight starts on the ground, with the robust filter, the firmware's velocity loops, and touchdown by
+contact; the robot drives off at 0.15 m/s when the landing starts. The fault begins when the companion
+enters the phase (take-off: 0.2 m above the ground, because a standing vehicle cannot fall) and lasts to the
+end.
 
 | end | meaning |
 |---|---|
 | LANDED | rests upright on the pad, motors off |
-| ABORTED | given up and declared; stands upright on the floor, motors off |
+| ABORTED | aborted and reported; stands upright on the floor, motors off |
 | VEHICLE_LANDS | the same, brought down by the autopilot's own fail-safe |
 | CONTINUES | every true state of the flight equals that of the flight without the fault, to the last bit |
 | CRASHED | tipped over, struck the robot, or touched down faster than 1 m/s |
-| MISSED | on the floor and nobody had given up |
+| MISSED | on the floor without an abort |
 | FLYING | motors not off 30 s after the fault |
 
-The last two are allowed nowhere, CRASHED only where the table says **falls short**. *Given up* counts from
-the fault to the phase hold, climb or abort, or to a fail-safe of the autopilot; where it is demanded it must
-come within {WITHIN_S:g} s, or as the table says, or the motors must be off by then. *Down* is when the motors
-are off for good. The lowest h is the true one outside the pad, as long as the companion flies: until it has
-flown clear, or the autopilot lands. It must not be below {H_MIN_M * 1000:g} mm unless the table says so.
-Several ends stand where chance decides between safe ones.
+The last two are never allowed, CRASHED only where the table says **falls short**. *Given up* is the time
+from the fault to the phase hold, climb or abort, or to a fail-safe of the autopilot. If it is required, it
+must be at most {WITHIN_S:g} s, or the value in the table, or the motors must be off by then. *Down* is the
+time until the motors are off for good. *Lowest h* is the true one outside the pad while the companion
+flies: until it has flown clear, or the autopilot lands. It must be at least {H_MIN_M * 1000:g} mm unless
+the table has another value. A cell has several allowed ends if chance decides between safe ones.
 
-Faults: `own state` (the estimate on its way to autopilot and companion), `heartbeat`, `set-point path` and
-`clock` are those of [faults.md](faults.md) with their defaults; an own or target state that is wrong is 0.3 m
-to the east, a delayed heartbeat 2 s late, an intermittent one pauses 2.5 s of 4. `target state` is the
-tracker; `Zenoh link` acts on the bytes: stuck repeats one payload, garbage changes a byte of each, wrong is
-another robot under the key, delayed 0.2 s with overtaking, intermittent loses bursts of 0.3 s. `log disk` is
-a real recorder on a disk that is full, hangs, damages a byte of every write, is read-only, takes 1 MB/s, is
-0.2 s late, or fails every third time.
+Faults: `vehicle state` (the estimate on its way to autopilot and companion), `heartbeat`, `set-point path`
+and `clock` are those of [faults.md](faults.md) with their defaults. A wrong vehicle or target state is 0.3
+m too far east; a delayed heartbeat is 2 s late; an intermittent one pauses 2.5 s of 4. `target state` is
+the tracker. `Zenoh link` changes the bytes: stuck repeats one payload, garbage changes a byte of each,
+wrong is another robot with the same key, delayed is 0.2 s with overtaking, intermittent loses bursts of 0.3
+s. `log disk` is a real recorder on a disk that is full, hangs, damages a byte of every write, is read-only,
+takes 1 MB/s, is 0.2 s late, or fails every third time.
 """
 _TAIL = """
-## What the companion knows
+## What the companion can detect
 
-- The age of what comes: own state 0.2 s, target 0.25 s, heartbeat 3 s.
-- Numbers that repeat to the last bit while they speak of more than 0.05 m/s, or for 0.5 s in flight:
-  they age.
-- Own position against own velocity over 2 s, more than `checks.own_drift_max_m` apart: lost, until
-  they agree.
-- Target samples farther than `checks.target_jump_max_m` from where the mean of the velocities of the last
-  sample and of this one leads (of a lost target: the last velocity alone): refused; in flight for good, as
-  nobody knows which of the two places is right.
-- Target positions against target velocity over 2 s, more than `checks.target_drift_max_m` apart: lost, until
-  they agree; at the second time in a flight for good. What flies clear goes by the positions.
-- Velocity against the one wanted over 1 s: more than `checks.follow_lag_max_s` times the highest velocity
-  behind is not following: the autopilot lands. How slowly it rises in a take-off counts after 7 s only.
-- Disarmed, but in the air: one of the two is not true; the autopilot is told to land.
+- Old data: vehicle state 0.2 s, target 0.25 s, heartbeat 3 s.
+- Repeated data: numbers that repeat to the last bit, while they contain a velocity of more than 0.05 m/s,
+  or for 0.5 s in flight, count as old.
+- A vehicle position that contradicts the vehicle velocity: more than `checks.own_drift_max_m` apart over 2
+  s. The state is lost until they agree.
+- A target sample that jumps: farther than `checks.target_jump_max_m` from the prediction with the mean
+  velocity of the last sample and this one (for a lost target: with the last velocity). The sample is
+  refused, in flight for good, because it is unknown which of the two positions is right.
+- Target positions that contradict the target velocity: more than `checks.target_drift_max_m` apart over 2
+  s. The target is lost until they agree, and after the second time in a flight for good. Flying clear uses
+  the positions.
+- A vehicle that does not follow its set-points: over 1 s the velocity lags by more than
+  `checks.follow_lag_max_s` times the highest velocity. The autopilot lands. In a take-off the rate of climb
+  counts after 7 s only.
+- Disarmed, but in the air: one of the two is wrong; the autopilot is commanded to land.
 
-Without an own state no set-point is sent, and the autopilot lands where it is. What is wrong in position and
-velocity alike from the start, late without a stamp that tells, or right by accident cannot be known on board.
+Without a vehicle state no set-point is sent, and the autopilot lands where it is. The companion cannot
+detect a state whose position and velocity are wrong alike from the start, or that is late without a time
+stamp.
 """
 
 
@@ -86,7 +91,7 @@ def demand(need: Need) -> str:
     """Reason and limits in words."""
     parts = [need.why]
     if need.undetectable:
-        parts.append("not to be known on board")
+        parts.append("not detectable on board")
     if need.within_s not in (None, WITHIN_S):
         parts.append(f"within {need.within_s:g} s")
     if need.h_min_m != H_MIN_M:

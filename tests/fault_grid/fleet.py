@@ -21,12 +21,12 @@ MOMENTS_S = {"crossing": 1.5, "approach to land": 3.6, "touchdown": 4.3}
 
 
 class Way(StrEnum):
-    """What becomes of the second of three members."""
+    """Fault of the second of three members."""
 
     KILLED = "process killed"
     SILENT = "radio silent"
     CUT = "network cut in two"
-    LIES = "tells a place half a metre off"
+    LIES = "sends a position half a metre off"
     STOPS = "its robot stops at once"
 
 
@@ -85,12 +85,12 @@ FLEET_HEAD = f"""
 
 Three vehicles of `fleet_3` with seed {SEED}; the second one fails, for good, at
 {", ".join(f"{at_s:g} s ({moment})" for moment, at_s in MOMENTS_S.items())}.
-Nothing may collide in any cell, no two vehicles come inside the ellipsoid about each other, and the other two
-land on their pads. A killed process ends its flight by the failsafe of its autopilot, which lands where the
-vehicle is, by chance on its robot. A told place that jumps makes the ellipsoid about it larger by the jump,
-so that the place before it is kept clear of, too: whose own pad lies in there may give up its landing. A lie
-from the beginning on does not jump: nobody aboard can know of it. A robot that stops at once is seen by its
-own vehicle, in the robot's odometry; nobody else has to know.
+In every cell no vehicles may collide, no two vehicles come inside the ellipsoid around each other, and the
+other two land on their pads. If a process is killed,
+the fail-safe of its autopilot lands the vehicle where it is, by chance on its robot. If a sent position
+jumps, the ellipsoid around it grows by the jump, so that the previous position is also kept clear; a
+vehicle whose pad is inside may abort its landing. A position that is wrong from the start does not jump and
+cannot be detected. A robot that stops at once is detected by its own vehicle, in the robot's odometry.
 
 | fault | in | ends of the members | nearest in the ellipsoid's measure | nearest, m |
 |---|---|---|--:|--:|
@@ -100,7 +100,7 @@ own vehicle, in the robot's odometry; nobody else has to know.
 WIRE_TEST = "tests/unit/onboard/test_fleet_wire.py"
 NAMESAKES = (
     f"| two processes with one id | start, flight | the second is refused: `{WIRE_TEST}` "
-    "(over the wire; words of a team in one process have no senders) | - | - |"
+    "(between processes; messages of a team in one process have no senders) | - | - |"
 )
 
 

@@ -1,9 +1,8 @@
-"""What is demanded of each cell: how the flight may end, how soon it is given up, how far h may fall.
+"""Requirements of each cell: how the flight may end, how soon it is aborted, how far h may fall.
 
-Demanded is what a safety engineer would want of a companion that knows nothing but its links: nothing falls,
-nothing goes on silently on data that can be known to be stale or wrong, and within 2 s the vehicle is being
-brought to safety or is on the pad already. Several ends are allowed only where chance decides between safe
-ones; then the reason says so.
+A companion that has only its links must not let the vehicle fall, must not continue silently on data that it
+can detect as stale or wrong, and must start to bring the vehicle to safety within 2 s unless it is on the
+pad. Several ends are allowed only where chance decides between safe ones; the reason then has "chance".
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from flightstack.core.types import Phase
 class Part(StrEnum):
     """What fails."""
 
-    OWN_STATE = "own state"
+    OWN_STATE = "vehicle state"
     TARGET_STATE = "target state"
     HEARTBEAT = "heartbeat"
     SETPOINTS = "set-point path"
@@ -72,12 +71,12 @@ class Need:
     Attributes:
         ends: how the flight may end.
         why: the reason.
-        within_s: s from the fault until it is given up or the motors are off; None: it may go on, for it can
-            do no harm.
+        within_s: longest time from the fault to the abort or to motors off, s; None: the flight may continue,
+            because the fault does no harm.
         h_min_m: lowest h outside the pad while the companion flies.
-        undetectable: nobody on board can know of it; the demands are a bound of the harm.
-        falls_short: what is known to go wrong by chance and why; empty where nothing is.
-        short_ends: the ends that are meant by that.
+        undetectable: no process on board can detect it; the requirements bound the harm.
+        falls_short: known failure by chance and its reason; empty if there is none.
+        short_ends: ends of that failure.
     """
 
     ends: frozenset[End]
@@ -96,71 +95,73 @@ def _need(*ends: End, why: str, **more: object) -> Need:
 _CRASHED = frozenset({End.CRASHED})
 LANDED, ABORTED, VEHICLE_LANDS = End.LANDED, End.ABORTED, End.VEHICLE_LANDS
 
-_HARMLESS = _need(LANDED, why="fresh enough to fly by", within_s=None)
+_HARMLESS = _need(LANDED, why="still recent enough", within_s=None)
 _ON_THE_PAD = _need(
-    LANDED, why="centimetres above the pad: it sinks on with what was sent last", within_s=None
+    LANDED, why="centimetres above the pad: it descends with the last set-point", within_s=None
 )
-_NO_TARGET = _need(ABORTED, why="no target to be believed: hold, climb, wait, fly clear, land")
+_NO_TARGET = _need(ABORTED, why="no valid target: hold, climb, wait, fly clear, land")
 _PAUSES = _need(
-    LANDED, ABORTED, why="hold at each pause and go on; after too many it gives up: chance", within_s=None
+    LANDED, ABORTED, why="holds at each pause, then continues; aborts after too many: chance", within_s=None
 )
 _NO_OWN = _need(
     ABORTED,
     VEHICLE_LANDS,
-    why="no own state to be believed: no set-points, and the autopilot lands where it is",
+    why="no valid vehicle state: no set-points, and the autopilot lands where it is",
 )
 _NO_OWN_OVER = _need(
     ABORTED, VEHICLE_LANDS, LANDED, why="the same, with the robot below: chance",
-    falls_short="lands where it is, and a robot that drives off slowly is hit at its edge: no set-point is "
-    "sent without an own state, not even one that leads away", short_ends=_CRASHED,
+    falls_short="lands where it is and hits the edge of a robot that drives off slowly: without a "
+    "vehicle state no set-point is sent, not even one that leads away", short_ends=_CRASHED,
 )  # fmt: skip
-_NO_ESTIMATE = _need(VEHICLE_LANDS, ABORTED, why="the autopilot misses it, too, and lands by itself in 1 s")
+_NO_ESTIMATE = _need(
+    VEHICLE_LANDS, ABORTED, why="the autopilot has no state either and lands by itself in 1 s"
+)
 _NO_ESTIMATE_OVER = _need(
     VEHICLE_LANDS, ABORTED, LANDED, why="the same, with the robot below: chance",
-    falls_short="the autopilot lands where it is 1 s later, whatever is there: by chance on the edge of the "
-    "robot, from where it tips over", short_ends=_CRASHED,
+    falls_short="the autopilot lands where it is 1 s later: by chance on the edge of the robot, where it "
+    "tips over", short_ends=_CRASHED,
 )  # fmt: skip
 _LATE_LOOP = _need(
-    LANDED, ABORTED, why="0.2 s of dead time make the loop swing: chance whether it gets to the pad in time",
+    LANDED, ABORTED, why="0.2 s of dead time make the loop oscillate: it reaches the pad in time by chance",
     within_s=None, h_min_m=-0.05, undetectable=True,
-    falls_short="a swing that grows is not following, and then the autopilot lands where it is: by chance on "
-    "the robot", short_ends=_CRASHED,
+    falls_short="a growing oscillation counts as not following its set-points; then the autopilot lands "
+    "where it is: by chance on the robot", short_ends=_CRASHED,
 )  # fmt: skip
-_LATE_OVER = _need(LANDED, why="the same, too short to swing up", within_s=None, undetectable=True)
-_NO_HEARTBEAT = _need(ABORTED, why="comes at 1 Hz and two may be lost: 3 s", within_s=3.5)
+_LATE_OVER = _need(LANDED, why="the same, but too short to oscillate", within_s=None, undetectable=True)
+_NO_HEARTBEAT = _need(ABORTED, why="sent at 1 Hz and two may be lost: 3 s", within_s=3.5)
 _HEARTBEAT_OR_DOWN = _need(
-    LANDED, ABORTED, why="given up after 3 s, or landed before that: chance", within_s=None
+    LANDED, ABORTED, why="aborts after 3 s, or lands before that: chance", within_s=None
 )
 _STALE_MODE = _need(
-    LANDED, why="tells nothing new before the motors stop, and they stop by command", within_s=None,
+    LANDED, why="contains nothing new before the motors stop, and they stop by command", within_s=None,
     undetectable=True,
 )  # fmt: skip
 _CONTRADICTS = _need(
-    ABORTED, VEHICLE_LANDS, why="says disarmed or another mode in the air: not ours to fly, or not true"
+    ABORTED,
+    VEHICLE_LANDS,
+    why="reports disarmed or another mode in the air: another sender flies, or it is wrong",
 )
 _CONTRADICTS_OVER = _need(
     LANDED, ABORTED, VEHICLE_LANDS, why="the same, with the robot below: chance",
-    falls_short="lands at once, whatever is below: by chance on the edge of a robot that drives off",
+    falls_short="lands at once where it is: by chance on the edge of a robot that drives off",
     short_ends=_CRASHED,
 )  # fmt: skip
-_STREAM_LOST = _need(VEHICLE_LANDS, why="the autopilot misses set-points for 0.5 s and lands")
+_STREAM_LOST = _need(VEHICLE_LANDS, why="the autopilot receives no set-points for 0.5 s and lands")
 _STREAM_LOST_OVER = _need(
     LANDED, VEHICLE_LANDS, ABORTED, why="the same, with the robot below: chance", within_s=WITHIN_S
 )
-_NOT_FLOWN = _need(
-    ABORTED, why="does not fly what it is told: the autopilot's own landing needs no set-points"
-)
+_NOT_FLOWN = _need(ABORTED, why="does not follow its set-points: the autopilot's own landing needs none")
 _NOT_FLOWN_OVER = _need(
-    ABORTED, LANDED, why="the same, or down before it shows: chance; until then it flies elsewhere",
-    h_min_m=-0.2, falls_short="by chance it strikes the robot before anything shows: from 0.2 m above that "
-    "takes half a second", short_ends=_CRASHED,
+    ABORTED, LANDED, why="the same, or down before it is detected: chance; until then it flies elsewhere",
+    h_min_m=-0.2, falls_short="by chance it strikes the robot before the fault is detected: from 0.2 m "
+    "above that takes half a second", short_ends=_CRASHED,
 )  # fmt: skip
 _NOT_FLOWN_YET = _need(
     ABORTED,
-    why="how fast it rises is the autopilot's in the first 7 s of a take-off, then it shows",
+    why="the rate of climb is not checked in the first 7 s of a take-off",
     within_s=8.0,
 )
-_STAMPS = _need(LANDED, why="ages count from arrival: stamps only order", within_s=None)
+_STAMPS = _need(LANDED, why="ages count from arrival: stamps only give the order", within_s=None)
 
 # in the order of Moment
 _Row = tuple[Need, Need, Need, Need]
@@ -238,13 +239,13 @@ _ROWS: Mapping[Part, Mapping[Way, _Row]] = MappingProxyType(
             Way.INTERMITTENT: _OFTEN,
         },
         Part.DISK: {
-            Way.OFF: _disk("full: the log ends there and says so"),
-            Way.STUCK: _disk("hangs: what does not fit into memory is dropped and counted"),
-            Way.GARBAGE: _disk("writes other bytes: checksums tell"),
-            Way.WRONG: _disk("not writable: the log ends there and says so"),
+            Way.OFF: _disk("full: the log ends there and reports it"),
+            Way.STUCK: _disk("hangs: data that do not fit into memory are dropped and counted"),
+            Way.GARBAGE: _disk("writes wrong bytes: checksums show it"),
+            Way.WRONG: _disk("not writable: the log ends there and reports it"),
             Way.SLOW: _disk("nothing is lost"),
             Way.DELAYED: _disk("nothing is lost"),
-            Way.INTERMITTENT: _disk("fails now and then: the log ends at the first time and says so"),
+            Way.INTERMITTENT: _disk("fails now and then: the log ends at the first failure and reports it"),
         },
     }
 )
