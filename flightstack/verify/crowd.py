@@ -120,10 +120,10 @@ def one(config: FlightConfig, c: Crowd) -> Check:
         "landing barrier, box and the row of one neighbour have a common point wherever no h is negative",
         -short_m_s,
         "m/s",
-        f"at slope {c.steepest:.3g} it comes with {c.speed_m_s:g} m/s and pushes up the slope, "
-        f"{math.degrees(-elevation):.0f} deg from above; a common point is left from h = "
+        f"at slope {c.steepest:.3g} it approaches with {c.speed_m_s:g} m/s and pushes up the slope, "
+        f"{math.degrees(-elevation):.0f} deg from above; a common point exists from h = "
         f"{max(0.0, short_m_s) / fleet.rate_1_s:.3g} m on, away from the landing barrier from "
-        f"{max(0.0, open_m_s) / fleet.rate_1_s:.3g} m on; nearer, its row gives way",
+        f"{max(0.0, open_m_s) / fleet.rate_1_s:.3g} m on; nearer, its row is relaxed",
         "raise limits.velocity_max_m_s, or lower fleet.speed_max_m_s or the slope alpha * beta",
         Need.PROOF,
     )
@@ -139,9 +139,9 @@ def several(config: FlightConfig, c: Crowd) -> Check:
         "box and the rows of several neighbours have a common point wherever no h is negative",
         -short_m_s,
         "m/s",
-        f"two come from opposite sides with {c.speed_m_s:g} m/s each: a common point is left from h = "
+        f"two approach from opposite sides with {c.speed_m_s:g} m/s each: a common point exists from h = "
         f"{short_m_s / fleet.rate_1_s:.3g} m on, of any number and with the landing barrier from "
-        f"{anywhere_m(config, c):.3g} m on; nearer, the rows of neighbours give way together",
+        f"{anywhere_m(config, c):.3g} m on; nearer, the rows of neighbours are relaxed together",
         "lower fleet.speed_max_m_s, or raise fleet.rate_1_s; no setting meets all",
         Need.PROOF,
     )

@@ -72,7 +72,7 @@ def apart(fleet: Fleet, lag_s: float) -> Check:
         "",
         f"rate {fleet.rate_1_s:g} times a lag of {lag_s:.3g} s, at most {PART_OF_LAG:g}: from all states "
         f"that close in by at most {root_1_s:.3g} h a second; with the whole share an acceleration of the "
-        f"other one costs up to {lag_s * fleet.acceleration_max_m_s2 / fleet.rate_1_s:.3g} m of h",
+        f"other vehicle costs up to {lag_s * fleet.acceleration_max_m_s2 / fleet.rate_1_s:.3g} m of h",
         "lower fleet.rate_1_s",
         Need.PROOF,
     )
@@ -93,7 +93,7 @@ def margin(config: FlightConfig, fleet: Fleet) -> Check:
     lost_m = errors_m(config, fleet)
     return Check(
         "fleet.margin_m",
-        "velocities that are not as wanted do not bring two vehicles into the ellipsoid",
+        "errors of the velocities do not bring two vehicles into the ellipsoid",
         fleet.margin_m - lost_m,
         "m",
         f"found {fleet.margin_m:g}; errors of both as robust.tracking_error_m_s, in all directions, cost "
@@ -113,11 +113,11 @@ def shares(fleet: Fleet, period_s: float) -> Check:
     needed_s = (1.0 + LATE_TICKS) * period_s
     return Check(
         "shares",
-        "the shares of two vehicles sum to one or more, whatever words are lost, late or overtaken",
+        "the shares of two vehicles sum to at least one, with any lost, late or overtaken messages",
         spare_s - needed_s,
         "s",
-        f"{spare_s:.3g} s are between, a tick and a late one take {needed_s:.3g}; clocks err by what their "
-        "bound says; not while the autopilot or somebody else takes a vehicle over unannounced",
+        f"{spare_s:.3g} s are available, a tick and a late one take {needed_s:.3g}; clock errors are within "
+        "their bound; not while the autopilot or another sender takes over a vehicle",
         "raise fleet.latency_max_s or loop.rate_hz",
         Need.PROOF,
     )
@@ -134,7 +134,7 @@ def speed(config: FlightConfig, fleet: Fleet) -> Check:
     box_m_s = math.hypot(*config.limits.velocity_max_m_s)
     return Check(
         "fleet.speed_max_m_s",
-        "a member in a corner of its box is no faster than the others count with",
+        "a member in a corner of its box is no faster than the others assume",
         fleet.speed_max_m_s - box_m_s,
         "m/s",
         f"found {fleet.speed_max_m_s:g}, the box allows {box_m_s:.3g} in its corner",
@@ -149,11 +149,11 @@ def acceleration(fleet: Fleet, slew_m_s2: Vec3) -> Check:
     lost_m_s = max(0.0, found - fleet.acceleration_max_m_s2) * fleet.latency_max_s
     return Check(
         "fleet.acceleration_max_m_s2",
-        "the velocity wanted changes no faster than the others count with",
+        "the commanded velocity changes no faster than the others assume",
         fleet.acceleration_max_m_s2 - found,
         "m/s^2",
         f"found {fleet.acceleration_max_m_s2:g}, all axes together may slew by {found:.3g}: in a latency of "
-        f"{fleet.latency_max_s:g} s a velocity may be {lost_m_s:.3g} m/s beside what is counted with",
+        f"{fleet.latency_max_s:g} s a velocity may differ by {lost_m_s:.3g} m/s from the assumed one",
         "raise fleet.acceleration_max_m_s2, or lower robust.acceleration_max_m_s2",
         Need.PROOF,
     )
@@ -165,11 +165,11 @@ def jump(config: FlightConfig, fleet: Fleet) -> Check:
     closing_m_s = _fastest_m_s(config, fleet) + fleet.speed_max_m_s
     return Check(
         "fleet.reach_m",
-        "the row of a vehicle that comes into reach does not ask for a jump of the velocity",
+        "the row of a vehicle that comes into reach does not demand a jump of the velocity",
         allowed_m_s - closing_m_s,
         "m/s",
-        f"it allows to close in by {allowed_m_s:.3g} m/s there, corners of the box with fleet.speed_max_m_s "
-        f"make {closing_m_s:.3g}",
+        f"the row allows a closing speed of {allowed_m_s:.3g} m/s there, corners of the box with "
+        f"fleet.speed_max_m_s give {closing_m_s:.3g}",
         "raise fleet.reach_m",
         Need.PROOF,
     )
@@ -191,7 +191,7 @@ def slew(config: FlightConfig, fleet: Fleet, slew_m_s2: Vec3, *, whole: bool) ->
         f"a vehicle with the {who} share can follow the row of a neighbour as fast as it changes",
         slew_m_s2[axis] - needed[axis],
         "m/s^2",
-        f"along axis {axis} the row may ask for {needed[axis]:.3g} m/s^2 at full speed of both, allowed are "
+        f"along axis {axis} the row may need {needed[axis]:.3g} m/s^2 at full speed of both, allowed are "
         f"{slew_m_s2[axis]:.3g}",
         "lower fleet.rate_1_s or fleet.speed_max_m_s, or raise robust.acceleration_max_m_s2 and "
         "fleet.slew_xy_max_m_s2",
@@ -215,7 +215,7 @@ def touchdowns(config: FlightConfig, fleet: Fleet, descent_s: float) -> Check:
         "two vehicles in their touchdowns stay apart: pads that come near later do so after both are down",
         fleet.pad_distance_m - needed_m,
         "m",
-        f"in {ahead_s:.3g} s each pad may be {moved_m:.3g} m from where conflicts are looked for; "
+        f"in {ahead_s:.3g} s each pad may move {moved_m:.3g} m from where conflicts are checked; "
         f"{needed_m:.3g} m are needed, fleet.pad_distance_m is {fleet.pad_distance_m:g}",
         "raise fleet.pad_distance_m, or use robots whose paths do not meet",
         Need.PROOF,
@@ -242,11 +242,11 @@ def waits(config: FlightConfig, fleet: Fleet, descent_s: float) -> Check:
     each_s, before = first_attempt_s(config, fleet, descent_s), len(fleet.others)
     return Check(
         "waits",
-        "if each member lands at its first attempt, nobody gives up waiting for the right of way",
+        "if each member lands at its first attempt, no member aborts while it waits for the right of way",
         fleet.wait_max_s - before * each_s,
         "s",
         f"{before} land before the last one, about {each_s:.3g} s each; each may take "
-        f"{fleet.wait_max_s / before:.3g} s; who goes around, or stays on the pad, is not counted",
+        f"{fleet.wait_max_s / before:.3g} s; a go-around, or a vehicle that stays on the pad, is not counted",
         "raise fleet.wait_max_s",
         Need.PROOF,
     )

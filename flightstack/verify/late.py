@@ -137,11 +137,11 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
             *([(RESPONSE_LATE, 0.0)] if late else []),
         ]
     )
-    remedy = "lower robust.{} or velocity_loop.gain_xy, or identify the loop anew (flightstack identify)"
+    remedy = "lower robust.{} or velocity_loop.gain_xy, or identify the loop again (flightstack identify)"
     return [
         Check(
             "lead",
-            "the loop of position and lead comes to rest with the declared vehicle",
+            "the loop of position and lead is stable for the declared vehicle",
             told,
             "1/s",
             f"an error fades with {told + least_1_s[told_gain]:.3g} 1/s, {least_1_s[told_gain]:g} are needed",
@@ -149,7 +149,7 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
         ),
         Check(
             "lead, spread",
-            "the loop of position and lead comes to rest with each vehicle of the spread",
+            "the loop of position and lead is stable for each vehicle of the spread",
             room,
             "1/s",
             f"an error fades with {room + needed:.3g} 1/s with {slower:.3g} times the lag and "

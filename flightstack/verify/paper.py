@@ -129,10 +129,10 @@ def lags(config: FlightConfig) -> Check:
     speed = max(config.limits.velocity_max_m_s[:2])
     return Check(
         "lag",
-        "what the vehicle flies on for its lag, which the paper leaves out, is shorter than the pad's radius",
+        "the distance flown during the lag, which the paper neglects, is shorter than the pad's radius",
         pad_m - speed * lag_s,
         "m",
-        f"at {speed:g} m/s the slowest vehicle flies on for {speed * lag_s:.3g} m, the pad has {pad_m:g} m",
+        f"at {speed:g} m/s the slowest vehicle flies {speed * lag_s:.3g} m, the pad's radius is {pad_m:g} m",
         'choose filter = "robust", or lower limits.velocity_max_m_s; or velocity_loop.lag_xy_s if it is less',
         Need.PROOF,
     )

@@ -43,7 +43,7 @@ def recovers(config: FlightConfig, x: Extremes) -> Check:
     time = f"at most {deep_m / room:.3g} s from the deepest point" if room > 0.0 else "never from some points"
     return Check(
         "recovery",
-        "from h < 0 the vehicle comes back to h >= 0",
+        "from h < 0 the vehicle returns to h >= 0",
         room,
         "m/s",
         f"at {worst.at[0]:.3g} m h rises with {room:.3g} m/s: {time}",
@@ -89,7 +89,7 @@ def climb(config: FlightConfig, x: Extremes) -> Check:
     needed = worst.bound + x.target_climb_m_s + config.robust.tracking_error_m_s
     return Check(
         "climb",
-        "the vertical axis alone holds the barrier while the horizontal velocity has not changed yet",
+        "the vertical axis alone satisfies the barrier before the horizontal velocity has changed",
         vz - needed,
         "m/s",
         f"at {worst.at[0]:.3g} m it may need {needed:.3g} m/s, the box has {vz:g}",
@@ -132,7 +132,7 @@ def reserve(config: FlightConfig, table: Reserve, x: Extremes) -> Check:
     enough_v = table.voltage_v(1.0 + max(0.0, worst.bound) / (table.share * GRAVITY_M_S2))
     return Check(
         "thrust reserve",
-        "the battery climbs as quickly as the barrier may ask for, down to its lowest voltage",
+        "the battery allows the climb that the barrier may demand, down to its lowest voltage",
         up_m_s2 - worst.bound,
         "m/s^2",
         f"at {low_v:g} V thrust is {least:.3g} times the weight, which climbs with {up_m_s2:.3g} m/s^2; at "

@@ -43,7 +43,7 @@ def one_table(fleets: Sequence[Fleet]) -> Check:
     other += ["members"] if any(sorted(each.members) != ids for each in fleets) else []
     return Check(
         "one table",
-        "all members have the same table [fleet], and know all others and nobody else",
+        "all members have the same table [fleet], with exactly the members of the team",
         0.0 - len(other),
         "keys",
         f"{len(fleets)} members; different: {', '.join(other) or 'none'}",
@@ -62,11 +62,11 @@ def begin(fleet: Fleet, starts_enu_m: Sequence[Vec3]) -> Check:
                 least_m, where = h_m, (j + 1, i + 1)
     return Check(
         "starts",
-        "nobody begins inside the ellipsoid about another one",
+        "no vehicle starts inside the ellipsoid around another one",
         least_m,
         "m",
         f"the nearest are members {where[0]} and {where[1]}",
-        "give them other start places",
+        "give them other start positions",
         Need.PROOF,
     )
 
@@ -82,12 +82,12 @@ def pads(config: FlightConfig, fleet: Fleet, apart_m: float) -> Check:
     error_m = 2.0 * (position_m + velocity_m_s * fleet.descent_s)
     return Check(
         "pads",
-        "no two pads look as if they came into conflict, so that nobody waits",
+        "no two pads are predicted to conflict, so no member waits",
         apart_m - error_m - fleet.pad_distance_m,
         "m",
         (f"paths stay {apart_m:.3g} m apart, " if apart_m > 0.0 else "paths may meet, ")
-        + f"fleet.pad_distance_m is {fleet.pad_distance_m:g}; velocities that err by {velocity_m_s:.3g} m/s "
-        f"each make {error_m:.3g} m of that in fleet.descent_s",
+        + f"fleet.pad_distance_m is {fleet.pad_distance_m:g}; velocity errors of {velocity_m_s:.3g} m/s "
+        f"each add {error_m:.3g} m in fleet.descent_s",
         "drive the robots farther apart, or lower fleet.pad_distance_m or fleet.descent_s",
         Need.PROOF,
     )

@@ -49,7 +49,7 @@ def follows(config: FlightConfig, x: Extremes) -> list[Check]:
         ),
         Check(
             "descent on a heaving pad",
-            "the box holds the descent and the pad's own motion",
+            "the box contains the descent and the pad's own motion",
             vz - down,
             "m/s",
             f"the box has {vz:g} m/s vertically, {down:.3g} are needed",
@@ -118,7 +118,7 @@ def stops(config: FlightConfig, x: Extremes) -> Check:
     room_m = robust.wait_height_m - config.touchdown.feet_below_reference_m - x.height_error_m
     return Check(
         "robust.descent_min_m_s",
-        "the slowest descent on the way ends between the waiting height and the pad",
+        "the slowest descent ends between the waiting height and the pad",
         room_m - way_m,
         "m",
         f"found {speed:g}, which ends within {way_m:.3g} m; it waits {room_m:.3g} m above",
@@ -184,7 +184,7 @@ def tilts(config: FlightConfig, x: Extremes) -> Check:
     needed = max(BRAKING * slew, follows)
     return Check(
         "velocity_loop.error_max_m_s",
-        "the bound of the set-point leaves the acceleration to brake, and to follow without being given back",
+        "the bound of the set-point allows the acceleration to brake, and to follow without an abort",
         found - needed,
         "m/s^2",
         f"found {loop.error_max_m_s:g}, which accelerates with {found:.3g} m/s^2; {needed:.3g} are needed",
@@ -217,7 +217,7 @@ def modelled(config: FlightConfig) -> Check:
         "",
         f"found {told_s:g} s, 2 damping / rate_{axis}_1_s {'+ dead_time_s ' if axis == 'xy' else ''}make "
         f"{model_s:.3g} s: {factor:.3g} times apart, at most {AGREE:g}",
-        "identify the loop anew (flightstack identify)",
+        "identify the loop again (flightstack identify)",
         Need.PROOF,
     )
 

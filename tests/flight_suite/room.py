@@ -26,7 +26,7 @@ class Lost(Enum):
     """What the vehicle does by itself once no set-point comes any more."""
 
     LANDS = "lands and stops its motors"
-    STOPS = "holds still, armed, until somebody lands it"
+    STOPS = "hovers, armed, until a command lands it"
 
 
 @dataclass(frozen=True)

@@ -107,7 +107,7 @@ def rate(message_id: int) -> str:
 
 def test_messages() -> None:
     wanted = [[str(i), mav.mavlink_map[i].msgname, rate(i)] for i in sorted(Rig().autopilot.messages)]
-    assert rows("What it sends") == wanted
+    assert rows("Messages") == wanted
 
 
 def test_commands() -> None:
