@@ -1,4 +1,4 @@
-"""Commands that the simulated vehicle alone has, with PX4's results (Commander.cpp)."""
+"""Commands of the simulated vehicle alone, with PX4's results (Commander.cpp)."""
 
 from __future__ import annotations
 

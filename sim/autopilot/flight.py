@@ -107,7 +107,7 @@ class Flight(Commander):
         self.pilot.begin(self._goal)
 
     def arm(self, now_s: float) -> str | None:
-        """Arm; nothing moves before a mode says so."""
+        """Arm; the motors idle until a mode flies."""
         if self.vehicle.armed:
             return None
         problems = self.problems(now_s)
@@ -160,7 +160,7 @@ class Flight(Commander):
         return None
 
     def flown(self, now_s: float, setpoint: Setpoint | None, sender: Sender) -> None:
-        """Take note of ticks until now past ``control``; of the last one's set-point if they had one each."""
+        """Take over ticks that were flown without ``control``, with the last of their set-points, if any."""
         self._control_s = self._estimate_seen_s = now_s
         if setpoint is not None:
             self.owner.admit(sender, now_s, self.stream_lost_s)
@@ -232,7 +232,7 @@ class Flight(Commander):
         self.pilot.stop()
         self.owner.release()
         self._was_armed = self._flew = False
-        if self.mode is not FlightMode.OFFBOARD:  # that one ends with its stream, as the companion expects
+        if self.mode is not FlightMode.OFFBOARD:  # OFFBOARD ends with its stream, as the companion expects
             self._enter(FlightMode.HOLD, now_s)
         self.failsafe = False
 

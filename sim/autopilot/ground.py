@@ -6,8 +6,7 @@ import math
 
 ORIGIN_LATITUDE_DEG = 47.397742
 ORIGIN_LONGITUDE_DEG = 8.545594
-# Degrees, degrees, m above sea level: what an autopilot is told that needs it. Its height is not 0, which
-# ArduPilot takes for "not known"; the simulated one does not mind the height.
+# Degrees, degrees, m above sea level, for an autopilot that needs it; ArduPilot takes a height of 0 for unknown
 ORIGIN_WGS84 = (ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG, 10.0)
 _EARTH_RADIUS_M = 6_371_000.0  # PX4 geo.h
 _AROUND_M = _EARTH_RADIUS_M * math.cos(math.radians(ORIGIN_LATITUDE_DEG))

@@ -1,7 +1,7 @@
 """Flies one mode: velocity set-points for hold, take-off, landing and offboard.
 
 In its own modes the velocities come from position errors; in offboard they are those of the set-points.
-Modes themselves, arming and fail-safes are in ``sim.autopilot.flight``; nothing here decides about them.
+Changes of mode, arming and fail-safes are in ``sim.autopilot.flight``.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ from sim.autopilot.vehicle_like import CheckedEstimate, VehicleLike
 
 _INTEGRAL_GAIN_1_S2 = 0.25  # takes out wind and a wrong mass within some seconds, slower than the loop
 _INTEGRAL_MAX_M_S = 0.4  # more than the paper's velocity loop sags with 10 % mass error and 2 m/s of wind
-_LEARN_BELOW_M_S = 0.1  # of proportional velocity: on the way to a far point there is nothing to learn
+_LEARN_BELOW_M_S = (
+    0.1  # proportional velocity above which the integral stays: on the way to a far point it would wind up
+)
 _SLEW_M_S2 = 1.0  # keeps K_v = 0.5 clear of zero thrust: 0.53 m/s at once would be that (27 g)
 
 
@@ -117,15 +119,15 @@ _ARRIVED_M_S = 0.15  # m/s
 
 
 class Event(Enum):
-    """What a step of flying ended with, for the mode machine."""
+    """Result of a step, for the mode machine."""
 
     ARRIVED = auto()  # take-off height reached
-    LANDED = auto()  # stands, and that was the purpose
+    LANDED = auto()  # it stands, in a landing
     CLIPPED = auto()  # a set-point was faster than the vehicle may fly
 
 
 class Goal(NamedTuple):
-    """Where to go and hold."""
+    """A place to fly to and hold."""
 
     point_enu_m: Vec3
     yaw_rad: float | None  # None: the present heading
@@ -157,7 +159,7 @@ class Pilot:
         }
 
     def begin(self, goal: Goal | None = None) -> None:
-        """Begin a mode, from wherever the vehicle is."""
+        """Begin a mode from the present state."""
         self._engaged, self._fresh, self.goal = False, True, goal
 
     def take(self, setpoint: Setpoint) -> None:
@@ -166,7 +168,7 @@ class Pilot:
 
     @property
     def passes_on(self) -> tuple[float, float, float] | None:
-        """Speeds over ground, up and down that it hands on, m/s; None while it does more than that."""
+        """Limits over ground, up and down of set-points that pass unchanged, m/s; None: they do not."""
         known = self._version == self._parameters.version
         return self._clip if known and self._engaged and self._setpoint is not None else None
 
@@ -230,7 +232,7 @@ class Pilot:
 
     def _fly_hold(self, estimate: CheckedEstimate, standing: bool, dt_s: float) -> Event | None:
         if standing:
-            # Sent again and again: for the firmware silence after a flight is a lost link, which locks it.
+            # Repeated: the firmware takes silence after a flight for a lost link, and locks.
             self.stop()
             return None
         first, goal, limits = self._engage(estimate), self.goal, self._limits
@@ -252,7 +254,7 @@ class Pilot:
         return Event.ARRIVED if arrived else None
 
     def go_on(self) -> None:
-        """Hold where the take-off ended, with what it has learnt."""
+        """Hold where the take-off ended, with the same integral."""
         self._engaged = True
 
     def _fly_land(self, estimate: CheckedEstimate, standing: bool, dt_s: float) -> Event | None:
@@ -271,7 +273,7 @@ class Pilot:
         if setpoint.yaw_rad is not None:
             self._yaw_rad = setpoint.yaw_rad
         self._yaw_rad += setpoint.yaw_rate_rad_s * dt_s
-        # Only news is handed on, so that the firmware's own watchdog sees a broken stream too.
+        # Only new set-points are passed on, so that the firmware's own watchdog detects a broken stream too.
         if not (self._fresh or setpoint.yaw_rate_rad_s):
             return None
         self._fresh = False

@@ -1,4 +1,4 @@
-"""Telemetry of the simulated autopilot: what it sends besides the messages of every vehicle."""
+"""Messages of the simulated autopilot besides those of every vehicle."""
 
 from __future__ import annotations
 

@@ -79,11 +79,11 @@ class Standing:
 
     @property
     def settled(self) -> bool:
-        """Whether the contact last seen is that of how it counts."""
+        """Whether the newest contact agrees with ``now``."""
         return self._contact == self.now
 
     def watch(self, now_s: float, armed: bool) -> None:
-        """Look at the contacts; call it at every tick."""
+        """Read the contacts; call it at every tick."""
         vehicle = self._vehicle
         contact = vehicle.on_pad or vehicle.on_ground or vehicle.landed
         if contact != self._contact:

@@ -1,7 +1,7 @@
 """MAVLink commands: COMMAND_LONG and COMMAND_INT in, acknowledgement out.
 
-Every command may come again, since an acknowledgement can be lost and MAVSDK does not count its repeats:
-a command whose effect is there already is ACCEPTED. A parameter that is NaN means "the default". ACCEPTED
+Every command may be repeated, since an acknowledgement can be lost and MAVSDK does not count its repeats:
+a command that already has its effect is ACCEPTED. A parameter that is NaN means "the default". ACCEPTED
 means "valid, and being done"; nothing is ever IN_PROGRESS. Only arming may be acknowledged later, when its
 result is known.
 """
@@ -68,13 +68,13 @@ class Answer(NamedTuple):
     """Result of a command."""
 
     result: int = ACCEPTED  # MAV_RESULT
-    reason: str | None = None  # said when it was refused
+    reason: str | None = None  # of a refusal
     messages: tuple[Message, ...] = ()  # for the sender, after the acknowledgement
     later: bool = False  # the result is not known yet; acknowledged by ``Commands.finish``
 
 
 class Reply(NamedTuple):
-    """An acknowledgement that comes later than its command."""
+    """An acknowledgement that is sent later than its command."""
 
     sender: Sender
     message: Message
@@ -89,7 +89,7 @@ class Entry(NamedTuple):
     """One line of the command table."""
 
     run: Callable[[Command], Answer]
-    right: Right  # who may, while somebody has control
+    right: Right  # which senders may, while one has control
     place: bool = False  # has a position or height: the frame of COMMAND_INT matters
     right_of: Callable[[Command], Right] | None = None  # when it depends on the parameters
 
@@ -121,10 +121,10 @@ def integer(value: float | None) -> int | None:
 
 
 class Commands(Generic[V]):
-    """Runs COMMAND_LONG and COMMAND_INT, and says why one is refused.
+    """Runs COMMAND_LONG and COMMAND_INT, and reports why one is refused.
 
-    Arming, modes, take-off, landing and requests for messages are here; ``own`` adds what only this vehicle
-    has. Results are those of PX4's ``Commander.cpp``.
+    Arming, modes, take-off, landing and requests for messages are here; ``own`` adds the commands of one
+    vehicle. Results are those of PX4's ``Commander.cpp``.
     """
 
     def __init__(
@@ -160,7 +160,7 @@ class Commands(Generic[V]):
         result, reason, messages, later = self._run(message, sender, now_s)
         if reason is not None:
             entry = self.table.get(message.command)
-            # A ground station asks for many things and does without them: its pilot need not be told.
+            # A ground station requests many messages that it does not need: no warning for its pilot.
             question = entry is not None and entry.right is Right.ANYBODY
             severity = dialect.MAV_SEVERITY_DEBUG if question else dialect.MAV_SEVERITY_WARNING
             self._vehicle.texts.refuse(reason, now_s, severity=severity)
@@ -172,7 +172,7 @@ class Commands(Generic[V]):
         return [self._acknowledge(message.command, result, sender), *messages]
 
     def finish(self, result: int) -> list[Reply]:
-        """Acknowledge the commands whose result was not known: MAV_RESULT of all of them."""
+        """Acknowledge the commands whose result was pending, all with this MAV_RESULT."""
         waiting, self._waiting = sorted(self._waiting), []
         return [Reply(to, self._acknowledge(number, result, to)) for number, to in waiting]
 
@@ -262,7 +262,7 @@ class Commands(Generic[V]):
     def _give(self, message_id: int | None, now_s: float) -> Answer:
         builder = self._builders.get(message_id) if message_id is not None else None
         if builder is None:
-            # QGroundControl takes an ACCEPTED as a promise and waits for the message for ever.
+            # After an ACCEPTED QGroundControl waits for the message for ever.
             return Answer(DENIED, f"Message {message_id} refused: there is none")
         snapshot = self._snapshot(now_s)
         if snapshot is None:

@@ -1,7 +1,7 @@
 """Control of the vehicle: one sender of set-points has it, and few commands of other senders are obeyed.
 
-PX4 obeys whoever spoke last. Here a vehicle that is flown by a stream of set-points belongs to the sender of
-that stream: a second companion, a forgotten script or a stranger cannot take it over in flight.
+PX4 obeys the newest message. Here the sender of a stream of set-points controls the vehicle: a second
+companion, a forgotten script or a stranger cannot take it over in flight.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from enum import Enum
 
 from bridge.mavlink.transport.address import Peer
 
-# system id, component id, and the address where there is one: ids alone identify nobody
+# system id, component id, and the address where there is one: ids alone are not unique
 Sender = tuple[int, int] | tuple[int, int, Peer]
 
 # System ids of ground stations: QGroundControl, MAVProxy and dronekit use 255, MAVSDK uses 245.

@@ -66,7 +66,7 @@ def one_of(name: str, default: int, *choices: int) -> Parameter:
 
 
 def fixed(name: str, value: float, type_: int = INT32) -> Parameter:
-    """A parameter that only says something."""
+    """A constant parameter."""
     return Parameter(name, type_, value, value, value)
 
 
@@ -117,7 +117,7 @@ class Parameters:
         )
 
     def preset(self, name: str, value: float) -> None:
-        """Set a parameter before anything flies; what is fixed stays."""
+        """Set a parameter before the start; fixed ones cannot change."""
         if name not in self._index:
             raise ValueError(f"parameter {name!r} is not known: allowed is {', '.join(self._index)}")
         parameter = self.entry(name)
@@ -127,11 +127,11 @@ class Parameters:
         self.version += 1
 
     def list_all(self) -> None:
-        """Begin to send every value; a client that asks meanwhile gets all of them too."""
+        """Begin to send every value; after a request meanwhile all are sent again."""
         self.left_to_list = len(self._table)
 
     def listing(self) -> list[Message]:
-        """PARAM_VALUE of the next ones of a list; empty when none is on its way."""
+        """PARAM_VALUE of the next ones of a list; empty when none is being sent."""
         count = min(_LIST_AT_ONCE, self.left_to_list)
         names = [self._table[(self._next + i) % len(self._table)].name for i in range(count)]
         self.left_to_list -= count

@@ -1,6 +1,6 @@
-"""Parameters, ping, and the protocols that no vehicle here has: those are refused at once.
+"""Parameters, ping, and unsupported protocols, which are refused at once.
 
-Silence would let clients wait and try again for seconds.
+Without a reply clients would wait and repeat their request for seconds.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _FTP_NAK = 129
 _FTP_FAIL = 1
 _FTP_BYTES = 251
 _FTP_HEADER = 12  # bytes: sequence (2), session, opcode, size, requested opcode, burst, padding, offset (4)
-# Mission, fence and rally points; of these there are none, other types are not known.
+# Mission, fence and rally points: known types, of which the vehicle has no items.
 _TYPES = frozenset(
     {dialect.MAV_MISSION_TYPE_MISSION, dialect.MAV_MISSION_TYPE_FENCE, dialect.MAV_MISSION_TYPE_RALLY}
 )
@@ -87,7 +87,7 @@ class Services:
         if refused is None:
             return [in_force]
         self._vehicle.texts.refuse(refused.reason, now_s)
-        # The error first: MAVSDK takes a value that differs for a lost write and sends it five times more.
+        # The error first: MAVSDK takes a different value for a lost write and repeats it five times.
         return [_parameter_error(name.encode(), -1, refused.error, sender), in_force]
 
     def _refuse_setpoint(self, message: Any, _sender: Sender, now_s: float) -> list[Message]:
@@ -97,7 +97,7 @@ class Services:
 
 
 def _no_parameter(message: Any, sender: Sender) -> Message:
-    """PX4 says nothing here, and clients wait for seconds (mavlink.io, services/parameter)."""
+    """PX4 sends no reply here, and clients wait for seconds (mavlink.io, services/parameter)."""
     index = getattr(message, "param_index", -1)
     name = parameter_name(message.param_id).encode("ascii", "replace")
     return _parameter_error(name, index, dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST, sender)
@@ -130,7 +130,7 @@ def _mission_change(message: Any, sender: Sender, _now_s: float) -> list[Message
 
 
 def _mission_refused(message: Any, sender: Sender, _now_s: float) -> list[Message]:
-    """Items: none can be read, and none was asked for."""
+    """Items: none can be read, and none was requested."""
     wanted = message.get_msgId() in _ITEM_REQUESTS
     result = dialect.MAV_MISSION_INVALID_SEQUENCE if wanted else dialect.MAV_MISSION_UNSUPPORTED
     return _mission_ack(message, sender, result)

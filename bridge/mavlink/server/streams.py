@@ -1,4 +1,4 @@
-"""Which telemetry is due when; one table of rates for all peers, as one PX4 port has."""
+"""Times at which telemetry is due; one table of rates for all peers, as of one PX4 port."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class _Stream(Generic[V]):
     build: Builder[V]
     interval_s: float  # infinite: off
     due_s: float
-    passed_s: float = -_OFF  # when it was due last; once a tick, also where it has to catch up
+    passed_s: float = -_OFF  # when it was due last; at most once a tick, also to catch up
 
     def passes(self, now_s: float, limit_s: float) -> bool:
         """Whether it is due until ``limit_s``; then it is due anew an interval later."""
@@ -28,7 +28,7 @@ class _Stream(Generic[V]):
             return False
         self.passed_s = now_s
         self.due_s += self.interval_s
-        if self.due_s <= now_s:  # messages that were missed are not made up for
+        if self.due_s <= now_s:  # missed messages are not sent later
             self.due_s = now_s + self.interval_s
         return True
 
@@ -99,7 +99,7 @@ class Streams(Generic[V]):
             self._sort()
 
     def hasten(self, message_id: int) -> None:
-        """Make a message due at once, unless it is off."""
+        """Make a message due at once, unless its stream is off."""
         stream = self._streams[message_id]
         if stream.interval_s < _OFF:
             stream.due_s = self._lazy_due_s = 0.0
@@ -119,7 +119,7 @@ class Streams(Generic[V]):
         return messages
 
     def next_s(self, message_ids: frozenset[int]) -> float:
-        """When one of these messages is due next that do not come at every tick, or somewhat earlier.
+        """Time at which one of these messages is due next, without those of every tick, or somewhat earlier.
 
         It is -inf unless position and attitude, and no others of them, come at every tick.
         """
@@ -136,7 +136,7 @@ class Streams(Generic[V]):
     def pass_over(
         self, now_s: float, snapshot: Snapshot[V] | None = None, *message_ids: int
     ) -> list[Message]:
-        """Go on as with ``due``, but make only those messages of these ids that are not of every tick."""
+        """Advance as ``due`` does, but make only messages of these ids that are not of every tick."""
         messages: list[Message] = []
         limit_s = now_s + 0.5 * self._period_s
         if self._lazy_due_s > limit_s:
@@ -148,7 +148,7 @@ class Streams(Generic[V]):
         return messages
 
     def skip(self, ticks_s: Sequence[float]) -> None:
-        """Go on as with ``due`` at each of these times, and make no message."""
+        """Advance as ``due`` does at each of these times, without making messages."""
         half_s = 0.5 * self._period_s
         for now_s in ticks_s:
             if self._lazy_due_s <= now_s + half_s:

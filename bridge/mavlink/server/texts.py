@@ -10,9 +10,11 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.codec.decoding import Message
 
 _CHUNK = 50  # characters of one STATUSTEXT
-_WAITING_MAX = 64  # texts until the next tick takes them
-_SAME_GAP_S = 1.0  # s between two refusals on the same topic; a wrong stream is wrong 100 times a second
-_BURST = 20  # refusals on different topics at once; a ground station asks for a dozen things at its start
+_WAITING_MAX = 64  # texts between two ticks
+_SAME_GAP_S = (
+    1.0  # s between two refusals on the same topic; a wrong stream repeats its error 100 times a second
+)
+_BURST = 20  # refusals on different topics at once; a ground station sends a dozen requests at its start
 _PER_S = 5.0  # 1/s, refusals after that
 _TOPICS_MAX = 64
 
@@ -46,7 +48,7 @@ class Texts:
     def refuse(
         self, text: str, now_s: float, topic: str = "", severity: int = dialect.MAV_SEVERITY_WARNING
     ) -> None:
-        """Add the reason of a refusal, unless the same was said in the last second.
+        """Add the reason of a refusal, unless the same was added in the last second.
 
         Refusals of one ``topic`` count as the same; the topic is the text itself when left out.
         """
