@@ -9,22 +9,38 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from bridge.frames import yaw_enu_from_ned
 from bridge.mavlink.codec.decoding import Message
-from bridge.mavlink.server.commands import Entry
-from bridge.mavlink.server.owner import Sender
+from bridge.mavlink.server.commands import (
+    DENIED,
+    REJECTED,
+    UNSUPPORTED,
+    Answer,
+    Command,
+    Entry,
+    answer,
+    integer,
+)
+from bridge.mavlink.server.owner import Right, Sender
 from bridge.mavlink.server.parameters import Parameters
+from bridge.mavlink.server.profile import FlightMode
 from bridge.mavlink.server.server import COMPONENT_ID, SYSTEM_ID, Server
 from bridge.mavlink.server.services import Handler
 from bridge.mavlink.server.telemetry import Snapshot
 from flightstack.core.types import ZERO, Vec3
-from sim.autopilot.commands import SimCommands
 from sim.autopilot.flight import Flight
-from sim.autopilot.ground import degrees_e7
+from sim.autopilot.ground import degrees_e7, x_of, y_of
+from sim.autopilot.pilot import Goal
 from sim.autopilot.profiles import PX4, px4_parameters
 from sim.autopilot.telemetry import BUILDERS
 from sim.autopilot.vehicle_like import VehicleLike
 
 __all__ = ["COMPONENT_ID", "SYSTEM_ID", "Autopilot"]
+
+_HOME_REACH_M = 100.0  # m from the room's origin
+_CHANGE_MODE = 1  # MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
+_UNITS = dialect.enums["FAILURE_UNIT"]
+_KINDS = dialect.enums["FAILURE_TYPE"]
 
 
 class Autopilot(Server[Flight]):
@@ -64,7 +80,14 @@ class Autopilot(Server[Flight]):
         return []
 
     def own_commands(self) -> dict[int, Entry]:
-        return SimCommands(self.flight, self.parameters, self.streams).table
+        m, owner = dialect, Right.OWNER
+        return {
+            m.MAV_CMD_DO_SET_HOME: Entry(self._set_home, owner, place=True),
+            m.MAV_CMD_DO_FLIGHTTERMINATION: Entry(self._terminate, Right.OWNER_OR_GROUND),
+            m.MAV_CMD_DO_REPOSITION: Entry(self._reposition, owner, place=True),
+            m.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: Entry(self._reboot, owner),
+            m.MAV_CMD_INJECT_FAILURE: Entry(self._inject_failure, owner),
+        }
 
     def own_handlers(self) -> dict[int, Handler]:
         return {dialect.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN: self._set_origin}
@@ -75,3 +98,95 @@ class Autopilot(Server[Flight]):
     def _set_origin(self, _message: Any, _sender: Sender, now_s: float) -> list[Message]:
         self.flight.texts.refuse("Origin refused: the simulated room does not move", now_s)
         return [dialect.MAVLink_gps_global_origin_message(*degrees_e7(0.0, 0.0), 0, round(now_s * 1e6))]
+
+    # Its own commands, with PX4's results (Commander.cpp)
+
+    def _terminate(self, command: Command) -> Answer:
+        if not (command.given(1) or 0.0) > 0.5:
+            return Answer(DENIED, "Termination refused: param1 must be 1")
+        if not self.flight.armed:
+            return Answer(DENIED, "Termination refused: not armed")
+        return answer(self.flight.disarm(command.now_s, force=True))
+
+    def _set_home(self, command: Command) -> Answer:
+        if (command.given(1) or 0.0) > 0.5:
+            estimate = self.flight.vehicle.estimate()
+            if not estimate.valid:
+                return Answer(REJECTED, "Home refused: no position estimate")
+            point: Vec3 | None = estimate.position_enu_m
+        else:
+            point = self._point(command)
+        if point is None:
+            return Answer(DENIED, "Home refused: latitude, longitude and altitude are needed")
+        distance_m = max(map(abs, point))
+        if distance_m > _HOME_REACH_M:
+            reason = f"Home refused: {distance_m:.4g} m from the origin, at most {_HOME_REACH_M:g}"
+            return Answer(REJECTED, reason)
+        self.flight.home_enu_m = point  # local coordinates stay as they are
+        self.streams.hasten(dialect.MAVLINK_MSG_ID_HOME_POSITION)
+        return Answer()
+
+    def _reposition(self, command: Command) -> Answer:
+        if integer(command.given(2)) != _CHANGE_MODE:
+            return Answer(UNSUPPORTED, "Reposition refused: only with flag 1, change mode")
+        latitude, longitude, height_m = command.given(5), command.given(6), command.given(7)
+        if latitude is None and longitude is None and height_m is None:
+            return answer(self.flight.set_mode(FlightMode.HOLD, command.now_s))
+        if (latitude is None) != (longitude is None):
+            return Answer(DENIED, "Reposition refused: latitude and longitude only together")
+        here = (
+            self.flight.pilot.goal.point_enu_m
+            if self.flight.pilot.goal
+            else self.flight.vehicle.estimate().position_enu_m
+        )
+        x, y, z = here
+        if latitude is not None and longitude is not None:
+            x, y = x_of(longitude), y_of(latitude)
+        if height_m is not None:
+            z = command.local_z_m(height_m, self.flight.home_enu_m)
+        yaw, speed_m_s = command.given(4), command.given(1)
+        goal = Goal(
+            (x, y, z),
+            None if yaw is None else yaw_enu_from_ned(yaw),
+            speed_m_s if speed_m_s is not None and speed_m_s > 0.0 else None,
+        )
+        return answer(self.flight.reposition(goal, command.now_s))
+
+    def _reboot(self, command: Command) -> Answer:
+        what = integer(command.given(1))
+        if what == 0:
+            return Answer()  # "do nothing", for example when only the companion shall restart
+        if what != 1:
+            return Answer(DENIED, "Reboot refused: param1 must be 1, nothing else can be done")
+        reason = self.flight.reboot(command.now_s)
+        if reason is None:
+            self.streams.reset(command.now_s)
+        return answer(reason, DENIED)
+
+    def _inject_failure(self, command: Command) -> Answer:
+        unit, kind = integer(command.given(1)), integer(command.given(2))
+        instance = integer(command.given(3) or 0.0)
+        if not self.parameters["SYS_FAILURE_EN"]:
+            return Answer(DENIED, "Failure refused: SYS_FAILURE_EN is 0")
+        if unit is None or kind is None or instance is None or instance < 0:
+            return Answer(DENIED, "Failure refused: unit, type and instance are whole numbers")
+        reason = self.flight.vehicle.inject_failure(unit, kind, instance)
+        if reason is None:
+            text = f"Failure: {_name(_UNITS, unit)} {_name(_KINDS, kind)}"
+            self.flight.say(dialect.MAV_SEVERITY_NOTICE, f"{text} {instance}" if instance else text)
+            return Answer()
+        return Answer(UNSUPPORTED, f"Failure refused: {reason}")
+
+    def _point(self, command: Command) -> Vec3 | None:
+        latitude, longitude, height_m = command.given(5), command.given(6), command.given(7)
+        if latitude is None or longitude is None or height_m is None:
+            return None
+        return (x_of(longitude), y_of(latitude), command.local_z_m(height_m, self.flight.home_enu_m))
+
+
+def _name(names: dict[int, object], number: int) -> str:
+    entry = names.get(number)
+    if entry is None:
+        return str(number)
+    name = str(getattr(entry, "name", number)).removeprefix("FAILURE_UNIT_").removeprefix("FAILURE_TYPE_")
+    return name.lower().replace("_", " ")

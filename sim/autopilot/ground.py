@@ -6,7 +6,7 @@ import math
 
 ORIGIN_LATITUDE_DEG = 47.397742
 ORIGIN_LONGITUDE_DEG = 8.545594
-# Degrees, degrees, m above sea level, for an autopilot that needs it; ArduPilot takes a height of 0 for unknown
+# Degrees, degrees, m above sea level, for autopilots that need it; a height of 0 is unknown to ArduPilot
 ORIGIN_WGS84 = (ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG, 10.0)
 _EARTH_RADIUS_M = 6_371_000.0  # PX4 geo.h
 _AROUND_M = _EARTH_RADIUS_M * math.cos(math.radians(ORIGIN_LATITUDE_DEG))
