@@ -69,28 +69,6 @@ def test_eight_change_places(seed):
     assert FilterStatus.CLOSED_FORM not in {s for f in sky.flyers for s in f.statuses}
 
 
-def take_away(sky):
-    for flyer in sky.flyers:
-        if flyer.phase is Phase.LANDED and sky.t_s - flyer.touched_s > 2.0:
-            flyer.carried_to = (0.0, 1.0, 0.0)
-
-
-def test_three_use_one_pad_in_turn():
-    starts = [(2.0, 0.5, 1.0), (-2.0, 0.5, 1.0), (0.0, -2.0, 1.0)]
-    sky = Sky(flyers(starts, [driving(0.0, 0.0, 0.05, 0.0)] * 3), LATE)
-
-    def step(sky):
-        take_away(sky)
-        assert sum(f.phase in (Phase.LAND, Phase.TOUCHDOWN) for f in sky.flyers) <= 1
-        return all_landed(sky)
-
-    sky.run(90.0, step)
-    assert all_landed(sky), told(sky)
-    assert sky.least_h_m >= 0.0, sky.least_at
-    landed_s = sorted(f.touched_s for f in sky.flyers)
-    assert min(np.diff(landed_s)) > 2.0
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_one_falls_silent_and_nobody_comes_too_near(seed):
     starts = [(-2.0, 0.0, 1.0), (2.0, 0.0, 1.0), (0.0, 2.0, 1.0)]
