@@ -5,15 +5,17 @@ import json
 import os
 import signal
 import subprocess
+import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from click.testing import CliRunner
 
 from flightstack.cli.main import main
-from tests.integration.sim_processes import COMMAND, wait_for
-from tests.processes.bounded import killed, lines_of
+from tests.integration.sim_processes import COMMAND, ROOT, wait_for
+from tests.processes.bounded import PATIENCE_S, killed
 from tests.processes.started import Started, run_verb
 
 WALL_MAX_S = 240.0
@@ -91,54 +93,89 @@ def replayed(log: Path, *, apart: bool = False) -> dict:
     return found
 
 
-class Flying:
-    """A run in the background, to be disturbed."""
+class Background:
+    """A verb that runs beside the test: what it has said so far, line by line, and its end."""
 
-    def __init__(self, out: Path, *arguments):
-        self.out = out
+    def __init__(self, *arguments: object) -> None:
         self.process = subprocess.Popen(
-            [*COMMAND, "sitl", "--no-report", "--out", str(out), *map(str, arguments)],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
-        self.lines = []
+            [*COMMAND, *map(str, arguments)],
+            cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace",
+        )  # fmt: skip
+        self.lines: list[str] = []
+        self._looked = 0
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
 
-    def wait_for(self, word: str) -> None:
-        """Read its output until a line holds the word; it is killed if none does."""
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.lines.append(line.rstrip())
+
+    def said(self, words: str) -> bool:
+        """Whether a line holds these words."""
+        return any(words in line for line in list(self.lines))
+
+    def until(self, *words: str, each: Callable[[], object] = lambda: None) -> str:
+        """The next line that holds all the words; it is killed if none does. ``each`` is called meanwhile."""
+        until_s, more = time.monotonic() + WALL_MAX_S, True
+        while more and time.monotonic() < until_s:
+            each()
+            self._reader.join(0.02)
+            more = self._reader.is_alive()  # looked at before the lines, or the last ones were missed
+            while self._looked < len(self.lines):
+                self._looked += 1
+                if all(word in self.lines[self._looked - 1] for word in words):
+                    return self.lines[self._looked - 1]
+        self.kill()
+        raise AssertionError(f"no line with {words}: {self.lines}")
+
+    def end(self, number: int | None = None) -> int:
+        """Wait for its end and for that of all it says, bounded; the exit status.
+
+        Args:
+            number: signal that it is sent first, unless it has ended.
+        """
+        if number is not None:
+            self.process.send_signal(number)
         try:
-            for line in lines_of(self.process.stdout, WALL_MAX_S):
-                self.lines.append(line.rstrip())
-                if word in line:
-                    return
-        except AssertionError as error:
+            code = self.process.wait(WALL_MAX_S)
+            self._reader.join(PATIENCE_S)
+            assert not self._reader.is_alive(), f"what it started outlives it: {self.lines}"
+        finally:
             self.kill()
-            raise AssertionError(f"{word!r} did not come: {self.lines}") from error
-        raise AssertionError(f"ended without {word!r}: {self.lines}")
+        return code
+
+    def kill(self) -> None:
+        """Kill it, unless it has ended."""
+        self.process.kill()
+        self.process.wait(PATIENCE_S)
+        self._reader.join(PATIENCE_S)
+        if not self._reader.is_alive():
+            assert self.process.stdout is not None
+            self.process.stdout.close()
+
+    def pids(self) -> list[int]:
+        """Process ids of what it has started."""
+        pid = self.process.pid
+        return [int(one) for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+    def children(self) -> dict[str, int]:
+        """The same by the name that the system shows: the verb, and of which vehicle."""
+        return {Path(f"/proc/{pid}/comm").read_text().strip(): pid for pid in self.pids()}
+
+
+class Flying(Background):
+    """A run of ``sitl``, to be disturbed."""
+
+    def __init__(self, out: Path, *arguments: object) -> None:
+        self.out = out
+        super().__init__("sitl", "--no-report", "--out", out, *arguments)
 
     def some_log(self, some_bytes: int = SOME_BYTES) -> Path:
         """The log, once there is something in it: on a busy machine the recorder is behind the flight."""
         log = self.out / "flight.mcap"
         wait_for(lambda: log.stat().st_size > some_bytes, "a log that grows")
         return log
-
-    def children(self) -> dict[str, int]:
-        """Process ids of the run by the name that the system shows: the verb, and of which vehicle."""
-        pid = self.process.pid
-        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-        return {Path(f"/proc/{child}/comm").read_text().strip(): int(child) for child in children}
-
-    def end(self) -> int:
-        """Wait for its end, bounded; the exit status."""
-        try:
-            self.lines += self.process.communicate(timeout=WALL_MAX_S)[0].splitlines()
-        finally:
-            self.kill()
-        return self.process.returncode
-
-    def kill(self) -> None:
-        """Kill it, unless it has ended."""
-        self.lines += killed(self.process).splitlines()
 
 
 def kill(pid: int, number: int = signal.SIGKILL) -> None:

@@ -77,8 +77,8 @@ def prompt_threads(pid: int) -> set[int]:
     return found
 
 
-def wait_for(done: Callable[[], bool], what: str) -> None:
-    deadline_s = time.monotonic() + PATIENCE_S
+def wait_for(done: Callable[[], bool], what: str, within_s: float = PATIENCE_S) -> None:
+    deadline_s = time.monotonic() + within_s
     while not done():
         assert time.monotonic() < deadline_s, f"{what} did not come"
         time.sleep(0.001)

@@ -21,8 +21,8 @@ from sim.campaign.run import plan
 from sim.campaign.summary import LIMITS, Tier, count, misses
 from sim.runners.landing import land
 from sim.scenarios.scenario import load, path_of
-from tests.integration.runs import COMMAND, WALL_MAX_S, called, flightstack, fly, gone, replayed
-from tests.processes.bounded import killed
+from tests.integration.runs import WALL_MAX_S, Background, called, flightstack, fly, gone, replayed
+from tests.integration.sim_processes import wait_for
 
 RUNS = 6
 # as much of a scenario as a campaign test needs: short flights
@@ -123,46 +123,23 @@ def test_the_number_of_workers_changes_nothing(whole, tmp_path):
     assert untimed(tmp_path) == untimed(whole[0])
 
 
-class Running:
-    """A campaign in the background."""
+def begun(folder, *arguments):
+    """A campaign in the background that has flown two landings."""
+    running, path = Background("campaign", *arguments, "--out", folder), folder / "rows.csv"
 
-    def __init__(self, folder, *arguments):
-        self.folder = folder
-        self.process = subprocess.Popen(
-            [*COMMAND, "campaign", *map(str, arguments), "--out", str(folder)],
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        )  # fmt: skip
+    def some():
+        assert running.process.poll() is None, running.lines
+        return path.exists() and len(read_rows(path)) >= 2
 
-    def wait_for_rows(self, number):
-        until = time.monotonic() + WALL_MAX_S
-        path = self.folder / "rows.csv"
-        while time.monotonic() < until:
-            if path.exists() and len(read_rows(path)) >= number:
-                return
-            assert self.process.poll() is None, killed(self.process)
-            time.sleep(0.02)  # polling another process
-        raise AssertionError(f"no {number} rows: {killed(self.process)}")
-
-    def workers(self):
-        """Process ids of the workers."""
-        pid = self.process.pid
-        return [int(c) for c in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-
-    def end(self):
-        try:
-            out = self.process.communicate(timeout=WALL_MAX_S)[0]
-        finally:
-            killed(self.process)
-        return self.process.returncode, out
+    wait_for(some, "two rows", WALL_MAX_S)
+    return running
 
 
 @shared
 def test_a_killed_worker_costs_no_row(whole, tmp_path):
-    running = Running(tmp_path, *SHORT, "--workers", 2)
-    running.wait_for_rows(2)
-    os.kill(running.workers()[0], signal.SIGKILL)
-    code, out = running.end()
-    assert code == 0, out
+    running = begun(tmp_path, *SHORT, "--workers", 2)
+    os.kill(running.pids()[0], signal.SIGKILL)
+    assert running.end() == 0, running.lines
     assert untimed(tmp_path) == untimed(whole[0])
 
 
@@ -170,20 +147,19 @@ def test_a_killed_worker_costs_no_row(whole, tmp_path):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_an_interrupted_campaign_goes_on(whole, tmp_path, number):
     longer = (*SHORT[:2], 2 * RUNS, *SHORT[3:])  # not flown before the signal is there
-    running = Running(tmp_path, *longer, "--workers", 2)
-    running.wait_for_rows(2)
-    workers = running.workers()
+    running = begun(tmp_path, *longer, "--workers", 2)
+    workers = running.pids()
     running.process.send_signal(signal.SIGSTOP)  # or it would be over before another one has begun
     second = called("campaign", *longer, "--out", tmp_path)
     running.process.send_signal(number)
     running.process.send_signal(signal.SIGCONT)
-    code, out = running.end()
+    code = running.end()
     assert second.code == 2
     assert "another campaign runs there" in second.err
     if number != signal.SIGKILL:
-        assert code == 1, out
-        assert "landings are missing" in out
-        assert "Traceback" not in out
+        assert code == 1, running.lines
+        assert running.said("landings are missing")
+        assert not running.said("Traceback")
     for pid in workers:
         assert gone(pid, within_s=60.0)
     kept = untimed(tmp_path)
@@ -270,11 +246,9 @@ def test_a_cluster_that_loses_a_worker_ends_complete_and_equal(whole, tmp_path):
                     stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
                 )
             )  # fmt: skip
-        running = Running(tmp_path / "out", *SHORT, "--cluster", address)
-        running.wait_for_rows(2)
+        running = begun(tmp_path / "out", *SHORT, "--cluster", address)
         started[1].kill()
-        code, out = running.end()
-        assert code == 0, out
+        assert running.end() == 0, running.lines
         assert untimed(tmp_path / "out") == untimed(whole[0])
     finally:
         for process in reversed(started):

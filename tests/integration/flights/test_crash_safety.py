@@ -57,7 +57,7 @@ def crash(folder: Path, victim: str, seed: int, *, lockstep: bool, sooner: float
     wires = ["--lockstep"] if lockstep else []
     run = Flying(folder, "--scenario", "paper_moving_1", "--seed", seed, *wires)
     try:
-        run.wait_for("-> APPROACH")
+        run.until("-> APPROACH")
         run.some_log(PAST_APPROACH_BYTES)
         children = run.children()
         assert set(children) == {"record", "target", "vehicle", "onboard"}
@@ -130,7 +130,7 @@ def test_a_kill_costs_half_a_second_of_the_log_at_most(tmp_path, victim, lockste
 
 def test_a_disk_that_fills_up_in_flight_ends_the_record_and_not_the_flight(tmp_path):
     run = Flying(tmp_path, "--scenario", "paper_static_2", "--lockstep")
-    run.wait_for("-> APPROACH")
+    run.until("-> APPROACH")
     log = run.some_log()
     full = log.stat().st_size + 40_000  # a late recorder must not get to the end first
     resource.prlimit(run.children()["record"], resource.RLIMIT_FSIZE, (full, full))

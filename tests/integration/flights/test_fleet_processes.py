@@ -48,8 +48,7 @@ def test_vehicles_from_three_sources_hear_each_other_land_and_replay(tmp_path):
     members = [f"{n}=udpout:{place}" for n, place in enumerate(places, 2)]
     run = Flying(out, "--scenario", team_file, *options, *(w for m in members for w in ("--member", m)))
     try:
-        run.wait_for("robots: ")
-        robots = run.lines[-1].split()[1]
+        robots = run.until("robots: ").split()[1]
         words = ("--scenario", team_file, "--seed", 1, "--member", 2, "--url", f"udpin:{places[0]}")
         crazyflie = (*load(team_file).one(1, 3), 3, f"udpin:{places[1]}", robots)
         with verb("vehicle", *words, "--connect", robots), member_behind_the_bridge(*crazyflie) as plant:

@@ -126,7 +126,7 @@ def test_a_process_that_is_killed_in_flight_harms_nobody(tmp_path):
     words = ("--scenario", TEAM, "--seed", SEED, "--duration", 20, "--lockstep")
     run = Flying(tmp_path / "out", *words)
     try:
-        run.wait_for("APPROACH -> LAND")
+        run.until("APPROACH -> LAND")
         os.kill(run.children()["onboard-cf2"], signal.SIGKILL)
         assert run.end() == 1
     finally:

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import select
 import signal
 import subprocess
-import time
 from contextlib import contextmanager
 
 import pytest
@@ -21,8 +18,8 @@ from flightstack.common.strict_toml import dumps
 from logs.reader.flight import load_flight
 from logs.reader.reader import LogFile
 from sim.scenarios.scenario import load
-from tests.integration.runs import COMMAND, WALL_MAX_S, called, flightstack, replayed
-from tests.integration.sim_processes import PATIENCE_S, ROOT, Client, wait_for
+from tests.integration.runs import COMMAND, WALL_MAX_S, Background, called, flightstack, replayed
+from tests.integration.sim_processes import ROOT, Client, wait_for
 from tests.integration.wires.test_links import signing
 from tests.processes.bounded import killed, lines_of
 from tests.processes.ports import free_endpoint, free_port
@@ -201,63 +198,12 @@ def config(folder, wait_s):
     return file
 
 
-class Process:
-    """A verb in the background, read line by line."""
-
-    def __init__(self, *arguments):
-        self._child = subprocess.Popen(
-            [*COMMAND, *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=ROOT
-        )
-        self._out = self._child.stdout.fileno()
-        self._rest = b""
-        self.lines = []
-
-    def _read(self):
-        """Take what has come; False at the end."""
-        data = os.read(self._out, 65536)
-        *lines, self._rest = (self._rest + data).split(b"\n")
-        self.lines += [line.decode() for line in lines]
-        return bool(data)
-
-    def until(self, *words, each=lambda: None):
-        """Next line that holds all the words; ``each`` is called meanwhile."""
-        deadline_s, looked = time.monotonic() + WALL_MAX_S, len(self.lines)
-        while time.monotonic() < deadline_s:
-            each()
-            if select.select([self._out], [], [], 0.02)[0] and not self._read():
-                break
-            for line in self.lines[looked:]:
-                looked += 1
-                if all(word in line for word in words):
-                    return line
-        raise AssertionError(f"no line with {words}: {self.lines}")
-
-    def end(self):
-        """Wait for its end; its last line and exit status."""
-        deadline_s = time.monotonic() + WALL_MAX_S
-        while time.monotonic() < deadline_s:
-            if select.select([self._out], [], [], 0.1)[0] and not self._read():
-                break
-        return self.lines[-1], self._child.wait(PATIENCE_S)
-
-    def terminate(self):
-        """Ask it to end."""
-        self._child.terminate()
-
-    def kill(self):
-        """Kill it."""
-        if self._child.poll() is None:
-            self._child.kill()
-        self._child.wait(PATIENCE_S)
-        self._child.stdout.close()
-
-
 @pytest.fixture
 def start():
     started = []
 
     def begin(*arguments):
-        started.append(Process(*arguments))
+        started.append(Background(*arguments))
         return started[-1]
 
     yield begin
@@ -286,8 +232,8 @@ def test_a_vehicle_that_is_not_there_or_has_another_id(start, port, tmp_path):
     other = Client(f"udpin:127.0.0.1:{port}", system=2, component=1)
     waits.until("frames come from system/component 2/1; --system-id", each=lambda: other.send(heartbeat()))
     other.close()
-    last, code = waits.end()
-    assert code == 1
+    assert waits.end() == 1
+    last = waits.lines[-1]
     assert last.startswith("WAIT: no heartbeat of system 1, component 1: ")
     assert last.endswith("within 9 s, is the vehicle's link up?")
 
@@ -327,14 +273,13 @@ def test_a_target_on_another_key_then_in_another_frame_then_a_vehicle_that_dies(
     robot.close()
     vehicle.kill()
     waits.until("no heartbeat of system 1, component 1 for", "nothing arrives", "gives up within")
-    last, code = waits.end()
-    assert code == 1
+    assert waits.end() == 1
+    last = waits.lines[-1]
     assert last.startswith("ABORT: inputs did not become ready in time: the own state is ")
     assert re.search(r"the newest heartbeat is [\d.]+ s old; checks.status_age_max_s is 3", last)
     assert ": no heartbeat of system 1, component 1 for" in last
     assert f"; the newest sample on {TARGET} is" in last or f"; no sample on {TARGET}" in last
-    recorder.terminate()
-    assert recorder.end()[1] == 0
+    assert recorder.end(signal.SIGTERM) == 0
     found = [text for text in messages(log) if text.startswith("waiting: ")]
     assert any("there are robot7/odom" in text for text in found)
     assert any("no heartbeat of system 1" in text for text in found)

@@ -97,8 +97,7 @@ def test_three_kinds_cross_land_and_replay(tmp_path):
         members = [word for number, url in urls.items() for word in ("--member", f"{number}={url}")]
         run = Flying(out, "--scenario", TEAM, "--seed", SEED, *members)
         try:
-            run.wait_for("robots: ")
-            robots = run.lines[-1].split()[1]
+            robots = run.until("robots: ").split()[1]
             crazyflie = (*load(TEAM).one(SEED, CRAZYFLIE), CRAZYFLIE, f"udpin:{bridge_at}", robots)
             with (
                 member_behind_the_bridge(*crazyflie) as plant,

@@ -73,7 +73,7 @@ def test_the_same_seed_makes_the_same_log_and_another_one_flown_beside_it_does_n
 
 def test_an_interrupted_run_ends_everything_and_says_what_was_reached(tmp_path):
     run = Flying(tmp_path, "--scenario", "paper_static_2", "--lockstep")
-    run.wait_for("-> TAKEOFF")
+    run.until("-> TAKEOFF")
     children = run.children()
     assert set(children) == {"record", "target", "vehicle", "onboard"}
     run.process.send_signal(signal.SIGINT)
@@ -88,7 +88,7 @@ def test_an_interrupted_run_ends_everything_and_says_what_was_reached(tmp_path):
 
 def test_a_killed_onboard_process_leaves_a_vehicle_that_lands_itself(tmp_path):
     run = Flying(tmp_path, "--scenario", "paper_static_1", "--lockstep")  # begins well away from the robot
-    run.wait_for("-> APPROACH")
+    run.until("-> APPROACH")
     kill(run.children()["onboard"])
     assert run.end() == 1
     truth = load_flight(tmp_path / "flight.mcap").truth
@@ -101,7 +101,7 @@ def test_a_killed_onboard_process_leaves_a_vehicle_that_lands_itself(tmp_path):
 
 def test_a_killed_target_is_held_climbed_from_and_landed_away_from(tmp_path):
     run = Flying(tmp_path, "--scenario", "paper_moving_1", "--lockstep")
-    run.wait_for("-> APPROACH")
+    run.until("-> APPROACH")
     kill(run.children()["target"])
     assert run.end() == 1
     flight = load_flight(tmp_path / "flight.mcap")
@@ -116,7 +116,7 @@ def test_a_killed_target_is_held_climbed_from_and_landed_away_from(tmp_path):
 
 def test_a_killed_vehicle_ends_the_run(tmp_path):
     run = Flying(tmp_path, "--scenario", "paper_static_2", "--lockstep")
-    run.wait_for("-> TAKEOFF")  # the first of ten seconds, which lockstep flies in half a one
+    run.until("-> TAKEOFF")  # the first of ten seconds, which lockstep flies in half a one
     kill(run.children()["vehicle"])
     assert run.end() == 1
     assert any("vehicle ended in flight" in line for line in run.lines), run.lines

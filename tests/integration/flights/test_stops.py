@@ -110,9 +110,9 @@ def test_an_abort_ends_safely_on_ground_or_pad_from_every_phase(phase, after_s):
 
 def test_ctrl_backslash_stops_the_motors_of_a_run(tmp_path):
     run = Flying(tmp_path, "--scenario", "grid", "--lockstep")
-    run.wait_for("-> TAKEOFF")
+    run.until("-> TAKEOFF")
     run.process.send_signal(signal.SIGQUIT)
-    run.wait_for("-> ABORT: emergency stop (motors off)")
+    run.until("-> ABORT: emergency stop (motors off)")
     assert run.end() == 1
 
 
@@ -120,7 +120,7 @@ def test_after_an_abort_the_run_goes_on_until_the_vehicle_stands(tmp_path):
     file = tmp_path / "silent.toml"
     file.write_text(path_of("grid").read_text() + SILENT)
     run = Flying(tmp_path / "out", "--scenario", file, "--lockstep")
-    run.wait_for("-> ABORT")
+    run.until("-> ABORT")
     assert run.end() == 1
     truth = load_flight(tmp_path / "out" / "flight.mcap").truth
     assert truth.position_enu_m[:, 2].max() > 0.5
@@ -133,10 +133,10 @@ ARMED = 128
 
 def test_an_onboard_process_whose_terminal_closes_flies_clear_and_lands(tmp_path):
     run = Flying(tmp_path, "--scenario", "paper_static_1", "--lockstep")
-    run.wait_for("-> APPROACH")
+    run.until("-> APPROACH")
     for _ in range(3):  # however often: it is no second Ctrl-C
         os.kill(run.children()["onboard"], signal.SIGHUP)
-    run.wait_for("-> ABORT")
+    run.until("-> ABORT")
     assert run.end() == 1
     truth = load_flight(tmp_path / "flight.mcap").truth
     assert truth.d_m[-1] > 0.5
@@ -213,26 +213,26 @@ def mocap_bridge():
 @pytest.mark.xdist_group("real-time")
 def test_a_vehicle_that_is_armed_keeps_its_poses_although_their_bridge_was_told_to_end():
     with mocap_bridge() as (vehicle, started):
-        started.child.send_signal(signal.SIGTERM)
-        wait_for(lambda: beat(vehicle, ARMED) or started.said("ends when it is not"), "the reason")
+        started.process.send_signal(signal.SIGTERM)
+        wait_for(lambda: beat(vehicle, ARMED) or started.said("ends when it is disarmed"), "the reason")
         vehicle.log.clear()
         vehicle.until(is_a("ODOMETRY"), each=lambda: beat(vehicle, ARMED))
-        assert started.child.poll() is None
-        wait_for(lambda: beat(vehicle, 0) or started.child.poll() is not None, "the end")
-        assert started.child.returncode == 0
+        assert started.process.poll() is None
+        wait_for(lambda: beat(vehicle, 0) or started.process.poll() is not None, "the end")
+        assert started.process.returncode == 0
 
 
 @pytest.mark.xdist_group("real-time")
 def test_a_vehicle_that_is_not_heard_any_more_does_not_hold_the_bridge():
     with mocap_bridge() as (_, started):
-        assert started.end() == 0
+        assert started.end(signal.SIGTERM) == 0
 
 
 @pytest.mark.xdist_group("real-time")
 def test_told_twice_the_bridge_of_an_armed_vehicle_ends_at_once():
     with mocap_bridge() as (vehicle, started):
-        started.child.send_signal(signal.SIGINT)
-        wait_for(lambda: beat(vehicle, ARMED) or started.said("ends when it is not"), "the reason")
-        started.child.send_signal(signal.SIGINT)
-        wait_for(lambda: beat(vehicle, ARMED) or started.child.poll() is not None, "the end")
-        assert started.child.returncode == 0
+        started.process.send_signal(signal.SIGINT)
+        wait_for(lambda: beat(vehicle, ARMED) or started.said("ends when it is disarmed"), "the reason")
+        started.process.send_signal(signal.SIGINT)
+        wait_for(lambda: beat(vehicle, ARMED) or started.process.poll() is not None, "the end")
+        assert started.process.returncode == 0

@@ -27,7 +27,7 @@ def test_a_real_time_flight_replays_bit_by_bit_inputs_from_the_wire_included(tmp
 
 def test_a_log_whose_recorder_was_killed_replays_up_to_the_break(tmp_path):
     run = Flying(tmp_path, "--scenario", "paper_static_2", "--lockstep")
-    run.wait_for("-> LAND:")
+    run.until("-> LAND:")
     log = run.some_log(1_500_000)  # some of it is APPROACH: that begins at 1.25 MB
     kill(run.children()["record"])
     assert run.end() == 1

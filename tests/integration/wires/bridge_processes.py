@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import signal
-import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,9 +15,9 @@ from sim.scenarios.scenario import Scenario
 from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.server import Server
 from tests.crazyflie_firmware.sim_plant import SimPlant
-from tests.integration.runs import COMMAND
-from tests.integration.sim_processes import ROOT, Client, is_a, setpoint
-from tests.processes.bounded import PATIENCE_S, line_of
+from tests.integration.runs import Background
+from tests.integration.sim_processes import Client, is_a, setpoint
+from tests.processes.bounded import PATIENCE_S
 from tests.processes.ports import free_endpoint, free_port
 from tests.unit.target.ros2_helpers import pose_stamped
 
@@ -28,34 +26,13 @@ HOVERS_M = 0.3  # m above the start, of a take-off to 0.5 m
 ASKS_EVERY_S = 1.5  # s; of a pilot who sees no answer in the heartbeats, which come once a second
 
 
-class Verb:
-    """A process of ``flightstack bridge`` and its output."""
+class Verb(Background):
+    """A process of ``flightstack bridge`` that is ready."""
 
     def __init__(self, *arguments: str) -> None:
-        self.lines: list[str] = []
-        self.child = subprocess.Popen(
-            [*COMMAND, "bridge", *arguments],
-            cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        )  # fmt: skip
-        assert self.child.stdout is not None
-        ready = line_of(self.child.stdout).strip()
-        assert ready.startswith("ready"), ready
-        self.url = ready.removeprefix("ready ")
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
-
-    def _read(self) -> None:
-        assert self.child.stdout is not None
-        for line in self.child.stdout:
-            self.lines.append(line)
-
-    def said(self, words: str) -> bool:
-        return any(words in line for line in list(self.lines))
-
-    def end(self, number: signal.Signals = signal.SIGTERM) -> int:
-        if self.child.poll() is None:
-            self.child.send_signal(number)
-        return self.child.wait(2 * PATIENCE_S)
+        super().__init__("bridge", *arguments)
+        self.url = self.until("ready").removeprefix("ready ")
+        assert self.lines[0].startswith("ready"), self.lines
 
 
 @contextmanager
@@ -64,9 +41,7 @@ def verb(*arguments: str) -> Iterator[Verb]:
     try:
         yield started
     finally:
-        if started.child.poll() is None:
-            started.child.kill()
-        started.child.wait(PATIENCE_S)
+        started.kill()
 
 
 @contextmanager

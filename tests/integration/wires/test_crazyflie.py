@@ -48,7 +48,7 @@ def test_the_simulated_physics_land_on_the_moving_robot_through_cflib(tmp_path):
                  "--listen", there, "--config", "crazyflie", "--no-record", "--duration", "120"],
                 cwd=ROOT, capture_output=True, text=True, timeout=180.0, check=False,
             )  # fmt: skip
-            assert landed.returncode == 0, landed.stdout + landed.stderr + "".join(started.lines)
+            assert landed.returncode == 0, landed.stdout + landed.stderr + "\n".join(started.lines)
             assert "LANDED: motors off" in landed.stdout
             wait_for(lambda: plant.vehicle.on_pad, "contact with the pad")
             assert not plant.motors
@@ -77,8 +77,8 @@ def test_a_bridge_and_its_threads_wait_for_no_other_program(kind):
             "mocap": ("--key", KEY, "--connect", mocap.endpoint, "--vehicle", "udpin:127.0.0.1:0"),
         }
         with verb(kind, *words[kind]) as started:
-            prompt = prompt_threads(started.child.pid)
-            assert started.child.pid in prompt
+            prompt = prompt_threads(started.process.pid)
+            assert started.process.pid in prompt
             assert len(prompt) > 1
 
 
@@ -114,7 +114,7 @@ def test_old_firmware_is_refused_with_the_version_needed():
 def test_told_to_end_in_the_air_it_lands_first_and_leaves_it_ready_to_fly():
     with Server(Firmware()) as server, bridge(server) as started, client(started) as one:
         fly(one, server)
-        assert started.end() == 0
+        assert started.end(signal.SIGTERM) == 0
         assert server.firmware.plant.on_surface
         stays_unlocked(server)
 
@@ -130,7 +130,7 @@ def stays_unlocked(server):
 def test_told_twice_to_end_it_stops_the_motors_at_once():
     with Server(Firmware()) as server, bridge(server) as started, client(started) as one:
         fly(one, server)
-        started.child.send_signal(signal.SIGINT)
+        started.process.send_signal(signal.SIGINT)
         one.until(is_a("HEARTBEAT", custom_mode=LAND))
         assert started.end(signal.SIGINT) == 0
         wait_for(lambda: not server.firmware.plant.motors, "motors off")  # last packets may be queued

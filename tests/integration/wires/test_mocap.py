@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import signal
 import time
 
 import pytest
@@ -15,7 +16,6 @@ from tests.crazyflie_firmware.plant import Point
 from tests.crazyflie_firmware.server import Server
 from tests.integration.runs import flightstack
 from tests.integration.sim_processes import (
-    PATIENCE_S,
     is_a,
     wait_for,
 )
@@ -58,7 +58,7 @@ def test_a_crazyflie_that_needs_motion_capture_flies_by_it(dialect):
         wait_for(lambda: server.now_s > settled_s, "time")
         one.send(one.command(400, 1.0))
         wait_for(lambda: started.said("Arming refused: mocap: no pose for"), "the reason")
-        assert started.end() == 0
+        assert started.end(signal.SIGTERM) == 0
         wait_for(lambda: started.said("poses passed on"), "the summary")
 
 
@@ -96,8 +96,7 @@ def test_a_vehicle_gets_poses_in_its_own_way(autopilot, kind):
         vehicle.beat()
         vehicle.until(is_a("HEARTBEAT"), each=vehicle.beat)
         assert kind not in [m.get_type() for m in vehicle.log]
-        assert started.end() == 0
-        assert started.child.wait(PATIENCE_S) == 0
+        assert started.end(signal.SIGTERM) == 0
 
 
 def test_another_type_under_the_topic_is_said():
@@ -110,7 +109,7 @@ def test_another_type_under_the_topic_is_said():
     ):
         wait_for(lambda: started.said("geometry_msgs/msg/PoseStamped is needed"), "the reason")
         wait_for(lambda: started.said("no message from the vehicle"), "the other reason")
-        assert started.end() == 0
+        assert started.end(signal.SIGTERM) == 0
 
 
 @pytest.mark.parametrize(
