@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from flightstack.common.options import Option
+from flightstack.common.options import Argument, Option
 from flightstack.config import options as shared
 
 
@@ -79,3 +79,26 @@ class Px4SimOptions(shared.Zenoh, shared.Simulated):
     member: shared.OneMember = None
     recorder: shared.Recorder = None
     allow_unsigned: shared.AllowUnsigned = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValidateOptions(shared.Result):
+    """A comparison of the simulator with recorded flights."""
+
+    folder: Annotated[Path, Argument(metavar="DIR", exists=True, path="folder")]
+    columns: Annotated[Path | None, Option(
+        "--columns", "TOML with the recordings' columns, units and signs; default: those of NanoBench.",
+        "FILE", path="file", exists=True
+    )] = None  # fmt: skip
+    vehicle: Annotated[str | None, Option(
+        "--vehicle", "Vehicle to simulate: a name of sim/vehicles or a file; default: crazyflie21_room.",
+        "NAME_OR_FILE"
+    )] = None  # fmt: skip
+    shuffle_pwm: Annotated[
+        bool, Option("--shuffle-pwm", "Control experiment: the motor commands in random order; it must fail.")
+    ] = False
+    seed: Annotated[int, Option("--seed", "Random seed.", span=(0, 2**31))] = 0
+    workers: shared.Workers = None
+    out: Annotated[Path | None, Option(
+        "--out", "Folder for page and JSON; default: a new folder in runs/.", path="folder"
+    )] = None  # fmt: skip

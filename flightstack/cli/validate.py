@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import os
 import sys
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import click
 from rich.box import SIMPLE
@@ -16,35 +16,11 @@ from rich.text import Text
 
 from flightstack.cli.options import takes, without_recordings
 from flightstack.cli.progress import Bar
-from flightstack.common.options import Argument, Option
 from flightstack.common.terminal import Terminal
-from flightstack.config import options as shared
+from sim.options import ValidateOptions
 
 PASSED, FAILED = 0, 1
 PAGE, SUMMARY = "validate.html", "validate.json"
-
-
-@dataclass(frozen=True, kw_only=True)
-class ValidateOptions(shared.Result):
-    """Options of ``validate``."""
-
-    folder: Annotated[Path, Argument(metavar="DIR", exists=True, path="folder")]
-    columns: Annotated[Path | None, Option(
-        "--columns", "TOML with the recordings' columns, units and signs; default: those of NanoBench.",
-        "FILE", path="file", exists=True
-    )] = None  # fmt: skip
-    vehicle: Annotated[str | None, Option(
-        "--vehicle", "Vehicle to simulate: a name of sim/vehicles or a file; default: crazyflie21_room.",
-        "NAME_OR_FILE"
-    )] = None  # fmt: skip
-    shuffle_pwm: Annotated[
-        bool, Option("--shuffle-pwm", "Control experiment: the motor commands in random order; it must fail.")
-    ] = False
-    seed: Annotated[int, Option("--seed", "Random seed.", span=(0, 2**31))] = 0
-    workers: shared.Workers = None
-    out: Annotated[Path | None, Option(
-        "--out", "Folder for page and JSON; default: a new folder in runs/.", path="folder"
-    )] = None  # fmt: skip
 
 
 @click.command()
@@ -66,21 +42,19 @@ def validate(options: ValidateOptions) -> None:
     except ModuleNotFoundError as error:
         raise without_recordings(error, "validate") from None
 
-    plan = core.Plan(
-        options.folder, options.columns, options.vehicle or core.VEHICLE, options.shuffle_pwm, options.seed
-    )
+    options = replace(options, vehicle=options.vehicle or core.VEHICLE)
     console = Terminal(stderr=options.as_json)
     try:
-        paths = find_recordings(plan.folder)
+        paths = find_recordings(options.folder)
     except RecordingError as error:
         console.print(str(error), soft_wrap=True)
         paths = []
-    with Bar(console, f"flights of {plan.folder}", len(paths)) as bar:
+    with Bar(console, f"flights of {options.folder}", len(paths)) as bar:
         flights = core.run(
-            plan, paths, options.workers or os.cpu_count() or 1,
+            options, paths, options.workers or os.cpu_count() or 1,
             on_flight=lambda one: bar.done("used" if one.used else "left out"),
         )  # fmt: skip
-    told = summary(plan, flights, judge(flights))
+    told = summary(options, flights, judge(flights))
     for flight in flights:
         if flight.left_out:
             what = "left out in part" if flight.used else "left out"

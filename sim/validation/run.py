@@ -19,6 +19,7 @@ from zlib import crc32
 from flightstack.common.processes import LaunchError
 from sim.flights.recording import COLUMNS, Group, RecordingError, read_columns
 from sim.flights.screening import Reason, load
+from sim.options import ValidateOptions
 from sim.plant.params import Params
 from sim.plant.params import load as load_vehicle
 from sim.validation import closed_loop, open_loop, sensing
@@ -27,17 +28,6 @@ from sim.validation.open_loop import OpenLoop
 from sim.validation.sensing import Sensing
 
 VEHICLE = "crazyflie21_room"  # the vehicle of the recorded flights that the project was compared with
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Inputs of a comparison."""
-
-    folder: Path  # folder of recorded flights
-    columns: Path | None = None  # table of columns; None: that of `crazyflie_vicon.toml`
-    vehicle: str = VEHICLE  # name or file of the simulated vehicle
-    shuffle_pwm: bool = False  # control experiment: motor commands of the open loop in random order
-    seed: int = 0  # seed of all random numbers
 
 
 @dataclass(frozen=True)
@@ -58,7 +48,7 @@ class Compared:
         return self.used_s > 0.0
 
 
-def compare(path: Path, columns: dict[str, Group], params: Params, plan: Plan) -> Compared:
+def compare(path: Path, columns: dict[str, Group], params: Params, options: ValidateOptions) -> Compared:
     """Compare one flight; its random numbers depend on its name, not on the other files of the folder."""
     try:
         flight = load(path, columns)
@@ -66,12 +56,12 @@ def compare(path: Path, columns: dict[str, Group], params: Params, plan: Plan) -
         return Compared(path.stem, 0.0, (Reason(str(error), 0.0),))
     if not flight.usable:
         return Compared(path.stem, 0.0, flight.left_out)
-    seed = plan.seed + crc32(path.stem.encode())
+    seed = options.seed + crc32(path.stem.encode())
     return Compared(
         path.stem,
         flight.seconds,
         flight.left_out,
-        open_loop.compare(flight, params, shuffle_seed=seed if plan.shuffle_pwm else None),
+        open_loop.compare(flight, params, shuffle_seed=seed if options.shuffle_pwm else None),
         closed_loop.fly(flight, params, seed),
         sensing.compare(flight, seed),
         open_loop.compare(flight, params, shuffle_seed=seed + 1),
@@ -79,7 +69,7 @@ def compare(path: Path, columns: dict[str, Group], params: Params, plan: Plan) -
 
 
 def run(
-    plan: Plan, paths: Sequence[Path], workers: int, on_flight: Callable[[Compared], None]
+    options: ValidateOptions, paths: Sequence[Path], workers: int, on_flight: Callable[[Compared], None]
 ) -> list[Compared]:
     """Compare flights in ``workers`` processes; the result is sorted by name.
 
@@ -87,9 +77,9 @@ def run(
     Raises RecordingError: the table of columns is wrong; ConfigError: the vehicle's file is wrong;
     LaunchError: a process was killed.
     """
-    columns, params = read_columns(plan.columns or COLUMNS), load_vehicle(plan.vehicle)
+    columns, params = read_columns(options.columns or COLUMNS), load_vehicle(options.vehicle or VEHICLE)
     done: list[Compared] = []
-    for one in _each(partial(compare, columns=columns, params=params, plan=plan), paths, workers):
+    for one in _each(partial(compare, columns=columns, params=params, options=options), paths, workers):
         on_flight(one)
         done.append(one)
     return sorted(done, key=lambda one: one.name)

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from sim.flights.recording import Floats
+from sim.options import ValidateOptions
 from sim.validation.closed_loop import Flown
 from sim.validation.criteria import Estimate, Statistic, Verdict, causes, estimate
 from sim.validation.open_loop import HORIZONS_S
-from sim.validation.run import Compared, Plan
+from sim.validation.run import Compared
 from sim.validation.sensing import BANDS_HZ, SPEED_EDGES_M_S
 
 QUANTITIES = ("position_m", "velocity_m_s", "attitude_rad")
@@ -25,18 +26,20 @@ _SENSED = {"rms": "rms_norm"} | {
 }
 
 
-def summary(plan: Plan, flights: Sequence[Compared], verdicts: Sequence[Verdict]) -> dict[str, Any]:
+def summary(
+    options: ValidateOptions, flights: Sequence[Compared], verdicts: Sequence[Verdict]
+) -> dict[str, Any]:
     """Return what ``--json`` prints; medians over flights with intervals of 95 %, SI units."""
     used = [flight for flight in flights if flight.used]
     met = bool(used) and all(verdict.met for verdict in verdicts)
     told = causes(verdicts) if used else ["nothing is left to compare with"]
-    if plan.shuffle_pwm and not met:
+    if options.shuffle_pwm and not met:
         told.insert(0, "the motor commands were shuffled in time (--shuffle-pwm)")
     return {
-        "folder": str(plan.folder),
-        "vehicle": plan.vehicle,
-        "shuffle_pwm": plan.shuffle_pwm,
-        "seed": plan.seed,
+        "folder": str(options.folder),
+        "vehicle": options.vehicle,
+        "shuffle_pwm": options.shuffle_pwm,
+        "seed": options.seed,
         "flights": len(flights),
         "used": len(used),
         "used_s": sum(flight.used_s for flight in used),

@@ -12,12 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim.flights.screening import Reason
+from sim.options import ValidateOptions
 from sim.validation import closed_loop, open_loop, sensing
 from sim.validation.criteria import CRITERIA, causes, judge, median_ratio, over_flights, share_within
-from sim.validation.run import Compared, Plan
+from sim.validation.run import VEHICLE, Compared
 from sim.validation.summary import summary
 
-PLAN = Plan(Path("flights"))
+PLAN = ValidateOptions(folder=Path("flights"), vehicle=VEHICLE)
 FLOWN = closed_loop.Flown(0.1, 0.02, 0.85, 0.05, 0.1, 0.2, 0.01)
 ERROR = sensing.Error(
     0.02, (0.0, 0.0, 0.0), (0.013, 0.013, 0.006), 0.018, 0.002, 0.016, 0.05, (0.002, 0.01, 0.014, 0.025), 0.1,
