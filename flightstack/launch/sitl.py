@@ -26,7 +26,6 @@ from flightstack.launch.vehicles import (
     Flying,
     Places,
     common_options,
-    configuration_for,
     longest_s,
     others_s,
     scenario_file,
@@ -98,7 +97,7 @@ def _check_team(options: RunOptions, team: TeamScenario) -> None:
 
 def adapted(options: RunOptions, scenario: Scenario) -> Scenario:
     """Return a scenario as the options want it. Raises ConfigError: it must not fly."""
-    name = options.config_file or configuration_for(options.flies, scenario)
+    name = options.config_file or VEHICLES[options.flies].configuration(scenario)
     if name is not None:
         scenario = replace(scenario, onboard=_begun_as(scenario, load_config(name)))
     if options.filter is not None:

@@ -8,10 +8,10 @@ their position from where they start, so the robot is moved instead.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from bridge.mavlink.profiles.autopilots import ARDUPILOT, AUTO, OWN_SITL
 from bridge.mavlink.profiles.autopilots import PX4 as PX4_PROFILE
@@ -31,7 +31,6 @@ from sim.vehicle.vehicle import compile_first
 _EAST_DEG = 90.0  # where the nose points
 SIMULATOR_PORT = 4560  # where PX4 of instance 0 connects to
 _ARDUPILOT_TCP = 5760  # SERIAL0 of instance 0; 10 more for each
-_PX4_CONFIG = {"crazyflie20": "px4-crazyflie", "quad_1000g": "px4-1kg"}
 
 
 @dataclass
@@ -53,52 +52,30 @@ class Places(NamedTuple):
     vehicle: str  # of the vehicles, where there are several
 
 
-class Vehicle(Protocol):
-    """A kind of vehicle that ``sitl`` can fly."""
-
-    def adapt(self, scenario: Scenario) -> Scenario:
-        """Return the scenario with the changes that this vehicle needs."""
-
-    def start(self, launcher: Launcher, options: RunOptions, team: TeamScenario, at: Places) -> Flying:
-        """Start it; where its URL depends on that, wait until it can be flown.
-
-        ``launcher``: holds the processes; its folder holds the scenario; ``team``: adapted; only the
-        simulated vehicle flies in a team of several; ``at``: endpoints of the simulator.
-        Raises LaunchError: it did not start, or does not become ready.
-        """
-
-
-class OwnVehicle:
-    """The simulated vehicle with its own autopilot."""
-
-    def adapt(self, scenario: Scenario) -> Scenario:
-        """Return the scenario unchanged: it is made for this vehicle."""
-        return scenario
-
-    def start(self, launcher: Launcher, options: RunOptions, team: TeamScenario, at: Places) -> Flying:
-        """Start it; see ``Vehicle.start``."""
-        compile_first(team.member[0])
-        several, elsewhere = not team.is_alone, options.members
-        place = f"127.0.0.1:{0 if several else launcher.udp_port()}"
-        child = launcher.start(
-            "vehicle",
-            VehicleOptions(
-                **common_options(launcher, options, team), lockstep=options.lockstep,
-                signing_key=options.signing_key, rate_hz=team.rate_hz, duration_s=others_s(team),
-                connect=(at.target,), listen=(at.vehicle,) if several else (), url=f"udpin:{place}",
-                leave_out=tuple(elsewhere),
-            ),
-        )  # fmt: skip
-        urls = iter(child.wait_ready().replace("udpin", "udpout").split() if several else [f"udpout:{place}"])
-        # the heartbeat of the simulated vehicle is PX4's
-        autopilot = OWN_SITL.name if options.autopilot == AUTO else options.autopilot
-        given = [
-            {"vehicle_url": elsewhere[number], "autopilot": options.autopilot}
-            if number in elsewhere
-            else {"vehicle_url": next(urls), "signing_key": options.signing_key, "autopilot": autopilot}
-            for number in range(1, len(team.member) + 1)
-        ]
-        return Flying(given, [child], child, pending=() if several else [child])
+def _own(launcher: Launcher, options: RunOptions, team: TeamScenario, at: Places) -> Flying:
+    """Start the simulated vehicles with their own autopilot."""
+    compile_first(team.member[0])
+    several, elsewhere = not team.is_alone, options.members
+    place = f"127.0.0.1:{0 if several else launcher.udp_port()}"
+    child = launcher.start(
+        "vehicle",
+        VehicleOptions(
+            **common_options(launcher, options, team), lockstep=options.lockstep,
+            signing_key=options.signing_key, rate_hz=team.rate_hz, duration_s=others_s(team),
+            connect=(at.target,), listen=(at.vehicle,) if several else (), url=f"udpin:{place}",
+            leave_out=tuple(elsewhere),
+        ),
+    )  # fmt: skip
+    urls = iter(child.wait_ready().replace("udpin", "udpout").split() if several else [f"udpout:{place}"])
+    # the heartbeat of the simulated vehicle is PX4's
+    autopilot = OWN_SITL.name if options.autopilot == AUTO else options.autopilot
+    given = [
+        {"vehicle_url": elsewhere[number], "autopilot": options.autopilot}
+        if number in elsewhere
+        else {"vehicle_url": next(urls), "signing_key": options.signing_key, "autopilot": autopilot}
+        for number in range(1, len(team.member) + 1)
+    ]
+    return Flying(given, [child], child, pending=() if several else [child])
 
 
 class _Px4Start:
@@ -127,83 +104,62 @@ class _Px4Start:
         return program, {"vehicle_url": url, "autopilot": PX4_PROFILE.name, "system_id": system_id}
 
 
-class Px4OnPlant:
-    """PX4 on our simulated vehicle."""
+def _px4(launcher: Launcher, options: RunOptions, team: TeamScenario, at: Places) -> Flying:
+    """Start the simulator, then PX4 on it."""
+    scenario = team.member[0]
+    compile_first(scenario)
+    px4 = _Px4Start(launcher, options)
+    clock: Mapping[str, Any] = {"clock": launcher.socket.with_name("clock")}
+    poses = scenario.vehicle.mocap if options.mocap else None
+    simulator = launcher.start(
+        "px4-sim",
+        Px4SimOptions(
+            **common_options(launcher, options, team), connect=(at.target,), once=True, **clock,
+            tcp=f"127.0.0.1:{SIMULATOR_PORT + px4.number}", speed=options.speed, mocap=options.mocap,
+        ),
+    )  # fmt: skip
+    simulator.wait_ready()
+    # they load the compiler, half a second, and only this vehicle needs them
+    from sim.plant import params
+    from sim.px4.airframe import parameters
 
-    def adapt(self, scenario: Scenario) -> Scenario:
-        """Return the scenario unchanged: the vehicle stands on the floor below a hover start."""
-        return scenario
-
-    def start(self, launcher: Launcher, options: RunOptions, team: TeamScenario, at: Places) -> Flying:
-        """Start the simulator, then PX4; see ``Vehicle.start``."""
-        scenario = team.member[0]
-        compile_first(scenario)
-        px4 = _Px4Start(launcher, options)
-        clock: Mapping[str, Any] = {"clock": launcher.socket.with_name("clock")}
-        poses = scenario.vehicle.mocap if options.mocap else None
-        simulator = launcher.start(
-            "px4-sim",
-            Px4SimOptions(
-                **common_options(launcher, options, team), connect=(at.target,), once=True, **clock,
-                tcp=f"127.0.0.1:{SIMULATOR_PORT + px4.number}", speed=options.speed, mocap=options.mocap,
-            ),
-        )  # fmt: skip
-        simulator.wait_ready()
-        # they load the compiler, half a second, and only this vehicle needs them
-        from sim.plant import params
-        from sim.px4.airframe import parameters
-
-        wanted = parameters(params.load(scenario.vehicle.airframe), poses)
-        child, given = px4.run(Px4Model.NONE_IRIS, wanted)
-        return Flying([given], [simulator, child], simulator, clock)
+    wanted = parameters(params.load(scenario.vehicle.airframe), poses)
+    child, given = px4.run(Px4Model.NONE_IRIS, wanted)
+    return Flying([given], [simulator, child], simulator, clock)
 
 
-class Px4WithItsOwnPhysics:
-    """PX4 and its simulation-in-hardware of a 1 kg quadrotor."""
+def _px4_sih(launcher: Launcher, options: RunOptions, team: TeamScenario, at: Places) -> Flying:
+    """Start PX4 and its simulation-in-hardware of a 1 kg quadrotor."""
+    del at
+    from sim.px4.airframe import SAFE_PARAMETERS
 
-    def adapt(self, scenario: Scenario) -> Scenario:
-        """Move the robot: PX4 starts at its origin."""
-        return around_the_start(scenario)
-
-    def start(self, launcher: Launcher, options: RunOptions, team: TeamScenario, at: Places) -> Flying:
-        """Start it; see ``Vehicle.start``."""
-        del at
-        from sim.px4.airframe import SAFE_PARAMETERS
-
-        child, given = _Px4Start(launcher, options).run(Px4Model.SIHSIM_QUADX, SAFE_PARAMETERS)
-        given["target_offset_m"] = _to_the_floor_m(team.member[0])
-        return Flying([given], [child], clock={"speed": options.speed})
+    child, given = _Px4Start(launcher, options).run(Px4Model.SIHSIM_QUADX, SAFE_PARAMETERS)
+    given["target_offset_m"] = _to_the_floor_m(team.member[0])
+    return Flying([given], [child], clock={"speed": options.speed})
 
 
-class ArduPilotWithItsOwnPhysics:
-    """ArduCopter's software in the loop."""
-
-    def adapt(self, scenario: Scenario) -> Scenario:
-        """Move the robot: ArduPilot starts at its origin."""
-        return around_the_start(scenario)
-
-    def start(self, launcher: Launcher, options: RunOptions, team: TeamScenario, at: Places) -> Flying:
-        """Start it; the onboard process waits for its heartbeat."""
-        del at
-        number = options.instance or 0
-        folder = launcher.folder / "ardupilot"
-        folder.mkdir(exist_ok=True)
-        defaults = folder / "defaults.parm"
-        defaults.write_text("".join(f"{name} {value:g}\n" for name, value in ARDUPILOT_PARAMETERS.items()))
-        home = (*ORIGIN_WGS84, _EAST_DEG)
-        child = Child(
-            "ardupilot",
-            ["--model", "quad", "--speedup", f"{options.speed:g}", "--home", ",".join(map(str, home)),
-             "--defaults", str(defaults), "-I", str(number)],
-            launcher.folder, program=[str(_program_of(options))], works_in=folder,
-        )  # fmt: skip
-        launcher.children.append(child)
-        url = f"tcp:127.0.0.1:{_ARDUPILOT_TCP + 10 * number}"
-        given = {
-            "vehicle_url": url, "autopilot": ARDUPILOT.name,
-            "target_offset_m": _to_the_floor_m(team.member[0]),
-        }  # fmt: skip
-        return Flying([given], [child], clock={"speed": options.speed})
+def _ardupilot(launcher: Launcher, options: RunOptions, team: TeamScenario, at: Places) -> Flying:
+    """Start ArduCopter's software in the loop; the onboard process waits for its heartbeat."""
+    del at
+    number = options.instance or 0
+    folder = launcher.folder / "ardupilot"
+    folder.mkdir(exist_ok=True)
+    defaults = folder / "defaults.parm"
+    defaults.write_text("".join(f"{name} {value:g}\n" for name, value in ARDUPILOT_PARAMETERS.items()))
+    home = (*ORIGIN_WGS84, _EAST_DEG)
+    child = Child(
+        "ardupilot",
+        ["--model", "quad", "--speedup", f"{options.speed:g}", "--home", ",".join(map(str, home)),
+         "--defaults", str(defaults), "-I", str(number)],
+        launcher.folder, program=[str(_program_of(options))], works_in=folder,
+    )  # fmt: skip
+    launcher.children.append(child)
+    url = f"tcp:127.0.0.1:{_ARDUPILOT_TCP + 10 * number}"
+    given = {
+        "vehicle_url": url, "autopilot": ARDUPILOT.name,
+        "target_offset_m": _to_the_floor_m(team.member[0]),
+    }  # fmt: skip
+    return Flying([given], [child], clock={"speed": options.speed})
 
 
 # What ArduCopter's simulated quadrotor needs besides its defaults: its frame and battery, calibrations that
@@ -228,21 +184,30 @@ ARDUPILOT_PARAMETERS: Mapping[str, float] = {
 }
 
 
+class Vehicle(NamedTuple):
+    """A kind of vehicle that ``sitl`` can fly."""
+
+    # starts it, and waits until it can be flown where its URL depends on that; LaunchError: it is not ready
+    start: Callable[[Launcher, RunOptions, TeamScenario, Places], Flying]
+    configs: Mapping[str, str] = {}  # names of configurations by airframe; else the scenario's own
+    config: str | None = None  # name of the configuration for all airframes
+    at_origin: bool = False  # its position counts from its start, so the robot is moved instead
+
+    def adapt(self, scenario: Scenario) -> Scenario:
+        """Return the scenario with the changes that this vehicle needs."""
+        return around_the_start(scenario) if self.at_origin else scenario
+
+    def configuration(self, scenario: Scenario) -> str | None:
+        """Return the name of the configuration for this vehicle; None: the scenario's own."""
+        return self.config or self.configs.get(scenario.vehicle.airframe)
+
+
 VEHICLES: Mapping[Flies, Vehicle] = {
-    Flies.OWN: OwnVehicle(),
-    Flies.PX4: Px4OnPlant(),
-    Flies.PX4_SIH: Px4WithItsOwnPhysics(),
-    Flies.ARDUPILOT: ArduPilotWithItsOwnPhysics(),
+    Flies.OWN: Vehicle(_own),
+    Flies.PX4: Vehicle(_px4, configs={"crazyflie20": "px4-crazyflie", "quad_1000g": "px4-1kg"}),
+    Flies.PX4_SIH: Vehicle(_px4_sih, config="px4-1kg", at_origin=True),
+    Flies.ARDUPILOT: Vehicle(_ardupilot, config="ardupilot-1kg", at_origin=True),
 }
-
-
-def configuration_for(flies: Flies, scenario: Scenario) -> str | None:
-    """Return the name of the configuration for a vehicle; None: the scenario's own."""
-    if flies is Flies.ARDUPILOT:
-        return "ardupilot-1kg"
-    if flies is Flies.PX4_SIH:
-        return _PX4_CONFIG["quad_1000g"]
-    return _PX4_CONFIG.get(scenario.vehicle.airframe) if flies is Flies.PX4 else None
 
 
 def scenario_file(folder: Path, team: TeamScenario) -> Path:
