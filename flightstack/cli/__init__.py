@@ -1,4 +1,4 @@
-"""The command line: one module a verb."""
+"""The command line: each module holds the verbs of one subject."""
 
 from __future__ import annotations
 

@@ -75,13 +75,13 @@ def campaign(options: CampaignOptions) -> None:
             wanted, folder, workers=options.workers or os.cpu_count() or 1, cluster=options.cluster,
             on_row=bar.row,
         )  # fmt: skip
-    status = _tell(console, wanted, folder, flown, as_json=options.as_json, with_report=options.with_report)
+    status = _print(console, wanted, folder, flown, as_json=options.as_json, with_report=options.with_report)
     if options.require is not None:
         status = max(status, _check(flown, options.require, options.against))
     sys.exit(status)
 
 
-def _tell(
+def _print(
     console: Terminal, wanted: Plan, folder: Path, flown: Flown, *, as_json: bool, with_report: bool
 ) -> int:
     """Write the page, print table or JSON; return the exit status."""
@@ -117,12 +117,12 @@ def _tell(
     return INCOMPLETE if flown.missing else COMPLETE
 
 
-def _table(wanted: Plan, told: dict[str, Any]) -> Table:
+def _table(wanted: Plan, found: dict[str, Any]) -> Table:
     from sim.campaign.summary import lines
 
     title = f"{wanted.scenario.name}, filter {wanted.filter_name}"
     table = Table("result", Column("value", justify="right"), title=title, title_justify="left")
-    for name, value in lines(told):
+    for name, value in lines(found):
         table.add_row(name, value)
     return table
 
@@ -192,7 +192,7 @@ def rare(options: RareOptions) -> None:
     title = f"{scenario.name}, filter {wanted.plan.filter_name}, {options.event}"
     try:
         with Bar(console, title, None) as bar:
-            told = core.fly(
+            found = core.fly(
                 wanted, folder, workers=options.workers or os.cpu_count() or 1,
                 on_row=bar.row,
             )  # fmt: skip
@@ -200,21 +200,21 @@ def rare(options: RareOptions) -> None:
         click.echo(f"flightstack: interrupted; the same command with --out {folder} goes on", err=True)
         sys.exit(INCOMPLETE)
     if options.as_json:
-        click.echo(json.dumps(told))
+        click.echo(json.dumps(found))
         return
-    console.print(_levels(title, told))
-    low, high = told["interval_95"]
-    rate = f"rate {told['rate']:.2g}" if told["rate"] else "no failure found: rate"
-    console.print(f"{rate}, 95 % interval {low:.2g} to {high:.2g}, {told['landings']} landings")
-    for one in told["failures"]:
+    console.print(_levels(title, found))
+    low, high = found["interval_95"]
+    rate = f"rate {found['rate']:.2g}" if found["rate"] else "no failure found: rate"
+    console.print(f"{rate}, 95 % interval {low:.2g} to {high:.2g}, {found['landings']} landings")
+    for one in found["failures"]:
         console.print(f"{one['why']}\n  {one['command']}", soft_wrap=True)
     console.print(f"rows    {folder / 'rows.csv'}", soft_wrap=True)
 
 
-def _levels(title: str, told: dict[str, Any]) -> Table:
+def _levels(title: str, found: dict[str, Any]) -> Table:
     columns = [Column(name, justify="right") for name in ("from, mm", "to, mm", "share", "moves accepted")]
     table = Table("level", *columns, title=title, title_justify="left")
-    for number, level in enumerate(told["levels"]):
+    for number, level in enumerate(found["levels"]):
         begins, ends = (f"{1e3 * level[key]:.1f}" for key in ("begins_at", "ends_at"))
         accepted = f"{100.0 * level['accepted']:.0f} %" if number else "-"
         table.add_row(str(number), begins, ends, f"{100.0 * level['share']:.1f} %", accepted)

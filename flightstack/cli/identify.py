@@ -1,4 +1,4 @@
-"""The verb ``identify``: measures in flight logs what the robust filter assumes."""
+"""The verb ``identify``: measures the numbers that the robust filter assumes, in flight logs."""
 
 from __future__ import annotations
 
@@ -92,14 +92,14 @@ def _identify_vehicle(options: IdentifyOptions, folder: Path) -> None:
     if options.out is not None:
         options.out.write_text(text)
     if options.as_json:
-        told = {
+        values = {
             "flights": len(found.flights) + len(found.left_out),
             "used": len(found.flights),
             "left_out": dict(found.left_out),
             "numbers": {name: asdict(number) for name, number in fit.numbers.items()},
             "leave_out": [asdict(row) for row in left],
         }
-        click.echo(json.dumps(told))
+        click.echo(json.dumps(values))
         return
     click.echo(text, nl=False)
     for row in left:

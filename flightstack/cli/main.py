@@ -1,4 +1,4 @@
-"""The command ``flightstack``: it finds the verb that is called; the other packages do the work."""
+"""The command ``flightstack``: finds the subcommand (verb) and runs it; the other packages do the work."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Verb(NamedTuple):
 
     Attributes:
         needs: modules that its function loads, and functions that it would call first, ``module:function``;
-            who starts it as a child does that once for all.
+            a launcher calls them once for all its children.
     """
 
     place: str
@@ -102,7 +102,7 @@ def _command(verb: Verb) -> click.Command:
 
 
 def load(name: str) -> click.Command:
-    """Load a verb with all that it needs; the command that runs it.
+    """Load a verb with all that it needs; return the command that runs it.
 
     Raises:
         ImportError: something is not installed.
@@ -126,7 +126,7 @@ class Verbs(click.Group):
     verb = ""
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
-        """Run the command: nobody who reads its output can end it, and no signal is lost while it starts."""
+        """Run the command: a closed reader of its output does not end it, and no early signal is lost."""
         if streams.guard():  # not in a test's process
             hangup.start()
         try:

@@ -56,7 +56,7 @@ def replay(options: ReplayOptions) -> None:
         found[member], lines = _one(options, member)
         if members and not options.as_json:
             click.echo(plain("\n".join(f"{member}: {line}" for line in lines)))
-    results = [told["result"] for told in found.values()]
+    results = [values["result"] for values in found.values()]
     worst = next(word for word in _STATUS if word in results)
     if members and options.as_json:
         whole = {"result": worst, "path": str(options.log), "set": list(options.settings)}
@@ -100,8 +100,8 @@ def _one(options: ReplayOptions, member: str | None) -> tuple[dict[str, Any], li
     if config is not None:
         result.notes += [f"it would be refused before take-off: {text}" for text in problems(config)]
     word = "equal" if result.equal else "different"
-    told = {"result": word, "set": list(settings), **asdict(result), "path": str(result.path)}
-    return told, _lines(result, settings)
+    values = {"result": word, "set": list(settings), **asdict(result), "path": str(result.path)}
+    return values, _lines(result, settings)
 
 
 def _lines(result: Result, settings: Sequence[str]) -> list[str]:

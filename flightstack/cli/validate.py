@@ -54,53 +54,55 @@ def validate(options: ValidateOptions) -> None:
             options, paths, options.workers or os.cpu_count() or 1,
             on_flight=lambda one: bar.done("used" if one.used else "left out"),
         )  # fmt: skip
-    told = summary(options, flights, judge(flights))
+    found = summary(options, flights, judge(flights))
     for flight in flights:
         if flight.left_out:
             what = "left out in part" if flight.used else "left out"
             console.print(f"{flight.name}: {what}: {'; '.join(reasons(flight))}", soft_wrap=True)
     folder = options.out or new_folder("validate")
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / SUMMARY).write_text(json.dumps(told, indent=1) + "\n")
-    page = _page(folder / PAGE, told) if options.with_report else None
+    (folder / SUMMARY).write_text(json.dumps(found, indent=1) + "\n")
+    page = _page(folder / PAGE, found) if options.with_report else None
     if options.as_json:
-        click.echo(json.dumps(told))
+        click.echo(json.dumps(found))
     else:
-        _tell(console, told)
+        _print(console, found)
         if page is not None:
             console.print(f"report  {page}", soft_wrap=True)
-    sys.exit(PASSED if told["passed"] else FAILED)
+    sys.exit(PASSED if found["passed"] else FAILED)
 
 
-def _page(path: Path, told: dict[str, Any]) -> Path | None:
+def _page(path: Path, found: dict[str, Any]) -> Path | None:
     """Write the page; the numbers count without it, too."""
     from logs.report.page import ReportError
 
     try:
         from sim.validation.page import render
 
-        path.write_text(render(told), encoding="utf-8")
+        path.write_text(render(found), encoding="utf-8")
     except ReportError as error:
         click.echo(f"flightstack: {error}", err=True)
         return None
     return path
 
 
-def _tell(console: Terminal, told: dict[str, Any]) -> None:
+def _print(console: Terminal, found: dict[str, Any]) -> None:
     """Print the table of criteria, and the causes."""
-    title = f"{told['used']} of {told['flights']} flights, {told['used_s']:.0f} s, beside {told['vehicle']}"
+    title = (
+        f"{found['used']} of {found['flights']} flights, {found['used_s']:.0f} s, beside {found['vehicle']}"
+    )
     table = Table(
         "error", "limit", "found (95 %)", "", box=SIMPLE, pad_edge=False, title=title, title_justify="left"
     )
-    for part in dict.fromkeys(one["part"] for one in told["criteria"]):
+    for part in dict.fromkeys(one["part"] for one in found["criteria"]):
         table.add_section()
         table.add_row(Text(part, style="bold"))
-        for one in told["criteria"]:
+        for one in found["criteria"]:
             if one["part"] == part:
                 mark = Text(one["word"], style="none" if one["met"] else "bold red")
                 table.add_row(one["text"], one["limit"], one["found"], mark)
-    if told["used"]:
+    if found["used"]:
         console.print(table)
-    console.print("passed" if told["passed"] else "not passed")
-    for cause in told["causes"]:
+    console.print("passed" if found["passed"] else "not passed")
+    for cause in found["causes"]:
         console.print(f"  {cause}", soft_wrap=True)

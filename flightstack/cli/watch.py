@@ -44,51 +44,51 @@ def watch(options: WatchOptions) -> None:
     session = zenoh_link.open_session([], connect, config_file=options.zenoh_config)
     try:
         role, dialled = zenoh_link.dialled(connect, config_file=options.zenoh_config)
-        seen = Watch(session, options.namespace, role=role)
+        flight = Watch(session, options.namespace, role=role)
         if options.once:
-            sys.exit(_once(options, seen, ", ".join(dialled), stop))
+            sys.exit(_once(options, flight, ", ".join(dialled), stop))
         elif draw is not None:
-            draw(seen, stop)
+            draw(flight, stop)
         elif options.as_json:
-            _print(seen, stop)
+            _print(flight, stop)
         else:
-            _live(seen, options.namespace, ", ".join(dialled), stop)
+            _live(flight, options.namespace, ", ".join(dialled), stop)
     finally:
         session.close()
 
 
-def _once(options: WatchOptions, seen: Watch, whom: str, stop: Stop) -> int:
+def _once(options: WatchOptions, flight: Watch, endpoint: str, stop: Stop) -> int:
     from flightstack.common.terminal import Terminal
     from flightstack.watch.live import draw
     from flightstack.watch.state import News, snapshot
 
     until_s = time.monotonic() + options.timeout_s
-    while not (seen.news is News.FRESH and seen.health is not None) and time.monotonic() < until_s:
+    while not (flight.news is News.FRESH and flight.health is not None) and time.monotonic() < until_s:
         if stop.is_set:
             break
         time.sleep(LOOK_S)
-        seen.poll()
+        flight.poll()
     if options.as_json:
-        click.echo(json.dumps(snapshot(seen)))
+        click.echo(json.dumps(snapshot(flight)))
     else:
-        Terminal().print(draw(seen, options.namespace, whom))
-    return FRESH if seen.news is News.FRESH else NOTHING
+        Terminal().print(draw(flight, options.namespace, endpoint))
+    return FRESH if flight.news is News.FRESH else NOTHING
 
 
-def _print(seen: Watch, stop: Stop) -> None:
+def _print(flight: Watch, stop: Stop) -> None:
     from flightstack.watch.state import snapshot
 
     while not stop.is_set and not reader_gone():
         time.sleep(PRINT_S)
-        seen.poll()
-        click.echo(json.dumps(snapshot(seen)))
+        flight.poll()
+        click.echo(json.dumps(snapshot(flight)))
 
 
-def _live(seen: Watch, namespace: str, whom: str, stop: Stop) -> None:
+def _live(flight: Watch, namespace: str, endpoint: str, stop: Stop) -> None:
     from flightstack.common.terminal import Terminal
     from flightstack.watch.live import REFRESH_HZ, LiveView
 
-    view = LiveView({namespace: seen}, f"{namespace} at {whom}", Terminal(), whom)
+    view = LiveView({namespace: flight}, f"{namespace} at {endpoint}", Terminal(), endpoint)
     with view.live:
         while not stop.is_set:
             time.sleep(1.0 / REFRESH_HZ)
@@ -121,12 +121,14 @@ def _view(options: WatchOptions, where: str) -> Callable[[Watch, Stop], None]:
     recording = LiveRecording(where, run, options.namespace)
     click.echo(f"ready {recording.address}")
 
-    def draw(seen: Watch, stop: Stop) -> None:
+    def draw(flight: Watch, stop: Stop) -> None:
         try:
             while not stop.is_set and not recording.closed:
                 time.sleep(DRAW_S)
-                seen.poll()
-                recording.add(seen.new_steps, seen.new_timings, seen.health.reason if seen.health else "")
+                flight.poll()
+                recording.add(
+                    flight.new_steps, flight.new_timings, flight.health.reason if flight.health else ""
+                )
         finally:
             recording.close()
 

@@ -21,7 +21,7 @@ class BadOptionError(ValueError):
 
 @dataclass(frozen=True)
 class Argument:
-    """A word of the command line without a name."""
+    """A positional argument."""
 
     metavar: str | None = None
     path: str = "any"  # what a path may be: any, file or folder

@@ -107,7 +107,7 @@ class RunOptions(shared.Ros2, shared.Result, shared.Simulated):
 
     @property
     def told(self) -> dict[str, str]:
-        """What the log says of the options that change bytes or timing; the report's command has them again.
+        """The options that change bytes or timing, for the log; the report makes its command of them.
 
         The scenario as it was flown has filter and configuration.
         """
