@@ -13,12 +13,12 @@ import time
 import traceback
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from bridge.crazyflie.checks import ESTIMATOR, KALMAN
 from bridge.crazyflie.node import COMPONENT_ID, Node
 from bridge.crazyflie.rules import CrazyflieOptions, Rules
-from bridge.crazyflie.types import Arrived, Link, Packet, Pose, SetParam
+from bridge.crazyflie.types import Link, Packet, Pose, SetParam
 from bridge.frames import yaw_from_quaternion
 from bridge.mavlink.endpoint import Endpoint, open_endpoint, parse_url
 from bridge.mocap.checks import Passed
@@ -26,19 +26,12 @@ from flightstack.common.hangup import Stop
 from flightstack.common.pacing import run_promptly
 from flightstack.core.types import Vec3
 
+if TYPE_CHECKING:
+    from bridge.crazyflie.link import CrazyflieLink  # needs cflib
+    from bridge.mocap.process import CheckedPoses
+
 INITIAL = "kalman.initial"
 RESET = "kalman.resetEstimation"
-
-
-class PosesLike(Protocol):
-    """Poses that have been checked; ``mocap_source.CheckedPoses``."""
-
-    @property
-    def problem(self) -> str | None:
-        """Why there is no pose to rely on, None while there is."""
-
-    def poll(self, now_s: float, *, armed: bool) -> Passed | None:
-        """The newest good pose since the last call."""
 
 
 class PoseFeed:
@@ -74,28 +67,15 @@ POSE_TICK_S = 0.002  # s; the same with motion capture, which cannot wake the lo
 SHUT_DOWN_MAX_S = 20.0  # s for the landing when the bridge ends in flight
 
 
-class LinkLike(Protocol):
-    """What the loop needs of ``crazyflie_link.CrazyflieLink``."""
-
-    def poll(self) -> list[Arrived]:
-        """Take all events."""
-
-    def send(self, packet: Packet) -> None:
-        """Hand over a packet."""
-
-    def fileno(self) -> int:
-        """Readable while events wait."""
-
-
 class Loop:
     """One Crazyflie on the wire."""
 
     def __init__(
         self,
         node: Node,
-        link: LinkLike,
+        link: CrazyflieLink,
         endpoint: Endpoint,
-        poses: PosesLike | None,
+        poses: CheckedPoses | None,
         say: Callable[[str], None],
     ) -> None:
         self._node, self._link, self._endpoint, self._poses, self._say = node, link, endpoint, poses, say
@@ -133,7 +113,7 @@ class Loop:
         for text in node.take_texts():
             self._say(f"crazyflie: {text.text}")
 
-    def _pass_pose(self, poses: PosesLike, now_s: float) -> None:
+    def _pass_pose(self, poses: CheckedPoses, now_s: float) -> None:
         vehicle = self._node.vehicle
         passed = poses.poll(now_s, armed=vehicle.armed)
         vehicle.mocap(poses.problem, passed, now_s)
@@ -190,7 +170,7 @@ def check_uri(uri: str) -> None:
 def run(
     options: CrazyflieOptions,
     drag_1_s: Vec3 | None,
-    poses: PosesLike | None = None,
+    poses: CheckedPoses | None = None,
     say: Callable[[str], None] = print,
 ) -> int:
     """Serve until a signal; prints ``ready URL`` when clients can reach it.

@@ -14,7 +14,7 @@ import click
 from flightstack.cli.options import takes, without_rerun
 from flightstack.common.hangup import Stop
 from flightstack.common.streams import reader_gone
-from flightstack.watch.options import DEFAULT, WatchOptions
+from flightstack.onboard.options import WATCHED, WatchOptions
 
 if TYPE_CHECKING:
     from flightstack.watch.state import Watch
@@ -40,7 +40,7 @@ def watch(options: WatchOptions) -> None:
         raise click.UsageError("--view draws until it is ended; --once and --json print: give one of them")
     draw = _view(options, options.view) if options.view is not None else None
     stop = Stop().install()
-    connect = options.connect or ((DEFAULT,) if options.zenoh_config is None else ())
+    connect = options.connect or ((WATCHED,) if options.zenoh_config is None else ())
     session = zenoh_link.open_session([], connect, config_file=options.zenoh_config)
     try:
         role, dialled = zenoh_link.dialled(connect, config_file=options.zenoh_config)

@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable
 from enum import IntEnum
 from pathlib import Path
-from typing import Protocol
 
 from flightstack.common.pacing import FastClock
 
@@ -78,7 +77,7 @@ class SimulationClock:
 
 
 class FollowedClock:
-    """A follower's end, a ``Clock``.
+    """The clock at a follower's end.
 
     Without a step for 2.5 s the simulator has stopped: then time passes as wall time, so that time-outs of
     the follower still end. The same applies when ``stopped`` says that this process ends. Raises OSError:
@@ -122,17 +121,7 @@ class FollowedClock:
         return self._cells[_ZERO] + round(self.monotonic() * _NS)
 
 
-class Clock(Protocol):
-    """Interface of a clock for pacing in real time."""
-
-    def monotonic(self) -> float:
-        """Seconds since some time in the past."""
-
-    def sleep(self, seconds: float) -> None:
-        """Sleep so many seconds of this clock."""
-
-    def unix_ns(self) -> int:
-        """Unix time, for the log."""
+Clock = FastClock | FollowedClock  # for pacing in real time
 
 
 def chosen_clock(

@@ -1,4 +1,4 @@
-"""Options of the onboard process."""
+"""Options of the onboard process, and of watching it."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from flightstack.config import options as shared
 # written out here, so that a command does not load the rooms that know them; a test compares them
 TARGET_TYPES = ("odometry", "pose", "pose-covariance", "tf")
 CORES = ("auto", "plain", "compiled")
+WATCHED = "tcp/127.0.0.1:7448"  # endpoint of the onboard process in README and docs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,3 +59,25 @@ class OnboardOptions(FlightOptions):
     shared_log: Annotated[bool, Option(
         "--shared-log", "The recorder writes several flights: names in the log begin with the namespace."
     )] = False  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class WatchOptions:
+    """Where a flight is watched, and how it is shown."""
+
+    connect: Annotated[tuple[str, ...], Option(
+        "--connect",
+        "Zenoh endpoint of the onboard process, as `sitl` prints it; repeatable; default: "
+        f"{WATCHED}, or the endpoint of --zenoh-config.", "ENDPOINT"
+    )] = ()  # fmt: skip
+    zenoh_config: shared.ZenohConfig = None
+    namespace: shared.Namespace = "cf1"
+    once: Annotated[
+        bool, Option("--once", "Show the state once and end; exit status 1 if no fresh data come.")
+    ] = False
+    as_json: Annotated[bool, shared.json("Print one JSON object a line, two a second (--once: one).")] = False
+    timeout_s: Annotated[float, shared.seconds("--timeout", "Longest wait of --once.", 0.1, 3600.0)] = 5.0
+    view: shared.View = None
+    config_file: Annotated[
+        Path | None, shared.config("Configuration of the flight, for the barrier and the pad in --view")
+    ] = None
