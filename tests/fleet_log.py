@@ -18,7 +18,7 @@ from logs.schema import schemas
 from logs.schema.controller_rows import word_row
 from logs.schema.events import CONTROLLER, pack_log
 from logs.schema.rows import FleetPairRow, LogRow
-from sim.campaign.team_rows import judge_team
+from sim.campaign.rows import judge_team
 from sim.runners import landing as team_runner
 from sim.runners.companion import Companion
 from sim.runners.log import VehicleLog

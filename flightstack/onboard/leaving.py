@@ -1,6 +1,6 @@
 """What a person asks of the onboard process, and when a flight is over.
 
-Whatever ends it, ``way_out`` then leaves the vehicle: never in the air without having asked for its landing.
+``runner.fly`` then leaves the vehicle: never in the air without having requested its landing.
 """
 
 from __future__ import annotations

@@ -39,9 +39,9 @@ from flightstack.onboard.runner import (
     Runner,
     Taken,
     Words,
+    fly,
 )
 from flightstack.onboard.waiting import WaitReport
-from flightstack.onboard.way_out import fly
 from flightstack.onboard.zenoh_wires import ZenohPlan, ZenohWires
 from flightstack.verify.certificate import problems
 from logs.recorder.feed import Feed

@@ -6,7 +6,9 @@ vehicle, the source of target samples, what ends the flight, and the sink of the
 
 from __future__ import annotations
 
+import contextlib
 import time
+import traceback
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple, Protocol
@@ -16,9 +18,10 @@ from bridge.mavlink.codec.decoding import Message
 from bridge.target.odometry import OdometryError, RawSample, SampleSource, sample_of
 from flightstack.common.pacing import RealTimePacer, Tick
 from flightstack.core.controller import Controller, Outputs
-from flightstack.core.memory import Memory
+from flightstack.core.memory import AbortWay, Memory
 from flightstack.core.types import (
     Inputs,
+    Mode,
     Neighbour,
     Operator,
     OwnState,
@@ -27,7 +30,7 @@ from flightstack.core.types import (
     TargetSample,
     VehicleStatus,
 )
-from flightstack.onboard.leaving import Ended
+from flightstack.onboard.leaving import LAND_SHOWN_MAX_S, Ended, Leaving, flies
 
 
 class Arrived(NamedTuple):
@@ -237,6 +240,7 @@ class LinkedVehicle:
         link.flush([reply])
 
 
+_PERIOD_S = 0.02  # s between two looks without ticks
 REFUSED = "target sample refused: "
 
 
@@ -272,3 +276,61 @@ def decoded(messages: Sequence[RawSample], now_s: float) -> Arrived:
         except OdometryError as error:
             problems.append(f"{REFUSED}{error}")
     return Arrived(tuple(samples), problems, messages)
+
+
+def fly(ticks: Runner, vehicle: LinkedVehicle, leaving: Leaving, failed: Callable[[str], None]) -> Ended:
+    """Fly until the flight is over or something breaks, then leave the vehicle: the one way out of a flight.
+
+    Autopilots differ in what they do when set-points stop: PX4 lands, ArduPilot hovers. A process that ends
+    in flight therefore requests the vehicle's own landing until a heartbeat shows it, for a bounded time: by
+    the controller as long as ticks can be run, after an exception directly.
+
+    ``leaving``: decides when the flight is over; ``failed``: takes the text of an exception.
+    """
+    ended: Ended | None = None
+    works = True
+    try:
+        while ended is None:
+            ended = ticks.tick()
+    except ClockStoppedError as error:
+        ended, works = Ended(ticks.memory.phase, str(error), 1), False
+    except BaseException as error:  # of any kind: a library may even raise SystemExit
+        ended, works = Ended(ticks.memory.phase, f"internal error: {error!r}", 1), False
+        with contextlib.suppress(Exception):
+            failed(f"{ended.reason}\n{traceback.format_exc()}")
+    return _leave(ended, ticks, vehicle, leaving, works=works)
+
+
+def _leave(ended: Ended, ticks: Runner, vehicle: LinkedVehicle, leaving: Leaving, *, works: bool) -> Ended:
+    """Ask for the landing until it shows; the reason then says whether it does."""
+    memory, began_s, leaving.leaves = ticks.memory, time.monotonic(), True
+    arms = leaving.arms and not memory.was_armed  # perhaps only when this process has ended
+    works = works and not arms
+    status = vehicle.read().status
+    while flies(memory, status) or (arms and status is not None and status.mode is not Mode.LAND):
+        lands = status is not None and status.mode is Mode.LAND
+        waited_s = time.monotonic() - began_s
+        if lands or waited_s >= LAND_SHOWN_MAX_S:
+            break
+        if works:
+            try:
+                ticks.tick()
+            except BaseException:  # as above; then without it
+                works = False
+        else:
+            with contextlib.suppress(Exception):
+                vehicle.ask(Request.MOTORS_OFF if _off(memory) else Request.LAND, ticks.now_s + waited_s)
+            time.sleep(_PERIOD_S)
+        status = vehicle.read().status
+    if not flies(memory, status):
+        return ended
+    shown = "the vehicle lands"
+    if status is None or status.mode is not Mode.LAND:
+        wanted = "its motors are off" if _off(memory) else "it lands"
+        shown = f"the vehicle did not show in {LAND_SHOWN_MAX_S:g} s that {wanted}"
+    return ended._replace(phase=memory.phase, reason=f"{ended.reason}; {shown}")
+
+
+def _off(memory: Memory) -> bool:
+    """Whether an emergency stop was asked for."""
+    return memory.abort_way is AbortWay.MOTORS_OFF

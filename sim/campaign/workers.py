@@ -29,8 +29,7 @@ from typing import Any
 from flightstack.common.forked import forget_handlers, may_fork
 from flightstack.common.pacing import quiet_garbage_collector
 from flightstack.common.processes import LaunchError
-from sim.campaign.rows import Row, error_row
-from sim.campaign.team_rows import row_of
+from sim.campaign.rows import Row, error_row, row_of
 from sim.runners.landing import land_team, warm_up
 from sim.scenarios.team import TeamScenario, from_text
 

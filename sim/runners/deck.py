@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import math
-import struct
 from collections import deque
 from typing import NamedTuple
 
 from bridge.frames import world_from_body, yaw_from_quaternion
-from bridge.target.odometry import OdometryError, OdometrySubscriber, decode_odometry
+from bridge.ros2.cdr import OdometryError, decode_pose_and_twist
+from bridge.target.odometry import OdometrySubscriber
 from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import PAIR
 from flightstack.core.types import ZERO, Vec3
-
-_STRINGS_AT = 12  # bytes: CDR header and stamp come before the frame names
-_DOUBLES_BYTES = 85 * 8
-# position, orientation x y z w, 36 covariances passed over, linear and angular twist
-_POSE_TWIST = struct.Struct("<7d288x6d")
 
 STALE_S = 0.5  # s without a true pose until the deck is stopped
 _PULL_1_S = 5.0  # 1/s; velocity for each metre of error, since a jump would throw the vehicle off the deck
@@ -33,23 +28,14 @@ class DeckState(NamedTuple):
     payload: bytes
 
 
-class DeckDecoder:
-    """Decodes one sender's odometry; frame names do not change, so their length is learnt once."""
-
-    def __init__(self) -> None:
-        self._prefix = b""
-
-    def decode(self, payload: bytes) -> DeckState:
-        """Decode a true pose. Raises OdometryError: malformed, or a number is not finite."""
-        at = len(payload) - _DOUBLES_BYTES
-        if not self._prefix or payload[_STRINGS_AT:at] != self._prefix:
-            decode_odometry(payload)  # raises if anything is wrong
-            self._prefix = payload[_STRINGS_AT:at]
-        x, y, z, qx, qy, qz, qw, vx, vy, vz, _, _, rate = _POSE_TWIST.unpack_from(payload, at)
-        if not math.isfinite(x + y + z + qx + qy + qz + qw + vx + vy + vz + rate):
-            raise OdometryError("true pose of the robot holds a number that is not finite")
-        q = (qw, qx, qy, qz)
-        return DeckState((x, y, z), yaw_from_quaternion(q), world_from_body(q, (vx, vy, vz)), rate, payload)
+def deck_state(payload: bytes) -> DeckState:
+    """Decode a true pose. Raises OdometryError: malformed, or a number is not finite."""
+    numbers = decode_pose_and_twist(payload)[3]
+    px, py, pz, x, y, z, w, _, _, vx, vy, vz, _, _, rate, _, _ = numbers
+    if not math.isfinite(px + py + pz + x + y + z + w + vx + vy + vz + rate):
+        raise OdometryError("true pose of the robot holds a number that is not finite")
+    q = (w, x, y, z)
+    return DeckState((px, py, pz), yaw_from_quaternion(q), world_from_body(q, (vx, vy, vz)), rate, payload)
 
 
 class LockstepDeck:
@@ -57,7 +43,6 @@ class LockstepDeck:
 
     def __init__(self, session: zenoh_link.Session, namespace: str) -> None:
         self._subscriber = OdometrySubscriber(session, truth_key(namespace), lossless=True)
-        self._decoder = DeckDecoder()
         self._waiting: deque[tuple[int, bytes]] = deque()
         self.bad = 0  # messages that could not be used
 
@@ -82,7 +67,7 @@ class LockstepDeck:
         if not self.has(tick):
             return None
         try:
-            return self._decoder.decode(self._waiting.popleft()[1])
+            return deck_state(self._waiting.popleft()[1])
         except OdometryError:
             self.bad += 1
             return None
@@ -93,7 +78,6 @@ class RealTimeDeck:
 
     def __init__(self, session: zenoh_link.Session, namespace: str) -> None:
         self._subscriber = OdometrySubscriber(session, truth_key(namespace))
-        self._decoder = DeckDecoder()
         self._last: DeckState | None = None
         self._last_s = 0.0
         self.bad = 0
@@ -103,7 +87,7 @@ class RealTimeDeck:
         payloads = [raw.payload for raw in self._subscriber.poll()]
         for payload in reversed(payloads):
             try:
-                self._last, self._last_s = self._decoder.decode(payload), now_s
+                self._last, self._last_s = deck_state(payload), now_s
                 break
             except OdometryError:
                 self.bad += 1

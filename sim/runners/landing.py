@@ -24,8 +24,7 @@ from logs.verdict.types import Verdict
 from sim.clock import TickGrid
 from sim.runners.companion import Companion, OnStep
 from sim.runners.notes import Seen
-from sim.runners.room import Pair, Pairs, warm_up_room
-from sim.runners.words import Words
+from sim.runners.room import Pair, Pairs, Words, warm_up_room
 from sim.scenarios.scenario import Scenario, load
 from sim.scenarios.team import TeamScenario, alone
 from sim.vehicle.air import Air

@@ -33,9 +33,8 @@ from sim.runners.deck import LockstepDeck, RealTimeDeck
 from sim.runners.lockstep import LockstepLoop
 from sim.runners.lockstep_team import LockstepMember, TeamLockstep
 from sim.runners.log import VehicleLog
-from sim.runners.room import Member, Room, warm_up_room
+from sim.runners.room import Member, Room, Words, warm_up_room
 from sim.runners.vehicle_node import VehicleNode
-from sim.runners.words import Words
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.team import TeamScenario
 from sim.vehicle.vehicle import VehicleSim

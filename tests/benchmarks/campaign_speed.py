@@ -26,10 +26,9 @@ from sim.runners.landing import land_team, warm_up
 from sim.runners.landing_target import DirectTarget
 from sim.runners.landing_wire import Inlet
 from sim.runners.notes import Notes
-from sim.runners.room import Pairs
+from sim.runners.room import Pairs, Words
 from sim.runners.stretch import stretch
 from sim.runners.stretch.stretch import Stretch
-from sim.runners.words import Words
 from sim.scenarios.team import TeamScenario, load
 from sim.vehicle import vehicle
 from sim.vehicle.air import Air

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 from logs.verdict.types import Outcome
 from logs.verdict.verdict import FleetVerdict
-from sim.campaign.team_rows import judge_team
+from sim.campaign.rows import judge_team
 from sim.chance import stream
 from sim.runners.landing import land_team, warm_up
 from sim.scenarios.team import ExchangeLink, TeamScenario, load

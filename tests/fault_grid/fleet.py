@@ -9,9 +9,9 @@ from enum import StrEnum
 from flightstack.core.controller import Outputs
 from flightstack.core.types import Neighbour
 from logs.verdict.verdict import FleetVerdict
-from sim.campaign.team_rows import judge_team
+from sim.campaign.rows import judge_team
 from sim.runners.landing import Exchange, land_team
-from sim.runners.words import Words
+from sim.runners.room import Words
 from sim.scenarios.fault_spec import Fault
 from sim.scenarios.fault_table import Kind, What
 from sim.scenarios.team import ExchangeLink, TeamScenario, load

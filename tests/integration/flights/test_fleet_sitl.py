@@ -15,7 +15,7 @@ from logs.tools.compare import compare
 from logs.verdict.types import Outcome
 from logs.verdict.verdict import judge_fleet
 from sim.runners.landing import land_team
-from sim.runners.words import Words
+from sim.runners.room import Words
 from sim.scenarios import team as teams
 from tests.integration.runs import Flying, called, flightstack
 

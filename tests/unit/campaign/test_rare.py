@@ -8,10 +8,9 @@ from statistics import NormalDist
 import pytest
 
 from sim.campaign import rare
-from sim.campaign.rare import Event, Rare, score
+from sim.campaign.rare import Event, Rare, estimate, score
 from sim.campaign.rows import RowsError, error_row, read_rows
 from sim.campaign.run import plan
-from sim.campaign.subset import estimate
 from sim.chance import stream
 from tests.unit.campaign.test_campaign import ABORTED, CRASHED, GOOD, TIMEOUT
 

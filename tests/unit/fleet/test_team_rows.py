@@ -7,10 +7,9 @@ import pytest
 from flightstack.common.strict_toml import ConfigError
 from logs.verdict.types import Outcome
 from sim.campaign.rare import Event, Rare
-from sim.campaign.rows import read_rows, vehicle_row, write_rows
+from sim.campaign.rows import judge_team, read_rows, row_of, vehicle_row, write_rows
 from sim.campaign.run import plan
 from sim.campaign.summary import summary
-from sim.campaign.team_rows import judge_team, row_of
 from sim.campaign.workers import fly_seed
 from sim.runners.landing import TeamLanding, land
 from sim.runners.room import Pair

@@ -7,7 +7,7 @@ import pytest
 
 from flightstack.core.types import Phase
 from logs.verdict.types import Outcome
-from sim.campaign.team_rows import judge_team
+from sim.campaign.rows import judge_team
 from sim.runners.landing import land_team
 from sim.scenarios import scenario, team
 

@@ -9,7 +9,7 @@ import pytest
 from flightstack.core.parameters.fleet import Fleet
 from logs.verdict.types import Outcome
 from sim.runners.landing import land_team
-from sim.runners.words import Words
+from sim.runners.room import Words
 from sim.scenarios.team import ExchangeLink
 from tests.unit.fleet.fleet_helpers import FIELD, at, same, team_of
 

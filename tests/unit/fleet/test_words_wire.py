@@ -14,8 +14,9 @@ from flightstack.onboard import lockstep
 from flightstack.onboard.lockstep import LockstepWords, joined, split
 from logs.schema.rows import FleetWordRow
 from sim.clock import NoAnswerError, TickGrid
-from sim.runners import words as words_wire
-from sim.runners.words import MemberWords, Words
+from sim.runners import lockstep_team as words_wire
+from sim.runners.lockstep_team import MemberWords
+from sim.runners.room import Words
 from sim.scenarios import team
 from tests.processes.ports import free_endpoint
 from tests.unit.target.ros2_helpers import until

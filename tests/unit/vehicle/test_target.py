@@ -15,7 +15,7 @@ from flightstack.core.types import TargetSample
 from sim.clock import TickGrid
 from sim.robot.target import TargetModel, TargetOdometry, arc, wrap
 from sim.robot.target_motion import TargetMotion
-from sim.runners.deck import DeckDecoder, DeckState, follow, reckon
+from sim.runners.deck import DeckState, deck_state, follow, reckon
 from sim.runners.landing_target import DirectTarget, in_world
 from sim.scenarios.scenario import PathKind, StateError, TargetLink, TargetSpec
 from sim.scenarios.scenario import load as load_scenario
@@ -239,9 +239,8 @@ def message(x_m, *, frame="map", q=Q_NORTH):
 
 
 def test_decodes_into_the_world_frame_also_when_the_frame_names_change():
-    decoder = DeckDecoder()
     for frame in ("map", "map", "a_longer_name", "map"):
-        deck = decoder.decode(message(1.0, frame=frame))
+        deck = deck_state(message(1.0, frame=frame))
         assert deck.position_enu_m == (1.0, 2.0, 0.2)
         assert deck.velocity_enu_m_s == pytest.approx((-0.1, 0.5, 0.0))
         assert deck.yaw_rad == pytest.approx(math.pi / 2)
@@ -250,10 +249,9 @@ def test_decodes_into_the_world_frame_also_when_the_frame_names_change():
 
 @pytest.mark.parametrize("payload", [b"", b"\x00\x01\x00\x00", message(1.0)[:-9], message(math.nan)])
 def test_refuses_what_is_cut_or_not_finite(payload):
-    decoder = DeckDecoder()
-    decoder.decode(message(1.0))
+    deck_state(message(1.0))
     with pytest.raises(OdometryError):
-        decoder.decode(payload)
+        deck_state(payload)
 
 
 def test_dead_reckoning_stays_on_the_arc():
