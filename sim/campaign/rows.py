@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from types import TracebackType
@@ -27,7 +28,16 @@ ERROR = "error"  # outcome of a landing that could not be flown to its end
 CELL_M = 0.1  # width and height of a cell of the map of h
 E_Z_LOW_M = -0.3  # lower edge of its lowest cells; below is counted there
 D_CELLS, E_Z_CELLS = 30, 30  # farther and higher is counted in the last ones
-_TIMED = (Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN, Phase.HOLD, Phase.CLIMB, Phase.ABORT)
+# columns with the time in a phase
+_TIMED = {
+    "approach_s": Phase.APPROACH, "land_s": Phase.LAND, "touchdown_s": Phase.TOUCHDOWN,
+    "hold_s": Phase.HOLD, "climb_s": Phase.CLIMB, "abort_s": Phase.ABORT,
+}  # fmt: skip
+_TOUCHDOWN = ("touchdown_error_m", "touchdown_speed_vertical_m_s", "touchdown_speed_horizontal_m_s")
+# columns that are fields of a verdict
+_JUDGED = (
+    "reason", "violation", "started_safe", "h_min_m", "h_min_outside_pad_m", *_TOUCHDOWN, "time_to_land_s",
+)  # fmt: skip
 
 
 class RowsError(ValueError):
@@ -94,29 +104,18 @@ def vehicle_row(landing: Landing) -> Row:
         lowest_d_m, lowest_e_z_m = float(truth.d_m[at]), float(truth.e_m[at, 2])
     # a phase lasts until the next step
     lengths_s = np.diff(steps.t_s, append=steps.t_s[-1])
-    spent_s = {phase: float(lengths_s[steps.phase == phase].sum()) for phase in _TIMED}
+    spent_s: dict[str, Any] = {
+        name: float(lengths_s[steps.phase == phase].sum()) for name, phase in _TIMED.items()
+    }
     landing_steps = slice(0, 0) if start_s is None else slice(int(np.searchsorted(steps.t_s, start_s)), None)
     return Row(
         seed=landing.seed,
         outcome=verdict.outcome.value,
-        reason=verdict.reason,
-        violation=verdict.violation,
-        started_safe=verdict.started_safe,
-        h_min_m=verdict.h_min_m,
-        h_min_outside_pad_m=verdict.h_min_outside_pad_m,
+        **{name: getattr(verdict, name) for name in _JUDGED},
         h_min_d_m=lowest_d_m,
         h_min_e_z_m=lowest_e_z_m,
-        touchdown_error_m=verdict.touchdown_error_m,
-        touchdown_speed_vertical_m_s=verdict.touchdown_speed_vertical_m_s,
-        touchdown_speed_horizontal_m_s=verdict.touchdown_speed_horizontal_m_s,
-        time_to_land_s=verdict.time_to_land_s,
         retries=landing.retries,
-        approach_s=spent_s[Phase.APPROACH],
-        land_s=spent_s[Phase.LAND],
-        touchdown_s=spent_s[Phase.TOUCHDOWN],
-        hold_s=spent_s[Phase.HOLD],
-        climb_s=spent_s[Phase.CLIMB],
-        abort_s=spent_s[Phase.ABORT],
+        **spent_s,
         own_age_max_s=_largest(steps.own_age_s[landing_steps]),
         target_age_max_s=_largest(steps.target_age_s[landing_steps]),
         simulated_s=landing.simulated_s,
@@ -141,8 +140,12 @@ def row_of(flown: TeamLanding) -> Row:
         return vehicle_row(flown.landings[0])
     verdict = judge_team(flown)
     rows = [vehicle_row(landing) for landing in flown.landings]
-    deepest = min(rows, key=lambda row: _or(row.h_min_outside_pad_m, float("inf")))
-    all_landed = verdict.outcome is Outcome.LANDED
+    deepest = min(rows, key=lambda row: math.inf if (h := row.h_min_outside_pad_m) is None else h)
+
+    def known(name: str) -> list[Any]:
+        return [value for row in rows if (value := getattr(row, name)) is not None]
+
+    worst = (*_TOUCHDOWN, "own_age_max_s", "target_age_max_s")
     return Row(
         seed=flown.seed,
         outcome=verdict.outcome.value,
@@ -150,22 +153,12 @@ def row_of(flown: TeamLanding) -> Row:
         violation=any_known(row.violation for row in rows),
         started_safe=_all(row.started_safe for row in rows),
         h_min_m=least(row.h_min_m for row in rows),
-        h_min_outside_pad_m=deepest.h_min_outside_pad_m,
-        h_min_d_m=deepest.h_min_d_m,
-        h_min_e_z_m=deepest.h_min_e_z_m,
-        touchdown_error_m=_most(row.touchdown_error_m for row in rows),
-        touchdown_speed_vertical_m_s=_most(row.touchdown_speed_vertical_m_s for row in rows),
-        touchdown_speed_horizontal_m_s=_most(row.touchdown_speed_horizontal_m_s for row in rows),
-        time_to_land_s=_most(row.time_to_land_s for row in rows) if all_landed else None,
-        retries=sum(row.retries or 0 for row in rows),
-        approach_s=_sum(rows, lambda row: row.approach_s),
-        land_s=_sum(rows, lambda row: row.land_s),
-        touchdown_s=_sum(rows, lambda row: row.touchdown_s),
-        hold_s=_sum(rows, lambda row: row.hold_s),
-        climb_s=_sum(rows, lambda row: row.climb_s),
-        abort_s=_sum(rows, lambda row: row.abort_s),
-        own_age_max_s=_most(row.own_age_max_s for row in rows),
-        target_age_max_s=_most(row.target_age_max_s for row in rows),
+        **{name: getattr(deepest, name) for name in ("h_min_outside_pad_m", "h_min_d_m", "h_min_e_z_m")},
+        **{name: max(known(name), default=None) for name in worst},
+        time_to_land_s=max(known("time_to_land_s"), default=None)
+        if verdict.outcome is Outcome.LANDED
+        else None,
+        **{name: sum(known(name)) for name in ("retries", *_TIMED)},
         simulated_s=flown.simulated_s,
         wall_s=flown.wall_s,
         cells=_joined(rows),
@@ -176,18 +169,6 @@ def row_of(flown: TeamLanding) -> Row:
         distance_min_m=verdict.distance_min_m,
         wait_max_s=max(flown.waits_s, default=None),
     )
-
-
-def _or(value: float | None, otherwise: float) -> float:
-    return otherwise if value is None else value
-
-
-def _most(values: Iterable[float | None]) -> float | None:
-    return max((value for value in values if value is not None), default=None)
-
-
-def _sum(rows: Sequence[Row], value: Callable[[Row], float | None]) -> float:
-    return sum(_or(value(row), 0.0) for row in rows)
 
 
 def _all(values: Iterable[bool | None]) -> bool | None:

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from sim.faults.schedule import Running
 from sim.plant.sensors import NS
-from sim.scenarios.fault_table import Kind, What
+from sim.scenarios.fault_spec import Kind, What
 
 Rewrite = Callable[[Any, int], None]  # changes a message in place; time in ns
 _By = Callable[[Running, Any, int], None]  # the same for a running fault

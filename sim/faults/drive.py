@@ -6,7 +6,7 @@ from flightstack.compiled.records import F64
 from sim.faults.schedule import Running
 from sim.plant.params import Rotor
 from sim.plant.rotors import BatteryRecord, RotorRecord
-from sim.scenarios.fault_table import Kind
+from sim.scenarios.fault_spec import Kind
 
 EMPTY_V = 3.0  # at rest; firmware platform_defaults_cf2.h: DEFAULT_BAT_CRITICAL_LOW_VOLTAGE
 

@@ -13,7 +13,7 @@ from sim.faults.content import Rewrite, rewrite_of
 from sim.faults.samples import LOST, Lost
 from sim.faults.schedule import Running
 from sim.plant.sensors import NS
-from sim.scenarios.fault_table import Kind, What
+from sim.scenarios.fault_spec import Kind, What
 
 
 class Way(Enum):

@@ -6,8 +6,7 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from sim.scenarios.fault_spec import Fault
-from sim.scenarios.fault_table import Kind, What
+from sim.scenarios.fault_spec import Fault, Kind, What
 
 MOTORS = (1, 2, 3, 4)
 OK: int = dialect.FAILURE_TYPE_OK

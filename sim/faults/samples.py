@@ -14,7 +14,7 @@ from sim.faults.schedule import Running
 from sim.firmware.estimator import INNOVATION_AGE_MAX_S
 from sim.plant.sensors import NEVER_NS, NS
 from sim.plant.vehicle_types import Estimate
-from sim.scenarios.fault_table import Kind
+from sim.scenarios.fault_spec import Kind
 
 S = TypeVar("S")
 

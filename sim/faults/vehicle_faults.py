@@ -16,8 +16,7 @@ from sim.faults.link import CONCERNS, LinkFaults
 from sim.faults.mavlink import OK, PARTS, faults_of, motors_of
 from sim.faults.samples import EstimateFaults, SampleFaults, Shape
 from sim.faults.schedule import RUNNING_MAX, Change, FaultText, Running, Schedule
-from sim.scenarios.fault_spec import After, Fault
-from sim.scenarios.fault_table import What
+from sim.scenarios.fault_spec import After, Fault, What
 
 TEXTS_MAX = 256  # texts kept until ``take_texts``; the oldest are dropped
 

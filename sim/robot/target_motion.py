@@ -13,8 +13,7 @@ from sim.faults.samples import SampleFaults, Shape
 from sim.faults.schedule import FaultText, Schedule
 from sim.plant.sensors import NS
 from sim.robot.target import TargetMeasurement, TargetModel, TargetOdometry, numbers, wrap
-from sim.scenarios.fault_spec import After, Fault
-from sim.scenarios.fault_table import What
+from sim.scenarios.fault_spec import After, Fault, What
 from sim.scenarios.scenario import Scenario
 
 

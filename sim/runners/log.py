@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from logs.recorder.feed import Feed
@@ -44,11 +42,6 @@ class EventLog:
         self._channel = feed.channel("/rosout", schemas.LOG)
         self._sequence = 0
 
-    @classmethod
-    def connect(cls, path: str | Path | None, name: str, epoch_ns: int, *, lossless: bool) -> EventLog:
-        """Connect to the recorder, if there is one. Raises FeedError: nobody listens there."""
-        return cls(Feed.connect(path, name, lossless=lossless), name, epoch_ns)
-
     def event(self, now_ns: int, level: int, text: str) -> None:
         """Write one event; ``now_ns`` counts from the epoch."""
         stamp_ns = self.epoch_ns + now_ns
@@ -59,10 +52,6 @@ class EventLog:
     def statustext(self, now_ns: int, severity: int, text: str) -> None:
         """Write what the autopilot said."""
         self.event(now_ns, _LEVELS.get(severity, Severity.INFO), text)
-
-    def close(self) -> None:
-        """Send the rest and say goodbye to the recorder."""
-        self.feed.close()
 
 
 class VehicleLog(EventLog):

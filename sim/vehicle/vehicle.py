@@ -23,8 +23,7 @@ from sim.plant.params import CONTROL_STEP_S, STEP_S, Params, Plant
 from sim.plant.rotation import quaternion_from_axes, rotation_axes
 from sim.plant.sensors import NS_PER_MS, ms_from
 from sim.plant.vehicle_types import Estimate, Truth
-from sim.scenarios.fault_spec import Fault
-from sim.scenarios.fault_table import Kind, What
+from sim.scenarios.fault_spec import Fault, Kind, What
 from sim.scenarios.scenario import Scenario, StartKind
 from sim.vehicle.judge import GAP_MS
 from sim.vehicle.loop import fly

@@ -12,8 +12,7 @@ from logs.verdict.verdict import FleetVerdict
 from sim.campaign.rows import judge_team
 from sim.runners.landing import Exchange, land_team
 from sim.runners.room import Words
-from sim.scenarios.fault_spec import Fault
-from sim.scenarios.fault_table import Kind, What
+from sim.scenarios.fault_spec import Fault, Kind, What
 from sim.scenarios.team import ExchangeLink, TeamScenario, load
 
 WHO, LIE_M = 2, 0.5

@@ -20,8 +20,7 @@ from flightstack.core.types import Phase
 from logs.reader.flight_data import Truth
 from logs.schema.events import ContactBit
 from logs.verdict.truth import LAND_AWAY_SPEED_MAX_M_S
-from sim.scenarios.fault_spec import Fault
-from sim.scenarios.fault_table import Kind, What
+from sim.scenarios.fault_spec import Fault, Kind, What
 from sim.scenarios.scenario import Scenario, load
 from tests.fault_grid.disk import recording
 from tests.fault_grid.flight import Flight, Flown, Mangle

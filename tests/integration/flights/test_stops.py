@@ -17,8 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from flightstack.core.types import Operator, Phase
 from logs.reader.flight import load_flight
-from sim.scenarios.fault_spec import Fault
-from sim.scenarios.fault_table import Kind, What
+from sim.scenarios.fault_spec import Fault, Kind, What
 from sim.scenarios.scenario import path_of
 from sim.vehicle.vehicle import warm_up
 from tests.crazyflie_firmware.firmware import Firmware

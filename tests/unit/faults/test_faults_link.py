@@ -12,7 +12,7 @@ from sim.faults.content import clock_ns
 from sim.faults.link import CONCERNS, LinkFaults, Way
 from sim.plant.sensors import NS
 from sim.runners.vehicle_node import HELD_MAX, Wire
-from sim.scenarios.fault_table import TABLE, Kind, What
+from sim.scenarios.fault_spec import TABLE, Kind, What
 from tests.unit.faults.fault_helpers import running
 
 MS = NS // 1000

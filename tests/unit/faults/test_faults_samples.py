@@ -13,8 +13,7 @@ from sim.plant.sensors import NEVER_NS, NS
 from sim.plant.vehicle_types import Estimate
 from sim.robot.target import TargetMeasurement
 from sim.robot.target_motion import TargetFaults, TargetMotion
-from sim.scenarios.fault_spec import After
-from sim.scenarios.fault_table import TABLE, Kind, What
+from sim.scenarios.fault_spec import TABLE, After, Kind, What
 from sim.scenarios.scenario import load
 from tests.unit.faults.fault_helpers import fault, running
 

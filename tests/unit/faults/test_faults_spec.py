@@ -11,8 +11,7 @@ from flightstack.common.strict_toml import ConfigError, dumps, from_table, to_ta
 from sim.faults.link import Way
 from sim.faults.mavlink import FAILURES, TYPES, UNITS
 from sim.faults.schedule import RUNNING_MAX
-from sim.scenarios.fault_spec import After, Fault
-from sim.scenarios.fault_table import TABLE, Kind, What
+from sim.scenarios.fault_spec import TABLE, After, Fault, Kind, What
 from sim.scenarios.scenario import Scenario, load, names
 from tests.unit.faults.fault_helpers import CELLS, aloft, fault, hold, off_home, table_row
 

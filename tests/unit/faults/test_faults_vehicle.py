@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 
 from logs.schema.events import ContactBit
 from sim.plant.params import load
-from sim.scenarios.fault_spec import After
-from sim.scenarios.fault_table import TABLE, Kind, What
+from sim.scenarios.fault_spec import TABLE, After, Kind, What
 from sim.scenarios.scenario import Start, VelocityLoop
 from sim.vehicle.vehicle import VehicleSim
 from tests.unit.faults.fault_helpers import CELLS, aloft, fault, hold, off_home

@@ -9,8 +9,7 @@ import pytest
 from sim.clock import TickGrid
 from sim.plant.state_error import TURN
 from sim.robot.target_motion import TargetMotion
-from sim.scenarios.fault_spec import Fault
-from sim.scenarios.fault_table import Kind, What
+from sim.scenarios.fault_spec import Fault, Kind, What
 from sim.scenarios.scenario import OdometryLink, PathKind, StateError, TargetLink, TargetSpec, VehicleSpec
 from tests.unit.plant.test_state_error import FINE
 from tests.unit.vehicle.vehicle_sim_helpers import QUIET, scenario, vehicle, yaw_of
