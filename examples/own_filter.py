@@ -13,17 +13,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from flightstack.core.memory import MotionMemory, TrackingMemory
-from flightstack.core.parameters.ends import TouchdownRule
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.position_loop import nominal_velocity
 from flightstack.core.safety.projection import best_corner, project
 from flightstack.core.safety.qp_filter import FilterResult
-from flightstack.core.snapshot import Relative, Snapshot
+from flightstack.core.snapshot import Relative
 from flightstack.core.strategies.strategy import Strategy
-from flightstack.core.target.track import TargetState, TargetTrack
-from flightstack.core.types import ZERO, FilterStatus, OwnState, TargetSample, Vec3
+from flightstack.core.types import FilterStatus, Vec3
 from flightstack.verify.ends import contact, notices, reaches_touchdown
 from flightstack.verify.types import Check
 
@@ -84,77 +81,31 @@ class ConeFilter(Strategy):
     waits_filtered = False
 
     def __init__(self, config: FlightConfig, barrier: Barrier) -> None:
-        self.rate_1_s = config.barrier.omega_1_s
-        self.acceleration_max_m_s2 = config.limits.slew_max_m_s2
-        self.contact_speed_max_m_s = config.touchdown.descent_m_s
-        self.stopped_below_m = 0.0
-        self.motion, self.tracking = MotionMemory(), TrackingMemory()
+        super().__init__(config, barrier)
         self._config, self._cone = config, Cone(barrier.slope_max, barrier.peak_height_m)
 
-    @staticmethod
-    def check_config(config: FlightConfig) -> None:
-        """Any configuration will do."""
-
-    def take(self, sample: TargetSample) -> None:
-        """Nothing is estimated."""
-
-    def target(self, track: TargetTrack, now_s: float) -> TargetState | None:
-        """Newest sample, moved on with its velocity."""
-        return track.at(now_s)
-
-    def vehicle(self, own: OwnState) -> OwnState:
-        """As it came."""
-        return own
-
-    def observe(self, velocity_enu_m_s: Vec3, *, commanding: bool) -> None:
-        """Nothing is learned."""
-
-    def barrier(self, snapshot: Snapshot) -> Cone:
+    def barrier(self, at: Relative) -> Cone:
         """The cone, always the same."""
         return self._cone
-
-    def climb_m_s(self, h_m: float, gradient: Vec3, before_m_s: Vec3, at: Relative) -> float:
-        """No bound besides the program's."""
-        return -math.inf
 
     def program(self) -> Projection:
         """The exact projection."""
         return Projection(self.rate_1_s)
 
-    def approach_m_s(self, at: Relative, *, over_pad: bool) -> Vec3:
+    def approach_m_s(self, at: Relative, over_pad: bool) -> Vec3:
         """Straight to the pad; the cone keeps it from coming in too low."""
         return nominal_velocity(at.e_m, self._config.position_loop.gain_1_s, at.target.velocity_enu_m_s)
 
-    def descent_m_s(self, at: Relative) -> Vec3 | None:
-        """Down over the middle, or motors off by the paper's rule."""
-        if self._config.touchdown.rule is TouchdownRule.PAPER:
-            return None
+    def descent_m_s(self, at: Relative) -> Vec3:
+        """Down over the middle."""
         x, y, _ = self.approach_m_s(at, over_pad=True)
         return (x, y, at.target.velocity_enu_m_s[2] - self._config.touchdown.descent_m_s)
-
-    def hold_m_s(self, target: TargetState) -> Vec3:
-        """Stand still."""
-        return ZERO
 
     def may_touch(self, at: Relative) -> bool:
         """Low, over the pad and above the cone."""
         touchdown = self._config.touchdown
         low = at.e_m[2] < touchdown.height_m and at.d_m <= touchdown.pad_radius_m
         return low and self._cone.h(at.e_m) >= 0.0
-
-    def stopped(self, at: Relative, command_m_s: Vec3) -> bool:
-        """Contact is standing on the pad, for this filter."""
-        return False
-
-    def drifts(self, at: Relative) -> bool:
-        """It never goes around."""
-        return False
-
-    def setpoint(
-        self, before_m_s: Vec3, wanted_m_s: Vec3, snapshot: Snapshot, least_z_m_s: float = -math.inf
-    ) -> Vec3:
-        """The velocity wanted, without a correction for the vehicle's lag."""
-        return wanted_m_s
 
 
 def certificate(config: FlightConfig) -> list[Check]:

@@ -15,7 +15,7 @@ from typing import Any
 
 from flightstack.compiled.jit import F, forbid_compiling, is_kept, is_off, jitted, keep, telling
 from flightstack.core.controller import Controller
-from flightstack.core.numeric import CALLED, twin
+from flightstack.core.numeric import CALLED, STAND_INS, twin
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.target.estimator import TargetEstimator
@@ -73,7 +73,9 @@ def compile_core(config: FlightConfig) -> None:
     with telling():
         _exercise(config)
     for function, module in own:
-        setattr(module, function.__name__, _or_python(twin(function, _apart), function))
+        either = _or_python(twin(function, _apart), function)
+        STAND_INS[either] = function
+        setattr(module, function.__name__, either)
     keep(_STAMP)
 
 

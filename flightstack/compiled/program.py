@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import time
+from collections.abc import Callable
 from functools import cache
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from flightstack.compiled.foreign import ask, doubles, whole
+from flightstack.compiled.foreign import ask, doubles, record_at, whole
 from flightstack.compiled.jit import forbid_compiling, jitted
 from flightstack.compiled.records import F64, Cell, Record, cell, new
 from flightstack.core.numeric import twin
@@ -207,6 +209,33 @@ def _answered(
     return velocity, how, residual, iterations, slack, active
 
 
+_record: Callable[[int], ProgramRecord] = record_at(ProgramRecord)
+
+
+def _solve(
+    one: CompiledFilter,
+    nominal: Vec3,
+    h_m: float,
+    gradient: Vec3,
+    dh_dt_m_s: float,
+    lower: Vec3,
+    upper: Vec3,
+) -> FilterResult:
+    """``CompiledFilter.solve`` in compiled code, which does not ask for its slack."""
+    p = _record(one.address)
+    velocity, how, residual, iterations = filtered(
+        p, one.omega_1_s, nominal, h_m, gradient, dh_dt_m_s, lower, upper
+    )
+    status = FilterStatus.SOLVED
+    if how == EXACT:
+        status = FilterStatus.CLOSED_FORM
+    elif how == HOPELESS:
+        status = FilterStatus.INFEASIBLE
+    elif how == NONE:
+        status = FilterStatus.REJECTED
+    return FilterResult(velocity, math.nan, False, status, residual, iterations, 0.0)
+
+
 class CompiledFilter:
     """``SafetyFilter`` in one call of compiled code, which is compiled or loaded when one is made.
 
@@ -214,11 +243,16 @@ class CompiledFilter:
         plain: the same in Python.
     """
 
+    compiled: ClassVar = {"solve": _solve}
+    address: int
+    omega_1_s: float
+
     def __init__(self, plain: SafetyFilter) -> None:
         record = new(ProgramRecord)
-        self._program, self._cell, self._omega_1_s = OwnProgram(record), cell(record), plain.omega_1_s
+        self._program, self._cell, self.omega_1_s = OwnProgram(record), cell(record), plain.omega_1_s
+        self.address = np.asarray(self._cell).ctypes.data
         low, high = (-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)
-        _answered(self._cell, self._omega_1_s, (0.0, 0.0, 0.0), 0.1, (0.1, 0.2, 1.0), 0.0, low, high)
+        _answered(self._cell, self.omega_1_s, (0.0, 0.0, 0.0), 0.1, (0.1, 0.2, 1.0), 0.0, low, high)
         self._plain = plain
         forbid_compiling(_answered)
 
@@ -229,7 +263,7 @@ class CompiledFilter:
         started = time.perf_counter()
         try:
             velocity, how, residual, iterations, slack, active = _answered(
-                self._cell, self._omega_1_s, nominal, h_m, gradient, dh_dt_m_s, lower, upper
+                self._cell, self.omega_1_s, nominal, h_m, gradient, dh_dt_m_s, lower, upper
             )
         except TypeError:  # numbers of a kind that it is not compiled for
             return self._plain.solve(nominal, h_m, gradient, dh_dt_m_s, lower, upper)

@@ -9,7 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import IntEnum
 from math import inf, nan
+from typing import Annotated
 
+from flightstack.core.numeric import ABSENT, UNSEEN
 from flightstack.core.types import ZERO, Neighbour, OwnState, Phase, TargetSample, Vec3
 
 
@@ -52,7 +54,7 @@ class Memory:
     target_position_enu_m: Vec3 | None = None  # last known
     target_velocity_enu_m_s: Vec3 | None = None  # at that time
     abort_way: AbortWay = AbortWay.NONE
-    reason: str = ""
+    reason: Annotated[str, UNSEEN] = ""
 
 
 @dataclass(slots=True)
@@ -77,7 +79,9 @@ class TrackMemory(ClockMemory):
     """Of the target track, with its sender's clock."""
 
     last: TargetSample | None = None  # newest believed sample
-    elsewhere: TargetSample | None = None  # newest of samples that jumped but agree with each other
+    elsewhere: Annotated[TargetSample | None, ABSENT] = (
+        None  # newest of samples that jumped but agree with each other
+    )
     elsewhere_since_s: float = 0.0
     drift_m: Vec3 = ZERO  # change of the position that the velocity does not explain
     drift_smooth_m: Vec3 = ZERO  # the same without the noise of single samples

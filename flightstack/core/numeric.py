@@ -9,13 +9,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dis import get_instructions
 from functools import cache
 from types import FunctionType
 from typing import Any, TypeVar, cast
 
 F = TypeVar("F", bound=Callable[..., Any])
+Vec3 = tuple[float, float, float]
 
 MARKED: set[Callable[..., Any]] = set()
+RARE: set[Callable[..., Any]] = set()
+_INEXACT = {"hypot", "dist", "remainder", "fsum", "pow"}  # of ``math``: machine code has other last bits
 CALLED: list[Callable[..., Any]] = []  # those of them that are worth a call of compiled code by Python
 _SPLIT = 134217729.0  # 2^27 + 1: splits a double into two halves (Veltkamp)
 
@@ -32,6 +36,20 @@ def called(function: F) -> F:
     return numeric(function)
 
 
+def rare(function: F) -> F:
+    """Mark what compiled code leaves to Python: there a call of it raises ``NotOrdinary``."""
+    RARE.add(function)
+    return function
+
+
+# annotations of fields: for compiled code one is always None, or is not there
+ABSENT, UNSEEN = "absent", "unseen"
+
+
+class NotOrdinary(Exception):  # noqa: N818
+    """Compiled code gives back a tick, whose state has to be restored."""
+
+
 @cache
 def twin(function: F, compiler: Callable[[Any], Any]) -> F:
     """Return the compiled form of a marked function and of the functions it calls; the plain ones stay.
@@ -41,8 +59,16 @@ def twin(function: F, compiler: Callable[[Any], Any]) -> F:
     """
     if function not in MARKED:
         raise ValueError(f"{function.__module__}.{function.__qualname__} is not marked @numeric")
+    return cast(F, compiler(scope_of(function, compiler)))
+
+
+def scope_of(function: Callable[..., Any], compiler: Callable[[Any], Any]) -> FunctionType:
+    """Copy a function, with the compiled form of each marked function that it calls."""
     own = cast("FunctionType", function)
     scope = dict(own.__globals__)
+    used = (each for each in get_instructions(own) if each.opname in ("LOAD_ATTR", "LOAD_METHOD"))
+    if found := _INEXACT & {each.argval for each in used}:
+        raise ValueError(f"{own.__qualname__}: {', '.join(sorted(found))}: machine code has other last bits")
     for name in own.__code__.co_names:
         one = scope.get(name)
         one = STAND_INS.get(one, one) if callable(one) else one
@@ -50,10 +76,15 @@ def twin(function: F, compiler: Callable[[Any], Any]) -> F:
             scope[name] = twin(one, compiler)
     copy = FunctionType(own.__code__, scope, own.__name__, own.__defaults__)
     copy.__qualname__, copy.__module__ = own.__qualname__, own.__module__
-    return cast(F, compiler(copy))
+    return copy
 
 
 hypot = math.hypot
+
+
+def norm(v: Vec3) -> float:
+    """Length of a vector."""
+    return math.hypot(*v)
 
 
 def wrapped(angle_rad: float) -> float:
@@ -62,25 +93,27 @@ def wrapped(angle_rad: float) -> float:
 
 
 @numeric
-def _hypot(x: float, y: float) -> float:
-    """``math.hypot`` of two finite numbers as CPython 3.11 computes it (mathmodule.c, vector_norm)."""
-    a, b = abs(x), abs(y)
-    most = a if a > b else b
+def _length(v: tuple[float, ...]) -> float:
+    """``math.hypot`` of finite numbers as CPython 3.11 computes it (mathmodule.c, vector_norm)."""
+    most = 0.0
+    for x in v:
+        most = max(most, abs(x))
     if most == 0.0:
         return 0.0
     _, exponent = math.frexp(most)
     whole, high, cross, low = 1.0, 0.0, 0.0, 0.0
     if exponent < -1023:  # the power of two below would overflow
-        for v in (a / most, b / most):
-            term, before = v * v, whole
+        for x in v:
+            term, before = (x / most) * (x / most), whole
             whole += term
             high += (before - whole) + term
         return most * math.sqrt(whole - 1.0 + high)
     scale = math.ldexp(1.0, -exponent)
-    for v in (a * scale, b * scale):
-        t = v * _SPLIT
-        hi = t - (t - v)
-        lo = v - hi
+    for x in v:
+        y = abs(x) * scale
+        t = y * _SPLIT
+        hi = t - (t - y)
+        lo = y - hi
         term, before = hi * hi, whole
         whole += term
         high += (before - whole) + term
@@ -105,6 +138,16 @@ def _hypot(x: float, y: float) -> float:
 
 
 @numeric
+def _hypot(x: float, y: float) -> float:
+    return _length((x, y))
+
+
+@numeric
+def _norm(v: Vec3) -> float:
+    return _length(v)
+
+
+@numeric
 def _wrapped(angle_rad: float) -> float:
     """``wrapped`` of at most one and a half turns, where the subtraction is exact; NaN beyond that."""
     if abs(angle_rad) <= math.pi:
@@ -122,4 +165,8 @@ def hypot_is_known() -> bool:
 
 
 # what compiled code calls in place of functions that compilers do not have, or have with other last bits
-STAND_INS: dict[Callable[..., Any], Callable[..., Any]] = {math.hypot: _hypot, wrapped: _wrapped}
+STAND_INS: dict[Callable[..., Any], Callable[..., Any]] = {
+    math.hypot: _hypot,
+    norm: _norm,
+    wrapped: _wrapped,
+}

@@ -18,10 +18,10 @@ One-way stamps cannot tell a delay that grows slower than ``FORGETS`` from a slo
 from __future__ import annotations
 
 import math
-from enum import Enum
 
 from flightstack.core.memory import ClockMemory
-from flightstack.core.numeric import numeric
+from flightstack.core.numeric import numeric, rare
+from flightstack.core.types import TextEnum
 
 FORGETS = 0.04  # s/s; firmware and simulators may run 3 % slow; a delay of 0.25 s counts as age for 7 s
 HOLDS_S = 1.0  # in which some message is quick
@@ -37,7 +37,7 @@ QUEUE_MAX_S = 10.0  # a longer queue (256 samples at 20 Hz) needs time to fill
 STAMP_MAX_S = 2.0**32  # the year 2106; ROS 2 and Unix times end before
 
 
-class Reading(Enum):
+class Reading(TextEnum):
     """What a time stamp is worth."""
 
     FRESH = "in time"
@@ -65,10 +65,21 @@ class SenderClock:
             stream to protect.
     """
 
+    memory: ClockMemory
+    ahead_max_s: float
+    _late_max_s: float
+    _proof_s: float
+    _reboot_s: float
+
     def __init__(
-        self, late_max_s: float, proof_s: float, tick_s: float = 0.0, reboot_s: float = math.inf
+        self,
+        late_max_s: float,
+        proof_s: float,
+        tick_s: float = 0.0,
+        reboot_s: float = math.inf,
+        memory: ClockMemory | None = None,
     ) -> None:
-        self.memory = ClockMemory()
+        self.memory = memory or ClockMemory()
         self.ahead_max_s = AHEAD_S + tick_s
         self._late_max_s, self._proof_s, self._reboot_s = late_max_s, proof_s, reboot_s
 
@@ -100,13 +111,18 @@ class SenderClock:
                 return Reading.FRESH
         else:
             reading = Reading.REPEATED if stamp_s == memory.stamp_s else Reading.OUT_OF_ORDER
+        return self._refused(reading, stamp_s, arrival_s, patience_s)
+
+    @rare
+    def _refused(self, reading: Reading, stamp_s: float, arrival_s: float, patience_s: float) -> Reading:
+        """The same, or ``STEPPED`` where refused messages have agreed for long enough."""
         needed_s = self._proof_s if self._noted(reading, stamp_s, arrival_s) else patience_s
-        return Reading.STEPPED if arrival_s - memory.run_since_s >= needed_s else reading
+        return Reading.STEPPED if arrival_s - self.memory.run_since_s >= needed_s else reading
 
     def take(self, stamp_s: float, arrival_s: float) -> bool:
         """Learn from a good one; whether the sender's clock was set, or began anew."""
         memory, way_s = self.memory, arrival_s - stamp_s
-        newest = (memory.run_stamp_s, memory.run_arrival_s) == (stamp_s, arrival_s)
+        newest = memory.run_stamp_s == stamp_s and memory.run_arrival_s == arrival_s
         stepped = newest and memory.run_since_s < math.inf
         if stepped or memory.began_s == math.inf:
             memory.began_s = arrival_s
@@ -136,6 +152,7 @@ class SenderClock:
         in_time = m.run_since_s <= arrival_s <= m.run_arrival_s + GAP_MAX_S
         return in_time and abs(way_s - m.run_way_s) <= AGREE_S
 
+    @rare
     def _noted(self, reading: Reading, stamp_s: float, arrival_s: float) -> bool:
         """Note a refused message; whether no delay explains those that agree with it."""
         m, way_s = self.memory, arrival_s - stamp_s

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from flightstack.core.fleet.precedence import ALONE, Way
+from flightstack.core.numeric import hypot, numeric
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.target.track import TargetState
 from flightstack.core.types import Charge, Inputs, OwnState, Vec3
@@ -14,6 +14,7 @@ from flightstack.core.types import Charge, Inputs, OwnState, Vec3
 FUTURE_MAX_S = 0.05  # s a state may be ahead of our clock: one sample; more is as wrong as an old state
 
 
+@numeric
 class Relative(NamedTuple):
     """Vehicle and target, both known.
 
@@ -75,7 +76,7 @@ class Snapshot:
         if own is None or target is None or e is None:
             self.relative = None
         else:
-            self.relative = Relative(own, target, e, math.hypot(e[0], e[1]))
+            self.relative = Relative(own, target, e, hypot(e[0], e[1]))
 
 
 def snapshot_of(

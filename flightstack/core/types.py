@@ -9,10 +9,22 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 Vec3 = tuple[float, float, float]
 ZERO: Vec3 = (0.0, 0.0, 0.0)
+
+
+class TextEnum(IntEnum):
+    """Numbered members that are declared by their texts."""
+
+    text: str
+
+    def __new__(cls, text: str) -> Self:
+        """Number them in their order."""
+        member = int.__new__(cls, len(cls.__members__))
+        member._value_, member.text = len(cls.__members__), text
+        return member
 
 
 class Phase(IntEnum):

@@ -9,11 +9,9 @@ from typing import NamedTuple
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.safety.barrier import Barrier
-from flightstack.core.snapshot import Snapshot
 from flightstack.core.strategies.robust import RobustFilter
 from flightstack.core.target.estimator import TargetEstimator, TargetMotion
-from flightstack.core.target.track import TargetState
-from flightstack.core.types import ZERO, Inputs
+from flightstack.core.types import ZERO
 from flightstack.verify.bound import Shape, Span
 
 SETTLE_SAMPLES = 2000  # samples after which the estimator's covariance is constant
@@ -76,8 +74,7 @@ def extremes(config: FlightConfig) -> Extremes:
 
 def _margin_m(strategy: RobustFilter, motion: TargetMotion) -> float:
     """Return the margin of the filter at this uncertainty, computed by the filter itself."""
-    target = TargetState(0.0, ZERO, ZERO, 0.0, motion.position_sigma_m, motion.position_sigma_z_m)
-    return strategy.barrier(Snapshot(Inputs(), target, True, True, True, None)).margin_m
+    return strategy.margin_m(motion.position_sigma_m, motion.position_sigma_z_m)
 
 
 class Errors(NamedTuple):

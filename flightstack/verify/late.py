@@ -17,10 +17,10 @@ import numpy as np
 
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.velocity_tracking import (
-    LeadAxis,
     lead_carried,
     lead_commanded,
     lead_observed,
+    lead_of,
 )
 from flightstack.verify.envelope import Extremes
 from flightstack.verify.feedback import F64
@@ -49,7 +49,7 @@ def tick_matrix(config: FlightConfig, gain_1_s: float, slower: float, response: 
     """
     loop, period_s = config.velocity_loop, 1.0 / config.loop.rate_hz
     free = replace(loop, error_max_m_s=1e9, disturbance_max_m_s=1e9)
-    lead = LeadAxis(free, loop.lag_xy_s, loop.rate_xy_1_s, loop.gain_xy, math.inf, period_s).numbers
+    lead = lead_of(free, loop.lag_xy_s, loop.rate_xy_1_s, loop.gain_xy, math.inf, period_s)
     late = loop.late_ticks(period_s)
     acts = LATE_TICKS + round(slower * loop.dead_time_s / period_s)
     aged = round(config.own.delay_s / period_s)

@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
-from flightstack.core.fleet.precedence import Way
 from flightstack.core.memory import Memory
 from flightstack.core.mission.phases import START_LATE, C, Condition, Rule
 from flightstack.core.numeric import hypot, numeric
@@ -20,7 +19,7 @@ from flightstack.core.snapshot import Relative, Snapshot
 from flightstack.core.strategies.strategy import Strategy
 from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.track import TargetState, TargetTrack
-from flightstack.core.types import Charge, Landed, Mode, Operator, OwnState, Phase, Vec3
+from flightstack.core.types import Charge, Landed, Mode, Operator, OwnState, Phase, Vec3, VehicleStatus
 
 OVER_PAD_LEFT = 1.5  # times the radius at which the cone over the pad is entered
 TAKEOFF_DONE = 0.85  # share of the take-off height at which we take over
@@ -35,14 +34,23 @@ _ASKED: dict[Operator, int] = {
     Operator.EMERGENCY_STOP: C.EMERGENCY,
     Operator.LAND: C.ABORT_ASKED | C.LAND_ASKED,
 }
-_PHASE_TIME_S: dict[Phase, Callable[[FlightConfig], float]] = {
-    Phase.WAIT: lambda c: c.checks.wait_time_max_s,
-    Phase.TAKEOFF: lambda c: c.takeoff.timeout_s,
-    Phase.TOUCHDOWN: lambda c: c.touchdown.timeout_s,
-    Phase.HOLD: lambda c: c.checks.hold_time_s,
-    Phase.CLIMB: lambda c: c.checks.climb_time_max_s,
-    Phase.LEAVE: lambda c: c.retreat.abort_time_max_s,
-}
+# bounds of the time in each phase, s, in the order of the phases
+PhaseTimes = tuple[float, float, float, float, float, float, float, float, float, float]
+
+
+def phase_times_s(config: FlightConfig) -> PhaseTimes:
+    """Longest time allowed in each phase."""
+    most_s = dict.fromkeys(Phase, math.inf)
+    most_s |= {
+        Phase.WAIT: config.checks.wait_time_max_s,
+        Phase.TAKEOFF: config.takeoff.timeout_s,
+        Phase.TOUCHDOWN: config.touchdown.timeout_s,
+        Phase.HOLD: config.checks.hold_time_s,
+        Phase.CLIMB: config.checks.climb_time_max_s,
+        Phase.LEAVE: config.retreat.abort_time_max_s,
+    }
+    wait, takeoff, approach, land, touchdown, landed, hold, climb, abort, leave = most_s.values()
+    return wait, takeoff, approach, land, touchdown, landed, hold, climb, abort, leave
 
 
 def start_point(config: FlightConfig, target: TargetState) -> Vec3 | None:
@@ -105,13 +113,14 @@ def condition_flags(
     strategy: Strategy,
     barrier: Barrier,
     memory: Memory,
+    times_s: PhaseTimes,
     snapshot: Snapshot,
     command_failed: bool,
     now_s: float,
 ) -> int:
     """Flags of this tick; ``memory`` holds its timers already and is not changed."""
     inputs, own, phase = snapshot.inputs, snapshot.inputs.own, memory.phase
-    flags = _ASKED[inputs.operator]
+    flags = _ASKED[inputs.operator] | lasting_flags(config.checks, memory, inputs.status)
     if not snapshot.follows:
         flags |= C.NOT_FOLLOWING
     blind = phase is Phase.TOUCHDOWN and now_s - memory.own_ok_s <= config.touchdown.blind_time_s
@@ -121,55 +130,54 @@ def condition_flags(
         flags |= C.LINK_LOST
     if not snapshot.target_ok:
         flags |= C.TARGET_LOST
-    if memory.target_position_enu_m is not None:
-        flags |= C.TARGET_KNOWN
     if command_failed:
         flags |= C.COMMAND_FAILED
     if now_s - memory.good_since_s >= config.checks.recovery_time_s:
         steady = phase is not Phase.WAIT or _steady(config.checks, memory, snapshot, now_s)
         flags |= C.RECOVERED if steady else 0
     if snapshot.charge is Charge.TIRED:
+        flags &= ~C.RETRIES_LEFT
         flags |= C.TIRED if _better_beside(barrier, memory, snapshot) else 0
-    elif memory.retries < config.checks.retries_max:
-        flags |= C.RETRIES_LEFT
     if snapshot.way.cut_off and _better_beside(barrier, memory, snapshot):
         flags |= C.CUT_OFF
-    if inputs.status is not None:
-        flags |= _status_flags(memory, snapshot)
-    if memory.started_s < math.inf:
-        flags |= C.STARTED
-        if now_s - memory.started_s > config.checks.landing_time_max_s or snapshot.way.waited:
-            flags |= C.LANDING_TIME_OVER
-    limit = _PHASE_TIME_S.get(phase)
-    if limit is not None and now_s - memory.phase_since_s > limit(config):
-        flags |= C.PHASE_TIME_OVER
+    status, fit = inputs.status, snapshot.charge is Charge.FIT and snapshot.way.may_begin
+    if status is not None and snapshot.good and (status.ready_to_arm or status.armed) and fit:
+        flags |= C.READY
+    flags |= time_flags(config.checks, times_s, memory, now_s)
+    if snapshot.way.waited and memory.started_s < math.inf:
+        flags |= C.LANDING_TIME_OVER
     if phase is Phase.CLIMB and own is not None:
         flags |= C.HIGH_ENOUGH if own.position_enu_m[2] >= high_enough_m(config, barrier, memory) else 0
-    if phase is Phase.TOUCHDOWN and memory.contact:
-        flags |= C.ON_PAD
-    if phase is Phase.LAND and memory.contact:  # off the middle it stands where h < 0, which no rule allows
-        flags |= C.TOUCH
-    if memory.clear:
-        flags |= C.CLEAR
     rested = phase is Phase.LANDED and now_s - memory.phase_since_s >= LANDED_SETTLE_S
     if rested and snapshot.way.pad_wanted and snapshot.good and snapshot.charge is Charge.FIT:
         flags |= C.PAD_WANTED
     at = snapshot.relative if snapshot.good else None
     if at is None:
         return flags
-    flags |= _place_flags(config, strategy, barrier, memory, at, now_s, snapshot.way)
-    watched = strategy.watches_swinging and _swings(config, memory, flags, snapshot.way, now_s)
-    return flags | (C.SWINGS if watched else 0)
+    if phase is Phase.TAKEOFF and memory.climbed and _at_start(config, at):
+        flags |= C.AT_START
+    return flags | landing_flags(
+        config, strategy, barrier, memory, at, now_s, snapshot.way.may_land, snapshot.way.may_touch
+    )
 
 
-def _swings(config: FlightConfig, memory: Memory, flags: int, way: Way, now_s: float) -> bool:
-    """Whether it leaves the cone over the pad once too often, or its error over the pad does not shrink."""
-    if memory.phase is not Phase.LAND or not (way.may_land and way.may_touch):
-        return False
-    if not flags & C.OVER_PAD:
-        return memory.swings >= config.checks.swings_max
-    waited_s = now_s - max(memory.phase_since_s, memory.started_s + config.touchdown.calm_wait_s)
-    return waited_s > config.checks.over_pad_time_max_s
+@numeric
+def time_flags(checks: Checks, times_s: PhaseTimes, memory: Memory, now_s: float) -> int:
+    """Flags of what is over, and of contact as the mission has found it."""
+    flags = 0
+    if memory.started_s < math.inf:
+        flags |= C.STARTED
+        if now_s - memory.started_s > checks.landing_time_max_s:
+            flags |= C.LANDING_TIME_OVER
+    if now_s - memory.phase_since_s > times_s[memory.phase.value]:
+        flags |= C.PHASE_TIME_OVER
+    if memory.phase is Phase.TOUCHDOWN and memory.contact:
+        flags |= C.ON_PAD
+    if (
+        memory.phase is Phase.LAND and memory.contact
+    ):  # off the middle it stands where h < 0: no rule allows it
+        flags |= C.TOUCH
+    return flags
 
 
 def _steady(checks: Checks, memory: Memory, snapshot: Snapshot, now_s: float) -> bool:
@@ -194,10 +202,15 @@ def _better_beside(barrier: Barrier, memory: Memory, snapshot: Snapshot) -> bool
     return memory.phase is not Phase.APPROACH or at is None or at.d_m > barrier.peak_distance_m
 
 
-def _status_flags(memory: Memory, snapshot: Snapshot) -> int:
-    status = snapshot.inputs.status
-    assert status is not None
-    flags = 0
+def lasting_flags(checks: Checks, memory: Memory, status: VehicleStatus | None) -> int:
+    """Flags that change with the heartbeat or the phase only, in a landing without losses."""
+    flags = C.TARGET_KNOWN if memory.target_position_enu_m is not None else 0
+    if memory.retries < checks.retries_max:
+        flags |= C.RETRIES_LEFT
+    if memory.clear:
+        flags |= C.CLEAR
+    if status is None:
+        return flags
     if status.armed:
         flags |= C.ARMED
     if status.mode is Mode.EXTERNAL:
@@ -208,42 +221,57 @@ def _status_flags(memory: Memory, snapshot: Snapshot) -> int:
         flags |= C.WAS_EXTERNAL
     if status.landed is Landed.ON_GROUND:
         flags |= C.STANDING
-    fit = snapshot.charge is Charge.FIT and snapshot.way.may_begin
-    if snapshot.good and (status.ready_to_arm or status.armed) and fit:
-        flags |= C.READY
     return flags
 
 
-def _place_flags(
-    config: FlightConfig,
-    strategy: Strategy,
-    barrier: Barrier,
-    memory: Memory,
-    at: Relative,
-    now_s: float,
-    way: Way,
-) -> int:
-    own, touchdown, flags = at.own, config.touchdown, 0
-    if memory.phase is Phase.TAKEOFF and memory.climbed:
-        start = start_point(config, at.target)
-        if start is None or (
-            math.dist(own.position_enu_m, start) < config.takeoff.arrival_radius_m
-            and math.dist(own.velocity_enu_m_s, at.target.velocity_enu_m_s) < config.takeoff.arrival_speed_m_s
-        ):
-            flags |= C.AT_START
+def _at_start(config: FlightConfig, at: Relative) -> bool:
+    """Whether it is where the landing begins, and moves with the target."""
+    takeoff, start = config.takeoff, start_point(config, at.target)
+    return start is None or (
+        math.dist(at.own.position_enu_m, start) < takeoff.arrival_radius_m
+        and math.dist(at.own.velocity_enu_m_s, at.target.velocity_enu_m_s) < takeoff.arrival_speed_m_s
+    )
+
+
+@numeric
+def landing_flags(
+    config: FlightConfig, strategy: Strategy, barrier: Barrier, memory: Memory, at: Relative, now_s: float,
+    may_land: bool, may_touch: bool,
+) -> int:  # fmt: skip
+    """Flags of where it is over the pad; all inputs are good.
+
+    Args:
+        config: of the flight.
+        strategy: the safety filter.
+        barrier: the paper's.
+        memory: of the mission.
+        at: vehicle relative to target.
+        now_s: stack clock.
+        may_land: what the other vehicles allow.
+        may_touch: likewise.
+    """
+    touchdown, flags = config.touchdown, 0
     # the cone is left at a wider radius than it is entered, so that noise does not make the phases chatter
     radius = touchdown.pad_radius_m * (OVER_PAD_LEFT if memory.phase is Phase.LAND else 1.0)
     low = at.e_m[2] < max(barrier.peak_height_m, touchdown.height_m)
-    if at.d_m <= radius and low and way.may_land:
+    over_pad = at.d_m <= radius and low and may_land
+    if over_pad:
         flags |= C.OVER_PAD
-    if strategy.may_touch(at) and way.may_touch and not waits_for_calm(config, memory, at, now_s):
+    if may_touch and strategy.may_touch(at) and not waits_for_calm(config, memory, at, now_s):
         flags |= C.TOUCH
-    if memory.phase is Phase.TOUCHDOWN and not memory.contact:
-        misses = strategy.drifts(at) or _sets_off(config, barrier, memory, at, now_s)
-        flags |= C.DRIFTED if misses else 0
+    descends = memory.phase is Phase.TOUCHDOWN and not memory.contact
+    if descends and (strategy.drifts(at) or _sets_off(config, barrier, memory, at, now_s)):
+        flags |= C.DRIFTED
+    if memory.phase is Phase.LAND and may_land and may_touch and strategy.watches_swinging:
+        # it leaves the cone over the pad once too often, or its error over the pad does not shrink
+        waited_s = now_s - max(memory.phase_since_s, memory.started_s + touchdown.calm_wait_s)
+        leaves = memory.swings >= config.checks.swings_max
+        if waited_s > config.checks.over_pad_time_max_s if over_pad else leaves:
+            flags |= C.SWINGS
     return flags
 
 
+@numeric
 def _sets_off(config: FlightConfig, barrier: Barrier, memory: Memory, at: Relative, now_s: float) -> bool:
     """Whether a target that was calm is fast now, with height left to climb away and wait again."""
     if memory.retries >= config.checks.retries_max or barrier.h(at.e_m) < config.retreat.h_left_m:
@@ -251,22 +279,16 @@ def _sets_off(config: FlightConfig, barrier: Barrier, memory: Memory, at: Relati
     return waits_for_calm(config, memory, at, now_s)
 
 
+@numeric
 def waits_for_calm(config: FlightConfig, memory: Memory, at: Relative, now_s: float) -> bool:
     """Whether the target is fast now and may be slower soon; a vehicle that is on the pad already stays."""
-    touchdown = config.touchdown
-    standing_m, wait_s = touchdown.feet_below_reference_m + config.contact.gap_m, touchdown.calm_wait_s
-    speed_m_s, velocity_m_s = touchdown.calm_speed_m_s, at.target.velocity_enu_m_s
-    return waits(now_s - memory.started_s, at.e_m[2], velocity_m_s, wait_s, standing_m, speed_m_s)
-
-
-@numeric
-def waits(
-    waited_s: float, above_m: float, target_m_s: Vec3, wait_s: float, standing_m: float, speed_m_s: float
-) -> bool:
-    """``waits_for_calm`` of a vehicle so high above the pad; ``speed_m_s`` is that of a calm target."""
-    if wait_s == 0.0 or waited_s >= wait_s:
+    touchdown, wait_s = config.touchdown, config.touchdown.calm_wait_s
+    if wait_s == 0.0 or now_s - memory.started_s >= wait_s:
         return False
-    return above_m > standing_m and hypot(target_m_s[0], target_m_s[1]) >= speed_m_s
+    if at.e_m[2] <= touchdown.feet_below_reference_m + config.contact.gap_m:
+        return False
+    velocity_m_s = at.target.velocity_enu_m_s
+    return hypot(velocity_m_s[0], velocity_m_s[1]) >= touchdown.calm_speed_m_s
 
 
 class Known(NamedTuple):

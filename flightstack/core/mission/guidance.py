@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from flightstack.core.memory import AbortWay, Memory
 from flightstack.core.mission.conditions import high_enough_m, start_point, waits_for_calm
+from flightstack.core.numeric import numeric
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
@@ -88,11 +89,18 @@ def _land(s: Situation) -> NominalCommand:
         return NominalCommand(Request.EXTERNAL)
     if not s.snapshot.way.may_land and s.config.fleet is not None:
         return NominalCommand(Request.EXTERNAL, _outside(at, s.config.fleet, s.config), filtered=True)
-    x, y, z = s.strategy.approach_m_s(at, over_pad=s.memory.phase is Phase.LAND)
-    if waits_for_calm(s.config, s.memory, at, at.own.arrival_s):
-        below_m = s.config.touchdown.calm_height_m - at.e_m[2]
-        z = max(z, at.target.velocity_enu_m_s[2] + s.config.position_loop.gain_1_s[2] * below_m)
-    return NominalCommand(Request.EXTERNAL, (x, y, z), filtered=True)
+    velocity = towards_pad(s.config, s.memory, s.strategy, at)
+    return NominalCommand(Request.EXTERNAL, velocity, filtered=True)
+
+
+@numeric
+def towards_pad(config: FlightConfig, memory: Memory, strategy: Strategy, at: Relative) -> Vec3:
+    """Nominal velocity of APPROACH and LAND, above a target that is fast now and may be slower soon, too."""
+    x, y, z = strategy.approach_m_s(at, memory.phase is Phase.LAND)
+    if waits_for_calm(config, memory, at, at.own.arrival_s):
+        below_m = config.touchdown.calm_height_m - at.e_m[2]
+        z = max(z, at.target.velocity_enu_m_s[2] + config.position_loop.gain_1_s[2] * below_m)
+    return (x, y, z)
 
 
 def _outside(at: Relative, fleet: Fleet, config: FlightConfig) -> Vec3:
@@ -113,10 +121,9 @@ def _touchdown(s: Situation) -> NominalCommand:
     at = s.snapshot.relative
     if at is None:
         return NominalCommand(Request.EXTERNAL)
-    velocity = s.strategy.descent_m_s(at)
-    if velocity is None:
+    if s.strategy.motors_off(at):
         return NominalCommand(Request.MOTORS_OFF)
-    return NominalCommand(Request.EXTERNAL, velocity)
+    return NominalCommand(Request.EXTERNAL, s.strategy.descent_m_s(at))
 
 
 def _landed(s: Situation) -> NominalCommand:
@@ -138,7 +145,7 @@ def _leave(s: Situation) -> NominalCommand:
     above_m = high_enough_m(s.config, s.barrier, memory) + CLIMB_OVER * s.config.retreat.climb_margin_m
     up_m = z - above_m
     if not memory.climbed:
-        vx, vy, _ = s.strategy.approach_m_s(at, over_pad=True)
+        vx, vy, _ = s.strategy.approach_m_s(at, True)
         vz = at.target.velocity_enu_m_s[2] - gain[2] * up_m
         return NominalCommand(request, (vx, vy, vz), filtered=True)
     px, py, _ = s.snapshot.way.place_enu_m or at.own.position_enu_m

@@ -15,13 +15,18 @@ from flightstack.core.memory import AbortWay, Memory
 from flightstack.core.mission.conditions import (
     LANDED_SETTLE_S,
     Known,
+    PhaseTimes,
     climbed,
     condition_flags,
     flown_clear,
     high_enough_m,
+    landing_flags,
+    phase_times_s,
     reason,
+    time_flags,
 )
 from flightstack.core.mission.phases import next_phase, next_way
+from flightstack.core.numeric import hypot
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.snapshot import Relative, Snapshot
@@ -100,6 +105,12 @@ class Mission:
         reserve: of thrust, for the reasons; None without a table [reserve].
     """
 
+    memory: Memory
+    _config: FlightConfig
+    _barrier: Barrier
+    _strategy: Strategy
+    _times_s: PhaseTimes
+
     def __init__(
         self,
         config: FlightConfig,
@@ -111,6 +122,7 @@ class Mission:
     ) -> None:
         self.memory = Memory()
         self._config, self._barrier, self._strategy = config, barrier, strategy
+        self._times_s = phase_times_s(config)
         self._track, self._plausibility, self._reserve = track, plausibility, reserve
 
     def step(self, snapshot: Snapshot, *, command_failed: bool, now_s: float) -> Transition | None:
@@ -134,14 +146,39 @@ class Mission:
     def flags(self, snapshot: Snapshot, *, command_failed: bool, now_s: float) -> int:
         """Run the timers, then compute the condition flags of this tick; arguments as those of ``step``."""
         self._remember(snapshot, now_s)
-        if self.memory.phase is Phase.TOUCHDOWN:
-            self.memory.contact = self._contact(snapshot, now_s)
-        elif self.memory.phase is Phase.LAND and snapshot.good and snapshot.relative is not None:
-            self._stands(snapshot.relative, snapshot.inputs.status, now_s)
-            self.memory.contact = now_s - self.memory.contact_since_s >= STANDING_S
+        memory, status, at = self.memory, snapshot.inputs.status, snapshot.relative
+        standing = status is not None and status.landed is Landed.ON_GROUND
+        if snapshot.good and at is not None:
+            self.watch_contact(at, standing, now_s)
+        elif memory.phase is Phase.TOUCHDOWN and not memory.contact:
+            own_ok, target_ok = snapshot.own_ok, snapshot.target_ok
+            # without a target in sight, that of its last samples counts: its height does not change meanwhile
+            stopped = own_ok and not target_ok and at is not None and self._stopped(at, now_s)
+            memory.contact = stopped or (standing and not (own_ok and target_ok))
+        config, times_s = self._config, self._times_s
         return condition_flags(
-            self._config, self._strategy, self._barrier, self.memory, snapshot, command_failed, now_s
+            config, self._strategy, self._barrier, memory, times_s, snapshot, command_failed, now_s
         )
+
+    def watch_contact(self, at: Relative, standing: bool, now_s: float) -> None:
+        """Note whether the vehicle stands on the pad, or has stood there; all inputs are good."""
+        memory = self.memory
+        if memory.phase is Phase.LAND:
+            self._stands(at, standing, now_s)
+            memory.contact = now_s - memory.contact_since_s >= STANDING_S
+        elif memory.phase is Phase.TOUCHDOWN and not memory.contact:
+            on_pad = self._above(at)
+            memory.contact = (
+                (self._stopped(at, now_s) and on_pad)
+                or (on_pad and self._slides(at))
+                or self._stands(at, standing, now_s)
+            )
+
+    def flags_at(self, at: Relative, now_s: float) -> int:
+        """Flags of this tick that may change from tick to tick while all inputs are good and it is alone."""
+        memory, config = self.memory, self._config
+        flags = time_flags(config.checks, self._times_s, memory, now_s)
+        return flags | landing_flags(config, self._strategy, self._barrier, memory, at, now_s, True, True)
 
     def finished(self, status: VehicleStatus | None, now_s: float) -> bool:
         """Whether the flight is over: motors off for some time, or an abort that lasts too long."""
@@ -183,28 +220,6 @@ class Mission:
             if status.mode is Mode.EXTERNAL:  # not when disarmed: PX4 stays in it after a landing
                 memory.was_external = True
 
-    def _contact(self, snapshot: Snapshot, now_s: float) -> bool:
-        """Whether the vehicle stands on the pad, or has stood there.
-
-        Without a target in sight, that of its last samples counts: its height does not change in that time.
-        """
-        contact, status, at = self.memory.contact, snapshot.inputs.status, snapshot.relative
-        standing = status is not None and status.landed is Landed.ON_GROUND
-        if snapshot.good and at is not None:
-            on_pad = self._above(at)
-            return (
-                contact
-                or (self._stopped(at, now_s) and on_pad)
-                or (on_pad and self._slides(at))
-                or self._stands(at, status, now_s)
-            )
-        if not snapshot.own_ok:
-            return contact or standing
-        if not snapshot.target_ok:
-            stopped = at is not None and self._stopped(at, now_s)
-            return contact or stopped or standing
-        return contact
-
     def _stopped(self, at: Relative, now_s: float) -> bool:
         """Stopped low over the pad for some samples: two noisy heights do not tell so soon."""
         memory = self.memory
@@ -219,10 +234,9 @@ class Mission:
         """Within the pad's edge, and errors of two positions."""
         return at.d_m <= self._config.touchdown.pad_radius_m + self._config.contact.beyond_m
 
-    def _stands(self, at: Relative, status: VehicleStatus | None, now_s: float) -> bool:
+    def _stands(self, at: Relative, standing: bool, now_s: float) -> bool:
         """The vehicle says that it stands, or it is on the pad and no longer sinks though it should."""
         memory, config = self.memory, self._config
-        standing = status is not None and status.landed is Landed.ON_GROUND
         near = self._above(at) and at.e_m[2] - config.touchdown.feet_below_reference_m < config.contact.gap_m
         sinking_m_s = at.target.velocity_enu_m_s[2] - at.own.velocity_enu_m_s[2]
         if not near or sinking_m_s > config.contact.speed_m_s:
@@ -236,7 +250,8 @@ class Mission:
         contact, gap_m = self._config.contact, at.e_m[2] - self._config.touchdown.feet_below_reference_m
         if contact.sliding_gap_m <= max(0.0, gap_m):  # of 0 it is off, also where the feet seem to be lower
             return False
-        return at.d_m + SLIDING_TIME_S * math.hypot(*at.slip_m_s) > contact.sliding_radius_m
+        vx, vy = at.slip_m_s
+        return at.d_m + SLIDING_TIME_S * hypot(vx, vy) > contact.sliding_radius_m
 
     def _change(self, snapshot: Snapshot, flags: int, now_s: float) -> Transition | None:
         """Change the phase by its table."""

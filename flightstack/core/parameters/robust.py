@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 from flightstack.common.strict_toml import Each, span
+from flightstack.core.numeric import hypot
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,5 +159,5 @@ class Robust:
             sigma_xy_m: standard deviation of vehicle minus target on x and on y; so in any direction.
             sigma_z_m: the same upwards.
         """
-        position_m = self.sigma_factor * math.hypot(slope * sigma_xy_m, sigma_z_m)
+        position_m = self.sigma_factor * hypot(slope * sigma_xy_m, sigma_z_m)
         return self.tracking_error_m_s / self.rate_1_s + position_m

@@ -70,6 +70,11 @@ class Barrier:
         return cls.from_peak(peak_height_m, peak_height_m * math.tan(cone_half_angle_rad), smoothing_m)
 
     @property
+    def numbers(self) -> Vec3:
+        """alpha in 1/m, beta and smoothing in m."""
+        return (self.alpha_1_m, self.beta_m, self.smoothing_m)
+
+    @property
     def peak_height_m(self) -> float:
         """Height of the boundary's highest ring."""
         return self.beta_m / E

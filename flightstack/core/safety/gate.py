@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
+from flightstack.core.numeric import hypot
 from flightstack.core.safety.barrier import ActiveBarrier
 from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S
 from flightstack.core.types import FilterStatus, Vec3
 
 _KEY = object()
 BOX_TOLERANCE_M_S = 1e-9
-_RESULTS = (FilterStatus.SOLVED, FilterStatus.CLOSED_FORM, FilterStatus.INFEASIBLE, FilterStatus.CROWDED)
 SOLVER_TOLERANCE_M_S = 2.0 * RESIDUAL_MAX_M_S  # what a result of the filter may miss the barrier by; rounding
 
 
@@ -97,9 +97,12 @@ class Gate:
             altitude_m: the vehicle's height above the origin.
             barrier_check: ``None`` in phases that do not land.
         """
-        verdict = self._verdict(velocity, yaw_rad, own_fresh, target_fresh, altitude_m, barrier_check)
+        verdict = self.verdict(velocity, yaw_rad, own_fresh, target_fresh, altitude_m)
+        kept = barrier_check is None or self.keeps_promise(velocity, barrier_check)
+        if verdict is GateVerdict.APPROVED and not kept:
+            verdict = GateVerdict.BARRIER
         if verdict is GateVerdict.APPROVED and setpoint != velocity:
-            verdict = self._verdict(setpoint, yaw_rad, own_fresh, target_fresh, altitude_m, None)
+            verdict = self.verdict(setpoint, yaw_rad, own_fresh, target_fresh, altitude_m)
         if verdict is GateVerdict.APPROVED:
             return verdict, ApprovedSetpoint(_KEY, setpoint, yaw_rad)
         return verdict, None
@@ -110,15 +113,10 @@ class Gate:
             return None
         return ApprovedSetpoint(_KEY, (0.0, 0.0, 0.0), yaw_rad)
 
-    def _verdict(
-        self,
-        velocity: Vec3,
-        yaw_rad: float,
-        own_fresh: bool,
-        target_fresh: bool,
-        altitude_m: float,
-        barrier_check: BarrierCheck | None,
+    def verdict(
+        self, velocity: Vec3, yaw_rad: float, own_fresh: bool, target_fresh: bool, altitude_m: float
     ) -> GateVerdict:
+        """Judge a velocity but for the barrier; arguments as those of ``check``."""
         if not own_fresh:
             return GateVerdict.OWN_STALE
         if not target_fresh:
@@ -135,17 +133,17 @@ class Gate:
             return GateVerdict.OUTSIDE_BOX
         if altitude_m > self.altitude_max_m and vz > 0.0:
             return GateVerdict.TOO_HIGH
-        if barrier_check is not None and not self._keeps_promise(velocity, barrier_check):
-            return GateVerdict.BARRIER
         return GateVerdict.APPROVED
 
-    def _keeps_promise(self, velocity: Vec3, check: BarrierCheck) -> bool:
+    def keeps_promise(self, velocity: Vec3, check: BarrierCheck) -> bool:
         """The next h by the kinematic model is what the constraint of eq. 11 promised, without derivatives.
 
         The promise is linear; a result of the filter that keeps it may miss by the boundary's bend and by the
         slope that the gradient leaves out at the apex, and by no more (docs/how_it_works/robust_filter.md).
         """
-        if check.status not in _RESULTS:
+        status, hopeless = check.status, check.status is FilterStatus.INFEASIBLE
+        solved = status is FilterStatus.SOLVED or status is FilterStatus.CLOSED_FORM
+        if not (solved or hopeless or status is FilterStatus.CROWDED):
             return False
         t = self.period_s
         (ex, ey, ez), (tx, ty, tz), (vx, vy, vz) = check.e_m, check.target_velocity_enu_m_s, velocity
@@ -153,10 +151,10 @@ class Gate:
         then = check.barrier.h((ex + (vx - tx) * t, ey + (vy - ty) * t, ez + (vz - tz) * t))
         if not math.isfinite(now + then):
             return False
-        if check.status is FilterStatus.INFEASIBLE:
+        if hopeless:
             return True  # nothing better is in the box
         missing_m = now * (1.0 - self.omega_1_s * t) - then - SOLVER_TOLERANCE_M_S * t
         # mostly there is nothing to allow for
         return missing_m <= 0.0 or missing_m <= check.barrier.linearisation_bound_m(
-            check.e_m, math.hypot(vx - tx, vy - ty) * t
+            check.e_m, hypot(vx - tx, vy - ty) * t
         )

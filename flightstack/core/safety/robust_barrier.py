@@ -9,26 +9,20 @@ ever. The law chooses m such that at the pad's edge what is needed there is left
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from flightstack.core.numeric import numeric
 from flightstack.core.safety.barrier import Barrier, barrier_h, evaluated, linearisation_bound
 from flightstack.core.types import Vec3
 
 
-class RobustBarrier:
-    """Barrier with a margin; has what the gate and the filter need of a barrier.
+@numeric
+class RobustBarrier(NamedTuple):
+    """Barrier with a margin; has what the gate and the filter need of a barrier."""
 
-    Args:
-        barrier: the one to hold.
-        margin_m: m above.
-        fade_radius_m: w above.
-    """
-
-    __slots__ = ("barrier", "barrier_numbers", "fade_radius_m", "margin_m")
-
-    def __init__(self, barrier: Barrier, margin_m: float, fade_radius_m: float) -> None:
-        self.barrier, self.margin_m, self.fade_radius_m = barrier, margin_m, fade_radius_m
-        self.barrier_numbers = (barrier.alpha_1_m, barrier.beta_m, barrier.smoothing_m)
+    barrier: Barrier
+    margin_m: float
+    fade_radius_m: float
 
     @property
     def slope_max(self) -> float:
@@ -40,16 +34,16 @@ class RobustBarrier:
 
         The margin bends by 2 m / w^2 exp(-(d/w)^2) at most, most of all where the motion comes nearest.
         """
-        return robust_bound(self.barrier_numbers, self.margin_m, self.fade_radius_m, e_m, moved_m)
+        return robust_bound(self.barrier.numbers, self.margin_m, self.fade_radius_m, e_m, moved_m)
 
     def h(self, e_m: Vec3) -> float:
         """Value in metres at the relative position ``e_m``."""
-        return robust_h(self.barrier_numbers, self.margin_m, self.fade_radius_m, e_m)
+        return robust_h(self.barrier.numbers, self.margin_m, self.fade_radius_m, e_m)
 
     def evaluate(self, e_m: Vec3, target_velocity_enu_m_s: Vec3) -> tuple[float, Vec3, float]:
         """Value, gradient by the vehicle's position, time derivative; as ``Barrier.evaluate``."""
         return robust_evaluated(
-            self.barrier_numbers, self.margin_m, self.fade_radius_m, e_m, target_velocity_enu_m_s
+            self.barrier.numbers, self.margin_m, self.fade_radius_m, e_m, target_velocity_enu_m_s
         )
 
 

@@ -9,18 +9,15 @@ from __future__ import annotations
 
 import math
 
-from flightstack.core.memory import LateMemory, MotionMemory, OwnMemory, TrackingMemory
-from flightstack.core.numeric import hypot, numeric
-from flightstack.core.parameters.ends import TouchdownRule
+from flightstack.core.numeric import hypot, numeric, rare
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier, E, barrier_h, boundary_height
 from flightstack.core.safety.position_loop import limit, nominal_velocity
-from flightstack.core.safety.qp_filter import Program, SafetyFilter
 from flightstack.core.safety.robust_barrier import RobustBarrier
-from flightstack.core.snapshot import Relative, Snapshot
+from flightstack.core.snapshot import Relative
 from flightstack.core.strategies.robust_limits import refuse
 from flightstack.core.strategies.strategy import Strategy
-from flightstack.core.strategies.velocity_tracking import Axis, VelocityTracking
+from flightstack.core.strategies.velocity_tracking import VelocityTracking
 from flightstack.core.target.estimator import TargetEstimator
 from flightstack.core.target.own_estimator import OwnEstimator
 from flightstack.core.target.track import TargetState, TargetTrack
@@ -38,7 +35,21 @@ class RobustFilter(Strategy):
     certificate = "flightstack.verify.certificate:robust_checks"
     waits_filtered = True
 
+    brakes_m_s2: float
+    slope: float  # of the barrier, steepest outside the pad
+    full: float  # share of the margin at the pad's edge, where judging begins: there it is there in full
+    estimator: TargetEstimator
+    own_estimator: OwnEstimator
+    _tracking: VelocityTracking
+    _config: FlightConfig
+    _barrier: Barrier
+    _most: Vec3
+    _learns: bool  # errors of the own velocity
+    _weighs: bool  # estimates the thrust reserve
+    _lag_z_s: float
+
     def __init__(self, config: FlightConfig, barrier: Barrier) -> None:
+        super().__init__(config, barrier)
         robust = config.robust
         self.rate_1_s = robust.rate_1_s
         self.acceleration_max_m_s2 = config.slew_max_m_s2
@@ -47,15 +58,17 @@ class RobustFilter(Strategy):
         self.stopped_below_m = robust.touch_height_m
         self._config, self._barrier = config, barrier
         self._most = config.limits.velocity_max_m_s
+        self._learns, self._weighs = config.own.learns, config.reserve is not None
+        loop, period_s = config.velocity_loop, 1.0 / config.loop.rate_hz
         self.estimator = TargetEstimator(config.target)
-        loop, period_s, learns = config.velocity_loop, 1.0 / config.loop.rate_hz, config.own.learns
+        self.own_estimator = OwnEstimator(config.own, loop, period_s)
         self._tracking = VelocityTracking(
-            loop, period_s, config.velocity_feedback, 0.0 if learns else config.own.delay_s
+            loop, period_s, config.velocity_feedback, 0.0 if self._learns else config.own.delay_s
         )
-        self.own_estimator = OwnEstimator(config.own, loop, period_s) if learns else None
-        self.slope = barrier.slope(config.touchdown.pad_radius_m)  # steepest outside the pad
-        self._lag_z_s = config.velocity_loop.lag_z_s
-        # so that the margin is there in full where judging begins, at the pad's edge
+        self.motion, self.tracking = self.estimator.memory, self._tracking.memory
+        self.own, self.late = self.own_estimator.memory, self._tracking.late
+        self.slope = barrier.slope(config.touchdown.pad_radius_m)
+        self._lag_z_s = loop.lag_z_s
         edge = config.touchdown.pad_radius_m / robust.fade_radius_m
         self.full = -math.expm1(-edge * edge)
 
@@ -68,53 +81,6 @@ class RobustFilter(Strategy):
         """
         refuse(config)
 
-    @property
-    def axes(self) -> tuple[Axis, Axis, Axis]:
-        """Corrections of the set-point on each axis."""
-        return self._tracking.axes
-
-    @property
-    def far_axes(self) -> tuple[Axis, Axis, Axis]:
-        """The same, far from the landing spot."""
-        return self._tracking.far_axes
-
-    @property
-    def motion(self) -> MotionMemory:
-        """State of the estimator."""
-        return self.estimator.memory
-
-    @motion.setter
-    def motion(self, memory: MotionMemory) -> None:
-        self.estimator.memory = memory
-
-    @property
-    def tracking(self) -> TrackingMemory:
-        """State of the corrections."""
-        return self._tracking.memory
-
-    @tracking.setter
-    def tracking(self, memory: TrackingMemory) -> None:
-        self._tracking.memory = memory
-
-    @property
-    def late(self) -> LateMemory:
-        """Set-points that have no effect yet."""
-        return self._tracking.late
-
-    @late.setter
-    def late(self, memory: LateMemory) -> None:
-        self._tracking.late = memory
-
-    @property
-    def own(self) -> OwnMemory:
-        """State of what is learned of the own state."""
-        return self.own_estimator.memory if self.own_estimator is not None else OwnMemory()
-
-    @own.setter
-    def own(self, memory: OwnMemory) -> None:
-        if self.own_estimator is not None:
-            self.own_estimator.memory = memory
-
     def take(self, sample: TargetSample) -> None:
         """Update the Kalman filter of the target."""
         self.estimator.update(
@@ -126,16 +92,14 @@ class RobustFilter(Strategy):
             sample.velocity_sigma_m_s,
         )
 
-    def target(self, track: TargetTrack, now_s: float) -> TargetState | None:
+    def target(self, track: TargetTrack, now_s: float) -> TargetState:
         """Estimate moved on to now; the shortest delay, which no clock shows, is a parameter.
 
         No further than the age limit: beyond it the target is lost, and only what stays bounded is of use.
         """
-        last = track.memory.last
-        if last is None:
-            return None
+        last = track.newest
         delay_s = self._config.target.delay_s
-        latest_s = self.estimator.memory.time_s + self._config.checks.target_age_max_s
+        latest_s = self.motion.time_s + self._config.checks.target_age_max_s
         motion = self.estimator.at(min(now_s - track.memory.offset_s, latest_s) + delay_s)
         return TargetState(
             track.age_s(last, now_s) + delay_s,
@@ -148,36 +112,41 @@ class RobustFilter(Strategy):
 
     def vehicle(self, own: OwnState) -> OwnState:
         """Moved on by its delay; estimated from all that is known where its velocity is not believed."""
-        if self.own_estimator is not None:
+        if self._learns:
             return self.own_estimator.step(own)
         t, (x, y, z), (vx, vy, vz) = self._config.own.delay_s, own.position_enu_m, own.velocity_enu_m_s
         position = (x + t * vx, y + t * vy, z + t * vz)
         return OwnState(own.arrival_s, own.source_time_s, position, own.velocity_enu_m_s, own.yaw_rad)
 
-    def observe(self, velocity_enu_m_s: Vec3, *, commanding: bool) -> None:
+    def observe(self, velocity_enu_m_s: Vec3, commanding: bool) -> None:
         """Learn the disturbance."""
-        self._tracking.observe(velocity_enu_m_s, commanding=commanding)
-        if self.own_estimator is None:
+        self._tracking.observe(velocity_enu_m_s, commanding)
+        if not self._learns:
             return
         if not commanding:
             self.own_estimator.forget()
-        elif self._config.velocity_feedback.horizontal:
-            memory, (dx, dy) = self._tracking.memory, self.own_estimator.disturbance_m_s
-            (_, vx, ax, *_), (_, vy, ay, *_) = (
-                self.own_estimator.memory.x_now,
-                self.own_estimator.memory.y_now,
+        elif self._tracking.by_feedback:
+            memory, x, y, push_1_s = (
+                self.tracking,
+                self.own.x_now,
+                self.own.y_now,
+                self.own_estimator.push_1_s,
             )
-            memory.model_m_s = (vx, vy, memory.model_m_s[2])
-            memory.model_m_s2 = (ax, ay, memory.model_m_s2[2])
-            memory.disturbance_m_s = (dx, dy, memory.disturbance_m_s[2])
+            memory.model_m_s = (x[1], y[1], memory.model_m_s[2])
+            memory.model_m_s2 = (x[2], y[2], memory.model_m_s2[2])
+            # what the push adds to the velocity in the end
+            memory.disturbance_m_s = (x[4] / push_1_s, y[4] / push_1_s, memory.disturbance_m_s[2])
 
-    def barrier(self, snapshot: Snapshot) -> RobustBarrier:
+    def barrier(self, at: Relative) -> RobustBarrier:
         """The barrier with a margin for what is uncertain now."""
-        robust, target, own_m = self._config.robust, snapshot.target, self._config.own.position_noise_m
-        sigma_xy_m = hypot(target.position_sigma_m, own_m) if target is not None else own_m
-        sigma_z_m = hypot(target.position_sigma_z_m, own_m) if target is not None else own_m
-        margin_m = robust.margin_m(self.slope, sigma_xy_m, sigma_z_m)
-        return RobustBarrier(self._barrier, margin_m / self.full, robust.fade_radius_m)
+        margin_m = self.margin_m(at.target.position_sigma_m, at.target.position_sigma_z_m)
+        return RobustBarrier(self._barrier, margin_m, self._config.robust.fade_radius_m)
+
+    def margin_m(self, sigma_xy_m: float, sigma_z_m: float) -> float:
+        """Margin for these standard deviations of the target's position, where it has not faded."""
+        robust, own_m = self._config.robust, self._config.own.position_noise_m
+        margin_m = robust.margin_m(self.slope, hypot(sigma_xy_m, own_m), hypot(sigma_z_m, own_m))
+        return margin_m / self.full
 
     def climb_m_s(self, h_m: float, gradient: Vec3, before_m_s: Vec3, at: Relative) -> float:
         """Vertical velocity that holds the barrier for the horizontal velocity that is measured.
@@ -195,28 +164,23 @@ class RobustFilter(Strategy):
         The acceleration is what the thrust reserve allows in this tick; the configured one is quick enough
         for the rates of the filter, which the certificate shows.
         """
-        if self._config.reserve is None:
-            return math.inf
-        return braked_m_s(left_m, self.acceleration_max_m_s2[2])
+        return braked_m_s(left_m, self.acceleration_max_m_s2[2]) if self._weighs else math.inf
 
-    def program(self) -> Program:
-        """The quadratic program."""
-        return SafetyFilter(self.rate_1_s)
-
-    def approach_m_s(self, at: Relative, *, over_pad: bool) -> Vec3:
+    def approach_m_s(self, at: Relative, over_pad: bool) -> Vec3:
         """To a place low above the pad's middle, where it waits until it may go down in one go."""
-        robust, t, (e, slip) = self._config.robust, at.target.velocity_enu_m_s, self._then(at)
+        robust, t, e, slip = self._config.robust, at.target.velocity_enu_m_s, at.e_m, at.slip_m_s
+        if self._tracking.late_ticks:
+            e, slip = self._then(at)
         gain = robust.gain_1_s
         over = robust.gain_over_pad_1_s if over_pad else gain
         above = e[2] - robust.wait_height_m - self._ahead_m(e, slip)
         fastest_m_s = min(robust.descent_max_m_s, self._braked_m_s(above))
         return approach(e, above, over, gain, t, fastest_m_s, robust.descent_min_m_s)
 
+    @rare
     def _then(self, at: Relative) -> tuple[Vec3, tuple[float, float]]:
         """Place above the target, and horizontal velocity relative to it, when a set-point has its effect."""
         late_s = self._config.velocity_loop.dead_time_s
-        if not late_s:
-            return at.e_m, at.slip_m_s
         (ex, ey, ez), (tx, ty, _) = at.e_m, at.target.velocity_enu_m_s
         (x, y), (vx, vy, _) = self._tracking.carried(at.own.velocity_enu_m_s)
         return (ex + x - late_s * tx, ey + y - late_s * ty, ez), (vx - tx, vy - ty)
@@ -226,14 +190,18 @@ class RobustFilter(Strategy):
         barrier, d_m = self._barrier, hypot(e_m[0], e_m[1])
         return height_ahead(e_m, d_m, slip_m_s, self.brakes_m_s2, barrier.alpha_1_m, barrier.beta_m)
 
-    def descent_m_s(self, at: Relative) -> Vec3 | None:
-        """Straight down over the pad's middle; by the paper's rule until its height."""
-        robust, touchdown, t = self._config.robust, self._config.touchdown, at.target.velocity_enu_m_s
-        if touchdown.rule is TouchdownRule.PAPER and at.e_m[2] < touchdown.height_m:
-            return None
+    def descent_m_s(self, at: Relative) -> Vec3:
+        """Straight down over the pad's middle."""
+        robust, t, e = self._config.robust, at.target.velocity_enu_m_s, at.e_m
+        if self._tracking.late_ticks:
+            e, _ = self._then(at)
         gain = robust.to_contact_1_s
-        x, y, _ = nominal_velocity(self._then(at)[0], (gain, gain, gain), t)
+        x, y, _ = nominal_velocity(e, (gain, gain, gain), t)
         return (x, y, t[2] - robust.descent_m_s)
+
+    def motors_off(self, at: Relative) -> bool:
+        """By the paper's rule below its height."""
+        return self._by_rule and at.e_m[2] < self._config.touchdown.height_m
 
     def hold_m_s(self, target: TargetState) -> Vec3:
         """Up, and on with a target that was followed until a moment ago.
@@ -269,15 +237,12 @@ class RobustFilter(Strategy):
         return leaves_corridor(at.e_m, at.d_m, at.slip_m_s, corridor_m, retreat.drift_time_s)
 
     def setpoint(
-        self, before_m_s: Vec3, wanted_m_s: Vec3, snapshot: Snapshot, least_z_m_s: float = -math.inf
+        self, before_m_s: Vec3, wanted_m_s: Vec3, velocity_m_s: Vec3, d_m: float, least_z_m_s: float
     ) -> Vec3:
         """Corrected for lag and disturbance."""
-        own = snapshot.inputs.own
-        velocity = own.velocity_enu_m_s if own is not None else wanted_m_s
-        at = snapshot.relative
-        far = at is not None and at.d_m > self._config.velocity_feedback.far_m
-        setpoint = self._tracking.command(before_m_s, wanted_m_s, velocity, self._most, least_z_m_s, far=far)
-        return setpoint if self.own_estimator is None else self.own_estimator.told(setpoint, self._most)
+        far = d_m > self._config.velocity_feedback.far_m
+        setpoint = self._tracking.command(before_m_s, wanted_m_s, velocity_m_s, self._most, least_z_m_s, far)
+        return self.own_estimator.told(setpoint, self._most) if self._learns else setpoint
 
 
 @numeric

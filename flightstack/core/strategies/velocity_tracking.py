@@ -7,12 +7,12 @@ the disturbance adds:
 
     v' = a + f,      a' = w^2 (u - v) - 2 z w a
 
-``LeadAxis`` adds corrections to the velocity wanted, r (internal model control, with a lead instead of the
+The lead adds corrections to the velocity wanted, r (internal model control, with a lead instead of the
 inverse model). Of the vehicle it feeds back little but k (r - v), so it forgives a wrong model:
 
     u = r + lag * r' + k (r - v) - d,      d = low-pass of (v - M(u))
 
-``FeedbackAxis`` feeds back all of the state, of which an observer knows what is not measured. It answers
+The feedback takes all of the state, of which an observer knows what is not measured. It answers
 gusts sooner and does not swing, and has to know the vehicle's loop: the acceleration a* that mends the
 velocity at the rate l, reached at the rate m,
 
@@ -29,54 +29,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Protocol
 
 from flightstack.core.memory import LateMemory, TrackingMemory
-from flightstack.core.numeric import numeric
+from flightstack.core.numeric import numeric, rare
 from flightstack.core.parameters.robust import VelocityFeedback, VelocityLoop
 from flightstack.core.safety.position_loop import clip
 from flightstack.core.types import ZERO, Vec3
 
-
-class Axis(Protocol):
-    """What is done on one axis, once a tick; m/s and m/s^2."""
-
-    @property
-    def numbers(self) -> tuple[float, ...]:
-        """What it goes by."""
-
-    def observe(self, v: float, u: float, m: float, dm: float, d: float) -> tuple[float, float, float]:
-        """Velocity by the model, its derivative, and the disturbance, a tick later.
-
-        Args:
-            v: velocity measured.
-            u: set-point in force.
-            m: velocity by the model.
-            dm: its derivative, without the disturbance.
-            d: disturbance.
-        """
-
-    def command(
-        self, b: float, r: float, v: float, s: float, m: float, dm: float, d: float, most: float
-    ) -> tuple[float, float]:
-        """Smoothed derivative of the velocity wanted, and set-point.
-
-        Args:
-            b: velocity wanted a tick ago.
-            r: velocity wanted now.
-            v: velocity measured.
-            s: smoothed derivative a tick ago.
-            m: velocity by the model.
-            dm: its derivative, without the disturbance.
-            d: disturbance.
-            most: bound of the set-point.
-        """
-
-
-# numbers of a ``LeadAxis``: period, lag, rate, gain, most of the error, damping, most of the disturbance,
+# of the lead: period, lag, rate, gain, most of the error, damping, most of the disturbance,
 # shares of slope and disturbance
 Lead = tuple[float, float, float, float, float, float, float, float, float]
-# of a ``FeedbackAxis``: period, delay, rate, drag, push, most of disturbance and error, share of the slope,
+# of the feedback: period, delay, rate, drag, push, most of disturbance and error, share of the slope,
 # of what is missed to velocity and disturbance, rates of error and tilt, most of the acceleration
 Feedback = tuple[float, float, float, float, float, float, float, float, float, float, float, float, float]
 
@@ -85,7 +48,18 @@ Feedback = tuple[float, float, float, float, float, float, float, float, float, 
 def lead_observed(
     lead: Lead, v: float, u: float, m: float, dm: float, d: float
 ) -> tuple[float, float, float]:
-    """``LeadAxis.observe``."""
+    """Velocity by the model, its derivative, and the disturbance, a tick later.
+
+    The model goes by the set-point alone; what the velocity differs by is low-passed.
+
+    Args:
+        lead: its numbers.
+        v: velocity measured.
+        u: set-point in force.
+        m: velocity by the model.
+        dm: its derivative, without the disturbance.
+        d: disturbance.
+    """
     t, _, w, _, _, damping, most_m_s, _, share = lead
     dm += t * (w * w * (u - m) - 2.0 * damping * w * dm)
     m += t * dm
@@ -97,7 +71,17 @@ def lead_observed(
 def lead_commanded(
     lead: Lead, b: float, r: float, v: float, s: float, d: float, most: float
 ) -> tuple[float, float]:
-    """``LeadAxis.command``."""
+    """Smoothed derivative of the velocity wanted, and set-point.
+
+    Args:
+        lead: its numbers.
+        b: velocity wanted a tick ago.
+        r: velocity wanted now.
+        v: velocity measured.
+        s: smoothed derivative a tick ago.
+        d: disturbance.
+        most: bound of the set-point.
+    """
     t, lag_s, _, gain, error_max_m_s, _, _, share, _ = lead
     s += share * ((r - b) / t - s)
     u = r + lag_s * s + gain * (r - v) - d
@@ -117,7 +101,7 @@ def lead_carried(lead: Lead, v: float, m: float, dm: float, sent: Sequence[float
 def feedback_observed(
     feedback: Feedback, v: float, u: float, m: float, dm: float, d: float
 ) -> tuple[float, float, float]:
-    """``FeedbackAxis.observe``."""
+    """As ``lead_observed``; the model goes by the velocity, and what it misses corrects it."""
     t, delay_s, w, drag_1_s, push_1_s, most_m_s, _, _, to_velocity, to_disturbance, _, _, _ = feedback
     f = push_1_s * d
     now = v + delay_s * (dm + f)
@@ -132,7 +116,7 @@ def feedback_observed(
 def feedback_commanded(
     feedback: Feedback, b: float, r: float, s: float, m: float, dm: float, d: float, most: float
 ) -> tuple[float, float]:
-    """``FeedbackAxis.command``."""
+    """As ``lead_commanded``, with the state of the model in place of the velocity."""
     t, delay_s, w, drag_1_s, push_1_s, _, error_max_m_s, share, _, _, error_1_s, tilt_1_s, tilts = feedback
     f = push_1_s * d
     s += share * ((r - b) / t - s)
@@ -143,8 +127,10 @@ def feedback_commanded(
     return s, clip(clip(u, now - error_max_m_s, now + error_max_m_s), -most, most)
 
 
-class LeadAxis:
-    """Corrections added to the velocity wanted.
+def lead_of(
+    loop: VelocityLoop, lag_s: float, rate_1_s: float, gain: float, error_max_m_s: float, period_s: float
+) -> Lead:
+    """Numbers of the lead on an axis.
 
     Args:
         loop: the vehicle's velocity loop.
@@ -154,80 +140,25 @@ class LeadAxis:
         error_max_m_s: of set-point against velocity: a loop that tilts hard loses lift.
         period_s: of a tick.
     """
-
-    def __init__(
-        self,
-        loop: VelocityLoop,
-        lag_s: float,
-        rate_1_s: float,
-        gain: float,
-        error_max_m_s: float,
-        period_s: float,
-    ) -> None:
-        slope_share = min(1.0, period_s / loop.slope_time_s)
-        disturbance_share = min(1.0, period_s / loop.disturbance_time_s)
-        self.numbers: Lead = (
-            period_s, lag_s, rate_1_s, gain, error_max_m_s, loop.damping, loop.disturbance_max_m_s,
-            slope_share, disturbance_share,
-        )  # fmt: skip
-
-    def observe(self, v: float, u: float, m: float, dm: float, d: float) -> tuple[float, float, float]:
-        """The model goes by the set-point alone; what the velocity differs by is low-passed."""
-        return lead_observed(self.numbers, v, u, m, dm, d)
-
-    def command(
-        self, b: float, r: float, v: float, s: float, m: float, dm: float, d: float, most: float
-    ) -> tuple[float, float]:
-        """The velocity wanted and its corrections."""
-        del m, dm
-        return lead_commanded(self.numbers, b, r, v, s, d, most)
+    slope_share = min(1.0, period_s / loop.slope_time_s)
+    disturbance_share = min(1.0, period_s / loop.disturbance_time_s)
+    return (
+        period_s, lag_s, rate_1_s, gain, error_max_m_s, loop.damping, loop.disturbance_max_m_s,
+        slope_share, disturbance_share,
+    )  # fmt: skip
 
 
-class FeedbackAxis:
-    """Feedback of velocity, acceleration and disturbance.
-
-    Args:
-        loop: the vehicle's velocity loop.
-        feedback: how hard.
-        delay_s: age of the velocity measured; the state is carried on by it.
-        period_s: of a tick.
-    """
-
-    def __init__(
-        self, loop: VelocityLoop, feedback: VelocityFeedback, delay_s: float, period_s: float
-    ) -> None:
-        rate_1_s, push_1_s = loop.rate_xy_1_s, loop.rate_xy_1_s / (2.0 * loop.damping)  # f / d
-        # of what the model misses, to velocity and disturbance: both poles at the observer's rate
-        rate = feedback.observer_rate_1_s
-        self.numbers: Feedback = (
-            period_s, delay_s, rate_1_s, 2.0 * loop.damping * loop.rate_xy_1_s, push_1_s,
-            loop.disturbance_max_m_s, loop.error_max_m_s, min(1.0, period_s / loop.slope_time_s),
-            2.0 * rate, rate * rate / push_1_s,
-            feedback.error_rate_1_s, feedback.tilt_rate_1_s, feedback.acceleration_max_m_s2,
-        )  # fmt: skip
-
-    def observe(self, v: float, u: float, m: float, dm: float, d: float) -> tuple[float, float, float]:
-        """The model goes by the velocity; what it misses corrects velocity and disturbance."""
-        return feedback_observed(self.numbers, v, u, m, dm, d)
-
-    def command(
-        self, b: float, r: float, v: float, s: float, m: float, dm: float, d: float, most: float
-    ) -> tuple[float, float]:
-        """The velocity itself, and what tilts as wanted."""
-        del v
-        return feedback_commanded(self.numbers, b, r, s, m, dm, d, most)
-
-
-def axes(
-    loop: VelocityLoop, feedback: VelocityFeedback, delay_s: float, period_s: float
-) -> tuple[Axis, Axis, Axis]:
-    """What a configuration asks for; upwards always the lead, for there is no tilt in between."""
-    up = LeadAxis(loop, loop.lag_z_s, loop.rate_z_1_s, loop.gain_z, math.inf, period_s)
-    if feedback.horizontal:
-        level: Axis = FeedbackAxis(loop, feedback, delay_s, period_s)
-    else:
-        level = LeadAxis(loop, loop.lag_xy_s, loop.rate_xy_1_s, loop.gain_xy, loop.error_max_m_s, period_s)
-    return level, level, up
+def feedback_of(loop: VelocityLoop, feedback: VelocityFeedback, delay_s: float, period_s: float) -> Feedback:
+    """Numbers of the feedback; ``delay_s`` is the age of the velocity measured, by which it is carried on."""
+    rate_1_s, push_1_s = loop.rate_xy_1_s, loop.rate_xy_1_s / (2.0 * loop.damping)  # f / d
+    # of what the model misses, to velocity and disturbance: both poles at the observer's rate
+    rate = feedback.observer_rate_1_s
+    return (
+        period_s, delay_s, rate_1_s, 2.0 * loop.damping * loop.rate_xy_1_s, push_1_s,
+        loop.disturbance_max_m_s, loop.error_max_m_s, min(1.0, period_s / loop.slope_time_s),
+        2.0 * rate, rate * rate / push_1_s,
+        feedback.error_rate_1_s, feedback.tilt_rate_1_s, feedback.acceleration_max_m_s2,
+    )  # fmt: skip
 
 
 class VelocityTracking:
@@ -240,6 +171,15 @@ class VelocityTracking:
         delay_s: age of a velocity that is measured.
     """
 
+    memory: TrackingMemory
+    late: LateMemory
+    by_feedback: bool  # horizontally; upwards always the lead, for there is no tilt in between
+    lead_xy: Lead
+    lead_z: Lead
+    feedback: Feedback
+    far_feedback: Feedback
+    late_ticks: int
+
     def __init__(
         self,
         loop: VelocityLoop,
@@ -249,13 +189,18 @@ class VelocityTracking:
     ) -> None:
         self.memory = TrackingMemory()
         feedback = feedback or VelocityFeedback()
-        self.axes = axes(loop, feedback, delay_s, period_s)
-        self.far_axes = axes(loop, feedback.far, delay_s, period_s)
+        self.by_feedback = feedback.horizontal
+        self.lead_xy = lead_of(
+            loop, loop.lag_xy_s, loop.rate_xy_1_s, loop.gain_xy, loop.error_max_m_s, period_s
+        )
+        self.lead_z = lead_of(loop, loop.lag_z_s, loop.rate_z_1_s, loop.gain_z, math.inf, period_s)
+        self.feedback = feedback_of(loop, feedback, delay_s, period_s)
+        self.far_feedback = feedback_of(loop, feedback.far, delay_s, period_s)
         self.late_ticks = loop.late_ticks(period_s)
         self.late = LateMemory(((0.0, 0.0),) * self.late_ticks)
         self._carried: tuple[object, tuple[tuple[float, float], Vec3]] = (None, ((0.0, 0.0), ZERO))
 
-    def observe(self, velocity_enu_m_s: Vec3, *, commanding: bool) -> None:
+    def observe(self, velocity_enu_m_s: Vec3, commanding: bool) -> None:
         """Compare the velocity with what the model expects of the last set-point.
 
         Args:
@@ -265,31 +210,46 @@ class VelocityTracking:
         memory = self.memory
         if not commanding:
             memory.model_m_s, memory.model_m_s2, memory.slope_m_s2 = velocity_enu_m_s, ZERO, ZERO
-            self.late.sent_m_s = (velocity_enu_m_s[:2],) * self.late_ticks
+            if self.late_ticks:
+                self._forget(velocity_enu_m_s)
             return
-        v, u, m, dm, d = (
-            velocity_enu_m_s, memory.setpoint_m_s, memory.model_m_s, memory.model_m_s2, memory.disturbance_m_s
-        )  # fmt: skip
+        v, u, m = velocity_enu_m_s, memory.setpoint_m_s, memory.model_m_s
+        dm, d = memory.model_m_s2, memory.disturbance_m_s
         if self.late_ticks:
-            ((ux, uy), *under_way), (sx, sy, sz) = self.late.sent_m_s, u
-            self.late.sent_m_s, u = (*under_way, (sx, sy)), (ux, uy, sz)
-        x, y, z = self.axes  # written out: a loop over three axes costs twice as much
-        mx, dmx, dx = x.observe(v[0], u[0], m[0], dm[0], d[0])
-        my, dmy, dy = y.observe(v[1], u[1], m[1], dm[1], d[1])
-        mz, dmz, dz = z.observe(v[2], u[2], m[2], dm[2], d[2])
+            u = self._arrived(u)
+        if self.by_feedback:
+            numbers = self.feedback
+            mx, dmx, dx = feedback_observed(numbers, v[0], u[0], m[0], dm[0], d[0])
+            my, dmy, dy = feedback_observed(numbers, v[1], u[1], m[1], dm[1], d[1])
+        else:
+            mx, dmx, dx = lead_observed(self.lead_xy, v[0], u[0], m[0], dm[0], d[0])
+            my, dmy, dy = lead_observed(self.lead_xy, v[1], u[1], m[1], dm[1], d[1])
+        mz, dmz, dz = lead_observed(self.lead_z, v[2], u[2], m[2], dm[2], d[2])
         memory.model_m_s, memory.model_m_s2 = (mx, my, mz), (dmx, dmy, dmz)
         memory.disturbance_m_s = (dx, dy, dz)
 
+    @rare
+    def _forget(self, velocity_enu_m_s: Vec3) -> None:
+        """Take the vehicle to fly the velocity that was measured."""
+        self.late.sent_m_s = (velocity_enu_m_s[:2],) * self.late_ticks
+
+    @rare
+    def _arrived(self, setpoint_m_s: Vec3) -> Vec3:
+        """Queue the last set-point; return the one that takes effect now."""
+        ((ux, uy), *under_way), (sx, sy, sz) = self.late.sent_m_s, setpoint_m_s
+        self.late.sent_m_s = (*under_way, (sx, sy))
+        return (ux, uy, sz)
+
+    @rare
     def carried(self, velocity_m_s: Vec3) -> tuple[tuple[float, float], Vec3]:
         """Horizontal way until a set-point sent now has its effect, m, and the velocity then."""
-        level, memory, sent = self.axes[0], self.memory, self.late.sent_m_s
-        if not (sent and isinstance(level, LeadAxis)):
+        memory, sent, lead = self.memory, self.late.sent_m_s, self.lead_xy
+        if not sent or self.by_feedback:
             return (0.0, 0.0), velocity_m_s
         given = (velocity_m_s, memory.model_m_s, memory.model_m_s2, sent)
         if given == self._carried[0]:  # asked twice a tick
             return self._carried[1]
         (vx, vy, vz), (mx, my, _), (dmx, dmy, _) = given[:3]
-        lead = level.numbers
         x_m, vx = lead_carried(lead, vx, mx, dmx, [x for x, _ in sent])
         y_m, vy = lead_carried(lead, vy, my, dmy, [y for _, y in sent])
         self._carried = (given, ((x_m, y_m), (vx, vy, vz)))
@@ -302,7 +262,6 @@ class VelocityTracking:
         velocity_m_s: Vec3,
         most_m_s: Vec3,
         least_z_m_s: float = -math.inf,
-        *,
         far: bool = False,
     ) -> Vec3:
         """Set-point that makes the vehicle fly the reference.
@@ -316,12 +275,18 @@ class VelocityTracking:
                 set-point itself and the disturbance that was learned.
             far: farther from the landing spot than ``far_m`` of the feedback.
         """
-        memory, (x, y, z) = self.memory, self.far_axes if far else self.axes
-        b, r, (_, v), s = before_m_s, reference_m_s, self.carried(velocity_m_s), memory.slope_m_s2
-        m, dm, d = memory.model_m_s, memory.model_m_s2, memory.disturbance_m_s
-        sx, ux = x.command(b[0], r[0], v[0], s[0], m[0], dm[0], d[0], most_m_s[0])
-        sy, uy = y.command(b[1], r[1], v[1], s[1], m[1], dm[1], d[1], most_m_s[1])
-        sz, uz = z.command(b[2], r[2], v[2], s[2], m[2], dm[2], d[2], most_m_s[2])
+        memory, b, r, v = self.memory, before_m_s, reference_m_s, velocity_m_s
+        if self.late_ticks:
+            v = self.carried(v)[1]
+        m, dm, d, s = memory.model_m_s, memory.model_m_s2, memory.disturbance_m_s, memory.slope_m_s2
+        if self.by_feedback:
+            numbers = self.far_feedback if far else self.feedback
+            sx, ux = feedback_commanded(numbers, b[0], r[0], s[0], m[0], dm[0], d[0], most_m_s[0])
+            sy, uy = feedback_commanded(numbers, b[1], r[1], s[1], m[1], dm[1], d[1], most_m_s[1])
+        else:
+            sx, ux = lead_commanded(self.lead_xy, b[0], r[0], v[0], s[0], d[0], most_m_s[0])
+            sy, uy = lead_commanded(self.lead_xy, b[1], r[1], v[1], s[1], d[1], most_m_s[1])
+        sz, uz = lead_commanded(self.lead_z, b[2], r[2], v[2], s[2], d[2], most_m_s[2])
         uz = min(max(uz, least_z_m_s - d[2]), most_m_s[2])
         memory.slope_m_s2, memory.setpoint_m_s = (sx, sy, sz), (ux, uy, uz)
         return memory.setpoint_m_s

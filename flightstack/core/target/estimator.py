@@ -21,7 +21,7 @@ import math
 from typing import NamedTuple
 
 from flightstack.core.memory import Covariance, MotionMemory
-from flightstack.core.numeric import called, numeric, wrapped
+from flightstack.core.numeric import called, numeric, rare, wrapped
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.types import ZERO, Vec3
 
@@ -58,12 +58,6 @@ class _Noise(NamedTuple):
     jerk2: float
     acceleration2: float
 
-    def at_least(self, position_sigma: float, velocity_sigma: float) -> _Noise:
-        """With measurements no better than these."""
-        return self._replace(
-            position2=max(self.position2, position_sigma**2), velocity2=max(self.velocity2, velocity_sigma**2)
-        )
-
 
 class TargetEstimator:
     """The filter; ``memory`` is all of its state.
@@ -71,6 +65,13 @@ class TargetEstimator:
     Args:
         link: noise of samples and target.
     """
+
+    memory: MotionMemory
+    growth2_max: float
+    noise_xy: _Noise
+    noise_z: _Noise
+    _fade_s: float
+    _turns: bool
 
     def __init__(self, link: TargetLink) -> None:
         self.memory = MotionMemory()
@@ -102,26 +103,24 @@ class TargetEstimator:
                 configured; a sender that says less is not believed.
             velocity_sigma_m_s: likewise.
         """
-        memory = self.memory
-        dt_s = time_s - memory.time_s
-        before_rad, memory.yaw_rad = memory.yaw_rad, yaw_rad if math.isfinite(yaw_rad) else None
+        memory, xy, z = self.memory, self.noise_xy, self.noise_z
+        dt_s, before_rad = time_s - memory.time_s, memory.yaw_rad
         memory.time_s = time_s
-        xy = self.noise_xy
+        if math.isfinite(yaw_rad):
+            memory.yaw_rad = yaw_rad
+        else:
+            self._lose_yaw()
         if position_sigma_m > 0.0 or velocity_sigma_m_s > 0.0:
-            xy = xy.at_least(position_sigma_m, velocity_sigma_m_s)
+            xy = self._noise_at_least(position_sigma_m, velocity_sigma_m_s)
         if not 0.0 < dt_s <= RESTART_S:  # also the very first, where it is NaN
-            memory.position_enu_m, memory.velocity_enu_m_s = position_enu_m, velocity_enu_m_s
-            memory.acceleration_enu_m_s2, memory.turn_rate_rad_s, memory.surprise = ZERO, 0.0, 1.0
-            memory.covariance_xy, memory.covariance_z = _start(xy), _start(self.noise_z)
+            self._begin(xy, position_enu_m, velocity_enu_m_s)
             return
         if self._turns:
-            if before_rad is None or memory.yaw_rad is None:
-                turned_rad_s = 0.0
-            else:
+            turned_rad_s = 0.0
+            if before_rad is not None and memory.yaw_rad is not None:
                 turned_rad_s = turn_rate(before_rad, memory.yaw_rad, dt_s)
             memory.turn_rate_rad_s += dt_s / (dt_s + TURN_TIME_S) * (turned_rad_s - memory.turn_rate_rad_s)
-        z = self.noise_z
-        state, memory.covariance_xy, memory.covariance_z, innovation2 = updated(
+        state, covariance_xy, covariance_z, innovation2 = updated(
             (memory.position_enu_m, memory.velocity_enu_m_s, memory.acceleration_enu_m_s2),
             (memory.covariance_xy, memory.covariance_z),
             turn(memory.turn_rate_rad_s, dt_s), fading(dt_s, self._fade_s), lasting(dt_s),
@@ -129,7 +128,28 @@ class TargetEstimator:
             position_enu_m, velocity_enu_m_s,
         )  # fmt: skip
         memory.position_enu_m, memory.velocity_enu_m_s, memory.acceleration_enu_m_s2 = state
+        memory.covariance_xy, memory.covariance_z = covariance_xy, covariance_z
         memory.surprise += dt_s / (dt_s + INNOVATION_TIME_S) * (innovation2 - memory.surprise)
+
+    @rare
+    def _lose_yaw(self) -> None:
+        self.memory.yaw_rad = None
+
+    @rare
+    def _noise_at_least(self, position_sigma_m: float, velocity_sigma_m_s: float) -> _Noise:
+        """Of x and y, with measurements no better than these."""
+        xy = self.noise_xy
+        return xy._replace(
+            position2=max(xy.position2, position_sigma_m**2),
+            velocity2=max(xy.velocity2, velocity_sigma_m_s**2),
+        )
+
+    @rare
+    def _begin(self, xy: _Noise, position_enu_m: Vec3, velocity_enu_m_s: Vec3) -> None:
+        memory = self.memory
+        memory.position_enu_m, memory.velocity_enu_m_s = position_enu_m, velocity_enu_m_s
+        memory.acceleration_enu_m_s2, memory.turn_rate_rad_s, memory.surprise = ZERO, 0.0, 1.0
+        memory.covariance_xy, memory.covariance_z = _start(xy), _start(self.noise_z)
 
     def _jerk2_xy(self) -> float:
         """Square of the jerk on x and y, now: the jerk goes with the squared low-pass of the innovations.
@@ -148,14 +168,13 @@ class TargetEstimator:
         dt_s = time_s - memory.time_s
         if math.isnan(dt_s):
             raise ValueError("no target sample yet: there is no motion to carry on")
-        return TargetMotion(
-            *carried(
-                (memory.position_enu_m, memory.velocity_enu_m_s, memory.acceleration_enu_m_s2),
-                (memory.covariance_xy, memory.covariance_z),
-                turn(memory.turn_rate_rad_s, dt_s), fading(dt_s, self._fade_s), lasting(dt_s),
-                self._jerk2_xy(), self.noise_z.jerk2,
-            )
+        place, moves, speeds_up, sigma_m, sigma_z_m, sigma_m_s = carried(
+            (memory.position_enu_m, memory.velocity_enu_m_s, memory.acceleration_enu_m_s2),
+            (memory.covariance_xy, memory.covariance_z),
+            turn(memory.turn_rate_rad_s, dt_s), fading(dt_s, self._fade_s), lasting(dt_s),
+            self._jerk2_xy(), self.noise_z.jerk2,
         )  # fmt: skip
+        return TargetMotion(place, moves, speeds_up, sigma_m, sigma_z_m, sigma_m_s)
 
 
 @numeric

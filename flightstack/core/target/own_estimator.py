@@ -16,6 +16,7 @@ thrust ends first and the model with it, only p and e are learned:
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -42,6 +43,9 @@ class Gains(NamedTuple):
 
     position: tuple[float, float, float, float, float]
     velocity: tuple[float, float, float, float, float]
+
+
+NO_GAINS = Gains((0.0,) * 5, (0.0,) * 5)  # where nothing is learned
 
 
 @lru_cache(maxsize=16)
@@ -100,22 +104,33 @@ class OwnEstimator:
         period_s: of a tick.
     """
 
+    memory: OwnMemory
+    gains: Gains
+    model: Model
+    period_s: float
+    delay_s: float
+    push_1_s: float  # push over the disturbance of the velocity
+    rate_up_1_s: float
+    most_m_s: float
+    ahead: int
+    gap_max: int
+
     def __init__(self, link: OwnStateLink, loop: VelocityLoop, period_s: float) -> None:
         self.memory = OwnMemory()
-        self.gains = steady_gains(loop, link, period_s)
+        self.gains = steady_gains(loop, link, period_s) if link.learns else NO_GAINS
         self.period_s, self.delay_s = period_s, link.delay_s
         drag_1_s = 2.0 * loop.damping * loop.rate_xy_1_s
         fades = 1.0 - period_s / link.velocity_error_time_s
-        self.model: Model = (period_s, loop.rate_xy_1_s**2, drag_1_s, fades, 1.0 - period_s / PUSH_TIME_S)
-        self.push_1_s = loop.rate_xy_1_s / (2.0 * loop.damping)  # push over the disturbance of the velocity
+        self.model = (period_s, loop.rate_xy_1_s**2, drag_1_s, fades, 1.0 - period_s / PUSH_TIME_S)
+        self.push_1_s = loop.rate_xy_1_s / (2.0 * loop.damping)
         self.rate_up_1_s, self.most_m_s = 1.0 / link.velocity_error_time_s, link.velocity_error_max_m_s
         self.ahead = max(1, round(link.delay_s / period_s))
         self.gap_max = round(GAP_MAX_S / period_s)
 
     def step(self, own: OwnState) -> OwnState:
         """Return the state of now from the newest one received."""
-        memory = self.memory
-        memory.pending = (*memory.pending[1:], memory.sent_m_s)
+        memory, (_, second, third, fourth) = self.memory, self.memory.pending
+        memory.pending = (second, third, fourth, memory.sent_m_s)
         elapsed_s = own.source_time_s - memory.time_s
         if not 0.0 <= elapsed_s <= GAP_MAX_S:  # NaN before the first
             self._begin(own)
@@ -127,26 +142,25 @@ class OwnEstimator:
             ux, uy, _ = memory.pending[on_its_way(self.ahead, k)]
             x, y = moved(x, ux, model), moved(y, uy, model)
         memory.x_now, memory.y_now = x, y
-        (px, vx, *_), (py, vy, *_) = x, y
         z_m, z_m_s = memory.z_m, own.velocity_enu_m_s[2] - memory.z_error_m_s
         return OwnState(
             own.arrival_s,
             own.source_time_s,
-            (px, py, z_m + self.delay_s * z_m_s),
-            (vx, vy, z_m_s),
+            (x[0], y[0], z_m + self.delay_s * z_m_s),
+            (x[1], y[1], z_m_s),
             own.yaw_rad,
         )
 
     def told(self, velocity_m_s: Vec3, most_m_s: Vec3) -> Vec3:
         """Velocity that the vehicle tells when it flies this one: the set-point to send."""
         memory = self.memory
-        errors_m_s = memory.x_now[3], memory.y_now[3], memory.z_error_m_s
+        errors_m_s = (memory.x_now[3], memory.y_now[3], memory.z_error_m_s)
         memory.sent_m_s = to_be_told(velocity_m_s, errors_m_s, most_m_s)
         return memory.sent_m_s
 
     def forget(self) -> None:
         """Begin anew with the next sample: what the vehicle flew is not known."""
-        self.memory.time_s = float("nan")
+        self.memory.time_s = math.nan
 
     def _begin(self, own: OwnState) -> None:
         (px, py, pz), (vx, vy, _) = own.position_enu_m, own.velocity_enu_m_s
@@ -166,11 +180,6 @@ class OwnEstimator:
         memory.z_m, memory.z_error_m_s = raised(
             memory.z_m, memory.z_error_m_s, pz, vz, elapsed_s, self.rate_up_1_s, most_m_s
         )
-
-    @property
-    def disturbance_m_s(self) -> tuple[float, float]:
-        """What the push adds to the velocity in the end, on x and y."""
-        return self.memory.x_now[4] / self.push_1_s, self.memory.y_now[4] / self.push_1_s
 
 
 @numeric

@@ -20,8 +20,8 @@ from __future__ import annotations
 import math
 
 from flightstack.core.memory import PlausibilityMemory
-from flightstack.core.numeric import numeric
-from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.numeric import norm, numeric
+from flightstack.core.parameters.flight import Checks, FlightConfig
 from flightstack.core.types import ZERO, OwnState, Vec3
 
 SMOOTHING_S = 0.2  # time constant, s: noise of 2 cm in each of 20 samples a second becomes 1 cm
@@ -32,9 +32,10 @@ STANDING_M_S = 0.05
 STILL_MAX_S = 0.5  # no vehicle hovers still to the millimetre for longer
 
 
+@numeric
 def repeats(before: Vec3, after: Vec3, velocity_m_s: Vec3, standing_m_s: float = STANDING_M_S) -> bool:
     """Whether a position is the last one to the bit, though it reports to move."""
-    return before == after and math.hypot(*velocity_m_s) > standing_m_s
+    return before == after and norm(velocity_m_s) > standing_m_s
 
 
 class Plausibility:
@@ -48,6 +49,12 @@ class Plausibility:
             velocity.
     """
 
+    memory: PlausibilityMemory
+    tracking_lag_max_m: float
+    period_s: float
+    kept: float
+    _checks: Checks
+
     def __init__(self, config: FlightConfig) -> None:
         self.memory = PlausibilityMemory()
         self._checks = config.checks
@@ -59,14 +66,14 @@ class Plausibility:
     @property
     def drift_m(self) -> float:
         """Change of the position that the velocity does not explain."""
-        return math.hypot(*self.memory.drift_m)
+        return norm(self.memory.drift_m)
 
     @property
     def tracking_lag_m(self) -> float:
         """Distance by which the vehicle lags behind the commanded velocity."""
-        return math.hypot(*self.memory.missed_m)
+        return norm(self.memory.missed_m)
 
-    def take(self, own: OwnState, *, flies: bool = False) -> None:
+    def take(self, own: OwnState, flies: bool = False) -> None:
         """Look at the newest own state; the same one again is no news.
 
         Args:
@@ -96,18 +103,14 @@ class Plausibility:
             return False
         return now_s - last.arrival_s <= self._checks.own_age_max_s
 
-    def follow(self, wanted_m_s: Vec3 | None, velocity_m_s: Vec3) -> None:
-        """Compare the velocity with what was wanted of the vehicle in the last tick; call it once a tick.
-
-        Args:
-            wanted_m_s: ``None`` when it was not flown by our set-points; the sum starts anew.
-            velocity_m_s: measured now.
-        """
-        if wanted_m_s is None:
-            self.memory.missed_m = ZERO
-            return
+    def follow(self, wanted_m_s: Vec3, velocity_m_s: Vec3) -> None:
+        """Compare the velocity with what was wanted of the vehicle in the last tick; call it once a tick."""
         memory = self.memory
         memory.missed_m = missed(memory.missed_m, wanted_m_s, velocity_m_s, self.period_s, self.kept)
+
+    def forget(self) -> None:
+        """Begin the sum of ``follow`` anew: the vehicle flew none of our set-points."""
+        self.memory.missed_m = ZERO
 
     @property
     def follows(self) -> bool:

@@ -10,7 +10,7 @@ counts, for which the certificate holds.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
 
 from flightstack.core.memory import ReserveMemory
 from flightstack.core.numeric import numeric
@@ -21,20 +21,17 @@ LEAST_LIFT = 0.1  # of the weight, averaged over seconds: below it the vehicle f
 AGE_MAX_S = 3.0  # s; the voltage comes once a second, two may be lost
 
 
-class Told(NamedTuple):
-    """What a vehicle says of its battery and its motors; NaN for what it does not say.
+@dataclass(slots=True)
+class Told:
+    """What a vehicle says of its battery and its motors; NaN for what it does not say."""
 
-    Attributes:
-        flying: effort by the throttle, where that is of a flight.
-        resting: the same by the voltage.
-        sags: of this voltage.
-        most: likewise.
-    """
-
-    flying: float
-    resting: float
-    sags: float
-    most: float
+    arrival_s: float = math.nan
+    standing: bool = False
+    low: bool = False  # at rest: it begins no landing
+    flying: float = math.nan  # effort by the throttle, where that is of a flight
+    resting: float = math.nan  # the same by the voltage
+    sags: float = math.nan  # of this voltage
+    most: float = math.nan  # likewise
 
 
 class ReserveEstimate:
@@ -55,17 +52,27 @@ class ReserveEstimate:
         acceleration_max_m_s2: of the velocity wanted, ENU; upwards on z.
     """
 
+    memory: ReserveMemory
+    told: Told
+    most_m_s2: Vec3
+    share: float
+    lasting_m_s: float
+    least: float
+    reserve: float
+    charge: Charge
+    acceleration_max_m_s2: Vec3
+    _part: float  # of the reserve that is used
+
     def __init__(self, table: Reserve, most_m_s2: Vec3, period_s: float) -> None:
-        self.memory = ReserveMemory()
-        self._table, self.most_m_s2 = table, most_m_s2
+        self.memory, self.told = ReserveMemory(), Told()
+        self._table, self.most_m_s2, self._part = table, most_m_s2, table.share
         self.share = min(1.0, period_s / table.smoothing_s)
         self.lasting_m_s = table.smoothing_s * GRAVITY_M_S2
-        self._told: tuple[object, Told] = (), Told(math.nan, math.nan, math.nan, math.nan)
+        self._known: object = ()
         self.least = table.at(table.lowest_voltage_v)
         self._power: Power | None = None
-        self._standing = False
         self.reserve, self.charge = math.nan, Charge.UNKNOWN
-        self.acceleration_max_m_s2 = self._allowed()
+        self.acceleration_max_m_s2 = allowed(most_m_s2, self.least, self._part)
 
     def step(
         self, power: Power | None, status: VehicleStatus | None, rise_m_s: float, now_s: float, *, flies: bool
@@ -79,26 +86,58 @@ class ReserveEstimate:
             now_s: stack clock.
             flies: it flies our velocities, away from the ground, so that its throttle is that of a flight.
         """
-        memory = self.memory
         fresh = power is not None and now_s - power.arrival_s <= AGE_MAX_S
-        self._power = power if fresh else None
-        self._standing = status is None or not status.armed
-        if self._standing:
+        standing = status is None or not status.armed
+        self.hear(power if fresh else None, standing)
+        # spinning up, it tells neither
+        self.weigh(rise_m_s, flies, status is not None and status.landed is not Landed.ON_GROUND)
+
+    def hear(self, power: Power | None, standing: bool) -> None:
+        """Take what the vehicle says of its battery and its motors, as efforts; the same again is no news."""
+        self._power = power
+        if self._known == (power, standing):
+            return
+        self._known, told, table, nan = (power, standing), self.told, self._table, math.nan
+        told.standing, told.arrival_s, told.low = standing, nan, False
+        told.flying = told.resting = told.sags = told.most = nan
+        if power is None:
+            return
+        flight_v = power.voltage_v - (table.sag_v if standing else 0.0)
+        known_v = table.lowest_voltage_v
+        if flight_v > 0.0:
+            told.resting = table.effort(table.hover_throttle * table.hover_voltage_v / flight_v)
+            known_v = flight_v
+        told.flying = told.resting
+        if power.throttle > 0.0 and math.isfinite(power.cos_tilt):
+            told.flying = table.effort(power.throttle) * power.cos_tilt
+        told.arrival_s, told.low = power.arrival_s, power.voltage_v - table.sag_v < table.start_voltage_v
+        told.sags, told.most = table.sags(known_v), table.most(known_v)
+
+    def weigh(self, rise_m_s: float, flies: bool, in_air: bool) -> None:
+        """Estimate the reserve by what was heard, and judge it; arguments as those of ``step``."""
+        memory, told = self.memory, self.told
+        if told.standing:
             memory.effort, memory.tired = math.nan, False
-        told = self.told(self._power, standing=self._standing)
         effort = told.flying if flies else told.resting
         if math.isnan(effort):
             self.reserve = math.nan
         else:
             if math.isnan(memory.effort):
                 memory.effort, memory.rise_m_s = effort, rise_m_s
-            share, rise_share = self.share, self.share if flies else 1.0
             memory.effort, memory.rise_m_s, self.reserve = estimated(
-                memory.effort, memory.rise_m_s, effort, rise_m_s, share, rise_share, self.lasting_m_s,
-                told.sags, told.most,
+                memory.effort, memory.rise_m_s, effort, rise_m_s, self.share, self.share if flies else 1.0,
+                self.lasting_m_s, told.sags, told.most,
             )  # fmt: skip
-        self._judge(status)
-        self.acceleration_max_m_s2 = self._allowed()
+        if math.isnan(self.reserve):
+            self.charge = Charge.TIRED if memory.tired else Charge.UNKNOWN
+        else:
+            if told.standing:
+                memory.tired = told.low
+            elif in_air:
+                memory.tired = memory.tired or self.reserve < self.least
+            self.charge = Charge.TIRED if memory.tired else Charge.FIT
+        reserve = self.least if math.isnan(self.reserve) else self.reserve
+        self.acceleration_max_m_s2 = allowed(self.most_m_s2, reserve, self._part)
 
     @property
     def text(self) -> str:
@@ -108,48 +147,12 @@ class ReserveEstimate:
             return ""
         if power is None or self.charge is Charge.UNKNOWN:
             return "the vehicle tells no battery voltage (SYS_STATUS)"
-        if self._standing:
+        if self.told.standing:
             return too_low(table, power.voltage_v)
         return (
             f"the thrust reserve is {self.reserve:.2f} at {power.voltage_v:.2f} V, {self.least:.2f} needed "
             f"(reserve.lowest_voltage_v is {table.lowest_voltage_v:g}): change the battery"
         )
-
-    def told(self, power: Power | None, *, standing: bool) -> Told:
-        """What the vehicle says of its battery and its motors, as efforts; asked again it is kept."""
-        known, told = self._told
-        if known != (power, standing):
-            told = self._of(power, standing=standing)
-            self._told = (power, standing), told
-        return told
-
-    def _of(self, power: Power | None, *, standing: bool) -> Told:
-        table, nan = self._table, math.nan
-        if power is None:
-            return Told(nan, nan, nan, nan)
-        flight_v = power.voltage_v - (table.sag_v if standing else 0.0)
-        resting, known_v = nan, table.lowest_voltage_v
-        if flight_v > 0.0:
-            resting, known_v = table.effort(table.hover_throttle * table.hover_voltage_v / flight_v), flight_v
-        flying = resting
-        if power.throttle > 0.0 and math.isfinite(power.cos_tilt):
-            flying = table.effort(power.throttle) * power.cos_tilt
-        return Told(flying, resting, table.sags(known_v), table.most(known_v))
-
-    def _judge(self, status: VehicleStatus | None) -> None:
-        memory, table, power = self.memory, self._table, self._power
-        if power is None or math.isnan(self.reserve):
-            self.charge = Charge.TIRED if memory.tired else Charge.UNKNOWN
-            return
-        if self._standing:
-            memory.tired = power.voltage_v - table.sag_v < table.start_voltage_v
-        elif status is not None and status.landed is not Landed.ON_GROUND:  # spinning up, it tells neither
-            memory.tired = memory.tired or self.reserve < self.least
-        self.charge = Charge.TIRED if memory.tired else Charge.FIT
-
-    def _allowed(self) -> Vec3:
-        reserve = self.least if math.isnan(self.reserve) else self.reserve
-        return allowed(self.most_m_s2, reserve, self._table.share)
 
 
 def too_low(table: Reserve, voltage_v: float) -> str:

@@ -12,21 +12,20 @@ twist: the second contradiction of a flight is the last.
 from __future__ import annotations
 
 import math
-from enum import Enum
 from typing import NamedTuple
 
 from flightstack.core.memory import TrackMemory
-from flightstack.core.numeric import numeric
+from flightstack.core.numeric import norm, numeric, rare
 from flightstack.core.parameters.flight import Checks
 from flightstack.core.sender_clock import PATIENCE_S, Reading, SenderClock
 from flightstack.core.target.plausibility import SMOOTHING_S, TRUSTED_AGAIN, drifted, repeats, smoothed
-from flightstack.core.types import TargetSample, Vec3
+from flightstack.core.types import TargetSample, TextEnum, Vec3
 
 STANDING_M_S = 1e-3  # a target that reports more moves; one at rest may repeat its position to the bit
 DISTRUSTS_MAX = 2  # contradictions of positions and velocity in a flight, the last one for good
 
 
-class Verdict(Enum):
+class Verdict(TextEnum):
     """What became of a sample."""
 
     ACCEPTED = "accepted"
@@ -86,26 +85,23 @@ class TargetTrack:
             not.
     """
 
+    memory: TrackMemory
+    stepped_s: float
+    _checks: Checks
+    _clock: SenderClock
+
     def __init__(self, checks: Checks, tick_s: float = 0.0) -> None:
+        self.memory = TrackMemory()
         self._checks = checks
-        self._clock = SenderClock(checks.target_age_max_s, checks.recovery_time_s, tick_s)
-        self._memory = TrackMemory()
-        self.memory = self._memory
+        self._clock = SenderClock(checks.target_age_max_s, checks.recovery_time_s, tick_s, memory=self.memory)
         self.stepped_s = 0.0
 
     @property
-    def memory(self) -> TrackMemory:
-        """All of its state."""
-        return self._memory
-
-    @memory.setter
-    def memory(self, memory: TrackMemory) -> None:
-        self._memory = self._clock.memory = memory
-
-    @property
-    def ahead_max_s(self) -> float:
-        """By how much a sample may be quicker than all before."""
-        return self._clock.ahead_max_s
+    def newest(self) -> TargetSample:
+        """Newest believed sample; there is one."""
+        last = self.memory.last
+        assert last is not None
+        return last
 
     @property
     def accepted(self) -> int:
@@ -129,11 +125,16 @@ class TargetTrack:
                 self._drift(memory.last, sample)
             memory.last = sample
             memory.accepted += 1
-            memory.refusal = ""
+            if memory.refusal:
+                self._note(verdict)
         else:
             memory.rejected += 1
-            memory.refusal = verdict.value
+            self._note(verdict)
         return verdict
+
+    @rare
+    def _note(self, verdict: Verdict) -> None:
+        self.memory.refusal = "" if verdict is Verdict.ACCEPTED else verdict.text
 
     @property
     def moves_m_s(self) -> Vec3:
@@ -157,7 +158,7 @@ class TargetTrack:
             last.velocity_enu_m_s, sample.velocity_enu_m_s, dt_s, checks.target_drift_memory_s,
         )  # fmt: skip
         memory.drift_smooth_m = smoothed(memory.drift_smooth_m, memory.drift_m, dt_s)
-        drift_m, most_m = math.hypot(*memory.drift_smooth_m), checks.target_drift_max_m
+        drift_m, most_m = norm(memory.drift_smooth_m), checks.target_drift_max_m
         if memory.distrusted:
             memory.parted_m = max(memory.parted_m, drift_m)
             memory.distrusted = drift_m > TRUSTED_AGAIN * most_m or memory.distrusts >= DISTRUSTS_MAX
@@ -174,18 +175,33 @@ class TargetTrack:
             return Verdict.NOT_FINITE
         if sample.frame_id != checks.target_frame or sample.child_frame_id != checks.target_child_frame:
             return Verdict.WRONG_ROBOT
-        if vx * vx + vy * vy + vz * vz > checks.target_speed_max_m_s**2:
+        if vx * vx + vy * vy + vz * vz > checks.target_speed_max_m_s * checks.target_speed_max_m_s:
             return Verdict.TOO_FAST
         patience_s = math.inf if memory.settled else PATIENCE_S
         reading = self._clock.judge(sample.source_time_s, sample.arrival_s, patience_s)
-        if not reading.good:
-            return _REFUSED[reading]
+        if reading is not Reading.FRESH and reading is not Reading.STEPPED:
+            return self._refused(reading)
         if last is None:
             return Verdict.ACCEPTED
         gap_s = sample.arrival_s - last.arrival_s
         lost, stepped = gap_s > checks.target_age_max_s, reading is Reading.STEPPED
         if repeats(last.position_enu_m, sample.position_enu_m, sample.velocity_enu_m_s, STANDING_M_S):
             return Verdict.FROZEN
+        if lost or stepped or memory.elsewhere is not None:
+            return self._judge_anew(last, sample, gap_s, lost, stepped)
+        near = self._near(last, sample, sample, sample.source_time_s - last.source_time_s)
+        return Verdict.ACCEPTED if near else self._judge_anew(last, sample, gap_s, lost, stepped)
+
+    @rare
+    def _refused(self, reading: Reading) -> Verdict:
+        return _REFUSED[reading]
+
+    @rare
+    def _judge_anew(
+        self, last: TargetSample, sample: TargetSample, gap_s: float, lost: bool, stepped: bool
+    ) -> Verdict:
+        """Judge the place of a sample that is not near the last one, or after the target was lost."""
+        checks, memory = self._checks, self.memory
         # a clock and a place that begin anew together are a restarted odometry, not a robot that was lost
         reach_m = checks.target_jump_max_m + checks.target_speed_max_m_s * gap_s
         free = not stepped or math.dist(last.position_enu_m, sample.position_enu_m) <= reach_m
@@ -213,7 +229,8 @@ class TargetTrack:
             at_last.velocity_enu_m_s,
             step_s,
         )
-        return strayed2 <= self._checks.target_jump_max_m**2
+        most_m = self._checks.target_jump_max_m
+        return strayed2 <= most_m * most_m
 
     def _proved(self, sample: TargetSample, lost: bool) -> bool:
         """Whether samples elsewhere have agreed with each other for long enough, the old track being lost."""
@@ -231,14 +248,11 @@ class TargetTrack:
         """Age from the measurement, less the shortest delay (clocks of two machines differ)."""
         return self._clock.lateness_s(sample.source_time_s, now_s)
 
-    def at(self, now_s: float) -> TargetState | None:
-        """Target moved on to now with its last velocity; ``None`` before the first sample."""
-        last = self.memory.last
-        if last is None:
-            return None
+    def at(self, now_s: float) -> TargetState:
+        """Target moved on to now with its last velocity; a sample has come before."""
+        last = self.newest
         age_s = self.age_s(last, now_s)
         ahead_s = min(age_s, self._checks.target_age_max_s)
-        x, y, z = last.position_enu_m
-        vx, vy, vz = last.velocity_enu_m_s
+        (x, y, z), (vx, vy, vz) = last.position_enu_m, last.velocity_enu_m_s
         position = (x + vx * ahead_s, y + vy * ahead_s, z + vz * ahead_s)
-        return TargetState(age_s, position, last.velocity_enu_m_s, last.yaw_rad)
+        return TargetState(age_s, position, last.velocity_enu_m_s, last.yaw_rad, 0.0, 0.0)

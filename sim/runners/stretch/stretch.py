@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -17,11 +18,16 @@ from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.server.profile import FlightMode
 from bridge.mavlink.server.setpoints import Setpoint
 from flightstack.compiled.jit import is_off
-from flightstack.compiled.program import OwnProgram, layout_is_known
+from flightstack.compiled.objects import Objects
+from flightstack.compiled.program import CompiledFilter
 from flightstack.compiled.records import cell, new, scalars
 from flightstack.core.controller import Controller
 from flightstack.core.memory import Memory
-from flightstack.core.numeric import hypot_is_known
+from flightstack.core.mission.conditions import lasting_flags
+from flightstack.core.mission.phases import TABLE
+from flightstack.core.numeric import NotOrdinary, hypot_is_known
+from flightstack.core.parameters.ends import TouchdownRule
+from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Landed, Mode, OwnState, Phase, Request, VehicleStatus
 from flightstack.onboard.lockstep import VehicleTicks
 from sim.clock import TickGrid
@@ -29,8 +35,7 @@ from sim.runners.landing_target import DirectTarget
 from sim.runners.landing_wire import PEER
 from sim.runners.lockstep import LockstepLoop
 from sim.runners.notes import Notes
-from sim.runners.stretch.memory import Notebook, set_up_rules, suits
-from sim.runners.stretch.records import MindRecord, RulesRecord
+from sim.runners.stretch.records import RulesRecord
 from sim.runners.stretch.ticks import BEFORE, MIDDLE, TRUTH, fly_ticks, narrow
 from sim.runners.stretch.watch import WatchBook
 from sim.runners.vehicle_node import VehicleNode
@@ -38,8 +43,13 @@ from sim.runners.vehicle_node import VehicleNode
 TICKS = 20  # of one call, at most; as far as the robot drives ahead
 SPAN_S = 0.25  # s of one call, at most: a stream of set-points with a longer gap would begin anew
 _SOON_S = 1e-6  # s before something is due in which Python looks
+SPEED_MAX_M_S = 2.5  # on each axis; with more the autopilot's own bound of set-points may count
 _BACK_OFF = 4  # ticks without another try, at most, where tries come to nothing
 
+_RULES = {
+    phase: np.array([(rule.when, rule.unless) for rule in rules], dtype=np.int64)
+    for phase, rules in TABLE.items() if rules
+}  # fmt: skip
 _FLYING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN})
 _FLYING_OR_DOWN = _FLYING | {Phase.LANDED}
 
@@ -47,7 +57,19 @@ _FLYING_OR_DOWN = _FLYING | {Phase.LANDED}
 def suited(controller: Controller, node: VehicleNode) -> bool:
     """Whether a landing can be flown in stretches: compiled, without faults, its configuration known."""
     possible = not is_off() and node.vehicle.faults.quiet and suits(controller.config)
-    return possible and hypot_is_known() and layout_is_known()
+    return possible and hypot_is_known() and isinstance(controller.program, CompiledFilter)
+
+
+def suits(config: FlightConfig) -> bool:
+    """Whether the landing kernel knows everything that this configuration asks for."""
+    return (
+        config.filter in ("robust", "paper")
+        and config.fleet is None
+        and config.velocity_loop.dead_time_s == 0.0  # compiled code has no place for set-points under way
+        and config.touchdown.rule is TouchdownRule.CONTACT
+        and max(config.limits.velocity_max_m_s) <= SPEED_MAX_M_S
+        and (config.checks.target_frame, config.checks.target_child_frame) == ("map", "target")
+    )
 
 
 class Stretch:
@@ -81,25 +103,22 @@ class Stretch:
     ) -> None:
         self._controller, self._link, self._ticks, self._target = controller, link, ticks, target
         self._node, self._loop, self._notes, self._grid = node, loop, notes, grid
-        self._rules, mind = new(RulesRecord), new(MindRecord)
+        self._rules = new(RulesRecord)
         self._rules.ends_s, self._rules.delay_ms = ends_s, round(radio_s * 1000.0)
-        set_up_rules(self._rules, controller)
-        self._program = OwnProgram(self._rules.program)
-        self._notebook = Notebook(mind, controller)
-        self._cells = (node.vehicle.physics.vehicle, cell(self._rules), cell(mind), cell(new(MindRecord)))
+        self._rules.status_age_max_s = controller.config.checks.status_age_max_s
+        self._objects = objects = Objects(controller)
+        self._cells: Any = (node.vehicle.physics.vehicle, cell(self._rules), objects.handle)
+        self._memory = objects.state, objects.spare
         self._most = max(1, min(TICKS, int(SPAN_S * grid.rate_hz)))
-        self._plan = np.array((0, 0, grid.rate_hz, self._rules.delay_ms, 0), dtype=np.int64)
+        self._plan = np.array((0, 0, grid.rate_hz, self._rules.delay_ms, 0, 0), dtype=np.int64)
         self._ages, self._told = np.zeros(TICKS), np.zeros(11)
         self._next, self._wait = 0, 1  # tick of the next try; how many are left out when one fails
         self._flies, self._yaw_told_rad, self._delay_ms = False, 0.0, round(radio_s * 1000.0)
         self._stream_until_s, self._status_s = scalars(self._rules, "stream_until_s", "status_s")
         self._watches, self._watch_book = node.autopilot.flight.watches, WatchBook(self._rules.watch)
-        self._phase = scalars(self._rules, "phase", "flies", "armed", "standing", "supervisor")
+        self._phase = scalars(self._rules, "flies", "lasting", "armed", "standing", "supervisor")
+        self._phase_rules = _RULES[Phase.LAND]
         self._reserve = controller.reserve_estimate
-        self._power = scalars(
-            self._rules, "power_s", "effort_flying", "effort_resting", "reserve_sags", "reserve_most"
-        )
-        self._began = scalars(self._rules, "since_s", "started_s")
         self._heeded = link.heeded
         self._yaw_rad: float | None = None
         self._clip: tuple[float, float, float] | None = None
@@ -109,9 +128,11 @@ class Stretch:
         """Compile what flies, or load it from the cache."""
         self._plan[1] = 0
         decks, samples, _, come = self._target.ahead(0, 0)
-        fly_ticks(
-            *self._cells, self._plan, decks, samples, come, np.empty((0, TRUTH)), self._ages, self._told
-        )
+        flown: Any = fly_ticks
+        flown(
+            *self._cells, self._phase_rules, *self._memory, self._plan, decks, samples, come,
+            np.empty((0, TRUTH)), self._ages, self._told,
+        )  # fmt: skip
 
     def fly(self, tick: int) -> int:
         """Fly from this tick, the next one, as far as possible; returns the number of ticks flown."""
@@ -122,8 +143,7 @@ class Stretch:
             until_s = self._quiet_until_s(tick) if self._speak(tick) else None
         if until_s is None:
             return 0
-        if self._prepare() and self._weigh():
-            self._notebook.write()
+        if self._prepare() and self._weigh() and self._objects.write():
             while until_s is not None:
                 flown, how = self._call(tick + done, until_s)
                 done += flown
@@ -131,9 +151,11 @@ class Stretch:
                     break
                 until_s = self._quiet_until_s(tick + done)
                 if until_s is None and self._speak(tick + done) and self._weigh():
+                    if self._reserve is not None:
+                        self._objects.write_one(self._reserve.told)
                     until_s = self._quiet_until_s(tick + done)
             if done:
-                self._notebook.read(self._grid.ns(tick + done - 1) / 1e9, float(self._told[6]))
+                self._objects.read()
         self._wait = 1 if done else min(2 * self._wait, _BACK_OFF)
         self._next = tick + done + self._wait
         return done
@@ -181,7 +203,7 @@ class Stretch:
         c, rules, status = self._controller, self._rules, self._link.status
         memory, track, watched = c.memory, c.track.memory, c.plausibility.memory
         flight, vehicle = self._node.autopilot.flight, self._node.vehicle
-        if status is None or track.last is None or watched.last is None or track.elsewhere is not None:
+        if status is None:
             return False
         if track.run_since_s < math.inf:  # the target's clock may have been set
             return False
@@ -201,13 +223,14 @@ class Stretch:
             return False
         if flies and (flight.mode is not FlightMode.OFFBOARD or clip is None):
             return False
-        whole = (memory.phase, flies, vehicle.armed, flight.standing, vehicle.supervisor_state)
+        lasting = lasting_flags(c.config.checks, memory, status)
+        whole = (flies, lasting, vehicle.armed, flight.standing, vehicle.supervisor_state)
         for view, number in zip(self._phase, whole, strict=True):
             view[0] = int(number)
-        self._began[0][0], self._began[1][0] = memory.phase_since_s, memory.started_s
+        self._phase_rules = _RULES[memory.phase]
         self._status_s[0], self._flies = status.arrival_s, flies
         if self._yaw_rad != memory.yaw_rad:
-            self._yaw_rad = rules.yaw_rad = memory.yaw_rad
+            self._yaw_rad = memory.yaw_rad
             self._yaw_told_rad = yaw = yaw_enu_from_ned(narrow(yaw_ned_from_enu(memory.yaw_rad)))
             rules.yaw_told_rad, rules.cos_yaw, rules.sin_yaw = yaw, math.cos(yaw), math.sin(yaw)
         self._watch_book.write(self._watches)
@@ -223,9 +246,7 @@ class Stretch:
             return True
         if power is None or (self._flies and estimate.memory.tired):
             return False
-        told = estimate.told(power, standing=not self._flies)
-        for view, number in zip(self._power, (power.arrival_s, *told), strict=True):
-            view[0] = number
+        estimate.hear(power, not self._flies)
         return True
 
     def _call(self, tick: int, until_s: float) -> tuple[int, int]:
@@ -243,7 +264,16 @@ class Stretch:
         self._stream_until_s[0] = flight.stream_ends_s if waits else math.inf
         self._plan[0], self._plan[1], self._plan[4] = tick, count, come_before
         truths = np.empty((count, TRUTH))
-        how, done = fly_ticks(*self._cells, self._plan, decks, samples, come, truths, self._ages, self._told)
+        try:
+            flown: Any = fly_ticks
+            how = flown(
+                *self._cells, self._phase_rules, *self._memory, self._plan, decks, samples, come, truths,
+                self._ages, self._told,
+            )  # fmt: skip
+        except NotOrdinary:
+            how = BEFORE
+            self._objects.state[:] = self._objects.spare
+        done = int(self._plan[5])
         if done == 0:
             return 0, how
         self._watch_book.read(self._watches)

@@ -1,8 +1,9 @@
 """Ticks of a landing in one compiled call: deck, telemetry, controller, set-point, physics, true states.
 
 A tick is that of ``LockstepLoop`` with all it calls. It is left to Python, before anything of it has
-happened, where ``think`` or what the vehicle says leaves it; and in its middle, when the controller's answer
-is known and the radio's delay has passed, where the autopilot has more to do than to hand the set-point on.
+happened, where the landing kernel or what the vehicle says leaves it; and in its middle, when the
+controller's answer is known and the radio's delay has passed, where the autopilot has more to do than to hand
+the set-point on.
 """
 
 from __future__ import annotations
@@ -14,17 +15,17 @@ import numpy as np
 from bridge import frames
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, I64, Cell
-from flightstack.core.numeric import numeric, twin, wrapped
+from flightstack.core.kernel import LandingKernel
+from flightstack.core.numeric import NotOrdinary, numeric, twin, wrapped
 from flightstack.core.safety.barrier import barrier_h
-from flightstack.core.types import Vec3
+from flightstack.core.target.track import Verdict
+from flightstack.core.types import OwnState, TargetSample, Vec3
 from sim.clock import NS_PER_S
 from sim.firmware.estimator import INNOVATION_AGE_MAX_S
 from sim.firmware.setpoint import ROOM, WIDTH, InboxRecord
 from sim.firmware.stack import running
 from sim.plant.params import STEP_S
-from sim.runners.stretch.mind import PYTHON, SENDS, think
-from sim.runners.stretch.records import MindRecord, RulesRecord
-from sim.runners.stretch.tuples import three
+from sim.runners.stretch.records import RulesRecord
 from sim.runners.stretch.watch import looks
 from sim.vehicle.judge import GAP_MS, NONE_MS
 from sim.vehicle.loop import VehicleRecord, fly
@@ -48,15 +49,15 @@ _yaw_enu = twin(frames.yaw_enu_from_ned, jitted)
 
 
 @jitted
-def copy(mind: Cell[MindRecord], into: Cell[MindRecord]) -> None:
-    """Copy a record."""
-    into[0] = mind[0]  # type: ignore[assignment]
+def three(v: F64) -> Vec3:
+    """Three numbers of an array as a tuple."""
+    return (v[0], v[1], v[2])
 
 
 @jitted
 def narrow(x: float) -> float:
     """A double as a message with floats of 32 bits carries it."""
-    return float(np.float32(x))
+    return float(np.float64(np.float32(x)))  # for numba float() of 32 bits is one of 32 bits
 
 
 @jitted
@@ -141,11 +142,25 @@ def _needs_autopilot(p: RulesRecord, v: VehicleRecord, now_ms: int, now_s: float
 
 
 @jitted
+def _take(kernel: LandingKernel, row: F64, now_s: float) -> None:
+    """Hand a sample of the target to the controller."""
+    checks = kernel.config.checks
+    sample = TargetSample(
+        now_s, row[0], checks.target_frame, checks.target_child_frame, (row[1], row[2], row[3]),
+        (row[4], row[5], row[6]), row[7], row[8], 0.0, 0.0,
+    )  # fmt: skip
+    if kernel.take(sample) is not Verdict.ACCEPTED or kernel.track.stepped_s != 0.0:
+        raise NotOrdinary
+
+
+@jitted
 def fly_ticks(
     vehicle: Cell[VehicleRecord],
     rules: Cell[RulesRecord],
-    mind: Cell[MindRecord],
-    spare: Cell[MindRecord],
+    kernel: LandingKernel,
+    phase_rules: I64,
+    state: F64,
+    spare: F64,
     plan: I64,
     decks: F64,
     samples: F64,
@@ -153,17 +168,20 @@ def fly_ticks(
     truths: F64,
     ages: F64,
     told: F64,
-) -> tuple[int, int]:
+) -> int:
     """Fly ticks until all are done or something rare happens.
 
     Args:
         vehicle: changed in place.
         rules: what holds for all ticks.
-        mind: changed in place.
-        spare: for a step that does not count.
-        plan: first tick, how many, rate of the ticks, ms that the radio delays, samples that had come before.
+        kernel: the controller; its state is changed in place.
+        phase_rules: (n, 2) of the mission, ``LandingKernel.land``.
+        state: memory of the controller's state.
+        spare: filled with that of before the newest tick.
+        plan: first tick, how many, rate of the ticks, ms that the radio delays, samples that had come before;
+            set by this: ticks done; one whose rest is left counts as done.
         decks: (n, 8) of each tick: position, yaw, velocity, yaw rate of the pad.
-        samples: (m, 9) of the target, ``think``.
+        samples: (m, 9) of the target: stamp, position, velocity, yaw, yaw rate.
         come: (n,) how many of them have come until then.
         truths: (n, TRUTH), filled.
         ages: (n,) of the target, s, filled.
@@ -171,53 +189,61 @@ def fly_ticks(
             set-point of that tick as it arrives.
 
     Returns:
-        How it ended, and the ticks done; one whose rest is left counts as done.
+        How it ended.
+
+    Raises:
+        NotOrdinary: Python has to do the next tick, with the state in ``spare``.
     """
     v, p = vehicle[0], rules[0]
     tick, count, rate, radio_ms = plan[0], plan[1], plan[2], plan[3]
     f, done_samples = v.firmware, plan[4]
+    plan[5] = 0
     for n in range(count):
+        spare[:] = state
         now_ns = (tick + n) * NS_PER_S // rate
         now_s = now_ns / 1e9
         now_ms, end_ms = (
             (2000 * (tick + n) + rate) // (2 * rate),
             (2000 * (tick + n + 1) + rate) // (2 * rate),
         )
-        allowed, state = bool(f.supervisor.motors_allowed), f.supervisor.state
-        e = f.estimator
-        if allowed != bool(p.armed) or state != p.supervisor or f.inbox.end - f.inbox.first >= ROOM:
-            return BEFORE, n
-        if not e.since_sample_s < INNOVATION_AGE_MAX_S:
-            return BEFORE, n
+        allowed, e = bool(f.supervisor.motors_allowed), f.estimator
+        if (
+            allowed != bool(p.armed)
+            or f.supervisor.state != p.supervisor
+            or f.inbox.end - f.inbox.first >= ROOM
+            or not e.since_sample_s < INNOVATION_AGE_MAX_S
+            or now_s - p.status_s > p.status_age_max_s
+            or now_s >= p.ends_s
+        ):
+            return BEFORE
         position, velocity = _narrow3(three(e.sensed.position)), _narrow3(three(e.sensed.velocity))
         q = e.sensed.quaternion
         attitude = _frd((q[0], q[1], q[2], q[3]))
         if not (_usable(position) and _usable(velocity) and _usable(three(e.sensed.rates))):
-            return BEFORE, n
+            return BEFORE
         if not abs(2.0 * (attitude[0] * attitude[2] - attitude[3] * attitude[1])) < _POLE:
-            return BEFORE, n
-        source_s = round(now_s * 1000) * 1e-3
-        copy(mind, spare)
-        m = spare[0]
-        does = think(p, m, position, velocity, source_s, samples, done_samples, come[n], now_s)
-        if does == PYTHON:
-            return BEFORE, n
-        setpoint = _narrow3(three(m.told))
-        if does == SENDS and not _flyable(p, setpoint):
-            return BEFORE, n
-        copy(spare, mind)
+            return BEFORE
+        source_s, yaw_rad = round(now_s * 1000) * 1e-3, _yaw_enu(narrow(_euler(attitude)[2]))
+        for i in range(done_samples, come[n]):
+            _take(kernel, samples[i], now_s)
+        own = OwnState(now_s, source_s, position, velocity, yaw_rad)
+        landing = kernel.land(own, p.lasting, phase_rules, now_s)
+        setpoint = _narrow3(landing.setpoint)
+        if landing.sends != bool(p.flies) or (landing.sends and not _flyable(p, setpoint)):
+            raise NotOrdinary
         done_samples = come[n]
-        ages[n] = m.target_age_s
+        ages[n] = landing.target_age_s
         for i in range(3):
             told[i], told[3 + i], told[8 + i] = position[i], velocity[i], setpoint[i]
-        told[6], told[7] = _yaw_enu(narrow(_euler(attitude)[2])), source_s
+        told[6], told[7] = yaw_rad, source_s
+        plan[5] = n + 1
         _place_deck(v, decks[n])
         _write_truth(v, now_ms, truths[n])
         ahead_ms = min(end_ms - now_ms, radio_ms)
         fly(vehicle, now_ms, now_ms + ahead_ms)
         if _needs_autopilot(p, v, now_ms + ahead_ms, now_s) or not looks(p.watch, v, now_s):
-            return MIDDLE, n + 1
-        if does == SENDS:
+            return MIDDLE
+        if landing.sends:
             _send(p, f.inbox, setpoint, now_ms)
         fly(vehicle, now_ms + ahead_ms, end_ms)
-    return END, count
+    return END

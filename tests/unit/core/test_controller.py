@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from flightstack.core.controller import RISE_FREE_S, Controller
+from flightstack.core.controller import Controller
+from flightstack.core.kernel import RISE_FREE_S
 from flightstack.core.memory import AbortWay
 from flightstack.core.types import (
     ZERO,

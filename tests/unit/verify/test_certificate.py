@@ -12,10 +12,9 @@ from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.safety.projection import best_corner
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.safety.robust_barrier import RobustBarrier
-from flightstack.core.snapshot import Snapshot
 from flightstack.core.strategies.robust import RobustFilter
 from flightstack.core.target.track import TargetTrack
-from flightstack.core.types import FilterStatus, Inputs, TargetSample
+from flightstack.core.types import FilterStatus, TargetSample
 from flightstack.verify.bound import Span
 from flightstack.verify.certificate import checks, problems
 from flightstack.verify.envelope import estimate_errors, extremes
@@ -233,8 +232,8 @@ def test_between_samples_the_margin_grows_by_what_is_counted_as_lost():
     track = TargetTrack(settled.checks)
     track.accept(TargetSample(7.98, 7.98, "map", "target", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0))
     margins = [
-        law.barrier(Snapshot(Inputs(), law.target(track, 7.98 + 0.002 * n), True, True, True, None)).margin_m
-        for n in range(11)
+        law.margin_m(found.position_sigma_m, found.position_sigma_z_m)
+        for found in (law.target(track, 7.98 + 0.002 * n) for n in range(11))
     ]
     assert margins == sorted(margins)
     assert margins[-1] - margins[0] == pytest.approx(x.growth_m, rel=1e-6)

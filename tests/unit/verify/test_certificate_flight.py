@@ -88,7 +88,7 @@ def fly(settings, seed, seconds=8.0):
         own = OwnState(0.0, 0.0, tuple(position), tuple(velocity), 0.0)
         state = TargetState(0.0, tuple(target.position), tuple(target.velocity), 0.0, sigma_m, sigma_z_m)
         seen = Snapshot(Inputs(own=own), state, True, True, True, seen_e)
-        h, gradient, dh_dt = law.barrier(seen).evaluate(seen_e, state.velocity_enu_m_s)
+        h, gradient, dh_dt = law.barrier(seen.relative).evaluate(seen_e, state.velocity_enu_m_s)
         lower = [max(-m, b - s) for m, b, s in zip(most, before, step, strict=True)]
         upper = [min(m, b + s) for m, b, s in zip(most, before, step, strict=True)]
         climb = law.climb_m_s(h, gradient, before, seen.relative)

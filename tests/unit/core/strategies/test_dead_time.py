@@ -17,7 +17,7 @@ from flightstack.verify.envelope import extremes
 from flightstack.verify.late import drift_m, tick_matrix
 from logs.verdict.types import Outcome
 from sim.runners.landing import land
-from sim.runners.stretch.memory import suits
+from sim.runners.stretch.stretch import suits
 from sim.scenarios.scenario import load
 from tests.point_mass import World
 from tests.unit.core.core_helpers import config

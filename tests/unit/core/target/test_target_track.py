@@ -208,8 +208,9 @@ def test_a_queue_that_grows_is_seen_as_age_and_is_not_believed_when_it_is_full()
         assert track.accept(drives(t_s, t_s)) is Verdict.ACCEPTED  # it is empty again
 
 
-def test_no_sample_no_target():
-    assert TargetTrack(Checks()).at(1.0) is None
+def test_before_the_first_sample_there_is_no_target():
+    with pytest.raises(AssertionError):
+        TargetTrack(Checks()).at(1.0)
 
 
 def bend(t_s, speed_m_s, turn_rate_rad_s):

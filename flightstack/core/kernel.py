@@ -1,0 +1,239 @@
+"""The landing kernel: what runs in almost every tick, as plain Python and compiled, from one source.
+
+``Controller.step`` calls these methods tick by tick. Campaigns call ``land``, which puts them together for a
+tick in which nothing rare happens, compiled (``flightstack/compiled/objects.py``).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flightstack.core.memory import Memory
+from flightstack.core.mission.conditions import LANDED_SETTLE_S
+from flightstack.core.mission.guidance import towards_pad
+from flightstack.core.mission.machine import Mission
+from flightstack.core.numeric import NotOrdinary, hypot
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.safety.barrier import Barrier
+from flightstack.core.safety.gate import BarrierCheck, Gate, GateVerdict
+from flightstack.core.safety.position_loop import limit, slew
+from flightstack.core.safety.qp_filter import Program
+from flightstack.core.snapshot import Relative
+from flightstack.core.strategies.strategy import Strategy, strategy_of
+from flightstack.core.target.plausibility import Plausibility
+from flightstack.core.target.reserve import AGE_MAX_S, ReserveEstimate
+from flightstack.core.target.track import TargetTrack, Verdict
+from flightstack.core.types import ZERO, Charge, OwnState, Phase, TargetSample, Vec3
+
+# s of a take-off in which the autopilot alone decides how fast it rises: mode and arming, COM_SPOOLUP_TIME
+# of 1 s and MPC_TKO_RAMP_T of 3 s; PX4 v1.16 in SITL lifts off after 4.7 to 5.7 s
+RISE_FREE_S = 7.0
+
+
+Rules = NDArray[np.int64]  # (n, 2): flags that each rule of a phase asks for, and those that keep it back
+
+
+class Landing(NamedTuple):
+    """What comes of an ordinary tick of a landing."""
+
+    sends: bool  # a set-point
+    setpoint: Vec3  # m/s ENU
+    target_age_s: float
+
+
+class LandingKernel:
+    """The parts of a controller, and what they do together."""
+
+    config: FlightConfig
+    barrier: Barrier
+    memory: Memory
+    track: TargetTrack
+    plausibility: Plausibility
+    strategy: Strategy
+    program: Program  # of the landing; an equal form may take its place
+    reserve_estimate: ReserveEstimate | None
+    slew_step: Vec3
+    up_step_m_s: float  # besides, upwards
+    _weighs: bool  # there is a reserve_estimate
+    _mission: Mission
+    _gate: Gate
+    _period_s: float
+
+    def __init__(self, config: FlightConfig) -> None:
+        self.config = config
+        self.barrier = config.barrier.build()
+        self.track = TargetTrack(config.checks, 1.0 / config.loop.rate_hz)
+        self.plausibility = Plausibility(config)
+        self.strategy = strategy_of(config)
+        self._period_s = 1.0 / config.loop.rate_hz
+        most, table = self.strategy.acceleration_max_m_s2, config.reserve
+        self.reserve_estimate = ReserveEstimate(table, most, self._period_s) if table is not None else None
+        self._weighs = table is not None
+        self._mission = Mission(
+            config, self.barrier, self.strategy, self.track, self.plausibility, self.reserve_estimate
+        )
+        self.memory = self._mission.memory
+        self.program = self.strategy.program()
+        limits = config.limits
+        self._gate = Gate(
+            self.strategy.rate_1_s, limits.velocity_max_m_s, limits.altitude_max_m, self._period_s
+        )
+        self.slew_step = (most[0] * self._period_s, most[1] * self._period_s, most[2] * self._period_s)
+        self.up_step_m_s = math.inf
+
+    @property
+    def in_free_flight(self) -> bool:
+        """It flies our velocities, and nothing helps: near the pad the ground effect does, on it the pad."""
+        return self.memory.commanding and self.memory.phase is not Phase.TOUCHDOWN
+
+    def _accelerate(self, most_m_s2: Vec3) -> None:
+        """Limit the accelerations of this tick."""
+        (x, y, z), t = most_m_s2, self._period_s
+        self.strategy.acceleration_max_m_s2 = most_m_s2
+        self.slew_step, self.up_step_m_s = (x * t, y * t, self.slew_step[2]), z * t
+
+    def take(self, sample: TargetSample) -> Verdict:
+        """Judge a sample of the target, and estimate by it."""
+        verdict = self.track.accept(sample)
+        if verdict is Verdict.ACCEPTED:
+            if self.track.stepped_s != 0.0:
+                self.strategy.motion.time_s = math.nan  # its estimate is on the clock of before
+            self.strategy.take(sample)
+        return verdict
+
+    def estimate_own(self, own: OwnState, flies: bool, now_s: float) -> OwnState:
+        """Judge the own state, compare it with the velocity that is flown, and estimate that of now.
+
+        Args:
+            own: newest.
+            flies: the vehicle says that it is in the air and follows set-points.
+            now_s: stack clock.
+        """
+        memory, plausibility, velocity = self.memory, self.plausibility, own.velocity_enu_m_s
+        plausibility.take(own, memory.commanding and not memory.contact)
+        believed = plausibility.believes(now_s)
+        if believed and memory.commanding:
+            plausibility.follow(memory.command, velocity)
+        elif believed and memory.lifting and flies:
+            plausibility.follow(self._lifting(velocity[2], now_s), velocity)
+        else:  # it flies none of ours, or stands
+            plausibility.forget()
+        now = self.strategy.vehicle(own)
+        self.strategy.observe(now.velocity_enu_m_s, memory.commanding and believed)
+        return now
+
+    def _lifting(self, rises_m_s: float, now_s: float) -> Vec3:
+        """Velocity that the vehicle is to fly in the climb from the ground.
+
+        The autopilot decides how fast it rises (it spools up and ramps), but not how it moves sideways; after
+        ``RISE_FREE_S`` it has to rise as fast as wanted, faster is allowed.
+        """
+        x, y, up_m_s = self.memory.command
+        free = now_s - self.memory.phase_since_s <= RISE_FREE_S
+        return (x, y, rises_m_s if free else max(up_m_s, rises_m_s))
+
+    def base(self, velocity_enu_m_s: Vec3) -> Vec3:
+        """Where the slew limit starts: the last command, or the present velocity when none was in force."""
+        if self.memory.commanding or self.memory.lifting:
+            return self.memory.command
+        return limit(velocity_enu_m_s, self.config.limits.velocity_max_m_s)
+
+    def box(self, base: Vec3) -> tuple[Vec3, Vec3]:
+        """Admissible velocities of this tick: the box of eq. 11 cut by what the slew limit can reach."""
+        (bx, by, bz), (sx, sy, sz) = base, self.slew_step
+        mx, my, mz = self.config.limits.velocity_max_m_s
+        x, y, z = bx - sx, by - sy, bz - sz
+        lower = (x if x > -mx else -mx, y if y > -my else -my, z if z > -mz else -mz)
+        x, y, z = bx + sx, by + sy, bz + (sz if sz < self.up_step_m_s else self.up_step_m_s)
+        return lower, (x if x < mx else mx, y if y < my else my, z if z < mz else mz)
+
+    def bounds(self, at: Relative, active_m: float, gradient: Vec3, base: Vec3) -> tuple[Vec3, Vec3]:
+        """The box, and the least vertical velocity that the filter asks for besides its program."""
+        lower, upper = self.box(base)
+        climb_m_s = self.strategy.climb_m_s(active_m, gradient, base, at)
+        if climb_m_s > lower[2]:
+            lower = (lower[0], lower[1], min(climb_m_s, upper[2]))
+        return lower, upper
+
+    def least_z_m_s(self, target_m_s: Vec3) -> float:
+        """Lowest vertical velocity that a set-point may lead to if it stays the last one.
+
+        So near to the pad nothing but the pad stops a vehicle whose companion has died.
+        """
+        if self.memory.phase is not Phase.TOUCHDOWN:
+            return -math.inf
+        return target_m_s[2] - self.strategy.contact_speed_max_m_s
+
+    def land(self, own: OwnState, lasting: int, rules: Rules, now_s: float) -> Landing:
+        """Run a tick of APPROACH, LAND, TOUCHDOWN or LANDED in which nothing rare happens, for compiled code.
+
+        The samples of the target have been taken, the vehicle is alone, its heartbeat is young, and it flies
+        by set-points or, landed, stands.
+
+        Args:
+            own: newest, of this tick.
+            lasting: flags that do not change meanwhile.
+            rules: of the phase: what each asks for, and what keeps it from firing.
+            now_s: stack clock.
+
+        Raises:
+            NotOrdinary: the tick is one for ``step``; the state is of no use any more.
+        """
+        memory, strategy, plausibility, mission = self.memory, self.strategy, self.plausibility, self._mission
+        target = strategy.target(self.track, now_s)
+        if self.track.memory.distrusted or target.age_s > self.config.checks.target_age_max_s:
+            raise NotOrdinary
+        own = self.estimate_own(own, True, now_s)
+        if not (plausibility.believes(now_s) and plausibility.follows):
+            raise NotOrdinary
+        estimate = self.reserve_estimate
+        if self._weighs and estimate is not None:
+            flies = memory.phase is not Phase.LANDED
+            if not now_s - estimate.told.arrival_s <= AGE_MAX_S:
+                raise NotOrdinary
+            estimate.weigh(own.velocity_enu_m_s[2], self.in_free_flight, flies)
+            self._accelerate(estimate.acceleration_max_m_s2)
+            if flies and estimate.charge is not Charge.FIT:
+                raise NotOrdinary
+        (x, y, z), (px, py, pz) = own.position_enu_m, target.position_enu_m
+        moves_m_s, e_m = target.velocity_enu_m_s, (x - px, y - py, z - pz)
+        at = Relative(own, target, e_m, hypot(e_m[0], e_m[1]))
+        memory.target_position_enu_m, memory.target_velocity_enu_m_s = target.position_enu_m, moves_m_s
+        memory.own_ok_s = now_s
+        mission.watch_contact(at, False, now_s)
+        flags = lasting | mission.flags_at(at, now_s)
+        for k in range(len(rules)):
+            if flags & rules[k, 0] == rules[k, 0] and not flags & rules[k, 1]:
+                raise NotOrdinary
+        if memory.phase is Phase.LANDED:
+            if now_s - memory.phase_since_s >= LANDED_SETTLE_S:
+                raise NotOrdinary
+            memory.commanding = False
+            return Landing(False, ZERO, target.age_s)
+        base, yaw_rad = self.base(own.velocity_enu_m_s), memory.yaw_rad
+        if memory.contact or yaw_rad is None:
+            raise NotOrdinary
+        if memory.phase is Phase.TOUCHDOWN:
+            if strategy.motors_off(at):
+                raise NotOrdinary
+            down = limit(strategy.descent_m_s(at), self.config.limits.velocity_max_m_s)
+            wanted = slew(base, down, self.slew_step, self.up_step_m_s)
+        else:
+            nominal = towards_pad(self.config, memory, strategy, at)
+            active = strategy.barrier(at)
+            active_m, gradient, dh_dt = active.evaluate(e_m, moves_m_s)
+            lower, upper = self.bounds(at, active_m, gradient, base)
+            result = self.program.solve(nominal, active_m, gradient, dh_dt, lower, upper)
+            wanted = result.velocity_enu_m_s
+            if not self._gate.keeps_promise(wanted, BarrierCheck(active, e_m, moves_m_s, result.status)):
+                raise NotOrdinary
+        setpoint = strategy.setpoint(base, wanted, own.velocity_enu_m_s, at.d_m, self.least_z_m_s(moves_m_s))
+        for velocity in (wanted, setpoint):
+            if self._gate.verdict(velocity, yaw_rad, True, True, z) is not GateVerdict.APPROVED:
+                raise NotOrdinary
+        memory.command, memory.commanding = wanted, True
+        return Landing(True, setpoint, target.age_s)
