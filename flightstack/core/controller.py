@@ -127,13 +127,7 @@ class Controller(LandingKernel):
                 setattr(into, each.name, getattr(written, each.name))
 
     def step(self, inputs: Inputs, now_s: float, *, command_failed: bool = False) -> Outputs:
-        """Run one tick.
-
-        Args:
-            inputs: newest of each link, and the target samples since the last tick.
-            now_s: stack clock.
-            command_failed: the bridge gave up on a requested mode.
-        """
+        """Run one tick."""
         memory, strategy, plausibility = self.memory, self.strategy, self.plausibility
         if inputs.own is not None and not inputs.own.is_finite:  # it would stay in every memory
             inputs = inputs._replace(own=None)

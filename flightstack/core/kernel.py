@@ -106,13 +106,7 @@ class LandingKernel:
         return verdict
 
     def estimate_own(self, own: OwnState, flies: bool, now_s: float) -> OwnState:
-        """Judge the own state, compare it with the velocity that is flown, and estimate that of now.
-
-        Args:
-            own: newest.
-            flies: the vehicle says that it is in the air and follows set-points.
-            now_s: stack clock.
-        """
+        """Judge the own state, compare it with the velocity that is flown, and estimate that of now."""
         memory, plausibility, velocity = self.memory, self.plausibility, own.velocity_enu_m_s
         plausibility.take(own, memory.commanding and not memory.contact)
         believed = plausibility.believes(now_s)
@@ -173,15 +167,6 @@ class LandingKernel:
 
         The samples of the target have been taken, the vehicle is alone, its heartbeat is young, and it flies
         by set-points or, landed, stands.
-
-        Args:
-            own: newest, of this tick.
-            lasting: flags that do not change meanwhile.
-            rules: of the phase: what each asks for, and what keeps it from firing.
-            now_s: stack clock.
-
-        Raises:
-            NotOrdinary: the tick is one for ``step``; the state is of no use any more.
         """
         memory, strategy, plausibility, mission = self.memory, self.strategy, self.plausibility, self._mission
         target = strategy.target(self.track, now_s)

@@ -52,11 +52,7 @@ class NotOrdinary(Exception):  # noqa: N818
 
 @cache
 def twin(function: F, compiler: Callable[[Any], Any]) -> F:
-    """Return the compiled form of a marked function and of the functions it calls; the plain ones stay.
-
-    Raises:
-        ValueError: it is not marked.
-    """
+    """Return the compiled form of a marked function and of the functions it calls; the plain ones stay."""
     if function not in MARKED:
         raise ValueError(f"{function.__module__}.{function.__qualname__} is not marked @numeric")
     return cast(F, compiler(scope_of(function, compiler)))

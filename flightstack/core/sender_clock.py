@@ -55,20 +55,13 @@ class Reading(TextEnum):
 
 
 class SenderClock:
-    """What is known of the clock of one sender; ``memory`` is all of its state.
-
-    Args:
-        late_max_s: lateness from which a message is refused.
-        proof_s: time for which refused messages have to agree, until their clock is followed.
-        tick_s: period in which arrivals are noted.
-        reboot_s: a clock that falls back by more after a silence is followed at once: there is no healthy
-            stream to protect.
-    """
+    """What is known of the clock of one sender; ``memory`` is all of its state."""
 
     memory: ClockMemory
     ahead_max_s: float
-    _late_max_s: float
-    _proof_s: float
+    _late_max_s: float  # lateness from which a message is refused
+    _proof_s: float  # time for which refused messages have to agree, until their clock is followed
+    # fall-back of a clock after a silence from which it is followed at once: no healthy stream is disturbed
     _reboot_s: float
 
     def __init__(
@@ -91,13 +84,7 @@ class SenderClock:
         return reading
 
     def judge(self, stamp_s: float, arrival_s: float, patience_s: float = PATIENCE_S) -> Reading:
-        """Judge a time stamp; only ``take`` learns from it.
-
-        Args:
-            stamp_s: of the sender's clock.
-            arrival_s: of the message, on ours.
-            patience_s: time for which late messages have to agree.
-        """
+        """Judge a time stamp; only ``take`` learns from it."""
         memory, way_s = self.memory, arrival_s - stamp_s
         if not 0.0 <= stamp_s <= STAMP_MAX_S:  # also NaN
             return Reading.UNUSABLE
@@ -174,15 +161,7 @@ class SenderClock:
 def learnt(
     offset_s: float, floor_s: float, held_s: float, way_s: float, elapsed_s: float
 ) -> tuple[float, float, float]:
-    """Least way, the same forgotten slowly, and for how long all were longer, after another message.
-
-    Args:
-        offset_s: least way before.
-        floor_s: the same, forgotten slowly.
-        held_s: for how long all were longer.
-        way_s: of the message.
-        elapsed_s: since the one before.
-    """
+    """Least way, the same forgotten slowly, and for how long all were longer, after another message."""
     elapsed_s = min(elapsed_s, ELAPSED_MAX_S)
     held_s = held_s + elapsed_s if way_s > offset_s + GRAIN_S else 0.0
     if held_s > HOLDS_S:

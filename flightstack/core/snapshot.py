@@ -39,35 +39,21 @@ class Relative(NamedTuple):
 
 @dataclass(slots=True)
 class Snapshot:
-    """Inputs of one tick, judged by age.
+    """Inputs of one tick, judged by age."""
 
-    Attributes:
-        inputs: as they came; the vehicle's state as the filter estimates it for now.
-        target: state of the target for now; ``None`` before the first sample.
-        own_ok: the vehicle's state is plausible and young enough.
-        target_ok: the target's state is plausible and young enough.
-        link_ok: the heartbeat is young enough.
-        e_m: position of the vehicle minus landing spot, ENU, m; ``None`` unless both are known.
-        follows: the vehicle flies the commanded velocity.
-        charge: what the battery is fit for; without a table [reserve] it always is.
-        way: what the other vehicles allow; without a table [fleet] everything.
-        good: all inputs can be flown by.
-        target_placed: the target is young enough, and its velocity is not believed: ``target`` has the one
-            that its positions show.
-        relative: vehicle relative to target; ``None`` unless both are known.
-    """
-
-    inputs: Inputs
-    target: TargetState | None
-    own_ok: bool
-    target_ok: bool
-    link_ok: bool
-    e_m: Vec3 | None
-    follows: bool = True
-    charge: Charge = Charge.FIT
-    way: Way = ALONE
+    inputs: Inputs  # inputs as received; the vehicle's state as the filter estimates it for now
+    target: TargetState | None  # state of the target for now; ``None`` before the first sample
+    own_ok: bool  # the vehicle's state is plausible and young enough
+    target_ok: bool  # the target's state is plausible and young enough
+    link_ok: bool  # the heartbeat is young enough
+    e_m: Vec3 | None  # position of the vehicle minus landing spot, ENU, m; ``None`` unless both are known
+    follows: bool = True  # the vehicle flies the commanded velocity
+    charge: Charge = Charge.FIT  # what the battery is fit for; without a table [reserve] it always is
+    way: Way = ALONE  # what the other vehicles allow; without a table [fleet] everything
+    # the target is young enough, its velocity is not believed: ``target`` has the one that its positions show
     target_placed: bool = False
-    good: bool = field(init=False)
+    good: bool = field(init=False)  # all inputs can be flown by
+    # vehicle relative to target; ``None`` unless both are known
     relative: Relative | None = field(init=False)
 
     def __post_init__(self) -> None:
@@ -91,19 +77,7 @@ def snapshot_of(
     way: Way = ALONE,
     target_believed: bool = True,
 ) -> Snapshot:
-    """Judge the ages of this tick's inputs.
-
-    Args:
-        config: of the flight.
-        inputs: of this tick.
-        target: state of the target for now.
-        now_s: stack clock.
-        believed: the vehicle's state is plausible.
-        follows: the vehicle flies the commanded velocity.
-        charge: what the battery is fit for.
-        way: what the other vehicles allow.
-        target_believed: positions and velocity of the target agree.
-    """
+    """Judge the ages of this tick's inputs."""
     checks, own, status = config.checks, inputs.own, inputs.status
     own_ok = believed and own is not None and -FUTURE_MAX_S <= now_s - own.arrival_s <= checks.own_age_max_s
     target_fresh = target is not None and target.age_s <= checks.target_age_max_s

@@ -173,37 +173,21 @@ class Intent(IntEnum):
 
 
 class Neighbour(NamedTuple):
-    """What a vehicle of a fleet says of itself; times on the stack clock of who reads it.
+    """What a vehicle of a fleet says of itself; times on the stack clock of who reads it."""
 
-    Attributes:
-        id: of the vehicle, 1 to 250.
-        stamp_s: when it said so, corrected for the difference of the clocks.
-        arrival_s: when that came.
-        position_enu_m: of the vehicle at the stamp.
-        velocity_enu_m_s: measured.
-        wanted_enu_m_s: velocity that it is about to fly.
-        position_sigma_m: standard deviation of the position on each axis.
-        clock_bound_s: most that the stamp may be wrong by.
-        intent: what it is about to do.
-        claim_s: when it claimed its right of way; NaN: it has no claim.
-        pad_position_enu_m: where it lands; ``None``: not known yet.
-        pad_velocity_enu_m_s: velocity of that.
-        yields_to: vehicles that it gives way to.
-    """
-
-    id: int
-    stamp_s: float
-    arrival_s: float
-    position_enu_m: Vec3
-    velocity_enu_m_s: Vec3
-    wanted_enu_m_s: Vec3
-    position_sigma_m: float = 0.0
-    clock_bound_s: float = 0.0
-    intent: Intent = Intent.STANDING
-    claim_s: float = math.nan
-    pad_position_enu_m: Vec3 | None = None
-    pad_velocity_enu_m_s: Vec3 | None = None
-    yields_to: tuple[int, ...] = ()
+    id: int  # number of the vehicle, 1 to 250
+    stamp_s: float  # time of the message, corrected for the difference of the clocks
+    arrival_s: float  # its arrival
+    position_enu_m: Vec3  # position at the stamp
+    velocity_enu_m_s: Vec3  # measured
+    wanted_enu_m_s: Vec3  # velocity that it is about to fly
+    position_sigma_m: float = 0.0  # standard deviation of the position on each axis
+    clock_bound_s: float = 0.0  # most that the stamp may be wrong by
+    intent: Intent = Intent.STANDING  # what it is about to do
+    claim_s: float = math.nan  # time of its claim of the right of way; NaN: it has no claim
+    pad_position_enu_m: Vec3 | None = None  # landing spot; ``None``: not known yet
+    pad_velocity_enu_m_s: Vec3 | None = None  # its velocity
+    yields_to: tuple[int, ...] = ()  # vehicles that it gives way to
 
 
 class Inputs(NamedTuple):

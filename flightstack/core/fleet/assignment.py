@@ -20,16 +20,6 @@ def assign(starts_enu_m: Sequence[Vec3], pads_enu_m: Sequence[Vec3]) -> tuple[in
     """Pad of each vehicle.
 
     Of assignments with the same sum each vehicle in turn prefers the pad with its own index, then the lowest.
-
-    Args:
-        starts_enu_m: where the vehicles are, (N, 3).
-        pads_enu_m: where the pads are, (M, 3), M >= N.
-
-    Returns:
-        Index of a pad for each vehicle, each at most once.
-
-    Raises:
-        ValueError: fewer pads than vehicles, or a place is not finite or too far away.
     """
     count, pads = len(starts_enu_m), len(pads_enu_m)
     if pads < count:

@@ -23,13 +23,6 @@ def place_beside(
     A pad's way is straight: from where it may have been ``wait_max_s`` ago to where it may be after as long.
     Of the places that are free the nearest one counts; of none, the one with the most room. A place is kept
     while it is free of the way of ``descent_s``: errors of a pad's velocity turn the long one.
-
-    Args:
-        kept: chosen before; ``None``: nothing yet.
-        own_enu_m: position of this vehicle.
-        pad: that it leaves.
-        words: newest of the other members.
-        fleet: of the configuration.
     """
     pads = [pad]
     for word in words:

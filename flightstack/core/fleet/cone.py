@@ -17,30 +17,17 @@ OUTWARD_PART = 0.5  # of what the landing barrier's rate allows, for velocities 
 
 
 class Cone(NamedTuple):
-    """Bounds of the velocity over the pad.
+    """Bounds of the velocity over the pad."""
 
-    Attributes:
-        rate_1_s: at which h may be used up.
-        slope_max: of the boundary, without unit.
-        lag_s: by which a climb comes late.
-        period_s: of a tick.
-    """
-
-    rate_1_s: float
-    slope_max: float
-    lag_s: float
-    period_s: float
+    rate_1_s: float  # rate at which h may be used up
+    slope_max: float  # steepest slope of the boundary
+    lag_s: float  # delay of a climb
+    period_s: float  # period of a tick
 
     def outward(self, h_m: float, gradient: Vec3, before_m_s: Vec3, target_m_s: Vec3) -> Row:
         """Row that lets a velocity out of the cone grow no faster than the climb that holds h can follow.
 
         Flying inwards may always end.
-
-        Args:
-            h_m: value of the active landing barrier.
-            gradient: of it by the vehicle's position.
-            before_m_s: velocity wanted in the last tick, ENU.
-            target_m_s: velocity of the target, ENU.
         """
         gx, gy, _ = gradient
         used_m_s = self.period_s * self.rate_1_s * max(0.0, h_m) / self.lag_s
@@ -56,14 +43,6 @@ class Cone(NamedTuple):
         Beyond the middle a velocity inwards is one outwards. A climb may always end. It sinks no faster than
         h alone allows: a flight inwards, where the boundary falls, may be turned round by a neighbour sooner
         than the climb follows.
-
-        Args:
-            d_m: horizontal distance from the pad's middle.
-            h_m: value of the active landing barrier.
-            nominal: velocity wanted, ENU, m/s.
-            target_m_s: velocity of the target, ENU.
-            lower: lower corner of the box of this tick, m/s.
-            upper: upper corner, m/s.
         """
         most = INWARD_RATE_1_S * d_m + OUTWARD_PART * max(0.0, h_m) / (self.slope_max * self.lag_s)
         (tx, ty, tz), (lx, ly, lz), (ux, uy, uz) = target_m_s, lower, upper

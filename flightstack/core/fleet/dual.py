@@ -30,18 +30,13 @@ _SIDES: tuple[Vec3, ...] = (
 
 
 class Found(NamedTuple):
-    """The minimiser, or why there is none.
+    """The minimiser, or why there is none."""
 
-    Attributes:
-        point: m/s; ``None``: no point meets all constraints.
-        multipliers: of the rows as they are given; without a point those of a sum of constraints that no
-            velocity meets: the sum of multiplier times gradient is 0, sides of the box included.
-        lacking_m_s: without a point, by how much that sum is missed.
-    """
-
-    point: Vec3 | None
+    point: Vec3 | None  # m/s; ``None``: no point meets all constraints
+    # multipliers of the rows as they are given; without a point those of constraints that no velocity meets:
+    # their gradients times the multipliers add up to 0
     multipliers: tuple[float, ...]
-    lacking_m_s: float = 0.0
+    lacking_m_s: float = 0.0  # without a point, by how much that sum is missed
 
 
 def solve(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Found | None:

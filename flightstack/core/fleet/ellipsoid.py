@@ -24,36 +24,21 @@ RIDES_S = 3.0  # for which one that is down and not heard any more is taken to r
 
 
 class Estimate(NamedTuple):
-    """Another vehicle as it is taken to be now.
+    """Another vehicle as it is taken to be now."""
 
-    Attributes:
-        age_s: of its word, with the error of the clock.
-        position_enu_m: carried on from the stamp; where its words are late, the upper end of where it may be.
-        velocity_enu_m_s: as it was told; 0 where it is carried on no more.
-        grown_m: by which both semi-axes are longer.
-        growth_m_s: at which they grow.
-        late: its word is older than ``latency_max_s``, and did not say that it is down.
-        anywhere_m: the same as ``grown_m``, with all that it can have flown since.
-        depth_m: by which it may have sunk below its position, as its autopilot lands it.
-        sink_m_s: at which that grows.
-    """
-
-    age_s: float
+    age_s: float  # age of its message, with the error of the clock
+    # carried on from the stamp; where its words are late, the upper end of where it may be
     position_enu_m: Vec3
-    velocity_enu_m_s: Vec3
-    grown_m: float
-    growth_m_s: float
-    late: bool
-    anywhere_m: float
-    depth_m: float = 0.0
-    sink_m_s: float = 0.0
+    velocity_enu_m_s: Vec3  # velocity as reported; 0 where the position is carried on no more
+    grown_m: float  # growth of both semi-axes
+    growth_m_s: float  # rate of that growth
+    late: bool  # its word is older than ``latency_max_s``, and did not say that it is down
+    anywhere_m: float  # the same as ``grown_m``, with all that it can have flown since
+    depth_m: float = 0.0  # depth that it may have sunk below its position, as its autopilot lands it
+    sink_m_s: float = 0.0  # rate of that
 
     def beside(self, place_enu_m: Vec3) -> tuple[Vec3, Vec3]:
-        """A place minus the nearest one between the position and the depth below it; the velocity of that.
-
-        Args:
-            place_enu_m: of this vehicle.
-        """
+        """A place minus the nearest one between the position and the depth below it; the velocity of that."""
         (x, y, z), (px, py, top_m), (vx, vy, vz) = place_enu_m, self.position_enu_m, self.velocity_enu_m_s
         low_m = top_m - self.depth_m
         if z < low_m:
@@ -62,17 +47,7 @@ class Estimate(NamedTuple):
 
 
 def barrier(p_m: Vec3, radius_xy_m: float, radius_z_m: float, *, first: bool = True) -> tuple[float, Vec3]:
-    """Value and gradient of the barrier.
-
-    Args:
-        p_m: this vehicle minus the other one, ENU, m.
-        radius_xy_m: horizontal semi-axis.
-        radius_z_m: vertical semi-axis.
-        first: at the same place this one goes east, or else west.
-
-    Returns:
-        ``(h_m, gradient)``, the gradient by the position of this vehicle, without unit.
-    """
+    """Value and gradient of the barrier."""
     x, y, z = p_m
     flat = radius_xy_m / radius_z_m
     far_m = math.sqrt(x * x + y * y + flat * flat * z * z)  # rho in metres
@@ -99,11 +74,6 @@ def jump(before: Neighbour, word: Neighbour, fleet: Fleet) -> Vec3:
     Its velocity may have changed since as fast as the fleet counts with; both words may err by the standard
     deviations and the errors of clocks that they tell, and by the margin that the ellipsoid has: a landing
     ends a velocity at once.
-
-    Args:
-        before: its word before.
-        word: its newest.
-        fleet: of the configuration.
     """
     gone_s = word.stamp_s - before.stamp_s
     (x, y, z), (px, py, pz), v = word.position_enu_m, before.position_enu_m, before.velocity_enu_m_s
@@ -119,13 +89,7 @@ def jump(before: Neighbour, word: Neighbour, fleet: Fleet) -> Vec3:
 
 
 def faster(before_m_s2: Vec3, before: Neighbour, word: Neighbour) -> Vec3:
-    """Acceleration of the velocity that another vehicle wants, smoothed.
-
-    Args:
-        before_m_s2: the same after the word before.
-        before: that word.
-        word: one with a later stamp.
-    """
+    """Acceleration of the velocity that another vehicle wants, smoothed."""
     t = word.stamp_s - before.stamp_s
     share = 1.0 / (t + SMOOTH_S)
     (x, y, z), (ox, oy, oz), (ax, ay, az) = word.wanted_enu_m_s, before.wanted_enu_m_s, before_m_s2
@@ -145,13 +109,6 @@ def estimate(
     as long as an autopilot without a companion flies on; it drifts from there, and may sink to the ground.
     Where it may be grows until ``silent_flight_s``: by then its own failsafe has ended its flight.
     One that is down stands still, or rides on a pad that may have stopped since.
-
-    Args:
-        word: its newest.
-        now_s: stack clock.
-        own_sigma_m: standard deviation of the own position on each axis.
-        fleet: of the configuration.
-        faster_m_s2: at which the velocity that it wanted changed.
     """
     v, p = word.velocity_enu_m_s, word.position_enu_m
     speed_m_s = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])

@@ -29,15 +29,10 @@ _SIDES = np.vstack([np.eye(3), -np.eye(3)])
 
 
 class Row(NamedTuple):
-    """A constraint g . u >= b on the velocity.
+    """A constraint g . u >= b on the velocity."""
 
-    Attributes:
-        g: without unit.
-        bound_m_s: b.
-    """
-
-    g: Vec3
-    bound_m_s: float
+    g: Vec3  # without unit
+    bound_m_s: float  # b
 
     def missing_m_s(self, u: Vec3) -> float:
         """How far a velocity is from meeting it; not positive if it does."""
@@ -45,15 +40,10 @@ class Row(NamedTuple):
 
 
 class Nearest(NamedTuple):
-    """The minimiser.
+    """The minimiser."""
 
-    Attributes:
-        point: m/s.
-        multipliers: of the rows; 0 for those that do not bind.
-    """
-
-    point: Vec3
-    multipliers: tuple[float, ...]
+    point: Vec3  # m/s
+    multipliers: tuple[float, ...]  # one for each row; 0 for those that do not bind
 
 
 def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
@@ -126,17 +116,7 @@ def _of_all_sets(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -
 
 
 def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3) -> tuple[float, Vec3]:
-    """Least common slack s >= 0 by which soft rows give way, g . u + s >= b, and a velocity that meets them.
-
-    Args:
-        firm: rows that do not give way; some point of the box meets them.
-        soft: rows that do, at least one.
-        lower: lower corner of the box, m/s.
-        upper: upper corner, m/s.
-
-    Returns:
-        ``(slack_m_s, velocity_enu_m_s)``; an infinite slack if the firm rows are not met anywhere.
-    """
+    """Least common slack s >= 0 of the soft rows, g . u + s >= b, and a velocity that meets them."""
     rows = [*soft, *firm]
     slack = [1.0] * len(soft) + [0.0] * (len(firm) + 6) + [1.0]
     normals = np.vstack([np.array([row.g for row in rows]).reshape(-1, 3), _SIDES, np.zeros((1, 3))])

@@ -44,18 +44,12 @@ _INTENTS = MappingProxyType(
 
 
 class Rows(NamedTuple):
-    """Rows of the neighbours in reach, and those as the side-step sees them.
+    """Rows of the neighbours in reach, and those as the side-step sees them."""
 
-    Attributes:
-        rows: of the program; the nearest first.
-        lax: the same without what is asked because an unheard vehicle may be anywhere near.
-        near: of the same vehicles.
-        held_back: an unheard vehicle may fly near, and leaves to this one what this one does not fly.
-    """
-
-    rows: tuple[Row, ...]
-    lax: tuple[Row, ...]
-    near: tuple[Near, ...]
+    rows: tuple[Row, ...]  # rows of the program; the nearest first
+    lax: tuple[Row, ...]  # the same without what is asked because an unheard vehicle may be anywhere near
+    near: tuple[Near, ...]  # the same vehicles as the side-step sees them
+    # an unheard vehicle may fly near, and leaves to this one what this one does not fly
     held_back: bool = False
 
 
@@ -63,13 +57,7 @@ NO_ROWS = Rows((), (), ())
 
 
 def intent_of(memory: Memory, *, granted: bool, flies: bool) -> Intent:
-    """What a phase means to the others.
-
-    Args:
-        memory: of the mission.
-        granted: it has the right of way.
-        flies: it is in the air and flies by set-points.
-    """
+    """What a phase means to the others."""
     if memory.phase is Phase.ABORT and memory.abort_way is AbortWay.FLY_CLEAR and not memory.clear:
         return Intent.CLEARING
     if memory.phase is Phase.LEAVE and memory.clear:
@@ -84,12 +72,7 @@ def intent_of(memory: Memory, *, granted: bool, flies: bool) -> Intent:
 
 
 class FleetMember:
-    """The others and this vehicle among them; ``memory`` is all that it remembers.
-
-    Args:
-        fleet: of the configuration.
-        sigma_m: standard deviation of the own position on each axis.
-    """
+    """The others and this vehicle among them; ``memory`` is all that it remembers."""
 
     def __init__(self, fleet: Fleet, sigma_m: float) -> None:
         self.memory = FleetMemory()
@@ -149,12 +132,7 @@ class FleetMember:
         return ""
 
     def over(self, since_s: float, now_s: float) -> bool:
-        """Whether nobody needs the words of this vehicle any more: all others are down, or silent for long.
-
-        Args:
-            since_s: for how long its own flight is over; it does not wait for ever.
-            now_s: stack clock.
-        """
+        """Whether no neighbour needs messages of this vehicle any more: all are down, or silent for long."""
         fleet = self._fleet
         if since_s > FLIGHTS_OF_OTHERS * fleet.wait_max_s:
             return True
@@ -173,27 +151,14 @@ class FleetMember:
         return way
 
     def stays(self, way: Way, in_phase_s: float, why: str) -> list[str]:
-        """Text of an event, once, if this vehicle has not left a pad that another vehicle waits for.
-
-        Args:
-            way: of this tick.
-            in_phase_s: since it has landed.
-            why: what keeps it; empty where nothing does.
-        """
+        """Text of an event, once, if this vehicle has not left a pad that another vehicle waits for."""
         if not way.pad_wanted or self.memory.stays or in_phase_s < STAYS_S:
             return []
         self.memory.stays = True
         return [f"it stays on the pad: {why or 'an input is lost'}; {way.text}"]
 
     def rows(self, phase: Phase, own: OwnState, wanted_m_s: Vec3, now_s: float) -> Rows:
-        """Rows of the neighbours in reach for which this vehicle has a share; none in a touchdown.
-
-        Args:
-            phase: of this vehicle.
-            own: state of this vehicle.
-            wanted_m_s: velocity that it wanted in the last tick, as the others were told.
-            now_s: stack clock.
-        """
+        """Rows of the neighbours in reach for which this vehicle has a share; none in a touchdown."""
         if phase is Phase.TOUCHDOWN:  # it goes on to the ground: the others keep clear of it
             return NO_ROWS
         fleet, (x, y, z), found, held_back = self._fleet, own.position_enu_m, [], False
@@ -261,16 +226,7 @@ class FleetMember:
         self, memory: Memory, own: OwnState, status: VehicleStatus | None, wanted_m_s: Vec3,
         target: TargetState | None, now_s: float,
     ) -> Neighbour:  # fmt: skip
-        """What the process has to tell the others after this tick.
-
-        Args:
-            memory: of the mission.
-            own: state of this vehicle.
-            status: what its heartbeat says.
-            wanted_m_s: velocity that it is about to fly.
-            target: where it lands; ``None``: not known.
-            now_s: stack clock.
-        """
+        """What the process has to tell the others after this tick."""
         flies = status is not None and status.armed and status.landed is not Landed.ON_GROUND
         fleet, mine, (x, y, z) = self._fleet, self.memory, own.position_enu_m
         intent = intent_of(memory, granted=mine.granted, flies=flies)

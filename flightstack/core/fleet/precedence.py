@@ -25,42 +25,26 @@ GOES = frozenset({Intent.LANDING, Intent.COMMITTED})
 
 
 class Way(NamedTuple):
-    """What the mission may do, as far as the others go.
+    """What the mission may do, as far as the others go."""
 
-    Attributes:
-        may_begin: every member has been heard.
-        may_land: it has the right of way.
-        may_touch: all know that it gives way to nobody any more.
-        waited: it has waited for its right of way for too long.
-        text: whom it waits for.
-        pad_wanted: landed on a pad that others wait for, it is to leave it.
-        place_enu_m: where it lands after that.
-        cut_off: it hears too few of the others to go on.
-    """
-
-    may_begin: bool = True
-    may_land: bool = True
-    may_touch: bool = True
-    waited: bool = False
-    text: str = ""
-    pad_wanted: bool = False
-    place_enu_m: Vec3 | None = None
-    cut_off: bool = False
+    may_begin: bool = True  # every member has been heard
+    may_land: bool = True  # it has the right of way
+    may_touch: bool = True  # all know that it gives way to nobody any more
+    waited: bool = False  # it has waited for its right of way for too long
+    text: str = ""  # vehicles that it waits for
+    pad_wanted: bool = False  # landed on a pad that others wait for, it is to leave it
+    place_enu_m: Vec3 | None = None  # place where it lands after that
+    cut_off: bool = False  # it hears too few of the others to go on
 
 
 ALONE = Way()
 
 
 class Pad(NamedTuple):
-    """Where a vehicle lands.
+    """Where a vehicle lands."""
 
-    Attributes:
-        position_enu_m: of the landing spot.
-        velocity_enu_m_s: of the same.
-    """
-
-    position_enu_m: Vec3
-    velocity_enu_m_s: Vec3
+    position_enu_m: Vec3  # landing spot
+    velocity_enu_m_s: Vec3  # its velocity
 
 
 def nearest_m(pad: Pad, place_enu_m: Vec3, moves_m_s: Vec3, ahead_s: float) -> float:
@@ -76,16 +60,7 @@ def decide(
     memory: FleetMemory, slots: Sequence[tuple[int, Heard]], phase: Phase, pad: Pad | None, now_s: float,
     fleet: Fleet,
 ) -> Way:  # fmt: skip
-    """Advance claim and right of way by one tick.
-
-    Args:
-        memory: changed: the claim, and to whom this vehicle gives way.
-        slots: id and what is known of each other member.
-        phase: of this vehicle.
-        pad: where it lands; ``None``: not known.
-        now_s: stack clock.
-        fleet: of the configuration.
-    """
+    """Advance claim and right of way by one tick."""
     missing = [n for n, slot in slots if not _present(slot.word, now_s, fleet)]
     if phase not in CLAIMING or pad is None:
         if phase not in CLAIMING:

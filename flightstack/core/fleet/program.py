@@ -32,15 +32,11 @@ RELAXED_M_S = 1e-8  # besides the least slack, so that more than one point is le
 
 
 class FleetResult(NamedTuple):
-    """Filtered velocity.
+    """Filtered velocity."""
 
-    Attributes:
-        filter: as that of ``SafetyFilter``; its slack is that of the landing barrier, NaN without one.
-        given_m_s: slack by which the rows of neighbours gave way; 0 unless CROWDED.
-    """
-
+    # result as that of ``SafetyFilter``; its slack is that of the landing barrier, NaN without one
     filter: FilterResult
-    given_m_s: float
+    given_m_s: float  # slack by which the rows of neighbours gave way; 0 unless CROWDED
 
 
 def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
@@ -63,11 +59,7 @@ def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Ve
 
 
 class FleetProgram:
-    """The quadratic program, allocated once.
-
-    Args:
-        neighbours: most of them; what depends on their number is prepared.
-    """
+    """The quadratic program, allocated once."""
 
     def __init__(self, neighbours: int = OTHERS_MAX) -> None:
         exact.prepare(neighbours)
@@ -97,17 +89,7 @@ class FleetProgram:
         upper: Vec3,
         lax: Sequence[Row] = (),
     ) -> FleetResult:
-        """Filter one nominal velocity.
-
-        Args:
-            nominal: u', m/s, ENU.
-            firm: rows that never give way: that of the landing barrier first, at most one more, which the
-                corner of the box that is best for the barrier meets, too; empty in a phase without them.
-            neighbours: their rows, at most ``OTHERS_MAX``.
-            lower: lower corner of the admissible box, m/s.
-            upper: upper corner, m/s.
-            lax: the neighbours' rows with bounds that are tried where nothing meets all; empty: the same.
-        """
+        """Filter one nominal velocity."""
         every = [*firm, *neighbours]
         (lx, ly, lz), (hx, hy, hz), (x, y, z) = lower, upper, nominal
         sums = lx + ly + lz + hx + hy + hz + x + y + z

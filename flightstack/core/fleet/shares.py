@@ -21,14 +21,7 @@ NONE, HALF, ALL = 0.0, 0.5, 1.0
 
 
 def share(slot: Heard, word: Neighbour, now_s: float, fleet: Fleet) -> float:
-    """Part of this vehicle.
-
-    Args:
-        slot: what it has said to the other vehicle.
-        word: the newest of the other vehicle.
-        now_s: stack clock.
-        fleet: of the configuration.
-    """
+    """Part of this vehicle."""
     if slot.yields or now_s - slot.yielded_s <= HOLD_LATENCIES * fleet.latency_max_s:
         return ALL
     age_s = now_s - word.stamp_s + word.clock_bound_s
@@ -55,15 +48,6 @@ def row(
     With the whole part it goes by the other one's velocity. With half of it, it goes by the mean of both
     velocities wanted, each as it was told: where both hold theirs, the distance falls no faster than the rate
     allows. What the other one may have changed since its word counts against this vehicle.
-
-    Args:
-        part: of this vehicle, more than 0.
-        h_m: value of the barrier.
-        gradient: of the barrier by this vehicle's position.
-        own_wanted_m_s: velocity that it wanted in the last tick.
-        word: of the other vehicle.
-        now: the same carried on.
-        fleet: of the configuration.
     """
     if part == ALL:
         c = now.velocity_enu_m_s
@@ -79,12 +63,6 @@ def wider(lax: Row, outer_m: float, now: Estimate, fleet: Fleet) -> Row:
 
     While it may fly, this vehicle stays out of it, or comes no nearer to its middle if it is inside. After
     that it lies somewhere in there: who is outside stays so; who is inside has to come down, too.
-
-    Args:
-        lax: the constraint by where the other one is taken to be.
-        outer_m: value of the barrier with all that the other one can have flown.
-        now: the other vehicle.
-        fleet: of the configuration.
     """
     bound_m_s = -fleet.rate_1_s * outer_m
     if now.age_s <= fleet.silent_flight_s:

@@ -12,30 +12,18 @@ _LEAST_M = 1e-6
 
 
 class Near(NamedTuple):
-    """A vehicle in reach.
+    """A vehicle in reach."""
 
-    Attributes:
-        h_m: value of the barrier.
-        gradient: of it, by this vehicle's position.
-        away_m: this vehicle minus the other one, ENU.
-        velocity_enu_m_s: of the other one.
-    """
-
-    h_m: float
-    gradient: Vec3
-    away_m: Vec3
-    velocity_enu_m_s: Vec3
+    h_m: float  # value of the barrier
+    gradient: Vec3  # gradient by this vehicle's position
+    away_m: Vec3  # this vehicle minus the other one, ENU
+    velocity_enu_m_s: Vec3  # velocity of the other one
 
 
 def sidestep(nominal: Vec3, near: Sequence[Near], rate_1_s: float) -> Vec3:
     """Nominal velocity with a part to the right of each vehicle that it closes in on.
 
     The part grows to the closing speed from where the row begins to bind to where nothing is left.
-
-    Args:
-        nominal: velocity wanted before any filter, within its limits, m/s.
-        near: vehicles for which this one has a share.
-        rate_1_s: at which their distance may be used up.
     """
     x, y, z = nominal
     for h_m, (gx, gy, gz), (ax, ay, _), (vx, vy, vz) in near:

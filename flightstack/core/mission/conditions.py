@@ -238,18 +238,7 @@ def landing_flags(
     config: FlightConfig, strategy: Strategy, barrier: Barrier, memory: Memory, at: Relative, now_s: float,
     may_land: bool, may_touch: bool,
 ) -> int:  # fmt: skip
-    """Flags of where it is over the pad; all inputs are good.
-
-    Args:
-        config: of the flight.
-        strategy: the safety filter.
-        barrier: the paper's.
-        memory: of the mission.
-        at: vehicle relative to target.
-        now_s: stack clock.
-        may_land: what the other vehicles allow.
-        may_touch: likewise.
-    """
+    """Flags of where it is over the pad; all inputs are good."""
     touchdown, flags = config.touchdown, 0
     # the cone is left at a wider radius than it is entered, so that noise does not make the phases chatter
     radius = touchdown.pad_radius_m * (OVER_PAD_LEFT if memory.phase is Phase.LAND else 1.0)
@@ -292,37 +281,20 @@ def waits_for_calm(config: FlightConfig, memory: Memory, at: Relative, now_s: fl
 
 
 class Known(NamedTuple):
-    """What the numbers are taken from.
+    """What the numbers are taken from."""
 
-    Attributes:
-        checks: of the configuration.
-        snapshot: this tick's inputs.
-        plausibility: of the own state and of following.
-        track: of the target.
-        now_s: stack clock.
-        battery: what is wrong with it, where something is.
-        velocity_max_m_s: horizontal, of the configuration.
-        swings: how often it has left the cone over the pad.
-    """
-
-    checks: Checks
-    snapshot: Snapshot
-    plausibility: Plausibility
-    track: TargetTrack
-    now_s: float
-    battery: str = ""
-    velocity_max_m_s: float = 0.0
-    swings: int = 0
+    checks: Checks  # limits of the configuration
+    snapshot: Snapshot  # this tick's inputs
+    plausibility: Plausibility  # judgement of own state and of following
+    track: TargetTrack  # samples of the target
+    now_s: float  # stack clock
+    battery: str = ""  # what is wrong with it, where something is
+    velocity_max_m_s: float = 0.0  # horizontal, of the configuration
+    swings: int = 0  # how often it has left the cone over the pad
 
 
 def reason(rule: Rule[Phase], flags: int, known: Known) -> str:
-    """Reason of a rule that fires, with the numbers of those of its conditions that hold.
-
-    Args:
-        rule: of the phase table.
-        flags: conditions of this tick.
-        known: this tick.
-    """
+    """Reason of a rule that fires, with the numbers of those of its conditions that hold."""
     asked = (rule.when | rule.about) & flags
     told = [say(known) for condition, say in _NUMBERS.items() if asked & condition]
     way = known.snapshot.way

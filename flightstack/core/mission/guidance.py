@@ -25,17 +25,11 @@ CLEAR_BELOW = 0.25  # share of the climb margin by which the vehicle may be too 
 
 
 class NominalCommand(NamedTuple):
-    """What a phase commands.
+    """What a phase commands."""
 
-    Attributes:
-        request: mode of the vehicle.
-        velocity: nominal velocity, ENU, m/s; ``None``: no set-point.
-        filtered: the landing barrier applies, and the target must be fresh.
-    """
-
-    request: Request
-    velocity: Vec3 | None = None
-    filtered: bool = False
+    request: Request  # mode of the vehicle
+    velocity: Vec3 | None = None  # nominal velocity, ENU, m/s; ``None``: no set-point
+    filtered: bool = False  # the landing barrier applies, and the target must be fresh
 
 
 class Situation(NamedTuple):

@@ -51,19 +51,12 @@ _NOT_FLYING = frozenset({Landed.ON_GROUND, Landed.UNKNOWN})
 
 
 class Transition(NamedTuple):
-    """One change of phase.
+    """One change of phase."""
 
-    Attributes:
-        before: phase until now.
-        after: phase from now on; the same where an abort goes on in another way.
-        reason: why, with the numbers behind it.
-        way: in which an abort ends the flight; ``NONE`` for all other phases.
-    """
-
-    before: Phase
-    after: Phase
-    reason: str
-    way: AbortWay = AbortWay.NONE
+    before: Phase  # phase until now
+    after: Phase  # phase from now on; the same where an abort goes on in another way
+    reason: str  # why, with the numbers behind it
+    way: AbortWay = AbortWay.NONE  # how an abort ends the flight; ``NONE`` for all other phases
 
     @property
     def text(self) -> str:
@@ -94,21 +87,12 @@ def parse(text: str) -> Transition | None:
 
 
 class Mission:
-    """Phase of a flight; ``memory`` is all of its state.
-
-    Args:
-        config: of the flight.
-        barrier: the paper's.
-        strategy: the safety filter.
-        track: of the target, for the reasons.
-        plausibility: of the vehicle's state, for the reasons.
-        reserve: of thrust, for the reasons; None without a table [reserve].
-    """
+    """Phase of a flight; ``memory`` is all of its state."""
 
     memory: Memory
-    _config: FlightConfig
-    _barrier: Barrier
-    _strategy: Strategy
+    _config: FlightConfig  # configuration of the flight
+    _barrier: Barrier  # the paper's
+    _strategy: Strategy  # the safety filter
     _times_s: PhaseTimes
 
     def __init__(
@@ -126,16 +110,7 @@ class Mission:
         self._track, self._plausibility, self._reserve = track, plausibility, reserve
 
     def step(self, snapshot: Snapshot, *, command_failed: bool, now_s: float) -> Transition | None:
-        """Advance by one tick.
-
-        Args:
-            snapshot: inputs of this tick.
-            command_failed: the bridge gave up on a requested mode.
-            now_s: stack clock.
-
-        Returns:
-            The change of phase, or of an abort's way; ``None`` if there is none.
-        """
+        """Advance by one tick."""
         memory, flags = self.memory, self.flags(snapshot, command_failed=command_failed, now_s=now_s)
         transition = (
             self._abort(flags) if memory.phase is Phase.ABORT else self._change(snapshot, flags, now_s)

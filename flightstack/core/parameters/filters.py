@@ -28,11 +28,7 @@ _REFERENCE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", re.ASCII)
 
 
 def check_name(name: str) -> None:
-    """Refuse what cannot be the name of a filter; nothing is imported.
-
-    Raises:
-        ConfigError: neither a filter of the package nor of the form MODULE:NAME.
-    """
+    """Refuse what cannot be the name of a filter; nothing is imported."""
     if name not in FILTERS and not _REFERENCE.fullmatch(name):
         raise ConfigError(f"filter: found {name!r}, allowed: {ALLOWED}")
 
@@ -54,21 +50,13 @@ def short_name(name: str) -> str:
 
 @lru_cache(maxsize=16)
 def named(name: str) -> Any:
-    """Import what a name stands for.
-
-    Raises:
-        ConfigError: the name is wrong, its module cannot be imported, or has nothing of that name.
-    """
+    """Import what a name stands for."""
     check_name(name)
     return referred(FILTERS.get(name, name))
 
 
 def referred(reference: str) -> Any:
-    """Import ``MODULE:NAME``.
-
-    Raises:
-        ConfigError: the module cannot be imported, or has nothing of that name.
-    """
+    """Import ``MODULE:NAME``."""
     module, _, attribute = reference.partition(":")
     try:
         found = importlib.import_module(module)

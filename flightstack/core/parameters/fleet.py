@@ -88,15 +88,7 @@ class Fleet:
         return tuple(sorted(set(self.members) - {self.id}))
 
     def check_loop(self, lag_s: float, period_s: float) -> None:
-        """Refuse a rate too fast for the vehicle's velocity loop, and a latency shorter than a tick.
-
-        Args:
-            lag_s: group delay of the velocity loop.
-            period_s: of a tick.
-
-        Raises:
-            ConfigError: which value, what is allowed.
-        """
+        """Refuse a rate too fast for the vehicle's velocity loop, and a latency shorter than a tick."""
         if self.rate_1_s * lag_s > PART_OF_LAG:
             raise ConfigError(
                 f"fleet.rate_1_s: found {self.rate_1_s:g}; with a lag of {lag_s:g} s at most "

@@ -217,13 +217,6 @@ def check_origin(name: str, origin_wgs84: Vec3) -> None:
 
     A height of 0 counts as "not known" in ArduPilot (``AP_Baro::update_field_elevation``, 4.6), which has it
     in centimetres: on the ground it resets its height datum once a second.
-
-    Args:
-        name: how the user calls it.
-        origin_wgs84: latitude and longitude in degrees, m above sea level.
-
-    Raises:
-        ConfigError: out of range, or a height of 0.
     """
     latitude_deg, longitude_deg, height_m = origin_wgs84
     if not (abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0 and -500.0 <= height_m <= 9000.0):

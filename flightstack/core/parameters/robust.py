@@ -152,12 +152,6 @@ class Robust:
         return self.gain_descent_1_s or self.gain_over_pad_1_s
 
     def margin_m(self, slope: float, sigma_xy_m: float, sigma_z_m: float) -> float:
-        """Margin on h that covers tracking and position errors.
-
-        Args:
-            slope: of the barrier where it binds; turns a horizontal error into one of h.
-            sigma_xy_m: standard deviation of vehicle minus target on x and on y; so in any direction.
-            sigma_z_m: the same upwards.
-        """
+        """Margin on h that covers tracking and position errors."""
         position_m = self.sigma_factor * hypot(slope * sigma_xy_m, sigma_z_m)
         return self.tracking_error_m_s / self.rate_1_s + position_m

@@ -86,17 +86,7 @@ class Gate:
         altitude_m: float,
         barrier_check: BarrierCheck | None,
     ) -> tuple[GateVerdict, ApprovedSetpoint | None]:
-        """Approve a velocity, or say why not.
-
-        Args:
-            velocity: the vehicle is to fly, m/s, ENU; what the barrier is checked for.
-            setpoint: that is to make it fly so; the same where its lag is not corrected for.
-            yaw_rad: heading to hold.
-            own_fresh: the own state is young enough.
-            target_fresh: the target is young enough, or the phase does not need it.
-            altitude_m: the vehicle's height above the origin.
-            barrier_check: ``None`` in phases that do not land.
-        """
+        """Approve a velocity, or say why not."""
         verdict = self.verdict(velocity, yaw_rad, own_fresh, target_fresh, altitude_m)
         kept = barrier_check is None or self.keeps_promise(velocity, barrier_check)
         if verdict is GateVerdict.APPROVED and not kept:

@@ -31,15 +31,10 @@ EMPTY = -1.0  # multiplier where no point of the box meets the half-space
 
 
 class Projection(NamedTuple):
-    """The minimiser and its multiplier.
+    """The minimiser and its multiplier."""
 
-    Attributes:
-        point: m/s.
-        multiplier: lambda of the half-space; 0 if that does not bind, infinite if no finite one meets it.
-    """
-
-    point: Vec3
-    multiplier: float
+    point: Vec3  # m/s
+    multiplier: float  # lambda of the half-space; 0 if that does not bind, infinite if no finite one meets it
 
 
 def project(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3) -> Vec3 | None:

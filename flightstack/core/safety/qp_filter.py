@@ -66,11 +66,7 @@ class Program(Protocol):
 
 
 def solver_settings(osqp: Any) -> Any:
-    """Settings with which a result depends on the numbers of its tick alone.
-
-    Args:
-        osqp: module ``osqp.ext_builtin``.
-    """
+    """Settings with which a result depends on the numbers of its tick alone."""
     settings = osqp.OSQPSettings()
     osqp.osqp_set_default_settings(settings)
     settings.verbose = 0
@@ -84,11 +80,7 @@ def solver_settings(osqp: Any) -> Any:
 
 
 class SafetyFilter:
-    """The quadratic program, allocated once.
-
-    Args:
-        omega_1_s: rate at which h may be used up, class-K function omega(h) = omega_1_s * h (paper: 0.7).
-    """
+    """The quadratic program, allocated once."""
 
     def __init__(self, omega_1_s: float) -> None:
         osqp = compiled_solver()
@@ -110,16 +102,7 @@ class SafetyFilter:
     def solve(
         self, nominal: Vec3, h_m: float, gradient: Vec3, dh_dt_m_s: float, lower: Vec3, upper: Vec3
     ) -> FilterResult:
-        """Filter one nominal velocity.
-
-        Args:
-            nominal: u', m/s, ENU.
-            h_m: barrier value.
-            gradient: its derivative with respect to position.
-            dh_dt_m_s: its partial derivative with respect to time.
-            lower: lower corner of the admissible box, m/s.
-            upper: upper corner, m/s.
-        """
+        """Filter one nominal velocity."""
         bound = -self.omega_1_s * h_m - dh_dt_m_s
         gx, gy, gz = gradient
         finite = bound + gx + gy + gz + nominal[0] + nominal[1] + nominal[2] + lower[0] + lower[1] + lower[2]
@@ -174,16 +157,6 @@ def data_and_start(
     """Numbers of the program that change, and the point and multipliers from which the solver starts.
 
     The start is optimal where u - u' - multiplier g + y = 0, with y of the sides of the box that bind.
-
-    Args:
-        nominal: u', m/s.
-        gradient: of the barrier.
-        bound: least ``gradient . u``, m/s.
-        lower: corner of the box, m/s.
-        upper: the other, m/s.
-        infinity: that of the solver.
-        point: exact solution, m/s.
-        multiplier: its one of the barrier; infinite if none is.
     """
     multiplier = multiplier if math.isfinite(multiplier) else 0.0
     (nx, ny, nz), (gx, gy, gz), (lx, ly, lz), (hx, hy, hz) = nominal, gradient, lower, upper

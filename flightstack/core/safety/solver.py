@@ -30,11 +30,7 @@ class Columns(NamedTuple):
 
 
 def columns(dense: NDArray[np.float64]) -> Columns:
-    """Return a matrix by its columns; its zeros are left out.
-
-    Args:
-        dense: (m, n).
-    """
+    """Return a matrix by its columns; its zeros are left out."""
     column, row = np.nonzero(dense.T)
     ends = np.concatenate(([0], np.cumsum(np.count_nonzero(dense, axis=0))))
     return Columns(
@@ -44,11 +40,7 @@ def columns(dense: NDArray[np.float64]) -> Columns:
 
 @cache
 def compiled_solver() -> Any:
-    """Return the module ``osqp.ext_builtin``; a later import of ``osqp`` finds the same one.
-
-    Raises:
-        ModuleNotFoundError: OSQP is not installed, or without its built-in solver.
-    """
+    """Return the module ``osqp.ext_builtin``; a later import of ``osqp`` finds the same one."""
     if _NAME in sys.modules:
         return sys.modules[_NAME]
     package = find_spec("osqp")
@@ -62,11 +54,7 @@ def compiled_solver() -> Any:
 
 
 def matrix(dense: NDArray[np.float64]) -> Any:
-    """Return a matrix as the solver takes it.
-
-    Args:
-        dense: (m, n); its zeros are left out.
-    """
+    """Return a matrix as the solver takes it."""
     solver = compiled_solver()
     if _SPARSE in sys.modules:
         return solver.CSC(sys.modules[_SPARSE].csc_matrix(dense))

@@ -74,11 +74,7 @@ class RobustFilter(Strategy):
 
     @staticmethod
     def check_config(config: FlightConfig) -> None:
-        """Refuse values that contradict each other, or for which there is no proof.
-
-        Raises:
-            ConfigError: which value, what is allowed.
-        """
+        """Refuse values that contradict each other, or for which there is no proof."""
         refuse(config)
 
     def take(self, sample: TargetSample) -> None:
@@ -270,17 +266,7 @@ def approach(
     e_m: Vec3, above_m: float, over_1_s: float, gain_1_s: float, target_m_s: Vec3, fastest_m_s: float,
     slowest_m_s: float,
 ) -> Vec3:  # fmt: skip
-    """Velocity towards a place low above the pad.
-
-    Args:
-        e_m: vehicle minus landing spot.
-        above_m: height above that place.
-        over_1_s: horizontal gain.
-        gain_1_s: vertical gain.
-        target_m_s: velocity of the target.
-        fastest_m_s: descent relative to it, while above that place.
-        slowest_m_s: the same.
-    """
+    """Velocity towards a place low above the pad."""
     x, y, z = nominal_velocity((e_m[0], e_m[1], above_m), (over_1_s, over_1_s, gain_1_s), target_m_s)
     if above_m > 0.0:
         z = min(max(z, target_m_s[2] - fastest_m_s), target_m_s[2] - slowest_m_s)
@@ -295,14 +281,6 @@ def height_ahead(
 
     Far out that is its ring, over which the way leads. Near the middle it is where the vehicle comes to
     rest, if that is on the other side: the barrier sees an overshoot only when the middle has been passed.
-
-    Args:
-        e_m: vehicle minus landing spot.
-        d_m: its horizontal length.
-        slip_m_s: horizontal velocity relative to the target.
-        brakes_m_s2: with which the vehicle comes to rest.
-        alpha_1_m: of the barrier.
-        beta_m: of the barrier.
     """
     ex, ey, _ = e_m
     if d_m > 1.0 / alpha_1_m:

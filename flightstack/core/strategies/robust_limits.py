@@ -7,11 +7,7 @@ from flightstack.core.parameters.flight import FlightConfig
 
 
 def refuse(config: FlightConfig) -> None:
-    """Refuse them.
-
-    Raises:
-        ConfigError: which value, what is allowed.
-    """
+    """Refuse them."""
     _refuse_loop(config)
     checks, link, period_s = config.checks, config.target, 1.0 / config.loop.rate_hz
     sample_s, lag_s = link.delay_s + 1.0 / config.envelope.target_rate_hz, config.velocity_loop.lag_xy_s

@@ -51,14 +51,6 @@ def lead_observed(
     """Velocity by the model, its derivative, and the disturbance, a tick later.
 
     The model goes by the set-point alone; what the velocity differs by is low-passed.
-
-    Args:
-        lead: its numbers.
-        v: velocity measured.
-        u: set-point in force.
-        m: velocity by the model.
-        dm: its derivative, without the disturbance.
-        d: disturbance.
     """
     t, _, w, _, _, damping, most_m_s, _, share = lead
     dm += t * (w * w * (u - m) - 2.0 * damping * w * dm)
@@ -71,17 +63,7 @@ def lead_observed(
 def lead_commanded(
     lead: Lead, b: float, r: float, v: float, s: float, d: float, most: float
 ) -> tuple[float, float]:
-    """Smoothed derivative of the velocity wanted, and set-point.
-
-    Args:
-        lead: its numbers.
-        b: velocity wanted a tick ago.
-        r: velocity wanted now.
-        v: velocity measured.
-        s: smoothed derivative a tick ago.
-        d: disturbance.
-        most: bound of the set-point.
-    """
+    """Smoothed derivative of the velocity wanted, and set-point."""
     t, lag_s, _, gain, error_max_m_s, _, _, share, _ = lead
     s += share * ((r - b) / t - s)
     u = r + lag_s * s + gain * (r - v) - d
@@ -130,16 +112,7 @@ def feedback_commanded(
 def lead_of(
     loop: VelocityLoop, lag_s: float, rate_1_s: float, gain: float, error_max_m_s: float, period_s: float
 ) -> Lead:
-    """Numbers of the lead on an axis.
-
-    Args:
-        loop: the vehicle's velocity loop.
-        lag_s: its group delay at low frequency, on this axis.
-        rate_1_s: its natural frequency.
-        gain: k above.
-        error_max_m_s: of set-point against velocity: a loop that tilts hard loses lift.
-        period_s: of a tick.
-    """
+    """Numbers of the lead on an axis."""
     slope_share = min(1.0, period_s / loop.slope_time_s)
     disturbance_share = min(1.0, period_s / loop.disturbance_time_s)
     return (
@@ -162,21 +135,14 @@ def feedback_of(loop: VelocityLoop, feedback: VelocityFeedback, delay_s: float, 
 
 
 class VelocityTracking:
-    """The corrections; call ``observe`` once a tick and ``command`` when a set-point goes out.
-
-    Args:
-        loop: the vehicle's velocity loop.
-        period_s: of a tick.
-        feedback: of its state, if asked for.
-        delay_s: age of a velocity that is measured.
-    """
+    """The corrections; call ``observe`` once a tick and ``command`` when a set-point goes out."""
 
     memory: TrackingMemory
     late: LateMemory
     by_feedback: bool  # horizontally; upwards always the lead, for there is no tilt in between
     lead_xy: Lead
     lead_z: Lead
-    feedback: Feedback
+    feedback: Feedback  # numbers of the feedback
     far_feedback: Feedback
     late_ticks: int
 
@@ -201,12 +167,7 @@ class VelocityTracking:
         self._carried: tuple[object, tuple[tuple[float, float], Vec3]] = (None, ((0.0, 0.0), ZERO))
 
     def observe(self, velocity_enu_m_s: Vec3, commanding: bool) -> None:
-        """Compare the velocity with what the model expects of the last set-point.
-
-        Args:
-            velocity_enu_m_s: measured now.
-            commanding: the last set-point was flown; if not, the model follows the measurement.
-        """
+        """Compare the velocity with what the model expects of the last set-point."""
         memory = self.memory
         if not commanding:
             memory.model_m_s, memory.model_m_s2, memory.slope_m_s2 = velocity_enu_m_s, ZERO, ZERO
@@ -264,17 +225,7 @@ class VelocityTracking:
         least_z_m_s: float = -math.inf,
         far: bool = False,
     ) -> Vec3:
-        """Set-point that makes the vehicle fly the reference.
-
-        Args:
-            before_m_s: reference the present one was reached from within a tick.
-            reference_m_s: velocity wanted now.
-            velocity_m_s: measured now.
-            most_m_s: bound of the set-point on each axis.
-            least_z_m_s: lowest vertical velocity that the set-point may lead to if it stays the last one: the
-                set-point itself and the disturbance that was learned.
-            far: farther from the landing spot than ``far_m`` of the feedback.
-        """
+        """Set-point that makes the vehicle fly the reference."""
         memory, b, r, v = self.memory, before_m_s, reference_m_s, velocity_m_s
         if self.late_ticks:
             v = self.carried(v)[1]

@@ -60,11 +60,7 @@ class _Noise(NamedTuple):
 
 
 class TargetEstimator:
-    """The filter; ``memory`` is all of its state.
-
-    Args:
-        link: noise of samples and target.
-    """
+    """The filter; ``memory`` is all of its state."""
 
     memory: MotionMemory
     growth2_max: float
@@ -92,17 +88,7 @@ class TargetEstimator:
         position_sigma_m: float = 0.0,
         velocity_sigma_m_s: float = 0.0,
     ) -> None:
-        """Take a sample; one that is older than the last, or follows a long gap, starts anew.
-
-        Args:
-            time_s: stamp of the measurement, on the sender's clock.
-            position_enu_m: measured.
-            velocity_enu_m_s: measured.
-            yaw_rad: measured; not finite if unknown, then it is taken not to turn.
-            position_sigma_m: standard deviation of x and of y, where the sender says that it is larger than
-                configured; a sender that says less is not believed.
-            velocity_sigma_m_s: likewise.
-        """
+        """Take a sample; one that is older than the last, or follows a long gap, starts anew."""
         memory, xy, z = self.memory, self.noise_xy, self.noise_z
         dt_s, before_rad = time_s - memory.time_s, memory.yaw_rad
         memory.time_s = time_s
@@ -159,11 +145,7 @@ class TargetEstimator:
         return raised_jerk2(self.noise_xy.jerk2, self.growth2_max, self.memory.surprise)
 
     def at(self, time_s: float) -> TargetMotion:
-        """Carry the newest estimate to another time, on the sender's clock.
-
-        Raises:
-            ValueError: there has been no sample.
-        """
+        """Carry the newest estimate to another time, on the sender's clock."""
         memory = self.memory
         dt_s = time_s - memory.time_s
         if math.isnan(dt_s):
@@ -305,16 +287,7 @@ _Gains = tuple[float, float, float, float, float, float]  # of position, then of
 def _correct(
     covariance: Covariance, position2: float, velocity2: float
 ) -> tuple[Covariance, _Gains, tuple[float, float]]:
-    """Position and velocity are measured with independent noise: one scalar update after the other.
-
-    Args:
-        covariance: before.
-        position2: square of the position's noise.
-        velocity2: of the velocity's.
-
-    Returns:
-        Covariance, gains, and one over the variance by which position and velocity are expected to miss.
-    """
+    """Position and velocity are measured with independent noise: one scalar update after the other."""
     pp, pv, pa, vv, va, aa = covariance
     s = 1.0 / (pp + position2)
     kp, kv, ka = pp * s, pv * s, pa * s
@@ -351,17 +324,7 @@ def carried(
     jerk2_xy: float,
     jerk2_z: float,
 ) -> tuple[Vec3, Vec3, Vec3, float, float, float]:
-    """State at another time, and standard deviations: position on x and y, on z, velocity on x and y.
-
-    Args:
-        state: estimated.
-        covariances: of x and y, and of z.
-        turned_rad: angle by which the velocity turns until then.
-        fading: the time, with an acceleration that fades.
-        lasting: the time, with one that lasts.
-        jerk2_xy: square of the jerk on x and y.
-        jerk2_z: on z.
-    """
+    """State at another time, and standard deviations: position on x and y, on z, velocity on x and y."""
     position, velocity, acceleration = _moved(state, turned_rad, fading, lasting)
     if fading[0] < 0.0:  # it was no less certain then
         fading = lasting = _NOW
@@ -387,19 +350,7 @@ def updated(
     measured_m: Vec3,
     measured_m_s: Vec3,
 ) -> tuple[_State, Covariance, Covariance, float]:
-    """State and covariances after a sample, and the mean of the normalised innovations squared on x and y.
-
-    Args:
-        state: at the sample before.
-        covariances: of x and y, and of z, then.
-        turned_rad: angle by which the velocity has turned since.
-        fading: the time since, with an acceleration that fades.
-        lasting: the time since, with one that lasts.
-        noise_xy: squares of the noise of position and velocity, and of the jerk, on x and y.
-        noise_z: on z.
-        measured_m: position.
-        measured_m_s: velocity.
-    """
+    """State and covariances after a sample, and the mean of the normalised innovations squared on x and y."""
     (p, q, r), (u, v, w), (a, b, c) = _moved(state, turned_rad, fading, lasting)
     covariance_xy, gains_xy, weights = _correct(
         _propagate(covariances[0], fading, noise_xy[2]), noise_xy[0], noise_xy[1]

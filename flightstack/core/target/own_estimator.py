@@ -91,28 +91,18 @@ def steady_gains(loop: VelocityLoop, link: OwnStateLink, period_s: float) -> Gai
 
 
 class OwnEstimator:
-    """Call ``step`` once a tick, and ``told`` for each set-point; ``memory`` is all that it remembers.
-
-    Attributes:
-        model: of an axis: period of a tick, s, square of its rate, drag, and what a tick leaves of e and f.
-        gains: of the Kalman filter.
-        ahead: ticks from the newest sample to now.
-
-    Args:
-        link: how the own state comes.
-        loop: the vehicle's velocity loop.
-        period_s: of a tick.
-    """
+    """Call ``step`` once a tick, and ``told`` for each set-point; ``memory`` is all that it remembers."""
 
     memory: OwnMemory
-    gains: Gains
+    gains: Gains  # gains of the Kalman filter
+    # model of an axis: period of a tick, s, square of its rate, drag, and what a tick leaves of e and f
     model: Model
-    period_s: float
+    period_s: float  # period of a tick
     delay_s: float
     push_1_s: float  # push over the disturbance of the velocity
     rate_up_1_s: float
     most_m_s: float
-    ahead: int
+    ahead: int  # ticks from the newest sample to now
     gap_max: int
 
     def __init__(self, link: OwnStateLink, loop: VelocityLoop, period_s: float) -> None:

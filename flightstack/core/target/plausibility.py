@@ -39,17 +39,10 @@ def repeats(before: Vec3, after: Vec3, velocity_m_s: Vec3, standing_m_s: float =
 
 
 class Plausibility:
-    """Watches own state and set-points; ``memory`` is all of its state.
-
-    Args:
-        config: of the flight; ``checks`` holds the bounds.
-
-    Attributes:
-        tracking_lag_max_m: bound of ``tracking_lag_m``: ``checks.follow_lag_max_s`` at the highest horizontal
-            velocity.
-    """
+    """Watches own state and set-points; ``memory`` is all of its state."""
 
     memory: PlausibilityMemory
+    # bound of ``tracking_lag_m``: ``checks.follow_lag_max_s`` at the highest horizontal velocity
     tracking_lag_max_m: float
     period_s: float
     kept: float
@@ -74,12 +67,7 @@ class Plausibility:
         return norm(self.memory.missed_m)
 
     def take(self, own: OwnState, flies: bool = False) -> None:
-        """Look at the newest own state; the same one again is no news.
-
-        Args:
-            own: newest own state.
-            flies: the vehicle is in the air and follows set-points.
-        """
+        """Look at the newest own state; the same one again is no news."""
         memory, last = self.memory, self.memory.last
         if last is not None and own.arrival_s == last.arrival_s:
             return
@@ -129,17 +117,7 @@ class Plausibility:
 
 @numeric
 def drifted(d: Vec3, p0: Vec3, p: Vec3, v0: Vec3, v: Vec3, dt_s: float, memory_s: float) -> Vec3:
-    """Change of the position that no velocity explains, after another state.
-
-    Args:
-        d: until the last state, m.
-        p0: position then, m.
-        p: position now, m.
-        v0: velocity then, m/s.
-        v: velocity now, m/s.
-        dt_s: between the two.
-        memory_s: in which it is forgotten.
-    """
+    """Change of the position that no velocity explains, after another state."""
     kept, half = math.exp(-dt_s / memory_s), 0.5 * dt_s
     return (
         kept * (d[0] + (p[0] - p0[0]) - half * (v[0] + v0[0])),

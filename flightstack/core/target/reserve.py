@@ -35,32 +35,17 @@ class Told:
 
 
 class ReserveEstimate:
-    """Call ``step`` once a tick; ``memory`` is all that it remembers.
-
-    Args:
-        table: of the configuration.
-        most_m_s2: acceleration of the velocity wanted, with all reserve.
-        period_s: of a tick.
-
-    Attributes:
-        most_m_s2: acceleration of the velocity wanted, with all reserve.
-        share: of a tick in the average.
-        lasting_m_s: velocity that the acceleration of gravity gives in the time of the average.
-        least: reserve with which it is fit to land.
-        reserve: largest thrust over weight; NaN while it is not known.
-        charge: what the battery is fit for.
-        acceleration_max_m_s2: of the velocity wanted, ENU; upwards on z.
-    """
+    """Call ``step`` once a tick; ``memory`` is all that it remembers."""
 
     memory: ReserveMemory
     told: Told
-    most_m_s2: Vec3
-    share: float
-    lasting_m_s: float
-    least: float
-    reserve: float
-    charge: Charge
-    acceleration_max_m_s2: Vec3
+    most_m_s2: Vec3  # acceleration of the velocity wanted, with all reserve
+    share: float  # weight of a tick in the average
+    lasting_m_s: float  # velocity that the acceleration of gravity gives in the time of the average
+    least: float  # reserve with which it is fit to land
+    reserve: float  # largest thrust over weight; NaN while it is not known
+    charge: Charge  # what the battery is fit for
+    acceleration_max_m_s2: Vec3  # limit of the velocity wanted, ENU; upwards on z
     _part: float  # of the reserve that is used
 
     def __init__(self, table: Reserve, most_m_s2: Vec3, period_s: float) -> None:
@@ -77,15 +62,7 @@ class ReserveEstimate:
     def step(
         self, power: Power | None, status: VehicleStatus | None, rise_m_s: float, now_s: float, *, flies: bool
     ) -> None:
-        """Update the estimate of the reserve with the inputs of this tick.
-
-        Args:
-            power: newest of the vehicle.
-            status: newest of the vehicle.
-            rise_m_s: vertical velocity.
-            now_s: stack clock.
-            flies: it flies our velocities, away from the ground, so that its throttle is that of a flight.
-        """
+        """Update the estimate of the reserve with the inputs of this tick."""
         fresh = power is not None and now_s - power.arrival_s <= AGE_MAX_S
         standing = status is None or not status.armed
         self.hear(power if fresh else None, standing)

@@ -74,20 +74,12 @@ def strayed2_m2(before_m: Vec3, before_m_s: Vec3, after_m: Vec3, after_m_s: Vec3
 
 
 class TargetTrack:
-    """Newest believed sample, and the counts of the others; ``memory`` is all of its state.
-
-    Args:
-        checks: of the configuration.
-        tick_s: period in which arrivals are noted.
-
-    Attributes:
-        stepped_s: by how much the sender's clock was set with the newest sample, forward positive; 0: it was
-            not.
-    """
+    """Newest believed sample, and the counts of the others; ``memory`` is all of its state."""
 
     memory: TrackMemory
+    # step of the sender's clock with the newest sample, s, forward positive; 0: it was not set
     stepped_s: float
-    _checks: Checks
+    _checks: Checks  # limits of the configuration
     _clock: SenderClock
 
     def __init__(self, checks: Checks, tick_s: float = 0.0) -> None:
