@@ -70,11 +70,6 @@ class Barrier:
         return cls.from_peak(peak_height_m, peak_height_m * math.tan(cone_half_angle_rad), smoothing_m)
 
     @property
-    def numbers(self) -> Vec3:
-        """alpha in 1/m, beta and smoothing in m."""
-        return (self.alpha_1_m, self.beta_m, self.smoothing_m)
-
-    @property
     def peak_height_m(self) -> float:
         """Height of the boundary's highest ring."""
         return self.beta_m / E
@@ -95,7 +90,8 @@ class Barrier:
 
     def slope(self, d_m: float) -> float:
         """Slope b'(d) of the boundary at horizontal distance ``d_m``."""
-        return boundary_slope(self.alpha_1_m, self.beta_m, d_m)
+        ad = self.alpha_1_m * d_m
+        return self.beta_m * self.alpha_1_m * (1.0 - ad) * math.exp(-ad)
 
     def h(self, e_m: Vec3) -> float:
         """Barrier value in metres at the relative position ``e_m`` (eq. 9)."""
@@ -113,7 +109,17 @@ class Barrier:
             e_m: relative position the motion begins at.
             moved_m: its horizontal length, in any direction.
         """
-        return linearisation_bound(self.alpha_1_m, self.beta_m, self.smoothing_m, e_m, moved_m)
+        d2 = e_m[0] * e_m[0] + e_m[1] * e_m[1]
+        d, r = math.sqrt(d2), math.sqrt(d2 + self.smoothing_m * self.smoothing_m)
+        gap = r - d
+        if moved_m <= gap:
+            turned = moved_m * gap / r  # straight out
+        elif moved_m < r + d:
+            turned = (gap * gap + moved_m * moved_m) / (2.0 * r)
+        else:
+            turned = moved_m * (1.0 + d / r) - 2.0 * d  # straight across the axis
+        bend_1_m = self.alpha_1_m * self.alpha_1_m * self.beta_m * _BEND_MOST
+        return abs(self.slope(d)) * turned + 0.5 * bend_1_m * moved_m * moved_m
 
     def evaluate(self, e_m: Vec3, target_velocity_enu_m_s: Vec3) -> tuple[float, Vec3, float]:
         """Barrier value, gradient with respect to the vehicle's position, and time derivative (eq. 9, 10).
@@ -122,7 +128,16 @@ class Barrier:
             ``(h_m, gradient, dh_dt_m_s)``. The barrier moves with the target, so that the time derivative is
             minus the gradient times the target's velocity, heave included (the paper sets heave to zero).
         """
-        return evaluated(self.alpha_1_m, self.beta_m, self.smoothing_m, e_m, target_velocity_enu_m_s)
+        ex, ey, ez = e_m
+        d2 = ex * ex + ey * ey
+        d = math.sqrt(d2)
+        ad = self.alpha_1_m * d
+        decay = self.beta_m * self.alpha_1_m * math.exp(-ad)
+        # decay * (1 - ad) is b'(d); dividing by the smoothed length makes e a direction, 0 at d = 0
+        factor = -decay * (1.0 - ad) / math.sqrt(d2 + self.smoothing_m * self.smoothing_m)
+        gx, gy = factor * ex, factor * ey
+        vx, vy, vz = target_velocity_enu_m_s
+        return ez - decay * d, (gx, gy, 1.0), -(gx * vx + gy * vy + vz)
 
 
 @numeric
@@ -133,48 +148,6 @@ def boundary_height(alpha_1_m: float, beta_m: float, d_m: float) -> float:
 
 
 @numeric
-def boundary_slope(alpha_1_m: float, beta_m: float, d_m: float) -> float:
-    """``Barrier.slope``."""
-    ad = alpha_1_m * d_m
-    return beta_m * alpha_1_m * (1.0 - ad) * math.exp(-ad)
-
-
-@numeric
 def barrier_h(alpha_1_m: float, beta_m: float, e_m: Vec3) -> float:
     """``Barrier.h``."""
     return e_m[2] - boundary_height(alpha_1_m, beta_m, math.sqrt(e_m[0] * e_m[0] + e_m[1] * e_m[1]))
-
-
-@numeric
-def linearisation_bound(
-    alpha_1_m: float, beta_m: float, smoothing_m: float, e_m: Vec3, moved_m: float
-) -> float:
-    """``Barrier.linearisation_bound_m``."""
-    d2 = e_m[0] * e_m[0] + e_m[1] * e_m[1]
-    d, r = math.sqrt(d2), math.sqrt(d2 + smoothing_m * smoothing_m)
-    gap = r - d
-    if moved_m <= gap:
-        turned = moved_m * gap / r  # straight out
-    elif moved_m < r + d:
-        turned = (gap * gap + moved_m * moved_m) / (2.0 * r)
-    else:
-        turned = moved_m * (1.0 + d / r) - 2.0 * d  # straight across the axis
-    bend_1_m = alpha_1_m * alpha_1_m * beta_m * _BEND_MOST
-    return abs(boundary_slope(alpha_1_m, beta_m, d)) * turned + 0.5 * bend_1_m * moved_m * moved_m
-
-
-@numeric
-def evaluated(
-    alpha_1_m: float, beta_m: float, smoothing_m: float, e_m: Vec3, target_velocity_enu_m_s: Vec3
-) -> tuple[float, Vec3, float]:
-    """``Barrier.evaluate``."""
-    ex, ey, ez = e_m
-    d2 = ex * ex + ey * ey
-    d = math.sqrt(d2)
-    ad = alpha_1_m * d
-    decay = beta_m * alpha_1_m * math.exp(-ad)
-    # decay * (1 - ad) is b'(d); dividing by the smoothed length makes e a direction, 0 at d = 0
-    factor = -decay * (1.0 - ad) / math.sqrt(d2 + smoothing_m * smoothing_m)
-    gx, gy = factor * ex, factor * ey
-    vx, vy, vz = target_velocity_enu_m_s
-    return ez - decay * d, (gx, gy, 1.0), -(gx * vx + gy * vy + vz)

@@ -12,7 +12,7 @@ import math
 from typing import NamedTuple
 
 from flightstack.core.numeric import numeric
-from flightstack.core.safety.barrier import Barrier, barrier_h, evaluated, linearisation_bound
+from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Vec3
 
 
@@ -34,50 +34,23 @@ class RobustBarrier(NamedTuple):
 
         The margin bends by 2 m / w^2 exp(-(d/w)^2) at most, most of all where the motion comes nearest.
         """
-        return robust_bound(self.barrier.numbers, self.margin_m, self.fade_radius_m, e_m, moved_m)
+        d_m = math.sqrt(e_m[0] * e_m[0] + e_m[1] * e_m[1])
+        near = max(0.0, d_m - moved_m) / self.fade_radius_m
+        share = moved_m / self.fade_radius_m
+        bend_m = self.margin_m * share * share * math.exp(-near * near)
+        return self.barrier.linearisation_bound_m(e_m, moved_m) + bend_m
 
     def h(self, e_m: Vec3) -> float:
         """Value in metres at the relative position ``e_m``."""
-        return robust_h(self.barrier.numbers, self.margin_m, self.fade_radius_m, e_m)
+        x = (e_m[0] * e_m[0] + e_m[1] * e_m[1]) / (self.fade_radius_m * self.fade_radius_m)
+        return self.barrier.h(e_m) - self.margin_m * (1.0 - math.exp(-x))
 
     def evaluate(self, e_m: Vec3, target_velocity_enu_m_s: Vec3) -> tuple[float, Vec3, float]:
         """Value, gradient by the vehicle's position, time derivative; as ``Barrier.evaluate``."""
-        return robust_evaluated(
-            self.barrier.numbers, self.margin_m, self.fade_radius_m, e_m, target_velocity_enu_m_s
-        )
-
-
-_Numbers = tuple[float, float, float]  # of the barrier: alpha in 1/m, beta and smoothing in m
-
-
-@numeric
-def robust_h(barrier: _Numbers, margin_m: float, fade_radius_m: float, e_m: Vec3) -> float:
-    """``RobustBarrier.h``."""
-    x = (e_m[0] * e_m[0] + e_m[1] * e_m[1]) / (fade_radius_m * fade_radius_m)
-    return barrier_h(barrier[0], barrier[1], e_m) - margin_m * (1.0 - math.exp(-x))
-
-
-@numeric
-def robust_bound(
-    barrier: _Numbers, margin_m: float, fade_radius_m: float, e_m: Vec3, moved_m: float
-) -> float:
-    """``RobustBarrier.linearisation_bound_m``."""
-    near = max(0.0, math.sqrt(e_m[0] * e_m[0] + e_m[1] * e_m[1]) - moved_m) / fade_radius_m
-    share = moved_m / fade_radius_m
-    bend_m = margin_m * share * share * math.exp(-near * near)
-    return linearisation_bound(barrier[0], barrier[1], barrier[2], e_m, moved_m) + bend_m
-
-
-@numeric
-def robust_evaluated(
-    barrier: _Numbers, margin_m: float, fade_radius_m: float, e_m: Vec3, target_velocity_enu_m_s: Vec3
-) -> tuple[float, Vec3, float]:
-    """``RobustBarrier.evaluate``."""
-    alpha_1_m, beta_m, smoothing_m = barrier
-    h, (gx, gy, _), _ = evaluated(alpha_1_m, beta_m, smoothing_m, e_m, target_velocity_enu_m_s)
-    w2 = fade_radius_m * fade_radius_m
-    decay = math.exp(-(e_m[0] * e_m[0] + e_m[1] * e_m[1]) / w2)
-    slope = 2.0 * margin_m / w2 * decay
-    gx, gy = gx - slope * e_m[0], gy - slope * e_m[1]
-    vx, vy, vz = target_velocity_enu_m_s
-    return h - margin_m * (1.0 - decay), (gx, gy, 1.0), -(gx * vx + gy * vy + vz)
+        h, (gx, gy, _), _ = self.barrier.evaluate(e_m, target_velocity_enu_m_s)
+        w2 = self.fade_radius_m * self.fade_radius_m
+        decay = math.exp(-(e_m[0] * e_m[0] + e_m[1] * e_m[1]) / w2)
+        slope = 2.0 * self.margin_m / w2 * decay
+        gx, gy = gx - slope * e_m[0], gy - slope * e_m[1]
+        vx, vy, vz = target_velocity_enu_m_s
+        return h - self.margin_m * (1.0 - decay), (gx, gy, 1.0), -(gx * vx + gy * vy + vz)

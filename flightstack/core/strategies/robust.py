@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 
-from flightstack.core.numeric import hypot, numeric, rare
+from flightstack.core.numeric import hypot, rare
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.safety.barrier import Barrier, E, barrier_h, boundary_height
+from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.position_loop import limit, nominal_velocity
 from flightstack.core.safety.robust_barrier import RobustBarrier
 from flightstack.core.snapshot import Relative
@@ -151,8 +151,9 @@ class RobustFilter(Strategy):
         measured. Of h counts what is left when the vertical loop has caught up with the velocity wanted.
         """
         v, t = at.own.velocity_enu_m_s, at.target.velocity_enu_m_s
-        left_m = height_left(h_m, self._lag_z_s, v[2], before_m_s[2])
-        return least_climb(gradient, v, t, min(self.rate_1_s * left_m, self._braked_m_s(left_m)))
+        left_m = h_m + self._lag_z_s * min(0.0, v[2] - before_m_s[2])
+        sinks_m_s = min(self.rate_1_s * left_m, self._braked_m_s(left_m))
+        return t[2] - sinks_m_s - (gradient[0] * (v[0] - t[0]) + gradient[1] * (v[1] - t[1]))
 
     def _braked_m_s(self, left_m: float) -> float:
         """Fastest descent that the upward acceleration left ends within a height; inf with all of it.
@@ -160,7 +161,9 @@ class RobustFilter(Strategy):
         The acceleration is what the thrust reserve allows in this tick; the configured one is quick enough
         for the rates of the filter, which the certificate shows.
         """
-        return braked_m_s(left_m, self.acceleration_max_m_s2[2]) if self._weighs else math.inf
+        if not self._weighs:
+            return math.inf
+        return math.sqrt(2.0 * BRAKING * self.acceleration_max_m_s2[2] * max(0.0, left_m))
 
     def approach_m_s(self, at: Relative, over_pad: bool) -> Vec3:
         """To a place low above the pad's middle, where it waits until it may go down in one go."""
@@ -170,8 +173,11 @@ class RobustFilter(Strategy):
         gain = robust.gain_1_s
         over = robust.gain_over_pad_1_s if over_pad else gain
         above = e[2] - robust.wait_height_m - self._ahead_m(e, slip)
-        fastest_m_s = min(robust.descent_max_m_s, self._braked_m_s(above))
-        return approach(e, above, over, gain, t, fastest_m_s, robust.descent_min_m_s)
+        x, y, z = nominal_velocity((e[0], e[1], above), (over, over, gain), t)
+        if above > 0.0:
+            fastest_m_s = min(robust.descent_max_m_s, self._braked_m_s(above))
+            z = min(max(z, t[2] - fastest_m_s), t[2] - robust.descent_min_m_s)
+        return (x, y, z)
 
     @rare
     def _then(self, at: Relative) -> tuple[Vec3, tuple[float, float]]:
@@ -182,9 +188,18 @@ class RobustFilter(Strategy):
         return (ex + x - late_s * tx, ey + y - late_s * ty, ez), (vx - tx, vy - ty)
 
     def _ahead_m(self, e_m: Vec3, slip_m_s: tuple[float, float]) -> float:
-        """Height of the boundary ahead that no velocity in the box may be quick enough for."""
-        barrier, d_m = self._barrier, hypot(e_m[0], e_m[1])
-        return height_ahead(e_m, d_m, slip_m_s, self.brakes_m_s2, barrier.alpha_1_m, barrier.beta_m)
+        """Height of the boundary ahead that no velocity in the box may be quick enough for.
+
+        Far out that is its ring, over which the way leads. Near the middle it is where the vehicle comes to
+        rest, if that is on the other side: the barrier sees an overshoot only past the middle.
+        """
+        (ex, ey, _), (vx, vy), barrier = e_m, slip_m_s, self._barrier
+        if hypot(ex, ey) > 1.0 / barrier.alpha_1_m:
+            return barrier.peak_height_m
+        rest_s = hypot(vx, vy) / (2.0 * self.brakes_m_s2)  # at this velocity, until as far as it comes
+        if rest_s * (vx * vx + vy * vy) <= -(ex * vx + ey * vy):
+            return 0.0  # on this side
+        return barrier.height(hypot(ex + rest_s * vx, ey + rest_s * vy))
 
     def descent_m_s(self, at: Relative) -> Vec3:
         """Straight down over the pad's middle."""
@@ -214,23 +229,25 @@ class RobustFilter(Strategy):
         standing_m = touchdown.feet_below_reference_m + self._config.contact.gap_m
         if d_m <= touchdown.pad_radius_m and z < standing_m:
             return True
+        vx, vy = at.slip_m_s
+        if not (z < robust.commit_height_m and hypot(vx, vy) < robust.commit_speed_m_s):
+            return False
         uncertain_m = robust.sigma_factor * at.target.position_sigma_m
-        return commits(
-            z, d_m, at.slip_m_s, uncertain_m,
-            robust.commit_height_m, robust.commit_speed_m_s, robust.commit_radius_m, robust.corridor_m,
-        )  # fmt: skip
+        return d_m < robust.commit_radius_m and d_m + uncertain_m < robust.corridor_m
 
     def stopped(self, at: Relative, command_m_s: Vec3) -> bool:
         """Commanded to sink, and not sinking: the velocity estimate tells that sooner than the height."""
-        pad_m_s, own_m_s = at.target.velocity_enu_m_s[2], at.own.velocity_enu_m_s[2]
-        return is_stopped(pad_m_s, command_m_s[2], own_m_s, self._config.robust.descent_m_s)
+        pad_m_s, descent_m_s = at.target.velocity_enu_m_s[2], self._config.robust.descent_m_s
+        commanded_m_s, sinking_m_s = pad_m_s - command_m_s[2], pad_m_s - at.own.velocity_enu_m_s[2]
+        return commanded_m_s > COMMANDED_SHARE * descent_m_s and sinking_m_s < STOPPED_SHARE * descent_m_s
 
     def drifts(self, at: Relative) -> bool:
         """Going to leave the corridor above the pad, while still high enough above the cone to climb away."""
-        corridor_m, retreat, barrier = self._config.robust.corridor_m, self._config.retreat, self._barrier
-        if barrier_h(barrier.alpha_1_m, barrier.beta_m, at.e_m) < retreat.h_left_m:
+        corridor_m, retreat, (vx, vy) = self._config.robust.corridor_m, self._config.retreat, at.slip_m_s
+        if self._barrier.h(at.e_m) < retreat.h_left_m or at.d_m < DRIFT_SHARE * corridor_m:
             return False
-        return leaves_corridor(at.e_m, at.d_m, at.slip_m_s, corridor_m, retreat.drift_time_s)
+        outward_m_s = (at.e_m[0] * vx + at.e_m[1] * vy) / at.d_m
+        return at.d_m + outward_m_s * retreat.drift_time_s > corridor_m
 
     def setpoint(
         self, before_m_s: Vec3, wanted_m_s: Vec3, velocity_m_s: Vec3, d_m: float, least_z_m_s: float
@@ -239,83 +256,3 @@ class RobustFilter(Strategy):
         far = d_m > self._config.velocity_feedback.far_m
         setpoint = self._tracking.command(before_m_s, wanted_m_s, velocity_m_s, self._most, least_z_m_s, far)
         return self.own_estimator.told(setpoint, self._most) if self._learns else setpoint
-
-
-@numeric
-def braked_m_s(left_m: float, acceleration_m_s2: float) -> float:
-    """Descent that half of an upward acceleration ends within a height."""
-    return math.sqrt(2.0 * BRAKING * acceleration_m_s2 * max(0.0, left_m))
-
-
-@numeric
-def height_left(h_m: float, lag_z_s: float, rises_m_s: float, before_m_s: float) -> float:
-    """What is left of h when the vertical loop has caught up with the velocity wanted a tick ago."""
-    return h_m + lag_z_s * min(0.0, rises_m_s - before_m_s)
-
-
-@numeric
-def least_climb(gradient: Vec3, velocity_m_s: Vec3, target_m_s: Vec3, sinks_m_s: float) -> float:
-    """Vertical velocity at which h falls by ``sinks_m_s`` at most, with the horizontal velocity that is."""
-    v, t = velocity_m_s, target_m_s
-    inward = gradient[0] * (v[0] - t[0]) + gradient[1] * (v[1] - t[1])
-    return t[2] - sinks_m_s - inward
-
-
-@numeric
-def approach(
-    e_m: Vec3, above_m: float, over_1_s: float, gain_1_s: float, target_m_s: Vec3, fastest_m_s: float,
-    slowest_m_s: float,
-) -> Vec3:  # fmt: skip
-    """Velocity towards a place low above the pad."""
-    x, y, z = nominal_velocity((e_m[0], e_m[1], above_m), (over_1_s, over_1_s, gain_1_s), target_m_s)
-    if above_m > 0.0:
-        z = min(max(z, target_m_s[2] - fastest_m_s), target_m_s[2] - slowest_m_s)
-    return (x, y, z)
-
-
-@numeric
-def height_ahead(
-    e_m: Vec3, d_m: float, slip_m_s: tuple[float, float], brakes_m_s2: float, alpha_1_m: float, beta_m: float
-) -> float:
-    """Height of the boundary ahead.
-
-    Far out that is its ring, over which the way leads. Near the middle it is where the vehicle comes to
-    rest, if that is on the other side: the barrier sees an overshoot only when the middle has been passed.
-    """
-    ex, ey, _ = e_m
-    if d_m > 1.0 / alpha_1_m:
-        return beta_m / E
-    vx, vy = slip_m_s
-    rest_s = hypot(vx, vy) / (2.0 * brakes_m_s2)  # at this velocity, until as far as it comes
-    if rest_s * (vx * vx + vy * vy) <= -(ex * vx + ey * vy):
-        return 0.0  # on this side
-    return boundary_height(alpha_1_m, beta_m, hypot(ex + rest_s * vx, ey + rest_s * vy))
-
-
-@numeric
-def commits(
-    z_m: float, d_m: float, slip_m_s: tuple[float, float], uncertain_m: float,
-    height_m: float, speed_m_s: float, radius_m: float, corridor_m: float,
-) -> bool:  # fmt: skip
-    """Whether it is low, in the middle and moving with the target."""
-    if not (z_m < height_m and hypot(slip_m_s[0], slip_m_s[1]) < speed_m_s):
-        return False
-    return d_m < radius_m and d_m + uncertain_m < corridor_m
-
-
-@numeric
-def is_stopped(pad_m_s: float, command_m_s: float, own_m_s: float, descent_m_s: float) -> bool:
-    """Whether a vehicle is told to sink towards the pad and does not; vertical velocities."""
-    commanded_m_s, sinking_m_s = pad_m_s - command_m_s, pad_m_s - own_m_s
-    return commanded_m_s > COMMANDED_SHARE * descent_m_s and sinking_m_s < STOPPED_SHARE * descent_m_s
-
-
-@numeric
-def leaves_corridor(
-    e_m: Vec3, d_m: float, slip_m_s: tuple[float, float], corridor_m: float, time_s: float
-) -> bool:
-    """Whether the vehicle is going to be outside the corridor in this time."""
-    if d_m < DRIFT_SHARE * corridor_m:
-        return False
-    outward_m_s = (e_m[0] * slip_m_s[0] + e_m[1] * slip_m_s[1]) / d_m
-    return d_m + outward_m_s * time_s > corridor_m
