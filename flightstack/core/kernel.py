@@ -16,7 +16,7 @@ from flightstack.core.memory import Memory
 from flightstack.core.mission.conditions import LANDED_SETTLE_S
 from flightstack.core.mission.guidance import towards_pad
 from flightstack.core.mission.machine import Mission
-from flightstack.core.numeric import NotOrdinary, hypot
+from flightstack.core.numeric import NotOrdinary, hypot, rare
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.gate import BarrierCheck, Gate, GateVerdict
@@ -101,9 +101,14 @@ class LandingKernel:
         verdict = self.track.accept(sample)
         if verdict is Verdict.ACCEPTED:
             if self.track.stepped_s != 0.0:
-                self.strategy.motion.time_s = math.nan  # its estimate is on the clock of before
+                self._begin_anew()
             self.strategy.take(sample)
         return verdict
+
+    @rare
+    def _begin_anew(self) -> None:
+        """Forget the estimate, which is on the clock of before."""
+        self.strategy.motion.time_s = math.nan
 
     def estimate_own(self, own: OwnState, flies: bool, now_s: float) -> OwnState:
         """Judge the own state, compare it with the velocity that is flown, and estimate that of now."""

@@ -5,6 +5,10 @@ It takes the newest sample of the target, holds the barrier itself and sends the
 
 from __future__ import annotations
 
+from typing import Annotated
+
+from flightstack.core.memory import MotionMemory
+from flightstack.core.numeric import UNSEEN
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.position_loop import nominal_velocity
@@ -19,6 +23,7 @@ class PaperFilter(Strategy):
     certificate = "flightstack.verify.certificate:paper_checks"
     watches_swinging = False  # as printed: it knows nothing of the velocity loop
     waits_filtered = False
+    motion: Annotated[MotionMemory, UNSEEN]  # it estimates nothing
     _config: FlightConfig
     _barrier: Barrier
 
