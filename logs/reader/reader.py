@@ -351,8 +351,3 @@ def _seen(records: Iterable[Any], view: MemberView) -> Iterator[Any]:
 
 def _kind_of(path: Path) -> str:
     return "folder" if path.is_dir() else "pipe, socket or device"
-
-
-def open_log(path: Path | str) -> Iterator[Message]:
-    """Yield every message of a log, whole or broken, in the order it was written."""
-    return LogFile(path).messages()

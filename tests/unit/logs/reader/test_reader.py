@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
-from logs.reader.reader import LogFile, open_log
+from logs.reader.reader import LogFile
 from logs.schema import schemas
 from logs.tools.recover import recover
 from tests.unit.logs.helpers import EPOCH_NS, record
@@ -61,7 +61,7 @@ def test_our_reader_reads_the_same(recorded):
     assert log.complete
     with AnyReader([recorded]) as reader:
         theirs = sorted((c.topic, t, bytes(d)) for c, t, d in reader.messages())
-    assert sorted((m.topic, m.log_time_ns, m.data) for m in open_log(recorded)) == theirs
+    assert sorted((m.topic, m.log_time_ns, m.data) for m in log.messages()) == theirs
     (step,) = [m for m in log.messages({"/cf1/controller/step"}) if m.sequence == 7]
     assert step.publish_time_ns == EPOCH_NS + 70_000_000
     assert step.decode().own_position_enu_m.x == 0.07
