@@ -5,8 +5,8 @@ A row has the fields of its ``.msg`` file, whose comments give units and frames;
 ``row.pack()`` gives the message as CDR, ``Row.unpack(data)`` the row. The columns are the same fields for
 numpy: arrays of shape (n,), or (n, 3) for a vector and (n, 4) for a quaternion.
 
-The types for mypy stand in ``rows.pyi``. After a change of a definition ``python -m tests.row_stubs`` makes
-it anew; a test fails as long as it differs.
+The types for mypy stand in ``rows.pyi``. After a change of a definition
+``python -m tests.unit.logs.row_stubs`` makes it anew; a test fails as long as it differs.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-# Made from the message definitions by `python -m tests.row_stubs`; changes belong there.
+# Made from the message definitions by `python -m tests.unit.logs.row_stubs`; changes belong there.
 # fmt: off
 # ruff: noqa
 from dataclasses import dataclass

@@ -30,7 +30,7 @@ from logs.schema import rows, schemas
 from logs.schema.controller_rows import TickInputs, pack_controller_input, unpack_controller_input
 from logs.schema.rows import ControllerInputRow, ControllerStepRow, LogRow, LoopTimingRow
 from logs.schema.schemas import fields_of
-from tests import row_stubs as stubs
+from tests.unit.logs import row_stubs as stubs
 
 STORE = schemas.typestore()
 T = STORE.types
@@ -151,7 +151,7 @@ def test_fields_read_from_a_definition_are_those_of_the_generic_parser(name):
 
 
 def test_the_stub_and_the_columns_are_those_of_the_definitions():
-    assert stubs.STUB.read_text(encoding="ascii") == stubs.text(), "run python -m tests.row_stubs"
+    assert stubs.STUB.read_text(encoding="ascii") == stubs.text(), "run python -m tests.unit.logs.row_stubs"
     names = [field.name for field in dataclasses.fields(Steps)]
     assert names == ["t_s", *ControllerStepRow._fields[1:]]
 

@@ -1,4 +1,4 @@
-"""Makes ``logs/schema/rows.pyi``, the types of ``rows.py`` for mypy: ``python -m tests.row_stubs``."""
+"""Makes ``logs/schema/rows.pyi``, types for mypy: ``python -m tests.unit.logs.row_stubs``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from logs.schema.schemas import Field, fields_of
 
 STUB = Path(rows.__file__).with_suffix(".pyi")
 _HEAD = """\
-# Made from the message definitions by `python -m tests.row_stubs`; changes belong there.
+# Made from the message definitions by `python -m tests.unit.logs.row_stubs`; changes belong there.
 # fmt: off
 # ruff: noqa
 from dataclasses import dataclass
