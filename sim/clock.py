@@ -17,7 +17,7 @@ _PAUSE_S = 50e-6  # s; with the system's timer slack about 0.1 ms
 
 
 class NoAnswerError(RuntimeError):
-    """Another process of the run did not show up or fell silent; the text says which and for how long."""
+    """Another process of the run did not start or stopped answering; the text names it and the time."""
 
 
 def told(what: str) -> str:

@@ -200,7 +200,7 @@ class Launcher:
                     flying.remove(flight)
                     problem = self._ended(flight) or problem
                 for child in [c for c in others if not c.alive()]:
-                    # nobody else needs it to end safely: the onboard process holds, climbs or lands away
+                    # a safe end does not need it: the onboard process holds, climbs or lands away
                     others.remove(child)
                     problem = f"{child.name} ended in flight: {child.errors() or 'no reason given'}"
                     self._print(problem, style="red")

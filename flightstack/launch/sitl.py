@@ -79,7 +79,7 @@ def _check_team(options: RunOptions, team: TeamScenario) -> None:
             raise ConfigError(f"{name} with a scenario of several vehicles: {why}; leave it out")
     if options.lockstep and options.members:
         raise ConfigError(
-            "--lockstep with --member: a vehicle from elsewhere waits for nobody; leave one out"
+            "--lockstep with --member: an external member cannot run in lockstep; leave one out"
         )
     number = len(team.member)
     if any(not 1 <= n <= number for n in options.members) or len(options.members) == number:

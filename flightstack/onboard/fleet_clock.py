@@ -3,7 +3,7 @@
 A message arrives after it was sent. With d = our clock - the other one's clock at the same moment:
 
     arrival here  - stamp of the other one  >=  d      its least value is ``ahead_ns``
-    arrival there - stamp of ours           >= -d      the other one tells its least value, ``echo_ns``
+    arrival there - stamp of ours           >= -d      the other process reports its least value, ``echo_ns``
 
 So d is between -echo_ns and ahead_ns. The middle is the estimate, and half of the width is its bound: half of
 the sum of the least delays of both directions. No delay has to be known, and they may differ. This is the
@@ -48,7 +48,7 @@ class Least:
 
 
 class OtherClock:
-    """The clock of another process; ``heard`` for each of its messages."""
+    """The clock of another process; call ``heard`` with each of its messages."""
 
     def __init__(self) -> None:
         self._ahead, self._echo = Least(), Least()
@@ -72,7 +72,7 @@ class OtherClock:
         return False
 
     def ahead_ns(self, now_ns: int) -> int | None:
-        """Return what to tell the other process as its ``echo_ns``; None: nothing heard."""
+        """Return the value to send to the other process as its ``echo_ns``; None: nothing received."""
         return self._ahead.at(now_ns)
 
     def offset(self, now_ns: int) -> Offset | None:

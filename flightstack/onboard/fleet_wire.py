@@ -1,4 +1,4 @@
-"""The wire of a fleet: what this vehicle says to the others in each tick, and what they have said.
+"""The wire of a fleet: messages that this vehicle sends to the others in each tick, and theirs.
 
 Each process publishes ``FleetWord`` on ``NAMESPACE/fleet/word`` and subscribes to ``**/fleet/word``. One
 pattern needs no list of namespaces, and shows two processes that say they are the same vehicle, and vehicles
@@ -30,7 +30,7 @@ EVERYBODY = f"**/{KEY}"
 CAPACITY = 256  # words; the oldest are dropped: a tick needs the newest of each member only
 BYTES_MAX = 2048  # of a word
 PROOF_S = 0.3  # for which words of a clock that was set have to agree: longer than one that is late
-ONE_WAY_S = 2.0  # for which a member is heard and does not hear this vehicle, until that is said
+ONE_WAY_S = 2.0  # time of one-way reception until it is reported
 
 
 def namespace_of(config: FlightConfig) -> str:
@@ -67,7 +67,7 @@ class _Member:
         self.heard_ns = 0  # when that came, our clock
         self.claim_ns: int | None = None
         self.claim_s = math.nan
-        self.one_way_ns: int | None = None  # since when it does not hear us
+        self.one_way_ns: int | None = None  # start of one-way reception: it receives nothing from us
         self.said_one_way = False
 
 
@@ -100,7 +100,7 @@ class FleetWire:
         self._epoch_ns, self._now_s = epoch_ns, now_s
 
     def namesake(self) -> str:
-        """Why this process must not begin: another one is the same vehicle; empty if none was heard.
+        """Why this process must not begin: another one has the same vehicle id; empty: none.
 
         What came before is dropped.
         """
@@ -123,7 +123,7 @@ class FleetWire:
         return tuple(newest[n] for n in sorted(newest))
 
     def say(self, word: Neighbour | None) -> bytes | None:
-        """Tell the others what the controller has to tell them; return it as it went out.
+        """Send the controller's message to the others; return it as sent.
 
         ``word``: ``Outputs.own_word``; None: nothing is sent.
         """
@@ -168,7 +168,7 @@ class FleetWire:
         self.doubled = f"fleet: {what}: end it, or give one of them another id"
 
     def _is_of_member(self, row: FleetWordRow, now_ns: int) -> bool:
-        """Whether a word is of the process of another member; the first one that was heard stays it."""
+        """Whether a message is from the process of another member; the first sender remains that process."""
         if row.id == self._fleet.id:
             if row.process != self._process:  # else a network brings back what this one said
                 self._hear_namesake()
@@ -229,7 +229,7 @@ class FleetWire:
             return None
 
     def _note_one_way(self, member: _Member, n: int, now_ns: int, *, heard: bool) -> None:
-        """Say once that a member is heard and does not hear this vehicle."""
+        """Report once that messages of a member arrive, and that it receives none of this vehicle."""
         if heard:
             member.one_way_ns, member.said_one_way = None, False
             return

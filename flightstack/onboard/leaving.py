@@ -1,4 +1,4 @@
-"""What a person asks of the onboard process, and when a flight is over.
+"""Requests of the operator, and the end of a flight.
 
 ``runner.fly`` then leaves the vehicle: never in the air without having requested its landing.
 """
@@ -27,11 +27,11 @@ class Ended(NamedTuple):
 
 
 class Person(Protocol):
-    """What a person asks of the process."""
+    """Requests of the operator to the process."""
 
     @property
     def operator(self) -> Operator:
-        """Asked of the controller."""
+        """Request to the controller."""
 
     @property
     def stop(self) -> bool:
@@ -41,7 +41,7 @@ class Person(Protocol):
 class Signals:
     r"""Ctrl-C, or a terminal that closes, asks for an abort; Ctrl-\ for the motors to stop at once.
 
-    A second Ctrl-C or SIGTERM ends the process once the vehicle has been told to land itself.
+    A second Ctrl-C or SIGTERM ends the process once the vehicle was commanded to land.
     """
 
     def __init__(self) -> None:
@@ -87,11 +87,11 @@ class Leaving:
         self._duration_s = duration_s
         self.person = person if person is not None else _Nobody()
         self.leaves = False  # the process is about to end: it asks for the landing
-        self.arms = False  # the vehicle was told to arm
-        self._theirs = False  # the process waits, and somebody else flies the vehicle
+        self.arms = False  # the vehicle was commanded to arm
+        self._theirs = False  # the process waits while another client flies the vehicle
 
     def operator(self, status: VehicleStatus | None, now_s: float) -> Operator:
-        """Return what the controller is to be told in this tick.
+        """Return the operator's request in this tick.
 
         ``status``: newest status of the vehicle; ``now_s``: the stack's clock.
         """
@@ -127,7 +127,7 @@ class Leaving:
 
 
 def flies(memory: Memory, status: VehicleStatus | None) -> bool:
-    """Whether the vehicle is in the air, as far as is known, and flown by this process and by nobody else."""
+    """Whether the vehicle is in the air, as far as is known, and flown by this process only."""
     if status is None or not status.armed or memory.abort_way is AbortWay.HANDS_OFF:
         return False
     if memory.phase is Phase.LANDED:  # its motors were off: who armed it since was not this process

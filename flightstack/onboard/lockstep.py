@@ -37,7 +37,7 @@ FIRST_WAIT_MAX_S = 600.0  # s of wall time until vehicle and target have shown u
 SAID_S = 10.0  # s after which that wait is said
 LOST_RUN_MAX_S = 15.0  # s of wall time without the vehicle after which the process ends
 TOLD, HEARD = "sim/fleet/told", "sim/fleet/heard"  # keys in the namespace of a member, in lockstep
-OVER = 1  # second number of what is told: nothing more follows
+OVER = 1  # second number of a message: the last one
 _LENGTH = struct.Struct("<I")
 
 
@@ -74,7 +74,7 @@ class VehicleTicks:
         self._last_ns = -1
 
     def passed(self, sim_ns: int) -> None:
-        """Take note of ticks until now that somebody else has run."""
+        """Account for ticks until now that were run as a batch."""
         self._last_ns = sim_ns
 
     def wait(self) -> Tick:
@@ -97,10 +97,12 @@ class VehicleTicks:
             waited_s = silence.look()
             if self._stopped() or waited_s > most_s:
                 never = f"no vehicle asked for a tick within {most_s:g} s (TIMESYNC)"
-                raise ClockStoppedError(never if first and waited_s > most_s else "the vehicle fell silent")
+                raise ClockStoppedError(
+                    never if first and waited_s > most_s else "no further message from the vehicle"
+                )
             if waited_s > due_s:
                 due_s = math.inf
-                with contextlib.suppress(OSError):  # nobody reads it
+                with contextlib.suppress(OSError):  # no reader
                     print(
                         "onboard: waits for the vehicle to ask for its first tick",
                         file=sys.stderr,
@@ -198,8 +200,8 @@ class LockstepWires:
 class LockstepWords:
     """Words of a fleet in lockstep: the others receive a word of one tick in a later tick.
 
-    The vehicles' process takes what all tell, and hands out to each what it hears, tick by tick. So order
-    depends on no wall time. In place of ``FleetWire``, whose clocks and networks are those of real time.
+    The vehicles' process takes the messages of all and distributes them, tick by tick, so that their order
+    does not depend on wall time. In place of ``FleetWire``, whose clocks and networks are those of real time.
 
     ``session`` stays open; ``namespace``: first part of the keys of this vehicle.
     """
@@ -230,7 +232,7 @@ class LockstepWords:
             time.sleep(2e-5)
 
     def words(self) -> tuple[Neighbour, ...]:
-        """Return what is heard with this tick."""
+        """Return the messages that arrive with this tick."""
         tick = self._tick
         payload = self._inbox.pop(tick.number, b"") if tick is not None else b""
         if tick is None or not payload:
@@ -239,7 +241,7 @@ class LockstepWords:
         return tuple(word._replace(arrival_s=tick.now_s) for word in found)
 
     def say(self, word: Neighbour | None) -> bytes | None:
-        """Tell the others what the controller has to tell them in this tick; return it as the log has it.
+        """Send the controller's message of this tick to the others; return it as the log has it.
 
         ``word``: ``Outputs.own_word``; None: an empty message is sent.
         """
@@ -260,7 +262,7 @@ class LockstepWords:
         return texts
 
     def close(self) -> None:
-        """Say that nothing more is told, so that nobody waits for it; undeclare publisher and subscriber."""
+        """Announce the last message, so that no process waits; undeclare publisher and subscriber."""
         self._told.put(b"", attachment=PAIR.pack(self._tick.number if self._tick is not None else -1, OVER))
         self._heard.undeclare()
         self._told.undeclare()

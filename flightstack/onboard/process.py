@@ -192,7 +192,7 @@ class Onboard:
             print(f"onboard: MAVLink not let through: {dropped}", file=sys.stderr)
         if self.link.endpoint.baud is not None:
             print(f"onboard: {self._line_use()}", file=sys.stderr)
-        # the fleet first: in lockstep the others wait until they know that nothing more is told
+        # the fleet first: in lockstep the others wait for its last message
         ends = [self.fleet.close] if self.fleet is not None else []
         for end in (*ends, self.log.end, self.feed.close, self.link.close, self.wires.close):
             try:
@@ -226,7 +226,7 @@ def run(
     say: Callable[[str], None] = print,
     own_recorder: OwnRecorder | None = None,
 ) -> Ended:
-    """Fly until landed, aborted, told to end, or out of time.
+    """Fly until landed, aborted, ended by the operator, or out of time.
 
     Raises ConfigError: the configuration must not fly; ValueError: a URL, endpoint or key that is not
     understood, a network without a key, a speed that a real vehicle or lockstep does not have, or compiled
@@ -275,7 +275,7 @@ def _check_speed(options: OnboardOptions) -> None:
 
 
 def _check_fleet(config: FlightConfig, options: OnboardOptions) -> None:
-    """Refuse a fleet where its members cannot hear each other."""
+    """Refuse a fleet whose members cannot connect to each other."""
     if config.fleet is None:
         return
     if not (options.connect or options.listen or options.zenoh_config):
@@ -328,7 +328,7 @@ def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -
     for line in preflight.lines(report):
         say(line)
     if signals.operator is Operator.EMERGENCY_STOP:
-        return None  # the loop gives it, whatever the check would have said
+        return None  # the loop gives it, without this check
     problem = preflight.verdict(report)
     return Ended(Phase.WAIT, problem, 1) if problem is not None else None
 

@@ -102,7 +102,7 @@ class OwnRecorder:
 
 
 class Described(NamedTuple):
-    """What is told of a flight before it begins."""
+    """Description of a flight, written before it starts."""
 
     config: FlightConfig  # of the onboard process
     run: Mapping[str, str]  # entries about the run; they replace those made here
@@ -127,7 +127,7 @@ def describe_all(
     fleet: Mapping[str, str] | None = None,
     attachments: Mapping[str, bytes] = MappingProxyType({}),
 ) -> None:
-    """Write the same of several flights in one log, and what is told of all.
+    """Write the descriptions of several flights in one log, and the one of all.
 
     ``recorder``: socket of the recorder; ``fleet``: metadata of all flights, None: one flight;
     ``attachments``: files (TOML) of all, by name.

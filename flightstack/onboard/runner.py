@@ -93,14 +93,14 @@ class Target(Protocol):
         """Return what came since the last call; ``now_s`` is when it counts as arrived."""
 
     def landing_began(self, tick: int) -> None:
-        """Take note that the landing has begun, at this tick: a simulated robot then drives off."""
+        """Report that the landing has started, at this tick: a simulated robot then drives."""
 
 
 class Ending(Protocol):
     """What a person asks for, and when the flight is over (``flightstack.onboard.leaving.Leaving``)."""
 
     def operator(self, status: VehicleStatus | None, now_s: float) -> Operator:
-        """Return what the controller is to be told in this tick."""
+        """Return the operator's request in this tick."""
 
     def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
         """Return how the flight ended; None if it has not ended."""

@@ -105,7 +105,7 @@ def banner(watch: Watch, whom: str) -> Text:
         return Text(f"the flight is over: {phase}, {watch.age_s:.0f} s ago{refused}", style="bold")
     lost = f"no data for {watch.age_s:.1f} s"
     if watch.connections == 0:
-        why = f"nobody answers at {whom}, or it refuses us" if whom else "no connection"
+        why = f"no reply from {whom}: not running, or access denied" if whom else "no connection"
     elif watch.past_router:
         why = f"{whom} is a router, which passes nothing from peer to peer: --zenoh-config with mode client"
     else:

@@ -123,7 +123,7 @@ class Watch:
 
 
 def snapshot(watch: Watch) -> dict[str, Any]:
-    """Newest values for scripts: ``None`` for what is not known; ``fresh`` tells whether they are current."""
+    """Newest values for scripts: ``None`` for what is not known; ``fresh``: whether they are current."""
     step, health = watch.step, watch.health
     values: dict[str, Any] = {
         "fresh": watch.news is News.FRESH,

@@ -20,7 +20,7 @@ class ClusterError(LaunchError):
 class Cluster:
     """A connection to a scheduler.
 
-    Raises ClusterError: Dask is not installed, nobody answers, or a worker has other code.
+    Raises ClusterError: Dask is not installed, no scheduler answers, or a worker has other code.
     """
 
     def __init__(self, address: str, scenario_toml: str) -> None:

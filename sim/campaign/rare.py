@@ -1,6 +1,6 @@
 """The rate of a rare failure of a scenario, by subset simulation over landings; a folder like a campaign's.
 
-Each landing's row is kept under its seed, so that an interrupted estimate goes on where it was: what is drawn
+Each landing's row is kept under its seed, so that an interrupted estimate can continue: what is drawn
 depends on the estimate's own seed and on the rows alone.
 
 Subset simulation (Au and Beck 2001, doi:10.1016/S0266-8920(01)00019-4) estimates rates that are too small to
@@ -173,7 +173,7 @@ def score(event: Event, row: Row, pad_radius_m: float) -> float:
     """How far a landing was from the failure, m; 0 where it is one, or may be one.
 
     ``violation``: lowest h outside the pad above the limit of a violation. ``miss``: the distance of the
-    touch from the pad's edge; 0 for a touch beyond it, a crash, or an end that nobody declared.
+    touch from the pad's edge; 0 for a touch beyond it, a crash, or an undeclared miss.
 
     ``event``: the failure; ``row``: of the landing.
     Raises WorkersError: the landing could not be flown.

@@ -193,7 +193,7 @@ def error_row(seed: int, reason: str) -> Row:
 
 
 def cell_map(rows: Iterable[Row]) -> tuple[Any, Any]:
-    """Lowest h (m, NaN where nobody was) and number of landings in each cell, (E_Z_CELLS, D_CELLS) each."""
+    """Lowest h (m, NaN: no landing) and number of landings in each cell, (E_Z_CELLS, D_CELLS) each."""
     lowest = np.full((E_Z_CELLS, D_CELLS), np.inf)
     visits = np.zeros((E_Z_CELLS, D_CELLS), dtype=np.int64)
     for row in rows:

@@ -1,7 +1,7 @@
 """Many seeded landings of one scenario: rows, a summary with confidence bounds, a page.
 
 A campaign is a folder. Rows are appended to it as they come, so that it can be interrupted, killed or
-extended at any time: the same call goes on where it was. What was flown is written beside the rows; a folder
+extended at any time: the same call continues. What was flown is written beside the rows; a folder
 of another scenario, other seeds or other code is refused.
 """
 
@@ -161,7 +161,7 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
                         if interrupts:
                             break
         except KeyboardInterrupt:
-            pass  # told by the number of rows that are missing
+            pass  # reported as the number of missing rows
         if todo:  # what is on the disk counts: the interrupt may have come between the file and our list
             rows.clear()
             rows = sorted(read_rows(folder / ROWS), key=lambda row: row.seed)

@@ -132,7 +132,7 @@ def _work(pipe: Connection, scenario_toml: str, not_its_own: Sequence[Connection
     """Fly seeds until the pipe is closed; Ctrl-C is for the parent.
 
     ``pipe``: seeds come and rows go; ``scenario_toml``: what is flown; ``not_its_own``: ends of the parent
-    that it has of a fork: a pipe is closed when nobody has its other end.
+    that a fork inherits: a pipe closes only when no process holds its other end.
     """
     for one in not_its_own:
         one.close()

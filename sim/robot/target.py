@@ -168,7 +168,7 @@ class TargetModel:
 
     ``pose``, ``velocity_enu_m_s``, ``velocity_body_m_s`` and ``yaw_rate_rad_s`` are of the pad centre at
     ``time_s``, and so are the numbers of ``pad``; the body-frame twist holds until the next step. Heave
-    goes on all the time, driving or not: it is the sea's.
+    continues all the time, driving or not, as by waves.
 
     ``spec``: path, speeds, limits, pad; ``seed``: draws speed, turn rate and heading where the spec asks for
     it, the time until the first change of stop-and-go and reversing, and the phase of the heave; ``step_s``:

@@ -41,7 +41,7 @@ class TargetFaults:
 
     @property
     def waits_for_landing(self) -> bool:
-        """Whether somebody has to tell when the landing begins."""
+        """Whether a fault waits for the start of the landing."""
         return self._schedule.waits_for(After.LANDING)
 
     def quiet_until(self, until_ns: int) -> bool:
@@ -49,7 +49,7 @@ class TargetFaults:
         return not self.locked and not self._samples.active and until_ns < self._schedule.next_ns
 
     def landing_began(self, now_ns: int) -> None:
-        """The landing has begun; told again, nothing happens."""
+        """Start the faults that wait for the landing; further calls have no effect."""
         self._schedule.refer(After.LANDING, now_ns)
 
     def fail(self, faults: Iterable[Fault], now_ns: int) -> None:
@@ -70,7 +70,7 @@ class TargetFaults:
         return self._samples.deliver(now_ns, samples) if self._samples.active else samples
 
     def take_texts(self) -> list[FaultText]:
-        """What has begun and ended since the last call."""
+        """Faults that have started and ended since the last call."""
         texts, self._texts = self._texts, []
         return texts
 

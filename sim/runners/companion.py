@@ -130,7 +130,7 @@ class Companion:
         return self._notes.seen()
 
     def say(self, t_s: float, level: int, text: str) -> None:
-        """Note something that somebody else saw of the vehicle."""
+        """Record an event of the vehicle."""
         if not self._stop.is_set:
             self._notes.event(t_s, level, "vehicle", text)
 

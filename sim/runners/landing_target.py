@@ -110,14 +110,14 @@ class DirectTarget(LockstepDeck):
         return Ahead(decks[these], samples, self._come_before, come[these])
 
     def drop(self, count: int) -> DeckState:
-        """Leave out so many ticks, which somebody else has flown; true pose at the last of them."""
+        """Skip ticks that were flown as a batch; return the true pose at the last of them."""
         self._at += count
         x, y, z, yaw, vx, vy, vz, rate = self._decks[self._at - 1]
         return DeckState((x, y, z), yaw, (vx, vy, vz), rate, b"")
 
     @property
     def _ahead_ticks(self) -> int:
-        """How far it may drive: once it drives, nothing that is still to be told changes where."""
+        """Number of ticks that it may drive ahead: once it drives, no later input changes its path."""
         waits = not self._driving or self._motion.faults.waits_for_landing
         return RUN_AHEAD_TICKS if waits else DRIVES_TICKS
 

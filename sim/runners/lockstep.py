@@ -1,8 +1,8 @@
-"""The vehicle process in lockstep: simulated time goes on when the companion has answered for a tick.
+"""The vehicle process in lockstep: simulated time continues when the companion has answered for a tick.
 
 Tick k is at t = k / rate. The vehicle sends what is due and TIMESYNC(tc1=0, ts1=t in ns) in one datagram; the
 companion acts on it and answers with TIMESYNC(tc1 != 0, ts1=t). Everything that came before that answer is
-handled at t, then the physics goes on to the next tick. A companion that stops answering does not stop the
+handled at t, then the physics continues to the next tick. A companion that stops answering does not stop the
 world: after 10 s of wall time the simulation runs on, so that fail-safes act, until it answers again.
 Faults of the wire concern everything but this handshake.
 """
@@ -25,7 +25,7 @@ from sim.runners.vehicle_node import VehicleNode
 
 _WAIT_S = 0.05  # s of wall time between two looks at the signals
 _REPEAT_S = 0.5  # s of wall time until a request is repeated
-_REPEAT_UNHEARD_S = 0.05  # s, the same while nobody was ever heard
+_REPEAT_UNHEARD_S = 0.05  # s, the same before the first message of a companion
 _DECK_YIELDS = 20  # looks for the deck's pose before sleeping: it is there, or due any moment
 _FLUSH_EVERY = 10  # ticks; the recorder is not woken for every single one
 _TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
@@ -60,7 +60,7 @@ class LockstepLoop:
         self._node, self._deck, self._grid, self._stop = node, deck, grid, stop
         self._alone = left is None
         self._left = stop if left is None else left
-        self._companion: Peer | None = None  # whoever answered first
+        self._companion: Peer | None = None  # the peer that answered first
         self._answers = True  # the companion is waited for
         self._answered = False  # it has answered for the tick before
         self._replies: list[Message] = []  # for the companion, with the next tick
@@ -82,7 +82,7 @@ class LockstepLoop:
         return self._companion is not None and self._answers and self._deck_comes and not waits
 
     def passed(self, now_ns: int, deck: DeckState) -> None:
-        """Take note of ticks until now that somebody else has flown; the robot's pose at the last."""
+        """Account for ticks until now that were flown as a batch; ``deck``: pose of the robot at the last."""
         self._deck_last, self._deck_s = deck, now_ns * 1e-9
 
     def run(self, ticks: int | None) -> None:
@@ -99,7 +99,7 @@ class LockstepLoop:
             tick += 1
 
     def begin(self) -> None:
-        """Wait until somebody can be sent to, and the deck's first pose is there: tick 0 must be whole.
+        """Wait for a companion and for the first pose of the deck: tick 0 must be complete.
 
         Raises NoAnswerError: companion or target never came.
         """
@@ -196,7 +196,7 @@ class LockstepLoop:
             node.log.target(now_ns, state.payload)
             return
         age_s = now_ns * 1e-9 - self._deck_s
-        if self._deck_last is not None and age_s > STALE_S:  # until then it goes on along its arc
+        if self._deck_last is not None and age_s > STALE_S:  # until then it continues along its arc
             stopped = reckon(self._deck_last, age_s)._replace(velocity_enu_m_s=ZERO, yaw_rate_rad_s=0.0)
             self._deck_last = None
             node.move_deck(stopped)

@@ -1,8 +1,8 @@
-"""The vehicles of a fleet in lockstep: a tick ends when all onboard processes have answered and told theirs.
+"""The vehicles of a fleet in lockstep: a tick ends when all onboard processes have sent answer and message.
 
-All are asked before any answer is awaited, so that they compute at the same time. What they tell each other
-at tick k comes with tick k + 1 at the earliest, late and lossy as the team's exchange has it; wall time has
-no part in that. So each member flies as in ``land_team`` with the same seed.
+All are asked before any answer is awaited, so that they compute at the same time. Their messages of tick k
+arrive with tick k + 1 at the earliest, with the delay and loss of the team's exchange, independent of wall
+time. So each member flies as in ``land_team`` with the same seed.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ class MemberWords:
 
     @property
     def is_set(self) -> bool:
-        """Whether the onboard process has left before this tick, as it said itself."""
+        """Whether the onboard process has announced its end before this tick."""
         self._poll()
         return self._last is not None and self._last < self.tick
 
     def take(self, silence: Silence, stop: Stop) -> bytes | None:
-        """Wait for what the member tells at this tick, and return it; None: nothing.
+        """Wait for the member's message of this tick, and return it; None: no message.
 
-        One that answers its vehicle and tells nothing is waited for once.
+        A member that answers its vehicle and sends no message is waited for once.
 
         ``silence``: that of all members in this tick.
         """
@@ -61,11 +61,11 @@ class MemberWords:
         return self._payload if self._tick == self.tick and self._payload else None
 
     def hear(self, words: list[bytes]) -> None:
-        """Hand out what the member hears with the next tick."""
+        """Send the messages that the member receives with the next tick."""
         self._heard.put(joined(words), attachment=PAIR.pack(self.tick + 1, len(words)))
 
     def await_listener(self, stop: Stop) -> None:
-        """Wait until the member hears: what is put before is lost, and would never come again.
+        """Wait until the member has subscribed: earlier messages are lost and are not repeated.
 
         Raises NoAnswerError: it does not.
         """
@@ -114,7 +114,7 @@ class LockstepMember:
         return self.loop.answers and not self.of.over
 
     def ask(self, tick: int) -> None:
-        """Begin a tick; one whose flight is over flies all of it here."""
+        """Start a tick; a member whose flight is over flies all of it here."""
         self.words.tick = tick
         if not self.answers and tick - self._credited >= CREDIT_EVERY:
             self._credited = tick
@@ -125,7 +125,7 @@ class LockstepMember:
             self.loop.ask(tick)
 
     def act(self, tick: int, silence: Silence) -> None:
-        """End a tick of one whose flight is not over."""
+        """End a tick of a member whose flight is not over."""
         if not self.of.over:
             self.loop.act(tick, silence)
             self.of.over = self.words.is_set
@@ -160,7 +160,7 @@ class TeamLockstep:
             self._room.write(tick - 1, self._epoch_ns)
 
     def _over(self) -> bool:
-        """Whether nobody flies: one without an onboard process is brought down by its autopilot."""
+        """Whether no vehicle flies: without an onboard process the autopilot lands it."""
         return all(each.of.over or not (each.answers or each.of.vehicle.armed) for each in self._members)
 
     def _tick(self, tick: int) -> None:

@@ -31,7 +31,7 @@ from sim.vehicle.vehicle import warm_up as warm_up_vehicle
 T = TypeVar("T")
 
 TOPIC = "/fleet/pairs"
-NEVER = -1  # of FleetPair.msg
+NEVER = -1  # value of FleetPair.msg without a collision
 _LOG_HZ = 10
 _NS_PER_S = 1e9
 _MS_PER_S = 1000.0
@@ -219,12 +219,12 @@ class Words:
         for hearer in numbers:
             broken = {n for n in numbers if n in silent or (n in apart) != (hearer in apart)}
             since = {n: broken_tick if n in broken else math.inf for n in numbers}
-            since[hearer] = 0  # nobody hears itself
+            since[hearer] = 0  # no member receives its own messages
             self._ways.append([_Way(seed, n, hearer, link.loss, since[n]) for n in numbers])
         self._under_way: deque[list[list[Any]]] = deque([[] for _ in numbers] for _ in range(self._ticks - 1))
 
     def __call__(self, tick: int, outputs: Sequence[Outputs | None]) -> list[tuple[Neighbour, ...]]:
-        """Take the outputs of a tick; return the words that each member hears with the next one.
+        """Take the outputs of a tick; return the messages that each member receives with the next one.
 
         ``outputs``: those of all controllers at this tick; None where the flight is over.
         """
@@ -234,7 +234,7 @@ class Words:
         return [tuple(words) for words in self.pass_on(tick, on_time)]
 
     def pass_on(self, tick: int, told: Sequence[T | None]) -> list[list[T]]:
-        """Take what is told at a tick, in any form; return what each member hears with the next one.
+        """Take the messages of a tick, in any form; return those that each member receives with the next one.
 
         ``told``: message of each member; None: none.
         """
@@ -252,7 +252,7 @@ class Words:
 
 
 class _Way:
-    """The way of one teller's words to one hearer; it loses them by chance, and all from a tick on."""
+    """The link from one sender to one receiver; it loses messages by chance, and all from a tick on."""
 
     def __init__(self, seed: int, teller: int, hearer: int, loss: float, broken_tick: float) -> None:
         self._loss, self._broken_tick = loss, broken_tick
@@ -260,7 +260,10 @@ class _Way:
         self._drawn: list[float] = []
 
     def loses(self, tick: int) -> bool:
-        """Whether what is told at a tick is lost; asked in each tick, so that what is told shifts nothing."""
+        """Whether a message of a tick is lost.
+
+        Called in each tick, so that the draws do not depend on messages.
+        """
         if self._loss > 0.0 and self._draw() < self._loss:
             return True
         return tick >= self._broken_tick

@@ -8,7 +8,7 @@ Keys under the namespace of each robot (``cf1`` by default):
 - ``sim/target/truth``: true pose and twist at every tick, same type; attachment (tick, 0) as two int64.
 - ``sim/target/tick``: in lockstep, after everything of a tick: (tick, samples put so far) as two int64.
 - ``sim/credit`` (read): in lockstep, how far the reader is and from which tick on to drive (-1: not yet).
-- ``controller/step`` (read): in real time, its phase tells when the landing begins.
+- ``controller/step`` (read): in real time, its phase shows when the landing begins.
 """
 
 from __future__ import annotations
@@ -157,7 +157,7 @@ class LockstepRobot:
         self._marker = zenoh_link.blocking_publisher(session, f"{robot.namespace}/sim/target/tick")
 
     def matched(self) -> dict[str, Callable[[], bool]]:
-        """What somebody has to read, and whether it is read."""
+        """Keys that need a subscriber, and whether each has one."""
         return {
             "sim/target/truth (read by the vehicle)": lambda: self.robot.truth.matched,
             "target/odom (read by the onboard process)": lambda: self.robot.odom.matched,
@@ -165,7 +165,7 @@ class LockstepRobot:
         }
 
     def publish(self) -> None:
-        """Publish all of its tick, and write what there is to tell."""
+        """Publish the data of its tick, and log its faults."""
         robot = self.robot
         robot.publish(robot.epoch_ns + robot.grid.ns(robot.tick))
         self._marker.put(PAIR.pack(robot.tick, robot.samples))

@@ -1,4 +1,4 @@
-"""The vehicle on the wire, whatever its clock: vehicle, autopilot, endpoint, faults of the link, log."""
+"""The vehicle on the wire, with any clock: vehicle, autopilot, endpoint, faults of the link, log."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ class VehicleNode:
 
     @property
     def watches_nothing(self) -> bool:
-        """Whether the judging has begun, and all that is told of arming and of the firmware has been told."""
+        """Whether the judging has begun, and each change of arming and firmware state has been reported."""
         vehicle = self.vehicle
         return self._judged and vehicle.armed is self._armed and vehicle.state_text == self._state_text
 

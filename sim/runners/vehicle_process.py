@@ -121,7 +121,7 @@ class RealTimeLoop:
     def run(self, ticks: int | None) -> None:
         """Simulate. ``ticks``: number of ticks; None: no end."""
         vehicles, grid, room = self._vehicles, self._grid, self._room
-        run_promptly()  # a vehicle is nobody's ordinary process: its physics wait for no other program
+        run_promptly()  # like a real vehicle, the physics must not wait for other programs
         self._start_s = time.monotonic()
         self._set_epoch(time.time_ns())  # making the vehicle took a while
         tick = 0
@@ -145,7 +145,7 @@ class RealTimeLoop:
             room.write(tick - 2, self._epoch_ns)
 
     def _heard(self, within_s: float) -> Sequence[RealTimeVehicle]:
-        """Vehicles for which something has come, or nobody when nothing came in this time."""
+        """Vehicles with received frames; empty if none arrived in this time."""
         if len(self._vehicles) == 1:
             return self._vehicles if self._vehicles[0].node.endpoint.wait(within_s) else ()
         by_number = {vehicle.node.endpoint.fileno(): vehicle for vehicle in self._vehicles}
@@ -228,7 +228,7 @@ def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitSta
     ]
     TeamLockstep(in_step, room, Words(team, options.seed), stop, epoch_ns).run(ticks)
     feed.flush()
-    while not stop.is_set:  # whoever started this process ends it
+    while not stop.is_set:  # the parent process ends this one
         time.sleep(_PAUSE_S)
 
 

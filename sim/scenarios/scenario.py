@@ -135,7 +135,7 @@ class StateError:
     velocity_lead_s: Annotated[float, span(-0.1, 0.1)] = 0.018  # delay of position less delay of velocity
     velocity_lead_spread_s: Annotated[float, span(0.0, 0.1)] = 0.012  # from flight to flight
     position_error_m: Annotated[float, span(0.0, 0.2)] = 0.0009  # each axis
-    velocity_error_m_s: Annotated[float, span(0.0, 0.5)] = 0.02  # horizontal axes, whatever the speed
+    velocity_error_m_s: Annotated[float, span(0.0, 0.5)] = 0.02  # horizontal axes, at any speed
     velocity_z_m_s: Annotated[float, span(0.0, 0.5)] = 0.019  # vertical
     velocity_scale: Annotated[float, span(0.0, 1.0)] = 0.056  # share of the speed, constant in a flight
     velocity_along: Annotated[float, span(0.0, 1.0)] = (
@@ -199,7 +199,7 @@ class Wind:
 
 @dataclass(frozen=True, slots=True)
 class Judge:
-    """The barrier the run is judged by, from true states; whatever the controller believes."""
+    """The barrier of the verdict, evaluated with true states, independent of the controller's estimates."""
 
     alpha_1_m: Annotated[float, span(0.05, 20.0)] = 1.0
     beta_m: Annotated[float, span(0.05, 20.0)] = 1.5

@@ -41,14 +41,15 @@ _OF_THE_TEAM = ("name", "description", "exchange", "assignment", "one_target")  
 
 @dataclass(frozen=True, slots=True)
 class ExchangeLink:
-    """How what the companions tell each other every tick comes to the others: at least one tick late."""
+    """Link of the messages that the companions send each other every tick: at least one tick late."""
 
     delay_s: Annotated[float, span(0.0, 1.0)] = 0.0
     loss: Annotated[float, span(0.0, 1.0)] = 0.0  # of each word on its way to each hearer
-    silent: tuple[Annotated[int, span(1, MEMBERS_MAX)], ...] = ()  # numbers of members that nobody hears ...
+    # numbers of members whose messages are lost ...
+    silent: tuple[Annotated[int, span(1, MEMBERS_MAX)], ...] = ()
     apart: tuple[
         Annotated[int, span(1, MEMBERS_MAX)], ...
-    ] = ()  # ... or that hear and are heard by these alone ...
+    ] = ()  # ... or that exchange messages among themselves only ...
     broken_from_s: Annotated[float, span(0.0, 3600.0)] = 0.0  # ... from this time of the flight on
 
 
@@ -145,7 +146,7 @@ class TeamScenario:
         return seed_of(seed, 1) if self.one_target else None
 
     def singles(self, seed: int) -> Iterator[tuple[Scenario, int]]:
-        """Yield scenario and seed of each member: a member whom nobody comes near flies as these alone do.
+        """Yield scenario and seed of each member; a member that no other comes near flies as with them alone.
 
         A room has one mean wind; its direction is drawn from the team's seed where a member gives none.
         Gusts are each member's own.

@@ -22,7 +22,7 @@ UPRIGHT = 0.99  # cosine of the tilt: on all its feet
 LOADED = 0.5  # share of the weight that is on the feet, at least
 HOLDS = 0.25  # share of what friction and weight could hold; with more MuJoCo decides
 TICK_S = 0.01  # in which the deck takes up a new velocity; it is set in steps
-MOVED_M, TURNED_RAD = 1e-4, 1e-3  # beyond that somebody placed the deck elsewhere
+MOVED_M, TURNED_RAD = 1e-4, 1e-3  # beyond that the deck was placed elsewhere
 
 
 class RestRecord(Record):

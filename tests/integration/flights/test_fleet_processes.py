@@ -79,7 +79,7 @@ def test_vehicles_from_three_sources_hear_each_other_land_and_replay(tmp_path):
         (("--scenario", "field", "--member", "1=udpin:127.0.0.1:1"), "for a scenario of several vehicles"),
         (
             ("--scenario", "fleet_3", "--lockstep", "--member", "2=udpin:127.0.0.1:1"),
-            "a vehicle from elsewhere waits for nobody",
+            "an external member cannot run in lockstep",
         ),
     ],
 )

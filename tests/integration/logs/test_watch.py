@@ -210,7 +210,7 @@ def test_nobody_there_is_said_and_exit_status_1():
     words = ("watch", "--connect", port.endpoint, "--once", "--timeout", "0.5")
     done = run(*words)
     assert done.returncode == 1
-    assert f"nobody answers at {port.endpoint}" in done.stdout
+    assert f"no reply from {port.endpoint}" in done.stdout
     done = run(*words, "--json")
     values = json.loads(done.stdout)
     assert (done.returncode, values["fresh"], values["connections"]) == (1, False, 0)

@@ -132,7 +132,7 @@ ERRORS = [RuntimeError("broken"), OSError(28, "No space left on device"), System
 EXITS = {
     "SIGTERM": signals(signal.SIGTERM),
     "Ctrl-C twice": signals(signal.SIGINT, signal.SIGINT),
-    "the link ends": raises(Breaks.CLOCK, ClockStoppedError("the vehicle fell silent")),
+    "the link ends": raises(Breaks.CLOCK, ClockStoppedError("no further message from the vehicle")),
     "a refusal": lambda flight: flight.refuse("two senders"),
     **{
         f"{type(error).__name__} in {part.value}": raises(part, error)

@@ -106,7 +106,7 @@ class Parts:
         for number in self.ticks:
             self.calls.append("wait")
             return Tick(number, 0.01 * number, number, 0.0, 0.0)
-        raise ClockStoppedError("the vehicle fell silent")
+        raise ClockStoppedError("no further message from the vehicle")
 
     def samples(self, now_s):
         self.calls.append("samples")
