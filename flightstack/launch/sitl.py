@@ -33,7 +33,7 @@ from flightstack.launch.vehicles import (
 from flightstack.onboard.options import OnboardOptions
 from flightstack.onboard.recording import Described, describe_all, log_in, new_folder
 from flightstack.verify.certificate import problems
-from logs.schema.names import NO_PAD, OWN, TEAM, Names, member_name
+from logs.schema.names import NO_PAD, TEAM, Names, member_name
 from sim.chance import name as seed_name
 from sim.options import TargetOptions
 from sim.scenarios.scenario import Scenario
@@ -158,8 +158,9 @@ def run(options: RunOptions, console: Console) -> Flown:
 def _vehicles(launcher: Launcher, options: RunOptions, team: TeamScenario) -> list[_Vehicle]:
     found = []
     for number, (scenario, seed) in enumerate(team.singles(options.seed), 1):
-        names = OWN if team.is_alone else Names(member_name(number), number)
-        config = launcher.folder / ("onboard.toml" if team.is_alone else f"onboard-{names.member}.toml")
+        names = team.names(number)
+        file = f"onboard-{names.member}.toml" if names.member else "onboard.toml"
+        config = launcher.folder / file
         config.write_text(dumps(scenario.onboard))
         found.append(_Vehicle(number, names, scenario, seed, launcher.endpoint(), config))
     return found
@@ -192,7 +193,7 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
     if not options.lockstep:
         recorder.yield_to_others(RECORDER_YIELDS // len(vehicles))  # starved, it would lose records
     for each in vehicles:
-        space = "" if team.is_alone else f" --namespace {each.space}"
+        space = f" --namespace {each.names.member}" if each.names.member else ""
         for endpoint in (each.endpoint, *options.listen):
             _hint(launcher, f"to watch: flightstack watch --connect {endpoint}{space}")
     if options.members:

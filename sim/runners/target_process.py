@@ -39,7 +39,7 @@ from flightstack.common.simulation_clock import Clock, Follower, chosen_clock
 from flightstack.core.types import Phase
 from logs.recorder.feed import Feed, FeedError
 from logs.schema.events import Severity
-from logs.schema.names import OWN, Names, member_name
+from logs.schema.names import Names
 from logs.schema.rows import ControllerStepRow
 from sim.clock import STARTUP_S, NoAnswerError, TickGrid, wait_until
 from sim.options import TargetOptions
@@ -294,8 +294,7 @@ def _flights(team: TeamScenario, options: TargetOptions) -> Iterator[tuple[Scena
     """Scenario, seed, and names in the log, of each robot."""
     shared = team.target_seed(options.seed)
     for number, (single, seed) in enumerate(team.singles(options.seed), 1):
-        names = OWN if team.is_alone else Names(member_name(number), number)
-        yield single, seed if shared is None else shared, names
+        yield single, seed if shared is None else shared, team.names(number)
 
 
 def _shown(ros2: Ros2Network, namespace: str, stack: ExitStack) -> Ros2Publisher:

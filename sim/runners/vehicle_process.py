@@ -25,7 +25,6 @@ from flightstack.common.pacing import (
     run_promptly,
 )
 from logs.recorder.feed import Feed, FeedError
-from logs.schema.names import OWN, Names, member_name
 from sim.autopilot.autopilot import COMPONENT_ID, Autopilot
 from sim.clock import NoAnswerError, TickGrid
 from sim.options import VehicleOptions
@@ -203,10 +202,11 @@ def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitSta
     stack.callback(feed.close)
     members = []
     for (number, system_id, _, _), (endpoint, _), vehicle in zip(here, endpoints, simulated, strict=True):
-        name = options.namespace if team.is_alone else member_name(number)
-        log = VehicleLog(feed, epoch_ns, name, OWN if team.is_alone else Names(name, number))
+        names = team.names(number)
+        name = names.member or options.namespace
+        log = VehicleLog(feed, epoch_ns, name, names)
         autopilot = autopilot_of(vehicle, options, system_id, epoch_ns)
-        node = VehicleNode(vehicle, autopilot, endpoint, log, _teller("" if team.is_alone else f" {name}"))
+        node = VehicleNode(vehicle, autopilot, endpoint, log, _teller(names.member))
         members.append(Member(number, name, node))
     room, ticks = Room(members, grid, feed), grid.count(options.duration_s)
     stop.install()
@@ -297,7 +297,7 @@ def _teller(name: str) -> Callable[[bool], None]:
     """Prints whether a vehicle is armed, for the process that started this one and may end it."""
 
     def tell(armed: bool) -> None:
-        print(f"{'armed' if armed else 'disarmed'}{name}", flush=True)
+        print(f"{'armed' if armed else 'disarmed'} {name}".strip(), flush=True)
 
     return tell
 

@@ -29,6 +29,7 @@ from flightstack.common.strict_toml import (
 from flightstack.config import files as configurations
 from flightstack.core.fleet.assignment import assign
 from flightstack.core.types import Vec3
+from logs.schema.names import OWN, Names, member_name
 from sim.chance import member as seed_of
 from sim.chance import stream
 from sim.scenarios import scenario as scenarios
@@ -113,6 +114,10 @@ class TeamScenario:
     def is_alone(self) -> bool:
         """Whether there is one vehicle."""
         return len(self.member) == 1
+
+    def names(self, number: int) -> Names:
+        """Names in the log of a vehicle: without its own where it is alone."""
+        return OWN if self.is_alone else Names(member_name(number), number)
 
     @property
     def rate_hz(self) -> int:
