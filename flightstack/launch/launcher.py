@@ -45,7 +45,7 @@ class Shown:
     """The data of the live view."""
 
     endpoints: Sequence[str]  # Zenoh endpoints of the onboard processes
-    title: str  # of the view
+    title: str  # title of the view
     namespaces: Sequence[str] = (NAMESPACE,)  # first parts of their keys
 
 
@@ -77,7 +77,7 @@ class Launcher:
         # ports and numbers that are reserved until all children have ended
         self.reserved = contextlib.ExitStack()
         self._sockets = socket_folder()
-        self.socket = self._sockets / "recorder"  # where the recorder listens
+        self.socket = self._sockets / "recorder"  # socket of the recorder
 
     def __enter__(self) -> Launcher:
         self._previous = {number: signal.getsignal(number) for number in _SIGNALS}
@@ -192,7 +192,7 @@ class Launcher:
                 if view is not None:
                     try:
                         view.poll()
-                    except Exception as error:  # what shows a flight does not end it
+                    except Exception as error:  # a failed view does not end the flight
                         view.live.stop()
                         view = None
                         self._print(f"the live view has failed: {error!r}", style="red")

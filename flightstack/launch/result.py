@@ -96,13 +96,13 @@ _FLEET = (
 class Flown:
     """What remains of a run: its log and its problems."""
 
-    about: Mapping[str, object]  # what was flown, the first keys of ``--json``
+    about: Mapping[str, object]  # scenario, seed and filter: the first keys of ``--json``
     folder: Path
     log: Path | None  # None: nothing was recorded
     wall_s: float  # wall time from the first tick to the end
     flights: Sequence[Followed]  # onboard processes, one of each vehicle
     problem: str | None  # a process that failed
-    interrupted: bool = False  # by the operator
+    interrupted: bool = False  # whether the operator ended it
 
 
 def conclude(flown: Flown, console: Console, *, as_json: bool, with_report: bool) -> int:

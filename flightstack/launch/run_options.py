@@ -13,7 +13,7 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.config import options as shared
 from flightstack.onboard.options import FlightOptions
 
-AUTO = "auto"  # of the onboard process
+AUTO = "auto"  # value of --autopilot: recognised by the heartbeat
 _SIMULATED, _REAL = "works with the simulated vehicle only", "works with PX4 and ArduPilot only"
 
 

@@ -128,7 +128,7 @@ def _begun_as(scenario: Scenario, config: FlightConfig) -> FlightConfig:
 class _Vehicle:
     """A vehicle of the run."""
 
-    number: int  # in the team, from 1
+    number: int  # number in the team, from 1
     names: Names  # names of its records in the log
     scenario: Scenario
     seed: int

@@ -28,8 +28,8 @@ from sim.scenarios.scenario import Scenario, StartKind
 from sim.scenarios.team import TeamScenario
 from sim.vehicle.vehicle import compile_first
 
-_EAST_DEG = 90.0  # where the nose points
-SIMULATOR_PORT = 4560  # where PX4 of instance 0 connects to
+_EAST_DEG = 90.0  # heading of the nose
+SIMULATOR_PORT = 4560  # port to which PX4 of instance 0 connects
 _ARDUPILOT_TCP = 5760  # SERIAL0 of instance 0; 10 more for each
 
 
@@ -37,7 +37,7 @@ _ARDUPILOT_TCP = 5760  # SERIAL0 of instance 0; 10 more for each
 class Flying:
     """A vehicle that has been started."""
 
-    options: Sequence[Mapping[str, Any]]  # of the onboard process of each vehicle
+    options: Sequence[Mapping[str, Any]]  # options of the onboard process of each vehicle
     children: list[Running]  # processes that must outlive the flight
     teller: Child | None = None  # process that reports arming and disarming
     # options by which robot and onboard process follow its clock
@@ -48,8 +48,8 @@ class Flying:
 class Places(NamedTuple):
     """Zenoh endpoints of the simulator."""
 
-    target: str  # of the robots
-    vehicle: str  # of the vehicles, where there are several
+    target: str  # endpoint of the robots
+    vehicle: str  # endpoint of the vehicles, where there are several
 
 
 def _own(launcher: Launcher, options: RunOptions, team: TeamScenario, at: Places) -> Flying:

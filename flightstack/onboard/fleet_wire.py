@@ -28,8 +28,8 @@ from logs.schema.schemas import FLEET_WORD
 KEY = "fleet/word"
 EVERYBODY = f"**/{KEY}"
 CAPACITY = 256  # words; the oldest are dropped: a tick needs the newest of each member only
-BYTES_MAX = 2048  # of a word
-PROOF_S = 0.3  # for which words of a clock that was set have to agree: longer than one that is late
+BYTES_MAX = 2048  # longest message
+PROOF_S = 0.3  # time for which messages after a clock step must agree: longer than a late message
 ONE_WAY_S = 2.0  # time of one-way reception until it is reported
 
 
@@ -62,9 +62,9 @@ class _Member:
     def __init__(self, fleet: Fleet) -> None:
         self.process: int | None = None
         self.clock = OtherClock()
-        self.stamp_ns = 0  # of its newest word
+        self.stamp_ns = 0  # stamp of its newest message
         self.stamps = SenderClock(fleet.age_max_s, PROOF_S, fleet.latency_max_s)
-        self.heard_ns = 0  # when that came, our clock
+        self.heard_ns = 0  # arrival of that message, own clock
         self.claim_ns: int | None = None
         self.claim_s = math.nan
         self.one_way_ns: int | None = None  # start of one-way reception: it receives nothing from us

@@ -130,6 +130,6 @@ def flies(memory: Memory, status: VehicleStatus | None) -> bool:
     """Whether the vehicle is in the air, as far as is known, and flown by this process only."""
     if status is None or not status.armed or memory.abort_way is AbortWay.HANDS_OFF:
         return False
-    if memory.phase is Phase.LANDED:  # its motors were off: who armed it since was not this process
+    if memory.phase is Phase.LANDED:  # its motors were off: it was not armed again by this process
         return False
     return memory.phase is not Phase.WAIT or memory.was_external

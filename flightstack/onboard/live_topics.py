@@ -32,7 +32,7 @@ from logs.schema.schemas import (
 HEALTH_HZ = 5.0
 BATTERY_AGE_MAX_S = 5.0  # SYS_STATUS comes once a second or more often; an older voltage is none
 FLOAT64 = "std_msgs/msg/Float64"
-PLAIN_HZ = 20.0  # of h, phase and step; the topics made for viewers have their own rates
+PLAIN_HZ = 20.0  # rate of h, phase and step; the topics for viewers have their own rates
 NODE = "flightstack_onboard"
 _DERIVED = {
     "/pose": POSE_STAMPED,

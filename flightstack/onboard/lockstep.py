@@ -135,7 +135,7 @@ class LockstepWires:
         self._credit = zenoh_link.blocking_publisher(session, f"{namespace}/sim/credit")
         self._marker_tick, self._received = -1, 0
         self._pool: list[RawSample] = []  # received, of which the target has not yet said the tick
-        self._released: list[RawSample] = []  # of this tick
+        self._released: list[RawSample] = []  # samples of this tick
         self._counts: dict[int, int] = {}
         self._go_tick = NO_GO
         self._target_gone = False

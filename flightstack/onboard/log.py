@@ -37,8 +37,8 @@ from logs.schema.schemas import (
     ODOMETRY,
 )
 
-STATUS_HZ = 20.0  # of the live topics
-STATE_HZ = 1.0  # of the snapshots a replay can begin at
+STATUS_HZ = 20.0  # rate of the live topics
+STATE_HZ = 1.0  # rate of the snapshots at which a replay can start
 TIMESYNC_ID = 111  # low byte of the message id, which is at offset 7 of a MAVLink 2 frame
 
 
@@ -97,7 +97,7 @@ class OnboardLog:
         self._rosout = feed.channel("/rosout", LOG)
         self._frames: list[tuple[Direction, bytes, bytes]] = []  # last: name of the peer
         self._peer_names = PeerNames(feed, names.record(MAVLINK_PEERS))
-        self._packed_step = b""  # of the last tick
+        self._packed_step = b""  # row of the last tick
         self._asked = b""  # last TIMESYNC that came
         self._sequence = self._unix_ns = 0
         self._flush_every = 10 if lockstep else 1  # ticks; fewer wake-ups of the recorder, 0.1 s of flight

@@ -48,7 +48,7 @@ from logs.recorder.feed import Feed
 from logs.schema.events import CAUSE, ONBOARD
 from logs.schema.names import OWN, Names
 
-NAMESAKE_S = 1.0  # for which a process listens for another one of the same vehicle before it begins
+NAMESAKE_S = 1.0  # time to listen for another process with the same vehicle id before the start
 _SEVERITY_LEVEL = {0: ERROR, 1: ERROR, 2: ERROR, 3: ERROR, 4: WARN}  # MAV_SEVERITY to rcl_interfaces level
 
 
@@ -109,7 +109,7 @@ class Onboard:
         lockstep = options.lockstep  # there wall time has no part in what is said
         self.waiting = WaitReport(config, options.system_id, self.link, self.wires, searches=not lockstep)
         self._foreign_due, self.refusals = 1, Refusals()
-        self.cause = ""  # why the autopilot ended the flight by itself, behind the reason
+        self.cause = ""  # cause of an end by the autopilot, appended to the reason
         self.opened_s = time.monotonic()
 
     def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
@@ -159,7 +159,7 @@ class Onboard:
             self.names.record("onboard"),
             {
                 "namespace": self.namespace,
-                "target_key": spec.key if spec.is_direct else own_key,  # as what it is recorded
+                "target_key": spec.key if spec.is_direct else own_key,  # key under which it is recorded
                 **({} if spec.is_direct else spec.described()),
                 "system_id": str(options.system_id),
                 "lockstep": str(options.lockstep).lower(),

@@ -71,7 +71,7 @@ class OwnRecorder:
     """Context manager with the recorder of an onboard process without ``--recorder``: a child process."""
 
     def __init__(self) -> None:
-        self.problem: str | None = None  # why the log is not whole; known when the context has ended
+        self.problem: str | None = None  # reason of an incomplete log; known when the context has ended
         self._child: Child | None = None
         self._sockets: Path | None = None
 
@@ -104,7 +104,7 @@ class OwnRecorder:
 class Described(NamedTuple):
     """Description of a flight, written before it starts."""
 
-    config: FlightConfig  # of the onboard process
+    config: FlightConfig  # configuration of the onboard process
     run: Mapping[str, str]  # entries about the run; they replace those made here
     attachments: Mapping[str, bytes]  # files (TOML) by name
     names: Names = OWN  # names of its records in the log

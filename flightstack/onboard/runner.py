@@ -113,7 +113,7 @@ class Sink(Protocol):
         """Write down a tick; ``exec_s`` is wall time, until the vehicle was answered."""
 
 
-Words = Callable[[], tuple[Neighbour, ...]]  # what other vehicles said since the last tick
+Words = Callable[[], tuple[Neighbour, ...]]  # messages of other vehicles since the last tick
 
 
 class Runner:
@@ -205,7 +205,7 @@ class LinkedVehicle:
     """The vehicle behind a MAVLink link, which the clock polls."""
 
     def __init__(self, link: VehicleLink, *, lockstep: bool) -> None:
-        self.link, self._lockstep = link, lockstep  # to the vehicle
+        self.link, self._lockstep = link, lockstep  # link to the vehicle
         self._reply: Message = None
 
     @property
@@ -294,7 +294,7 @@ def fly(ticks: Runner, vehicle: LinkedVehicle, leaving: Leaving, failed: Callabl
             ended = ticks.tick()
     except ClockStoppedError as error:
         ended, works = Ended(ticks.memory.phase, str(error), 1), False
-    except BaseException as error:  # of any kind: a library may even raise SystemExit
+    except BaseException as error:  # any exception: a library may even raise SystemExit
         ended, works = Ended(ticks.memory.phase, f"internal error: {error!r}", 1), False
         with contextlib.suppress(Exception):
             failed(f"{ended.reason}\n{traceback.format_exc()}")
@@ -315,7 +315,7 @@ def _leave(ended: Ended, ticks: Runner, vehicle: LinkedVehicle, leaving: Leaving
         if works:
             try:
                 ticks.tick()
-            except BaseException:  # as above; then without it
+            except BaseException:  # any exception; then without the controller
                 works = False
         else:
             with contextlib.suppress(Exception):

@@ -19,7 +19,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 T = TypeVar("T")
 
-VERSION = 1  # of the text form
+VERSION = 1  # version of the text form
 _WRITER = json.JSONEncoder(separators=(",", ":"), allow_nan=False, check_circular=False)
 _BITS = "f64:"  # a float that JSON has no word for: the 16 digits of its IEEE 754 bits, big-endian
 

@@ -43,7 +43,7 @@ class VehicleSeen(NamedTuple):
     readiness_told: bool  # whether SYS_STATUS, with the readiness to arm, was received
     says: tuple[str, ...]  # newest texts of the vehicle that may be reasons
     heartbeat_every_s: float = 0.0  # longest interval between two heartbeats since the last report
-    own_every_s: float = 0.0  # the same of own states
+    own_every_s: float = 0.0  # longest interval between two vehicle states since then
 
 
 class TargetSeen(NamedTuple):
@@ -199,7 +199,7 @@ class WaitReport:
         self, config: FlightConfig, system_id: int, link: VehicleLink, wires: ZenohWires, *, searches: bool
     ) -> None:
         """Set up. ``wires``: of the target; ``searches``: look for other keys while no sample comes."""
-        # what was missing at the last report, while the flight waits and after it was given up
+        # missing inputs at the last report, while the flight waits and after it was given up
         self.lacking: tuple[str, ...] = ()
         self._config, self._system_id, self._link, self._wires = config, system_id, link, wires
         self._searches = searches

@@ -25,11 +25,10 @@ class ZenohPlan:
     connect: Sequence[str] = ()  # endpoints to dial
     listen: Sequence[str] = ()  # endpoints to listen on
     namespace: str = "cf1"  # first part of our keys and topics
-    config_file: Path | None = None  # Zenoh configuration of the session that is flown by
-    # where ROS 2 is, with a target that is a ROS 2 topic; without it such a target is looked for on the
-    # session that is flown by
+    config_file: Path | None = None  # Zenoh configuration of the session of the flight
+    # network of ROS 2 for a target that is a ROS 2 topic; None: such a target is on the session of the flight
     ros2: Ros2Network | None = None
-    lockstep: bool = False  # with a simulated target
+    lockstep: bool = False  # lockstep with a simulated target
 
 
 class ZenohWires:
@@ -44,7 +43,7 @@ class ZenohWires:
             raise ValueError(
                 f"--target {plan.target.text}: in lockstep it is a Zenoh key of the simulated target"
             )
-        # that is flown by
+        # session of the flight
         self.session = zenoh_link.open_session(
             plan.listen, plan.connect, config_file=plan.config_file, prompt=not plan.lockstep
         )
@@ -60,18 +59,18 @@ class ZenohWires:
             )
             self._shown = LiveRos2(self._sessions[-1], plan.ros2.domain, plan.namespace, rate_hz)
         where = self.session if plan.target.dialect is Dialect.PLAIN else self._sessions[-1]
-        # the target's motion
+        # samples of the target
         self.odometry = TargetSource(
             where, plan.target, checks.target_frame, checks.target_child_frame, config.target,
             lossless=plan.lockstep,
         )  # fmt: skip
-        self.search = KeySearch(where)  # for other keys a target might be under; idle until it is asked
+        self.search = KeySearch(where)  # search for other keys of a target; idle until it is requested
         self._texts = [
             f"Zenoh listens on {endpoint} without rules: every process that reaches this endpoint "
             "can send a target (docs/how_to/zenoh.md)"
             for endpoint in zenoh_link.open_to_all(plan.listen, config_file=plan.config_file)
         ]
-        self._lockstep, self.target = plan.lockstep, plan.target  # whose motion it is
+        self._lockstep, self.target = plan.lockstep, plan.target  # target of these samples
 
     def texts(self, now_s: float) -> list[str]:
         """What a person should know since the last call; in lockstep nothing that wall time has a part in."""

@@ -56,7 +56,7 @@ class Watch:
         self.health: HealthRow | None = None  # newest health
         self.timings: deque[LoopTimingRow] = deque(maxlen=_TIMINGS)  # the last second of loop timing
         self.new_steps: list[ControllerStepRow] = []  # steps of the last poll
-        self.new_timings: list[LoopTimingRow] = []  # the same of loop timing
+        self.new_timings: list[LoopTimingRow] = []  # loop timing of the last poll
         self.refused = 0  # samples that are not of the type of their key
         self._began_s = clock()
         self._step_s = self._health_s = math.nan

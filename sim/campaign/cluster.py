@@ -98,6 +98,6 @@ class Cluster:
     def _row(future: Any, seed: int) -> Row:
         try:
             row: Row = future.result()
-        except Exception as error:  # its workers died; every other error is a row already
+        except Exception as error:  # the workers died; every other error is a row already
             return error_row(seed, f"{type(error).__name__}: {error}")
         return row

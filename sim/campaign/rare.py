@@ -36,10 +36,10 @@ FAILURES_KEPT = 20
 _LEAST = 1e-9  # score of what is safe, at least
 
 OnRow = Callable[[Row], None]
-SHARE = 0.1  # of a level's landings that begin the next one's chains (Au and Beck: 0.1 to 0.3)
+SHARE = 0.1  # fraction of a level's landings that start the next one's chains (Au and Beck: 0.1 to 0.3)
 LEVELS_MAX = 9  # a rate below 1e-9 is not looked for
 ACCEPTED = 0.44  # share of moves that the weight is led to (Papaioannou et al. 2015, section 3.4)
-WEIGHT = 0.6  # of the first move
+WEIGHT = 0.6  # weight of the first move
 _CERTAIN = 1.96  # standard deviations of an interval of 95 %
 
 Scores = Callable[[Sequence[int]], Sequence[float]]
@@ -51,7 +51,7 @@ class Level:
 
     begins_at: float  # score at or below which all its landings are; infinite for the first
     ends_at: float  # score at or below which the next one's are; 0 for the last
-    share: float  # of its landings that are at or below ``ends_at``
+    share: float  # fraction of its landings at or below ``ends_at``
     variation: float  # coefficient of variation of that share, correlation within the chains included
     accepted: float  # share of accepted moves; 1 for the first level
 
@@ -60,7 +60,7 @@ class Level:
 class Estimate:
     """What was found."""
 
-    rate: float  # of failures; 0 if the last level had none
+    rate: float  # rate of failures; 0 if the last level had none
     low: float  # lower end of the 95 % interval, of a log-normal distribution
     high: float  # upper end; if no failure was found, the upper bound of the rate
     levels: tuple[Level, ...]  # one or more

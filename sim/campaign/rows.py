@@ -51,10 +51,10 @@ class Row:
     seed: int  # seed of all chance
     outcome: str  # ``Outcome``, or "error"
     reason: str  # reason as text
-    violation: bool | None = None  # as in ``Verdict``
-    started_safe: bool | None = None  # as in ``Verdict``
+    violation: bool | None = None  # ``Verdict.violation``
+    started_safe: bool | None = None  # ``Verdict.started_safe``
     h_min_m: float | None = None  # lowest true h
-    h_min_outside_pad_m: float | None = None  # the same where d > pad radius
+    h_min_outside_pad_m: float | None = None  # lowest true h where d > pad radius
     h_min_d_m: float | None = None  # d at the tick that shows it
     h_min_e_z_m: float | None = None  # e_z at that tick
     touchdown_error_m: float | None = None  # d at first contact
@@ -70,7 +70,7 @@ class Row:
     climb_s: float | None = None
     abort_s: float | None = None
     own_age_max_s: float | None = None  # greatest age of the own state since the landing began
-    target_age_max_s: float | None = None  # the same of the target's
+    target_age_max_s: float | None = None  # greatest age of the target's state since then
     simulated_s: float | None = None  # length of the run
     wall_s: float | None = None  # wall time; the only value that the seed does not determine
     cells: str = ""  # map of h: "i j mm" for each cell of (d, e_z) that was visited, with the lowest h there

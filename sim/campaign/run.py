@@ -162,7 +162,7 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
                             break
         except KeyboardInterrupt:
             pass  # reported as the number of missing rows
-        if todo:  # what is on the disk counts: the interrupt may have come between the file and our list
+        if todo:  # the file counts: the interrupt may have come between file and list
             rows.clear()
             rows = sorted(read_rows(folder / ROWS), key=lambda row: row.seed)
         write_rows(folder / ROWS, rows)

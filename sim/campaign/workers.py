@@ -35,7 +35,7 @@ from sim.scenarios.team import TeamScenario, from_text
 
 _ALONE = threading.Lock()  # a cluster's worker may have threads; more than one would only wait for each other
 _PACKAGES = ("flightstack", "bridge", "sim", "logs")
-DEATHS_MAX = 2  # of workers that held the same seed
+DEATHS_MAX = 2  # deaths of workers with the same seed until it is given up
 STARTS_MAX = 3  # workers in a row that end before they are ready
 SLOWEST = 0.05  # share of real time below which a landing is given up
 START_S = 1800.0  # s of wall time until a worker is ready, compiling on a slow computer included
@@ -231,7 +231,7 @@ class Workers:
         """Remove a dead or hung worker; its seed is flown again, or given up."""
         hung = worker.process.is_alive()
         row = None
-        while not hung and worker.pipe.poll():  # what it sent before it died counts
+        while not hung and worker.pipe.poll():  # rows that it sent before it died count
             found = self._take(worker)
             if found is None:
                 break

@@ -34,7 +34,7 @@ class PadPose(NamedTuple):
 class TargetMeasurement(NamedTuple):
     """One odometry sample; twist in the body frame (x forward, y left)."""
 
-    time_s: float  # of the measurement
+    time_s: float  # time of the measurement
     position_enu_m: Vec3
     yaw_rad: float
     velocity_body_m_s: Vec3
@@ -75,7 +75,7 @@ class MotionRecord(Record):
     accel_max: float
     turn_accel_max: float
     behind: float  # pad behind the axle, m
-    height: float  # of the pad, m
+    height: float  # height of the pad, m
     heave: float  # amplitude, m
     heave_rad_s: float
     heave_phase: float
@@ -215,7 +215,7 @@ class TargetModel:
         return pads
 
     def _show(self) -> None:
-        self.pad: Values = self._read()  # in the order of PadRecord
+        self.pad: Values = self._read()  # numbers in the order of PadRecord
         pad = self.pad
         self.time_s: float = pad[0] / NS
         self.pose = PadPose(pad[1:4], pad[4])

@@ -39,7 +39,7 @@ class Landing:
     """What became of a vehicle."""
 
     seed: int  # seed of all chance
-    verdict: Verdict  # by the true states, as for a flight log
+    verdict: Verdict  # verdict by true states, as for a flight log
     seen: Seen  # records of a log that a verdict needs
     simulated_s: float  # length of the flight
     wall_s: float  # wall time of the flight, of a team the whole
@@ -50,9 +50,9 @@ class Landing:
 class TeamLanding:
     """What became of a team."""
 
-    seed: int  # of the team
+    seed: int  # seed of the team
     landings: tuple[Landing, ...]  # cf1 first; a verdict covers collisions until that flight was over
-    pairs: tuple[Pair, ...]  # of all members, (1, 2) first
+    pairs: tuple[Pair, ...]  # all pairs of members, (1, 2) first
     waits_s: tuple[float, ...]  # longest time that each member waited for its right of way
     simulated_s: float  # until the last flight was over
     wall_s: float

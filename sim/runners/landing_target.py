@@ -63,8 +63,8 @@ class Ahead(NamedTuple):
 
     decks: F64  # (n, 8) position, heading, velocity and turn rate of the pad
     samples: F64  # (m, 9) time, position, velocity, heading and turn rate of the target
-    come_before: int  # how many of these have come before the first tick
-    come: I64  # (n,) how many of these have come until each tick
+    come_before: int  # number of samples before the first tick
+    come: I64  # (n,) number of samples until each tick
 
 
 class DirectTarget(LockstepDeck):
@@ -80,10 +80,10 @@ class DirectTarget(LockstepDeck):
         self._grid = grid
         self._motion = motion = TargetMotion(scenario, seed, grid)
         self._driving = motion.drives_at_once
-        self._samples: list[WorldSample] = []  # that the onboard process has not taken yet
-        # what it says at the ticks that it has driven, and how many of these were taken
+        self._samples: list[WorldSample] = []  # samples that the onboard process has not taken yet
+        # data of the driven ticks, and the number of ticks taken
         self._ahead, self._at = Ahead(np.empty((0, 8)), np.empty((0, 9)), 0, np.empty(0, np.int64)), 0
-        self._decks: list[list[float]] = []  # the same in lists, quicker tick by tick
+        self._decks: list[list[float]] = []  # ``decks`` as lists, faster tick by tick
         self._come: list[int] = []
         due, motion.due = motion.due, []
         self._keep(np.array([motion.model.pad], dtype=np.float64), [0] * len(due), numbers(due))
@@ -135,7 +135,7 @@ class DirectTarget(LockstepDeck):
                 motion.faults.landing_began(self._grid.ns(goes_at))
                 self._driving = True
             elif goes_at > NO_GO:
-                end = min(end, goes_at - 1)  # what begins with the landing begins at that tick
+                end = min(end, goes_at - 1)  # faults that start with the landing start at that tick
             self._keep(*motion.run(end - motion.tick, self._driving))
 
     def _keep(self, pads: F64, due: Sequence[int], new: F64) -> None:

@@ -26,7 +26,8 @@ _Plan = _Round | bool  # True: whole numbers alone, which pass as they are; Fals
 
 def _plan(cls: Any) -> _Plan:
     """How messages of a class pass."""
-    if {"char", "double"} & set(cls.fieldtypes) or 1 in cls.array_lengths:  # which arrives as a number
+    # an array of one, which arrives as a number
+    if {"char", "double"} & set(cls.fieldtypes) or 1 in cls.array_lengths:
         return False
     length_of = dict(zip(cls.ordered_fieldnames, cls.array_lengths, strict=True))
     floats = [name for name, kind in zip(cls.fieldnames, cls.fieldtypes, strict=True) if kind == "float"]

@@ -63,12 +63,12 @@ class LockstepLoop:
         self._companion: Peer | None = None  # the peer that answered first
         self._answers = True  # the companion is waited for
         self._answered = False  # it has answered for the tick before
-        self._replies: list[Message] = []  # for the companion, with the next tick
+        self._replies: list[Message] = []  # replies to the companion, sent with the next tick
         self._late: list[Received] = []  # came after the answer: belongs to the next tick
         self._deck_comes = deck is not None
         self._deck_last: DeckState | None = None
         self._deck_s = 0.0  # time of the last true pose
-        self._request: Message = None  # of this tick
+        self._request: Message = None  # request of this tick
 
     @property
     def answers(self) -> bool:
@@ -227,7 +227,7 @@ class LockstepLoop:
             if wall_s - repeat_s > (_REPEAT_S if endpoint.counters.received else _REPEAT_UNHEARD_S):
                 repeat_s = wall_s
                 self._repeat()
-        # what had come before the companion left
+        # frames received before the companion left
         self._answered = answered or self._take(endpoint.receive(), now_ns, now_s)
 
     def _send(self, now_ns: int, now_s: float) -> None:

@@ -60,12 +60,12 @@ class Pair:
     one: int  # number of the first vehicle, from 1
     other: int  # number of the second, a higher one
     distance_min_m: float = math.inf  # smallest distance of their centres of mass at any time
-    flying_distance_min_m: float = math.inf  # the same while both flew; infinite if they never did at once
+    flying_distance_min_m: float = math.inf  # smallest distance while both flew; infinite: never both
     # smallest distance in the ellipsoid's measure while both flew; below 1: inside
     ellipsoid_min: float = math.inf
     violations: int = 0  # number of times that they came inside
     inside_ms: int = 0  # length of the ticks in which they were inside
-    collided_ms: int | None = None  # when their shapes overlapped first; None: never
+    collided_ms: int | None = None  # time of the first overlap of their shapes; None: never
 
 
 class Pairs:
@@ -144,10 +144,10 @@ class Pairs:
 class Member:
     """One of the vehicles."""
 
-    number: int  # in the team, from 1
-    name: str  # of the vehicle, and its namespace
+    number: int  # number in the team, from 1
+    name: str  # name and namespace of the vehicle
     node: VehicleNode  # the vehicle on its wire
-    over: bool = False  # its flight is over: nothing of it is written any more
+    over: bool = False  # whether its flight is over; then nothing is logged
 
     @property
     def vehicle(self) -> VehicleSim:

@@ -52,7 +52,7 @@ from sim.scenarios.team import TeamScenario
 _LANDING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN, Phase.LANDED})
 _CREDIT_PAUSE_S = 0.002  # s between two looks for credit; far less than the run-ahead lasts
 _MATCH_PAUSE_S = 0.002  # s between two looks for subscribers
-NAME = "target"  # of the process, in the log
+NAME = "target"  # name of the process in the log
 NODE = "flightstack_target"  # name of the ROS 2 node
 
 
@@ -69,7 +69,7 @@ class Robot:
         *,
         lossless: bool,
     ) -> None:
-        self.namespace, self.grid = namespace, TickGrid(rate_hz)  # first part of its keys
+        self.namespace, self.grid = namespace, TickGrid(rate_hz)  # namespace: first part of its keys
         self.epoch_ns = EPOCH_NS  # Unix time of tick 0
         self.samples = 0
         self._motion = TargetMotion(scenario, seed, self.grid)
@@ -79,7 +79,7 @@ class Robot:
         self.truth = OdometryPublisher(session, key, child_frame_id="target", lossless=lossless)
         key = f"{namespace}/target/odom"
         self.odom = OdometryPublisher(session, key, child_frame_id="target", lossless=lossless)
-        self.shown: Ros2Publisher | None = None  # the same to ROS 2
+        self.shown: Ros2Publisher | None = None  # publisher of the odometry to ROS 2
 
     @property
     def tick(self) -> int:

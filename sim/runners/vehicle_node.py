@@ -24,7 +24,7 @@ from sim.vehicle.vehicle import VehicleSim
 T = TypeVar("T")
 
 HELD_MAX = 4096  # messages held back in each direction; more are lost
-_HEADER_BYTES = 10  # of a MAVLink 2 frame
+_HEADER_BYTES = 10  # header of a MAVLink 2 frame
 
 
 class Held(Generic[T]):
@@ -87,7 +87,7 @@ class Wire:
             self._ship(frame)
         for message in messages:
             fate = self._faults.fate(Way.OUT, message, now_ns)
-            raw = self._endpoint.pack(message)  # what is lost has its number too, as on a real wire
+            raw = self._endpoint.pack(message)  # a lost frame has a sequence number, too, as on a real wire
             frame = _Frame(_damaged(raw) if fate.damaged else raw, tuple(peers))
             for due_ns in fate.due_ns:
                 if fate.stall is not None or due_ns > now_ns:

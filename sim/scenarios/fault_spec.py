@@ -25,10 +25,10 @@ class What(Enum):
     MOCAP = "mocap"  # motion capture on its way into the on-board estimator
     OWN_STATE = "own_state"  # the estimate on its way from the firmware to its autopilot
     TARGET_ODOMETRY = "target_odometry"
-    ROBOT = "robot"  # its drive
+    ROBOT = "robot"  # drive of the robot
     LINK_OUT = "link_out"  # MAVLink, vehicle to companion
     LINK_IN = "link_in"  # MAVLink, companion to vehicle
-    HEARTBEAT = "heartbeat"  # of the vehicle
+    HEARTBEAT = "heartbeat"  # heartbeat of the vehicle
     SETPOINTS = "setpoints"  # the companion's, on their way into the autopilot
     CLOCK = "clock"  # time stamps of the vehicle's telemetry
 
@@ -70,7 +70,7 @@ class Cell:
 
     effect: str
     value: Number | None = None
-    period: Number | None = None  # of ``period_s``
+    period: Number | None = None  # meaning and range of ``period_s``
     offset: bool = False  # takes ``offset_m`` and ``yaw_rad``
     healable: bool = True  # has an end
 

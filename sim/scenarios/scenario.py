@@ -52,8 +52,8 @@ class Start:
     """Where the vehicle begins. ``offset_m`` is relative to the landing spot at time zero, ENU."""
 
     kind: StartKind = StartKind.GROUND
-    ground_position_m: tuple[float, float] = (0.0, 0.0)  # where it stands for kind = ground
-    offset_m: Vec3 | None = None  # for kind = hover; None: drawn from distance, bearing and h below
+    ground_position_m: tuple[float, float] = (0.0, 0.0)  # start position for kind = ground
+    offset_m: Vec3 | None = None  # start for kind = hover; None: drawn from distance, bearing and h below
     distance_m: tuple[float, float] = (0.3, 2.5)
     h_m: tuple[float, float] = (0.03, 1.2)
 
@@ -123,17 +123,17 @@ class StateError:
 
     tape: str | None = None  # folder of recorded flights; their error instead of the model below
     tape_kind: TapeKind = TapeKind.DELAY
-    delay_s: Annotated[float, span(-0.1, 0.2)] = 0.02  # of the position: mean of all flights
-    delay_spread_s: Annotated[float, span(0.0, 0.1)] = 0.015  # from flight to flight
+    delay_s: Annotated[float, span(-0.1, 0.2)] = 0.02  # delay of the position: mean of all flights
+    delay_spread_s: Annotated[float, span(0.0, 0.1)] = 0.015  # spread between flights
     delay_shared: bool = False  # vehicle and target have the same mean delay, or tapes of the same flight
     delay_fast_s: Annotated[float, span(0.0, 0.1)] = 0.025  # variation in flight: median flight
     delay_fast_time_s: Annotated[float, span(0.01, 10.0)] = 0.072  # correlation (1 + t/T) exp(-t/T)
-    delay_fast_varies: Annotated[float, span(0.0, 2.0)] = 0.0  # of its logarithm, from flight to flight
+    delay_fast_varies: Annotated[float, span(0.0, 2.0)] = 0.0  # spread of its logarithm between flights
     delay_slow_s: Annotated[float, span(0.0, 0.1)] = 0.011
     delay_slow_time_s: Annotated[float, span(0.01, 60.0)] = 0.4
     delay_slow_varies: Annotated[float, span(0.0, 2.0)] = 0.7
     velocity_lead_s: Annotated[float, span(-0.1, 0.1)] = 0.018  # delay of position less delay of velocity
-    velocity_lead_spread_s: Annotated[float, span(0.0, 0.1)] = 0.012  # from flight to flight
+    velocity_lead_spread_s: Annotated[float, span(0.0, 0.1)] = 0.012  # spread between flights
     position_error_m: Annotated[float, span(0.0, 0.2)] = 0.0009  # each axis
     velocity_error_m_s: Annotated[float, span(0.0, 0.5)] = 0.02  # horizontal axes, at any speed
     velocity_z_m_s: Annotated[float, span(0.0, 0.5)] = 0.019  # vertical

@@ -45,7 +45,7 @@ class ExchangeLink:
     """Link of the messages that the companions send each other every tick: at least one tick late."""
 
     delay_s: Annotated[float, span(0.0, 1.0)] = 0.0
-    loss: Annotated[float, span(0.0, 1.0)] = 0.0  # of each word on its way to each hearer
+    loss: Annotated[float, span(0.0, 1.0)] = 0.0  # probability for each message and receiver
     # numbers of members whose messages are lost ...
     silent: tuple[Annotated[int, span(1, MEMBERS_MAX)], ...] = ()
     apart: tuple[
@@ -58,7 +58,7 @@ class Assignment(Enum):
     """Who lands on which robot."""
 
     FIXED = "fixed"  # each on that of its own table
-    START = "start"  # by the least sum of the horizontal distances from where the vehicles begin
+    START = "start"  # least sum of the horizontal distances from the start positions
 
 
 @dataclass(frozen=True, slots=True)

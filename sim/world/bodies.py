@@ -31,14 +31,14 @@ class DeckRecord(Record):
     rate: float
     cos_turn: float
     sin_turn: float
-    along: float  # of one step, per m/s
+    along: float  # displacement of one step, per m/s
     across: float
 
 
 class WrenchRecord(Record):
     """Force and torque on the vehicle, and what they move."""
 
-    force: Vector  # on the centre of mass, weight included, world frame, N
+    force: Vector  # force on the centre of mass, weight included, world frame, N
     torque: Vector  # body frame, N m
     mass: float  # kg
     inertia: Vector  # kg m^2

@@ -15,13 +15,13 @@ from sim.plant.rotation import rotation_axes
 from sim.world.bodies import BodyRecord, DeckRecord, WrenchRecord, move_deck
 
 WAIT_STEPS = 50  # steps of 1 ms at rest in a row until it is carried: longer than a bounce of the feet
-STILL_M = 1e-4  # on the pad, in all that time
-DIAGONAL = 1.4143  # of a square over its side, rounded up: the feet stand on the corners of one
+STILL_M = 1e-4  # largest motion on the pad in that time
+DIAGONAL = 1.4143  # diagonal of a square over its side, rounded up: the feet stand on its corners
 SAME_RAD = 0.002  # between two attitudes in all that time
 UPRIGHT = 0.99  # cosine of the tilt: on all its feet
 LOADED = 0.5  # share of the weight that is on the feet, at least
 HOLDS = 0.25  # share of what friction and weight could hold; with more MuJoCo decides
-TICK_S = 0.01  # in which the deck takes up a new velocity; it is set in steps
+TICK_S = 0.01  # time in which the deck takes up a new velocity; it is set in steps
 MOVED_M, TURNED_RAD = 1e-4, 1e-3  # beyond that the deck was placed elsewhere
 
 
@@ -29,14 +29,14 @@ class RestRecord(Record):
     """How long the vehicle has been at rest on the pad, and where it stands there."""
 
     wait_steps: int  # ``WAIT_STEPS``; more than a flight has: never
-    steps: int  # at rest in a row
+    steps: int  # consecutive steps at rest
     friction: float
     gravity: float  # m/s^2
-    feet_m: float  # of the feet beside the centre of mass
+    feet_m: float  # distance of the feet beside the centre of mass
     pad_radius_m: float
-    place: Vector  # from the pad's centre, along the pad's axes, m
-    attitude: Quaternion  # in the pad's axes
-    deck_position: Vector  # as the last step left the deck
+    place: Vector  # position from the pad's centre, along the pad's axes, m
+    attitude: Quaternion  # attitude in the pad's axes
+    deck_position: Vector  # position of the deck after the last step
     deck_velocity: Vector
     deck_yaw: float
     deck_rate: float

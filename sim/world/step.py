@@ -30,7 +30,7 @@ class ReachRecord(Record):
 
     vehicle: float  # radius about the centre of mass
     side: float  # radius of the cylinder around it, about the body's z axis
-    bottom: float  # of the cylinder, along that axis, below zero
+    bottom: float  # bottom of the cylinder along that axis, below zero
     top: float
     robot: float  # radius about the pad's axis
     robot_top: float  # above the pad
@@ -45,7 +45,7 @@ class MujocoRecord(Record):
     positions: int  # QPOS of them
     velocities: int  # QVEL
     applied: int  # generalised forces, QVEL
-    sensors: int  # of the state the step began with, SENSORS
+    sensors: int  # readings of the state before the step, see SENSORS
 
 
 class WorldRecord(Record):
