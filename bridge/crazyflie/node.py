@@ -47,21 +47,6 @@ __all__ = ["COMPONENT_ID", "PROFILE", "SYSTEM_ID", "Node"]
 READINESS_S = 1.0  # s between two checks whether it could be armed
 _RATE_HZ = 1000.0 / STATE_PERIOD_MS  # of new states
 _M = dialect
-PROFILE = ServerProfile(
-    name="crazyflie",
-    mark=CRAZYFLIE_MARK,
-    sensors=_M.MAV_SYS_STATUS_SENSOR_3D_GYRO
-    | _M.MAV_SYS_STATUS_SENSOR_3D_ACCEL
-    | _M.MAV_SYS_STATUS_SENSOR_3D_MAG
-    | _M.MAV_SYS_STATUS_SENSOR_BATTERY,
-    rates_hz={
-        _M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50.0,
-        _M.MAVLINK_MSG_ID_SYS_STATUS: 5.0,
-        _M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
-        _M.MAVLINK_MSG_ID_BATTERY_STATUS: 1.0,
-        _M.MAVLINK_MSG_ID_HOME_POSITION: 1.0,
-    },
-)
 _NOTHING: frozenset[int] = frozenset()
 # A position is sent only while the estimate may be flown by, as PX4 does.
 _NEED_POSITION = frozenset({_M.MAVLINK_MSG_ID_LOCAL_POSITION_NED})
@@ -78,16 +63,27 @@ def _vfr_hud(s: Snapshot[Vehicle]) -> Message:
     return telemetry.vfr_hud(s, round(100 * health.throttle) if health is not None else 0)
 
 
-BUILDERS: dict[int, Builder[Vehicle]] = {
-    _M.MAVLINK_MSG_ID_ATTITUDE: telemetry.attitude,
-    _M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: telemetry.attitude_quaternion,
-    _M.MAVLINK_MSG_ID_LOCAL_POSITION_NED: telemetry.local_position_ned,
-    _M.MAVLINK_MSG_ID_SYS_STATUS: telemetry.sys_status,
-    _M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: telemetry.extended_sys_state,
-    _M.MAVLINK_MSG_ID_BATTERY_STATUS: telemetry.battery_status,
-    _M.MAVLINK_MSG_ID_HOME_POSITION: _home_position,
-    _M.MAVLINK_MSG_ID_VFR_HUD: _vfr_hud,
+# Streams in the order of a datagram, with the default rates, Hz; None: with every state, or on request only
+_STREAMS: dict[int, tuple[Builder[Vehicle], float | None]] = {
+    _M.MAVLINK_MSG_ID_ATTITUDE: (telemetry.attitude, None),
+    _M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: (telemetry.attitude_quaternion, 50.0),
+    _M.MAVLINK_MSG_ID_LOCAL_POSITION_NED: (telemetry.local_position_ned, None),
+    _M.MAVLINK_MSG_ID_SYS_STATUS: (telemetry.sys_status, 5.0),
+    _M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: (telemetry.extended_sys_state, 5.0),
+    _M.MAVLINK_MSG_ID_BATTERY_STATUS: (telemetry.battery_status, 1.0),
+    _M.MAVLINK_MSG_ID_HOME_POSITION: (_home_position, 1.0),
+    _M.MAVLINK_MSG_ID_VFR_HUD: (_vfr_hud, None),
 }
+BUILDERS = {id_: builder for id_, (builder, _) in _STREAMS.items()}
+PROFILE = ServerProfile(
+    name="crazyflie",
+    mark=CRAZYFLIE_MARK,
+    sensors=_M.MAV_SYS_STATUS_SENSOR_3D_GYRO
+    | _M.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+    | _M.MAV_SYS_STATUS_SENSOR_3D_MAG
+    | _M.MAV_SYS_STATUS_SENSOR_BATTERY,
+    rates_hz={id_: hz for id_, (_, hz) in _STREAMS.items() if hz is not None},
+)
 
 
 class Node(Server[Vehicle]):

@@ -30,9 +30,9 @@ from bridge.mavlink.server.telemetry import Snapshot
 from flightstack.core.types import ZERO, Vec3
 from sim.autopilot.flight import Flight
 from sim.autopilot.ground import degrees_e7, x_of, y_of
+from sim.autopilot.parameters import px4_parameters
 from sim.autopilot.pilot import Goal
-from sim.autopilot.profiles import PX4, px4_parameters
-from sim.autopilot.telemetry import BUILDERS
+from sim.autopilot.telemetry import BUILDERS, PX4
 from sim.autopilot.vehicle_like import VehicleLike
 
 __all__ = ["COMPONENT_ID", "SYSTEM_ID", "Autopilot"]

@@ -12,7 +12,9 @@ from bridge.frames import (
     ned_from_enu,
 )
 from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.profiles.autopilots import SITL_MARK
 from bridge.mavlink.server import telemetry as common
+from bridge.mavlink.server.profile import ServerProfile
 from bridge.mavlink.server.telemetry import Builder, Snapshot
 from flightstack.core.types import Vec3
 from sim.autopilot.flight import Flight
@@ -107,23 +109,34 @@ def _system_time(s: Snapshot[Flight]) -> Message:
     return dialect.MAVLink_system_time_message(s.epoch_ns // 1000 + s.boot_us, s.boot_ms)
 
 
-# What can be streamed, in the order of a datagram.
-BUILDERS: dict[int, Builder[Flight]] = {
-    dialect.MAVLINK_MSG_ID_SYS_STATUS: common.sys_status,
-    dialect.MAVLINK_MSG_ID_SYSTEM_TIME: _system_time,
-    dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: _servo_output_raw,
-    dialect.MAVLINK_MSG_ID_BATTERY_STATUS: common.battery_status,
-    dialect.MAVLINK_MSG_ID_ESTIMATOR_STATUS: _estimator_status,
-    dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: common.extended_sys_state,
-    dialect.MAVLINK_MSG_ID_GPS_RAW_INT: _gps_raw_int,
-    dialect.MAVLINK_MSG_ID_ATTITUDE: common.attitude,
-    dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: common.attitude_quaternion,
-    dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: common.local_position_ned,
-    dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global_position_int,
-    dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _gps_global_origin,
-    dialect.MAVLINK_MSG_ID_VFR_HUD: _vfr_hud,
-    dialect.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: _position_target_local_ned,
-    dialect.MAVLINK_MSG_ID_ALTITUDE: _altitude,
-    dialect.MAVLINK_MSG_ID_HOME_POSITION: _home_position,
-    dialect.MAVLINK_MSG_ID_ODOMETRY: _odometry,
+# Streams in the order of a datagram, with the default rates, Hz: PX4's own, or what clients need as measured.
+# None: at every tick, or on request only.
+_STREAMS: dict[int, tuple[Builder[Flight], float | None]] = {
+    dialect.MAVLINK_MSG_ID_SYS_STATUS: (common.sys_status, 5.0),
+    dialect.MAVLINK_MSG_ID_SYSTEM_TIME: (_system_time, 1.0),
+    dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: (_servo_output_raw, 1.0),
+    dialect.MAVLINK_MSG_ID_BATTERY_STATUS: (common.battery_status, 0.5),
+    dialect.MAVLINK_MSG_ID_ESTIMATOR_STATUS: (_estimator_status, 0.5),
+    dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: (common.extended_sys_state, 5.0),
+    dialect.MAVLINK_MSG_ID_GPS_RAW_INT: (_gps_raw_int, 1.0),
+    dialect.MAVLINK_MSG_ID_ATTITUDE: (common.attitude, None),
+    dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: (common.attitude_quaternion, 10.0),
+    dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: (common.local_position_ned, None),
+    dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: (_global_position_int, 5.0),
+    dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: (_gps_global_origin, None),
+    dialect.MAVLINK_MSG_ID_VFR_HUD: (_vfr_hud, 2.0),
+    dialect.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: (_position_target_local_ned, 2.0),
+    dialect.MAVLINK_MSG_ID_ALTITUDE: (_altitude, 1.0),
+    dialect.MAVLINK_MSG_ID_HOME_POSITION: (_home_position, 0.5),
+    dialect.MAVLINK_MSG_ID_ODOMETRY: (_odometry, 5.0),  # PX4's onboard link: 30; costly to pack
 }
+BUILDERS = {id_: builder for id_, (builder, _) in _STREAMS.items()}
+RATES_HZ = {id_: hz for id_, (_, hz) in _STREAMS.items() if hz is not None}
+_SENSORS = (
+    dialect.MAV_SYS_STATUS_SENSOR_3D_GYRO
+    | dialect.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+    | dialect.MAV_SYS_STATUS_SENSOR_3D_MAG
+    | dialect.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
+    | dialect.MAV_SYS_STATUS_SENSOR_BATTERY
+)
+PX4 = ServerProfile(name="px4", mark=SITL_MARK, sensors=_SENSORS, rates_hz=RATES_HZ)

@@ -12,7 +12,7 @@ from bridge.mavlink.server.parameters import INT32, Parameters
 from bridge.mavlink.server.profile import FlightMode
 from sim.autopilot.flight import STREAM_LOST
 from sim.autopilot.ground import degrees_e7, x_of, y_of
-from sim.autopilot.profiles import px4_parameters
+from sim.autopilot.parameters import px4_parameters
 from sim.autopilot.watches import STATION_LOST, Watches
 from sim.plant.params import load
 from sim.plant.rotors import BatteryModel, drain

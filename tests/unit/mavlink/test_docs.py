@@ -17,8 +17,8 @@ from flightstack.cli.bridge import bridge
 from flightstack.config.files import load as load_config
 from flightstack.verify.certificate import checks
 from sim.autopilot.flight import STREAM_LOST
-from sim.autopilot.profiles import DEFAULT_HZ, px4_parameters
-from sim.autopilot.telemetry import BUILDERS
+from sim.autopilot.parameters import px4_parameters
+from sim.autopilot.telemetry import BUILDERS, RATES_HZ
 from sim.autopilot.watches import STATION_LOST
 from sim.plant.params import load
 from sim.px4.airframe import PX4_OF_M, parameters
@@ -102,7 +102,7 @@ def rate(message_id: int) -> str:
         return "on request; not settable"
     if message_id in EVERY_TICK:
         return "every tick"
-    return f"{DEFAULT_HZ[message_id]:g} Hz" if message_id in DEFAULT_HZ else "off"
+    return f"{RATES_HZ[message_id]:g} Hz" if message_id in RATES_HZ else "off"
 
 
 def test_messages() -> None:

@@ -14,7 +14,7 @@ from flightstack.common.strict_toml import ConfigError, from_table
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.onboard.preflight import check, lines, needs_of, record, verdict
 from sim.autopilot.autopilot import Autopilot
-from sim.autopilot.profiles import px4_parameters
+from sim.autopilot.parameters import px4_parameters
 from sim.scenarios import scenario
 from tests.fake_autopilot import OnUdp
 from tests.unit.autopilot.autopilot_fakes import RATE_HZ, FakeVehicle

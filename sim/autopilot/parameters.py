@@ -1,17 +1,13 @@
-"""Parameters and telemetry rates of the simulated autopilot, with PX4's names, units and values.
+"""Parameters of the simulated autopilot, with PX4's names, units and values.
 
 The fixed parameters say what the simulator does, or mean nothing here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.profiles.autopilots import SITL_MARK
 from bridge.mavlink.server.parameters import REAL32, Parameter, fixed, integer, one_of, real
-from bridge.mavlink.server.profile import ServerProfile
 
 # The fixed ones mean nothing here: QGroundControl's PX4 plug-in wants to find them (PX4
 # mavlink_parameters.cpp, list in send()).
@@ -63,33 +59,3 @@ def px4_parameters(system_id: int) -> tuple[Parameter, ...]:
     """All parameters, by name."""
     all_ = (*_OWN, *_FOR_QGROUNDCONTROL, fixed("MAV_SYS_ID", system_id))
     return tuple(sorted(all_, key=lambda parameter: parameter.name))
-
-
-_M = dialect
-# Hz; rates of PX4's own links, or what clients were measured to need. Missing: on request only.
-DEFAULT_HZ: Mapping[int, float] = {
-    _M.MAVLINK_MSG_ID_SYS_STATUS: 5.0,
-    _M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
-    _M.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
-    _M.MAVLINK_MSG_ID_GPS_RAW_INT: 1.0,
-    _M.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
-    _M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 10.0,
-    _M.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,
-    _M.MAVLINK_MSG_ID_ALTITUDE: 1.0,
-    _M.MAVLINK_MSG_ID_VFR_HUD: 2.0,
-    _M.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 0.5,
-    _M.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
-    _M.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 2.0,
-    _M.MAVLINK_MSG_ID_ODOMETRY: 5.0,  # PX4's onboard link: 30; it is the costliest of all to pack
-    _M.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: 1.0,
-}
-_SENSORS = (
-    _M.MAV_SYS_STATUS_SENSOR_3D_GYRO
-    | _M.MAV_SYS_STATUS_SENSOR_3D_ACCEL
-    | _M.MAV_SYS_STATUS_SENSOR_3D_MAG
-    | _M.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
-    | _M.MAV_SYS_STATUS_SENSOR_BATTERY
-)
-
-
-PX4 = ServerProfile(name="px4", mark=SITL_MARK, sensors=_SENSORS, rates_hz=DEFAULT_HZ)
