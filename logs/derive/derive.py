@@ -134,7 +134,7 @@ def _body_velocity(row: ControllerStepRow) -> Vec3:
 
 @dataclass
 class _Told:
-    """What metadata and attachments say of one flight."""
+    """Metadata and attachments of one flight."""
 
     run: dict[str, str] = field(default_factory=dict)  # metadata of the run
     shape: dict[str, str] = field(default_factory=dict)  # barrier and pad by the configuration
@@ -154,7 +154,7 @@ class Derivers:
         self._health: dict[str, Health] = {}
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Take what the metadata of a run and of an onboard process say."""
+        """Use the metadata of a run and of an onboard process."""
         member, name = split(name)
         if name == "run":
             self._of(member).run.update(values)
@@ -173,7 +173,7 @@ class Derivers:
         self._configure_steps()
 
     def declare(self, topic: str, schema: str) -> Derive | None:
-        """Return what to call with each message of a channel; None: nothing is derived from it."""
+        """Return the function that derives messages from a channel; None: nothing is derived."""
         if schema == CONTROLLER_STEP:
             if topic not in self._steps:
                 space = topic.removesuffix(STEP_SUFFIX)

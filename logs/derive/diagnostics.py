@@ -39,7 +39,7 @@ class Status(NamedTuple):
 
 
 class Health:
-    """Gathers a second of one onboard process."""
+    """Diagnostics of one onboard process, second by second."""
 
     def __init__(self, namespace: str) -> None:
         self._name = namespace.strip("/")

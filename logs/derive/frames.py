@@ -93,7 +93,7 @@ class FrameDecoder:
         return [(known.topic, kind.schema, head + (body if kind.verbatim else repacked(kind, body)))]
 
     def _meet(self, key: bytes) -> Decoded | None:
-        """Give a new sender or message its topic; None for one the dialect does not have."""
+        """Return the topic of a new sender or message; None for one that the dialect lacks."""
         system, component, number = struct.unpack("<BBI", key)
         kind = of(number)
         found = None

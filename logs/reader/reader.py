@@ -66,7 +66,7 @@ def _system_id(metadata: Mapping[str, Mapping[str, str]], number: int, name: str
 
 
 class MemberView:
-    """What belongs to one member, under the names that it has in the log of one flight."""
+    """A member's part of the log, under the names of a log of one flight."""
 
     def __init__(self, members: Members, member: str) -> None:
         self._members, self._member = members, member

@@ -25,7 +25,7 @@ MAX_PAYLOAD = 16 * 2**20  # bytes; a longer one is a broken stream, not a messag
 
 
 class Kind(IntEnum):
-    """What a record's payload is."""
+    """Kind of a record's payload."""
 
     DECLARE = 0  # JSON {"topic", "schema"}; the channel number is the sender's
     MESSAGE = 1  # CDR with its four-byte header

@@ -197,7 +197,7 @@ class _Run:
         self.runner.tick()
 
     def _begin(self, record: TickRecord, given: TickInputs) -> bool:
-        """Whether this tick can be replayed; a snapshot makes the next one."""
+        """Whether this tick can be replayed; after a snapshot the next one can."""
         if given.tick == 0:
             self.result.start = "tick 0"
             self.running = True

@@ -51,7 +51,7 @@ def details(title: str, text: str, name: str = "") -> str:
 
 
 def warnings_box(texts: Sequence[str]) -> str:
-    """What a reader has to know before trusting the page; empty without texts."""
+    """Warnings about the page; empty without texts."""
     return _part("warnings", texts)
 
 

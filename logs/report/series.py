@@ -182,7 +182,7 @@ def _limits(figure: go.Figure, flight: Flight, limit_m_s: float, row: int, legen
 
 
 def filter_activity(flight: Flight) -> go.Figure | None:
-    """How much the barrier changes the velocity, and what is left of its constraint; odd results as marks."""
+    """Change of the velocity by the barrier, slack of its constraint, and unusual results as marks."""
     steps = flight.steps
     if steps is None or not np.isfinite(steps.slack_m_s).any():
         return None
@@ -288,7 +288,7 @@ def loop_timing(flight: Flight) -> go.Figure | None:
 
 
 def histograms(flight: Flight, streams: Sequence[Stream]) -> go.Figure | None:
-    """How often which period of the loop and which interval between messages; counts are logarithmic."""
+    """Histograms of loop periods and of intervals between messages; counts are logarithmic."""
     shown: list[tuple[str, str, Floats]] = []
     if flight.timing is not None:
         shown.append(("loop period [ms]", TRUE, flight.timing.period_s[2:] * 1e3))

@@ -259,6 +259,6 @@ def boundary_height_m(flight: Flight, d_m: Floats) -> Floats:
 
 
 def words(text: str) -> str:
-    """Text as words in a figure, which takes some of HTML and ``%{...}`` for its own."""
+    """Escape a text for a figure, where plotly interprets some HTML and ``%{...}``."""
     escaped = html.escape(one_line(text), quote=False)
     return escaped.replace("%{", "%&#123;")

@@ -89,7 +89,7 @@ def run_table(flight: Flight) -> str:
 
 
 def versions_table(metadata: Mapping[str, Mapping[str, str]]) -> str:
-    """What it was flown with, by the metadata of a log."""
+    """Versions recorded in the metadata of a log."""
     rows = [(key.replace("_", " "), value or "–") for key, value in metadata.get("made", {}).items()]
     rows += [(f"records lost by {who}", n) for who, n in metadata.get("losses", {}).items()]
     return table(("made with", "value"), rows) if rows else paragraph("The log does not name versions.")
@@ -176,7 +176,7 @@ def _age_row(name: str, age_s: Floats, limit_s: float | None, bad: Bools) -> tup
 
 
 def definitions() -> str:
-    """What the words of the verdict mean, to open on demand."""
+    """Definitions of the verdict's terms, to open on demand."""
     shown = table(("word", "meaning"), _DEFINITIONS)
     return html("<details><summary>Definitions</summary>{}</details>").format(shown)
 

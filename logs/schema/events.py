@@ -24,7 +24,7 @@ class Severity(IntEnum):
 
 
 class ContactBit(IntFlag):
-    """What the simulated vehicle touches: bits of ``TrueState.contacts``."""
+    """Contacts of the simulated vehicle: bits of ``TrueState.contacts``."""
 
     PAD = 1
     GROUND = 2

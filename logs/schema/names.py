@@ -1,4 +1,4 @@
-"""Names of what a flight writes into a log: plain where the log is its own, else with its namespace.
+"""Names of a flight's records in a log: plain in a log of one flight, else with its namespace.
 
 A log of several flights has metadata ``cf2/run``, attachments ``cf2/onboard.toml``, the logger
 ``cf2.onboard`` on /rosout, and MAVLink frames on ``/uas2``. Topics of a flight begin with its namespace in

@@ -120,7 +120,7 @@ def _columns(
 
 
 def _plain(value: Any) -> Any:
-    """Return a decoded value as what JSON knows; numbers that it does not know become text."""
+    """Return a decoded value as types of JSON; NaN and infinity become text."""
     if isinstance(value, np.ndarray | list | tuple):
         return [_plain(item) for item in value]
     if isinstance(value, np.generic):

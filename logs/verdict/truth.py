@@ -114,7 +114,7 @@ def _outcome(flight: Judged, truth: Truth, begin: int, touch: _Touch | None) -> 
 
 
 def _after_touchdown(flight: Judged, truth: Truth, begin: int, touch: _Touch) -> tuple[Outcome, str]:
-    """Whether it rested on the pad 2 s after the motors stopped; of who took off again, before that."""
+    """Whether it rested on the pad 2 s after the motors stopped, before any second take-off."""
     end = int(np.searchsorted(truth.t_s, left_s(flight) + _SAME_S))
     running = np.flatnonzero(truth.motors_running[begin:end]) + begin
     off = int(running[-1]) + 1 if len(running) else begin
@@ -146,7 +146,7 @@ def _after_touchdown(flight: Judged, truth: Truth, begin: int, touch: _Touch) ->
 
 
 def _hit_after(truth: Truth, begin: int) -> str:
-    """What was touched from a second take-off on, but for a gentle landing on the ground; empty: nothing."""
+    """Contacts after a second take-off, except a gentle landing on the ground; empty: none."""
     hits = np.flatnonzero(truth.contacts[begin:] & _HITS) + begin
     if not len(hits):
         return ""
@@ -208,7 +208,7 @@ def _covered(truth: Truth, start_s: float, begin: int) -> bool:
 
 
 def _missing(flight: Judged, truth: Truth, start_s: float, begin: int, until: int, outcome: Outcome) -> str:
-    """What keeps us from knowing that nothing else happened; empty if all is there."""
+    """Data that is missing to exclude other events; empty if complete."""
     if not _covered(truth, start_s, begin):
         return f"true states have a gap of more than {GAP_MAX_S:g} s"
     lost = int(flight.metadata.get("losses", {}).get("vehicle", "0"))

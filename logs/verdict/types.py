@@ -28,7 +28,7 @@ _SAID_WITHIN_S = 0.1  # an event of the tick itself, with margin for another clo
 
 
 class JudgedSteps(Protocol):
-    """Controller steps as far as a verdict by true states looks at them."""
+    """The fields of controller steps that a verdict by true states needs."""
 
     @property
     def t_s(self) -> Floats: ...
@@ -38,7 +38,7 @@ class JudgedSteps(Protocol):
 
 
 class Judged(Protocol):
-    """A flight as far as a verdict by true states looks at it: from a log, or of a landing in a campaign."""
+    """The fields of a flight that a verdict by true states needs, of a log or a landing in a campaign."""
 
     @property
     def landing_start_s(self) -> float | None: ...
@@ -146,7 +146,7 @@ def abort_declared(flight: Judged) -> Abort | None:
 
 
 def left_s(flight: Judged) -> float:
-    """When it took off again to free the pad for another vehicle; inf: it did not."""
+    """Time of the take-off that frees the pad for another vehicle; inf: none."""
     if flight.steps is None:
         return math.inf
     steps = np.flatnonzero(flight.steps.phase == Phase.LEAVE)
