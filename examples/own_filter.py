@@ -1,4 +1,4 @@
-"""A safety filter of your own: a plain cone over the pad, held with the exact projection.
+"""A safety filter of your own: a plain cone over the pad, enforced with the exact projection.
 
     flightstack sitl --scenario paper_moving_1 --lockstep --filter examples.own_filter:ConeFilter
     flightstack campaign paper_moving_1 --runs 20 --filter examples.own_filter:ConeFilter
@@ -85,7 +85,7 @@ class ConeFilter(Strategy):
         self._config, self._cone = config, Cone(barrier.slope_max, barrier.peak_height_m)
 
     def barrier(self, at: Relative) -> Cone:
-        """The cone, always the same."""
+        """The same cone in every tick."""
         return self._cone
 
     def program(self) -> Projection:
@@ -93,7 +93,7 @@ class ConeFilter(Strategy):
         return Projection(self.rate_1_s)
 
     def approach_m_s(self, at: Relative, over_pad: bool) -> Vec3:
-        """Straight to the pad; the cone keeps it from coming in too low."""
+        """Straight to the pad; the cone prevents a low approach."""
         return nominal_velocity(at.e_m, self._config.position_loop.gain_1_s, at.target.velocity_enu_m_s)
 
     def descent_m_s(self, at: Relative) -> Vec3:
@@ -109,7 +109,7 @@ class ConeFilter(Strategy):
 
 
 def certificate(config: FlightConfig) -> list[Check]:
-    """What must hold before this filter may fly; `flightstack check` shows it."""
+    """Conditions that must hold before this filter may fly; `flightstack check` prints them."""
     vx, vy, vz = config.limits.velocity_max_m_s
     speed_m_s, slope = config.touchdown.target_speed_max_m_s, config.barrier.build().slope_max
     return [
