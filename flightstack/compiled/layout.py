@@ -1,0 +1,159 @@
+"""How objects of the core lie in memory that compiled code can use, by the annotations of their classes."""
+
+from __future__ import annotations
+
+import dataclasses
+import types as python_types
+import typing
+from collections.abc import Callable
+from enum import IntEnum
+from functools import cache
+from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
+
+from flightstack.core.numeric import ABSENT, UNSEEN
+
+WORD = 8  # bytes of each number: doubles and whole numbers of 64 bits
+_texts: list[str] = [""]
+
+
+def _none(value: object) -> tuple[()]:
+    if value is not None:
+        raise TypeError("compiled code knows only that it is not there")
+    return ()
+
+
+def _code(text: str) -> int:
+    if text not in _texts:
+        _texts.append(text)
+    return _texts.index(text)
+
+
+class Kind(NamedTuple):
+    """How a declared type lies in memory: a scalar, a tuple of others, or the address of an object."""
+
+    hint: Any
+    parts: tuple[Kind, ...] = ()
+
+    @property
+    def is_object(self) -> bool:
+        """Whether it is the address of an object."""
+        if self.hint is None:
+            return False
+        return not self.parts and self.hint not in (float, int, bool, str) and not is_enum(self.hint)
+
+    @property
+    def format(self) -> str:
+        """As ``struct`` writes it."""
+        if self.hint is None:
+            return ""
+        if self.parts:
+            return "".join(part.format for part in self.parts)
+        return "d" if self.hint is float else "q"
+
+    def taken(self, path: str) -> str:
+        """Python's expression for the numbers of a value."""
+        if not self.parts:
+            if self.hint is None:
+                return f"*none({path})"
+            if self.hint is str:
+                return f"code({path})"
+            return f"at.get(id({path}), 0)" if self.is_object else path
+        if all(part.hint in (float, int, bool) and not part.parts for part in self.parts):
+            return f"*{path}"
+        return ", ".join(part.taken(f"{path}[{n}]") for n, part in enumerate(self.parts))
+
+    def made(self, at: int, scope: dict[str, Any]) -> str:
+        """Python's expression for a value of the numbers ``v`` from an index on."""
+        if self.parts:
+            if get_origin(self.hint) is tuple and set(self.format) == {"d"} and not self.parts[0].parts:
+                return f"v[{at}:{at + len(self.parts)}]"
+            ends = [at]
+            for part in self.parts:
+                ends.append(ends[-1] + len(part.format))
+            inner = "".join(f"{part.made(n, scope)}, " for part, n in zip(self.parts, ends, strict=False))
+            if get_origin(self.hint) is tuple:
+                return f"({inner})"
+            scope[self.hint.__name__] = self.hint
+            return f"{self.hint.__name__}({inner})"
+        if self.hint is None:
+            return "None"
+        if self.hint in (float, int):
+            return f"v[{at}]"
+        if self.hint is str:
+            return f"texts[v[{at}]]"
+        scope[self.hint.__name__] = self.hint
+        return f"{self.hint.__name__}(v[{at}])"
+
+
+def is_enum(hint: Any) -> bool:
+    """Whether a declared type is one of numbered members."""
+    return isinstance(hint, type) and issubclass(hint, IntEnum)
+
+
+def kind_of_hint(hint: Any) -> Kind | None:
+    """``None`` for what compiled code cannot hold."""
+    if get_origin(hint) is Annotated:
+        if UNSEEN in get_args(hint):
+            return None
+        return Kind(None) if ABSENT in get_args(hint) else kind_of_hint(get_args(hint)[0])
+    if get_origin(hint) in (typing.Union, python_types.UnionType):
+        given = [each for each in get_args(hint) if each is not type(None)]
+        return kind_of_hint(given[0]) if len(given) == 1 else None
+    if hint in (float, int, bool, str) or is_enum(hint):
+        return Kind(hint)
+    if get_origin(hint) is tuple:
+        inner = [kind_of_hint(each) for each in get_args(hint) if each is not Ellipsis]
+        known = Ellipsis not in get_args(hint) and inner and all(inner)
+        return Kind(hint, tuple(each for each in inner if each)) if known else None
+    if not isinstance(hint, type) or get_origin(hint) is not None:
+        return None
+    if issubclass(hint, tuple) and hasattr(hint, "_fields"):
+        inner = [kind_of_hint(each) for each in get_type_hints(hint, include_extras=True).values()]
+        return Kind(hint, tuple(each for each in inner if each)) if all(inner) else None
+    return Kind(hint) if getattr(hint, "__module__", "").startswith("flightstack.core") else None
+
+
+def is_state(cls: type) -> bool:
+    """Whether objects of a class change: dataclasses that are not frozen do."""
+    return dataclasses.is_dataclass(cls) and not cls.__dataclass_params__.frozen  # type: ignore[attr-defined]
+
+
+@cache
+def fields_of(cls: Any) -> dict[str, tuple[Kind, int]]:
+    """Fields of a class that compiled code can hold, and the place of each in numbers."""
+    found, at = {}, 0
+    for name, hint in get_type_hints(cls, include_extras=True).items():
+        if get_origin(hint) is typing.ClassVar or (kind := kind_of_hint(hint)) is None:
+            continue
+        may_lack = get_origin(hint) in (typing.Union, python_types.UnionType)
+        if not may_lack or kind.is_object or is_state(cls):  # of a constant None is not known in time
+            found[name] = (kind, at)
+            at += len(kind.format)
+    return found
+
+
+@cache
+def reader_of(cls: Any) -> Callable[[Any, tuple[Any, ...]], None]:
+    """Function that sets the fields of an object to numbers; it keeps those that hold other objects."""
+    scope: dict[str, Any] = {"texts": _texts}
+    lines = [f"    o.{n} = {k.made(at, scope)}" for n, (k, at) in fields_of(cls).items() if not k.is_object]
+    exec("def read(o, v):\n" + "\n".join([*lines, "    return"]), scope)
+    return scope["read"]  # type: ignore[no-any-return]
+
+
+@cache
+def taker_of(cls: Any) -> Callable[[Any, dict[int, int]], tuple[Any, ...]]:
+    """Function that returns the numbers of an object."""
+    parts = "".join(f"{kind.taken(f'o.{name}')}, " for name, (kind, _) in fields_of(cls).items())
+    scope: dict[str, Any] = {"code": _code, "none": _none}
+    exec(f"def take(o, at):\n    return ({parts})", scope)
+    return scope["take"]  # type: ignore[no-any-return]
+
+
+def class_of(one: object) -> Any:
+    """Class of an object, for the functions here."""
+    return type(one)
+
+
+def format_of(cls: Any) -> str:
+    return "".join(kind.format for kind, _ in fields_of(cls).values())
