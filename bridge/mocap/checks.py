@@ -47,7 +47,7 @@ class Limits:
     turn_rate_max_rad_s: float = 20.0
     turn_rad: float = 0.2
     room_m: float = 100.0  # the Crazyflie's estimator resets beyond (estimator supervisor)
-    gap_believed_s: float = 1.0  # greatest part of a gap in which the vehicle may have moved
+    gap_counted_s: float = 1.0  # greatest part of a gap in which the vehicle may have moved
     return_m: float = 0.5  # allowed distance from the last good pose after rejected ones
     settle_s: float = 1.0  # time at a new place after a jump until it is accepted, disarmed only
 
@@ -152,7 +152,7 @@ class PoseChecks:
 
     def _reaches(self, before: Passed, after: Passed, most_m: float) -> bool:
         limits = self.limits
-        dt_s = min(max(0.0, after.measured_s - before.measured_s), limits.gap_believed_s)
+        dt_s = min(max(0.0, after.measured_s - before.measured_s), limits.gap_counted_s)
         moved_m = math.dist(before.pose.position_m, after.pose.position_m)
         turned_rad = angle_between(before.pose.orientation_wxyz, after.pose.orientation_wxyz)
         fits = moved_m <= min(limits.jump_m + limits.speed_max_m_s * dt_s, most_m)

@@ -97,7 +97,7 @@ _AUTOPILOT = dialect.MAV_COMP_ID_AUTOPILOT1
 _SAY_S = 2.0  # s between two texts about the same
 
 
-class Told:
+class StatusPrinter:
     """Prints each text when it changes and every two seconds."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
@@ -130,7 +130,7 @@ class Bridge:
     ) -> None:
         self._source, self._vehicle, self._endpoint = source, vehicle, endpoint
         self._system_id, self._say = system_id, say
-        self._told, self._senders = Told(say), Senders()
+        self._status, self._senders = StatusPrinter(say), Senders()
         self._start_s = time.monotonic()
 
     @property
@@ -166,7 +166,7 @@ class Bridge:
         self._endpoint.send(messages)
         if problem is not None and self._source.problem_text is not None:
             problem = f"mocap: {self._source.problem_text}"
-        told = self._told
+        told = self._status
         told.about("poses", problem, now_s, good="mocap: poses are good")
         told.about("vehicle", self._vehicle_problem(now_s), now_s, good=self._greeting())
 
@@ -183,8 +183,8 @@ class Bridge:
         return None
 
     def _greeting(self) -> str | None:
-        wants = self._vehicle.wants
-        return f"mocap: {wants.title} gets poses; it wants {wants.settings}" if wants is not None else None
+        needs = self._vehicle.needs
+        return f"mocap: {needs.title} gets poses; it needs {needs.settings}" if needs is not None else None
 
 
 def limits(options: PoseOptions) -> Limits:

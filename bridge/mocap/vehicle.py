@@ -62,7 +62,7 @@ def odometry(passed: Passed, time_us: int) -> Message:
 
 
 @dataclass(frozen=True, slots=True)
-class Wants:
+class PoseNeeds:
     """Requirements of an autopilot on external poses."""
 
     title: str
@@ -72,11 +72,11 @@ class Wants:
     settings: str  # its parameters, as text
 
 
-WANTS: Mapping[int, Wants] = {
-    dialect.MAV_AUTOPILOT_PX4: Wants(
+POSE_NEEDS: Mapping[int, PoseNeeds] = {
+    dialect.MAV_AUTOPILOT_PX4: PoseNeeds(
         "PX4", odometry, 50.0, False, "EKF2_EV_CTRL 11, EKF2_HGT_REF 3, EKF2_GPS_CTRL 0, EKF2_MAG_TYPE 5"
     ),
-    dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: Wants(
+    dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: PoseNeeds(
         "ArduPilot",
         vision_position_estimate,
         50.0,
@@ -92,7 +92,7 @@ class MocapVehicle:
     def __init__(self, system_id: int, limits: Limits, origin: Origin | None) -> None:
         """``origin``: position of the room's zero on earth, for an autopilot that needs one."""
         self.checks = PoseChecks(limits)  # checks of the poses, with counters
-        self.wants: Wants | None = None  # requirements of the vehicle; None before its first heartbeat
+        self.needs: PoseNeeds | None = None  # requirements of the vehicle; None before its first heartbeat
         # MAV_AUTOPILOT of a vehicle that is not in the table, else None
         self.unknown_autopilot: int | None = None
         self._limits, self._origin, self._system_id = limits, origin, system_id
@@ -105,8 +105,8 @@ class MocapVehicle:
     def origin_missing(self) -> bool:
         """Whether the vehicle needs an origin and none is configured."""
         return (
-            self.wants is not None
-            and self.wants.needs_origin
+            self.needs is not None
+            and self.needs.needs_origin
             and self._origin is None
             and not self._origin_known
         )
@@ -138,23 +138,23 @@ class MocapVehicle:
         if now_s - self._beat_s >= (_HEARTBEAT_S if self.heard(now_s) else _HELLO_S) - 1e-9:
             self._beat_s = now_s
             messages.append(companion_heartbeat())
-        wants = self.wants
-        if wants is None or not self.heard(now_s):
+        needs = self.needs
+        if needs is None or not self.heard(now_s):
             return messages, judged.problem
-        messages += [wants.message(p, round(p.measured_s * 1e6)) for p in judged.passed]
+        messages += [needs.message(p, round(p.measured_s * 1e6)) for p in judged.passed]
         status = VehicleStatus(now_s, self._armed, Mode.UNKNOWN, Landed.UNKNOWN, False)
         messages += self._origin_sender.step(status, self._origin_known, now_s)
         return messages, judged.problem
 
     def _on_heartbeat(self, message: Message, now_s: float) -> None:
         self._armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
-        wants = WANTS.get(message.autopilot)
-        self.unknown_autopilot = message.autopilot if wants is None else None
-        if wants is not self.wants or not self.heard(now_s):
-            self.wants, self._origin_known = wants, False
-            origin = self._origin if wants is not None and wants.needs_origin else None
+        needs = POSE_NEEDS.get(message.autopilot)
+        self.unknown_autopilot = message.autopilot if needs is None else None
+        if needs is not self.needs or not self.heard(now_s):
+            self.needs, self._origin_known = needs, False
+            origin = self._origin if needs is not None and needs.needs_origin else None
             self._origin_sender = OriginSender(origin, self._system_id)
-            if wants is not None:
-                rate_hz = min(self._limits.rate_max_hz, wants.rate_max_hz)
+            if needs is not None:
+                rate_hz = min(self._limits.rate_max_hz, needs.rate_max_hz)
                 self.checks.limits = replace(self._limits, rate_max_hz=rate_hz)
         self._heard_s = now_s

@@ -44,7 +44,7 @@ ENCODING = "application/cdr;nav_msgs/msg/Odometry"
 # tolerance of the squared norm, as tf2 (buffer_core.cpp, QUATERNION_NORMALIZATION_TOLERANCE)
 _UNIT_TOLERANCE = 0.01
 _LARGEST = 1e9  # m, m/s, rad/s: greater numbers are damaged data
-TOLD_FACTOR = 1.5  # noise over the configured one that triggers a warning
+WARN_FACTOR = 1.5  # noise over the configured one that triggers a warning
 _UNUSED_M2 = 1e3  # diff_drive_controller and others write 1e6 for unmeasured values
 
 
@@ -136,14 +136,14 @@ def sigma_of(variance_x: float, variance_y: float) -> float | None:
     return math.sqrt(max(variance_x, variance_y)) if known else None
 
 
-def worse_than_told(noise: MeasurementNoise, link: TargetLink) -> str:
+def excess_noise(noise: MeasurementNoise, link: TargetLink) -> str:
     """Warning if the sender reports more noise than the configuration; else empty."""
     found: list[str] = []
     for sigma, told, name, unit in (
         (noise.position_m, link.position_noise_m, "position_noise_m", "m"),
         (noise.velocity_m_s, link.velocity_noise_m_s, "velocity_noise_m_s", "m/s"),
     ):
-        if sigma is not None and sigma > TOLD_FACTOR * told:
+        if sigma is not None and sigma > WARN_FACTOR * told:
             found.append(f"{sigma:.3g} {unit} where target.{name} is {told:g}")
     if not found:
         return ""

@@ -25,11 +25,11 @@ from bridge.ros2.cdr import (
 from bridge.ros2.ros2_names import NO_HASH, any_type_key, bridge_key, parse_topic_key
 from bridge.target.odometry import (
     RawSample,
+    excess_noise,
     noise_of,
     raw_sample,
     shift_odometry,
     shift_pose,
-    worse_than_told,
 )
 from bridge.target.pose_track import PoseTrack
 from bridge.target.tf_chain import TransformChain
@@ -259,7 +259,7 @@ class TargetSource:
         self._compare(odometry.pose_covariance, odometry.twist_covariance)
 
     def _compare(self, pose_covariance: tuple[float, ...], twist_covariance: tuple[float, ...]) -> None:
-        text = worse_than_told(noise_of(pose_covariance, twist_covariance), self._link)
+        text = excess_noise(noise_of(pose_covariance, twist_covariance), self._link)
         if text:
             self._tell(f"{self._spec.text}: {text}")
 

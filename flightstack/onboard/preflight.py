@@ -9,9 +9,9 @@ from dataclasses import replace
 from bridge.mavlink.client.senders import Senders
 from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.line_budget import LinePlan, LineTooSlowError, plan
+from bridge.mavlink.preflight.examine import Report, examine
 from bridge.mavlink.preflight.rules import Level
 from bridge.mavlink.preflight.table import Needs
-from bridge.mavlink.preflight.talk import Report, examine
 from bridge.mavlink.profiles.autopilots import profile
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.strategy import strategy_of

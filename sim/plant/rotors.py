@@ -37,7 +37,7 @@ class RotorRecord(Record):
     torque_x: float  # on the body, N m
     torque_y: float
     torque_z: float
-    cushion: Motors  # factors of the ground effect on the thrusts
+    ground_factors: Motors  # factors of the ground effect on the thrusts
     p1: float  # thrust = (p1 + p2 rpm) rpm, N
     p2: float
     q1: float  # drag torque = (q1 + q2 rpm) rpm, N m
@@ -55,7 +55,7 @@ class RotorRecord(Record):
 def turn_rotors(r: RotorRecord, command: F64, wx: float, wy: float) -> None:
     """Advance the speeds towards ``command`` (rpm) by one step and compute the wrench.
 
-    ``wx``, ``wy``: body roll and pitch rate, rad/s. The factors ``r.cushion`` must be current.
+    ``wx``, ``wy``: body roll and pitch rate, rad/s. The factors ``r.ground_factors`` must be current.
     """
     r1, r2, r3, r4 = r.rpm[0], r.rpm[1], r.rpm[2], r.rpm[3]
     c1, c2, c3, c4 = command[0], command[1], command[2], command[3]
@@ -73,7 +73,7 @@ def turn_rotors(r: RotorRecord, command: F64, wx: float, wy: float) -> None:
     t1, t2, t3, t4 = (p1 + p2 * r1) * r1, (p1 + p2 * r2) * r2, (p1 + p2 * r3) * r3, (p1 + p2 * r4) * r4
     if min(r1, r2, r3, r4) < ALWAYS_POSITIVE_RPM:
         t1, t2, t3, t4 = max(t1, 0.0), max(t2, 0.0), max(t3, 0.0), max(t4, 0.0)
-    f, s = r.cushion, r.share
+    f, s = r.ground_factors, r.share
     t1, t2, t3, t4 = f[0] * t1 * s[0], f[1] * t2 * s[1], f[2] * t3 * s[2], f[3] * t4 * s[3]
     spin = r.gyro * (r2 + r4 - r1 - r3)  # I_p sum(MIX_YAW_i w_i) = -h_z
     r.thrust_n = t1 + t2 + t3 + t4
@@ -110,7 +110,7 @@ class Rotors:
         r.slow_rise = -math.expm1(-step_s * rotor.slow_rise_1_s / plant.motor_lag)
         r.slow_fall = step_s * rotor.slow_fall_1_rpm_s / plant.motor_lag
         r.slow = slow
-        r.cushion[:], r.share[:] = 1.0, plant.motors
+        r.ground_factors[:], r.share[:] = 1.0, plant.motors
 
     @property
     def rpm(self) -> Four:

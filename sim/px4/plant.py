@@ -19,7 +19,7 @@ from sim.plant.params import Params
 from sim.plant.rotors import speed_limit
 from sim.plant.vehicle_types import Truth
 from sim.scenarios.scenario import Scenario, StartKind
-from sim.vehicle.loop import CONTROL_EVERY_MS, VehicleRecord, cushion, move, push, surround
+from sim.vehicle.loop import CONTROL_EVERY_MS, VehicleRecord, apply_ground_effect, move, push, surround
 from sim.vehicle.physics import Physics
 
 SUPPLY_MS = 1000  # the wind takes a number every 5 ms and is given at least 340 of them
@@ -43,7 +43,7 @@ def fly_commanded(vehicle: Cell[VehicleRecord], wanted: F64, begin_ms: int, end_
             limit = speed_limit(v.battery)
             for i in range(4):
                 v.firmware.commands[i] = min(wanted[i], limit)
-            cushion(v)
+            apply_ground_effect(v)
         surround(v, now_ms)
         push(v)
         move(v, now_ms)

@@ -12,13 +12,13 @@ from plotly.subplots import make_subplots
 
 from logs.report.style import BOUNDARY, COMMAND, ESTIMATED, FLOWN, LIMIT, NOMINAL, TRUE, layout
 
-Told = dict[str, Any]
+Summary = dict[str, Any]
 DEGREES = 57.29578
 _SIDES = ("recorded", "simulated")
 
 
 def _bars(
-    names: Sequence[str], found: Sequence[Told], color: str, name: str, scale: float, **more: Any
+    names: Sequence[str], found: Sequence[Summary], color: str, name: str, scale: float, **more: Any
 ) -> Any:
     """Bars with the interval of each value."""
     each = np.array([(f["value"], *f["interval"]) for f in found], dtype=np.float64)  # None becomes NaN
@@ -37,7 +37,7 @@ def _titled(figure: go.Figure) -> go.Figure:
     return figure
 
 
-def open_loop(told: Told) -> go.Figure | None:
+def open_loop(told: Summary) -> go.Figure | None:
     """Errors of model, constant velocity and ideal body after each horizon."""
     if not any(one["open_loop"] for one in told["by_flight"]):
         return None
@@ -59,7 +59,7 @@ def open_loop(told: Told) -> go.Figure | None:
     return _titled(layout(figure, 400))
 
 
-def ratios(told: Told) -> go.Figure | None:
+def ratios(told: Summary) -> go.Figure | None:
     """Ratio of the model's error of position and velocity to that of constant velocity, by flight."""
     flights = [one for one in told["by_flight"] if one["open_loop"]]
     if not flights:
@@ -92,7 +92,7 @@ _FLOWN = (
 )
 
 
-def closed_loop(told: Told) -> go.Figure | None:
+def closed_loop(told: Summary) -> go.Figure | None:
     """Simulated over recorded values of each flight."""
     flights = [one for one in told["by_flight"] if one["closed_loop"]]
     if not flights:
@@ -126,7 +126,7 @@ def closed_loop(told: Told) -> go.Figure | None:
     return _titled(layout(figure, 700))
 
 
-def sensing(told: Told) -> go.Figure | None:
+def sensing(told: Summary) -> go.Figure | None:
     """Error by speed, spectrum, and delay of each flight, for position and velocity."""
     flights = [one for one in told["by_flight"] if one["sensing"]]
     if not flights:

@@ -7,7 +7,7 @@ from typing import Any
 
 from logs.report.page import block, details, header, html, need_libraries, page, paragraph, section, table
 
-Told = dict[str, Any]
+Summary = dict[str, Any]
 
 _CRITERIA = (
     "Ratios of rms errors where nothing else is said. Found: over flights, with an interval of 95 % by "
@@ -35,7 +35,7 @@ _SENSING = (
 )
 
 
-def render(told: Told) -> str:
+def render(told: Summary) -> str:
     """Make the page of a ``summary``. Raises ReportError: the plotting or template library is missing."""
     need_libraries()
     title = f"{told['vehicle']} beside recorded flights"
@@ -61,7 +61,7 @@ def render(told: Told) -> str:
     return page(title, "".join(body))
 
 
-def _left_out(told: Told) -> str:
+def _left_out(told: Summary) -> str:
     rows = [
         (each["name"], what, "; ".join(each["reasons"]))
         for key, what in (("left_out", "whole"), ("cut", "parts"))
@@ -70,8 +70,8 @@ def _left_out(told: Told) -> str:
     return table(("flight", "what", "reasons"), rows) if rows else "Nothing."
 
 
-def _flights(told: Told) -> str:
-    def both(sides: Told | None, *path: str) -> str:
+def _flights(told: Summary) -> str:
+    def both(sides: Summary | None, *path: str) -> str:
         """Recorded / simulated, in mm or ms."""
         if not sides:
             return " / "
@@ -94,7 +94,7 @@ def _flights(told: Told) -> str:
     return table(head, rows, numbers=(1, 3, 4, 5))
 
 
-def _figures(told: Told) -> list[str]:
+def _figures(told: Summary) -> list[str]:
     from sim.validation import figures  # needs plotly
 
     drawn = (

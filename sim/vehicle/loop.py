@@ -74,14 +74,14 @@ def sense(vehicle: Cell[VehicleRecord]) -> None:
 
 
 @jitted
-def cushion(v: VehicleRecord) -> None:
+def apply_ground_effect(v: VehicleRecord) -> None:
     """Factors of the ground effect on the four thrusts."""
     p, d = v.world.body.position, v.world.deck.position
     if v.rotors.thrust_n > 0.0:
         axes = rotation_axes(v.world.body.quaternion)
-        ground_effect(v.ground, p[0] - d[0], p[1] - d[1], p[2] - d[2], d[2], axes, v.rotors.cushion)
+        ground_effect(v.ground, p[0] - d[0], p[1] - d[1], p[2] - d[2], d[2], axes, v.rotors.ground_factors)
     else:
-        v.rotors.cushion[:] = 1.0
+        v.rotors.ground_factors[:] = 1.0
 
 
 @jitted
@@ -150,7 +150,7 @@ def fly(vehicle: Cell[VehicleRecord], begin_ms: int, end_ms: int) -> None:
                 oversee(v.firmware, now_ms, v.imu.accel)
             v.firmware.thrust_map.no_duty_rpm = speed_at_no_duty(v.battery)
             control(v.firmware, speed_limit(v.battery))
-            cushion(v)
+            apply_ground_effect(v)
         surround(v, now_ms)
         push(v)
         move(v, now_ms)

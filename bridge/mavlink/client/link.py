@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.client.commands import CommandSequencer
 from bridge.mavlink.client.companion import Origin, companion_heartbeat, velocity_setpoint
 from bridge.mavlink.client.senders import Senders
-from bridge.mavlink.client.streams import Wants, wanted
+from bridge.mavlink.client.streams import RequestSenders, request_senders
 from bridge.mavlink.client.texts import EVENT, TextAssembler, event_text
 from bridge.mavlink.client.vehicle_state import VehicleState
 from bridge.mavlink.codec.decoding import Message
@@ -81,7 +81,7 @@ class VehicleLink:
         self._target = (system_id, component_id)
         self._takeoff_height_m, self._rate_hz, self._origin = takeoff_height_m, rate_hz, origin
         self._line, self._setpoints = line, 0
-        self._wants = self._wanted(profile) if profile is not None else None
+        self._requests = self._senders_for(profile) if profile is not None else None
         self._kill = CommandSequencer(PX4, *self._target, takeoff_height_m)
         self._assembler = TextAssembler()
         self.endpoint = endpoint or Endpoint(  # the companion shares the vehicle's system id
@@ -121,7 +121,7 @@ class VehicleLink:
     @property
     def failed(self) -> str | None:
         """Why the current request was given up, or None."""
-        return self._wants.sequencer.failed if self._wants is not None else None
+        return self._requests.sequencer.failed if self._requests is not None else None
 
     @property
     def profile(self) -> Profile | None:
@@ -137,7 +137,7 @@ class VehicleLink:
             raise RuntimeError(f"the link flies by {self.state.profile.name} already, not by {profile.name}")
         self.state.profile = profile
         self.state.follow(profile.stream_in_takeoff)
-        self._wants = self._wanted(profile)
+        self._requests = self._senders_for(profile)
 
     def poll(self, now_s: float) -> None:
         """Handle all messages that arrived and queue what is due: heartbeat, requests for telemetry.
@@ -175,11 +175,11 @@ class VehicleLink:
 
     def command(self, request: Request, now_s: float) -> None:
         """Work towards a request; called every tick with the current one."""
-        if self._wants is None:
+        if self._requests is None:
             if request is Request.MOTORS_OFF:  # the same for all autopilots: sent without a profile, too
                 self._outgoing += self._kill.step(request, None, now_s)
             return
-        sequencer, _, origin = self._wants
+        sequencer, _, origin = self._requests
         sequencer.home_amsl_m, sequencer.above_home = self.state.home_amsl_m, self.state.above_home
         commands = sequencer.step(request, self.status, now_s)
         self._outgoing += commands
@@ -200,8 +200,8 @@ class VehicleLink:
         if profile is None or not self._may_stream(profile) or not math.isfinite(sum(velocity) + yaw):
             self.counters.setpoints_refused += 1
             return False
-        if self._wants is not None:
-            self._wants.sequencer.note_setpoint(now_s)
+        if self._requests is not None:
+            self._requests.sequencer.note_setpoint(now_s)
         self.state.follow(True)
         self._setpoints += 1
         if self._line is not None and self._setpoints % self._line.setpoint_every:
@@ -233,16 +233,16 @@ class VehicleLink:
     @property
     def heeded(self) -> frozenset[int]:
         """Ids of the messages that have an effect here."""
-        asked = self._wants.streams.asked if self._wants is not None else ()
+        asked = self._requests.streams.asked if self._requests is not None else ()
         return frozenset((*self._handlers, *self.state.heeded, *asked))
 
     def silent_until_s(self, request: Request) -> float:
         """Time until which only set-points are sent if the request stays and only the state arrives."""
-        wants, waits = self._wants, self._outgoing or self._held or self._line
+        requests, waits = self._requests, self._outgoing or self._held or self._line
         restarted = self.state.restarted_s != self._restarted_s
-        if wants is None or waits or restarted or not self.state.following:
+        if requests is None or waits or restarted or not self.state.following:
             return -math.inf
-        return min(self._heartbeat_at_s + _HEARTBEAT_S - 1e-9, wants.idle_until_s(request, self.status))
+        return min(self._heartbeat_at_s + _HEARTBEAT_S - 1e-9, requests.idle_until_s(request, self.status))
 
     def hear(self, now_s: float) -> bool:
         """Handle messages that arrived outside of ticks and send a due heartbeat; False: more is due."""
@@ -259,15 +259,15 @@ class VehicleLink:
         """Record ticks outside of ``poll`` with the newest state; all with a set-point or none."""
         self.state.took(own)
         self._setpoints += ticks if setpoints else 0
-        if self._wants is not None:
-            self._wants.took(own.arrival_s, ticks, setpoints=setpoints)
+        if self._requests is not None:
+            self._requests.took(own.arrival_s, ticks, setpoints=setpoints)
 
     def close(self) -> None:
         self.endpoint.close()
 
-    def _wanted(self, profile: Profile) -> Wants:
+    def _senders_for(self, profile: Profile) -> RequestSenders:
         state_hz = self._rate_hz if self._line is None else self._line.state_hz
-        return wanted(
+        return request_senders(
             profile, self._target, self._takeoff_height_m, state_hz, power=self._power, origin=self._origin
         )
 
@@ -280,11 +280,13 @@ class VehicleLink:
 
     def _may_stream(self, profile: Profile) -> bool:
         """Whether a set-point would not end or prevent a take-off of the vehicle."""
-        if profile.stream_in_takeoff or self._wants is None:
+        if profile.stream_in_takeoff or self._requests is None:
             return True
         status = self.status
         standing = status is not None and status.landed is Landed.ON_GROUND
-        return self._wants.sequencer.request is not Request.TAKEOFF and (self.state.following or not standing)
+        return self._requests.sequencer.request is not Request.TAKEOFF and (
+            self.state.following or not standing
+        )
 
     def _release(self, arrival_s: float) -> None:
         held, self._held = self._held, []
@@ -299,8 +301,8 @@ class VehicleLink:
 
     def _handle(self, message: Message, arrival_s: float) -> None:
         message_id: int = message.get_msgId()  # not .id: in STATUSTEXT that is a field
-        if self._wants is not None:
-            self._wants.streams.seen(message_id)
+        if self._requests is not None:
+            self._requests.streams.seen(message_id)
         elif message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT:
             self._recognise(message)
         handler = self._handlers.get(message_id)
@@ -310,8 +312,8 @@ class VehicleLink:
             self.state.update(message, arrival_s)
 
     def _on_ack(self, message: Message, _arrival_s: float) -> None:
-        if self._wants is not None:
-            self._wants.sequencer.note_ack(message.command, message.result)
+        if self._requests is not None:
+            self._requests.sequencer.note_ack(message.command, message.result)
 
     def _on_text(self, message: Message, _arrival_s: float) -> None:
         for severity, text in self._assembler.add(message):
@@ -325,8 +327,8 @@ class VehicleLink:
     def _said(self, severity: int, text: str) -> None:
         """Pass on a text of the vehicle; it may be the reason of a failed command."""
         self._say(severity, text)
-        if self._wants is not None:
-            self._wants.sequencer.note_text(text)
+        if self._requests is not None:
+            self._requests.sequencer.note_text(text)
 
     def _on_timesync(self, message: Message, arrival_s: float) -> None:
         if message.tc1 != 0:
@@ -353,13 +355,13 @@ class VehicleLink:
         if now_s - self._heartbeat_at_s >= _HEARTBEAT_S - 1e-9:
             self._heartbeat_at_s = now_s
             self._outgoing.append(companion_heartbeat())
-        if self.state.autopilot is not None and self._wants is not None:
+        if self.state.autopilot is not None and self._requests is not None:
             if self.state.restarted_s != self._restarted_s:
                 self._restarted_s = self.state.restarted_s
-                self._wants.streams.restart()
-                self._wants.origin.restart()
+                self._requests.streams.restart()
+                self._requests.origin.restart()
                 self._say(dialect.MAV_SEVERITY_INFO, _RESTARTED)
-            self._outgoing += self._wants.streams.step(now_s)
+            self._outgoing += self._requests.streams.step(now_s)
         self._warn()
 
     def _warn(self) -> None:

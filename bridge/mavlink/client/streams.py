@@ -117,7 +117,7 @@ class StreamRequests:
         )
 
 
-class Wants(NamedTuple):
+class RequestSenders(NamedTuple):
     """Senders of requests; each request is repeated until the vehicle shows it."""
 
     sequencer: CommandSequencer
@@ -136,7 +136,7 @@ class Wants(NamedTuple):
             self.sequencer.note_setpoint(now_s)
 
 
-def wanted(
+def request_senders(
     profile: Profile,
     target: tuple[int, int],
     takeoff_height_m: float,
@@ -144,7 +144,7 @@ def wanted(
     *,
     power: bool,
     origin: Origin | None,
-) -> Wants:
+) -> RequestSenders:
     """The senders of commands, message rates and origin for one autopilot.
 
     ``takeoff_height_m``: climb of a take-off; ``state_hz``: rate of position and attitude; ``power``: request
@@ -157,7 +157,7 @@ def wanted(
         **profile.asked_hz,
         **({dialect.MAVLINK_MSG_ID_VFR_HUD: _THROTTLE_HZ} if power else {}),
     }
-    return Wants(
+    return RequestSenders(
         CommandSequencer(profile, *target, takeoff_height_m),
         StreamRequests(rates_hz, *target, profile.unset, profile.data_streams),
         OriginSender(origin if profile.needs_origin else None, target[0]),

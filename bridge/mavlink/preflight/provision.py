@@ -39,12 +39,12 @@ def provision(url: str, system_id: int, key: SigningKey, *, remove: bool, wait_s
         )
     endpoint = Endpoint(url, system_id, _COMPONENT_ID, signing_key=key if remove else None)
     try:
-        return _Talk(endpoint, system_id, remove=remove).run(key, wait_s)
+        return _Provision(endpoint, system_id, remove=remove).run(key, wait_s)
     finally:
         endpoint.close()
 
 
-class _Talk:
+class _Provision:
     def __init__(self, endpoint: Endpoint, system_id: int, *, remove: bool) -> None:
         self._endpoint, self._target, self._remove = endpoint, (system_id, 1), remove
         self._heartbeat: tuple[Peer, bool] | None = None  # sender; armed

@@ -179,7 +179,7 @@ def touchdown_figure() -> Figure:
             ms = 1000.0 * (run.t[shown] - run.t[at])
             line(grid[0][column], ms, height[shown], color, name, dashed=driving)
             line(grid[1][column], ms, run.relative_velocity[shown, 2], color, dashed=driving)
-            line(grid[2][column], ms, run.cushion[shown], color, dashed=driving)
+            line(grid[2][column], ms, run.ground_factor[shown], color, dashed=driving)
         for axes in grid[:, column]:
             axes.axvspan(0.0, ms[-1], color="#009E73", alpha=0.10, lw=0, label="after the first touch")
         label(grid[0][column], "", "" if column else "feet over the pad [mm]", title)

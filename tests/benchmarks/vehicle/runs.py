@@ -43,7 +43,7 @@ class Run:
     roll: F64
     yaw: F64
     rpm: F64  # (n, 4)
-    cushion: F64  # ground-effect factor, mean of the four
+    ground_factor: F64  # ground-effect factor, mean of the four
     relative: F64  # vehicle minus pad, (n, 3)
     relative_velocity: F64
     pad_contact: npt.NDArray[np.bool_]
@@ -65,7 +65,7 @@ def _row(sim: VehicleSim, truth: Truth) -> tuple[object, ...]:
         truth.time_s, truth.position_enu_m, truth.velocity_enu_m_s,
         math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
         math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
-        truth.rotor_rpm, sim._rotors.record.cushion.mean(), e, v,
+        truth.rotor_rpm, sim._rotors.record.ground_factors.mean(), e, v,
         bool(truth.contacts & ContactBit.PAD), truth.battery_v,
     )  # fmt: skip
 

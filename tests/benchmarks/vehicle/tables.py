@@ -171,7 +171,7 @@ def touchdown_rows() -> Iterable[Row]:
     run = landing(0.2, False, False)
     height = 1000.0 * float(run.relative[-1, 2])
     yield Row("centre of mass at rest over the pad", "mm", height, 1000.0 * rest, "CAD", 2)
-    gain = float(run.cushion[touch_index(run) - 1])
+    gain = float(run.ground_factor[touch_index(run) - 1])
     ideal = float(ref.cheeseman_bennett(np.array(STANDING_ROTORS_M)))
     yield Row("ground-effect factor at touch", "", gain, ideal, "Cheeseman-Bennett", 4)
     ride = landing(0.2, False, True)

@@ -14,7 +14,7 @@ from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.codec.packing import pack
 from bridge.mocap.checks import Limits, Passed, PoseChecks, Refusal, Sample, angle_between, centre
 from bridge.mocap.process import CheckedPoses, MocapSource, parse_spec
-from bridge.mocap.vehicle import WANTS, MocapVehicle, odometry, vision_position_estimate
+from bridge.mocap.vehicle import POSE_NEEDS, MocapVehicle, odometry, vision_position_estimate
 from bridge.ros2.cdr import Pose
 from bridge.zenoh import zenoh_link
 from tests.unit.target.ros2_helpers import pose_stamped
@@ -296,7 +296,7 @@ def test_a_missing_origin_and_an_unknown_autopilot_are_known():
     vehicle.handle(mav.MAVLink_gps_global_origin_message(1, 2, 3), 0.1)
     assert not vehicle.origin_missing
     vehicle.handle(heartbeat(18), 0.2)
-    assert (vehicle.wants, vehicle.unknown_autopilot) == (None, 18)
+    assert (vehicle.needs, vehicle.unknown_autopilot) == (None, 18)
 
 
 def test_an_armed_vehicle_keeps_its_place_against_a_jump():
@@ -321,7 +321,7 @@ def test_px4s_clock_is_answered():
 
 
 def test_the_table_names_every_autopilot_of_the_stack():
-    assert set(WANTS) == {mav.MAV_AUTOPILOT_PX4, mav.MAV_AUTOPILOT_ARDUPILOTMEGA}
+    assert set(POSE_NEEDS) == {mav.MAV_AUTOPILOT_PX4, mav.MAV_AUTOPILOT_ARDUPILOTMEGA}
 
 
 def test_odometry_is_no_pose():

@@ -5,10 +5,10 @@ import threading
 import pytest
 
 from bridge.mavlink.endpoint import Endpoint, dialect
-from bridge.mavlink.preflight import talk as module
+from bridge.mavlink.preflight import examine as module
+from bridge.mavlink.preflight.examine import examine
 from bridge.mavlink.preflight.rules import Level, judge
 from bridge.mavlink.preflight.table import Needs, table
-from bridge.mavlink.preflight.talk import examine
 from bridge.mavlink.profiles.autopilots import ARDUPILOT, CRAZYFLIE, OWN_SITL, PROFILES, PX4
 from flightstack.common.strict_toml import ConfigError, from_table
 from flightstack.core.parameters.flight import FlightConfig

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bridge.mavlink.preflight.table import Needs, table
-from bridge.mocap.vehicle import WANTS
+from bridge.mocap.vehicle import POSE_NEEDS
 from flightstack.common.strict_toml import ConfigError
 from sim.plant.params import load
 from sim.plant.rotors import MIX_YAW, POSITION_X, POSITION_Y
@@ -250,5 +250,5 @@ def test_motion_capture_takes_the_place_of_satellites():
     found = parameters(load(), link)
     assert "EKF2_GPS_P_NOISE" not in found
     assert found["EKF2_EV_DELAY"] == 15.0
-    settings = dict(pair.rsplit(" ", 1) for pair in WANTS[12].settings.split(", "))  # of the bridge's page
+    settings = dict(pair.rsplit(" ", 1) for pair in POSE_NEEDS[12].settings.split(", "))
     assert {name: found[name] for name in settings} == {name: int(value) for name, value in settings.items()}

@@ -11,12 +11,12 @@ from bridge.frames import quaternion_from_yaw
 from bridge.ros2.cdr import Odometry, Pose, Transform
 from bridge.target.odometry import (
     RawSample,
+    excess_noise,
     noise_of,
     sample_from_cdr,
     sample_of,
     shift_odometry,
     shift_pose,
-    worse_than_told,
 )
 from bridge.target.pose_track import OUTLIERS_MAX, SETTLED_M_S, PoseTrack
 from bridge.target.ros2_target import OFFSET_MAX_M, TargetSource, TargetSpec, TargetType
@@ -143,8 +143,8 @@ def test_what_a_sender_says_of_its_noise():
 
 
 def test_a_sender_worse_than_configured_is_told_of():
-    assert worse_than_told(noise_of(covariance(2.5e-5, 2.5e-5), covariance(4e-4, 4e-4)), LINK) == ""
-    text = worse_than_told(noise_of(covariance(0.0025, 0.0025), covariance(0.04, 0.01)), LINK)
+    assert excess_noise(noise_of(covariance(2.5e-5, 2.5e-5), covariance(4e-4, 4e-4)), LINK) == ""
+    text = excess_noise(noise_of(covariance(0.0025, 0.0025), covariance(0.04, 0.01)), LINK)
     assert "0.05 m where target.position_noise_m is 0.005" in text
     assert "0.2 m/s where target.velocity_noise_m_s is 0.02" in text
 

@@ -7,7 +7,7 @@ from bridge.mavlink.client.senders import SILENT_S, Kind, Senders
 from bridge.mavlink.codec.decoding import decode
 from bridge.mavlink.codec.packing import pack
 from bridge.mavlink.endpoint import dialect
-from bridge.mavlink.preflight.talk import examine
+from bridge.mavlink.preflight.examine import examine
 from flightstack.core.types import Mode, Request
 from flightstack.onboard.runner import LinkedVehicle
 from tests.unit.mavlink.client.vehicle_link_fakes import (

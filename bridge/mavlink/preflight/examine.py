@@ -76,35 +76,35 @@ def examine(
     ``stopped``: ends the check early; ``say``: gets a text on the wait every two seconds; ``senders``: learns
     the vehicle's address for the flight.
     """
-    talk = _Talk(endpoint, system_id, chosen, senders or Senders(), accept_release=accept_release)
+    check = _Check(endpoint, system_id, chosen, senders or Senders(), accept_release=accept_release)
     began_s = time.monotonic()
     until_s = began_s + wait_s
     said_s = began_s
     heard = False
-    while not talk.over and not stopped():
+    while not check.over and not stopped():
         now_s = time.monotonic()
-        if talk.heard and not heard:
+        if check.heard and not heard:
             heard, until_s = True, now_s + _READ_MAX_S
         if now_s >= until_s:
             break
         if now_s - said_s >= _SAY_S:
             said_s = now_s
-            say(f"waiting: {talk.waits_for()}; for {until_s - now_s:.0f} s more")
-        talk.turn(now_s)
-    reader, profile = talk.reader, talk.profile
+            say(f"waiting: {check.waits_for()}; for {until_s - now_s:.0f} s more")
+        check.turn(now_s)
+    reader, profile = check.reader, check.profile
     if stopped():
-        return Report(profile, talk.version, (), "cancelled by the operator")
-    if talk.refused is not None:
-        return Report(profile, talk.version, (), talk.refused)
+        return Report(profile, check.version, (), "cancelled by the operator")
+    if check.refused is not None:
+        return Report(profile, check.version, (), check.refused)
     if profile is None or reader is None:
-        return Report(None, None, (), f"{talk.waits_for()}; within {wait_s:g} s, is the vehicle's link up?")
-    findings = tuple(judge(talk.asked, reader.values, reader.missing, needs, accepted))
-    rules, problem, note = talk.choice or (None, None, None)
+        return Report(None, None, (), f"{check.waits_for()}; within {wait_s:g} s, is the vehicle's link up?")
+    findings = tuple(judge(check.asked, reader.values, reader.missing, needs, accepted))
+    rules, problem, note = check.choice or (None, None, None)
     notes = (note,) if note is not None else ()
-    return Report(profile, talk.version, findings, problem, notes, rules, rest_v=talk.rest_v)
+    return Report(profile, check.version, findings, problem, notes, rules, rest_v=check.rest_v)
 
 
-class _Talk:
+class _Check:
     """State of the check; ``turn`` makes one step."""
 
     def __init__(
