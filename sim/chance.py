@@ -57,9 +57,7 @@ class Chance(Protocol):
 def stream(seed: int, purpose: str) -> Chance:
     """Random stream of one purpose; streams of different purposes are independent of each other.
 
-    Args:
-        seed: of the run, also one with moves.
-        purpose: name.
+    ``seed``: of the run, also one with moves; ``purpose``: name of the stream.
     """
 
     def plain(one: int) -> np.random.Generator:
@@ -78,11 +76,8 @@ def stream(seed: int, purpose: str) -> Chance:
 def fresh(move_seed: int) -> int:
     """Seed of a chance that begins a line of moves.
 
-    Args:
-        move_seed: 1 to ``MOVE_SEED_MAX``.
-
-    Raises:
-        ValueError: another one.
+    ``move_seed``: 1 to ``MOVE_SEED_MAX``.
+    Raises ValueError: another one.
     """
     return moved(0, move_seed, 1.0)
 
@@ -90,13 +85,9 @@ def fresh(move_seed: int) -> int:
 def moved(seed: int, move_seed: int, weight: float) -> int:
     """Seed whose chance is that of another, moved.
 
-    Args:
-        seed: of the other, made by ``fresh`` or ``moved``; 0 for a weight of 1, which leaves nothing of it.
-        move_seed: of the move, 1 to ``MOVE_SEED_MAX``.
-        weight: of the move, above 0 and at most 1; rounded to 1/256.
-
-    Raises:
-        ValueError: a number is not allowed.
+    ``seed``: by ``fresh`` or ``moved``; 0 with a weight of 1, which removes it; ``move_seed``: 1 to
+    ``MOVE_SEED_MAX``; ``weight``: of the move, above 0 and at most 1, rounded to 1/256.
+    Raises ValueError: a number is not allowed.
     """
     if not 1 <= move_seed <= MOVE_SEED_MAX:
         raise ValueError(f"seed of a move is {move_seed}; 1 to 2^56 - 1 is allowed")
@@ -119,12 +110,8 @@ def member(seed: int, number: int) -> int:
     What a member draws does not depend on how many others there are. Moves of the team's seed are moves of
     the member's, with the same weights.
 
-    Args:
-        seed: of the team, also one with moves.
-        number: of the member, from 1.
-
-    Raises:
-        ValueError: a number below 1.
+    ``seed``: of the team, also one with moves; ``number``: of the member, from 1.
+    Raises ValueError: a number below 1.
     """
     if number < 1:
         raise ValueError(f"number of a member is {number}; they are counted from 1")
@@ -170,8 +157,7 @@ def _below(normal: Any) -> Any:
 class Moved:
     """A stream of a seed with moves.
 
-    Args:
-        parts: share of each move's normal numbers, and their stream; the squares of the shares sum up to 1.
+    ``parts``: share of each move's normal numbers, and their stream; the squares of the shares sum up to 1.
     """
 
     def __init__(self, parts: Sequence[tuple[float, np.random.Generator]]) -> None:

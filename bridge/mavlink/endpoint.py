@@ -74,8 +74,6 @@ class Direction(Enum):
 
 
 class Received(NamedTuple):
-    """A received frame."""
-
     message: Message
     raw: bytes
     peer: Peer

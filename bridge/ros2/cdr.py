@@ -97,8 +97,7 @@ def encode_odometry(
 ) -> bytes:
     """Serialise an odometry message; the arguments are the fields of ``Odometry``.
 
-    Raises:
-        OdometryError: the stamp does not fit 32-bit seconds, or a covariance has not 36 entries.
+    Raises OdometryError: the stamp does not fit 32-bit seconds, or a covariance has not 36 entries.
     """
     w, x, y, z = orientation_wxyz
     pose, twist = (position_m, (x, y, z, w)), (linear_m_s, angular_rad_s)
@@ -134,9 +133,8 @@ def decode_odometry(payload: bytes) -> Odometry:
 def decode_pose_and_twist(payload: bytes) -> tuple[int, str, str, tuple[float, ...]]:
     """Parse the fields that the controller needs; raises as ``decode_odometry``.
 
-    Returns:
-        Stamp in nanoseconds, frame, child frame, and 17 numbers as on the wire: position, orientation
-        x y z w, variances of x and y, linear and angular twist, variances of the linear one's x and y.
+    Returns stamp in nanoseconds, frame, child frame, and 17 numbers as on the wire: position, orientation x y
+    z w, variances of x and y, linear and angular twist, variances of the linear one's x and y.
     """
     (stamp_ns, frame_id), child, (pose, pose_cov), (twist, twist_cov) = _decoded(_unpack_odometry, payload)
     numbers = (

@@ -52,8 +52,7 @@ class Node(NamedTuple):
 def check_topic(topic: str) -> str:
     """Return a topic name if it is a fully qualified one.
 
-    Raises:
-        ValueError: it is not; the text says what is allowed.
+    Raises ValueError: it is not; the text says what is allowed.
     """
     if _TOPIC.fullmatch(topic) and len(topic) <= TOPIC_LENGTH_MAX:
         return topic
@@ -65,11 +64,7 @@ def check_topic(topic: str) -> str:
 
 
 def check_domain(domain: int) -> int:
-    """Return a domain id if ROS 2 allows it.
-
-    Raises:
-        ValueError: it is out of range.
-    """
+    """Return a domain id if ROS 2 allows it. Raises ValueError: it is out of range."""
     if 0 <= domain <= DOMAIN_MAX:
         return domain
     raise ValueError(f"ROS 2 domain id {domain} is out of range: allowed are 0 to {DOMAIN_MAX}")
@@ -78,8 +73,7 @@ def check_domain(domain: int) -> int:
 def dds_type(type_name: str) -> str:
     """Name of a message type in DDS: ``nav_msgs::msg::dds_::Odometry_``.
 
-    Raises:
-        ValueError: not ``package/msg/Name``.
+    Raises ValueError: not ``package/msg/Name``.
     """
     match = _TYPE.fullmatch(type_name)
     if match is None:
@@ -88,11 +82,7 @@ def dds_type(type_name: str) -> str:
 
 
 def topic_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
-    """Key of a topic in rmw_zenoh: ``DOMAIN/TOPIC/TYPE/HASH``.
-
-    Raises:
-        ValueError: a part is malformed.
-    """
+    """Key of a topic in rmw_zenoh: ``DOMAIN/TOPIC/TYPE/HASH``. Raises ValueError: a part is malformed."""
     if not _HASH.fullmatch(type_hash) and type_hash != NO_HASH:
         raise ValueError(
             f"type hash {type_hash!r}: RIHS01_ and 64 hexadecimal digits are needed, or {NO_HASH}"
@@ -103,8 +93,7 @@ def topic_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
 def any_type_key(domain: int, topic: str) -> str:
     """Key expression of a topic with any type, to detect a topic with a wrong type.
 
-    Raises:
-        ValueError: a part is malformed.
+    Raises ValueError: a part is malformed.
     """
     return f"{check_domain(domain)}{check_topic(topic)}/*/*"
 
@@ -127,18 +116,13 @@ def parse_topic_key(key: str) -> TopicKey | None:
 def bridge_key(topic: str) -> str:
     """Key of a topic behind zenoh-bridge-ros2dds: its name without the leading slash.
 
-    Raises:
-        ValueError: the name is malformed.
+    Raises ValueError: the name is malformed.
     """
     return check_topic(topic).removeprefix("/")
 
 
 def node_token(node: Node) -> str:
-    """Liveliness token of a node, for ``ros2 node list``.
-
-    Raises:
-        ValueError: a name is malformed.
-    """
+    """Liveliness token of a node, for ``ros2 node list``. Raises ValueError: a name is malformed."""
     return "/".join([*_begin(node, node.number, "NN"), node.name])
 
 
@@ -147,8 +131,7 @@ def publisher_token(node: Node, number: int, topic: str, type_name: str, type_ha
 
     No other entity of the session has the ``number``; ``qos`` is in rmw_zenoh's short form.
 
-    Raises:
-        ValueError: a part is malformed.
+    Raises ValueError: a part is malformed.
     """
     topic_key(node.domain, topic, type_name, type_hash)  # checks
     tail = [node.name, _mangle(topic), dds_type(type_name), type_hash, qos]
@@ -184,22 +167,17 @@ _FILES = (".json5", ".json", ".yaml", ".yml")  # what Zenoh reads
 
 @dataclass(frozen=True, slots=True)
 class Ros2Network:
-    """Address and domain of the ROS 2 nodes.
+    """Address and domain of the ROS 2 nodes."""
 
-    Attributes:
-        where: endpoint of their router (``rmw_zenohd``, zenoh-bridge-ros2dds), or a Zenoh configuration file.
-        domain: their ROS_DOMAIN_ID.
-    """
-
+    # endpoint of their router (``rmw_zenohd``, zenoh-bridge-ros2dds), or a Zenoh configuration file
     where: str
-    domain: int = 0
+    domain: int = 0  # their ROS_DOMAIN_ID
 
     def open(self) -> zenoh_link.Session:
         """Open a session there; close it when done.
 
-        Raises:
-            ValueError: neither an endpoint nor a configuration, or the domain is out of range.
-            ZenohLinkError: nobody answers.
+        Raises ValueError: neither an endpoint nor a configuration, or the domain is out of range;
+        ZenohLinkError: no reply.
         """
         check_domain(self.domain)
         if self.where.endswith(_FILES):

@@ -28,8 +28,7 @@ class Ros2Node:
 
         ``domain`` is the ROS_DOMAIN_ID of the others; topics are named in full, whatever the namespace.
 
-        Raises:
-            ValueError: a name or the domain is not allowed.
+        Raises ValueError: a name or the domain is not allowed.
         """
         self._session = session
         self._node = Node(domain, str(session.zid()), name, namespace)
@@ -41,8 +40,7 @@ class Ros2Node:
 
         With another hash of the type the ROS 2 side hears nothing.
 
-        Raises:
-            ValueError: a part is malformed.
+        Raises ValueError: a part is malformed.
         """
         number = 1 + len(self._publishers)  # the node itself is 0
         token = publisher_token(self._node, number, check_topic(topic), type_name, type_hash, QOS_KEEP_10)

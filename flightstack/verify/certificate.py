@@ -36,7 +36,6 @@ def checks(config: FlightConfig) -> list[Check]:
 
 
 def paper_checks(config: FlightConfig) -> list[Check]:
-    """Checks of the paper's filter."""
     shape = Shape(config.barrier.build(), Span(0.0, 0.0), 1.0)
     return [
         paper.feasible(config, shape, config.envelope.target_climb_max_m_s),
@@ -54,7 +53,6 @@ def paper_checks(config: FlightConfig) -> list[Check]:
 
 
 def robust_checks(config: FlightConfig) -> list[Check]:
-    """Checks of the robust filter."""
     x, fed_back, table = extremes(config), config.velocity_feedback.horizontal, config.reserve
     return [
         paper.feasible(config, x.shape, x.target_climb_m_s),

@@ -93,7 +93,6 @@ class Imu:
         self._tape.top_up()
 
     def measure(self, velocity: Vec3, rates: Vec3, axes: Nine) -> None:
-        """Do one ``measure``."""
         self.top_up()
         measure(self.record, np.array(velocity), np.array(rates), axes)
 

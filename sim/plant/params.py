@@ -128,8 +128,6 @@ class Robot:
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """Contact model."""
-
     friction: float
     time_constant_s: float
     gravity_m_s2: float

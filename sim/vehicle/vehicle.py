@@ -270,7 +270,7 @@ class VehicleSim:
 
     @property
     def supervisor_state(self) -> int:
-        """State of the supervisor, as index of ``STATES``."""
+        """Index of the supervisor's state in ``STATES``."""
         return int(self._state[0])
 
     @property
@@ -280,7 +280,6 @@ class VehicleSim:
 
     @property
     def state_text(self) -> str:
-        """State of the supervisor as text."""
         text: str = _STATE_TEXTS[self._state[0]]
         return text
 

@@ -22,8 +22,6 @@ CODES = {
 
 
 class WideField(NamedTuple):
-    """One field of a message."""
-
     kind: str  # type of MAVLink, without the array
     name: str
     array: int  # elements; 0: no array

@@ -48,8 +48,6 @@ class Needs(NamedTuple):
 
 
 class Need(Enum):
-    """A number of ``Needs``."""
-
     HORIZONTAL_M_S = "horizontal_m_s"
     VERTICAL_M_S = "vertical_m_s"
     HORIZONTAL_M_S2 = "horizontal_m_s2"
