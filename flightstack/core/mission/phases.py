@@ -77,19 +77,22 @@ _LOSSES = C.OWN_LOST | C.LINK_LOST | C.TARGET_LOST
 _TO_BEGIN = _LOSSES | C.TIRED | C.READY | C.RECOVERED
 _OPERATOR = (
     Rule(C.EMERGENCY, Phase.ABORT, "emergency stop"),
-    Rule(C.ABORT_ASKED, Phase.ABORT, "abort asked by the operator"),
+    Rule(C.ABORT_ASKED, Phase.ABORT, "abort requested by the operator"),
 )
 # what the autopilot or another client did: the autopilot's own messages say why
-DISARMED, MODE_CHANGED = "vehicle disarmed without a command from this stack", "mode changed by someone else"
+DISARMED, MODE_CHANGED = (
+    "vehicle disarmed without a command from this stack",
+    "mode changed without a command from this stack",
+)
 _IN_FLIGHT = (
     *_OPERATOR,
     Rule(C.WAS_ARMED, Phase.ABORT, DISARMED, unless=C.ARMED | C.LINK_LOST),
     Rule(C.WAS_EXTERNAL, Phase.ABORT, MODE_CHANGED, unless=C.EXTERNAL | C.LINK_LOST),
     Rule(C.COMMAND_FAILED, Phase.ABORT, "the vehicle refused a command"),
-    Rule(C.NOT_FOLLOWING, Phase.ABORT, "the vehicle does not fly what it is told"),
+    Rule(C.NOT_FOLLOWING, Phase.ABORT, "vehicle does not follow its velocity set-points"),
 )
 _TIRED = Rule(C.TIRED, Phase.ABORT, "the battery is too low to land on the target")
-_CUT_OFF = Rule(C.CUT_OFF, Phase.ABORT, "too few of the fleet are heard")
+_CUT_OFF = Rule(C.CUT_OFF, Phase.ABORT, "too few fleet members send messages")
 _INPUTS = (
     Rule(C.OWN_LOST, Phase.HOLD, "own state lost"),
     Rule(C.LINK_LOST, Phase.HOLD, "heartbeat lost"),
@@ -143,7 +146,7 @@ TABLE: dict[Phase, tuple[Rule[Phase], ...]] = {
         *_OPERATOR,
         Rule(C.WAS_ARMED, Phase.LANDED, "motors off", unless=C.ARMED | C.LINK_LOST),
         Rule(C.OWN_LOST, Phase.ABORT, "own state lost at touchdown"),
-        Rule(C.NOT_FOLLOWING, Phase.ABORT, "the vehicle does not fly what it is told"),
+        Rule(C.NOT_FOLLOWING, Phase.ABORT, "vehicle does not follow its velocity set-points"),
         Rule(C.DRIFTED | C.RETRIES_LEFT, Phase.APPROACH, "going to miss the pad: go around"),
         Rule(C.DRIFTED, Phase.ABORT, "going to miss the pad, and no retry left"),
         Rule(C.PHASE_TIME_OVER, Phase.ABORT, "no contact, or motors did not stop"),
@@ -154,7 +157,7 @@ TABLE: dict[Phase, tuple[Rule[Phase], ...]] = {
     Phase.LEAVE: (
         *_OPERATOR,
         Rule(C.WAS_ARMED | C.CLEAR, Phase.LANDED, "motors off beside the target", unless=_NOT_OFF),
-        Rule(_STANDS, Phase.LANDED, "it does not take off again, and stays", unless=C.ARMED),
+        Rule(_STANDS, Phase.LANDED, "no further take-off: remains on the pad", unless=C.ARMED),
         *_UNLESS_CLEAR,
         Rule(C.PHASE_TIME_OVER, Phase.ABORT, "the pad was not left in time"),
     ),
@@ -185,25 +188,25 @@ TABLE: dict[Phase, tuple[Rule[Phase], ...]] = {
 _STOP = Rule(C.EMERGENCY, AbortWay.MOTORS_OFF, "emergency stop")
 _GROUNDS_TO_LAND = (
     Rule(C.LAND_ASKED, AbortWay.LAND_HERE, "ended by the operator"),
-    Rule(C.OWN_LOST, AbortWay.LAND_HERE, "it does not know where it is"),
+    Rule(C.OWN_LOST, AbortWay.LAND_HERE, "no vehicle state"),
     Rule(C.LINK_LOST, AbortWay.LAND_HERE, "the heartbeat is lost"),
     Rule(C.COMMAND_FAILED, AbortWay.LAND_HERE, "the vehicle refused a command"),
-    Rule(C.NOT_FOLLOWING, AbortWay.LAND_HERE, "the vehicle does not fly the commanded velocity"),
+    Rule(C.NOT_FOLLOWING, AbortWay.LAND_HERE, "vehicle does not follow its velocity set-points"),
     Rule(NONE, AbortWay.LAND_HERE, "the target was never seen", unless=C.TARGET_KNOWN),
     Rule(C.ON_PAD, AbortWay.LAND_HERE, "it has touched the pad"),
-    Rule(C.CUT_OFF, AbortWay.LAND_HERE, "the others take it to be down soon, near where they heard it last"),
+    Rule(C.CUT_OFF, AbortWay.LAND_HERE, "neighbours assume a landing near the last announced position"),
 )
 
 ABORT_TABLE: dict[AbortWay, tuple[Rule[AbortWay], ...]] = {
     AbortWay.NONE: (
         _STOP,
         Rule(NONE, AbortWay.HANDS_OFF, "it never flew", unless=C.WAS_ARMED),
-        Rule(C.STANDING, AbortWay.HANDS_OFF, "it stands with its motors off", unless=C.ARMED),
-        Rule(NONE, AbortWay.LAND_HERE, "disarmed in the air: one of the two is not true", unless=C.ARMED),
+        Rule(C.STANDING, AbortWay.HANDS_OFF, "on the ground with motors off", unless=C.ARMED),
+        Rule(NONE, AbortWay.LAND_HERE, "contradiction: disarmed in the air", unless=C.ARMED),
         Rule(C.STANDING, AbortWay.LAND_HERE, "never climb away when landed"),
         Rule(C.WAS_EXTERNAL, AbortWay.HANDS_OFF, "mode changed", unless=C.EXTERNAL | C.LINK_LOST),
         *_GROUNDS_TO_LAND,
-        Rule(NONE, AbortWay.FLY_CLEAR, "it flies, and knows where the target is"),
+        Rule(NONE, AbortWay.FLY_CLEAR, "in flight with a known target position"),
     ),
     AbortWay.MOTORS_OFF: (),
     AbortWay.HANDS_OFF: (_STOP,),

@@ -145,7 +145,7 @@ def test_a_dead_motor_ends_in_a_declared_crash(flown):
     assert result.json["outcome"] == "crashed"
     told = events(result.folder, "Fault", "tumbled", "ABORT")
     assert told[0] == "Fault: motor 2 dead"
-    assert any("-> ABORT: the vehicle does not fly what it is told" in text for text in told)
+    assert any("-> ABORT: vehicle does not follow its velocity set-points" in text for text in told)
     truth = load_flight(result.log).truth
     assert not truth.motors_running[-1]
 

@@ -228,4 +228,4 @@ def test_pulled_cable_is_told_and_the_vehicles_own_fail_safe_lands_it(tmp_path):
     assert "TCP connection to 127.0.0.1" in text
     assert "is lost" in text
     assert "is connected again after" in text
-    assert "mode changed by someone else" in text
+    assert "mode changed without a command from this stack" in text

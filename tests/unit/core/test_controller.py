@@ -132,7 +132,7 @@ def test_in_the_climb_going_sideways_is_not_following_and_climbing_slowly_is():
     for tick in range(100):
         out = bench.step(0.1, (0.4, 0.0, 0.0), xy=(1.5 + 0.004 * tick, 0.0), **FLIES)
     assert out.phase is Phase.ABORT
-    assert bench.memory.reason.startswith("the vehicle does not fly what it is told: it lags 0.")
+    assert bench.memory.reason.startswith("vehicle does not follow its velocity set-points: it lags 0.")
 
 
 def test_a_take_off_that_does_not_rise_is_given_up_once_the_ramp_must_be_over():
@@ -147,7 +147,7 @@ def test_a_take_off_that_does_not_rise_is_given_up_once_the_ramp_must_be_over():
         out = bench.step(0.02, **FLIES)
     assert (out.phase, out.request) == (Phase.ABORT, Request.LAND)
     assert bench.memory.abort_way is AbortWay.LAND_HERE
-    assert bench.memory.reason.startswith("the vehicle does not fly what it is told: it lags 0.")
+    assert bench.memory.reason.startswith("vehicle does not follow its velocity set-points: it lags 0.")
 
 
 def test_a_take_off_that_rises_faster_than_wanted_goes_on():

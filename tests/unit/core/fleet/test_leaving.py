@@ -192,7 +192,7 @@ def test_one_that_does_not_arm_again_stays_and_the_others_land_beside():
     sky = Sky(flyers).run(60.0, lambda s: all(not f.armed for f in s.flyers))
     (first,) = over_the_pad(sky, 0.1)
     assert first.phases[-3:] == [Phase.LANDED, Phase.LEAVE, Phase.LANDED]
-    assert "LEAVE -> LANDED: it does not take off again, and stays" in first.texts
+    assert "LEAVE -> LANDED: no further take-off: remains on the pad" in first.texts
     for flyer in sky.flyers:
         if flyer is not first:
             assert flyer.phase is Phase.ABORT

@@ -15,7 +15,7 @@ BITS = len(Condition) - 7
 FINAL = (Phase.LANDED, Phase.ABORT)
 GOING_ON = [p for p in Phase if p not in FINAL]
 STAY = (None, "")
-CUT_OFF = (Phase.ABORT, "too few of the fleet are heard")
+CUT_OFF = (Phase.ABORT, "too few fleet members send messages")
 TOO_LOW = (Phase.ABORT, "the battery is too low to land on the target")
 
 
@@ -42,7 +42,7 @@ def everything(phase):
 def operator(w):
     return [
         (w.emergency, Phase.ABORT, "emergency stop"),
-        (w.abort_asked, Phase.ABORT, "abort asked by the operator"),
+        (w.abort_asked, Phase.ABORT, "abort requested by the operator"),
     ]
 
 
@@ -54,9 +54,13 @@ def in_flight(w):
             Phase.ABORT,
             DISARMED,
         ),
-        (w.was_external & ~w.external & ~w.link_lost, Phase.ABORT, "mode changed by someone else"),
+        (
+            w.was_external & ~w.external & ~w.link_lost,
+            Phase.ABORT,
+            "mode changed without a command from this stack",
+        ),
         (w.command_failed, Phase.ABORT, "the vehicle refused a command"),
-        (w.not_following, Phase.ABORT, "the vehicle does not fly what it is told"),
+        (w.not_following, Phase.ABORT, "vehicle does not follow its velocity set-points"),
     ]
 
 
@@ -113,7 +117,7 @@ def expected_rules(phase, w):
                 *operator(w),
                 (w.was_armed & ~w.armed & ~w.link_lost, Phase.LANDED, "motors off"),
                 (w.own_lost, Phase.ABORT, "own state lost at touchdown"),
-                (w.not_following, Phase.ABORT, "the vehicle does not fly what it is told"),
+                (w.not_following, Phase.ABORT, "vehicle does not follow its velocity set-points"),
                 (w.drifted & w.retries_left, Phase.APPROACH, "going to miss the pad: go around"),
                 (w.drifted, Phase.ABORT, "going to miss the pad, and no retry left"),
                 (w.phase_time_over, Phase.ABORT, "no contact, or motors did not stop"),
@@ -155,7 +159,7 @@ def expected_rules(phase, w):
                 (
                     w.command_failed & w.standing & ~w.armed,
                     Phase.LANDED,
-                    "it does not take off again, and stays",
+                    "no further take-off: remains on the pad",
                 ),
                 *((flag & ~w.clear, to, why) for flag, to, why in [*in_flight(w)[2:], *lost]),
                 (w.phase_time_over, Phase.ABORT, "the pad was not left in time"),

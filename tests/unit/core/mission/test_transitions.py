@@ -140,8 +140,8 @@ def test_a_vehicle_that_does_not_follow_says_how_far_it_lags():
     found = told(Phase.APPROACH, Condition.NOT_FOLLOWING, known(missed_m=(0.0, -0.3, 0.0)))
     most_m = CHECKS.follow_lag_max_s * max(ROBUST.limits.velocity_max_m_s[:2])
     assert found == (
-        f"the vehicle does not fly what it is told: it lags 0.30 m behind its set-points; {most_m:.2f} m are "
-        f"allowed by checks.follow_lag_max_s, {CHECKS.follow_lag_max_s:g}"
+        "vehicle does not follow its velocity set-points: it lags 0.30 m behind its set-points; "
+        f"{most_m:.2f} m are allowed by checks.follow_lag_max_s, {CHECKS.follow_lag_max_s:g}"
     )
 
 
