@@ -1,1 +1,1 @@
-"""Several vehicles at once, without a leader: rows that keep them apart, and who lands first."""
+"""Fleets without a leader: constraints between vehicles, and the order of landings."""

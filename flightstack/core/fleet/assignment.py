@@ -1,7 +1,7 @@
-"""Which vehicle lands on which pad: by the least sum of horizontal distances, once, before the flight.
+"""Assignment of pads to vehicles by the least sum of horizontal distances, once before the flight.
 
-The sum of two straight lines that cross is longer than that of the two that do not, so that straight
-approaches of the result never cross in the plan view.
+Two crossing straight lines are longer in sum than the two lines without a crossing, so straight approaches of
+the result never cross in the plan view.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 
 from flightstack.core.types import Vec3
 
-UNIT_M = 1e-6  # distances are whole numbers of it: equal sums are equal, whatever their order
+UNIT_M = 1e-6  # unit of integer distances: sums do not depend on their order
 FAR_M = 1e6  # above it sums would not be exact
 
 
@@ -43,10 +43,10 @@ def assign(starts_enu_m: Sequence[Vec3], pads_enu_m: Sequence[Vec3]) -> tuple[in
 
 
 def _least(cost: Sequence[Sequence[int]]) -> int:
-    """Least sum of a whole number from each line, no two from the same column."""
+    """Least sum of one integer from each line, each from another column."""
     if not cost:
         return 0
-    # Only who assigns pays for scipy.
+    # imported here, since only an assignment needs scipy
     import numpy as np
     from scipy.optimize import linear_sum_assignment
 

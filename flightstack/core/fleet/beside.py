@@ -1,4 +1,4 @@
-"""Where a vehicle that frees its pad lands: beside the way of all pads, away from vehicles on the ground."""
+"""Landing place of a vehicle that frees its pad: beside the paths of all pads, away from landed vehicles."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from flightstack.core.fleet.precedence import ON_GROUND, Pad
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.types import ZERO, Neighbour, Vec3
 
-DIRECTIONS = 16  # of the places looked at, about the pad ...
-RINGS = (1.4, 2.0, 2.6)  # ... so many times ``wait_distance_m`` from it
-APART = 3.0  # times ``radius_xy_m``, from a vehicle on the ground
-KEPT_M = 0.2  # by which a place that was chosen may come to lie nearer than a new one
+DIRECTIONS = 16  # directions of the candidate places around the pad
+RINGS = (1.4, 2.0, 2.6)  # their distances from it over ``wait_distance_m``
+APART = 3.0  # distance from a vehicle on the ground over ``radius_xy_m``
+KEPT_M = 0.2  # reduction of the required distances for a place that is already chosen
 
 
 def place_beside(
@@ -49,7 +49,7 @@ def place_beside(
 
 
 def _from_way_m(pad: Pad, place: Vec3, ahead_s: float) -> float:
-    """Horizontal distance of a place from the way that a pad comes from and goes to, for so long each."""
+    """Horizontal distance of a place from the path of a pad, ``ahead_s`` back and ahead."""
     (x, y, _), (vx, vy, _) = pad.position_enu_m, pad.velocity_enu_m_s
     ex, ey, speed2 = place[0] - x, place[1] - y, vx * vx + vy * vy
     at_s = min(max(-ahead_s, (ex * vx + ey * vy) / speed2), ahead_s) if speed2 > 0.0 else 0.0

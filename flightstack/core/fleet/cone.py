@@ -1,7 +1,7 @@
-"""How a vehicle that waits over its pad, or makes way there, moves without losing height over the boundary.
+"""Bounds of the velocity over the pad, for waiting or giving way without loss of height over the boundary.
 
-A lone vehicle flies inwards, where the boundary falls. One that makes way may fly outwards or past the
-middle, where the boundary rises faster than its climb can follow.
+A lone vehicle flies inwards, where the boundary falls. A vehicle that gives way may fly outwards or past the
+middle, where the boundary may rise faster than the vehicle can climb.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from flightstack.core.fleet.exact import Row
 from flightstack.core.safety.position_loop import clip
 from flightstack.core.types import Vec3
 
-INWARD_RATE_1_S = 2.5  # times the distance from the pad's middle: horizontal velocity that is always allowed
-OUTWARD_PART = 0.5  # of what the landing barrier's rate allows, for velocities that lower h sideways
+INWARD_RATE_1_S = 2.5  # always allowed horizontal velocity per distance from the pad's middle
+OUTWARD_PART = 0.5  # share of the landing barrier's rate for horizontal velocities that lower h
 
 
 class Cone(NamedTuple):

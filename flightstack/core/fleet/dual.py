@@ -1,11 +1,12 @@
-"""The program with several rows, quickly: a dual active-set method in plain floats.
+"""The program with several rows by a fast dual active-set method in plain floats.
 
     min |u - u'|^2   subject to   lower <= u <= upper,   g_k . u >= b_k
 
-It begins at the clipped u', where sides of the box bind, and adds the constraint that is missed most until
-none is (Goldfarb and Idnani, Mathematical Programming 27, 1983). A constraint whose multiplier would become
-negative leaves. Its result is used only if it meets the conditions of Karush, Kuhn and Tucker, which are
-checked here; ``exact.py`` tries all active sets else. It begins from this tick's numbers alone.
+It starts at the clipped u', where sides of the box bind, and adds the constraint with the largest violation
+until there is none (Goldfarb and Idnani, Mathematical Programming 27, 1983). A constraint whose multiplier
+would become negative is removed. The result is used only if it meets the conditions of Karush, Kuhn and
+Tucker, which are checked here; else ``exact.py`` tries all active sets. It depends only on the numbers of
+this tick.
 """
 
 from __future__ import annotations
@@ -18,11 +19,11 @@ from flightstack.core.fleet.exact import Row
 from flightstack.core.safety.position_loop import clip_to_box
 from flightstack.core.types import ZERO, Vec3
 
-TOLERANCE_M_S = 1e-9  # that a constraint may be missed by
-STEPS_MAX = 60  # constraints that are added; beyond it the result is not confirmed
-_CONFIRMED_M_S = 2e-9  # by which a result may miss a condition
-_DEPENDS = 1e-12  # squared length of what is left of a unit vector beside others on which it depends
-_LEAST_LENGTH = 1e-9  # of a gradient that has a direction
+TOLERANCE_M_S = 1e-9  # allowed violation of a constraint
+STEPS_MAX = 60  # greatest number of added constraints; above it the result is not confirmed
+_CONFIRMED_M_S = 2e-9  # allowed violation of a condition
+_DEPENDS = 1e-12  # squared length of the orthogonal rest below which a unit vector depends on others
+_LEAST_LENGTH = 1e-9  # least length of a gradient with a direction
 _SIDES: tuple[Vec3, ...] = (
     (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0),  # lower
     (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0),  # upper
@@ -30,13 +31,13 @@ _SIDES: tuple[Vec3, ...] = (
 
 
 class Found(NamedTuple):
-    """The minimiser, or why there is none."""
+    """The minimiser, or the reason why there is none."""
 
     point: Vec3 | None  # m/s; ``None``: no point meets all constraints
     # multipliers of the rows as they are given; without a point those of constraints that no velocity meets:
     # their gradients times the multipliers add up to 0
     multipliers: tuple[float, ...]
-    lacking_m_s: float = 0.0  # without a point, by how much that sum is missed
+    lacking_m_s: float = 0.0  # without a point: violation of that sum
 
 
 def solve(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Found | None:
@@ -94,7 +95,7 @@ def solve(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Found
 
 
 def _split(n: Vec3, others: Sequence[Vec3]) -> tuple[tuple[float, ...], Vec3]:
-    """Parts of a unit vector along up to three independent ones, and the rest, at right angles to these."""
+    """Parts of a unit vector along up to three independent ones, and the orthogonal rest."""
     if not others:
         return (), n
     (nx, ny, nz), (ax, ay, az) = n, others[0]
@@ -128,7 +129,7 @@ def _confirmed(
     nominal: Vec3, point: Vec3, active: Sequence[int], factors: Sequence[float], normals: Sequence[Vec3],
     bounds: Sequence[float], lengths: Sequence[float],
 ) -> Found | None:  # fmt: skip
-    """The minimiser with its multipliers, if all constraints are met and those that pull it bind."""
+    """The minimiser with its multipliers, if all constraints are met and those with a multiplier bind."""
     x, y, z = nominal
     multipliers = [0.0] * len(lengths)
     scale = _CONFIRMED_M_S
@@ -149,7 +150,7 @@ def _impossible(
     worst: int, active: Sequence[int], parts: Sequence[float], bounds: Sequence[float],
     lengths: Sequence[float],
 ) -> Found:  # fmt: skip
-    """A constraint that is against a sum of others: no velocity meets all of them."""
+    """A constraint that contradicts a sum of others: no velocity meets all of them."""
     multipliers, lacking_m_s = [0.0] * len(lengths), bounds[worst]
     if worst < len(lengths):
         multipliers[worst] = 1.0 / lengths[worst]
@@ -165,8 +166,8 @@ def least_slack(
 ) -> tuple[float, Vec3] | None:
     """Least common slack of the soft rows, as ``exact.least_slack``; ``None`` if it cannot be confirmed.
 
-    Each sum of constraints that no velocity meets says how much slack is needed at least. With that slack the
-    next such sum is looked for, until there is none: then the slack is enough, and no less would be.
+    Each sum of constraints that no velocity meets gives a lower bound of the slack. With this slack the next
+    such sum is searched, until there is none: then the slack is sufficient and least.
     """
     slack_m_s, middle, free = 0.0, clip_to_box(ZERO, lower, upper), len(firm)
     for _ in range(STEPS_MAX):

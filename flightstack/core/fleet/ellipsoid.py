@@ -2,8 +2,8 @@
 
     h(p) = r_xy (rho - 1),   rho = sqrt((dx^2 + dy^2) / r_xy^2 + dz^2 / r_z^2)
 
-``p`` is this vehicle minus the other one. h is convex in p and its gradient at most 1 long where r_xy is the
-smaller semi-axis: a motion never loses more of h than its linear prediction says.
+``p`` is this vehicle minus the other one. h is convex in p, and the length of its gradient is at most 1 where
+r_xy is the smaller semi-axis: a motion never loses more of h than in the linear prediction.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from typing import NamedTuple
 from flightstack.core.parameters.fleet import CARRIED_AGES, Fleet
 from flightstack.core.types import ZERO, Intent, Neighbour, Vec3
 
-LEAST_M = 1e-6  # of the distance from the middle, where the gradient has no direction
-# A vehicle whose companion has died goes on with its last set-point, until its autopilot brakes and lands it.
-LEAD_S = 0.2  # times the acceleration wanted: by which a set-point leads the velocity wanted
-SMOOTH_S = 0.03  # time constant of that acceleration
-DRIFT_M_S, DRIFT_MAX_M = 0.35, 0.45  # it drifts from that course; after 2 s 31 of 32 flights by less
-SINK_M_S = 0.5  # most at which an autopilot lands
-RIDES_S = 3.0  # for which one that is down and not heard any more is taken to ride on
+LEAST_M = 1e-6  # least distance from the middle for which the gradient has a direction
+# After a failure of its companion a vehicle flies with its last set-point until its autopilot lands it.
+LEAD_S = 0.2  # lead of a set-point before the velocity command, per acceleration
+SMOOTH_S = 0.03  # time constant of the smoothed acceleration
+DRIFT_M_S, DRIFT_MAX_M = 0.35, 0.45  # drift from this course; after 2 s less in 31 of 32 flights
+SINK_M_S = 0.5  # largest sink rate of an autopilot's landing
+RIDES_S = 3.0  # time for which a silent vehicle on a moving pad is assumed to move with it
 
 
 class Estimate(NamedTuple):
-    """Another vehicle as it is taken to be now."""
+    """Current estimate of another vehicle."""
 
     age_s: float  # age of its message, with the error of the clock
     # carried on from the stamp; where its words are late, the upper end of where it may be
@@ -57,9 +57,9 @@ def barrier(p_m: Vec3, radius_xy_m: float, radius_z_m: float, *, first: bool = T
 
 
 def growth(age_s: float, speed_m_s: float, fleet: Fleet) -> tuple[float, float]:
-    """Distance by which a vehicle may be elsewhere than carried on, and at what speed that grows.
+    """Possible distance of a vehicle from its extrapolated position, and the growth of this distance.
 
-    It speeds up away from where it is carried to, by the acceleration, up to a difference of both speeds.
+    It accelerates away from the extrapolation up to a difference of both speeds.
     """
     most_m_s, a = max(fleet.speed_max_m_s, speed_m_s) + speed_m_s, fleet.acceleration_max_m_s2
     speeds_up_s = most_m_s / a
@@ -78,7 +78,7 @@ def jump(before: Neighbour, word: Neighbour, fleet: Fleet) -> Vec3:
     gone_s = word.stamp_s - before.stamp_s
     (x, y, z), (px, py, pz), v = word.position_enu_m, before.position_enu_m, before.velocity_enu_m_s
     away = x, y, z = x - px - v[0] * gone_s, y - py - v[1] * gone_s, z - pz - v[2] * gone_s
-    if abs(x) + abs(y) + abs(z) < fleet.margin_m:  # mostly: it has flown on
+    if abs(x) + abs(y) + abs(z) < fleet.margin_m:  # the usual case
         return ZERO
     speed_m_s = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     clocks_s = before.clock_bound_s + word.clock_bound_s
@@ -133,7 +133,7 @@ def estimate(
 def _late(
     word: Neighbour, age_s: float, base_m: float, speed_m_s: float, fleet: Fleet, faster_m_s2: Vec3
 ) -> Estimate:
-    """The same of one whose words are late."""
+    """The estimate of a vehicle whose messages are late."""
     (x, y, z), (vx, vy, vz), (wx, wy, wz) = word.position_enu_m, word.velocity_enu_m_s, word.wanted_enu_m_s
     ax, ay, az = faster_m_s2
     wx, wy, wz = wx + LEAD_S * ax, wy + LEAD_S * ay, wz + LEAD_S * az
@@ -148,7 +148,7 @@ def _late(
     velocity = (wx, wy, wz if sinks_on else 0.0) if moves else ZERO
     flies, flies_s = age_s <= fleet.silent_flight_s, min(age_s, fleet.silent_flight_s)
     grown_m, late_s = base_m + growth(latency_s, speed_m_s, fleet)[0], flies_s - latency_s
-    straight_s = min(age_s, carried_max_s)  # about where it would be as fast as it was
+    straight_s = min(age_s, carried_max_s)  # around its position at constant velocity
     straight = (x + vx * straight_s, y + vy * straight_s, z + vz * straight_s)
     anywhere_m = (
         base_m + math.dist(place, straight) + growth(min(flies_s, carried_max_s), speed_m_s, fleet)[0]

@@ -2,10 +2,10 @@
 
     min |u - u'|^2   subject to   lower <= u <= upper,   g_k . u >= b_k
 
-In three dimensions at most three constraints hold the minimiser: the clipped u', then the exact projection on
-the box and one row, then every set of up to three rows and sides is tried. The result is a point that meets
-all constraints with multipliers that are not negative: the conditions of Karush, Kuhn and Tucker, which are
-sufficient here. Where no point meets all rows, the least common slack is the lowest corner of a linear
+In three dimensions at most three constraints bind at the minimiser: the clipped u', then the exact projection
+on the box and one row, then every set of up to three rows and sides is tried. The result is a point that
+meets all constraints with multipliers that are not negative: the conditions of Karush, Kuhn and Tucker, which
+are sufficient here. Where no point meets all rows, the least common slack is the lowest corner of a linear
 program in four variables. No code is shared with the solver.
 """
 
@@ -22,7 +22,7 @@ from flightstack.core.safety.position_loop import clip_to_box
 from flightstack.core.safety.projection import projection
 from flightstack.core.types import Vec3
 
-TOLERANCE_M_S = 1e-9  # that a constraint may be missed by
+TOLERANCE_M_S = 1e-9  # allowed violation of a constraint
 _PARALLEL = 1e-10  # determinant of unit vectors below which a set is not independent
 _MULTIPLIER_LEAST = -1e-9
 _SIDES = np.vstack([np.eye(3), -np.eye(3)])
@@ -35,13 +35,11 @@ class Row(NamedTuple):
     bound_m_s: float  # b
 
     def missing_m_s(self, u: Vec3) -> float:
-        """How far a velocity is from meeting it; not positive if it does."""
+        """Violation of the row by a velocity; not positive if it is met."""
         return self.bound_m_s - (self.g[0] * u[0] + self.g[1] * u[1] + self.g[2] * u[2])
 
 
 class Nearest(NamedTuple):
-    """The minimiser."""
-
     point: Vec3  # m/s
     multipliers: tuple[float, ...]  # one for each row; 0 for those that do not bind
 
@@ -64,14 +62,14 @@ def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nea
 
 @cache
 def _sets(rows: int, size: int) -> Any:
-    """Sets of so many of the rows and sides, in the order rows, lower, upper; no two sides of one axis."""
+    """Sets of ``size`` rows and sides, in the order rows, lower, upper, without two sides of one axis."""
     sides = [(rows + k, rows + 3 + k) for k in range(3)]
     every = itertools.combinations(range(rows + 6), size)
     return np.array([s for s in every if not any(low in s and high in s for low, high in sides)])
 
 
 def prepare(neighbours: int) -> None:
-    """Make the sets of all programs with so many neighbours or fewer: no tick of a flight has to."""
+    """Make the sets of all programs with at most this number of neighbours before the flight."""
     for rows in range(1, neighbours + 3):
         for size in (1, 2, 3):
             _sets(rows, size)
@@ -92,7 +90,7 @@ def _of_all_sets(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -
         chosen = _sets(count, size)
         a = unit[chosen]
         gram = a @ a.transpose(0, 2, 1)
-        with np.errstate(divide="ignore"):  # of sets that depend on each other
+        with np.errstate(divide="ignore"):  # zero for dependent sets
             kept = np.linalg.det(gram) > _PARALLEL
         chosen, a, gram = chosen[kept], a[kept], gram[kept]
         lacking = limit[chosen] - a @ start
@@ -137,7 +135,7 @@ def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Ve
 
 @cache
 def _corners(soft: int, firm: int) -> Any:
-    """Sets of four of soft rows, firm rows, sides and s >= 0 that can be a corner: one of them bounds s."""
+    """Sets of four of soft rows, firm rows, sides and s >= 0 that can be a corner, one of which bounds s."""
     rows = soft + firm
     last, sides = rows + 6, [(rows + k, rows + 3 + k) for k in range(3)]
     every = itertools.combinations(range(rows + 7), 4)

@@ -1,4 +1,4 @@
-"""This vehicle as a member of a fleet: what it hears, the rows that it holds, and what it says of itself."""
+"""This vehicle as a member of a fleet: received messages, its constraints, and its own messages."""
 
 from __future__ import annotations
 
@@ -21,12 +21,13 @@ from flightstack.core.safety.qp_filter import FilterResult
 from flightstack.core.target.track import TargetState
 from flightstack.core.types import ZERO, Intent, Landed, Neighbour, OwnState, Phase, Vec3, VehicleStatus
 
-FUTURE_MAX_S = 0.05  # by which a stamp may be ahead, besides the bound of its clock
-FLIGHTS_OF_OTHERS = 2.0  # times the wait for a right of way: a wait and a landing of another one
-TOLD_M_S = 0.005  # of slack, from which a person wants to know
-CALM_S = 1.0  # in which they hold until that is told
-HELD_BACK_M_S = 0.3  # fastest where a vehicle may be that is not heard and may fly
-STAYS_S = 5.0  # after a landing, until it is told that the vehicle stays though others wait for its pad
+FUTURE_MAX_S = 0.05  # allowed lead of a stamp, in addition to the bound of its clock
+# waits for a right of way that a flight of another member may take: a wait and a landing
+FLIGHTS_OF_OTHERS = 2.0
+TOLD_M_S = 0.005  # slack that is reported
+CALM_S = 1.0  # time without slack until this is reported
+HELD_BACK_M_S = 0.3  # largest speed within the reachable set of a silent vehicle
+STAYS_S = 5.0  # time after a landing until a vehicle on a requested pad is reported
 _INTENTS = MappingProxyType(
     {
         Phase.WAIT: Intent.WAITING,
@@ -44,12 +45,12 @@ _INTENTS = MappingProxyType(
 
 
 class Rows(NamedTuple):
-    """Rows of the neighbours in reach, and those as the side-step sees them."""
+    """Rows of the neighbours in reach, and those neighbours as seen by the side-step."""
 
     rows: tuple[Row, ...]  # rows of the program; the nearest first
-    lax: tuple[Row, ...]  # the same without what is asked because an unheard vehicle may be anywhere near
+    lax: tuple[Row, ...]  # the same without the reachable sets of silent vehicles
     near: tuple[Near, ...]  # the same vehicles as the side-step sees them
-    # an unheard vehicle may fly near, and leaves to this one what this one does not fly
+    # a silent vehicle may fly near: the speed is limited
     held_back: bool = False
 
 
@@ -82,11 +83,11 @@ class FleetMember:
 
     @property
     def slots(self) -> list[tuple[int, Heard]]:
-        """Id of each other member, and what was heard of it."""
-        return list(zip(self._index, self.memory.slots, strict=False))  # those of a smaller fleet are fewer
+        """Id and state of each other member."""
+        return list(zip(self._index, self.memory.slots, strict=False))  # a smaller fleet has fewer
 
     def take(self, words: Sequence[Neighbour], now_s: float) -> list[str]:
-        """Keep the newest word of each member; texts of those that are refused, and of places that jump."""
+        """Store the newest message of each member; texts on rejected ones and on positions that jump."""
         texts = []
         for word in words:
             why = self._refusal(word, now_s)
@@ -97,7 +98,7 @@ class FleetMember:
             before = slot.word
             if before is not None:
                 if word.stamp_s <= before.stamp_s:
-                    continue  # what was overtaken is not news
+                    continue  # an overtaken message is old
                 slot.faster_m_s2 = faster(slot.faster_m_s2, before, word)
                 by_m = jump(before, word, self._fleet)
                 if by_m != ZERO:
@@ -106,7 +107,7 @@ class FleetMember:
         return texts
 
     def _jumped(self, slot: Heard, who: int, by_m: Vec3) -> str:
-        """Note a place that jumped; the text of an event."""
+        """Record a position that jumped; returns the text of an event."""
         (x, y, z), (jx, jy, jz) = slot.jumped_m, by_m
         slot.jumped_m = (x + jx, y + jy, z + jz)
         return (
@@ -140,7 +141,10 @@ class FleetMember:
         return all(w.intent is Intent.DOWN or now_s - w.stamp_s > fleet.silent_flight_s for w in words)
 
     def way(self, phase: Phase, target: TargetState | None, now_s: float, own: OwnState | None = None) -> Way:
-        """What the mission may do in this tick; claim, right of way and place to land go on by a tick."""
+        """Permissions of the mission in this tick.
+
+        Advances claim, right of way and landing place by a tick.
+        """
         pad = Pad(target.position_enu_m, target.velocity_enu_m_s) if target is not None else None
         way = decide(self.memory, self.slots, phase, pad, now_s, self._fleet)
         if phase is Phase.LEAVE and pad is not None and own is not None:
@@ -159,7 +163,7 @@ class FleetMember:
 
     def rows(self, phase: Phase, own: OwnState, wanted_m_s: Vec3, now_s: float) -> Rows:
         """Rows of the neighbours in reach for which this vehicle has a share; none in a touchdown."""
-        if phase is Phase.TOUCHDOWN:  # it goes on to the ground: the others keep clear of it
+        if phase is Phase.TOUCHDOWN:  # it descends to the ground: the others keep clear of it
             return NO_ROWS
         fleet, (x, y, z), found, held_back = self._fleet, own.position_enu_m, [], False
         reach_m = fleet.reach_m - fleet.radius_xy_m
@@ -197,7 +201,7 @@ class FleetMember:
         return Rows(rows, every_lax, near, held_back)
 
     def aside(self, nominal: Vec3, rows: Rows) -> Vec3:
-        """Nominal velocity, slow where it holds back, with the side-step past those that it closes in on."""
+        """Nominal velocity with the side-step past approaching vehicles, slow near silent ones."""
         if rows.held_back:
             nominal = limit(nominal, (HELD_BACK_M_S, HELD_BACK_M_S, math.inf))
         return sidestep(nominal, rows.near, self._fleet.rate_1_s)
@@ -209,7 +213,7 @@ class FleetMember:
         return found.filter
 
     def crowded(self, now_s: float) -> list[str]:
-        """Text of an event where the neighbours' rows begin to give way, or have held again for a while."""
+        """Text of an event when the neighbours' rows start to be relaxed, or are met again for a while."""
         memory, given_m_s, self._given_m_s = self.memory, self._given_m_s, 0.0
         if given_m_s > TOLD_M_S:
             before, memory.crowded, memory.crowded_s = memory.crowded, True, now_s
@@ -232,7 +236,7 @@ class FleetMember:
         intent = intent_of(memory, granted=mine.granted, flies=flies)
         committed = intent is Intent.COMMITTED
         mine.committed_s = min(mine.committed_s, now_s) if committed else math.inf
-        # one that is silent cannot be given way to: where it is is not known
+        # it is not possible to give way to a silent member, whose position is unknown
         yields = tuple(n for n, slot in self.slots if slot.yields and heard(slot.word, now_s, fleet))
         for n in yields:
             mine.slots[self._index[n]].yielded_s = now_s

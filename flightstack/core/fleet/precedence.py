@@ -1,11 +1,10 @@
-"""Who lands first where pads are the same or come near each other: by what all hear, without a leader.
+"""Order of landings on equal pads or on pads that come near each other, by messages without a leader.
 
-A vehicle that begins its landing claims its right of way with the time. It goes when every member whose pad
-is in conflict has been heard since (claim and latency), and has no claim or says that it gives way; so the
-answer of Ricart and Agrawala is the word ``yields_to``. The older claim is first, then the lower id. Who
-gives way goes on doing so until the other's claim ends. Clocks may disagree about two claims of the same
-moment: both give way, then the lower id takes it back; or none does, then the higher id gives way. A
-circle of three or more is opened by a new claim.
+A vehicle that starts its landing claims the right of way with a time stamp. It has it when every member whose
+pad is in conflict has sent a message since (claim and latency), and has no claim or yields: so the reply of
+Ricart and Agrawala is the field ``yields_to``. The older claim is first, then the lower id. A member yields
+until the other's claim ends. Clocks may disagree on two claims of the same moment: if both yield, the lower
+id stops yielding; if none does, the higher id yields. A cycle of three or more is opened by a new claim.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ GOES = frozenset({Intent.LANDING, Intent.COMMITTED})
 
 
 class Way(NamedTuple):
-    """What the mission may do, as far as the others go."""
+    """Permissions of the mission with respect to the neighbours."""
 
     may_begin: bool = True  # every member has been heard
     may_land: bool = True  # it has the right of way
@@ -41,14 +40,14 @@ ALONE = Way()
 
 
 class Pad(NamedTuple):
-    """Where a vehicle lands."""
+    """Landing place of a vehicle."""
 
     position_enu_m: Vec3  # landing spot
     velocity_enu_m_s: Vec3  # its velocity
 
 
 def nearest_m(pad: Pad, place_enu_m: Vec3, moves_m_s: Vec3, ahead_s: float) -> float:
-    """Least horizontal distance of a pad and a place until so many seconds ahead, at constant velocities."""
+    """Least horizontal distance of a pad and a place within a time at constant velocities."""
     (x, y, _), (vx, vy, _) = pad
     x, y, vx, vy = place_enu_m[0] - x, place_enu_m[1] - y, moves_m_s[0] - vx, moves_m_s[1] - vy
     speed2 = vx * vx + vy * vy
@@ -75,7 +74,7 @@ def decide(
     blockers = [n for n, slot in slots if _blocks(memory, slot, pad, now_s, fleet)]
     if not memory.granted and _in_a_circle(memory, slots, now_s, fleet):
         memory.claim_s = now_s
-    if phase is not Phase.TOUCHDOWN:  # from there it goes on
+    if phase is not Phase.TOUCHDOWN:  # which is not interrupted
         taken = memory.granted and any(slot.yields for _, slot in slots)
         memory.granted = (memory.granted or not blockers) and not taken
         memory.waits_since_s = min(memory.waits_since_s, now_s) if not memory.granted else math.inf
@@ -91,9 +90,9 @@ def decide(
 
 
 def _in_a_circle(memory: FleetMemory, slots: Sequence[tuple[int, Heard]], now_s: float, fleet: Fleet) -> bool:
-    """Whether it gives way to such only as give way themselves, for longer than those with higher ids.
+    """Whether it yields only to members that yield themselves, for longer than those with higher ids.
 
-    Clocks that disagree can make a circle of three. A new claim, younger than all, opens it.
+    Clocks that disagree can form a cycle of three. A new claim, the youngest of all, opens it.
     """
     first = [slot.word for _, slot in slots if slot.yields and slot.word is not None]
     if not first or not all(word.yields_to and word.intent not in GOES for word in first):
@@ -103,7 +102,7 @@ def _in_a_circle(memory: FleetMemory, slots: Sequence[tuple[int, Heard]], now_s:
 
 
 def drop(memory: FleetMemory, slots: Sequence[tuple[int, Heard]]) -> None:
-    """Give up claim and right of way; nobody is given way to."""
+    """Give up claim and right of way; yields to no member."""
     memory.claim_s, memory.granted = math.nan, False
     memory.waits_since_s = memory.committed_s = math.inf
     for _, slot in slots:
@@ -111,15 +110,15 @@ def drop(memory: FleetMemory, slots: Sequence[tuple[int, Heard]]) -> None:
 
 
 def heard(word: Neighbour | None, now_s: float, fleet: Fleet) -> bool:
-    """Whether a member's newest word is fresh."""
+    """Whether a member's newest message is fresh."""
     return word is not None and now_s - word.stamp_s <= fleet.age_max_s
 
 
 def _cut_off(slots: Sequence[tuple[int, Heard]], now_s: float, fleet: Fleet) -> bool:
     """Whether this vehicle is in the part of a divided fleet that has to land.
 
-    Where two parts of a fleet do not hear each other, the larger part continues; of two equal parts the one
-    with the lowest id continues. Members that are down, or were never heard, do not count.
+    If two parts of a fleet do not receive each other's messages, the larger part continues; of two equal
+    parts the one with the lowest id. Members that are down or never sent a message do not count.
     """
     hears = [n for n, slot in slots if heard(slot.word, now_s, fleet)]
     lost = [n for n, slot in slots if n not in hears and slot.word is not None and not _is_down(slot.word)]
@@ -132,19 +131,19 @@ def _is_down(word: Neighbour | None) -> bool:
 
 
 def _present(word: Neighbour | None, now_s: float, fleet: Fleet) -> bool:
-    """Whether a member is heard; one that is down needs not say so for ever."""
+    """Whether a member sends messages, or is down (a landed member may stop sending)."""
     return word is not None and (word.intent is Intent.DOWN or now_s - word.stamp_s <= fleet.age_max_s)
 
 
 def _blocks(memory: FleetMemory, slot: Heard, pad: Pad, now_s: float, fleet: Fleet) -> bool:
-    """Whether a member keeps this vehicle from landing; notes whether it is given way to."""
+    """Whether a member blocks the landing of this vehicle; updates whether this vehicle yields to it."""
     word = slot.word
     if word is None:
         return True
     if word.intent in ON_GROUND:
         slot.yields = False
         near = _distance_m(pad, word) < fleet.radius_xy_m
-        # a vehicle that rides on with the pad and is silent is not where it was heard
+        # a silent vehicle on a moving pad is not at its last position
         slot.on_pad = near or (slot.on_pad and now_s - word.stamp_s > fleet.age_max_s)
         if slot.on_pad:
             return True
@@ -152,7 +151,7 @@ def _blocks(memory: FleetMemory, slot: Heard, pad: Pad, now_s: float, fleet: Fle
         slot.yields = slot.on_pad = False
         return True
     if word.intent is not Intent.DOWN and now_s - word.stamp_s > fleet.silent_flight_s:
-        slot.yields = False  # its flight is over by now; where its own pad is this one, it may stand there
+        slot.yields = False  # its flight has ended; with the same pad it may stand there
         return _conflict(word, pad, 0.0, fleet)
     ahead_s = fleet.descent_s * (KEPT_PART if memory.granted else 1.0)
     if not (slot.yields and slot.claim_s == word.claim_s) and not _conflict(word, pad, ahead_s, fleet):
@@ -189,7 +188,7 @@ def _yields(
     answered: bool, gives_way: bool,
 ) -> bool:  # fmt: skip
     goes, lower = word.intent in GOES, fleet.id < word.id
-    if memory.granted:  # only an older right of way takes it back
+    if memory.granted:  # revoked only by an older right of way
         return goes and (word.claim_s, word.id) < (memory.claim_s, fleet.id) and not gives_way
     if lower and gives_way and not goes:
         return False
@@ -202,10 +201,10 @@ def _yields(
 
 
 def _conflict(word: Neighbour, pad: Pad, ahead_s: float, fleet: Fleet) -> bool:
-    """Whether both pads are too near each other for two landings; a claim for an unknown pad is, too.
+    """Whether both pads are too near each other for two landings; a claim for an unknown pad always is.
 
-    Who has the right of way looks less far ahead: velocities of pads are told with errors, and a descent that
-    is broken off costs more than one that begins late.
+    With the right of way the horizon is shorter: velocities of pads have errors, and an aborted descent costs
+    more than a delayed one.
     """
     place = word.pad_position_enu_m
     if place is None:

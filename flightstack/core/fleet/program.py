@@ -1,10 +1,9 @@
 """The program with the rows of neighbours: landing barrier, box, and one row for each neighbour in reach.
 
-The same program as that of ``safety/qp_filter.py`` with more rows. OSQP begins with the exact solution
-(``dual.py``; what that cannot confirm, ``exact.py`` solves by all active sets), and its result is flown only
-if it meets all rows and is that point. If nothing meets all rows, first gives way what is asked only because
-a vehicle that is not heard may be anywhere near; then all rows of neighbours together, by the least common
-slack. Landing barrier and box never do.
+The program of ``safety/qp_filter.py`` with more rows. OSQP starts from the exact solution (``dual.py``; if
+not confirmed, ``exact.py`` by all active sets), and its result is used only if it meets all rows and equals
+that point. If no point meets all rows, the rows of silent vehicles are relaxed first; then all rows of
+neighbours together by the least common slack. Landing barrier and box are never relaxed.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ class FleetResult(NamedTuple):
 
     # result as that of ``SafetyFilter``; its slack is that of the landing barrier, NaN without one
     filter: FilterResult
-    given_m_s: float  # slack by which the rows of neighbours gave way; 0 unless CROWDED
+    given_m_s: float  # slack of the neighbours' rows; 0 unless CROWDED
 
 
 def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
@@ -54,7 +53,7 @@ def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nea
 
 
 def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3) -> tuple[float, Vec3]:
-    """Least common slack of the soft rows and a velocity; as ``exact.least_slack``."""
+    """Least common slack of the soft rows and a velocity, as ``exact.least_slack``."""
     return dual.least_slack(firm, soft, lower, upper) or exact.least_slack(firm, soft, lower, upper)
 
 
@@ -69,7 +68,7 @@ class FleetProgram:
         self._lower, self._upper = np.full(size, -self._infinite), np.full(size, self._infinite)
         whole = np.vstack([np.ones((_ROWS, 3)), np.eye(3)])
         self._ax = np.ones(3 * (_ROWS + 1))  # column-wise: all rows of an axis, then its side of the box
-        # the same numbers as Python's own, which takes a third of the time of numpy's
+        # the same numbers as Python floats: a third of the time of numpy's
         self._numbers: list[Any] = [
             each.data for each in (self._q, self._lower, self._upper, self._x, self._y)
         ]
@@ -116,7 +115,7 @@ class FleetProgram:
                 point, status = best.point, FilterStatus.CLOSED_FORM
         else:
             given_m_s, point = least_slack(firm, neighbours, lower, upper)
-            if not math.isfinite(given_m_s):  # the barrier is met by the corner alone
+            if not math.isfinite(given_m_s):  # only the corner meets the barrier
                 point = corner
             else:
                 less = given_m_s + RELAXED_M_S
@@ -131,13 +130,13 @@ class FleetProgram:
     def _osqp(
         self, nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3, start: Nearest
     ) -> tuple[Vec3, float, int]:
-        """Point clipped to the box, its largest violation before that (inf if not solved), iterations."""
+        """Point clipped to the box, its largest violation before (inf if not solved), iterations."""
         q, low, high, first, dual = self._numbers
         in_x, in_y, in_z = self._columns
         (x, y, z), (px, py, pz), count, least = nominal, start.point, len(rows), -self._infinite
         q[0], q[1], q[2] = -x, -y, -z
         first[0], first[1], first[2] = px, py, pz
-        x, y, z = x - px, y - py, z - pz  # what the rows' multipliers leave to the sides of the box
+        x, y, z = x - px, y - py, z - pz  # the part of the sides of the box
         for k, (((gx, gy, gz), bound_m_s), multiplier) in enumerate(
             zip(rows, start.multipliers, strict=True)
         ):

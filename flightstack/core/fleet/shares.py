@@ -1,8 +1,8 @@
-"""Which part of keeping two vehicles apart is this one's: none, half, or all of it.
+"""Share of this vehicle in the avoidance of another one: none, half, or all of it.
 
-The parts of two vehicles sum to at least 1 at every time, whatever word is late or lost
-(docs/how_it_works/fleet.md). The order of the rules is the argument: what this vehicle has said itself comes
-first, then what makes the other one give way to nobody, then what the other one has said lately.
+The shares of two vehicles always sum to at least 1, also with late or lost messages
+(docs/how_it_works/fleet.md). The order of the rules is the proof: first the announcements of this vehicle,
+then the reasons why the other one cannot give way, then the latest announcements of the other one.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from flightstack.core.memory import Heard
 from flightstack.core.parameters.fleet import HOLD_LATENCIES, ZERO_LATENCIES, Fleet
 from flightstack.core.types import ZERO, Intent, Neighbour, Vec3
 
-# others make way for these: they give way to nobody, or have a fault
+# members that do not give way, or have a fault
 FIRM = frozenset({Intent.STANDING, Intent.COMMITTED, Intent.CLEARING, Intent.DOWN})
 NONE, HALF, ALL = 0.0, 0.5, 1.0
 
@@ -28,7 +28,7 @@ def share(slot: Heard, word: Neighbour, now_s: float, fleet: Fleet) -> float:
     if word.intent in FIRM or age_s > fleet.age_max_s:
         return ALL
     if slot.jumped_m != ZERO and math.hypot(*slot.jumped_m) > fleet.margin_m:
-        return ALL  # it may not know where it is itself
+        return ALL  # its position may be unknown to itself
     if fleet.id in word.yields_to and age_s <= ZERO_LATENCIES * fleet.latency_max_s:
         return NONE
     return HALF

@@ -1,4 +1,4 @@
-"""To the right, past a vehicle that comes the other way: two that meet head-on would stand for ever."""
+"""Side-step to the right of an approaching vehicle, since two vehicles that meet head-on would block."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""How a flight begins and ends: take-off, touchdown, contact, and the way back up; sizes of vehicle and pad.
+"""Start and end of a flight: take-off, touchdown, contact, go-around; sizes of vehicle and pad.
 
-Defaults are a Crazyflie's on a pad of 20 cm; docs/how_to/autopilots.md says what else is the vehicle's.
+Defaults are those of a Crazyflie on a pad of 20 cm; see docs/how_to/autopilots.md for other vehicles.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ class TouchdownRule(Enum):
     """When the motors go off."""
 
     PAPER = "paper"  # below touchdown.height_m inside the descending cone (paper V)
-    CONTACT = "contact"  # after the vehicle reports that it stands
+    CONTACT = "contact"  # after the vehicle reports the ground contact
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +25,10 @@ class Takeoff:
     """From the ground to where the landing begins."""
 
     height_m: Annotated[float, span(0.2, 10.0)] = 0.5
-    start_offset_m: Vec3 | None = None  # relative to the landing spot, ENU; None: begin where it hovers
-    level_first_m: Annotated[float, span(0.02, 2.0)] = 0.1  # sideways to the start only so near its height
+    # relative to the landing spot, ENU; None: start from the hover position
+    start_offset_m: Vec3 | None = None
+    # largest height difference to the start for horizontal motion
+    level_first_m: Annotated[float, span(0.02, 2.0)] = 0.1
     arrival_radius_m: Annotated[float, span(0.02, 0.5)] = 0.05
     arrival_speed_m_s: Annotated[float, span(0.01, 0.5)] = 0.05
     timeout_s: Annotated[float, span(5.0, 300.0)] = 60.0
@@ -41,12 +43,13 @@ class Touchdown:
     pad_radius_m: Annotated[float, span(0.03, 2.0)] = 0.10
     feet_below_reference_m: Annotated[float, span(0.0, 0.5)] = 0.0144  # Crazyflie 2.0, CAD
     target_speed_max_m_s: Annotated[float, span(0.0, 3.0)] = 0.21  # TurtleBot3 Burger wheel limit
-    # errors of a late own state grow with the speed: for so long from the landing's begin it waits ...
+    # maximum wait after the landing starts for a slow target: errors of a delayed vehicle state grow with
+    # speed
     calm_wait_s: Annotated[float, span(0.0, 60.0)] = 0.0
-    calm_speed_m_s: Annotated[float, span(0.01, 3.0)] = 0.21  # ... until the target is slower than this ...
-    calm_height_m: Annotated[float, span(0.05, 3.0)] = 0.25  # ... so high above the pad
+    calm_speed_m_s: Annotated[float, span(0.01, 3.0)] = 0.21  # target speed at which the wait ends
+    calm_height_m: Annotated[float, span(0.05, 3.0)] = 0.25  # height above the pad during the wait
     descent_m_s: Annotated[float, span(0.02, 1.0)] = 0.2  # paper filter: relative to the pad, to contact
-    # without an own state it sinks on with its last set-point: by then it stands
+    # blind descent with the last set-point after a loss of the vehicle state; contact is expected by then
     blind_time_s: Annotated[float, span(0.0, 5.0)] = 0.4
     timeout_s: Annotated[float, span(0.5, 60.0)] = 2.0  # descent; a forced disarm shows with a heartbeat
 
@@ -55,25 +58,35 @@ class Touchdown:
 class Contact:
     """What tells that the vehicle stands on the pad."""
 
-    gap_m: Annotated[float, span(0.001, 0.5)] = 0.01  # of its feet: noise of two positions, tilt of the pad
-    beyond_m: Annotated[float, span(0.0, 0.5)] = 0.0  # outside the pad's edge: errors of two positions
-    # a vehicle that slides is off the pad before the others tell: it stands below this height, if ...
+    # height of the feet at contact: noise of two positions, tilt of the pad
+    gap_m: Annotated[float, span(0.001, 0.5)] = 0.01
+    # distance outside the pad's edge: errors of two positions
+    beyond_m: Annotated[float, span(0.0, 0.5)] = 0.0
+    # height below which a sliding vehicle has contact, before the other criteria detect it
     sliding_gap_m: Annotated[float, span(0.0, 0.1)] = 0.0
-    sliding_radius_m: Annotated[float, span(0.005, 1.0)] = 0.05  # ... it is soon so far from the middle
-    speed_m_s: Annotated[float, span(0.005, 0.5)] = 0.05  # sinking slower than that, something holds it up
-    time_s: Annotated[float, span(0.01, 2.0)] = 0.1  # of that
-    stopped_time_s: Annotated[float, span(0.0, 1.0)] = 0.03  # told to sink and not sinking, low over the pad
+    # predicted distance from the middle that counts as sliding
+    sliding_radius_m: Annotated[float, span(0.005, 1.0)] = 0.05
+    # sink rate below which something supports the vehicle
+    speed_m_s: Annotated[float, span(0.005, 0.5)] = 0.05
+    time_s: Annotated[float, span(0.01, 2.0)] = 0.1  # duration of the low sink rate
+    # time without motion at a descent command, low over the pad
+    stopped_time_s: Annotated[float, span(0.0, 1.0)] = 0.03
 
 
 @dataclass(frozen=True, slots=True)
 class Retreat:
     """Up and away from the pad: going around, holding, climbing, flying clear."""
 
-    drift_time_s: Annotated[float, span(0.05, 5.0)] = 0.3  # looks so far ahead: the horizontal loop's answer
-    h_left_m: Annotated[float, span(0.01, 3.0)] = 0.08  # of h to climb away with; with less it goes on down
-    hold_climb_m_s: Annotated[float, span(0.02, 5.0)] = 0.4  # of the robust hold, target out of sight
-    climb_margin_m: Annotated[float, span(0.05, 5.0)] = 0.2  # above the barrier's peak: clear of the target
-    clear_time_max_s: Annotated[float, span(5.0, 600.0)] = 30.0  # to fly clear; then it lands where it is
-    # slowest that the vehicle's own landing sinks: how long a target that comes nearer has time to
+    # horizon of the drift prediction: response of the horizontal loop
+    drift_time_s: Annotated[float, span(0.05, 5.0)] = 0.3
+    # least h for a go-around; with less the descent continues
+    h_left_m: Annotated[float, span(0.01, 3.0)] = 0.08
+    hold_climb_m_s: Annotated[float, span(0.02, 5.0)] = 0.4  # climb rate of the robust hold without a target
+    # height above the barrier's peak that is clear of the target
+    climb_margin_m: Annotated[float, span(0.05, 5.0)] = 0.2
+    # maximum time to fly clear; then it lands at its position
+    clear_time_max_s: Annotated[float, span(5.0, 600.0)] = 30.0
+    # least sink rate of the vehicle's own landing: bounds the time in which a target can approach
     landing_speed_m_s: Annotated[float, span(0.05, 5.0)] = 0.3
-    abort_time_max_s: Annotated[float, span(5.0, 1800.0)] = 60.0  # until the stack ends, not down by then
+    # maximum time of an abort until the stack ends
+    abort_time_max_s: Annotated[float, span(5.0, 1800.0)] = 60.0

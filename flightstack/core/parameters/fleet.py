@@ -1,4 +1,4 @@
-"""A fleet: its members, the ellipsoid that keeps two vehicles apart, and bounds of the others' motion.
+"""A fleet: its members, the ellipsoid between two vehicles, and bounds of the members' motion.
 
 The ellipsoid of two Crazyflies has the semi-axes 0.25 and 0.75 m: each has a radius of 0.125 and 0.375 m, as
 Crazyswarm sets them for the firmware's collision avoidance. It is higher than wide for downwash.
@@ -12,14 +12,15 @@ from typing import Annotated
 from flightstack.common.strict_toml import ConfigError, span
 
 ID_MAX = 250
-OTHERS_MAX = 8  # other members: each may need a row of the program
-PART_OF_LAG = 0.25  # of a first-order loop: below it the distance comes to rest without an overshoot
-HOLD_LATENCIES = 3.0  # for which a vehicle that gave way keeps its whole share after it said so last
-ZERO_LATENCIES = 2.0  # for which another one counts on it; the difference is for ticks and late ones
-DECIDE_LATENCIES = 4.0  # after two claims, until the higher id gives way where both believe to be first
-CARRIED_AGES = 2.2  # times ``age_max_s``, for which a silent vehicle is taken to fly straight on
-KEPT_PART = 0.2  # of ``descent_s``: so far ahead for who has the right of way already
-CIRCLE_LATENCIES = 8.0  # times the members with higher ids and one, until a circle is opened
+OTHERS_MAX = 8  # greatest number of other members: each may need a row of the program
+PART_OF_LAG = 0.25  # rate times lag of a first-order loop below which the distance has no overshoot
+# latencies for which a yielding vehicle keeps its whole share after its last announcement
+HOLD_LATENCIES = 3.0
+ZERO_LATENCIES = 2.0  # latencies for which another one relies on it; the difference covers ticks and delays
+DECIDE_LATENCIES = 4.0  # latencies after two claims until the higher id yields if both assume to be first
+CARRIED_AGES = 2.2  # extrapolation time of a silent vehicle over ``age_max_s``
+KEPT_PART = 0.2  # horizon with the right of way, as share of ``descent_s``
+CIRCLE_LATENCIES = 8.0  # latencies, times one plus the members with higher ids, until a cycle is opened
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,28 +28,30 @@ class Fleet:
     """This vehicle and the others; a configuration without this table flies alone."""
 
     id: Annotated[int, span(1, ID_MAX)]
-    members: tuple[Annotated[int, span(1, ID_MAX)], ...]  # all of them, this one too
+    members: tuple[Annotated[int, span(1, ID_MAX)], ...]  # ids of all members, with this one
     radius_xy_m: Annotated[float, span(0.05, 10.0)] = 0.25  # semi-axes of the ellipsoid of two positions
     radius_z_m: Annotated[float, span(0.05, 10.0)] = 0.75
-    rate_1_s: Annotated[float, span(0.05, 10.0)] = 0.8  # at which the distance may be used up
-    margin_m: Annotated[float, span(0.0, 5.0)] = (
-        0.08  # besides: both vehicles' velocities that are not as wanted
-    )
-    sigma_factor: Annotated[float, span(0.0, 6.0)] = 3.0  # standard deviations of positions that are covered
-    speed_max_m_s: Annotated[float, span(0.05, 20.0)] = 1.0  # of another vehicle, in any direction
-    acceleration_max_m_s2: Annotated[float, span(0.05, 20.0)] = 3.0  # the same; of its velocity wanted, too
-    # of the velocity wanted by this one, both axes together: a Crazyflie flies 2.1, and more comes too late
+    rate_1_s: Annotated[float, span(0.05, 10.0)] = 0.8  # allowed decay rate of the distance
+    margin_m: Annotated[float, span(0.0, 5.0)] = 0.08  # margin for velocity errors of both vehicles
+    sigma_factor: Annotated[float, span(0.0, 6.0)] = 3.0  # covered standard deviations of positions
+    speed_max_m_s: Annotated[float, span(0.05, 20.0)] = 1.0  # speed of another vehicle in any direction
+    # acceleration of another vehicle, and of its velocity command
+    acceleration_max_m_s2: Annotated[float, span(0.05, 20.0)] = 3.0
+    # acceleration of this vehicle's velocity command, both axes together: a Crazyflie follows 2.1
     slew_xy_max_m_s2: Annotated[float, span(0.05, 20.0)] = 2.0
-    reach_m: Annotated[float, span(0.2, 200.0)] = 3.0  # within which others have a row
-    age_max_s: Annotated[float, span(0.05, 5.0)] = 0.5  # of a word; older, its vehicle is silent
-    latency_max_s: Annotated[float, span(0.01, 1.0)] = 0.15  # of a word that is not lost
-    silent_flight_s: Annotated[float, span(0.1, 60.0)] = 6.0  # a silent vehicle flies on; then it is down
-    wait_max_s: Annotated[float, span(1.0, 3600.0)] = 30.0  # for the right of way; then it aborts
-    pad_distance_m: Annotated[float, span(0.1, 50.0)] = 0.8  # of pads, nearer only one lands at a time
-    descent_s: Annotated[float, span(0.0, 60.0)] = 5.0  # so far ahead pads may come as near
-    wait_distance_m: Annotated[float, span(0.1, 50.0)] = 1.2  # from the middle of the pad, horizontally ...
-    wait_height_m: Annotated[float, span(0.1, 50.0)] = 1.0  # ... and above it: there it waits
-    # landed, it takes off again when another member waits for the same pad, and lands beside the target
+    reach_m: Annotated[float, span(0.2, 200.0)] = 3.0  # distance within which other members have a row
+    age_max_s: Annotated[float, span(0.05, 5.0)] = 0.5  # age of a message after which its vehicle is silent
+    latency_max_s: Annotated[float, span(0.01, 1.0)] = 0.15  # latency of a received message
+    silent_flight_s: Annotated[float, span(0.1, 60.0)] = 6.0  # time after which a silent vehicle has landed
+    # maximum wait for the right of way before an abort
+    wait_max_s: Annotated[float, span(1.0, 3600.0)] = 30.0
+    # distance of pads below which only one vehicle lands at a time
+    pad_distance_m: Annotated[float, span(0.1, 50.0)] = 0.8
+    descent_s: Annotated[float, span(0.0, 60.0)] = 5.0  # horizon for the approach of two pads
+    # horizontal distance of the waiting place from the pad
+    wait_distance_m: Annotated[float, span(0.1, 50.0)] = 1.2
+    wait_height_m: Annotated[float, span(0.1, 50.0)] = 1.0  # height of the waiting place above the pad
+    # after landing: takes off again if another member waits for this pad, and lands beside the target
     frees_pad: bool = False
 
     def __post_init__(self) -> None:

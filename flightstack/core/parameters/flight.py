@@ -1,4 +1,4 @@
-"""Typed configuration of the onboard process, checked before anything flies.
+"""Typed configuration of the onboard process, checked before a flight.
 
 Classes are tables of the file, fields are keys and carry their unit. ``flightstack.config.files`` reads it.
 """
@@ -96,34 +96,37 @@ class Checks:
 
     own_age_max_s: Annotated[float, span(0.02, 0.4)] = 0.2
     target_age_max_s: Annotated[float, span(0.02, 1.0)] = 0.25
-    own_drift_max_m: Annotated[float, span(0.05, 2.0)] = 0.15  # position against velocity
-    own_drift_memory_s: Annotated[float, span(0.2, 20.0)] = 2.0  # s in which it is forgotten
-    follow_lag_max_s: Annotated[float, span(0.1, 5.0)] = 0.45  # at the highest velocity; behind set-points
-    follow_memory_s: Annotated[float, span(0.1, 20.0)] = 1.0  # in which it is forgotten; above the lag
+    # difference of position and integrated velocity
+    own_drift_max_m: Annotated[float, span(0.05, 2.0)] = 0.15
+    own_drift_memory_s: Annotated[float, span(0.2, 20.0)] = 2.0  # decay time of this difference
+    # delay behind set-points, at the highest velocity
+    follow_lag_max_s: Annotated[float, span(0.1, 5.0)] = 0.45
+    follow_memory_s: Annotated[float, span(0.1, 20.0)] = 1.0  # decay time of the tracking lag, above the lag
     status_age_max_s: Annotated[float, span(1.0, 10.0)] = 3.0  # heartbeat at 1 Hz, two may be lost
     target_speed_max_m_s: Annotated[float, span(0.1, 10.0)] = 1.5
     target_jump_max_m: Annotated[float, span(0.02, 5.0)] = 0.2
-    target_drift_max_m: Annotated[float, span(0.02, 2.0)] = 0.1  # positions against velocity
-    target_drift_memory_s: Annotated[float, span(0.2, 20.0)] = 2.0  # s in which it is forgotten
+    # difference of positions and integrated velocity
+    target_drift_max_m: Annotated[float, span(0.02, 2.0)] = 0.1
+    target_drift_memory_s: Annotated[float, span(0.2, 20.0)] = 2.0  # decay time of this difference
     target_frame: str = "map"
     target_child_frame: str = "target"
     hold_time_s: Annotated[float, span(0.1, 10.0)] = 1.0
     climb_time_max_s: Annotated[float, span(0.5, 60.0)] = 10.0
     recovery_time_s: Annotated[float, span(0.05, 5.0)] = 0.3
     retries_max: Annotated[int, span(0, 20)] = 3
-    # swinging over the pad: how often it may leave the cone again, and s in it without a touchdown
+    # oscillation over the pad: allowed exits from the cone, and time in it without a touchdown
     swings_max: Annotated[int, span(1, 100)] = 3
     over_pad_time_max_s: Annotated[float, span(2.0, 600.0)] = 15.0
     landing_time_max_s: Annotated[float, span(5.0, 600.0)] = 120.0
     wait_time_max_s: Annotated[float, span(1.0, 3600.0)] = 60.0
-    clearance_m: Annotated[float, span(0.3, 20.0)] = 1.0  # horizontal distance from the target that is clear
+    clearance_m: Annotated[float, span(0.3, 20.0)] = 1.0  # horizontal distance that is clear of the target
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleSide:
     """The vehicle's autopilot: settings that a person has looked at, and where its coordinates begin."""
 
-    # parameters of the pre-flight check that do not keep it from arming, whatever they are set to
+    # parameters that do not block arming in the pre-flight check at any value
     accepted_parameters: tuple[str, ...] = ()
     # latitude and longitude in degrees, m above sea level (WGS84) and not 0: for an autopilot without
     # satellites
@@ -145,7 +148,7 @@ class FlightConfig:
     """Everything the onboard process is told."""
 
     barrier: BarrierShape
-    filter: str = "robust"  # a name of filters.py, or MODULE:NAME of a class from outside the package
+    filter: str = "robust"  # name in filters.py, or MODULE:NAME of an external class
     loop: Loop = field(default_factory=Loop)
     position_loop: PositionLoop = field(default_factory=PositionLoop)
     limits: Limits = field(default_factory=Limits)
@@ -154,23 +157,23 @@ class FlightConfig:
     contact: Contact = field(default_factory=Contact)
     retreat: Retreat = field(default_factory=Retreat)
     checks: Checks = field(default_factory=Checks)
-    # what the robust filter assumes; the paper's does not look at it
+    # assumptions of the robust filter; unused by the paper's
     robust: Robust = field(default_factory=Robust)
     velocity_loop: VelocityLoop = field(default_factory=VelocityLoop)
     velocity_feedback: VelocityFeedback = field(default_factory=VelocityFeedback)
     own: OwnStateLink = field(default_factory=OwnStateLink)
     target: TargetLink = field(default_factory=TargetLink)
-    envelope: Envelope = field(default_factory=Envelope)  # what `check` proves it for
+    envelope: Envelope = field(default_factory=Envelope)  # envelope of the proof by `check`
     vehicle: VehicleSide = field(default_factory=VehicleSide)
-    reserve: Reserve | None = None  # without it the battery limits nothing, and its state is not asked for
-    fleet: Fleet | None = None  # without it there are no others: it flies alone
+    reserve: Reserve | None = None  # None: no limits by the battery, and its state is not requested
+    fleet: Fleet | None = None  # None: no other members
 
     @property
     def slew_max_m_s2(self) -> Vec3:
-        """Of the velocity that the robust filter wants, on each axis.
+        """Acceleration limit of the robust filter's velocity on each axis.
 
-        In a fleet ``fleet.slew_xy_max_m_s2`` limits both horizontal axes together: each has the side of
-        the square in that circle. What is flown later than wanted is missing where neighbours are so near.
+        In a fleet ``fleet.slew_xy_max_m_s2`` limits both horizontal axes together: each gets the side of the
+        square in that circle, since delayed motion reduces the distance to near neighbours.
         """
         x, y, z = self.robust.acceleration_max_m_s2
         if self.fleet is None:
@@ -208,12 +211,13 @@ class FlightConfig:
                     f"{self.checks.clearance_m:g} m"
                 )
         check_name(self.filter)
-        if self.filter in FILTERS:  # one from outside checks where it flies: reading a log runs no such code
+        # an external filter checks at its use: reading a log does not run its code
+        if self.filter in FILTERS:
             named(self.filter).check_config(self)
 
 
 def check_origin(name: str, origin_wgs84: Vec3) -> None:
-    """Refuse an origin of local coordinates that an autopilot would not take, or would take wrongly.
+    """Reject an origin of local coordinates that an autopilot would reject or misinterpret.
 
     A height of 0 counts as "not known" in ArduPilot (``AP_Baro::update_field_elevation``, 4.6), which has it
     in centimetres: on the ground it resets its height datum once a second.

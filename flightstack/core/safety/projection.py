@@ -4,8 +4,8 @@
 
 The minimiser is ``clip(u' + lambda g)`` with the smallest multiplier lambda >= 0 that satisfies the
 half-space: g . clip(u' + lambda g) never falls with lambda and is linear between the values at which an axis
-meets its bound, so that walking these values finds lambda exactly. It shares no code with the
-solver, which begins in flight with this result and confirms it, or finds a better one.
+meets its bound, so a walk over these values finds lambda exactly. It shares no code with the solver, which
+starts in flight from this result and confirms it, or finds a better one.
 """
 
 from __future__ import annotations

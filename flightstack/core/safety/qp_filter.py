@@ -3,12 +3,12 @@
     min |u - u'|^2   subject to   lower <= u <= upper,   g . u >= -omega h - dh/dt
 
 One barrier row and three box rows; the solver is set up once and updated each tick. It starts from the exact
-projection of this tick (``projection.py``), point and multipliers, which its own test of optimality confirms
-at once, or else it iterates. So a result depends on this tick's numbers alone, a log replays from anywhere,
-and the time is bounded. (From zero the program takes hundreds of iterations where the barrier's gradient is
-nearly the normal of a side of the box and both bind.) A result is used only if the solver says solved and the
-point meets box and barrier; otherwise the exact projection is. If nothing in the box meets the barrier, the
-command is the corner of the box that raises h fastest, and the status says so.
+projection of this tick (``projection.py``), point and multipliers, which its optimality test confirms at
+once; otherwise it iterates. So a result depends only on the numbers of this tick, a log can be replayed from
+any tick, and the time is bounded. (From zero the program takes hundreds of iterations where the barrier's
+gradient is nearly the normal of a side of the box and both bind.) A result is used only with the status
+solved and if the point meets box and barrier; otherwise the exact projection is used. If no point of the box
+meets the barrier, the command is the corner of the box that raises h fastest, with a status of its own.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from flightstack.core.safety.projection import Projection, best_corner, projecti
 from flightstack.core.safety.solver import compiled_solver, matrix
 from flightstack.core.types import FilterStatus, Vec3
 
-# Of 100,000 random programs of this size all were confirmed in the first iteration.
+# All of 100,000 random programs of this size were confirmed in the first iteration.
 EPS = 1e-9  # absolute and relative tolerance of the solver's test, m/s
 RHO = 1.0
 RELAXATION = 1.5
-ITERATIONS_MAX = 200  # about 50 us; beyond it the exact projection is the result
-_NUMBERS = struct.Struct("=24d")  # the data of the program that change, and its start
-RESIDUAL_MAX_M_S = 1e-6  # what a result may miss box or barrier by before it is refused
+ITERATIONS_MAX = 200  # about 50 us; after that the exact projection is the result
+_NUMBERS = struct.Struct("=24d")  # changing data of the program, and its start
+RESIDUAL_MAX_M_S = 1e-6  # largest violation of box or barrier by an accepted result
 
 
 class FilterResult(NamedTuple):
@@ -73,7 +73,7 @@ def solver_settings(osqp: Any) -> Any:
     settings.eps_abs = settings.eps_rel = EPS
     settings.rho, settings.alpha = RHO, RELAXATION
     settings.adaptive_rho = 0
-    settings.scaling = 0  # scaling and unscaling at each update would round a history into the data
+    settings.scaling = 0  # scaling at each update would add rounding errors of earlier ticks
     settings.max_iter = ITERATIONS_MAX
     settings.check_termination = 1
     return settings
@@ -127,7 +127,7 @@ class SafetyFilter:
     ) -> tuple[Vec3, float, int]:
         """Point clipped to the box, its largest violation before that (inf if not solved), iterations."""
         solver = self._solver
-        # all at once: numpy takes as long for three of them
+        # one copy: numpy needs the same time for three of them
         _NUMBERS.pack_into(
             self._memory, 0, *data_and_start(nominal, gradient, bound, lower, upper, self._infinity, *start)
         )

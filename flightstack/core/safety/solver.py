@@ -1,6 +1,6 @@
-"""OSQP's solver without its Python front, and without scipy.sparse, which only hold a matrix for it.
+"""OSQP's solver without its Python interface and scipy.sparse, which only store a matrix for it.
 
-The two and what they import take a tenth of a second to load, in each process that solves.
+Their import takes a tenth of a second in each process with a solver.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def matrix(dense: NDArray[np.float64]) -> Any:
     solver = compiled_solver()
     if _SPARSE in sys.modules:
         return solver.CSC(sys.modules[_SPARSE].csc_matrix(dense))
-    # The solver imports this module to ask whether a matrix is by columns, and uses nothing else of it.
+    # The solver imports this module only to check whether a matrix is stored by columns.
     absent = [name for name in (_SCIPY, _SPARSE) if name not in sys.modules]
     sys.modules.update((name, _ByColumns(name)) for name in absent)
     try:
