@@ -10,7 +10,6 @@ from typing import Annotated
 
 from flightstack.common.options import BadOptionError, Option
 from flightstack.common.strict_toml import decoded
-from flightstack.config.files import path_of
 from flightstack.core.parameters.filters import ALLOWED, look_here
 
 _SEED_DIGITS_MAX = 4000  # more than the longest that ``rare`` makes; Python reads 4,300
@@ -70,6 +69,13 @@ def _filter_name(given: str) -> str:
     return given
 
 
+def _configuration(given: str) -> Path:
+    """File of a configuration by name or path."""
+    from flightstack.config.files import path_of
+
+    return path_of(given)
+
+
 def safety_filter(help: str) -> Option:
     """``--filter``."""
     return Option("--filter", f"{help}: {ALLOWED}.", metavar="NAME", read=_filter_name)
@@ -78,7 +84,7 @@ def safety_filter(help: str) -> Option:
 def config(help: str = "Configuration (TOML)") -> Option:
     """``--config``."""
     return Option(
-        "--config", f"{help}: a name (see `config`) or a file.", metavar="NAME_OR_FILE", read=path_of
+        "--config", f"{help}: a name (see `config`) or a file.", metavar="NAME_OR_FILE", read=_configuration
     )
 
 

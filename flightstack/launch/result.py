@@ -38,13 +38,11 @@ def result_table(values: Mapping[str, Any], reason: str) -> Group:
     """Return the values of ``logs.verdict.verdict.fleet_result`` as tables; "-" for what is not known."""
     if values.get("vehicles") is not None:
         return _fleet_table(values, reason)
-    told = {name: values[name] for name in _ABOUT if values.get(name) is not None}
-    title = ", ".join(f"{name} {value}" for name, value in told.items())
     table = Table("result", Column("value", justify="right"), "unit")
     for name, key, unit in _ROWS:
-        table.add_row(name, _shown(values.get(key)), unit)
+        table.add_row(name, shown(values.get(key)), unit)
     source = SOURCES.get(values.get("judged_from") or "", "what the onboard process said")
-    return Group(Text(title, style="italic"), table, Text(f"judged from {source}"), Text(reason))
+    return Group(_title(values), table, Text(f"judged from {source}"), Text(reason))
 
 
 _MEMBER_COLUMNS = (
@@ -67,21 +65,23 @@ _FLEET_ROWS = (
 
 def _fleet_table(values: Mapping[str, Any], reason: str) -> Group:
     """Of a member: the least h outside the pad, error and speeds at touchdown, time to land."""
-    told = {name: values[name] for name in _ABOUT if values.get(name) is not None}
-    title = ", ".join(f"{name} {value}" for name, value in told.items())
     table = Table("vehicle", *(Column(name, justify="right") for name, _, _ in _MEMBER_COLUMNS))
     for member, each in values["vehicles"].items():
-        table.add_row(Text(member), *(_shown(each[key], factor) for _, key, factor in _MEMBER_COLUMNS))
+        table.add_row(Text(member), *(shown(each[key], factor) for _, key, factor in _MEMBER_COLUMNS))
     fleet = Table("fleet", Column("value", justify="right"), "unit")
     for name, key, unit in (("outcome", "outcome", ""), ("violation", "violation", ""), *_FLEET_ROWS):
-        fleet.add_row(name, _shown(values[key]), unit)
+        fleet.add_row(name, shown(values[key]), unit)
     judged = dict.fromkeys(SOURCES.get(each["judged_from"], "") for each in values["vehicles"].values())
-    return Group(
-        Text(title, style="italic"), table, fleet, Text(f"judged from {', '.join(judged)}"), Text(reason)
-    )
+    return Group(_title(values), table, fleet, Text(f"judged from {', '.join(judged)}"), Text(reason))
 
 
-def _shown(value: object, factor: float = 1.0) -> str:
+def _title(values: Mapping[str, Any]) -> Text:
+    about = (f"{name} {values[name]}" for name in _ABOUT if values.get(name) is not None)
+    return Text(", ".join(about), style="italic")
+
+
+def shown(value: object, factor: float = 1.0) -> str:
+    """Return a value of a result as text of a table."""
     return "-" if value is None else f"{value * factor:.3f}" if isinstance(value, float) else str(value)
 
 

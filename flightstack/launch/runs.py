@@ -14,7 +14,7 @@ from rich.table import Column, Table
 
 from flightstack.common.hangup import CalledOffError
 from flightstack.common.processes import LaunchError
-from flightstack.launch.result import concluded, landed
+from flightstack.launch.result import concluded, landed, shown
 from flightstack.launch.run_options import RunOptions
 from flightstack.launch.sitl import run
 from flightstack.onboard.recording import new_folder
@@ -54,7 +54,7 @@ def fly_all(options: RunOptions, console: Console) -> int:
             continue
         values = concluded(flown, with_report=options.with_report)
         rows.append({**values, "problem": flown.problem, "landed": landed(values, flown)})
-        line = "  ".join(f"{name} {_shown(values.get(key))}" for name, key in _COLUMNS)
+        line = "  ".join(f"{name} {shown(values.get(key))}" for name, key in _COLUMNS)
         console.print(line, soft_wrap=True, markup=False)
         if flown.interrupted:
             break
@@ -64,7 +64,7 @@ def fly_all(options: RunOptions, console: Console) -> int:
         print(json.dumps(summary))
     else:
         console.print(
-            "  ".join(f"{name} {_shown(value)}" for name, value in summary.items() if name != "rows")
+            "  ".join(f"{name} {shown(value)}" for name, value in summary.items() if name != "rows")
         )
     return 0 if summary["landed"] == runs else 1
 
@@ -103,9 +103,5 @@ def _median(rows: Sequence[Row], key: str) -> float | None:
 def _table(rows: Sequence[Row]) -> Table:
     table = Table(*(Column(name, justify="right") for name, _ in _COLUMNS))
     for row in rows:
-        table.add_row(*(_shown(row.get(key)) for _, key in _COLUMNS))
+        table.add_row(*(shown(row.get(key)) for _, key in _COLUMNS))
     return table
-
-
-def _shown(value: object) -> str:
-    return "-" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)
