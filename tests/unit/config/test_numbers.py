@@ -36,7 +36,7 @@ def test_no_option_takes_what_is_no_number():
         (path, each) for path, each in parameters(main) if isinstance(each.type, click.types.FloatParamType)
     ]
     assert len(seen) >= 20
-    assert {path[0] for path, _ in seen} >= {"fly", "replay", "log", "bridge", "px4-sim", "watch"}
+    assert {path[0] for path, _ in seen} >= {"fly", "bridge", "px4-sim", "watch"}
     for path, each in seen:
         for text in NO_NUMBERS:
             with pytest.raises(click.BadParameter):
