@@ -11,8 +11,8 @@ from flightstack.common.hangup import Stop
 from flightstack.common.pacing import Silence
 
 NS_PER_S = 1_000_000_000
-STARTUP_S = 600.0  # s of wall time the processes of a run give each other to come up, slow computers, too
-_SAID_S = 10.0  # s after which a wait says what it waits for
+STARTUP_S = 600.0  # s of wall time for the start of the other processes of a run, also on slow computers
+_SAID_S = 10.0  # s after which a wait is reported
 _PAUSE_S = 50e-6  # s; with the system's timer slack about 0.1 ms
 
 
@@ -21,8 +21,8 @@ class NoAnswerError(RuntimeError):
 
 
 def told(what: str) -> str:
-    """Say what is waited for, once; the empty text that is left to say."""
-    with contextlib.suppress(OSError):  # nobody reads it
+    """Report a wait once; returns the empty text."""
+    with contextlib.suppress(OSError):  # no reader
         print(f"waits for {what}", file=sys.stderr, flush=True)
     return ""
 
@@ -56,21 +56,14 @@ def wait_until(
     yields: int = 0,
     what: str = "",
 ) -> bool:
-    """Look again and again until it is so, a signal came, or the time is over.
+    """Poll ``done`` until it is true, ``stop`` is set, or the time is over.
 
-    Zenoh's handlers cannot be waited on with a time limit, so this polls: first without sleeping, for what
-    is due any moment, then with short sleeps.
+    Zenoh's handlers have no wait with a time limit, so this polls: first without sleeping, for short waits,
+    then with short sleeps.
 
-    Args:
-        done: what is waited for.
-        stop: ends the wait.
-        timeout_s: wall time; a pause of the machine is not counted.
-        pause_s: sleep between two looks.
-        yields: looks that only give up the processor, before the first sleep.
-        what: said to standard error if it takes long; empty: nothing is said.
-
-    Returns:
-        False only when the time is over; look at ``stop`` after True.
+    ``timeout_s``: wall time without pauses of the machine; ``pause_s``: sleep between two polls; ``yields``:
+    polls that only yield the processor, before the first sleep; ``what``: text on standard error during a
+    long wait; empty: none. Returns False after the time limit; after True ``stop`` has to be checked.
     """
     if done() or stop.is_set:
         return True

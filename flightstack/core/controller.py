@@ -42,7 +42,7 @@ from flightstack.core.types import (
 
 
 class Event(NamedTuple):
-    """Something a person wants to read later. ``level`` as in rcl_interfaces/msg/Log."""
+    """A text for the operator. ``level`` as in rcl_interfaces/msg/Log."""
 
     level: int
     text: str
@@ -74,8 +74,8 @@ class Outputs(NamedTuple):
     transition: Transition | None  # change of phase in this tick
     events: tuple[Event, ...]  # messages to the operator, the change of phase among them
     finished: bool  # the flight is over
-    target_accepted: int  # samples of the target accepted so far
-    target_rejected: int  # samples of the target refused so far
+    target_accepted: int  # number of accepted target samples
+    target_rejected: int  # number of rejected target samples
     reserve: float = math.nan  # largest thrust over weight; NaN while unknown, or without a table [reserve]
     own_word: Neighbour | None = None  # message to the fleet; None without [fleet] or without a position
 
@@ -196,7 +196,7 @@ class Controller(LandingKernel):
         )
 
     def _finished(self, status: VehicleStatus | None, now_s: float) -> bool:
-        """Whether the flight is over; a vehicle of a fleet tells its position until all others are down."""
+        """Whether the flight is over; a fleet member sends its position until all others are down."""
         fleet = self._fleet
         over = self._mission.finished(status, now_s)
         return over and (fleet is None or fleet.over(now_s - self.memory.phase_since_s, now_s))

@@ -57,7 +57,7 @@ class LandingKernel:
     program: Program  # of the landing; an equal form may take its place
     reserve_estimate: ReserveEstimate | None
     slew_step: Vec3
-    up_step_m_s: float  # besides, upwards
+    up_step_m_s: float  # additional step upwards
     _weighs: bool  # there is a reserve_estimate
     _mission: Mission
     _gate: Gate

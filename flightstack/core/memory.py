@@ -1,4 +1,4 @@
-"""What the controller remembers from tick to tick; everything else is computed anew.
+"""State of the controller between ticks; everything else is computed in each tick.
 
 Plain values only, of the types ``state_text`` can write: that is how the state gets into the log and back.
 The names of classes and fields are part of the log: a log with other names is not replayed.
@@ -20,7 +20,7 @@ class AbortWay(IntEnum):
 
     NONE = 0
     MOTORS_OFF = 1  # emergency stop
-    HANDS_OFF = 2  # somebody else controls the vehicle, or it never flew
+    HANDS_OFF = 2  # another client controls the vehicle, or it never flew
     LAND_HERE = 3  # the position of vehicle or target is not known: the autopilot's own landing
     FLY_CLEAR = 4  # climb, fly clear of the target, then land
 
@@ -37,7 +37,7 @@ class Memory:
     contact_since_s: float = inf
     stopped_since_s: float = inf  # commanded to sink and not sinking
     contact: bool = False  # stands on the pad
-    own_ok_s: float = -inf  # when the own state could be flown by, last
+    own_ok_s: float = -inf  # last time with a usable vehicle state
     was_armed: bool = False
     was_external: bool = False
     climbed: bool = False  # the take-off climb is over
@@ -64,7 +64,7 @@ class ClockMemory:
     offset_s: float = inf  # least way, forgotten quickly
     floor_s: float = inf  # least way, forgotten slowly
     held_s: float = 0.0  # for how long all ways were longer than the least
-    stamp_s: float = -inf  # newest that was believed
+    stamp_s: float = -inf  # newest accepted stamp
     taken_s: float = -inf  # its arrival
     began_s: float = inf  # arrival of the first, or of the first after a step
     run_since_s: float = inf  # first arrival of refused messages that agree with each other; inf: none
@@ -78,7 +78,7 @@ class ClockMemory:
 class TrackMemory(ClockMemory):
     """Of the target track, with its sender's clock."""
 
-    last: TargetSample | None = None  # newest believed sample
+    last: TargetSample | None = None  # newest accepted sample
     elsewhere: Annotated[TargetSample | None, ABSENT] = (
         None  # newest of samples that jumped but agree with each other
     )
@@ -127,7 +127,7 @@ class TrackingMemory:
 class PlausibilityMemory:
     """Of the checks on own state and set-points."""
 
-    last: OwnState | None = None  # newest that was measured anew
+    last: OwnState | None = None  # newest new measurement
     moved_s: float = 0.0  # arrival of the newest at another position, or of one that did not fly
     drift_m: Vec3 = ZERO  # where no velocity took it
     distrusted: bool = False
@@ -139,8 +139,8 @@ class ReserveMemory:
     """Of the estimate of the thrust reserve."""
 
     effort: float = nan  # smoothed (throttle / highest)^p, upward part; NaN before the first
-    rise_m_s: float = 0.0  # vertical velocity, smoothed alike: what is missing of it was acceleration
-    tired: bool = False  # it fell below the least; in flight it stays so
+    rise_m_s: float = 0.0  # vertical velocity with the same smoothing; the difference is acceleration
+    tired: bool = False  # fell below the least; remains set in flight
 
 
 # position m, velocity m/s, acceleration by the vehicle's loop m/s^2, error of the velocity told m/s, and
@@ -157,7 +157,7 @@ class OwnMemory:
     x: AxisState = AT_REST  # at that time, like the rest
     y: AxisState = AT_REST
     z_m: float = 0.0
-    z_error_m_s: float = 0.0  # of the vertical velocity told
+    z_error_m_s: float = 0.0  # error of the reported vertical velocity
     x_now: AxisState = AT_REST  # carried on over the delay
     y_now: AxisState = AT_REST
     sent_m_s: Vec3 = ZERO  # newest set-point
@@ -206,12 +206,12 @@ class Heard:
     """Of one other vehicle of the fleet."""
 
     word: Neighbour | None = None  # newest; None: it was never heard
-    yields: bool = False  # it has precedence, and is told so
+    yields: bool = False  # this vehicle yields to it, as announced
     claim_s: float = nan  # its claim to which that belongs
-    yielded_s: float = -inf  # when it was told so last
+    yielded_s: float = -inf  # time of the last such announcement
     on_pad: bool = False  # it stood on this vehicle's pad when it was heard last
     faster_m_s2: Vec3 = ZERO  # at which the velocity that it wanted changed
-    jumped_m: Vec3 = ZERO  # by which the places that it told were farther apart than it can have flown
+    jumped_m: Vec3 = ZERO  # distance of reported positions beyond the reachable ones
 
 
 # one for each other member in the order of their ids; those of a smaller fleet stay as they are
@@ -227,14 +227,14 @@ class FleetMemory:
     """Of the other vehicles, and of the own right of way."""
 
     slots: Slots = field(default_factory=_nobody_heard)
-    claim_s: float = nan  # since when the right of way is asked for
+    claim_s: float = nan  # time of the claim for the right of way
     granted: bool = False
     waits_since_s: float = inf  # for it
-    committed_s: float = inf  # since when the others are told COMMITTED
-    crowded: bool = False  # it was told that the rows of neighbours give way
+    committed_s: float = inf  # time since which COMMITTED is announced
+    crowded: bool = False  # reported: the rows of neighbours are relaxed
     crowded_s: float = -inf  # when they did last
     left: bool = False  # it has left its pad for another vehicle, or has tried to
-    stays: bool = False  # it was told that it does not leave its pad
+    stays: bool = False  # reported: it does not leave its pad
     place_enu_m: Vec3 | None = None  # where it lands then
 
 

@@ -1,4 +1,4 @@
-"""Time stamps of another process: which to believe, and how late a message is.
+"""Time stamps of another process: plausibility, and the delay of a message.
 
 Arrival minus stamp is the difference of the two clocks plus the delay of the message. Its least value stands
 for a message without delay; what another message takes longer is its lateness. Nothing here is remembered for
@@ -26,7 +26,7 @@ from flightstack.core.types import TextEnum
 FORGETS = 0.04  # s/s; firmware and simulators may run 3 % slow; a delay of 0.25 s counts as age for 7 s
 HOLDS_S = 1.0  # in which some message is quick
 FORGETS_SLOWLY = 0.002  # s/s; four times what Linux slews a clock at most (adjtimex(2), 500 ppm)
-ELAPSED_MAX_S = 1.0  # a silence proves no drift: no more of it counts
+ELAPSED_MAX_S = 1.0  # largest counted silence, which proves no drift
 FLOOR_MAX_S = 0.2  # a busy network hides the least delay by no more; beyond, the clocks have drifted
 GRAIN_S = 1e-6  # above the rounding of Unix times to doubles, 2.4e-7 s: that is no drift
 AHEAD_S = 0.03  # a message may be quicker than all before by this and a tick

@@ -37,7 +37,7 @@ class Phase(IntEnum):
     TOUCHDOWN = 4  # straight down to contact, then motors off
     LANDED = 5  # the heartbeat says that the motors are off after a touchdown
     HOLD = 6  # an input is lost
-    CLIMB = 7  # above the target, which stays lost
+    CLIMB = 7  # above the target, which remains lost
     ABORT = 8  # ends the flight in a way of ``AbortWay``
     LEAVE = 9  # frees the pad for another vehicle: takes off again, flies clear, lands beside the target
 
@@ -155,8 +155,8 @@ class VehicleStatus:
 class Power:
     """What the vehicle says of its battery and its motors; NaN for what it does not say."""
 
-    arrival_s: float  # of the newest message that told one of them
-    voltage_v: float  # of the battery, as it is loaded now
+    arrival_s: float  # arrival of the newest message with one of them
+    voltage_v: float  # voltage of the battery under the current load
     throttle: float  # mean of the motors' commands, 0 to 1
     cos_tilt: float  # of the angle between the body's z axis and up
 
@@ -164,10 +164,10 @@ class Power:
 class Intent(IntEnum):
     """What a vehicle of a fleet is about to do, as it tells the others."""
 
-    STANDING = 0  # on the ground, or in the climb of its take-off: it gives way to nobody
+    STANDING = 0  # on the ground, or in the climb of its take-off: it does not yield
     WAITING = 1  # flies, without a right of way
     LANDING = 2  # flies to its pad with its right of way
-    COMMITTED = 3  # over its pad: it is about to give way to nobody, or does already
+    COMMITTED = 3  # over its pad: it does not yield, or will not soon
     CLEARING = 4  # holds, climbs or flies clear: others get out of its way
     DOWN = 5  # landed, or lands by its autopilot: it follows no set-points any more
 
@@ -197,5 +197,5 @@ class Inputs(NamedTuple):
     status: VehicleStatus | None = None
     target_samples: tuple[TargetSample, ...] = ()
     operator: Operator = Operator.NONE
-    power: Power | None = None  # asked for by a configuration with a table [reserve] only
+    power: Power | None = None  # requested only by a configuration with a table [reserve]
     neighbours: tuple[Neighbour, ...] = ()  # what came since the last tick; with a table [fleet] only

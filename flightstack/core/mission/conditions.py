@@ -23,7 +23,7 @@ from flightstack.core.types import Charge, Landed, Mode, Operator, OwnState, Pha
 
 OVER_PAD_LEFT = 1.5  # times the radius at which the cone over the pad is entered
 TAKEOFF_DONE = 0.85  # share of the take-off height at which we take over
-LANDED_SETTLE_S = 2.2  # the judge wants 2 s at rest on the pad
+LANDED_SETTLE_S = 2.2  # the judge requires 2 s at rest on the pad
 DRIFT_CAUSES = (
     "usual causes: a twist in header.frame_id instead of child_frame_id, a heading that is off by 180 "
     "degrees, swapped axes"
@@ -285,7 +285,7 @@ class Known(NamedTuple):
 
     checks: Checks  # limits of the configuration
     snapshot: Snapshot  # this tick's inputs
-    plausibility: Plausibility  # judgement of own state and of following
+    plausibility: Plausibility  # plausibility of vehicle state and of following
     track: TargetTrack  # samples of the target
     now_s: float  # stack clock
     battery: str = ""  # what is wrong with it, where something is

@@ -41,7 +41,7 @@ _TIME = r"(?: *[0-9.]+ s  )?"
 _CHANGE = rf"(?P<before>{_PHASES})(?: -> (?P<after>{_PHASES}))?"
 _TEXT = re.compile(rf"{_TIME}{_CHANGE}: (?P<reason>.*?)(?: \((?P<way>{_WAYS})\))?", re.DOTALL)
 STANDING_S = 4.0  # on the pad, not let touch down: pushed to the middle, where h >= 0, most are within 3 s
-SLIDING_TIME_S = 0.15  # contact is seen 0.1 s late by a late own state, and the motors need 0.05 s
+SLIDING_TIME_S = 0.15  # a delayed vehicle state shows contact 0.1 s late, and the motors need 0.05 s
 ABORT_SETTLE_S = 1.0  # for the heartbeat that says so
 PLACE_RADIUS_M = 0.1  # horizontally: so near the place beside the target it lands ...
 PLACE_SPEED_M_S = 0.15  # ... when it is slower than that
@@ -54,7 +54,7 @@ class Transition(NamedTuple):
     """One change of phase."""
 
     before: Phase  # phase until now
-    after: Phase  # phase from now on; the same where an abort goes on in another way
+    after: Phase  # next phase; the same when an abort changes its mode
     reason: str  # why, with the numbers behind it
     way: AbortWay = AbortWay.NONE  # how an abort ends the flight; ``NONE`` for all other phases
 
@@ -192,7 +192,7 @@ class Mission:
             memory.good_since_s = now_s
         if status is not None and status.armed:
             memory.was_armed = True
-            if status.mode is Mode.EXTERNAL:  # not when disarmed: PX4 stays in it after a landing
+            if status.mode is Mode.EXTERNAL:  # not when disarmed: PX4 remains in this mode after a landing
                 memory.was_external = True
 
     def _stopped(self, at: Relative, now_s: float) -> bool:

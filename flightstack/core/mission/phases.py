@@ -24,7 +24,7 @@ class Condition(IntEnum):
 
     EMERGENCY = 1 << 0  # operator's emergency stop
     ABORT_ASKED = 1 << 1  # operator's abort
-    OWN_LOST = 1 << 2  # own state missing or too old
+    OWN_LOST = 1 << 2  # vehicle state missing or too old
     LINK_LOST = 1 << 3  # heartbeat missing or too old
     TARGET_LOST = 1 << 4  # target missing or too old
     READY = 1 << 5  # all inputs fresh; vehicle ready to arm or already flying
@@ -32,7 +32,7 @@ class Condition(IntEnum):
     WAS_ARMED = 1 << 7  # seen armed earlier in this flight
     EXTERNAL = 1 << 8  # follows our set-points
     WAS_EXTERNAL = 1 << 9  # did so earlier in this flight
-    STANDING = 1 << 10  # the vehicle says that it stands
+    STANDING = 1 << 10  # the vehicle reports ground contact
     AT_START = 1 << 11  # where the landing begins
     STARTED = 1 << 12  # the landing had begun
     OVER_PAD = 1 << 13  # inside the descending cone
@@ -45,14 +45,14 @@ class Condition(IntEnum):
     COMMAND_FAILED = 1 << 20  # the vehicle refused a command for good
     DRIFTED = 1 << 21  # about to leave the corridor above the pad while still above the cone
     NOT_FOLLOWING = 1 << 22  # the vehicle does not fly the commanded velocity
-    TIRED = 1 << 23  # the battery is too low: it begins no landing, and goes around no more
+    TIRED = 1 << 23  # the battery is too low: no start of a landing, no further go-around
     LAND_ASKED = 1 << 24  # operator's abort by the vehicle's own landing
     TARGET_KNOWN = 1 << 25  # some position of the target, however old
     ON_PAD = 1 << 26  # contact in the touchdown
     PAD_WANTED = 1 << 27  # landed and at rest: another vehicle waits for this pad, and it may take off again
     CLEAR = 1 << 28  # flown clear of the target: it lands beside it
-    CUT_OFF = 1 << 29  # too few of the fleet are heard, and the pad is not the shortest way down
-    SWINGS = 1 << 30  # leaves the cone over the pad again and again, or stays in it without a touchdown
+    CUT_OFF = 1 << 29  # too few fleet members send messages, and the pad is not the shortest way down
+    SWINGS = 1 << 30  # leaves the cone over the pad repeatedly, or remains in it without a touchdown
 
 
 C = Condition
@@ -63,7 +63,7 @@ NONE = 0
 class Rule(Generic[To]):
     """One row: go ``to`` when all of ``when`` and none of ``unless`` hold, because of ``reason``.
 
-    ``about``: conditions besides ``when`` whose numbers a person wants to read with the reason.
+    ``about``: conditions in addition to ``when`` whose numbers are shown with the reason.
     """
 
     when: int
@@ -103,7 +103,7 @@ START_LATE = Rule(C.PHASE_TIME_OVER, Phase.ABORT, "start not reached in time")
 _NOT_OFF = C.ARMED | C.LINK_LOST
 _STANDS = C.COMMAND_FAILED | C.STANDING
 _ASKED = C.EMERGENCY | C.ABORT_ASKED
-# beside the target its own landing goes on, whatever is lost
+# beside the target the vehicle's landing continues after any loss
 _UNLESS_CLEAR = tuple(
     replace(rule, to=Phase.ABORT, unless=rule.unless | C.CLEAR)
     for rule in (*_IN_FLIGHT[len(_OPERATOR) :], *_INPUTS)

@@ -59,7 +59,7 @@ class VelocityFeedback:
 
     horizontal: bool = False
     error_rate_1_s: Annotated[float, span(0.5, 20.0)] = 5.0  # at which a wrong velocity is mended
-    tilt_rate_1_s: Annotated[float, span(1.0, 50.0)] = 13.0  # at which the acceleration for that is reached
+    tilt_rate_1_s: Annotated[float, span(1.0, 50.0)] = 13.0  # rate at which this acceleration is reached
     observer_rate_1_s: Annotated[float, span(1.0, 50.0)] = 25.0  # at which disturbances are learned
     acceleration_max_m_s2: Annotated[float, span(0.2, 20.0)] = 3.0  # wanted; 3.5 tilt a vehicle by 20 degrees
     # farther from the landing spot the rates are these: quick tilting takes thrust; 0: everywhere the same
@@ -81,10 +81,10 @@ class OwnStateLink:
 
     delay_s: Annotated[float, span(0.0, 0.2)] = 0.01  # age of a position when it arrives
     position_noise_m: Annotated[float, span(0.0, 0.2)] = 0.002  # standard deviation on each axis
-    # standard deviation of the velocity's error on each axis, which is learned; 0: the velocity is believed
+    # standard deviation of the estimated velocity error on each axis; 0: no velocity error
     velocity_error_m_s: Annotated[float, span(0.0, 0.5)] = 0.0
     velocity_error_time_s: Annotated[float, span(0.05, 20.0)] = 0.5  # correlation exp(-t/T) of that error
-    velocity_error_max_m_s: Annotated[float, span(0.0, 1.0)] = 0.2  # most that is believed to be an error
+    velocity_error_max_m_s: Annotated[float, span(0.0, 1.0)] = 0.2  # largest estimated velocity error
 
     @property
     def learns(self) -> bool:

@@ -35,7 +35,7 @@ class GateVerdict(IntEnum):
 
 
 class ApprovedSetpoint:
-    """A velocity that passed the gate in this tick; nobody writes into it afterwards."""
+    """A velocity that passed the gate in this tick; immutable."""
 
     __slots__ = ("velocity_enu_m_s", "yaw_rad")
     velocity_enu_m_s: Vec3

@@ -1,1 +1,1 @@
-"""What is estimated: the target, whether the own state can be true, the thrust reserve."""
+"""Estimators: target, plausibility of the vehicle state, thrust reserve."""

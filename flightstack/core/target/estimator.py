@@ -30,7 +30,7 @@ RESTART_S = 1.0  # s between two samples; checks.target_age_max_s is no longer, 
 TURN_TIME_S = 0.3  # low-pass of the yaw rate: differences of two measured yaws are noisy
 TURN_RATE_MAX_RAD_S = 3.0  # a TurtleBot3 turns at up to 2.84 (ROBOTIS, specifications)
 INNOVATION_TIME_S = 0.15  # low-pass of the normalised innovation squared; three samples at 20 Hz
-TURN_MAX_RAD = 0.5  # in one step; so far the series of _turned are exact to 1e-5
+TURN_MAX_RAD = 0.5  # greatest turn in a step; the series of _turned are exact to 1e-5 there
 
 
 class TargetMotion(NamedTuple):

@@ -1,4 +1,4 @@
-"""Estimates the own state from positions that come late and velocities that are wrong.
+"""Estimates the vehicle state from delayed positions and wrong velocities.
 
 An estimate on board that is fed with late positions tells velocities that are wrong for a part of a second
 and by a share of the speed for a whole flight (docs/how_it_works/own_state.md). The vehicle's velocity loop
@@ -27,8 +27,8 @@ from flightstack.core.safety.position_loop import clip
 from flightstack.core.types import OwnState, Vec3
 
 KNOWN = 4  # set-points kept: those of 30 ms at 100 Hz, and the one before them
-GAP_MAX_S = 0.2  # s without a sample; then it begins anew
-TELLS_M_S = 0.01  # noise of a velocity told, from sample to sample
+GAP_MAX_S = 0.2  # s without a sample after which it restarts
+TELLS_M_S = 0.01  # noise of a reported velocity, from sample to sample
 
 PUSH_M_S2 = 0.15  # rms of f: recorded turning moments, a tilt of the estimate by 0.015 rad, gusts of 0.3 m/s
 PUSH_TIME_S = 1.0  # between that of the moments, 0.1 s, and that of a tilt, all the flight

@@ -1,4 +1,4 @@
-"""Whether the vehicle's own state can be true, and whether the vehicle flies the commanded velocity.
+"""Plausibility of the vehicle state, and whether the vehicle follows the commanded velocity.
 
 ``drifted`` and ``smoothed`` judge the target's samples, too (``track.py``).
 
@@ -25,7 +25,7 @@ from flightstack.core.parameters.flight import Checks, FlightConfig
 from flightstack.core.types import ZERO, OwnState, Vec3
 
 SMOOTHING_S = 0.2  # time constant, s: noise of 2 cm in each of 20 samples a second becomes 1 cm
-TRUSTED_AGAIN = 0.5  # share of the bound; an offset of 0.3 m stays distrusted for some seconds
+TRUSTED_AGAIN = 0.5  # share of the bound; an offset of 0.3 m is rejected for some seconds
 # Slower, equal numbers may be a vehicle at rest: firmware truncates to millimetres and shows the bias of its
 # accelerometer as a velocity, 9 mm/s on a Crazyflie.
 STANDING_M_S = 0.05
@@ -39,7 +39,7 @@ def repeats(before: Vec3, after: Vec3, velocity_m_s: Vec3, standing_m_s: float =
 
 
 class Plausibility:
-    """Watches own state and set-points; ``memory`` is all of its state."""
+    """Checks vehicle state and set-points; ``memory`` is all of its state."""
 
     memory: PlausibilityMemory
     # bound of ``tracking_lag_m``: ``checks.follow_lag_max_s`` at the highest horizontal velocity

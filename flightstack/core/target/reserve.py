@@ -17,7 +17,8 @@ from flightstack.core.numeric import numeric
 from flightstack.core.parameters.reserve import GRAVITY_M_S2, Reserve, left, level_m_s2, up_m_s2
 from flightstack.core.types import Charge, Landed, Power, Vec3, VehicleStatus
 
-LEAST_LIFT = 0.1  # of the weight, averaged over seconds: below it the vehicle falls, and nothing is told
+# share of the weight, averaged over seconds, below which the vehicle falls and nothing is learned
+LEAST_LIFT = 0.1
 AGE_MAX_S = 3.0  # s; the voltage comes once a second, two may be lost
 
 
@@ -66,7 +67,7 @@ class ReserveEstimate:
         fresh = power is not None and now_s - power.arrival_s <= AGE_MAX_S
         standing = status is None or not status.armed
         self.hear(power if fresh else None, standing)
-        # spinning up, it tells neither
+        # spinning up: no information
         self.weigh(rise_m_s, flies, status is not None and status.landed is not Landed.ON_GROUND)
 
     def hear(self, power: Power | None, standing: bool) -> None:

@@ -1,4 +1,4 @@
-"""Which target samples to believe, and where the target is now.
+"""Plausibility of target samples, and the current state of the target.
 
 Default deny: a sample counts only if it is finite, of the right robot, newer than the last, in time and where
 the last one could have gone. What was refused is counted by reason.
@@ -74,7 +74,7 @@ def strayed2_m2(before_m: Vec3, before_m_s: Vec3, after_m: Vec3, after_m_s: Vec3
 
 
 class TargetTrack:
-    """Newest believed sample, and the counts of the others; ``memory`` is all of its state."""
+    """Newest accepted sample, and the counts of the others; ``memory`` is all of its state."""
 
     memory: TrackMemory
     # step of the sender's clock with the newest sample, s, forward positive; 0: it was not set
@@ -194,7 +194,7 @@ class TargetTrack:
     ) -> Verdict:
         """Judge the place of a sample that is not near the last one, or after the target was lost."""
         checks, memory = self._checks, self.memory
-        # a clock and a place that begin anew together are a restarted odometry, not a robot that was lost
+        # a simultaneous restart of clock and position is a restarted odometry, not a lost robot
         reach_m = checks.target_jump_max_m + checks.target_speed_max_m_s * gap_s
         free = not stepped or math.dist(last.position_enu_m, sample.position_enu_m) <= reach_m
         if lost and free and memory.elsewhere is None:
