@@ -1,9 +1,9 @@
 """The interface of a safety filter: everything in which one filter differs from another.
 
-A filter holds a barrier, says how to approach, when to go down and how. It may also estimate target and
-vehicle, tell contact and drift, and correct the set-point; by default it does not. To add one, write a class
-with this interface; ``parameters/filters.py`` has one line for each filter of the package, and
-``MODULE:NAME`` names any other (``examples/own_filter.py``).
+A filter must define its barrier, the nominal velocity of the approach, the condition for the touchdown and
+the velocity of the touchdown. It may also estimate target and vehicle, detect contact and drift, and correct
+the set-point; the defaults do none of that. To add one, write a class with this interface: ``MODULE:NAME``
+selects it (``examples/own_filter.py``). ``parameters/filters.py`` has a line for each filter of the package.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ class Strategy(ABC):
     """One safety filter.
 
     Velocities are ENU, m/s; positions ENU, m. ``motion``, ``tracking``, ``own`` and ``late`` are all that a
-    filter may remember from tick to tick: they are written into the log and put back by a replay.
+    filter may store from tick to tick: they are written into the log, and a replay restores them.
 
     Args:
-        config: of the flight.
-        barrier: the paper's, as configured.
+        config: configuration of the flight.
+        barrier: the paper's barrier with the configured shape.
 
     Attributes:
         certificate: ``MODULE:NAME`` of the function that returns the checks of a configuration
             (``FlightConfig -> list[Check]``, flightstack/verify).
         watches_swinging: a vehicle that swings over the pad aborts (``checks.swings_max``).
         waits_filtered: a vehicle found in the air keeps clear of the barrier while it waits.
-        rate_1_s: at which h may be used up.
-        acceleration_max_m_s2: of the velocity wanted, on each axis.
-        contact_speed_max_m_s: relative to the pad, that a set-point of the touchdown may lead to.
+        rate_1_s: relative rate at which h may fall.
+        acceleration_max_m_s2: largest change of the commanded velocity, on each axis.
+        contact_speed_max_m_s: largest speed relative to the pad that a set-point of the touchdown may cause.
         stopped_below_m: height above the pad below which a stopped descent is contact; 0: nowhere.
         motion: state of the estimator of the target.
         tracking: state of the corrections of the set-point.
-        own: state of the estimator of the vehicle.
-        late: set-points that have no effect yet.
+        own: state of the estimator of the vehicle state.
+        late: set-points that have no effect yet (dead time).
     """
 
     certificate: ClassVar[str]
@@ -60,7 +60,7 @@ class Strategy(ABC):
     tracking: TrackingMemory
     own: OwnMemory
     late: LateMemory
-    _by_rule: bool  # the paper's touchdown rule
+    _by_rule: bool  # paper's touchdown rule is configured
 
     def __init__(self, config: FlightConfig, barrier: Barrier) -> None:
         del barrier
@@ -74,7 +74,7 @@ class Strategy(ABC):
 
     @staticmethod
     def check_config(config: FlightConfig) -> None:
-        """Refuse combinations of values that cannot work; proofs are the certificate's part.
+        """Refuse combinations of values that cannot work; the certificate proves the rest.
 
         Raises:
             ConfigError: which value, what is allowed.
@@ -82,7 +82,7 @@ class Strategy(ABC):
 
     @abstractmethod
     def barrier(self, at: Relative) -> ActiveBarrier:
-        """Barrier that is held in this tick."""
+        """Barrier that is enforced in this tick."""
 
     @abstractmethod
     def approach_m_s(self, at: Relative, over_pad: bool) -> Vec3:
@@ -95,14 +95,14 @@ class Strategy(ABC):
 
     @abstractmethod
     def descent_m_s(self, at: Relative) -> Vec3:
-        """Velocity of the touchdown, not filtered."""
+        """Velocity of the touchdown; it is not filtered."""
 
     @abstractmethod
     def may_touch(self, at: Relative) -> bool:
-        """Whether the touchdown may begin here."""
+        """Whether the touchdown may begin at this position and velocity."""
 
     def motors_off(self, at: Relative) -> bool:
-        """Whether the motors go off in the touchdown before contact: by the paper's rule at once."""
+        """Whether the motors stop before contact in the touchdown; with the paper's rule at once."""
         return self._by_rule
 
     def program(self) -> Program:
@@ -110,63 +110,63 @@ class Strategy(ABC):
         return SafetyFilter(self.rate_1_s)
 
     def take(self, sample: TargetSample) -> None:
-        """Update the estimate of the target with a sample that was accepted."""
+        """Update the estimate of the target with an accepted sample."""
 
     def target(self, track: TargetTrack, now_s: float) -> TargetState:
-        """Estimate the target's state for now; a sample has come before."""
+        """Estimate the present state of the target; at least one sample was received."""
         return track.at(now_s)
 
     def vehicle(self, own: OwnState) -> OwnState:
-        """Estimate the vehicle's state for now from the newest one received."""
+        """Estimate the present vehicle state from the newest one received."""
         return own
 
     def observe(self, velocity_enu_m_s: Vec3, commanding: bool) -> None:
-        """Learn from the velocity measured.
+        """Update the estimates of the vehicle with its measured velocity.
 
         Args:
             velocity_enu_m_s: measured now.
-            commanding: the last set-point was flown.
+            commanding: the vehicle followed the last set-point.
         """
 
     def climb_m_s(self, h_m: float, gradient: Vec3, before_m_s: Vec3, at: Relative) -> float:
-        """Least vertical velocity besides what the program asks for; -inf for no such bound.
+        """Lower bound of the vertical velocity, in addition to the program; -inf for none.
 
         Args:
             h_m: value of the active barrier.
             gradient: its gradient by position.
-            before_m_s: velocity wanted in the last tick.
+            before_m_s: commanded velocity of the last tick.
             at: vehicle relative to target.
         """
         return -math.inf
 
     def hold_m_s(self, target: TargetState) -> Vec3:
-        """Velocity while an input is lost, after the landing has begun; ``target`` may be the lost one."""
+        """Velocity while an input is lost after the start of the landing; ``target`` may be the lost one."""
         return ZERO
 
     def stopped(self, at: Relative, command_m_s: Vec3) -> bool:
-        """Whether the vehicle is commanded to sink and does not; over some time that is contact.
+        """Whether the vehicle is commanded to descend and does not; for some time, this counts as contact.
 
         Args:
             at: vehicle relative to target.
-            command_m_s: velocity wanted in the last tick.
+            command_m_s: commanded velocity of the last tick.
         """
         return False
 
     def drifts(self, at: Relative) -> bool:
-        """Whether the touchdown is going to miss the pad and there is still room to climb away."""
+        """Whether the touchdown will miss the pad while there is still room to climb away."""
         return False
 
     def setpoint(
         self, before_m_s: Vec3, wanted_m_s: Vec3, velocity_m_s: Vec3, d_m: float, least_z_m_s: float
     ) -> Vec3:
-        """Set-point that makes the vehicle fly the velocity wanted.
+        """Set-point that makes the vehicle fly the commanded velocity.
 
         Args:
-            before_m_s: velocity wanted that the present one was reached from within a tick.
-            wanted_m_s: velocity wanted now.
-            velocity_m_s: of the vehicle.
-            d_m: horizontal distance from the landing spot; NaN: not known.
-            least_z_m_s: lowest vertical velocity that the set-point may lead to if none follows it.
+            before_m_s: last command, or the measured velocity if there was none.
+            wanted_m_s: commanded velocity of this tick.
+            velocity_m_s: velocity of the vehicle.
+            d_m: horizontal distance from the landing spot; NaN: unknown.
+            least_z_m_s: lowest vertical velocity to which the set-point may lead if it is the last one.
         """
         return wanted_m_s
 
@@ -201,5 +201,5 @@ def strategy_of(config: FlightConfig) -> Strategy:
 
 
 def packaged_strategy_of(config: FlightConfig) -> Strategy | None:
-    """The same for who reads a log; ``None`` for a filter from outside: no log decides which code runs."""
+    """Filter for a reader of logs; ``None`` for a filter from outside: no log decides which code runs."""
     return strategy_of(config) if config.filter in FILTERS else None
