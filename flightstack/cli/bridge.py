@@ -57,8 +57,7 @@ def crazyflie(options: CrazyflieOptions) -> None:
 def _drag_1_s(airframe: str) -> Vec3 | None:
     """Rotor drag over mass, along body axes.
 
-    Raises:
-        ConfigError: no such vehicle file, or a key of it that is wrong.
+    Raises ConfigError: no such vehicle file, or a key of it that is wrong.
     """
     if airframe == "none":
         return None

@@ -22,15 +22,12 @@ CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
 
 
 class Verb(NamedTuple):
-    """A verb: its module and function, loaded only when it is called, and its line in ``--help``.
-
-    Attributes:
-        needs: modules that its function loads, and functions that it would call first, ``module:function``;
-            a launcher calls them once for all its children.
-    """
+    """A verb: its module and function, loaded only when it is called, and its line in ``--help``."""
 
     place: str
     help: str
+    # modules that its function loads, and functions that it would call first, ``module:function``; a launcher
+    # calls them once for all its children
     needs: tuple[str, ...] = ()
 
 
@@ -104,8 +101,7 @@ def _command(verb: Verb) -> click.Command:
 def load(name: str) -> click.Command:
     """Load a verb with all that it needs; return the command that runs it.
 
-    Raises:
-        ImportError: something is not installed.
+    Raises ImportError: something is not installed.
     """
     _command(VERBS[name])
     for need in VERBS[name].needs:
@@ -117,13 +113,9 @@ def load(name: str) -> click.Command:
 
 
 class Verbs(click.Group):
-    """Loads a verb when it is called, and turns wrong input into one clear line and exit status 2.
+    """Loads a verb when it is called, and turns wrong input into one clear line and exit status 2."""
 
-    Attributes:
-        verb: the one that is called.
-    """
-
-    verb = ""
+    verb = ""  # name of the called verb
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         """Run the command: a closed reader of its output does not end it, and no early signal is lost."""

@@ -89,8 +89,7 @@ def preflight(options: PreflightOptions) -> None:
 def _set_up_signing(options: PreflightOptions) -> None:
     """Give the vehicle its key, or take it away and end.
 
-    Raises:
-        click.UsageError: without a key, or both at once.
+    Raises click.UsageError: without a key, or both at once.
     """
     remove = options.remove_signing
     if options.signing_key is None or options.provision_signing == remove:

@@ -98,9 +98,8 @@ def _live(flight: Watch, namespace: str, endpoint: str, stop: Stop) -> None:
 def _view(options: WatchOptions, where: str) -> Callable[[Watch, Stop], None]:
     """Open the view in 3-D, and return the function that draws in it until the user ends it.
 
-    Raises:
-        ConfigError: the configuration is wrong.
-        ValueError: Rerun is not installed, or the file to write is not allowed.
+    Raises ConfigError: the configuration is wrong; ValueError: Rerun is not installed, or the file to write
+    is not allowed.
     """
     from flightstack.config.files import load
     from logs.reader.flight_data import shape

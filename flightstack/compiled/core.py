@@ -47,8 +47,7 @@ def chosen_core(core: Core, *, lockstep: bool) -> Core:
 
     In lockstep, loading takes longer than is won in a flight.
 
-    Raises:
-        ValueError: compiled code is asked for and not possible.
+    Raises ValueError: compiled code is asked for and not possible.
     """
     if core is Core.COMPILED and not is_possible():
         raise ValueError(
@@ -61,11 +60,7 @@ def chosen_core(core: Core, *, lockstep: bool) -> Core:
 
 
 def compile_core(config: FlightConfig) -> None:
-    """Compile the core, or load its machine code; in this process it is compiled from then on.
-
-    Args:
-        config: of the flight.
-    """
+    """Compile the core, or load its machine code; in this process it is compiled from then on."""
     own = [(f, sys.modules[f.__module__]) for f in CALLED]
     own = [(f, module) for f, module in own if getattr(module, f.__name__) is f]
     for function, module in own:

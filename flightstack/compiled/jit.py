@@ -195,8 +195,7 @@ def make_ready() -> None:
 def forbid_compiling(machine: Callable[..., Any]) -> None:
     """From now on a compiled function raises TypeError where it would compile, which takes seconds.
 
-    Args:
-        machine: made by ``jitted``, and called once with numbers of each kind.
+    ``machine``: made by ``jitted``, and called once with numbers of each kind.
     """
     if not is_off():
         cast("Any", machine).disable_compile()

@@ -239,8 +239,7 @@ def _solve(
 class CompiledFilter:
     """``SafetyFilter`` in one call of compiled code, which is compiled or loaded when one is made.
 
-    Args:
-        plain: the same in Python.
+    ``plain``: the same in Python.
     """
 
     compiled: ClassVar = {"solve": _solve}

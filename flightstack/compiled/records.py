@@ -51,9 +51,8 @@ def _field(hint: Any) -> object:
 def layout(declaration: type[Record]) -> np.dtype[np.void]:
     """Memory layout of a declared record.
 
-    Raises:
-        TypeError: a field of a kind that records cannot hold.
-        AttributeError: a field that has the name of a method of numpy's records.
+    Raises TypeError: a field of a kind that records cannot hold; AttributeError: a field that has the name of
+    a method of numpy's records.
     """
     hints = get_type_hints(declaration, include_extras=True)
     fields: list[Any] = []
@@ -127,9 +126,7 @@ def reader(source: Record | F64, skipping: str = "") -> Callable[[], Values]:
 
     A slice of it is a tuple too: so a record is read at a fifth of what its fields one by one would cost.
 
-    Args:
-        source: what is read.
-        skipping: field of the record that is left out.
+    ``source``: what is read; ``skipping``: field of the record that is left out.
     """
     array = np.asarray(cast(np.record, source)).reshape(-1)
     if array.dtype.names is None:

@@ -14,19 +14,14 @@ names, path_of = _FILES.names, _FILES.path_of
 
 
 def table(name_or_file: str | Path) -> dict[str, Any]:
-    """Parse the file of a configuration, not checked yet.
-
-    Raises:
-        ConfigError: no such file, or not TOML.
-    """
+    """Parse the file of a configuration, not checked yet. Raises ConfigError: no such file, or not TOML."""
     return _FILES.table(path_of(name_or_file))
 
 
 def load(name_or_file: str | Path) -> FlightConfig:
     """Read and check a configuration by name or path.
 
-    Raises:
-        ConfigError: with file, key, what was found and what is allowed.
+    Raises ConfigError: with file, key, what was found and what is allowed.
     """
     config = _FILES.load(name_or_file)
     look_here(config.filter)

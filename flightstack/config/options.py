@@ -27,11 +27,7 @@ def _number(text: str) -> float | None:
 
 
 def numbers(given: tuple[str, ...]) -> Mapping[str, float]:
-    """Turn each NAME=VALUE into an entry of a table.
-
-    Raises:
-        BadOptionError: a text of another form.
-    """
+    """Turn each NAME=VALUE into an entry of a table. Raises BadOptionError: a text of another form."""
     found = {}
     for text in given:
         name, equals, value = text.partition("=")
@@ -45,11 +41,7 @@ def numbers(given: tuple[str, ...]) -> Mapping[str, float]:
 
 
 def seed(given: str) -> int:
-    """Read a seed: its number, or a file that holds it.
-
-    Raises:
-        BadOptionError: neither.
-    """
+    """Read a seed: its number, or a file that holds it. Raises BadOptionError: neither."""
     text, file = given, Path(given)
     if not given.isdecimal() and file.is_file():
         text = decoded(file.read_bytes()).strip()

@@ -57,8 +57,7 @@ class Health:
     def timing(self, log_time_ns: int, row: LoopTimingRow) -> list[tuple[str, str, bytes]]:
         """Take the timing of a tick; when a second is over, return its diagnostics.
 
-        Returns:
-            (topic, schema, CDR), at most one.
+        Returns (topic, schema, CDR), at most one.
         """
         slot = log_time_ns // PERIOD_NS
         if self._slot is None:

@@ -83,8 +83,7 @@ class RecorderProcess:
     def run(self, until_clients: int | None = None) -> Statistics:
         """Record until a stop, a full disk, or the end of this many clients.
 
-        Returns:
-            What was recorded. The file is closed.
+        Returns what was recorded. The file is closed.
         """
         flushed_s = time.monotonic()
         deadline_s = float("inf")
@@ -295,8 +294,7 @@ def record_main(
 ) -> int:
     """Run the recorder as the main program of a process; prints "ready" once it listens.
 
-    Returns:
-        Exit status: 0 everything is in the file, 1 something is not, 2 it could not start.
+    Returns exit status: 0 everything is in the file, 1 something is not, 2 it could not start.
     """
     if socket_path is None and not keys:
         print("record: nothing to record; give a socket or Zenoh keys", file=sys.stderr)

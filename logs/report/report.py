@@ -78,8 +78,7 @@ _WAYS = (
 def write_report(fleet: Fleet, verdict: FleetVerdict, out: Path | None = None) -> dict[str, Path]:
     """Write the pages of a judged log, by default beside it; by name of the member, the main page by "".
 
-    Raises:
-        ReportError: the plotting library is not installed.
+    Raises ReportError: the plotting library is not installed.
     """
     if "" in fleet.flights:
         return {"": write_page(fleet.flights[""], verdict.members[""], out)}

@@ -38,11 +38,7 @@ class Found(NamedTuple):
 
 
 def gather(flights: list[Flight]) -> Found:
-    """Identify everything.
-
-    Raises:
-        ValueError: the flights do not show the velocity loop.
-    """
+    """Identify everything. Raises ValueError: the flights do not show the velocity loop."""
     steps = [flight.steps for flight in flights if flight.steps is not None]
     if not steps:
         raise ValueError(f"{flights[0].path}: no controller steps; record a flight of the onboard process")

@@ -31,8 +31,7 @@ class Recovered:
 def recover(log: LogFile, out: Path, *, force: bool = False) -> Recovered:
     """Write a whole file with every message that can be read.
 
-    Raises:
-        OSError: ``out`` exists, or cannot be written.
+    Raises OSError: ``out`` exists, or cannot be written.
     """
     with new_file(out, force=force) as part:
         with part.open("wb") as stream:

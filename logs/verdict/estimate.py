@@ -154,8 +154,7 @@ class EstimatedTouchdown:
 def find_touchdown(steps: Steps, config: FlightConfig | None, begin: int) -> EstimatedTouchdown | None:
     """Find the first contact with the pad, from step ``begin`` on; without a configuration a Crazyflie's.
 
-    Returns:
-        ``None`` if the estimate shows none and the controller saw none.
+    Returns ``None`` if the estimate shows none and the controller saw none.
     """
     height_max_m = _height_max_m(config)
     for first, last in _runs(steps.phase, begin):

@@ -27,14 +27,10 @@ class Text(NamedTuple):
 
 
 class Texts:
-    """Texts that wait to be sent. Events are kept up to 64, refusals come at a bounded rate.
-
-    Attributes:
-        waiting: not taken yet.
-    """
+    """Texts that wait to be sent. Events are kept up to 64, refusals come at a bounded rate."""
 
     def __init__(self) -> None:
-        self.waiting: list[Text] = []
+        self.waiting: list[Text] = []  # pending texts
         self._said_s: dict[str, float] = {}
         self._credit = float(_BURST)
         self._credit_s = -math.inf

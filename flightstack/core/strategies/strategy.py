@@ -172,11 +172,7 @@ class Strategy(ABC):
 
 
 def strategy_class(name: str) -> type[Strategy]:
-    """Class of a filter by its name.
-
-    Raises:
-        ConfigError: there is no such filter, or it is none.
-    """
+    """Class of a filter by its name. Raises ConfigError: there is no such filter, or it is none."""
     found = named(name)
     if not (isinstance(found, type) and issubclass(found, Strategy)):
         raise ConfigError(
@@ -192,8 +188,7 @@ def strategy_class(name: str) -> type[Strategy]:
 def strategy_of(config: FlightConfig) -> Strategy:
     """Make the filter of a configuration.
 
-    Raises:
-        ConfigError: there is no such filter, or it refuses the configuration.
+    Raises ConfigError: there is no such filter, or it refuses the configuration.
     """
     found = strategy_class(config.filter)
     found.check_config(config)

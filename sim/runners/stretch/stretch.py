@@ -75,17 +75,8 @@ def suits(config: FlightConfig) -> bool:
 class Stretch:
     """Flies stretches of one landing.
 
-    Args:
-        controller: of the flight.
-        link: of the companion.
-        ticks: of the companion.
-        target: the robot.
-        node: the vehicle.
-        loop: of the vehicle.
-        notes: of the flight.
-        grid: of the ticks.
-        ends_s: when the flight is too long.
-        radio_s: delay of set-points.
+    ``link``: of the companion; ``ticks``: of the companion; ``target``: the robot; ``node``: the vehicle;
+    ``grid``: of the ticks; ``ends_s``: when the flight is too long; ``radio_s``: delay of set-points.
     """
 
     def __init__(

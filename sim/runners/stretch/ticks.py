@@ -171,28 +171,17 @@ def fly_ticks(
 ) -> int:
     """Fly ticks until all are done or something rare happens.
 
-    Args:
-        vehicle: changed in place.
-        rules: what holds for all ticks.
-        kernel: the controller; its state is changed in place.
-        phase_rules: (n, 2) of the mission, ``LandingKernel.land``.
-        state: memory of the controller's state.
-        spare: filled with that of before the newest tick.
-        plan: first tick, how many, rate of the ticks, ms that the radio delays, samples that had come before;
-            set by this: ticks done; one whose rest is left counts as done.
-        decks: (n, 8) of each tick: position, yaw, velocity, yaw rate of the pad.
-        samples: (m, 9) of the target: stamp, position, velocity, yaw, yaw rate.
-        come: (n,) how many of them have come until then.
-        truths: (n, TRUTH), filled.
-        ages: (n,) of the target, s, filled.
-        told: own state of the last tick as told, filled: position, velocity, yaw, boot clock; then the
-            set-point of that tick as it arrives.
-
-    Returns:
-        How it ended.
-
-    Raises:
-        NotOrdinary: Python has to do the next tick, with the state in ``spare``.
+    ``rules``: what holds for all ticks; ``kernel``: the controller; its state is changed in place;
+    ``phase_rules``: (n, 2) of the mission, ``LandingKernel.land``; ``state``: memory of the controller's
+    state; ``spare``: filled with that of before the newest tick; ``plan``: first tick, how many, rate of the
+    ticks, ms that the radio delays, samples that had come before; set by this: ticks done; one whose rest is
+    left counts as done; ``decks``: (n, 8) of each tick: position, yaw, velocity, yaw rate of the pad;
+    ``samples``: (m, 9) of the target: stamp, position, velocity, yaw, yaw rate; ``come``: (n,) how many of
+    them have come until then; ``truths``: (n, TRUTH), filled; ``ages``: (n,) of the target, s, filled;
+    ``told``: own state of the last tick as told, filled: position, velocity, yaw, boot clock; then the
+    set-point of that tick as it arrives.
+    Returns how it ended.
+    Raises NotOrdinary: Python has to do the next tick, with the state in ``spare``.
     """
     v, p = vehicle[0], rules[0]
     tick, count, rate, radio_ms = plan[0], plan[1], plan[2], plan[3]

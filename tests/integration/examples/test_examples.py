@@ -66,17 +66,29 @@ def imports():
     return found
 
 
+LISTED = re.findall(r"^\| `([\w.]+)` \| `(\w+)` \| .+ \|$", PAGE, re.MULTILINE)
+
+
 def test_the_page_lists_what_the_examples_import_and_nothing_else():
-    listed = re.findall(r"^\| `([\w.]+)` \| `(\w+)` \| .+ \|$", PAGE, re.MULTILINE)
-    assert len(listed) == len(set(listed))
-    assert set(listed) == imports()
-    for module, name in listed:
+    assert len(LISTED) == len(set(LISTED))
+    assert set(LISTED) == imports()
+    for module, name in LISTED:
         thing = getattr(import_module(module), name)
         assert thing.__doc__, f"{module}.{name}: help() shows no text"
         if isinstance(thing, type) and thing.__module__ == module:
             for member, value in vars(thing).items():
                 if not member.startswith("_") and (callable(value) or isinstance(value, property)):
                     assert value.__doc__, f"{module}.{name}.{member}: help() shows no text"
+
+
+def test_only_the_public_interface_has_docstrings_with_sections():
+    public = {module for module, _ in LISTED} | {"logs.reader.flight_data"}  # of the result of load_flight
+    section = re.compile(r"^ +(Args|Attributes|Raises|Returns|Yields):$", re.MULTILINE)
+    files = [file for room in ROOMS for file in (ROOT / room).rglob("*.py")]
+    found = {
+        ".".join(f.relative_to(ROOT).with_suffix("").parts) for f in files if section.search(f.read_text())
+    }
+    assert found <= public
 
 
 def test_a_landing_lands_and_equals_itself():
