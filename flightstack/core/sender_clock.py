@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 
 from flightstack.core.memory import ClockMemory
-from flightstack.core.numeric import numeric, rare
+from flightstack.core.numeric import rare
 from flightstack.core.types import TextEnum
 
 FORGETS = 0.04  # s/s; firmware and simulators may run 3 % slow; a delay of 0.25 s counts as age for 7 s
@@ -117,10 +117,14 @@ class SenderClock:
             memory.offset_s = memory.floor_s = memory.run_way_s
             memory.held_s = 0.0
         else:
-            elapsed_s = arrival_s - memory.taken_s
-            memory.offset_s, memory.floor_s, memory.held_s = learnt(
-                memory.offset_s, memory.floor_s, memory.held_s, way_s, elapsed_s
-            )
+            elapsed_s = min(arrival_s - memory.taken_s, ELAPSED_MAX_S)
+            memory.held_s = memory.held_s + elapsed_s if way_s > memory.offset_s + GRAIN_S else 0.0
+            if memory.held_s > HOLDS_S:
+                memory.offset_s += FORGETS * elapsed_s
+            if way_s > memory.floor_s + GRAIN_S:
+                memory.floor_s += FORGETS_SLOWLY * elapsed_s
+            memory.offset_s = min(way_s, memory.offset_s)
+            memory.floor_s = max(min(way_s, memory.floor_s), memory.offset_s - FLOOR_MAX_S)
         memory.stamp_s, memory.taken_s = stamp_s, arrival_s
         memory.run_since_s, memory.run_sure = math.inf, False
         return stepped
@@ -155,18 +159,3 @@ class SenderClock:
                 m.run_since_s = -math.inf
         m.run_stamp_s, m.run_arrival_s = stamp_s, arrival_s
         return m.run_sure
-
-
-@numeric
-def learnt(
-    offset_s: float, floor_s: float, held_s: float, way_s: float, elapsed_s: float
-) -> tuple[float, float, float]:
-    """Least way, the same forgotten slowly, and for how long all were longer, after another message."""
-    elapsed_s = min(elapsed_s, ELAPSED_MAX_S)
-    held_s = held_s + elapsed_s if way_s > offset_s + GRAIN_S else 0.0
-    if held_s > HOLDS_S:
-        offset_s += FORGETS * elapsed_s
-    if way_s > floor_s + GRAIN_S:
-        floor_s += FORGETS_SLOWLY * elapsed_s
-    offset_s = min(way_s, offset_s)
-    return offset_s, max(min(way_s, floor_s), offset_s - FLOOR_MAX_S), held_s

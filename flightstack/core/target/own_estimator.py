@@ -163,7 +163,7 @@ class OwnEstimator:
     def _learn(self, own: OwnState, elapsed_s: float) -> None:
         (px, py, pz), (vx, vy, vz), memory = own.position_enu_m, own.velocity_enu_m_s, self.memory
         ux, uy, _ = memory.pending[on_its_way(self.ahead, -1)]
-        ticks = ticks_of(elapsed_s, self.period_s, self.gap_max)
+        ticks = min(self.gap_max, max(1, round(elapsed_s / self.period_s)))
         model, gains, most_m_s = self.model, self.gains, self.most_m_s
         memory.x = learned(memory.x, ux, ticks, model, px, vx, gains, most_m_s)
         memory.y = learned(memory.y, uy, ticks, model, py, vy, gains, most_m_s)
@@ -179,12 +179,6 @@ def on_its_way(ahead: int, k: int) -> int:
     Of a delay longer than they reach the oldest one stands for all before it.
     """
     return max(0, KNOWN - ahead + k)
-
-
-@numeric
-def ticks_of(elapsed_s: float, period_s: float, most: int) -> int:
-    """Ticks in a time between samples, one at least."""
-    return min(most, max(1, round(elapsed_s / period_s)))
 
 
 @numeric

@@ -93,8 +93,11 @@ class Plausibility:
 
     def follow(self, wanted_m_s: Vec3, velocity_m_s: Vec3) -> None:
         """Compare the velocity with what was wanted of the vehicle in the last tick; call it once a tick."""
-        memory = self.memory
-        memory.missed_m = missed(memory.missed_m, wanted_m_s, velocity_m_s, self.period_s, self.kept)
+        t, kept = self.period_s, self.kept
+        (mx, my, mz), (wx, wy, wz), (vx, vy, vz) = self.memory.missed_m, wanted_m_s, velocity_m_s
+        self.memory.missed_m = (
+            kept * (mx + t * (wx - vx)), kept * (my + t * (wy - vy)), kept * (mz + t * (wz - vz)),
+        )  # fmt: skip
 
     def forget(self) -> None:
         """Begin the sum of ``follow`` anew: the vehicle flew none of our set-points."""
@@ -132,11 +135,3 @@ def smoothed(before: Vec3, now: Vec3, dt_s: float) -> Vec3:
     share = dt_s / (dt_s + SMOOTHING_S)
     (x0, y0, z0), (x, y, z) = before, now
     return (x0 + share * (x - x0), y0 + share * (y - y0), z0 + share * (z - z0))
-
-
-@numeric
-def missed(before_m: Vec3, wanted_m_s: Vec3, velocity_m_s: Vec3, period_s: float, kept: float) -> Vec3:
-    """Distance by which the vehicle lags behind, a tick later."""
-    t = period_s
-    (mx, my, mz), (wx, wy, wz), (vx, vy, vz) = before_m, wanted_m_s, velocity_m_s
-    return (kept * (mx + t * (wx - vx)), kept * (my + t * (wy - vy)), kept * (mz + t * (wz - vz)))

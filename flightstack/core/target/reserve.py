@@ -102,10 +102,11 @@ class ReserveEstimate:
         else:
             if math.isnan(memory.effort):
                 memory.effort, memory.rise_m_s = effort, rise_m_s
-            memory.effort, memory.rise_m_s, self.reserve = estimated(
-                memory.effort, memory.rise_m_s, effort, rise_m_s, self.share, self.share if flies else 1.0,
-                self.lasting_m_s, told.sags, told.most,
-            )  # fmt: skip
+            memory.effort += self.share * (effort - memory.effort)
+            memory.rise_m_s += (self.share if flies else 1.0) * (rise_m_s - memory.rise_m_s)
+            # share of gravity that was acceleration meanwhile
+            gained = (rise_m_s - memory.rise_m_s) / self.lasting_m_s
+            self.reserve = left(memory.effort / max(LEAST_LIFT, 1.0 + gained), told.sags, told.most)
         if math.isnan(self.reserve):
             self.charge = Charge.TIRED if memory.tired else Charge.UNKNOWN
         else:
@@ -142,18 +143,6 @@ def too_low(table: Reserve, voltage_v: float) -> str:
         f"the battery has {voltage_v:.2f} V at rest, at least {least_v:.2f} V are needed to land safely "
         "(reserve.lowest_voltage_v + start_margin_v + sag_v): charge or change it"
     )
-
-
-@numeric
-def estimated(
-    effort: float, rise_m_s: float, effort_now: float, rise_now_m_s: float, share: float, rise_share: float,
-    lasting_m_s: float, sags: float, most: float,
-) -> tuple[float, float, float]:  # fmt: skip
-    """Averages of effort and vertical velocity after this tick, and the reserve."""
-    effort += share * (effort_now - effort)
-    rise_m_s += rise_share * (rise_now_m_s - rise_m_s)
-    gained = (rise_now_m_s - rise_m_s) / lasting_m_s  # share of gravity that was acceleration meanwhile
-    return effort, rise_m_s, left(effort / max(LEAST_LIFT, 1.0 + gained), sags, most)
 
 
 @numeric

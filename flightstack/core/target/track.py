@@ -15,7 +15,7 @@ import math
 from typing import NamedTuple
 
 from flightstack.core.memory import TrackMemory
-from flightstack.core.numeric import norm, numeric, rare
+from flightstack.core.numeric import norm, rare
 from flightstack.core.parameters.flight import Checks
 from flightstack.core.sender_clock import PATIENCE_S, Reading, SenderClock
 from flightstack.core.target.plausibility import SMOOTHING_S, TRUSTED_AGAIN, drifted, repeats, smoothed
@@ -59,18 +59,6 @@ class TargetState(NamedTuple):
     yaw_rad: float
     position_sigma_m: float = 0.0  # standard deviation of x and of y; 0 where it is not estimated
     position_sigma_z_m: float = 0.0
-
-
-@numeric
-def strayed2_m2(before_m: Vec3, before_m_s: Vec3, after_m: Vec3, after_m_s: Vec3, step_s: float) -> float:
-    """Squared distance, m2, from where the mean of both velocities led: exact under constant acceleration."""
-    (x0, y0, z0), (vx0, vy0, vz0) = before_m, before_m_s
-    (x1, y1, z1), (vx1, vy1, vz1) = after_m, after_m_s
-    half_s = 0.5 * step_s
-    dx = x1 - x0 - (vx0 + vx1) * half_s
-    dy = y1 - y0 - (vy0 + vy1) * half_s
-    dz = z1 - z0 - (vz0 + vz1) * half_s
-    return dx * dx + dy * dy + dz * dz
 
 
 class TargetTrack:
@@ -213,16 +201,17 @@ class TargetTrack:
         return Verdict.JUMP
 
     def _near(self, before: TargetSample, after: TargetSample, at_last: TargetSample, step_s: float) -> bool:
-        """Whether the target could have gone from one sample to the other, at the mean of two velocities."""
-        strayed2 = strayed2_m2(
-            before.position_enu_m,
-            before.velocity_enu_m_s,
-            after.position_enu_m,
-            at_last.velocity_enu_m_s,
-            step_s,
-        )
-        most_m = self._checks.target_jump_max_m
-        return strayed2 <= most_m * most_m
+        """Whether the target could have gone from one sample to the other, at the mean of two velocities.
+
+        The mean is exact under constant acceleration.
+        """
+        (x0, y0, z0), (vx0, vy0, vz0) = before.position_enu_m, before.velocity_enu_m_s
+        (x1, y1, z1), (vx1, vy1, vz1) = after.position_enu_m, at_last.velocity_enu_m_s
+        half_s, most_m = 0.5 * step_s, self._checks.target_jump_max_m
+        dx = x1 - x0 - (vx0 + vx1) * half_s
+        dy = y1 - y0 - (vy0 + vy1) * half_s
+        dz = z1 - z0 - (vz0 + vz1) * half_s
+        return dx * dx + dy * dy + dz * dz <= most_m * most_m
 
     def _proved(self, sample: TargetSample, lost: bool) -> bool:
         """Whether samples elsewhere have agreed with each other for long enough, the old track being lost."""
