@@ -1,8 +1,9 @@
 """One tick of the flight stack: ``step(inputs, now) -> outputs``; no I/O, no clock, no randomness.
 
-newest inputs -> mission machine -> position loop (u') -> CBF program (u*) -> gate -> velocity
+newest inputs -> mission machine -> position loop (u') -> CBF program (u*) -> lag correction -> gate
 
-Live flight, lockstep simulation, campaigns and log replay all call this.
+Live flight, lockstep simulation and log replay all call this. A campaign replaces ordinary ticks by the
+compiled ``LandingKernel.land``, equal to the last bit.
 """
 
 from __future__ import annotations

@@ -203,7 +203,11 @@ def _better_beside(barrier: Barrier, memory: Memory, snapshot: Snapshot) -> bool
 
 
 def lasting_flags(checks: Checks, memory: Memory, status: VehicleStatus | None) -> int:
-    """Flags that change with the heartbeat or the phase only, in a landing without losses."""
+    """Flags that change with the heartbeat or the phase only, in a landing without losses.
+
+    Compiled ticks compute no flags but these, ``time_flags`` and ``landing_flags``: a flag that a rule of
+    APPROACH, LAND, TOUCHDOWN or LANDED asks about has to be in one of the three.
+    """
     flags = C.TARGET_KNOWN if memory.target_position_enu_m is not None else 0
     if memory.retries < checks.retries_max:
         flags |= C.RETRIES_LEFT

@@ -43,7 +43,9 @@ class Condition(IntEnum):
     PHASE_TIME_OVER = 1 << 18  # the longest time allowed in this phase
     LANDING_TIME_OVER = 1 << 19
     COMMAND_FAILED = 1 << 20  # the vehicle refused a command for good
-    DRIFTED = 1 << 21  # about to leave the corridor above the pad while still above the cone
+    # about to leave the corridor above the pad while still above the cone (Strategy.drifts), or the target
+    # has become fast again with height left to climb away
+    DRIFTED = 1 << 21
     NOT_FOLLOWING = 1 << 22  # the vehicle does not fly the commanded velocity
     TIRED = 1 << 23  # the battery is too low: no start of a landing, no further go-around
     LAND_ASKED = 1 << 24  # operator's abort by the vehicle's own landing

@@ -1,9 +1,10 @@
 """The interface of a safety filter: everything in which one filter differs from another.
 
-A filter must define its barrier, the nominal velocity of the approach, the condition for the touchdown and
-the velocity of the touchdown. It may also estimate target and vehicle, detect contact and drift, and correct
-the set-point; the defaults do none of that. To add one, write a class with this interface: ``MODULE:NAME``
-selects it (``examples/own_filter.py``). ``parameters/filters.py`` has a line for each filter of the package.
+A filter must define its barrier, the nominal velocity of the approach, the condition of the touchdown, its
+velocity, and the class attributes ``certificate`` and ``waits_filtered``. It may also estimate
+target and vehicle, detect contact and drift, and correct the set-point; the defaults do none of that. To add
+one, write a class with this interface: ``MODULE:NAME`` selects it (``examples/own_filter.py``).
+``parameters/filters.py`` has a line for each filter of the package.
 """
 
 from __future__ import annotations
