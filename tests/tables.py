@@ -56,11 +56,11 @@ _SOURCE = "PX4 Autopilot v1.16.0, all_events.json; BSD 3-Clause, see px4_events.
 
 
 def events_table(metadata: Path, source: str = _SOURCE) -> str:
-    """The whole file: each event's message and types of its arguments, each enumeration's words.
+    """Return the whole file: message and argument types of each event, and texts of each enumeration.
 
     Args:
-        metadata: all_events.json, or that compressed by xz.
-        source: what it was made from.
+        metadata: all_events.json, or the same file compressed by xz.
+        source: release and licence of that file, for the result.
     """
     raw = metadata.read_bytes()
     read: dict[str, Any] = json.loads(lzma.decompress(raw) if metadata.suffix == ".xz" else raw)

@@ -1,4 +1,4 @@
-"""The MAVLink vehicle that clients see in front of a Crazyflie: it plays PX4, messages in and out.
+"""Presents a Crazyflie to MAVLink clients as a PX4 vehicle: takes messages, returns messages.
 
 Pure: no socket, no clock, no thread. Telemetry is made from new states only, so an old one is never sent as
 if it were new. Without a state from the Crazyflie no heartbeat is sent, only a text.

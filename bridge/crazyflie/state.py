@@ -40,15 +40,15 @@ _PWM_MAX = 65535.0
 LATE_MAX_S = 0.2  # s; a packet that was delayed longer is ignored
 _WRAP_MS = 1 << 24
 _REBOOT_MS = 1000  # a clock that falls back further is a restart, less is a packet out of order
-_DRIFT = 0.1  # of a simulated firmware's clock, at most; CrazySim's ran at 0.97
-_SPAN_S, _SPAN_PACKETS = 0.25, 10  # s, number; delayed packets arrive in less time
-_MAGNITUDE = (1 << 9) - 1  # of a quaternion's element, besides a sign bit (quatcompress.h)
+_DRIFT = 0.1  # maximum drift of a simulated firmware's clock; CrazySim's ran at 0.97
+_SPAN_S, _SPAN_PACKETS = 0.25, 10  # minimum s and packets of a span; longer than a burst of delayed ones
+_MAGNITUDE = (1 << 9) - 1  # largest magnitude of a quaternion's element; the sign is a bit (quatcompress.h)
 
 
 class BootClock:
     """The firmware's 24-bit milliseconds as a clock that continues, and how late a packet is.
 
-    The packet with the shortest way sets the zero of lateness; a longer way is lateness. The shortest is
+    The packet with the shortest delay has lateness 0; any extra delay is lateness. The shortest delay is
     forgotten after half a second of packets: the clock of a simulated firmware may be slow, or stall.
     """
 
@@ -59,7 +59,7 @@ class BootClock:
         self.begin()
 
     def begin(self) -> None:
-        """Begin anew, with another connection; the last time stays, to know a restart by."""
+        """Start again with a new connection; the last time is kept to detect a restart."""
         self._shortest_s = [math.inf, math.inf]  # arrival minus firmware time, of two spans of packets
         self._span_s, self._in_span = -math.inf, 0
         self._odd_ms: int | None = None  # a time that fits neither the clock nor a restart

@@ -24,7 +24,7 @@ class TransformChain:
     def __init__(self, frame_id: str, child_frame_id: str) -> None:
         self._frame, self._child = frame_id, child_frame_id
         self._edges: dict[str, Pose] = {}  # child: its pose in its parent
-        self._fixed: dict[str, Pose] = {}  # the same of ``/tf_static``
+        self._fixed: dict[str, Pose] = {}  # the same, from ``/tf_static``
         self.problem = f"no transform of {child_frame_id!r} yet"  # why there is no pose, or ""
 
     def take_fixed(self, transforms: Iterable[Transform]) -> None:

@@ -84,18 +84,18 @@ def _exercise(config: FlightConfig) -> None:
 
 
 def _apart(function: F) -> F:
-    """Compile a form of its own: the simulator's stretches share theirs, and may compile it on."""
+    """Compile a separate form: the simulator's batches share one and may compile it for more types."""
     return jitted(function)
 
 
 def _or_python(machine: Callable[..., Any], plain: Callable[..., Any]) -> Callable[..., Any]:
-    """Compiled function that compiles nothing more; Python computes what it is not compiled for."""
+    """Compiled function for the argument types compiled so far; all other types run in Python."""
     forbid_compiling(machine)
 
     def call(*arguments: Any) -> Any:
         try:
             return machine(*arguments)
-        except TypeError:  # numbers of another kind
+        except TypeError:  # argument types that are not compiled
             return plain(*arguments)
 
     return call

@@ -54,7 +54,7 @@ else:
             return _held, (self.cls, tuple(self.others.items()))
 
         def type_of(self, name: str) -> Any:
-            """Type of a field; None if it has none of this name."""
+            """Type of a field; None if no field has this name."""
             if name in self.others:
                 return self.others[name]
             found = fields_of(self.cls).get(name)

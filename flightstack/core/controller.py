@@ -56,7 +56,7 @@ class Barriers(NamedTuple):
     """The landing barrier in this tick, and the filter's result."""
 
     h_m: float  # the barrier, paper eq. 9, m
-    gradient: Vec3  # of the active barrier, with its margin
+    gradient: Vec3  # gradient of the active barrier, margin included
     dh_dt_m_s: float  # rate of the active barrier by time alone, m/s
     nominal: Vec3  # u', m/s ENU
     result: FilterResult  # u*

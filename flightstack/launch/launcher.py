@@ -218,7 +218,7 @@ class Launcher:
         return problem
 
     def _ended(self, flight: Followed) -> str | None:
-        """Take the last lines of an onboard process that has ended; the problem, if it failed."""
+        """Handle the last lines of an ended onboard process; return the problem if it failed."""
         child = flight.child
         self._say(flight, child.lines(0.0))
         if child.process.returncode in (0, 1):

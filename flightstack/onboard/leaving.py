@@ -15,11 +15,11 @@ from flightstack.core.controller import Outputs
 from flightstack.core.memory import AbortWay, Memory
 from flightstack.core.types import Operator, Phase, VehicleStatus
 
-LAND_SHOWN_MAX_S = 1.0  # s in which the landing is asked for until a heartbeat, sent at 1 Hz, shows it
+LAND_SHOWN_MAX_S = 1.0  # maximum time of landing commands until a heartbeat (1 Hz) shows it, s
 
 
 class Ended(NamedTuple):
-    """How the process ended."""
+    """Result of the flight: last phase, its reason, and the exit status of the process."""
 
     phase: Phase
     reason: str

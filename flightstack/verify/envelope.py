@@ -22,8 +22,8 @@ class Extremes:
     """Worst values of the declared envelope, for the robust filter."""
 
     barrier: Barrier  # the paper's
-    shape: Shape  # boundary with margins from the usual one to that of a target almost lost
-    usual: Shape  # the same while all samples arrive
+    shape: Shape  # boundary; margins from that of ``usual`` to that at the target's age limit
+    usual: Shape  # boundary with the margin while all samples arrive
     pad_radius_m: float  # radius outside of which the barrier must hold
     box_speed_m_s: float  # fastest closing on the target that velocity box and target allow together
     target_speed_m_s: float  # horizontal speed of the target; also relative, of a vehicle at rest over it

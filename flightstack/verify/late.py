@@ -1,10 +1,10 @@
-"""Checks that the loop of position, lead and vehicle comes to rest, for each vehicle of the spread.
+"""Checks that errors in the loop of position, lead and vehicle decay, for each vehicle of the spread.
 
 One axis, tick by tick: the vehicle's second-order loop with its dead time, the age of the vehicle state, and
 the filter's functions (``velocity_tracking.py``), which are linear within their bounds. So a tick is a
-matrix, whose columns are the tick of each unit vector; its largest eigenvalue is the decay of an error.
-Delays are rounded to whole ticks. Vehicles are those of a grid: the rate is continuous in them, and the
-required rate has room for those in between.
+matrix: each column is the state one tick after a unit vector; its largest eigenvalue is the decay of errors.
+Delays are rounded to whole ticks. Only vehicles on a grid are checked: the decay rate is continuous in
+their parameters, and the required rate leaves room for those in between.
 """
 
 from __future__ import annotations

@@ -205,7 +205,7 @@ def since(times_ns: Ints, origin_ns: int) -> Floats:
 
 
 def _target(messages: Sequence[Message], origin_ns: int, damage: list[str]) -> TargetOdometry | None:
-    """Samples from outside: one that cannot be read is counted, never fatal."""
+    """Samples of external senders; unreadable ones are counted and skipped."""
     if not messages:
         return None
     _, unpack = codec(ODOMETRY, frame_id=None)

@@ -45,7 +45,7 @@ class Record(NamedTuple):
 
 
 class WireError(ValueError):
-    """A stream that is not made of records; the client that sent it cannot be followed any further."""
+    """A stream that is not made of records; the rest of that client's data cannot be read."""
 
 
 def encode(

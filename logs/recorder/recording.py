@@ -39,7 +39,7 @@ class Statistics:
     unfinished_bytes: int = 0  # of records cut by a crash of their sender
     crashed: int = 0  # clients that ended without a goodbye
     dropped: dict[str, int] = field(default_factory=dict)  # by client, as the client reports it
-    syncs: int = 0  # times the file was brought to the disk itself
+    syncs: int = 0  # number of fdatasync calls on the file
     sync_worst_s: float = 0.0  # wall time of the longest one
     failure: str = ""  # reason why the disk stopped accepting data
 

@@ -111,7 +111,7 @@ def _written(target: Path, text: str) -> Path:
 
 
 def render(flight: Flight, verdict: Verdict, of: str | None = None) -> str:
-    """Return the page of a flight as text, with a link to the page ``of`` its fleet."""
+    """Return the report of a flight as HTML; ``of``: its fleet's page, to which the report links."""
     need_libraries()
     from logs.report.derived import load_streams
     from logs.report.figures import panels

@@ -34,16 +34,16 @@ from logs.report.style import (
 from logs.verdict.types import VIOLATION_LIMIT_M
 from logs.verdict.verdict import PairSeries, shift_s
 
-# Okabe and Ito (2008), dark ones first, and two of Tol; from the ninth member on they come again
+# colours of Okabe and Ito (2008), dark ones first, and two of Tol; repeated from the ninth member on
 _COLORS = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#882255", "#44AA99",
 )  # fmt: skip
-# of pairs: others of Tol's, so that the colour of a member means the same in every figure
+# colours of pairs: others of Tol's, so that a member's colour means the same in every figure
 _PAIR_COLORS = ("#332288", "#AA4499", "#117733", "#999933", "#661100", "#6699CC", "#DDCC77", "#888888")
-_DASHES = ("solid", "dash", "dot")  # of pairs, when there are more than colours
-_MEASURE_SHOWN = 6.0  # of the ellipsoid's measure at least; what is farther away is of no interest
-_LIMITS_SHOWN = 3  # pairs; of more the limit along the line between two is not drawn
-_PAIRS_SHOWN = 8  # that came nearest; the others are hidden at first
+_DASHES = ("solid", "dash", "dot")  # line styles, if there are more pairs than colours
+_MEASURE_SHOWN = 6.0  # minimum upper end of the axis, in the ellipsoid's measure
+_LIMITS_SHOWN = 3  # maximum pairs for which the limit along their connecting line is drawn
+_PAIRS_SHOWN = 8  # nearest pairs, shown at first; the others are hidden
 _LISTED, _LISTED_PX = 8, 22  # names of pairs in a line of the legend; height of a line
 
 Values = Callable[[Flight], tuple[Floats, Floats] | None]  # times and values of a flight

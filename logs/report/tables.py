@@ -187,7 +187,7 @@ def severity(level: int) -> str:
 
 
 def number(value: float | None, digits: int) -> str:
-    """A number with so many digits, a dash where there is none."""
+    """Return a number with ``digits`` decimals, or a dash for None."""
     return "–" if value is None else f"{value:.{digits}f}".replace("-", "−")
 
 

@@ -30,7 +30,7 @@ from logs.tools.recover import LOG_TOOL
 WALL_CLOCK_SCHEMAS = frozenset({LOOP_TIMING, DIAGNOSTIC_ARRAY})
 WALL_CLOCK_EVENTS = frozenset({RECORDER_NAME})  # names on /rosout
 WALL_CLOCK_METADATA = frozenset({LOSSES, RECORDER, MAVLINK_PEERS})  # whole records; ports are free ones
-PROVENANCE_METADATA = frozenset({LOG_TOOL})  # how the file came about, not what is in it
+PROVENANCE_METADATA = frozenset({LOG_TOOL})  # origin of the file, not its content
 WALL_CLOCK_METADATA_KEYS = frozenset(
     {"started", "started_unix_s", "ended", "wall_time_s", "realtime_factor", "host", "out", "log", "pid"}
 )

@@ -100,7 +100,7 @@ def verdict_result(
 
 
 class Near(Protocol):
-    """How near two vehicles came, by their ids; a verdict needs these fields."""
+    """Smallest distances of two vehicles, given by their ids: the fields that a verdict needs."""
 
     @property
     def one(self) -> int: ...

@@ -108,7 +108,7 @@ def viewer_program() -> str:
 
 
 def draw(canvas: Canvas, flight: Flight) -> None:
-    """Send all of a flight, or the next piece of it."""
+    """Send a whole flight, or its next part, to the viewer."""
     for part in (scene, velocities, truth, _curves):
         part(canvas, flight)
     canvas.style(RUN, rr.TextDocument(_run_text(flight), media_type="text/markdown"))

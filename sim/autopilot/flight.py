@@ -77,7 +77,7 @@ class Flight(Commander):
         return self.vehicle.armed and not self.standing
 
     def sensors_healthy(self, _now_s: float) -> int:
-        """The position, and the fence that it does not have: else MAVProxy reports a breach."""
+        """Bits of position and fence (there is none): without the fence bit MAVProxy reports a breach."""
         return (POSITION_SOURCE if self.positioned else 0) | int(dialect.MAV_SYS_STATUS_GEOFENCE)
 
     def problems(self, _now_s: float) -> list[str]:

@@ -54,7 +54,7 @@ class Watches:
     def __init__(self, parameters: Parameters, vehicle: VehicleLike) -> None:
         self._parameters = parameters
         self._vehicle = vehicle
-        self.due_s = -math.inf  # when to look next
+        self.due_s = -math.inf  # time of the next check, s
         self._voltage_v, self._throttle = vehicle.battery_v, throttle(vehicle)
         self._last_s: float | None = None
         self._station_s: float | None = None  # newest heartbeat of a ground station

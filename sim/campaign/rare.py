@@ -72,8 +72,8 @@ class Estimate:
 def estimate(scores: Scores, number: int, seed: int) -> Estimate:
     """Estimate the rate of failures.
 
-    ``scores``: flies landings, a batch at a time, and returns their scores; ``number``: of landings in a
-    level, a multiple of 1 / ``SHARE``; ``seed``: of this estimate; another one makes another, independent
+    ``scores``: function that flies a batch of landings and returns their scores; ``number``: landings in a
+    level, a multiple of 1 / ``SHARE``; ``seed``: seed of this estimate; another seed gives an independent
     estimate.
     Raises ValueError: the number is no such multiple, or below 100.
     """

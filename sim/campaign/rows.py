@@ -48,7 +48,7 @@ class RowsError(ValueError):
 class Row:
     """What a campaign keeps of one landing; ``None`` where a value does not apply or is not known."""
 
-    seed: int  # seed of all chance
+    seed: int  # seed of all random draws
     outcome: str  # ``Outcome``, or "error"
     reason: str  # reason as text
     violation: bool | None = None  # ``Verdict.violation``

@@ -179,7 +179,7 @@ def correct(e: EstimatorRecord, x: float, y: float, z: float, yaw: float) -> Non
 
 @jitted
 def correct_tilt(e: EstimatorRecord, quaternion: F64) -> None:
-    """Correct by roll and pitch of a pose, after ``correct``."""
+    """Correct the attitude by roll and pitch of a pose; call it after ``correct``."""
     s = e.sensed
     w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
     mx, my, mz = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)

@@ -21,7 +21,7 @@ ROOM_M = 50.0  # greatest width of a flight
 CELL_V = 3.7  # voltage of a LiPo cell
 DUTY = 0.5  # usual duty in flight, within a factor of 2
 TILT_MAX_DEG = 60.0  # greatest median tilt of a flight
-OPPOSITE = -0.5  # correlation of an axis with the wrong sign
+OPPOSITE = -0.5  # correlation below which an axis has the wrong sign
 MOVES = {
     "attitude": 0.05,
     "position": 0.05,

@@ -40,7 +40,7 @@ JET = 8
 
 
 class DownwashRecord(Record):
-    """Jets of other vehicles at this one; all of it waits until ``on``."""
+    """Air from the jets of other vehicles at this one; ``air`` and ``along`` are valid only while ``on``."""
 
     on: bool
     air: Vector  # velocity at the centre of mass, world ENU, m/s

@@ -70,7 +70,7 @@ class Px4Files(NamedTuple):
 
 
 def find_px4(place: Path) -> Px4Files:
-    """The files of a PX4 SITL build at the program ``px4``, its folder, or a built source tree."""
+    """Find a PX4 SITL build; ``place``: the program ``px4``, its folder or a built source tree."""
     place = place.expanduser().absolute()
     tried = [place]
     if place.is_dir():

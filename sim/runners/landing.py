@@ -36,19 +36,19 @@ Exchange = Callable[[int, Sequence[Outputs | None]], Sequence[tuple[Neighbour, .
 
 @dataclass(frozen=True)
 class Landing:
-    """What became of a vehicle."""
+    """Result of one vehicle's flight."""
 
-    seed: int  # seed of all chance
+    seed: int  # seed of all random draws
     verdict: Verdict  # verdict by true states, as for a flight log
     seen: Seen  # records of a log that a verdict needs
     simulated_s: float  # length of the flight
-    wall_s: float  # wall time of the flight, of a team the whole
+    wall_s: float  # wall time of the flight; in a team, that of the whole team
     retries: int  # number of times that the landing started again
 
 
 @dataclass(frozen=True)
 class TeamLanding:
-    """What became of a team."""
+    """Result of a team's flight."""
 
     seed: int  # seed of the team
     landings: tuple[Landing, ...]  # cf1 first; a verdict covers collisions until that flight was over

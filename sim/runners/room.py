@@ -43,14 +43,14 @@ class Followed(Protocol):
 
     @property
     def name(self) -> str:
-        """Of the vehicle, for texts."""
+        """Name of the vehicle, for messages."""
 
     @property
     def vehicle(self) -> VehicleSim:
-        """The simulated one."""
+        """The simulated vehicle of this member."""
 
     def say(self, t_s: float, level: int, text: str) -> None:
-        """Note something that was seen of it."""
+        """Record an event about this member."""
 
 
 @dataclass(slots=True)
@@ -69,9 +69,9 @@ class Pair:
 
 
 class Pairs:
-    """Follows all pairs; who collides breaks its propellers at the end of that tick.
+    """Watches all pairs; vehicles that collide break their propellers at the end of that tick.
 
-    Raises ValueError: two vehicles begin inside each other.
+    Raises ValueError: two vehicles overlap at the start.
     """
 
     def __init__(self, members: Sequence[Followed], grid: TickGrid) -> None:

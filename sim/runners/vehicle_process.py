@@ -102,7 +102,7 @@ class RealTimeVehicle:
             self._ms = ms
 
     def warn(self, text: str) -> None:
-        """Have the autopilot say something."""
+        """Send a warning to the clients, as a text of the autopilot."""
         self.node.autopilot.flight.say(dialect.MAV_SEVERITY_WARNING, text)
 
 

@@ -48,8 +48,9 @@ the table has another value. A cell has several allowed ends if chance decides b
 Faults: `vehicle state` (the estimate on its way to autopilot and companion), `heartbeat`, `set-point path`
 and `clock` are those of [faults.md](faults.md) with their defaults. A wrong vehicle or target state is 0.3
 m too far east; a delayed heartbeat is 2 s late; an intermittent one pauses 2.5 s of 4. `target state` is
-the tracker. `Zenoh link` changes the bytes: stuck repeats one payload, garbage changes a byte of each,
-wrong is another robot with the same key, delayed is 0.2 s with overtaking, intermittent loses bursts of 0.3
+a fault of the robot's tracker. `Zenoh link` changes the bytes: stuck repeats one payload, garbage changes
+a byte of each, wrong is another robot with the same key,
+delayed is 0.2 s with overtaking, intermittent loses bursts of 0.3
 s. `log disk` is a real recorder on a disk that is full, hangs, damages a byte of every write, is read-only,
 takes 1 MB/s, is 0.2 s late, or fails every third time.
 """
@@ -60,13 +61,13 @@ _TAIL = """
 - Repeated data: numbers that repeat to the last bit, while they contain a velocity of more than 0.05 m/s,
   or for 0.5 s in flight, count as old.
 - A vehicle position that contradicts the vehicle velocity: more than `checks.own_drift_max_m` apart over 2
-  s. The state is lost until they agree.
+  s. The state counts as lost until both agree.
 - A target sample that jumps: farther than `checks.target_jump_max_m` from the prediction with the mean
   velocity of the last sample and this one (for a lost target: with the last velocity). The sample is
   refused, in flight for good, because it is unknown which of the two positions is right.
 - Target positions that contradict the target velocity: more than `checks.target_drift_max_m` apart over 2
-  s. The target is lost until they agree, and after the second time in a flight for good. Flying clear uses
-  the positions.
+  s. The target counts as lost until both agree, and after the second time for the rest of the flight.
+  Flying clear uses the positions.
 - A vehicle that does not follow its set-points: over 1 s the velocity lags by more than
   `checks.follow_lag_max_s` times the highest velocity. The autopilot lands. In a take-off the rate of climb
   counts after 7 s only.

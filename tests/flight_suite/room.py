@@ -142,7 +142,7 @@ class Room:
 
 
 def configured(scenario: Scenario, folder: Path) -> Path:
-    """A scenario's configuration of the onboard process as a file, for a room where nobody comes back."""
+    """Write a scenario's onboard configuration; its climb is short, as no lost target returns here."""
     checks = replace(scenario.onboard.checks, climb_time_max_s=2.0)  # less waiting
     side = replace(scenario.onboard.vehicle, origin_wgs84=ORIGIN_WGS84)
     file = folder / "onboard.toml"

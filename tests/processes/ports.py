@@ -1,4 +1,4 @@
-"""Ports of loopback for servers to come: nobody else takes one meanwhile, however late the server comes."""
+"""Loopback ports for servers that start later; until then no other process can take them."""
 
 from __future__ import annotations
 

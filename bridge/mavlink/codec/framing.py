@@ -55,7 +55,7 @@ class NoFrame(IntEnum):
 
     INVALID = 0
     CUT_SHORT = -1  # the bytes end within the frame
-    UNKNOWN = -2  # the message is not known
+    UNKNOWN = -2  # no checksum seed (CRC_EXTRA) for this message id
 
 
 def split_frames(

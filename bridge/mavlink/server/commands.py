@@ -60,7 +60,7 @@ class Command:
 
     @property
     def frame_known(self) -> bool:
-        """Whether a place in this frame can be understood."""
+        """Whether coordinates in this frame are supported."""
         return self.frame in _HOME_FRAMES or self.frame in _AMSL_FRAMES
 
 

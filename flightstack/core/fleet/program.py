@@ -53,7 +53,7 @@ def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nea
 
 
 def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3) -> tuple[float, Vec3]:
-    """Least common slack of the soft rows and a velocity, as ``exact.least_slack``."""
+    """Return the least common slack of the soft rows and its velocity, as ``exact.least_slack`` does."""
     return dual.least_slack(firm, soft, lower, upper) or exact.least_slack(firm, soft, lower, upper)
 
 

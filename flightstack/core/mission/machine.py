@@ -248,7 +248,7 @@ class Mission:
             memory.swings += snapshot.way.may_land
         if after is Phase.APPROACH and memory.started_s == math.inf:
             memory.started_s = now_s
-        if after is Phase.TOUCHDOWN:  # what an earlier descent had begun to see
+        if after is Phase.TOUCHDOWN:  # clear the contact timers of an earlier descent
             memory.contact_since_s = memory.stopped_since_s = math.inf
             memory.swings = 0
         if after is Phase.LEAVE:  # another flight

@@ -280,7 +280,7 @@ def _velocity_variance(covariance: Covariance, time: _Time, jerk2: float) -> flo
     return vv + 2.0 * v * va + v * v * aa + jerk2 * t * t * t / 3.0
 
 
-_Gains = tuple[float, float, float, float, float, float]  # of position, then of velocity: p, v, a each
+_Gains = tuple[float, float, float, float, float, float]  # gains on p, v, a: from position, then velocity
 
 
 @numeric

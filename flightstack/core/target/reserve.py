@@ -47,7 +47,7 @@ class ReserveEstimate:
     reserve: float  # largest thrust over weight; NaN while it is not known
     charge: Charge  # what the battery is fit for
     acceleration_max_m_s2: Vec3  # limit of the velocity wanted, ENU; upwards on z
-    _part: float  # of the reserve that is used
+    _part: float  # usable fraction of the reserve (``Reserve.share``)
 
     def __init__(self, table: Reserve, most_m_s2: Vec3, period_s: float) -> None:
         self.memory, self.told = ReserveMemory(), Told()

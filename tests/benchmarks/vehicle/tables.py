@@ -40,7 +40,7 @@ STANDING_ROTORS_M = ROTOR.above_com_m - analysis.PARAMS.geometry.foot_bottom_m
 
 @dataclass(frozen=True)
 class Row:
-    """One comparison; ``digits`` after the point."""
+    """One row of the comparison; ``digits``: printed decimals."""
 
     what: str
     unit: str

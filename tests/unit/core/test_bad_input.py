@@ -1,4 +1,4 @@
-"""What goes wrong on the links, and what the vehicle does about it: holds, climbs or lands away, in time."""
+"""Faults of the links and the vehicle's reaction: it holds, climbs or lands away, in time."""
 
 import itertools
 import math

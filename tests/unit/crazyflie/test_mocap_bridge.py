@@ -267,7 +267,7 @@ def test_each_autopilot_gets_what_it_wants_once_it_is_heard(autopilot, kind):
         messages, problem = vehicle.step([sample(i / 100.0)], i / 100.0 + 0.004)
         sent += kinds(messages)
     assert problem is None
-    assert sent.count(kind) == pytest.approx(100, abs=3)  # 50 Hz of 100
+    assert sent.count(kind) == pytest.approx(100, abs=3)  # sent at 50 Hz; poses arrive at 100 Hz
     assert set(sent) <= {kind, "HEARTBEAT"}
     messages, _ = vehicle.step([sample(6.0)], 6.004)
     assert kind not in kinds(messages)  # silent for 4 s

@@ -1,4 +1,4 @@
-"""Words of a fleet in lockstep on Zenoh: told at a tick, heard with the next; who leaves, who is silent."""
+"""Fleet messages in lockstep on Zenoh: sent in a tick, received with the next; leaving, silent members."""
 
 import struct
 from types import SimpleNamespace
@@ -34,7 +34,7 @@ def word(id_, now_s, claim_s=float("nan")):
 
 @pytest.fixture
 def ends():
-    """The vehicles' end of three members, and the onboard processes' end, with a clock each."""
+    """Both ends of the message links of three members: at the vehicles and at the onboard processes."""
     endpoint = free_endpoint()
     ours, theirs = open_session(listen=[endpoint]), open_session(connect=[endpoint])
     until(lambda: zenoh_link.transports(ours) == 1)

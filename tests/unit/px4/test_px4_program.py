@@ -36,7 +36,7 @@ def build(tmp_path):
 
 @pytest.mark.parametrize("speed", [1.0, 5.0])
 def test_what_the_release_has_is_set_and_what_it_has_not_is_named(build, speed):
-    """PX4 1.18 dropped COM_OBC_LOSS_T and renamed others: neither keeps it from flying."""
+    """PX4 1.18 dropped COM_OBC_LOSS_T and renamed others: neither change prevents a flight."""
     wanted = {"COM_OBL_RC_ACT": 4, "COM_RC_IN_MODE": 0, "SYS_HAS_GPS": 0}
     px4 = Px4Program(
         build, build / "run", Px4Model.SIHSIM_QUADX, parameters=wanted, speed=speed, origin_wgs84=None

@@ -1,4 +1,4 @@
-"""What each phase asks for."""
+"""The command that guidance gives in each phase."""
 
 import math
 from dataclasses import replace

@@ -31,7 +31,7 @@ BEAT_S = 1.0
 
 
 class Wire:
-    """Senders with a number for the frames of each stream."""
+    """``Senders``, and the newest sequence number of each stream."""
 
     def __init__(self, **known):
         self.senders = Senders(**known)

@@ -148,7 +148,7 @@ def test_hundred_thousand_bytes_of_noise_lose_no_frame():
         noise += len(stray)
         stream += stray + frame
     assert noise > 100_000 - 5_000
-    stream += b"".join(frames_of(12, seed=4))  # what the last false start waits for
+    stream += b"".join(frames_of(12, seed=4))  # the last false header waits for these bytes
     found = push_all(StreamFramer(counters), pieces_of(bytes(stream), rng))
     assert found == frames + frames_of(12, seed=4)
     assert counters.garbage_bytes == noise
