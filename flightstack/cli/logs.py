@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 DONE, BROKEN = 0, 1
 LANDED, NOT_LANDED = 0, 1
-SHOWN = 20  # differences printed; the first ones tell the story
+DIFFERENCES_MAX = 20  # differences printed; the first ones tell the story
 
 _log = click.argument("log_file", metavar="LOG", type=click.Path(dir_okay=False, path_type=Path))
 _member = click.option("--member", metavar="NAME", help="Only the part of this member of a fleet, e.g. cf2.")
@@ -99,10 +99,10 @@ def diff(log_a: Path, log_b: Path) -> None:
     from logs.tools.compare import compare
 
     differences = compare(log_a, log_b)
-    for difference in differences[:SHOWN]:
+    for difference in differences[:DIFFERENCES_MAX]:
         click.echo(plain(str(difference)))
-    if len(differences) > SHOWN:
-        click.echo(f"... and {len(differences) - SHOWN} more")
+    if len(differences) > DIFFERENCES_MAX:
+        click.echo(f"... and {len(differences) - DIFFERENCES_MAX} more")
     click.echo("equal" if not differences else f"{len(differences)} differences")
     sys.exit(1 if differences else 0)
 
@@ -265,7 +265,7 @@ def view(
                 raise ValueError(
                     "Rerun did not open; without a display use --web, or --save and another machine"
                 )
-    sys.exit(BROKEN if recording.problem else SHOWN)
+    sys.exit(BROKEN if recording.problem else DONE)
 
 
 def _warn(problem: str) -> None:

@@ -100,7 +100,7 @@ def test_sitl_lands_signed_and_its_log_equals_the_unsigned_one(key_file, flown, 
     rest = [d for d in different if not d.topic.startswith("metadata")]
     assert {(d.topic, d.field) for d in rest} <= {("/cf1/run", "data")}, rest  # the same metadata for ROS 2
     for each in rest:
-        assert each.a.replace(f"signing_key = {key_file}\n", "") == each.b
+        assert each.a.replace(f"signing_key = {key_file}\\n", "") == each.b
 
 
 @pytest.mark.xdist_group("real-time")

@@ -282,7 +282,7 @@ def test_wrong_words_are_refused_with_what_is_allowed(words, status, said):
 def test_a_router_of_ros_that_is_not_there_is_said_before_the_flight():
     done = run(*ONBOARD, "--ros2", free_endpoint())
     assert done.returncode == 2
-    assert "is the router there" in done.stderr
+    assert "is the router running, and does it accept us" in done.stderr
 
 
 def test_what_the_autopilot_did_by_itself_carries_its_own_reason():
