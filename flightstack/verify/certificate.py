@@ -48,6 +48,7 @@ def paper_checks(config: FlightConfig) -> list[Check]:
         ends.reaches_touchdown(config),
         ends.contact(config, config.touchdown.descent_m_s, "touchdown.descent_m_s"),
         ends.notices(config),
+        ends.forgets(config),
         ends.falls(config),
     ]
 
@@ -68,6 +69,8 @@ def robust_checks(config: FlightConfig) -> list[Check]:
         touchdown.stops(config, x),
         ends.contact(config, config.robust.descent_m_s, "robust.descent_m_s"),
         ends.notices(config),
+        ends.forgets(config),
+        ends.accepts(config),
         ends.falls(config),
         touchdown.altitude(config, x),
         robust.climb(config, x),

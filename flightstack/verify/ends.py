@@ -8,6 +8,8 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.parameters.reserve import GRAVITY_M_S2
 from flightstack.verify.types import Check, Need
 
+STEADY_ERROR = 0.25  # share of the full speed by which a velocity may be wrong, gusts included
+NOISE_SIGMAS = 7.0  # of one position, in a jump between two: 5 of their difference
 FALL_MAX_M_S = 1.0  # twice the speed of a landing, within the strength of the landing gear
 
 
@@ -50,6 +52,38 @@ def notices(config: FlightConfig) -> Check:
         "s",
         f"found {found:g}, the tracking lag converges to {most_s:g} s of flight",
         "raise checks.follow_memory_s or lower checks.follow_lag_max_s",
+    )
+
+
+def forgets(config: FlightConfig) -> Check:
+    """Check that a steady error of the velocity does not add up to a vehicle that does not follow.
+
+    The tracking lag of a velocity that is wrong by e converges to e times the memory. Such a vehicle lands
+    where it is, below the barrier if that is beside the pad.
+    """
+    lag_s, memory_s = config.checks.follow_lag_max_s, config.checks.follow_memory_s
+    return Check(
+        "checks.follow_memory_s",
+        "a steady error of the velocity is not taken for a vehicle that does not follow",
+        lag_s / memory_s - STEADY_ERROR,
+        "of the full speed",
+        f"found {memory_s:g} s, which allows an error of {lag_s / memory_s:.3g} of the full speed",
+        f"lower checks.follow_memory_s to {lag_s / STEADY_ERROR:.3g}, or raise checks.follow_lag_max_s",
+        Need.PROOF,
+    )
+
+
+def accepts(config: FlightConfig) -> Check:
+    """Check that the noise of the target's positions is not taken for jumps."""
+    found, noise_m = config.checks.target_jump_max_m, config.target.position_noise_m
+    return Check(
+        "checks.target_jump_max_m",
+        "two positions of a target with the declared noise are no jump",
+        found - NOISE_SIGMAS * noise_m,
+        "m",
+        f"found {found:g}, the noise of a position is {noise_m:g} m",
+        f"raise checks.target_jump_max_m to {NOISE_SIGMAS * noise_m:.3g}",
+        Need.PROOF,
     )
 
 
