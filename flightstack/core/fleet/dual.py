@@ -34,10 +34,10 @@ class Found(NamedTuple):
     """The minimiser, or the reason why there is none."""
 
     point: Vec3 | None  # m/s; ``None``: no point meets all constraints
-    # multipliers of the rows as they are given; without a point those of constraints that no velocity meets:
-    # their gradients times the multipliers add up to 0
+    # multipliers of the rows, in the order of the input; if point is None: of constraints that no velocity
+    # meets together, whose gradients times these multipliers add up to 0
     multipliers: tuple[float, ...]
-    lacking_m_s: float = 0.0  # without a point: violation of that sum
+    lacking_m_s: float = 0.0  # violation of these constraints, m/s, if point is None
 
 
 def solve(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Found | None:
