@@ -25,7 +25,7 @@ from cflib.crazyflie.toccache import TocCache
 from cflib.crtp.crtpstack import CRTPPort
 
 from bridge.crazyflie.blocks import LogBlocks
-from bridge.crazyflie.checks import too_old
+from bridge.crazyflie.condition import too_old
 from bridge.crazyflie.outbox import ORDERS_MAX, VELOCITY_AGE_MAX_S, Outbox
 from bridge.crazyflie.settings import DRAG
 from bridge.crazyflie.types import (

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import Enum, auto
 
-from bridge.crazyflie.rules import STANDING_S, TAKEOFF_MAX_S
+from bridge.crazyflie.rules import TAKEOFF_MAX_S
 from bridge.crazyflie.types import CrazyflieState, Velocity
 from bridge.frames import wrap_angle, yaw_from_quaternion
 from bridge.mavlink.server.profile import FlightMode
@@ -34,66 +33,20 @@ def yaw_rate(wanted_rad: float, state: CrazyflieState) -> float:
     return min(max(YAW_GAIN_1_S * error_rad, -YAW_RATE_MAX_RAD_S), YAW_RATE_MAX_RAD_S)
 
 
-@dataclass(slots=True)
-class Anchor:
-    """A point to hold, with the heading."""
-
-    point_enu_m: Vec3
-    yaw_rad: float
-    stopped_since_s: float = math.inf  # when it stopped to follow the descent command; infinite: it follows
-
-    @classmethod
-    def here(cls, state: CrazyflieState, height_m: float | None = None) -> Anchor:
-        """Hold where it comes to rest, or above there at a height."""
-        x, y, z = state.position_enu_m
-        vx, vy, vz = state.velocity_enu_m_s
-        point = (x + vx / GAIN_1_S, y + vy / GAIN_1_S, z + vz / GAIN_1_S)
-        return cls(
-            point if height_m is None else (*point[:2], height_m), yaw_from_quaternion(state.quaternion)
-        )
-
-    def hold(self, state: CrazyflieState) -> Vec3:
-        """Velocity towards the point."""
-        ex, ey, ez = (a - b for a, b in zip(self.point_enu_m, state.position_enu_m, strict=True))
-        vx, vy = GAIN_1_S * ex, GAIN_1_S * ey
-        speed = math.hypot(vx, vy)
-        if speed > SPEED_XY_M_S:
-            vx, vy = vx * SPEED_XY_M_S / speed, vy * SPEED_XY_M_S / speed
-        return (vx, vy, min(max(GAIN_1_S * ez, -DESCENT_M_S), CLIMB_M_S))
-
-    def descend(self, state: CrazyflieState) -> Vec3:
-        """Velocity downwards above the point."""
-        vx, vy, _ = self.hold(state)
-        return (vx, vy, -DESCENT_M_S)
-
-    def arrived(self, state: CrazyflieState) -> bool:
-        """Whether the height has been reached."""
-        high = abs(self.point_enu_m[2] - state.position_enu_m[2]) < ARRIVED_M
-        return high and abs(state.velocity_enu_m_s[2]) < ARRIVED_M_S
-
-    def down(self, state: CrazyflieState, now_s: float) -> bool:
-        """Whether it has not followed the descent command for a while; call it at every step."""
-        if state.velocity_enu_m_s[2] < -STOPPED_SHARE * DESCENT_M_S:
-            self.stopped_since_s = math.inf
-            return False
-        self.stopped_since_s = min(self.stopped_since_s, now_s)
-        return now_s - self.stopped_since_s >= STOPPED_TIME_S
-
-
-class Ground:
-    """Detects that a vehicle flown by a client stands: it does not follow a descent command for a second."""
+class Stopped:
+    """Detects that a vehicle stands on something: it does not follow a descent command."""
 
     def __init__(self) -> None:
         self._since_s = math.inf
 
-    def stands(self, wanted_z_m_s: float, state: CrazyflieState | None, now_s: float) -> bool:
-        """Whether it stands; call it with every set-point."""
+    def lasts_s(self, wanted_z_m_s: float, state: CrazyflieState | None, now_s: float) -> float:
+        """Seconds since it stopped to follow; -inf while it follows. Call it with every set-point."""
         sinks = state is None or state.velocity_enu_m_s[2] < STOPPED_SHARE * wanted_z_m_s
         if wanted_z_m_s > SINKING_M_S or sinks:
             self._since_s = math.inf
-            return False
-        self._since_s = min(self._since_s, now_s)
-        return now_s - self._since_s > STANDING_S
+        else:
+            self._since_s = min(self._since_s, now_s)
+        return now_s - self._since_s
 
 
 class Done(Enum):
@@ -105,15 +58,16 @@ class Done(Enum):
 
 
 class Pilot:
-    """Flies take-off, hold and landing."""
+    """Flies take-off, hold and landing: holds a point and a heading."""
 
     def __init__(self) -> None:
-        self._anchor: Anchor | None = None
-        self.since_s = -math.inf  # begin of the present mode
+        self.begin(-math.inf)
 
     def begin(self, now_s: float) -> None:
         """Begin a mode at the present place."""
-        self._anchor, self.since_s = None, now_s
+        self.since_s = now_s  # begin of the present mode
+        self._anchor: tuple[Vec3, float] | None = None  # point and heading, with the first state
+        self._stopped = Stopped()
 
     def step(
         self,
@@ -136,17 +90,36 @@ class Pilot:
                 return Velocity((0.0, 0.0, -DESCENT_M_S), 0.0), None
             return (None if standing else Velocity(ZERO, 0.0)), None
         if self._anchor is None:
-            self._anchor = Anchor.here(state, takeoff_z_m if mode is FlightMode.TAKEOFF else None)
-        anchor = self._anchor
-        turn_rad_s = yaw_rate(anchor.yaw_rad, state)
+            x, y, z = (
+                p + v / GAIN_1_S for p, v in zip(state.position_enu_m, state.velocity_enu_m_s, strict=True)
+            )
+            self._anchor = (
+                (x, y, takeoff_z_m if mode is FlightMode.TAKEOFF else z),
+                yaw_from_quaternion(state.quaternion),
+            )
+        point_enu_m, yaw_rad = self._anchor
+        vx, vy, vz = _towards(point_enu_m, state.position_enu_m)
+        turn_rad_s = yaw_rate(yaw_rad, state)
         if mode is FlightMode.LAND:
-            if anchor.down(state, now_s) and now_s - self.since_s > LANDING_MIN_S:
+            stopped_s = self._stopped.lasts_s(-DESCENT_M_S, state, now_s)
+            if stopped_s >= STOPPED_TIME_S and now_s - self.since_s > LANDING_MIN_S:
                 return None, Done.LANDED
-            velocity = anchor.descend(state) if placed else (0.0, 0.0, -UNPLACED_M_S)
-            return Velocity(velocity, turn_rad_s), None
+            return Velocity((vx, vy, -DESCENT_M_S) if placed else (0.0, 0.0, -UNPLACED_M_S), turn_rad_s), None
         done: Done | None = None
-        if mode is FlightMode.TAKEOFF and anchor.arrived(state):
-            done = Done.ARRIVED
-        elif mode is FlightMode.TAKEOFF and now_s - self.since_s > TAKEOFF_MAX_S:
-            done = Done.STUCK
-        return Velocity(anchor.hold(state), turn_rad_s), done
+        if mode is FlightMode.TAKEOFF:
+            high = abs(point_enu_m[2] - state.position_enu_m[2]) < ARRIVED_M
+            if high and abs(state.velocity_enu_m_s[2]) < ARRIVED_M_S:
+                done = Done.ARRIVED
+            elif now_s - self.since_s > TAKEOFF_MAX_S:
+                done = Done.STUCK
+        return Velocity((vx, vy, vz), turn_rad_s), done
+
+
+def _towards(point_enu_m: Vec3, position_enu_m: Vec3) -> Vec3:
+    """Velocity towards a point."""
+    ex, ey, ez = (a - b for a, b in zip(point_enu_m, position_enu_m, strict=True))
+    vx, vy = GAIN_1_S * ex, GAIN_1_S * ey
+    speed = math.hypot(vx, vy)
+    if speed > SPEED_XY_M_S:
+        vx, vy = vx * SPEED_XY_M_S / speed, vy * SPEED_XY_M_S / speed
+    return (vx, vy, min(max(GAIN_1_S * ez, -DESCENT_M_S), CLIMB_M_S))

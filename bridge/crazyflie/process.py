@@ -15,7 +15,7 @@ from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING
 
-from bridge.crazyflie.checks import ESTIMATOR, KALMAN
+from bridge.crazyflie.condition import ESTIMATOR, KALMAN
 from bridge.crazyflie.node import COMPONENT_ID, Node
 from bridge.crazyflie.rules import CrazyflieOptions, Rules
 from bridge.crazyflie.types import Link, Packet, Pose, SetParam

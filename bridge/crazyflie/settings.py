@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from bridge.crazyflie.checks import ESTIMATOR, KALMAN
+from bridge.crazyflie.condition import ESTIMATOR, KALMAN
 from bridge.crazyflie.types import SetParam
 from flightstack.core.types import Vec3
 

@@ -1,0 +1,251 @@
+"""Newest state and condition of a Crazyflie, whether it may be flown by, and why it must not be armed now."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from bridge.crazyflie.rules import LOST_S, POSE_AGE_MAX_S, REARM_S
+from bridge.crazyflie.types import PROTOCOL_MIN, CrazyflieState, Health, Info, Link, Outside, Power
+from bridge.frames import Quat, body_from_world, yaw_from_quaternion
+from bridge.mavlink.server.commander import Battery
+from bridge.mavlink.server.profile import POSITION_SOURCE
+from bridge.mocap.checks import Limits, Passed
+from flightstack.core.types import ZERO, Vec3
+
+STATE_AGE_MAX_S = 0.3  # s; thirty packets missing
+HEALTH_AGE_MAX_S = 1.0  # s; ten packets missing
+VARIANCE_MAX_M2 = 0.01  # m2 on each axis: 0.1 m; settled ones have 0.001 and less (cflib reset_estimator)
+TILT_MAX_DEG = 2.0  # degrees; each makes 6.8 cm/s of drift, and an accelerometer's zero is 1 degree off
+BATTERY_MIN_V = 3.7  # V at rest, a sixth of the charge; the firmware does not land on an empty battery
+ESTIMATOR, KALMAN = "stabilizer.estimator", "2"
+# stabilizer.controller that fly velocities: 0 is the default, which is PID (firmware controller.c). Mellinger
+# (2) holds height zero for a velocity set-point, or gives full thrust (firmware controller_mellinger.c).
+CONTROLLERS = {"0": "default", "1": "PID"}
+_POSITION_DECKS = {
+    "deck.bcLighthouse4": "Lighthouse deck: are the base stations seen, and is their geometry stored?",
+    "deck.bcLoco": "Loco deck: are the anchors on?",
+    "deck.bcFlow2": "Flow deck: is the floor in sight, with texture and light?",
+}
+_UP: Vec3 = (0.0, 0.0, 1.0)
+_GAP_MAX_S = Limits().gap_max_s  # s without a pose until that is a problem
+_SHARE = 0.1  # of a new difference in the mean one, at 10 Hz: a second
+_AT_REST_G = 0.1  # g; an accelerometer that shows another length shows more than gravity
+
+
+class Condition:
+    """Poses from outside come through this bridge or from another program.
+
+    The firmware logs the time of the newest pose from any sender (``locSrvZ.tick``): once that has changed,
+    poses are expected.
+    """
+
+    def __init__(self, *, mocap: bool) -> None:
+        self.link = Link()
+        self.state: CrazyflieState | None = None  # newest, of any age
+        self.health: Health | None = None  # newest quality of the estimate, and battery
+        # reason why there are no good poses from outside; None: there are, or none are needed
+        self.mocap_problem: str | None = "mocap: no pose yet" if mocap else None
+        self._mocap, self._posed_s = mocap, -math.inf
+        self._pose_quaternion: Quat | None = None  # of the newest pose through this bridge
+        self.fit_s = -math.inf  # when the supervisor last showed that it is, or can be, armed
+        self._forget_outside()
+
+    def _forget_outside(self) -> None:
+        """Another connection may be to another firmware."""
+        self._outside: Outside | None = None
+        self._tick_s: float | None = None  # when the firmware's time of the newest pose changed last
+        self._leaning: Vec3 | None = None  # mean of the poses' upright less gravity's, in the body
+
+    def alive(self, now_s: float) -> bool:
+        """Whether it is heard; while it is not, no telemetry is sent."""
+        heard = self.state is not None and now_s - self.state.at_s <= LOST_S
+        return heard and self.link.protocol is not None
+
+    def problems(self, now_s: float) -> list[str]:
+        """Reasons against arming, the most basic first; empty when there are none."""
+        if self.link.protocol is None:
+            return [f"no link to the Crazyflie: {self.link.reason}"]
+        return [text for text in (check(self, now_s) for check in CHECKS) if text is not None]
+
+    def position_known(self, now_s: float) -> bool:
+        """Whether its estimate of position may be flown by."""
+        return all(check(self, now_s) is None for check in (_state, _estimator, _poses, _position))
+
+    def fresh_state(self, now_s: float) -> CrazyflieState | None:
+        """The newest state, None when it is too old to fly by."""
+        state = self.state
+        return state if state is not None and now_s - state.at_s <= STATE_AGE_MAX_S else None
+
+    def yaw_rad(self) -> float | None:
+        """Heading, counter-clockwise from east; None: no state yet."""
+        return yaw_from_quaternion(self.state.quaternion) if self.state is not None else None
+
+    def sensors_healthy(self, now_s: float) -> int:
+        """The position, while it may be flown by."""
+        return POSITION_SOURCE if self.position_known(now_s) else 0
+
+    @property
+    def battery(self) -> Battery:
+        """Battery, by the firmware."""
+        voltage_v = self.state.battery_v if self.state is not None else 0.0
+        return Battery(voltage_v, self.health.battery_percent if self.health is not None else -1)
+
+    def take_health(self, health: Health) -> None:
+        """Quality of the estimate, and battery."""
+        self.health = health
+        if self._outside is None:
+            self._compare_level(None)
+
+    def take_outside(self, outside: Outside) -> None:
+        """Take the firmware's time of the newest pose from outside, and gravity."""
+        before, self._outside = self._outside, outside
+        if before is None:
+            self._leaning = None  # gravity is measured from now on
+        elif before.tick != outside.tick:
+            self._tick_s = outside.at_s
+        self._compare_level(outside.acceleration_flu_g)
+
+    def _note_pose(self, problem: str | None, passed: Passed | None, now_s: float) -> None:
+        if passed is not None:
+            self._posed_s = max(self._posed_s, passed.measured_s)
+            self._pose_quaternion = passed.pose.orientation_wxyz
+        elif problem is None:
+            self._posed_s = max(self._posed_s, now_s - _GAP_MAX_S)  # there would be one otherwise
+
+    def pose_age_s(self, now_s: float) -> float | None:
+        """Age of the newest pose from outside that has arrived; None: none are expected."""
+        ages_s = [now_s - self._posed_s] if self._mocap else []
+        if self._outside is not None and self._tick_s is not None:
+            heard = now_s - self._outside.at_s <= HEALTH_AGE_MAX_S
+            ages_s.append(self._outside.at_s - self._tick_s if heard else math.inf)
+        return max(ages_s, default=None)
+
+    def _compare_level(self, acceleration_flu_g: Vec3 | None) -> None:
+        """Compare the poses' upright with gravity's, on the ground.
+
+        Without an accelerometer its own attitude stands for gravity, as long as that is not the poses'.
+        """
+        if self.state is None or self.state.info & Info.FLYING:
+            return
+        attitude = self._pose_quaternion
+        if attitude is None and self._tick_s is not None:
+            attitude = self.state.quaternion  # by poses of another program
+        if attitude is None:
+            return
+        gravity = acceleration_flu_g or body_from_world(self.state.quaternion, _UP)
+        length = math.hypot(*gravity)
+        if abs(length - 1.0) > _AT_REST_G:
+            return
+        leaning = tuple(a - b / length for a, b in zip(body_from_world(attitude, _UP), gravity, strict=True))
+        mean = self._leaning or leaning
+        x, y, z = (m + _SHARE * (new - m) for m, new in zip(mean, leaning, strict=True))
+        self._leaning = (x, y, z)
+
+    @property
+    def tilt_rad(self) -> float:
+        """Angle between the poses' upright and gravity's."""
+        leaning = math.hypot(*(self._leaning or ZERO))
+        return 2.0 * math.asin(min(1.0, 0.5 * leaning))
+
+
+def stuck(info: Info) -> str | None:
+    """Why the firmware will not let the motors run, in flight or before it; None: it will."""
+    return next((text for bit, text in _STUCK.items() if info & bit), None)
+
+
+FIT = Info.CAN_BE_ARMED | Info.ARMED
+STUCK = Info.LOCKED | Info.TUMBLED | Info.CRASHED
+_STUCK = {
+    Info.LOCKED: "supervisor has locked: restart the Crazyflie",
+    Info.TUMBLED: "it lies on its side or back: put it upright",
+    Info.CRASHED: "supervisor saw a crash: look for damage, then arm it once: that recovers it",
+}
+
+
+def too_old(protocol: int) -> str | None:
+    """Why firmware of this CRTP protocol is not flown; None: it is."""
+    if protocol >= PROTOCOL_MIN:
+        return None
+    return f"firmware speaks CRTP {protocol}, arming by supervisor needs {PROTOCOL_MIN}: update it"
+
+
+def _protocol(c: Condition, _now_s: float) -> str | None:
+    return too_old(c.link.protocol) if c.link.protocol is not None else None
+
+
+def _state(c: Condition, now_s: float) -> str | None:
+    if c.state is None:
+        return "no state from the Crazyflie yet"
+    age_s = now_s - c.state.at_s
+    return f"state is {age_s:.1f} s old: radio too weak?" if age_s > STATE_AGE_MAX_S else None
+
+
+def _supervisor(c: Condition, _now_s: float) -> str | None:
+    info = c.state.info if c.state is not None else Info(0)
+    found = stuck(info)
+    if found is not None or c.state is None or info & FIT:
+        return found
+    if info & Info.AUTO_ARM and c.state.at_s - c.fit_s <= REARM_S:
+        return None  # it arms itself anew
+    return "supervisor's pre-flight checks have not passed"
+
+
+def _battery(c: Condition, _now_s: float) -> str | None:
+    if c.state is None or c.health is None:
+        return None
+    if c.health.power is Power.CHARGING:
+        return "it is charging: take it off the charger"
+    if c.health.power in (Power.LOW, Power.SHUTDOWN) or c.state.battery_v < BATTERY_MIN_V:
+        return f"battery at {c.state.battery_v:.2f} V, {BATTERY_MIN_V:g} V needed: charge it"
+    return None
+
+
+def _controller(c: Condition, _now_s: float) -> str | None:
+    found = c.link.params.get("stabilizer.controller")
+    if found is None or found in CONTROLLERS:
+        return None
+    return f"stabilizer.controller is {found}, which flies no velocities: set it to 1 (PID)"
+
+
+def _estimator(c: Condition, _now_s: float) -> str | None:
+    found = c.link.params.get(ESTIMATOR)
+    if found is None or found == KALMAN:
+        return None
+    return f"{ESTIMATOR} is {found}, {KALMAN} (Kalman) needed"
+
+
+def _position(c: Condition, now_s: float) -> str | None:
+    if c.health is None or now_s - c.health.at_s > HEALTH_AGE_MAX_S:
+        return "no variance of the position estimate received"
+    worst = max(c.health.variance_m2)
+    # a filter that does not run has no variance
+    if math.isfinite(sum(c.health.variance_m2)) and 0.0 < worst <= VARIANCE_MAX_M2:
+        return None
+    decks = [text for name, text in _POSITION_DECKS.items() if c.link.params.get(name, "0") != "0"]
+    source = decks[0] if decks else "no positioning deck; give poses with --mocap KEY"
+    return f"no position estimate (sigma {math.sqrt(abs(worst)):.2g} m): {source}"
+
+
+def _poses(c: Condition, now_s: float) -> str | None:
+    """Without poses the variance stays small for seconds, while the position is 0.65 m off after 2.5 s."""
+    age_s = c.pose_age_s(now_s)
+    if age_s is None or age_s <= POSE_AGE_MAX_S:
+        return None
+    return "no pose from outside: has motion capture, or the program that sends its poses, stopped?"
+
+
+def _level(c: Condition, _now_s: float) -> str | None:
+    tilt_deg = math.degrees(c.tilt_rad)
+    if tilt_deg <= TILT_MAX_DEG:
+        return None
+    return (
+        f"markers are tilted by {tilt_deg:.1f} degrees against the body, "
+        f"{TILT_MAX_DEG:g} allowed: define the body anew in motion capture while it stands level"
+    )
+
+
+CHECKS: tuple[Callable[[Condition, float], str | None], ...] = (
+    _protocol, _state, _supervisor, _battery, _controller, _estimator, lambda c, _: c.mocap_problem, _poses,
+    _position, _level,
+)  # fmt: skip
