@@ -30,6 +30,9 @@ Sample = Any
 LOOPBACK = "tcp/127.0.0.1:0"  # any free port, this machine only
 LOOPBACK_ROUTER = "tcp/127.0.0.1:7447"  # default address of a router for clients and ROS 2 nodes
 _LEASE_MS = 2000  # a peer without messages is disconnected and dialled again; liveness is the age of messages
+# in lockstep a process may stand still for longer, and nothing may be lost; a killed one disconnects at once
+_LOCKSTEP_WAIT_MS = 60_000
+_ALIVE_TIMEOUT_S = 1.0  # the answer is in this process's own tables
 _CLIENT_WAIT_MS = 10_000  # wait for a router that has not started
 _RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 1.5}
 
@@ -56,6 +59,10 @@ _ROLE_DEFAULTS: dict[Role, dict[str, Any]] = {
     Role.CLIENT: {"listen/endpoints": [], "connect/timeout_ms": _CLIENT_WAIT_MS},
     # By gossip with their router ROS 2 nodes find each other (rmw_zenoh DEFAULT_RMW_ZENOH_ROUTER_CONFIG).
     Role.ROUTER: {"listen/endpoints": [LOOPBACK_ROUTER], "scouting/gossip/enabled": True},
+}
+_LOCKSTEP: dict[str, Any] = {
+    "transport/link/tx/lease": _LOCKSTEP_WAIT_MS,
+    "transport/link/tx/queue/congestion_control/block/wait_before_close": 1000 * _LOCKSTEP_WAIT_MS,  # us
 }
 _IP = re.compile(r"^(tcp|udp|tls|quic|ws)/(?:\[[0-9a-fA-F:.%]+\]|[^\s/:\[\]]+):(\d{1,5})$")
 _THIS_MACHINE = re.compile(r"^(unixsock-stream/|\w+/(127\.\d+\.\d+\.\d+|localhost|\[::1\]):)")
@@ -85,6 +92,7 @@ def open_session(
     config_file: Path | None = None,
     role: Role = Role.PEER,
     prompt: bool = False,
+    lockstep: bool = False,
 ) -> Session:
     """Open a session with these endpoints and no others.
 
@@ -99,6 +107,7 @@ def open_session(
         config_file: a Zenoh configuration (JSON5), for example with TLS keys and access rules.
         role: if the file does not set the mode; a router does not forward between its peers.
         prompt: real-time priority for its threads, where the system allows it.
+        lockstep: a connection outlives a pause of 60 s of a process at either end, and loses nothing in it.
 
     Raises:
         ValueError: an endpoint is malformed, or the file is.
@@ -107,6 +116,9 @@ def open_session(
     listen = [check_endpoint(endpoint) for endpoint in listen]
     connect = [check_endpoint(endpoint) for endpoint in connect]
     config = _configuration(listen, connect, config_file, role)
+    if lockstep:
+        for key, value in _LOCKSTEP.items():
+            config.insert_json5(key, json.dumps(value))
     prompt = prompt and ask_for_priority()  # threads inherit the priority
     try:
         return zenoh.open(config)
@@ -170,7 +182,7 @@ def _reason(error: zenoh.ZError) -> str:
 
 
 def blocking_publisher(session: Session, key: str, encoding: str | None = None) -> Publisher:
-    """A publisher whose ``put`` waits for room (lockstep); after 5 s Zenoh drops the connection."""
+    """A publisher whose ``put`` waits for room: at most 5 s, in lockstep 60 s, then Zenoh disconnects."""
     return _publisher(session, key, encoding, zenoh.CongestionControl.BLOCK)
 
 
@@ -212,6 +224,11 @@ def kept_subscriber(session: Session, key: str, capacity: int = 256) -> Subscrib
 def liveliness_token(session: Session, key: str) -> Any:
     """Declare a token that connected sessions see while this one is open. Raises ValueError: bad key."""
     return session.liveliness().declare_token(_key(key))
+
+
+def is_alive(session: Session, key: str) -> bool:
+    """Return whether a connected session holds this token."""
+    return any(True for _ in session.liveliness().get(_key(key), timeout=_ALIVE_TIMEOUT_S))
 
 
 def drain(subscriber: Subscriber) -> list[Sample]:

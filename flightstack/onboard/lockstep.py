@@ -21,6 +21,7 @@ from flightstack.common.pacing import (
     NO_GO,
     PAIR,
     RUN_AHEAD_TICKS,
+    TARGET_LOOK_S,
     TARGET_SILENT_S,
     LockstepClock,
     Silence,
@@ -35,7 +36,9 @@ CREDIT_EVERY = 10  # ticks
 WAIT_SLICE_S = 0.05  # s of wall time between looks at the signals while waiting
 FIRST_WAIT_MAX_S = 600.0  # s of wall time until vehicle and target have shown up: a slow computer compiles
 SAID_S = 10.0  # s after which that wait is said
-LOST_RUN_MAX_S = 15.0  # s of wall time without the vehicle after which the process ends
+# s of wall time without the vehicle after which the process ends; the vehicle may wait for the robot
+LOST_RUN_MAX_S = TARGET_SILENT_S + 15.0
+ALIVE = "sim/target/alive"  # liveliness token of the robot's process in lockstep
 TOLD, HEARD = "sim/fleet/told", "sim/fleet/heard"  # keys in the namespace of a member, in lockstep
 OVER = 1  # second number of a message: the last one
 _LENGTH = struct.Struct("<I")
@@ -133,6 +136,7 @@ class LockstepWires:
         self._odometry = odometry
         self._markers = zenoh_link.fifo_subscriber(session, f"{namespace}/sim/target/tick")
         self._credit = zenoh_link.blocking_publisher(session, f"{namespace}/sim/credit")
+        self._session, self._alive_key = session, f"{namespace}/{ALIVE}"
         self._marker_tick, self._received = -1, 0
         self._pool: list[RawSample] = []  # received, of which the target has not yet said the tick
         self._released: list[RawSample] = []  # samples of this tick
@@ -175,12 +179,14 @@ class LockstepWires:
         most_s, silence = FIRST_WAIT_MAX_S if self._marker_tick < 0 else TARGET_SILENT_S, Silence()
         repeat_at = time.monotonic() + WAIT_SLICE_S
         while not self._target_gone and not self._complete(tick):
-            now = time.monotonic()
-            if silence.look() > most_s or self._stopped():
+            now, silent_s = time.monotonic(), silence.look()
+            if silent_s > most_s or self._stopped():
                 self._target_gone = True
             if now > repeat_at:
                 self._give_credit(tick)
                 repeat_at = now + WAIT_SLICE_S
+                if self._marker_tick >= 0 and silent_s > TARGET_LOOK_S:
+                    self._target_gone = not zenoh_link.is_alive(self._session, self._alive_key)
             time.sleep(2e-5)
         due = self._counts.pop(tick, self._received + len(self._pool)) - self._received
         released, self._pool = self._pool[:due], self._pool[due:]

@@ -45,7 +45,11 @@ class ZenohWires:
             )
         # session of the flight
         self.session = zenoh_link.open_session(
-            plan.listen, plan.connect, config_file=plan.config_file, prompt=not plan.lockstep
+            plan.listen,
+            plan.connect,
+            config_file=plan.config_file,
+            prompt=not plan.lockstep,
+            lockstep=plan.lockstep,
         )
         role, whom = zenoh_link.dialled(plan.connect, config_file=plan.config_file)
         self._alarms = [ConnectionAlarm(self.session, whom, role)]

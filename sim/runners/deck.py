@@ -12,6 +12,7 @@ from bridge.target.odometry import OdometrySubscriber
 from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import PAIR
 from flightstack.core.types import ZERO, Vec3
+from flightstack.onboard.lockstep import ALIVE
 
 STALE_S = 0.5  # s without a true pose until the deck is stopped
 _PULL_1_S = 5.0  # 1/s; velocity for each metre of error, since a jump would throw the vehicle off the deck
@@ -42,6 +43,7 @@ class LockstepDeck:
     """True poses by tick."""
 
     def __init__(self, session: zenoh_link.Session, namespace: str) -> None:
+        self._session, self._alive_key = session, f"{namespace}/{ALIVE}"
         self._subscriber = OdometrySubscriber(session, truth_key(namespace), lossless=True)
         self._waiting: deque[tuple[int, bytes]] = deque()
         self.bad = 0  # messages that could not be used
@@ -61,6 +63,11 @@ class LockstepDeck:
             if number >= tick:
                 waiting.append((number, raw.payload))
         return bool(waiting) and waiting[0][0] == tick
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether the process of the robot is still connected."""
+        return zenoh_link.is_alive(self._session, self._alive_key)
 
     def take(self, tick: int) -> DeckState | None:
         """Pose of this tick if it has come."""

@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.codec.decoding import Message
 from bridge.mavlink.endpoint import Peer, Received
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import COMPANION_SILENT_S, TARGET_SILENT_S, Silence
+from flightstack.common.pacing import COMPANION_SILENT_S, TARGET_LOOK_S, TARGET_SILENT_S, Silence
 from flightstack.core.types import ZERO
 from sim.clock import STARTUP_S, NoAnswerError, TickGrid, wait_until
 from sim.runners.deck import STALE_S, DeckState, LockstepDeck, reckon
@@ -26,6 +26,7 @@ from sim.runners.vehicle_node import VehicleNode
 _WAIT_S = 0.05  # s of wall time between two looks at the signals
 _REPEAT_S = 0.5  # s of wall time until a request is repeated
 _REPEAT_UNHEARD_S = 0.05  # s, the same before the first message of a companion
+_DECK_LOOK_S = 0.02  # s between two looks for a robot that is slow
 _DECK_YIELDS = 20  # looks for the deck's pose before sleeping: it is there, or due any moment
 _FLUSH_EVERY = 10  # ticks; the recorder is not woken for every single one
 _TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
@@ -183,11 +184,9 @@ class LockstepLoop:
     def _move_deck(self, deck: LockstepDeck, tick: int, now_ns: int) -> None:
         node = self._node
         if self._deck_comes and self._answers:
-            self._deck_comes = deck.has(tick) or wait_until(
-                lambda: deck.has(tick), self._stop, TARGET_SILENT_S, yields=_DECK_YIELDS
-            )
+            self._deck_comes = deck.has(tick) or self._await_deck(deck, tick)
             if not self._deck_comes:
-                text = f"Robot silent for {TARGET_SILENT_S:g} s: going on without"
+                text = "Robot silent: going on without"
                 node.autopilot.flight.say(dialect.MAV_SEVERITY_WARNING, text)
         state = deck.take(tick)
         if state is not None:
@@ -201,6 +200,14 @@ class LockstepLoop:
             self._deck_last = None
             node.move_deck(stopped)
             node.autopilot.flight.say(dialect.MAV_SEVERITY_WARNING, "Robot's pose too old: deck stopped")
+
+    def _await_deck(self, deck: LockstepDeck, tick: int) -> bool:
+        """Return whether the pose comes: the robot is slow, and neither gone nor stopped for a minute."""
+        if not wait_until(lambda: deck.has(tick), self._stop, TARGET_LOOK_S, yields=_DECK_YIELDS):
+            wait_until(
+                lambda: deck.has(tick) or not deck.is_alive, self._stop, TARGET_SILENT_S, pause_s=_DECK_LOOK_S
+            )
+        return deck.has(tick)
 
     def _await_answer(self, now_ns: int, now_s: float, silence: Silence | None) -> None:
         """Handle everything up to the companion's answer for this tick."""

@@ -37,6 +37,7 @@ from flightstack.common.pacing import (
 )
 from flightstack.common.simulation_clock import Clock, Follower, chosen_clock
 from flightstack.core.types import Phase
+from flightstack.onboard.lockstep import ALIVE
 from logs.recorder.feed import Feed, FeedError
 from logs.schema.events import Severity
 from logs.schema.names import Names
@@ -155,6 +156,7 @@ class LockstepRobot:
         self.robot, self._log = robot, log
         self.credit = Credit(session, robot.namespace)
         self._marker = zenoh_link.blocking_publisher(session, f"{robot.namespace}/sim/target/tick")
+        self._token = zenoh_link.liveliness_token(session, f"{robot.namespace}/{ALIVE}")
 
     def matched(self) -> dict[str, Callable[[], bool]]:
         """Keys that need a subscriber, and whether each has one."""
@@ -257,7 +259,11 @@ def target_main(team: TeamScenario, options: TargetOptions) -> int:
             raise ValueError("--ros2 is for one robot: those of a team are not shown to ROS 2")
         with ExitStack() as stack:
             session = zenoh_link.open_session(
-                options.listen, options.connect, config_file=options.zenoh_config, prompt=not lockstep
+                options.listen,
+                options.connect,
+                config_file=options.zenoh_config,
+                prompt=not lockstep,
+                lockstep=lockstep,
             )
             stack.callback(session.close)
             flights = list(_flights(team, options))

@@ -273,7 +273,11 @@ def joined(options: VehicleOptions, stack: ExitStack) -> zenoh_link.Session | No
     if not (options.connect or options.listen or options.zenoh_config is not None):
         return None
     session = zenoh_link.open_session(
-        options.listen, options.connect, config_file=options.zenoh_config, prompt=not options.lockstep
+        options.listen,
+        options.connect,
+        config_file=options.zenoh_config,
+        prompt=not options.lockstep,
+        lockstep=options.lockstep,
     )
     stack.callback(session.close)
     return session

@@ -2,6 +2,7 @@
 
 import re
 import signal
+import time
 
 import pytest
 
@@ -112,6 +113,21 @@ def test_a_killed_target_is_held_climbed_from_and_landed_away_from(tmp_path):
     distance = ((last.position_enu_m[-1, :2] - last.pad_position_enu_m[-1, :2]) ** 2).sum() ** 0.5
     assert distance > 0.8
     assert not last.motors_running[-1]
+
+
+def test_a_target_that_stands_still_for_some_seconds_only_delays_a_lockstep_flight(tmp_path):
+    run = Flying(tmp_path, "--scenario", "paper_moving_1", "--lockstep")
+    run.until("-> TAKEOFF")
+    target = run.children()["target"]
+    kill(target, signal.SIGSTOP)
+    time.sleep(
+        6.0
+    )  # longer than the lease of a connection in real time, and than any stall of a busy machine
+    kill(target, signal.SIGCONT)
+    assert run.end() == 0
+    steps = load_flight(tmp_path / "flight.mcap").steps
+    assert steps.phase[-1] == Phase.LANDED
+    assert Phase.HOLD not in steps.phase
 
 
 def test_a_killed_vehicle_ends_the_run(tmp_path):

@@ -205,7 +205,7 @@ def test_robot_that_falls_silent_stops_the_deck_but_not_the_flight() -> None:
                 assert companion.step()
             texts = [m.text for m in companion.log if m.get_type() == "STATUSTEXT"]
             assert texts[-2:] == [
-                "Robot silent for 5 s: going on without",
+                "Robot silent: going on without",
                 "Robot's pose too old: deck stopped",
             ]
             terminate(child)
