@@ -3,7 +3,7 @@
 Tick k is at t = k / rate. The vehicle sends what is due and TIMESYNC(tc1=0, ts1=t in ns) in one datagram; the
 companion acts on it and answers with TIMESYNC(tc1 != 0, ts1=t). Everything that came before that answer is
 handled at t, then the physics continues to the next tick. A companion that stops answering does not stop the
-world: after 10 s of wall time the simulation runs on, so that fail-safes act, until it answers again.
+world: after 20 s of wall time the simulation runs on, so that fail-safes act, until it answers again.
 Faults of the wire concern everything but this handshake.
 """
 
