@@ -57,7 +57,7 @@ class Panel:
 
 
 def panels(flight: Flight, verdict: Verdict, streams: Sequence[Stream]) -> list[Panel]:
-    """Panels of one flight; the first is the timeline."""
+    """Panels of one flight; the first two are the timeline and the picture."""
     touch = touch_index(flight)
     both = "Solid: true states of the simulator. Dashed: the vehicle's own estimate."
     source = both if flight.truth is not None else "The vehicle's own estimate; the log holds no true states."
@@ -99,9 +99,9 @@ def compared_panels(sides: Sequence[Side]) -> list[Panel]:
     both = "A is blue, B is orange; each on the time since its own landing began."
     best = f"{both} From true states where the log has them, else by the vehicle's estimate."
     return [
+        Panel("altitude", "Relative altitude over horizontal distance", "", best, altitudes(sides)),
         Panel("timeline", "Phases and faults", "", both, compared_timeline(sides)),
         Panel("barrier", "Barrier value over time", "", best, series(sides, best_h, "h [m]")),
-        Panel("altitude", "Relative altitude over horizontal distance", "", best, altitudes(sides)),
         Panel("sent", "Velocity sent", "", both, vectors(sides, sent_m_s)),
         Panel("flown", "Velocity flown", "", best, vectors(sides, flown_m_s)),
         Panel(
@@ -117,10 +117,10 @@ def compared_panels(sides: Sequence[Side]) -> list[Panel]:
 
 def fleet_panels(fleet: Fleet, words: FleetMessages, pairs: Sequence[PairSeries]) -> list[Panel]:
     return [
+        Panel("room", "All paths in the room", "", _ROOM, room_3d(fleet)),
         Panel(
             "timeline", "Who did what, and who waited for whom", "", _LANES, fleet_timeline(fleet, words)
         ),
-        Panel("room", "All paths in the room", "", _ROOM, room_3d(fleet)),
         Panel("plan", "Paths from above", "", _ROOM, plan(fleet)),
         Panel("pairs", "Distance of each pair", "", _NEAR, distances(fleet, pairs)),
         Panel("barriers", "Barrier value of each member", "", _BARRIERS, barriers(fleet)),

@@ -33,6 +33,11 @@ def header(title: str, badge: str, style: str, sub: str) -> str:
     return _part("header", title, badge, style, sub)
 
 
+def numbers(values: Sequence[tuple[str, str, str]]) -> str:
+    """The most important numbers in large type: name, value and unit of each."""
+    return _part("numbers", values)
+
+
 def section(key: str, title: str, paper: str, note: str, figure: Any | None) -> str:
     """One figure with its title and note; without data a note that nothing is drawn."""
     # a "<" in a name could end the script element

@@ -20,6 +20,7 @@ from logs.report.page import (
     header,
     html,
     need_libraries,
+    numbers,
     page,
     paragraph,
     plotly_source,
@@ -31,13 +32,16 @@ from logs.report.page import (
 from logs.report.tables import (
     HEADLINES,
     ages_table,
+    compared_key_numbers,
     compared_numbers,
     compared_settings,
     definitions,
     events_table,
     faults_table,
+    fleet_key_numbers,
     fleet_result_table,
     headline,
+    key_numbers,
     links_table,
     members_table,
     messages_table,
@@ -121,7 +125,7 @@ def render(flight: Flight, verdict: Verdict, of: str | None = None) -> str:
     title = run.get("scenario", flight.path.stem)
     if flight.member is not None and flight.member not in title:
         title = f"{title}, {flight.member}"
-    timeline, *figures = (_drawn(panel) for panel in panels(flight, verdict, streams))
+    timeline, picture, *figures = (_drawn(panel) for panel in panels(flight, verdict, streams))
     sub = [f"{key} {run[key]}" for key in ("seed", "filter") if key in run]
     sub += [run["mode"]] if "mode" in run else []
     sources = [(what, flight.attachments.get(name), name) for name, what in _FILES]
@@ -130,6 +134,8 @@ def render(flight: Flight, verdict: Verdict, of: str | None = None) -> str:
         header(title, *headline(verdict), " · ".join([*sub, verdict.reason])),
         html('<p><a href="{}">The whole fleet</a></p>').format(of) if of is not None else "",
         warnings_box(warnings(flight, verdict)),
+        numbers(key_numbers(verdict)),
+        picture,
         block("result", "Result", _source(verdict), result_table(flight, verdict) + definitions()),
         time_bar(events=True),
         timeline,
@@ -165,14 +171,17 @@ def render_fleet(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path])
         for name, flight in fleet.flights.items()
     ]
     events = "Times since the log began; each is a link."
+    picture, *figures = map(_drawn, fleet_panels(fleet, words, pairs))
     return page(title, "".join((
         header(title, *_fleet_headline(verdict), " · ".join([*sub, verdict.reason])),
         warnings_box(_fleet_warnings(fleet, verdict, words, pairs)),
+        numbers(fleet_key_numbers(verdict)),
+        picture,
         block(
             "result", "Result", source, members_table(verdict, words, pages) + fleet_result_table(verdict)
         ),
         time_bar(events=True),
-        *map(_drawn, fleet_panels(fleet, words, pairs)),
+        *figures,
         '<div class="columns">',
         block("near", "How near they came", _NEAR, pairs_table(fleet)),
         block("waits", "Who waited for whom", _WAITS, waits_table(words)),
@@ -192,6 +201,7 @@ def _comparison(a: Side, b: Side) -> str:
     worse = max((headline(s.verdict)[1] for s in (a, b)), key=("good", "fair", "bad").index)
     title = f"{_scenario(a)} and {_scenario(b)}, compared"
     outcomes = " · ".join(f"{s.name} {headline(s.verdict)[0]}" for s in (a, b))
+    picture, *figures = map(_drawn, compared_panels((a, b)))
     events = [
         block(f"events-{s.name}", f"Events of {s.name}", "",
               events_table(s.flight.events, s.flight.landing_start_s or 0.0), _WIDE)
@@ -200,10 +210,12 @@ def _comparison(a: Side, b: Side) -> str:
     return page(title, "".join((
         header(title, outcomes, worse, " · ".join(_about(s) for s in (a, b))),
         warnings_box([f"{s.name}: {text}" for s in (a, b) for text in warnings(s.flight, s.verdict)]),
+        numbers(compared_key_numbers(a.verdict, b.verdict)),
+        picture,
         block("numbers", "Key numbers", "", compared_numbers(a, b) + definitions()),
         block("settings", "What was set differently", _SETTINGS, compared_settings(a.flight, b.flight)),
         time_bar(events=False),
-        *map(_drawn, compared_panels((a, b))),
+        *figures,
         '<div class="columns">', *events, "</div>",
     )))  # fmt: skip
 

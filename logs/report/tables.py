@@ -81,6 +81,36 @@ def result_table(flight: Flight, verdict: Verdict) -> str:
     return table(("result", "value", "unit", "meaning"), rows, numbers=(1,))
 
 
+KeyNumbers = list[tuple[str, str, str]]  # name, value and unit of the numbers at the top of a page
+
+
+def key_numbers(verdict: Verdict) -> KeyNumbers:
+    v = verdict
+    return [
+        ("touchdown error", scaled(v.touchdown_error_m, 100.0, 1), "cm"),
+        ("touchdown speed, downwards", number(v.touchdown_speed_vertical_m_s, 2), "m/s"),
+        ("lowest h outside the pad", scaled(v.h_min_outside_pad_m, 1000.0, 1), "mm"),
+        ("time to land", number(v.time_to_land_s, 1), "s"),
+    ]
+
+
+def compared_key_numbers(a: Verdict, b: Verdict) -> KeyNumbers:
+    pairs = zip(key_numbers(a), key_numbers(b), strict=True)
+    return [(f"{name}, A · B", f"{of_a} · {of_b}", unit) for (name, of_a, unit), (_, of_b, _) in pairs]
+
+
+def fleet_key_numbers(verdict: FleetVerdict) -> KeyNumbers:
+    v, members = verdict, verdict.members.values()
+    errors_m = [each.touchdown_error_m for each in members if each.touchdown_error_m is not None]
+    lowest_m = [each.h_min_outside_pad_m for each in members if each.h_min_outside_pad_m is not None]
+    return [
+        ("landed", f"{v.outcomes.count(Outcome.LANDED)} of {len(v.outcomes)}", ""),
+        ("smallest distance of two vehicles", number(v.distance_min_m, 2), "m"),
+        ("lowest h outside a pad", scaled(min(lowest_m, default=None), 1000.0, 1), "mm"),
+        ("largest touchdown error", scaled(max(errors_m, default=None), 100.0, 1), "cm"),
+    ]
+
+
 def run_table(flight: Flight) -> str:
     run = flight.metadata.get("run", {})
     rows = [(name, run[key]) for key, name in _RUN_NAMES.items() if key in run]
