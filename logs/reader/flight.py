@@ -73,6 +73,7 @@ def load_fleet(path: Path | str, member: str | None = None) -> Fleet:
 
 
 def _read(whole: LogFile) -> Fleet:
+    whole.need(CONTROLLER_STEP, TRUE_STATE, FLEET_PAIR)
     path = whole.path
     logs = {name: LogFile(path, name) for name in whole.members} or {"": whole}
     found: dict[str, dict[str, list[Message]]] = {name: {} for name in logs}
@@ -82,7 +83,7 @@ def _read(whole: LogFile) -> Fleet:
             try:
                 pair = FleetPairRow.unpack(message.data)
             except ValueError as error:
-                raise LogError(f"{path}: {message.topic}: {error}; recorded by another version?") from error
+                raise LogError(f"{path}: {message.topic}: {error}") from error
             pairs[pair.one, pair.other] = pair
         kind = _kind(message)
         for name, log in logs.items() if kind else ():

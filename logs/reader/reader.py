@@ -16,17 +16,18 @@ import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import cached_property
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from mcap.records import Attachment as AttachmentRecord
-from mcap.records import Channel, Metadata, Schema
+from mcap.records import Channel, Header, Metadata, Schema
 from mcap.records import Message as MessageRecord
 
 from logs.reader.mcap_records import MAGIC, Records
 from logs.schema.names import FLEET, LOSSES, TEAM
 from logs.schema.rows import LogRow
-from logs.schema.schemas import LOG, store_for
+from logs.schema.schemas import LOG, same_fields, store_for
 
 ROSOUT = "/rosout"
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
@@ -162,6 +163,8 @@ class _Outline(NamedTuple):
     metadata: dict[str, dict[str, str]]
     attachments: list[Attachment]
     problem: str
+    library: str  # program that wrote the file
+    foreign: frozenset[str]  # our message types whose definitions in the file have other fields
 
 
 class LogFile:
@@ -229,6 +232,24 @@ class LogFile:
         more = f" and {self._refused - 1} more" if self._refused > 1 else ""
         refused = f"{self._first_refused}{more}" if self._refused else ""
         return "; ".join(filter(None, (self._outline.problem, refused)))
+
+    def need(self, *schemas: str) -> None:
+        """Raise LogError if the log holds one of these types with other fields than this version has."""
+        foreign = [name.rpartition("/")[2] for name in schemas if name in self._outline.foreign]
+        if foreign:
+            raise LogError(
+                f"{self.path} was recorded by another version of this stack: {self.made_by}. "
+                f"The fields of its {' and '.join(foreign)} messages are not those of this version, "
+                f"{version('crazyflie-flightstack')}. Read it with the version that recorded it; "
+                "`flightstack log info` and `log export` read it as it is"
+            )
+
+    @property
+    def made_by(self) -> str:
+        """Version of this stack that recorded the log, as far as the log says."""
+        made = self._outline.metadata.get("made", {})
+        revision = f" (git {made['git_revision']})" if made.get("git_revision") else ""
+        return f"version {made['version']}{revision}" if "version" in made else repr(self._outline.library)
 
     def refuse(self, message: Message, error: Exception) -> None:
         """Count a message that its reader could not decode, for ``why_broken``."""
@@ -309,6 +330,7 @@ class LogFile:
         """Yield the MCAP records that can be read, and remember where and why one could not."""
         metadata: dict[str, dict[str, str]] = {}
         attachments: list[Attachment] = []
+        library, foreign = "", set()
         with self.path.open("rb") as stream:
             self._last = records = Records(stream, messages=messages)
             for record in records:
@@ -317,8 +339,14 @@ class LogFile:
                 elif isinstance(record, AttachmentRecord):
                     kept = Attachment(record.name, record.media_type, record.log_time, record.data)
                     attachments.append(kept)
+                elif isinstance(record, Header):
+                    library = record.library
+                elif isinstance(record, Schema) and not same_fields(
+                    record.name, record.data.decode(errors="replace")
+                ):
+                    foreign.add(record.name)
                 yield record
-        self._outline = _Outline(metadata, attachments, records.problem)
+        self._outline = _Outline(metadata, attachments, records.problem, library, frozenset(foreign))
 
 
 def _seen(records: Iterable[Any], view: MemberView) -> Iterator[Any]:

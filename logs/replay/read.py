@@ -20,7 +20,13 @@ from logs.schema.controller_rows import TickInputs, unpack_controller_input, unp
 from logs.schema.events import CONTROLLER, ONBOARD
 from logs.schema.mavlink import peer_of, unpack_mavlink
 from logs.schema.rows import ControllerStateRow, LogRow
-from logs.schema.schemas import CONTROLLER_INPUT
+from logs.schema.schemas import (
+    CONTROLLER_INPUT,
+    CONTROLLER_NEIGHBOURS,
+    CONTROLLER_POWER,
+    CONTROLLER_STATE,
+    CONTROLLER_STEP,
+)
 
 SOURCE, SINK, ROSOUT = "/uas1/mavlink_source", "/uas1/mavlink_sink", "/rosout"
 _INPUT_END = "/controller/input"
@@ -56,6 +62,9 @@ class FlightInputs:
         """Find inputs and configuration."""
         try:
             self.log = LogFile(path, member).single()
+            self.log.need(
+                CONTROLLER_INPUT, CONTROLLER_POWER, CONTROLLER_NEIGHBOURS, CONTROLLER_STEP, CONTROLLER_STATE
+            )
         except LogError as error:
             raise ReplayError(str(error)) from error
         # metadata of the onboard process; empty in a log that has none
@@ -92,7 +101,10 @@ class FlightInputs:
         try:
             return from_table(FlightConfig, self.table)
         except ConfigError as error:
-            raise ReplayError(f"{self.log.path}: the attachment {ATTACHMENT}: {error}") from error
+            raise ReplayError(
+                f"{self.log.path}: the attachment {ATTACHMENT}: {error}; the log was recorded by "
+                f"{self.log.made_by}"
+            ) from error
 
     def topic(self, name: str) -> str:
         return f"{self.space}/{name}"

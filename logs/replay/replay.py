@@ -226,6 +226,10 @@ class _Run:
         self.result.wire = Tally()
 
     def _restore(self, snapshot: ControllerStateRow) -> None:
+        if snapshot.layout != self.text.layout:
+            of = f"another version of this stack: {self.flight.log.made_by}"
+            self.state_refused = f"; the snapshot after tick {snapshot.tick} is that of {of}"
+            return
         try:
             self.controller.restore(self.text.loads(snapshot.layout, snapshot.state))
         except StateTextError as error:

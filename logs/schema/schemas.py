@@ -88,6 +88,16 @@ def fields_of(name: str) -> tuple[Field, ...]:
     return tuple(_field(field, *node) for field, node in _known(name).fielddefs[name][1])
 
 
+def same_fields(name: str, text: str) -> bool:
+    """Whether a definition in a log has the fields of this version, with our other types that it uses."""
+    first, *used = text.split(_SEPARATOR)
+    texts = {name: first}
+    for part in used:
+        head, _, body = part.strip().partition("\n")
+        texts[head.removeprefix("MSG: ").replace("/", "/msg/")] = body
+    return all(fields_of_text(body) == fields_of(kind) for kind, body in texts.items() if kind in _OURS)
+
+
 def codec(
     schema: str, frame_id: str | None = MAP, make: Callable[[tuple[Any, ...]], Any] = tuple
 ) -> tuple[Pack, Unpack]:

@@ -5,13 +5,16 @@ import math
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from bridge.ros2.cdr import encode_odometry
+from flightstack.cli.main import main
 from flightstack.common.pacing import EPOCH_NS
 from flightstack.core.types import Phase
 from logs.reader.flight import load_flight
 from logs.reader.reader import LogError
 from logs.recorder.mcap_file import McapFile
+from logs.replay.replay import ReplayError, replay
 from logs.schema import schemas
 from tests.synthetic_flight import landing, write_log
 
@@ -162,3 +165,24 @@ def test_frame_names_of_different_length_in_one_topic(log):
     assert target.frame_id == frames
     assert target.stamp_ns.tolist() == [0, 1, 2, 3]
     assert target.position_enu_m.tolist() == [[float(n), 0.0, -1.0] for n in range(4)]
+
+
+def test_a_log_with_other_fields_names_the_version_that_recorded_it(log, monkeypatch):
+    def older(name):
+        return schemas.schema_text(name).replace("float64 command_yaw_rad", "# ", 1)
+
+    monkeypatch.setattr("logs.recorder.mcap_file.schema_text", older)
+    close = McapFile.close
+
+    def made(self):
+        self.metadata("made", {"version": "0.3.1", "git_revision": "abc"})
+        close(self)
+
+    monkeypatch.setattr(McapFile, "close", made)
+    write_log(log, landing())
+    told = r"another version of this stack: version 0.3.1 \(git abc\). The fields of its ControllerStep"
+    with pytest.raises(LogError, match=told):
+        load_flight(log)
+    with pytest.raises(ReplayError, match=told):
+        replay(log)
+    assert CliRunner().invoke(main, ["log", "info", str(log)]).exit_code == 0
