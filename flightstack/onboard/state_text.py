@@ -1,8 +1,7 @@
 """Dataclasses as text and back, by their declared types and without losing a bit.
 
-For what a process remembers and writes into its log: what a field may hold is settled when the codec is made,
-so a type that cannot be written stops a program at its start and never in flight. The ``layout`` names every
-field and type; text of another layout is refused, not guessed at.
+The codec is made from the types, so a type that cannot be written stops a program at its start and never in
+flight. The ``layout`` names every field and type; text of another layout is refused.
 """
 
 from __future__ import annotations
@@ -11,11 +10,10 @@ import dataclasses
 import json
 import math
 import struct
-import types
-import typing
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from enum import Enum
-from typing import Any, Generic, NamedTuple, TypeVar
+from types import NoneType, UnionType
+from typing import Any, Generic, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
 T = TypeVar("T")
 
@@ -37,26 +35,21 @@ class _Plan(NamedTuple):
 
 
 class StateText(Generic[T]):
-    """Writes and reads one dataclass."""
+    """Writes and reads one dataclass.
+
+    Raises TypeError: a field's declared type is not one of bool, int, float, str, enum, tuple, dataclass,
+    named tuple, or one of these or None.
+    """
 
     def __init__(self, cls: type[T]) -> None:
-        """Settle how each field is written.
-
-        Raises TypeError: A field's declared type is not one of bool, int, float, str, enum, tuple, dataclass,
-        named tuple, or one of these or None.
-        """
         self._plan = _plan(cls, cls.__name__)
-        self.layout = f"{VERSION} {self._plan.layout}"  # Version, then names and types of all fields
+        self.layout = f"{VERSION} {self._plan.layout}"  # version, then names and types of all fields
 
     def dumps(self, value: T) -> str:
-        """Return the value as text."""
         return _WRITER.encode(self._plan.encode(value))
 
     def loads(self, layout: str, text: str) -> T:
-        """Return the value that :meth:`dumps` wrote.
-
-        Raises StateTextError: Of another layout, or not such a text.
-        """
+        """Return what ``dumps`` wrote. Raises StateTextError: another layout, or not such a text."""
         if layout != self.layout:
             raise StateTextError(f"layout {layout!r} found, this version reads {self.layout!r}")
         try:
@@ -71,22 +64,39 @@ def _refuse(word: str) -> None:
     raise ValueError(f"{word} is not allowed; such numbers are written {_BITS}...")
 
 
+def _is(value: Any, good: bool, at: str, needed: str) -> Any:
+    """The value if it is good. Raises StateTextError: it is not."""
+    if not good:
+        raise StateTextError(f"{at or 'the whole'}: found {value!r}, {needed} is needed")
+    return value
+
+
 def _plan(hint: Any, where: str) -> _Plan:
-    origin = typing.get_origin(hint)
+    inner, kind = get_args(hint), hint if isinstance(hint, type) else object
     if hint is float:
         return _Plan("float", _encode_float, _decode_float)
     if hint in (bool, int, str):
-        return _Plan(hint.__name__, hint, lambda v, at: _exactly(hint, v, at))
-    if isinstance(hint, type) and issubclass(hint, Enum):
-        return _enum(hint)
-    if origin in (typing.Union, types.UnionType):
-        return _optional(hint, where)
-    if origin is tuple:
-        return _row(hint, where) if Ellipsis in typing.get_args(hint) else _tuple(hint, where)
-    if isinstance(hint, type) and dataclasses.is_dataclass(hint):
-        return _named(hint, [f.name for f in dataclasses.fields(hint)])
-    if isinstance(hint, type) and issubclass(hint, tuple) and hasattr(hint, "_fields"):
-        return _named(hint, hint._fields)
+        name = hint.__name__
+        return _Plan(name, hint, lambda v, at: _is(v, type(v) is hint, at, name))
+    if issubclass(kind, Enum):
+        members = kind.__members__
+        names = f"one of {', '.join(members)}"
+        return _Plan(
+            kind.__name__,
+            lambda v: v.name,
+            lambda v, at: members[_is(v, isinstance(v, str) and v in members, at, names)],
+        )
+    if get_origin(hint) in (Union, UnionType) and len(inner) == 2 and NoneType in inner:
+        one = _plan(next(each for each in inner if each is not NoneType), where)
+        return _Plan(
+            one.layout + "?",
+            lambda v: None if v is None else one.encode(v),
+            lambda v, at: None if v is None else one.decode(v, at),
+        )
+    if get_origin(hint) is tuple:
+        return _tuple(inner, where)
+    if dataclasses.is_dataclass(kind) or hasattr(kind, "_fields"):
+        return _named(kind)
     raise TypeError(f"{where}: declared {hint}, which has no text form here; see StateText")
 
 
@@ -101,78 +111,42 @@ def _decode_float(value: Any, at: str) -> float:
         except (ValueError, struct.error) as error:
             raise StateTextError(f"{at}: found {value!r}, 16 hexadecimal digits are needed") from error
         return number
-    return float(_exactly(float, value, at))
+    return float(_is(value, type(value) is float, at, "float"))
 
 
-def _exactly(kind: type, value: Any, at: str) -> Any:
-    if type(value) is not kind:
-        raise StateTextError(f"{at or 'the whole'}: found {value!r}, {kind.__name__} is needed")
-    return value
+def _tuple(hints: tuple[Any, ...], where: str) -> _Plan:
+    """A tuple of values with a type each, or of any number of values of one type (``...``)."""
+    is_row = hints[-1] is Ellipsis
+    plans = [_plan(each, where) for each in hints if each is not Ellipsis]
+    needed = "a list" if is_row else f"a list of {len(plans)} values"
 
-
-def _enum(hint: type[Enum]) -> _Plan:
-    members = hint.__members__
+    def each(values: Any) -> zip[tuple[_Plan, Any]]:
+        return zip(plans * len(values) if is_row else plans, values, strict=True)
 
     def decode(value: Any, at: str) -> Any:
-        if not isinstance(value, str) or value not in members:
-            raise StateTextError(f"{at}: found {value!r}, allowed: {', '.join(members)}")
-        return members[value]
+        _is(value, isinstance(value, list) and (is_row or len(value) == len(plans)), at, needed)
+        return tuple(plan.decode(v, f"{at}[{n}]") for n, (plan, v) in enumerate(each(value)))
 
-    return _Plan(hint.__name__, lambda value: value.name, decode)
-
-
-def _optional(hint: Any, where: str) -> _Plan:
-    given = [each for each in typing.get_args(hint) if each is not type(None)]
-    if len(given) != 1 or len(typing.get_args(hint)) != 2:
-        raise TypeError(f"{where}: declared {hint}; only one type or None can be told apart again")
-    inner = _plan(given[0], where)
+    layouts = ",".join(plan.layout for plan in plans)
     return _Plan(
-        inner.layout + "?",
-        lambda value: None if value is None else inner.encode(value),
-        lambda value, at: None if value is None else inner.decode(value, at),
+        f"({layouts}{'...' if is_row else ''})", lambda value: [p.encode(v) for p, v in each(value)], decode
     )
 
 
-def _tuple(hint: Any, where: str) -> _Plan:
-    inner = [_plan(each, where) for each in typing.get_args(hint)]
-
-    def decode(value: Any, at: str) -> Any:
-        if not isinstance(value, list) or len(value) != len(inner):
-            raise StateTextError(f"{at}: found {value!r}, {len(inner)} values are needed")
-        pairs = enumerate(zip(inner, value, strict=True))
-        return tuple(each.decode(v, f"{at}[{n}]") for n, (each, v) in pairs)
-
-    def encode(value: Any) -> list[Any]:
-        return [each.encode(v) for each, v in zip(inner, value, strict=True)]
-
-    return _Plan(f"({','.join(each.layout for each in inner)})", encode, decode)
-
-
-def _row(hint: Any, where: str) -> _Plan:
-    """A tuple of any length."""
-    inner = _plan(typing.get_args(hint)[0], where)
-
-    def decode(value: Any, at: str) -> Any:
-        if not isinstance(value, list):
-            raise StateTextError(f"{at}: found {value!r}, a list is needed")
-        return tuple(inner.decode(v, f"{at}[{n}]") for n, v in enumerate(value))
-
-    return _Plan(f"({inner.layout}...)", lambda value: [inner.encode(v) for v in value], decode)
-
-
-def _named(cls: type, names: Sequence[str]) -> _Plan:
-    hints = typing.get_type_hints(cls)
+def _named(cls: Any) -> _Plan:
+    """A dataclass or named tuple."""
+    hints = get_type_hints(cls)
+    names = cls._fields if hasattr(cls, "_fields") else [f.name for f in dataclasses.fields(cls)]
     plans = {name: _plan(hints[name], f"{cls.__name__}.{name}") for name in names}
 
-    def encode(value: Any) -> dict[str, Any]:
-        return {name: plan.encode(getattr(value, name)) for name, plan in plans.items()}
-
     def decode(value: Any, at: str) -> Any:
-        if not isinstance(value, dict) or value.keys() != plans.keys():
-            found = sorted(value) if isinstance(value, dict) else value
-            raise StateTextError(f"{at or cls.__name__}: found {found!r}, needed are {sorted(plans)}")
+        good = isinstance(value, dict) and value.keys() == plans.keys()
+        _is(value, good, at or cls.__name__, f"a table of {sorted(plans)}")
         dot = f"{at}." if at else ""
         return cls(**{name: plan.decode(value[name], dot + name) for name, plan in plans.items()})
 
-    layout = ",".join(f"{name}:{plan.layout}" for name, plan in plans.items())
-    return _Plan(f"{cls.__name__}({layout})", encode, decode)
+    return _Plan(
+        f"{cls.__name__}({','.join(f'{name}:{plan.layout}' for name, plan in plans.items())})",
+        lambda value: {name: plan.encode(getattr(value, name)) for name, plan in plans.items()},
+        decode,
+    )
