@@ -14,7 +14,7 @@ from flightstack.launch.result import Flown
 from flightstack.launch.run_options import FlyOptions
 from flightstack.onboard.fleet_wire import namespace_of
 from flightstack.onboard.options import OnboardOptions
-from flightstack.onboard.recording import describe, end_recorder, log_in, new_folder
+from flightstack.onboard.recording import Described, describe, end_recorder, log_in, new_folder
 
 
 def run(options: FlyOptions, console: Console) -> Flown:
@@ -35,7 +35,7 @@ def run(options: FlyOptions, console: Console) -> Flown:
             recorder = launcher.record(log)
             recorder.yield_to_others(10)
             known = {"config": name, "vehicle": options.vehicle_url, "target": options.target_key}
-            describe(launcher.socket, config, known, {})
+            describe(launcher.socket, Described(config, known))
         at = launcher.endpoint()
         if options.view is not None:
             launcher.view(options.view, at, config_file, namespace)

@@ -31,7 +31,7 @@ from flightstack.launch.vehicles import (
     scenario_file,
 )
 from flightstack.onboard.options import OnboardOptions
-from flightstack.onboard.recording import Described, describe_all, log_in, new_folder
+from flightstack.onboard.recording import Described, describe, log_in, new_folder
 from flightstack.verify.certificate import problems
 from logs.schema.names import NO_PAD, TEAM, Names, member_name
 from sim.chance import name as seed_name
@@ -263,7 +263,7 @@ def _describe(recorder: Path, options: RunOptions, team: TeamScenario, vehicles:
         for each in vehicles
     ]
     if team.is_alone:
-        describe_all(recorder, flights)
+        describe(recorder, *flights)
         return
     fleet = {
         "members": ",".join(each.space for each in vehicles),
@@ -273,7 +273,8 @@ def _describe(recorder: Path, options: RunOptions, team: TeamScenario, vehicles:
         "mode": "lockstep" if options.lockstep else "real-time",
         **options.told,
     }
-    describe_all(recorder, flights, fleet, {TEAM: text(team).encode(), "team_source.toml": source})
+    files = {TEAM: text(team).encode(), "team_source.toml": source}
+    describe(recorder, *flights, fleet=fleet, attachments=files)
 
 
 def run_metadata(options: RunOptions, scenario: Scenario, seed: int) -> dict[str, str]:

@@ -38,6 +38,22 @@ def namespace_of(config: FlightConfig) -> str:
     return member_name(config.fleet.id if config.fleet is not None else 1)
 
 
+class NoFleet:
+    """One vehicle: it sends no messages to others and receives none."""
+
+    doubled = ""
+
+    def words(self) -> tuple[Neighbour, ...]:
+        return ()
+
+    def say(self, word: Neighbour | None) -> None: ...
+
+    def texts(self) -> tuple[str, ...]:
+        return ()
+
+    def close(self) -> None: ...
+
+
 def _not_begun() -> float:
     """Stand in for the stack clock before the first tick."""
     return 0.0

@@ -6,9 +6,8 @@
 from __future__ import annotations
 
 import signal
-from dataclasses import dataclass
 from types import FrameType
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from flightstack.common.hangup import begun, on_hangup
 from flightstack.core.controller import Outputs
@@ -26,27 +25,20 @@ class Ended(NamedTuple):
     exit_code: int
 
 
-class Person(Protocol):
-    """Requests of the operator to the process."""
+class Person:
+    """Requests of the operator to the process; here none."""
 
-    @property
-    def operator(self) -> Operator:
-        """Request to the controller."""
-
-    @property
-    def stop(self) -> bool:
-        """Whether the process is to end at once."""
+    operator = Operator.NONE  # request to the controller
+    stop = False  # whether the process is to end at once
 
 
-class Signals:
+class Signals(Person):
     r"""Ctrl-C, or a terminal that closes, asks for an abort; Ctrl-\ for the motors to stop at once.
 
     A second Ctrl-C or SIGTERM ends the process once the vehicle was commanded to land.
     """
 
     def __init__(self) -> None:
-        self.operator = Operator.NONE
-        self.stop = False
         signal.signal(signal.SIGINT, self._interrupt)
         signal.signal(signal.SIGTERM, self._terminate)
         signal.signal(signal.SIGQUIT, self._emergency)
@@ -70,22 +62,14 @@ class Signals:
         self.stop = True
 
 
-@dataclass(frozen=True)
-class _Nobody:
-    operator: Operator = Operator.NONE
-    stop: bool = False
-
-
 class Leaving:
     """One flight's end; ``operator`` before each step, ``ended`` after it.
 
-    ``duration_s``: on the stack's clock, after which the flight is aborted; None: no such limit; ``person``:
-    operator who may abort or end it; None: no operator.
+    ``duration_s``: on the stack's clock, after which the flight is aborted; None: no such limit.
     """
 
     def __init__(self, duration_s: float | None, person: Person | None = None) -> None:
-        self._duration_s = duration_s
-        self.person = person if person is not None else _Nobody()
+        self._duration_s, self.person = duration_s, person or Person()
         self.leaves = False  # the process is about to end: it asks for the landing
         self.arms = False  # the vehicle was commanded to arm
         self._theirs = False  # the process waits while another client flies the vehicle

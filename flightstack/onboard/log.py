@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Protocol
+from collections.abc import Sequence
 
 from bridge.mavlink.endpoint import Direction, Peer
 from bridge.target.odometry import RawSample
@@ -13,6 +12,7 @@ from flightstack.core.controller import Outputs
 from flightstack.core.memory import FleetState, State
 from flightstack.onboard.runner import Taken
 from flightstack.onboard.state_text import StateText
+from logs.recorder.feed import Feed
 from logs.schema.controller_rows import (
     TickInputs,
     pack_controller_input,
@@ -42,24 +42,6 @@ STATE_HZ = 1.0  # rate of the snapshots at which a replay can start
 TIMESYNC_ID = 111  # low byte of the message id, which is at offset 7 of a MAVLink 2 frame
 
 
-class FeedLike(Protocol):
-    """The recorder's feed, or one that goes nowhere."""
-
-    def channel(self, topic: str, schema: str) -> int:
-        """Declare a channel."""
-
-    def write(
-        self, channel: int, log_time_ns: int, publish_time_ns: int, sequence: int, payload: bytes
-    ) -> None:
-        """Queue a message."""
-
-    def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Queue a metadata record."""
-
-    def flush(self) -> None:
-        """Send what is queued."""
-
-
 class OnboardLog:
     """Turns one tick into log messages, and every so often into live ones.
 
@@ -69,7 +51,7 @@ class OnboardLog:
 
     def __init__(
         self,
-        feed: FeedLike,
+        feed: Feed,
         session: zenoh_link.Session,
         namespace: str,
         rate_hz: int,

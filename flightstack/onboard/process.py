@@ -12,8 +12,6 @@ from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.profiles.autopilots import profile
 from bridge.mavlink.signing.key import load_key
 from bridge.mavlink.transport.address import baud_of, is_local, parse_url, resolve
-from bridge.ros2.ros2_names import network
-from bridge.target.ros2_target import TargetSpec, TargetType
 from flightstack.common.pacing import RealTimePacer, Tick, quiet_garbage_collector, run_promptly
 from flightstack.common.simulation_clock import Follower, chosen_clock
 from flightstack.common.strict_toml import ConfigError, dumps
@@ -24,7 +22,7 @@ from flightstack.core.mission.phases import DISARMED, MODE_CHANGED
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Operator, Phase, VehicleStatus
 from flightstack.onboard import preflight
-from flightstack.onboard.fleet_wire import FleetWire, namespace_of
+from flightstack.onboard.fleet_wire import FleetWire, NoFleet, namespace_of
 from flightstack.onboard.leaving import Ended, Leaving, Signals
 from flightstack.onboard.live_topics import LiveHealth
 from flightstack.onboard.lockstep import LockstepWires, LockstepWords
@@ -38,11 +36,10 @@ from flightstack.onboard.runner import (
     Refusals,
     Runner,
     Taken,
-    Words,
     fly,
 )
 from flightstack.onboard.waiting import WaitReport
-from flightstack.onboard.zenoh_wires import ZenohPlan, ZenohWires
+from flightstack.onboard.zenoh_wires import ZenohWires
 from flightstack.verify.certificate import problems
 from logs.recorder.feed import Feed
 from logs.schema.events import CAUSE, ONBOARD
@@ -69,8 +66,8 @@ class Onboard:
         self.controller = compiled(config) if self.core is Core.COMPILED else Controller(config)
         chosen = profile(options.autopilot)
         origin = config.vehicle.origin_wgs84
-        self.wires = ZenohWires(config, _zenoh_plan(options, self.namespace))
-        self.fleet: FleetWire | LockstepWords | None = None
+        self.wires = ZenohWires(config, options, self.namespace)
+        self.fleet: FleetWire | LockstepWords | NoFleet = NoFleet()
         if config.fleet is not None and options.lockstep:
             self.fleet = LockstepWords(self.wires.session, self.namespace)
         elif config.fleet is not None:
@@ -114,10 +111,9 @@ class Onboard:
 
     def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
         """Log, show and say a tick."""
-        link, arrived, fleet = self.link, taken.arrived, self.fleet
+        link, arrived = self.link, taken.arrived
         exec_s *= self.options.speed
-        if fleet is not None:  # the others wait for it, the log does not
-            self.log.word(tick, fleet.say(out.own_word))
+        self.log.word(tick, self.fleet.say(out.own_word))  # the others wait for it, the log does not
         self.log.samples(arrived.messages, tick.unix_ns)
         for text in self.refusals.told(arrived.problems):
             self.log.event(tick.unix_ns, WARN, text)
@@ -127,9 +123,8 @@ class Onboard:
         if link.counters.foreign >= self._foreign_due:  # a ground station sends many: said on doublings
             self.log.event(tick.unix_ns, WARN, f"frames of other systems ignored: {link.counters.foreign}")
             self._foreign_due = 2 * link.counters.foreign
-        said = fleet.texts() if fleet is not None else ()
         notices = (*link.endpoint.take_notices(), *link.senders.take_notices())
-        for text in (*notices, *self.wires.texts(tick.now_s), *said):
+        for text in (*notices, *self.wires.texts(tick.now_s), *self.fleet.texts()):
             _warn(text)
             self.log.event(tick.unix_ns, WARN, text)
         memory = self.controller.memory
@@ -193,8 +188,7 @@ class Onboard:
         if self.link.endpoint.baud is not None:
             print(f"onboard: {self._line_use()}", file=sys.stderr)
         # the fleet first: in lockstep the others wait for its last message
-        ends = [self.fleet.close] if self.fleet is not None else []
-        for end in (*ends, self.log.end, self.feed.close, self.link.close, self.wires.close):
+        for end in (self.fleet.close, self.log.end, self.feed.close, self.link.close, self.wires.close):
             try:
                 end()
             except Exception as error:  # the others are closed all the same
@@ -204,20 +198,6 @@ class Onboard:
 def _warn(text: str) -> None:
     """Say it on standard error."""
     print(f"onboard: WARNING: {text}", file=sys.stderr)
-
-
-def _zenoh_plan(options: OnboardOptions, namespace: str) -> ZenohPlan:
-    return ZenohPlan(
-        TargetSpec.parse(
-            options.target_key, TargetType(options.target_type), options.ros_domain, options.target_offset_m
-        ),
-        options.connect,
-        options.listen,
-        namespace,
-        options.zenoh_config,
-        network(options),
-        options.lockstep,
-    )
 
 
 def run(
@@ -287,7 +267,7 @@ def _check_fleet(config: FlightConfig, options: OnboardOptions) -> None:
 
 def _alone_with_its_id(onboard: Onboard, signals: Signals) -> Ended | None:
     """Refuse to begin while another process says that it is the same vehicle."""
-    if onboard.fleet is None or signals.operator is Operator.EMERGENCY_STOP:
+    if isinstance(onboard.fleet, NoFleet) or signals.operator is Operator.EMERGENCY_STOP:
         return None
     time.sleep(max(0.0, onboard.opened_s + NAMESAKE_S - time.monotonic()))
     problem = onboard.fleet.namesake()
@@ -344,7 +324,7 @@ class _Leaving(Leaving):
     def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
         """Return how the flight ended; None if it has not ended."""
         armed = status is not None and status.armed
-        doubled = self._link.senders.doubled or (self._fleet.doubled if self._fleet is not None else "")
+        doubled = self._link.senders.doubled or self._fleet.doubled
         refused = self._link.refused or (doubled if out.phase is Phase.WAIT and not armed else "")
         if refused and not out.finished:
             return Ended(out.phase, refused, 1)
@@ -366,15 +346,11 @@ def _runner(onboard: Onboard, vehicle: LinkedVehicle, leaving: Leaving, signals:
         both = LockstepWires(
             vehicle, rate_hz, wires.odometry, wires.session, onboard.namespace, signals, told
         )
-        return Runner(
-            onboard.controller, both, vehicle, both, leaving, onboard, told.words if told else tuple
-        )
+        return Runner(onboard.controller, both, vehicle, both, leaving, onboard, onboard.fleet.words)
     run_promptly()
     clock = chosen_clock(options.speed, options.clock, Follower.ONBOARD, lambda: signals.stop)
     pacer = RealTimePacer(rate_hz, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns)
-    words: Words = tuple
     if isinstance(onboard.fleet, FleetWire):
         onboard.fleet.begin(pacer.unix_start_ns, pacer.now_s)
-        words = onboard.fleet.words
     ticks, target = RealTimeClock(pacer, link), LiveTarget(wires.odometry, pacer.now_s)
-    return Runner(onboard.controller, ticks, vehicle, target, leaving, onboard, words)
+    return Runner(onboard.controller, ticks, vehicle, target, leaving, onboard, onboard.fleet.words)

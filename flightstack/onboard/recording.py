@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import shutil
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -85,7 +85,7 @@ class OwnRecorder:
         socket, log = self._sockets / "recorder", log_in(new_folder("onboard"))
         self._child = start_recorder(socket, log)
         self._child.yield_to_others(10)
-        describe(socket, config, run, {})
+        describe(socket, Described(config, run))
         return socket, log
 
     def __enter__(self) -> OwnRecorder:
@@ -106,35 +106,24 @@ class Described(NamedTuple):
 
     config: FlightConfig  # configuration of the onboard process
     run: Mapping[str, str]  # entries about the run; they replace those made here
-    attachments: Mapping[str, bytes]  # files (TOML) by name
+    attachments: Mapping[str, bytes] = MappingProxyType({})  # files (TOML) by name
     names: Names = OWN  # names of its records in the log
 
 
 def describe(
-    recorder: Path, config: FlightConfig, run: Mapping[str, str], attachments: Mapping[str, bytes]
+    recorder: Path,
+    *flights: Described,
+    fleet: Mapping[str, str] = MappingProxyType({}),
+    attachments: Mapping[str, bytes] = MappingProxyType({}),
 ) -> None:
     """Write into the log what is needed to read it and to fly it again; onboard writes its own part.
 
-    ``recorder``: socket of the recorder; the others as in ``Described``.
-    Raises FeedError: there is no recorder.
-    """
-    describe_all(recorder, [Described(config, run, attachments)])
-
-
-def describe_all(
-    recorder: Path,
-    flights: Sequence[Described],
-    fleet: Mapping[str, str] | None = None,
-    attachments: Mapping[str, bytes] = MappingProxyType({}),
-) -> None:
-    """Write the descriptions of several flights in one log, and the one of all.
-
-    ``recorder``: socket of the recorder; ``fleet``: metadata of all flights, None: one flight;
+    ``recorder``: socket of the recorder; ``fleet``: metadata of all flights, empty: one flight;
     ``attachments``: files (TOML) of all, by name.
     Raises FeedError: there is no recorder.
     """
     feed = Feed.connect(str(recorder), "launcher", lossless=True)
-    if fleet is not None:
+    if fleet:
         feed.metadata(FLEET, fleet)
     for flight in flights:
         _describe(feed, flight)

@@ -77,13 +77,11 @@ class Clock(Protocol):
 
 
 class Vehicle(Protocol):
-    """The vehicle, as the controller sees it."""
+    """The vehicle: its newest inputs, and the outputs of a tick for it."""
 
-    def read(self) -> VehicleInputs:
-        """Return what is known of it."""
+    def read(self) -> VehicleInputs: ...
 
-    def answer(self, out: Outputs, now_s: float) -> None:
-        """Send it the outputs of a tick."""
+    def answer(self, out: Outputs, now_s: float) -> None: ...
 
 
 class Target(Protocol):
@@ -97,20 +95,19 @@ class Target(Protocol):
 
 
 class Ending(Protocol):
-    """What a person asks for, and when the flight is over (``flightstack.onboard.leaving.Leaving``)."""
+    """The operator's request in a tick, and how the flight ended (``leaving.Leaving``)."""
 
-    def operator(self, status: VehicleStatus | None, now_s: float) -> Operator:
-        """Return the operator's request in this tick."""
+    def operator(self, status: VehicleStatus | None, now_s: float) -> Operator: ...
 
-    def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
-        """Return how the flight ended; None if it has not ended."""
+    def ended(
+        self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float
+    ) -> Ended | None: ...
 
 
 class Sink(Protocol):
-    """Takes the rows of the log."""
+    """Writes down a tick; ``exec_s`` is wall time, until the vehicle was answered."""
 
-    def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
-        """Write down a tick; ``exec_s`` is wall time, until the vehicle was answered."""
+    def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None: ...
 
 
 Words = Callable[[], tuple[Neighbour, ...]]  # messages of other vehicles since the last tick

@@ -164,7 +164,6 @@ def test_before_its_take_off_a_vehicle_ends_when_another_one_has_its_id(onboard,
 def test_a_lone_vehicle_has_no_wire(feed):
     onboard = Onboard(LONE, OnboardOptions(**WHERE), lambda _: None)
     try:
-        assert onboard.fleet is None
         assert process._alone_with_its_id(onboard, nobody()) is None
         assert running(onboard).tick() is None
         assert not [topic for topic in feed.topics if "neighbours" in topic or "fleet" in topic]

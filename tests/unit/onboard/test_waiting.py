@@ -12,8 +12,6 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.client.vehicle_state import Battery, VehicleState
 from bridge.mavlink.profiles.autopilots import PX4
-from bridge.ros2.ros2_names import Ros2Network
-from bridge.target.ros2_target import TargetSpec, TargetType
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import PATIENCE_S
 from flightstack.common.pacing import Tick
@@ -23,8 +21,9 @@ from flightstack.core.parameters.flight import BarrierShape, Checks, FlightConfi
 from flightstack.core.snapshot import Snapshot
 from flightstack.core.types import Inputs, Landed, Mode, OwnState, Phase, VehicleStatus
 from flightstack.onboard.live_topics import BATTERY_AGE_MAX_S, health_row
+from flightstack.onboard.options import OnboardOptions
 from flightstack.onboard.waiting import TargetSeen, VehicleSeen, WaitReport, countdown, missing
-from flightstack.onboard.zenoh_wires import ZenohPlan, ZenohWires
+from flightstack.onboard.zenoh_wires import ZenohWires
 from tests.processes.ports import free_endpoint, free_port
 from tests.unit.target import ros2_helpers as ros
 from tests.unit.target.ros2_helpers import until
@@ -182,8 +181,11 @@ STAMP = 1_700_000_000_000_000_000
 def wires():
     opened = []
 
-    def open_wires(target="cf1/target/odom", kind=TargetType.ODOMETRY, **plan):
-        opened.append(ZenohWires(CONFIG, ZenohPlan(TargetSpec.parse(target, kind), **plan)))
+    def open_wires(target="cf1/target/odom", kind="odometry", **given):
+        options = OnboardOptions(
+            vehicle_url="", config_file=ROOT, target_key=target, target_type=kind, **given
+        )
+        opened.append(ZenohWires(CONFIG, options, "cf1"))
         return opened[-1]
 
     yield open_wires
@@ -193,7 +195,7 @@ def wires():
 
 def test_a_target_of_ros_is_on_the_network_of_ros(wires):
     with ros.network() as (endpoint, ours, _):
-        ours_ = wires("ros2:/odom", ros2=Ros2Network(endpoint))
+        ours_ = wires("ros2:/odom", ros2_where=endpoint)
         put = zenoh_link.dropping_publisher(
             ours, "0/odom/nav_msgs::msg::dds_::Odometry_/TypeHashNotSupported"
         )
@@ -237,9 +239,7 @@ def test_a_door_to_the_network_without_rules_is_told_once(wires):
     assert wires().texts(0.0) == []
 
 
-@pytest.mark.parametrize(
-    ("target", "kind"), [("ros2:/odom", TargetType.ODOMETRY), ("cf1/target/pose", TargetType.POSE)]
-)
+@pytest.mark.parametrize(("target", "kind"), [("ros2:/odom", "odometry"), ("cf1/target/pose", "pose")])
 def test_lockstep_is_with_the_simulated_target(wires, target, kind):
     with pytest.raises(ValueError, match="in lockstep"):
         wires(target, kind, lockstep=True)
