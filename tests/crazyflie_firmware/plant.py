@@ -3,19 +3,21 @@
 import math
 from collections.abc import Callable
 
-from tests.crazyflie_firmware.belief import Belief
-
 TAU_S = 0.12  # s; the velocity loop of the firmware's PID
 G = 9.81
 DRAG_1_S = 0.46  # 1/s; level, it slows down by drag alone
 
 
-class Point:
-    """Position, velocity and heading, all true; stands on ``surface_m(x, y)``.
+def variance_m2(pose_age_s: float) -> float:
+    """Variance of a position by the firmware's filter, propagated since the last pose (firmware 2026.08)."""
+    t = pose_age_s
+    if t == math.inf:
+        return 100.0
+    return 5.6e-6 + 9.2e-5 * t**2 + 8.3e-5 * t**3 + 3.3e-5 * t**4 + 4.8e-5 * t**5
 
-    Attributes:
-        belief: what its Kalman filter makes of them, by which it flies.
-    """
+
+class Point:
+    """Position, velocity and heading, all true and all known to its filter; stands on ``surface_m(x, y)``."""
 
     def __init__(
         self, x: float = 0.0, y: float = 0.0, surface_m: Callable[[float, float], float] | None = None
@@ -25,7 +27,7 @@ class Point:
         self.velocity = [0.0, 0.0, 0.0]
         self.yaw = self.yaw_rate = 0.0
         self.motors = False
-        self.belief = Belief()
+        self._pose_age_s = math.inf
         self._wanted: list[float] | None = None
         self._level = False
 
@@ -39,33 +41,26 @@ class Point:
 
     @property
     def estimate(self) -> tuple[list[float], list[float]]:
-        """Position and velocity that the filter believes."""
-        b = self.belief
-        return tuple(
-            [a + e for a, e in zip(truth, (*error, 0.0), strict=True)]
-            for truth, error in (
-                (self.position, b.position_error_m), (self.velocity, b.velocity_error_m_s),
-            )
-        )  # fmt: skip
+        """Position and velocity that its filter believes: the true ones."""
+        return self.position, self.velocity
 
     @property
     def variance_m2(self) -> float:
-        return self.belief.variance_m2
+        return variance_m2(self._pose_age_s)
 
     def pose(self, x: float, y: float, z: float, quaternion_xyzw: tuple[float, ...] | None) -> None:
-        """A pose for the filter; None: one without an error."""
-        self.belief.pose(*(quaternion_xyzw or (0.0, 0.0, 0.0, 1.0)))
+        """A pose for the filter."""
+        self._pose_age_s = 0.0
 
     def know_drag(self, drag_1_s: tuple[float, float, float]) -> None:
-        """Set ``kalman.dragB_*``."""
-        self.belief.known_drag_1_s = drag_1_s[:2]
+        """Set ``kalman.dragB_*``: its filter needs none."""
 
     def reset(self, x: float, y: float, z: float, yaw: float) -> None:
         """``kalman.resetEstimation``: its filter has no error that would last."""
 
     def restart(self) -> None:
         """The firmware starts anew: its filter knows nothing."""
-        self.belief = Belief()
+        self._pose_age_s = math.inf
 
     @property
     def on_surface(self) -> bool:
@@ -87,13 +82,11 @@ class Point:
         if self._wanted is None:
             v[2] -= G * dt_s
         else:
-            share, errors = 1.0 - math.exp(-dt_s / TAU_S), self.belief.velocity_error_m_s
+            share = 1.0 - math.exp(-dt_s / TAU_S)
             for i in (0, 1):
-                wrong = self._wanted[i] - errors[i] - v[i]
-                v[i] += -v[i] * DRAG_1_S * dt_s if self._level else wrong * share
+                v[i] += -v[i] * DRAG_1_S * dt_s if self._level else (self._wanted[i] - v[i]) * share
             v[2] += (self._wanted[2] - v[2]) * share
-        flies = not self.on_surface or self._wanted is not None
-        self.belief.advance(v, DRAG_1_S, flies, dt_s)
+        self._pose_age_s += dt_s
         for i in range(3):
             self.position[i] += v[i] * dt_s
         self.yaw += self.yaw_rate * dt_s

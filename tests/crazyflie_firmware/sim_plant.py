@@ -11,7 +11,7 @@ from bridge.zenoh import zenoh_link
 from sim.runners.deck import RealTimeDeck
 from sim.scenarios.scenario import Scenario, VelocityLoop, load
 from sim.vehicle.vehicle import VehicleSim, warm_up
-from tests.crazyflie_firmware.belief import variance_m2
+from tests.crazyflie_firmware.plant import variance_m2
 
 MS_MAX = 50  # ms of one step; a longer pause of the machine is one of simulated time
 

@@ -2,19 +2,65 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import random
+import struct
 import subprocess
 import sys
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from bridge.crazyflie.types import Order
+from bridge.mavlink.codec.decoding import decode
+from bridge.mavlink.server.profile import PX4_CODES, FlightMode
 from bridge.mavlink.server.texts import Texts
-from tests.crazyflie_firmware.bench import CLIENT, GROUND, OTHER, Bench
-from tests.unit.mavlink.server.hostile import hostile
-from tests.unit.mavlink.server.served import GROUND_STATION
+from tests.crazyflie_firmware.bench import CLIENT, Bench
+from tests.unit.autopilot.autopilot_fakes import setpoint
+from tests.unit.mavlink.server.served import GROUND_STATION, STRANGER
+
+NAN = math.nan
+EXTREMES = [b"\x00", b"\xff", b"\x7f", b"\x80", b"\x7f\xc0", b"\x80\x7f", b"\xff\xff\xff\x7f"]
+VALUES = (NAN, 0.0, 1.0, -1.0, 6.0, 4.0, 21196.0, 1e30, math.inf)
+PARAMETERS = ["COM_OF_LOSS_T", "MPC_XY_P", "MIS_TAKEOFF_ALT", "COM_OBL_RC_ACT", "COM_DL_LOSS_T",
+              "SYS_FAILURE_EN", "MAV_SYS_ID"]  # fmt: skip
+
+
+def frame_of(cls, id_: int, payload: bytes):
+    """A message as it comes from the wire."""
+    body = struct.pack("<BBBBBBHB", len(payload), 0, 0, 0, 9, 9, id_ & 0xFFFF, id_ >> 16) + payload
+    crc = mav.x25crc(body + bytes((cls.crc_extra,))).crc
+    return decode(b"\xfd" + body + struct.pack("<H", crc))
+
+
+def hostile(rng: random.Random, id_: int, commands: list[int]):
+    """A message of this id; most are addressed to the vehicle and name what it has."""
+    cls = mav.mavlink_map[id_]
+    size = cls.unpacker.size
+    pattern = rng.choice([None, *EXTREMES])
+    payload = rng.randbytes(size) if pattern is None else (pattern * size)[:size]
+    message = frame_of(cls, id_, payload)
+    names = list(cls.ordered_fieldnames)
+    if "target_system" in names:
+        message.target_system, message.target_component = rng.choice(((1, 1), (1, 0), (0, 0)))
+    if isinstance(getattr(message, "command", None), int):
+        message.command = rng.choice([*commands, 9])
+        message.frame = rng.choice((0, 3, 6, getattr(message, "frame", 0)))
+    for name in names:
+        if name.startswith("param") and isinstance(getattr(message, name), float) and rng.random() < 0.7:
+            setattr(message, name, rng.choice(VALUES))
+    if id_ == mav.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED and rng.random() < 0.7:
+        message.type_mask, message.coordinate_frame = rng.choice((2503, 1479, 3527)), rng.choice((1, 8))
+        for name in ("vx", "vy", "vz", "yaw", "yaw_rate"):
+            setattr(message, name, rng.choice((rng.uniform(-4.0, 4.0), *VALUES)))
+    if id_ == mav.MAVLINK_MSG_ID_SET_MODE and rng.random() < 0.7:
+        message.custom_mode = rng.choice(list(PX4_CODES.values())).custom_mode
+    if hasattr(message, "param_id") and rng.random() < 0.8:
+        message.param_id = rng.choice(PARAMETERS)
+        message._param_id_raw = message.param_id.encode()  # what is packed
+        if hasattr(message, "param_type"):
+            message.param_type = rng.choice((6, 9))
+    return message
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -86,59 +132,50 @@ def test_asking_for_everything_at_the_highest_rate_is_bounded_by_the_loop(served
     assert len(served.telemetry) - before <= 20 + 30  # PARAM_VALUE is paced
 
 
-IDS = (11, 75, 76, 84, 0, 111, 4)
+LAND = PX4_CODES[FlightMode.LAND]
 
 
-def wild_message(chance, bench):
-    id_ = chance.choice(IDS if chance.random() < 0.5 else tuple(mav.mavlink_map))
-    return hostile(chance, id_, list(bench.node.commands.table))
+def asks_to_land(message) -> bool:
+    """Whether a message requests the only thing that every sender may request: to land."""
+    kind = message.get_type()
+    if kind in ("COMMAND_LONG", "COMMAND_INT"):
+        codes = (message.param2, message.param3)
+        is_land = all(map(math.isfinite, codes)) and tuple(map(round, codes)) == (LAND.main, LAND.sub)
+        return message.command == 21 or (message.command == 176 and is_land)
+    return kind == "SET_MODE" and message.custom_mode >> 16 & 0xFFFF == LAND.main | LAND.sub << 8
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_no_message_stops_it(seed):
-    chance = random.Random(seed)
-    bench = Bench().offboard()
+def test_a_stranger_can_neither_fly_it_nor_change_what_its_owner_has_set(flown, seed: int) -> None:
+    rng = random.Random(seed)
+    commands, handled = list(flown.server.commands.table), sorted(flown.server.handled)
+    parameters, (mode, armed, intervals_us, *rest) = copy.deepcopy(flown.server.parameters), flown.state()
     for i in range(1500):
-        sender = chance.choice((CLIENT, OTHER, GROUND, (0, 0), (255, 255)))
-        bench.node.handle(wild_message(chance, bench), sender, bench.now_s)
-        if i % 5 == 0:
-            bench.step()
-    bench.stream = None
-    bench.run(5.0)
-    for _, velocity in bench.velocities():
-        assert math.hypot(*velocity.velocity_enu_m_s) <= 1.0 + 1e-9
-        assert abs(velocity.yaw_rate_rad_s) <= 6.0
-    assert len(bench.texts) < 2000
+        message = hostile(rng, rng.choice(handled if i % 2 else list(mav.mavlink_map)), commands)
+        if not asks_to_land(message):
+            flown.handle(message, STRANGER)
+        flown.handle(setpoint(0.1))
+        flown.tick()
+        assert flown.velocity_enu_m_s == pytest.approx((0.0, 0.1, 0.0)), message
+    now_mode, now_armed, now_us, *now_rest = flown.state()
+    assert (now_mode, now_armed, now_rest) == (mode, armed, rest)
+    assert flown.server.parameters._values == parameters._values
+    rarer = zip(now_us, intervals_us, strict=True)  # -1: off
+    assert all(0 < now <= before or before < 0 for now, before in rarer)
 
 
 def test_disarmed_nothing_but_an_arming_lets_a_packet_out():
     chance = random.Random(7)
     bench = Bench().ready()
     bench.sent.clear()
+    commands = list(bench.node.commands.table)
     for _ in range(1500):
-        wild = wild_message(chance, bench)
+        wild = hostile(chance, chance.choice(list(mav.mavlink_map)), commands)
         if getattr(wild, "command", 0) in (400, 185):
             continue
         bench.node.handle(wild, CLIENT, bench.now_s)
         bench.step()
     assert bench.sent == []
-
-
-def test_a_stranger_can_neither_fly_it_nor_switch_its_motors_off():
-    chance = random.Random(8)
-    bench = Bench().offboard((0.1, 0.0, 0.0))
-    for _ in range(1000):
-        wild = wild_message(chance, bench)
-        if getattr(wild, "command", 0) == 21 or wild.get_type() == "SET_MODE":
-            continue  # landing is for everybody
-        if getattr(wild, "command", 0) == 176 and getattr(wild, "param2", 0.0) == 4.0:
-            continue
-        bench.node.handle(wild, OTHER, bench.now_s)
-        bench.step()
-    assert bench.vehicle.armed
-    assert not {Order.STOP, Order.EMERGENCY_STOP, Order.DISARM} & {p for _, p in bench.sent}
-    for _, velocity in bench.velocities()[-500:]:
-        assert velocity.velocity_enu_m_s == pytest.approx((0.0, 0.1, 0.0))
 
 
 def test_without_cflib_it_says_what_to_install():
