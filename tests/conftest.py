@@ -10,7 +10,7 @@ from pathlib import Path
 import hypothesis
 import pytest
 
-from bridge.mavlink.profiles.autopilots import AUTO, CHOICES
+from bridge.mavlink.profiles import AUTO, CHOICES
 from flightstack.config.files import path_of
 from tests.real_time import in_real_time, repeated_after_a_pause
 from tests.real_time import pytest_runtest_setup as pytest_runtest_setup

@@ -32,11 +32,11 @@ from bridge.crazyflie.types import (
     StateBlock,
 )
 from bridge.crazyflie.vehicle import Vehicle
-from bridge.mavlink.codec.decoding import Message
-from bridge.mavlink.profiles.autopilots import CRAZYFLIE_MARK
+from bridge.mavlink.codec.messages import Message
+from bridge.mavlink.profiles import CRAZYFLIE_MARK
 from bridge.mavlink.server import telemetry
+from bridge.mavlink.server.commander import Right, Sender
 from bridge.mavlink.server.commands import ACCEPTED, DENIED, REJECTED, Answer, Command, Entry, Reply
-from bridge.mavlink.server.owner import Right, Sender
 from bridge.mavlink.server.parameters import Parameters, fixed
 from bridge.mavlink.server.profile import ServerProfile
 from bridge.mavlink.server.server import COMPONENT_ID, SYSTEM_ID, Server

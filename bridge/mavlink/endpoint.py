@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.decoding import Message, decode
 from bridge.mavlink.codec.framing import (
     FLAG_SIGNED,
     StreamFramer,
@@ -20,9 +19,8 @@ from bridge.mavlink.codec.framing import (
     split_frames,
     without_signature,
 )
-from bridge.mavlink.codec.packing import pack
-from bridge.mavlink.signing.key import SigningKey, load_key
-from bridge.mavlink.signing.signing import ANSWERED, Refusal, Signer, StaleAnswers
+from bridge.mavlink.codec.messages import Message, decode, pack
+from bridge.mavlink.signing import ANSWERED, Refusal, Signer, SigningKey, StaleAnswers, load_key
 from bridge.mavlink.transport.address import Peer, PeerTable, check_policy, parse_peer, parse_url, resolve
 from bridge.mavlink.transport.byte_stream import open_stream
 from bridge.mavlink.transport.transport import DatagramTransport, EndpointCounters, Transport

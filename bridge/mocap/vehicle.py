@@ -16,7 +16,7 @@ from bridge.frames import (
     upper_triangle,
 )
 from bridge.mavlink.client.companion import Origin, OriginSender, companion_heartbeat
-from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.codec.messages import Message
 from bridge.mocap.checks import Limits, Passed, PoseChecks, Sample
 from flightstack.core.types import Landed, Mode, VehicleStatus
 

@@ -16,7 +16,7 @@ from bridge.mavlink.endpoint import open_endpoint
 from bridge.mavlink.preflight.examine import Report
 from bridge.mavlink.preflight.provision import provision
 from bridge.mavlink.preflight.rules import Level
-from bridge.mavlink.signing.key import load_key
+from bridge.mavlink.signing import load_key
 from flightstack.cli.options import takes
 from flightstack.common.options import Option
 from flightstack.common.terminal import Terminal

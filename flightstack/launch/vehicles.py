@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bridge.mavlink.profiles.autopilots import ARDUPILOT, AUTO, OWN_SITL
-from bridge.mavlink.profiles.autopilots import PX4 as PX4_PROFILE
+from bridge.mavlink.profiles import ARDUPILOT, AUTO, OWN_SITL
+from bridge.mavlink.profiles import PX4 as PX4_PROFILE
 from flightstack.common.processes import Child, Running
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.types import Vec3

@@ -12,7 +12,7 @@ from bridge.mavlink.line_budget import LinePlan, LineTooSlowError, plan
 from bridge.mavlink.preflight.examine import Report, examine
 from bridge.mavlink.preflight.rules import Level
 from bridge.mavlink.preflight.table import Needs
-from bridge.mavlink.profiles.autopilots import profile
+from bridge.mavlink.profiles import profile
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.strategy import strategy_of
 from flightstack.core.target.reserve import too_low

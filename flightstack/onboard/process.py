@@ -9,8 +9,8 @@ from pathlib import Path
 
 from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.client.link import VehicleLink
-from bridge.mavlink.profiles.autopilots import profile
-from bridge.mavlink.signing.key import load_key
+from bridge.mavlink.profiles import profile
+from bridge.mavlink.signing import load_key
 from bridge.mavlink.transport.address import baud_of, is_local, parse_url, resolve
 from flightstack.common.pacing import RealTimePacer, Tick, quiet_garbage_collector, run_promptly
 from flightstack.common.simulation_clock import Follower, chosen_clock

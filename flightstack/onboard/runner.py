@@ -14,7 +14,7 @@ from dataclasses import replace
 from typing import NamedTuple, Protocol
 
 from bridge.mavlink.client.link import VehicleLink
-from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.codec.messages import Message
 from bridge.target.odometry import OdometryError, RawSample, SampleSource, sample_of
 from flightstack.common.pacing import RealTimePacer, Tick
 from flightstack.core.controller import Controller, Outputs

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from bridge.mavlink.line_budget import plan
-from bridge.mavlink.profiles.autopilots import AUTO, PROFILES, PX4
+from bridge.mavlink.profiles import AUTO, PROFILES, PX4
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Controller, Outputs, state_class
 from flightstack.core.memory import Memory, State

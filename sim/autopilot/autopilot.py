@@ -10,7 +10,8 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.frames import yaw_enu_from_ned
-from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.codec.messages import Message
+from bridge.mavlink.server.commander import Right, Sender
 from bridge.mavlink.server.commands import (
     DENIED,
     REJECTED,
@@ -21,7 +22,6 @@ from bridge.mavlink.server.commands import (
     answer,
     integer,
 )
-from bridge.mavlink.server.owner import Right, Sender
 from bridge.mavlink.server.parameters import Parameters
 from bridge.mavlink.server.profile import FlightMode
 from bridge.mavlink.server.server import COMPONENT_ID, SYSTEM_ID, Server

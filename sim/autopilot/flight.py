@@ -8,8 +8,7 @@ from collections.abc import Mapping
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.frames import yaw_from_quaternion
-from bridge.mavlink.server.commander import Battery, Commander
-from bridge.mavlink.server.owner import Sender
+from bridge.mavlink.server.commander import Battery, Commander, Sender
 from bridge.mavlink.server.parameters import Parameters
 from bridge.mavlink.server.profile import POSITION_SOURCE, FlightMode
 from bridge.mavlink.server.setpoints import Setpoint

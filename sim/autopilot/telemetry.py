@@ -11,8 +11,8 @@ from bridge.frames import (
     ned_frd_from_enu_flu,
     ned_from_enu,
 )
-from bridge.mavlink.codec.decoding import Message
-from bridge.mavlink.profiles.autopilots import SITL_MARK
+from bridge.mavlink.codec.messages import Message
+from bridge.mavlink.profiles import SITL_MARK
 from bridge.mavlink.server import telemetry as common
 from bridge.mavlink.server.profile import ServerProfile
 from bridge.mavlink.server.telemetry import Builder, Snapshot

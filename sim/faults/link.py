@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.codec.messages import Message
 from sim.faults.content import Rewrite, rewrite_of
 from sim.faults.samples import LOST, Lost
 from sim.faults.schedule import Running

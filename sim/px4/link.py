@@ -12,9 +12,8 @@ from ipaddress import IPv4Address
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.decoding import Message, decode
 from bridge.mavlink.codec.framing import FrameCounters, NoFrame, frame_end, version_1_end
-from bridge.mavlink.codec.packing import pack
+from bridge.mavlink.codec.messages import Message, decode, pack
 from bridge.mavlink.transport.address import resolve
 from sim.px4.messages import COMPONENT_ID, SYSTEM_ID
 

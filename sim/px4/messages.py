@@ -10,7 +10,7 @@ from typing import NamedTuple
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.frames import frd_from_flu, ned_frd_from_enu_flu, ned_from_enu
-from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.codec.messages import Message
 from bridge.mocap.checks import Passed
 from bridge.mocap.vehicle import odometry
 from bridge.ros2.cdr import Pose

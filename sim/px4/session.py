@@ -11,7 +11,7 @@ from enum import Enum
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.codec.messages import Message
 from flightstack.common.hangup import Stop
 from sim.clock import NoAnswerError
 from sim.px4.airframe import rotor_speeds

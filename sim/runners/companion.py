@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from bridge.mavlink.client.link import COMPONENT_ID as COMPANION_ID
 from bridge.mavlink.client.link import VehicleLink
-from bridge.mavlink.profiles.autopilots import OWN_SITL
+from bridge.mavlink.profiles import OWN_SITL
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import Tick
 from flightstack.compiled.core import with_compiled_program

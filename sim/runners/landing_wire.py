@@ -13,8 +13,8 @@ from typing import Any, cast
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.decoding import Message, decode
 from bridge.mavlink.codec.framing import split_frames
+from bridge.mavlink.codec.messages import Message, decode
 from bridge.mavlink.endpoint import Endpoint, EndpointCounters, Peer, Received
 
 PEER: Peer = ("in-process", 0)

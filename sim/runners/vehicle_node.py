@@ -9,7 +9,7 @@ from typing import Generic, NamedTuple, TypeVar
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.endpoint import Endpoint, Peer, Received
 from bridge.mavlink.server.profile import FlightMode
 from logs.schema.events import Severity

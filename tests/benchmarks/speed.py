@@ -14,8 +14,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.companion import velocity_setpoint
 from bridge.mavlink.client.link import COMPONENT_ID
-from bridge.mavlink.codec.packing import pack
-from bridge.mavlink.profiles.autopilots import PX4
+from bridge.mavlink.codec.messages import pack
+from bridge.mavlink.profiles import PX4
 from flightstack.common.strict_toml import from_table
 from flightstack.compiled.core import compiled
 from flightstack.core.controller import Controller

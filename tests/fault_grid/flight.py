@@ -17,7 +17,7 @@ from bridge.frames import quaternion_from_yaw
 from bridge.mavlink.client.link import COMPONENT_ID as COMPANION_ID
 from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.endpoint import Received
-from bridge.mavlink.profiles.autopilots import OWN_SITL
+from bridge.mavlink.profiles import OWN_SITL
 from bridge.ros2.cdr import encode_odometry
 from bridge.target.odometry import RawSample
 from flightstack.common.hangup import Stop

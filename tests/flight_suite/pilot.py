@@ -9,8 +9,8 @@ from types import TracebackType
 
 from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.client.link import VehicleLink
-from bridge.mavlink.profiles.autopilots import profile
-from bridge.mavlink.signing.key import load_key
+from bridge.mavlink.profiles import profile
+from bridge.mavlink.signing import load_key
 from flightstack.common.pacing import FastClock, RealTimePacer
 from flightstack.config.files import load
 from flightstack.core.types import ZERO, Landed, Mode, OwnState, Request, Vec3, VehicleStatus

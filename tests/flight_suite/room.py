@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 import pytest
 
-from bridge.mavlink.profiles.autopilots import ARDUPILOT, AUTO, CRAZYFLIE, OWN_SITL, PX4
+from bridge.mavlink.profiles import ARDUPILOT, AUTO, CRAZYFLIE, OWN_SITL, PX4
 from flightstack.common.processes import Child, Port
 from flightstack.common.strict_toml import dumps
 from flightstack.core.types import ZERO, Vec3

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.companion import request_message
-from bridge.mavlink.codec.decoding import Message
-from bridge.mavlink.profiles.profile import Profile, Reading, Step, TakeoffAltitude
+from bridge.mavlink.codec.messages import Message
+from bridge.mavlink.profiles import Profile, Reading, Step, TakeoffAltitude
 from flightstack.core.types import Request, VehicleStatus
 
 _NAV_TAKEOFF = dialect.MAV_CMD_NAV_TAKEOFF

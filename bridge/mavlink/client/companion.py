@@ -8,8 +8,8 @@ from typing import NamedTuple
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.frames import ned_from_enu, yaw_ned_from_enu
-from bridge.mavlink.codec.decoding import Message
-from bridge.mavlink.profiles.profile import Profile
+from bridge.mavlink.codec.messages import Message
+from bridge.mavlink.profiles import Profile
 from flightstack.core.safety.gate import ApprovedSetpoint
 from flightstack.core.types import VehicleStatus
 

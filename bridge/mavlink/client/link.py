@@ -14,12 +14,11 @@ from bridge.mavlink.client.senders import Senders
 from bridge.mavlink.client.streams import RequestSenders, request_senders
 from bridge.mavlink.client.texts import EVENT, TextAssembler, event_text
 from bridge.mavlink.client.vehicle_state import VehicleState
-from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.endpoint import Endpoint, LinkCounters
 from bridge.mavlink.line_budget import LinePlan
-from bridge.mavlink.profiles.autopilots import PX4, found, refusal
-from bridge.mavlink.profiles.profile import Profile
-from bridge.mavlink.signing.key import SigningKey
+from bridge.mavlink.profiles import PX4, Profile, found, refusal
+from bridge.mavlink.signing import SigningKey
 from flightstack.core.safety.gate import ApprovedSetpoint
 from flightstack.core.types import Landed, OwnState, Power, Request, VehicleStatus
 

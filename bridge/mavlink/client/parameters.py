@@ -11,8 +11,8 @@ from collections.abc import Iterable, Mapping
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.decoding import Message, parameter_name
-from bridge.mavlink.profiles.profile import Encoding
+from bridge.mavlink.codec.messages import Message, parameter_name
+from bridge.mavlink.profiles import Encoding
 
 _AT_ONCE = 5  # pending requests; the buffer of a radio is small
 _PERIOD_S = 0.4  # s between two tries; PX4 and ArduPilot reply within 0.05 s on a wire

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.decoding import Message
-from bridge.mavlink.profiles.autopilots import named
+from bridge.mavlink.codec.messages import Message
+from bridge.mavlink.profiles import named
 from bridge.mavlink.transport.address import Peer
 
 SILENT_S = 2.5  # s without a frame after which the known sender is not alive; heartbeats have 1 Hz

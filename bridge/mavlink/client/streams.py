@@ -15,8 +15,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.commands import CommandSequencer
 from bridge.mavlink.client.companion import Origin, OriginSender
-from bridge.mavlink.codec.decoding import Message
-from bridge.mavlink.profiles.profile import Profile
+from bridge.mavlink.codec.messages import Message
+from bridge.mavlink.profiles import Profile
 from flightstack.core.types import Request, VehicleStatus
 
 _SET_MESSAGE_INTERVAL = 511  # MAV_CMD

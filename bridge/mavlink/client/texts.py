@@ -15,7 +15,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple
 
-from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.codec.wide_messages import CODES
 
 _CHUNK = 50  # characters a message holds; a chunk with fewer is the last

@@ -10,9 +10,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.frames import enu_from_ned, yaw_enu_from_ned
 from bridge.mavlink.client.senders import SILENT_S
-from bridge.mavlink.codec.decoding import Message
-from bridge.mavlink.profiles.autopilots import refusal
-from bridge.mavlink.profiles.profile import Profile, TakeoffAltitude
+from bridge.mavlink.codec.messages import Message
+from bridge.mavlink.profiles import Profile, TakeoffAltitude, refusal
 from flightstack.core.sender_clock import Reading, SenderClock
 from flightstack.core.types import Landed, Mode, OwnState, Power, VehicleStatus
 

@@ -13,13 +13,12 @@ from bridge.mavlink.client.companion import companion_heartbeat, request_message
 from bridge.mavlink.client.parameters import ParameterReader
 from bridge.mavlink.client.senders import Senders
 from bridge.mavlink.client.silence import Arrivals, why_silent
-from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.endpoint import Endpoint, LinkCounters
 from bridge.mavlink.preflight.rules import Choice, Finding, Level, Release, choose, judge, release_of
 from bridge.mavlink.preflight.table import Asked, Needs
 from bridge.mavlink.preflight.table import table as table_of
-from bridge.mavlink.profiles.autopilots import OWN_SITL, found, marked, refusal
-from bridge.mavlink.profiles.profile import Profile
+from bridge.mavlink.profiles import OWN_SITL, Profile, found, marked, refusal
 
 _HELLO_S = 0.2  # s between heartbeats before the first message of the vehicle
 _HEARTBEAT_S = 1.0

@@ -14,8 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.companion import companion_heartbeat
 from bridge.mavlink.endpoint import Endpoint, Peer
-from bridge.mavlink.signing.key import KEY_BYTES, SigningKey
-from bridge.mavlink.signing.signing import EPOCH_NS, TICK_NS
+from bridge.mavlink.signing import EPOCH_NS, KEY_BYTES, TICK_NS, SigningKey
 from bridge.mavlink.transport.address import is_local, parse_url, resolve
 
 _COMPONENT_ID = 191  # MAV_COMP_ID_ONBOARD_COMPUTER

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.preflight.table import Asked, Needs, Severity, Table, minor
 
 _TYPE = "FIRMWARE_VERSION_TYPE"

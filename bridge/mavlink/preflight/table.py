@@ -10,7 +10,7 @@ from functools import cache
 from itertools import combinations
 from typing import NamedTuple
 
-from bridge.mavlink.profiles.autopilots import ARDUPILOT, OWN_SITL, PX4
+from bridge.mavlink.profiles import ARDUPILOT, OWN_SITL, PX4
 from flightstack.common.strict_toml import Files
 from flightstack.core.types import Vec3
 

@@ -15,8 +15,8 @@ from typing import Any, Generic, NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.decoding import Message
-from bridge.mavlink.server.owner import Right, Sender
+from bridge.mavlink.codec.messages import Message
+from bridge.mavlink.server.commander import Right, Sender
 from bridge.mavlink.server.profile import FlightMode, mode_of, why_no_mode
 from bridge.mavlink.server.streams import Streams
 from bridge.mavlink.server.telemetry import Builder, Snapshot, V

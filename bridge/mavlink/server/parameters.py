@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.codec.messages import Message
 
 INT32 = dialect.MAV_PARAM_TYPE_INT32
 REAL32 = dialect.MAV_PARAM_TYPE_REAL32

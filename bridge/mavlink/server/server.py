@@ -13,9 +13,9 @@ from typing import Any, Generic
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.codec.messages import Message
+from bridge.mavlink.server.commander import Right, Sender
 from bridge.mavlink.server.commands import Commands, Entry
-from bridge.mavlink.server.owner import Right, Sender
 from bridge.mavlink.server.parameters import Parameters
 from bridge.mavlink.server.profile import FlightMode, ServerProfile, mode_numbers, mode_of, why_no_mode
 from bridge.mavlink.server.services import Handler, Services

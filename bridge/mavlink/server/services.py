@@ -10,9 +10,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.decoding import Message, parameter_name
-from bridge.mavlink.server.commander import Commander
-from bridge.mavlink.server.owner import Right, Sender
+from bridge.mavlink.codec.messages import Message, parameter_name
+from bridge.mavlink.server.commander import Commander, Right, Sender
 from bridge.mavlink.server.parameters import NOT_NOW, Parameters, Refused
 
 Handler = Callable[[Any, Sender, float], list[Message]]

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Generic
 
-from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.server.profile import EVERY_TICK, ServerProfile
 from bridge.mavlink.server.telemetry import Builder, Snapshot, V
 

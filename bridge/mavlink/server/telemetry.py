@@ -18,7 +18,7 @@ from bridge.frames import (
     yaw_from_quaternion,
     yaw_ned_from_enu,
 )
-from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.server.commander import Battery, Commander
 from bridge.mavlink.server.profile import (
     CAPABILITIES,

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.decoding import Message
+from bridge.mavlink.codec.messages import Message
 
 _CHUNK = 50  # characters of one STATUSTEXT
 _WAITING_MAX = 64  # texts between two ticks

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from bridge.mavlink.signing.key import load_key
+from bridge.mavlink.signing import load_key
 from bridge.zenoh import zenoh_link
 from flightstack.common.processes import Port
 from flightstack.common.strict_toml import dumps

@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from bridge.mavlink.signing.key import load_key
-from bridge.mavlink.signing.signing import Signer
+from bridge.mavlink.signing import Signer, load_key
 from flightstack.common.processes import Port
 from logs.tools.compare import ABSENT, compare
 from tests.integration.runs import flightstack, fly

@@ -5,7 +5,7 @@ import pytest
 from bridge.crazyflie.types import Order
 from bridge.mavlink.client.commands import CommandSequencer
 from bridge.mavlink.client.vehicle_state import VehicleState
-from bridge.mavlink.profiles.autopilots import CRAZYFLIE
+from bridge.mavlink.profiles import CRAZYFLIE
 from bridge.mavlink.server.profile import FlightMode
 from flightstack.core.types import Landed, Mode, Request
 from tests.crazyflie_firmware.bench import CLIENT, GROUND, NAN, Bench

@@ -15,8 +15,8 @@ from bridge.crazyflie.state import BootClock, decode_state, decompress_quaternio
 from bridge.crazyflie.types import Info, Order, Pose, SetParam, StateBlock, Velocity
 from bridge.frames import enu_from_ned, yaw_ned_from_enu
 from bridge.mavlink.client.vehicle_state import VehicleState
-from bridge.mavlink.codec.packing import pack
-from bridge.mavlink.profiles.autopilots import profile
+from bridge.mavlink.codec.messages import pack
+from bridge.mavlink.profiles import profile
 from flightstack.common.hangup import Stop
 from flightstack.core.types import Landed, Mode
 from tests.crazyflie_firmware.bench import CLIENT, GROUND, NAN, Bench

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from bridge.frames import euler_from_quaternion, ned_covariance_from_enu, ned_frd_from_enu_flu, upper_triangle
 from bridge.mavlink.client.companion import Origin
-from bridge.mavlink.codec.packing import pack
+from bridge.mavlink.codec.messages import pack
 from bridge.mocap.checks import Limits, Passed, PoseChecks, Refusal, Sample, angle_between, centre
 from bridge.mocap.process import CheckedPoses, MocapSource, parse_spec
 from bridge.mocap.vehicle import POSE_NEEDS, MocapVehicle, odometry, vision_position_estimate

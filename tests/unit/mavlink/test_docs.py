@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from bridge.mavlink.profiles.autopilots import PROFILES
+from bridge.mavlink.profiles import PROFILES
 from bridge.mavlink.server.parameters import INT32
 from bridge.mavlink.server.profile import EVERY_TICK, FlightMode
 from flightstack.cli.bridge import bridge

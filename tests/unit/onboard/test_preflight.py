@@ -9,7 +9,7 @@ from bridge.mavlink.preflight import examine as module
 from bridge.mavlink.preflight.examine import examine
 from bridge.mavlink.preflight.rules import Level, judge
 from bridge.mavlink.preflight.table import Needs, table
-from bridge.mavlink.profiles.autopilots import ARDUPILOT, CRAZYFLIE, OWN_SITL, PROFILES, PX4
+from bridge.mavlink.profiles import ARDUPILOT, CRAZYFLIE, OWN_SITL, PROFILES, PX4
 from flightstack.common.strict_toml import ConfigError, from_table
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.onboard.preflight import check, lines, needs_of, record, verdict

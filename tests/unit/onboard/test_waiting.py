@@ -11,7 +11,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.client.vehicle_state import Battery, VehicleState
-from bridge.mavlink.profiles.autopilots import PX4
+from bridge.mavlink.profiles import PX4
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import PATIENCE_S
 from flightstack.common.pacing import Tick

@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.frames import quaternion_from_yaw
-from bridge.mavlink.codec.decoding import decode
+from bridge.mavlink.codec.messages import decode
 from bridge.ros2.cdr import encode_odometry
 from bridge.target.odometry import sample_from_cdr
 from flightstack.common.pacing import EPOCH_NS

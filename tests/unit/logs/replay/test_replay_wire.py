@@ -5,7 +5,7 @@ from dataclasses import replace as with_
 
 import pytest
 
-from bridge.mavlink.codec.packing import pack as packed
+from bridge.mavlink.codec.messages import pack as packed
 from bridge.mavlink.endpoint import dialect
 from bridge.target.odometry import OdometryError, sample_from_cdr
 from flightstack.core.types import Inputs

@@ -8,8 +8,7 @@ from pathlib import Path
 from bridge.mavlink.endpoint import dialect
 from bridge.mavlink.line_budget import LineTooSlowError
 from bridge.mavlink.preflight.table import Needs, Severity, table
-from bridge.mavlink.profiles.autopilots import ARDUPILOT, CRAZYFLIE, OWN_SITL, PX4
-from bridge.mavlink.profiles.profile import Reading
+from bridge.mavlink.profiles import ARDUPILOT, CRAZYFLIE, OWN_SITL, PX4, Reading
 from flightstack.core.parameters.flight import BarrierShape, FlightConfig
 from flightstack.core.types import Mode, Request
 from flightstack.onboard.preflight import line_plan, needs_of

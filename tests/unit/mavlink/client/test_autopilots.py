@@ -10,7 +10,7 @@ from bridge.mavlink.client.companion import Origin, OriginSender
 from bridge.mavlink.client.streams import StreamRequests
 from bridge.mavlink.client.vehicle_state import VehicleState
 from bridge.mavlink.endpoint import dialect
-from bridge.mavlink.profiles.autopilots import (
+from bridge.mavlink.profiles import (
     ARDUPILOT,
     AUTO,
     CHOICES,
@@ -18,11 +18,12 @@ from bridge.mavlink.profiles.autopilots import (
     OWN_SITL,
     PROFILES,
     PX4,
+    Encoding,
+    Reading,
     found,
     profile,
     refusal,
 )
-from bridge.mavlink.profiles.profile import Encoding, Reading
 from bridge.target.ros2_target import TargetType
 from flightstack.compiled.core import Core
 from flightstack.config.options import AUTOPILOTS

@@ -4,8 +4,7 @@ import pytest
 
 from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.client.senders import SILENT_S, Kind, Senders
-from bridge.mavlink.codec.decoding import decode
-from bridge.mavlink.codec.packing import pack
+from bridge.mavlink.codec.messages import decode, pack
 from bridge.mavlink.endpoint import dialect
 from bridge.mavlink.preflight.examine import examine
 from flightstack.core.types import Mode, Request

@@ -9,8 +9,7 @@ from bridge.mavlink.client.parameters import ParameterReader
 from bridge.mavlink.client.silence import Arrivals, why_silent
 from bridge.mavlink.client.vehicle_state import VehicleState
 from bridge.mavlink.endpoint import EndpointCounters, LinkCounters, dialect
-from bridge.mavlink.profiles.autopilots import PX4
-from bridge.mavlink.profiles.profile import Encoding
+from bridge.mavlink.profiles import PX4, Encoding
 from flightstack.core.types import Landed, Mode, VehicleStatus
 from tests.unit.mavlink.client.vehicle_link_fakes import (
     LAND,

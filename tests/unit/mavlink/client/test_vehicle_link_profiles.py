@@ -10,7 +10,7 @@ from bridge.mavlink.client.texts import EVENT
 from bridge.mavlink.codec.wide_messages import MESSAGES
 from bridge.mavlink.endpoint import dialect
 from bridge.mavlink.line_budget import LineTooSlowError, bytes_per_s, plan
-from bridge.mavlink.profiles.autopilots import PX4
+from bridge.mavlink.profiles import PX4
 from flightstack.core.types import Mode, Request
 from tests.unit.mavlink.client.vehicle_link_fakes import (
     HEIGHT,

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from bridge.mavlink.client.commands import CommandSequencer
 from bridge.mavlink.endpoint import Endpoint, dialect
-from bridge.mavlink.profiles.autopilots import PX4
+from bridge.mavlink.profiles import PX4
 from flightstack.core.types import Landed, Mode, VehicleStatus
 
 OFFBOARD, LOITER, TAKEOFF, LAND = 6 << 16, 4 << 16 | 3 << 24, 4 << 16 | 2 << 24, 4 << 16 | 6 << 24

@@ -5,7 +5,7 @@ import socket
 import pytest
 
 from bridge.mavlink.endpoint import Direction, Endpoint, dialect, parse_peer, parse_url
-from bridge.mavlink.signing.key import SigningKey
+from bridge.mavlink.signing import SigningKey
 from tests.unit.mavlink.codec.frames_of_messages import frames_of, position
 
 

@@ -4,8 +4,8 @@ import random
 
 import pytest
 
-from bridge.mavlink.codec.decoding import decode
 from bridge.mavlink.codec.framing import REST_MAX, FrameCounters, StreamFramer, split_frames
+from bridge.mavlink.codec.messages import decode
 from bridge.mavlink.endpoint import dialect
 from tests.unit.mavlink.codec.frames_of_messages import UNKNOWN, frames_of, position, raw_frame
 

@@ -9,9 +9,8 @@ import pytest
 from pymavlink.dialects.v20 import all as everything
 from pymavlink.dialects.v20 import ardupilotmega, common, development, standard
 
-from bridge.mavlink.codec.decoding import decode
 from bridge.mavlink.codec.framing import intact, split_frames
-from bridge.mavlink.codec.packing import pack
+from bridge.mavlink.codec.messages import decode, pack
 from bridge.mavlink.codec.wide_messages import MESSAGES, Definition, definitions, make_class
 from bridge.mavlink.endpoint import dialect
 from tests import tables

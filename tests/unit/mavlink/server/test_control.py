@@ -7,7 +7,7 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from bridge.mavlink.server.owner import Right
+from bridge.mavlink.server.commander import Right
 from bridge.mavlink.server.profile import FlightMode
 from bridge.mavlink.server.setpoints import read_setpoint
 from tests.unit.autopilot.autopilot_fakes import setpoint

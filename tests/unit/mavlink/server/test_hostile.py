@@ -12,7 +12,7 @@ import sys
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from bridge.mavlink.codec.decoding import decode
+from bridge.mavlink.codec.messages import decode
 from bridge.mavlink.server.profile import PX4_CODES, FlightMode
 from bridge.mavlink.server.texts import Texts
 from tests.crazyflie_firmware.bench import CLIENT, Bench

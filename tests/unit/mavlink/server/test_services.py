@@ -6,9 +6,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.client.texts import TextAssembler
-from bridge.mavlink.codec.decoding import decode
 from bridge.mavlink.codec.framing import split_frames
-from bridge.mavlink.codec.packing import pack
+from bridge.mavlink.codec.messages import decode, pack
 from bridge.mavlink.server.texts import Text, TextWire
 from tests.unit.mavlink.server.served import ACCEPTED, COMPANION, DENIED, FAILED, NAN, UNSUPPORTED, as_long
 

@@ -1,8 +1,7 @@
 """Clocks, signers and frames that the tests of signing share; frames are signed by pymavlink itself."""
 
 from bridge.mavlink.endpoint import dialect
-from bridge.mavlink.signing.key import SigningKey
-from bridge.mavlink.signing.signing import EPOCH_NS, TICK_NS, Signer
+from bridge.mavlink.signing import EPOCH_NS, TICK_NS, Signer, SigningKey
 
 SECRET = bytes(range(32))
 KEY = SigningKey(SECRET)

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.preflight.provision import provision
-from bridge.mavlink.signing.key import load_key, make_key
+from bridge.mavlink.signing import load_key, make_key
 from flightstack.cli.preflight import preflight
 
 

@@ -9,7 +9,7 @@ import pytest
 from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.codec.framing import split_frames
 from bridge.mavlink.endpoint import Endpoint, dialect
-from bridge.mavlink.signing.signing import (
+from bridge.mavlink.signing import (
     AHEAD_TICKS,
     ANSWER_S,
     ANSWERED,

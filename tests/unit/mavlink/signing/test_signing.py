@@ -7,8 +7,15 @@ import pytest
 
 from bridge.mavlink.codec.framing import split_frames
 from bridge.mavlink.endpoint import dialect
-from bridge.mavlink.signing.key import load_key, make_key
-from bridge.mavlink.signing.signing import AHEAD_TICKS, STALE_TICKS, STREAMS_MAX, Refusal, load_state
+from bridge.mavlink.signing import (
+    AHEAD_TICKS,
+    STALE_TICKS,
+    STREAMS_MAX,
+    Refusal,
+    load_key,
+    load_state,
+    make_key,
+)
 from tests.unit.mavlink.signing.signing_helpers import (
     COMPANION,
     SECRET,
@@ -212,7 +219,7 @@ def test_state_that_cannot_be_written_is_an_error_at_the_start_and_a_count_in_fl
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("bridge.mavlink.signing.signing.save_state", full)
+    monkeypatch.setattr("bridge.mavlink.signing.save_state", full)
     clock.advance(11.0)
     signer.save_if_due()
     signer.save_if_due()

@@ -1,23 +1,27 @@
-"""Turns a checked MAVLink 2 frame into pymavlink's message object, at half the cost of pymavlink's decode.
+"""Turns checked MAVLink 2 frames into pymavlink's message objects, and those into frames.
 
-``framing`` has checked checksum and length of the frame. Here the payload is unpacked, and its fields, which
-are sorted by size on the wire, are put into the order of the constructor. The result equals that of
-``MAVLink.decode`` for every message of the dialect (tested).
+Decoding takes half the time of pymavlink's ``decode``, packing a quarter of its ``pack``. ``framing`` has
+checked checksum and length of a frame; fields are sorted by size on the wire and are put into the order of
+the constructor. Results and kinds of errors equal pymavlink's for every message of the dialect (tested).
+Packed frames are unsigned; ``signing`` signs.
 """
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
+from operator import attrgetter, itemgetter
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from bridge.mavlink.codec.framing import CRC_EXTRA, checksum
 from bridge.mavlink.codec.wide_messages import MESSAGES
 
 Message = Any  # an instance of one of pymavlink's generated classes, which carry no types
 
-_HEADER = struct.Struct("<xBBBBBBHB")
+_HEADER = struct.Struct("<xBBBBBBHB")  # of a frame
 _HEADER_BYTES = 10
 _SIGNED = 0x01
 
@@ -99,3 +103,60 @@ def _wire_kinds(cls: Any) -> list[str]:
 
 
 _LAYOUTS: dict[int, _Layout] = {id_: _layout(cls) for id_, cls in MESSAGES.items()}
+
+_MARKER = b"\xfd"
+_HEAD = struct.Struct("6B").pack  # length, flags, sequence, sender
+_ZERO = b"\x00"
+
+Payload = Callable[[Message], bytes]
+
+
+def pack(message: Message, sequence: int, system_id: int, component_id: int) -> bytes:
+    """Serialise a message; it stores the frame for ``get_msgbuf``, and its header is unchanged.
+
+    Raises struct.error: a field does not fit its type on the wire; IndexError: an array is too short.
+    """
+    id_bytes, extra, payload_of = _PACKERS[message._header.msgId]
+    payload = payload_of(message)
+    if payload[-1] == 0:  # trailing zeros are omitted, except for the first byte
+        payload = payload.rstrip(_ZERO) or _ZERO
+    body = _HEAD(len(payload), 0, 0, sequence, system_id, component_id) + id_bytes + payload
+    frame: bytes = _MARKER + body + checksum(body + extra).to_bytes(2, "little")
+    message._msgbuf = frame
+    return frame
+
+
+def _payload(cls: Any) -> Payload:
+    # pymavlink stores the bytes of a string beside the text
+    pairs = zip(cls.ordered_fieldnames, _wire_kinds(cls), strict=True)
+    names = [f"_{name}_raw" if kind == "char" else name for name, kind in pairs]
+    pack_values = cls.unpacker.pack
+    if all(length == 1 for length in cls.lengths):
+        read = _all_of(names)
+        return lambda message: pack_values(*read(message))
+    fields = [
+        (attrgetter(name), itemgetter(*range(length)) if length > 1 else None)
+        for name, length in zip(names, cls.lengths, strict=True)
+    ]
+
+    def payload(message: Message) -> bytes:
+        values: list[Any] = []
+        for field, elements in fields:
+            if elements is None:
+                values.append(field(message))
+            else:
+                values += elements(field(message))
+        return pack_values(*values)  # type: ignore[no-any-return]
+
+    return payload
+
+
+def _all_of(names: list[str]) -> Callable[[Message], tuple[Any, ...]]:
+    """Read these attributes; ``attrgetter`` gives no tuple for a single one."""
+    read = attrgetter(*names)
+    return read if len(names) > 1 else lambda message: (read(message),)
+
+
+_PACKERS: dict[int, tuple[bytes, bytes, Payload]] = {
+    id_: (id_.to_bytes(3, "little"), CRC_EXTRA[id_], _payload(cls)) for id_, cls in MESSAGES.items()
+}

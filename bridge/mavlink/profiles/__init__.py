@@ -1,1 +1,0 @@
-"""Differences between autopilots, as tables."""
