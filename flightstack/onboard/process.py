@@ -303,7 +303,7 @@ def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -
         _warn(notice)
         onboard.log.event(time.time_ns(), WARN, notice)
     onboard.feed.metadata(onboard.names.record("preflight"), preflight.record(report))
-    if report.profile is not None and onboard.link.profile is None:
+    if report.profile is not None and onboard.link.state.profile is None:
         onboard.link.adopt(report.profile)
     for line in preflight.lines(report):
         say(line)

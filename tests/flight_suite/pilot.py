@@ -69,7 +69,7 @@ class Pilot:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            if self.link.status is not None and self.link.status.armed:
+            if self.link.state.status is not None and self.link.state.status.armed:
                 self.bring_down()
         finally:
             self.link.close()
@@ -77,8 +77,8 @@ class Pilot:
     @property
     def own(self) -> OwnState:
         """Newest state."""
-        assert self.link.own is not None, "no own state"
-        return self.link.own
+        assert self.link.state.own is not None, "no own state"
+        return self.link.state.own
 
     @property
     def vehicle_s(self) -> float:
@@ -88,16 +88,16 @@ class Pilot:
     @property
     def status(self) -> VehicleStatus:
         """Newest status."""
-        assert self.link.status is not None, "no status"
-        return self.link.status
+        assert self.link.state.status is not None, "no status"
+        return self.link.state.status
 
     @property
     def limits(self) -> Limits:
         """Of the steps: the room's, or those of the profile that it flies by."""
         if self._room.limits is not None:
             return self._room.limits
-        assert self.link.profile is not None, "not connected"
-        return LIMITS[self.link.profile.name]
+        assert self.link.state.profile is not None, "not connected"
+        return LIMITS[self.link.state.profile.name]
 
     @property
     def height_m(self) -> float:
@@ -111,8 +111,8 @@ class Pilot:
         self.start_enu_m = self.own.position_enu_m
 
     def _known(self) -> bool:
-        status = self.link.status
-        return status is not None and self.link.own is not None and status.landed is not Landed.UNKNOWN
+        status = self.link.state.status
+        return status is not None and self.link.state.own is not None and status.landed is not Landed.UNKNOWN
 
     def watch(self, step: str, done: Callable[[], bool], limit_s: float) -> float:
         """Ask for nothing and send no set-point until something holds; s that it took."""
@@ -147,7 +147,7 @@ class Pilot:
 
         def work() -> None:
             self.link.command(Request.TAKEOFF, self.now_s)
-            profile = self.link.profile
+            profile = self.link.state.profile
             if profile is not None and profile.stream_in_takeoff:
                 up = Setpoint((0.0, 0.0, CLIMB_M_S), yaw_rad)
                 assert self.link.send_setpoint(up, self.now_s), "refused"
@@ -179,7 +179,7 @@ class Pilot:
             self.now_s = self._pacer.wait().now_s
             self.link.poll(self.now_s)
             took_s = self.now_s - began_wall_s
-            if self.link.own is not None:
+            if self.link.state.own is not None:
                 began_s = self.vehicle_s if began_s is None else began_s
                 took_s = max(self.vehicle_s - began_s, took_s / WALL_FACTOR)
             self.texts += [text for _, text in self.link.take_texts()]

@@ -20,7 +20,7 @@ from bridge.mavlink.line_budget import LinePlan
 from bridge.mavlink.profiles import PX4, Profile, found, refusal
 from bridge.mavlink.signing import SigningKey
 from flightstack.core.safety.gate import ApprovedSetpoint
-from flightstack.core.types import Landed, OwnState, Power, Request, VehicleStatus
+from flightstack.core.types import Landed, OwnState, Request
 
 __all__ = ["COMPONENT_ID", "CommandSequencer", "LinkCounters", "VehicleLink", "VehicleState"]
 
@@ -66,7 +66,8 @@ class VehicleLink:
             raise ValueError(f"loop rate is {rate_hz} Hz: a positive number is needed")
         if not (takeoff_height_m > 0.0 and math.isfinite(takeoff_height_m)):
             raise ValueError(f"take-off height is {takeoff_height_m} m: a positive number is needed")
-        self.state = VehicleState(profile)  # decoder with its counters of rejected telemetry
+        # decoder: newest state, status, power and profile, and counters of rejected telemetry
+        self.state = VehicleState(profile)
         self.counters, self.senders = LinkCounters(), Senders()
         # lockstep: TIMESYNC requests are passed to ``take_timesync``, and a message is stamped with the
         # simulated time of the request that follows it
@@ -103,29 +104,9 @@ class VehicleLink:
         }
 
     @property
-    def own(self) -> OwnState | None:
-        """Newest vehicle state; the reader checks its age."""
-        return self.state.own
-
-    @property
-    def status(self) -> VehicleStatus | None:
-        """Newest status of the vehicle; ``arrival_s`` is that of its heartbeat (1 Hz)."""
-        return self.state.status
-
-    @property
-    def power(self) -> Power | None:
-        """Newest state of battery and motors; None: not requested, or not received."""
-        return self.state.power
-
-    @property
     def failed(self) -> str | None:
         """Why the current request was given up, or None."""
         return self._requests.sequencer.failed if self._requests is not None else None
-
-    @property
-    def profile(self) -> Profile | None:
-        """The profile in use: the configured one, or by the heartbeat; None before."""
-        return self.state.profile
 
     def adopt(self, profile: Profile) -> None:
         """Use this profile, which the preflight check found.
@@ -180,14 +161,14 @@ class VehicleLink:
             return
         sequencer, _, origin = self._requests
         sequencer.home_amsl_m, sequencer.above_home = self.state.home_amsl_m, self.state.above_home
-        commands = sequencer.step(request, self.status, now_s)
+        commands = sequencer.step(request, self.state.status, now_s)
         self._outgoing += commands
         if commands and any(command.command == dialect.MAV_CMD_NAV_TAKEOFF for command in commands):
             self.state.follow(self.state.profile is None or self.state.profile.stream_in_takeoff)
         if request is Request.NONE:
-            own, restarted_s = self.own, self.state.restarted_s
+            own, restarted_s = self.state.own, self.state.restarted_s
             known = self.state.origin_known or (own is not None and own.arrival_s >= restarted_s)
-            self._outgoing += origin.step(self.status, known, now_s)
+            self._outgoing += origin.step(self.state.status, known, now_s)
 
     def send_setpoint(self, setpoint: ApprovedSetpoint, now_s: float) -> bool:
         """Queue a velocity set-point; the only way to send a velocity.
@@ -241,7 +222,9 @@ class VehicleLink:
         restarted = self.state.restarted_s != self._restarted_s
         if requests is None or waits or restarted or not self.state.following:
             return -math.inf
-        return min(self._heartbeat_at_s + _HEARTBEAT_S - 1e-9, requests.idle_until_s(request, self.status))
+        return min(
+            self._heartbeat_at_s + _HEARTBEAT_S - 1e-9, requests.idle_until_s(request, self.state.status)
+        )
 
     def hear(self, now_s: float) -> bool:
         """Handle messages that arrived outside of ticks and send a due heartbeat; False: more is due."""
@@ -281,7 +264,7 @@ class VehicleLink:
         """Whether a set-point would not end or prevent a take-off of the vehicle."""
         if profile.stream_in_takeoff or self._requests is None:
             return True
-        status = self.status
+        status = self.state.status
         standing = status is not None and status.landed is Landed.ON_GROUND
         return self._requests.sequencer.request is not Request.TAKEOFF and (
             self.state.following or not standing

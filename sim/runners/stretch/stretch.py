@@ -183,7 +183,7 @@ class Stretch:
             return False
         for received in node.endpoint.receive():
             node.answer(received, now_s)
-        status, memory = self._link.status, self._controller.memory
+        status, memory = self._link.state.status, self._controller.memory
         if status is None:
             return False
         self._status_s[0] = status.arrival_s
@@ -191,7 +191,7 @@ class Stretch:
 
     def _prepare(self) -> bool:
         """Write down the phase and what the vehicle says; whether they are those of a stretch."""
-        c, rules, status = self._controller, self._rules, self._link.status
+        c, rules, status = self._controller, self._rules, self._link.state.status
         memory, track, watched = c.memory, c.track.memory, c.plausibility.memory
         flight, vehicle = self._node.autopilot.flight, self._node.vehicle
         if status is None:
@@ -232,7 +232,7 @@ class Stretch:
 
     def _weigh(self) -> bool:
         """Write down what the vehicle has told of its power; False where only Python knows what to do."""
-        estimate, power = self._reserve, self._link.power
+        estimate, power = self._reserve, self._link.state.power
         if estimate is None:
             return True
         if power is None or (self._flies and estimate.memory.tired):

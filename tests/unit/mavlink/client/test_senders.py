@@ -194,8 +194,8 @@ def test_over_sockets_a_second_vehicle_changes_nothing_and_gets_nothing(listenin
         poll(link, second)
         other.send(heartbeat(LAND), attitude(1000 * second + 500), position(1000 * second + 500, x=9.0), TEXT)
         poll(link, second + 0.5)
-        assert (link.status.armed, link.status.mode) == (True, Mode.EXTERNAL)
-        assert link.own.position_enu_m[1] == 1.0
+        assert (link.state.status.armed, link.state.status.mode) == (True, Mode.EXTERNAL)
+        assert link.state.own.position_enu_m[1] == 1.0
         link.command(Request.LAND, second + 0.5)
         link.flush()
         assert vehicle.take("COMMAND_LONG")

@@ -52,9 +52,9 @@ def test_hello_is_a_companions_heartbeat(vehicle):
 def test_state_and_status_come_through(vehicle, link):
     vehicle.send(heartbeat(LOITER), attitude(500), position(500))
     poll(link, 2.0)
-    assert link.own.position_enu_m == pytest.approx((2.0, 1.0, 3.0))
-    assert link.own.arrival_s == 2.0
-    assert link.status.mode is Mode.HOLD
+    assert link.state.own.position_enu_m == pytest.approx((2.0, 1.0, 3.0))
+    assert link.state.own.arrival_s == 2.0
+    assert link.state.status.mode is Mode.HOLD
     assert link.heard
 
 
@@ -66,7 +66,7 @@ def test_others_are_counted_and_ignored(ids):
     poll(link, 1.0)
     other.close()
     link.close()
-    assert (link.own, link.status, link.heard) == (None, None, False)
+    assert (link.state.own, link.state.status, link.heard) == (None, None, False)
     assert link.counters.foreign == 3
 
 
@@ -144,13 +144,13 @@ def test_a_flight_from_arming_to_motors_off(vehicle, link):
         vehicle.beat()
 
     for request, reached in (
-        (Request.TAKEOFF, lambda: link.status.mode is Mode.EXTERNAL and link.status.armed),
-        (Request.EXTERNAL, lambda: link.status.mode is Mode.EXTERNAL),
-        (Request.LAND, lambda: link.status.mode is Mode.LAND),
-        (Request.MOTORS_OFF, lambda: not link.status.armed),
+        (Request.TAKEOFF, lambda: link.state.status.mode is Mode.EXTERNAL and link.state.status.armed),
+        (Request.EXTERNAL, lambda: link.state.status.mode is Mode.EXTERNAL),
+        (Request.LAND, lambda: link.state.status.mode is Mode.LAND),
+        (Request.MOTORS_OFF, lambda: not link.state.status.armed),
     ):
         deadline = now + 4.0
-        while link.status is None or not reached():
+        while link.state.status is None or not reached():
             assert now < deadline, request
             vehicle.send(position(round(now * 1000)))
             poll(link, now)
@@ -197,7 +197,7 @@ def test_wrong_profile_is_said_aloud_once(vehicle, link):
     ((severity, text),) = link.take_texts()
     assert severity == 3
     assert "autopilot 3" in text
-    assert link.status is None
+    assert link.state.status is None
 
 
 def test_timesync_is_answered_at_once_in_real_time(vehicle, link):
@@ -216,11 +216,11 @@ def test_lockstep_stamps_what_came_with_the_time_of_the_request(vehicle):
     vehicle.take("HEARTBEAT")
     vehicle.send(heartbeat(), attitude(30), position(30))
     poll(link, 77.0)
-    assert link.own is None  # no tick has claimed it yet
+    assert link.state.own is None  # no tick has claimed it yet
     vehicle.send(dialect.MAVLink_timesync_message(0, 30_000_000))
     poll(link, 77.0)
-    assert link.own.arrival_s == 30_000_000 / 1e9
-    assert link.status.arrival_s == 30_000_000 / 1e9
+    assert link.state.own.arrival_s == 30_000_000 / 1e9
+    assert link.state.status.arrival_s == 30_000_000 / 1e9
     assert link.take_timesync() == 30_000_000
     assert link.take_timesync() is None
     link.flush([link.timesync_reply(30_000_000)])

@@ -45,17 +45,17 @@ def auto(vehicle):
 
 
 def test_auto_takes_the_profile_of_the_first_heartbeat(vehicle, auto):
-    assert auto.profile is None
+    assert auto.state.profile is None
     assert auto.failed is None
     auto.command(Request.LAND, 0.0)  # nobody there yet
     assert not auto.send_setpoint(Setpoint((0.0, 0.0, 0.0), 0.0), 0.0)
     vehicle.send(position(10))
     poll(auto, 0.1)
-    assert auto.profile is None
+    assert auto.state.profile is None
     vehicle.beat()
     poll(auto, 0.2)
-    assert auto.profile is PX4
-    assert auto.status.mode is Mode.HOLD
+    assert auto.state.profile is PX4
+    assert auto.state.status.mode is Mode.HOLD
     assert auto.refused is None
     auto.command(Request.LAND, 0.2)
     vehicle.armed = True
@@ -69,8 +69,8 @@ def test_auto_takes_the_profile_of_the_first_heartbeat(vehicle, auto):
     for now_s in (0.4, 60.0):  # another one on the line is not taken for it, however long it is silent
         vehicle.send(heartbeat(4, autopilot=3))
         poll(auto, now_s)
-    assert (auto.profile, auto.refused, auto.senders.ignored) == (PX4, None, 2)
-    assert auto.status.mode is Mode.HOLD
+    assert (auto.state.profile, auto.refused, auto.senders.ignored) == (PX4, None, 2)
+    assert auto.state.status.mode is Mode.HOLD
 
 
 def test_the_motors_of_one_that_is_not_known_are_stopped_all_the_same(vehicle, auto):
@@ -88,7 +88,7 @@ def test_auto_refuses_who_is_not_known(vehicle, auto, autopilot, type_, word):
         poll(auto, 0.1)
     assert word in auto.refused
     assert auto.take_texts() == [(3, auto.refused)]
-    assert (auto.profile, auto.status) == (None, None)
+    assert (auto.state.profile, auto.state.status) == (None, None)
     assert not auto.send_setpoint(Setpoint((0.0, 0.0, 0.0), 0.0), 0.1)
 
 
@@ -128,7 +128,7 @@ def test_a_vehicle_that_restarts_while_it_is_waited_for_is_asked_and_told_anew(v
         tick(float(second), beat)  # the tries of the first seconds are over: no position comes
     tick(30.0, beat, dialect.MAVLink_gps_global_origin_message(0, 0, 0, 0))
     tick(30.1, attitude(30_000), position(30_000))
-    assert auto.own.arrival_s == 30.1
+    assert auto.state.own.arrival_s == 30.1
     assert not any(m.get_type() == "SET_GPS_GLOBAL_ORIGIN" for m in tick(31.5, beat))
     auto.take_texts()
     again = tick(40.0, beat)  # it has been silent: it restarted
@@ -141,7 +141,7 @@ def test_a_vehicle_that_restarts_while_it_is_waited_for_is_asked_and_told_anew(v
     assert len(seen) > 10  # for as long as it takes, by the group's request in between
     assert max(b - a for a, b in pairwise(seen)) <= 20
     tick(140.1, beat, attitude(90_000), position(90_000))
-    assert auto.own.arrival_s == 140.1
+    assert auto.state.own.arrival_s == 140.1
     assert not any(m.get_type() == "SET_GPS_GLOBAL_ORIGIN" for m in tick(142.0, beat))
 
 
@@ -154,19 +154,19 @@ def test_ardupilot_gets_no_set_point_on_the_ground_and_follows_from_the_first_in
         poll(auto, now_s)
 
     shows(1.0, 1)
-    assert auto.status.mode is Mode.TAKEOFF
+    assert auto.state.status.mode is Mode.TAKEOFF
     auto.command(Request.EXTERNAL, 1.0)
     assert not auto.send_setpoint(still, 1.0)  # would keep it on the ground
     auto.command(Request.TAKEOFF, 1.1)
     assert not auto.send_setpoint(still, 1.1)
     shows(4.0, 3)
-    assert auto.status.mode is Mode.TAKEOFF
+    assert auto.state.status.mode is Mode.TAKEOFF
     auto.command(Request.EXTERNAL, 4.0)
     assert auto.send_setpoint(still, 4.0)
-    assert auto.status.mode is Mode.EXTERNAL  # at once: what it shows on the wire does not change
+    assert auto.state.status.mode is Mode.EXTERNAL  # at once: what it shows on the wire does not change
     shows(5.0, 1)  # stands on the pad, still pressed down by set-points
     assert auto.send_setpoint(still, 5.0)
-    assert auto.status.mode is Mode.EXTERNAL
+    assert auto.state.status.mode is Mode.EXTERNAL
 
 
 def joined(vehicle, line=None):
