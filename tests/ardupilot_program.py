@@ -8,7 +8,8 @@ import sys
 import time
 from pathlib import Path
 
-from bridge.mavlink.endpoint import dialect
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
 from tests.fake_autopilot import PERIOD_S, FakeAutopilot
 from tests.unit.onboard.safe_parameters import ARDUPILOT_46, packed
 

@@ -8,7 +8,9 @@ import struct
 import threading
 import time
 
-from bridge.mavlink.endpoint import Endpoint, dialect
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.mavlink.endpoint import Endpoint
 
 GUIDED, LAND = 4, 9
 FEET_M, LAG_S, SINK_M_S = 0.0144, 0.1, 0.3

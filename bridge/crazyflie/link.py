@@ -26,7 +26,7 @@ from cflib.crtp.crtpstack import CRTPPort
 
 from bridge.crazyflie.blocks import LogBlocks
 from bridge.crazyflie.condition import too_old
-from bridge.crazyflie.outbox import ORDERS_MAX, VELOCITY_AGE_MAX_S, Outbox
+from bridge.crazyflie.outbox import Outbox
 from bridge.crazyflie.settings import DRAG
 from bridge.crazyflie.types import (
     ArmReply,
@@ -41,8 +41,6 @@ from bridge.crazyflie.types import (
     SetParam,
     Velocity,
 )
-
-__all__ = ["ORDERS_MAX", "VELOCITY_AGE_MAX_S", "CrazyflieLink", "Outbox"]
 
 PARAMS = (  # checked before arming
     "stabilizer.estimator", "stabilizer.controller", "deck.bcFlow2", "deck.bcLighthouse4", "deck.bcLoco",

@@ -42,8 +42,6 @@ from bridge.mavlink.server.profile import ServerProfile
 from bridge.mavlink.server.server import COMPONENT_ID, SYSTEM_ID, Server
 from bridge.mavlink.server.telemetry import Builder, Snapshot
 
-__all__ = ["COMPONENT_ID", "PROFILE", "SYSTEM_ID", "Node"]
-
 READINESS_S = 1.0  # s between two checks whether it could be armed
 _RATE_HZ = 1000.0 / STATE_PERIOD_MS  # of new states
 _M = dialect

@@ -16,11 +16,13 @@ from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING
 
 from bridge.crazyflie.condition import ESTIMATOR, KALMAN
-from bridge.crazyflie.node import COMPONENT_ID, Node
+from bridge.crazyflie.node import Node
 from bridge.crazyflie.rules import CrazyflieOptions, Rules
 from bridge.crazyflie.types import Link, Packet, Pose, SetParam
 from bridge.frames import yaw_from_quaternion
-from bridge.mavlink.endpoint import Endpoint, open_endpoint, parse_url
+from bridge.mavlink.endpoint import Endpoint, open_endpoint
+from bridge.mavlink.server.server import COMPONENT_ID
+from bridge.mavlink.transport.address import parse_url
 from bridge.mocap.checks import Passed
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import run_promptly

@@ -46,17 +46,6 @@ class LinkCounters:
             self.senders[sender] = self.senders.get(sender, 0) + 1
 
 
-__all__ = [
-    "Direction",
-    "Endpoint",
-    "EndpointCounters",
-    "Peer",
-    "Received",
-    "dialect",
-    "parse_peer",
-    "parse_url",
-]
-
 _CHUNKS_PER_CALL = 512  # greatest number in one call of receive()
 _RECEIVE_MAX_S = 0.004  # s of processor time in one call
 _UNTIMED_BYTES = 4096  # bytes before the first reading of the clock, which costs as much as a datagram

@@ -17,7 +17,6 @@ from bridge.ros2.cdr import (
     Odometry,
     OdometryError,
     Pose,
-    decode_odometry,
     decode_pose_and_twist,
     encode_odometry,
 )
@@ -25,20 +24,6 @@ from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import GID_BYTES, pack_attachment, parse_attachment
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.types import TargetSample, Vec3
-
-__all__ = [
-    "ENCODING",
-    "Odometry",
-    "OdometryError",
-    "OdometryPublisher",
-    "OdometrySubscriber",
-    "RawSample",
-    "SampleSource",
-    "decode_odometry",
-    "encode_odometry",
-    "sample_from_cdr",
-    "sample_of",
-]
 
 ENCODING = "application/cdr;nav_msgs/msg/Odometry"
 # tolerance of the squared norm, as tf2 (buffer_core.cpp, QUATERNION_NORMALIZATION_TOLERANCE)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from bridge.mavlink.endpoint import Direction, Peer
+from bridge.mavlink.endpoint import Direction
+from bridge.mavlink.transport.address import Peer
 from bridge.target.odometry import RawSample
 from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import Tick

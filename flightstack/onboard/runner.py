@@ -15,7 +15,8 @@ from typing import NamedTuple, Protocol
 
 from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.codec.messages import Message
-from bridge.target.odometry import OdometryError, RawSample, SampleSource, sample_of
+from bridge.ros2.cdr import OdometryError
+from bridge.target.odometry import RawSample, SampleSource, sample_of
 from flightstack.common.pacing import RealTimePacer, Tick
 from flightstack.core.controller import Controller, Outputs
 from flightstack.core.memory import AbortWay, Memory

@@ -17,9 +17,11 @@ from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.client.link import COMPONENT_ID, VehicleLink
 from bridge.mavlink.codec.messages import Message, decode, message_id
 from bridge.mavlink.codec.wide_messages import MESSAGES
-from bridge.mavlink.endpoint import Endpoint, EndpointCounters, Peer, Received
+from bridge.mavlink.endpoint import Endpoint, Received
 from bridge.mavlink.line_budget import LinePlan
 from bridge.mavlink.profiles import PX4, profile
+from bridge.mavlink.transport.address import Peer
+from bridge.mavlink.transport.transport import EndpointCounters
 from bridge.target.odometry import RawSample
 from flightstack.core.controller import Outputs
 from flightstack.core.parameters.flight import FlightConfig

@@ -24,7 +24,7 @@ from bridge.mavlink.server.commands import (
 )
 from bridge.mavlink.server.parameters import Parameters
 from bridge.mavlink.server.profile import FlightMode
-from bridge.mavlink.server.server import COMPONENT_ID, SYSTEM_ID, Server
+from bridge.mavlink.server.server import SYSTEM_ID, Server
 from bridge.mavlink.server.services import Handler
 from bridge.mavlink.server.telemetry import Snapshot
 from flightstack.core.types import ZERO, Vec3
@@ -34,8 +34,6 @@ from sim.autopilot.parameters import px4_parameters
 from sim.autopilot.pilot import Goal
 from sim.autopilot.telemetry import BUILDERS, PX4
 from sim.autopilot.vehicle_like import VehicleLike
-
-__all__ = ["COMPONENT_ID", "SYSTEM_ID", "Autopilot"]
 
 _HOME_REACH_M = 100.0  # m from the room's origin
 _CHANGE_MODE = 1  # MAV_DO_REPOSITION_FLAGS_CHANGE_MODE

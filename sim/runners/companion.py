@@ -10,6 +10,7 @@ from collections.abc import Callable
 from bridge.mavlink.client.link import COMPONENT_ID as COMPANION_ID
 from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.profiles import OWN_SITL
+from bridge.mavlink.server.server import COMPONENT_ID, SYSTEM_ID
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import Tick
 from flightstack.compiled.core import with_compiled_program
@@ -19,7 +20,7 @@ from flightstack.onboard.leaving import Leaving
 from flightstack.onboard.lockstep import VehicleTicks
 from flightstack.onboard.runner import LinkedVehicle, Runner, Taken
 from logs.schema.names import member_name
-from sim.autopilot.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
+from sim.autopilot.autopilot import Autopilot
 from sim.clock import TickGrid
 from sim.runners.landing_target import DirectTarget
 from sim.runners.landing_wire import wires

@@ -15,7 +15,9 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.framing import split_frames
 from bridge.mavlink.codec.messages import Message, decode
-from bridge.mavlink.endpoint import Endpoint, EndpointCounters, Peer, Received
+from bridge.mavlink.endpoint import Endpoint, Received
+from bridge.mavlink.transport.address import Peer
+from bridge.mavlink.transport.transport import EndpointCounters
 
 PEER: Peer = ("in-process", 0)
 

@@ -15,7 +15,8 @@ from typing import Protocol
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.messages import Message
-from bridge.mavlink.endpoint import Peer, Received
+from bridge.mavlink.endpoint import Received
+from bridge.mavlink.transport.address import Peer
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import COMPANION_SILENT_S, TARGET_LOOK_S, TARGET_SILENT_S, Silence
 from flightstack.core.types import ZERO

@@ -10,8 +10,9 @@ from typing import Generic, NamedTuple, TypeVar
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.messages import Message
-from bridge.mavlink.endpoint import Endpoint, Peer, Received
+from bridge.mavlink.endpoint import Endpoint, Received
 from bridge.mavlink.server.profile import FlightMode
+from bridge.mavlink.transport.address import Peer
 from logs.schema.events import Severity
 from sim.autopilot.autopilot import Autopilot
 from sim.faults.link import LinkFaults, Way

@@ -15,6 +15,7 @@ from contextlib import ExitStack
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.endpoint import Endpoint, open_endpoint
+from bridge.mavlink.server.server import COMPONENT_ID
 from bridge.mavlink.transport.address import parse_udp_url
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
@@ -25,7 +26,7 @@ from flightstack.common.pacing import (
     run_promptly,
 )
 from logs.recorder.feed import Feed, FeedError
-from sim.autopilot.autopilot import COMPONENT_ID, Autopilot
+from sim.autopilot.autopilot import Autopilot
 from sim.clock import NoAnswerError, TickGrid
 from sim.options import VehicleOptions
 from sim.runners.deck import LockstepDeck, RealTimeDeck

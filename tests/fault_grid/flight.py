@@ -18,6 +18,7 @@ from bridge.mavlink.client.link import COMPONENT_ID as COMPANION_ID
 from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.endpoint import Received
 from bridge.mavlink.profiles import OWN_SITL
+from bridge.mavlink.server.server import COMPONENT_ID, SYSTEM_ID
 from bridge.ros2.cdr import encode_odometry
 from bridge.target.odometry import RawSample
 from flightstack.common.hangup import Stop
@@ -30,7 +31,7 @@ from flightstack.onboard.leaving import Ended
 from flightstack.onboard.lockstep import VehicleTicks
 from flightstack.onboard.runner import Arrived, LinkedVehicle, Runner, Taken, decoded
 from logs.reader.flight_data import Truth
-from sim.autopilot.autopilot import COMPONENT_ID, SYSTEM_ID, Autopilot
+from sim.autopilot.autopilot import Autopilot
 from sim.clock import TickGrid
 from sim.plant.vehicle_types import Truth as TrueState
 from sim.robot.target import TargetMeasurement, measurement

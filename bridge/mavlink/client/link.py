@@ -22,8 +22,6 @@ from bridge.mavlink.signing import SigningKey
 from flightstack.core.safety.gate import ApprovedSetpoint
 from flightstack.core.types import Landed, OwnState, Request
 
-__all__ = ["COMPONENT_ID", "CommandSequencer", "LinkCounters", "VehicleLink", "VehicleState"]
-
 COMPONENT_ID = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 _HEARTBEAT_S = 1.0  # s; every autopilot judges a link by heartbeats of 1 Hz
 _HELLO_S = 0.2  # s of wall time between heartbeats before the first message of the vehicle

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import NamedTuple
 
-from bridge.mavlink.endpoint import EndpointCounters
+from bridge.mavlink.transport.transport import EndpointCounters
 
 _SENDERS_SHOWN = 4
 

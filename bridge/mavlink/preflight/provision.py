@@ -13,9 +13,9 @@ from collections.abc import Callable
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.companion import companion_heartbeat
-from bridge.mavlink.endpoint import Endpoint, Peer
+from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.signing import EPOCH_NS, KEY_BYTES, TICK_NS, SigningKey
-from bridge.mavlink.transport.address import is_local, parse_url, resolve
+from bridge.mavlink.transport.address import Peer, is_local, parse_url, resolve
 
 _COMPONENT_ID = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 _PERIOD_S = 0.5  # s between two tries

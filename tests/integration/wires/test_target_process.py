@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from bridge.target.odometry import decode_odometry
+from bridge.ros2.cdr import decode_odometry
 from bridge.zenoh import zenoh_link
 from flightstack.core.types import ZERO, Phase
 from logs.schema.rows import ControllerStepRow

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from bridge.crazyflie.link import ORDERS_MAX, VELOCITY_AGE_MAX_S, Outbox
+from bridge.crazyflie.outbox import ORDERS_MAX, VELOCITY_AGE_MAX_S, Outbox
 from bridge.crazyflie.process import Loop
 from bridge.crazyflie.state import BootClock, decode_state, decompress_quaternion
 from bridge.crazyflie.types import Info, Order, Pose, SetParam, StateBlock, Velocity

@@ -7,7 +7,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.codec.framing import split_frames
-from bridge.mavlink.endpoint import EndpointCounters, Received
+from bridge.mavlink.endpoint import Received
+from bridge.mavlink.transport.transport import EndpointCounters
 from sim.faults.content import clock_ns
 from sim.faults.link import CONCERNS, LinkFaults, Way
 from sim.plant.sensors import NS

@@ -3,8 +3,9 @@
 import threading
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.endpoint import Endpoint, dialect
+from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.preflight import examine as module
 from bridge.mavlink.preflight.examine import examine
 from bridge.mavlink.preflight.rules import Level, judge

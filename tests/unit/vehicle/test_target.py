@@ -8,8 +8,7 @@ from dataclasses import replace
 import pytest
 
 from bridge.frames import quaternion_from_yaw, world_from_body, yaw_from_quaternion
-from bridge.ros2.cdr import encode_odometry
-from bridge.target.odometry import OdometryError
+from bridge.ros2.cdr import OdometryError, encode_odometry
 from flightstack.common.pacing import RUN_AHEAD_TICKS
 from flightstack.core.types import TargetSample
 from sim.clock import TickGrid

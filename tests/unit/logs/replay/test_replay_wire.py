@@ -4,10 +4,11 @@ import itertools
 from dataclasses import replace as with_
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.messages import pack as packed
-from bridge.mavlink.endpoint import dialect
-from bridge.target.odometry import OdometryError, sample_from_cdr
+from bridge.ros2.cdr import OdometryError
+from bridge.target.odometry import sample_from_cdr
 from flightstack.core.types import Inputs
 from logs.reader.reader import LogFile
 from logs.replay.read import SINK, SOURCE, FlightInputs, TickRecord

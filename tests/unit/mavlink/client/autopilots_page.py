@@ -5,7 +5,8 @@ python -m tests.unit.mavlink.client.autopilots_page
 
 from pathlib import Path
 
-from bridge.mavlink.endpoint import dialect
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
 from bridge.mavlink.line_budget import LineTooSlowError
 from bridge.mavlink.preflight.table import Needs, Severity, table
 from bridge.mavlink.profiles import ARDUPILOT, CRAZYFLIE, OWN_SITL, PX4, Reading

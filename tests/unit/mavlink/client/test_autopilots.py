@@ -4,12 +4,12 @@ import math
 from dataclasses import replace
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.commands import CommandSequencer
 from bridge.mavlink.client.companion import Origin, OriginSender
 from bridge.mavlink.client.streams import StreamRequests
 from bridge.mavlink.client.vehicle_state import VehicleState
-from bridge.mavlink.endpoint import dialect
 from bridge.mavlink.profiles import (
     ARDUPILOT,
     AUTO,

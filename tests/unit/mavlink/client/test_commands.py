@@ -4,11 +4,11 @@ import math
 from itertools import pairwise
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.commands import CommandSequencer
 from bridge.mavlink.client.streams import StreamRequests
 from bridge.mavlink.client.texts import TextAssembler
-from bridge.mavlink.endpoint import dialect
 from bridge.mavlink.profiles import ARDUPILOT, CRAZYFLIE, PX4
 from flightstack.core.types import Landed, Mode, Request
 from tests.unit.mavlink.client.vehicle_link_fakes import HEIGHT, commands, params, sequencer, status

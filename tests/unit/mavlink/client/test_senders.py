@@ -1,11 +1,11 @@
 """Whose frames are the vehicle's: its ids from the address where it is known, and heartbeats of its kind."""
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.client.senders import SILENT_S, Kind, Senders
 from bridge.mavlink.codec.messages import decode, pack
-from bridge.mavlink.endpoint import dialect
 from bridge.mavlink.preflight.examine import examine
 from flightstack.core.types import Mode, Request
 from flightstack.onboard.runner import LinkedVehicle

@@ -4,12 +4,14 @@ import math
 import struct
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.parameters import ParameterReader
 from bridge.mavlink.client.silence import Arrivals, why_silent
 from bridge.mavlink.client.vehicle_state import VehicleState
-from bridge.mavlink.endpoint import EndpointCounters, LinkCounters, dialect
+from bridge.mavlink.endpoint import LinkCounters
 from bridge.mavlink.profiles import PX4, Encoding
+from bridge.mavlink.transport.transport import EndpointCounters
 from flightstack.core.types import Landed, Mode, VehicleStatus
 from tests.unit.mavlink.client.vehicle_link_fakes import (
     LAND,

@@ -3,9 +3,10 @@
 import math
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.link import COMPONENT_ID, VehicleLink
-from bridge.mavlink.endpoint import Endpoint, dialect
+from bridge.mavlink.endpoint import Endpoint
 from flightstack.core.types import Mode, Request
 from tests.unit.mavlink.client.vehicle_link_fakes import (
     HEIGHT,

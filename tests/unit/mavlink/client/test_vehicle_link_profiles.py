@@ -3,12 +3,12 @@
 from itertools import pairwise
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.client.texts import EVENT
 from bridge.mavlink.codec.wide_messages import MESSAGES
-from bridge.mavlink.endpoint import dialect
 from bridge.mavlink.line_budget import LineTooSlowError, bytes_per_s, plan
 from bridge.mavlink.profiles import PX4
 from flightstack.core.types import Mode, Request

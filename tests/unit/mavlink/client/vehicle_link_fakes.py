@@ -2,8 +2,10 @@
 
 from dataclasses import dataclass
 
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
 from bridge.mavlink.client.commands import CommandSequencer
-from bridge.mavlink.endpoint import Endpoint, dialect
+from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.profiles import PX4
 from flightstack.core.types import Landed, Mode, VehicleStatus
 

@@ -3,7 +3,7 @@
 import random
 import struct
 
-from bridge.mavlink.endpoint import dialect
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 UNKNOWN = b"\xfd\x02\x00\x00\x00\x01\x01\xff\xff\xff\x01\x02\x03\x04"
 

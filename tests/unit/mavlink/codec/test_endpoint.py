@@ -3,9 +3,11 @@
 import socket
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.endpoint import Direction, Endpoint, dialect, parse_peer, parse_url
+from bridge.mavlink.endpoint import Direction, Endpoint
 from bridge.mavlink.signing import SigningKey
+from bridge.mavlink.transport.address import parse_peer, parse_url
 from tests.unit.mavlink.codec.frames_of_messages import frames_of, position
 
 

@@ -3,10 +3,10 @@
 import random
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.framing import REST_MAX, FrameCounters, StreamFramer, split_frames
 from bridge.mavlink.codec.messages import decode
-from bridge.mavlink.endpoint import dialect
 from tests.unit.mavlink.codec.frames_of_messages import UNKNOWN, frames_of, position, raw_frame
 
 

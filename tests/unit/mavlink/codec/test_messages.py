@@ -8,11 +8,11 @@ import struct
 import pytest
 from pymavlink.dialects.v20 import all as everything
 from pymavlink.dialects.v20 import ardupilotmega, common, development, standard
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.framing import intact, split_frames
 from bridge.mavlink.codec.messages import decode, pack
 from bridge.mavlink.codec.wide_messages import MESSAGES, Definition, definitions, make_class
-from bridge.mavlink.endpoint import dialect
 from tests import tables
 from tests.unit.mavlink.codec.frames_of_messages import raw_frame
 

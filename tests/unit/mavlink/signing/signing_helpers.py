@@ -1,6 +1,7 @@
 """Clocks, signers and frames that the tests of signing share; frames are signed by pymavlink itself."""
 
-from bridge.mavlink.endpoint import dialect
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
 from bridge.mavlink.signing import EPOCH_NS, TICK_NS, Signer, SigningKey
 
 SECRET = bytes(range(32))

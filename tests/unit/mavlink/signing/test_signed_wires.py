@@ -5,10 +5,11 @@ import socket
 import time
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.codec.framing import split_frames
-from bridge.mavlink.endpoint import Endpoint, dialect
+from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.signing import (
     AHEAD_TICKS,
     ANSWER_S,

@@ -4,9 +4,9 @@ import random
 import stat
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.framing import split_frames
-from bridge.mavlink.endpoint import dialect
 from bridge.mavlink.signing import (
     AHEAD_TICKS,
     STALE_TICKS,
