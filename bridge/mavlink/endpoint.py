@@ -75,8 +75,6 @@ class Endpoint:
     With a key every frame is signed, and frames without its signature are dropped before decoding.
     """
 
-    dialect = dialect
-
     def __init__(
         self,
         url: str,
