@@ -10,8 +10,7 @@ from bridge.mavlink.client.senders import Senders
 from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.line_budget import LinePlan, LineTooSlowError, plan
 from bridge.mavlink.preflight.examine import Report, examine
-from bridge.mavlink.preflight.rules import Level
-from bridge.mavlink.preflight.table import Needs
+from bridge.mavlink.preflight.table import Level, Needs
 from bridge.mavlink.profiles import profile
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.strategy import strategy_of

@@ -8,8 +8,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.preflight import examine as module
 from bridge.mavlink.preflight.examine import examine
-from bridge.mavlink.preflight.rules import Level, judge
-from bridge.mavlink.preflight.table import Needs, table
+from bridge.mavlink.preflight.table import Level, Needs, judge, table
 from bridge.mavlink.profiles import ARDUPILOT, CRAZYFLIE, OWN_SITL, PROFILES, PX4
 from flightstack.common.strict_toml import ConfigError, from_table
 from flightstack.core.parameters.flight import FlightConfig

@@ -5,8 +5,7 @@ import pytest
 from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.preflight import examine as module
 from bridge.mavlink.preflight.examine import examine
-from bridge.mavlink.preflight.rules import Level, Release, choose, judge
-from bridge.mavlink.preflight.table import Needs, Table, table
+from bridge.mavlink.preflight.table import Level, Needs, Release, Table, choose, judge, table
 from flightstack.common.strict_toml import ConfigError, from_table
 from flightstack.onboard.preflight import lines, record, verdict
 from tests.fake_autopilot import OnUdp

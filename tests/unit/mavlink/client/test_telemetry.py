@@ -6,10 +6,10 @@ import struct
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.client.parameters import ParameterReader
 from bridge.mavlink.client.silence import Arrivals, why_silent
 from bridge.mavlink.client.vehicle_state import VehicleState
 from bridge.mavlink.endpoint import LinkCounters
+from bridge.mavlink.preflight.examine import ParameterReader
 from bridge.mavlink.profiles import PX4, Encoding
 from bridge.mavlink.transport.transport import EndpointCounters
 from flightstack.core.types import Landed, Mode, VehicleStatus
