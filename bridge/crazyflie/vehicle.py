@@ -361,9 +361,8 @@ class Vehicle(Condition, Commander):
         if self.standing and self.mode is FlightMode.LAND:
             self._motors_off(now_s, "Disarmed", forced=False)
             return
-        if (
-            self.standing and self.mode is FlightMode.HOLD
-        ) or now_s - self._own_s < limits.OWN_PERIOD_S - 1e-4:
+        idle = self.standing and self.mode is FlightMode.HOLD
+        if idle or now_s - self._own_s < limits.OWN_PERIOD_S - 1e-4:
             return
         self._own_s = now_s
         if self.mode is not FlightMode.LAND and now_s - self._client_s > limits.CLIENT_SILENT_S:
@@ -382,13 +381,11 @@ class Vehicle(Condition, Commander):
         )
         if done is Done.LANDED:
             self._motors_off(now_s, "Landed, disarmed", forced=False)
-            return
-        if done is Done.STUCK:
+        elif done is Done.STUCK:
             self._fall_back("Take-off height not reached", now_s)
-            return
-        if done is Done.ARRIVED:
-            self._change(FlightMode.HOLD)
-        if velocity is not None:
+        elif velocity is not None:
+            if done is Done.ARRIVED:
+                self._change(FlightMode.HOLD)
             self._command(velocity)
 
     def _fly_offboard(self, now_s: float) -> None:
