@@ -150,16 +150,6 @@ class Rig:
         assert self.command(176, *OFFBOARD) == mav.MAV_RESULT_ACCEPTED
         return self
 
-    def listed(self) -> list:
-        """PARAM_VALUE of everything, as it comes with the telemetry."""
-        self.handle(mav.MAVLink_param_request_list_message(1, 1))
-        found: list = []
-        while not found or len(found) < found[0].param_count:
-            values = [m for m in self.autopilot.telemetry(self.now_s) if m.get_type() == "PARAM_VALUE"]
-            assert values
-            found += values
-        return found
-
     def seen(self, message_id: int) -> list:
         return [m for m in self.telemetry if m.get_msgId() == message_id]
 

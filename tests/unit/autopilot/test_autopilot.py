@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-import struct
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from bridge.mavlink.server.profile import PX4_CODES, FlightMode
+from bridge.mavlink.server.profile import FlightMode
 from sim.autopilot.autopilot import Autopilot
 from tests.unit.autopilot.autopilot_fakes import (
     FEET_M,
     HOLD,
     NAN,
-    OFFBOARD,
     RATE_HZ,
     FakeVehicle,
     Rig,
@@ -73,38 +71,10 @@ def test_take_off_heights_out_of_range_are_refused(height_m: float) -> None:
     assert "Take-off refused" in rig.texts()[-1]
 
 
-def test_repeated_commands_are_accepted_and_change_nothing() -> None:
-    rig = Rig()
-    assert rig.command(400, 0.0) == mav.MAV_RESULT_ACCEPTED  # disarmed already
-    for _ in range(3):
-        assert rig.command(400, 1.0) == mav.MAV_RESULT_ACCEPTED
-    for _ in range(3):
-        assert rig.command(22, *[NAN] * 6, 0.5) == mav.MAV_RESULT_ACCEPTED
-        rig.run(0.2)
-    assert rig.texts() == ["Armed", "Mode take-off"]
-    rig.run(5.0)
-    rig.run(0.1, (0.0, 0.0, 0.0))
-    for _ in range(3):
-        assert rig.command(176, *OFFBOARD) == mav.MAV_RESULT_ACCEPTED
-    for _ in range(3):
-        assert rig.command(21) == mav.MAV_RESULT_ACCEPTED
-    assert rig.texts() == ["Mode hold", "Mode offboard", "Mode land"]
-
-
 def test_forced_arming_does_not_skip_the_checks() -> None:
     rig = Rig()
     rig.vehicle.state.valid = False
     assert rig.command(400, 1.0, 21196.0) == mav.MAV_RESULT_TEMPORARILY_REJECTED
-
-
-def test_termination_only_when_armed() -> None:
-    rig = Rig()
-    assert rig.command(185, 1.0) == mav.MAV_RESULT_DENIED
-    rig.fly()
-    assert rig.command(185, 0.0) == mav.MAV_RESULT_DENIED
-    assert rig.vehicle.armed
-    assert rig.command(185, 1.0) == mav.MAV_RESULT_ACCEPTED
-    assert not rig.vehicle.armed
 
 
 def test_landing_waits_for_lasting_contact_and_works_on_the_pad() -> None:
@@ -257,28 +227,6 @@ def test_stream_that_comes_back_does_not_take_over_by_itself() -> None:
     assert rig.vehicle.setpoint[2] < 0.0
 
 
-def test_mode_codes_are_those_of_px4() -> None:
-    assert {m: c.custom_mode for m, c in PX4_CODES.items()} == {
-        FlightMode.HOLD: 0x03040000,
-        FlightMode.TAKEOFF: 0x02040000,
-        FlightMode.LAND: 0x06040000,
-        FlightMode.OFFBOARD: 0x00060000,
-    }
-
-
-def test_position_and_attitude_come_at_every_tick_in_ned() -> None:
-    rig = Rig()
-    rig.vehicle.state.position_enu_m = (1.0, 2.0, FEET_M)
-    rig.run(0.5)
-    positions = rig.seen(mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
-    assert len(positions) == len(rig.seen(mav.MAVLINK_MSG_ID_ATTITUDE)) == 50
-    assert (positions[0].x, positions[0].y, positions[0].z) == (2.0, 1.0, pytest.approx(-FEET_M))
-    attitude = rig.seen(mav.MAVLINK_MSG_ID_ATTITUDE)[0]
-    assert attitude.yaw == pytest.approx(math.pi / 2)  # nose to the east
-    assert attitude.roll == pytest.approx(0.0)
-    assert [m.time_boot_ms for m in positions[:3]] == [0, 10, 20]
-
-
 def test_fence_is_healthy_and_home_and_place_on_earth_come_in_the_first_two_seconds() -> None:
     rig = Rig()
     rig.run(2.0)
@@ -286,16 +234,6 @@ def test_fence_is_healthy_and_home_and_place_on_earth_come_in_the_first_two_seco
     assert status.onboard_control_sensors_health & mav.MAV_SYS_STATUS_GEOFENCE
     assert rig.seen(mav.MAVLINK_MSG_ID_HOME_POSITION)[0].altitude == 0
     assert rig.seen(mav.MAVLINK_MSG_ID_GLOBAL_POSITION_INT)
-
-
-def test_parameters_can_be_listed_read_and_set() -> None:
-    rig = Rig()
-    assert len(rig.listed()) == len(rig.autopilot.parameters)
-    by_name = rig.handle(mav.MAVLink_param_request_read_message(1, 1, b"COM_OBL_RC_ACT", -1))[0]
-    assert by_name.param_type == mav.MAV_PARAM_TYPE_INT32
-    assert struct.unpack("<i", struct.pack("<f", by_name.param_value)) == (4,)  # bytewise
-    assert set_real(rig, "MIS_TAKEOFF_ALT", 0.8) == pytest.approx(0.8)
-    assert rig.autopilot.parameters["MIS_TAKEOFF_ALT"] == pytest.approx(0.8)
 
 
 @pytest.mark.parametrize("value", [NAN, math.inf, 0.0, 60.0])

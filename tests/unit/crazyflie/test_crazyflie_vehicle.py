@@ -299,16 +299,6 @@ def test_an_old_kill_does_not_stop_the_next_flight():
     assert not bench.orders(Order.EMERGENCY_STOP)
 
 
-def test_a_take_off_in_the_air_never_descends():
-    bench = Bench().offboard((0.0, 0.0, -0.4))
-    bench.run(3.0)
-    bench.stream = None
-    high_m = bench.firmware.plant.position[2]
-    assert bench.result(22) == 0
-    bench.run(4.0)
-    assert bench.firmware.plant.position[2] > high_m - 0.05
-
-
 def test_offboard_needs_a_position():
     firmware = Firmware(needs_poses=True)
     bench = Bench(firmware).run(1.0)

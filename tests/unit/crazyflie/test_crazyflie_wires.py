@@ -73,13 +73,6 @@ def test_packets_out_of_order_are_dropped_late_ones_are_known_and_a_restart_is_o
     assert clock.now_ns(2.0) == pytest.approx(2e9, abs=1e6)
 
 
-def test_a_restart_begins_the_clock_anew():
-    clock = BootClock()
-    clock.take(500_000, 500.0)
-    assert clock.take(200, 501.0) == (200, 0.0)
-    assert clock.take(300, 501.1)[0] == 300
-
-
 def test_states_held_up_are_not_sent():
     bench = Bench().ready().run(0.5)
     held = []

@@ -10,13 +10,6 @@ from bridge.mavlink.codec.messages import decode
 from tests.unit.mavlink.codec.frames_of_messages import UNKNOWN, frames_of, position, raw_frame
 
 
-def test_stray_start_byte_costs_no_good_frame():
-    frames = frames_of(8)
-    counters = FrameCounters()
-    assert list(split_frames(b"\xfd\xff\x00" + b"".join(frames), counters)) == frames
-    assert counters.garbage_bytes == 3
-
-
 def test_bad_checksum_is_counted_and_the_next_frame_survives():
     first, second = frames_of(2)
     broken = first[:-1] + bytes([first[-1] ^ 1])
