@@ -196,21 +196,18 @@ class Pilot:
 class FakePx4:
     """The wire."""
 
-    def __init__(self, port, *, version_1=False):
+    def __init__(self, port):
         self._socket = socket.create_connection(("127.0.0.1", port), PATIENCE_S)
         self._socket.settimeout(PATIENCE_S)
         self.mav = mav.MAVLink(None, 1, 1)
         self.mav.robust_parsing = True
-        self._version_1 = version_1
         self._waiting = []
         self.first_us = None
         self.truth = None
         self.counts = {}
 
     def send(self, *messages):
-        self._socket.sendall(
-            b"".join(bytes(m.pack(self.mav, force_mavlink1=self._version_1)) for m in messages)
-        )
+        self._socket.sendall(b"".join(bytes(m.pack(self.mav)) for m in messages))
 
     def raw(self, data):
         self._socket.sendall(data)

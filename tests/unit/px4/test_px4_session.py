@@ -126,14 +126,6 @@ def test_sensors_come_every_4_ms_of_px4_s_clock_and_the_truth_as_often_as_it_ask
     assert pair.fake.counts["HIL_GPS"] == 2
 
 
-def test_a_px4_of_mavlink_1_flies_too(server):
-    old = Pair(server, version_1=True)
-    old.begin()
-    old.answering([(0.7,) * 4] * 20)
-    assert old.session.steps == 21
-    assert min(old.session.plant.truth().rotor_rpm) > 1000.0
-
-
 def test_a_silent_px4_is_called_dead_with_the_time_and_hardly_anything_moves_meanwhile(pair, short):
     pair.begin()
     with pytest.raises(NoAnswerError, match=r"silent.*time_usec \d+ or \d+") as error:
@@ -175,14 +167,6 @@ def test_an_old_answer_and_one_said_twice_let_nothing_go_on(pair):
     assert rotor.thrust_n(pair.session.plant.wanted[0]) == pytest.approx(0.4 * 0.12)
     assert pair.session.lockstep.old == 2
     assert pair.session.steps == 3
-
-
-def test_garbage_among_the_answers_is_counted_and_harms_nothing(pair):
-    pair.begin()
-    pair.fake.raw(b"\xfd\x50\x00 noise \xfe\x00" * 30)
-    pair.answering([(0.7,) * 4] * 20)
-    assert pair.session.steps == 21
-    assert pair.link.stream.garbage_bytes == 30 * 12
 
 
 def test_while_px4_starts_time_goes_on_at_the_pace_of_the_wall(pair):

@@ -13,7 +13,7 @@ from sim.px4.link import FRAME_MAX, FrameStream, parse_endpoint
 from sim.px4.messages import Answer, answer_of, hil_gps, hil_sensor, hil_state
 from sim.px4.plant import Body
 from sim.px4.sensors import Fix, Readings, Slow
-from sim.px4.session import FIRST_US, Lockstep, NoLockstepError
+from sim.px4.session import FIRST_US, Lockstep
 
 SENDER = mav.MAVLink(None, 1, 1)
 OUTPUTS = [0.1 * i for i in range(10)] + [0.0] * 6
@@ -167,13 +167,6 @@ def test_late_answers_and_silence_do_not_change_the_clock(late_us):
         lockstep.adopt()
     lockstep.sent(sent_us + 4000)
     assert lockstep.take(answer(sent_us + 4000))
-
-
-def test_px4_without_lockstep_is_refused():
-    lockstep = Lockstep()
-    lockstep.sent(FIRST_US)
-    with pytest.raises(NoLockstepError, match="px4_sitl_default"):
-        lockstep.take(answer(0, lockstep=False))
 
 
 @pytest.mark.parametrize("text", ["4560", "127.0.0.1", "tcp:127.0.0.1:4560", "127.0.0.1:70000", ":1", ""])
