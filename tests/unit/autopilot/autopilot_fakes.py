@@ -10,14 +10,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.server.profile import FlightMode
 from sim.autopilot.autopilot import Autopilot
+from tests.unit.mavlink.server.served import ACCEPTED, COMPANION, NAN, OFFBOARD, Served
 
-NAN = math.nan
 FEET_M = 0.0144
 RATE_HZ = 100
-COMPANION = (1, 191)
-GROUND_STATION = (255, 190)
-OFFBOARD = (1.0, 6.0, 0.0)
-HOLD = (1.0, 4.0, 3.0)
 
 
 @dataclass
@@ -96,69 +92,59 @@ class FakeVehicle:
         self.state.velocity_enu_m_s = (velocity[0], velocity[1], velocity[2])
 
 
-class Rig:
+class Rig(Served):
     """An autopilot on a fake vehicle, with time."""
+
+    silence_s = 0.5
 
     def __init__(self, **vehicle: object) -> None:
         self.vehicle = FakeVehicle(**vehicle)  # type: ignore[arg-type]
-        self.autopilot = Autopilot(self.vehicle, RATE_HZ)
-        self.tick = 0
+        self.server = self.autopilot = Autopilot(self.vehicle, RATE_HZ)
+        self.ticks = 0
         self.telemetry: list = []
 
     @property
     def now_s(self) -> float:
-        return self.tick / RATE_HZ
+        return self.ticks / RATE_HZ
 
     @property
-    def mode(self) -> FlightMode:
-        return self.autopilot.flight.mode
+    def velocity_enu_m_s(self) -> tuple[float, float, float] | None:
+        return self.vehicle.setpoint
 
-    def handle(self, message, sender=COMPANION) -> list:
-        return self.autopilot.handle(message, sender, self.now_s)
-
-    def run(self, duration_s: float, velocity_ned=None, sender=COMPANION) -> None:
-        for _ in range(round(duration_s * RATE_HZ)):
-            self.telemetry += self.autopilot.telemetry(self.now_s)
-            if velocity_ned is not None:
-                self.handle(setpoint(*velocity_ned), sender)
-            self.autopilot.control(self.now_s)
-            self.vehicle.advance(1.0 / RATE_HZ)
-            self.tick += 1
-
-    def command(self, number: int, *params: float, sender=COMPANION, target=(1, 1)) -> int | None:
-        values = [*params, *[NAN] * (7 - len(params))]
-        replies = self.handle(mav.MAVLink_command_long_message(*target, number, 0, *values), sender)
-        acks = [r for r in replies if r.get_msgId() == mav.MAVLINK_MSG_ID_COMMAND_ACK]
-        assert all((a.target_system, a.target_component, a.command) == (*sender, number) for a in acks)
-        return acks[0].result if acks else None
+    def tick(self) -> None:
+        self.telemetry += self.autopilot.telemetry(self.now_s)
+        self.autopilot.control(self.now_s)
+        self.vehicle.advance(1.0 / RATE_HZ)
+        self.ticks += 1
 
     def texts(self) -> list[str]:
         self.telemetry += self.autopilot.telemetry(self.now_s)
         return [t.text for t in self.autopilot.take_texts()]
 
     def fly(self, height_m: float = 0.5) -> Rig:
-        assert self.command(400, 1.0) == mav.MAV_RESULT_ACCEPTED
-        assert self.command(22, *[NAN] * 6, height_m) == mav.MAV_RESULT_ACCEPTED
+        assert self.command(400, 1.0) == ACCEPTED
+        assert self.command(22, *[NAN] * 6, height_m) == ACCEPTED
         self.run(6.0)
         assert self.mode is FlightMode.HOLD
         assert abs(self.vehicle.state.position_enu_m[2] - height_m) < 0.05
         return self
 
+    def homed(self) -> Rig:
+        assert self.command(179, 0.0, NAN, NAN, NAN, 47.39776, 8.545607, 0.25) == ACCEPTED
+        return self
+
     def offboard(self) -> Rig:
         self.fly()
         self.run(0.1, (0.0, 0.0, 0.0))
-        assert self.command(176, *OFFBOARD) == mav.MAV_RESULT_ACCEPTED
+        assert self.command(176, *OFFBOARD) == ACCEPTED
         return self
 
-    def seen(self, message_id: int) -> list:
-        return [m for m in self.telemetry if m.get_msgId() == message_id]
-
-
-def setpoint(n=0.0, e=0.0, d=0.0, *, frame=1, mask=2503, yaw=0.0, rate=0.0, target=(1, 1)):
-    zeros = (0.0, 0.0, 0.0)
-    return mav.MAVLink_set_position_target_local_ned_message(
-        0, *target, frame, mask, *zeros, n, e, d, *zeros, yaw, rate
-    )
+    def state(self) -> list[object]:
+        flight, goal = self.autopilot.flight, self.autopilot.flight.pilot.goal
+        place = goal and (*[round(v, 4) for v in goal.point_enu_m], goal.yaw_rad, goal.speed_m_s)
+        home = [round(v, 4) for v in flight.home_enu_m]
+        rest = [place, home, round(flight.takeoff_z_m, 6), self.vehicle.reboots, dict(self.vehicle.failures)]
+        return [*super().state()[:-1], *rest]
 
 
 def set_real(rig: Rig, name: str, value: float) -> float:

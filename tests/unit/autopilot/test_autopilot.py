@@ -9,16 +9,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.server.profile import FlightMode
 from sim.autopilot.autopilot import Autopilot
-from tests.unit.autopilot.autopilot_fakes import (
-    FEET_M,
-    HOLD,
-    NAN,
-    RATE_HZ,
-    FakeVehicle,
-    Rig,
-    set_real,
-    setpoint,
-)
+from tests.unit.autopilot.autopilot_fakes import FEET_M, RATE_HZ, FakeVehicle, Rig, set_real
+from tests.unit.mavlink.server.served import HOLD, NAN, setpoint
 
 
 def test_no_estimate_clears_health_and_refuses_arming_and_take_off() -> None:

@@ -16,17 +16,8 @@ from sim.autopilot.parameters import px4_parameters
 from sim.autopilot.watches import STATION_LOST, Watches
 from sim.plant.params import load
 from sim.plant.rotors import BatteryModel, drain
-from tests.unit.autopilot.autopilot_fakes import (
-    GROUND_STATION,
-    NAN,
-    OFFBOARD,
-    RATE_HZ,
-    FakeVehicle,
-    Rig,
-    set_int,
-    set_real,
-)
-from tests.unit.mavlink.server.served import as_int
+from tests.unit.autopilot.autopilot_fakes import RATE_HZ, FakeVehicle, Rig, set_int, set_real
+from tests.unit.mavlink.server.served import GROUND_STATION, NAN, OFFBOARD, as_int
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED = range(5)
 NEAR = tuple(v / 1e7 for v in degrees_e7(1.0, 2.0))  # latitude, longitude

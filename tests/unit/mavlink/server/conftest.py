@@ -7,7 +7,22 @@ import functools
 
 import pytest
 
-from tests.unit.mavlink.server.served import USERS, Served
+from tests.unit.autopilot.autopilot_fakes import Rig
+from tests.unit.mavlink.server.served import TICK_S, Bridged, Served
+
+
+class Simulated(Rig):
+    """The simulated autopilot, with failures allowed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.server.parameters.preset("SYS_FAILURE_EN", 1.0)
+        self.run(TICK_S)
+
+    offboard = Served.offboard
+
+
+USERS: dict[str, type[Served]] = {"px4": Simulated, "crazyflie": Bridged}
 
 
 @functools.cache

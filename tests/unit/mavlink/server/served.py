@@ -10,7 +10,6 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from bridge.mavlink.server.profile import FlightMode
 from bridge.mavlink.server.server import Server
 from tests.crazyflie_firmware.bench import Bench
-from tests.unit.autopilot.autopilot_fakes import Rig, setpoint
 
 NAN = math.nan
 NAN7 = (NAN,) * 7
@@ -31,6 +30,13 @@ def as_int(number: int, params: tuple[float, ...], frame: int = 0):
     p1, p2, p3, p4, p5, p6, p7 = (*params, *NAN7[len(params) :])
     x, y = (2**31 - 1 if math.isnan(p) else round(p * 1e7) for p in (p5, p6))
     return mav.MAVLink_command_int_message(1, 1, frame, number, 0, 0, p1, p2, p3, p4, x, y, p7)
+
+
+def setpoint(n=0.0, e=0.0, d=0.0, *, frame=1, mask=2503, yaw=0.0, rate=0.0, target=(1, 1)):
+    zeros = (0.0, 0.0, 0.0)
+    return mav.MAVLink_set_position_target_local_ned_message(
+        0, *target, frame, mask, *zeros, n, e, d, *zeros, yaw, rate
+    )
 
 
 class Served(ABC):
@@ -118,53 +124,6 @@ class Served(ABC):
         return [m for m in self.telemetry if m.get_msgId() == message_id]
 
 
-class Simulated(Served):
-    """The simulated autopilot as PX4, on a fake vehicle."""
-
-    silence_s = 0.5
-
-    def __init__(self) -> None:
-        self.rig = Rig()
-        self.server = self.rig.autopilot
-        self.server.parameters.preset("SYS_FAILURE_EN", 1.0)
-        self.rig.run(TICK_S)
-
-    @property
-    def telemetry(self) -> list:
-        return self.rig.telemetry
-
-    @property
-    def now_s(self) -> float:
-        return self.rig.now_s
-
-    @property
-    def velocity_enu_m_s(self) -> tuple[float, float, float]:
-        return self.rig.vehicle.setpoint
-
-    def tick(self) -> None:
-        self.rig.run(TICK_S)
-
-    def fly(self) -> Simulated:
-        self.rig.fly()
-        return self
-
-    def homed(self) -> Simulated:
-        assert self.command(179, 0.0, NAN, NAN, NAN, 47.39776, 8.545607, 0.25) == ACCEPTED
-        return self
-
-    def state(self) -> list[object]:
-        flight, vehicle = self.rig.autopilot.flight, self.rig.vehicle
-        pilot = flight.pilot
-        goal = pilot.goal and (
-            *[round(v, 4) for v in pilot.goal.point_enu_m],
-            pilot.goal.yaw_rad,
-            pilot.goal.speed_m_s,
-        )
-        home = [round(v, 4) for v in flight.home_enu_m]
-        rest = [goal, home, round(flight.takeoff_z_m, 6), vehicle.reboots, dict(vehicle.failures)]
-        return [*super().state()[:-1], *rest]
-
-
 class Bridged(Served):
     """The Crazyflie bridge, on the stand-in's firmware."""
 
@@ -202,6 +161,3 @@ class Bridged(Served):
         self.bench.out.clear()
         self.bench.firmware.setpoints.clear()
         self.bench.sent[:] = self.bench.velocities()[-1:]
-
-
-USERS: dict[str, type[Served]] = {"px4": Simulated, "crazyflie": Bridged}

@@ -10,7 +10,6 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from bridge.mavlink.server.commander import Right
 from bridge.mavlink.server.profile import FlightMode
 from bridge.mavlink.server.setpoints import read_setpoint
-from tests.unit.autopilot.autopilot_fakes import setpoint
 from tests.unit.mavlink.server.served import (
     ACCEPTED,
     COMPANION,
@@ -23,6 +22,7 @@ from tests.unit.mavlink.server.served import (
     OFFBOARD,
     REJECTED,
     STRANGER,
+    setpoint,
 )
 
 FOR_OWNER_ONLY = {

@@ -16,8 +16,7 @@ from bridge.mavlink.codec.messages import decode
 from bridge.mavlink.server.profile import PX4_CODES, FlightMode
 from bridge.mavlink.server.texts import Texts
 from tests.crazyflie_firmware.bench import CLIENT, Bench
-from tests.unit.autopilot.autopilot_fakes import setpoint
-from tests.unit.mavlink.server.served import GROUND_STATION, STRANGER
+from tests.unit.mavlink.server.served import GROUND_STATION, STRANGER, setpoint
 
 NAN = math.nan
 EXTREMES = [b"\x00", b"\xff", b"\x7f", b"\x80", b"\x7f\xc0", b"\x80\x7f", b"\xff\xff\xff\x7f"]
