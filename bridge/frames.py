@@ -26,18 +26,12 @@ def ned_from_enu(v: Vec3) -> Vec3:
     return (v[1], v[0], -v[2])
 
 
-def enu_from_ned(v: Vec3) -> Vec3:
-    """Turn a NED vector into ENU (the conversion is its own inverse)."""
-    return (v[1], v[0], -v[2])
-
-
 def frd_from_flu(v: Vec3) -> Vec3:
     return (v[0], -v[1], -v[2])
 
 
-def flu_from_frd(v: Vec3) -> Vec3:
-    """Turn a vector in the body's FRD axes into its FLU axes (the conversion is its own inverse)."""
-    return (v[0], -v[1], -v[2])
+# Both conversions are their own inverses.
+enu_from_ned, flu_from_frd = ned_from_enu, frd_from_flu
 
 
 @numeric
@@ -98,16 +92,6 @@ def world_from_body(q: Quat, v: Vec3) -> Vec3:
 def body_from_world(q: Quat, v: Vec3) -> Vec3:
     """Rotate a vector from the world into the body; ``q`` is a unit quaternion."""
     return world_from_body((q[0], -q[1], -q[2], -q[3]), v)
-
-
-def world_from_body_velocity(q: Quat, velocity_body_m_s: Vec3) -> Vec3:
-    """Turn a velocity given in the body's axes (nav_msgs/Odometry twist) into the world's axes."""
-    return world_from_body(q, velocity_body_m_s)
-
-
-def body_from_world_velocity(q: Quat, velocity_world_m_s: Vec3) -> Vec3:
-    """Turn a velocity given in the world's axes into the body's axes."""
-    return body_from_world(q, velocity_world_m_s)
 
 
 def ned_covariance_from_enu(covariance: Sequence[float]) -> tuple[float, ...]:

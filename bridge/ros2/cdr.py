@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -41,8 +40,7 @@ class OdometryError(ValueError):
     """A payload that is not a usable message of its type."""
 
 
-@dataclass(frozen=True, slots=True)
-class Odometry:
+class Odometry(NamedTuple):
     """One ``nav_msgs/msg/Odometry``.
 
     The pose is in ``frame_id``, the twist in ``child_frame_id`` (ROS convention). Metres, radians, seconds;
@@ -61,10 +59,7 @@ class Odometry:
 
     def pack(self) -> bytes:
         """Serialise it, as ``encode_odometry`` does."""
-        return encode_odometry(
-            self.stamp_ns, self.frame_id, self.child_frame_id, self.position_m, self.orientation_wxyz,
-            self.linear_m_s, self.angular_rad_s, self.pose_covariance, self.twist_covariance,
-        )  # fmt: skip
+        return encode_odometry(*self)
 
 
 class Pose(NamedTuple):

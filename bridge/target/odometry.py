@@ -8,10 +8,9 @@ from __future__ import annotations
 import math
 import secrets
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple, Protocol
 
-from bridge.frames import Quat, world_from_body, world_from_body_velocity, yaw_from_quaternion
+from bridge.frames import Quat, world_from_body, yaw_from_quaternion
 from bridge.ros2.cdr import (
     NO_COVARIANCE,
     Odometry,
@@ -93,25 +92,11 @@ def _sample(
         frame_id=frame_id,
         child_frame_id=child_frame_id,
         position_enu_m=(px, py, pz),
-        velocity_enu_m_s=world_from_body_velocity(q, (vx, vy, vz)),
+        velocity_enu_m_s=world_from_body(q, (vx, vy, vz)),
         yaw_rad=yaw_from_quaternion(q),
         yaw_rate_rad_s=world_from_body(q, (rx, ry, rz))[2],
         position_sigma_m=sigma_of(pose_xx, pose_yy) or 0.0,
         velocity_sigma_m_s=sigma_of(twist_xx, twist_yy) or 0.0,
-    )
-
-
-class MeasurementNoise(NamedTuple):
-    """Standard deviations of a sample, the larger of x and y; None: not reported."""
-
-    position_m: float | None
-    velocity_m_s: float | None
-
-
-def noise_of(pose_covariance: Sequence[float], twist_covariance: Sequence[float]) -> MeasurementNoise:
-    """Noise of position and linear velocity from two covariances of 36 numbers."""
-    return MeasurementNoise(
-        sigma_of(pose_covariance[0], pose_covariance[7]), sigma_of(twist_covariance[0], twist_covariance[7])
     )
 
 
@@ -121,15 +106,18 @@ def sigma_of(variance_x: float, variance_y: float) -> float | None:
     return math.sqrt(max(variance_x, variance_y)) if known else None
 
 
-def excess_noise(noise: MeasurementNoise, link: TargetLink) -> str:
+def excess_noise(
+    pose_covariance: Sequence[float], twist_covariance: Sequence[float], link: TargetLink
+) -> str:
     """Warning if the sender reports more noise than the configuration; else empty."""
     found: list[str] = []
-    for sigma, told, name, unit in (
-        (noise.position_m, link.position_noise_m, "position_noise_m", "m"),
-        (noise.velocity_m_s, link.velocity_noise_m_s, "velocity_noise_m_s", "m/s"),
+    for covariance, configured, name, unit in (
+        (pose_covariance, link.position_noise_m, "position_noise_m", "m"),
+        (twist_covariance, link.velocity_noise_m_s, "velocity_noise_m_s", "m/s"),
     ):
-        if sigma is not None and sigma > WARN_FACTOR * told:
-            found.append(f"{sigma:.3g} {unit} where target.{name} is {told:g}")
+        sigma = sigma_of(covariance[0], covariance[7])
+        if sigma is not None and sigma > WARN_FACTOR * configured:
+            found.append(f"{sigma:.3g} {unit} where target.{name} is {configured:g}")
     if not found:
         return ""
     return (
@@ -149,8 +137,7 @@ def shift_odometry(odometry: Odometry, offset_m: Vec3) -> Odometry:
     The velocity is that of a rigid body, v + w x r. Covariances are unchanged.
     """
     (wx, wy, wz), (x, y, z) = odometry.angular_rad_s, offset_m
-    return replace(
-        odometry,
+    return odometry._replace(
         position_m=_shift(odometry.position_m, world_from_body(odometry.orientation_wxyz, offset_m)),
         linear_m_s=_shift(odometry.linear_m_s, (wy * z - wz * y, wz * x - wx * z, wx * y - wy * x)),
     )

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from bridge.frames import body_from_world, body_from_world_velocity, wrap_angle, yaw_from_quaternion
+from bridge.frames import body_from_world, wrap_angle, yaw_from_quaternion
 from bridge.ros2.cdr import Odometry, Pose
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.target.estimator import RESTART_S, TargetEstimator
@@ -79,7 +79,7 @@ class PoseTrack:
             self._child,
             pose.position_m,
             q,
-            body_from_world_velocity(q, motion.velocity_enu_m_s),
+            body_from_world(q, motion.velocity_enu_m_s),
             body_from_world(q, (0.0, 0.0, turned_rad / step_s)),
             pose.covariance,
         )

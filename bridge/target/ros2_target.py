@@ -26,7 +26,6 @@ from bridge.ros2.ros2_names import NO_HASH, any_type_key, bridge_key, parse_topi
 from bridge.target.odometry import (
     RawSample,
     excess_noise,
-    noise_of,
     raw_sample,
     shift_odometry,
     shift_pose,
@@ -259,7 +258,7 @@ class TargetSource:
         self._compare(odometry.pose_covariance, odometry.twist_covariance)
 
     def _compare(self, pose_covariance: tuple[float, ...], twist_covariance: tuple[float, ...]) -> None:
-        text = excess_noise(noise_of(pose_covariance, twist_covariance), self._link)
+        text = excess_noise(pose_covariance, twist_covariance, self._link)
         if text:
             self._tell(f"{self._spec.text}: {text}")
 
