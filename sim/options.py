@@ -35,11 +35,15 @@ class VehicleOptions(shared.Signing, shared.Zenoh, shared.Simulated):
 
 
 @dataclass(frozen=True, kw_only=True)
+class WorldOptions(shared.Ros2, VehicleOptions):
+    """The simulated vehicles and ground robots."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class TargetOptions(shared.Ros2, shared.Zenoh, shared.Simulated):
     """The simulated ground robot."""
 
     rate_hz: shared.Rate = 100
-    lockstep: shared.Lockstep = False
     speed: shared.Speed = 1.0
     clock: shared.Clock = None
     duration_s: shared.Duration = None

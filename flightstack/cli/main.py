@@ -43,10 +43,15 @@ GROUPS = {
             "Run the onboard process alone.",
             ("flightstack.onboard.process", "flightstack.compiled.core"),
         ),
+        "world": Verb(
+            "simulator:world",
+            "Run the simulated vehicles and robots.",
+            ("sim.runners.world_process", _MACHINE_CODE),
+        ),
         "vehicle": Verb(
             "simulator:vehicle",
             "Run the simulated Crazyflie alone.",
-            ("sim.runners.vehicle_process", _MACHINE_CODE),
+            ("sim.runners.world_process", _MACHINE_CODE),
         ),
         "target": Verb(
             "simulator:target",
@@ -88,7 +93,19 @@ GROUPS = {
     },
 }
 # their exit status is about the flight, whatever becomes of what they print
-FLIES = ("sitl", "fly", "onboard", "vehicle", "target", "record", "bridge", "px4-sim", "campaign", "rare")
+FLIES = (
+    "sitl",
+    "fly",
+    "onboard",
+    "world",
+    "vehicle",
+    "target",
+    "record",
+    "bridge",
+    "px4-sim",
+    "campaign",
+    "rare",
+)
 VERBS = {name: verb for group in GROUPS.values() for name, verb in group.items()}
 
 

@@ -1,4 +1,4 @@
-"""The verbs of the simulator: ``vehicle``, ``target``, ``px4-sim`` and ``scenarios``."""
+"""The verbs of the simulator: ``world``, ``vehicle``, ``target``, ``px4-sim`` and ``scenarios``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,17 @@ from dataclasses import replace
 import click
 
 from flightstack.cli.options import takes
-from sim.options import Px4SimOptions, TargetOptions, VehicleOptions
+from sim.options import Px4SimOptions, TargetOptions, VehicleOptions, WorldOptions
+
+
+@click.command()
+@takes(WorldOptions)
+def world(options: WorldOptions) -> None:
+    """Run the simulated vehicles and ground robots of a scenario, as `sitl` does.
+
+    A vehicle is reached over MAVLink; a robot drives the scenario's path and publishes its odometry on Zenoh.
+    """
+    _run_world(options)
 
 
 @click.command()
@@ -20,8 +30,12 @@ def vehicle(options: VehicleOptions) -> None:
     With a scenario of several vehicles it runs all of them, each with a port and a namespace of its own, or
     with --member one of them.
     """
+    _run_world(options)
+
+
+def _run_world(options: VehicleOptions) -> None:
     from logs.schema.names import member_name
-    from sim.runners import vehicle_process
+    from sim.runners import world_process
     from sim.scenarios.team import alone, load
 
     team = load(options.scenario)
@@ -29,7 +43,7 @@ def vehicle(options: VehicleOptions) -> None:
         single, seed = team.one(options.seed, options.member)
         name = member_name(options.member)
         team, options = alone(single), replace(options, seed=seed, namespace=name, system_id=options.member)
-    sys.exit(vehicle_process.vehicle_main(team, options))
+    sys.exit(world_process.world_main(team, options))
 
 
 @click.command()

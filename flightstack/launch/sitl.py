@@ -24,7 +24,6 @@ from flightstack.launch.run_options import Flies, RunOptions
 from flightstack.launch.vehicles import (
     VEHICLES,
     Flying,
-    Places,
     common_options,
     longest_s,
     others_s,
@@ -169,26 +168,28 @@ def _vehicles(launcher: Launcher, options: RunOptions, team: TeamScenario) -> li
 def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path) -> Flown:
     """Start each process after those it connects to; then watch until all flights have ended."""
     vehicles = _vehicles(launcher, options, team)
-    at = Places(launcher.endpoint(), launcher.endpoint())
+    robots_at = launcher.endpoint()
     recorder = launcher.record(log)
     if options.view is not None:
         launcher.view(options.view, vehicles[0].endpoint, vehicles[0].config)
     _describe(launcher.socket, options, team, vehicles)
-    flying = VEHICLES[options.flies].start(launcher, options, team, at)
+    kind = VEHICLES[options.flies]
+    flying = kind.start(launcher, options, team, robots_at)
     both: Mapping[str, Any] = {
-        **flying.clock, "lockstep": options.lockstep, "ros2_where": options.ros2_where,
-        "ros_domain": options.ros_domain,
+        **flying.clock, "ros2_where": options.ros2_where, "ros_domain": options.ros_domain,
     }  # fmt: skip
-    target = launcher.start(
-        "target",
-        TargetOptions(
+    robots = []
+    if not kind.with_robots:
+        plugged = TargetOptions(
             **common_options(launcher, options, team), **both, rate_hz=team.rate_hz,
-            duration_s=others_s(team), listen=(at.target,),
-            connect=(vehicles[0].endpoint,) if team.is_alone else (),
-        ),
-    )  # fmt: skip
-    onboards = [_start(launcher, options, each, vehicles, flying, at, both) for each in vehicles]
-    for child in (*flying.pending, target, *onboards):  # they load at once
+            duration_s=others_s(team), listen=(robots_at,), connect=(vehicles[0].endpoint,),
+        )  # fmt: skip
+        robots.append(launcher.start("target", plugged))
+    onboards = [
+        _start(launcher, options, each, vehicles, flying, robots_at, {**both, "lockstep": options.lockstep})
+        for each in vehicles
+    ]
+    for child in (*flying.pending, *robots, *onboards):  # they load at once
         child.wait_ready()
     if not options.lockstep:
         recorder.yield_to_others(RECORDER_YIELDS // len(vehicles))  # starved, it would lose records
@@ -197,7 +198,7 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
         for endpoint in (each.endpoint, *options.listen):
             _hint(launcher, f"to watch: flightstack watch --connect {endpoint}{space}")
     if options.members:
-        _hint(launcher, f"robots: {at.target}")
+        _hint(launcher, f"robots: {robots_at}")
     speed = LOCKSTEP_SLOWEST / len(vehicles) if options.lockstep else min(1.0, options.speed)
     filters = ", ".join(sorted({each.scenario.onboard.filter for each in vehicles}))
     title = f"{team.name}  seed {seed_name(options.seed)}  filter {filters}"
@@ -208,7 +209,7 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
     )
     started = time.monotonic()
     problem = launcher.watch(
-        flights, [*flying.children, target, recorder], longest_s(team) / speed + GRACE_S,
+        flights, [*flying.children, *robots, recorder], longest_s(team) / speed + GRACE_S,
         shown if live else None, flying.teller,
     )  # fmt: skip
     wall_s = time.monotonic() - started
@@ -229,7 +230,7 @@ def _start(
     vehicle: _Vehicle,
     vehicles: Sequence[_Vehicle],
     flying: Flying,
-    at: Places,
+    robots_at: str,
     both: Mapping[str, Any],
 ) -> Child:
     """Start the onboard process of a vehicle; in real time each two are connected, by the later one."""
@@ -237,9 +238,9 @@ def _start(
     if len(vehicles) > 1:
         own = {**own, "namespace": vehicle.space, "system_id": vehicle.number, "shared_log": True}
         earlier = () if options.lockstep else vehicles[: vehicle.number - 1]
-        before = [at.vehicle, *(each.endpoint for each in earlier)]
+        before = [each.endpoint for each in earlier]
     plugged = OnboardOptions(
-        **own, **both, target_key=f"{vehicle.space}/target/odom", connect=(at.target, *before),
+        **own, **both, target_key=f"{vehicle.space}/target/odom", connect=(robots_at, *before),
         listen=(vehicle.endpoint, *options.listen), config_file=vehicle.config,
         duration_s=vehicle.scenario.duration_max_s, recorder=launcher.socket,
         zenoh_config=options.zenoh_config, accept_release=options.accept_release,

@@ -22,7 +22,7 @@ from flightstack.launch.launcher import Launcher
 from flightstack.launch.run_options import Flies, RunOptions
 from logs.schema.names import TEAM
 from sim.autopilot.ground import ORIGIN_WGS84
-from sim.options import Px4SimOptions, VehicleOptions
+from sim.options import Px4SimOptions, WorldOptions
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
 from sim.scenarios.scenario import Scenario, StartKind
 from sim.scenarios.team import TeamScenario
@@ -45,25 +45,18 @@ class Flying:
     pending: Sequence[Child] = ()  # processes that are not ready yet
 
 
-class Places(NamedTuple):
-    """Zenoh endpoints of the simulator."""
-
-    target: str  # endpoint of the robots
-    vehicle: str  # endpoint of the vehicles, where there are several
-
-
-def _own(launcher: Launcher, options: RunOptions, team: TeamScenario, at: Places) -> Flying:
-    """Start the simulated vehicles with their own autopilot."""
+def _own(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at: str) -> Flying:
+    """Start the simulated vehicles with their own autopilot, and the robots, in one process."""
     compile_first(team.member[0])
     several, elsewhere = not team.is_alone, options.members
     place = f"127.0.0.1:{0 if several else launcher.udp_port()}"
     child = launcher.start(
-        "vehicle",
-        VehicleOptions(
+        "world",
+        WorldOptions(
             **common_options(launcher, options, team), lockstep=options.lockstep,
             signing_key=options.signing_key, rate_hz=team.rate_hz, duration_s=others_s(team),
-            connect=(at.target,), listen=(at.vehicle,) if several else (), url=f"udpin:{place}",
-            leave_out=tuple(elsewhere),
+            listen=(robots_at,), url=f"udpin:{place}", leave_out=tuple(elsewhere),
+            ros2_where=options.ros2_where, ros_domain=options.ros_domain,
         ),
     )  # fmt: skip
     urls = iter(child.wait_ready().replace("udpin", "udpout").split() if several else [f"udpout:{place}"])
@@ -104,7 +97,7 @@ class _Px4Start:
         return program, {"vehicle_url": url, "autopilot": PX4_PROFILE.name, "system_id": system_id}
 
 
-def _px4(launcher: Launcher, options: RunOptions, team: TeamScenario, at: Places) -> Flying:
+def _px4(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at: str) -> Flying:
     """Start the simulator, then PX4 on it."""
     scenario = team.member[0]
     compile_first(scenario)
@@ -114,7 +107,7 @@ def _px4(launcher: Launcher, options: RunOptions, team: TeamScenario, at: Places
     simulator = launcher.start(
         "px4-sim",
         Px4SimOptions(
-            **common_options(launcher, options, team), connect=(at.target,), once=True, **clock,
+            **common_options(launcher, options, team), connect=(robots_at,), once=True, **clock,
             tcp=f"127.0.0.1:{SIMULATOR_PORT + px4.number}", speed=options.speed, mocap=options.mocap,
         ),
     )  # fmt: skip
@@ -128,9 +121,9 @@ def _px4(launcher: Launcher, options: RunOptions, team: TeamScenario, at: Places
     return Flying([given], [simulator, child], simulator, clock)
 
 
-def _px4_sih(launcher: Launcher, options: RunOptions, team: TeamScenario, at: Places) -> Flying:
+def _px4_sih(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at: str) -> Flying:
     """Start PX4 and its simulation-in-hardware of a 1 kg quadrotor."""
-    del at
+    del robots_at
     from sim.px4.airframe import SAFE_PARAMETERS
 
     child, given = _Px4Start(launcher, options).run(Px4Model.SIHSIM_QUADX, SAFE_PARAMETERS)
@@ -138,9 +131,9 @@ def _px4_sih(launcher: Launcher, options: RunOptions, team: TeamScenario, at: Pl
     return Flying([given], [child], clock={"speed": options.speed})
 
 
-def _ardupilot(launcher: Launcher, options: RunOptions, team: TeamScenario, at: Places) -> Flying:
+def _ardupilot(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at: str) -> Flying:
     """Start ArduCopter's software in the loop; the onboard process waits for its heartbeat."""
-    del at
+    del robots_at
     number = options.instance or 0
     folder = launcher.folder / "ardupilot"
     folder.mkdir(exist_ok=True)
@@ -187,10 +180,12 @@ ARDUPILOT_PARAMETERS: Mapping[str, float] = {
 class Vehicle(NamedTuple):
     """A kind of vehicle that ``sitl`` can fly."""
 
-    # starts it, and waits until it can be flown where its URL depends on that; LaunchError: it is not ready
-    start: Callable[[Launcher, RunOptions, TeamScenario, Places], Flying]
+    # starts it, and waits until it can be flown where its URL depends on that; the last argument is the Zenoh
+    # endpoint of the robots; LaunchError: it is not ready
+    start: Callable[[Launcher, RunOptions, TeamScenario, str], Flying]
     configs: Mapping[str, str] = {}  # names of configurations by airframe; else the scenario's own
     config: str | None = None  # name of the configuration for all airframes
+    with_robots: bool = False  # its process simulates the robots, too
     at_origin: bool = False  # its position counts from its start, so the robot is moved instead
 
     def adapt(self, scenario: Scenario) -> Scenario:
@@ -203,7 +198,7 @@ class Vehicle(NamedTuple):
 
 
 VEHICLES: Mapping[Flies, Vehicle] = {
-    Flies.OWN: Vehicle(_own),
+    Flies.OWN: Vehicle(_own, with_robots=True),
     Flies.PX4: Vehicle(_px4, configs={"crazyflie20": "px4-crazyflie", "quad_1000g": "px4-1kg"}),
     Flies.PX4_SIH: Vehicle(_px4_sih, config="px4-1kg", at_origin=True),
     Flies.ARDUPILOT: Vehicle(_ardupilot, config="ardupilot-1kg", at_origin=True),

@@ -88,6 +88,7 @@ class TargetMotion:
         # The odometry takes one sample a step at most.
         self._substeps = -(-round(scenario.odometry.rate_hz) // grid.rate_hz)
         self._step_s = grid.period_s / self._substeps
+        self._texts: list[tuple[int, FaultText]] = []
         self.due = self._measure()  # samples released and not yet taken
 
     def step(self, driving: bool) -> None:
@@ -122,4 +123,11 @@ class TargetMotion:
 
     def _measure(self) -> list[TargetMeasurement]:
         samples = self._odometry.step(self.model)
-        return self.faults.deliver(round(self.model.time_s * 1e9), samples)
+        delivered = self.faults.deliver(round(self.model.time_s * 1e9), samples)
+        self._texts += [(self.tick, text) for text in self.faults.take_texts()]
+        return delivered
+
+    def take_texts(self) -> list[tuple[int, FaultText]]:
+        """Faults that have started and ended since the last call, with the tick."""
+        texts, self._texts = self._texts, []
+        return texts

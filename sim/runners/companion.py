@@ -22,10 +22,10 @@ from flightstack.onboard.runner import LinkedVehicle, Runner, Taken
 from logs.schema.names import member_name
 from sim.autopilot.autopilot import Autopilot
 from sim.clock import TickGrid
-from sim.runners.landing_target import DirectTarget
 from sim.runners.landing_wire import wires
-from sim.runners.lockstep import LockstepLoop
+from sim.runners.lockstep import LockstepVehicle
 from sim.runners.notes import Notes, Seen, VehicleNotes
+from sim.runners.robot import DirectTarget
 from sim.runners.stretch.stretch import Stretch, suited
 from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.scenario import Scenario
@@ -77,11 +77,11 @@ class Companion:
         # messages of other vehicles since the last tick; set by ``land_team``
         self.neighbours: tuple[Neighbour, ...] = ()
         self._notes = Notes(config, scenario.target.pad_radius_m)
-        node = VehicleNode(vehicle, autopilot, here, VehicleNotes(self._notes, self.name))
+        self._node = node = VehicleNode(vehicle, autopilot, here, VehicleNotes(self._notes, self.name))
         here.answer = self._answer
         self._link.poll(0.0)  # says hello, as the process does before the first tick
         radio_s = scenario.vehicle.setpoint_delay_s
-        self._loop = LockstepLoop(node, target, grid, self._stop, radio_s)
+        self._loop = LockstepVehicle(node, target, grid, self._stop, radio_s)
         linked = LinkedVehicle(self._link, lockstep=True)
         leaving = Leaving(scenario.duration_max_s)
         ticks = VehicleTicks(linked, rate_hz)
@@ -114,10 +114,8 @@ class Companion:
 
         ``tick``: number of the next tick.
         """
-        if self._stop.is_set:
-            self._loop.coast(tick)
-        else:
-            self._loop.tick(tick)
+        self._node.over = self._stop.is_set
+        self._loop.tick(tick)
 
     @property
     def ended(self) -> bool:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from typing import NamedTuple
 
 from bridge.frames import world_from_body, yaw_from_quaternion
 from bridge.ros2.cdr import OdometryError, decode_pose_and_twist
 from bridge.target.odometry import OdometrySubscriber
 from bridge.zenoh import zenoh_link
-from flightstack.common.pacing import PAIR
 from flightstack.core.types import ZERO, Vec3
-from flightstack.onboard.lockstep import ALIVE
 
 STALE_S = 0.5  # s without a true pose until the deck is stopped
 _PULL_1_S = 5.0  # 1/s; velocity for each metre of error, since a jump would throw the vehicle off the deck
@@ -37,47 +34,6 @@ def deck_state(payload: bytes) -> DeckState:
         raise OdometryError("true pose of the robot holds a number that is not finite")
     q = (w, x, y, z)
     return DeckState((px, py, pz), yaw_from_quaternion(q), world_from_body(q, (vx, vy, vz)), rate, payload)
-
-
-class LockstepDeck:
-    """True poses by tick."""
-
-    def __init__(self, session: zenoh_link.Session, namespace: str) -> None:
-        self._session, self._alive_key = session, f"{namespace}/{ALIVE}"
-        self._subscriber = OdometrySubscriber(session, truth_key(namespace), lossless=True)
-        self._waiting: deque[tuple[int, bytes]] = deque()
-        self.bad = 0  # messages that could not be used
-
-    def has(self, tick: int) -> bool:
-        """Whether the pose of this tick has come; older ones are dropped."""
-        waiting = self._waiting
-        while waiting and waiting[0][0] < tick:
-            waiting.popleft()
-        if waiting:
-            return waiting[0][0] == tick
-        for raw in self._subscriber.poll():
-            if raw.attachment is None or len(raw.attachment) != PAIR.size:
-                self.bad += 1
-                continue
-            number = PAIR.unpack(raw.attachment)[0]
-            if number >= tick:
-                waiting.append((number, raw.payload))
-        return bool(waiting) and waiting[0][0] == tick
-
-    @property
-    def is_alive(self) -> bool:
-        """Whether the process of the robot is still connected."""
-        return zenoh_link.is_alive(self._session, self._alive_key)
-
-    def take(self, tick: int) -> DeckState | None:
-        """Pose of this tick if it has come."""
-        if not self.has(tick):
-            return None
-        try:
-            return deck_state(self._waiting.popleft()[1])
-        except OdometryError:
-            self.bad += 1
-            return None
 
 
 class RealTimeDeck:

@@ -1,16 +1,20 @@
-"""The vehicle process in lockstep: simulated time continues when the companion has answered for a tick.
+"""Vehicles in lockstep: simulated time continues when all companions have answered for a tick.
 
-Tick k is at t = k / rate. The vehicle sends what is due and TIMESYNC(tc1=0, ts1=t in ns) in one datagram; the
+Tick k is at t = k / rate. A vehicle sends what is due and TIMESYNC(tc1=0, ts1=t in ns) in one datagram; the
 companion acts on it and answers with TIMESYNC(tc1 != 0, ts1=t). Everything that came before that answer is
 handled at t, then the physics continues to the next tick. A companion that stops answering does not stop the
 world: after 20 s of wall time the simulation runs on, so that fail-safes act, until it answers again.
 Faults of the wire concern everything but this handshake.
+
+All companions are asked before any answer is awaited, so that they compute at the same time. The messages of
+a fleet of tick k arrive with tick k + 1 at the earliest, with the delay and loss of the team's exchange,
+independent of wall time. So each member flies as in ``land_team`` with the same seed.
 """
 
 from __future__ import annotations
 
 import time
-from typing import Protocol
+from collections.abc import Sequence
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -18,94 +22,73 @@ from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.endpoint import Received
 from bridge.mavlink.transport.address import Peer
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import COMPANION_SILENT_S, TARGET_LOOK_S, TARGET_SILENT_S, Silence
-from flightstack.core.types import ZERO
+from flightstack.common.pacing import COMPANION_SILENT_S, Silence
 from sim.clock import STARTUP_S, NoAnswerError, TickGrid, wait_until
-from sim.runners.deck import STALE_S, DeckState, LockstepDeck, reckon
+from sim.runners.member_words import MemberWords
+from sim.runners.robot import Robot
+from sim.runners.room import Room, Words
 from sim.runners.vehicle_node import VehicleNode
 
 _WAIT_S = 0.05  # s of wall time between two looks at the signals
 _REPEAT_S = 0.5  # s of wall time until a request is repeated
 _REPEAT_UNHEARD_S = 0.05  # s, the same before the first message of a companion
-_DECK_LOOK_S = 0.02  # s between two looks for a robot that is slow
-_DECK_YIELDS = 20  # looks for the deck's pose before sleeping: it is there, or due any moment
 _FLUSH_EVERY = 10  # ticks; the recorder is not woken for every single one
 _TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
 _HEARTBEAT: int = dialect.MAVLINK_MSG_ID_HEARTBEAT
 
 
-class Left(Protocol):
-    """Whether the companion has left for good."""
+class LockstepVehicle:
+    """One vehicle, with its companion and its robot.
 
-    @property
-    def is_set(self) -> bool:
-        """Whether it has: it is waited for no longer."""
-
-
-class LockstepLoop:
-    """Runs ticks until the end.
-
-    ``deck``: true poses of the robot; None: it stands; ``radio_s``: delay of set-points to the vehicle;
-    ``left``: whether the companion of one of several vehicles has left; None: it stays until ``stop``.
+    ``robot``: None: the deck stands; ``radio_s``: delay of set-points to the vehicle;
+    ``words``: messages of the companion to others of its fleet; None: no fleet.
     """
 
     def __init__(
         self,
         node: VehicleNode,
-        deck: LockstepDeck | None,
+        robot: Robot | None,
         grid: TickGrid,
         stop: Stop,
         radio_s: float,
-        left: Left | None = None,
+        words: MemberWords | None = None,
     ) -> None:
         self._radio_ms = round(radio_s * 1000.0)
-        self._node, self._deck, self._grid, self._stop = node, deck, grid, stop
-        self._alone = left is None
-        self._left = stop if left is None else left
+        self._node, self._robot, self._grid, self._stop, self.words = node, robot, grid, stop, words
         self._companion: Peer | None = None  # the peer that answered first
         self._answers = True  # the companion is waited for
-        self._answered = False  # it has answered for the tick before
+        self.answered = False  # it has answered for the tick before
         self._replies: list[Message] = []  # replies to the companion, sent with the next tick
         self._late: list[Received] = []  # came after the answer: belongs to the next tick
-        self._deck_comes = deck is not None
-        self._deck_last: DeckState | None = None
-        self._deck_s = 0.0  # time of the last true pose
         self._request: Message = None  # request of this tick
 
     @property
+    def over(self) -> bool:
+        """Whether the flight is over: the companion has left."""
+        return self._node.over
+
+    @property
     def answers(self) -> bool:
-        """Whether the companion is waited for: it has answered so far."""
-        return self._answers
+        """Whether the companion is waited for: it has not left, and has answered so far."""
+        return self._answers and not self.over
+
+    @property
+    def rests(self) -> bool:
+        """Whether nothing more happens: the autopilot of a vehicle without its companion lands it."""
+        return self.over or not (self._answers or self._node.vehicle.armed)
 
     @property
     def undisturbed(self) -> bool:
-        """Whether companion and deck come at each tick, and nothing waits for the next one."""
+        """Whether the companion answers at each tick, and nothing waits for the next one."""
         waits = self._replies or self._late or not self._node.wire.sound
-        return self._companion is not None and self._answers and self._deck_comes and not waits
-
-    def passed(self, now_ns: int, deck: DeckState) -> None:
-        """Account for ticks until now that were flown as a batch; ``deck``: pose of the robot at the last."""
-        self._deck_last, self._deck_s = deck, now_ns * 1e-9
-
-    def run(self, ticks: int | None) -> None:
-        """Simulate.
-
-        ``ticks``: number of ticks; None: no end.
-        Raises NoAnswerError: companion or target never came.
-        """
-        self.begin()
-        tick = 0
-        # an answer that was there in time has a true state after it, however late this process gets to run
-        while tick != ticks and (self._answered or not self._stop.is_set):
-            self.tick(tick)
-            tick += 1
+        return self._companion is not None and self._answers and not waits
 
     def begin(self) -> None:
-        """Wait for a companion and for the first pose of the deck: tick 0 must be complete.
+        """Wait for a companion, and for the readers of its robot: tick 0 must be complete.
 
-        Raises NoAnswerError: companion or target never came.
+        Raises NoAnswerError: they never came.
         """
-        endpoint, deck = self._node.endpoint, self._deck
+        endpoint = self._node.endpoint
 
         def heard() -> bool:
             if not endpoint.peers:
@@ -115,118 +98,82 @@ class LockstepLoop:
 
         if not wait_until(heard, self._stop, STARTUP_S, pause_s=0.0, what="a companion to speak first"):
             raise NoAnswerError(f"no companion was heard on the MAVLink endpoint within {STARTUP_S:g} s")
-        if deck is not None and not wait_until(
-            lambda: deck.has(0), self._stop, STARTUP_S, pause_s=0.002, what="the robot's pose over Zenoh"
-        ):
-            raise NoAnswerError(
-                f"no true pose of the robot came over Zenoh within {STARTUP_S:g} s; is the target running, "
-                "and connected to this process's endpoint?"
-            )
+        if self._robot is not None:
+            self._robot.begin()
 
     def tick(self, tick: int) -> None:
-        """Simulate one tick, which must be the next one.
+        """Simulate the next tick alone.
 
-        ``tick``: its number.
         Raises NoAnswerError: the companion never came.
         """
         self.ask(tick)
-        self.act(tick)
+        self.act(tick, Silence())
 
     def ask(self, tick: int) -> None:
         """Begin a tick: send what is due, ask the companion, and simulate what does not wait for its answer.
 
-        ``tick``: number of the next tick.
+        A vehicle whose flight is over flies the whole tick here: its autopilot still controls it, and nothing
+        is sent or logged.
         """
         node, grid = self._node, self._grid
         now_ns = grid.ns(tick)
         now_s = now_ns / 1e9
-        if self._deck is not None:
-            self._move_deck(self._deck, tick, now_ns)
+        steps = grid.ms(tick + 1) - grid.ms(tick)
+        if self.words is not None:
+            self.words.tick = tick
+        if self._robot is not None:
+            deck = self._robot.take(tick, wait=self.answers)
+            node.move_deck(deck)
+            node.log.target(now_ns, deck.payload)
+        if self.over:
+            node.vehicle.sent_before_ms = 0
+            node.control(now_s)
+            node.vehicle.advance(steps)
+            return
         self._send(now_ns, now_s)
         # The state of this tick is written while the companion works on it.
         node.write_log(tick, now_ns)
         if tick % _FLUSH_EVERY == 0:
             node.log.feed.flush()
+        if self._robot is not None:
+            self._robot.run_ahead(tick)
         # Whatever the answer is, the radio delays it: so much can be simulated before it is known.
-        steps = grid.ms(tick + 1) - grid.ms(tick)
         ahead = min(steps, self._radio_ms)
         node.vehicle.advance(ahead)
         node.vehicle.sent_before_ms = ahead
 
-    def act(self, tick: int, silence: Silence | None = None) -> None:
+    def act(self, tick: int, silence: Silence) -> None:
         """End a tick: await the companion's answer, act on it, and simulate the rest.
 
-        ``tick``: its number, that of ``ask``; ``silence``: that of the companions of all vehicles in
-        this tick; None: of this one.
+        ``silence``: that of the companions of all vehicles in this tick.
         Raises NoAnswerError: the companion never came.
         """
+        if self.over:
+            return
         node, grid = self._node, self._grid
         now_ns = grid.ns(tick)
         now_s = now_ns / 1e9
         self._await_answer(now_ns, now_s, silence)
         node.control(now_s)
         node.vehicle.advance(grid.ms(tick + 1) - grid.ms(tick) - node.vehicle.sent_before_ms)
+        node.over = self.words is not None and self.words.is_set
 
-    def coast(self, tick: int) -> None:
-        """Simulate one tick without the companion, which has left: the vehicle stays where its robot is.
-
-        Nothing is sent or written, for the flight is over; its autopilot still sees to the vehicle.
-
-        ``tick``: number of the next tick.
-        """
-        node, grid = self._node, self._grid
-        now_ns = grid.ns(tick)
-        if self._deck is not None:
-            self._move_deck(self._deck, tick, now_ns)
-        node.vehicle.sent_before_ms = 0
-        node.control(now_ns / 1e9)
-        node.vehicle.advance(grid.ms(tick + 1) - grid.ms(tick))
-
-    def _move_deck(self, deck: LockstepDeck, tick: int, now_ns: int) -> None:
-        node = self._node
-        if self._deck_comes and self._answers:
-            self._deck_comes = deck.has(tick) or self._await_deck(deck, tick)
-            if not self._deck_comes:
-                text = "Robot silent: going on without"
-                node.autopilot.flight.say(dialect.MAV_SEVERITY_WARNING, text)
-        state = deck.take(tick)
-        if state is not None:
-            self._deck_comes, self._deck_last, self._deck_s = True, state, now_ns * 1e-9
-            node.move_deck(state)
-            node.log.target(now_ns, state.payload)
-            return
-        age_s = now_ns * 1e-9 - self._deck_s
-        if self._deck_last is not None and age_s > STALE_S:  # until then it continues along its arc
-            stopped = reckon(self._deck_last, age_s)._replace(velocity_enu_m_s=ZERO, yaw_rate_rad_s=0.0)
-            self._deck_last = None
-            node.move_deck(stopped)
-            node.autopilot.flight.say(dialect.MAV_SEVERITY_WARNING, "Robot's pose too old: deck stopped")
-
-    def _await_deck(self, deck: LockstepDeck, tick: int) -> bool:
-        """Return whether the pose comes: the robot is slow, and neither gone nor stopped for a minute."""
-        if not wait_until(lambda: deck.has(tick), self._stop, TARGET_LOOK_S, yields=_DECK_YIELDS):
-            wait_until(
-                lambda: deck.has(tick) or not deck.is_alive, self._stop, TARGET_SILENT_S, pause_s=_DECK_LOOK_S
-            )
-        return deck.has(tick)
-
-    def _await_answer(self, now_ns: int, now_s: float, silence: Silence | None) -> None:
+    def _await_answer(self, now_ns: int, now_s: float, silence: Silence) -> None:
         """Handle everything up to the companion's answer for this tick."""
         for received in self._node.wire.late(now_ns):
             self._answer(received, now_ns, now_s)
         late, self._late = self._late, []
         answered = self._take(late, now_ns, now_s)
         if not self._answers:
-            self._answered = False
+            self.answered = False
             self._run_free(now_ns, now_s)
             return
         endpoint, repeat_s = self._node.endpoint, None
-        while not answered and not self._left.is_set:
+        while not (answered or self._stop.is_set or (self.words is not None and self.words.is_set)):
             endpoint.wait(_WAIT_S if self._companion else _REPEAT_UNHEARD_S)
             answered = self._take(endpoint.receive(), now_ns, now_s)
             if answered:  # mostly at the first look, which needs no clock
                 break
-            silence = silence or Silence()
             repeat_s = repeat_s or time.monotonic()
             if silence.look() > (COMPANION_SILENT_S if self._companion else STARTUP_S):
                 self._give_up()
@@ -236,7 +183,7 @@ class LockstepLoop:
                 repeat_s = wall_s
                 self._repeat()
         # frames received before the companion left
-        self._answered = answered or self._take(endpoint.receive(), now_ns, now_s)
+        self.answered = answered or self._take(endpoint.receive(), now_ns, now_s)
 
     def _send(self, now_ns: int, now_s: float) -> None:
         endpoint, companion = self._node.endpoint, self._companion
@@ -317,6 +264,64 @@ class LockstepLoop:
     def _run_free(self, now_ns: int, now_s: float) -> None:
         """Without the companion: as fast as it goes while flying, in real time once it has landed."""
         endpoint = self._node.endpoint
-        if self._alone and not self._node.vehicle.armed:
+        if self.words is None and not self._node.vehicle.armed:
             endpoint.wait(self._grid.period_s)
         self._take(endpoint.receive(), now_ns, now_s)
+
+
+class LockstepWorld:
+    """Runs the ticks of all vehicles; a fleet's end when all its flights are over.
+
+    ``words``: passes the messages of a fleet on, whose vehicles all have ``LockstepVehicle.words``; None: no
+    fleet; ``epoch_ns``: Unix time of tick 0.
+    """
+
+    def __init__(
+        self,
+        vehicles: Sequence[LockstepVehicle],
+        room: Room,
+        words: Words | None,
+        stop: Stop,
+        epoch_ns: int,
+    ) -> None:
+        self._vehicles, self._room, self._words = vehicles, room, words
+        self._stop, self._epoch_ns = stop, epoch_ns
+
+    def run(self, ticks: int | None) -> None:
+        """Simulate.
+
+        ``ticks``: number of ticks; None: no end.
+        Raises NoAnswerError: a companion never came.
+        """
+        for vehicle in self._vehicles:
+            if vehicle.words is not None:
+                vehicle.words.await_listener(self._stop)
+            vehicle.begin()
+        tick = 0
+        while tick != ticks and not self._ended():
+            self._tick(tick)
+            tick += 1
+        if tick:
+            self._room.write(tick - 1, self._epoch_ns)
+
+    def _ended(self) -> bool:
+        """Whether to end: on request, but an answer that came in time has a true state after it."""
+        if self._stop.is_set:
+            return any(each.over or not each.answered for each in self._vehicles)
+        return self._words is not None and all(each.rests for each in self._vehicles)
+
+    def _tick(self, tick: int) -> None:
+        vehicles, silence = self._vehicles, Silence()
+        self._room.begin()
+        for vehicle in vehicles:
+            vehicle.ask(tick)
+        for vehicle in vehicles:
+            vehicle.act(tick, silence)
+        self._room.end(tick, self._epoch_ns)
+        if self._words is None:
+            return
+        fleet = [(each, each.words) for each in vehicles if each.words is not None]
+        sent = [end.take(silence, self._stop) if each.answers else None for each, end in fleet]
+        for (vehicle, end), received in zip(fleet, self._words.pass_on(tick, sent), strict=True):
+            if vehicle.answers:
+                end.hear(received)

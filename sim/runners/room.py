@@ -147,7 +147,6 @@ class Member:
     number: int  # number in the team, from 1
     name: str  # name and namespace of the vehicle
     node: VehicleNode  # the vehicle on its wire
-    over: bool = False  # whether its flight is over; then nothing is logged
 
     @property
     def vehicle(self) -> VehicleSim:
@@ -156,7 +155,7 @@ class Member:
 
     def say(self, t_s: float, level: int, text: str) -> None:
         """Write what was seen of it."""
-        if not self.over:
+        if not self.node.over:
             self.node.log.event(round(t_s * _NS_PER_S), level, text)
 
 

@@ -137,6 +137,7 @@ class VehicleNode:
     endpoint: Endpoint
     log: VehicleLog
     tell: Callable[[bool], None] = _untold  # called when the vehicle has been armed or disarmed
+    over: bool = False  # whether its flight is over: then nothing is logged
     wire: Wire = field(init=False)
     _armed: bool = field(default=False, init=False)
     _judged: bool = field(default=False, init=False)

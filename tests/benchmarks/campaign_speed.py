@@ -23,9 +23,9 @@ from sim.autopilot.autopilot import Autopilot
 from sim.runners import landing
 from sim.runners.companion import Companion
 from sim.runners.landing import land_team, warm_up
-from sim.runners.landing_target import DirectTarget
 from sim.runners.landing_wire import Inlet
 from sim.runners.notes import Notes
+from sim.runners.robot import DirectTarget
 from sim.runners.room import Pairs, Words
 from sim.runners.stretch import stretch
 from sim.runners.stretch.stretch import Stretch

@@ -36,10 +36,10 @@ from sim.clock import TickGrid
 from sim.plant.vehicle_types import Truth as TrueState
 from sim.robot.target import TargetMeasurement, measurement
 from sim.runners.deck import DeckState
-from sim.runners.landing_target import DirectTarget
 from sim.runners.landing_wire import wires
-from sim.runners.lockstep import LockstepLoop
+from sim.runners.lockstep import LockstepVehicle
 from sim.runners.notes import Notes, Seen, VehicleNotes
+from sim.runners.robot import DirectTarget
 from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.fault_spec import Fault
 from sim.scenarios.scenario import Scenario
@@ -103,10 +103,10 @@ class _Target(DirectTarget):
         self.mangle: Mangle | None = None
         super().__init__(scenario, seed, grid)
 
-    def take(self, tick: int) -> DeckState | None:
+    def take(self, tick: int, *, wait: bool = True) -> DeckState:
         """Go on to this tick; true pose there."""
         self._drive(tick)
-        return super().take(tick)
+        return super().take(tick, wait=wait)
 
     def _keep(self, pads: F64, due: Sequence[int], new: F64) -> None:
         self._measured += [measurement(row) for row in new.tolist()]
@@ -201,7 +201,7 @@ class Flight:
         node = VehicleNode(self.vehicle, self._autopilot, here, self._notes)
         here.answer = self._tick
         self.link.poll(0.0)  # says hello, as the process does before the first tick
-        self._loop = LockstepLoop(node, self.target, grid, self._stop, scenario.vehicle.setpoint_delay_s)
+        self._loop = LockstepVehicle(node, self.target, grid, self._stop, scenario.vehicle.setpoint_delay_s)
         self._ticks_max = grid.count(scenario.duration_max_s + WATCH_MAX_S)
         vehicle = LinkedVehicle(self.link, lockstep=True)
         ticks = VehicleTicks(vehicle, rate_hz)
@@ -228,7 +228,11 @@ class Flight:
         Raises:
             RuntimeError: the moment of the disturbance never came.
         """
-        self._loop.run(self._ticks_max)
+        self._loop.begin()
+        for tick in range(self._ticks_max):
+            self._loop.tick(tick)
+            if self._stop.is_set and not self._loop.answered:
+                break
         if not self._disturbed:
             raise RuntimeError(f"nothing was disturbed; phases {self.phases}")
         began_s, known = self._disturbed_s, (self._noticed_s, self._failsafe_s)

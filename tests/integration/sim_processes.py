@@ -44,14 +44,15 @@ def verb(*words: object, cwd: Path = ROOT, **more: Any):
 
 
 def process(name: str, **options: object):
-    """The vehicle or the target with the scenario paper_moving_1 as a process; see ``running``."""
+    """World, vehicle or target with the scenario paper_moving_1 as a process; see ``running``."""
     return running(Started(_simulate, name, options, cwd=ROOT))
 
 
 def _simulate(name: str, options: dict[str, object]) -> None:
-    module = import_module(f"sim.runners.{name}_process")
-    plugged = getattr(module, f"{name.title()}Options")(scenario="paper_moving_1", **options)
-    sys.exit(getattr(module, f"{name}_main")(load("paper_moving_1"), plugged))
+    kind = getattr(import_module("sim.options"), f"{name.title()}Options")
+    plugged, room = kind(scenario="paper_moving_1", **options), "target" if name == "target" else "world"
+    module = import_module(f"sim.runners.{room}_process")
+    sys.exit(getattr(module, f"{room}_main")(load("paper_moving_1"), plugged))
 
 
 def terminate(child: Started, number: signal.Signals = signal.SIGTERM) -> None:

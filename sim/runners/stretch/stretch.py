@@ -31,10 +31,10 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Landed, Mode, OwnState, Phase, Request, VehicleStatus
 from flightstack.onboard.lockstep import VehicleTicks
 from sim.clock import TickGrid
-from sim.runners.landing_target import DirectTarget
 from sim.runners.landing_wire import PEER
-from sim.runners.lockstep import LockstepLoop
+from sim.runners.lockstep import LockstepVehicle
 from sim.runners.notes import Notes
+from sim.runners.robot import DirectTarget
 from sim.runners.stretch.records import RulesRecord
 from sim.runners.stretch.ticks import BEFORE, MIDDLE, TRUTH, fly_ticks, narrow
 from sim.runners.stretch.watch import WatchBook
@@ -86,7 +86,7 @@ class Stretch:
         ticks: VehicleTicks,
         target: DirectTarget,
         node: VehicleNode,
-        loop: LockstepLoop,
+        loop: LockstepVehicle,
         notes: Notes,
         grid: TickGrid,
         ends_s: float,
@@ -272,7 +272,7 @@ class Stretch:
         times_ns = [grid.ns(each) for each in range(tick, last + 1)]
         now_s = times_ns[-1] / 1e9
         self._notes.stretch(tick, times_ns, self._controller.memory.phase, self._ages[:done], truths[:done])
-        self._loop.passed(times_ns[-1], self._target.drop(done))
+        self._target.skip(done)
         self._ticks.passed(times_ns[-1])
         node.autopilot.streams.skip([each / 1e9 for each in times_ns])
         x, y, z, vx, vy, vz, yaw, source_s, ux, uy, uz = self._told.tolist()

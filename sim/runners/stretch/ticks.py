@@ -1,6 +1,6 @@
 """Ticks of a landing in one compiled call: deck, telemetry, controller, set-point, physics, true states.
 
-A tick is that of ``LockstepLoop`` with all it calls. It is left to Python, before anything of it has
+A tick is that of ``LockstepVehicle`` with all it calls. It is left to Python, before anything of it has
 happened, where the landing kernel or what the vehicle says leaves it; and in its middle, when the
 controller's answer is known and the radio's delay has passed, where the autopilot has more to do than to hand
 the set-point on.

@@ -21,12 +21,10 @@ NS = 1e9
 # flight still goes on.
 PAST_APPROACH_BYTES = 1_200_000  # of the log: the approach begins at 980,000, and a replay needs some of it
 WHEN_S = {False: (0.7, 8.0), True: (0.3, 0.8)}
-# A topic that each victim writes into the log. What the target says is written by those who hear it. For the
-# recorder, and the launcher that takes all along, any will do.
+# A topic that each victim writes into the log; for the recorder, and the launcher that takes all along, any.
 OWN_TOPIC = {
-    "vehicle": "/cf1/sim/truth",
+    "world": "/cf1/sim/truth",
     "onboard": "/cf1/controller/step",
-    "target": None,
     "record": None,
     "launcher": None,
 }
@@ -60,7 +58,7 @@ def crash(folder: Path, victim: str, seed: int, *, lockstep: bool, sooner: float
         run.until("-> APPROACH")
         run.some_log(PAST_APPROACH_BYTES)
         children = run.children()
-        assert set(children) == {"record", "target", "vehicle", "onboard"}
+        assert set(children) == {"record", "world", "onboard"}
         # the moment is random on purpose: nothing is waited for
         time.sleep(sooner * random.Random(f"{victim} {seed} {lockstep}").uniform(*WHEN_S[lockstep]))
         pid = run.process.pid if victim == "launcher" else children[victim]

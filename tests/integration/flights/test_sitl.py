@@ -76,7 +76,7 @@ def test_an_interrupted_run_ends_everything_and_says_what_was_reached(tmp_path):
     run = Flying(tmp_path, "--scenario", "paper_static_2", "--lockstep")
     run.until("-> TAKEOFF")
     children = run.children()
-    assert set(children) == {"record", "target", "vehicle", "onboard"}
+    assert set(children) == {"record", "world", "onboard"}
     run.process.send_signal(signal.SIGINT)
     assert run.end() == 1
     # aborted once it is armed, for then the vehicle is told to land before the process ends
@@ -100,12 +100,11 @@ def test_a_killed_onboard_process_leaves_a_vehicle_that_lands_itself(tmp_path):
     assert truth.position_enu_m[-1, 2] < 0.25
 
 
-def test_a_killed_target_is_held_climbed_from_and_landed_away_from(tmp_path):
-    run = Flying(tmp_path, "--scenario", "paper_moving_1", "--lockstep")
-    run.until("-> APPROACH")
-    kill(run.children()["target"])
-    assert run.end() == 1
-    flight = load_flight(tmp_path / "flight.mcap")
+def test_a_target_lost_for_good_is_held_climbed_from_and_landed_away_from(tmp_path):
+    shown = flightstack("scenarios", "fault_target_dropout").out
+    (tmp_path / "s.toml").write_text(shown.replace("duration_s = 0.6\n", ""))
+    assert fly(tmp_path / "run", tmp_path / "s.toml").code == 1
+    flight = load_flight(tmp_path / "run" / "flight.mcap")
     phases = set(flight.steps.phase.tolist())
     assert {Phase.HOLD, Phase.CLIMB, Phase.ABORT} <= phases
     assert Phase.LANDED not in phases
@@ -115,27 +114,25 @@ def test_a_killed_target_is_held_climbed_from_and_landed_away_from(tmp_path):
     assert not last.motors_running[-1]
 
 
-def test_a_target_that_stands_still_for_some_seconds_only_delays_a_lockstep_flight(tmp_path):
+def test_a_world_that_stands_still_for_some_seconds_only_delays_a_lockstep_flight(tmp_path):
     run = Flying(tmp_path, "--scenario", "paper_moving_1", "--lockstep")
     run.until("-> TAKEOFF")
-    target = run.children()["target"]
-    kill(target, signal.SIGSTOP)
-    time.sleep(
-        6.0
-    )  # longer than the lease of a connection in real time, and than any stall of a busy machine
-    kill(target, signal.SIGCONT)
+    world = run.children()["world"]
+    kill(world, signal.SIGSTOP)
+    time.sleep(6.0)  # longer than the lease of a connection in real time
+    kill(world, signal.SIGCONT)
     assert run.end() == 0
     steps = load_flight(tmp_path / "flight.mcap").steps
     assert steps.phase[-1] == Phase.LANDED
     assert Phase.HOLD not in steps.phase
 
 
-def test_a_killed_vehicle_ends_the_run(tmp_path):
+def test_a_killed_world_ends_the_run(tmp_path):
     run = Flying(tmp_path, "--scenario", "paper_static_2", "--lockstep")
     run.until("-> TAKEOFF")  # the first of ten seconds, which lockstep flies in half a one
-    kill(run.children()["vehicle"])
+    kill(run.children()["world"])
     assert run.end() == 1
-    assert any("vehicle ended in flight" in line for line in run.lines), run.lines
+    assert any("world ended in flight" in line for line in run.lines), run.lines
 
 
 def test_a_time_limit_ends_a_run_as_an_abort_that_lands(tmp_path):

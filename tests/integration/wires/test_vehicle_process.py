@@ -6,15 +6,11 @@ import itertools
 import os
 import re
 import signal
-import struct
 import time
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from bridge.target.odometry import OdometryPublisher
-from bridge.zenoh import zenoh_link
-from flightstack.core.types import ZERO
 from tests.integration.sim_processes import (
     Client,
     is_a,
@@ -186,28 +182,3 @@ def test_vehicle_that_calls_loses_nothing_of_the_first_tick() -> None:
         assert child.wait(5.0) == 0
     times_ms = [m.time_boot_ms for m in companion.log if m.get_type() == "LOCAL_POSITION_NED"]
     assert times_ms == list(range(0, 200, 10))
-
-
-def test_robot_that_falls_silent_stops_the_deck_but_not_the_flight() -> None:
-    port = free_port()
-    session = zenoh_link.open_session([f"tcp/127.0.0.1:{port}"], [])
-    robot = OdometryPublisher(session, "cf1/sim/target/truth", lossless=True)
-    try:
-        with vehicle(2, lockstep=True, connect=[f"tcp/127.0.0.1:{port}"]) as (child, ready):
-            wait_for(lambda: robot.matched, "the vehicle's subscription")
-            for tick in range(50):
-                pose = robot.encode(
-                    tick, (0.001 * tick, 0.0, 0.2), (1.0, 0.0, 0.0, 0.0), (0.1, 0.0, 0.0), ZERO
-                )
-                robot.put(pose, tick, struct.pack("<qq", tick, 0))
-            companion = Companion(ready.removeprefix("ready "))
-            for _ in range(200):
-                assert companion.step()
-            texts = [m.text for m in companion.log if m.get_type() == "STATUSTEXT"]
-            assert texts[-2:] == [
-                "Robot silent: going on without",
-                "Robot's pose too old: deck stopped",
-            ]
-            terminate(child)
-    finally:
-        session.close()

@@ -14,8 +14,8 @@ from flightstack.onboard import lockstep
 from flightstack.onboard.lockstep import LockstepWords, joined, split
 from logs.schema.rows import FleetWordRow
 from sim.clock import NoAnswerError, TickGrid
-from sim.runners import lockstep_team as words_wire
-from sim.runners.lockstep_team import MemberWords
+from sim.runners import member_words as words_wire
+from sim.runners.member_words import MemberWords
 from sim.runners.room import Words
 from sim.scenarios import team
 from tests.processes.ports import free_endpoint

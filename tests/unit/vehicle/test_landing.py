@@ -20,8 +20,8 @@ from logs.verdict.verdict import Outcome
 from sim.campaign.rows import vehicle_row
 from sim.robot.target import TargetMeasurement
 from sim.runners.landing import land
-from sim.runners.landing_target import in_world
 from sim.runners.landing_wire import PEER, wires
+from sim.runners.robot import in_world
 from sim.scenarios.scenario import Scenario, load
 from tests.fault_grid.flight import Flight
 from tests.fault_grid.run import equal

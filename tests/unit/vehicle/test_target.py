@@ -15,7 +15,7 @@ from sim.clock import TickGrid
 from sim.robot.target import TargetModel, TargetOdometry, arc, wrap
 from sim.robot.target_motion import TargetMotion
 from sim.runners.deck import DeckState, deck_state, follow, reckon
-from sim.runners.landing_target import DirectTarget, in_world
+from sim.runners.robot import DirectTarget, in_world
 from sim.scenarios.scenario import PathKind, StateError, TargetLink, TargetSpec
 from sim.scenarios.scenario import load as load_scenario
 
@@ -205,7 +205,6 @@ def ahead(scenario, seed, chosen_at):
     """The same by ``DirectTarget``; the onboard side chooses while it answers for a tick."""
     target = DirectTarget(scenario, seed, TickGrid(100))
     for tick in range(TICKS):
-        assert target.has(tick)
         yield tuple(target.take(tick)), target.samples(0.01 * tick).samples
         if tick == chosen_at:
             target.landing_began(tick)

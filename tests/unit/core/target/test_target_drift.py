@@ -10,7 +10,7 @@ from flightstack.core.parameters.flight import Checks
 from flightstack.core.target.track import TargetTrack
 from flightstack.core.types import TargetSample
 from sim.runners.landing import land
-from sim.runners.landing_target import DirectTarget
+from sim.runners.robot import DirectTarget
 from sim.scenarios.scenario import load
 
 RATE_HZ = 50.0

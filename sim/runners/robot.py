@@ -1,4 +1,4 @@
-"""The ground robot of a landing in one process: true poses for the deck, samples for the onboard process.
+"""The ground robot beside its vehicle: true poses for the deck, samples for a controller in the same process.
 
 Numbers pass as over Zenoh: CDR carries doubles, so only the turning of frames at both ends is left to do.
 """
@@ -6,6 +6,7 @@ Numbers pass as over Zenoh: CDR carries doubles, so only the turning of frames a
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, cast
 
@@ -21,7 +22,7 @@ from flightstack.onboard.runner import NOTHING, Arrived
 from sim.clock import TickGrid
 from sim.robot.target import TargetMeasurement, numbers
 from sim.robot.target_motion import TargetMotion
-from sim.runners.deck import DeckState, LockstepDeck
+from sim.runners.deck import DeckState
 from sim.scenarios.scenario import Scenario
 
 DRIVES_TICKS = 64  # ahead of the vehicle, of which half are for nothing when the landing is over
@@ -58,6 +59,69 @@ def _decks(pads: F64, decks: F64) -> None:
         deck[3], deck[7] = _yaw(q), pad[11]
 
 
+def deck_rows(pads: F64) -> F64:
+    """Position, heading, velocity and turn rate of the pad, (n, 8), from its motion, (n, 12)."""
+    decks = np.empty((len(pads), 8))
+    _decks(pads, decks)
+    return decks
+
+
+class Robot(ABC):
+    """Drives tick by tick or some ticks ahead; it may drive off when the landing begins.
+
+    It drives ahead at most so far that the tick at which it drives off is known in time. Many ticks at once
+    cost a fifth of what they cost one by one.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:
+        self._go_tick = NO_GO  # tick from which it drives
+        self._grid = grid
+        self._motion = motion = TargetMotion(scenario, seed, grid)
+        self._driving = motion.drives_at_once
+
+    def begin(self) -> None:  # noqa: B027
+        """Wait for what tick 0 needs. Raises NoAnswerError: it never came."""
+
+    def _keep_first(self) -> None:
+        """Take tick 0."""
+        motion = self._motion
+        due, motion.due = motion.due, []
+        self._keep(np.array([motion.model.pad], dtype=np.float64), [0] * len(due), numbers(due))
+
+    @property
+    def waits(self) -> bool:
+        """Whether the landing can still change its path or its faults."""
+        return not self._driving or self._motion.faults.waits_for_landing
+
+    def _drive(self, until_tick: int) -> None:
+        """Drive on to a tick, or stay."""
+        motion = self._motion
+        while motion.tick < until_tick:
+            end, goes_at = until_tick, self._go_tick
+            if NO_GO < goes_at <= motion.tick + 1:
+                motion.faults.landing_began(self._grid.ns(goes_at))
+                if not self._driving:
+                    self._driving = True
+                    self._drives_off(motion.tick + 1)
+            elif goes_at > NO_GO:
+                end = min(end, goes_at - 1)  # faults that start with the landing start at that tick
+            self._keep(*motion.run(end - motion.tick, self._driving))
+
+    @abstractmethod
+    def _keep(self, pads: F64, due: Sequence[int], new: F64) -> None:
+        """Take the motion of the next n ticks, ``TargetMotion.run``."""
+
+    @abstractmethod
+    def take(self, tick: int, *, wait: bool = True) -> DeckState:
+        """Go on to the next tick; the true pose there. ``wait``: the companion is there to be waited for."""
+
+    def run_ahead(self, tick: int) -> None:  # noqa: B027
+        """Drive on from the current tick while the companion computes, if that saves time."""
+
+    def _drives_off(self, tick: int) -> None:  # noqa: B027
+        """From this tick on it drives."""
+
+
 class Ahead(NamedTuple):
     """What the robot says at n ticks, the next ones."""
 
@@ -67,40 +131,29 @@ class Ahead(NamedTuple):
     come: I64  # (n,) number of samples until each tick
 
 
-class DirectTarget(LockstepDeck):
-    """Hands out true poses and samples, tick by tick.
-
-    The robot drives some ticks ahead, at most as far as in lockstep: the tick at which it drives off lies
-    beyond that and is known in time. Many ticks at once cost a fifth of what they cost one by one.
-    """
+class DirectTarget(Robot):
+    """Hands out true poses and samples, tick by tick."""
 
     def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:
-        self.bad = 0
-        self._go_tick = NO_GO
-        self._grid = grid
-        self._motion = motion = TargetMotion(scenario, seed, grid)
-        self._driving = motion.drives_at_once
         self._samples: list[WorldSample] = []  # samples that the onboard process has not taken yet
         # data of the driven ticks, and the number of ticks taken
         self._ahead, self._at = Ahead(np.empty((0, 8)), np.empty((0, 9)), 0, np.empty(0, np.int64)), 0
         self._decks: list[list[float]] = []  # ``decks`` as lists, faster tick by tick
         self._come: list[int] = []
-        due, motion.due = motion.due, []
-        self._keep(np.array([motion.model.pad], dtype=np.float64), [0] * len(due), numbers(due))
+        super().__init__(scenario, seed, grid)
+        self._keep_first()
 
-    def has(self, tick: int) -> bool:
-        """Always."""
-        del tick
-        return True
-
-    def take(self, tick: int) -> DeckState | None:
+    def take(self, tick: int, *, wait: bool = True) -> DeckState:
         """Go on to this tick; true pose there."""
+        del wait
         if self._at == len(self._come):
             self._drive(tick + self._ahead_ticks - 1)
         first, end = self._come_before, self._come[self._at]
         if first != end:
             self._samples += [_world_sample(row) for row in self._ahead.samples[first:end].tolist()]
-        return self.drop(1)
+        self._at += 1
+        x, y, z, yaw, vx, vy, vz, rate = self._decks[self._at - 1]
+        return DeckState((x, y, z), yaw, (vx, vy, vz), rate, b"")
 
     def ahead(self, tick: int, count: int) -> Ahead:
         """What the robot says at this tick, the next one, and at those after it; at most ``count`` in all."""
@@ -109,39 +162,23 @@ class DirectTarget(LockstepDeck):
         these, (decks, samples, _, come) = slice(self._at, self._at + count), self._ahead
         return Ahead(decks[these], samples, self._come_before, come[these])
 
-    def drop(self, count: int) -> DeckState:
-        """Skip ticks that were flown as a batch; return the true pose at the last of them."""
+    def skip(self, count: int) -> None:
+        """Account for ticks that were flown as a batch."""
         self._at += count
-        x, y, z, yaw, vx, vy, vz, rate = self._decks[self._at - 1]
-        return DeckState((x, y, z), yaw, (vx, vy, vz), rate, b"")
 
     @property
     def _ahead_ticks(self) -> int:
         """Number of ticks that it may drive ahead: once it drives, no later input changes its path."""
-        waits = not self._driving or self._motion.faults.waits_for_landing
-        return RUN_AHEAD_TICKS if waits else DRIVES_TICKS
+        return RUN_AHEAD_TICKS if self.waits else DRIVES_TICKS
 
     @property
     def _come_before(self) -> int:
         """Samples of the ticks that were taken."""
         return self._come[self._at - 1] if self._at else 0
 
-    def _drive(self, until_tick: int) -> None:
-        """Drive on to a tick, or stay."""
-        motion = self._motion
-        while motion.tick < until_tick:
-            end, goes_at = until_tick, self._go_tick
-            if NO_GO < goes_at <= motion.tick + 1:
-                motion.faults.landing_began(self._grid.ns(goes_at))
-                self._driving = True
-            elif goes_at > NO_GO:
-                end = min(end, goes_at - 1)  # faults that start with the landing start at that tick
-            self._keep(*motion.run(end - motion.tick, self._driving))
-
     def _keep(self, pads: F64, due: Sequence[int], new: F64) -> None:
         """Append what the robot says at some ticks; forget what was taken."""
-        decks = np.empty((len(pads), 8))
-        _decks(pads, decks)
+        decks = deck_rows(pads)
         before, left = self._come_before, self._ahead
         samples = left.samples[before:]
         come = len(samples) + np.searchsorted(due, np.arange(len(pads)), side="right")

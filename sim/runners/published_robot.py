@@ -1,0 +1,261 @@
+"""The ground robot of the world process: it publishes its odometry on Zenoh.
+
+Keys under the namespace of each robot (``cf1`` by default):
+
+- ``target/odom``: measured odometry as the tracker would send it, ``nav_msgs/msg/Odometry`` in CDR.
+- ``sim/target/tick``: in lockstep, after everything of a tick: (tick, samples put so far) as two int64.
+- ``sim/credit`` (read): in lockstep, how far the reader is and from which tick on to drive (-1: not yet).
+- ``sim/target/truth``: in real time, for a vehicle that is simulated in another process: true pose and twist.
+- ``controller/step`` (read): in real time, its phase shows when the landing begins.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from contextlib import ExitStack
+
+from bridge.frames import quaternion_from_yaw
+from bridge.ros2.cdr import encode_odometry
+from bridge.ros2.ros2_names import network
+from bridge.ros2.ros2_node import Ros2Node, Ros2Publisher
+from bridge.target.odometry import OdometryPublisher
+from bridge.target.ros2_target import ROS_TYPES, TargetType
+from bridge.zenoh import zenoh_link
+from flightstack.common.hangup import Stop
+from flightstack.common.pacing import COMPANION_SILENT_S, NO_GO, PAIR, RUN_AHEAD_TICKS
+from flightstack.compiled.records import F64
+from flightstack.config.options import Ros2
+from flightstack.core.types import Phase
+from flightstack.onboard.lockstep import ALIVE
+from logs.schema.events import Severity
+from logs.schema.rows import ControllerStepRow
+from sim.clock import STARTUP_S, NoAnswerError, TickGrid, wait_until
+from sim.runners.deck import DeckState, truth_key
+from sim.runners.log import EventLog
+from sim.runners.robot import Robot, deck_rows
+from sim.scenarios.scenario import Scenario
+from sim.scenarios.team import TeamScenario
+
+NODE = "flightstack_target"  # name of the ROS 2 node
+_LANDING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN, Phase.LANDED})
+_LEFT_MIN = RUN_AHEAD_TICKS // 2  # ticks that are driven already; with fewer it drives on
+_CREDIT_YIELDS = 20  # looks for credit that only yield the processor: it is there, or due any moment
+_MATCH_PAUSE_S = 0.002  # s between two looks for subscribers
+
+
+class PublishedRobot(Robot):
+    """Publishes what it measures as it drives, and hands its true poses over tick by tick.
+
+    ``session``: stays open; ``namespace``: first part of its keys; ``log``: for its events.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int,
+        grid: TickGrid,
+        session: zenoh_link.Session,
+        namespace: str,
+        log: EventLog,
+        *,
+        lockstep: bool,
+    ) -> None:
+        super().__init__(scenario, seed, grid)
+        self.namespace, self.log = namespace, log
+        self.shown: Ros2Publisher | None = None  # publisher of the odometry to ROS 2
+        self._odom = OdometryPublisher(session, f"{namespace}/target/odom", lossless=lockstep)
+        self._driven, self._samples = 0, 0  # ticks driven, samples put
+        self._waiting: deque[tuple[list[float], list[float]]] = deque()  # pad and deck of the ticks to come
+
+    def begin(self) -> None:
+        """Publish tick 0."""
+        self._keep_first()
+
+    def take(self, tick: int, *, wait: bool = True) -> DeckState:
+        """Go on to the next tick; the true pose there."""
+        del wait
+        self._drive(tick)
+        pad, (x, y, z, yaw, vx, vy, vz, rate) = self._waiting.popleft()
+        px, py, pz, pad_yaw, forward, left, up = pad[1:8]
+        payload = encode_odometry(
+            self.log.epoch_ns + self._grid.ns(tick), "map", "target", (px, py, pz),
+            quaternion_from_yaw(pad_yaw), (forward, left, up), (0.0, 0.0, pad[11]),
+        )  # fmt: skip
+        return DeckState((x, y, z), yaw, (vx, vy, vz), rate, payload)
+
+    def _keep(self, pads: F64, due: Sequence[int], new: F64) -> None:
+        """Publish the samples of the next n ticks; log which faults began and ended."""
+        samples, at = new.tolist(), 0
+        for n in range(len(pads)):
+            while at < len(due) and due[at] == n:
+                self._put(self._driven, samples[at])
+                at += 1
+            self._end(self._driven)
+            self._driven += 1
+        self._waiting += zip(pads.tolist(), deck_rows(pads).tolist(), strict=True)
+        for tick, fault in self._motion.take_texts():
+            level = Severity.WARN if fault.begins else Severity.INFO
+            self.log.event(self._grid.ns(tick), level, str(fault))
+
+    def _put(self, tick: int, sample: Sequence[float]) -> None:
+        """Publish a sample, numbers of a ``TargetMeasurement``."""
+        epoch_ns = self.log.epoch_ns
+        time_s, x, y, z, yaw, vx, vy, vz, rate = sample
+        payload = self._odom.encode(
+            epoch_ns + round(time_s * 1e9),
+            (x, y, z),
+            quaternion_from_yaw(yaw),
+            (vx, vy, vz),
+            (0.0, 0.0, rate),
+        )
+        sent_ns = epoch_ns + self._grid.ns(tick)
+        self._odom.put(payload, sent_ns)
+        if self.shown is not None:
+            self.shown.put(payload, sent_ns)
+        self._samples += 1
+
+    def _end(self, tick: int) -> None:
+        """All samples of a tick were published."""
+
+    def _drives_off(self, tick: int) -> None:
+        """Log from which tick it drives."""
+        self.log.event(self._grid.ns(tick), Severity.INFO, f"the robot drives from tick {tick} on")
+
+
+class LockstepRobot(PublishedRobot):
+    """Drives ahead of its vehicle, as far as the credit of its reader allows."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int,
+        grid: TickGrid,
+        session: zenoh_link.Session,
+        namespace: str,
+        log: EventLog,
+        stop: Stop,
+    ) -> None:
+        super().__init__(scenario, seed, grid, session, namespace, log, lockstep=True)
+        self._stop = stop
+        self._marker = zenoh_link.blocking_publisher(session, f"{namespace}/sim/target/tick")
+        self._token = zenoh_link.liveliness_token(session, f"{namespace}/{ALIVE}")
+        self._credits = zenoh_link.fifo_subscriber(session, f"{namespace}/sim/credit")
+        self._credit = (
+            0  # newest tick of the reader; before the first one the run-ahead counts from the start
+        )
+        self._silent = False  # no credit came in time
+
+    def begin(self) -> None:
+        """Publish tick 0 when there are subscribers: earlier samples are lost and are not repeated.
+
+        Raises NoAnswerError: there are none.
+        """
+        for key, matched in (
+            ("target/odom", lambda: self._odom.matched),
+            ("sim/target/tick", lambda: zenoh_link.is_matched(self._marker)),
+        ):
+            what = f"a subscriber to {self.namespace}/{key}"
+            if not wait_until(matched, self._stop, STARTUP_S, pause_s=_MATCH_PAUSE_S, what=what):
+                raise NoAnswerError(
+                    f"nobody subscribed to {self.namespace}/{key} within {STARTUP_S:g} s; is the onboard "
+                    "process running in lockstep, and connected to this process's endpoint?"
+                )
+        super().begin()
+
+    def take(self, tick: int, *, wait: bool = True) -> DeckState:
+        """Go on to the next tick; the true pose there.
+
+        Without credit for the tick the landing may have begun. A companion that is there is waited for, once.
+        """
+        if tick >= self._driven and not self._covers(tick) and wait and not self._silent:
+            self._silent = not wait_until(
+                lambda: self._covers(tick), self._stop, COMPANION_SILENT_S, yields=_CREDIT_YIELDS
+            )
+            if self._silent:
+                waited = f"no credit from the onboard process for {COMPANION_SILENT_S:g} s"
+                text = f"{waited}: the robot continues without"
+                self.log.event(self._grid.ns(tick), Severity.WARN, text)
+        return super().take(tick)
+
+    def run_ahead(self, tick: int) -> None:
+        """Drive on from the current tick while the companion computes, so that it need not wait for it."""
+        if self._driven > tick + _LEFT_MIN:
+            return
+        until = tick + RUN_AHEAD_TICKS
+        self._drive(until if self._covers(until) else min(until, self._credit + RUN_AHEAD_TICKS))
+
+    def _covers(self, tick: int) -> bool:
+        """Whether it is known if the robot drives at a tick."""
+        for sample in zenoh_link.drain(self._credits):
+            data = sample.payload.to_bytes()
+            if len(data) == PAIR.size:
+                reached, go_tick = PAIR.unpack(data)
+                self._credit, self._silent = max(self._credit, reached), False
+                if self._go_tick == NO_GO and go_tick >= 0:  # the first one stands
+                    self._go_tick = go_tick
+        return not self.waits or self._go_tick > NO_GO or tick <= self._credit + RUN_AHEAD_TICKS
+
+    def _end(self, tick: int) -> None:
+        self._marker.put(PAIR.pack(tick, self._samples))
+
+
+class RealTimeRobot(PublishedRobot):
+    """Sees in the controller's steps when the landing begins.
+
+    ``followed``: a vehicle that is simulated in another process follows its true pose.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int,
+        grid: TickGrid,
+        session: zenoh_link.Session,
+        namespace: str,
+        log: EventLog,
+        *,
+        followed: bool,
+    ) -> None:
+        super().__init__(scenario, seed, grid, session, namespace, log, lockstep=False)
+        self.followed = followed
+        self._truth = OdometryPublisher(session, truth_key(namespace)) if followed else None
+        self._steps = zenoh_link.ring_subscriber(session, f"{namespace}/controller/step")
+
+    def take(self, tick: int, *, wait: bool = True) -> DeckState:
+        """Go on to the next tick; the true pose there."""
+        del wait
+        deck = super().take(tick)
+        if self._truth is not None:
+            self._truth.put(deck.payload, self.log.epoch_ns + self._grid.ns(tick), PAIR.pack(tick, 0))
+        if self.waits and self._go_tick == NO_GO and self._landing_began():
+            self._go_tick = tick
+        return deck
+
+    def _landing_began(self) -> bool:
+        return any(phase_of(each.payload.to_bytes()) in _LANDING for each in zenoh_link.drain(self._steps))
+
+
+def show_to_ros2(team: TeamScenario, options: Ros2, robot: PublishedRobot, stack: ExitStack) -> None:
+    """Show the odometry of a robot to ROS 2, if that is wanted; ``stack`` ends it.
+
+    As a node of its own, on a session of its own. Raises ValueError: it is one of several.
+    """
+    if not team.is_alone and options.ros2_where is not None:
+        raise ValueError("--ros2 is for one robot: those of a team are not shown to ROS 2")
+    ros2, namespace = network(options), robot.namespace
+    if ros2 is None:
+        return
+    session = ros2.open()
+    stack.callback(session.close)
+    node = Ros2Node(session, NODE, domain=ros2.domain, namespace=f"/{namespace}")
+    stack.callback(node.close)
+    robot.shown = node.publisher(f"/{namespace}/target/odom", *ROS_TYPES[TargetType.ODOMETRY])
+
+
+def phase_of(payload: bytes) -> int | None:
+    """Phase in a serialised ControllerStep, None if it is something else."""
+    try:
+        return ControllerStepRow.unpack(payload).phase
+    except ValueError:
+        return None

@@ -1,0 +1,238 @@
+"""The world process: the simulated vehicles of a scenario and their robots, in lockstep or in real time.
+
+A vehicle has a MAVLink endpoint, a robot its keys on Zenoh. All share a process since what happens between
+them is physical: decks, jets and collisions need all states at once. ``vehicle`` is a world without robots:
+in real time its decks follow the true poses of robots of another process.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+from bridge.mavlink.endpoint import Endpoint, open_endpoint
+from bridge.mavlink.server.server import COMPONENT_ID
+from bridge.mavlink.transport.address import parse_udp_url
+from bridge.zenoh import zenoh_link
+from flightstack.common.hangup import Stop
+from flightstack.common.pacing import EPOCH_NS, quiet_garbage_collector
+from logs.recorder.feed import Feed, FeedError
+from logs.schema.names import Names
+from sim.autopilot.autopilot import Autopilot
+from sim.clock import NoAnswerError, TickGrid
+from sim.options import VehicleOptions, WorldOptions
+from sim.runners.deck import RealTimeDeck
+from sim.runners.lockstep import LockstepVehicle, LockstepWorld
+from sim.runners.log import EventLog, VehicleLog
+from sim.runners.member_words import MemberWords
+from sim.runners.published_robot import LockstepRobot, RealTimeRobot, show_to_ros2
+from sim.runners.real_time import RealTimeVehicle, RealTimeWorld
+from sim.runners.room import Member, Room, Words, warm_up_room
+from sim.runners.vehicle_node import VehicleNode
+from sim.scenarios.scenario import Scenario
+from sim.scenarios.team import TeamScenario
+from sim.vehicle.vehicle import VehicleSim
+
+_PAUSE_S = 0.1  # s between two looks at the signals when all flights are over
+
+
+def world_main(team: TeamScenario, options: VehicleOptions) -> int:
+    """Run the vehicles until SIGTERM, SIGINT or ``duration_s``; prints ``ready URL ...``, cf1's first.
+
+    Prints ``armed`` and ``disarmed``, too, whenever that changes; of several vehicles with the name.
+
+    ``team``: everything that is not chance; ``options``: ``WorldOptions`` runs the robots, too; a port that
+    is not 0 is that of cf1, and the others follow; system id and namespace are those of a vehicle that is
+    alone, members of a team have their own.
+    Returns exit status: 0 in order, 1 when something it needs did not come, 2 for wrong input.
+    """
+    stop, verb = Stop(), "world" if isinstance(options, WorldOptions) else "vehicle"
+    try:
+        with ExitStack() as stack:
+            _fly(team, options, stop, stack)
+    except ValueError as error:
+        print(f"{verb}: {error}", file=sys.stderr)
+        return 2
+    except (OSError, zenoh_link.ZenohLinkError, FeedError, NoAnswerError) as error:
+        print(f"{verb}: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+@dataclass(frozen=True)
+class _Flight:
+    """A vehicle and its robot."""
+
+    number: int  # number in the team, from 1
+    scenario: Scenario
+    seed: int
+    robot_seed: int
+    names: Names  # names of its records in the log
+    namespace: str
+    system_id: int
+    elsewhere: bool  # whether the vehicle is not simulated here
+
+
+def _flights(team: TeamScenario, options: VehicleOptions) -> list[_Flight]:
+    if options.leave_out and team.is_alone:
+        raise ValueError("--leave-out is for a scenario of several vehicles: this one has no members")
+    if options.leave_out and options.lockstep:
+        raise ValueError(
+            "--leave-out is for real time: a vehicle from elsewhere does not wait for the others"
+        )
+    shared, found = team.target_seed(options.seed), []
+    for number, (scenario, seed) in enumerate(team.singles(options.seed), 1):
+        names = team.names(number)
+        found.append(
+            _Flight(
+                number, scenario, seed, seed if shared is None else shared, names,
+                names.member or options.namespace, options.system_id if team.is_alone else number,
+                number in options.leave_out,
+            )
+        )  # fmt: skip
+    if all(each.elsewhere for each in found):
+        raise ValueError("--leave-out leaves no vehicle; the scenario of one of them simulates it alone")
+    return found
+
+
+def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitStack) -> None:
+    lockstep, with_robots = options.lockstep, isinstance(options, WorldOptions)
+    grid = TickGrid(options.rate_hz)
+    flights = _flights(team, options)
+    here = [each for each in flights if not each.elsewhere]
+    endpoints = [opened(options, each.number, each.system_id, stack) for each in here]
+    session = joined(options, stack)
+    if session is None and not team.is_alone:
+        raise ValueError("vehicles of a team follow robots on Zenoh; --connect, --listen or --zenoh-config")
+    if session is None and with_robots:
+        raise ValueError("the robots publish their odometry on Zenoh; --connect, --listen or --zenoh-config")
+    if session is not None and lockstep and not with_robots:
+        raise ValueError(
+            "in lockstep a vehicle follows no robot of another process; `flightstack world` simulates both"
+        )
+    warm_up_room(team)
+    simulated = [VehicleSim(each.scenario, each.seed) for each in here]
+    epoch_ns = EPOCH_NS if lockstep else time.time_ns()
+    feed = Feed.connect(options.recorder, "vehicle", lossless=lockstep, vehicles=len(here))
+    stack.callback(feed.close)
+    nodes = []
+    for flight, (endpoint, _), vehicle in zip(here, endpoints, simulated, strict=True):
+        log = VehicleLog(feed, epoch_ns, flight.namespace, flight.names)
+        autopilot = autopilot_of(vehicle, options, flight.system_id, epoch_ns)
+        nodes.append(VehicleNode(vehicle, autopilot, endpoint, log, _teller(flight.names.member)))
+    members = [Member(each.number, each.namespace, node) for each, node in zip(here, nodes, strict=True)]
+    room, ticks = Room(members, grid, feed), grid.count(options.duration_s)
+    logs = {each.number: EventLog(feed, each.names.logger("target"), epoch_ns) for each in flights}
+    if lockstep:
+        ahead = {
+            each.number: LockstepRobot(
+                each.scenario, each.robot_seed, grid, session, each.namespace, logs[each.number], stop
+            )
+            for each in flights
+            if with_robots
+        }
+        if isinstance(options, WorldOptions):
+            show_to_ros2(team, options, ahead[1], stack)
+        words = None if team.is_alone else Words(team, options.seed)
+        in_step = [
+            LockstepVehicle(
+                each.node, ahead.get(each.number), grid, stop, flight.scenario.vehicle.setpoint_delay_s,
+                None if words is None else MemberWords(session, each.name),
+            )
+            for each, flight in zip(members, here, strict=True)
+        ]  # fmt: skip
+        _ready(endpoints, stop)
+        LockstepWorld(in_step, room, words, stop, epoch_ns).run(ticks)
+        feed.flush()
+        while words is not None and not stop.is_set:  # the parent process ends this one
+            time.sleep(_PAUSE_S)
+        return
+    robots = {
+        each.number: RealTimeRobot(
+            each.scenario, each.robot_seed, grid, session, each.namespace, logs[each.number],
+            followed=each.elsewhere,
+        )
+        for each in flights
+        if with_robots
+    }  # fmt: skip
+    if isinstance(options, WorldOptions):
+        show_to_ros2(team, options, robots[1], stack)
+    decks = {each.number: RealTimeDeck(session, each.namespace) for each in here if session is not None}
+    vehicles = [
+        RealTimeVehicle(each.node, robots.get(each.number) or decks.get(each.number), grid)
+        for each in members
+    ]
+    _ready(endpoints, stop)
+    RealTimeWorld(vehicles, list(robots.values()), room, grid, stop).run(ticks)
+
+
+def _ready(endpoints: Sequence[tuple[Endpoint, str]], stop: Stop) -> None:
+    stop.install()
+    print("ready", *(url for _, url in endpoints), flush=True)
+    quiet_garbage_collector()
+
+
+def opened(options: VehicleOptions, number: int, system_id: int, stack: ExitStack) -> tuple[Endpoint, str]:
+    """Open the MAVLink endpoint of a vehicle; returns it, and the URL with the port that it has.
+
+    ``options``: its URL is that of the first vehicle; ``number``: of the vehicle, from 1; ``stack``: closes
+    it.
+    Raises ValueError: options that exclude each other, or an URL that is not understood; OSError: the address
+    cannot be bound.
+    """
+    kind, host, port = parse_udp_url(options.url, "the simulated vehicle")
+    port += number - 1 if port else 0
+    if options.lockstep and options.peers:
+        raise ValueError("--peer is for real time: in lockstep the companion calls first")
+    mine = f"{kind}:{host}:{port}"
+    endpoint = open_endpoint("vehicle", mine, system_id, COMPONENT_ID, options, options.peers)
+    stack.callback(_close, endpoint)
+    return endpoint, f"{kind}:{host}:{endpoint.local_port if kind == 'udpin' else port}"
+
+
+def joined(options: VehicleOptions, stack: ExitStack) -> zenoh_link.Session | None:
+    """Open the Zenoh session on which the robots are; None without endpoints."""
+    if not (options.connect or options.listen or options.zenoh_config is not None):
+        return None
+    session = zenoh_link.open_session(
+        options.listen,
+        options.connect,
+        config_file=options.zenoh_config,
+        prompt=not options.lockstep,
+        lockstep=options.lockstep,
+    )
+    stack.callback(session.close)
+    return session
+
+
+def autopilot_of(vehicle: VehicleSim, options: VehicleOptions, system_id: int, epoch_ns: int) -> Autopilot:
+    """Make the autopilot of a vehicle, with its parameters; ``epoch_ns`` is the Unix time of tick 0."""
+    autopilot = Autopilot(
+        vehicle,
+        options.rate_hz,
+        system_id=system_id,
+        epoch_ns=epoch_ns,
+        trim_enu_m_s=vehicle.trim_velocity_enu_m_s,
+    )
+    for name, value in options.parameters.items():
+        autopilot.parameters.preset(name, value)
+    return autopilot
+
+
+def _teller(name: str) -> Callable[[bool], None]:
+    """Prints whether a vehicle is armed, for the process that started this one and may end it."""
+
+    def tell(armed: bool) -> None:
+        print(f"{'armed' if armed else 'disarmed'} {name}".strip(), flush=True)
+
+    return tell
+
+
+def _close(endpoint: Endpoint) -> None:
+    dropped = endpoint.counters.dropped()
+    if dropped:
+        print(f"vehicle: MAVLink not let through: {dropped}", file=sys.stderr)
+    endpoint.close()
