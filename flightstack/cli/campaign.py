@@ -121,9 +121,9 @@ def _table(wanted: Plan, found: dict[str, Any]) -> Table:
     from sim.campaign.summary import lines
 
     title = f"{wanted.scenario.name}, filter {wanted.filter_name}"
-    table = Table("result", Column("value", justify="right"), title=title, title_justify="left")
-    for name, value in lines(found):
-        table.add_row(name, value)
+    table = Table("result", Column("value", justify="right"), "unit", title=title, title_justify="left")
+    for name, value, unit in lines(found):
+        table.add_row(name, value, unit)
     return table
 
 

@@ -74,12 +74,11 @@ def validate(options: ValidateOptions) -> None:
 
 def _page(path: Path, found: dict[str, Any]) -> Path | None:
     """Write the page; the numbers count without it, too."""
-    from logs.report.page import ReportError
+    from logs.report.page import ReportError, write
+    from sim.validation.page import validation_page
 
     try:
-        from sim.validation.page import render
-
-        path.write_text(render(found), encoding="utf-8")
+        write(path, validation_page(found))
     except ReportError as error:
         click.echo(f"flightstack: {error}", err=True)
         return None

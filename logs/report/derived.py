@@ -17,6 +17,7 @@ from flightstack.core.types import FilterStatus
 from logs.reader.flight import TARGET_TOPIC_END
 from logs.reader.flight_data import Flight, Floats
 from logs.reader.reader import LogFile
+from logs.schema.events import ContactBit
 from logs.schema.mavlink import FrameError, unpack_mavlink
 from logs.schema.schemas import MAVLINK, ODOMETRY
 from logs.verdict.types import Verdict
@@ -228,7 +229,30 @@ def missing_of_256(numbers: Sequence[int]) -> int | None:
 
 
 class Side(NamedTuple):
-    name: str
+    """A flight on a page."""
+
+    name: str  # empty alone; A and B of two that are compared; the member of a fleet
     flight: Flight
     verdict: Verdict
-    streams: list[Stream]
+    streams: list[Stream]  # empty for the member of a fleet
+    offset_s: float  # what to add to the times of the flight, to count from the zero of the page
+
+    @property
+    def of(self) -> str:
+        """The name in front of another one; empty alone."""
+        return f"{self.name} " if self.name else ""
+
+
+def side_of(name: str, flight: Flight, verdict: Verdict) -> Side:
+    """Return a flight with its traffic, on the time since its landing began."""
+    streams = load_streams(flight.path, flight.origin_ns, flight.member)
+    return Side(name, flight, verdict, streams, -(flight.landing_start_s or 0.0))
+
+
+def touch_index(flight: Flight) -> int | None:
+    """Index of the first true state with contact to the pad since the landing began."""
+    truth, start_s = flight.truth, flight.landing_start_s
+    if truth is None or start_s is None:
+        return None
+    found = np.flatnonzero((truth.contacts & ContactBit.PAD > 0) & (truth.t_s > start_s))
+    return int(found[0]) if len(found) else None

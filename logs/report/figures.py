@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-import plotly.graph_objects as go
 
 from logs.reader.fleet_messages import FleetMessages
 from logs.reader.flight_data import Fleet, Flight, Floats
-from logs.report.derived import Errors, Side, Stream, estimate_errors, root_mean_square
+from logs.report.derived import Errors, Side, estimate_errors, root_mean_square
+from logs.report.page import Panel
 from logs.report.series import (
     barrier_over_time,
     data_age,
@@ -24,106 +23,107 @@ from logs.report.series import (
     velocities,
 )
 from logs.report.several import (
-    altitudes,
-    barriers,
     best_h,
     distances,
-    flown_m_s,
     h_error_mm,
     plan,
     room_3d,
-    sent_m_s,
     series,
     target_age_ms,
     tick_us,
     vectors,
+    velocity_flown,
+    velocity_sent,
 )
 from logs.report.space import altitude_over_distance, plan_view, trajectory_3d
-from logs.report.timeline import compared_timeline, fleet_timeline, timeline
-from logs.schema.events import ContactBit
-from logs.verdict.types import RADIUS_ABOVE_M, RADIUS_BESIDE_M, Verdict
+from logs.report.style import axis_of, fleet_axis
+from logs.report.timeline import timeline
+from logs.verdict.types import RADIUS_ABOVE_M, RADIUS_BESIDE_M
 from logs.verdict.verdict import PairSeries
 
-
-@dataclass(frozen=True)
-class Panel:
-    """One figure with its words; ``figure`` is ``None`` if the log has nothing to draw."""
-
-    key: str
-    title: str
-    paper: str
-    note: str
-    figure: go.Figure | None
+_ALTITUDE = "Relative altitude over horizontal distance"
+_BARRIER = "Barrier value over time"
 
 
-def panels(flight: Flight, verdict: Verdict, streams: Sequence[Stream]) -> list[Panel]:
-    """Panels of one flight; the first two are the timeline and the picture."""
-    touch = touch_index(flight)
+def panels(side: Side) -> list[Panel]:
+    """Figures of one flight; the first is its picture."""
+    flight, axis = side.flight, axis_of([side.flight])
     both = "Solid: true states of the simulator. Dashed: the vehicle's own estimate."
     source = both if flight.truth is not None else "The vehicle's own estimate; the log holds no true states."
     edge = (
         "" if flight.barrier is not None else " The log does not say which barrier was flown; none is drawn."
     )
     return [
-        Panel("timeline", "The flight at a glance", "", _TIMELINE, timeline(flight)),
         Panel(
-            "relative", "Landing relative to the pad, over the barrier", "Fig. 7, 10",
-            f"{source} Surface: h = 0; unsafe below it.{edge}", trajectory_3d(flight, touch),
+            "relative", "Landing relative to the pad, over the barrier",
+            f"{source} Surface: h = 0; unsafe below it.{edge}", trajectory_3d(flight), "Fig. 7, 10",
         ),
         Panel(
-            "altitude", "Relative altitude over horizontal distance", "Fig. 8, 11",
-            f"{source} Shaded: unsafe, h < 0.{edge}", altitude_over_distance(flight, touch),
+            "timeline", "The flight at a glance", _TIMELINE,
+            timeline([side], axis, flight.events, -side.offset_s),
         ),
         Panel(
-            "barrier", "Barrier value over time", "Fig. 9a, 13a",
+            "altitude", _ALTITUDE, f"{source} Shaded: unsafe, h < 0.{edge}", altitude_over_distance([side]),
+            "Fig. 8, 11",
+        ),
+        Panel(
+            "barrier", _BARRIER,
             f"{_barrier_source(flight)} Dotted: −5 mm, the limit of a violation outside the pad. {_MARGIN}",
-            barrier_over_time(flight, verdict),
+            barrier_over_time(flight, side.verdict), "Fig. 9a, 13a",
         ),
         Panel(
-            "velocity", "Velocity: nominal, filtered, sent", "Fig. 9b–d, 13b–d",
+            "velocity", "Velocity: nominal, filtered, sent",
             _VELOCITY + (_SWITCH if flight.truth is not None else ""),
-            velocities(flight),
+            velocities(flight), "Fig. 9b–d, 13b–d",
         ),
-        Panel("filter", "What the filter does", "", _filter_note(flight), filter_activity(flight)),
-        Panel("tracking", "Velocity: wanted, set-point, flown", "", _TRACKING, tracking(flight)),
-        Panel("error", "Error of the estimates", "", _error_note(flight), estimate_error(flight)),
-        Panel("plan", "Paths from above", "Fig. 12", f"{source} {_PLAN}", plan_view(flight, touch)),
-        Panel("vehicle", "The vehicle", "", _VEHICLE, vehicle_state(flight)),
-        Panel("timing", "Loop timing", "", _timing_note(flight), loop_timing(flight)),
-        Panel("periods", "Periods and intervals", "", _PERIODS, histograms(flight, streams)),
-        Panel("age", "Age of the data at each tick", "", _age_note(flight), data_age(flight)),
+        Panel("filter", "What the filter does", _filter_note(flight), filter_activity(flight)),
+        Panel("tracking", "Velocity: wanted, set-point, flown", _TRACKING, tracking(flight)),
+        Panel("error", "Error of the estimates", _error_note(flight), estimate_error(flight)),
+        Panel("plan", "Paths from above", f"{source} {_PLAN}", plan_view(flight), "Fig. 12"),
+        Panel("vehicle", "The vehicle", _VEHICLE, vehicle_state(flight)),
+        Panel("timing", "Loop timing", _timing_note(flight), loop_timing(flight)),
+        Panel("periods", "Periods and intervals", _PERIODS, histograms(flight, side.streams)),
+        Panel("age", "Age of the data at each tick", _age_note(flight), data_age(flight)),
     ]  # fmt: skip
 
 
 def compared_panels(sides: Sequence[Side]) -> list[Panel]:
+    """Figures of two flights; the first is their picture."""
+    axis = axis_of([side.flight for side in sides])
     both = "A is blue, B is orange; each on the time since its own landing began."
     best = f"{both} From true states where the log has them, else by the vehicle's estimate."
     return [
-        Panel("altitude", "Relative altitude over horizontal distance", "", best, altitudes(sides)),
-        Panel("timeline", "Phases and faults", "", both, compared_timeline(sides)),
-        Panel("barrier", "Barrier value over time", "", best, series(sides, best_h, "h [m]")),
-        Panel("sent", "Velocity sent", "", both, vectors(sides, sent_m_s)),
-        Panel("flown", "Velocity flown", "", best, vectors(sides, flown_m_s)),
+        Panel("altitude", _ALTITUDE, best, altitude_over_distance(sides)),
+        Panel("timeline", "Phases and faults", both, timeline(sides, axis)),
+        Panel("barrier", _BARRIER, best, series(sides, axis, best_h, "h [m]")),
+        Panel("sent", "Velocity sent", both, vectors(sides, axis, velocity_sent)),
+        Panel("flown", "Velocity flown", best, vectors(sides, axis, velocity_flown)),
         Panel(
-            "error", "Error of the estimated h", "", f"{both} Needs true states.",
-            series(sides, h_error_mm, "error of h [mm]"),
+            "error", "Error of the estimated h", f"{both} Needs true states.",
+            series(sides, axis, h_error_mm, "error of h [mm]"),
         ),
-        Panel("age", "Age of the target state", "", both, series(sides, target_age_ms, "age [ms]")),
+        Panel("age", "Age of the target state", both, series(sides, axis, target_age_ms, "age [ms]")),
         Panel(
-            "tick", "Time spent in a tick", "", f"{both} Wall clock.", series(sides, tick_us, "time [µs]")
+            "tick", "Time spent in a tick", f"{both} Wall clock.", series(sides, axis, tick_us, "time [µs]")
         ),
     ]  # fmt: skip
 
 
-def fleet_panels(fleet: Fleet, words: FleetMessages, pairs: Sequence[PairSeries]) -> list[Panel]:
+def fleet_panels(
+    fleet: Fleet, sides: Sequence[Side], messages: FleetMessages, pairs: Sequence[PairSeries]
+) -> list[Panel]:
+    """Figures of a fleet; the first is its picture."""
+    axis = fleet_axis(fleet)
+    h = series(sides, axis, best_h, "h [m]", hovermode="closest")
     return [
-        Panel("room", "All paths in the room", "", _ROOM, room_3d(fleet)),
+        Panel("room", "All paths in the room", _ROOM, room_3d(sides)),
         Panel(
-            "timeline", "Who did what, and who waited for whom", "", _LANES, fleet_timeline(fleet, words)
+            "timeline", "Who did what, and who waited for whom", _LANES,
+            timeline(sides, axis, fleet.events, messages=messages),
         ),
-        Panel("plan", "Paths from above", "", _ROOM, plan(fleet)),
-        Panel("pairs", "Distance of each pair", "", _NEAR, distances(fleet, pairs)),
-        Panel("barriers", "Barrier value of each member", "", _BARRIERS, barriers(fleet)),
+        Panel("plan", "Paths from above", _ROOM, plan(sides)),
+        Panel("pairs", "Distance of each pair", _NEAR, distances(pairs, axis)),
+        Panel("barriers", "Barrier value of each member", _BARRIERS, h),
     ]  # fmt: skip
 
 
@@ -162,15 +162,6 @@ _VELOCITY = (
 )
 _SWITCH = " The vehicle's true velocity can be switched on in the legend."
 _PLAN = "Circles: where the landing began. Triangle: first contact with the pad. Squares: end of the log."
-
-
-def touch_index(flight: Flight) -> int | None:
-    """Index of the first true state with contact to the pad since the landing began."""
-    truth, start_s = flight.truth, flight.landing_start_s
-    if truth is None or start_s is None:
-        return None
-    found = np.flatnonzero((truth.contacts & ContactBit.PAD > 0) & (truth.t_s > start_s))
-    return int(found[0]) if len(found) else None
 
 
 def _barrier_source(flight: Flight) -> str:

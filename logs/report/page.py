@@ -1,7 +1,7 @@
-"""HTML pages of reports: parts with their texts escaped, one drawing library, no network needed.
+"""HTML pages of flights, campaigns and validations: a page is a list of panels, and needs no network.
 
-For other pages of this look, as a campaign's: ``page("Title", body)`` with a body of the parts made here. The
-parts are macros of ``parts.html``; what they return counts as HTML, any other text is escaped.
+``render(Page(...))`` makes a page of any figures and tables. Texts are escaped; what the functions here
+return is HTML already.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 _LEVEL = 9  # of gzip; the library is packed once a process
 
@@ -21,43 +21,60 @@ class ReportError(RuntimeError):
     """The page cannot be made: a library is missing."""
 
 
-def page(title: str, body: str) -> str:
-    """Return a whole page."""
+class Panel(NamedTuple):
+    """A figure or a table with its words."""
+
+    key: str  # name in links: ``page.html#key``
+    title: str
+    note: str
+    content: Any  # plotly figure, HTML, or text; None: the data has nothing to draw
+    paper: str = ""  # the paper's figure that shows the same
+    style: str = "wide"
+
+
+class Page(NamedTuple):
+    """A page: its first screen, and the panels below."""
+
+    title: str
+    badge: tuple[str, str]  # outcome, and its style: good, fair or bad
+    sub: str  # line below the title
+    numbers: Sequence[tuple[str, str, str]]  # name, value and unit of the most important numbers
+    # in order; those in a sequence stand side by side, a string is HTML
+    panels: Sequence[Panel | Sequence[Panel] | str]
+    warnings: Sequence[str] = ()
+
+
+def render(page: Page) -> str:
+    """Return a page as text. Raises ReportError: a library is not installed."""
+    need_libraries()
     template = _templates().get_template("report_template.html")
-    text: str = template.render(title=title, body=body, plotly=plotly_source())
+    body = html("".join(map(_drawn, page.panels)))
+    text: str = template.render(page=page, body=body, plotly=plotly_source())
     return text
 
 
-def header(title: str, badge: str, style: str, sub: str) -> str:
-    """Title with a badge (``style`` good, fair or bad) and a line below."""
-    return _part("header", title, badge, style, sub)
+def write(path: Path, page: Page) -> Path:
+    """Write a page. Raises ReportError: a library is not installed."""
+    text = render(page)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+    return path
 
 
-def numbers(values: Sequence[tuple[str, str, str]]) -> str:
-    """The most important numbers in large type: name, value and unit of each."""
-    return _part("numbers", values)
-
-
-def section(key: str, title: str, paper: str, note: str, figure: Any | None) -> str:
-    """One figure with its title and note; without data a note that nothing is drawn."""
-    # a "<" in a name could end the script element
-    data = html(figure.to_json().replace("<", "\\u003c")) if figure is not None else None
-    return _part("section", key, title, paper, note, data)
-
-
-def block(key: str, title: str, note: str, content: str, style: str = "wide") -> str:
-    """A section with any content and a note above it."""
-    return _part("block", key, title, note, content, style)
+def _drawn(part: Panel | Sequence[Panel] | str) -> str:
+    if isinstance(part, str):
+        return part
+    if not isinstance(part, Panel):
+        return html('<div class="columns">{}</div>').format(html("".join(map(_drawn, part))))
+    figure = None
+    if hasattr(part.content, "to_json"):  # a "<" in a name could end the script element
+        figure = html(part.content.to_json().replace("<", "\\u003c"))
+    return _part("panel", part, figure)
 
 
 def details(title: str, text: str, name: str = "") -> str:
     """Long text that opens on demand; with a file ``name`` it can be saved."""
     return _part("details", title, text, name, base64.b64encode(text.encode()).decode("ascii"))
-
-
-def warnings_box(texts: Sequence[str]) -> str:
-    """Warnings about the page; empty without texts."""
-    return _part("warnings", texts)
 
 
 def table(

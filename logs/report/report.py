@@ -5,37 +5,29 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from logs.reader.fleet_messages import FleetMessages, load_messages
 from logs.reader.flight_data import ATTACHMENT, Fleet, Flight
 from logs.reader.reader import LogFile
-from logs.report.derived import Side
+from logs.report.derived import Side, side_of
 from logs.report.page import (
+    Page,
+    Panel,
     ReportError,
-    block,
     details,
-    header,
     html,
     need_libraries,
-    numbers,
-    page,
     paragraph,
-    plotly_source,
     repeat_box,
-    section,
     time_bar,
-    warnings_box,
+    write,
 )
 from logs.report.tables import (
     HEADLINES,
     ages_table,
-    compared_key_numbers,
-    compared_numbers,
     compared_settings,
-    definitions,
     events_table,
     faults_table,
     fleet_key_numbers,
@@ -54,21 +46,16 @@ from logs.report.tables import (
 )
 from logs.schema.names import FLEET, TEAM
 from logs.verdict.types import RADIUS_BESIDE_M, SOURCES, TRUTH, Outcome, Verdict
-from logs.verdict.verdict import FleetVerdict, PairSeries, judged, pair_series, pairs_known
+from logs.verdict.verdict import FleetVerdict, PairSeries, judged, pair_series, pairs_known, shift_s
 
-if TYPE_CHECKING:
-    from logs.report.figures import Panel
-
-__all__ = ["ReportError", "plotly_source", "section", "write_comparison", "write_page", "write_report"]
+__all__ = ["ReportError", "write_comparison", "write_page", "write_report"]
 
 _H_TOLERANCE_M = 1e-6  # the barrier we draw has to be the one the simulator judged by
 _SCENARIO = "scenario.toml"
 _FILES = ((ATTACHMENT, "Configuration of the onboard process"), (_SCENARIO, "Scenario, whole"))
 _FAULTS = "Injected on purpose; in the figures a red strip on top."
 _NEAR = "Judged every physics step, while both flew."
-_SETTINGS = "Run, versions and configuration."
-_EVENTS = "Times since the landing began; each is a link."
-_WIDE = "wide events"  # style of the tables of events
+_EVENTS = "wide events"  # style of the tables of events
 _TICK_S = 0.011  # true states are this far apart; the ellipsoid is judged every millisecond
 _SPEED_M_S = 4.0  # at which two vehicles may come nearer between two of them
 _EQUAL = 1e-3  # of the measure: a true state between two ticks is not in the log
@@ -91,169 +78,163 @@ def write_report(fleet: Fleet, verdict: FleetVerdict, out: Path | None = None) -
     members = {name: target.with_name(f"{target.stem}_{name}{target.suffix}") for name in fleet.flights}
     for name, place in members.items():
         write_page(fleet.flights[name], verdict.members[name], place, of=target.name)
-    return {"": _written(target, render_fleet(fleet, verdict, members)), **members}
+    return {"": write(target, fleet_page(fleet, verdict, members)), **members}
 
 
 def write_page(flight: Flight, verdict: Verdict, out: Path | None = None, of: str | None = None) -> Path:
     """Write the page of a judged flight, by default beside its log; ``of`` is the page of its fleet."""
+    need_libraries()
     name = flight.path.stem if flight.member is None else f"{flight.path.stem}_{flight.member}"
     target = out if out is not None else flight.path.with_name(f"{name}.html")
-    return _written(target, render(flight, verdict, of))
+    return write(target, flight_page(flight, verdict, of))
 
 
 def write_comparison(log_a: Path, log_b: Path, out: Path | None = None, member: str | None = None) -> Path:
     """Write the page that compares two logs, by default ``comparison.html`` beside the second."""
     need_libraries()
     target = log_b.with_name("comparison.html") if out is None else out
-    return _written(target, _comparison(_side("A", log_a, member), _side("B", log_b, member)))
+    return write(target, _comparison(_side("A", log_a, member), _side("B", log_b, member)))
 
 
-def _written(target: Path, text: str) -> Path:
-    target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_text(text, encoding="utf-8")
-    return target
-
-
-def render(flight: Flight, verdict: Verdict, of: str | None = None) -> str:
-    """Return the report of a flight as HTML; ``of``: its fleet's page, to which the report links."""
-    need_libraries()
-    from logs.report.derived import load_streams
+def flight_page(flight: Flight, verdict: Verdict, of: str | None = None) -> Page:
+    """Return the report of a flight; ``of``: its fleet's page, to which the report links."""
     from logs.report.figures import panels
 
-    run = flight.metadata.get("run", {})
-    streams = load_streams(flight.path, flight.origin_ns, flight.member)
+    side, run = side_of("", flight, verdict), flight.metadata.get("run", {})
+    picture, timeline, *figures = panels(side)
     title = run.get("scenario", flight.path.stem)
     if flight.member is not None and flight.member not in title:
         title = f"{title}, {flight.member}"
-    timeline, picture, *figures = (_drawn(panel) for panel in panels(flight, verdict, streams))
-    sub = [f"{key} {run[key]}" for key in ("seed", "filter") if key in run]
-    sub += [run["mode"]] if "mode" in run else []
     sources = [(what, flight.attachments.get(name), name) for name, what in _FILES]
-    links = links_table(streams) + ages_table(flight)
-    return page(title, "".join((
-        header(title, *headline(verdict), " · ".join([*sub, verdict.reason])),
-        html('<p><a href="{}">The whole fleet</a></p>').format(of) if of is not None else "",
-        warnings_box(warnings(flight, verdict)),
-        numbers(key_numbers(verdict)),
-        picture,
-        block("result", "Result", _source(verdict), result_table(flight, verdict) + definitions()),
-        time_bar(events=True),
-        timeline,
-        '<div class="columns">',
-        block("phases", "Phases", "Each with the reason it began.", phases_table(flight)),
-        block("faults", "Faults", _FAULTS, faults_table(flight)),
-        "</div>",
-        *figures,
-        block("links", "Links", "Counted from the recorded traffic.", links),
-        block("events", "Events", _EVENTS, events_table(flight.events, flight.landing_start_s or 0.0), _WIDE),
-        repeat_section(flight),
-        '<div class="columns">',
-        block("run", "Run", "", run_table(flight)),
-        block("versions", "Versions", "", versions_table(flight.metadata)),
-        "</div>",
-        *_configuration("Configuration", sources, flight.path),
-    )))  # fmt: skip
+    links = links_table(side.streams) + ages_table(flight)
+    return Page(
+        title, headline(verdict), " · ".join([*_flown(run), verdict.reason]), key_numbers(verdict),
+        [
+            html('<p><a href="{}">The whole fleet</a></p>').format(of) if of is not None else "",
+            picture,
+            Panel("result", "Result", _source(verdict), result_table(side)),
+            time_bar(events=True),
+            timeline,
+            [
+                Panel("phases", "Phases", "Each with the reason it began.", phases_table(flight)),
+                Panel("faults", "Faults", _FAULTS, faults_table(flight)),
+            ],
+            *figures,
+            Panel("links", "Links", "Counted from the recorded traffic.", links),
+            _events(side, "events", "Events", "Times since the landing began; each is a link."),
+            repeat_section(flight),
+            [
+                Panel("run", "Run", "", run_table(flight)),
+                Panel("versions", "Versions", "", versions_table(flight.metadata)),
+            ],
+            *_configuration("Configuration", sources, flight.path),
+        ],
+        warnings(flight, verdict),
+    )  # fmt: skip
 
 
-def render_fleet(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path]) -> str:
-    """Return the page of a fleet as text; ``pages`` are those of the members, in the same folder."""
+def fleet_page(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path]) -> Page:
+    """Return the page of a fleet; ``pages`` are those of the members, in the same folder."""
     from logs.report.figures import fleet_panels
 
     told = fleet.metadata.get(FLEET, {})
-    title = told.get("scenario", fleet.path.stem)
-    words, pairs = load_messages(fleet), pair_series(fleet)
-    sub = [f"{len(verdict.members)} vehicles", *([f"seed {told['seed']}"] if "seed" in told else [])]
-    sub += [told["mode"]] if "mode" in told else []
+    messages, pairs = load_messages(fleet), pair_series(fleet)
+    sides = [
+        Side(name, flight, verdict.members[name], [], shift_s(fleet, flight))
+        for name, flight in fleet.flights.items()
+    ]
+    picture, *figures = fleet_panels(fleet, sides, messages, pairs)
     source = " and ".join(dict.fromkeys(SOURCES[each.judged_from] for each in verdict.members.values()))
-    source = f"Judged from {source}. The fleet has landed when all its members have."
     sources = [
         (f"Configuration of {name}", flight.attachments.get(ATTACHMENT), f"{name}.toml")
         for name, flight in fleet.flights.items()
     ]
-    events = "Times since the log began; each is a link."
-    picture, *figures = map(_drawn, fleet_panels(fleet, words, pairs))
-    return page(title, "".join((
-        header(title, *_fleet_headline(verdict), " · ".join([*sub, verdict.reason])),
-        warnings_box(_fleet_warnings(fleet, verdict, words, pairs)),
-        numbers(fleet_key_numbers(verdict)),
-        picture,
-        block(
-            "result", "Result", source, members_table(verdict, words, pages) + fleet_result_table(verdict)
-        ),
-        time_bar(events=True),
-        *figures,
-        '<div class="columns">',
-        block("near", "How near they came", _NEAR, pairs_table(fleet)),
-        block("waits", "Who waited for whom", _WAITS, waits_table(words)),
-        "</div>",
-        block("words", "Messages between members", _WAYS, messages_table(words)),
-        block("events", "Events of all", events, events_table(fleet.events), _WIDE),
-        _repeat(fleet.path, told, fleet.metadata, fleet.attachments.get(TEAM), TEAM),
-        block("versions", "Versions", "", versions_table(fleet.metadata)),
-        *_configuration("Configurations", sources, fleet.path),
-    )))  # fmt: skip
+    result = members_table(verdict, messages, pages) + fleet_result_table(verdict)
+    return Page(
+        told.get("scenario", fleet.path.stem),
+        _fleet_headline(verdict),
+        " · ".join([f"{len(verdict.members)} vehicles", *_flown(told), verdict.reason]),
+        fleet_key_numbers(verdict),
+        [
+            picture,
+            Panel(
+                "result", "Result",
+                f"Judged from {source}. The fleet has landed when all its members have.", result,
+            ),
+            time_bar(events=True),
+            *figures,
+            [
+                Panel("near", "How near they came", _NEAR, pairs_table(fleet)),
+                Panel("waits", "Who waited for whom", _WAITS, waits_table(messages)),
+            ],
+            Panel("words", "Messages between members", _WAYS, messages_table(messages)),
+            Panel(
+                "events", "Events of all", "Times since the log began; each is a link.",
+                events_table(fleet.events), style=_EVENTS,
+            ),
+            _repeat(fleet.path, told, fleet.metadata, fleet.attachments.get(TEAM), TEAM),
+            Panel("versions", "Versions", "", versions_table(fleet.metadata)),
+            *_configuration("Configurations", sources, fleet.path),
+        ],
+        _fleet_warnings(fleet, verdict, messages, pairs),
+    )  # fmt: skip
 
 
-def _comparison(a: Side, b: Side) -> str:
-    """Return the page of two flights as text."""
+def _comparison(a: Side, b: Side) -> Page:
+    """Return the page of two flights."""
     from logs.report.figures import compared_panels
 
     worse = max((headline(s.verdict)[1] for s in (a, b)), key=("good", "fair", "bad").index)
-    title = f"{_scenario(a)} and {_scenario(b)}, compared"
     outcomes = " · ".join(f"{s.name} {headline(s.verdict)[0]}" for s in (a, b))
-    picture, *figures = map(_drawn, compared_panels((a, b)))
-    events = [
-        block(f"events-{s.name}", f"Events of {s.name}", "",
-              events_table(s.flight.events, s.flight.landing_start_s or 0.0), _WIDE)
-        for s in (a, b)
-    ]  # fmt: skip
-    return page(title, "".join((
-        header(title, outcomes, worse, " · ".join(_about(s) for s in (a, b))),
-        warnings_box([f"{s.name}: {text}" for s in (a, b) for text in warnings(s.flight, s.verdict)]),
-        numbers(compared_key_numbers(a.verdict, b.verdict)),
-        picture,
-        block("numbers", "Key numbers", "", compared_numbers(a, b) + definitions()),
-        block("settings", "What was set differently", _SETTINGS, compared_settings(a.flight, b.flight)),
-        time_bar(events=False),
-        *figures,
-        '<div class="columns">', *events, "</div>",
-    )))  # fmt: skip
+    runs = [(s, s.flight.metadata.get("run", {})) for s in (a, b)]
+    picture, *figures = compared_panels((a, b))
+    return Page(
+        " and ".join(run.get("scenario", s.flight.path.stem) for s, run in runs) + ", compared",
+        (outcomes, worse),
+        " · ".join(", ".join([f"{s.name}: {s.flight.path}", *_flown(run)]) for s, run in runs),
+        key_numbers(a.verdict, b.verdict),
+        [
+            picture,
+            Panel("numbers", "Key numbers", "", result_table(a, b)),
+            Panel(
+                "settings", "What was set differently", "Run, versions and configuration.",
+                compared_settings(a.flight, b.flight),
+            ),
+            time_bar(events=False),
+            *figures,
+            [_events(s, f"events-{s.name}", f"Events of {s.name}", "") for s in (a, b)],
+        ],
+        [f"{s.name}: {text}" for s in (a, b) for text in warnings(s.flight, s.verdict)],
+    )  # fmt: skip
 
 
 def _side(name: str, log: Path, member: str | None) -> Side:
-    from logs.report.derived import load_streams
-
     member = member if LogFile(log).members else None  # the other log may be that of a single flight
     LogFile(log, member).single()
     fleet, verdict = judged(log, member)
-    flight = fleet.flights[""]
-    return Side(name, flight, verdict.members[""], load_streams(flight.path, flight.origin_ns, flight.member))
+    return side_of(name, fleet.flights[""], verdict.members[""])
 
 
-def _scenario(side: Side) -> str:
-    return side.flight.metadata.get("run", {}).get("scenario", side.flight.path.stem)
+def _flown(run: Mapping[str, str]) -> list[str]:
+    """Seed, filter and mode of a run, as far as the log names them."""
+    named = [f"{key} {run[key]}" for key in ("seed", "filter") if key in run]
+    return named + ([run["mode"]] if "mode" in run else [])
 
 
-def _about(side: Side) -> str:
-    run = side.flight.metadata.get("run", {})
-    shown = [f"{key} {run[key]}" for key in ("seed", "filter", "mode") if key in run]
-    return ", ".join([f"{side.name}: {side.flight.path}", *shown])
+def _events(side: Side, key: str, title: str, note: str) -> Panel:
+    return Panel(key, title, note, events_table(side.flight.events, -side.offset_s), style=_EVENTS)
 
 
-def _drawn(panel: Panel) -> str:
-    return section(panel.key, panel.title, panel.paper, panel.note, panel.figure)
-
-
-def _configuration(title: str, files: Sequence[tuple[str, bytes | None, str]], log: Path) -> tuple[str, ...]:
+def _configuration(
+    title: str, files: Sequence[tuple[str, bytes | None, str]], log: Path
+) -> tuple[Panel, str]:
     """Attachments as text to open, and the end of the page."""
     texts = [
         details(what, data.decode(errors="replace"), name) for what, data, name in files if data is not None
     ]
-    inner = "".join(texts) or paragraph("The log holds none.")
-    return (
-        html("<section><h2>{}</h2>{}</section>").format(title, html(inner)),
-        html("<footer>Log: {}. Frames: east, north, up; SI units.</footer>").format(log.name),
-    )
+    inner = html("".join(texts) or paragraph("The log holds none."))
+    end = html("<footer>Log: {}. Frames: east, north, up; SI units.</footer>").format(log.name)
+    return Panel("configuration", title, "", inner), end
 
 
 def _fleet_headline(verdict: FleetVerdict) -> tuple[str, str]:

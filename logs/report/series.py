@@ -107,7 +107,7 @@ def velocities(flight: Flight) -> go.Figure | None:
     drawn = (
         ("nominal u'", steps.nominal_enu_m_s, NOMINAL, "dash", 1.6),
         ("filtered u*", steps.filtered_enu_m_s, FILTERED, "solid", 2.4),
-        ("sent, after slew limit and gate", _sent(steps), COMMAND, "dot", 2.0),
+        ("sent, after slew limit and gate", sent_m_s(steps), COMMAND, "dot", 2.0),
     )
     true = ("vehicle (true)", LIMIT, {"width": 1.0, "visible": "legendonly"})
 
@@ -137,14 +137,14 @@ def tracking(flight: Flight) -> go.Figure | None:
     own = np.where(steps.own_valid[:, None], steps.own_velocity_enu_m_s, np.nan)
     drawn = (
         ("wanted", steps.wanted_enu_m_s, FILTERED, "solid", 2.2),
-        ("set-point on the wire", _sent(steps), COMMAND, "dot", 2.0),
+        ("set-point on the wire", sent_m_s(steps), COMMAND, "dot", 2.0),
         ("flown, by its own estimate", own, ESTIMATED, "solid", 1.3),
     )
     true = ("flown (true)", FLOWN, {"width": 1.4})
     return _axes(flight, steps.t_s - zero_s(flight), drawn, true, 720, lambda figure, axis, values: values)  # noqa: ARG005
 
 
-def _sent(steps: Steps) -> Floats:
+def sent_m_s(steps: Steps) -> Floats:
     return np.where(steps.setpoint_sent[:, None], steps.command_enu_m_s, np.nan)
 
 

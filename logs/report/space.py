@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 
+from logs.palette import COLORS
 from logs.reader.flight_data import Flight, Floats
+from logs.report.derived import Side, touch_index
 from logs.report.style import (
     BOUNDARY,
     ESTIMATED,
@@ -29,6 +32,7 @@ _SURFACE_RINGS, _SURFACE_SPOKES = 48, 73
 _SURFACE_COLORS = [[0.0, "#fff3c4"], [0.5, "#f7b267"], [1.0, "#d55e00"]]  # low to high, as printed
 _DISTANCE_MIN_M = 0.6  # m, shown at least, so that the cone can be seen
 _BEFORE = "#9aa5b1"
+_SYMBOLS_3D = {"circle": "circle", "square-open": "square", "triangle-up": "diamond"}
 
 
 @dataclass(frozen=True)
@@ -58,8 +62,8 @@ def _distance_max_m(tracks: list[Track]) -> float:
     return 1.1 * max([_DISTANCE_MIN_M, *far])
 
 
-def trajectory_3d(flight: Flight, touch: int | None) -> go.Figure | None:
-    """Relative trajectory over the barrier's surface; ``touch`` is the true state at first contact."""
+def trajectory_3d(flight: Flight) -> go.Figure | None:
+    """Relative trajectory over the barrier's surface."""
     tracks = relative_tracks(flight)
     if not tracks:
         return None
@@ -78,18 +82,15 @@ def trajectory_3d(flight: Flight, touch: int | None) -> go.Figure | None:
         figure.add_trace(
             go.Scatter3d(x=x, y=y, z=z, mode="lines", line=style, name=f"vehicle ({track.name})")
         )
-    path = tracks[-1].points_m
-    known = path[np.isfinite(path).all(1)]
-    _marker_3d(figure, known[0], "start", "circle")
-    if touch is not None and flight.truth is not None:
-        _marker_3d(figure, flight.truth.e_m[touch], "touchdown", "diamond")
-    _marker_3d(figure, known[-1], "end", "square")
+    places = _places(flight, tracks[-1].points_m)
+    for name, at_m, symbol in places:
+        _marker_3d(figure, at_m, name, _SYMBOLS_3D[symbol])
     return layout_3d(
         figure,
         ("e<sub>x</sub>, east [m]", "e<sub>y</sub>, north [m]", "e<sub>z</sub>, up [m]"),
         aspectmode="manual",  # heights drawn larger than distances, as in the paper's figures
         aspectratio={"x": 1.3, "y": 1.3, "z": 0.75},
-        camera={"eye": _camera(known[0]), "center": {"x": 0.0, "y": 0.0, "z": -0.2}},
+        camera={"eye": _camera(places[0][1]), "center": {"x": 0.0, "y": 0.0, "z": -0.2}},
     )
 
 
@@ -128,40 +129,42 @@ def _marker_3d(figure: go.Figure, at_m: Floats, name: str, symbol: str) -> None:
     )  # fmt: skip
 
 
-def altitude_over_distance(flight: Flight, touch: int | None) -> go.Figure | None:
-    """e_z over d with the boundary; below it is unsafe."""
-    tracks = relative_tracks(flight)
-    if not tracks:
+def altitude_over_distance(sides: Sequence[Side]) -> go.Figure | None:
+    """e_z over d with the boundary, below which it is unsafe; of several flights the best known path each."""
+    drawn = [(side, relative_tracks(side.flight)) for side in sides]
+    every = [track for _, tracks in drawn for track in tracks]
+    if not every:
         return None
-    figure = go.Figure()
-    far = _distance_max_m(tracks)
-    heights = np.concatenate([t.points_m[:, 2] for t in tracks])
-    bottom = min(-0.05, float(np.nanmin(heights)) - 0.03)
-    top = float(np.nanmax(heights))
-    if flight.barrier is not None:
-        d = np.linspace(0.0, far, 300)
-        b = boundary_height_m(flight, d)
-        top = max(top, float(b.max()))
+    figure, alone = go.Figure(), len(sides) == 1
+    far = _distance_max_m(every)
+    heights = np.concatenate([t.points_m[:, 2] for t in every])
+    bottom, top = min(-0.05, float(np.nanmin(heights)) - 0.03), float(np.nanmax(heights))
+    d = np.linspace(0.0, far, 300)
+    for place, side in enumerate(each for each in sides if each.flight.barrier is not None):
+        b = boundary_height_m(side.flight, d)
+        top, name = max(top, float(b.max())), f"boundary h = 0{' of ' * (not alone)}{side.name}"
+        if place:
+            figure.add_trace(line(d, b, name, LIMIT, width=1.4, dash="dash"))
+            continue
         floor = np.full_like(d, bottom - 1.0)
         figure.add_trace(line(d, floor, "", "rgba(0,0,0,0)", showlegend=False, hoverinfo="skip"))
         figure.add_trace(
-            line(d, b, "boundary h = 0, unsafe below", BOUNDARY, width=2.2, fill="tonexty", fillcolor=UNSAFE)
+            line(d, b, f"{name}, unsafe below", BOUNDARY, width=2.2, fill="tonexty", fillcolor=UNSAFE)
         )
-    for track in tracks:
-        distance = np.hypot(track.points_m[:, 0], track.points_m[:, 1])
-        name, width = f"vehicle ({track.name})", 2.4 if track.dash == "solid" else 1.6
-        figure.add_trace(
-            line(distance, track.points_m[:, 2], name, track.color, dash=track.dash, width=width)
-        )
-    path = tracks[-1].points_m
-    known = path[np.isfinite(path).all(1)]
-    points = [("start", known[0], "circle"), ("end", known[-1], "square-open")]
-    if touch is not None and flight.truth is not None:
-        points.append(("touchdown", flight.truth.e_m[touch], "triangle-up"))
-    for name, e_m, symbol in points:
-        marker(figure, float(np.hypot(e_m[0], e_m[1])), float(e_m[2]), name, symbol, INK)
+    for number, (side, tracks) in enumerate(drawn):
+        color = COLORS[number % len(COLORS)]
+        for track in tracks if alone else tracks[-1:]:  # the best known comes last
+            distance = np.hypot(track.points_m[:, 0], track.points_m[:, 1])
+            name = f"vehicle ({track.name})" if alone else f"{side.name}, {track.name}"
+            look = {"dash": track.dash, "width": 2.4 if track.dash == "solid" else 1.6}
+            figure.add_trace(
+                line(distance, track.points_m[:, 2], name, track.color if alone else color, **look)
+            )
+        for name, e_m, symbol in _places(side.flight, tracks[-1].points_m) if tracks else ():
+            d_m, ink = float(np.hypot(e_m[0], e_m[1])), INK if alone else color
+            marker(figure, d_m, float(e_m[2]), f"{side.of}{name}", symbol, ink, showlegend=alone)
     figure.add_vline(
-        flight.pad_radius_m, line={"color": LIMIT, "width": 1, "dash": "dot"},
+        sides[0].flight.pad_radius_m, line={"color": LIMIT, "width": 1, "dash": "dot"},
         annotation={"text": "pad radius", "font": {"size": 12, "color": LIMIT}, "yanchor": "top"},
     )  # fmt: skip
     layout(figure, 460)
@@ -170,12 +173,21 @@ def altitude_over_distance(flight: Flight, touch: int | None) -> go.Figure | Non
     return figure
 
 
-def plan_view(flight: Flight, touch: int | None) -> go.Figure | None:
+def _places(flight: Flight, path_m: Floats) -> list[tuple[str, Floats, str]]:
+    """Name, position and symbol of start, first contact and end of a path; a path has a known position."""
+    known, touch = path_m[np.isfinite(path_m).all(1)], touch_index(flight)
+    found = [("start", known[0], "circle"), ("end", known[-1], "square-open")]
+    if touch is not None and flight.truth is not None:
+        found.append(("touchdown", flight.truth.e_m[touch], "triangle-up"))
+    return found
+
+
+def plan_view(flight: Flight) -> go.Figure | None:
     """Both paths from above: circles at the start, triangles at touchdown, squares at the end."""
     paths = _ground_paths(flight)
     if not paths:
         return None
-    figure = go.Figure()
+    figure, touch = go.Figure(), touch_index(flight)
     start_s = flight.landing_start_s or 0.0
     for name, color, dash, t_s, position in paths:
         since = t_s >= start_s

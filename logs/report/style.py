@@ -228,9 +228,9 @@ def thin(n: int) -> slice:
     return slice(None, None, max(1, -(-n // POINTS_MAX)))
 
 
-def value_range(flight: Flight, shown: list[tuple[Floats, Floats]]) -> list[float]:
-    """Range of the values within the time axis' first range, zero included, with some air."""
-    low_s, high_s = shown_range(flight)
+def value_range(first: Flight | Axis, shown: list[tuple[Floats, Floats]]) -> list[float]:
+    """Range of the values within the first range of the time axis, zero included, with some air."""
+    low_s, high_s = first.first if isinstance(first, Axis) else shown_range(first)
     inside = np.concatenate(
         [h[(t >= low_s) & (t <= high_s) & np.isfinite(h)] for t, h in shown] + [np.zeros(1)]
     )

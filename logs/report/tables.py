@@ -14,7 +14,7 @@ from logs.reader.flight_data import Bools, Event, Fleet, Flight, Floats, phase_n
 from logs.report.derived import Side, Stream, estimate_errors, fault_spans, root_mean_square
 from logs.report.page import html, paragraph, table, time_link
 from logs.schema.events import Severity
-from logs.verdict.types import ESTIMATE, SOURCES, Outcome, Verdict
+from logs.verdict.types import ESTIMATE, Outcome, Verdict
 from logs.verdict.verdict import FleetVerdict
 
 _SAME_TICK_S = 0.011  # an event of the tick in which a phase began
@@ -62,41 +62,25 @@ def headline(verdict: Verdict) -> tuple[str, str]:
     return text, style
 
 
-def result_table(flight: Flight, verdict: Verdict) -> str:
-    """The verdict with units, and what each line was judged from."""
-    source, v = SOURCES[verdict.judged_from], verdict
-    relative = f"relative to the pad; {source}"
-    rows = [
-        ("outcome", v.outcome.value, "", v.reason),
-        ("barrier violation", YES_NO[v.violation], "", "h < −5 mm outside the pad, begun with h ≥ 0"),
-        ("began safe", YES_NO[v.started_safe], "", "h ≥ 0 when the landing began"),
-        ("lowest h", number(v.h_min_m, 4), "m", f"since the landing began; {source}"),
-        ("lowest h outside the pad", number(v.h_min_outside_pad_m, 4), "m", source),
-        ("touchdown error", scaled(v.touchdown_error_m, 100.0, 2), "cm", f"d at first contact; {source}"),
-        ("touchdown speed, vertical", number(v.touchdown_speed_vertical_m_s, 3), "m/s", relative),
-        ("touchdown speed, horizontal", number(v.touchdown_speed_horizontal_m_s, 3), "m/s", relative),
-        ("time to land", number(v.time_to_land_s, 2), "s", "begin of the landing to first contact"),
-        ("length of the log", number(flight.duration_s, 2), "s", ""),
-    ]
-    return table(("result", "value", "unit", "meaning"), rows, numbers=(1,))
-
-
 KeyNumbers = list[tuple[str, str, str]]  # name, value and unit of the numbers at the top of a page
 
 
-def key_numbers(verdict: Verdict) -> KeyNumbers:
-    v = verdict
-    return [
-        ("touchdown error", scaled(v.touchdown_error_m, 100.0, 1), "cm"),
-        ("touchdown speed, downwards", number(v.touchdown_speed_vertical_m_s, 2), "m/s"),
-        ("lowest h outside the pad", scaled(v.h_min_outside_pad_m, 1000.0, 1), "mm"),
-        ("time to land", number(v.time_to_land_s, 1), "s"),
+def key_numbers(*verdicts: Verdict) -> KeyNumbers:
+    """The four numbers of a landing, or of two."""
+    numbers = [
+        [
+            ("touchdown error", scaled(v.touchdown_error_m, 100.0, 1), "cm"),
+            ("touchdown speed, downwards", number(v.touchdown_speed_vertical_m_s, 2), "m/s"),
+            ("lowest h outside the pad", scaled(v.h_min_outside_pad_m, 1000.0, 1), "mm"),
+            ("time to land", number(v.time_to_land_s, 1), "s"),
+        ]
+        for v in verdicts
     ]
-
-
-def compared_key_numbers(a: Verdict, b: Verdict) -> KeyNumbers:
-    pairs = zip(key_numbers(a), key_numbers(b), strict=True)
-    return [(f"{name}, A · B", f"{of_a} · {of_b}", unit) for (name, of_a, unit), (_, of_b, _) in pairs]
+    of = ", A · B" if len(verdicts) > 1 else ""
+    return [
+        (f"{each[0][0]}{of}", " · ".join(value for _, value, _ in each), each[0][2])
+        for each in zip(*numbers, strict=True)
+    ]
 
 
 def fleet_key_numbers(verdict: FleetVerdict) -> KeyNumbers:
@@ -240,40 +224,53 @@ def _lost(side: Side) -> float | None:
     return float(sum(lost)) if lost else None
 
 
-# name, unit, digits, factor, value
-_NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None]], ...] = (
-    ("lowest h", "mm", 1, 1e3, lambda s: s.verdict.h_min_m),
-    ("lowest h outside the pad", "mm", 1, 1e3, lambda s: s.verdict.h_min_outside_pad_m),
-    ("touchdown error", "mm", 1, 1e3, lambda s: s.verdict.touchdown_error_m),
-    ("touchdown speed, vertical", "m/s", 3, 1.0, lambda s: s.verdict.touchdown_speed_vertical_m_s),
-    ("touchdown speed, horizontal", "m/s", 3, 1.0, lambda s: s.verdict.touchdown_speed_horizontal_m_s),
-    ("time to land", "s", 2, 1.0, lambda s: s.verdict.time_to_land_s),
-    ("length of the log", "s", 2, 1.0, lambda s: s.flight.duration_s),
-    ("error of h, root mean square", "mm", 1, 1e3, _error_m),
+_RELATIVE = "relative to the pad"
+# name, unit, digits, factor, value, meaning
+_NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None], str], ...] = (
+    ("lowest h", "mm", 1, 1e3, lambda s: s.verdict.h_min_m, "since the landing began"),
+    ("lowest h outside the pad", "mm", 1, 1e3, lambda s: s.verdict.h_min_outside_pad_m, ""),
+    ("touchdown error", "mm", 1, 1e3, lambda s: s.verdict.touchdown_error_m, "d at first contact"),
+    ("touchdown speed, vertical", "m/s", 3, 1.0, lambda s: s.verdict.touchdown_speed_vertical_m_s, _RELATIVE),
+    ("touchdown speed, horizontal", "m/s", 3, 1.0, lambda s: s.verdict.touchdown_speed_horizontal_m_s,
+     _RELATIVE),
+    ("time to land", "s", 2, 1.0, lambda s: s.verdict.time_to_land_s,
+     "begin of the landing to first contact"),
+    ("length of the log", "s", 2, 1.0, lambda s: s.flight.duration_s, ""),
+    ("error of h, root mean square", "mm", 1, 1e3, _error_m, "of the controller's h against the true one"),
     ("age of the target state, 99 %", "ms", 1, 1e3,
-     lambda s: None if s.flight.steps is None else _p99(s.flight.steps.target_age_s)),
+     lambda s: None if s.flight.steps is None else _p99(s.flight.steps.target_age_s), "at the ticks"),
     ("whole tick, 99 %", "µs", 0, 1e6,
-     lambda s: None if s.flight.timing is None else _p99(s.flight.timing.exec_s)),
+     lambda s: None if s.flight.timing is None else _p99(s.flight.timing.exec_s), "wall time"),
     ("overruns", "", 0, 1.0,
-     lambda s: None if s.flight.timing is None else float(s.flight.timing.overruns[-1])),
-    ("messages lost", "", 0, 1.0, _lost),
-    ("faults injected", "", 0, 1.0, lambda s: float(len(fault_spans(s.flight)))),
-    ("phases", "", 0, 1.0, lambda s: float(len(s.flight.phase_spans()))),
+     lambda s: None if s.flight.timing is None else float(s.flight.timing.overruns[-1]), "deadlines missed"),
+    ("messages lost", "", 0, 1.0, _lost, "by their numbers"),
+    ("faults injected", "", 0, 1.0, lambda s: float(len(fault_spans(s.flight))), ""),
+    ("phases", "", 0, 1.0, lambda s: float(len(s.flight.phase_spans())), ""),
 )  # fmt: skip
 
 
-def compared_numbers(a: Side, b: Side) -> str:
-    rows: list[tuple[str, ...]] = [
-        ("outcome", a.verdict.outcome.value, b.verdict.outcome.value, "", ""),
-        ("barrier violation", YES_NO[a.verdict.violation], YES_NO[b.verdict.violation], "", ""),
-    ]
-    for name, unit, digits, factor, value in _NUMBERS:
-        of_a, of_b = (None if v is None else factor * v for v in (value(a), value(b)))
-        change = None if of_a is None or of_b is None else of_b - of_a
-        sign = "+" if change is not None and round(change, digits) > 0.0 else ""
-        shown = [number(v, digits) for v in (of_a, of_b, change)]
-        rows.append((name, shown[0], shown[1], sign + shown[2], unit))
-    return table(("result", "A", "B", "B − A", "unit"), rows, numbers=(1, 2, 3))
+def result_table(*sides: Side) -> str:
+    """The verdicts with units; of two flights with the difference of each number."""
+    both = len(sides) > 1
+    words: list[tuple[str, Callable[[Side], str], str]] = [
+        ("outcome", lambda s: s.verdict.outcome.value, "" if both else sides[0].verdict.reason),
+        ("barrier violation", lambda s: YES_NO[s.verdict.violation],
+         "h < −5 mm outside the pad, begun with h ≥ 0"),
+        ("began safe", lambda s: YES_NO[s.verdict.started_safe], "h ≥ 0 when the landing began"),
+    ]  # fmt: skip
+    rows = [(name, *map(text, sides), *[""] * both, "", meaning) for name, text, meaning in words]
+    for name, unit, digits, factor, value, meaning in _NUMBERS:
+        found = [None if (v := value(side)) is None else factor * v for side in sides]
+        shown = [number(v, digits) for v in found]
+        if both:
+            change = None if found[0] is None or found[-1] is None else found[-1] - found[0]
+            sign = "+" if change is not None and round(change, digits) > 0.0 else ""
+            shown.append(sign + number(change, digits))
+        rows.append((name, *shown, unit, meaning))
+    names = ("A", "B", "B − A") if both else ("value",)
+    return (
+        table(("result", *names, "unit", "meaning"), rows, numbers=range(1, 1 + len(names))) + definitions()
+    )
 
 
 def compared_settings(a: Flight, b: Flight) -> str:

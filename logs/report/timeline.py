@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 from flightstack.core.safety.gate import GateVerdict
 from flightstack.core.types import Intent
 from logs.reader.fleet_messages import FleetMessages
-from logs.reader.flight_data import Bools, Event, Fleet, Flight, Floats, phase_name
+from logs.reader.flight_data import Bools, Event, Floats, phase_name
 from logs.report.derived import Side, fault_spans
 from logs.report.style import (
     BOUNDARY,
@@ -21,16 +21,12 @@ from logs.report.style import (
     NOMINAL,
     PHASE_SOLID,
     Axis,
-    axis_of,
-    fleet_axis,
     layout,
     light,
     time_axis,
     words,
-    zero_s,
 )
 from logs.schema.events import Severity
-from logs.verdict.verdict import shift_s
 
 _EVENTS_MAX = 500
 _SILENT_MAX = 16  # lanes of silent members; more are not read
@@ -68,14 +64,10 @@ class _Lanes:
                 x=sum(ends) / 2, y=lane, text=label, showarrow=False, font={"size": 10, "color": INK}
             )
 
-    def phases(self, lane: str, flight: Flight, offset_s: float, of: str = "") -> None:
-        for phase, begin_s, end_s in flight.phase_spans():
+    def phases(self, lane: str, side: Side) -> None:
+        for phase, begin_s, end_s in side.flight.phase_spans():
             name, color = phase_name(phase), PHASE_SOLID.get(phase, LIMIT)
-            self.bar(lane, (begin_s + offset_s, end_s + offset_s), color, f"{of}{name}", name)
-
-    def faults(self, lane: str, flight: Flight, offset_s: float) -> None:
-        for span in fault_spans(flight):
-            self.bar(lane, (span.begin_s + offset_s, span.end_s + offset_s), FAULT, span.text)
+            self.bar(lane, (begin_s + side.offset_s, end_s + side.offset_s), color, f"{side.of}{name}", name)
 
     def mask(self, lane: str, t: Floats, mask: Bools, color: str) -> None:
         """Add bars where the mask is true, as one line with breaks."""
@@ -123,51 +115,53 @@ class _Lanes:
         return figure
 
 
-def timeline(flight: Flight) -> go.Figure | None:
-    """Draw the whole log; ``None`` without steps and without events."""
-    axis, offset_s, steps = axis_of([flight]), -zero_s(flight), flight.steps
+def timeline(
+    sides: Sequence[Side],
+    axis: Axis,
+    events: Sequence[Event] = (),
+    zero_s: float = 0.0,
+    messages: FleetMessages | None = None,
+) -> go.Figure | None:
+    """Phases, faults and right of way of flights, and events; of one alone also what it sent and missed.
+
+    ``zero_s``: zero of the page on the time of the events. ``None`` without any lane.
+    """
     lanes = _Lanes(axis)
-    lanes.phases("phase", flight, offset_s)
-    if steps is not None:
-        refused = (steps.gate != GateVerdict.APPROVED) & (steps.gate != GateVerdict.NOT_IN_CONTROL)
-        for name, mask, color in (
-            ("set-points sent", steps.setpoint_sent, COMMAND),
-            ("barrier active", steps.barrier_active, BOUNDARY),
-            ("refused by the gate", refused, FAULT),
-            ("target missing or old", ~steps.target_valid, FAULT),
-            ("own state missing or old", ~steps.own_valid, FAULT),
-            ("link silent", ~steps.link_valid, FAULT),
-        ):
-            if color is not FAULT or mask.any():
-                lanes.mask(name, steps.t_s + offset_s, mask, color)
-    lanes.faults("fault injected", flight, offset_s)
-    lanes.events(flight.events, offset_s)
-    return lanes.figure(axis.whole)
-
-
-def compared_timeline(sides: Sequence[Side]) -> go.Figure | None:
-    """Draw phases and faults of several flights."""
-    lanes = _Lanes(axis_of([side.flight for side in sides]))
     for side in sides:
-        lanes.phases(f"{side.name} phase", side.flight, -zero_s(side.flight))
-        lanes.faults(f"{side.name} fault", side.flight, -zero_s(side.flight))
-    return lanes.figure()
-
-
-def fleet_timeline(fleet: Fleet, messages: FleetMessages) -> go.Figure | None:
-    """Draw phases and right of way of all members, silent members, and events."""
-    lanes = _Lanes(fleet_axis(fleet))
-    for member, flight in fleet.flights.items():
-        lanes.phases(f"{member} phase", flight, shift_s(fleet, flight), f"{member}: ")
-        for span in messages.spans[member]:
+        lanes.phases(f"{side.of}phase", side)
+        if len(sides) == 1:
+            _ticks(lanes, side)
+        for fault in fault_spans(side.flight):
+            ends = (fault.begin_s + side.offset_s, fault.end_s + side.offset_s)
+            lanes.bar(f"{side.of}fault injected", ends, FAULT, fault.text)
+        for span in messages.spans[side.name] if messages is not None else ():
             name, others = span.intent.name.lower(), ", ".join(span.gives_way_to)
             color = NOMINAL if span.waits else _INTENT_COLORS[span.intent]
-            text = f"{member}: {name}" + (f", gives way to {others}" if others else "")
+            text = f"{side.of}{name}" + (f", gives way to {others}" if others else "")
             label = f"waits for {others}" if span.waits else name
-            lanes.bar(f"{member} right of way", (span.begin_s, span.end_s), color, text, label)
-    for link in [link for link in messages.links if link.silent][:_SILENT_MAX]:
+            lanes.bar(f"{side.of}right of way", (span.begin_s, span.end_s), color, text, label)
+    silent = [link for link in messages.links if link.silent] if messages is not None else []
+    for link in silent[:_SILENT_MAX]:
         for ends in link.silent:
             text = f"{link.receiver} received no message from {link.sender}"
             lanes.bar(f"{link.receiver} misses {link.sender}", ends, FAULT, text)
-    lanes.events(fleet.events, 0.0)
-    return lanes.figure()
+    lanes.events(events, -zero_s)
+    return lanes.figure(axis.whole if len(sides) == 1 else None)
+
+
+def _ticks(lanes: _Lanes, side: Side) -> None:
+    """Add lanes of the ticks in which something was sent, active, refused or missing."""
+    steps = side.flight.steps
+    if steps is None:
+        return
+    refused = (steps.gate != GateVerdict.APPROVED) & (steps.gate != GateVerdict.NOT_IN_CONTROL)
+    for name, mask, color in (
+        ("set-points sent", steps.setpoint_sent, COMMAND),
+        ("barrier active", steps.barrier_active, BOUNDARY),
+        ("refused by the gate", refused, FAULT),
+        ("target missing or old", ~steps.target_valid, FAULT),
+        ("own state missing or old", ~steps.own_valid, FAULT),
+        ("link silent", ~steps.link_valid, FAULT),
+    ):
+        if color is not FAULT or mask.any():
+            lanes.mask(name, steps.t_s + side.offset_s, mask, color)

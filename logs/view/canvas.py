@@ -122,7 +122,7 @@ class Canvas:
     """A recording stream with what it has to remember between two pieces of a flight."""
 
     def __init__(
-        self, stream: rr.RecordingStream, origin_ns: int, member: str = "", own_color: Color = OWN_COLOR
+        self, stream: rr.RecordingStream, origin_ns: int, member: str = "", own_color: Color | str = OWN_COLOR
     ) -> None:
         self.stream, self.member, self.own_color = stream, member, own_color
         self.paths: dict[str, Path] = {}  # past positions of vehicle and target, by entity
@@ -168,10 +168,13 @@ def every(at_ns: Ints, period_ns: int) -> Ints:
     return np.flatnonzero(np.diff(slots, prepend=slots[:1] - 1))
 
 
-def rgba(color: Color) -> tuple[int, int, int, int]:
-    """A color in 0 to 255, as Rerun takes it."""
-    red, green, blue, opacity = (round(255 * part) for part in color)
-    return red, green, blue, opacity
+def rgba(color: Color | str) -> tuple[int, int, int, int]:
+    """A color in 0 to 255, as Rerun takes it; of parts, or in hexadecimal."""
+    if isinstance(color, str):
+        red, green, blue = bytes.fromhex(color.removeprefix("#"))
+        return red, green, blue, 255
+    r, g, b, opacity = (round(255 * part) for part in color)
+    return r, g, b, opacity
 
 
 def run_of(flight: Flight) -> dict[str, str]:

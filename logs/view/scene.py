@@ -22,6 +22,7 @@ from logs.derive.markers import (
     Path,
     surface,
 )
+from logs.palette import PAIR_COLORS
 from logs.reader.flight_data import PAD_RADIUS_M, Flight, Floats
 from logs.verdict.verdict import PairSeries
 from logs.view.canvas import PAIRS, WORLD, Canvas, every, rgba, run_of, times
@@ -47,15 +48,6 @@ PAIR_LINE_RADIUS_M = 0.003
 FAR_COLOR: Color = (0.6, 0.6, 0.6, 1.0)
 WARN_COLOR: Color = (0.9, 0.6, 0.0, 1.0)
 INSIDE_COLOR: Color = (0.84, 0.15, 0.16, 1.0)
-# as in the report: Okabe and Ito (2008), and Tol
-MEMBER_COLORS: tuple[Color, ...] = (
-    (0.0, 0.45, 0.70, 1.0), (0.84, 0.37, 0.0, 1.0), (0.0, 0.62, 0.45, 1.0), (0.80, 0.47, 0.65, 1.0),
-    (0.90, 0.62, 0.0, 1.0), (0.34, 0.71, 0.91, 1.0), (0.53, 0.13, 0.33, 1.0), (0.27, 0.67, 0.60, 1.0),
-)  # fmt: skip
-PAIR_COLORS: tuple[Color, ...] = (
-    (0.20, 0.13, 0.53, 1.0), (0.67, 0.27, 0.60, 1.0), (0.07, 0.47, 0.20, 1.0), (0.60, 0.60, 0.20, 1.0),
-    (0.40, 0.07, 0.0, 1.0), (0.40, 0.60, 0.80, 1.0), (0.87, 0.80, 0.47, 1.0), (0.53, 0.53, 0.53, 1.0),
-)  # fmt: skip
 
 
 def scene(canvas: Canvas, flight: Flight) -> None:
@@ -161,7 +153,7 @@ def _paths(canvas: Canvas, flight: Flight) -> None:
                 path.add(time_ns, (x, y, z))
             if not canvas.due(name, PATH_PERIOD_NS, time_ns):
                 continue
-            if (marker := path.marker(0, color)) is not None:
+            if (marker := path.marker(0, TARGET_COLOR)) is not None:
                 strips.append(np.frombuffer(marker.points, dtype="<f8").reshape(-1, 3))
                 at_ns.append(time_ns)
         if strips:

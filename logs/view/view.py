@@ -19,13 +19,14 @@ import rerun as rr
 from flightstack.common.text import one_line
 from flightstack.core.types import Phase
 from logs.derive.markers import FILTERED_COLOR, NOMINAL_COLOR, OWN_COLOR, TARGET_COLOR, Color
+from logs.palette import COLORS
 from logs.reader.flight import load_fleet
 from logs.reader.flight_data import Event, Flight, Floats, Ints
 from logs.schema.events import Severity
 from logs.schema.names import FLEET
 from logs.verdict.verdict import pair_series
 from logs.view.canvas import AXES, EVENTS, PHASE, RUN, Canvas, blueprint, rgba, run_of, times
-from logs.view.scene import MEMBER_COLORS, TRUE_COLOR, VELOCITIES, pairs, scene, truth, velocities
+from logs.view.scene import TRUE_COLOR, VELOCITIES, pairs, scene, truth, velocities
 
 ZERO_COLOR: Color = (0.84, 0.15, 0.16, 1.0)
 _LEVELS: dict[int, str] = {
@@ -62,7 +63,7 @@ class Recording:
         self._stream.save(out, default_blueprint=self._blueprint())
         fleet = self._fleet
         for number, (name, flight) in enumerate(fleet.flights.items()):
-            color = MEMBER_COLORS[number % len(MEMBER_COLORS)] if name else OWN_COLOR
+            color = COLORS[number % len(COLORS)] if name else OWN_COLOR
             draw(Canvas(self._stream, fleet.origin_ns, name, color), flight)
         if "" not in fleet.flights:
             whole = Canvas(self._stream, fleet.origin_ns)

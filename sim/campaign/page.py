@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from logs.report.page import block, details, header, need_libraries, page, section, table
+from logs.report.page import Page, Panel, details, need_libraries, table, write
 from logs.verdict.types import VIOLATION_LIMIT_M
 from sim.campaign.rows import CELL_M, D_CELLS, E_Z_CELLS, E_Z_LOW_M, Row, cell_map
 from sim.campaign.summary import lines
@@ -19,6 +19,15 @@ if TYPE_CHECKING:
     from sim.campaign.run import Flown, Plan
 
 _BINS = 60
+_JUDGED = (
+    "Judged from true states at every physics step. The upper bound of the violation rate is the one-sided "
+    "bound of Clopper and Pearson; what is not known counts as a violation."
+)
+_ALONE = "Each command flies one of them alone, to the same end."
+_MAP = (
+    "Each cell shows the lowest true h of all landings there; the line is the boundary h = 0. "
+    "Cells below it were entered on the last centimetres over the pad, or by a violation."
+)
 
 _HISTOGRAMS: tuple[tuple[str, str, str, float, Callable[[Row], float | None]], ...] = (
     ("error", "Touchdown error", "d at first contact [cm]", 100.0, lambda r: r.touchdown_error_m),
@@ -36,57 +45,44 @@ _HISTOGRAMS: tuple[tuple[str, str, str, float, Callable[[Row], float | None]], .
 
 
 def write_page(path: Path, wanted: Plan, flown: Flown) -> None:
-    """Write the page. Raises ReportError: the plotting library is not installed."""
-    path.write_text(render(wanted, flown), encoding="utf-8")
-
-
-def render(wanted: Plan, flown: Flown) -> str:
-    """Return the page as text; ``flown`` has a summary.
-
-    Raises ReportError: the plotting library is not installed.
-    """
+    """Write the page; ``flown`` has a summary. Raises ReportError: the plotting library is not installed."""
     need_libraries()
-    title = f"{wanted.scenario.name}, filter {wanted.filter_name}"
-    return page(title, _body(title, wanted, flown))
+    write(path, campaign_page(wanted, flown))
 
 
-def _body(title: str, wanted: Plan, flown: Flown) -> str:
+def campaign_page(wanted: Plan, flown: Flown) -> Page:
     told = flown.summary or {}
     bad = told["crashes"] or told["violations"] or told["undeclared_misses"] or flown.missing
-    badge = f"{told['landed']} of {told['runs']} landed"
     style = "bad" if bad else "good" if told["landed"] == told["runs"] else "fair"
     seeds = f"seeds {wanted.first_seed} to {wanted.first_seed + wanted.runs - 1}"
     lacking = f" · {flown.missing} landings are missing" if flown.missing else ""
-    upper = f"{100.0 * told['upper_95_violation_rate']:.3g} %"
+    shown = lines(told)
     worst = [(str(w["seed"]), w["why"], w["command"]) for w in told["worst"]]
-    note = (
-        f"Judged from true states at every physics step. With 95 % confidence less than {upper} of landings "
-        "violate the barrier (Clopper-Pearson); what is not known counts as a violation."
-    )
-    alone = "Each command flies one of them alone, to the same end."
-    return "".join(
-        (
-            header(title, badge, style, f"{wanted.scenario.description} · {seeds}{lacking}"),
-            block("result", "Result", note, table(("result", "value"), lines(told), numbers=(1,))),
-            block("worst", "Worst seeds", alone, table(("seed", "why", "command"), worst, numbers=(0,))),
-            *_figures(wanted, flown.rows),
-            f"<section>{details('Scenario', wanted.scenario_toml, 'scenario.toml')}</section>",
-        )
-    )
+    first = ("barrier violated, or not known", "lowest h outside the pad", "touchdown error, 95 %",
+             "time to land, median")  # fmt: skip
+    return Page(
+        f"{wanted.scenario.name}, filter {wanted.filter_name}",
+        (f"{told['landed']} of {told['runs']} landed", style),
+        f"{wanted.scenario.description} · {seeds}{lacking}",
+        [line for line in shown if line[0] in first],
+        [
+            Panel("map", "Lowest h over d and e_z", _MAP, h_map(wanted, flown.rows)),
+            Panel(
+                "result", "Result", _JUDGED, table(("result", "value", "unit"), shown, numbers=(1,))
+            ),
+            Panel("worst", "Worst seeds", _ALONE, table(("seed", "why", "command"), worst, numbers=(0,))),
+            *_histograms(flown.rows),
+            Panel("scenario", "", "", details("Scenario", wanted.scenario_toml, "scenario.toml")),
+        ],
+    )  # fmt: skip
 
 
-def _figures(wanted: Plan, rows: Sequence[Row]) -> list[str]:
+def _histograms(rows: Sequence[Row]) -> list[Panel]:
     found = []
     for key, title, axis, scale, value in _HISTOGRAMS:
         values = [scale * v for row in rows if (v := value(row)) is not None]
         figure = histogram(values, axis, 1e3 * VIOLATION_LIMIT_M if key == "h" else None) if values else None
-        note = f"{len(values)} of {len(rows)} landings have this value."
-        found.append(section(key, title, "", note, figure))
-    note = (
-        "Each cell shows the lowest true h of all landings there; the line is the boundary h = 0. "
-        "Cells below it were entered on the last centimetres over the pad, or by a violation."
-    )
-    found.insert(0, section("map", "Lowest h over d and e_z", "", note, h_map(wanted, rows)))
+        found.append(Panel(key, title, f"{len(values)} of {len(rows)} landings have this value.", figure))
     return found
 
 

@@ -145,15 +145,43 @@ def why(row: Row) -> str:
     return f"{told}; violation {found}"
 
 
-def lines(told: dict[str, Any]) -> list[tuple[str, str]]:
-    """Lines of a summary: name and value in words."""
+# key, part of its object, name in words, unit, factor
+_LINES: tuple[tuple[str, str, str, str, float], ...] = (
+    ("runs", "", "landings flown", "", 1.0),
+    ("landed", "", "landed", "", 1.0),
+    ("declared_aborts", "", "aborted, declared", "", 1.0),
+    ("undeclared_misses", "", "missed, not declared", "", 1.0),
+    ("crashes", "", "crashed", "", 1.0),
+    ("violations", "", "barrier violated, or not known", "", 1.0),
+    ("upper_95_violation_rate", "", "violation rate, upper bound (95 %)", "%", 100.0),
+    ("h_min_outside_pad_m", "", "lowest h outside the pad", "mm", 1e3),
+    ("touchdown_error_m", "median", "touchdown error, median", "cm", 100.0),
+    ("touchdown_error_m", "p95", "touchdown error, 95 %", "cm", 100.0),
+    ("touchdown_speed_vertical_m_s", "p95", "touchdown speed, vertical, 95 %", "m/s", 1.0),
+    ("touchdown_speed_horizontal_m_s", "p95", "touchdown speed, horizontal, 95 %", "m/s", 1.0),
+    ("time_to_land_s", "median", "time to land, median", "s", 1.0),
+    ("vehicles", "", "vehicles flown", "", 1.0),
+    ("vehicles_landed", "", "vehicles landed", "", 1.0),
+    ("collisions", "", "collisions", "", 1.0),
+    ("ellipsoid_violations", "", "ellipsoid violations", "", 1.0),
+    ("ellipsoid_min", "", "smallest distance in the ellipsoid's measure", "", 1.0),
+    ("distance_min_m", "", "smallest distance of two vehicles", "m", 1.0),
+    ("wait_max_s", "", "longest wait for another vehicle", "s", 1.0),
+    ("wall_s", "", "wall time of this call", "s", 1.0),
+    ("realtime_factor", "", "simulated time over wall time", "", 1.0),
+)
+
+
+def lines(told: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Lines of a summary in words: name, value, unit."""
     found = []
-    for key, value in told.items():
-        if key == "worst":
-            continue
-        for part, number in value.items() if isinstance(value, dict) else [("", value)]:
-            shown = "-" if number is None else f"{number:.4g}" if isinstance(number, float) else str(number)
-            found.append((f"{key} {part}".strip(), shown))
+    for key, part, name, unit, factor in _LINES:
+        if key in told:
+            value = told[key][part] if part else told[key]
+            shown = (
+                "–" if value is None else f"{factor * value:.4g}" if isinstance(value, float) else str(value)
+            )
+            found.append((name, shown, unit))
     return found
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from logs.report.page import block, details, header, html, need_libraries, page, paragraph, section, table
+from logs.report.page import Page, Panel, details, html, need_libraries, paragraph, table
 
 Summary = dict[str, Any]
 
@@ -35,30 +35,41 @@ _SENSING = (
 )
 
 
-def render(told: Summary) -> str:
+def validation_page(told: Summary) -> Page:
     """Make the page of a ``summary``. Raises ReportError: the plotting or template library is missing."""
     need_libraries()
-    title = f"{told['vehicle']} beside recorded flights"
-    badge, style = ("passed", "good") if told["passed"] else ("not passed", "bad")
-    sub = f"{told['used']} of {told['flights']} flights, {told['used_s']:.0f} s · {told['folder']}"
+    from sim.validation import figures  # needs plotly
+
     rows = [
         (one["part"], one["text"], one["limit"], one["found"], one["word"], one["reason"])
         for one in told["criteria"]
     ]  # fmt: skip
     numbers = json.dumps({key: value for key, value in told.items() if key != "by_flight"}, indent=1)
     head = ("part", "criterion", "limit", "found", "", "reason of the limit")
-    body = (
-        header(title, badge, style, sub),
-        block("causes", "Why it did not pass", "", html("".join(map(paragraph, told["causes"]))))
-        if told["causes"]
-        else "",
-        block("criteria", "Criteria", _CRITERIA, table(head, rows, numbers=(2, 3), row_class=4)),
-        block("left_out", "Left out", "What was not compared, and why.", _left_out(told)),
-        *_figures(told),
-        block("flights", "Flights", _FLIGHTS, _flights(told)),
-        f"<section>{details('Everything as JSON', numbers, 'validate.json')}</section>",
+    met = sum(one["met"] for one in told["criteria"])
+    causes = html("".join(map(paragraph, told["causes"])))
+    return Page(
+        f"{told['vehicle']} beside recorded flights",
+        ("passed", "good") if told["passed"] else ("not passed", "bad"),
+        told["folder"],
+        [
+            ("criteria met", f"{met} of {len(rows)}", ""),
+            ("flights compared", f"{told['used']} of {told['flights']}", ""),
+            ("time compared", f"{told['used_s']:.0f}", "s"),
+            ("flights left out in part", str(len(told["cut"])), ""),
+        ],
+        [
+            Panel("open_loop", "Open loop", _OPEN_LOOP, figures.open_loop(told)),
+            *([Panel("causes", "Why it did not pass", "", causes)] if told["causes"] else []),
+            Panel("criteria", "Criteria", _CRITERIA, table(head, rows, numbers=(2, 3), row_class=4)),
+            Panel("left_out", "Left out", "What was not compared, and why.", _left_out(told)),
+            Panel("ratios", "Open loop, flight by flight", _RATIOS, figures.ratios(told)),
+            Panel("closed_loop", "Closed loop", _CLOSED_LOOP, figures.closed_loop(told)),
+            Panel("sensing", "Vehicle state", _SENSING, figures.sensing(told)),
+            Panel("flights", "Flights", _FLIGHTS, _flights(told)),
+            Panel("json", "", "", details("Everything as JSON", numbers, "validate.json")),
+        ],
     )  # fmt: skip
-    return page(title, "".join(body))
 
 
 def _left_out(told: Summary) -> str:
@@ -92,15 +103,3 @@ def _flights(told: Summary) -> str:
                      both(closed, "horizontal_m"), both(sensed, "position", "delay_s")))  # fmt: skip
     head = ("flight", "used [s]", "controller", "open loop [mm]", "tracking [mm]", "delay [ms]")
     return table(head, rows, numbers=(1, 3, 4, 5))
-
-
-def _figures(told: Summary) -> list[str]:
-    from sim.validation import figures  # needs plotly
-
-    drawn = (
-        ("open_loop", "Open loop", _OPEN_LOOP, figures.open_loop),
-        ("ratios", "Open loop, flight by flight", _RATIOS, figures.ratios),
-        ("closed_loop", "Closed loop", _CLOSED_LOOP, figures.closed_loop),
-        ("sensing", "Vehicle state", _SENSING, figures.sensing),
-    )
-    return [section(key, title, "", note, draw(told)) for key, title, note, draw in drawn]

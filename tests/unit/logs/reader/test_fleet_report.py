@@ -12,8 +12,10 @@ from flightstack.cli.main import main
 from flightstack.core.types import Intent
 from logs.reader.fleet_messages import load_messages, waited_s
 from logs.reader.flight import load_fleet
-from logs.report.report import render_fleet, write_comparison, write_report
+from logs.report.page import render
+from logs.report.report import fleet_page, write_comparison, write_report
 from logs.report.several import distances
+from logs.report.style import fleet_axis
 from logs.verdict.verdict import judge_fleet, pair_series
 from tests.fleet_log import near
 from tests.synthetic_flight import landing, write_log
@@ -63,13 +65,13 @@ def test_who_waited_for_whom_is_what_they_told(read, words):
 
 
 def test_of_many_pairs_the_nearest_are_shown_at_first(read):
-    pair = pair_series(read)[0]
+    pair, axis = pair_series(read)[0], fleet_axis(read)
     many = [pair._replace(name=f"pair {k}", measure=pair.measure + (k * 5) % 28) for k in range(28)]
-    lines = {line.name: line for line in distances(read, many).data if line.showlegend}
+    lines = {line.name: line for line in distances(many, axis).data if line.showlegend}
     shown = [name for name, line in lines.items() if line.visible is True]
     assert sorted(shown) == sorted(f"pair {k}" for k in range(28) if (k * 5) % 28 < 8)
     assert len(lines) == 28  # the others can be switched on
-    few = distances(read, many[:3]).data
+    few = distances(many[:3], axis).data
     assert [line.name for line in few if line.name.startswith("limit")] == [
         f"limit of pair {k}" for k in range(3)
     ]
@@ -147,16 +149,16 @@ def test_the_page_of_all_links_those_of_the_members(pages):
 
 def test_a_page_says_what_is_missing(read):
     no_pairs = replace(read, pairs={})
-    text = render_fleet(no_pairs, judge_fleet(no_pairs), {})
+    text = render(fleet_page(no_pairs, judge_fleet(no_pairs), {}))
     assert "did not follow all pairs to the end" in text
     assert "not known" in text
     verdict = replace(judge_fleet(read), ellipsoid_min=9.0)
-    assert "not the one that the simulator judged by" in render_fleet(read, verdict, {})
+    assert "not the one that the simulator judged by" in render(fleet_page(read, verdict, {}))
 
 
 def test_a_violation_is_in_the_headline(read):
     verdict = replace(judge_fleet(read), ellipsoid_violations=2, violation=True)
-    text = render_fleet(read, verdict, {})
+    text = render(fleet_page(read, verdict, {}))
     assert "All landed, with a barrier violation and an ellipsoid violation" in text
 
 

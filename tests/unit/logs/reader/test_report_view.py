@@ -29,7 +29,7 @@ from logs.report.derived import (
     missing_of_256,
     tilt_deg,
 )
-from logs.report.page import html, page, table
+from logs.report.page import Page, Panel, html, render, table
 from logs.report.report import command, repeat_section, write_comparison
 from logs.report.tables import ages_table, faults_table, links_table, phases_table
 from logs.view.canvas import every, times
@@ -221,10 +221,12 @@ def test_a_log_compared_with_itself_differs_in_nothing(tmp_path):
     assert text.count("<h2>Events of") == 2
 
 
-def test_any_page_has_its_title_and_body():
-    text = page("a < b", "<p>body</p>")
+def test_any_page_has_its_title_and_panels():
+    text = render(
+        Page("a < b", ("done", "good"), "", [("x", "1", "m")], [Panel("k", "K", "", html("<i>y</i>"))])
+    )
     assert "<title>a &lt; b</title>" in text
-    assert "<main><p>body</p></main>" in text
+    assert '<section id="k"><h2>K</h2><div class="wide"><i>y</i></div></section>' in text
     assert "{{" not in text
 
 
