@@ -16,8 +16,8 @@ _HEAD = f"""# Grid of faults
 
 Results of flights in which one part fails permanently, in one way, at one moment: 7 parts, 7 ways, 4
 moments, {len(GRID)} flights of the scenario `grid` with seed {SEED}. `tests/fault_grid/table.py` has the
-requirements; a test flies every cell and compares it with the requirements and with this page. This command
-writes the page:
+requirements; a test flies one cell for each requirement of a way to fail, and compares it with the
+requirements and with this page. This command flies all cells and writes the page:
 
 ```
 python -m tests.benchmarks fault_grid
@@ -81,11 +81,15 @@ stamp.
 
 def row(way: Way, moment: Moment, need: Need, result: Result) -> str:
     """One line of the page."""
-    ends = ", ".join(end for end in End if end in need.ends)
     return (
-        f"| {way} | {moment.name.lower()} | {ends} | {result.end} | {_s(result.noticed_s)} "
+        f"| {way} | {moment.name.lower()} | {ends(need)} | {result.end} | {_s(result.noticed_s)} "
         f"| {_s(result.down_s)} | {_s(result.h_min_m, 3)} | {demand(need)} |"
     )
+
+
+def ends(need: Need) -> str:
+    """Allowed ends."""
+    return ", ".join(end for end in End if end in need.ends)
 
 
 def demand(need: Need) -> str:
