@@ -53,22 +53,22 @@ def same(a, b):
     return a == b or (a != a and b != b) or struct.pack("<d", a) == struct.pack("<d", b)
 
 
-@pytest.mark.parametrize("id_", sorted(mav.mavlink_map))
-def test_every_message_is_handed_over_as_it_would_arrive(id_):
-    rng = random.Random(id_)
-    cls = mav.mavlink_map[id_]
-    here, there = wires((1, 1), (1, 191))
-    message, twin = some_message(cls, random.Random(id_)), some_message(cls, rng)
-    expected = decode(twin.pack(mav.MAVLink(None, 1, 1)))
-    here.send([message])
-    (arrived,) = there.receive()
-    assert arrived.peer == PEER
-    header = arrived.message.get_header()
-    assert (header.msgId, header.srcSystem, header.srcComponent) == (id_, 1, 1)
-    for name in cls.fieldnames:
-        got, wanted = getattr(arrived.message, name), getattr(expected, name)
-        pairs = zip(got, wanted, strict=True) if isinstance(wanted, list) else [(got, wanted)]
-        assert all(same(a, b) for a, b in pairs), name
+def test_every_message_is_handed_over_as_it_would_arrive():
+    for id_ in sorted(mav.mavlink_map):
+        rng = random.Random(id_)
+        cls = mav.mavlink_map[id_]
+        here, there = wires((1, 1), (1, 191))
+        message, twin = some_message(cls, random.Random(id_)), some_message(cls, rng)
+        expected = decode(twin.pack(mav.MAVLink(None, 1, 1)))
+        here.send([message])
+        (arrived,) = there.receive()
+        assert arrived.peer == PEER
+        header = arrived.message.get_header()
+        assert (header.msgId, header.srcSystem, header.srcComponent) == (id_, 1, 1)
+        for name in cls.fieldnames:
+            got, wanted = getattr(arrived.message, name), getattr(expected, name)
+            pairs = zip(got, wanted, strict=True) if isinstance(wanted, list) else [(got, wanted)]
+            assert all(same(a, b) for a, b in pairs), name
 
 
 def test_some_message_is_really_rounded():
@@ -87,21 +87,21 @@ def test_a_damaged_frame_does_not_arrive():
     assert there.receive()[0].message.ts1 == 77
 
 
-@pytest.mark.parametrize("seed", range(50))
-def test_a_target_sample_is_what_cdr_makes_of_it(seed):
-    rng = random.Random(seed)
-    sample = TargetMeasurement(
-        rng.uniform(0.0, 90.0),
-        (rng.gauss(0, 2), rng.gauss(0, 2), rng.gauss(0, 1)),
-        rng.uniform(-math.pi, math.pi),
-        (rng.gauss(0, 1), rng.gauss(0, 1), rng.gauss(0, 1)),
-        rng.gauss(0, 1),
-    )
-    payload = encode_odometry(
-        EPOCH_NS + round(sample.time_s * 1e9), "map", "target", sample.position_enu_m,
-        quaternion_from_yaw(sample.yaw_rad), sample.velocity_body_m_s, (0.0, 0.0, sample.yaw_rate_rad_s),
-    )  # fmt: skip
-    assert TargetSample(1.25, *in_world(sample)) == sample_from_cdr(payload, 1.25)
+def test_a_target_sample_is_what_cdr_makes_of_it():
+    for seed in range(50):
+        rng = random.Random(seed)
+        sample = TargetMeasurement(
+            rng.uniform(0.0, 90.0),
+            (rng.gauss(0, 2), rng.gauss(0, 2), rng.gauss(0, 1)),
+            rng.uniform(-math.pi, math.pi),
+            (rng.gauss(0, 1), rng.gauss(0, 1), rng.gauss(0, 1)),
+            rng.gauss(0, 1),
+        )
+        payload = encode_odometry(
+            EPOCH_NS + round(sample.time_s * 1e9), "map", "target", sample.position_enu_m,
+            quaternion_from_yaw(sample.yaw_rad), sample.velocity_body_m_s, (0.0, 0.0, sample.yaw_rate_rad_s),
+        )  # fmt: skip
+        assert TargetSample(1.25, *in_world(sample)) == sample_from_cdr(payload, 1.25)
 
 
 def short(name, **changes):
