@@ -19,6 +19,19 @@ from tests.real_time import pytest_runtest_setup as pytest_runtest_setup
 STREAMS = int(os.environ.get("FLIGHTSTACK_TEST_STREAMS", "3"))
 STREAM_NAMES = [f"stream {number}" for number in range(STREAMS)]  # the first has the flights of a real PX4
 
+# tests of a given vehicle that our simulated one need not fly: each is shown by another test of it
+SHOWN_BY = {
+    "test_connects_and_tells_who_and_where_it_is": "test_a_given_vehicle_is_flown",
+    "test_follows_and_lands_on_the_target": "test_a_given_vehicle_is_flown",
+    "test_its_parameters_are_safe": "test_preflight_tells_safe_from_unsafe",
+}
+# of those in several phases: the abort and a silent companion are flown in every phase without wires, by
+# test_stops.py and the grid of faults
+PHASES_HERE = {
+    "test_an_abort_brings_it_down_clear_of_the_target": "TAKEOFF",
+    "test_a_killed_companion_leaves_a_safe_vehicle": "LAND",
+}
+
 # A shell's background job ignores Ctrl-C, and so would all that the tests start and interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # and what nohup starts ignores a closed terminal
@@ -105,13 +118,12 @@ def _deal_out(items: list[pytest.Item]) -> None:
 
 
 def _flown_otherwise(item: pytest.Item) -> bool:
-    """What another test shows: that of the suite itself, or the grid of faults between its ends."""
+    """What another test of our simulated vehicle shows; see ``SHOWN_BY``."""
     given = item.callspec.params if hasattr(item, "callspec") else {}
     if "flight_number" not in given:
         return False
-    if item.name.startswith("test_follows"):
-        return True  # by test_a_given_vehicle_is_flown
-    return given.get("phase", "LAND") not in ("TAKEOFF", "LAND")
+    name = item.name.partition("[")[0]
+    return name in SHOWN_BY or given.get("phase", PHASES_HERE.get(name)) != PHASES_HERE.get(name)
 
 
 def _marked(item: pytest.Item, name: str) -> bool:

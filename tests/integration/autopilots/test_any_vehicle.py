@@ -182,14 +182,14 @@ def down(room) -> bool:
 
 
 @pytest.mark.simulated
-@pytest.mark.parametrize("fence", [Fence(0.25, 4.0), Fence(2.0, 0.3)], ids=["height", "distance"])
-def test_a_step_beyond_the_fence_ends_on_the_ground(room, fence):
-    with Pilot(replace(room, fence=fence)) as pilot:
-        pilot.connect()
-        with pytest.raises(AssertionError, match=r"m high|m away"):
-            fly_away(pilot)
-        assert not pilot.status.armed
-        assert pilot.height_m < 0.1
+def test_a_step_beyond_the_fence_ends_on_the_ground(room):
+    for fence, said in ((Fence(2.0, 0.3), "m away"), (Fence(0.25, 4.0), "m high")):
+        with Pilot(replace(room, fence=fence)) as pilot:
+            pilot.connect()
+            with pytest.raises(AssertionError, match=said):
+                fly_away(pilot)
+            assert not pilot.status.armed
+            assert pilot.height_m < 0.1
 
 
 def fly_away(pilot):
