@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from flightstack.common.options import BadOptionError, Option
+from flightstack.common.options import BadOptionError, Option, declared
 from flightstack.common.strict_toml import decoded
 from flightstack.core.parameters.filters import ALLOWED, look_here
 
@@ -197,6 +197,36 @@ class Ros2:
         "ENDPOINT|FILE"
     )] = None  # fmt: skip
     ros_domain: RosDomain = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Repeated:
+    """Options of ``sitl`` that change bytes or timing: the log has them, and the report repeats them."""
+
+    autopilot: Autopilot = "auto"
+    speed: Speed = 1.0
+    duration_s: Duration = None
+    signing_key: SigningKey = None
+    accept_release: AcceptRelease = False
+    mocap: Mocap = False
+
+    def described(self) -> dict[str, str]:
+        """Values for the log, without defaults."""
+        found = {}
+        for name, _, _, _, _, default in declared(Repeated):
+            if (value := getattr(self, name)) != default:
+                text = f"{value:g}" if isinstance(value, float) else str(value)
+                found[name] = text.lower() if value is True else text
+        return found
+
+
+def repeated(described: Mapping[str, str]) -> list[str]:
+    """Command line of the options that a log has; flags have no value."""
+    words: list[str] = []
+    for name, option, kind, *_ in declared(Repeated):
+        if name in described and isinstance(option, Option):
+            words += [option.name] if kind is bool else [option.name, described[name]]
+    return words
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,6 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.config import options as shared
 from flightstack.onboard.options import FlightOptions
 
-AUTO = "auto"  # value of --autopilot: recognised by the heartbeat
 _SIMULATED, _REAL = "works with the simulated vehicle only", "works with PX4 and ArduPilot only"
 
 
@@ -42,7 +41,7 @@ def _program(flies: Flies, help: str) -> Option:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunOptions(shared.Ros2, shared.Result, shared.Simulated):
+class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
     """One run, or several."""
 
     filter: Annotated[str | None, shared.safety_filter("Safety filter; default: the configuration's")] = None
@@ -50,14 +49,10 @@ class RunOptions(shared.Ros2, shared.Result, shared.Simulated):
         "Configuration instead of the scenario's, or of the one for an autopilot"
     )] = None  # fmt: skip
     lockstep: shared.Lockstep = False
-    speed: shared.Speed = 1.0
-    duration_s: shared.Duration = None
     runs: Annotated[int, Option(
         "--runs", "Fly N times, with the seeds from --seed on, and print a summary.", "N", span=(1, None)
     )] = 1  # fmt: skip
     view: shared.View = None
-    autopilot: shared.Autopilot = AUTO
-    accept_release: shared.AcceptRelease = False
     px4: Annotated[Path | None, _program(
         Flies.PX4, "Fly this PX4 (SITL program or build folder) on the simulated vehicle."
     )] = None  # fmt: skip
@@ -72,7 +67,6 @@ class RunOptions(shared.Ros2, shared.Result, shared.Simulated):
         "Number that selects the ports of PX4 or ArduPilot; default: a free one, ArduPilot 0.", "N",
         span=(0, 9), also=("--instance",)
     )] = None  # fmt: skip
-    mocap: shared.Mocap = False
     members: Annotated[Mapping[int, str], Option(
         "--member", "MAVLink URL of a vehicle from elsewhere that flies as member N of a team; repeatable "
         "(docs/how_it_works/fleet.md).", "N=URL", read=_members
@@ -83,7 +77,6 @@ class RunOptions(shared.Ros2, shared.Result, shared.Simulated):
         "ENDPOINT"
     )] = ()  # fmt: skip
     zenoh_config: shared.ZenohConfig = None
-    signing_key: shared.SigningKey = None
 
     @property
     def _programs(self) -> Mapping[Flies, Path]:
@@ -105,24 +98,11 @@ class RunOptions(shared.Ros2, shared.Result, shared.Simulated):
         """Whether the terminal shows the flight."""
         return not self.as_json and self.runs == 1
 
-    @property
-    def told(self) -> dict[str, str]:
-        """The options that change bytes or timing, for the log; the report makes its command of them.
-
-        The scenario as it was flown has filter and configuration.
-        """
-        values = {
-            "vehicle": self.flies.value.removeprefix("--"),
-            "program": str(self.program or ""),
-            "speed": f"{self.speed:g}" if self.speed != 1.0 else "",
-            "autopilot": self.autopilot if self.autopilot != AUTO else "",
-            "accept_release": "true" if self.accept_release else "",
-            "mocap": "true" if self.mocap else "",
-            "duration_s": f"{self.duration_s:g}" if self.duration_s is not None else "",
-            "signing_key": str(self.signing_key or ""),
-            "config": str(self.config_file or ""),
-        }
-        return {name: value for name, value in values.items() if value}
+    def described(self) -> dict[str, str]:
+        """Values for the log; the scenario as it was flown has filter and configuration."""
+        vehicle = self.flies.value.removeprefix("--")
+        own = {"vehicle": vehicle, "program": self.program, "config": self.config_file}
+        return {**{name: str(value) for name, value in own.items() if value}, **super().described()}
 
     def check(self) -> None:
         """Refuse options that cannot be combined. Raises ConfigError: which options, and why."""

@@ -272,7 +272,7 @@ def _describe(recorder: Path, options: RunOptions, team: TeamScenario, vehicles:
         "description": team.description,
         "seed": str(options.seed),
         "mode": "lockstep" if options.lockstep else "real-time",
-        **options.told,
+        **options.described(),
     }
     files = {TEAM: text(team).encode(), "team_source.toml": source}
     describe(recorder, *flights, fleet=fleet, attachments=files)
@@ -285,7 +285,7 @@ def run_metadata(options: RunOptions, scenario: Scenario, seed: int) -> dict[str
         "description": scenario.description,
         "seed": str(seed),
         "mode": "lockstep" if options.lockstep else "real-time",
-        **options.told,
+        **options.described(),
         "judge_alpha_1_m": repr(scenario.judge.alpha_1_m),
         "judge_beta_m": repr(scenario.judge.beta_m),
         "pad_radius_m": repr(scenario.target.pad_radius_m),

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from flightstack.config.options import repeated
 from logs.reader.fleet_messages import FleetMessages, load_messages
 from logs.reader.flight_data import ATTACHMENT, Fleet, Flight
 from logs.reader.reader import LogFile
@@ -301,11 +302,6 @@ def _fleet_warnings(
     return texts
 
 
-_OPTIONS = {
-    "autopilot": "--autopilot", "speed": "--speed", "duration_s": "--duration",
-    "signing_key": "--signing-key",
-}  # fmt: skip
-_FLAGS = {"accept_release": "--accept-release", "mocap": "--mocap"}
 _VEHICLES = ("px4", "px4-sih", "ardupilot")
 
 
@@ -318,10 +314,7 @@ def command(run: Mapping[str, str], scenario: str) -> str:
         parts.append("--lockstep")
     if run.get("vehicle") in _VEHICLES:
         parts += [f"--{run['vehicle']}", run.get("program", "PROGRAM")]
-    for key, option in _OPTIONS.items():
-        parts += [option, run[key]] if key in run else []
-    parts += [option for key, option in _FLAGS.items() if run.get(key) == "true"]
-    return shlex.join(parts)
+    return shlex.join(parts + repeated(run))
 
 
 def repeat_section(flight: Flight) -> str:

@@ -204,10 +204,10 @@ def test_every_option_that_changes_a_run_is_in_its_log_and_in_the_command():
     }  # fmt: skip
     options = RunOptions(scenario="room", **given)
     assert given.keys() == {field.name for field in dataclasses.fields(RunOptions)} - NOT_TOLD
-    assert RunOptions(scenario="room").told == {}
+    assert RunOptions(scenario="room").described() == {}
     names = {"config_file": "config", "px4": "program"}
-    assert options.told.keys() - {"vehicle"} == {names.get(name, name) for name in given}
-    assert command({"seed": "7", **options.told}, "scenario.toml") == (
+    assert options.described().keys() - {"vehicle"} == {names.get(name, name) for name in given}
+    assert command({"seed": "7", **options.described()}, "scenario.toml") == (
         "flightstack sitl --scenario scenario.toml --seed 7 --px4 px4 "
         "--autopilot ardupilot --speed 2 --duration 20 --signing-key 'a key' --accept-release --mocap"
     )
