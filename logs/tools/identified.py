@@ -9,9 +9,8 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from flightstack.core.types import FilterStatus, Phase
-from flightstack.identify.samples import Link, Motion, link, motion, noise
-from flightstack.identify.velocity_loop import Loop, Segment
-from flightstack.identify.velocity_loop import identify as fit
+from flightstack.identify import Link, Loop, Motion, Segment, link, motion, noise
+from flightstack.identify import identify as fit
 from logs.reader.flight_data import Flight, Floats, Steps
 
 T = TypeVar("T")

@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.flights.motion import clock_lag_s
-from sim.flights.plausible import check
+from sim.flights.plausible import check, clock_lag_s
 from sim.flights.recording import Group, Recording, read_recording
 
 Mask = NDArray[np.bool_]

@@ -9,8 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from bridge.mavlink.codec.framing import split_frames
 from bridge.mavlink.endpoint import Received
 from bridge.mavlink.transport.transport import EndpointCounters
-from sim.faults.content import clock_ns
-from sim.faults.link import CONCERNS, LinkFaults, Way
+from sim.faults.link import CONCERNS, LinkFaults, Way, clock_ns
 from sim.plant.sensors import NS
 from sim.runners.vehicle_node import HELD_MAX, Wire
 from sim.scenarios.fault_spec import TABLE, Kind, What

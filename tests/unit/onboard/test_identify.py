@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from flightstack.identify.samples import SAMPLES_MIN, link, motion, noise
-from flightstack.identify.velocity_loop import Segment, TooLittleError, identify
+from flightstack.identify import SAMPLES_MIN, Segment, TooLittleError, identify, link, motion, noise
 
 DT_S = 0.01
 

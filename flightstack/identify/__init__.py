@@ -1,1 +1,0 @@
-"""Lags and gains of the velocity loop, from logs."""
