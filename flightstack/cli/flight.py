@@ -22,11 +22,9 @@ def sitl(options: RunOptions) -> None:
 
     Exit status: 0 landed, 1 flown but not landed, 2 wrong input.
     """
-    options.check()
     from flightstack.common.terminal import Terminal
     from flightstack.launch.result import conclude
-    from flightstack.launch.runs import fly_all
-    from flightstack.launch.sitl import run
+    from flightstack.launch.sitl import fly_all, run
 
     console = Terminal(stderr=options.as_json)
     if options.runs > 1:

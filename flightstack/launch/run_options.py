@@ -104,27 +104,51 @@ class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
         own = {"vehicle": vehicle, "program": self.program, "config": self.config_file}
         return {**{name: str(value) for name, value in own.items() if value}, **super().described()}
 
-    def check(self) -> None:
-        """Refuse options that cannot be combined. Raises ConfigError: which options, and why."""
+    def check(self, vehicles: int) -> None:
+        """Refuse options that cannot be combined with each other or with this number of vehicles.
+
+        Raises ConfigError: which options, and why.
+        """
         if len(self._programs) > 1:
             raise ConfigError(
                 f"only one of {', '.join(flies.value for flies in Flies if flies.value)} can be flown"
             )
-        own = self.flies is Flies.OWN
-        for name, given, allowed, why in (
-            ("--lockstep", self.lockstep, own, f"{_SIMULATED}; use --speed to fly PX4 faster"),
+        flies, one, several = self.flies, vehicles == 1, "a scenario of several vehicles"
+        own, vehicle = flies is Flies.OWN, flies.value or "the simulated vehicle"
+        shows_one = "shows one vehicle; open the log in a viewer after the flight"
+        for name, given, allowed, other, why in (
+            ("--lockstep", self.lockstep, own, vehicle, f"{_SIMULATED}; --speed flies PX4 faster"),
             (
                 "--signing-key",
-                self.signing_key is not None,
+                self.signing_key,
                 own,
+                vehicle,
                 "is not given to a PX4 or ArduPilot in software",
             ),
-            ("--speed", self.speed != 1.0, not own, f"{_REAL}; --lockstep is faster"),
-            ("--instance", self.instance is not None, not own, _REAL),
-            ("--mocap", self.mocap, self.flies is Flies.PX4, "works with --px4 only, instead of satellites"),
+            ("--speed", self.speed != 1.0, not own, vehicle, f"{_REAL}; --lockstep is faster"),
+            ("--instance", self.instance is not None, not own, vehicle, _REAL),
+            (
+                "--mocap",
+                self.mocap,
+                flies is Flies.PX4,
+                vehicle,
+                "works with --px4 only, not with satellites",
+            ),
+            (flies.value, not own, one, several, "the vehicles of a team are simulated together"),
+            ("--ros2", self.ros2_where, one, several, shows_one),
+            ("--view", self.view, one, several, shows_one),
+            ("--listen", self.listen, one, several, "each vehicle has its own endpoint, which is printed"),
+            (
+                "--member",
+                self.members,
+                not one,
+                "a scenario of one vehicle",
+                "it is for one of several vehicles",
+            ),
+            ("--member", self.members, not self.lockstep, "--lockstep", "it cannot run in lockstep"),
         ):
             if given and not allowed:
-                raise ConfigError(f"{name} with {self.flies.value or 'the simulated vehicle'}: {name} {why}")
+                raise ConfigError(f"{name} with {other}: {why}; leave it out")
 
 
 @dataclass(frozen=True, kw_only=True)

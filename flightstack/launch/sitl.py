@@ -1,25 +1,30 @@
-"""A run of ``sitl``: starts vehicles, robots, their onboard processes and the recorder, and watches them.
+"""A run of ``sitl``, or several: starts vehicles, robots, onboard processes and recorder, and watches them.
 
 The ordinary run has one vehicle and one robot; its log, its files and its lines have no vehicle's name then.
 """
 
 from __future__ import annotations
 
+import json
 import time
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from rich.console import Console
+from rich.table import Column, Table
 
-from flightstack.common.processes import Child
+from flightstack.common.hangup import CalledOffError
+from flightstack.common.processes import Child, LaunchError
 from flightstack.common.strict_toml import ConfigError, dumps
 from flightstack.config.files import load as load_config
 from flightstack.core.parameters.filters import short_name
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.launch.launcher import Followed, Launcher, Shown
-from flightstack.launch.result import Flown
+from flightstack.launch.result import Flown, concluded, landed, shown
 from flightstack.launch.run_options import Flies, RunOptions
 from flightstack.launch.vehicles import (
     VEHICLES,
@@ -41,6 +46,17 @@ from sim.scenarios.team import TeamScenario, load, path_of, text
 GRACE_S = 60.0  # s of wall time beyond the scenario's duration before a run is given up
 LOCKSTEP_SLOWEST = 0.05  # share of real time below which a lockstep run is given up
 RECORDER_YIELDS = 10  # steps of nice, shared by the vehicles: each of them is work for it
+Row = Mapping[str, object]
+_COLUMNS = (
+    ("seed", "seed"),
+    ("outcome", "outcome"),
+    ("violation", "violation"),
+    ("error, m", "touchdown_error_m"),
+    ("speed down, m/s", "touchdown_speed_vertical_m_s"),
+    ("lowest h outside the pad, m", "h_min_outside_pad_m"),
+    ("time, s", "time_to_land_s"),
+    ("real-time factor", "realtime_factor"),
+)
 
 
 def prepare(options: RunOptions) -> TeamScenario:
@@ -49,49 +65,26 @@ def prepare(options: RunOptions) -> TeamScenario:
     Raises ConfigError: it must not fly.
     """
     team = load(options.scenario)
-    if not team.is_alone:
-        _check_team(options, team)
-    elif options.members:
-        raise ConfigError(f"--member is for a scenario of several vehicles; {options.scenario} has one")
+    number, asked = len(team.member), options.members
+    options.check(number)
+    if any(not 1 <= n <= number for n in asked) or len(asked) == number:
+        raise ConfigError(
+            f"--member: found {', '.join(map(str, asked))}; allowed are 1 to {number}, and one at least is "
+            "simulated here"
+        )
     members = tuple(VEHICLES[options.flies].adapt(adapted(options, each)) for each in team.member)
-    if team.is_alone and members[0].onboard.fleet is not None and options.lockstep:
-        raise ConfigError(
-            "[fleet]: in lockstep all members are flown by one command: --scenario with a team's (see "
-            "`scenarios`), or fly in real time"
-        )
+    for n, each in enumerate(members, 1):
+        if number > 1 and each.onboard.fleet is None:
+            raise ConfigError(
+                f"{options.scenario}: member {n}: onboard.fleet: missing; vehicles that share a room need "
+                "it to keep clear of each other (docs/how_it_works/fleet.md)"
+            )
+        if number == 1 and each.onboard.fleet is not None and options.lockstep:
+            raise ConfigError(
+                "[fleet]: in lockstep all members are flown by one command: --scenario with a team's (see "
+                "`scenarios`), or fly in real time"
+            )
     return replace(team, member=members)
-
-
-def _check_team(options: RunOptions, team: TeamScenario) -> None:
-    """Refuse options that several vehicles do not have."""
-    own = "the vehicles of a team are simulated together, in one process"
-    for name, given, why in (
-        (options.flies.value, options.flies is not Flies.OWN, own),
-        ("--speed", options.speed != 1.0, "works with PX4 and ArduPilot only; --lockstep is faster"),
-        ("--mocap", options.mocap, "works with --px4 only"),
-        ("--instance", options.instance is not None, "works with PX4 and ArduPilot only"),
-        ("--ros2", options.ros2_where is not None, "shows one vehicle"),
-        ("--view", options.view is not None, "shows one vehicle; open the log in a viewer after the flight"),
-        ("--listen", bool(options.listen), "each vehicle has an endpoint of its own, which is printed"),
-    ):
-        if given:
-            raise ConfigError(f"{name} with a scenario of several vehicles: {why}; leave it out")
-    if options.lockstep and options.members:
-        raise ConfigError(
-            "--lockstep with --member: an external member cannot run in lockstep; leave one out"
-        )
-    number = len(team.member)
-    if any(not 1 <= n <= number for n in options.members) or len(options.members) == number:
-        found = ", ".join(map(str, options.members))
-        raise ConfigError(
-            f"--member: found {found}; allowed are 1 to {number}, and one at least is simulated here"
-        )
-    missing = [number for number, each in enumerate(team.member, 1) if each.onboard.fleet is None]
-    if missing:
-        raise ConfigError(
-            f"{options.scenario}: member {missing[0]}: onboard.fleet: missing; vehicles that share a room "
-            "need it, to keep clear of each other (docs/how_it_works/fleet.md)"
-        )
 
 
 def adapted(options: RunOptions, scenario: Scenario) -> Scenario:
@@ -234,60 +227,133 @@ def _start(
     both: Mapping[str, Any],
 ) -> Child:
     """Start the onboard process of a vehicle; in real time each two are connected, by the later one."""
-    own, before = flying.options[vehicle.number - 1], []
-    if len(vehicles) > 1:
-        own = {**own, "namespace": vehicle.space, "system_id": vehicle.number, "shared_log": True}
-        earlier = () if options.lockstep else vehicles[: vehicle.number - 1]
-        before = [each.endpoint for each in earlier]
+    member = vehicle.names.member
+    earlier = () if options.lockstep else vehicles[: vehicle.number - 1]
+    own = {"system_id": vehicle.number, **flying.options[vehicle.number - 1]}
     plugged = OnboardOptions(
-        **own, **both, target_key=f"{vehicle.space}/target/odom", connect=(robots_at, *before),
+        **own, **both, target_key=f"{vehicle.space}/target/odom",
+        connect=(robots_at, *(each.endpoint for each in earlier)), namespace=member or None,
+        shared_log=bool(member),
         listen=(vehicle.endpoint, *options.listen), config_file=vehicle.config,
         duration_s=vehicle.scenario.duration_max_s, recorder=launcher.socket,
         zenoh_config=options.zenoh_config, accept_release=options.accept_release,
     )  # fmt: skip
-    return launcher.start("onboard", plugged, of=vehicle.names.member)
+    return launcher.start("onboard", plugged, of=member)
 
 
 def _describe(recorder: Path, options: RunOptions, team: TeamScenario, vehicles: Sequence[_Vehicle]) -> None:
     """Write into the log what was flown."""
-    source = path_of(options.scenario).read_bytes()
+    source, alone = path_of(options.scenario).read_bytes(), team.is_alone
     flights = [
         Described(
             each.scenario.onboard,
-            run_metadata(options, each.scenario, each.seed),
-            {
-                "scenario.toml": dumps(each.scenario).encode(),
-                **({"scenario_source.toml": source} if team.is_alone else {}),
-            },
+            _run_metadata(options, each.scenario, each.seed),
+            {"scenario.toml": dumps(each.scenario).encode()}
+            | ({"scenario_source.toml": source} if alone else {}),
             each.names,
         )
         for each in vehicles
     ]
-    if team.is_alone:
-        describe(recorder, *flights)
-        return
-    fleet = {
-        "members": ",".join(each.space for each in vehicles),
-        "scenario": team.name,
-        "description": team.description,
-        "seed": str(options.seed),
-        "mode": "lockstep" if options.lockstep else "real-time",
-        **options.described(),
-    }
+    members = ",".join(each.space for each in vehicles)
     files = {TEAM: text(team).encode(), "team_source.toml": source}
-    describe(recorder, *flights, fleet=fleet, attachments=files)
+    describe(
+        recorder, *flights, attachments={} if alone else files,
+        fleet={} if alone else {"members": members, **_about(options, team, options.seed)},
+    )  # fmt: skip
 
 
-def run_metadata(options: RunOptions, scenario: Scenario, seed: int) -> dict[str, str]:
-    """Return what the log says of the run of a scenario."""
+def _about(options: RunOptions, scenario: Scenario | TeamScenario, seed: int) -> dict[str, str]:
     return {
         "scenario": scenario.name,
         "description": scenario.description,
         "seed": str(seed),
         "mode": "lockstep" if options.lockstep else "real-time",
         **options.described(),
+    }
+
+
+def _run_metadata(options: RunOptions, scenario: Scenario, seed: int) -> dict[str, str]:
+    """Return what the log says of the run of a scenario."""
+    return {
+        **_about(options, scenario, seed),
         "judge_alpha_1_m": repr(scenario.judge.alpha_1_m),
         "judge_beta_m": repr(scenario.judge.beta_m),
         "pad_radius_m": repr(scenario.target.pad_radius_m),
         **({"pad": NO_PAD} if options.flies in (Flies.PX4_SIH, Flies.ARDUPILOT) else {}),
     }
+
+
+def fly_all(options: RunOptions, console: Console) -> int:
+    """Fly with the seeds from ``options.seed`` on, each in a folder of its own; print a table and a summary.
+
+    A run that does not start counts as not landed, and the next is flown; Ctrl-C ends after the current one.
+    Returns the exit status: 0 all landed, 1 some did not.
+
+    Raises ConfigError: wrong input.
+    """
+    runs = options.runs
+    prepare(options)  # wrong input makes no folder
+    base = options.out or new_folder(f"{Path(options.scenario).stem}-{runs}-runs")
+    rows: list[Row] = []
+    for seed in range(options.seed, options.seed + runs):
+        try:
+            flown = run(replace(options, seed=seed, out=base / f"seed{seed}"), console)
+        except CalledOffError:
+            break
+        except LaunchError as error:
+            console.print(f"seed {seed}: {error}", style="red", markup=False)
+            rows.append({"seed": seed, "outcome": None, "reason": str(error), "problem": str(error)})
+            continue
+        values = concluded(flown, with_report=options.with_report)
+        rows.append({**values, "problem": flown.problem, "landed": landed(values, flown)})
+        line = "  ".join(f"{name} {shown(values.get(key))}" for name, key in _COLUMNS)
+        console.print(line, soft_wrap=True, markup=False)
+        if flown.interrupted:
+            break
+    summary = sum_up(rows, runs)
+    console.print(_table(rows))
+    if options.as_json:
+        print(json.dumps(summary))
+    else:
+        console.print(
+            "  ".join(f"{name} {shown(value)}" for name, value in summary.items() if name != "rows")
+        )
+    return 0 if summary["landed"] == runs else 1
+
+
+def sum_up(rows: Sequence[Row], runs: int) -> dict[str, object]:
+    """Return counts and medians of several runs.
+
+    ``rows``: values of each run, with ``landed``; ``runs``: number of requested runs.
+    """
+    counts = Counter(row.get("outcome") for row in rows)
+    return {
+        "runs": runs,
+        "flown": len(rows),
+        "landed": sum(row.get("landed") is True for row in rows),
+        "crashed": counts["crashed"],
+        "aborted": counts["aborted"],
+        "violations": sum(row.get("violation") is True for row in rows),
+        "touchdown_error_m": _median(rows, "touchdown_error_m"),
+        "touchdown_error_max_m": max(_numbers(rows, "touchdown_error_m"), default=None),
+        "touchdown_speed_vertical_m_s": _median(rows, "touchdown_speed_vertical_m_s"),
+        "time_to_land_s": _median(rows, "time_to_land_s"),
+        "realtime_factor": _median(rows, "realtime_factor"),
+        "rows": list(rows),
+    }
+
+
+def _numbers(rows: Sequence[Row], key: str) -> list[float]:
+    return [value for row in rows if isinstance(value := row.get(key), float)]
+
+
+def _median(rows: Sequence[Row], key: str) -> float | None:
+    found = _numbers(rows, key)
+    return median(found) if found else None
+
+
+def _table(rows: Sequence[Row]) -> Table:
+    table = Table(*(Column(name, justify="right") for name, _ in _COLUMNS))
+    for row in rows:
+        table.add_row(*(shown(row.get(key)) for _, key in _COLUMNS))
+    return table

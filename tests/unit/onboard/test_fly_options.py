@@ -17,8 +17,7 @@ from flightstack.config.files import load, path_of
 from flightstack.launch import fly
 from flightstack.launch.launcher import Launcher
 from flightstack.launch.run_options import FlyOptions, RunOptions
-from flightstack.launch.runs import sum_up
-from flightstack.launch.sitl import prepare
+from flightstack.launch.sitl import prepare, sum_up
 from flightstack.onboard.options import FlightOptions, OnboardOptions, WatchOptions
 from sim.options import Px4SimOptions, TargetOptions, VehicleOptions
 from sim.scenarios.scenario import load as load_scenario
