@@ -7,21 +7,21 @@ import ctypes
 import fcntl
 import gc
 import os
+import select
 import signal
 import subprocess
 import sys
 import threading
-import time
-import traceback
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
+from multiprocessing import process
+from multiprocessing.context import ForkProcess
 from pathlib import Path
-from typing import IO, NoReturn
+from typing import IO
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _PR_SET_NAME = 15
 _NAME_BYTES = 15  # length of a thread's name
 _LAST_STREAM = 2  # standard error
-_LOOK_MAX_S = 0.05  # s between two checks of a child, as in subprocess
 
 
 def may_fork() -> bool:
@@ -54,81 +54,59 @@ def hand_on_niceness(pid: int) -> None:
             Path(f"/proc/{pid}/autogroup").write_text(str(steps))
 
 
-class Forked:
-    """A child process by ``os.fork`` with the methods of ``subprocess.Popen`` that are used here.
+class Forked(ForkProcess):
+    """A forked process with the methods of ``subprocess.Popen`` that are used here.
 
-    It has a session, signal handlers, standard streams and files of its own, and ends with ``os._exit``
-    without exit handlers of the parent.
+    It has a session, signal handlers, standard streams and files of its own.
 
     ``name``: shown by the system; ``run``: its function, which ends as a Python program does, with SystemExit
     or an exception; ``errors``: file of its standard error.
     """
 
     def __init__(self, name: str, run: Callable[[], object], errors: IO[bytes]) -> None:
-        # exit status; negative: the signal that ended it; None: not known to have ended
-        self.returncode: int | None = None
-        parent, (output, written) = os.getpid(), os.pipe()
+        super().__init__(target=run, name=name)
+        output, self._output = os.pipe()
+        self._errors = errors.fileno()
         # until it has its own handlers
-        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
+        self._blocked = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
         try:
-            self.pid = os.fork()
-            if self.pid == 0:
-                _go_on(name, run, parent, written, errors.fileno(), blocked)
+            self.start()
         finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
-        os.close(written)
+            signal.pthread_sigmask(signal.SIG_SETMASK, self._blocked)
+        os.close(self._output)
+        # its owner ends it in bounded time; at exit multiprocessing would wait without a limit
+        process._children.discard(self)  # type: ignore[attr-defined]
         self.stdout: IO[bytes] | None = os.fdopen(output, "rb")  # its standard output
 
+    def run(self) -> None:
+        """The child's part."""
+        end_with(self._parent_pid, self.name)  # type: ignore[attr-defined]
+        leave_parent(self._output, self._errors)
+        signal.pthread_sigmask(signal.SIG_SETMASK, self._blocked)
+        gc.freeze()  # memory shared with the parent is not scanned, and so not copied
+        super().run()
+
+    @property
+    def returncode(self) -> int | None:
+        """Exit status; negative: the signal that ended it; None: it runs."""
+        return self.exitcode
+
     def poll(self) -> int | None:
-        """Exit status, or None while it runs."""
-        if self.returncode is None:
-            pid, status = os.waitpid(self.pid, os.WNOHANG)
-            if pid:
-                self.returncode = os.waitstatus_to_exitcode(status)
-        return self.returncode
+        return self.exitcode
 
     def wait(self, timeout: float | None = None) -> int:
         """Wait for its exit status. Raises subprocess.TimeoutExpired: after ``timeout`` seconds."""
-        until_s = None if timeout is None else time.monotonic() + timeout
-        look_s = 0.0005
-        while (code := self.poll()) is None:
-            if until_s is not None and time.monotonic() >= until_s:
-                raise subprocess.TimeoutExpired(f"process {self.pid}", timeout or 0.0)
-            time.sleep(look_s)
-            look_s = min(2.0 * look_s, _LOOK_MAX_S)
+        if self.exitcode is None and self.pid is not None:  # no ``join``: it has closed that one's pipe
+            end = os.pidfd_open(self.pid)
+            select.select((end,), (), (), timeout)
+            os.close(end)
+        if (code := self.exitcode) is None:
+            raise subprocess.TimeoutExpired(f"process {self.pid}", timeout or 0.0)
         return code
 
     def send_signal(self, number: int) -> None:
-        if self.poll() is None:
+        if self.exitcode is None and self.pid is not None:
             os.kill(self.pid, number)
-
-    def terminate(self) -> None:
-        self.send_signal(signal.SIGTERM)
-
-    def kill(self) -> None:
-        self.send_signal(signal.SIGKILL)
-
-
-def _go_on(
-    name: str, run: Callable[[], object], parent: int, output: int, errors: int, blocked: Iterable[int]
-) -> NoReturn:
-    """The child's part."""
-    code = 1
-    try:
-        end_with(parent, name)
-        leave_parent(output, errors)
-        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
-        gc.freeze()  # memory shared with the parent is not scanned, and so not copied
-        code = _code_of(run)
-        for thread in threading.enumerate():
-            if thread is not threading.current_thread() and not thread.daemon:
-                thread.join()
-    except BaseException:  # no handler of the parent may catch it
-        traceback.print_exc()
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError):  # its reader is gone
-            stream.flush()
-    os._exit(code)
 
 
 def leave_parent(output: int, errors: int) -> None:
@@ -170,15 +148,3 @@ def _own_streams(output: int, errors: int) -> None:
 def _above(number: int) -> int:
     """The same file under a number above those of the streams."""
     return fcntl.fcntl(number, fcntl.F_DUPFD, _LAST_STREAM + 1)
-
-
-def _code_of(run: Callable[[], object]) -> int:
-    """Exit status of a Python program that ends by this exception or result."""
-    try:
-        run()
-    except SystemExit as ended:
-        if ended.code is None or isinstance(ended.code, int):
-            return ended.code or 0
-        print(ended.code, file=sys.stderr)
-        return 1
-    return 0

@@ -115,6 +115,8 @@ class Child:
             else:
                 self.process = self._program(arguments, program, works_in, errors)
         assert self.process.stdout is not None
+        assert self.process.pid is not None
+        self.pid = self.process.pid
         os.set_blocking(self.process.stdout.fileno(), False)
         self._text = b""
         self._read: list[str] = []  # lines that arrived with the ``ready`` line
@@ -145,7 +147,7 @@ class Child:
     def yield_to_others(self, steps: int) -> None:
         """Lower its priority, so that it does not delay the flight."""
         with contextlib.suppress(OSError):  # optional
-            os.setpriority(os.PRIO_PROCESS, self.process.pid, steps)
+            os.setpriority(os.PRIO_PROCESS, self.pid, steps)
 
     def wait_ready(self) -> str:
         """Wait for the line ``ready ...`` and return its rest. Raises LaunchError: the end, or too late."""
@@ -159,7 +161,7 @@ class Child:
                         return line.removeprefix("ready").strip()
                 if self.process.poll() is not None:
                     break
-                if (now_s := _processor_s(self.process.pid)) >= worked_s + _WORKING_S:
+                if (now_s := _processor_s(self.pid)) >= worked_s + _WORKING_S:
                     until, worked_s = time.monotonic() + START_TIME_MAX_S, now_s
         except BaseException:  # a signal: no other code ends this child yet
             self.end()

@@ -17,14 +17,14 @@ from pathlib import Path
 from typing import IO, Any
 
 from flightstack.cli.main import main
-from flightstack.common.forked import Forked, leave_parent
+from flightstack.common.forked import leave_parent
 from flightstack.common.processes import Child
 
 SERVER = multiprocessing.get_context("forkserver")
 SERVER.set_forkserver_preload(["tests.processes.loaded"])
 
 
-class Started(Forked):
+class Started:
     """A process with what tests need of ``subprocess.Popen``; its output is read from pipes.
 
     Args:
@@ -50,7 +50,6 @@ class Started(Forked):
         about = (cwd or Path.cwd(), dict(os.environ), os.getpriority(os.PRIO_PROCESS, 0))
         self._process = SERVER.Process(target=_begin, args=(run, given, about, to_out, told))
         self._process.start()
-        self.returncode = None
         for theirs in (to_out, to_err, told):
             theirs.close()
         kind = "r" if text else "rb"
@@ -58,10 +57,25 @@ class Started(Forked):
         assert self._process.pid is not None
         self.pid = self._process.pid
 
+        self.terminate, self.kill = self._process.terminate, self._process.kill
+
+    @property
+    def returncode(self) -> int | None:
+        return self._process.exitcode
+
     def poll(self) -> int | None:
         """Exit status if it has ended, else None."""
-        self.returncode = self._process.exitcode
-        return self.returncode
+        return self._process.exitcode
+
+    def wait(self, timeout: float | None = None) -> int:
+        self._process.join(timeout)
+        if (code := self._process.exitcode) is None:
+            raise subprocess.TimeoutExpired(f"process {self.pid}", timeout or 0.0)
+        return code
+
+    def send_signal(self, number: int) -> None:
+        if self.poll() is None:
+            os.kill(self.pid, number)
 
     def communicate(self, timeout: float) -> tuple[Any, Any]:
         """Read its output to the end, and wait for its end.
