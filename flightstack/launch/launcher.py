@@ -17,6 +17,7 @@ from rich.console import Console
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import begun, on_hangup
 from flightstack.common.options import argv
+from flightstack.common.pacing import COMPANION_SILENT_S
 from flightstack.common.processes import (
     CLOSE_TIME_MAX_S,
     END_TIME_MAX_S,
@@ -34,7 +35,8 @@ from flightstack.watch.state import Watch
 
 NAMESPACE = "cf1"
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT, signal.SIGHUP)
-LAND_ALONE_MAX_S = 20.0  # s of wall time for the vehicle's own landing without the onboard process
+# s of wall time for the vehicle's own landing without the onboard process, whose end it notices that late
+LAND_ALONE_MAX_S = COMPANION_SILENT_S + 20.0
 LAND_MAX_S = (
     30.0  # s for an onboard process that is asked to end in flight: it brings a real vehicle down first
 )
