@@ -173,8 +173,9 @@ def _places(kind: inspect.Type, value: object, at: str) -> Iterator[tuple[str, t
 
     Raises ConfigError: an unknown or missing key, or a number that is not finite.
     """
-    if isinstance(kind, inspect.UnionType):  # optional
-        kind = next(each for each in kind.types if not isinstance(each, inspect.NoneType))
+    if isinstance(kind, inspect.UnionType):
+        kinds = tuple(each for each in kind.types if not isinstance(each, inspect.NoneType))
+        kind = kinds[0] if len(kinds) == 1 else inspect.UnionType(kinds)  # optional, or one of several
     if isinstance(value, float) and not math.isfinite(value):
         raise ConfigError(f"{at}: found {value!r}, a finite number is needed")
     yield at, (kind, value)
@@ -210,6 +211,8 @@ def _allowed(kind: inspect.Type, at: str) -> str:
             return f"an array of tables [[{at}]]"
         case inspect.DataclassType():
             return f"a table [{at}]"
+        case inspect.UnionType(types=kinds):
+            return " or ".join(_allowed(each, at) for each in kinds)
     return {"StrType": "a string", "BoolType": "true or false"}.get(type(kind).__name__, "an array")
 
 

@@ -52,15 +52,14 @@ class Needs(NamedTuple):
 
 
 class Need(Enum):
+    """A bound that depends on the flight: attributes of ``Needs``."""
+
     HORIZONTAL_M_S = "horizontal_m_s"
     VERTICAL_M_S = "vertical_m_s"
     HORIZONTAL_M_S2 = "horizontal_m_s2"
     VERTICAL_M_S2 = "vertical_m_s2"
     ALTITUDE_MAX_M = "altitude_max_m"
     SYSTEM_ID = "system_id"
-
-    def of(self, needs: Needs) -> float:
-        return float(getattr(needs, self.value))
 
 
 class Severity(Enum):
@@ -112,12 +111,8 @@ class Rule:
     stops: tuple[str, ...] = ()  # values that stop the motors in the air: always unsafe
     wanted: str = ""  # allowed values as text; {}: the number; empty: from the condition
     # conditions
-    between: tuple[float, float] | None = None
-    at_least: float | None = None
-    at_most: float | None = None
-    least: Need | None = None
-    most: Need | None = None
-    equals: Need | None = None
+    low: float | Need | None = None  # least and greatest value
+    high: float | Need | None = None
     values: tuple[str, ...] = ()  # allowed whole numbers, each with its meaning, as "4 (land)"
     bits_set: int | None = None
     bits_clear: int | None = None
@@ -127,11 +122,9 @@ class Rule:
     off_text: str = ""
 
     def __post_init__(self) -> None:
-        given = (
-            self.between, self.at_least, self.at_most, self.least, self.most, self.equals,
-            self.values or None, self.bits_set, self.bits_clear, self.not_zero or None,
-        )  # fmt: skip
-        if sum(condition is not None for condition in given) != 1:
+        ranged = self.low is not None or self.high is not None
+        given = (ranged, self.values, self.bits_set is not None, self.bits_clear is not None, self.not_zero)
+        if sum(map(bool, given)) != 1:
             raise ValueError(f"{self.means}: exactly one condition is needed")
         if any(not re.match(r"-?\d+ \(.+\)$", value) for value in (*self.values, *self.stops)):
             raise ValueError(f"{self.means}: values are whole numbers with their meaning, as '4 (land)'")
@@ -142,8 +135,6 @@ class Rule:
         """Whether a number, in the rule's unit, is safe for a flight."""
         if self.off is not None and number <= self.off + _SLACK:
             return True
-        if self.between is not None:
-            return self.between[0] - _SLACK <= number <= self.between[1] + _SLACK
         if self.values:
             return number in _numbers(self.values)
         if self.bits_set is not None:
@@ -152,13 +143,8 @@ class Rule:
             return not int(number) & self.bits_clear
         if self.not_zero:
             return number != 0.0
-        if self.equals is not None:
-            return number == self.equals.of(needs)
-        low = self.at_least if self.least is None else self.least.of(needs)
-        if low is not None:
-            return number >= low - _SLACK
-        high = self.at_most if self.most is None else self.most.of(needs)
-        return high is not None and number <= high + _SLACK
+        low, high = _number(self.low, needs), _number(self.high, needs)
+        return (low is None or number >= low - _SLACK) and (high is None or number <= high + _SLACK)
 
     def stops_motors(self, number: float) -> bool:
         """Whether this value stops the motors in the air."""
@@ -171,18 +157,22 @@ class Rule:
         def own(number: float) -> str:
             return f"{math.ceil(number / name.scale * 100.0 - 1e-4) / 100.0:g}"
 
+        low, high = _number(self.low, needs), _number(self.high, needs)
         if self.wanted:
-            return self.wanted.format(own(self.equals.of(needs)) if self.equals is not None else "")
+            return self.wanted.format(own(low) if low is not None else "")
         text = " or ".join(self.values)
-        low = self.at_least if self.least is None else self.least.of(needs)
-        high = self.at_most if self.most is None else self.most.of(needs)
-        if self.between is not None:
-            text = f"{own(self.between[0])} to {own(self.between[1])}{unit}"
+        if low is not None and high is not None:
+            text = f"{own(low)} to {own(high)}{unit}"
         elif low is not None:
             text = f"at least {own(low)}{unit}"
         elif high is not None:
             text = f"at most {own(high)}{unit}"
         return f"{self.off_text} or {text}" if self.off is not None else text
+
+
+def _number(bound: float | Need | None, needs: Needs) -> float | None:
+    """A bound of this flight."""
+    return float(getattr(needs, bound.value)) if isinstance(bound, Need) else bound
 
 
 def _numbers(values: tuple[str, ...]) -> set[float]:
