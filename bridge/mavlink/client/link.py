@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.commands import CommandSequencer
-from bridge.mavlink.client.companion import Origin, companion_heartbeat, velocity_setpoint
+from bridge.mavlink.client.companion import Origin, OriginSender, companion_heartbeat, velocity_setpoint
 from bridge.mavlink.client.senders import Senders
-from bridge.mavlink.client.streams import RequestSenders, request_senders
+from bridge.mavlink.client.streams import StreamRequests
 from bridge.mavlink.client.texts import EVENT, TextAssembler, event_text
 from bridge.mavlink.client.vehicle_state import VehicleState
 from bridge.mavlink.codec.messages import Message
@@ -25,9 +26,19 @@ from flightstack.core.types import Landed, OwnState, Request
 COMPONENT_ID = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 _HEARTBEAT_S = 1.0  # s; every autopilot judges a link by heartbeats of 1 Hz
 _HELLO_S = 0.2  # s of wall time between heartbeats before the first message of the vehicle
+_LANDED_STATE_HZ = 5.0  # Hz; the default of PX4
+_THROTTLE_HZ = 10.0  # Hz of VFR_HUD, where the thrust reserve is estimated
 _TEXTS_MAX = 256  # texts kept until ``take_texts``
 _HELD_MAX = 4096  # messages kept in lockstep until their tick is known
 _RESTARTED = "restarted, or heard again after a silence: missing telemetry is requested again"
+
+
+class _Requests(NamedTuple):
+    """Senders for one autopilot; each repeats its requests until the vehicle shows their effect."""
+
+    sequencer: CommandSequencer
+    streams: StreamRequests
+    origin: OriginSender
 
 
 class VehicleLink:
@@ -220,9 +231,9 @@ class VehicleLink:
         restarted = self.state.restarted_s != self._restarted_s
         if requests is None or waits or restarted or not self.state.following:
             return -math.inf
-        return min(
-            self._heartbeat_at_s + _HEARTBEAT_S - 1e-9, requests.idle_until_s(request, self.state.status)
-        )
+        if not requests.sequencer.idle(request, self.state.status):
+            return -math.inf
+        return min(self._heartbeat_at_s + _HEARTBEAT_S - 1e-9, requests.streams.quiet_until_s)
 
     def hear(self, now_s: float) -> bool:
         """Handle messages that arrived outside of ticks and send a due heartbeat; False: more is due."""
@@ -240,15 +251,27 @@ class VehicleLink:
         self.state.took(own)
         self._setpoints += ticks if setpoints else 0
         if self._requests is not None:
-            self._requests.took(own.arrival_s, ticks, setpoints=setpoints)
+            for id_ in (dialect.MAVLINK_MSG_ID_ATTITUDE, dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED):
+                self._requests.streams.seen(id_, ticks)
+            if setpoints:
+                self._requests.sequencer.note_setpoint(own.arrival_s)
 
     def close(self) -> None:
         self.endpoint.close()
 
-    def _senders_for(self, profile: Profile) -> RequestSenders:
+    def _senders_for(self, profile: Profile) -> _Requests:
         state_hz = self._rate_hz if self._line is None else self._line.state_hz
-        return request_senders(
-            profile, self._target, self._takeoff_height_m, state_hz, power=self._power, origin=self._origin
+        rates_hz = {
+            dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: state_hz,
+            dialect.MAVLINK_MSG_ID_ATTITUDE: state_hz,
+            dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _LANDED_STATE_HZ,
+            **profile.asked_hz,
+            **({dialect.MAVLINK_MSG_ID_VFR_HUD: _THROTTLE_HZ} if self._power else {}),
+        }
+        return _Requests(
+            CommandSequencer(profile, *self._target, self._takeoff_height_m),
+            StreamRequests(rates_hz, *self._target, profile.unset, profile.data_streams),
+            OriginSender(self._origin if profile.needs_origin else None, self._target[0]),
         )
 
     def _recognise(self, heartbeat: Message) -> None:

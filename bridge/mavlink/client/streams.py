@@ -9,15 +9,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.client.commands import CommandSequencer
-from bridge.mavlink.client.companion import Origin, OriginSender
 from bridge.mavlink.codec.messages import Message
-from bridge.mavlink.profiles import Profile
-from flightstack.core.types import Request, VehicleStatus
 
 _SET_MESSAGE_INTERVAL = 511  # MAV_CMD
 _CHECK_S = 1.0  # s over which a rate is measured
@@ -25,9 +20,6 @@ _ENOUGH = 0.7  # share of the requested rate; the rest is loss and rounding to t
 _ROUNDING_S = 1e-6  # s, above the rounding of a time
 _TRIES = 5  # tries of each kind of request, one every _CHECK_S
 _AGAIN_S = 3.0  # s between two later tries, while nothing arrives
-
-_LANDED_STATE_HZ = 5.0  # Hz; the default of PX4
-_THROTTLE_HZ = 10.0  # Hz of VFR_HUD, where the thrust reserve is estimated
 
 
 @dataclass(slots=True)
@@ -115,50 +107,3 @@ class StreamRequests:
         return dialect.MAVLink_command_long_message(
             *self._target, _SET_MESSAGE_INTERVAL, 0, float(stream.message_id), interval_us, *rest, 0.0
         )
-
-
-class RequestSenders(NamedTuple):
-    """Senders of requests; each request is repeated until the vehicle shows it."""
-
-    sequencer: CommandSequencer
-    streams: StreamRequests
-    origin: OriginSender
-
-    def idle_until_s(self, request: Request, status: VehicleStatus | None) -> float:
-        """Time until which nothing is due if request and status do not change, s; -inf: due now."""
-        return self.streams.quiet_until_s if self.sequencer.idle(request, status) else -math.inf
-
-    def took(self, now_s: float, ticks: int, *, setpoints: bool) -> None:
-        """Record ticks in which position and attitude arrived; all with a set-point or none."""
-        for id_ in (dialect.MAVLINK_MSG_ID_ATTITUDE, dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED):
-            self.streams.seen(id_, ticks)
-        if setpoints:
-            self.sequencer.note_setpoint(now_s)
-
-
-def request_senders(
-    profile: Profile,
-    target: tuple[int, int],
-    takeoff_height_m: float,
-    state_hz: float,
-    *,
-    power: bool,
-    origin: Origin | None,
-) -> RequestSenders:
-    """The senders of commands, message rates and origin for one autopilot.
-
-    ``takeoff_height_m``: climb of a take-off; ``state_hz``: rate of position and attitude; ``power``: request
-    the throttle; ``origin``: sent to an autopilot that needs one.
-    """
-    rates_hz = {
-        dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: state_hz,
-        dialect.MAVLINK_MSG_ID_ATTITUDE: state_hz,
-        dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _LANDED_STATE_HZ,
-        **profile.asked_hz,
-        **({dialect.MAVLINK_MSG_ID_VFR_HUD: _THROTTLE_HZ} if power else {}),
-    }
-    return RequestSenders(
-        CommandSequencer(profile, *target, takeoff_height_m),
-        StreamRequests(rates_hz, *target, profile.unset, profile.data_streams),
-        OriginSender(origin if profile.needs_origin else None, target[0]),
-    )
