@@ -22,8 +22,8 @@ from bridge.mavlink.codec.framing import (
 from bridge.mavlink.codec.messages import Message, decode, pack
 from bridge.mavlink.signing import ANSWERED, Refusal, Signer, SigningKey, StaleAnswers, load_key
 from bridge.mavlink.transport.address import Peer, PeerTable, check_policy, parse_peer, parse_url, resolve
-from bridge.mavlink.transport.byte_stream import open_stream
-from bridge.mavlink.transport.transport import DatagramTransport, EndpointCounters, Transport
+from bridge.mavlink.transport.byte_stream import ByteStream, open_stream
+from bridge.mavlink.transport.transport import DatagramTransport, EndpointCounters
 from flightstack.config.options import Signing
 
 _SENDERS_MAX = 16  # greatest number of other systems and components with a counter
@@ -115,7 +115,7 @@ class Endpoint:
         self.counters = EndpointCounters()  # frames and bytes by outcome
         self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
         self._peers = PeerTable(configured if kind == "udpin" else (address,), max_peers)
-        self._transport: Transport = (
+        self._transport: ByteStream | DatagramTransport = (
             open_stream(kind, address, self.counters)
             if kind in ("serial", "tcp")
             else DatagramTransport(url, kind == "udpin", address, self.counters)

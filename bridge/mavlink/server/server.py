@@ -153,7 +153,7 @@ class Server(ABC, Generic[V]):
         snapshot = self._calm(now_s)
         if snapshot is None:
             return None
-        return [*self._announced(snapshot, now_s), *self.streams.pass_over(now_s, snapshot, *heeded)]
+        return [*self._announced(snapshot, now_s), *self.streams.pass_over(snapshot, heeded)]
 
     def _calm(self, now_s: float) -> Snapshot[V] | None:
         """State of the vehicle if nothing has changed that is sent at once."""

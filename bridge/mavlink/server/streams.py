@@ -108,15 +108,7 @@ class Streams(Generic[V]):
     def due(self, snapshot: Snapshot[V]) -> list[Message]:
         """Make the messages that are due."""
         messages = [stream.build(snapshot) for stream in self._busy]
-        now_s = snapshot.now_s
-        limit_s = now_s + 0.5 * self._period_s  # nearer to this tick than to the next
-        if self._lazy_due_s > limit_s:
-            return messages
-        for stream in self._lazy:
-            if stream.passes(now_s, limit_s):
-                messages.append(stream.build(snapshot))
-        self._lazy_due_s = min((stream.due_s for stream in self._lazy), default=_OFF)
-        return messages
+        return messages + [stream.build(snapshot) for stream in self._passed(snapshot.now_s)]
 
     def next_s(self, message_ids: frozenset[int]) -> float:
         """Time at which one of these messages is due next, without those of every tick, or somewhat earlier.
@@ -133,26 +125,26 @@ class Streams(Generic[V]):
         ]
         return min(due_s, default=_OFF) - 0.5 * self._period_s
 
-    def pass_over(
-        self, now_s: float, snapshot: Snapshot[V] | None = None, *message_ids: int
-    ) -> list[Message]:
+    def pass_over(self, snapshot: Snapshot[V], message_ids: frozenset[int]) -> list[Message]:
         """Advance as ``due`` does, but make only messages of these ids that are not of every tick."""
-        messages: list[Message] = []
-        limit_s = now_s + 0.5 * self._period_s
+        passed = self._passed(snapshot.now_s)
+        return [stream.build(snapshot) for stream in passed if stream.message_id in message_ids]
+
+    def _passed(self, now_s: float) -> list[_Stream[V]]:
+        """Streams besides those of every tick that are due; they are due anew an interval later."""
+        limit_s = now_s + 0.5 * self._period_s  # nearer to this tick than to the next
         if self._lazy_due_s > limit_s:
-            return messages
-        for stream in self._lazy:
-            if stream.passes(now_s, limit_s) and snapshot is not None and stream.message_id in message_ids:
-                messages.append(stream.build(snapshot))
+            return []
+        passed = [stream for stream in self._lazy if stream.passes(now_s, limit_s)]
         self._lazy_due_s = min((stream.due_s for stream in self._lazy), default=_OFF)
-        return messages
+        return passed
 
     def skip(self, ticks_s: Sequence[float]) -> None:
         """Advance as ``due`` does at each of these times, without making messages."""
         half_s = 0.5 * self._period_s
         for now_s in ticks_s:
             if self._lazy_due_s <= now_s + half_s:
-                self.pass_over(now_s)
+                self._passed(now_s)
 
     def _sort(self) -> None:
         streams = [stream for id_, stream in self._streams.items() if id_ not in self._hidden]

@@ -17,7 +17,6 @@ import termios
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 from bridge.mavlink.transport.address import Peer
 from bridge.mavlink.transport.transport import Chunk, EndpointCounters
@@ -35,27 +34,8 @@ _UNANSWERED_MAX_MS = 2000  # ms without acknowledgement until a TCP connection c
 _SEND_BUFFER = 4096  # bytes of the kernel's buffer for TCP, small against delay
 
 
-class Channel(Protocol):
-    """An open connection. All methods raise OSError when it is lost."""
-
-    def fileno(self) -> int:
-        """Non-blocking descriptor."""
-
-    def established(self) -> bool:
-        """Whether it is open for reading and writing; False while it connects."""
-
-    def read(self, size: int) -> bytes | None:
-        """Available bytes; None: no bytes now."""
-
-    def write(self, data: bytes) -> int:
-        """Write as many bytes as there is room for, and return their number."""
-
-    def close(self) -> None:
-        """Close without waiting; never raises."""
-
-
 class ByteStream:
-    """A ``Transport`` that reopens a lost connection.
+    """A serial line or TCP connection that is reopened after a loss.
 
     ``name`` and ``peer`` of the other side are for notices and the log. ``connect`` opens a channel, or
     starts to. ``outgoing_max``: bytes of frames that may wait.
@@ -73,14 +53,13 @@ class ByteStream:
         *,
         baud: int | None = None,
         outgoing_max: int = OUTGOING_MAX,
-        clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.baud = baud
         self._name, self._peer, self._connect, self._counters = name, peer, connect, counters
-        self._outgoing_max, self._clock_s = outgoing_max, clock_s
+        self._outgoing_max = outgoing_max
         self._channel: Channel | None = None
         self._was_up = self._closed = self._told = False
-        self._lost_s = self._retry_s = clock_s()
+        self._lost_s = self._retry_s = time.monotonic()
         self._outgoing: deque[bytes] = deque()
         self._waiting_bytes = 0
         self._rest = b""  # rest of a frame that is sent in part
@@ -124,10 +103,10 @@ class ByteStream:
 
     def wait(self, timeout_s: float) -> bool:
         """Wait for input and write pending frames meanwhile."""
-        until_s = self._clock_s() + timeout_s
+        until_s = time.monotonic() + timeout_s
         while True:
             channel = self._ready()
-            now_s = self._clock_s()
+            now_s = time.monotonic()
             left_s = max(0.0, until_s - now_s)
             if channel is None:
                 left_s = min(left_s, max(0.0, self._retry_s - now_s) if self._channel is None else RETRY_S)
@@ -144,7 +123,7 @@ class ByteStream:
                 self._write()
                 if self._waiting_bytes:  # the slow line accepts bytes: no busy loop
                     time.sleep(min(left_s, 0.001))
-            if self._clock_s() >= until_s:
+            if time.monotonic() >= until_s:
                 return False
 
     def fileno(self) -> int:
@@ -171,7 +150,7 @@ class ByteStream:
     def _ready(self) -> Channel | None:
         """The connection, reopened when due; None while there is none."""
         if self._channel is None:
-            now_s = self._clock_s()
+            now_s = time.monotonic()
             if self._closed or now_s < self._retry_s:
                 return None
             self._retry_s = now_s + RETRY_S
@@ -193,7 +172,7 @@ class ByteStream:
             self._lose(error)
             return None
         if self._told:
-            self._say(f"{self._name} is connected again after {self._clock_s() - self._lost_s:.1f} s")
+            self._say(f"{self._name} is connected again after {time.monotonic() - self._lost_s:.1f} s")
         self._was_up, self._told = True, False
         return channel
 
@@ -204,7 +183,7 @@ class ByteStream:
             self._channel = None
         self._outgoing.clear()
         self._waiting_bytes, self._rest = 0, b""
-        self._retry_s = self._clock_s() + RETRY_S
+        self._retry_s = time.monotonic() + RETRY_S
         if self._was_up and not self._told:
             self._counters.connections_lost += 1
         self._fail(error)
@@ -212,7 +191,7 @@ class ByteStream:
     def _fail(self, error: OSError) -> None:
         if self._told:
             return
-        self._told, self._lost_s = True, self._clock_s()
+        self._told, self._lost_s = True, time.monotonic()
         what = "is lost" if self._was_up else "cannot be opened"
         self._say(f"{self._name} {what} ({error.strerror or error}): tried again every {RETRY_S:g} s")
 
@@ -269,6 +248,9 @@ def _number(device: int, request: int) -> int:
     """Integer result of an ioctl request."""
     (answer,) = struct.unpack("i", fcntl.ioctl(device, request, bytes(4)))
     return int(answer)
+
+
+# Channels have a non-blocking descriptor; their methods raise OSError when the connection is lost.
 
 
 class _SerialChannel:
@@ -382,3 +364,6 @@ class _TcpChannel:
     def close(self) -> None:
         with contextlib.suppress(OSError):
             self._socket.close()
+
+
+Channel = _SerialChannel | _TcpChannel

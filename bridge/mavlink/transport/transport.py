@@ -1,4 +1,4 @@
-"""Interface of the transports of a MAVLink endpoint, and UDP; ``byte_stream`` has serial lines and TCP."""
+"""UDP for a MAVLink endpoint, and the counters of an endpoint; ``byte_stream`` has serial lines and TCP."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import select
 import socket
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from bridge.mavlink.codec.framing import FrameCounters
 from bridge.mavlink.transport.address import Peer, local_host_for
@@ -57,39 +57,13 @@ class EndpointCounters(FrameCounters):
         return ", ".join(f"{name} {n}" for name, n in counts.items() if n and name not in _PASSED)
 
 
-class Transport(Protocol):
-    """A connection to the other side. Only ``wait`` blocks, for a bounded time."""
-
-    local_port: int  # our UDP or TCP port; 0: none
-    baud: int | None  # bits a second of a serial line; None: other link
-    is_stream: bool  # chunks are parts of a stream, cut anywhere; else independent datagrams
-
-    def receive(self) -> Chunk | None:
-        """Next bytes; None: no bytes now. Never raises."""
-
-    def send(self, frames: Sequence[bytes], peer: Peer) -> None:
-        """Send whole frames in order; a frame that cannot be sent is dropped and counted. Never raises."""
-
-    def wait(self, timeout_s: float) -> bool:
-        """Wait for input; False when nothing arrived in ``timeout_s``."""
-
-    def fileno(self) -> int:
-        """Descriptor that is readable when there is input; it may change after a loss."""
-
-    def take_notices(self) -> list[str]:
-        """Texts about the connection since the last call: lost, connected again."""
-
-    def close(self) -> None:
-        """Close it; may be called twice."""
-
-
 _RECEIVED_MAX = 4096  # greatest datagram, bytes, above an Ethernet frame
 _DATAGRAM_MAX = 1400  # bytes; below an Ethernet frame and PX4's 1600-byte buffer (mavlink_receiver.cpp)
 _SOCKET_BUFFER = 1 << 20  # requested bytes; the kernel may give less
 
 
 class DatagramTransport:
-    """A UDP socket; one that does not listen has ``address`` as its only peer.
+    """A UDP socket; one that does not listen has ``address`` as its only peer. Only ``wait`` blocks.
 
     Raises  OSError: the address cannot be bound, or there is no route to it.
     """
