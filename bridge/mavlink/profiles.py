@@ -163,8 +163,9 @@ def _may_arm_in_its_mode(status: VehicleStatus) -> bool:
     return not (standing and status.mode in (Mode.EXTERNAL, Mode.LAND))
 
 
-def _fixed(*params: float | None) -> Callable[[float], Params]:
-    return lambda _altitude_m: params
+def _given(*params: float) -> Callable[[float], Params]:
+    """The first parameters; the rest is unset."""
+    return lambda _altitude_m: (*params, *(None,) * (7 - len(params)))
 
 
 def _takeoff(altitude_m: float) -> Params:
@@ -175,25 +176,18 @@ def _px4_mode(main: int, sub: int = 0) -> int:
     return main << 16 | sub << 24
 
 
-_ARM = Step(_ARM_DISARM, "arm", _fixed(1.0, 0.0, None, None, None, None, None), _armed)
-_LAND = Step(_NAV_LAND, "land", _fixed(None, None, None, None, None, None, None), _landing)
+_ARM = Step(_ARM_DISARM, "arm", _given(1.0, 0.0), _armed)
+_LAND = Step(_NAV_LAND, "land", _given(), _landing)
 _OFFBOARD = Step(
-    _DO_SET_MODE,
-    "switch to OFFBOARD",
-    _fixed(_CUSTOM_MODE_ENABLED, 6.0, 0.0, None, None, None, None),
-    _external,
-    prestream=True,
+    _DO_SET_MODE, "switch to OFFBOARD", _given(_CUSTOM_MODE_ENABLED, 6.0, 0.0), _external, prestream=True
 )
+_HOLD = Step(
+    _DO_SET_MODE, "switch to HOLD", _given(_CUSTOM_MODE_ENABLED, 4.0, 3.0), _may_arm_in_its_mode,
+    period_s=1.0, tries=3600,
+)  # fmt: skip
 _OWN_TAKEOFF = (_ARM, Step(_NAV_TAKEOFF, "take off", _takeoff, _flying))
 # The kill is repeated for a minute.
-_KILL = Step(
-    _ARM_DISARM,
-    "force disarm",
-    _fixed(0.0, FORCE, None, None, None, None, None),
-    _disarmed,
-    blind=True,
-    tries=120,
-)
+_KILL = Step(_ARM_DISARM, "force disarm", _given(0.0, FORCE), _disarmed, blind=True, tries=120)
 # PX4 answers a mode change twice, the first time always with ACCEPTED, so ACCEPTED proves nothing.
 _ANSWERS: Mapping[int, Reading] = {
     dialect.MAV_RESULT_ACCEPTED: Reading.NOTED,
@@ -235,16 +229,7 @@ PX4 = Profile(
     needs_origin=False,
     stream_lost="COM_OBL_RC_ACT after COM_OF_LOSS_T; continues when the stream returns",
     time_sync="requested at 10 Hz, answered",
-    prepare=(
-        Step(
-            _DO_SET_MODE,
-            "switch to HOLD",
-            _fixed(_CUSTOM_MODE_ENABLED, 4.0, 3.0, None, None, None, None),
-            _may_arm_in_its_mode,
-            period_s=1.0,
-            tries=3600,
-        ),
-    ),
+    prepare=(_HOLD,),
 )
 
 OWN_SITL = replace(  # the simulated vehicle imitates PX4
@@ -269,7 +254,7 @@ CRAZYFLIE = replace(
     time_sync="not requested",
 )
 
-_GUIDED = _fixed(_CUSTOM_MODE_ENABLED, 4.0, 0.0, None, None, None, None)
+_GUIDED = _given(_CUSTOM_MODE_ENABLED, 4.0, 0.0)
 ARDUPILOT = Profile(
     name="ardupilot",
     title="ArduCopter, GUIDED",
