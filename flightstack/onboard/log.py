@@ -79,7 +79,7 @@ class OnboardLog:
         self._timing = feed.channel(f"/{namespace}/loop/timing", LOOP_TIMING)
         self._rosout = feed.channel("/rosout", LOG)
         self._frames: list[tuple[Direction, bytes, bytes]] = []  # last: name of the peer
-        self._peer_names = PeerNames(feed, names.record(MAVLINK_PEERS))
+        self._peer_names = PeerNames(feed.metadata, names.record(MAVLINK_PEERS))
         self._packed_step = b""  # row of the last tick
         self._asked = b""  # last TIMESYNC that came
         self._sequence = self._unix_ns = 0

@@ -182,10 +182,14 @@ class Fleet:
         """Log time of the first step or true state of any member."""
         return min(flight.origin_ns for flight in self.flights.values())
 
+    def shift_s(self, flight: Flight) -> float:
+        """What to add to the times of a member, to count from the origin of the fleet, s."""
+        return (flight.origin_ns - self.origin_ns) * 1e-9
 
-def phase_name(phase: Phase | int) -> str:
+
+def phase_name(phase: int) -> str:
     """Name for a reader; a phase that this version does not know keeps its number."""
-    return phase.name if isinstance(phase, Phase) else f"phase {phase}"
+    return Phase(phase).name if phase in Phase._value2member_map_ else f"phase {phase}"
 
 
 def _phase(number: int) -> Phase | int:

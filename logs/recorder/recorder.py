@@ -20,13 +20,16 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from flightstack.common.hangup import ASK, begun, on_hangup
 from logs.recorder.feed import SOCKET_PATH_MAX, Splitter, WireError
 from logs.recorder.mcap_file import McapFile
 from logs.recorder.recording import Recorder, RecorderError, Statistics
 from logs.schema.schemas import typestore
+
+if TYPE_CHECKING:
+    from logs.recorder.record_zenoh import ZenohSource
 
 # Wall time; `recording` flushes by log time. A killed recorder loses this, what waits in sockets and what
 # the clients gather (0.1 s in lockstep); a power cut also the time the disk takes: half a second in all.
@@ -36,18 +39,10 @@ GRACE_S = 3.0  # s of wall time that clients have to finish after a stop
 _RECEIVE_BYTES = 2**18
 
 
-class Source(Protocol):
-    """Something other than a client that brings messages, polled from the loop."""
-
-    def poll(self, recorder: Recorder) -> None: ...
-
-    def close(self) -> None: ...
-
-
 class RecorderProcess:
     """Listening socket, its clients, and the file."""
 
-    def __init__(self, socket_path: Path | None, out: Path, source: Source | None = None) -> None:
+    def __init__(self, socket_path: Path | None, out: Path, source: ZenohSource | None = None) -> None:
         """Listen and create the file."""
         self._selector = selectors.DefaultSelector()
         self._wake_in, self._wake_out = socket.socketpair()
@@ -299,7 +294,7 @@ def record_main(
     if socket_path is None and not keys:
         print("record: nothing to record; give a socket or Zenoh keys", file=sys.stderr)
         return 2
-    source: Source | None = None
+    source: ZenohSource | None = None
     try:
         if keys:
             from logs.recorder.record_zenoh import ZenohSource

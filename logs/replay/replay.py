@@ -21,6 +21,7 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Neighbour, Operator, Phase, VehicleStatus
 from flightstack.onboard.runner import Arrived, Runner, Taken, VehicleInputs
 from flightstack.onboard.state_text import StateText, StateTextError
+from logs.reader.flight_data import phase_name
 from logs.replay.read import ROSOUT, FlightInputs, ReplayError, TickRecord
 from logs.replay.wire import WireReplay
 from logs.schema.controller_rows import TickInputs, power_row, step_row
@@ -328,6 +329,6 @@ class _Run:
 
 
 def _note_phase(changes: list[PhaseChange], tick: int, number: int) -> None:
-    name = Phase(number).name if number in Phase._value2member_map_ else str(number)
+    name = phase_name(number)
     if len(changes) < _CHANGES_MAX and (not changes or changes[-1].phase != name):
         changes.append(PhaseChange(tick, name))

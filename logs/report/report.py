@@ -47,7 +47,7 @@ from logs.report.tables import (
 )
 from logs.schema.names import FLEET, TEAM
 from logs.verdict.types import RADIUS_BESIDE_M, SOURCES, TRUTH, Outcome, Verdict
-from logs.verdict.verdict import FleetVerdict, PairSeries, judged, pair_series, pairs_known, shift_s
+from logs.verdict.verdict import FleetVerdict, PairSeries, judged, pair_series, pairs_known
 
 __all__ = ["ReportError", "write_comparison", "write_page", "write_report"]
 
@@ -141,7 +141,7 @@ def fleet_page(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path]) -
     told = fleet.metadata.get(FLEET, {})
     messages, pairs = load_messages(fleet), pair_series(fleet)
     sides = [
-        Side(name, flight, verdict.members[name], [], shift_s(fleet, flight))
+        Side(name, flight, verdict.members[name], [], fleet.shift_s(flight))
         for name, flight in fleet.flights.items()
     ]
     picture, *figures = fleet_panels(fleet, sides, messages, pairs)

@@ -176,7 +176,7 @@ def axis_of(flights: Sequence[Flight]) -> Axis:
 
 def fleet_axis(fleet: Fleet) -> Axis:
     """Axis of all members together, from the beginning of the log."""
-    members = [(flight, (flight.origin_ns - fleet.origin_ns) * 1e-9) for flight in fleet.flights.values()]
+    members = [(flight, fleet.shift_s(flight)) for flight in fleet.flights.values()]
     end_s = max(flight.duration_s + shift_s for flight, shift_s in members)
     begins = [f.landing_start_s + shift_s for f, shift_s in members if f.landing_start_s is not None]
     landing = [max(0.0, min(begins, default=0.0) - 1.0), end_s]

@@ -18,9 +18,9 @@ names although their ports differ.
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable
 from functools import cache
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from bridge.ros2.codec import CDR_HEADER
 
@@ -231,15 +231,12 @@ def _not_a_frame(frame: bytes) -> FrameError:
     )
 
 
-class MetadataSink(Protocol):
-    def metadata(self, name: str, values: Mapping[str, str]) -> None: ...
-
-
 class PeerNames:
     """Names peers as they appear: ``p00``, ``p01``, ..."""
 
-    def __init__(self, sink: MetadataSink, record: str = MAVLINK_PEERS) -> None:
-        self._sink, self._record = sink, record
+    def __init__(self, metadata: Callable[[str, dict[str, str]], None], record: str = MAVLINK_PEERS) -> None:
+        """Write each new name with ``metadata``, into the record of this name."""
+        self._metadata, self._record = metadata, record
         self._names: dict[tuple[str, int], bytes] = {}
 
     def __call__(self, peer: tuple[str, int]) -> bytes:
@@ -249,5 +246,5 @@ class PeerNames:
             if len(self._names) >= NAMED_MAX:
                 return OTHERS
             name = self._names[peer] = b"p%02d" % len(self._names)
-            self._sink.metadata(self._record, {name.decode(): f"{peer[0]}:{peer[1]}"})
+            self._metadata(self._record, {name.decode(): f"{peer[0]}:{peer[1]}"})
         return name

@@ -276,18 +276,13 @@ class PairSeries(NamedTuple):
     flying: Bools  # whether both flew
 
 
-def shift_s(fleet: Fleet, flight: Flight) -> float:
-    """What to add to the times of a member, to count from the origin of the fleet."""
-    return (flight.origin_ns - fleet.origin_ns) * 1e-9
-
-
 def pair_series(fleet: Fleet) -> list[PairSeries]:
     """Distances of all pairs whose true states are in the log, where both are."""
     found = []
     for (a, one), (b, other) in combinations(fleet.flights.items(), 2):
         if one.truth is None or other.truth is None:
             continue
-        t_s, to_s = one.truth.t_s + shift_s(fleet, one), other.truth.t_s + shift_s(fleet, other)
+        t_s, to_s = one.truth.t_s + fleet.shift_s(one), other.truth.t_s + fleet.shift_s(other)
         both = (t_s >= to_s[0]) & (t_s <= to_s[-1])
         if not both.any():
             continue

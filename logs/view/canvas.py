@@ -157,9 +157,9 @@ class Canvas:
         return True
 
 
-def times(flight: Flight, t_s: Floats) -> Ints:
-    """Log times in ns, (n,)."""
-    return flight.origin_ns + np.round(t_s * 1e9).astype(np.int64)
+def times(origin_ns: int, t_s: Floats) -> Ints:
+    """Log times in ns, (n,), of times since the origin."""
+    return origin_ns + np.round(t_s * 1e9).astype(np.int64)
 
 
 def every(at_ns: Ints, period_ns: int) -> Ints:

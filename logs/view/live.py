@@ -15,7 +15,7 @@ import rerun as rr
 from flightstack.common.processes import Port, ended
 from flightstack.core.types import Phase
 from logs.reader.flight import columns, since
-from logs.reader.flight_data import Event, Flight, Floats, Steps, Timing
+from logs.reader.flight_data import Event, Flight, Floats, Steps, Timing, phase_name
 from logs.schema.events import CONTROLLER, Severity
 from logs.schema.rows import ControllerStepRow, LoopTimingRow
 from logs.view.canvas import Canvas, blueprint
@@ -106,9 +106,10 @@ class LiveRecording:
         for row in steps:
             if row.phase != self._phase:
                 self._phase = row.phase
-                name = Phase(row.phase).name if row.phase in Phase._value2member_map_ else str(row.phase)
                 level = Severity.ERROR if row.phase == Phase.ABORT else Severity.INFO
-                events.append(Event((row.stamp_ns - origin_ns) * 1e-9, level, CONTROLLER, name))
+                events.append(
+                    Event((row.stamp_ns - origin_ns) * 1e-9, level, CONTROLLER, phase_name(row.phase))
+                )
         if events and reason:
             events[-1] = replace(events[-1], text=f"{events[-1].text}: {reason}")
         return events

@@ -56,7 +56,7 @@ def scene(canvas: Canvas, flight: Flight) -> None:
     steps, run = flight.steps, run_of(flight)
     if steps is None:
         return
-    at_ns = times(flight, steps.t_s)
+    at_ns = times(flight.origin_ns, steps.t_s)
     shown = every(at_ns, SCENE_PERIOD_NS)
     for name, valid, position_m, yaw_rad in (
         ("vehicle", steps.own_valid, steps.own_position_enu_m, steps.own_yaw_rad),
@@ -102,7 +102,7 @@ def truth(canvas: Canvas, flight: Flight) -> None:
     """Send the simulator's true states, if there are any."""
     if flight.truth is None:
         return
-    at_ns = times(flight, flight.truth.t_s)
+    at_ns = times(flight.origin_ns, flight.truth.t_s)
     shown = every(at_ns, SCENE_PERIOD_NS)
     moved = rr.Transform3D.columns(
         translation=flight.truth.position_enu_m[shown], quaternion=flight.truth.orientation[shown]
@@ -147,7 +147,7 @@ def _paths(canvas: Canvas, flight: Flight) -> None:
         path = canvas.paths.setdefault(name, Path())
         strips, at_ns = [], []
         for time_ns, known, (x, y, z) in zip(
-            times(flight, steps.t_s).tolist(), valid, position_m.tolist(), strict=True
+            times(flight.origin_ns, steps.t_s).tolist(), valid, position_m.tolist(), strict=True
         ):
             if known:
                 path.add(time_ns, (x, y, z))
@@ -169,7 +169,7 @@ def velocities(canvas: Canvas, flight: Flight) -> None:
     steps = flight.steps
     if steps is None:
         return
-    at_ns = times(flight, steps.t_s)
+    at_ns = times(flight.origin_ns, steps.t_s)
     shown = every(at_ns, SCENE_PERIOD_NS)
     for name, field, color in VELOCITIES:
         vector = getattr(steps, field)[shown]
@@ -186,7 +186,7 @@ def pairs(canvas: Canvas, series: Sequence[PairSeries], origin_ns: int) -> None:
     """Send the distances of all pairs and the lines between those that are near."""
     for number, pair in enumerate(series):
         name = pair.name.replace("–", "_")
-        at_ns = origin_ns + np.round(pair.t_s * 1e9).astype(np.int64)
+        at_ns = times(origin_ns, pair.t_s)
         color = [rgba(PAIR_COLORS[number % len(PAIR_COLORS)])]
         for what, values in (("measure", pair.measure), ("distance", pair.distance_m)):
             entity = f"{PAIRS}/{what}/{name}"
@@ -206,8 +206,7 @@ def pairs(canvas: Canvas, series: Sequence[PairSeries], origin_ns: int) -> None:
         ends = np.array([min(p.t_s[0] for p in series), max(p.t_s[-1] for p in series)])
         limit = f"{PAIRS}/measure/limit"
         canvas.style(limit, rr.SeriesLines(colors=[rgba(INSIDE_COLOR)], names=["limit"]))
-        at_ns = origin_ns + np.round(ends * 1e9).astype(np.int64)
-        canvas.columns(limit, at_ns, rr.Scalars.columns(scalars=np.ones(2)))
+        canvas.columns(limit, times(origin_ns, ends), rr.Scalars.columns(scalars=np.ones(2)))
 
 
 def _line_color(measure: float) -> Color:

@@ -17,11 +17,10 @@ import numpy as np
 import rerun as rr
 
 from flightstack.common.text import one_line
-from flightstack.core.types import Phase
 from logs.derive.markers import FILTERED_COLOR, NOMINAL_COLOR, OWN_COLOR, TARGET_COLOR, Color
 from logs.palette import COLORS
 from logs.reader.flight import load_fleet
-from logs.reader.flight_data import Event, Flight, Floats, Ints
+from logs.reader.flight_data import Event, Flight, Floats, Ints, phase_name
 from logs.schema.events import Severity
 from logs.schema.names import FLEET
 from logs.verdict.verdict import pair_series
@@ -120,9 +119,9 @@ def draw(canvas: Canvas, flight: Flight) -> None:
 def _curves(canvas: Canvas, flight: Flight) -> None:
     steps, true, timing = flight.steps, flight.truth, flight.timing
     if true is not None:
-        _curve(canvas, "/safety/h/true", times(flight, true.t_s), true.h_m, TRUE_COLOR)
+        _curve(canvas, "/safety/h/true", times(flight.origin_ns, true.t_s), true.h_m, TRUE_COLOR)
     if steps is not None:
-        at_ns = times(flight, steps.t_s)
+        at_ns = times(flight.origin_ns, steps.t_s)
         apart_m = steps.own_position_enu_m - steps.target_position_enu_m
         apart_m[~(steps.own_valid & steps.target_valid)] = np.nan
         _curve(canvas, "/safety/h/zero", at_ns[[0, -1]], np.zeros(2), ZERO_COLOR)
@@ -140,14 +139,14 @@ def _curves(canvas: Canvas, flight: Flight) -> None:
     if timing is not None:
         for name, color in (("lateness", NOMINAL_COLOR), ("exec", OWN_COLOR), ("solve", FILTERED_COLOR)):
             values = 1e3 * getattr(timing, f"{name}_s")
-            _curve(canvas, f"/loop/{name}", times(flight, timing.t_s), values, color)
+            _curve(canvas, f"/loop/{name}", times(flight.origin_ns, timing.t_s), values, color)
 
 
 def _phases(canvas: Canvas, at_ns: Ints, phase: Ints) -> None:
     before = np.concatenate(([-1 if canvas.phase is None else canvas.phase], phase[:-1]))
     begins = np.flatnonzero(phase != before)
     canvas.phase = int(phase[-1])
-    names = [Phase(p).name if p in Phase._value2member_map_ else str(p) for p in phase[begins].tolist()]
+    names = [phase_name(number) for number in phase[begins].tolist()]
     canvas.columns(PHASE, at_ns[begins], rr.StateChange.columns(state=names))
 
 
@@ -155,7 +154,7 @@ def events(canvas: Canvas, origin_ns: int, said: Sequence[Event]) -> None:
     if said:
         texts = [f"{event.source}: {event.text}" for event in said]
         levels = [_LEVELS.get(event.level, "INFO") for event in said]
-        at_ns = origin_ns + np.round(np.array([event.t_s for event in said]) * 1e9).astype(np.int64)
+        at_ns = times(origin_ns, np.array([event.t_s for event in said]))
         canvas.columns(EVENTS, at_ns, rr.TextLog.columns(text=texts, level=levels))
 
 

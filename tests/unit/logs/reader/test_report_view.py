@@ -26,7 +26,6 @@ from logs.report.derived import (
     held_margin_m,
     load_streams,
     missing,
-    missing_of_256,
     tilt_deg,
 )
 from logs.report.page import Page, Panel, html, render, table
@@ -139,14 +138,6 @@ def test_faults_have_begin_and_end_and_count_once(written):
     assert (spans[0].begin_s, spans[0].end_s) == pytest.approx((1.0, 2.0))
     assert spans[1].end_s == flight.duration_s
     assert "to the end" in faults_table(flight)
-
-
-@pytest.mark.parametrize(
-    ("numbers", "lost"),
-    [([], None), ([7], 0), ([1, 2, 3], 0), ([250, 251, 255, 0, 2], 4), ([1, 3, 2, 4], 0), ([5, 5, 6], 0)],
-)
-def test_losses_in_mavlink_numbers(numbers, lost):
-    assert missing_of_256(numbers) == lost
 
 
 @pytest.mark.parametrize(
@@ -297,7 +288,7 @@ def test_a_log_without_a_flight_is_refused(tmp_path):
 
 def test_a_screen_shows_the_first_step_of_each_period(log):
     flight = load_flight(log)
-    at_ns = times(flight, flight.steps.t_s)
+    at_ns = times(flight.origin_ns, flight.steps.t_s)
     assert at_ns[0] == flight.origin_ns
     assert every(at_ns, 20_000_000).tolist() == list(range(0, 300, 2))
     assert flight.damage == ()

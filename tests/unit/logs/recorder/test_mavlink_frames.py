@@ -212,21 +212,12 @@ def test_units_are_in_the_definition():
         schemas.schema_text("mavlink_msgs/msg/NoSuchThing")
 
 
-class Sink:
-    def __init__(self):
-        self.written = {}
-
-    def metadata(self, name, values):
-        assert name == MAVLINK_PEERS
-        self.written |= values
-
-
 def test_frames_name_their_peer():
-    sink = Sink()
-    names = PeerNames(sink)
+    written = {}
+    names = PeerNames(lambda name, values: written.update(values) if name == MAVLINK_PEERS else None)
     first, second = ("127.0.0.1", 14550), ("10.0.0.2", 14551)
     assert [names(first), names(second), names(first)] == [b"p00", b"p01", b"p00"]
-    assert sink.written == {"p00": "127.0.0.1:14550", "p01": "10.0.0.2:14551"}
+    assert written == {"p00": "127.0.0.1:14550", "p01": "10.0.0.2:14551"}
     frame = framed(0, bytes(8) + b"\x03")
     for peer in (b"p01", b""):
         data = pack_mavlink(STAMP_NS, frame, peer)
@@ -240,4 +231,4 @@ def test_frames_name_their_peer():
     for port in range(200):
         last = names(("10.0.0.9", port))
     assert last == OTHERS
-    assert len(sink.written) == NAMED_MAX
+    assert len(written) == NAMED_MAX
