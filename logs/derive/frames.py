@@ -12,6 +12,7 @@ from typing import NamedTuple
 from logs.schema.mavlink import PEER_CHARACTERS, FrameError, Type, of
 
 TOPICS_MAX = 512  # bound on topics, since a sender can invent system ids
+_HALF = 128  # of 256 sequence numbers: one that is so far ahead comes late
 SENDERS_MAX = 256  # senders whose sequence numbers are followed
 _HEADER_BYTES = 20  # encapsulation, stamp, frame_id of three characters: the fields begin aligned to 8
 _NOBODY = struct.pack("<I", PEER_CHARACTERS + 1) + b"p--\x00"  # frame_id of a frame whose peer is not known
@@ -40,10 +41,11 @@ class FrameCounter:
         at = _fixed_at(payload)
         sequence, sender = payload[at + _SEQUENCE], payload[at + _SENDER] << 8 | payload[at + _SENDER + 1]
         last = self._last.get(sender)
-        if last is not None:
-            gap = (sequence - last - 1) & 0xFF
-            self.lost += gap if gap < 128 else 0  # a frame out of order is not 255 lost ones
-        if last is not None or len(self._last) < SENDERS_MAX:
+        ahead = (sequence - last) & 0xFF if last is not None else 1
+        if ahead >= _HALF:
+            self.lost = max(0, self.lost - 1)  # a late one was counted as lost
+        elif last is not None or len(self._last) < SENDERS_MAX:
+            self.lost += max(0, ahead - 1)
             self._last[sender] = sequence
         self.frames += 1
 

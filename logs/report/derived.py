@@ -14,6 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from flightstack.core.strategies.strategy import packaged_strategy_of
 from flightstack.core.types import FilterStatus
+from logs.derive.frames import FrameCounter
 from logs.reader.flight import TARGET_TOPIC_END
 from logs.reader.flight_data import Flight, Floats
 from logs.reader.reader import LogFile
@@ -145,7 +146,6 @@ _SHOWN = {
 }
 _ALL = {_SOURCE: "vehicle, all MAVLink", _SINK: "onboard, all MAVLink"}
 _V2 = 0xFD
-_HALF = 128  # a sequence number this far ahead is one that comes late
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ class Stream:
 def load_streams(path: Path, origin_ns: int, member: str | None = None) -> list[Stream]:
     """Read the traffic of a log, up to its break; frames that are damaged are left out."""
     times: dict[str, list[int]] = defaultdict(list)
-    numbers: dict[str, list[int]] = defaultdict(list)
+    frames = {side: FrameCounter() for side in _ALL}
     target: list[int] = []
     for message in LogFile(path, member).messages():
         if message.schema == ODOMETRY and message.topic.endswith(TARGET_TOPIC_END):
@@ -178,10 +178,17 @@ def load_streams(path: Path, origin_ns: int, member: str | None = None) -> list[
             target.append(message.sequence)
         elif message.schema == MAVLINK:
             side = next((end for end in _ALL if message.topic.endswith(end)), None)
-            if side is not None:
-                _frame(side, message.log_time_ns, message.data, times, numbers)
-    lost = {_ALL[side]: missing_of_256(numbers[side]) for side in _ALL}
-    lost[TARGET] = missing(target)
+            if side is None:
+                continue
+            try:
+                _, frame = unpack_mavlink(message.data)
+            except (FrameError, struct.error):
+                continue
+            frames[side].add(message.data)
+            number = int.from_bytes(frame[7:10], "little") if frame[0] == _V2 else frame[5]
+            for name in filter(None, (_ALL[side], _SHOWN.get((side, number)))):
+                times[name].append(message.log_time_ns)
+    lost = {_ALL[side]: counter.lost for side, counter in frames.items()} | {TARGET: missing(target)}
     order = (*_ALL.values(), *_SHOWN.values(), TARGET)
     return [
         Stream(name, np.asarray((np.array(times[name]) - origin_ns) * 1e-9, np.float64), lost.get(name))
@@ -190,42 +197,11 @@ def load_streams(path: Path, origin_ns: int, member: str | None = None) -> list[
     ]
 
 
-def _frame(
-    side: str, at_ns: int, data: bytes, times: dict[str, list[int]], numbers: dict[str, list[int]]
-) -> None:
-    try:
-        _, frame = unpack_mavlink(data)
-    except (FrameError, struct.error):
-        return
-    version_2 = frame[0] == _V2
-    message_id = int.from_bytes(frame[7:10], "little") if version_2 else frame[5]
-    numbers[side].append(frame[4] if version_2 else frame[2])
-    times[_ALL[side]].append(at_ns)
-    name = _SHOWN.get((side, message_id))
-    if name is not None:
-        times[name].append(at_ns)
-
-
 def missing(numbers: Sequence[int]) -> int | None:
     """Numbers between the first and the last that never arrived; ``None`` if the sender does not count."""
     if not numbers or max(numbers) == 0:
         return None
     return max(numbers) - min(numbers) + 1 - len(set(numbers))
-
-
-def missing_of_256(numbers: Sequence[int]) -> int | None:
-    """As ``missing`` for MAVLink's numbers, which wrap after 255; late messages are not lost."""
-    if not numbers:
-        return None
-    lost, last = 0, numbers[0]
-    for number in numbers[1:]:
-        ahead = (number - last) & 0xFF
-        if 0 < ahead < _HALF:
-            lost += ahead - 1
-            last = number
-        elif ahead >= _HALF:
-            lost = max(0, lost - 1)
-    return lost
 
 
 class Side(NamedTuple):

@@ -283,13 +283,21 @@ def test_an_age_never_known_is_not_small():
     assert values["own_age_max_s"] == "nan"
 
 
-def test_lost_frames_by_sequence_numbers():
+@pytest.mark.parametrize(
+    ("numbers", "lost"),
+    [([7], 0), ([250, 251, 254, 255, 0, 2], 3), ([1, 3, 2, 4], 0), ([5, 5, 6], 0), ([1, 3, 5, 2, 6], 1)],
+)
+def test_lost_frames_by_sequence_numbers(numbers, lost):
     counter = FrameCounter()
-    for sequence in (250, 251, 254, 255, 0, 1, 5, 4):  # 2 lost, then 3 of which one comes late
+    for sequence in numbers:
         counter.add(frame(sequence))
         counter.add(frame(sequence, system=2, peer=b""))  # another sender does not mix in
-    assert counter.take() == (16, 10)
+    assert counter.take() == (2 * len(numbers), 2 * lost)
     assert counter.take() == (0, 0)
+
+
+def test_senders_are_bounded():
+    counter = FrameCounter()
     for system in range(SENDERS_MAX + 50):
         counter.add(frame(0, system=system % 256))
     assert len(counter._last) <= SENDERS_MAX
