@@ -11,7 +11,6 @@ from contextlib import contextmanager
 
 import pytest
 from rich.console import Console
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from bridge.zenoh import zenoh_link
 from flightstack.common.processes import Port
@@ -19,7 +18,6 @@ from flightstack.core.types import Phase
 from flightstack.watch.live import draw
 from flightstack.watch.state import STALE_S, News, Watch, snapshot
 from logs.schema.rows import HealthRow
-from logs.schema.schemas import HEALTH, schema_text
 from tests.integration.sim_processes import ROOT
 from tests.processes.bounded import PATIENCE_S, killed, line_of
 from tests.synthetic_flight import landing
@@ -88,23 +86,6 @@ def shown(watch, whom="tcp/lab:7448"):
 def step(number=0, **values):
     rows = [r for r in landing().steps if r.phase == Phase.APPROACH]
     return rows[number]._replace(**values)
-
-
-def test_health_reads_back_here_and_in_any_ros_tool():
-    data = HEALTHY.pack()
-    assert HealthRow.unpack(data) == HEALTHY
-    store = get_typestore(Stores.ROS2_JAZZY)
-    store.register(get_types_from_msg(schema_text(HEALTH).partition("=" * 80)[0], HEALTH))
-    read = store.deserialize_cdr(data, HEALTH)
-    for name in HealthRow._fields[1:]:
-        assert getattr(read, name) == getattr(HEALTHY, name), name
-    assert (read.header.stamp.sec, read.header.stamp.nanosec) == (1_700_000_000, 123_456_789)
-
-
-@pytest.mark.parametrize("cut", [0, 3, 20, 60, 110, -1])
-def test_a_health_that_is_cut_short_is_refused(cut):
-    with pytest.raises(ValueError, match="Health"):
-        HealthRow.unpack(HEALTHY.pack()[:cut])
 
 
 def test_old_data_is_shown_as_old_and_never_as_new():

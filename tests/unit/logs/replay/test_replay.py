@@ -330,11 +330,6 @@ def test_a_wrong_setting_is_refused(recorded, setting, words):
         assert word in done.output
 
 
-def test_schemas_of_the_new_topics_are_in_the_log(recorded):
-    found = {m.topic: m.schema for m in LogFile(recorded).messages({INPUT, STATE})}
-    assert found == {INPUT: schemas.CONTROLLER_INPUT, STATE: schemas.CONTROLLER_STATE}
-
-
 RESERVE = Reserve(hover_throttle=0.78, hover_voltage_v=3.7, lowest_voltage_v=3.2, sag_v=0.4)
 POWER = "/cf1/controller/power"
 
