@@ -16,22 +16,21 @@ from flightstack.core.fleet.cone import Cone
 from flightstack.core.fleet.exact import Row
 from flightstack.core.fleet.member import NO_ROWS, FleetMember, Rows
 from flightstack.core.fleet.precedence import ALONE
-from flightstack.core.kernel import LandingKernel
+from flightstack.core.kernel import Barriers, LandingKernel
 from flightstack.core.memory import FleetState, LateState, ReserveMemory, State, WholeState
 from flightstack.core.mission.guidance import NominalCommand, Situation, nominal_command
 from flightstack.core.mission.machine import Transition
+from flightstack.core.numeric import rare
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.safety.barrier import ActiveBarrier
-from flightstack.core.safety.gate import ApprovedSetpoint, BarrierCheck, GateVerdict
-from flightstack.core.safety.position_loop import limit, slew
+from flightstack.core.safety.gate import ApprovedSetpoint, GateVerdict
+from flightstack.core.safety.position_loop import limit
 from flightstack.core.safety.qp_filter import FilterResult
-from flightstack.core.snapshot import Snapshot, snapshot_of
+from flightstack.core.snapshot import Relative, Snapshot, snapshot_of
 from flightstack.core.target.reserve import ReserveEstimate
 from flightstack.core.target.track import Verdict
 from flightstack.core.types import (
     ZERO,
     Charge,
-    FilterStatus,
     Inputs,
     Mode,
     Neighbour,
@@ -50,16 +49,6 @@ class Event(NamedTuple):
 
 
 INFO, WARN, ERROR = 20, 30, 40
-
-
-class Barriers(NamedTuple):
-    """The landing barrier in this tick, and the filter's result."""
-
-    h_m: float  # the barrier, paper eq. 9, m
-    gradient: Vec3  # gradient of the active barrier, margin included
-    dh_dt_m_s: float  # rate of the active barrier by time alone, m/s
-    nominal: Vec3  # u', m/s ENU
-    result: FilterResult  # u*
 
 
 class Outputs(NamedTuple):
@@ -104,6 +93,7 @@ class Controller(LandingKernel):
         fleet = config.fleet
         self._fleet = FleetMember(fleet, config.own.position_noise_m) if fleet is not None else None
         lag_s = max(config.velocity_loop.lag_z_s, self._period_s)
+        self._rows: Rows = NO_ROWS
         self._cone = Cone(self.strategy.rate_1_s, self.barrier.slope_max, lag_s, self._period_s)
 
     @property
@@ -168,10 +158,8 @@ class Controller(LandingKernel):
             most = self.config.limits.velocity_max_m_s
             if rows.near:
                 asked = asked._replace(velocity=fleet.aside(limit(asked.velocity, most), rows))
-        at = snapshot.relative
-        active = strategy.barrier(at) if at is not None else None
-        barrier = self._evaluate(asked, snapshot, active, rows)
-        gate, setpoint, wanted = self._command(asked, snapshot, barrier, active, rows)
+        self._rows, self.crowded = rows, fleet is not None and bool(rows.rows or not way.may_land)
+        barrier, wanted, gate, setpoint = self._command(asked, snapshot)
         if fleet is not None:
             events += [Event(WARN, text) for text in fleet.crowded(now_s)]
             why = self.reserve_estimate.text if self.reserve_estimate else ""
@@ -224,57 +212,47 @@ class Controller(LandingKernel):
                 events.append(Event(WARN, f"target sample refused: {verdict.text}{so_far}"))
         return events
 
-    def _evaluate(
-        self, asked: NominalCommand, snapshot: Snapshot, active: ActiveBarrier | None, rows: Rows
-    ) -> Barriers | None:
-        """Barrier and filter; the values are computed whenever they can be, the filter only for landing."""
-        at = snapshot.relative
-        if at is None or active is None:
-            return None
-        active_m, gradient, dh_dt = active.evaluate(at.e_m, at.target.velocity_enu_m_s)
-        h_m = self.barrier.h(at.e_m)
-        nominal = asked.velocity if asked.velocity is not None else ZERO
-        if not asked.filtered or asked.velocity is None or not (snapshot.own_ok and snapshot.target_ok):
-            idle = FilterResult(nominal, math.nan, False, FilterStatus.NOT_RUN, math.nan, 0, 0.0)
-            return Barriers(h_m, gradient, dh_dt, nominal, idle)
-        base = self.base(at.own.velocity_enu_m_s)
-        lower, upper = self.bounds(at, active_m, gradient, base)
-        if self._fleet is not None and (rows.rows or not snapshot.way.may_land):
-            landing = Row(gradient, -self.strategy.rate_1_s * active_m - dh_dt)
-            moves_m_s = at.target.velocity_enu_m_s
-            outward = self._cone.outward(active_m, gradient, base, moves_m_s)
-            lower, upper = self._cone.box(at.d_m, active_m, nominal, moves_m_s, lower, upper)
-            result = self._fleet.solve(nominal, (landing, outward), rows, lower, upper)
-        else:
-            result = self.program.solve(nominal, active_m, gradient, dh_dt, lower, upper)
-        return Barriers(h_m, gradient, dh_dt, nominal, result)
+    @rare
+    def filtered_beside(
+        self, at: Relative, active_m: float, gradient: Vec3, dh_dt_m_s: float, nominal: Vec3, base: Vec3,
+        lower: Vec3, upper: Vec3,
+    ) -> FilterResult:  # fmt: skip
+        """The landing's row and box, cut for the lag near neighbours, with their rows."""
+        assert self._fleet is not None
+        landing, moves_m_s = (
+            Row(gradient, -self.strategy.rate_1_s * active_m - dh_dt_m_s),
+            at.target.velocity_enu_m_s,
+        )
+        outward = self._cone.outward(active_m, gradient, base, moves_m_s)
+        lower, upper = self._cone.box(at.d_m, active_m, nominal, moves_m_s, lower, upper)
+        return self._fleet.solve(nominal, (landing, outward), self._rows, lower, upper)
+
+    @rare
+    def clear_of_neighbours(self, wanted: Vec3, base: Vec3) -> Vec3:
+        """Nothing may collide in any phase."""
+        if self._fleet is None or not self._rows.rows:
+            return wanted
+        return self._fleet.solve(wanted, (), self._rows, *self.box(base)).velocity_enu_m_s
 
     def _command(
-        self,
-        asked: NominalCommand,
-        snapshot: Snapshot,
-        barrier: Barriers | None,
-        active: ActiveBarrier | None,
-        rows: Rows,
-    ) -> tuple[GateVerdict, ApprovedSetpoint | None, Vec3 | None]:
+        self, asked: NominalCommand, snapshot: Snapshot
+    ) -> tuple[Barriers | None, Vec3 | None, GateVerdict, ApprovedSetpoint | None]:
+        """Values of the barrier, velocity wanted, and what the gate makes of it."""
         memory, own, at = self.memory, snapshot.inputs.own, snapshot.relative
         if asked.velocity is None:
             memory.commanding = memory.lifting = False
-            return GateVerdict.NOT_IN_CONTROL, None, None
-        base = self.base(own.velocity_enu_m_s) if own is not None else memory.command
-        check = None
-        if asked.filtered and barrier is not None and at is not None and active is not None:
-            wanted = barrier.result.velocity_enu_m_s
-            check = BarrierCheck(active, at.e_m, at.target.velocity_enu_m_s, barrier.result.status)
+            barriers = self.unsent(at) if at is not None else None
+            return barriers, None, GateVerdict.NOT_IN_CONTROL, None
+        barriers, check = None, None
+        if at is not None:
+            fresh = snapshot.own_ok and snapshot.target_ok
+            barriers, wanted, setpoint, check = self.command(at, asked.velocity, asked.filtered, fresh)
         else:
-            most = self.config.limits.velocity_max_m_s
-            wanted = slew(base, limit(asked.velocity, most), self.slew_step, self.up_step_m_s)
-            if rows.rows and self._fleet is not None:  # nothing may collide in any phase
-                wanted = self._fleet.solve(wanted, (), rows, *self.box(base)).velocity_enu_m_s
-        velocity, target = own.velocity_enu_m_s if own is not None else wanted, snapshot.target
-        least_z_m_s = self.least_z_m_s(target.velocity_enu_m_s) if target is not None else -math.inf
-        d_m = at.d_m if at is not None else math.nan
-        setpoint = self.strategy.setpoint(base, wanted, velocity, d_m, least_z_m_s)
+            base = self.base(own.velocity_enu_m_s) if own is not None else memory.command
+            wanted, target = self.slewed(base, asked.velocity), snapshot.target
+            velocity = own.velocity_enu_m_s if own is not None else wanted
+            least_z_m_s = self.least_z_m_s(target.velocity_enu_m_s) if target is not None else -math.inf
+            setpoint = self.strategy.setpoint(base, wanted, velocity, math.nan, least_z_m_s)
         yaw_rad = memory.yaw_rad if memory.yaw_rad is not None else math.nan
         verdict, approved = self._gate.check(
             wanted,
@@ -283,7 +261,7 @@ class Controller(LandingKernel):
             own_fresh=snapshot.own_ok,
             target_fresh=snapshot.target_ok or not asked.filtered,
             altitude_m=own.position_enu_m[2] if own is not None else math.nan,
-            barrier_check=check,
+            barrier_check=check if asked.filtered else None,
         )
         if approved is None:
             approved = self._gate.stop(yaw_rad, own_fresh=snapshot.own_ok)
@@ -294,4 +272,4 @@ class Controller(LandingKernel):
         following = snapshot.inputs.status is not None and snapshot.inputs.status.mode is Mode.EXTERNAL
         memory.commanding = approved is not None and following and not climbs
         memory.lifting = approved is not None and following and climbs
-        return verdict, approved, wanted
+        return barriers, wanted, verdict, approved

@@ -21,13 +21,13 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.gate import BarrierCheck, Gate, GateVerdict
 from flightstack.core.safety.position_loop import limit, slew
-from flightstack.core.safety.qp_filter import Program
+from flightstack.core.safety.qp_filter import FilterResult, Program
 from flightstack.core.snapshot import Relative
 from flightstack.core.strategies.strategy import Strategy, strategy_of
 from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.reserve import AGE_MAX_S, ReserveEstimate
 from flightstack.core.target.track import TargetTrack, Verdict
-from flightstack.core.types import ZERO, Charge, OwnState, Phase, TargetSample, Vec3
+from flightstack.core.types import ZERO, Charge, FilterStatus, OwnState, Phase, TargetSample, Vec3
 
 # s of a take-off in which the autopilot alone decides how fast it rises: mode and arming, COM_SPOOLUP_TIME
 # of 1 s and MPC_TKO_RAMP_T of 3 s; PX4 v1.16 in SITL lifts off after 4.7 to 5.7 s
@@ -37,12 +37,33 @@ RISE_FREE_S = 7.0
 Rules = NDArray[np.int64]  # (n, 2): flags that each rule of a phase asks for, and those that keep it back
 
 
+class Barriers(NamedTuple):
+    """The landing barrier in this tick, and the filter's result."""
+
+    h_m: float  # the barrier, paper eq. 9, m
+    gradient: Vec3  # gradient of the active barrier, margin included
+    dh_dt_m_s: float  # rate of the active barrier by time alone, m/s
+    nominal: Vec3  # u', m/s ENU
+    result: FilterResult  # u*
+
+
+class Command(NamedTuple):
+    """Velocity of a tick in which vehicle and target are known, before the gate."""
+
+    barriers: Barriers
+    wanted: Vec3  # velocity wanted, m/s ENU, before the correction for the vehicle's lag
+    setpoint: Vec3  # m/s ENU
+    check: BarrierCheck  # what the gate checks if the velocity is filtered
+
+
 class Landing(NamedTuple):
-    """What comes of an ordinary tick of a landing."""
+    """Result of an ordinary tick of a landing."""
 
     sends: bool  # a set-point
-    setpoint: Vec3  # m/s ENU
-    target_age_s: float
+    at: Relative
+    barriers: Barriers
+    wanted: Vec3
+    setpoint: Vec3
 
 
 class LandingKernel:
@@ -58,6 +79,7 @@ class LandingKernel:
     reserve_estimate: ReserveEstimate | None
     slew_step: Vec3
     up_step_m_s: float  # additional step upwards
+    crowded: bool  # neighbours, or a missing right of way, count in this tick
     _weighs: bool  # there is a reserve_estimate
     _mission: Mission
     _gate: Gate
@@ -83,7 +105,7 @@ class LandingKernel:
             self.strategy.rate_1_s, limits.velocity_max_m_s, limits.altitude_max_m, self._period_s
         )
         self.slew_step = (most[0] * self._period_s, most[1] * self._period_s, most[2] * self._period_s)
-        self.up_step_m_s = math.inf
+        self.up_step_m_s, self.crowded = math.inf, False
 
     @property
     def in_free_flight(self) -> bool:
@@ -167,6 +189,51 @@ class LandingKernel:
             return -math.inf
         return target_m_s[2] - self.strategy.contact_speed_max_m_s
 
+    def unsent(self, at: Relative) -> Barriers:
+        """Values of the barrier in a tick that sends no velocity."""
+        _, gradient, dh_dt = self.strategy.barrier(at).evaluate(at.e_m, at.target.velocity_enu_m_s)
+        idle = FilterResult(ZERO, math.nan, False, FilterStatus.NOT_RUN, math.nan, 0, 0.0)
+        return Barriers(self.barrier.h(at.e_m), gradient, dh_dt, ZERO, idle)
+
+    def command(self, at: Relative, nominal: Vec3, filtered: bool, fresh: bool) -> Command:
+        """Filter or limit a nominal velocity, and correct it for the vehicle's lag.
+
+        The filter runs only if the states of vehicle and target are ``fresh``.
+        """
+        velocity_m_s, moves_m_s = at.own.velocity_enu_m_s, at.target.velocity_enu_m_s
+        base, active = self.base(velocity_m_s), self.strategy.barrier(at)
+        active_m, gradient, dh_dt = active.evaluate(at.e_m, moves_m_s)
+        result = FilterResult(nominal, math.nan, False, FilterStatus.NOT_RUN, math.nan, 0, 0.0)
+        if filtered and fresh:
+            lower, upper = self.bounds(at, active_m, gradient, base)
+            if self.crowded:
+                result = self.filtered_beside(at, active_m, gradient, dh_dt, nominal, base, lower, upper)
+            else:
+                result = self.program.solve(nominal, active_m, gradient, dh_dt, lower, upper)
+        wanted = result.velocity_enu_m_s if filtered else self.slewed(base, nominal)
+        setpoint = self.strategy.setpoint(base, wanted, velocity_m_s, at.d_m, self.least_z_m_s(moves_m_s))
+        barriers = Barriers(self.barrier.h(at.e_m), gradient, dh_dt, nominal, result)
+        return Command(barriers, wanted, setpoint, BarrierCheck(active, at.e_m, moves_m_s, result.status))
+
+    def slewed(self, base: Vec3, nominal: Vec3) -> Vec3:
+        """A velocity that the landing barrier does not filter, within box and slew limit."""
+        most = self.config.limits.velocity_max_m_s
+        wanted = slew(base, limit(nominal, most), self.slew_step, self.up_step_m_s)
+        return self.clear_of_neighbours(wanted, base) if self.crowded else wanted
+
+    @rare
+    def filtered_beside(
+        self, at: Relative, active_m: float, gradient: Vec3, dh_dt_m_s: float, nominal: Vec3, base: Vec3,
+        lower: Vec3, upper: Vec3,
+    ) -> FilterResult:  # fmt: skip
+        """Filter a velocity with the rows of neighbours."""
+        raise NotImplementedError
+
+    @rare
+    def clear_of_neighbours(self, wanted: Vec3, base: Vec3) -> Vec3:
+        """Filter a velocity by the rows of neighbours alone."""
+        raise NotImplementedError
+
     def land(self, own: OwnState, lasting: int, rules: Rules, now_s: float) -> Landing:
         """Run a tick of APPROACH, LAND, TOUCHDOWN or LANDED in which nothing rare happens, for compiled code.
 
@@ -190,9 +257,10 @@ class LandingKernel:
             if flies and estimate.charge is not Charge.FIT:
                 raise NotOrdinary
         (x, y, z), (px, py, pz) = own.position_enu_m, target.position_enu_m
-        moves_m_s, e_m = target.velocity_enu_m_s, (x - px, y - py, z - pz)
+        e_m = (x - px, y - py, z - pz)
         at = Relative(own, target, e_m, hypot(e_m[0], e_m[1]))
-        memory.target_position_enu_m, memory.target_velocity_enu_m_s = target.position_enu_m, moves_m_s
+        memory.target_position_enu_m = target.position_enu_m
+        memory.target_velocity_enu_m_s = target.velocity_enu_m_s
         memory.own_ok_s = now_s
         mission.watch_contact(at, False, now_s)
         flags = lasting | mission.flags_at(at, now_s)
@@ -203,27 +271,16 @@ class LandingKernel:
             if now_s - memory.phase_since_s >= LANDED_SETTLE_S:
                 raise NotOrdinary
             memory.commanding = False
-            return Landing(False, ZERO, target.age_s)
-        base, yaw_rad = self.base(own.velocity_enu_m_s), memory.yaw_rad
-        if memory.contact or yaw_rad is None:
+            return Landing(False, at, self.unsent(at), ZERO, ZERO)
+        yaw_rad, filtered = memory.yaw_rad, memory.phase is not Phase.TOUCHDOWN
+        if memory.contact or yaw_rad is None or (not filtered and strategy.motors_off(at)):
             raise NotOrdinary
-        if memory.phase is Phase.TOUCHDOWN:
-            if strategy.motors_off(at):
-                raise NotOrdinary
-            down = limit(strategy.descent_m_s(at), self.config.limits.velocity_max_m_s)
-            wanted = slew(base, down, self.slew_step, self.up_step_m_s)
-        else:
-            nominal = towards_pad(self.config, memory, strategy, at)
-            active = strategy.barrier(at)
-            active_m, gradient, dh_dt = active.evaluate(e_m, moves_m_s)
-            lower, upper = self.bounds(at, active_m, gradient, base)
-            result = self.program.solve(nominal, active_m, gradient, dh_dt, lower, upper)
-            wanted = result.velocity_enu_m_s
-            if not self._gate.keeps_promise(wanted, BarrierCheck(active, e_m, moves_m_s, result.status)):
-                raise NotOrdinary
-        setpoint = strategy.setpoint(base, wanted, own.velocity_enu_m_s, at.d_m, self.least_z_m_s(moves_m_s))
+        nominal = towards_pad(self.config, memory, strategy, at) if filtered else strategy.descent_m_s(at)
+        barriers, wanted, setpoint, check = self.command(at, nominal, filtered, True)
+        if filtered and not self._gate.keeps_promise(wanted, check):
+            raise NotOrdinary
         for velocity in (wanted, setpoint):
             if self._gate.verdict(velocity, yaw_rad, True, True, z) is not GateVerdict.APPROVED:
                 raise NotOrdinary
         memory.command, memory.commanding = wanted, True
-        return Landing(True, setpoint, target.age_s)
+        return Landing(True, at, barriers, wanted, setpoint)

@@ -221,7 +221,7 @@ def fly_ticks(
         if landing.sends != bool(p.flies) or (landing.sends and not _flyable(p, setpoint)):
             raise NotOrdinary
         done_samples = come[n]
-        ages[n] = landing.target_age_s
+        ages[n] = landing.at.target.age_s
         for i in range(3):
             told[i], told[3 + i], told[8 + i] = position[i], velocity[i], setpoint[i]
         told[6], told[7] = yaw_rad, source_s
