@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.verify.bound import Cell, Shape, Span, most
 from flightstack.verify.types import Check, Need
@@ -30,36 +31,29 @@ class Crowd(NamedTuple):
     growth_m_s: float  # a t above
 
 
-def crowd(config: FlightConfig, shape: Shape, climb_m_s: float) -> Crowd:
+def crowd(config: FlightConfig, fleet: Fleet, shape: Shape, climb_m_s: float) -> Crowd:
     """By a configuration with a table [fleet].
 
     ``shape``: boundary; ``climb_m_s``: fastest climb of the pad.
     """
-    fleet = config.fleet
-    assert fleet is not None
     slope = shape.slope(Span(config.touchdown.pad_radius_m, math.inf))
     flat, growth_m_s = fleet.radius_xy_m / fleet.radius_z_m, fleet.acceleration_max_m_s2 * fleet.latency_max_s
     steepest = max(abs(slope.low), abs(slope.high))
     return Crowd(steepest, climb_m_s, fleet.speed_max_m_s, flat, max(1.0, flat), growth_m_s)
 
 
-def anywhere_m(config: FlightConfig, c: Crowd) -> float:
+def anywhere_m(config: FlightConfig, fleet: Fleet, c: Crowd) -> float:
     """The h above which any number of neighbours has a common point.
 
     The point is the pad's horizontal velocity with any climb, which meets a landing barrier that is not
     negative.
     """
-    fleet = config.fleet
-    assert fleet is not None
     at_most = math.hypot(config.touchdown.target_speed_max_m_s, c.flat * config.limits.velocity_max_m_s[2])
     return (c.longest * c.speed_m_s + at_most + c.growth_m_s) / fleet.rate_1_s
 
 
-def begins(config: FlightConfig, c: Crowd) -> Check:
-    """Check that rows begin to count where any number of them can be met."""
-    fleet = config.fleet
-    assert fleet is not None
-    from_m = anywhere_m(config, c)
+def begins(config: FlightConfig, fleet: Fleet, c: Crowd) -> Check:
+    from_m = anywhere_m(config, fleet, c)
     return Check(
         "neighbours in reach",
         "where neighbours come into reach, the rows of any number of them have a common point",
@@ -108,10 +102,7 @@ def one_short_m_s(config: FlightConfig, c: Crowd, aside_m_s: float, lowest: floa
     return worst.bound, worst.at[0]
 
 
-def one(config: FlightConfig, c: Crowd) -> Check:
-    """Check that one neighbour's row can be met wherever the vehicle is outside all barriers."""
-    fleet = config.fleet
-    assert fleet is not None
+def one(config: FlightConfig, fleet: Fleet, c: Crowd) -> Check:
     vx, vy, _ = config.limits.velocity_max_m_s
     short_m_s, elevation = one_short_m_s(config, c, up_the_slope_m_s(config, c), -math.pi / 2.0)
     open_m_s, _ = one_short_m_s(config, c, min(vx, vy), 0.0)
@@ -129,10 +120,8 @@ def one(config: FlightConfig, c: Crowd) -> Check:
     )
 
 
-def several(config: FlightConfig, c: Crowd) -> Check:
+def several(config: FlightConfig, fleet: Fleet, c: Crowd) -> Check:
     """Check the same of two neighbours from opposite sides, away from the landing barrier."""
-    fleet = config.fleet
-    assert fleet is not None
     short_m_s = c.longest * c.speed_m_s + c.growth_m_s
     return Check(
         "several neighbours",
@@ -141,7 +130,7 @@ def several(config: FlightConfig, c: Crowd) -> Check:
         "m/s",
         f"two approach from opposite sides with {c.speed_m_s:g} m/s each: a common point exists from h = "
         f"{short_m_s / fleet.rate_1_s:.3g} m on, of any number and with the landing barrier from "
-        f"{anywhere_m(config, c):.3g} m on; nearer, the rows of neighbours are relaxed together",
+        f"{anywhere_m(config, fleet, c):.3g} m on; nearer, the rows of neighbours are relaxed together",
         "lower fleet.speed_max_m_s, or raise fleet.rate_1_s; no setting meets all",
         Need.PROOF,
     )

@@ -14,7 +14,6 @@ FALL_MAX_M_S = 1.0  # twice the speed of a landing, within the strength of the l
 
 
 def contact(config: FlightConfig, descent_m_s: float, key: str) -> Check:
-    """Check that a commanded descent is faster than the speed that counts as standing."""
     found = config.contact.speed_m_s
     return Check(
         "contact.speed_m_s",
@@ -27,7 +26,6 @@ def contact(config: FlightConfig, descent_m_s: float, key: str) -> Check:
 
 
 def reaches_touchdown(config: FlightConfig) -> Check:
-    """Check that the height of the paper's touchdown rule lies above the pad."""
     found, stands_m = config.touchdown.height_m, config.touchdown.feet_below_reference_m
     return Check(
         "touchdown.height_m",
@@ -74,7 +72,6 @@ def forgets(config: FlightConfig) -> Check:
 
 
 def accepts(config: FlightConfig) -> Check:
-    """Check that the noise of the target's positions is not taken for jumps."""
     found, noise_m = config.checks.target_jump_max_m, config.target.position_noise_m
     return Check(
         "checks.target_jump_max_m",
@@ -88,7 +85,6 @@ def accepts(config: FlightConfig) -> Check:
 
 
 def falls(config: FlightConfig) -> Check:
-    """Check that a vehicle that counts as standing does not fall far when its motors stop."""
     gap_m = config.contact.gap_m
     speed = math.sqrt(2.0 * GRAVITY_M_S2 * gap_m)
     return Check(

@@ -140,7 +140,6 @@ def _decays(config: FlightConfig, centre: F64, rate_1_s: float, low: float, high
 
 
 def comes_to_rest(config: FlightConfig) -> list[Check]:
-    """Check that the loop is stable for the declared vehicle and for each vehicle of the spread."""
     spread = config.envelope.lag_spread
     remedy = (
         "lower velocity_feedback.error_rate_1_s, far_error_rate_1_s or observer_rate_1_s, or "

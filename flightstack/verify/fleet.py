@@ -36,7 +36,7 @@ def fleet_checks(config: FlightConfig) -> list[Check]:
     else:
         shape, climb_m_s = Shape(config.barrier.build(), Span(0.0, 0.0), 1.0), 0.0
         descent_s = config.touchdown.height_m / config.touchdown.descent_m_s + (1.0 + spread) * loop.lag_z_s
-    where = crowd.crowd(config, shape, climb_m_s)
+    where = crowd.crowd(config, fleet, shape, climb_m_s)
     slew_m_s2 = strategy_of(config).acceleration_max_m_s2
     return [
         apart(fleet, lag_s),
@@ -48,9 +48,9 @@ def fleet_checks(config: FlightConfig) -> list[Check]:
         jump(config, fleet),
         slew(config, fleet, slew_m_s2, whole=False),
         slew(config, fleet, slew_m_s2, whole=True),
-        crowd.begins(config, where),
-        crowd.one(config, where),
-        crowd.several(config, where),
+        crowd.begins(config, fleet, where),
+        crowd.one(config, fleet, where),
+        crowd.several(config, fleet, where),
         touchdowns(config, fleet, descent_s),
         waits(config, fleet, descent_s),
     ]
@@ -130,7 +130,6 @@ def _fastest_m_s(config: FlightConfig, fleet: Fleet) -> float:
 
 
 def speed(config: FlightConfig, fleet: Fleet) -> Check:
-    """Check that no member is faster than the others assume after its last message."""
     box_m_s = math.hypot(*config.limits.velocity_max_m_s)
     return Check(
         "fleet.speed_max_m_s",
@@ -200,7 +199,6 @@ def slew(config: FlightConfig, fleet: Fleet, slew_m_s2: Vec3, *, whole: bool) ->
 
 
 def touchdowns(config: FlightConfig, fleet: Fleet, descent_s: float) -> Check:
-    """Check that pads without conflict stay apart until two vehicles have touched."""
     # horizon of the conflict search: until the touchdown, from messages of this age
     ahead_s = fleet.age_max_s + descent_s
     unseen_s = max(0.0, ahead_s - KEPT_PART * fleet.descent_s)  # time of further approach at the current rate
@@ -238,7 +236,6 @@ def first_attempt_s(config: FlightConfig, fleet: Fleet, descent_s: float) -> flo
 
 
 def waits(config: FlightConfig, fleet: Fleet, descent_s: float) -> Check:
-    """Check that with all pads in conflict the last member gets its turn before its time limit."""
     each_s, before = first_attempt_s(config, fleet, descent_s), len(fleet.others)
     return Check(
         "waits",

@@ -119,7 +119,6 @@ def drift_m(config: FlightConfig, x: Extremes, time_s: float, slower: float, res
 
 
 def comes_to_rest(config: FlightConfig) -> list[Check]:
-    """Check that the loop is stable for the declared vehicle and for each vehicle of the spread."""
     robust, spread, late = config.robust, config.envelope.lag_spread, config.velocity_loop.dead_time_s > 0.0
     gains = {
         robust.gain_1_s: "gain_1_s",

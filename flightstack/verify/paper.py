@@ -46,7 +46,6 @@ def shortfall(
 
 
 def feasible(config: FlightConfig, shape: Shape, target_climb_m_s: float) -> Check:
-    """Eq. 11 has a solution in the box wherever h >= 0."""
     speed = config.touchdown.target_speed_max_m_s
     worst = shortfall(shape, config.limits.velocity_max_m_s, speed, target_climb_m_s)
     d, angle = worst.at
@@ -65,7 +64,6 @@ def feasible(config: FlightConfig, shape: Shape, target_climb_m_s: float) -> Che
 
 
 def sampling(config: FlightConfig, key: str, rate_1_s: float) -> Check:
-    """Check that the filter lets h fall by at most half of it in a tick."""
     most_1_s = 0.5 * config.loop.rate_hz
     return Check(
         f"sampling, {key}",
@@ -78,7 +76,6 @@ def sampling(config: FlightConfig, key: str, rate_1_s: float) -> Check:
 
 
 def peak_clears_pad(config: FlightConfig) -> Check:
-    """Check that the boundary rises with distance everywhere over the pad."""
     barrier, pad = config.barrier.build(), config.touchdown.pad_radius_m
     return Check(
         "barrier's peak",
@@ -91,7 +88,6 @@ def peak_clears_pad(config: FlightConfig) -> Check:
 
 
 def gains(config: FlightConfig, gain_1_s: Vec3, key: str) -> Check:
-    """Check that the position loop is slow against a tick, on every axis."""
     most_1_s = 0.5 * config.loop.rate_hz
     axis = max(range(3), key=lambda i: gain_1_s[i])
     return Check(

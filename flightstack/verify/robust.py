@@ -23,7 +23,6 @@ HELD_M = 0.005  # m below the boundary outside the pad that no verdict counts as
 
 
 def rate(config: FlightConfig, x: Extremes) -> Check:
-    """Check that the filter lets h fall more slowly than the vehicle's vertical velocity settles."""
     most_1_s = 1.0 / x.lag_z_s if x.lag_z_s > 0.0 else math.inf
     return Check(
         "robust.rate_1_s",
@@ -36,7 +35,6 @@ def rate(config: FlightConfig, x: Extremes) -> Check:
 
 
 def recovers(config: FlightConfig, x: Extremes) -> Check:
-    """Check that from h < 0 the best velocity raises h in spite of the tracking error."""
     worst = shortfall(x.shape, config.limits.velocity_max_m_s, x.target_speed_m_s, x.target_climb_m_s)
     room = -worst.bound - config.robust.tracking_error_m_s
     deep_m = x.barrier.peak_height_m + x.shape.margin_m.high
@@ -83,7 +81,6 @@ def outside(x: Extremes, function: Callable[[Span], float]) -> Most:
 
 
 def climb(config: FlightConfig, x: Extremes) -> Check:
-    """Check that the vertical axis alone can hold the barrier against any present horizontal velocity."""
     vz = config.limits.velocity_max_m_s[2]
     worst = outside(x, lambda d: demand(x, x.shape.slope(d)))
     needed = worst.bound + x.target_climb_m_s + config.robust.tracking_error_m_s
@@ -111,7 +108,6 @@ def demand_growth(config: FlightConfig, x: Extremes) -> Most:
 
 
 def slew(config: FlightConfig, x: Extremes) -> Check:
-    """Check that the needed vertical velocity rises no faster than the vertical velocity may change."""
     worst, az = demand_growth(config, x), config.slew_max_m_s2[2]
     return Check(
         "acceleration",
@@ -125,7 +121,6 @@ def slew(config: FlightConfig, x: Extremes) -> Check:
 
 
 def reserve(config: FlightConfig, table: Reserve, x: Extremes) -> Check:
-    """Check that the acceleration of ``slew`` is available down to the lowest voltage."""
     worst = demand_growth(config, x)
     low_v, least = table.lowest_voltage_v, table.at(table.lowest_voltage_v)
     up_m_s2 = table.share * (least - 1.0) * GRAVITY_M_S2
@@ -187,7 +182,6 @@ def depth_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
 
 
 def holds(config: FlightConfig, x: Extremes) -> Check:
-    """Check that the barrier holds outside the pad with all errors at their declared worst."""
     depth, where = depth_m(config, x)
     return Check(
         "h outside the pad",
@@ -202,7 +196,6 @@ def holds(config: FlightConfig, x: Extremes) -> Check:
 
 
 def estimator(config: FlightConfig, x: Extremes) -> Check:
-    """Check that the target estimator's noise model covers the declared acceleration."""
     link, factor = config.target, config.robust.sigma_factor
     # white jerk of density j gives a standard deviation j sqrt(t) of the acceleration; t is a second
     rooms = (

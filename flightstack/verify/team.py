@@ -36,7 +36,6 @@ def team_checks(
 
 
 def one_table(fleets: Sequence[Fleet]) -> Check:
-    """Check that members list each other and have equal numbers, as the sum of their rows requires."""
     first, ids = fleets[0], sorted(fleet.id for fleet in fleets)
     keys = [field.name for field in fields(Fleet) if field.name not in ("id", "members")]
     other = [k for k in keys if any(getattr(each, k) != getattr(first, k) for each in fleets)]
@@ -53,7 +52,6 @@ def one_table(fleets: Sequence[Fleet]) -> Check:
 
 
 def begin(fleet: Fleet, starts_enu_m: Sequence[Vec3]) -> Check:
-    """Check that no member starts inside the ellipsoid around another one."""
     least_m, where = math.inf, (0, 0)
     for i, (x, y, z) in enumerate(starts_enu_m):
         for j, (ox, oy, oz) in enumerate(starts_enu_m[:i]):
@@ -72,7 +70,6 @@ def begin(fleet: Fleet, starts_enu_m: Sequence[Vec3]) -> Check:
 
 
 def pads(config: FlightConfig, fleet: Fleet, apart_m: float) -> Check:
-    """Check that no two pads are in conflict, also with errors of their estimated velocities."""
     if issubclass(strategy_class(config.filter), RobustFilter):
         x = extremes(config)
         velocity_m_s, position_m = x.velocity_error_m_s, x.position_error_m
@@ -94,7 +91,6 @@ def pads(config: FlightConfig, fleet: Fleet, apart_m: float) -> Check:
 
 
 def contact(configs: Sequence[FlightConfig], touch_m: Vec3) -> Check:
-    """Check that declared errors of velocities leave room until two vehicles touch."""
     rooms = []
     for config in configs:
         if (fleet := config.fleet) is not None:

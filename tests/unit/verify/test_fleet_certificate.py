@@ -149,7 +149,7 @@ def test_shares_held_by_processes_with_late_ticks(latency_s, proven):
 
 CONFIG = with_fleet()
 X = extremes(CONFIG)
-CROWD = crowd.crowd(CONFIG, X.shape, X.target_climb_m_s)
+CROWD = crowd.crowd(CONFIG, CONFIG.fleet, X.shape, X.target_climb_m_s)
 BOX = ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
 
 
@@ -180,7 +180,7 @@ def pad_of(share_of_speed, angle):
 @settings(max_examples=400, deadline=None)
 @given(SLOPE, ANGLE, UNIT, ANGLE, CLIMB, st.lists(st.tuples(AWAY, UNIT), min_size=1, max_size=8))
 def test_any_number_of_neighbours_leaves_a_common_point_from_far_enough(slope, n, w, pad, climb, others):
-    from_m = crowd.anywhere_m(CONFIG, CROWD)
+    from_m = crowd.anywhere_m(CONFIG, CONFIG.fleet, CROWD)
     rows = [neighbour_row(away, from_m, speed) for away, speed in others]
     lower = (*BOX[0][:2], climb)
     assert nearest(ZERO, [landing_row(slope, n, pad_of(w, pad)), *rows], lower, BOX[1]) is not None
