@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
+from itertools import accumulate, pairwise
 from typing import Any
 
 import numpy as np
@@ -41,19 +42,25 @@ class Objects:
         numbers = [number for one in others for number in taker_of(class_of(one))(one, self._at)]
         struct.pack_into(f"={whole}", self._constant.data, 0, *numbers)
         self._struct = struct.Struct("=" + "".join(format_of(class_of(one)) for one in self._state))
+        self._takers = [(one, taker_of(class_of(one))) for one in self._state]
+        ends = accumulate(len(format_of(class_of(one))) for one in self._state)
+        self._readers = [
+            (one, reader_of(class_of(one)), slice(begin, end))
+            for one, (begin, end) in zip(self._state, pairwise((0, *ends)), strict=True)
+        ]
         self._root = root
 
     @property
     def handle(self) -> Handle:
-        """The object itself."""
+        """The object itself; it is the same for the life of this one."""
         return Handle(None if is_off() else kind_of(self._root), self._at[id(self._root)])
 
     def write(self) -> bool:
         """Copy the state from Python's objects; False where one of its fields is ``None``."""
         numbers: list[Any] = []
         try:
-            for one in self._state:
-                numbers += taker_of(class_of(one))(one, self._at)
+            for one, take in self._takers:
+                numbers += take(one, self._at)
             self._struct.pack_into(self.state.data, 0, *numbers)
         except (TypeError, struct.error):
             return False
@@ -67,11 +74,9 @@ class Objects:
 
     def read(self) -> None:
         """Copy the state back."""
-        numbers, at = self._struct.unpack_from(self.state.data), 0
-        for one in self._state:
-            end = at + len(format_of(class_of(one)))
-            reader_of(class_of(one))(one, numbers[at:end])
-            at = end
+        numbers = self._struct.unpack_from(self.state.data)
+        for one, read, part in self._readers:
+            read(one, numbers[part])
 
 
 def _reached(one: Any, known: dict[int, Any]) -> Iterator[Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import math
 import time
 from collections.abc import Callable
 from functools import cache
@@ -24,8 +23,6 @@ from flightstack.core.types import FilterStatus, Vec3
 NUMBERS = 24  # of ``data_and_start``
 _STATUS_AT, _ITERATIONS_AT = 32, 80  # bytes in OSQPInfo (osqp_api_types.h)
 _DOUBLE = 8  # bytes
-SOLVED, EXACT, HOPELESS, NONE = 0, 1, 2, 3  # how a velocity came about; none: not finite
-_HOW = (FilterStatus.SOLVED, FilterStatus.CLOSED_FORM, FilterStatus.INFEASIBLE, FilterStatus.REJECTED)
 
 _best_corner, _projected = twin(projection.best_corner, jitted), twin(projection.projected, jitted)
 _data_and_start, _clipped = twin(qp_filter.data_and_start, jitted), twin(qp_filter.clipped, jitted)
@@ -169,44 +166,36 @@ def filtered(
     dh_dt_m_s: float,
     lower: Vec3,
     upper: Vec3,
-) -> tuple[Vec3, int, float, int]:
-    """``SafetyFilter.solve``: the velocity, how it came about, the solver's residual and its iterations."""
+) -> FilterResult:
+    """``SafetyFilter.solve``, but for the time that it takes."""
     bound = -omega_1_s * h_m - dh_dt_m_s
     finite = (
         bound + g[0] + g[1] + g[2] + nominal[0] + nominal[1] + nominal[2] + lower[0] + lower[1] + lower[2]
     )
     if not np.isfinite(finite + upper[0] + upper[1] + upper[2]):
-        return (0.0, 0.0, 0.0), NONE, np.nan, 0
-    corner = _best_corner(g, lower, upper)
-    if g[0] * corner[0] + g[1] * corner[1] + g[2] * corner[2] - bound < 0.0:
-        return corner, HOPELESS, 0.0, 0
-    exact, multiplier = _projected(nominal, g, bound, lower, upper)
-    given = _data_and_start(
-        nominal, g, bound, lower, upper, p.infinity, exact, np.inf if multiplier == EMPTY else multiplier
-    )
-    for i in range(NUMBERS):
-        p.numbers[i] = given[i]
-    x, y, z = _solved(p)
-    iterations = whole(p.iterations)
-    if not np.isfinite(x + y + z):
-        return exact, EXACT, np.inf, iterations
-    point, residual = _clipped((x, y, z), g, bound, lower, upper)
-    if residual > RESIDUAL_MAX_M_S or not np.isfinite(residual):
-        return exact, EXACT, residual, iterations
-    return point, SOLVED, residual, iterations
+        return FilterResult((0.0, 0.0, 0.0), np.nan, False, FilterStatus.REJECTED, np.nan, 0, 0.0)
+    point, residual, iterations, status = _best_corner(g, lower, upper), 0.0, 0, FilterStatus.INFEASIBLE
+    if not g[0] * point[0] + g[1] * point[1] + g[2] * point[2] - bound < 0.0:
+        exact, multiplier = _projected(nominal, g, bound, lower, upper)
+        given = _data_and_start(
+            nominal, g, bound, lower, upper, p.infinity, exact,
+            np.inf if multiplier == EMPTY else multiplier,
+        )  # fmt: skip
+        for i in range(NUMBERS):
+            p.numbers[i] = given[i]
+        x, y, z = _solved(p)
+        iterations, status, residual = whole(p.iterations), FilterStatus.SOLVED, np.inf
+        if np.isfinite(x + y + z):
+            point, residual = _clipped((x, y, z), g, bound, lower, upper)
+        if residual > RESIDUAL_MAX_M_S or not np.isfinite(residual):
+            point, status = exact, FilterStatus.CLOSED_FORM
+    slack, active = _judged(point, nominal, g, bound, lower, upper)
+    return FilterResult(point, slack, active, status, residual, iterations, 0.0)
 
 
 @jitted
-def _answered(
-    program: Cell[ProgramRecord], omega_1_s: float, *given: Any
-) -> tuple[Vec3, int, float, int, float, bool]:
-    """``filtered`` of the same arguments, then slack of the barrier's row, and whether it is active."""
-    velocity, how, residual, iterations = filtered(program[0], omega_1_s, *given)
-    if how == NONE:
-        return velocity, how, residual, iterations, np.nan, False
-    nominal, h_m, g, dh_dt_m_s, lower, upper = given
-    slack, active = _judged(velocity, nominal, g, -omega_1_s * h_m - dh_dt_m_s, lower, upper)
-    return velocity, how, residual, iterations, slack, active
+def _answered(program: Cell[ProgramRecord], omega_1_s: float, *given: Any) -> FilterResult:
+    return filtered(program[0], omega_1_s, *given)
 
 
 _record: Callable[[int], ProgramRecord] = record_at(ProgramRecord)
@@ -221,19 +210,9 @@ def _solve(
     lower: Vec3,
     upper: Vec3,
 ) -> FilterResult:
-    """``CompiledFilter.solve`` in compiled code, which does not ask for its slack."""
+    """``CompiledFilter.solve`` in compiled code."""
     p = _record(one.address)
-    velocity, how, residual, iterations = filtered(
-        p, one.omega_1_s, nominal, h_m, gradient, dh_dt_m_s, lower, upper
-    )
-    status = FilterStatus.SOLVED
-    if how == EXACT:
-        status = FilterStatus.CLOSED_FORM
-    elif how == HOPELESS:
-        status = FilterStatus.INFEASIBLE
-    elif how == NONE:
-        status = FilterStatus.REJECTED
-    return FilterResult(velocity, math.nan, False, status, residual, iterations, 0.0)
+    return filtered(p, one.omega_1_s, nominal, h_m, gradient, dh_dt_m_s, lower, upper)
 
 
 class CompiledFilter:
@@ -261,10 +240,9 @@ class CompiledFilter:
         """Filter one nominal velocity; arguments as those of ``SafetyFilter.solve``."""
         started = time.perf_counter()
         try:
-            velocity, how, residual, iterations, slack, active = _answered(
-                self._cell, self.omega_1_s, nominal, h_m, gradient, dh_dt_m_s, lower, upper
-            )
+            result = _answered(self._cell, self.omega_1_s, nominal, h_m, gradient, dh_dt_m_s, lower, upper)
         except TypeError:  # numbers of a kind that it is not compiled for
             return self._plain.solve(nominal, h_m, gradient, dh_dt_m_s, lower, upper)
-        solve_s = time.perf_counter() - started if iterations else 0.0
-        return FilterResult(velocity, slack, active, _HOW[how], residual, iterations, solve_s)
+        if result.iterations:
+            result = result._replace(solve_s=time.perf_counter() - started)
+        return result

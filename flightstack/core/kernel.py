@@ -27,12 +27,22 @@ from flightstack.core.strategies.strategy import Strategy, strategy_of
 from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.reserve import AGE_MAX_S, ReserveEstimate
 from flightstack.core.target.track import TargetTrack, Verdict
-from flightstack.core.types import ZERO, Charge, FilterStatus, OwnState, Phase, TargetSample, Vec3
+from flightstack.core.types import (
+    ZERO,
+    Charge,
+    FilterStatus,
+    OwnState,
+    Phase,
+    TargetSample,
+    Vec3,
+    VehicleStatus,
+)
 
 # s of a take-off in which the autopilot alone decides how fast it rises: mode and arming, COM_SPOOLUP_TIME
 # of 1 s and MPC_TKO_RAMP_T of 3 s; PX4 v1.16 in SITL lifts off after 4.7 to 5.7 s
 RISE_FREE_S = 7.0
 
+FLYING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN})
 
 Rules = NDArray[np.int64]  # (n, 2): flags that each rule of a phase asks for, and those that keep it back
 
@@ -233,6 +243,18 @@ class LandingKernel:
     def clear_of_neighbours(self, wanted: Vec3, base: Vec3) -> Vec3:
         """Filter a velocity by the rows of neighbours alone."""
         raise NotImplementedError
+
+    def ordinary(self, status: VehicleStatus) -> bool:
+        """Whether ``land`` may run the next tick: nothing is in doubt, and the vehicle does as it should."""
+        memory, track = self.memory, self.track.memory
+        if track.run_since_s < math.inf or track.distrusted or self.plausibility.memory.distrusted:
+            return False
+        if memory.lifting or memory.yaw_rad is None or not memory.good_since_s < math.inf:
+            return False
+        if memory.phase is Phase.LANDED:
+            return not status.armed
+        commanded = memory.was_armed and memory.was_external and not memory.contact
+        return memory.phase in FLYING and status.flies_by_setpoints and commanded
 
     def land(self, own: OwnState, lasting: int, rules: Rules, now_s: float) -> Landing:
         """Run a tick of APPROACH, LAND, TOUCHDOWN or LANDED in which nothing rare happens, for compiled code.

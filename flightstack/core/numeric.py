@@ -20,7 +20,6 @@ Vec3 = tuple[float, float, float]
 MARKED: set[Callable[..., Any]] = set()
 RARE: set[Callable[..., Any]] = set()
 _INEXACT = {"hypot", "dist", "remainder", "fsum", "pow"}  # of ``math``: machine code has other last bits
-CALLED: list[Callable[..., Any]] = []  # those of them that are worth a call of compiled code by Python
 _SPLIT = 134217729.0  # 2^27 + 1: splits a double into two halves (Veltkamp)
 
 
@@ -28,12 +27,6 @@ def numeric(function: F) -> F:
     """Mark a function that may be compiled. Python code still calls the plain function."""
     MARKED.add(function)
     return function
-
-
-def called(function: F) -> F:
-    """Mark a long function that Python code calls in its compiled form (flightstack/compiled/core.py)."""
-    CALLED.append(function)
-    return numeric(function)
 
 
 def rare(function: F) -> F:

@@ -62,7 +62,7 @@ class Onboard:
         self.options, self.config, self.say = options, config, say
         self.namespace = options.namespace or namespace_of(config)
         rate_hz = config.loop.rate_hz
-        self.core = chosen_core(Core(options.core), lockstep=options.lockstep)
+        self.core = chosen_core(Core(options.core), config, lockstep=options.lockstep)
         self.controller = compiled(config) if self.core is Core.COMPILED else Controller(config)
         chosen = profile(options.autopilot)
         origin = config.vehicle.origin_wgs84

@@ -15,7 +15,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from flightstack.compiled.core import compile_core
 from flightstack.compiled.jit import telling
 from flightstack.core.controller import Outputs
 from flightstack.core.types import Neighbour, Phase
@@ -148,10 +147,9 @@ def warm_up(team: TeamScenario) -> None:
     """Compile everything that a flight calls, or load it from the cache, before the first begins."""
     first = team.member[0]
     warm_up_room(team)
-    compile_core(first.onboard)
-    stretch = Companion(first, 0).stretch if team.is_alone else None
-    if stretch is not None:
-        with telling():
+    with telling():
+        stretch = Companion(first, 0).stretch
+        if stretch is not None and team.is_alone:
             stretch.warm_up()
 
 

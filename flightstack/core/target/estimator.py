@@ -21,7 +21,7 @@ import math
 from typing import NamedTuple
 
 from flightstack.core.memory import Covariance, MotionMemory
-from flightstack.core.numeric import called, numeric, rare, wrapped
+from flightstack.core.numeric import numeric, rare, wrapped
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.types import ZERO, Vec3
 
@@ -314,7 +314,7 @@ def _corrected(
     return p + lp * missed_v, v + lv * missed_v, a + la * missed_v, missed_p * missed_p, missed_v * missed_v
 
 
-@called
+@numeric
 def carried(
     state: _State,
     covariances: tuple[Covariance, Covariance],
@@ -338,7 +338,7 @@ def carried(
     )
 
 
-@called
+@numeric
 def updated(
     state: _State,
     covariances: tuple[Covariance, Covariance],

@@ -70,16 +70,16 @@ class ReserveEstimate:
         # spinning up: no information
         self.weigh(rise_m_s, flies, status is not None and status.landed is not Landed.ON_GROUND)
 
-    def hear(self, power: Power | None, standing: bool) -> None:
-        """Take what the vehicle says of its battery and its motors, as efforts; the same again is no news."""
+    def hear(self, power: Power | None, standing: bool) -> bool:
+        """Take what the vehicle says of its battery and its motors, as efforts; whether it is news."""
         self._power = power
         if self._known == (power, standing):
-            return
+            return False
         self._known, told, table, nan = (power, standing), self.told, self._table, math.nan
         told.standing, told.arrival_s, told.low = standing, nan, False
         told.flying = told.resting = told.sags = told.most = nan
         if power is None:
-            return
+            return True
         flight_v = power.voltage_v - (table.sag_v if standing else 0.0)
         known_v = table.lowest_voltage_v
         if flight_v > 0.0:
@@ -90,6 +90,7 @@ class ReserveEstimate:
             told.flying = table.effort(power.throttle) * power.cos_tilt
         told.arrival_s, told.low = power.arrival_s, power.voltage_v - table.sag_v < table.start_voltage_v
         told.sags, told.most = table.sags(known_v), table.most(known_v)
+        return True
 
     def weigh(self, rise_m_s: float, flies: bool, in_air: bool) -> None:
         """Estimate the reserve by what was heard, and judge it; arguments as those of ``step``."""

@@ -17,18 +17,18 @@ from bridge.mavlink.client.link import COMPONENT_ID as COMPANION_ID
 from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.server.profile import FlightMode
 from bridge.mavlink.server.setpoints import Setpoint
+from flightstack.compiled import core
 from flightstack.compiled.jit import is_off
 from flightstack.compiled.objects import Objects
 from flightstack.compiled.program import CompiledFilter
 from flightstack.compiled.records import cell, new, scalars
+from flightstack.compiled.tick import RULES
 from flightstack.core.controller import Controller
-from flightstack.core.memory import Memory
+from flightstack.core.kernel import FLYING
 from flightstack.core.mission.conditions import lasting_flags
-from flightstack.core.mission.phases import TABLE
 from flightstack.core.numeric import NotOrdinary, hypot_is_known
-from flightstack.core.parameters.ends import TouchdownRule
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.types import Landed, Mode, OwnState, Phase, Request, VehicleStatus
+from flightstack.core.types import OwnState, Phase, Request
 from flightstack.onboard.lockstep import VehicleTicks
 from sim.clock import TickGrid
 from sim.runners.landing_wire import PEER
@@ -46,13 +46,6 @@ _SOON_S = 1e-6  # s before something is due in which Python looks
 SPEED_MAX_M_S = 2.5  # on each axis; with more the autopilot's own bound of set-points may count
 _BACK_OFF = 4  # ticks without another try, at most, where tries come to nothing
 
-_RULES = {
-    phase: np.array([(rule.when, rule.unless) for rule in rules], dtype=np.int64)
-    for phase, rules in TABLE.items() if rules
-}  # fmt: skip
-_FLYING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN})
-_FLYING_OR_DOWN = _FLYING | {Phase.LANDED}
-
 
 def suited(controller: Controller, node: VehicleNode) -> bool:
     """Whether a landing can be flown in stretches: compiled, without faults, its configuration known."""
@@ -61,12 +54,9 @@ def suited(controller: Controller, node: VehicleNode) -> bool:
 
 
 def suits(config: FlightConfig) -> bool:
-    """Whether the landing kernel knows everything that this configuration asks for."""
+    """Whether kernel and simulated link know everything that this configuration asks for."""
     return (
-        config.filter in ("robust", "paper")
-        and config.fleet is None
-        and config.velocity_loop.dead_time_s == 0.0  # compiled code has no place for set-points under way
-        and config.touchdown.rule is TouchdownRule.CONTACT
+        core.suits(config)
         and max(config.limits.velocity_max_m_s) <= SPEED_MAX_M_S
         and (config.checks.target_frame, config.checks.target_child_frame) == ("map", "target")
     )
@@ -108,7 +98,7 @@ class Stretch:
         self._stream_until_s, self._status_s = scalars(self._rules, "stream_until_s", "status_s")
         self._watches, self._watch_book = node.autopilot.flight.watches, WatchBook(self._rules.watch)
         self._phase = scalars(self._rules, "flies", "lasting", "armed", "standing", "supervisor")
-        self._phase_rules = _RULES[Phase.LAND]
+        self._phase_rules = RULES[Phase.LAND]
         self._reserve = controller.reserve_estimate
         self._heeded = link.heeded
         self._yaw_rad: float | None = None
@@ -153,7 +143,7 @@ class Stretch:
 
     def _quiet_until_s(self, tick: int) -> float | None:
         """Until when nothing but own states and set-points is sent; None: it has to be now."""
-        request = Request.EXTERNAL if self._controller.memory.phase in _FLYING else Request.NONE
+        request = Request.EXTERNAL if self._controller.memory.phase in FLYING else Request.NONE
         now_s = self._grid.ns(tick) / 1e9
         until_s = self._link.silent_until_s(request) - _SOON_S
         if not now_s < until_s or not self._loop.undisturbed:
@@ -168,7 +158,7 @@ class Stretch:
         the controller, or means nothing to the autopilot, as in a tick of Python.
         """
         node, now_s = self._node, self._grid.ns(tick) / 1e9
-        if self._controller.memory.phase not in _FLYING_OR_DOWN or not self._loop.undisturbed:
+        if self._controller.memory.phase not in RULES or not self._loop.undisturbed:
             return False
         messages = node.autopilot.brief(now_s, self._heeded)
         if messages is None:
@@ -183,33 +173,21 @@ class Stretch:
             return False
         for received in node.endpoint.receive():
             node.answer(received, now_s)
-        status, memory = self._link.state.status, self._controller.memory
+        status = self._link.state.status
         if status is None:
             return False
         self._status_s[0] = status.arrival_s
-        return _flies(memory, status) or _stands(memory, status)
+        return self._controller.ordinary(status)
 
     def _prepare(self) -> bool:
         """Write down the phase and what the vehicle says; whether they are those of a stretch."""
         c, rules, status = self._controller, self._rules, self._link.state.status
-        memory, track, watched = c.memory, c.track.memory, c.plausibility.memory
-        flight, vehicle = self._node.autopilot.flight, self._node.vehicle
-        if status is None:
+        memory, flight, vehicle = c.memory, self._node.autopilot.flight, self._node.vehicle
+        if status is None or not c.ordinary(status) or memory.yaw_rad is None:
             return False
-        if track.run_since_s < math.inf:  # the target's clock may have been set
+        if not self._node.watches_nothing or not flight.ground.settled or vehicle.locked:
             return False
-        if watched.distrusted or track.distrusted or memory.lifting or not memory.good_since_s < math.inf:
-            return False
-        if (
-            memory.yaw_rad is None
-            or not self._node.watches_nothing
-            or not flight.ground.settled
-            or vehicle.locked
-        ):
-            return False
-        flies, clip = memory.phase in _FLYING, flight.pilot.passes_on
-        if not (_flies(memory, status) if flies else _stands(memory, status)):
-            return False
+        flies, clip = memory.phase in FLYING, flight.pilot.passes_on
         if flies != vehicle.armed or flies == flight.standing:
             return False
         if flies and (flight.mode is not FlightMode.OFFBOARD or clip is None):
@@ -218,7 +196,7 @@ class Stretch:
         whole = (flies, lasting, vehicle.armed, flight.standing, vehicle.supervisor_state)
         for view, number in zip(self._phase, whole, strict=True):
             view[0] = int(number)
-        self._phase_rules = _RULES[memory.phase]
+        self._phase_rules = RULES[memory.phase]
         self._status_s[0], self._flies = status.arrival_s, flies
         if self._yaw_rad != memory.yaw_rad:
             self._yaw_rad = memory.yaw_rad
@@ -299,12 +277,3 @@ class Stretch:
         flight, vehicle = self._node.autopilot.flight, self._node.vehicle
         mode = flight.mode is FlightMode.OFFBOARD or not flies
         return mode and vehicle.armed == flies and flight.standing != flies and flight.ground.settled
-
-
-def _flies(memory: Memory, status: VehicleStatus) -> bool:
-    told = status.armed and status.mode is Mode.EXTERNAL and status.landed is not Landed.ON_GROUND
-    return told and memory.was_armed and memory.was_external and not memory.contact
-
-
-def _stands(memory: Memory, status: VehicleStatus) -> bool:
-    return memory.phase is Phase.LANDED and not status.armed

@@ -15,11 +15,11 @@ import numpy as np
 from bridge import frames
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, I64, Cell
+from flightstack.compiled.tick import take
 from flightstack.core.kernel import LandingKernel
 from flightstack.core.numeric import NotOrdinary, numeric, twin, wrapped
 from flightstack.core.safety.barrier import barrier_h
-from flightstack.core.target.track import Verdict
-from flightstack.core.types import OwnState, TargetSample, Vec3
+from flightstack.core.types import OwnState, Vec3
 from sim.clock import NS_PER_S
 from sim.firmware.estimator import INNOVATION_AGE_MAX_S
 from sim.firmware.setpoint import ROOM, WIDTH, InboxRecord
@@ -142,18 +142,6 @@ def _needs_autopilot(p: RulesRecord, v: VehicleRecord, now_ms: int, now_s: float
 
 
 @jitted
-def _take(kernel: LandingKernel, row: F64, now_s: float) -> None:
-    """Hand a sample of the target to the controller."""
-    checks = kernel.config.checks
-    sample = TargetSample(
-        now_s, row[0], checks.target_frame, checks.target_child_frame, (row[1], row[2], row[3]),
-        (row[4], row[5], row[6]), row[7], row[8], 0.0, 0.0,
-    )  # fmt: skip
-    if kernel.take(sample) is not Verdict.ACCEPTED or kernel.track.stepped_s != 0.0:
-        raise NotOrdinary
-
-
-@jitted
 def fly_ticks(
     vehicle: Cell[VehicleRecord],
     rules: Cell[RulesRecord],
@@ -214,7 +202,7 @@ def fly_ticks(
             return BEFORE
         source_s, yaw_rad = round(now_s * 1000) * 1e-3, _yaw_enu(narrow(_euler(attitude)[2]))
         for i in range(done_samples, come[n]):
-            _take(kernel, samples[i], now_s)
+            take(kernel, samples[i], now_s)
         own = OwnState(now_s, source_s, position, velocity, yaw_rad)
         landing = kernel.land(own, p.lasting, phase_rules, now_s)
         setpoint = _narrow3(landing.setpoint)

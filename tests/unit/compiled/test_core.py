@@ -9,28 +9,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flightstack.compiled import core, jit
-from flightstack.compiled.core import Core, chosen_core, compiled, is_possible, with_compiled_program
+from flightstack.compiled.core import (
+    Core,
+    chosen_core,
+    compiled,
+    is_possible,
+    with_compiled_program,
+)
 from flightstack.compiled.jit import OFF, is_off
 from flightstack.compiled.program import CompiledFilter
 from flightstack.core.controller import Controller
-from flightstack.core.memory import MotionMemory
-from flightstack.core.numeric import CALLED
 from flightstack.core.safety.qp_filter import SafetyFilter
-from flightstack.core.target.estimator import TargetEstimator
-from flightstack.core.types import FilterStatus
+from flightstack.core.types import FilterStatus, Phase
 from sim.runners.companion import Companion
 from sim.scenarios.scenario import load
+from sim.scenarios.team import load as load_team
 
 numbers = st.floats(-3.0, 3.0)
 any_numbers = st.one_of(numbers, st.sampled_from((math.nan, math.inf, -math.inf, 0.0)))
 vectors, sides = st.tuples(any_numbers, any_numbers, any_numbers), st.floats(0.0, 1.0)
-
-
-@pytest.fixture
-def plain(monkeypatch):
-    """The functions of the core as they are without numba; put back afterwards."""
-    for function in CALLED:
-        monkeypatch.setattr(f"{function.__module__}.{function.__name__}", function)
 
 
 @pytest.fixture(scope="module")
@@ -62,13 +59,31 @@ def flown(scenario, make, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("filter_name", ["robust", "paper"])
 @pytest.mark.parametrize("name", ["storm", "room"])
-def test_each_step_of_a_landing_is_the_same_to_the_last_bit(plain, monkeypatch, name, filter_name):
-    del plain
+def test_each_step_of_a_landing_is_the_same_to_the_last_bit(monkeypatch, name, filter_name):
     scenario = load(name).with_filter(filter_name)
     by_python = flown(scenario, Controller, monkeypatch)
     by_machine = flown(scenario, compiled, monkeypatch)
     assert len(by_python[0]) > 300
     assert by_machine == by_python
+
+
+def test_ordinary_ticks_of_a_landing_are_compiled_and_all_others_are_pythons(monkeypatch):
+    """Not those of fleets, whose program is compiled alone."""
+    if is_off():
+        return
+    by_python, step = [], Controller.step
+
+    def counted(controller, inputs, now_s, **keys):
+        out = step(controller, inputs, now_s, **keys)
+        by_python.append(out.phase)
+        return out
+
+    monkeypatch.setattr(Controller, "step", counted)
+    rows, _ = flown(load("lab"), compiled, monkeypatch)
+    landing = [phase for phase in by_python if phase in (Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN)]
+    assert len(landing) < 0.1 * len(rows)
+    assert type(compiled(load("lab").onboard)).__name__ == "CompiledController"
+    assert type(compiled(load_team("fleet_3").member[0].onboard)) is Controller
 
 
 @given(vectors, any_numbers, vectors, any_numbers, vectors, st.tuples(sides, sides, sides))
@@ -104,18 +119,7 @@ def test_where_the_solver_fails_the_exact_projection_is_the_answer(filters, monk
     assert repr(found[0]) == repr(found[1])
 
 
-def test_numbers_of_another_kind_are_computed_by_python_and_nothing_is_compiled_in_flight(plain, filters):
-    del plain
-    config = load("lab").onboard
-    compiled(config)
-    told = []
-    for kind in (list, tuple):  # lists are no tuples: compiled code does not take them
-        estimator = TargetEstimator(config.target)
-        estimator.memory = MotionMemory()
-        for n in range(3):
-            estimator.update(0.05 * n, kind((0.1 * n, 0.2, 0.3)), kind((0.1, 0.2, 0.0)), 0.1)
-        told.append(estimator.at(0.2))
-    assert told[0] == told[1]
+def test_numbers_of_another_kind_are_computed_by_python_and_nothing_is_compiled_in_flight(filters):
     box = ([-0.2, -0.2, -0.5], [0.2, 0.2, 0.5])
     found = [each.solve([0.1, 0.0, -0.4], 0.1, [0.3, 0.4, 1.0], 0.0, *box) for each in filters]
     assert found[0]._replace(solve_s=0.0) == found[1]._replace(solve_s=0.0)
@@ -132,16 +136,17 @@ def test_another_program_stays_as_it_is(filters):
 def test_which_core_is_flown(monkeypatch):
     monkeypatch.delenv(OFF, raising=False)
     assert is_possible()
+    config = load("lab").onboard
     for warm in (False, True):
-        monkeypatch.setattr(core, "is_warm", lambda warm=warm: warm)
-        assert chosen_core(Core.AUTO, lockstep=True) is Core.PLAIN
-        assert chosen_core(Core.AUTO, lockstep=False) is (Core.COMPILED if warm else Core.PLAIN)
+        monkeypatch.setattr(core, "is_kept", lambda _, warm=warm: warm)
+        assert chosen_core(Core.AUTO, config, lockstep=True) is Core.PLAIN
+        assert chosen_core(Core.AUTO, config, lockstep=False) is (Core.COMPILED if warm else Core.PLAIN)
         for asked in (Core.PLAIN, Core.COMPILED):
-            assert chosen_core(asked, lockstep=warm) is asked
+            assert chosen_core(asked, config, lockstep=warm) is asked
     monkeypatch.setenv(OFF, "1")
-    assert chosen_core(Core.AUTO, lockstep=False) is Core.PLAIN
+    assert chosen_core(Core.AUTO, config, lockstep=False) is Core.PLAIN
     with pytest.raises(ValueError, match="--core compiled: numba is not installed, or switched off"):
-        chosen_core(Core.COMPILED, lockstep=False)
+        chosen_core(Core.COMPILED, config, lockstep=False)
 
 
 @pytest.mark.parametrize(
@@ -159,8 +164,11 @@ def test_without_numba_and_mujoco_the_onboard_process_misses_nothing(asked, stat
     assert said in done.stdout + done.stderr
 
 
-def test_the_machine_code_of_other_sources_is_not_warm(tmp_path, monkeypatch):
+def test_the_machine_code_of_other_sources_or_another_filter_is_not_warm(tmp_path, monkeypatch):
     monkeypatch.setattr(jit, "cache_directory", lambda: tmp_path)
-    assert not core.is_warm()
-    compiled(load("lab").onboard)
-    assert core.is_warm() is not is_off()
+    robust, paper = (load("lab").with_filter(name).onboard for name in ("robust", "paper"))
+    assert chosen_core(Core.AUTO, robust, lockstep=False) is Core.PLAIN
+    compiled(robust)
+    expected = Core.PLAIN if is_off() else Core.COMPILED
+    assert chosen_core(Core.AUTO, robust, lockstep=False) is expected
+    assert chosen_core(Core.AUTO, paper, lockstep=False) is Core.PLAIN

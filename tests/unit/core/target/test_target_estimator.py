@@ -13,10 +13,8 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from flightstack.common.strict_toml import from_table
-from flightstack.compiled.core import compile_core
 from flightstack.core.controller import Controller
 from flightstack.core.memory import MotionMemory
-from flightstack.core.numeric import MARKED
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.target.estimator import RESTART_S, TargetEstimator
@@ -353,11 +351,3 @@ def told(steps):
         estimator.update(t_s, position, velocity, rng.choice((rng.uniform(-3.0, 3.0), math.nan)), 0.01)
         for ahead_s in (-0.02, 0.0, 1e-4, 0.07, 0.5):
             yield repr((estimator.memory, estimator.at(t_s + ahead_s)))
-
-
-def test_compiled_it_is_equal_to_the_last_bit(monkeypatch):
-    plain = list(told(400))
-    for function in MARKED:
-        monkeypatch.setattr(f"{function.__module__}.{function.__name__}", function)  # and put back afterwards
-    compile_core(from_table(FlightConfig, {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}}))
-    assert list(told(400)) == plain

@@ -1,0 +1,200 @@
+"""The controller whose ordinary ticks of a landing are compiled: ``LandingKernel.land``, from one source.
+
+Its set-points, states and rows of the log are those of plain Python to the last bit; a replay in plain Python
+shows that of each flight. All other ticks are Python's. Nothing is compiled in flight.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import time
+from contextlib import suppress
+from typing import Any, ClassVar, cast
+
+import numpy as np
+
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.objects import Objects
+from flightstack.compiled.records import F64, I64
+from flightstack.core.controller import Controller, Outputs
+from flightstack.core.fleet.precedence import ALONE
+from flightstack.core.kernel import Landing, LandingKernel
+from flightstack.core.memory import Memory, State
+from flightstack.core.mission.conditions import lasting_flags
+from flightstack.core.mission.phases import TABLE
+from flightstack.core.numeric import NotOrdinary
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.safety.qp_filter import Program
+from flightstack.core.snapshot import FUTURE_MAX_S, Snapshot
+from flightstack.core.target.track import Verdict
+from flightstack.core.types import (
+    Charge,
+    Inputs,
+    Operator,
+    OwnState,
+    Phase,
+    Request,
+    TargetSample,
+    VehicleStatus,
+)
+
+RULES: dict[Phase, I64] = {
+    phase: np.array([(rule.when, rule.unless) for rule in TABLE[phase]], dtype=np.int64)
+    for phase in (Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN, Phase.LANDED)
+}
+_SAMPLES = 4  # of the target in a compiled tick, at most
+_OWN, _SAMPLE = struct.Struct("=12d"), struct.Struct("=10d")
+_NONE = -1.0  # samples in a call that only compiles
+
+
+@jitted
+def take(kernel: LandingKernel, row: F64, arrival_s: float) -> None:
+    """Hand a sample of the target to the kernel.
+
+    ``row``: stamp, position, velocity, yaw, yaw rate.
+    Raises NotOrdinary: it is not accepted, or the clock of its sender was set.
+    """
+    checks = kernel.config.checks
+    sample = TargetSample(
+        arrival_s, row[0], checks.target_frame, checks.target_child_frame, (row[1], row[2], row[3]),
+        (row[4], row[5], row[6]), row[7], row[8], 0.0, 0.0,
+    )  # fmt: skip
+    if kernel.take(sample) is not Verdict.ACCEPTED or kernel.track.stepped_s != 0.0:
+        raise NotOrdinary
+
+
+@jitted
+def _landed(kernel: LandingKernel, given: F64, rules: I64) -> tuple[Landing, float]:
+    """Take the samples, run a tick; returns its result and the thrust reserve."""
+    if given[0] == _NONE:
+        raise NotOrdinary
+    for n in range(int(given[0])):
+        row = given[12 + 10 * n : 22 + 10 * n]
+        take(kernel, row, row[9])
+    own = OwnState(
+        given[3], given[4], (given[5], given[6], given[7]), (given[8], given[9], given[10]), given[11]
+    )
+    landing = kernel.land(own, int(given[2]), rules, given[1])
+    estimate = kernel.reserve_estimate
+    return landing, estimate.reserve if kernel._weighs and estimate is not None else math.nan
+
+
+class CompiledController(Controller):
+    """A controller that computes ordinary ticks of a landing in one compiled call; see ``compiled``.
+
+    The state is copied back when somebody asks for ``memory`` or ``state``, after the set-point has gone out.
+    """
+
+    compiled: ClassVar = {"memory": None}  # for compiled code a field
+
+    def __init__(self, config: FlightConfig, program: Program) -> None:
+        # whether compiled memory has the newest state, and whether Python's objects are older
+        self._held = self._behind = False
+        super().__init__(config)
+        self.program = program
+        self._objects = Objects(self)
+        self._handle, self._landed = self._objects.handle, cast("Any", _landed)
+        self._given = np.zeros(12 + 10 * _SAMPLES)
+        self._status: object = ()
+        self._lasting = self._accepted = 0
+        self._given[0] = _NONE
+        with suppress(NotOrdinary):
+            self._landed(self._handle, self._given, RULES[Phase.LANDED])
+
+    @property
+    def memory(self) -> Memory:
+        """State of mission and commands."""
+        if self._behind:
+            self._objects.read()
+            self._behind = False
+        return self._memory
+
+    @memory.setter
+    def memory(self, memory: Memory) -> None:
+        self._memory = memory
+
+    def restore(self, state: State) -> None:
+        """Continue from a recorded state."""
+        super().restore(state)
+        self._held = False
+
+    def step(self, inputs: Inputs, now_s: float, *, command_failed: bool = False) -> Outputs:
+        """Run one tick."""
+        out = None if command_failed else self._ordinary_tick(inputs, now_s)
+        if out is None:
+            out = super().step(inputs, now_s, command_failed=command_failed)
+            self._held = False
+        return out
+
+    def _ordinary_tick(self, inputs: Inputs, now_s: float) -> Outputs | None:
+        """Outputs of a tick that the kernel computes; None, with nothing changed, where it does not."""
+        own, status, samples = inputs.own, inputs.status, inputs.target_samples
+        if own is None or status is None or not self._holds(status):
+            return None
+        checks = self.config.checks
+        young = -FUTURE_MAX_S <= now_s - own.arrival_s <= checks.own_age_max_s
+        heard = now_s - status.arrival_s <= checks.status_age_max_s
+        if not (young and heard and own.is_finite) or inputs.operator is not Operator.NONE:
+            return None
+        frames = checks.target_frame, checks.target_child_frame
+        if len(samples) > _SAMPLES or any(
+            (each.frame_id, each.child_frame_id) != frames or each.position_sigma_m or each.velocity_sigma_m_s
+            for each in samples
+        ):
+            return None
+        estimate, objects, given = self.reserve_estimate, self._objects, self._given
+        if estimate is not None and estimate.hear(inputs.power, standing=False):
+            objects.write_one(estimate.told)
+        _OWN.pack_into(
+            given.data, 0, len(samples), now_s, self._lasting, own.arrival_s, own.source_time_s,
+            *own.position_enu_m, *own.velocity_enu_m_s, own.yaw_rad,
+        )  # fmt: skip
+        for n, each in enumerate(samples):
+            _SAMPLE.pack_into(
+                given.data, _OWN.size + n * _SAMPLE.size, each.source_time_s, *each.position_enu_m,
+                *each.velocity_enu_m_s, each.yaw_rad, each.yaw_rate_rad_s, each.arrival_s,
+            )  # fmt: skip
+        objects.spare[:] = objects.state
+        began_s = time.perf_counter()
+        try:
+            landing, reserve = self._landed(self._handle, given, RULES[self._memory.phase])
+        except NotOrdinary:
+            objects.state[:] = objects.spare
+            return None
+        took_s = time.perf_counter() - began_s
+        self._behind = True
+        self._accepted += len(samples)
+        return self._outputs(inputs, landing, reserve, took_s)
+
+    def _holds(self, status: VehicleStatus) -> bool:
+        """Whether the compiled memory has the state, and the tick may be ordinary with this status."""
+        known = status.armed, status.mode, status.landed
+        if self._held and known == self._status:
+            return True
+        memory = self.memory
+        if memory.phase is Phase.LANDED or not self.ordinary(status):
+            return False
+        self._held = self._held or self._objects.write()
+        self._status, self._lasting = known, lasting_flags(self.config.checks, memory, status)
+        self._accepted = self.track.accepted
+        return self._held
+
+    def _outputs(self, inputs: Inputs, landing: Landing, reserve: float, took_s: float) -> Outputs:
+        """What ``Controller.step`` returns; the gate checks the velocity again."""
+        (_, at, barriers, wanted, setpoint), memory = landing, self._memory
+        result = barriers.result
+        if result.iterations:
+            barriers = barriers._replace(result=result._replace(solve_s=took_s))
+        verdict, approved = self._gate.check(
+            wanted, setpoint, memory.yaw_rad or 0.0,
+            own_fresh=True, target_fresh=True, altitude_m=at.own.position_enu_m[2], barrier_check=None,
+        )  # fmt: skip
+        known = Inputs(
+            at.own, inputs.status, inputs.target_samples, inputs.operator, inputs.power, inputs.neighbours
+        )
+        snapshot = Snapshot(known, at.target, True, True, True, at.e_m, True, Charge.FIT, ALONE)
+        return Outputs(
+            memory.phase, Request.EXTERNAL, approved, verdict, snapshot, barriers, wanted, None, (), False,
+            self._accepted, self.track.memory.rejected, reserve,
+        )  # fmt: skip
