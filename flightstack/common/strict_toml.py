@@ -78,25 +78,35 @@ class Files(Generic[T]):
         except ConfigError as error:
             raise ConfigError(f"{path}: {error}") from None
 
-    def table(self, path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:
+    def table(self, path: Path) -> dict[str, Any]:
         """Parse a file; omitted keys are those of the file that its key ``base`` names.
 
-        ``above``: files with this one as their base.
         Raises ConfigError: a file is missing or not TOML, or is its own base.
         """
-        table = read_toml(path)
-        name = table.pop("base", None)
-        if name is None:
+        return self.over_base(path, read_toml(path))
+
+    def over_base(self, path: Path, table: dict[str, Any], above: tuple[Path, ...] = ()) -> dict[str, Any]:
+        """Merge a file's table over the one that its key ``base`` names; ``above``: files based on it."""
+        if "base" not in table:
             return table
-        if not isinstance(name, str):
-            raise ConfigError(f"{path}: base: found {name!r}, the name of a {self._kind} or a file is needed")
-        try:
-            base = self.path_of(path.parent / name if (path.parent / name).is_file() else name)
-        except ConfigError as error:
-            raise ConfigError(f"{path}: base: {error}") from None
+        base = self.named(path, "base", name := table.pop("base"))
         if base.resolve() in (*above, path.resolve()):
             raise ConfigError(f"{path}: base: found {name!r}, which has this file as its base; remove one")
-        return over(self.table(base, (*above, path.resolve())), table)
+        return over(self.over_base(base, read_toml(base), (*above, path.resolve())), table)
+
+    def named(self, path: Path, key: str, name: object) -> Path:
+        """Find the file that a key of a file names: a file beside it, a known name, or a path.
+
+        Raises ConfigError: it names none.
+        """
+        if not isinstance(name, str):
+            raise ConfigError(
+                f"{path}: {key}: found {name!r}, the name of a {self._kind} or a file is needed"
+            )
+        try:
+            return self.path_of(path.parent / name if (path.parent / name).is_file() else name)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {key}: {error}") from None
 
 
 def over(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from flightstack.common.strict_toml import ConfigError, Files, span
 from flightstack.core.parameters.filters import look_here
@@ -238,16 +238,8 @@ class Scenario:
         return replace(self, onboard=replace(self.onboard, filter=name))
 
 
-_FILES = Files(Scenario, "sim.scenarios", "scenario")
-names, path_of = _FILES.names, _FILES.path_of
-
-
-def table(name_or_file: str | Path) -> dict[str, Any]:
-    """Parse a scenario's file, not checked yet; what it leaves out is that of its base.
-
-    Raises ConfigError: no such file, or not TOML.
-    """
-    return _FILES.table(path_of(name_or_file))
+FILES = Files(Scenario, "sim.scenarios", "scenario")
+names, path_of = FILES.names, FILES.path_of
 
 
 def load(name_or_file: str | Path) -> Scenario:
@@ -256,7 +248,7 @@ def load(name_or_file: str | Path) -> Scenario:
     Raises:
         ConfigError: with file, key, what was found and what is allowed.
     """
-    return in_place(_FILES.load(name_or_file), path_of(name_or_file).parent)
+    return in_place(FILES.load(name_or_file), path_of(name_or_file).parent)
 
 
 def in_place(scenario: Scenario, beside: Path) -> Scenario:

@@ -317,7 +317,7 @@ def _team(path: Path, table: dict[str, Any]) -> TeamScenario:
     if not isinstance(members, list) or not all(isinstance(each, dict) for each in members):
         raise ConfigError(f"member: found {members!r}, allowed: tables [[member]], one for each vehicle")
     about: dict[str, Any] = {key: table.pop(key) for key in _OF_THE_TEAM if key in table}
-    shared = over(_base(path, table), table)
+    shared = scenarios.FILES.over_base(path, table)
     found: list[dict[str, Any]] = []
     for number, own in enumerate(members, 1):
         for key in (*_OF_THE_TEAM, "base"):
@@ -334,36 +334,14 @@ def _configured(path: Path, shared: dict[str, Any], own: dict[str, Any], number:
 
     Table [fleet], tick, and the place where landings begin stay those of the team.
     """
-    name = own.pop("config", None)
-    if name is None:
+    if "config" not in own:
         return shared
-    if not isinstance(name, str):
-        raise ConfigError(
-            f"member {number}: config: found {name!r}, allowed: the name of a configuration, or a file"
-        )
-    beside, onboard = path.parent / name, shared.get("onboard", {})
+    onboard = shared.get("onboard", {})
     kept = {key: onboard[key] for key in ("fleet", "loop") if key in onboard}
     if "start_offset_m" in (takeoff := onboard.get("takeoff", {})):
         kept["takeoff"] = {"start_offset_m": takeoff["start_offset_m"]}
-    try:
-        table = configurations.table(beside if beside.is_file() else name)
-    except ConfigError as error:
-        raise ConfigError(f"member {number}: config: {error}") from None
-    return {**shared, "onboard": over(table, kept)}
-
-
-def _base(path: Path, table: dict[str, Any]) -> dict[str, Any]:
-    """Table of the scenario that all members share; empty without one."""
-    name = table.pop("base", None)
-    if name is None:
-        return {}
-    if not isinstance(name, str):
-        raise ConfigError(f"base: found {name!r}, allowed: the name of a scenario, or a file")
-    beside = path.parent / name
-    try:
-        return scenarios.table(beside if beside.is_file() else name)
-    except ConfigError as error:
-        raise ConfigError(f"base: {error}") from None
+    file = configurations.FILES.named(path, f"member {number}: config", own.pop("config"))
+    return {**shared, "onboard": over(configurations.FILES.table(file), kept)}
 
 
 def _checked(table: dict[str, Any], where: str) -> dict[str, Any]:

@@ -89,7 +89,7 @@ def test_all_members_can_have_another_filter():
             ABOUT + 'base = "feild"\n[[member]]\n',
             "mine.toml: base: scenario 'feild': neither a file nor one of",
         ),
-        (ABOUT + "base = 3\n[[member]]\n", "mine.toml: base: found 3, allowed: the name of a scenario"),
+        (ABOUT + "base = 3\n[[member]]\n", "mine.toml: base: found 3, the name of a scenario"),
         (ABOUT + 'base = "field"\nmember = 3\n', r"member: found 3, allowed: tables \[\[member\]\]"),
         (
             ABOUT + 'base = "field"\n[[member]]\n[[member]]\nstart.hight_m = 1.0\n',
@@ -107,7 +107,7 @@ def test_all_members_can_have_another_filter():
             ABOUT + 'base = "field"\n[[member]]\nconfig = "px5"\n',
             "mine.toml: member 1: config: configuration 'px5': neither a file nor one of",
         ),
-        (ABOUT + 'base = "field"\n[[member]]\nconfig = 3\n', "mine.toml: member 1: config: found 3, allowed"),
+        (ABOUT + 'base = "field"\n[[member]]\nconfig = 3\n', "mine.toml: member 1: config: found 3, the name of a configuration"),
         ('base = "field"\n[[member]]\n', "mine.toml: name: missing"),
         (
             ABOUT + 'base = "field"\n[[member]]\n[[member]]\nonboard.loop.rate_hz = 50\n',
