@@ -9,8 +9,8 @@ import click
 
 from flightstack.cli.options import takes
 from flightstack.common.hangup import say
+from flightstack.config.options import OnboardOptions
 from flightstack.launch.run_options import FlyOptions, RunOptions
-from flightstack.onboard.options import OnboardOptions
 
 
 @click.command()

@@ -14,7 +14,7 @@ import click
 from flightstack.cli.options import takes, without_rerun
 from flightstack.common.hangup import Stop
 from flightstack.common.streams import reader_gone
-from flightstack.onboard.options import WATCHED, WatchOptions
+from flightstack.config.options import WATCHED, WatchOptions
 
 if TYPE_CHECKING:
     from flightstack.watch.state import Watch

@@ -1,4 +1,4 @@
-"""Options that several commands share, alone or in a dataclass of those that belong together."""
+"""Options that several commands share, of the onboard process and of watching it."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ from flightstack.core.parameters.filters import ALLOWED, look_here
 _SEED_DIGITS_MAX = 4000  # more than the longest that ``rare`` makes; Python reads 4,300
 # written out here, so that a command does not load the rooms that know them; a test compares them
 AUTOPILOTS = ("auto", "sitl", "crazyflie", "px4", "ardupilot")
+TARGET_TYPES = ("odometry", "pose", "pose-covariance", "tf")
+CORES = ("auto", "plain", "compiled")
+WATCHED = "tcp/127.0.0.1:7448"  # endpoint of the onboard process in README and docs
 
 
 def _number(text: str) -> float | None:
@@ -238,3 +241,71 @@ class Result:
     )] = None  # fmt: skip
     as_json: Annotated[bool, json("Print one JSON object as the last line.")] = False
     with_report: Annotated[bool, Option("--report/--no-report", "Write the HTML report.")] = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlightOptions(Signing, Ros2, Zenoh):
+    """What it needs to fly any vehicle: vehicle, target, configuration, links."""
+
+    vehicle_url: VehicleUrl
+    target_key: Annotated[str, Option(
+        "--target",
+        "Source of the target: a Zenoh key, ros2:/TOPIC (rmw_zenoh), ros2dds:/TOPIC (docs/how_to/ros2.md).",
+        "KEY"
+    )] = "cf1/target/odom"  # fmt: skip
+    target_type: Annotated[str, Option(
+        "--target-type", "Message type of the target; for all types but odometry the velocity is estimated.",
+        choices=TARGET_TYPES
+    )] = "odometry"  # fmt: skip
+    target_offset_m: Annotated[tuple[float, float, float], Option(
+        "--target-offset", "Landing spot from the tracked frame, in that frame's axes, m: forward, left, up.",
+        "X Y Z"
+    )] = (0.0, 0.0, 0.0)  # fmt: skip
+    config_file: Annotated[Path, config()]
+    namespace: Annotated[str | None, Option(
+        "--namespace", "First part of all Zenoh keys and topics; default: cf1, or cf and the id of [fleet]."
+    )] = None  # fmt: skip
+    no_record: Annotated[bool, Option("--no-record", "Record nothing.")] = False
+    duration_s: Duration = None
+    system_id: SystemId = 1
+    autopilot: Autopilot = "auto"
+    accept_release: AcceptRelease = False
+    core: Annotated[str, Option(
+        "--core", "Code of the control step: plain Python, or compiled by numba, equal to the last bit; "
+        "auto: compiled in real time where it has been compiled before.", choices=CORES
+    )] = "auto"  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnboardOptions(FlightOptions):
+    """All of them."""
+
+    recorder: Recorder = None
+    lockstep: Lockstep = False
+    speed: Speed = 1.0
+    clock: Clock = None
+    shared_log: Annotated[bool, Option(
+        "--shared-log", "The recorder writes several flights: names in the log begin with the namespace."
+    )] = False  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class WatchOptions:
+    """Where a flight is watched, and how it is shown."""
+
+    connect: Annotated[tuple[str, ...], Option(
+        "--connect",
+        "Zenoh endpoint of the onboard process, as `sitl` prints it; repeatable; default: "
+        f"{WATCHED}, or the endpoint of --zenoh-config.", "ENDPOINT"
+    )] = ()  # fmt: skip
+    zenoh_config: ZenohConfig = None
+    namespace: Namespace = "cf1"
+    once: Annotated[
+        bool, Option("--once", "Show the state once and end; exit status 1 if no fresh data come.")
+    ] = False
+    as_json: Annotated[bool, json("Print one JSON object a line, two a second (--once: one).")] = False
+    timeout_s: Annotated[float, seconds("--timeout", "Longest wait of --once.", 0.1, 3600.0)] = 5.0
+    view: View = None
+    config_file: Annotated[
+        Path | None, config("Configuration of the flight, for the barrier and the pad in --view")
+    ] = None

@@ -9,11 +9,11 @@ from rich.console import Console
 from flightstack.common.options import shared
 from flightstack.common.strict_toml import dumps
 from flightstack.config.files import load
+from flightstack.config.options import OnboardOptions
 from flightstack.launch.launcher import Followed, Launcher, Shown
 from flightstack.launch.result import Flown
 from flightstack.launch.run_options import FlyOptions
 from flightstack.onboard.fleet_wire import namespace_of
-from flightstack.onboard.options import OnboardOptions
 from flightstack.onboard.recording import Described, describe, end_recorder, log_in, new_folder
 
 

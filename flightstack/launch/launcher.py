@@ -26,9 +26,9 @@ from flightstack.common.processes import (
     Running,
     socket_folder,
 )
+from flightstack.config.options import WatchOptions
 from flightstack.core.mission.machine import parse
 from flightstack.core.types import Phase
-from flightstack.onboard.options import WatchOptions
 from flightstack.onboard.recording import start_recorder
 from flightstack.watch.live import REFRESH_HZ, LiveView
 from flightstack.watch.state import Watch

@@ -11,7 +11,7 @@ from typing import Annotated
 from flightstack.common.options import BadOptionError, Option
 from flightstack.common.strict_toml import ConfigError
 from flightstack.config import options as shared
-from flightstack.onboard.options import FlightOptions
+from flightstack.config.options import FlightOptions
 
 _SIMULATED, _REAL = "works with the simulated vehicle only", "works with PX4 and ArduPilot only"
 

@@ -21,6 +21,7 @@ from flightstack.common.hangup import CalledOffError
 from flightstack.common.processes import Child, LaunchError
 from flightstack.common.strict_toml import ConfigError, dumps
 from flightstack.config.files import load as load_config
+from flightstack.config.options import OnboardOptions
 from flightstack.core.parameters.filters import short_name
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.launch.launcher import Followed, Launcher, Shown
@@ -34,7 +35,6 @@ from flightstack.launch.vehicles import (
     others_s,
     scenario_file,
 )
-from flightstack.onboard.options import OnboardOptions
 from flightstack.onboard.recording import Described, describe, log_in, new_folder
 from flightstack.verify.certificate import problems
 from logs.schema.names import NO_PAD, TEAM, Names, member_name

@@ -16,6 +16,7 @@ from flightstack.common.pacing import RealTimePacer, Tick, quiet_garbage_collect
 from flightstack.common.simulation_clock import Follower, chosen_clock
 from flightstack.common.strict_toml import ConfigError, dumps
 from flightstack.compiled.core import Core, chosen_core, compiled
+from flightstack.config.options import OnboardOptions
 from flightstack.core.controller import ERROR, WARN, Controller, Outputs, state_class
 from flightstack.core.memory import Memory
 from flightstack.core.mission.phases import DISARMED, MODE_CHANGED
@@ -27,7 +28,6 @@ from flightstack.onboard.leaving import Ended, Leaving, Signals
 from flightstack.onboard.live_topics import LiveHealth
 from flightstack.onboard.lockstep import LockstepWires, LockstepWords
 from flightstack.onboard.log import OnboardLog
-from flightstack.onboard.options import OnboardOptions
 from flightstack.onboard.recording import OwnRecorder
 from flightstack.onboard.runner import (
     LinkedVehicle,

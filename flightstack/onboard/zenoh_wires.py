@@ -7,10 +7,10 @@ from bridge.target.ros2_target import Dialect, KeySearch, TargetSource, TargetSp
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import ConnectionAlarm
 from flightstack.common.pacing import Tick
+from flightstack.config.options import OnboardOptions
 from flightstack.core.controller import Outputs
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.onboard.live_topics import LiveRos2
-from flightstack.onboard.options import OnboardOptions
 from logs.schema.rows import ControllerStepRow
 
 

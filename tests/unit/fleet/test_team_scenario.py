@@ -107,7 +107,10 @@ def test_all_members_can_have_another_filter():
             ABOUT + 'base = "field"\n[[member]]\nconfig = "px5"\n',
             "mine.toml: member 1: config: configuration 'px5': neither a file nor one of",
         ),
-        (ABOUT + 'base = "field"\n[[member]]\nconfig = 3\n', "mine.toml: member 1: config: found 3, the name of a configuration"),
+        (
+            ABOUT + 'base = "field"\n[[member]]\nconfig = 3\n',
+            "mine.toml: member 1: config: found 3, the name of a configuration",
+        ),
         ('base = "field"\n[[member]]\n', "mine.toml: name: missing"),
         (
             ABOUT + 'base = "field"\n[[member]]\n[[member]]\nonboard.loop.rate_hz = 50\n',

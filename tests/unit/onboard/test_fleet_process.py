@@ -9,11 +9,11 @@ from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import open_session
 from flightstack.common.strict_toml import ConfigError
 from flightstack.config.files import load, path_of
+from flightstack.config.options import OnboardOptions
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.types import Intent, Neighbour, Operator, Phase
 from flightstack.onboard import process
 from flightstack.onboard.fleet_wire import FleetWire, namespace_of
-from flightstack.onboard.options import OnboardOptions
 from flightstack.onboard.process import Onboard
 from flightstack.onboard.runner import LinkedVehicle
 from logs.schema import schemas

@@ -14,11 +14,11 @@ from flightstack.cli.options import takes
 from flightstack.common.options import argv, declared
 from flightstack.common.processes import LaunchError
 from flightstack.config.files import load, path_of
+from flightstack.config.options import FlightOptions, OnboardOptions, WatchOptions
 from flightstack.launch import fly
 from flightstack.launch.launcher import Launcher
 from flightstack.launch.run_options import FlyOptions, RunOptions
 from flightstack.launch.sitl import prepare, sum_up
-from flightstack.onboard.options import FlightOptions, OnboardOptions, WatchOptions
 from sim.options import Px4SimOptions, TargetOptions, VehicleOptions
 from sim.scenarios.scenario import load as load_scenario
 

@@ -16,12 +16,12 @@ from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import PATIENCE_S
 from flightstack.common.pacing import Tick
 from flightstack.config.files import load
+from flightstack.config.options import OnboardOptions
 from flightstack.core.parameters.ends import Retreat
 from flightstack.core.parameters.flight import BarrierShape, Checks, FlightConfig
 from flightstack.core.snapshot import Snapshot
 from flightstack.core.types import Inputs, Landed, Mode, OwnState, Phase, VehicleStatus
 from flightstack.onboard.live_topics import BATTERY_AGE_MAX_S, health_row
-from flightstack.onboard.options import OnboardOptions
 from flightstack.onboard.waiting import TargetSeen, VehicleSeen, WaitReport, countdown, missing
 from flightstack.onboard.zenoh_wires import ZenohWires
 from tests.processes.ports import free_endpoint, free_port

@@ -26,9 +26,8 @@ from bridge.mavlink.profiles import (
 )
 from bridge.target.ros2_target import TargetType
 from flightstack.compiled.core import Core
-from flightstack.config.options import AUTOPILOTS
+from flightstack.config.options import AUTOPILOTS, CORES, TARGET_TYPES
 from flightstack.core.types import Landed, Mode, Request
-from flightstack.onboard.options import CORES, TARGET_TYPES
 from tests.unit.mavlink.client.autopilots_page import PAGE, split, tables
 from tests.unit.mavlink.client.vehicle_link_fakes import (
     HEIGHT,
