@@ -9,8 +9,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from flightstack.common.strict_toml import ConfigError, dumps, from_table, to_table
 from sim.faults.link import Way
-from sim.faults.mavlink import FAILURES, TYPES, UNITS
 from sim.faults.schedule import RUNNING_MAX
+from sim.faults.vehicle_faults import FAILURES, TYPES, UNITS
 from sim.scenarios.fault_spec import TABLE, After, Fault, Kind, What
 from sim.scenarios.scenario import Scenario, load, names
 from tests.unit.faults.fault_helpers import CELLS, aloft, fault, hold, off_home, table_row
