@@ -171,6 +171,14 @@ def row_of(flown: TeamLanding) -> Row:
     )
 
 
+def _visited(rows: Iterable[Row]) -> Iterator[tuple[int, int, int]]:
+    """Yield column, row and lowest h (mm) of each cell of the rows' maps."""
+    for row in rows:
+        for cell in filter(None, row.cells.split(";")):
+            i, j, h_mm = map(int, cell.split())
+            yield i, j, h_mm
+
+
 def _all(values: Iterable[bool | None]) -> bool | None:
     """Whether all are true; None if that is not known."""
     found = set(values)
@@ -180,10 +188,8 @@ def _all(values: Iterable[bool | None]) -> bool | None:
 def _joined(rows: Sequence[Row]) -> str:
     """The members' maps of h in one, with the lowest h of each cell."""
     lowest: dict[tuple[int, int], int] = {}
-    for row in rows:
-        for cell in filter(None, row.cells.split(";")):
-            i, j, h_mm = map(int, cell.split())
-            lowest[j, i] = min(h_mm, lowest.get((j, i), h_mm))
+    for i, j, h_mm in _visited(rows):
+        lowest[j, i] = min(h_mm, lowest.get((j, i), h_mm))
     return ";".join(f"{i} {j} {h_mm}" for (j, i), h_mm in sorted(lowest.items()))
 
 
@@ -196,11 +202,9 @@ def cell_map(rows: Iterable[Row]) -> tuple[Any, Any]:
     """Lowest h (m, NaN: no landing) and number of landings in each cell, (E_Z_CELLS, D_CELLS) each."""
     lowest = np.full((E_Z_CELLS, D_CELLS), np.inf)
     visits = np.zeros((E_Z_CELLS, D_CELLS), dtype=np.int64)
-    for row in rows:
-        for cell in filter(None, row.cells.split(";")):
-            i, j, h_mm = map(int, cell.split())
-            lowest[j, i] = min(lowest[j, i], h_mm * 1e-3)
-            visits[j, i] += 1
+    for i, j, h_mm in _visited(rows):
+        lowest[j, i] = min(lowest[j, i], h_mm * 1e-3)
+        visits[j, i] += 1
     return np.where(np.isfinite(lowest), lowest, np.nan), visits
 
 

@@ -172,12 +172,12 @@ class TeamScenario:
         Raises ConfigError, with found and allowed value.
         """
         members = list(self.singles(seed))
-        if self.is_alone and number is not None:
-            raise ConfigError(f"--member: found {number}; {self.name} is of one vehicle: leave it out")
-        if not self.is_alone and (number is None or not 1 <= number <= len(members)):
+        if number is None and len(members) == 1:
+            number = 1
+        if number is None or not 1 <= number <= len(members):
             what = "missing" if number is None else f"found {number}"
             raise ConfigError(f"--member: {what}; allowed are 1 to {len(members)} of {self.name}")
-        return members[(number or 1) - 1]
+        return members[number - 1]
 
 
 _FILES = Files(TeamScenario, "sim.scenarios.teams", "team")

@@ -158,7 +158,7 @@ def test_one_member_is_taken_with_its_seed_and_one_vehicle_as_it_is():
     [
         ("fleet_3", None, "--member: missing; allowed are 1 to 3 of fleet_3"),
         ("fleet_3", 4, "--member: found 4; allowed are 1 to 3"),
-        ("field", 1, "--member: found 1; field is of one vehicle"),
+        ("field", 2, "--member: found 2; allowed are 1 to 1 of field"),
     ],
 )
 def test_a_member_that_there_is_not_is_refused(name, number, error):
