@@ -91,19 +91,16 @@ def test_only_the_public_interface_has_docstrings_with_sections():
     assert found <= public
 
 
-def test_a_landing_lands_and_equals_itself():
+def test_a_landing_lands():
     out = run("landing.py", "lab", 3)
     assert re.search(r"^landed: touched \d\.\d cm from the centre", out, re.MULTILINE)
     assert [line.split()[-1] for line in out.splitlines()[:5]] == [
         "WAIT", "APPROACH", "LAND", "TOUCHDOWN", "LANDED"
     ]  # fmt: skip
-    assert run("landing.py", "lab", 3) == out
 
 
-def test_the_scenario_is_proven_lands_and_its_log_becomes_arrays(flown, tmp_path):
-    assert flightstack("check", EXAMPLES / "own_scenario.toml").code == 0
-    flight = flown(str(EXAMPLES / "own_scenario.toml"))
-    assert (flight.code, flight.json["outcome"]) == (0, "landed"), flight.err
+def test_a_log_becomes_arrays(flown, tmp_path):
+    flight = flown("paper_static_1")
     out = run("log_to_numpy.py", flight.log, tmp_path / "flight.npz")
     steps = load_flight(flight.log).steps
     assert f"{len(steps.t_s)} steps" in out
@@ -151,6 +148,9 @@ def test_the_target_is_landed_on(tmp_path):
     robot = ("publish_target.py", "--key", "demo/odom", "--speed", "0", "--listen", zenoh)
     with verb(*vehicle), running(*robot):
         words = ("--vehicle", f"udpout:{url}", "--target", "demo/odom", "--connect", zenoh)
-        words += ("--config", "crazyflie", "--no-report", "--json", "--out", tmp_path)
+        words += ("--config", "crazyflie", "--no-record", "--json", "--out", tmp_path)
         done = flightstack("fly", *words)
     assert (done.code, done.json["outcome"]) == (0, "landed"), done.out + done.err
+    # without a log the onboard process is believed, and nothing is measured
+    assert (done.json["log"], done.json["touchdown_error_m"]) == (None, None)
+    assert not list(tmp_path.glob("*.mcap"))

@@ -129,16 +129,6 @@ def test_a_reader_that_ends_changes_nothing_and_sigterm_commands_the_landing(tmp
     assert any("(land here)" in event.text for event in flight.events)
 
 
-def test_without_a_log_the_onboard_process_is_believed_and_nothing_measured(tmp_path):
-    with theirs(tmp_path) as words:
-        out = tmp_path / "flight"
-        done = flightstack("fly", *words, "--no-record", "--out", out, "--json")
-    assert done.code == 0, done.err
-    assert (done.json["outcome"], done.json["log"]) == ("landed", None)
-    assert done.json["touchdown_error_m"] is None
-    assert not list(out.glob("*.mcap"))
-
-
 def test_a_vehicle_that_does_not_answer_is_not_flown_and_said_so(tmp_path):
     words = ["--vehicle", "udpout:127.0.0.1:9", "--config", "crazyflie", "--duration", "1"]
     done = flightstack("fly", *words, "--out", tmp_path, "--json")

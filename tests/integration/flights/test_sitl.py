@@ -175,14 +175,6 @@ def test_the_log_says_when_the_robot_was_out_of_sight_and_what_came_of_it(flown)
     assert told.count("Fault over: target odometry off") == 2
 
 
-def test_failing_runs_repeat_bit_by_bit(flown, tmp_path):
-    first, second = flown("fault_link_burst"), fly(tmp_path, "fault_link_burst")
-    assert first.json["outcome"] == second.json["outcome"] in ("landed", "aborted"), second.err
-    assert events(first.folder, "Fault: link in burst loss")
-    same = flightstack("compare", first.log, tmp_path / "flight.mcap")
-    assert (same.code, same.out.strip().splitlines()[-1]) == (0, "equal"), same.out
-
-
 def test_a_wrong_fault_is_refused_before_anything_starts(tmp_path):
     shown = flightstack("scenarios", "fault_motor_dead").out
     (tmp_path / "s.toml").write_text(shown.replace("motor = 2", "motor = 7"))

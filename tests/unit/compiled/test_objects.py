@@ -58,6 +58,7 @@ def take(kernel, later_s, x_m):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(is_off(), reason="nothing is compiled")
 def test_compiled_methods_change_the_same_state_and_leave_rare_things_to_python(flown):
     other = Controller(config())

@@ -81,6 +81,7 @@ def test_without_faults_it_lands():
     assert not world.armed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.LAND])
 @pytest.mark.parametrize("name", TARGET_FAULTS)
 def test_a_target_that_cannot_be_believed_is_held_then_climbed_from_then_landed_away_from(name, phase):

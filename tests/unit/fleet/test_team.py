@@ -13,6 +13,8 @@ from sim.scenarios.scenario import load
 from sim.scenarios.team import TeamScenario
 from tests.unit.fleet.fleet_helpers import FIELD, at, same, team_of
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("seed", [0, 3])
 def test_a_team_of_one_is_a_landing_to_the_last_bit(seed):
@@ -152,7 +154,6 @@ def test_a_team_has_one_wind_of_its_own_gusts():
     assert [each.wind.direction_rad for each, _ in team_of(given).singles(4)] == [0.5]
 
 
-@pytest.mark.slow
 def test_a_flight_inwards_that_a_neighbour_turns_round_stays_above_the_barrier():
     """The fifth vehicle came 11 mm below it when sinking counted on flying on inwards."""
     landings = land_team(team.load("fleet_8"), 20866).landings

@@ -96,6 +96,7 @@ def test_the_row_of_a_team_has_the_worst_of_its_members(flown, landing):
     assert crashed.outcomes == "landed crashed"
 
 
+@pytest.mark.slow
 def test_a_campaign_flies_teams(tmp_path):
     toml = text(team_of(at(0.0, 0.0), at(6.0, 0.0)))
     rows = [fly_seed(toml, seed) for seed in (0, 1)]

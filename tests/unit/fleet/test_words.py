@@ -72,6 +72,7 @@ def test_a_word_that_is_not_told_does_not_move_the_losses():
     assert [tick for tick in range(1, 100, 2) if not heard[tick]] == [tick for tick in found if tick % 2]
 
 
+@pytest.mark.slow
 def test_the_members_of_a_team_hear_each_other():
     fleet = [Fleet(id=n, members=(1, 2)) for n in (1, 2)]
     members = [at(0.0, 0.0), at(9.0, 0.0)]
@@ -91,6 +92,7 @@ def test_the_members_of_a_team_hear_each_other():
     assert all(same(a, b) for a, b in zip(flown.landings, again.landings, strict=True))
 
 
+@pytest.mark.slow
 def test_without_each_other_s_words_nobody_of_a_fleet_lands():
     members = [at(0.0, 0.0), at(9.0, 0.0)]
     members = [

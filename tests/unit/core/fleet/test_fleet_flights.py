@@ -57,6 +57,7 @@ def test_three_land_on_pads_that_drive_and_cross(seed):
     assert sky.least_h_m >= 0.0, sky.least_at
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_eight_change_places(seed):
     ring = [2.0 * math.pi * k / 8 for k in range(8)]
@@ -69,6 +70,7 @@ def test_eight_change_places(seed):
     assert FilterStatus.CLOSED_FORM not in {s for f in sky.flyers for s in f.statuses}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_one_falls_silent_and_nobody_comes_too_near(seed):
     starts = [(-2.0, 0.0, 1.0), (2.0, 0.0, 1.0), (0.0, 2.0, 1.0)]
@@ -133,6 +135,7 @@ def test_the_landing_barrier_is_held_in_a_crowd():
     assert flyer.statuses
 
 
+@pytest.mark.slow
 @settings(max_examples=6, deadline=None)
 @given(st.integers(0, 250))
 def test_restored_at_any_tick_a_member_decides_what_the_straight_run_decides(cut):

@@ -44,6 +44,7 @@ def test_the_wait_for_a_calm_robot_does_not_count():
         assert ("SWINGS" in names(tick(settings, e=IN, memory=memory))) is expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 4, 6])
 def test_a_loop_slower_than_configured_ends_by_its_own_reason(seed):
     """ArduCopter 4.7's loop with the configuration for the older one swung for two minutes."""

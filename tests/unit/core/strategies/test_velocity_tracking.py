@@ -29,6 +29,7 @@ def fed_back(delay_s=0.0, loop=EAGER):
     return VelocityTracking(loop, T_S, FEEDBACK, delay_s)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("made", "rates", "dampings"),
     [(lead, st.floats(0.7, 1.3), st.floats(0.7, 1.3)), (fed_back, st.floats(0.77, 1.42), st.just(1.0))],

@@ -85,6 +85,7 @@ def damaged(data, rng):
     return data
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ours", *KINDS])
 def test_every_verb_ends_with_a_sentence_whatever_is_damaged(logs, kind, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
