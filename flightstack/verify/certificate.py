@@ -78,6 +78,7 @@ def robust_checks(config: FlightConfig) -> list[Check]:
         *([robust.reserve(config, table, x)] if table is not None else []),
         robust.holds(config, x),
         robust.estimator(config, x),
+        *([robust.own_estimator(config)] if config.own.learns and not fed_back else []),
         touchdown.tilts(config, x),
         touchdown.modelled(config),
         *(

@@ -49,7 +49,9 @@ def extremes(config: FlightConfig) -> Extremes:
     usual, own_m = errors.usual, config.own.position_noise_m
     vx, vy, _ = config.limits.velocity_max_m_s
     acceleration = envelope.target_acceleration_max_m_s2
-    velocity_error = robust.sigma_factor * usual.velocity_sigma_m_s
+    velocity_error = robust.sigma_factor * math.hypot(
+        usual.velocity_sigma_m_s, own_velocity_sigma_m_s(config)
+    )
     slower = 1.0 + envelope.lag_spread
     return Extremes(
         barrier=barrier,
@@ -70,6 +72,18 @@ def extremes(config: FlightConfig) -> Extremes:
         lag_xy_s=slower * loop.lag_xy_s,
         lag_z_s=slower * loop.lag_z_s,
     )
+
+
+def own_velocity_sigma_m_s(config: FlightConfig) -> float:
+    """Return the noise of the own velocity where its error is learned without the velocity loop's model.
+
+    White noise of the positions through s w^2 / (s + w)^2, w = 1 / T: variance noise^2 period w^3 / 4.
+    """
+    own = config.own
+    if not own.learns or config.velocity_feedback.horizontal:
+        return 0.0
+    period_s, time_s = 1.0 / config.loop.rate_hz, own.velocity_error_time_s
+    return 0.5 * own.position_noise_m * math.sqrt(period_s / time_s) / time_s
 
 
 def _margin_m(strategy: RobustFilter, motion: TargetMotion) -> float:

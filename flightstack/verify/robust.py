@@ -212,3 +212,22 @@ def estimator(config: FlightConfig, x: Extremes) -> Check:
         f"raise target.{key} or lower envelope.target_acceleration_max_m_s2",
         Need.PROOF,
     )
+
+
+def own_estimator(config: FlightConfig) -> Check:
+    """Check that an error of the own velocity is learned faster than the position loop acts on it.
+
+    Without the velocity loop's model: the position estimate is wrong by at most the error times its time over
+    e, and the velocity by the error, for that time. Half the time constant of the position loop is the bound.
+    """
+    gain = max(config.robust.gain_1_s, config.robust.gain_over_pad_1_s, config.robust.to_contact_1_s)
+    time_s = config.own.velocity_error_time_s
+    return Check(
+        "own.velocity_error_time_s",
+        "an error of the vehicle's velocity is estimated twice as fast as the position loop acts",
+        0.5 / gain - time_s,
+        "s",
+        f"found {time_s:g} s; with a gain of {gain:g} 1/s at most {0.5 / gain:.3g} s",
+        "lower own.velocity_error_time_s, or set own.velocity_error_m_s to 0",
+        Need.PROOF,
+    )

@@ -61,10 +61,10 @@ class RobustFilter(Strategy):
         self._learns, self._weighs = config.own.learns, config.reserve is not None
         loop, period_s = config.velocity_loop, 1.0 / config.loop.rate_hz
         self.estimator = TargetEstimator(config.target)
-        self.own_estimator = OwnEstimator(config.own, loop, period_s)
-        self._tracking = VelocityTracking(
-            loop, period_s, config.velocity_feedback, 0.0 if self._learns else config.own.delay_s
-        )
+        fed_back = config.velocity_feedback.horizontal
+        self.own_estimator = OwnEstimator(config.own, loop, period_s, by_loop=fed_back)
+        delay_s = 0.0 if self._learns and fed_back else config.own.delay_s  # then the model knows what comes
+        self._tracking = VelocityTracking(loop, period_s, config.velocity_feedback, delay_s)
         self.motion, self.tracking = self.estimator.memory, self._tracking.memory
         self.own, self.late = self.own_estimator.memory, self._tracking.late
         self.slope = barrier.slope(config.touchdown.pad_radius_m)

@@ -3,13 +3,15 @@
 An estimate on board that is fed with late positions tells velocities that are wrong for a part of a second
 and by a share of the speed for a whole flight (docs/how_it_works/own_state.md). The vehicle's velocity loop
 flies the velocity that is told. Horizontally each axis has the position p, the velocity v, the acceleration
-a that the loop gives, the error e of the velocity told, and the acceleration f of gusts and turning moments:
+a that the loop gives, the error e of the velocity told, and the acceleration f of gusts and turning moments.
+With velocity feedback, which needs the same model:
 
     p' = v,   v' = a + f,   a' = w^2 (u - v - e) - 2 z w a,   e' = -e / T + noise,   f' = -f / T_f + noise
 
 with p and v + e measured. A steady Kalman filter estimates all five for the time of the measurement, and
-the same model carries them on over the delay with the set-points u that are on their way. Upwards, where the
-thrust ends first and the model with it, only p and e are learned:
+the same model carries them on over the delay with the set-points u that are on their way. Without velocity
+feedback the loop may be another one than declared, and the model would take its quicker answers for errors.
+Then, and always upwards, where the thrust ends first and the model with it, only p and e are learned:
 
     q' = v - e + 2 w (p - q),      e' = -w^2 (p - q),      w = 1 / T
 """
@@ -98,22 +100,23 @@ class OwnEstimator:
     # model of an axis: period of a tick, s, square of its rate, drag, and what a tick leaves of e and f
     model: Model
     period_s: float  # period of a tick
+    by_loop: bool  # by the model of the velocity loop
     delay_s: float
     push_1_s: float  # push over the disturbance of the velocity
-    rate_up_1_s: float
+    rate_1_s: float  # at which an error is learned without the model
     most_m_s: float
     ahead: int  # ticks from the newest sample to now
     gap_max: int
 
-    def __init__(self, link: OwnStateLink, loop: VelocityLoop, period_s: float) -> None:
-        self.memory = OwnMemory()
-        self.gains = steady_gains(loop, link, period_s) if link.learns else NO_GAINS
+    def __init__(self, link: OwnStateLink, loop: VelocityLoop, period_s: float, *, by_loop: bool) -> None:
+        self.memory, self.by_loop = OwnMemory(), by_loop
+        self.gains = steady_gains(loop, link, period_s) if link.learns and by_loop else NO_GAINS
         self.period_s, self.delay_s = period_s, link.delay_s
         drag_1_s = 2.0 * loop.damping * loop.rate_xy_1_s
         fades = 1.0 - period_s / link.velocity_error_time_s
         self.model = (period_s, loop.rate_xy_1_s**2, drag_1_s, fades, 1.0 - period_s / PUSH_TIME_S)
         self.push_1_s = loop.rate_xy_1_s / (2.0 * loop.damping)
-        self.rate_up_1_s, self.most_m_s = 1.0 / link.velocity_error_time_s, link.velocity_error_max_m_s
+        self.rate_1_s, self.most_m_s = 1.0 / link.velocity_error_time_s, link.velocity_error_max_m_s
         self.ahead = max(1, round(link.delay_s / period_s))
         self.gap_max = round(GAP_MAX_S / period_s)
 
@@ -128,9 +131,12 @@ class OwnEstimator:
             memory.time_s = own.source_time_s
             self._learn(own, elapsed_s)
         x, y, model = memory.x, memory.y, self.model
-        for k in range(self.ahead):
-            ux, uy, _ = memory.pending[on_its_way(self.ahead, k)]
-            x, y = moved(x, ux, model), moved(y, uy, model)
+        if self.by_loop:
+            for k in range(self.ahead):
+                ux, uy, _ = memory.pending[on_its_way(self.ahead, k)]
+                x, y = moved(x, ux, model), moved(y, uy, model)
+        else:
+            x, y = straight_on(x, self.delay_s), straight_on(y, self.delay_s)
         memory.x_now, memory.y_now = x, y
         z_m, z_m_s = memory.z_m, own.velocity_enu_m_s[2] - memory.z_error_m_s
         return OwnState(
@@ -162,13 +168,19 @@ class OwnEstimator:
 
     def _learn(self, own: OwnState, elapsed_s: float) -> None:
         (px, py, pz), (vx, vy, vz), memory = own.position_enu_m, own.velocity_enu_m_s, self.memory
-        ux, uy, _ = memory.pending[on_its_way(self.ahead, -1)]
-        ticks = min(self.gap_max, max(1, round(elapsed_s / self.period_s)))
-        model, gains, most_m_s = self.model, self.gains, self.most_m_s
-        memory.x = learned(memory.x, ux, ticks, model, px, vx, gains, most_m_s)
-        memory.y = learned(memory.y, uy, ticks, model, py, vy, gains, most_m_s)
-        memory.z_m, memory.z_error_m_s = raised(
-            memory.z_m, memory.z_error_m_s, pz, vz, elapsed_s, self.rate_up_1_s, most_m_s
+        rate_1_s, most_m_s = self.rate_1_s, self.most_m_s
+        if self.by_loop:
+            ux, uy, _ = memory.pending[on_its_way(self.ahead, -1)]
+            ticks = min(self.gap_max, max(1, round(elapsed_s / self.period_s)))
+            model, gains = self.model, self.gains
+            memory.x = learned(memory.x, ux, ticks, model, px, vx, gains, most_m_s)
+            memory.y = learned(memory.y, uy, ticks, model, py, vy, gains, most_m_s)
+        else:
+            x_m, ex = drifted_apart(memory.x[0], memory.x[3], px, vx, elapsed_s, rate_1_s, most_m_s)
+            y_m, ey = drifted_apart(memory.y[0], memory.y[3], py, vy, elapsed_s, rate_1_s, most_m_s)
+            memory.x, memory.y = (x_m, vx - ex, 0.0, ex, 0.0), (y_m, vy - ey, 0.0, ey, 0.0)
+        memory.z_m, memory.z_error_m_s = drifted_apart(
+            memory.z_m, memory.z_error_m_s, pz, vz, elapsed_s, rate_1_s, most_m_s
         )
 
 
@@ -209,8 +221,15 @@ def learned(
 
 
 @numeric
-def raised(
-    z_m: float,
+def straight_on(axis: AxisState, t_s: float) -> AxisState:
+    """Later, at the same velocity."""
+    p, v, a, e, f = axis
+    return p + t_s * v, v, a, e, f
+
+
+@numeric
+def drifted_apart(
+    p_m: float,
     error_m_s: float,
     told_m: float,
     told_m_s: float,
@@ -218,8 +237,8 @@ def raised(
     rate_1_s: float,
     most_m_s: float,
 ) -> tuple[float, float]:
-    """Height, and the error of the vertical velocity told, with a height and a velocity as they were told."""
-    q = z_m + (told_m_s - error_m_s) * elapsed_s
+    """Position on an axis, and the error of its velocity, with both as they were told."""
+    q = p_m + (told_m_s - error_m_s) * elapsed_s
     missed = told_m - q
     error_m_s = clip(error_m_s - rate_1_s * rate_1_s * elapsed_s * missed, -most_m_s, most_m_s)
     return q + min(1.0, 2.0 * rate_1_s * elapsed_s) * missed, error_m_s

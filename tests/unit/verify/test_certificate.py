@@ -85,6 +85,13 @@ def test_the_estimator_must_believe_the_target_from_both_sides():
     assert not one("estimator", target=still, envelope={"target_climb_max_m_s": 0.1}).proven
 
 
+def test_an_error_of_the_own_velocity_must_be_learned_faster_than_the_position_loop_acts():
+    name, gain = "own.velocity_error_time_s", config().robust.gain_over_pad_1_s
+    learns = {"velocity_error_m_s": 0.05}
+    assert one(name, own={**learns, "velocity_error_time_s": 0.499 / gain}).proven
+    assert not one(name, own={**learns, "velocity_error_time_s": 0.501 / gain}).proven
+
+
 def test_the_commit_height_is_where_the_vehicle_would_hover():
     base = one("commit height")
     exact = config().robust.commit_height_m - base.room

@@ -1,6 +1,7 @@
 """The estimator of the own state: late positions, wrong velocities, and a model of the velocity loop."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,12 +22,14 @@ from flightstack.core.target.own_estimator import (
 )
 from flightstack.core.types import ZERO, OwnState
 from flightstack.onboard.state_text import StateText
+from flightstack.verify.envelope import own_velocity_sigma_m_s
 from tests.point_mass import World
 from tests.unit.core.core_helpers import config
 
 PERIOD_S = 0.01
 LOOP = VelocityLoop(rate_xy_1_s=5.8, damping=0.6)
 LINK = OwnStateLink(delay_s=0.02, position_noise_m=0.01, velocity_error_m_s=0.02, velocity_error_time_s=0.7)
+QUICK = OwnStateLink(delay_s=0.0, position_noise_m=0.002, velocity_error_m_s=0.05, velocity_error_time_s=0.15)
 MOST = (0.7, 0.7, 0.7)
 LEFT = 0.3  # of a constant error: the filter holds it for one that fades
 
@@ -34,13 +37,13 @@ LEFT = 0.3  # of a constant error: the filter holds it for one that fades
 class Vehicle:
     """Two horizontal axes with the velocity loop of the model, a wrong velocity, and a delay of its state."""
 
-    def __init__(self, error_m_s=(0.0, 0.0, 0.0), delay_ticks=2):
-        self.error_m_s, self.delay = np.array(error_m_s), delay_ticks
+    def __init__(self, error_m_s=(0.0, 0.0, 0.0), delay_ticks=2, rate_1_s=LOOP.rate_xy_1_s):
+        self.error_m_s, self.delay, self.rate_1_s = np.array(error_m_s), delay_ticks, rate_1_s
         self.p, self.v, self.a = np.zeros(3), np.zeros(3), np.zeros(3)
         self.tick, self.past = 0, []
 
     def fly(self, setpoint_m_s):
-        w, z = LOOP.rate_xy_1_s, LOOP.damping
+        w, z = self.rate_1_s, LOOP.damping
         u = np.array(setpoint_m_s)
         a = self.a + PERIOD_S * (w * w * (u - self.v - self.error_m_s) - 2.0 * z * w * self.a)
         self.p = self.p + PERIOD_S * self.v
@@ -94,7 +97,7 @@ def test_gains_are_those_of_the_riccati_equation():
 
 
 def test_state_of_now_comes_out_of_a_late_one():
-    vehicle, estimator = Vehicle(), OwnEstimator(LINK, LOOP, PERIOD_S)
+    vehicle, estimator = Vehicle(), OwnEstimator(LINK, LOOP, PERIOD_S, by_loop=True)
     past, errors = [], []
     for k in range(600):
         past.append((vehicle.p, vehicle.v))
@@ -109,22 +112,44 @@ def test_state_of_now_comes_out_of_a_late_one():
 
 @pytest.mark.parametrize("error_m_s", [(0.08, -0.04, 0.05), (-0.03, 0.06, -0.08), (0.0, 0.0, 0.0)])
 def test_a_constant_error_of_the_velocity_is_learned(error_m_s):
-    vehicle, estimator = Vehicle(error_m_s), OwnEstimator(LINK, LOOP, PERIOD_S)
+    vehicle, estimator = Vehicle(error_m_s), OwnEstimator(LINK, LOOP, PERIOD_S, by_loop=True)
     found = follow(vehicle, estimator, 12.0)
     missed = np.abs(np.array(found.velocity_enu_m_s) - vehicle.v)
     assert max(missed[:2]) < 2e-3 + LEFT * max(map(abs, error_m_s[:2]))
     assert missed[2] < 5e-3
 
 
+@pytest.mark.parametrize("rate_1_s", [0.5 * LOOP.rate_xy_1_s, LOOP.rate_xy_1_s, 4.0 * LOOP.rate_xy_1_s])
+def test_without_the_loops_model_an_error_is_learned_whatever_the_loop(rate_1_s):
+    error_m_s = (0.08, -0.04, 0.05)
+    vehicle = Vehicle(error_m_s, delay_ticks=0, rate_1_s=rate_1_s)
+    estimator = OwnEstimator(QUICK, LOOP, PERIOD_S, by_loop=False)
+    follow(vehicle, estimator, 3.0)
+    memory = estimator.memory
+    assert (memory.x[3], memory.y[3], memory.z_error_m_s) == pytest.approx(error_m_s, abs=5e-3)
+    assert np.array((memory.x[1], memory.y[1])) == pytest.approx(vehicle.v[:2], abs=0.03)
+
+
+def test_without_the_loops_model_noise_of_positions_is_as_declared():
+    noise, tick_s = np.random.default_rng(5).normal(0.0, QUICK.position_noise_m, (4000, 3)), PERIOD_S
+    estimator = OwnEstimator(QUICK, LOOP, PERIOD_S, by_loop=False)
+    errors = []
+    for k, off in enumerate(noise, 1):
+        estimator.step(OwnState(k * tick_s, k * tick_s, tuple(off), ZERO, 0.0))
+        errors.append(estimator.memory.x[3])
+    flown = replace(config(), own=QUICK)
+    assert np.std(errors[200:]) == pytest.approx(own_velocity_sigma_m_s(flown), rel=0.15)
+
+
 def test_lost_samples_are_bridged_by_the_model():
     whole, holed = Vehicle(), Vehicle()
-    a = follow(whole, OwnEstimator(LINK, LOOP, PERIOD_S), 4.0)
-    b = follow(holed, OwnEstimator(LINK, LOOP, PERIOD_S), 4.0, lost=range(380, 388))
+    a = follow(whole, OwnEstimator(LINK, LOOP, PERIOD_S, by_loop=True), 4.0)
+    b = follow(holed, OwnEstimator(LINK, LOOP, PERIOD_S, by_loop=True), 4.0, lost=range(380, 388))
     assert np.array(b.position_enu_m) == pytest.approx(np.array(a.position_enu_m), abs=0.01)
 
 
 def test_after_a_gap_it_begins_anew_with_what_is_told():
-    vehicle, estimator = Vehicle((0.05, 0.0, 0.0)), OwnEstimator(LINK, LOOP, PERIOD_S)
+    vehicle, estimator = Vehicle((0.05, 0.0, 0.0)), OwnEstimator(LINK, LOOP, PERIOD_S, by_loop=True)
     follow(vehicle, estimator, 5.0)
     later = OwnState(9.0, 9.0 + GAP_MAX_S, (1.0, 2.0, 3.0), (0.1, 0.0, 0.0), 0.3)
     found = estimator.step(later)
@@ -135,7 +160,7 @@ def test_after_a_gap_it_begins_anew_with_what_is_told():
 
 
 def test_forgotten_it_believes_the_next_sample():
-    vehicle, estimator = Vehicle((0.05, 0.0, 0.02)), OwnEstimator(LINK, LOOP, PERIOD_S)
+    vehicle, estimator = Vehicle((0.05, 0.0, 0.02)), OwnEstimator(LINK, LOOP, PERIOD_S, by_loop=True)
     follow(vehicle, estimator, 5.0)
     estimator.forget()
     own = vehicle.state()
@@ -145,10 +170,11 @@ def test_forgotten_it_believes_the_next_sample():
 @given(
     jumps=st.lists(st.tuples(st.floats(-3, 3), st.floats(-3, 3)), min_size=1, max_size=60),
     most=st.floats(0.01, 0.5),
+    by_loop=st.booleans(),
 )
-def test_the_error_learned_is_bounded_whatever_is_told(jumps, most):
+def test_the_error_learned_is_bounded_whatever_is_told(jumps, most, by_loop):
     link = OwnStateLink(velocity_error_m_s=0.02, velocity_error_max_m_s=most)
-    estimator = OwnEstimator(link, LOOP, PERIOD_S)
+    estimator = OwnEstimator(link, LOOP, PERIOD_S, by_loop=by_loop)
     for k, (p, v) in enumerate(jumps):
         estimator.step(OwnState(k * 0.01, k * 0.01, (p, -p, p), (v, p, v), 0.0))
         told = estimator.told(ZERO, MOST)
@@ -156,7 +182,7 @@ def test_the_error_learned_is_bounded_whatever_is_told(jumps, most):
 
 
 def test_the_set_point_never_leaves_the_limits():
-    estimator = OwnEstimator(LINK, LOOP, PERIOD_S)
+    estimator = OwnEstimator(LINK, LOOP, PERIOD_S, by_loop=True)
     follow(Vehicle((0.15, -0.15, 0.1)), estimator, 5.0)
     x, y, z = estimator.told((0.7, -0.7, 0.7), MOST)
     assert (x, y) == (0.7, -0.7)
