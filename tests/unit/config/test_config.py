@@ -174,7 +174,7 @@ def test_the_documented_configuration_names_every_key_and_its_default():
         assert section in text
         for key in values if isinstance(values, dict) else ():
             assert key in text
-    changed = {"limits", "touchdown", "takeoff", "checks"}
+    changed = {"limits", "touchdown", "takeoff", "checks", "own"}
     assert {k: v for k, v in documented.items() if k not in changed} == {
         k: v for k, v in defaults.items() if k not in changed
     }
