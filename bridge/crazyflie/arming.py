@@ -41,7 +41,6 @@ class Arming:
 
     @property
     def arming(self) -> bool:
-        """Whether an arming request is open."""
         return self._arm is not None
 
     @property
@@ -79,7 +78,6 @@ class Arming:
         return list(_OFF)
 
     def emergency(self, now_s: float) -> list[Packet]:
-        """Emergency stop, now."""
         packets = self.off(now_s, forced=True)
         self._latched = True
         return [Order.EMERGENCY_STOP, *packets]

@@ -66,13 +66,11 @@ class Outbox:
             return pose
 
     def clear(self) -> None:
-        """Forget everything."""
         with self._ready:
             self._orders.clear()
             self._velocity = self._pose = None
 
     def wake(self) -> None:
-        """End a wait."""
         with self._ready:
             self._woken = True
             self._ready.notify()

@@ -50,8 +50,6 @@ class Stopped:
 
 
 class Done(Enum):
-    """What a mode ended with."""
-
     ARRIVED = auto()  # take-off height reached
     LANDED = auto()
     STUCK = auto()  # take-off height not reached in time
@@ -116,7 +114,6 @@ class Pilot:
 
 
 def _towards(point_enu_m: Vec3, position_enu_m: Vec3) -> Vec3:
-    """Velocity towards a point."""
     ex, ey, ez = (a - b for a, b in zip(point_enu_m, position_enu_m, strict=True))
     vx, vy = GAIN_1_S * ex, GAIN_1_S * ey
     speed = math.hypot(vx, vy)

@@ -87,7 +87,6 @@ class Loop:
 
     @property
     def now_s(self) -> float:
-        """The bridge's clock."""
         return time.monotonic() - self._start_s
 
     def turn(self) -> None:

@@ -32,8 +32,6 @@ TAKEOFF_M = 0.5  # m above home, of a take-off without a height
 
 @dataclass(frozen=True, slots=True)
 class Rules:
-    """The operator's choices."""
-
     speed_max_m_s: float = SPEED_MAX_M_S
     land_on_silence: bool = False  # land when set-points stop, instead of leaving it to the firmware
     mocap: bool = False  # poses come from outside

@@ -55,8 +55,6 @@ class Pose(NamedTuple):
 
 
 class Order(Enum):
-    """Packets without numbers."""
-
     STOP = "stop set-point: motors off"
     NOTIFY_STOP = "no more set-points will come"
     ARM = "arm"
@@ -67,8 +65,6 @@ class Order(Enum):
 
 
 class SetParam(NamedTuple):
-    """Write a firmware parameter."""
-
     name: str
     value: float
 
@@ -116,8 +112,6 @@ class ArmReply(NamedTuple):
 
 
 class ParamValue(NamedTuple):
-    """A parameter, after it was written."""
-
     name: str
     value: str | None  # None: the firmware has no such parameter
 
@@ -148,8 +142,6 @@ class CrazyflieState:
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """What changes slowly."""
-
     at_s: float
     variance_m2: Vec3  # of the position estimate
     power: Power

@@ -71,7 +71,6 @@ class Vehicle(Condition, Commander):
 
     @property
     def armed(self) -> bool:
-        """Armed through this bridge."""
         return self._arming.armed
 
     @property
@@ -97,7 +96,6 @@ class Vehicle(Condition, Commander):
     # What comes from the Crazyflie
 
     def connected(self, event: Connected, now_s: float) -> None:
-        """The link is open."""
         self.link = Link(event.protocol, dict(event.params), "")
         self.state = self.health = None
         self._forget_outside()
@@ -113,7 +111,6 @@ class Vehicle(Condition, Commander):
             self.texts.say(WARNING, warning)
 
     def param(self, event: ParamValue, now_s: float) -> None:
-        """A parameter's value, after a write."""
         if event.value is None:
             self.texts.refuse(f"The firmware has no parameter {event.name}", now_s)
             return
@@ -182,7 +179,6 @@ class Vehicle(Condition, Commander):
         self._end("emergency stop, restart needed")
 
     def arm_reply(self, reply: ArmReply, now_s: float) -> None:
-        """The supervisor's answer."""
         reason = self._arming.reply(reply)
         if reason is not None:
             self.texts.refuse(f"Arming refused: {reason}", now_s)
@@ -264,7 +260,6 @@ class Vehicle(Condition, Commander):
     # Commands of clients; the reason if refused
 
     def client(self, now_s: float) -> None:
-        """A client's heartbeat."""
         self._client_s = now_s
 
     def arm(self, now_s: float) -> str | None:

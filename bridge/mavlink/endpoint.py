@@ -40,7 +40,6 @@ class LinkCounters:
     senders: dict[tuple[int, int], int] = field(default_factory=dict)
 
     def add_foreign(self, sender: tuple[int, int]) -> None:
-        """Count a frame of another sender."""
         self.foreign += 1
         if sender in self.senders or len(self.senders) < _SENDERS_MAX:
             self.senders[sender] = self.senders.get(sender, 0) + 1

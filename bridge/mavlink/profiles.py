@@ -91,7 +91,6 @@ class Profile:
     frame: int = 1  # MAV_FRAME_LOCAL_NED
 
     def mode(self, custom_mode: int) -> Mode:
-        """Mode of a heartbeat's custom_mode."""
         return self.modes.get(custom_mode, Mode.OTHER)
 
 

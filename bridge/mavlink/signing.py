@@ -216,7 +216,6 @@ class Signer:
 
     @property
     def streams(self) -> int:
-        """Number of streams in the table."""
         return len(self._state.streams)
 
     def now(self) -> int:

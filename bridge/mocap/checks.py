@@ -33,8 +33,6 @@ class Refusal(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits of a good pose."""
-
     frame_id: str | None = None  # None: any
     late_max_s: float = 0.1  # behind the quickest of the last samples
     # agreement of the poses after a step of their clock; no pose is good meanwhile

@@ -31,8 +31,6 @@ class PoseOptions(shared.Zenoh, shared.Signing):
 
 @dataclass(frozen=True, kw_only=True)
 class MocapOptions(PoseOptions):
-    """The mocap bridge."""
-
     pose_key: Annotated[str, Option(
         "--key",
         "Source of the poses: a Zenoh key, ros2:/TOPIC (rmw_zenoh), ros2dds:/TOPIC (docs/how_to/mocap.md).",

@@ -39,8 +39,6 @@ def parse_spec(text: str, pose_type: str = TargetType.POSE.value, domain: int = 
 
 
 class MocapSource:
-    """Receives poses under one key."""
-
     def __init__(self, session: zenoh_link.Session, spec: TargetSpec, offset_flu_m: Vec3 = ZERO) -> None:
         """``offset_flu_m``: from the markers' centre to the vehicle's. Raises ValueError: bad key."""
         self._subscriber = zenoh_link.ring_subscriber(session, spec.key, CAPACITY)
@@ -135,7 +133,6 @@ class Bridge:
 
     @property
     def now_s(self) -> float:
-        """The bridge's clock."""
         return time.monotonic() - self._start_s
 
     def run(self, stop: Stop, duration_s: float | None) -> None:
@@ -188,7 +185,6 @@ class Bridge:
 
 
 def limits(options: PoseOptions) -> Limits:
-    """Limits of a pose that is accepted."""
     return Limits(frame_id=options.frame_id, speed_max_m_s=options.pose_speed_m_s)
 
 

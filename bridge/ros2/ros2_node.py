@@ -71,10 +71,8 @@ class Ros2Publisher:
         return zenoh_link.is_matched(self._publisher)
 
     def put(self, payload: bytes, time_ns: int) -> None:
-        """Send a message."""
         self.sequence += 1
         self._publisher.put(payload, attachment=pack_attachment(self.sequence, time_ns, self._identity))
 
     def close(self) -> None:
-        """Undeclare it."""
         self._publisher.undeclare()

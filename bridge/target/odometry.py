@@ -244,7 +244,6 @@ class OdometrySubscriber:
         return [raw_sample(sample) for sample in zenoh_link.drain(self._subscriber)]
 
     def close(self) -> None:
-        """Undeclare the subscriber."""
         self._subscriber.undeclare()
 
 

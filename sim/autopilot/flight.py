@@ -26,8 +26,6 @@ _ESTIMATE_LOST_S = 0.5  # s without a valid estimate until it lands by itself
 
 
 class Flight(Commander):
-    """The simulated vehicle's commander."""
-
     height_range_m = HEIGHT_RANGE_M
 
     def __init__(
@@ -175,7 +173,6 @@ class Flight(Commander):
         return yaw_from_quaternion(self.vehicle.estimate().quaternion)
 
     def say(self, severity: int, text: str) -> None:
-        """Add the text of an event."""
         self.texts.say(severity, text)
 
     def control(self, now_s: float) -> None:

@@ -56,6 +56,5 @@ _OWN = (
 
 
 def px4_parameters(system_id: int) -> tuple[Parameter, ...]:
-    """All parameters, by name."""
     all_ = (*_OWN, *_FOR_QGROUNDCONTROL, fixed("MAV_SYS_ID", system_id))
     return tuple(sorted(all_, key=lambda parameter: parameter.name))

@@ -59,7 +59,6 @@ class PositionHold:
         self._integral_m_s = self._trim_m_s
 
     def aim(self, height_m: float) -> None:
-        """Change the height to hold."""
         self.point_enu_m = (self.point_enu_m[0], self.point_enu_m[1], height_m)
 
     def step(

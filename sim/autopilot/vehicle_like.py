@@ -68,8 +68,6 @@ _NO_CONTACT_S = 0.1  # s without contact until it counts as flying again
 
 
 class Standing:
-    """Watches the contacts."""
-
     def __init__(self, vehicle: VehicleLike) -> None:
         self._vehicle = vehicle
         self.now = vehicle.landed or vehicle.on_pad or vehicle.on_ground  # not just touching

@@ -32,8 +32,6 @@ Counts = tuple[int, int, int]  # moments about body x, y, z
 
 
 class AttitudeRecord(Record):
-    """State of the controller."""
-
     wx: float  # last rates, rad/s; NaN before the first
     wy: float
     integral_z: float

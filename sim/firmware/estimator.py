@@ -311,5 +311,4 @@ class Estimator:
 
     @property
     def valid(self) -> bool:
-        """Whether samples arrive."""
         return bool(self._age_s[0] < INNOVATION_AGE_MAX_S)

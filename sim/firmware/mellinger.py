@@ -30,8 +30,6 @@ K_R_Z, K_W_Z = 60000.0, 12000.0  # yaw: kR_z, kw_z; roll and pitch as in ``sim.f
 
 
 class MellingerRecord(Record):
-    """State of the controller."""
-
     integral: Vector  # integral of the position error, m s
     attitude: AttitudeRecord
 
@@ -69,8 +67,6 @@ def mellinger_reset(m: MellingerRecord) -> None:
 
 
 class MellingerLoop:
-    """The controller of one vehicle."""
-
     def __init__(self, record: MellingerRecord | None = None) -> None:
         self.record = r = new(MellingerRecord) if record is None else record
         r.attitude.wx = math.nan

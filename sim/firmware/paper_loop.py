@@ -77,8 +77,6 @@ def paper_reset(p: PaperRecord) -> None:
 
 
 class PaperLoop:
-    """The loop of one vehicle."""
-
     def __init__(self, params: Params, record: PaperRecord | None = None) -> None:
         self.record = r = new(PaperRecord) if record is None else record
         r.weight = self._weight = params.body.mass_kg * params.contact.gravity_m_s2

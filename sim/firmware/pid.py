@@ -71,7 +71,6 @@ def pid_forget(p: PidRecord) -> None:
 def pid_record(
     kp: float, ki: float, kd: float, i_limit: float, dt: float, limit: float = math.inf
 ) -> PidRecord:
-    """A PID in its initial state."""
     return new(PidRecord, (kp, ki, kd, i_limit, dt, limit, 0.0, math.nan))
 
 
@@ -200,8 +199,6 @@ def cascade_update(
 
 
 class PidLoop:
-    """The cascade of one vehicle."""
-
     def __init__(self, params: Params, record: CascadeRecord | None = None) -> None:
         self.record = c = new(CascadeRecord) if record is None else record
         slow, fast = POSITION_STEP_S, CONTROL_STEP_S

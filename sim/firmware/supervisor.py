@@ -41,8 +41,6 @@ class State(Enum):
 
 
 class Condition(IntFlag):
-    """Conditions of the transitions."""
-
     TIMEOUT = auto()
     WARNING = auto()
     FRESH = auto()
@@ -110,7 +108,6 @@ class SupervisorRecord(Record):
 
 @jitted
 def enter(s: SupervisorRecord, state: int, now_ms: int) -> None:
-    """Change to a state."""
     s.state, s.since_ms = state, now_ms
     s.motors_allowed, s.level = _ALLOWED[state], state == _LEVEL_OUT
 
@@ -189,7 +186,6 @@ class Supervisor:
 
     @property
     def motors_allowed(self) -> bool:
-        """Whether the motors may turn."""
         return bool(self._allowed[0])
 
     def start_flying(self) -> None:

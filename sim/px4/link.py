@@ -91,8 +91,6 @@ def _timeval(seconds: float) -> bytes:
 
 
 class Px4Link:
-    """The connection to one PX4."""
-
     def __init__(self, connected: socket.socket) -> None:
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         # The system's own limits instead of Python's, which asks the system twice for every message
@@ -135,8 +133,6 @@ class Px4Link:
 
 
 class Px4Server:
-    """The listening socket."""
-
     def __init__(self, host: str, port: int) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         try:

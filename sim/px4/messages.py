@@ -81,7 +81,6 @@ class Answer(NamedTuple):
 
 
 def answer_of(message: Message) -> Answer:
-    """Read a HIL_ACTUATOR_CONTROLS."""
     armed, lockstep = bool(message.mode & _ARMED), bool(message.flags & _LOCKSTEP)
     return Answer(int(message.time_usec), tuple(message.controls), armed, lockstep)
 
@@ -100,7 +99,6 @@ def hil_sensor(time_us: int, readings: Readings) -> Message:
 
 
 def hil_gps(time_us: int, fix: Fix) -> Message:
-    """HIL_GPS of a fix."""
     north, east, _ = fix.velocity_ned_m_s
     speed = math.hypot(north, east)
     course = round(math.degrees(math.atan2(east, north)) % 360.0 * 100.0) % 36000

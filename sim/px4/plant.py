@@ -99,7 +99,6 @@ class Px4Plant:
         self._physics.judge_once_airborne(self._ms)
 
     def body(self) -> Body:
-        """Return the true state now."""
         b = self._physics.body()
         return Body(b[:3], b[3:6], b[6:10], b[10:13])
 

@@ -44,7 +44,6 @@ class Px4Node:
         self._touched = self._stale = False
 
     def begin(self) -> None:
-        """Begin a flight."""
         self._touched = False
         self.log.epoch_ns = self._clock.unix_ns()
 

@@ -295,7 +295,6 @@ class Px4Program:
         return self.output.read_text(errors="replace")
 
     def errors(self) -> str:
-        """Its last lines of output."""
         lines = [line for line in self._output().splitlines() if line.strip()]
         return "\n".join(lines[-_LAST_LINES:]) or "(no output)"
 

@@ -53,8 +53,6 @@ class Slow:
 
 @dataclass(frozen=True, slots=True)
 class Fix:
-    """Satellite position."""
-
     latitude_e7: int
     longitude_e7: int
     altitude_amsl_m: float

@@ -159,7 +159,6 @@ class Px4Session:
                 return
 
     def step(self) -> None:
-        """Do one step."""
         self._send()
         answer = self._wait() if self.lockstep.started else self._look()
         if answer is not None:

@@ -26,8 +26,6 @@ _OTHERS_MAX = 8  # greatest number of other addresses; the oldest is replaced
 
 
 class Kind(NamedTuple):
-    """Type and autopilot of a heartbeat."""
-
     type: int  # MAV_TYPE
     autopilot: int  # MAV_AUTOPILOT
 

@@ -54,14 +54,12 @@ class StreamRequests:
         self.quiet_until_s = -math.inf  # ``step`` returns nothing before
 
     def seen(self, message_id: int, count: int = 1) -> None:
-        """Count messages of the vehicle."""
         stream = self._streams.get(message_id)
         if stream is not None:
             stream.seen += count
 
     @property
     def asked(self) -> tuple[int, ...]:
-        """Ids of the requested messages."""
         return tuple(self._streams)
 
     def restart(self) -> None:

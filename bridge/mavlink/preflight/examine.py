@@ -131,8 +131,6 @@ class ParameterReader:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Result of the check."""
-
     profile: Profile | None  # profile of the autopilot; None: not recognised
     version: str | None  # release of the autopilot; None: not received
     findings: tuple[Finding, ...]  # one for each rule; empty if the check ended before
@@ -235,7 +233,6 @@ class _Check:
 
     @property
     def over(self) -> bool:
-        """Whether the check is complete."""
         read = self.reader is not None and self.reader.done
         return self.refused is not None or (read and not self._senders.suspects)
 
@@ -323,6 +320,5 @@ class _Check:
 
 
 def _tries(profile: Profile) -> int:
-    """Number of requests for the release."""
     unneeded = profile is OWN_SITL or table_of(profile.name) is None
     return _VERSION_TRIES_UNNEEDED if unneeded else _VERSION_TRIES

@@ -171,7 +171,6 @@ class Rule:
 
 
 def _number(bound: float | Need | None, needs: Needs) -> float | None:
-    """A bound of this flight."""
     return float(getattr(needs, bound.value)) if isinstance(bound, Need) else bound
 
 
@@ -259,8 +258,6 @@ _TYPE = "FIRMWARE_VERSION_TYPE"
 
 
 class Level(Enum):
-    """Severity of a finding."""
-
     OK = "ok"
     INFO = "info"  # works, could work better
     NOTE = "note"  # information for the operator
@@ -273,8 +270,6 @@ _LEVEL_OF = {Severity.UNSAFE: Level.UNSAFE, Severity.NOTE: Level.NOTE, Severity.
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Result for one parameter."""
-
     name: str
     level: Level
     value: float | None  # in the vehicle's unit; None: missing

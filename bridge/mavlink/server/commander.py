@@ -195,7 +195,6 @@ class Commander(ABC):
             self._enter(FlightMode.LAND, now_s)
 
     def set_mode(self, mode: FlightMode, now_s: float) -> str | None:
-        """Change the mode."""
         if mode is FlightMode.TAKEOFF:
             return self.take_off(None, now_s)
         if mode is FlightMode.LAND:

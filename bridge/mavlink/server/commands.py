@@ -65,8 +65,6 @@ class Command:
 
 
 class Answer(NamedTuple):
-    """Result of a command."""
-
     result: int = ACCEPTED  # MAV_RESULT
     reason: str | None = None  # of a refusal
     messages: tuple[Message, ...] = ()  # for the sender, after the acknowledgement
@@ -86,8 +84,6 @@ def answer(reason: str | None, result: int = REJECTED) -> Answer:
 
 
 class Entry(NamedTuple):
-    """One line of the command table."""
-
     run: Callable[[Command], Answer]
     right: Right  # which senders may, while one has control
     place: bool = False  # has a position or height: the frame of COMMAND_INT matters

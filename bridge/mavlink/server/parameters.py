@@ -36,13 +36,11 @@ class Parameter:
 
     @property
     def allowed(self) -> str:
-        """Allowed values in words."""
         if self.choices:
             return ", ".join(map(str, self.choices))
         return f"{self.low:g} to {self.high:g}" if self.low < self.high else f"{self.low:g}"
 
     def accepts(self, value: float) -> bool:
-        """Whether a value is allowed."""
         # Single precision: the end of a range must not refuse its own neighbour.
         slack = 1e-6 * max(1.0, abs(self.low), abs(self.high))
         if not (math.isfinite(value) and self.low - slack <= value <= self.high + slack):
@@ -51,12 +49,10 @@ class Parameter:
 
 
 def real(name: str, default: float, low: float, high: float, *, in_flight: bool = False) -> Parameter:
-    """A real number."""
     return Parameter(name, REAL32, default, low, high, in_flight)
 
 
 def integer(name: str, default: int, low: int, high: int) -> Parameter:
-    """A whole number."""
     return Parameter(name, INT32, default, low, high)
 
 
@@ -66,7 +62,6 @@ def one_of(name: str, default: int, *choices: int) -> Parameter:
 
 
 def fixed(name: str, value: float, type_: int = INT32) -> Parameter:
-    """A constant parameter."""
     return Parameter(name, type_, value, value, value)
 
 
@@ -89,14 +84,12 @@ class Parameters:
         self.left_to_list = self._next = 0  # values of a list that are still to be sent
 
     def __getitem__(self, name: str) -> float:
-        """Value of a parameter."""
         return self._values[name]
 
     def __len__(self) -> int:
         return len(self._table)
 
     def entry(self, name: str) -> Parameter:
-        """Type and range of a parameter."""
         return self._table[self._index[name]]
 
     def find(self, name: str, index: int) -> str | None:
@@ -106,7 +99,6 @@ class Parameters:
         return name if name in self._index else None
 
     def message(self, name: str) -> Message:
-        """PARAM_VALUE of a parameter."""
         index = self._index[name]
         parameter = self._table[index]
         value = self._values[name]

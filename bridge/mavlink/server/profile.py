@@ -17,8 +17,6 @@ _M = dialect
 
 
 class FlightMode(Enum):
-    """Flight modes of the vehicles."""
-
     HOLD = "hold"
     TAKEOFF = "take-off"
     LAND = "land"

@@ -104,7 +104,6 @@ class Server(ABC, Generic[V]):
         return _NOTHING
 
     def boot_ns(self, now_s: float) -> int | None:
-        """Boot clock of the vehicle, ns; None: not known."""
         return round(now_s * 1e9)
 
     # What the process calls

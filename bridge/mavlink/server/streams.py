@@ -59,7 +59,6 @@ class Streams(Generic[V]):
         self._sort()
 
     def known(self, message_id: int) -> bool:
-        """Whether there is a stream of this message."""
         return message_id in self._streams
 
     def interval_us(self, message_id: int) -> int:

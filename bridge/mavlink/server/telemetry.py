@@ -34,20 +34,16 @@ class EstimateLike(Protocol):
     """State of the vehicle by its on-board estimator."""
 
     @property
-    def position_enu_m(self) -> Vec3:
-        """Position of the centre of mass."""
+    def position_enu_m(self) -> Vec3: ...  # of the centre of mass
 
     @property
-    def velocity_enu_m_s(self) -> Vec3:
-        """Velocity."""
+    def velocity_enu_m_s(self) -> Vec3: ...
 
     @property
-    def quaternion(self) -> Quat:
-        """Attitude w, x, y, z of FLU in ENU."""
+    def quaternion(self) -> Quat: ...  # w, x, y, z, of FLU in ENU
 
     @property
-    def angular_velocity_flu_rad_s(self) -> Vec3:
-        """Angular velocity in body axes."""
+    def angular_velocity_flu_rad_s(self) -> Vec3: ...
 
 
 V = TypeVar("V", bound=Commander)
@@ -67,12 +63,10 @@ class Snapshot(Generic[V]):
 
     @property
     def boot_ms(self) -> int:
-        """Boot clock, ms."""
         return round(self.boot_s * 1000) & 0xFFFFFFFF
 
     @property
     def boot_us(self) -> int:
-        """Boot clock, us."""
         return round(self.boot_s * 1e6)
 
 
@@ -98,21 +92,18 @@ def heartbeat(s: Snapshot[V]) -> Message:
 
 
 def local_position_ned(s: Snapshot[V]) -> Message:
-    """LOCAL_POSITION_NED."""
     x, y, z = ned_from_enu(s.estimate.position_enu_m)
     vx, vy, vz = ned_from_enu(s.estimate.velocity_enu_m_s)
     return dialect.MAVLink_local_position_ned_message(s.boot_ms, x, y, z, vx, vy, vz)
 
 
 def attitude(s: Snapshot[V]) -> Message:
-    """ATTITUDE."""
     rates = frd_from_flu(s.estimate.angular_velocity_flu_rad_s)
     euler = euler_from_quaternion(ned_frd_from_enu_flu(s.estimate.quaternion))
     return dialect.MAVLink_attitude_message(s.boot_ms, *euler, *rates)
 
 
 def attitude_quaternion(s: Snapshot[V]) -> Message:
-    """ATTITUDE_QUATERNION."""
     rates = frd_from_flu(s.estimate.angular_velocity_flu_rad_s)
     return dialect.MAVLink_attitude_quaternion_message(
         s.boot_ms, *ned_frd_from_enu_flu(s.estimate.quaternion), *rates
@@ -134,14 +125,12 @@ def heading_deg(s: Snapshot[V]) -> float:
 
 
 def vfr_hud(s: Snapshot[V], throttle_percent: int) -> Message:
-    """VFR_HUD."""
     vx, vy, vz = s.estimate.velocity_enu_m_s
     speed, height, heading = math.hypot(vx, vy), s.estimate.position_enu_m[2], round(heading_deg(s)) % 360
     return dialect.MAVLink_vfr_hud_message(speed, speed, heading, throttle_percent, height, vz)
 
 
 def sys_status(s: Snapshot[V]) -> Message:
-    """SYS_STATUS."""
     vehicle, present = s.vehicle, s.profile.sensors | POSITION_SOURCE
     health = s.profile.sensors | vehicle.sensors_healthy(s.now_s)
     ready = 0 if vehicle.problems(s.now_s) else dialect.MAV_SYS_STATUS_PREARM_CHECK
@@ -152,14 +141,12 @@ def sys_status(s: Snapshot[V]) -> Message:
 
 
 def extended_sys_state(s: Snapshot[V]) -> Message:
-    """EXTENDED_SYS_STATE."""
     return dialect.MAVLink_extended_sys_state_message(
         dialect.MAV_VTOL_STATE_UNDEFINED, s.vehicle.landed_state
     )
 
 
 def battery_status(s: Snapshot[V]) -> Message:
-    """BATTERY_STATUS."""
     battery = s.vehicle.battery
     voltages = [_millivolts(battery)] + [0xFFFF] * 9  # one cell; the rest are not there
     unknown = dialect.MAV_BATTERY_FUNCTION_UNKNOWN
@@ -170,7 +157,6 @@ def battery_status(s: Snapshot[V]) -> Message:
 
 
 def autopilot_version(s: Snapshot[V]) -> Message:
-    """AUTOPILOT_VERSION."""
     zeros = [0] * 8
     return dialect.MAVLink_autopilot_version_message(
         CAPABILITIES, VERSION, 0, 0, 0, list(s.profile.mark), zeros, zeros, 0, 0, 0

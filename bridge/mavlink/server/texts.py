@@ -20,8 +20,6 @@ _TOPICS_MAX = 64
 
 
 class Text(NamedTuple):
-    """A text for a person."""
-
     severity: int  # MAV_SEVERITY
     text: str
 
@@ -37,7 +35,6 @@ class Texts:
         self._hidden = 0
 
     def say(self, severity: int, text: str) -> None:
-        """Add the text of an event."""
         if len(self.waiting) < _WAITING_MAX:
             self.waiting.append(Text(severity, text))
 
@@ -78,7 +75,6 @@ class TextWire:
         self._id = 0
 
     def messages(self, text: Text) -> list[Message]:
-        """STATUSTEXT of one text."""
         raw = text.text.encode("ascii", "replace")
         if len(raw) <= _CHUNK:
             return [dialect.MAVLink_statustext_message(text.severity, raw)]

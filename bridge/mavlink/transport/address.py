@@ -174,7 +174,6 @@ class PeerTable:
 
     @property
     def remembered(self) -> int:
-        """Number of entries of both tables."""
         return len(self._beating) + len(self._strangers)
 
     def heard(self, peer: Peer, size: int, *, heartbeat: bool) -> bool:

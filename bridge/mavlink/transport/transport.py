@@ -13,8 +13,6 @@ from bridge.mavlink.transport.address import Peer, local_host_for
 
 
 class Chunk(NamedTuple):
-    """Bytes that arrived together."""
-
     data: bytes
     peer: Peer
 
