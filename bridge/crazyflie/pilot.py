@@ -62,7 +62,6 @@ class Pilot:
         self.begin(-math.inf)
 
     def begin(self, now_s: float) -> None:
-        """Begin a mode at the present place."""
         self.since_s = now_s  # begin of the present mode
         self._anchor: tuple[Vec3, float] | None = None  # point and heading, with the first state
         self._stopped = Stopped()

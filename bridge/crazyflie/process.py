@@ -37,8 +37,6 @@ RESET = "kalman.resetEstimation"
 
 
 class PoseFeed:
-    """What to send for a pose."""
-
     def __init__(self) -> None:
         self._begun: tuple[int, int] | None = None  # which link and series the estimator was started with
 
@@ -70,8 +68,6 @@ SHUT_DOWN_MAX_S = 20.0  # s for the landing when the bridge ends in flight
 
 
 class Loop:
-    """One Crazyflie on the wire."""
-
     def __init__(
         self,
         node: Node,

@@ -31,8 +31,6 @@ _SENDERS_MAX = 16  # greatest number of other systems and components with a coun
 
 @dataclass(slots=True)
 class LinkCounters:
-    """Frames and set-points that were rejected."""
-
     foreign: int = 0  # frames of other systems or components
     held_lost: int = 0  # lockstep: frames without a tick
     setpoints_refused: int = 0  # not finite, or during a take-off of the vehicle

@@ -30,8 +30,6 @@ class LineTooSlowError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class LinePlan:
-    """Rates of a flight over one line."""
-
     state_hz: float  # position and attitude, each
     setpoint_every: int  # ticks between two set-points
     setpoint_hz: float  # the same as a rate

@@ -65,8 +65,6 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """Everything that is specific to one autopilot."""
-
     name: str
     title: str
     autopilot: int  # MAV_AUTOPILOT in its heartbeat

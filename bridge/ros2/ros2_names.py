@@ -31,8 +31,6 @@ _HASH = re.compile(r"RIHS01_[0-9a-f]{64}")
 
 
 class TopicKey(NamedTuple):
-    """The parts of a key of rmw_zenoh."""
-
     domain: int
     topic: str  # with its leading slash
     type_name: str  # package/msg/Name

@@ -67,7 +67,6 @@ class Ros2Publisher:
 
     @property
     def matched(self) -> bool:
-        """Whether there is a subscriber."""
         return zenoh_link.is_matched(self._publisher)
 
     def put(self, payload: bytes, time_ns: int) -> None:

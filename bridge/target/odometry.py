@@ -248,7 +248,6 @@ class OdometrySubscriber:
 
 
 def raw_sample(sample: zenoh_link.Sample) -> RawSample:
-    """Payload and attachment of a Zenoh sample."""
     attachment: bytes | None = sample.attachment.to_bytes() if sample.attachment is not None else None
     parsed = parse_attachment(attachment)
     sequence, source_time_ns = parsed if parsed is not None else (None, None)

@@ -46,8 +46,6 @@ _Made = list[Odometry] | None  # odometry from a message; None: the message is t
 
 
 class Dialect(Enum):
-    """Naming of ROS 2 entities on Zenoh."""
-
     PLAIN = ""
     RMW_ZENOH = "ros2:"
     ROS2DDS = "ros2dds:"
@@ -63,8 +61,6 @@ class TargetType(Enum):
 
 
 class RosType(NamedTuple):
-    """Name and hash of a ROS 2 message type."""
-
     name: str
     type_hash: str  # REP 2016; the same from Iron on for these
 
@@ -89,8 +85,6 @@ ROS_TYPES = {
 
 @dataclass(frozen=True, slots=True)
 class TargetSpec:
-    """The source of ``--target`` and its options."""
-
     text: str  # argument of the command
     dialect: Dialect
     name: str  # key, or topic with its leading slash
@@ -117,7 +111,6 @@ class TargetSpec:
 
     @property
     def key(self) -> str:
-        """Key expression of the subscription."""
         if self.dialect is Dialect.RMW_ZENOH:
             return any_type_key(self.domain, self.name)
         return bridge_key(self.name) if self.dialect is Dialect.ROS2DDS else self.name

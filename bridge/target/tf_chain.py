@@ -28,7 +28,6 @@ class TransformChain:
         self.problem = f"no transform of {child_frame_id!r} yet"  # why there is no pose, or ""
 
     def take_fixed(self, transforms: Iterable[Transform]) -> None:
-        """Use the transforms of one message of ``/tf_static``."""
         for transform in transforms:
             child, edge = _without_slash(transform)
             _keep(self._fixed, child, edge, child == self._child)

@@ -120,7 +120,6 @@ class Firmware:
 
     @property
     def commands(self) -> Four:
-        """Rotor speed commands M1..M4, rpm."""
         return self._read_commands()
 
     @commands.setter

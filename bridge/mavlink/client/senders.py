@@ -155,7 +155,6 @@ class Senders:
             )
 
     def _move(self, peer: Peer, now_s: float) -> None:
-        """Follow the vehicle to another address."""
         if self._kind is not None and self.known is not None:
             self._notices.append(
                 f"the vehicle is heard at {_at(peer)} now; {_at(self.known)} has been silent for "

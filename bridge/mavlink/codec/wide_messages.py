@@ -60,7 +60,6 @@ class Definition(NamedTuple):
 
     @property
     def line(self) -> str:
-        """The line of the table."""
         return ";".join([str(self.id), self.name, str(self.crc_extra), *map(_text, self.fields)])
 
     @property

@@ -143,7 +143,6 @@ class Report:
 
     @property
     def blocking(self) -> tuple[Finding, ...]:
-        """Findings that prevent arming."""
         return tuple(finding for finding in self.findings if finding.level is Level.UNSAFE)
 
     @property

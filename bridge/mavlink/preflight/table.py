@@ -147,7 +147,6 @@ class Rule:
         return (low is None or number >= low - _SLACK) and (high is None or number <= high + _SLACK)
 
     def stops_motors(self, number: float) -> bool:
-        """Whether this value stops the motors in the air."""
         return number in _numbers(self.stops)
 
     def wanted_in(self, name: Name, needs: Needs) -> str:
@@ -175,13 +174,10 @@ def _number(bound: float | Need | None, needs: Needs) -> float | None:
 
 
 def _numbers(values: tuple[str, ...]) -> set[float]:
-    """Return the numbers of values with their meaning."""
     return {float(value.split()[0]) for value in values}
 
 
 class Asked(NamedTuple):
-    """A parameter of one release with its rule."""
-
     name: Name
     rule: Rule
     others: tuple[tuple[Name, bool], ...]  # names in other releases; True: the value can be converted
@@ -199,8 +195,6 @@ class Asked(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """All rules for one autopilot."""
-
     title: str
     releases: tuple[str, ...]  # known releases, the oldest first
     rule: tuple[Rule, ...]
@@ -330,8 +324,6 @@ def _finding(
 
 
 class Release(NamedTuple):
-    """Firmware release of a vehicle from AUTOPILOT_VERSION."""
-
     major: int
     minor: int
     patch: int
@@ -352,8 +344,6 @@ def release_of(message: Message) -> Release:
 
 
 class Choice(NamedTuple):
-    """The rules that apply to a vehicle."""
-
     release: str  # release of the table
     problem: str | None  # why the vehicle may not fly, or None
     note: str | None  # information for the operator

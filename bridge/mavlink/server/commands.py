@@ -60,7 +60,6 @@ class Command:
 
     @property
     def frame_known(self) -> bool:
-        """Whether coordinates in this frame are supported."""
         return self.frame in _HOME_FRAMES or self.frame in _AMSL_FRAMES
 
 

@@ -87,7 +87,6 @@ class Streams(Generic[V]):
         return min(max(self._period_s, interval_us * 1e-6), _INTERVAL_MAX_S)
 
     def reset(self, now_s: float) -> None:
-        """Set the default rates, as after a reboot."""
         for message_id in self._streams:
             self.set_interval(message_id, 0.0, now_s)
 

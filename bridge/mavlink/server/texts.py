@@ -63,7 +63,6 @@ class Texts:
         self.say(severity, text)
 
     def take(self) -> list[Text]:
-        """Take the texts added since the last call."""
         texts, self.waiting = self.waiting, []
         return texts
 

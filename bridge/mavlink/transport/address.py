@@ -201,7 +201,6 @@ class PeerTable:
         return 0 if stranger is None else stranger.credit_bytes
 
     def spend(self, peer: Peer, size: int) -> None:
-        """Subtract bytes sent from a peer's allowance."""
         stranger = self._strangers.get(peer)
         if stranger is not None:
             stranger.credit_bytes -= size

@@ -132,7 +132,6 @@ class ByteStream:
         return self._nothing.fileno() if channel is None else channel.fileno()
 
     def take_notices(self) -> list[str]:
-        """Texts about the connection since the last call."""
         notices, self._notices = self._notices, []
         return notices
 
