@@ -254,7 +254,7 @@ class Vehicle(Condition, Commander):
 
     def _ended(self) -> None:
         self._moved = self.failsafe = False
-        self.owner.release()
+        self._owner = None
         self.mode = FlightMode.HOLD  # in OFFBOARD control would not be free for the next client
 
     # Commands of clients; the reason if refused

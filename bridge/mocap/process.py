@@ -74,19 +74,14 @@ class CheckedPoses:
 
     def __init__(self, source: MocapSource, checks: PoseChecks) -> None:
         self._source, self.checks = source, checks
-        self._problem: str | None = "mocap: no pose yet"
-
-    @property
-    def problem(self) -> str | None:
-        """Why there is no good pose, or None."""
-        return self._problem
+        self.problem: str | None = "mocap: no pose yet"  # why there is no good pose, or None
 
     def poll(self, now_s: float, *, armed: bool) -> Passed | None:
         """The newest good pose since the last call."""
         step = self.checks.step(self._source.poll(now_s), now_s, armed=armed)
-        self._problem = step.problem
-        if self._problem is not None and self._source.problem_text is not None:
-            self._problem = f"mocap: {self._source.problem_text}"
+        self.problem = step.problem
+        if self.problem is not None and self._source.problem_text is not None:
+            self.problem = f"mocap: {self._source.problem_text}"
         return step.passed[-1] if step.passed else None
 
 

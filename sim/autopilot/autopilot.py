@@ -74,7 +74,7 @@ class Autopilot(Server[Flight]):
 
     def on_heartbeat(self, message: Any, _sender: Sender, now_s: float) -> list[Message]:
         if self.flight.watches.heartbeat(message.type, now_s):
-            self.flight.say(dialect.MAV_SEVERITY_INFO, "Ground station is back")
+            self.flight.texts.say(dialect.MAV_SEVERITY_INFO, "Ground station is back")
         return []
 
     def own_commands(self) -> dict[int, Entry]:
@@ -171,7 +171,7 @@ class Autopilot(Server[Flight]):
         reason = self.flight.vehicle.inject_failure(unit, kind, instance)
         if reason is None:
             text = f"Failure: {_name(_UNITS, unit)} {_name(_KINDS, kind)}"
-            self.flight.say(dialect.MAV_SEVERITY_NOTICE, f"{text} {instance}" if instance else text)
+            self.flight.texts.say(dialect.MAV_SEVERITY_NOTICE, f"{text} {instance}" if instance else text)
             return Answer()
         return Answer(UNSUPPORTED, f"Failure refused: {reason}")
 

@@ -115,7 +115,7 @@ class Flight(Commander):
             return f"Arming refused: {reason}"
         self._armed_s, self._flew, self._was_armed = now_s, False, True
         self.pilot.begin()
-        self.say(dialect.MAV_SEVERITY_INFO, "Armed")
+        self.texts.say(dialect.MAV_SEVERITY_INFO, "Armed")
         return None
 
     def disarm(self, now_s: float, *, force: bool) -> str | None:
@@ -138,7 +138,7 @@ class Flight(Commander):
         if reason is not None:
             return f"Reboot refused: {reason}"
         self._enter(FlightMode.HOLD, now_s)
-        self.say(dialect.MAV_SEVERITY_INFO, "Firmware restarted")
+        self.texts.say(dialect.MAV_SEVERITY_INFO, "Firmware restarted")
         return None
 
     def reposition(self, goal: Goal, now_s: float) -> str | None:
@@ -160,8 +160,7 @@ class Flight(Commander):
         """Take over ticks that were flown without ``control``, with the last of their set-points, if any."""
         self._control_s = self._estimate_seen_s = now_s
         if setpoint is not None:
-            self.owner.admit(sender, now_s, self.stream_lost_s)
-            self._setpoint_s = now_s
+            self._owner, self._setpoint_s = sender, now_s
             self.pilot.handed_on(setpoint)
 
     @property
@@ -171,9 +170,6 @@ class Flight(Commander):
 
     def yaw_rad(self) -> float:
         return yaw_from_quaternion(self.vehicle.estimate().quaternion)
-
-    def say(self, severity: int, text: str) -> None:
-        self.texts.say(severity, text)
 
     def control(self, now_s: float) -> None:
         """Fly: call it at every tick, after the messages and before the physics."""
@@ -224,9 +220,9 @@ class Flight(Commander):
         super()._enter(mode, now_s, failsafe=failsafe, restart=restart or goal != self.pilot.goal)
 
     def _after_disarm(self, text: str, now_s: float, severity: int = dialect.MAV_SEVERITY_INFO) -> None:
-        self.say(severity, text)
+        self.texts.say(severity, text)
         self.pilot.stop()
-        self.owner.release()
+        self._owner = None
         self._was_armed = self._flew = False
         if self.mode is not FlightMode.OFFBOARD:  # OFFBOARD ends with its stream, as the companion expects
             self._enter(FlightMode.HOLD, now_s)
@@ -248,10 +244,10 @@ class Flight(Commander):
         if self.standing or not self.positioned:
             mode = FlightMode.LAND  # which disarms what stands, and needs no position
         if self.mode is FlightMode.LAND:
-            self.say(dialect.MAV_SEVERITY_CRITICAL, text)
+            self.texts.say(dialect.MAV_SEVERITY_CRITICAL, text)
             return
         doing = "landing" if mode is FlightMode.LAND else "holding"
-        self.say(dialect.MAV_SEVERITY_CRITICAL, f"{text}: {doing}")
+        self.texts.say(dialect.MAV_SEVERITY_CRITICAL, f"{text}: {doing}")
         self._enter(mode, now_s, failsafe=True, restart=True)
 
     def _disarm_idle(self, now_s: float) -> None:

@@ -248,7 +248,7 @@ class LockstepVehicle:
             return False
         if not self._answers:
             self._answers = True
-            self._node.autopilot.flight.say(dialect.MAV_SEVERITY_NOTICE, "Companion answers again")
+            self._node.autopilot.flight.texts.say(dialect.MAV_SEVERITY_NOTICE, "Companion answers again")
         return this_tick
 
     def _give_up(self) -> None:
@@ -259,7 +259,7 @@ class LockstepVehicle:
             )
         self._answers = False
         text = f"Companion silent for {COMPANION_SILENT_S:g} s: going on without"
-        self._node.autopilot.flight.say(dialect.MAV_SEVERITY_CRITICAL, text)
+        self._node.autopilot.flight.texts.say(dialect.MAV_SEVERITY_CRITICAL, text)
 
     def _run_free(self, now_ns: int, now_s: float) -> None:
         """Without the companion: as fast as it goes while flying, in real time once it has landed."""

@@ -84,7 +84,7 @@ class RealTimeVehicle:
 
     def warn(self, text: str) -> None:
         """Send a warning to the clients, as a text of the autopilot."""
-        self.node.autopilot.flight.say(dialect.MAV_SEVERITY_WARNING, text)
+        self.node.autopilot.flight.texts.say(dialect.MAV_SEVERITY_WARNING, text)
 
 
 class RealTimeWorld:

@@ -162,7 +162,7 @@ class VehicleNode:
             self.tell(armed)
         for fault in vehicle.faults.take_texts():
             severity = dialect.MAV_SEVERITY_WARNING if fault.begins else dialect.MAV_SEVERITY_NOTICE
-            self.autopilot.flight.say(severity, str(fault))
+            self.autopilot.flight.texts.say(severity, str(fault))
         if not self._judged:
             flight = self.autopilot.flight
             if flight.mode is FlightMode.OFFBOARD and flight.airborne:

@@ -37,45 +37,6 @@ class Right(Enum):
     OWNER_OR_GROUND = "owner or ground station"  # motors off in an emergency
 
 
-class ControlOwner:
-    """The sender that has control; it loses control when its set-points stop."""
-
-    def __init__(self) -> None:
-        self._owner: Sender | None = None
-        self._heard_s = -math.inf
-
-    def admit(self, sender: Sender, now_s: float, silence_s: float) -> str | None:
-        """Give control to the sender of a valid set-point, if no other sender has it.
-
-        Without set-points for ``silence_s`` control is free. The reason when another
-        sender has control, else None.
-        """
-        if sender != self._owner and self._owner is not None and now_s - self._heard_s <= silence_s:
-            return f"Set-point dropped: {_name(self._owner, sender)} has control"
-        self._owner, self._heard_s = sender, now_s
-        return None
-
-    def forbids(self, sender: Sender, right: Right, now_s: float, silence_s: float) -> str | None:
-        """Why this sender may not do something now, None if it may."""
-        if right is Right.ANYBODY or self._owner is None or sender == self._owner:
-            return None
-        if now_s - self._heard_s > silence_s:
-            return None
-        if right is Right.OWNER_OR_GROUND and sender[0] in GROUND_STATIONS:
-            return None
-        return f"{_name(self._owner, sender)} has control"
-
-    def release(self) -> None:
-        """Make control free, for example after disarming."""
-        self._owner = None
-
-
-def _name(owner: Sender, other: Sender) -> str:
-    """Ids of the one that has control; with its address if the other has the same ids."""
-    at = f" at {owner[2][0]}:{owner[2][1]}" if len(owner) == 3 and owner[:2] == other[:2] else ""
-    return f"{owner[0]}/{owner[1]}{at}"
-
-
 class Battery(NamedTuple):
     """Battery of one cell."""
 
@@ -91,9 +52,12 @@ class Commander(ABC):
     def __init__(self) -> None:
         self.mode = FlightMode.HOLD  # meaningful also while disarmed
         self.failsafe = False  # the mode was not requested but forced by a failure
-        self.texts, self.owner = Texts(), ControlOwner()
+        self.texts = Texts()
         self.home_enu_m: Vec3 = ZERO
         self.takeoff_z_m = 0.0  # height of the next or present take-off, local
+        self._owner: Sender | None = (
+            None  # sender that has control; it loses control when its set-points stop
+        )
         self._setpoint_s = -math.inf  # time of the owner's newest set-point
 
     @property
@@ -168,7 +132,18 @@ class Commander(ABC):
 
     def forbids(self, sender: Sender, right: Right, now_s: float) -> str | None:
         """Why this sender may not do something now; while disarmed every sender may."""
-        return self.owner.forbids(sender, right, now_s, self.stream_lost_s) if self.armed else None
+        ground = right is Right.OWNER_OR_GROUND and sender[0] in GROUND_STATIONS
+        if not self.armed or right is Right.ANYBODY or ground:
+            return None
+        return self._other_has_control(sender, now_s)
+
+    def _other_has_control(self, sender: Sender, now_s: float) -> str | None:
+        """Text on the other sender that has control; None: this sender has it, or it is free."""
+        owner = self._owner
+        if owner is None or sender == owner or now_s - self._setpoint_s > self.stream_lost_s:
+            return None
+        at = f" at {owner[2][0]}:{owner[2][1]}" if len(owner) == 3 and owner[:2] == sender[:2] else ""
+        return f"{owner[0]}/{owner[1]}{at} has control"
 
     def take_off(self, height_m: float | None, now_s: float) -> str | None:
         """Climb to a local height and hold there; disarmed: as soon as it is armed. It never descends."""
@@ -210,11 +185,12 @@ class Commander(ABC):
 
     def take_setpoint(self, setpoint: Setpoint, sender: Sender, now_s: float) -> str | None:
         """Take a valid set-point; it keeps the stream alive in all modes."""
-        reason = self.owner.admit(sender, now_s, self.stream_lost_s)
-        if reason is None:
-            self._setpoint_s = now_s
-            self._take(setpoint, now_s)
-        return reason
+        other = self._other_has_control(sender, now_s)
+        if other is not None:
+            return f"Set-point dropped: {other}"
+        self._owner, self._setpoint_s = sender, now_s
+        self._take(setpoint, now_s)
+        return None
 
     def _streamed(self, now_s: float) -> bool:
         """Whether the stream of set-points is alive."""
