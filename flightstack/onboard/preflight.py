@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -21,11 +22,9 @@ _SHOWN = (Level.UNSAFE, Level.ACCEPTED, Level.NOTE, Level.INFO)
 
 def needs_of(config: FlightConfig, system_id: int = 1) -> Needs:
     """Return what a flight of this configuration needs from its autopilot."""
-    limits = config.limits
-    acceleration_m_s2 = strategy_of(config).acceleration_max_m_s2
-    return Needs(
-        limits.velocity_max_m_s, limits.altitude_max_m, config.takeoff.height_m, acceleration_m_s2, system_id
-    )
+    vx, vy, vz = config.limits.velocity_max_m_s
+    ax, ay, az = strategy_of(config).acceleration_max_m_s2
+    return Needs(math.hypot(vx, vy), vz, math.hypot(ax, ay), az, config.limits.altitude_max_m, system_id)
 
 
 def line_plan(baud: int | None, config: FlightConfig, *, signed: bool) -> LinePlan:

@@ -16,7 +16,6 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.profiles import ARDUPILOT, OWN_SITL, PX4
 from flightstack.common.strict_toml import Files
-from flightstack.core.types import Vec3
 
 _FILE_OF = {OWN_SITL.name: "px4", PX4.name: "px4", ARDUPILOT.name: "ardupilot"}  # others have no parameters
 _SLACK = 1e-6  # relative tolerance of a parameter in single precision
@@ -26,29 +25,12 @@ _NAME_MAX = 16  # characters, MAVLink PARAM_VALUE
 class Needs(NamedTuple):
     """Requirements of the flight on the autopilot."""
 
-    velocity_max_m_s: Vec3  # command box
+    horizontal_m_s: float  # of the command box
+    vertical_m_s: float
+    horizontal_m_s2: float  # of the largest acceleration of the commanded velocity
+    vertical_m_s2: float
     altitude_max_m: float  # above the ground
-    takeoff_height_m: float
-    acceleration_max_m_s2: Vec3  # largest acceleration of the commanded velocity, ENU
     system_id: int = 1  # MAVLink id of the vehicle and its companion
-
-    @property
-    def horizontal_m_s(self) -> float:
-        x, y, _ = self.velocity_max_m_s
-        return math.hypot(x, y)
-
-    @property
-    def vertical_m_s(self) -> float:
-        return self.velocity_max_m_s[2]
-
-    @property
-    def horizontal_m_s2(self) -> float:
-        x, y, _ = self.acceleration_max_m_s2
-        return math.hypot(x, y)
-
-    @property
-    def vertical_m_s2(self) -> float:
-        return self.acceleration_max_m_s2[2]
 
 
 class Need(Enum):

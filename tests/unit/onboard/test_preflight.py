@@ -1,5 +1,6 @@
 """The check before a flight: what is unsafe, what is accepted, and that the talk always ends."""
 
+import math
 import threading
 
 import pytest
@@ -20,7 +21,7 @@ from tests.fake_autopilot import OnUdp
 from tests.unit.autopilot.autopilot_fakes import RATE_HZ, FakeVehicle
 from tests.unit.onboard.safe_parameters import ARDUPILOT_46_DEFAULT, SAFE, packed
 
-NEEDS = Needs((0.5, 0.5, 0.5), 3.0, 0.5, (0.8, 0.6, 1.5))
+NEEDS = Needs(0.5 * math.sqrt(2.0), 0.5, 1.0, 1.5, 3.0)
 ARDUPILOT_UNSAFE = {"GUID_TIMEOUT", "FS_GCS_ENABLE", "SYSID_MYGCS"}  # with its defaults
 
 
@@ -38,9 +39,9 @@ def test_every_profile_but_the_crazyflies_has_rules():
     assert {name for name in PROFILES if table(name) is None} == {CRAZYFLIE.name}
 
 
-@pytest.mark.parametrize("box", [(0.2, 0.2, 0.5), (0.333, 1.0, 0.1), (3.0, 4.0, 1.234)])
-def test_the_speed_that_is_asked_for_suffices(box):
-    needs = Needs(box, 3.0, 0.5, (1.0, 1.0, 1.0))
+@pytest.mark.parametrize("speeds", [(0.2828, 0.5), (1.054, 0.1), (5.0, 1.234)])
+def test_the_speed_that_is_asked_for_suffices(speeds):
+    needs = Needs(*speeds, 1.4, 1.0, 3.0)
     all_ = [each for name in ("px4", "sitl", "ardupilot") for r in table(name).releases
             for each in table(name).asked(name, r) if each.rule.means.endswith("speed")]  # fmt: skip
     assert len(all_) == 36
@@ -180,8 +181,10 @@ def test_a_lost_companion_comes_down_only_if_its_own_heartbeats_are_minded():
 def test_the_accelerations_are_those_of_the_filter():
     robust, paper = (needs_of(scenario.load("lab").with_filter(kind).onboard) for kind in ("robust", "paper"))
     config = scenario.load("lab").onboard
-    assert robust.acceleration_max_m_s2 == config.robust.acceleration_max_m_s2
-    assert paper.acceleration_max_m_s2 == config.limits.slew_max_m_s2
+    for needs, (x, y, z) in (
+        (robust, config.robust.acceleration_max_m_s2), (paper, config.limits.slew_max_m_s2)
+    ):  # fmt: skip
+        assert (needs.horizontal_m_s2, needs.vertical_m_s2) == (math.hypot(x, y), z)
 
 
 def test_parameters_that_do_not_come_make_it_unsafe():

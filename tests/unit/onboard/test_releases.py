@@ -1,5 +1,7 @@
 """The check before a flight against fake vehicles of every release in its tables."""
 
+import math
+
 import pytest
 
 from bridge.mavlink.endpoint import Endpoint
@@ -11,7 +13,7 @@ from flightstack.onboard.preflight import lines, record, verdict
 from tests.fake_autopilot import OnUdp
 from tests.unit.onboard.safe_parameters import DEV, SAFE, packed
 
-NEEDS = Needs((0.5, 0.5, 0.5), 3.0, 0.5, (0.8, 0.6, 1.5))
+NEEDS = Needs(0.5 * math.sqrt(2.0), 0.5, 1.0, 1.5, 3.0)
 # by autopilot and name: level of, and values that are not safe; a name is in the releases that have it
 BAD = {
     "ardupilot": {

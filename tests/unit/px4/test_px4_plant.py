@@ -238,7 +238,7 @@ def test_the_lines_of_every_form_hold_all_of_them(airframe, form):
 
 
 def test_the_check_before_a_flight_finds_nothing_unsafe_in_them():
-    found, needs = parameters(load()), Needs((0.5, 0.5, 0.5), 3.0, 0.5, (2.0, 2.0, 2.5))
+    found, needs = parameters(load()), Needs(0.7, 0.5, 2.8, 2.5, 3.0)
     for release in table("px4").releases:
         checked = [each for each in table("px4").asked("px4", release) if each.name.name in found]
         assert {each.name.name for each in checked} == {"COM_OBL_RC_ACT", "COM_RC_IN_MODE", "SYS_FAILURE_EN"}
