@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import hmac
-import json
 import os
 import re
 import secrets
@@ -18,6 +17,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
+from typing import Annotated
+
+import msgspec
 
 from bridge.mavlink.codec.framing import with_signed_flag
 from bridge.mavlink.codec.messages import Message
@@ -105,6 +107,19 @@ class SigningState:
     streams: dict[Stream, int] = field(default_factory=dict)
 
 
+_Byte = Annotated[int, msgspec.Meta(ge=0, le=255)]
+_Timestamp = Annotated[int, msgspec.Meta(ge=0, le=TIMESTAMP_MAX)]
+_Row = tuple[_Byte, _Byte, _Byte, _Timestamp]  # stream, newest timestamp
+
+
+class _Stored(msgspec.Struct):
+    """The state in its file."""
+
+    clock: _Timestamp
+    sent: _Timestamp
+    streams: Annotated[list[_Row], msgspec.Meta(max_length=STREAMS_MAX)]
+
+
 def load_state(path: Path) -> SigningState:
     """Read a state; an empty one without a file.
 
@@ -116,45 +131,28 @@ def load_state(path: Path) -> SigningState:
     except FileNotFoundError:
         return SigningState()
     try:
-        table = json.loads(data)
-        streams = {_stream(*row[:3]): _timestamp(row[3]) for row in table["streams"]}
-        state = SigningState(_timestamp(table["clock"]), _timestamp(table["sent"]), streams)
-    except (ValueError, TypeError, KeyError, IndexError, RecursionError) as error:
+        stored = msgspec.json.decode(data, type=_Stored)
+    except (ValueError, RecursionError) as error:
         raise ValueError(
             f"signing state {path} cannot be read ({error}): delete it, and frames of the minute before "
             "could be replayed once"
         ) from error
-    if len(streams) > STREAMS_MAX:
-        raise ValueError(f"signing state {path} has {len(streams)} streams, allowed are {STREAMS_MAX}")
-    return state
+    return SigningState(stored.clock, stored.sent, {row[:3]: row[3] for row in stored.streams})
 
 
 def save_state(path: Path, state: SigningState) -> None:
     """Write a state atomically, readable by its owner only. Raises OSError: it cannot be written."""
-    rows = [[*stream, timestamp] for stream, timestamp in state.streams.items()]
-    text = json.dumps({"clock": state.clock, "sent": state.sent, "streams": rows})
+    rows = [(*stream, timestamp) for stream, timestamp in state.streams.items()]
+    data = msgspec.json.encode(_Stored(state.clock, state.sent, rows))
     new = path.with_name(f"{path.name}.{os.getpid()}")
     descriptor = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
     try:
-        with os.fdopen(descriptor, "w") as file:
-            file.write(text)
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(data)
         new.replace(path)
     except OSError:
         new.unlink(missing_ok=True)
         raise
-
-
-def _timestamp(value: object) -> int:
-    if type(value) is not int or not 0 <= value <= TIMESTAMP_MAX:
-        raise ValueError(f"timestamp {value!r}")
-    return value
-
-
-def _stream(link: object, system: object, component: object) -> Stream:
-    numbers = (link, system, component)
-    if any(type(n) is not int or not 0 <= n <= 255 for n in numbers):
-        raise ValueError(f"stream {numbers!r}")
-    return numbers  # type: ignore[return-value]
 
 
 EPOCH_NS = 1_420_070_400_000_000_000  # 2015-01-01T00:00:00Z, time zero of signing
