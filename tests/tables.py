@@ -26,6 +26,25 @@ _HEAD = """\
 """
 
 
+def crc_extra(definition: Definition) -> int:
+    """Checksum of names and types (MAVLink serialization guide, CRC_EXTRA)."""
+    text = f"{definition.name} ".encode()
+    for field in definition.on_the_wire:
+        if not field.extension:
+            text += f"{field.kind} {field.name} ".encode() + bytes([field.array] if field.array else [])
+    crc: int = ardupilotmega.x25crc(text).crc
+    return (crc & 0xFF) ^ (crc >> 8)
+
+
+def line(definition: Definition) -> str:
+    """Line of the table."""
+    texts = []
+    for field in definition.fields:
+        array = f"[{field.array}]" if field.array else ""
+        texts.append(f"{'+' if field.extension else ''}{field.kind}{array} {field.name}")
+    return ";".join([str(definition.id), definition.name, str(definition.crc_extra), *texts])
+
+
 def read_class(cls: Any) -> Definition:
     """Read one of pymavlink's classes; CRC_EXTRA, which leaves extensions out, tells which fields they are.
 
@@ -38,7 +57,7 @@ def read_class(cls: Any) -> Definition:
         behind = cls.ordered_fieldnames[len(cls.ordered_fieldnames) - extensions :]
         fields = tuple(WideField(kinds[n], n, arrays[n], n in behind) for n in cls.fieldnames)
         made = Definition(cls.id, cls.msgname, cls.crc_extra, fields)
-        if made.computed_crc_extra() == cls.crc_extra:
+        if crc_extra(made) == cls.crc_extra:
             return made
     raise ValueError(f"{cls.msgname}: CRC_EXTRA {cls.crc_extra} does not fit its fields")
 
@@ -48,7 +67,7 @@ def messages_table() -> str:
     wide = {id_: cls for id_, cls in everything.mavlink_map.items() if id_ not in ardupilotmega.mavlink_map}
     made = {d.id: d for d in definitions() if d.id not in everything.mavlink_map}
     made.update({id_: read_class(cls) for id_, cls in wide.items()})
-    return _HEAD + "".join(f"{made[id_].line}\n" for id_ in sorted(made))
+    return _HEAD + "".join(f"{line(made[id_])}\n" for id_ in sorted(made))
 
 
 EVENTS = Path(__file__).parents[1] / "bridge" / "mavlink" / "client" / "px4_events.json"

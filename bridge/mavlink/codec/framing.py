@@ -83,11 +83,6 @@ class StreamFramer:
         self._rest = b""
         self.in_sync = True  # a frame may start at the first buffered byte
 
-    @property
-    def waiting_bytes(self) -> int:
-        """Buffered bytes."""
-        return len(self._rest)
-
     def push(self, piece: bytes, unknown: Callable[[bytes], None] | None = None) -> Iterator[bytes]:
         """Add a chunk; yields frames as ``split_frames`` does."""
         data, self._rest = self._rest + piece, b""

@@ -59,26 +59,11 @@ class Definition(NamedTuple):
         return cls(int(id_), name, int(crc_extra), tuple(_field(text) for text in fields))
 
     @property
-    def line(self) -> str:
-        return ";".join([str(self.id), self.name, str(self.crc_extra), *map(_text, self.fields)])
-
-    @property
     def on_the_wire(self) -> list[WideField]:
         """Fields in the order of the wire: by size, then extensions (MAVLink serialization guide)."""
         extensions = [field for field in self.fields if field.extension]
         rest = [field for field in self.fields if not field.extension]
         return [*sorted(rest, key=lambda field: -field.size), *extensions]
-
-    def computed_crc_extra(self) -> int:
-        """Checksum of names and types (MAVLink serialization guide, CRC_EXTRA)."""
-        text = f"{self.name} ".encode()
-        for field in self.on_the_wire:
-            if not field.extension:
-                text += f"{field.kind} {field.name} ".encode() + field.array.to_bytes(
-                    bool(field.array), "big"
-                )
-        crc: int = dialect.x25crc(text).crc
-        return (crc & 0xFF) ^ (crc >> 8)
 
 
 def definitions() -> Iterator[Definition]:
@@ -139,11 +124,6 @@ def _field(text: str) -> WideField:
     if kind not in CODES or not name:
         raise ValueError(f"field {text!r} of a MAVLink message: allowed are the types {', '.join(CODES)}")
     return WideField(kind, name, int(array or 0), text.startswith("+"))
-
-
-def _text(field: WideField) -> str:
-    array = f"[{field.array}]" if field.array else ""
-    return f"{'+' if field.extension else ''}{field.kind}{array} {field.name}"
 
 
 # All known messages by id: pymavlink's, then the wide ones.

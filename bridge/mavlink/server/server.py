@@ -108,11 +108,6 @@ class Server(ABC, Generic[V]):
 
     # What the process calls
 
-    @property
-    def handled(self) -> frozenset[int]:
-        """Ids of the messages that are acted on."""
-        return frozenset(self._handlers)
-
     def handle(self, message: Message, sender: Sender, now_s: float) -> list[Message]:
         """Act on one message of a valid checksum; its content may be wrong. Answers for this sender."""
         handler = self._handlers.get(message.get_msgId())  # some messages have a field named id

@@ -172,10 +172,6 @@ class PeerTable:
             return tuple(alive)
         return (*self._configured, *(peer for peer in alive if peer not in self._configured))
 
-    @property
-    def remembered(self) -> int:
-        return len(self._beating) + len(self._strangers)
-
     def heard(self, peer: Peer, size: int, *, heartbeat: bool) -> bool:
         """Record a valid frame; False: a heartbeat of a new peer without room in the table."""
         now_s = time.monotonic()

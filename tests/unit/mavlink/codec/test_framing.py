@@ -127,9 +127,9 @@ def test_frame_is_given_with_its_last_byte():
     frame = frames_of(1)[0]
     framer = StreamFramer(FrameCounters())
     assert list(framer.push(frame[:-1])) == []
-    assert framer.waiting_bytes == len(frame) - 1
+    assert len(framer._rest) == len(frame) - 1
     assert list(framer.push(frame[-1:])) == [frame]
-    assert framer.waiting_bytes == 0
+    assert len(framer._rest) == 0
 
 
 def test_hundred_thousand_bytes_of_noise_lose_no_frame():
@@ -184,7 +184,7 @@ def test_buffer_is_bounded_whatever_comes():
     for _ in range(3000):
         header = bytes([0xFD, 255, 0, 0, 0, 1, 1, rng.randrange(256), rng.randrange(2), 0])
         list(framer.push(header + rng.randbytes(rng.randrange(0, 60))))
-        assert framer.waiting_bytes <= REST_MAX + 280
+        assert len(framer._rest) <= REST_MAX + 280
 
 
 def test_false_start_behind_noise_keeps_nothing_back():

@@ -135,8 +135,8 @@ def test_known_messages_stay_pymavlinks_own():
 
 def test_crc_extra_is_that_of_names_and_types():
     for definition in WIDE.values():
-        assert definition.computed_crc_extra() == definition.crc_extra
-        assert Definition.parse(definition.line) == definition
+        assert tables.crc_extra(definition) == definition.crc_extra
+        assert Definition.parse(tables.line(definition)) == definition
 
 
 def test_class_equals_pymavlinks():

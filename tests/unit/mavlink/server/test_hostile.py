@@ -67,7 +67,7 @@ def test_nothing_from_the_network_raises_and_every_answer_can_be_sent(flown, see
     rng = random.Random(seed)
     link = mav.MAVLink(None, 1, 1)
     commands, sent = list(flown.server.commands.table), len(flown.telemetry)
-    for id_ in [*mav.mavlink_map, *sorted(flown.server.handled) * 20]:
+    for id_ in [*mav.mavlink_map, *sorted(flown.server._handlers) * 20]:
         for _ in range(5):
             sender = rng.choice(((1, 191), (255, 190), (rng.randrange(256), rng.randrange(256))))
             replies = flown.handle(hostile(rng, id_, commands), sender)
@@ -147,7 +147,7 @@ def asks_to_land(message) -> bool:
 @pytest.mark.parametrize("seed", range(4))
 def test_a_stranger_can_neither_fly_it_nor_change_what_its_owner_has_set(flown, seed: int) -> None:
     rng = random.Random(seed)
-    commands, handled = list(flown.server.commands.table), sorted(flown.server.handled)
+    commands, handled = list(flown.server.commands.table), sorted(flown.server._handlers)
     parameters, (mode, armed, intervals_us, *rest) = copy.deepcopy(flown.server.parameters), flown.state()
     for i in range(1500):
         message = hostile(rng, rng.choice(handled if i % 2 else list(mav.mavlink_map)), commands)

@@ -94,7 +94,8 @@ def test_strangers_get_no_byte_and_no_entry(wire):
         assert wire.put(frame) == []
     wire.endpoint.send([heartbeat()])
     wire.endpoint.send([heartbeat()], wire.address)
-    assert wire.endpoint._peers.remembered == 0
+    assert not wire.endpoint._peers._beating
+    assert not wire.endpoint._peers._strangers
     assert wire.endpoint.counters.sent == 0
 
 
