@@ -82,7 +82,6 @@ class Endpoint:
         signing_key: SigningKey | None = None,
         always: Sequence[Peer] = (),
         allow_unsigned: bool = False,
-        link_id: int = 0,
     ) -> None:
         """Open the socket or line.
 
@@ -90,11 +89,11 @@ class Endpoint:
         ``serial:DEVICE:BAUD``; ``system_id``, ``component_id``: ours, 1 to 255; ``max_peers``: greatest
         number of senders of heartbeats in the table; ``signing_key``: sign all frames and accept only signed
         ones; ``always``: ``udpin`` only: peers that get telemetry from the start and never expire;
-        ``allow_unsigned``: listen to a network without a key; ``link_id``: of signing, for endpoints with the
-        same key and ids, 0 to 255. Raises ValueError: bad URL or id, the host has no IPv4 address, a network
-        without a key, or an invalid state of signing; OSError: the address cannot be bound (used by another
-        process), the device cannot be opened, or the state of signing cannot be read or written. A refused
-        TCP connection is not an error: it is tried again, with a text in ``take_notices``.
+        ``allow_unsigned``: listen to a network without a key. Raises ValueError: bad URL or id, the host has
+        no IPv4 address, a network without a key, or an invalid state of signing; OSError: the address cannot
+        be bound (used by another process), the device cannot be opened, or the state of signing cannot be
+        read or written. A refused TCP connection is not an error: it is tried again, with a text in
+        ``take_notices``.
         """
         for name, value in (("system", system_id), ("component", component_id)):
             if not 1 <= value <= 255:
@@ -118,7 +117,7 @@ class Endpoint:
             else DatagramTransport(url, kind == "udpin", address, self.counters)
         )
         try:
-            self._signer = Signer(signing_key, system_id, component_id, link_id) if signing_key else None
+            self._signer = Signer(signing_key, system_id, component_id) if signing_key else None
         except BaseException:
             self._transport.close()
             raise

@@ -161,6 +161,7 @@ _S = 1_000_000_000 // TICK_NS  # ticks in a second
 STALE_TICKS = 60 * _S  # greatest delay of a new stream behind our clock (mavlink.io: one minute)
 AHEAD_TICKS = 3600 * _S  # greatest lead of a frame: ArduPilot adds a minute at every start
 _SAVE_S = 10.0  # s between two writes of the state
+_LINK = bytes(1)  # link id of every endpoint of this project
 _TAG = 6  # bytes of SHA-256 in a frame
 _STAMP = 12  # bytes from the timestamp to the end
 
@@ -185,26 +186,21 @@ class Signer:
         key: SigningKey,
         system_id: int,
         component_id: int,
-        link_id: int = 0,
         *,
         unix_ns: Callable[[], int] = time.time_ns,
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         """Continue from the state of the last run.
 
-        ``link_id``: distinguishes endpoints with the same ids and key, 0 to 255; ``unix_ns``: system clock,
-        which may jump; ``monotonic_ns``: clock that never goes back.
-        Raises ValueError: bad link id or state file; OSError: the state cannot be read or written.
+        ``unix_ns``: system clock, which may jump; ``monotonic_ns``: clock that never goes back.
+        Raises ValueError: bad state file; OSError: the state cannot be read or written.
         """
-        if not 0 <= link_id <= 255:
-            raise ValueError(f"signing link id is {link_id}: allowed is 0 to 255")
         self.warning: str | None = None  # text for the operator on the clock, or None
         self.state_errors = 0  # failed writes of the state, each repeated 10 s later
         self._own = bytes((system_id, component_id))
-        self._link = bytes((link_id,))
         self._keyed = hashlib.sha256(key.secret)
         self._unix_ns, self._monotonic_ns = unix_ns, monotonic_ns
-        self._path = _state_path(key, system_id, component_id, link_id)
+        self._path = _state_path(key, system_id, component_id)
         self._state = load_state(self._path) if self._path is not None else SigningState()
         self._start_ns = monotonic_ns()
         self._start = self._first_time()
@@ -225,7 +221,7 @@ class Signer:
         """Sign an unsigned frame; timestamps are those of the clock and always increase."""
         state = self._state
         state.sent = max(state.sent + 1, self.now())
-        body = with_signed_flag(frame) + self._link + state.sent.to_bytes(6, "little")
+        body = with_signed_flag(frame) + _LINK + state.sent.to_bytes(6, "little")
         return body + self._tag(body)
 
     def refusal(self, frame: bytes) -> Refusal | None:
@@ -303,10 +299,10 @@ class Signer:
         return False
 
 
-def _state_path(key: SigningKey, system_id: int, component_id: int, link_id: int) -> Path | None:
+def _state_path(key: SigningKey, system_id: int, component_id: int) -> Path | None:
     if key.path is None:
         return None
-    return key.path.with_name(f"{key.path.name}.{system_id}-{component_id}-{link_id}.state")
+    return key.path.with_name(f"{key.path.name}.{system_id}-{component_id}-{_LINK[0]}.state")
 
 
 ANSWERED = frozenset({Refusal.STALE, Refusal.REPLAYED})  # correct signature, wrong time

@@ -52,7 +52,6 @@ class VehicleLink:
         rate_hz: float = 100.0,
         profile: Profile | None = PX4,
         system_id: int = 1,
-        component_id: int = 1,
         defer_timesync: bool = False,
         signing_key: SigningKey | None = None,
         allow_unsigned: bool = False,
@@ -87,7 +86,7 @@ class VehicleLink:
         # why this vehicle is not supported, or None
         self.refused: str | None = None
         self.heard = False  # a message of the vehicle has arrived
-        self._target = (system_id, component_id)
+        self._target = (system_id, dialect.MAV_COMP_ID_AUTOPILOT1)
         self._takeoff_height_m, self._rate_hz, self._origin = takeoff_height_m, rate_hz, origin
         self._line, self._setpoints = line, 0
         self._requests = self._senders_for(profile) if profile is not None else None

@@ -26,9 +26,9 @@ class Clock:
     def ticks(self):
         return (self.unix_ns - EPOCH_NS) // TICK_NS
 
-    def signer(self, key=KEY, ids=(1, 1), link_id=0):
+    def signer(self, key=KEY, ids=(1, 1)):
         clocks = {"unix_ns": lambda: self.unix_ns, "monotonic_ns": lambda: self.monotonic_ns}
-        return Signer(key, *ids, link_id, **clocks)
+        return Signer(key, *ids, **clocks)
 
 
 def heartbeat():

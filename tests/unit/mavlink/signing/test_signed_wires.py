@@ -172,19 +172,6 @@ def test_keys_from_the_network_are_never_taken_nor_logged(key):
     wire.close()
 
 
-def test_link_id_is_on_the_wire():
-    endpoint = Endpoint("udpin:127.0.0.1:0", 1, 1, signing_key=KEY, link_id=7)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
-        peer.sendto(signed(stamp=now()), ("127.0.0.1", endpoint.local_port))
-        assert endpoint.wait(5.0)
-        endpoint.receive()
-        endpoint.send([heartbeat()])
-        assert peer.recv(2048)[-13] == 7
-    endpoint.close()
-    with pytest.raises(ValueError, match="0 to 255"):
-        Endpoint("udpin:127.0.0.1:0", 1, 1, signing_key=KEY, link_id=256)
-
-
 TWO_HOURS = 2 * 3600 * S
 
 
