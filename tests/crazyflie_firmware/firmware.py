@@ -14,16 +14,6 @@ from tests.crazyflie_firmware.supervisor import PERIOD_S, State, Supervisor
 from tests.crazyflie_firmware.tables import CODE, LOGS, Param, log_toc, param_toc, params, quaternion_bits
 
 STOP, VELOCITY_WORLD = 0, 8
-PORTS = {
-    "console": 0,
-    "param": 2,
-    "commander": 3,
-    "mem": 4,
-    "log": 5,
-    "loc": 6,
-    "generic": 7,
-    "supervisor": 9,
-}
 UP = (0.0, 0.0, 1.0)
 SILENT_S = 1.0  # s without any packet, after which the log blocks are deleted (crtp.c, log.c)
 START_S = 3.0  # s of a start; armed by itself at 3.1 s
@@ -45,7 +35,6 @@ class Firmware:
     Attributes:
         setpoints: (time, velocity, yaw rate in deg/s) of the last velocity set-points.
         poses: (time, seven numbers) of the last poses from outside.
-        legs: what else arrived: "stop", "notify", "arm", "disarm", "emergency", "rpyt", "recover".
         needs_poses: it knows where it is only while poses come.
         clock_rate: seconds of its clock in one of the host's.
 
@@ -76,7 +65,6 @@ class Firmware:
         self.power_state = 0
         self.setpoints: deque = deque(maxlen=4096)
         self.poses: deque = deque(maxlen=4096)
-        self.legs: deque = deque(maxlen=4096)
         self.refuse_arming = False
         self._auto_arm, self._tables = auto_arm, tables
         self._host_s = self._now_s = self._stepped_s = self._stalled_until_s = self._started_s = 0.0
@@ -134,11 +122,11 @@ class Firmware:
             (3, 0): lambda: self._thrust(data, now_s),
             (6, 1): lambda: self._generic_location(data, now_s),
             (7, 0): lambda: self._generic_setpoint(data, now_s),
-            (7, 1): lambda: self._notify(now_s),
+            (7, 1): lambda: self._notify(),
             (9, 0): lambda: (
                 [b"\x8c" + struct.pack("<H", self.supervisor.info)] if self.protocol >= 12 else []
             ),
-            (9, 1): lambda: self._supervise(data, now_s),
+            (9, 1): lambda: self._supervise(data),
         }.get((port, channel))
         head = bytes((port << 4 | 0x0C | channel,))
         return [] if handler is None else [head + answer for answer in handler()]
@@ -260,17 +248,13 @@ class Firmware:
 
     # Flying
 
-    def _note(self, what: str, now_s: float) -> list[bytes]:
-        self.legs.append((now_s, what))
-        return []
-
     def _generic_setpoint(self, data: bytes, now_s: float) -> list[bytes]:
         kind = data[0]
         assert len(data) == {STOP: 1, VELOCITY_WORLD: 17}[kind], "a wrong length restarts the firmware"
         self._setpoint_s, self._priority = now_s, 2
         if kind == STOP:
             self._setpoint = None
-            return self._note("stop", now_s)
+            return []
         vx, vy, vz, yaw_rate_deg_s = struct.unpack_from("<4f", data, 1)
         self._setpoint = ((vx, vy, vz), yaw_rate_deg_s * 0.017453292519943295)
         self.setpoints.append((now_s, (vx, vy, vz), yaw_rate_deg_s))
@@ -281,12 +265,11 @@ class Firmware:
         """Roll, pitch, yaw rate and thrust: only the thrust of zero that cflib ends a link with."""
         assert struct.unpack("<fffH", data)[3] == 0
         self._setpoint_s, self._priority, self._setpoint = now_s, 2, None
-        return self._note("rpyt", now_s)
+        return []
 
-    def _notify(self, now_s: float) -> list[bytes]:
-        self._priority = 0
-        self._setpoint = None
-        return self._note("notify", now_s)
+    def _notify(self) -> list[bytes]:
+        self._priority, self._setpoint = 0, None
+        return []
 
     def _generic_location(self, data: bytes, now_s: float) -> list[bytes]:
         if data[0] == 8:
@@ -296,21 +279,17 @@ class Firmware:
                 self.plant.pose(*pose[:3], pose[3:])
         elif data[0] == 3 and self.protocol < 12:
             self.supervisor.emergency = True
-            self._note("emergency", now_s)
         return []
 
-    def _supervise(self, data: bytes, now_s: float) -> list[bytes]:
+    def _supervise(self, data: bytes) -> list[bytes]:
         if self.protocol < 12:
             return []
         if data[0] == 1:
-            self._note("arm" if data[1] else "disarm", now_s)
             done = False if self.refuse_arming and data[1] else self.supervisor.request(bool(data[1]))
             return [bytes((0x81, done, self.supervisor.armed))]
         if data[0] == 2:
-            self._note("recover", now_s)
             done = self.supervisor.recover()
             return [bytes((0x82, done, not self.supervisor.crashed))]
         if data[0] == 3:
             self.supervisor.emergency = True
-            self._note("emergency", now_s)
         return []

@@ -141,11 +141,6 @@ def test_prearm_checks_tell_all_problems() -> None:
 STATION = mav.MAVLink_heartbeat_message(mav.MAV_TYPE_GCS, 8, 0, 0, 4, 3)
 
 
-def voltage_at(remaining: float) -> float:
-    p = Parameters(px4_parameters(1))
-    return p["BAT1_V_EMPTY"] + remaining * (p["BAT1_V_CHARGED"] - p["BAT1_V_EMPTY"])
-
-
 def rig_with(**parameters: float) -> Rig:
     rig = Rig()
     for name, value in parameters.items():

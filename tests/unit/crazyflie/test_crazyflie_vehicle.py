@@ -30,7 +30,8 @@ def test_arms_climbs_holds_lands_and_can_fly_again_without_a_restart(auto_arm):
     bench.until(lambda: not bench.vehicle.armed).step()
     assert bench.firmware.plant.on_surface
     assert not bench.firmware.plant.motors
-    assert {"stop", "notify"} <= {what for _, what in bench.firmware.legs}
+    assert bench.orders(Order.STOP)
+    assert bench.orders(Order.NOTIFY_STOP)
     bench.run(7.0)
     assert State.LOCKED not in [s for _, s in bench.firmware.supervisor.history]
     assert bench.last("EXTENDED_SYS_STATE").landed_state == 1
