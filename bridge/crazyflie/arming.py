@@ -45,7 +45,7 @@ class Arming:
 
     @property
     def busy(self) -> bool:
-        """Whether something is still to be sent or seen."""
+        """Whether a packet is still to be sent, or an effect still to be observed."""
         return self._arm is not None or self._off is not None or self._notices > 0
 
     def ask(self, state: CrazyflieState, now_s: float) -> list[Packet]:

@@ -52,13 +52,13 @@ class Condition:
         self._forget_outside()
 
     def _forget_outside(self) -> None:
-        """Another connection may be to another firmware."""
+        """Reset what a new connection, possibly to another firmware, has to measure anew."""
         self._outside: Outside | None = None
         self._tick_s: float | None = None  # when the firmware's time of the newest pose changed last
         self._leaning: Vec3 | None = None  # mean of the poses' upright less gravity's, in the body
 
     def alive(self, now_s: float) -> bool:
-        """Whether it is heard; while it is not, no telemetry is sent."""
+        """Whether states of the Crazyflie arrive; without them no telemetry is sent."""
         heard = self.state is not None and now_s - self.state.at_s <= LOST_S
         return heard and self.link.protocol is not None
 
@@ -150,7 +150,7 @@ class Condition:
 
 
 def stuck(info: Info) -> str | None:
-    """Why the firmware will not let the motors run, in flight or before it; None: it will."""
+    """Why the firmware does not allow the motors to run; None: it does."""
     return next((text for bit, text in _STUCK.items() if info & bit), None)
 
 
@@ -164,7 +164,7 @@ _STUCK = {
 
 
 def too_old(protocol: int) -> str | None:
-    """Why firmware of this CRTP protocol is not flown; None: it is."""
+    """Why firmware of this CRTP protocol is not supported; None: it is."""
     if protocol >= PROTOCOL_MIN:
         return None
     return f"firmware speaks CRTP {protocol}, arming by supervisor needs {PROTOCOL_MIN}: update it"
@@ -228,7 +228,7 @@ def _position(c: Condition, now_s: float) -> str | None:
 
 
 def _poses(c: Condition, now_s: float) -> str | None:
-    """Without poses the variance stays small for seconds, while the position is 0.65 m off after 2.5 s."""
+    """Without poses the variance remains small for seconds; after 2.5 s the position is 0.65 m wrong."""
     age_s = c.pose_age_s(now_s)
     if age_s is None or age_s <= POSE_AGE_MAX_S:
         return None

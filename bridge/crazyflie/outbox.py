@@ -1,4 +1,4 @@
-"""Packets that wait for the radio: the urgent first, and no velocity that has grown old."""
+"""Packets that wait for the radio: urgent ones first; old velocities are dropped."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Callable
 from bridge.crazyflie.types import Order, Packet, Pose, SetParam, Velocity
 
 ORDERS_MAX = 64
-VELOCITY_AGE_MAX_S = 0.1  # s; an older velocity was meant for another moment, silence is what is safe
+VELOCITY_AGE_MAX_S = 0.1  # s; an older velocity is dropped: the firmware's watchdog handles silence safely
 _URGENT = frozenset({Order.EMERGENCY_STOP, Order.STOP, Order.DISARM})
 
 
@@ -51,7 +51,7 @@ class Outbox:
             self._orders.append(order)
 
     def get(self, timeout_s: float, clock: Callable[[], float]) -> Packet | None:
-        """Take the next packet, waiting for one at most so long; None when none came."""
+        """Take the next packet; None: no packet arrived within the time-out."""
         with self._ready:
             self._ready.wait_for(self._anything, timeout_s)
             self._woken = False

@@ -59,14 +59,14 @@ class BootClock:
         self.begin()
 
     def begin(self) -> None:
-        """Start again with a new connection; the last time is kept to detect a restart."""
+        """Start again with a new connection; the last time remains, to detect a restart."""
         self._shortest_s = [math.inf, math.inf]  # arrival minus firmware time, of two spans of packets
         self._span_s, self._in_span = -math.inf, 0
         self._odd_ms: int | None = None  # a time that fits neither the clock nor a restart
 
     @property
     def running(self) -> bool:
-        """Whether a packet of this connection has been seen."""
+        """Whether a packet of this connection has arrived."""
         return min(self._shortest_s) < math.inf
 
     def take(self, time_ms: int, at_s: float) -> tuple[int, float] | None:

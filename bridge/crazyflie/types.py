@@ -80,26 +80,26 @@ class Connected(NamedTuple):
 
 
 class Lost(NamedTuple):
-    """There is no link, or no more; it is tried again."""
+    """The link is lost or could not be opened; the next attempt follows."""
 
     reason: str
 
 
 class StateBlock(NamedTuple):
-    """One log packet of the state, as it came."""
+    """One log packet of the state, unchanged."""
 
     time_ms: int  # firmware clock, 24 bits
     values: dict[str, int]
 
 
 class HealthBlock(NamedTuple):
-    """One log packet of what changes slowly."""
+    """One log packet of values that change slowly."""
 
     values: dict[str, float]
 
 
 class OutsideBlock(NamedTuple):
-    """One log packet of what helps to judge poses from outside; firmware may lack any of it."""
+    """One log packet for the check of external poses; firmware may lack any of its values."""
 
     values: dict[str, float]
 
@@ -120,7 +120,7 @@ Event = Connected | Lost | StateBlock | HealthBlock | OutsideBlock | ArmReply | 
 
 
 class Arrived(NamedTuple):
-    """An event, and when it came in."""
+    """An event with the time of its arrival."""
 
     at_s: float  # time.monotonic()
     event: Event

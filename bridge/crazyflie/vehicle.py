@@ -93,7 +93,7 @@ class Vehicle(Condition, Commander):
         packets, self._packets = self._packets, []
         return packets
 
-    # What comes from the Crazyflie
+    # Events of the Crazyflie
 
     def connected(self, event: Connected, now_s: float) -> None:
         self.link = Link(event.protocol, dict(event.params), "")

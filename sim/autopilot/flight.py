@@ -39,7 +39,7 @@ class Flight(Commander):
         self.watches = Watches(parameters, vehicle)
         self.ground = Standing(vehicle)
         self._parameters = parameters
-        self._goal: Goal | None = None  # of the mode that begins
+        self._goal: Goal | None = None  # goal of the mode that begins
         self._was_armed = vehicle.armed
         self._flew = vehicle.armed and not self.ground.now  # since arming
         self._control_s: float | None = None

@@ -48,7 +48,7 @@ class PositionHold:
         self._integral_m_s: Vec3 = trim_enu_m_s
 
     def engage(self, position_enu_m: Vec3, velocity_enu_m_s: Vec3, gain_xy_1_s: float) -> None:
-        """Take over a vehicle in motion: hold where it comes to rest.
+        """Take over a vehicle in motion: hold the point where it stops.
 
         The hold point lies v / gain ahead, so the first set-point equals the velocity, which then decays.
         """
@@ -162,7 +162,7 @@ class Pilot:
         self._engaged, self._fresh, self.goal = False, True, goal
 
     def take(self, setpoint: Setpoint) -> None:
-        """Keep the newest set-point; it is flown in OFFBOARD."""
+        """Store the newest set-point; it is flown in OFFBOARD."""
         self._setpoint, self._fresh = setpoint, True
 
     @property
@@ -172,14 +172,14 @@ class Pilot:
         return self._clip if known and self._engaged and self._setpoint is not None else None
 
     def handed_on(self, setpoint: Setpoint) -> None:
-        """Take note of a set-point that was flown as it is."""
+        """Record a set-point that was flown unchanged."""
         self._setpoint, self._fresh = setpoint, False
         if setpoint.yaw_rad is not None:
             self._yaw_rad = setpoint.yaw_rad
         self.velocity_setpoint_enu_m_s = setpoint.velocity_enu_m_s
 
     def stop(self) -> None:
-        """Tell the firmware that no set-point holds."""
+        """Notify the firmware that no set-point is active."""
         self._vehicle.stop_setpoint()
         self.velocity_setpoint_enu_m_s = None
         self._engaged = False

@@ -1,4 +1,4 @@
-"""The vehicle as its simulated autopilot sees it, and whether it stands: contact that lasts, not a bounce."""
+"""Interface of the vehicle to its simulated autopilot, and whether it stands (lasting contact, no bounce)."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class VehicleLike(Protocol):
     def set_velocity(self, velocity_enu_m_s: Vec3, yaw_rad: float) -> None: ...
 
     def stop_setpoint(self) -> None:
-        """Notify the firmware that no set-point holds any more."""
+        """Notify the firmware that no set-point is active any more."""
 
     def estimate(self) -> CheckedEstimate: ...
 

@@ -1,4 +1,4 @@
-"""What the autopilot looks at ten times a second: the charge of the battery, and the ground station.
+"""Checks of the autopilot ten times a second: the charge of the battery, and the ground station.
 
 The charge is that of PX4 battery.cpp: the cell's voltage, plus what the load takes at this throttle, between
 the voltages of an empty and a full cell. Voltage and throttle are smoothed, or every climb would look like an
@@ -68,14 +68,14 @@ class Watches:
         return charge_left(self._voltage_v, self._throttle, *curve)
 
     def heartbeat(self, type_: int, now_s: float) -> bool:
-        """Take note of a HEARTBEAT; True when a ground station is back after a loss."""
+        """Record a HEARTBEAT; True when a ground station is back after a loss."""
         if type_ != dialect.MAV_TYPE_GCS:
             return False
         back, self._station_lost, self._station_s = self._station_lost, False, now_s
         return back
 
     def step(self, now_s: float) -> bool:
-        """Look, if it is time; True when the ground station has just been lost."""
+        """Check when it is due; True when the ground station has just been lost."""
         if now_s < self.due_s:
             return False
         dt_s = now_s - self._last_s if self._last_s is not None else 0.0
@@ -97,7 +97,7 @@ class Watches:
         return self.due_s, self._last_s, self._voltage_v, self._throttle, until_s
 
     def passed(self, last_s: float, voltage_v: float, throttle: float) -> None:
-        """Take over what the stretch saw before ``until_s``."""
+        """Take over the values of a batch of ticks before ``until_s``."""
         self._last_s, self.due_s = last_s, last_s + PERIOD_S
         self._voltage_v, self._throttle = voltage_v, throttle
 

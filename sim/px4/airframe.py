@@ -56,10 +56,10 @@ _SLOWER = 4.0  # attitude loop against that natural frequency
 _INTEGRAL_1_S = 1.3  # I over P, as PX4's defaults 0.2 and 0.15
 _YAW_1_S, _YAW_ATTITUDE_1_S = 6.0, 2.0  # bandwidths about the vertical
 _THRUST: dict[str, float] = {"THR_MDL_FAC": 0.0}  # an output is a share of the thrust
-# what the check before a flight asks for, of any PX4 without a radio in a simulation
+# values that the check before a flight requires of any PX4 without a radio in a simulation
 SAFE_PARAMETERS: dict[str, float] = {
     "COM_RC_IN_MODE": 4,  # no sticks
-    "COM_OBL_RC_ACT": 4,  # land when the set-points stop; the check before a flight asks for it
+    "COM_OBL_RC_ACT": 4,  # land when the set-points stop, as the check before a flight requires
     "SYS_FAILURE_EN": 0,  # the simulation's default is 1, which the check refuses
 }
 _SATELLITES: dict[str, float] = {
@@ -70,7 +70,7 @@ _MOCAP: dict[str, float] = {
     "EKF2_EV_CTRL": 11,  # horizontal and vertical position, and yaw
     "EKF2_HGT_REF": 3,  # vision
     "EKF2_GPS_CTRL": 0,
-    "EKF2_MAG_TYPE": 5,  # none: yaw comes with the pose
+    "EKF2_MAG_TYPE": 5,  # none: the pose contains the yaw
     "SYS_HAS_GPS": 0,
     "COM_ARM_WO_GPS": 1,
 }

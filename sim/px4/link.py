@@ -118,7 +118,7 @@ class Px4Link:
             return ()
         try:
             data = self._socket.recv(_CHUNK)
-        except BlockingIOError:  # nothing came
+        except BlockingIOError:  # no bytes
             return ()
         except OSError as error:
             raise LinkClosedError(f"receiving from PX4 failed: {error}") from error
@@ -150,7 +150,7 @@ class Px4Server:
         return int(self._socket.getsockname()[1])
 
     def accept(self) -> Px4Link | None:
-        """Next connection; None when none came within ``SLICE_S``."""
+        """Next connection; None: no connection within ``SLICE_S``."""
         if not select.select([self._socket], [], [], SLICE_S)[0]:
             return None
         return Px4Link(self._socket.accept()[0])

@@ -59,7 +59,7 @@ class Px4Mocap:
 
 SYSTEM_ID, COMPONENT_ID = 1, 200  # of the simulator; PX4 looks at neither
 
-# Bits of HIL_SENSOR.fields_updated that PX4 asks for together (SimulatorMavlink.hpp, SensorSource)
+# Bits of HIL_SENSOR.fields_updated that PX4 requires together (SimulatorMavlink.hpp, SensorSource)
 ACCEL, GYRO, MAG, BARO = 0b111, 0b111000, 0b111000000, 0b1101000000000
 
 HIL_STATE_QUATERNION = 115

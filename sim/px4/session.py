@@ -86,8 +86,8 @@ STEP_US = STEP_MS * 1000
 STEP_S = STEP_MS * 1e-3
 HELLO_MAX_S = 10.0  # s of wall time for its first message, which it sends as soon as it is connected
 BOOT_MAX_S = 60.0  # s of wall time until its first motor outputs
-NUDGE_S = 1.0  # s of wall time; then one step goes on without an answer, since PX4 may wait for a sensor, too
-STATE_MAX_US = 1_000_000  # slower than this the truth is not worth asking for
+NUDGE_S = 1.0  # s of wall time; then one step continues without an answer: PX4 may wait for a sensor, too
+STATE_MAX_US = 1_000_000  # us; a longer interval switches the truth off
 _BEHIND_MAX_S = 0.1  # s; after a longer pause of the machine time is put back instead of caught up
 
 
@@ -133,7 +133,7 @@ class Px4Session:
         self.steps = 0
         self.nudges = 0  # steps without an answer
         self._armed = self._paused = False
-        self._state_every_us = 0  # 0: not asked for
+        self._state_every_us = 0  # 0: not requested
         self._state_due_us = 0
         self._start_s = self._connected_s = self._answered_s = time.monotonic()
 

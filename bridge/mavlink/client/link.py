@@ -28,8 +28,8 @@ _HEARTBEAT_S = 1.0  # s; every autopilot judges a link by heartbeats of 1 Hz
 _HELLO_S = 0.2  # s of wall time between heartbeats before the first message of the vehicle
 _LANDED_STATE_HZ = 5.0  # Hz; the default of PX4
 _THROTTLE_HZ = 10.0  # Hz of VFR_HUD, where the thrust reserve is estimated
-_TEXTS_MAX = 256  # texts kept until ``take_texts``
-_HELD_MAX = 4096  # messages kept in lockstep until their tick is known
+_TEXTS_MAX = 256  # greatest number of texts that wait for ``take_texts``
+_HELD_MAX = 4096  # greatest number of messages that wait for their tick in lockstep
 _RESTARTED = "restarted, or heard again after a silence: missing telemetry is requested again"
 
 

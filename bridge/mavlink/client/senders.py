@@ -63,7 +63,7 @@ class Senders:
     _notices: list[str] = field(default_factory=list)
 
     def begin(self, now_s: float) -> None:
-        """Change to another clock; the known sender is kept and counts as heard now."""
+        """Change to another clock; the known sender remains, with a frame now."""
         if self._kind is not None:
             self._beat_s = now_s
         self.ignored, self._due, self._now_s = 0, 1, now_s
@@ -71,7 +71,7 @@ class Senders:
 
     @property
     def suspects(self) -> bool:
-        """Whether another address was heard so recently that it may be a second vehicle: blocks arming."""
+        """Whether another address, which may be a second vehicle, has sent recently: blocks arming."""
         return any(self._now_s - other.last_s <= SILENT_S for other in self._others.values())
 
     def take_notices(self) -> list[str]:

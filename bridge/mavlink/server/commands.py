@@ -130,7 +130,7 @@ class Commands(Generic[V]):
         snapshot: Callable[[float], Snapshot[V] | None],
         own: Table,
     ) -> None:
-        """Set up. ``builders`` are messages that can be asked for, by id; ``own`` are further commands."""
+        """Set up. ``builders`` are messages that can be requested, by id; ``own`` are further commands."""
         self._vehicle, self._streams = vehicle, streams
         self._builders, self._snapshot = builders, snapshot
         self._waiting: list[tuple[int, Sender]] = []  # command and sender
@@ -151,7 +151,7 @@ class Commands(Generic[V]):
         }
 
     def run(self, message: Message, sender: Sender, now_s: float) -> list[Message]:
-        """Run a command; returns the acknowledgement and the messages that it asked for."""
+        """Run a command; returns the acknowledgement and the requested messages."""
         result, reason, messages, later = self._run(message, sender, now_s)
         if reason is not None:
             entry = self.table.get(message.command)

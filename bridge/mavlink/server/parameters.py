@@ -93,7 +93,7 @@ class Parameters:
         return self._table[self._index[name]]
 
     def find(self, name: str, index: int) -> str | None:
-        """Name of the parameter asked for by name (index -1) or by index; None if there is none."""
+        """Name of the parameter requested by name (index -1) or by index; None: there is none."""
         if index >= 0:
             return self._table[index].name if index < len(self._table) else None
         return name if name in self._index else None

@@ -1,4 +1,4 @@
-"""PX4 as the vehicles of this project play it: modes, capabilities, and what differs between the vehicles.
+"""PX4 as the vehicles of this project imitate it: modes, capabilities, and the differences between them.
 
 The numbers are those of PX4 1.18 (``px4_custom_mode.h``, ``Commander.cpp``, ``mavlink_receiver.cpp``). How
 the flight stack talks to an autopilot is in ``bridge.mavlink.profiles``.
@@ -63,7 +63,7 @@ _NOT_HERE: Mapping[tuple[int, int], str] = {
     (4, 9): "precision land: not supported",
 }
 
-# What EXTENDED_SYS_STATE says in the air; on the ground it is always ON_GROUND.
+# landed_state of EXTENDED_SYS_STATE in the air; on the ground it is always ON_GROUND.
 AIRBORNE_STATE: Mapping[FlightMode, int] = {
     FlightMode.HOLD: dialect.MAV_LANDED_STATE_IN_AIR,
     FlightMode.TAKEOFF: dialect.MAV_LANDED_STATE_TAKEOFF,

@@ -27,7 +27,7 @@ from bridge.mavlink.server.texts import Text, TextWire
 SYSTEM_ID = 1
 COMPONENT_ID = dialect.MAV_COMP_ID_AUTOPILOT1  # clients look for the autopilot nowhere else
 _HEARTBEAT_S = 1.0
-_LOG_MAX = 1024  # texts kept until the log takes them
+_LOG_MAX = 1024  # texts that wait for the log
 _BROADCAST = frozenset({dialect.MAV_CMD_REQUEST_MESSAGE})  # the only command obeyed when sent to system 0
 _NOTHING: frozenset[int] = frozenset()
 
@@ -167,7 +167,7 @@ class Server(ABC, Generic[V]):
         return self.streams.due(snapshot)
 
     def take_texts(self) -> list[Text]:
-        """Take the texts said since the last call, for the log."""
+        """Take the texts sent since the last call, for the log."""
         texts, self._texts_to_log = self._texts_to_log, []
         return texts
 

@@ -25,7 +25,7 @@ class Text(NamedTuple):
 
 
 class Texts:
-    """Texts that wait to be sent. Events are kept up to 64, refusals come at a bounded rate."""
+    """Texts that wait to be sent: at most 64 events, and refusals at a bounded rate."""
 
     def __init__(self) -> None:
         self.waiting: list[Text] = []  # pending texts

@@ -23,7 +23,7 @@ from bridge.mavlink.transport.transport import Chunk, EndpointCounters
 
 RETRY_S = 0.5  # s between two tries to open a lost connection
 _READ_BYTES = 4096  # greatest size of a read
-_NOTICES_MAX = 32  # texts kept until ``take_notices``
+_NOTICES_MAX = 32  # greatest number of texts that wait for ``take_notices``
 OUTGOING_MAX = 4096  # buffered bytes of TCP; a serial line has less
 _FRAME_MAX = 280  # bytes; one frame of the greatest length must fit into every queue
 _BITS_PER_BYTE = 10  # on a serial line: a start bit, eight bits of data, a stop bit (8N1)
