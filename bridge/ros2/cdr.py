@@ -125,19 +125,6 @@ def decode_odometry(payload: bytes) -> Odometry:
     )  # fmt: skip
 
 
-def decode_pose_and_twist(payload: bytes) -> tuple[int, str, str, tuple[float, ...]]:
-    """Parse the fields that the controller needs; raises as ``decode_odometry``.
-
-    Returns stamp in nanoseconds, frame, child frame, and 17 numbers as on the wire: position, orientation x y
-    z w, variances of x and y, linear and angular twist, variances of the linear one's x and y.
-    """
-    (stamp_ns, frame_id), child, (pose, pose_cov), (twist, twist_cov) = _decoded(_unpack_odometry, payload)
-    numbers = (
-        *pose[0], *pose[1], pose_cov[0], pose_cov[7], *twist[0], *twist[1], twist_cov[0], twist_cov[7]
-    )  # fmt: skip
-    return stamp_ns, frame_id, child, numbers
-
-
 def decode_pose(payload: bytes) -> Pose:
     """Parse a ``geometry_msgs/msg/PoseStamped``; raises OdometryError: cut short, or no pose."""
     (stamp_ns, frame_id), (position_m, turn) = _decoded(_unpacker(_POSE), payload)

@@ -16,7 +16,7 @@ from bridge.ros2.cdr import (
     Odometry,
     OdometryError,
     Pose,
-    decode_pose_and_twist,
+    decode_odometry,
     encode_odometry,
 )
 from bridge.zenoh import zenoh_link
@@ -54,13 +54,7 @@ def sample_of(raw: RawSample, arrival_s: float) -> TargetSample:
 
     Raises OdometryError: as ``sample_from_cdr``.
     """
-    if raw.odometry is None:
-        return sample_from_cdr(raw.payload, arrival_s)
-    o = raw.odometry
-    w, x, y, z = o.orientation_wxyz
-    pose, twist = o.pose_covariance, o.twist_covariance
-    n = (*o.position_m, x, y, z, w, pose[0], pose[7], *o.linear_m_s, *o.angular_rad_s, twist[0], twist[7])
-    return _sample(o.stamp_ns, o.frame_id, o.child_frame_id, n, arrival_s)
+    return _sample(raw.odometry or decode_odometry(raw.payload), arrival_s)
 
 
 def sample_from_cdr(payload: bytes, arrival_s: float) -> TargetSample:
@@ -68,14 +62,12 @@ def sample_from_cdr(payload: bytes, arrival_s: float) -> TargetSample:
 
     Raises OdometryError: malformed, a number not finite or beyond 1e9, or the orientation no unit quaternion.
     """
-    return _sample(*decode_pose_and_twist(payload), arrival_s)
+    return _sample(decode_odometry(payload), arrival_s)
 
 
-def _sample(
-    stamp_ns: int, frame_id: str, child_frame_id: str, n: tuple[float, ...], arrival_s: float
-) -> TargetSample:
-    px, py, pz, x, y, z, w, pose_xx, pose_yy, vx, vy, vz, rx, ry, rz, twist_xx, twist_yy = n
-    n = (px, py, pz, x, y, z, w, vx, vy, vz, rx, ry, rz)
+def _sample(o: Odometry, arrival_s: float) -> TargetSample:
+    w, x, y, z = o.orientation_wxyz
+    n = (*o.position_m, x, y, z, w, *o.linear_m_s, *o.angular_rad_s)
     if not (math.isfinite(sum(n)) and max(n) < _LARGEST and min(n) > -_LARGEST):
         raise OdometryError(f"odometry holds a number that is not finite or beyond 1e9: {n}")
     squared = w * w + x * x + y * y + z * z
@@ -88,15 +80,15 @@ def _sample(
     q: Quat = (w * scale, x * scale, y * scale, z * scale)
     return TargetSample(
         arrival_s=arrival_s,
-        source_time_s=stamp_ns / 1e9,
-        frame_id=frame_id,
-        child_frame_id=child_frame_id,
-        position_enu_m=(px, py, pz),
-        velocity_enu_m_s=world_from_body(q, (vx, vy, vz)),
+        source_time_s=o.stamp_ns / 1e9,
+        frame_id=o.frame_id,
+        child_frame_id=o.child_frame_id,
+        position_enu_m=o.position_m,
+        velocity_enu_m_s=world_from_body(q, o.linear_m_s),
         yaw_rad=yaw_from_quaternion(q),
-        yaw_rate_rad_s=world_from_body(q, (rx, ry, rz))[2],
-        position_sigma_m=sigma_of(pose_xx, pose_yy) or 0.0,
-        velocity_sigma_m_s=sigma_of(twist_xx, twist_yy) or 0.0,
+        yaw_rate_rad_s=world_from_body(q, o.angular_rad_s)[2],
+        position_sigma_m=sigma_of(o.pose_covariance[0], o.pose_covariance[7]) or 0.0,
+        velocity_sigma_m_s=sigma_of(o.twist_covariance[0], o.twist_covariance[7]) or 0.0,
     )
 
 

@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 from bridge.frames import world_from_body, yaw_from_quaternion
-from bridge.ros2.cdr import OdometryError, decode_pose_and_twist
+from bridge.ros2.cdr import OdometryError, decode_odometry
 from bridge.target.odometry import OdometrySubscriber
 from bridge.zenoh import zenoh_link
 from flightstack.core.types import ZERO, Vec3
@@ -28,12 +28,13 @@ class DeckState(NamedTuple):
 
 def deck_state(payload: bytes) -> DeckState:
     """Decode a true pose. Raises OdometryError: malformed, or a number is not finite."""
-    numbers = decode_pose_and_twist(payload)[3]
-    px, py, pz, x, y, z, w, _, _, vx, vy, vz, _, _, rate, _, _ = numbers
-    if not math.isfinite(px + py + pz + x + y + z + w + vx + vy + vz + rate):
+    found = decode_odometry(payload)
+    position, q, velocity, rate = (
+        found.position_m, found.orientation_wxyz, found.linear_m_s, found.angular_rad_s[2]
+    )  # fmt: skip
+    if not math.isfinite(sum((*position, *q, *velocity, rate))):
         raise OdometryError("true pose of the robot holds a number that is not finite")
-    q = (w, x, y, z)
-    return DeckState((px, py, pz), yaw_from_quaternion(q), world_from_body(q, (vx, vy, vz)), rate, payload)
+    return DeckState(position, yaw_from_quaternion(q), world_from_body(q, velocity), rate, payload)
 
 
 class RealTimeDeck:

@@ -72,8 +72,6 @@ class VehicleLink:
         """
         if not (rate_hz > 0.0 and math.isfinite(rate_hz)):
             raise ValueError(f"loop rate is {rate_hz} Hz: a positive number is needed")
-        if not (takeoff_height_m > 0.0 and math.isfinite(takeoff_height_m)):
-            raise ValueError(f"take-off height is {takeoff_height_m} m: a positive number is needed")
         # decoder: newest state, status, power and profile, and counters of rejected telemetry
         self.state = VehicleState(profile)
         self.counters, self.senders = LinkCounters(), Senders()
