@@ -17,16 +17,14 @@ from logs.recorder.recording import Recorder
 from logs.schema import schemas
 from logs.schema.controller_rows import word_row
 from logs.schema.events import CONTROLLER, pack_log
-from logs.schema.rows import FleetPairRow, LogRow
+from logs.schema.rows import LogRow
 from sim.campaign.rows import judge_team
 from sim.runners import landing as team_runner
 from sim.runners.companion import Companion
 from sim.runners.log import VehicleLog
-from sim.runners.room import Pairs
+from sim.runners.room import Room
 from sim.scenarios.team import ExchangeLink, TeamScenario, load
 from tests.unit.logs.replay.replay_helpers import NoSession
-
-PAIRS_EVERY = 10  # ticks
 
 
 def near() -> TeamScenario:
@@ -133,30 +131,13 @@ class RecordedCompanion(Companion):
         self.log.timing(tick, out, 0.0, 0)
 
 
-class RecordedPairs(Pairs):
-    """Pairs that are written, too."""
+class RecordedRoom(Room):
+    """A room that writes its log."""
 
     recorder: Recorder
 
-    def end(self, tick):
-        super().end(tick)
-        if tick % PAIRS_EVERY == 0:
-            self.note(tick)
-        self.newest = tick
-
-    def found(self):
-        pairs = super().found()
-        self.note(self.newest)
-        return pairs
-
-    def note(self, tick):
-        stamp_ns = EPOCH_NS + self._grid.ns(tick + 1)
-        for pair, least in zip(self.all, self._team.least.tolist(), strict=True):
-            after = (-1 if pair.collided_ms is None else pair.collided_ms,)
-            row = FleetPairRow(
-                stamp_ns, pair.one, pair.other, *least, pair.violations, pair.inside_ms, *after
-            )
-            self.recorder.message("/fleet/pairs", schemas.FLEET_PAIR, stamp_ns, stamp_ns, tick, row.pack())
+    def __init__(self, members, grid, feed):
+        super().__init__(members, grid, MemberFeed(self.recorder, 0))
 
 
 def fly_fleet(path: Path, team: TeamScenario, seed: int, monkeypatch):
@@ -173,9 +154,9 @@ def fly_fleet(path: Path, team: TeamScenario, seed: int, monkeypatch):
     first.attachment("team.toml", dumps(team))
     first.close()
     monkeypatch.setattr(RecordedCompanion, "recorder", recorder, raising=False)
-    monkeypatch.setattr(RecordedPairs, "recorder", recorder, raising=False)
+    monkeypatch.setattr(RecordedRoom, "recorder", recorder, raising=False)
     monkeypatch.setattr(team_runner, "Companion", RecordedCompanion)
-    monkeypatch.setattr(team_runner, "Pairs", RecordedPairs)
+    monkeypatch.setattr(team_runner, "Room", RecordedRoom)
     flown = team_runner.land_team(team, seed)
     for number in range(1, len(names) + 1):
         MemberFeed(recorder, number).close()

@@ -12,7 +12,7 @@ from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.profiles import OWN_SITL
 from bridge.mavlink.server.server import COMPONENT_ID, SYSTEM_ID
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import Tick
+from flightstack.common.pacing import Silence, Tick
 from flightstack.compiled.core import with_compiled_program
 from flightstack.core.controller import Controller, Outputs
 from flightstack.core.types import Neighbour
@@ -53,6 +53,7 @@ class Companion:
         self._on_step = on_step
         self._stop = Stop()
         self._over = False
+        self.tick = 0  # current tick of the vehicles of its fleet
         grid = TickGrid(rate_hz)
         ticks_max = grid.count(scenario.duration_max_s + config.retreat.abort_time_max_s + 10.0)
         assert ticks_max is not None  # there is a duration
@@ -74,14 +75,15 @@ class Companion:
         autopilot = Autopilot(vehicle, rate_hz, system_id=system_id, trim_enu_m_s=trim)
         # outputs of the newest tick; None before the first and after the last
         self.outputs: Outputs | None = None
-        # messages of other vehicles since the last tick; set by ``land_team``
-        self.neighbours: tuple[Neighbour, ...] = ()
+        self._neighbours: tuple[Neighbour, ...] = ()  # messages of other vehicles since the last tick
         self._notes = Notes(config, scenario.target.pad_radius_m)
-        self._node = node = VehicleNode(vehicle, autopilot, here, VehicleNotes(self._notes, self.name))
+        self.node = node = VehicleNode(
+            system_id, self.name, vehicle, autopilot, here, VehicleNotes(self._notes, self.name)
+        )
         here.answer = self._answer
         self._link.poll(0.0)  # says hello, as the process does before the first tick
         radio_s = scenario.vehicle.setpoint_delay_s
-        self._loop = LockstepVehicle(node, target, grid, self._stop, radio_s)
+        self.loop = LockstepVehicle(node, target, grid, self._stop, radio_s, None if alone else self)
         linked = LinkedVehicle(self._link, lockstep=True)
         leaving = Leaving(scenario.duration_max_s)
         ticks = VehicleTicks(linked, rate_hz)
@@ -89,49 +91,42 @@ class Companion:
         self.stretch = None
         if alone and on_step is None and suited(self.controller, node):
             self.stretch = Stretch(
-                self.controller, self._link, ticks, target, node, self._loop, self._notes, grid,
+                self.controller, self._link, ticks, target, node, self.loop, self._notes, grid,
                 scenario.duration_max_s, radio_s,
             )  # fmt: skip
         self._runner = Runner(
-            self.controller, ticks, linked, target, leaving, self, words=lambda: self.neighbours
+            self.controller, ticks, linked, target, leaving, self, words=lambda: self._neighbours
         )
 
     def fly(self) -> None:
-        """Fly all ticks after ``begin``, many at once where that is possible."""
+        """Fly alone, many ticks at once where that is possible."""
+        self.loop.begin()
         tick = 0
         while not self._stop.is_set and tick != self.ticks_max:
             flown = self.stretch.fly(tick) if self.stretch is not None else 0
             if not flown:
-                self._loop.tick(tick)
+                self.loop.tick(tick)
             tick += flown or 1
 
-    def begin(self) -> None:
-        """Prepare for ``tick``."""
-        self._loop.begin()
-
-    def tick(self, tick: int) -> None:
-        """Fly one tick; when the flight is over the vehicle stays in the world.
-
-        ``tick``: number of the next tick.
-        """
-        self._node.over = self._stop.is_set
-        self._loop.tick(tick)
-
     @property
-    def ended(self) -> bool:
+    def left(self) -> bool:
         """Whether the flight is over."""
         return self._stop.is_set
+
+    def take(self, silence: Silence, stop: Stop) -> Outputs | None:
+        """Return the outputs of this tick."""
+        del silence, stop
+        return self.outputs
+
+    def hear(self, words: tuple[Neighbour, ...]) -> None:
+        """Take the messages of the next tick."""
+        self._neighbours = words
 
     def seen(self) -> Seen:
         """Return what a log of the flight would hold. Raises RuntimeError: it did not come to its end."""
         if not self._over:
             raise RuntimeError(f"the landing was not over after {self.ticks_max} ticks")
         return self._notes.seen()
-
-    def say(self, t_s: float, level: int, text: str) -> None:
-        """Record an event of the vehicle."""
-        if not self._stop.is_set:
-            self._notes.event(t_s, level, "vehicle", text)
 
     def _answer(self) -> None:
         if self._over:  # one true state after the last step, then the vehicle's process is ended, too

@@ -12,25 +12,24 @@ order does not matter: the jets of the rotors, collisions, and what the companio
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+from flightstack.common.hangup import Stop
+from flightstack.common.pacing import EPOCH_NS
 from flightstack.compiled.jit import telling
 from flightstack.core.controller import Outputs
 from flightstack.core.types import Neighbour, Phase
+from logs.recorder.feed import Feed
 from logs.verdict.truth import judge_truth
 from logs.verdict.types import Verdict
 from sim.clock import TickGrid
 from sim.runners.companion import Companion, OnStep
+from sim.runners.lockstep import Exchange, LockstepWorld
 from sim.runners.notes import Seen
-from sim.runners.room import Pair, Pairs, Words, warm_up_room
+from sim.runners.room import Pair, Room, Words, warm_up_room
 from sim.scenarios.scenario import Scenario, load
 from sim.scenarios.team import TeamScenario, alone
-from sim.vehicle.air import Air
-
-# Called once a tick, when all members have flown it, with its number and the outputs of all controllers (None
-# where the flight is over). Returns what each companion knows of the others from the next tick on.
-Exchange = Callable[[int, Sequence[Outputs | None]], Sequence[tuple[Neighbour, ...]]]
 
 
 @dataclass(frozen=True)
@@ -94,9 +93,10 @@ def land_team(
     A member whom no other comes near flies the same bits as ``land`` with its own scenario and seed
     (``TeamScenario.singles``).
 
-    ``exchange``: messages between the companions; None: their controllers' own, as late and as lossy as the
-    scenario says; ``on_step``: called after every controller step of a vehicle that is alone. Raises
-    ValueError: two vehicles begin inside each other; RuntimeError: the simulation did not come to its end.
+    ``exchange``: messages between the companions, made of the outputs of all controllers, None where the
+    flight is over; None: their controllers' own, as late and as lossy as the scenario says; ``on_step``:
+    called after every controller step of a vehicle that is alone. Raises ValueError: two vehicles begin
+    inside each other; RuntimeError: the simulation did not come to its end.
     """
     began_s = time.perf_counter()
     singles = list(team.singles(seed))
@@ -123,24 +123,19 @@ def _fly(
     team: TeamScenario, members: Sequence[Companion], exchange: Exchange, waits: _Waits
 ) -> tuple[Pair, ...]:
     """Fly until all flights are over; return how near each two came."""
-    for member in members:
-        member.begin()
     if team.is_alone:
         members[0].fly()
         return ()
-    air, pairs = Air([member.vehicle.physics for member in members]), Pairs(members, TickGrid(team.rate_hz))
-    for tick in range(max(member.ticks_max for member in members)):
-        if all(member.ended for member in members):
-            break
-        air.blow()
-        for member in members:
-            member.tick(tick)
-        pairs.end(tick)
-        outputs = [member.outputs for member in members]
+
+    def counted(tick: int, outputs: Sequence[Outputs | None]) -> Sequence[tuple[Neighbour, ...]]:
         waits.count(outputs)
-        for member, neighbours in zip(members, exchange(tick, outputs), strict=True):
-            member.neighbours = neighbours
-    return pairs.found()
+        return exchange(tick, outputs)
+
+    feed = Feed.connect(None, "vehicle", lossless=False)
+    room = Room([member.node for member in members], TickGrid(team.rate_hz), feed)
+    loops = [member.loop for member in members]
+    LockstepWorld(loops, room, counted, Stop(), EPOCH_NS).run(max(member.ticks_max for member in members))
+    return room.found()
 
 
 def warm_up(team: TeamScenario) -> None:

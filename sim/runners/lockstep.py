@@ -14,7 +14,8 @@ independent of wall time. So each member flies as in ``land_team`` with the same
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -24,9 +25,8 @@ from bridge.mavlink.transport.address import Peer
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import COMPANION_SILENT_S, Silence
 from sim.clock import STARTUP_S, NoAnswerError, TickGrid, wait_until
-from sim.runners.member_words import MemberWords
 from sim.runners.robot import Robot
-from sim.runners.room import Room, Words
+from sim.runners.room import Room
 from sim.runners.vehicle_node import VehicleNode
 
 _WAIT_S = 0.05  # s of wall time between two looks at the signals
@@ -35,6 +35,27 @@ _REPEAT_UNHEARD_S = 0.05  # s, the same before the first message of a companion
 _FLUSH_EVERY = 10  # ticks; the recorder is not woken for every single one
 _TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
 _HEARTBEAT: int = dialect.MAVLINK_MSG_ID_HEARTBEAT
+
+
+class FleetEnd(Protocol):
+    """End of the messages between a companion and others of its fleet."""
+
+    tick: int  # current tick of the vehicles
+
+    @property
+    def left(self) -> bool:
+        """Whether the companion has ended before this tick."""
+
+    def take(self, silence: Silence, stop: Stop) -> Any:
+        """Return the companion's message of this tick; None: no message."""
+
+    def hear(self, words: Any) -> None:
+        """Send the messages that the companion receives with the next tick."""
+
+
+# takes the number of a tick that all vehicles have flown, and the message of each companion; returns what
+# each receives with the next tick
+Exchange = Callable[[int, Sequence[Any]], Sequence[Any]]
 
 
 class LockstepVehicle:
@@ -51,7 +72,7 @@ class LockstepVehicle:
         grid: TickGrid,
         stop: Stop,
         radio_s: float,
-        words: MemberWords | None = None,
+        words: FleetEnd | None = None,
     ) -> None:
         self._radio_ms = round(radio_s * 1000.0)
         self._node, self._robot, self._grid, self._stop, self.words = node, robot, grid, stop, words
@@ -156,7 +177,7 @@ class LockstepVehicle:
         self._await_answer(now_ns, now_s, silence)
         node.control(now_s)
         node.vehicle.advance(grid.ms(tick + 1) - grid.ms(tick) - node.vehicle.sent_before_ms)
-        node.over = self.words is not None and self.words.is_set
+        node.over = self.words is not None and self.words.left
 
     def _await_answer(self, now_ns: int, now_s: float, silence: Silence) -> None:
         """Handle everything up to the companion's answer for this tick."""
@@ -169,7 +190,7 @@ class LockstepVehicle:
             self._run_free(now_ns, now_s)
             return
         endpoint, repeat_s = self._node.endpoint, None
-        while not (answered or self._stop.is_set or (self.words is not None and self.words.is_set)):
+        while not (answered or self._stop.is_set or (self.words is not None and self.words.left)):
             endpoint.wait(_WAIT_S if self._companion else _REPEAT_UNHEARD_S)
             answered = self._take(endpoint.receive(), now_ns, now_s)
             if answered:  # mostly at the first look, which needs no clock
@@ -272,19 +293,18 @@ class LockstepVehicle:
 class LockstepWorld:
     """Runs the ticks of all vehicles; a fleet's end when all its flights are over.
 
-    ``words``: passes the messages of a fleet on, whose vehicles all have ``LockstepVehicle.words``; None: no
-    fleet; ``epoch_ns``: Unix time of tick 0.
+    ``exchange``: passes the messages of a fleet on; None: no fleet; ``epoch_ns``: Unix time of tick 0.
     """
 
     def __init__(
         self,
         vehicles: Sequence[LockstepVehicle],
         room: Room,
-        words: Words | None,
+        exchange: Exchange | None,
         stop: Stop,
         epoch_ns: int,
     ) -> None:
-        self._vehicles, self._room, self._words = vehicles, room, words
+        self._vehicles, self._room, self._exchange = vehicles, room, exchange
         self._stop, self._epoch_ns = stop, epoch_ns
 
     def run(self, ticks: int | None) -> None:
@@ -294,8 +314,6 @@ class LockstepWorld:
         Raises NoAnswerError: a companion never came.
         """
         for vehicle in self._vehicles:
-            if vehicle.words is not None:
-                vehicle.words.await_listener(self._stop)
             vehicle.begin()
         tick = 0
         while tick != ticks and not self._ended():
@@ -308,7 +326,7 @@ class LockstepWorld:
         """Whether to end: on request, but an answer that came in time has a true state after it."""
         if self._stop.is_set:
             return any(each.over or not each.answered for each in self._vehicles)
-        return self._words is not None and all(each.rests for each in self._vehicles)
+        return self._exchange is not None and all(each.rests for each in self._vehicles)
 
     def _tick(self, tick: int) -> None:
         vehicles, silence = self._vehicles, Silence()
@@ -318,10 +336,10 @@ class LockstepWorld:
         for vehicle in vehicles:
             vehicle.act(tick, silence)
         self._room.end(tick, self._epoch_ns)
-        if self._words is None:
+        if self._exchange is None:
             return
         fleet = [(each, each.words) for each in vehicles if each.words is not None]
         sent = [end.take(silence, self._stop) if each.answers else None for each, end in fleet]
-        for (vehicle, end), received in zip(fleet, self._words.pass_on(tick, sent), strict=True):
+        for (vehicle, end), received in zip(fleet, self._exchange(tick, sent), strict=True):
             if vehicle.answers:
                 end.hear(received)

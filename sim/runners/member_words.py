@@ -31,7 +31,7 @@ class MemberWords:
         self._silent = False
 
     @property
-    def is_set(self) -> bool:
+    def left(self) -> bool:
         """Whether the onboard process has announced its end before this tick."""
         self._poll()
         return self._last is not None and self._last < self.tick

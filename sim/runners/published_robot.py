@@ -12,8 +12,9 @@ Keys under the namespace of each robot (``cf1`` by default):
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from typing import TypeVar
 
 from bridge.frames import quaternion_from_yaw
 from bridge.ros2.cdr import encode_odometry
@@ -23,14 +24,15 @@ from bridge.target.odometry import OdometryPublisher
 from bridge.target.ros2_target import ROS_TYPES, TargetType
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import COMPANION_SILENT_S, NO_GO, PAIR, RUN_AHEAD_TICKS
+from flightstack.common.pacing import COMPANION_SILENT_S, EPOCH_NS, NO_GO, PAIR, RUN_AHEAD_TICKS
 from flightstack.compiled.records import F64
-from flightstack.config.options import Ros2
 from flightstack.core.types import Phase
 from flightstack.onboard.lockstep import ALIVE
+from logs.recorder.feed import Feed
 from logs.schema.events import Severity
 from logs.schema.rows import ControllerStepRow
 from sim.clock import STARTUP_S, NoAnswerError, TickGrid, wait_until
+from sim.options import TargetOptions, WorldOptions
 from sim.runners.deck import DeckState, truth_key
 from sim.runners.log import EventLog
 from sim.runners.robot import Robot, deck_rows
@@ -52,10 +54,10 @@ class PublishedRobot(Robot):
 
     def __init__(
         self,
-        scenario: Scenario,
-        seed: int,
         grid: TickGrid,
         session: zenoh_link.Session,
+        scenario: Scenario,
+        seed: int,
         namespace: str,
         log: EventLog,
         *,
@@ -123,20 +125,23 @@ class PublishedRobot(Robot):
         self.log.event(self._grid.ns(tick), Severity.INFO, f"the robot drives from tick {tick} on")
 
 
+R = TypeVar("R", bound=PublishedRobot)
+
+
 class LockstepRobot(PublishedRobot):
     """Drives ahead of its vehicle, as far as the credit of its reader allows."""
 
     def __init__(
         self,
-        scenario: Scenario,
-        seed: int,
         grid: TickGrid,
         session: zenoh_link.Session,
+        stop: Stop,
+        scenario: Scenario,
+        seed: int,
         namespace: str,
         log: EventLog,
-        stop: Stop,
     ) -> None:
-        super().__init__(scenario, seed, grid, session, namespace, log, lockstep=True)
+        super().__init__(grid, session, scenario, seed, namespace, log, lockstep=True)
         self._stop = stop
         self._marker = zenoh_link.blocking_publisher(session, f"{namespace}/sim/target/tick")
         self._token = zenoh_link.liveliness_token(session, f"{namespace}/{ALIVE}")
@@ -201,26 +206,30 @@ class LockstepRobot(PublishedRobot):
 
 
 class RealTimeRobot(PublishedRobot):
-    """Sees in the controller's steps when the landing begins.
-
-    ``followed``: a vehicle that is simulated in another process follows its true pose.
-    """
+    """Sees in the controller's steps when the landing begins."""
 
     def __init__(
         self,
-        scenario: Scenario,
-        seed: int,
         grid: TickGrid,
         session: zenoh_link.Session,
+        scenario: Scenario,
+        seed: int,
         namespace: str,
         log: EventLog,
-        *,
-        followed: bool,
     ) -> None:
-        super().__init__(scenario, seed, grid, session, namespace, log, lockstep=False)
-        self.followed = followed
-        self._truth = OdometryPublisher(session, truth_key(namespace)) if followed else None
+        super().__init__(grid, session, scenario, seed, namespace, log, lockstep=False)
+        self._session = session
+        self._truth: OdometryPublisher | None = None
         self._steps = zenoh_link.ring_subscriber(session, f"{namespace}/controller/step")
+
+    @property
+    def followed(self) -> bool:
+        """Whether a vehicle that is simulated in another process follows it."""
+        return self._truth is not None
+
+    def be_followed(self) -> None:
+        """Publish the true pose, too."""
+        self._truth = OdometryPublisher(self._session, truth_key(self.namespace))
 
     def take(self, tick: int, *, wait: bool = True) -> DeckState:
         """Go on to the next tick; the true pose there."""
@@ -236,21 +245,35 @@ class RealTimeRobot(PublishedRobot):
         return any(phase_of(each.payload.to_bytes()) in _LANDING for each in zenoh_link.drain(self._steps))
 
 
-def show_to_ros2(team: TeamScenario, options: Ros2, robot: PublishedRobot, stack: ExitStack) -> None:
-    """Show the odometry of a robot to ROS 2, if that is wanted; ``stack`` ends it.
+def robots_of(
+    team: TeamScenario,
+    options: TargetOptions | WorldOptions,
+    feed: Feed,
+    make: Callable[[Scenario, int, str, EventLog], R],
+    stack: ExitStack,
+) -> dict[int, R]:
+    """Make the robots of a team, by their number; one that is alone is shown to ROS 2, if that is wanted.
 
-    As a node of its own, on a session of its own. Raises ValueError: it is one of several.
+    ``make``: class of the robots, with what they share; ``stack``: ends the ROS 2 node.
+    Raises ValueError: ``--ros2`` with several.
     """
-    if not team.is_alone and options.ros2_where is not None:
+    shared, robots = team.target_seed(options.seed), {}
+    for number, (scenario, seed) in enumerate(team.singles(options.seed), 1):
+        names = team.names(number)
+        log = EventLog(feed, names.logger("target"), EPOCH_NS)
+        namespace = names.member or options.namespace
+        robots[number] = make(scenario, seed if shared is None else shared, namespace, log)
+    if (ros2 := network(options)) is None:
+        return robots
+    if not team.is_alone:
         raise ValueError("--ros2 is for one robot: those of a team are not shown to ROS 2")
-    ros2, namespace = network(options), robot.namespace
-    if ros2 is None:
-        return
     session = ros2.open()
     stack.callback(session.close)
-    node = Ros2Node(session, NODE, domain=ros2.domain, namespace=f"/{namespace}")
+    node = Ros2Node(session, NODE, domain=ros2.domain, namespace=f"/{options.namespace}")
     stack.callback(node.close)
-    robot.shown = node.publisher(f"/{namespace}/target/odom", *ROS_TYPES[TargetType.ODOMETRY])
+    topic = f"/{options.namespace}/target/odom"
+    robots[1].shown = node.publisher(topic, *ROS_TYPES[TargetType.ODOMETRY])
+    return robots
 
 
 def phase_of(payload: bytes) -> int | None:

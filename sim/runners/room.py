@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -33,24 +33,8 @@ T = TypeVar("T")
 TOPIC = "/fleet/pairs"
 NEVER = -1  # value of FleetPair.msg without a collision
 _LOG_HZ = 10
-_NS_PER_S = 1e9
 _MS_PER_S = 1000.0
 _BLOCK = 256  # random numbers drawn at once
-
-
-class Followed(Protocol):
-    """A member of the team."""
-
-    @property
-    def name(self) -> str:
-        """Name of the vehicle, for messages."""
-
-    @property
-    def vehicle(self) -> VehicleSim:
-        """The simulated vehicle of this member."""
-
-    def say(self, t_s: float, level: int, text: str) -> None:
-        """Record an event about this member."""
 
 
 @dataclass(slots=True)
@@ -74,7 +58,7 @@ class Pairs:
     Raises ValueError: two vehicles overlap at the start.
     """
 
-    def __init__(self, members: Sequence[Followed], grid: TickGrid) -> None:
+    def __init__(self, members: Sequence[VehicleNode], grid: TickGrid) -> None:
         self._members, self._grid = members, grid
         shapes = [Shape.of(member.vehicle.physics.params) for member in members]
         # the pairs, (1, 2) first; their least distances are there after ``found``
@@ -140,25 +124,6 @@ class Pairs:
         )
 
 
-@dataclass(slots=True)
-class Member:
-    """One of the vehicles."""
-
-    number: int  # number in the team, from 1
-    name: str  # name and namespace of the vehicle
-    node: VehicleNode  # the vehicle on its wire
-
-    @property
-    def vehicle(self) -> VehicleSim:
-        """The simulated one."""
-        return self.node.vehicle
-
-    def say(self, t_s: float, level: int, text: str) -> None:
-        """Write what was seen of it."""
-        if not self.node.over:
-            self.node.log.event(round(t_s * _NS_PER_S), level, text)
-
-
 class Room:
     """Joins the vehicles tick by tick: ``begin``, each flies the tick, ``end``.
 
@@ -167,7 +132,7 @@ class Room:
     Raises ValueError: two vehicles begin inside each other.
     """
 
-    def __init__(self, members: Sequence[Member], grid: TickGrid, feed: Feed) -> None:
+    def __init__(self, members: Sequence[VehicleNode], grid: TickGrid, feed: Feed) -> None:
         self._grid, self._feed = grid, feed
         self._air = Air([member.vehicle.physics for member in members])
         self._pairs, self._numbers = Pairs(members, grid), [member.number for member in members]
@@ -187,10 +152,14 @@ class Room:
         if (tick + 1) % self._every == 0:
             self.write(tick, epoch_ns)
 
+    def found(self) -> tuple[Pair, ...]:
+        """Return how near each two have come."""
+        return self._pairs.found()
+
     def write(self, tick: int, epoch_ns: int) -> None:
         """Write how near each two have come until the end of a tick; arguments as of ``end``."""
         stamp_ns = epoch_ns + self._grid.ns(tick + 1)
-        for pair in self._pairs.found():
+        for pair in self.found():
             self._written += 1
             collided_ms = NEVER if pair.collided_ms is None else pair.collided_ms
             row = FleetPairRow(

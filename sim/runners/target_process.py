@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
+from functools import partial
 
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
@@ -12,8 +13,7 @@ from flightstack.common.simulation_clock import Follower, chosen_clock
 from logs.recorder.feed import Feed, FeedError
 from sim.clock import TickGrid
 from sim.options import TargetOptions
-from sim.runners.log import EventLog
-from sim.runners.published_robot import RealTimeRobot, show_to_ros2
+from sim.runners.published_robot import RealTimeRobot, robots_of
 from sim.scenarios.team import TeamScenario
 
 
@@ -44,20 +44,11 @@ def _drive(team: TeamScenario, options: TargetOptions, stop: Stop, stack: ExitSt
     stack.callback(session.close)
     feed = Feed.connect(options.recorder, "target", lossless=False, vehicles=len(team.member))
     stack.callback(feed.close)
-    robots = []
-    shared = team.target_seed(options.seed)
-    for number, (scenario, seed) in enumerate(team.singles(options.seed), 1):
-        names = team.names(number)
-        log = EventLog(feed, names.logger("target"), 0)
-        robots.append(
-            RealTimeRobot(
-                scenario, seed if shared is None else shared, grid, session,
-                names.member or options.namespace, log, followed=True,
-            )
-        )  # fmt: skip
-    show_to_ros2(team, options, robots[0], stack)
+    make = partial(RealTimeRobot, grid, session)
+    robots = list(robots_of(team, options, feed, make, stack).values())
     epoch_ns = clock.unix_ns()  # once all that takes time is done
     for robot in robots:
+        robot.be_followed()
         robot.log.epoch_ns = epoch_ns
         robot.begin()
     stop.install()

@@ -15,6 +15,7 @@ from bridge.mavlink.server.profile import FlightMode
 from bridge.mavlink.transport.address import Peer
 from logs.schema.events import Severity
 from sim.autopilot.autopilot import Autopilot
+from sim.clock import NS_PER_S
 from sim.faults.link import LinkFaults, Way
 from sim.faults.schedule import Running
 from sim.plant.vehicle_types import Truth
@@ -130,8 +131,10 @@ def _untold(armed: bool) -> None:
 
 @dataclass(slots=True)
 class VehicleNode:
-    """One simulated vehicle on the wire."""
+    """One simulated vehicle on the wire. ``number``: in its team, from 1; ``name``: also its namespace."""
 
+    number: int
+    name: str
     vehicle: VehicleSim
     autopilot: Autopilot
     endpoint: Endpoint
@@ -174,6 +177,11 @@ class VehicleNode:
         """Whether the judging has begun, and each change of arming and firmware state has been reported."""
         vehicle = self.vehicle
         return self._judged and vehicle.armed is self._armed and vehicle.state_text == self._state_text
+
+    def say(self, t_s: float, level: int, text: str) -> None:
+        """Log an event, unless the flight is over."""
+        if not self.over:
+            self.log.event(round(t_s * NS_PER_S), level, text)
 
     def move_deck(self, deck: DeckState) -> None:
         """Give the deck a pose and a twist."""

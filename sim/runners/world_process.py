@@ -11,7 +11,8 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from functools import partial
+from itertools import zip_longest
 
 from bridge.mavlink.endpoint import Endpoint, open_endpoint
 from bridge.mavlink.server.server import COMPONENT_ID
@@ -20,19 +21,17 @@ from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import EPOCH_NS, quiet_garbage_collector
 from logs.recorder.feed import Feed, FeedError
-from logs.schema.names import Names
 from sim.autopilot.autopilot import Autopilot
 from sim.clock import NoAnswerError, TickGrid
 from sim.options import VehicleOptions, WorldOptions
 from sim.runners.deck import RealTimeDeck
 from sim.runners.lockstep import LockstepVehicle, LockstepWorld
-from sim.runners.log import EventLog, VehicleLog
+from sim.runners.log import VehicleLog
 from sim.runners.member_words import MemberWords
-from sim.runners.published_robot import LockstepRobot, RealTimeRobot, show_to_ros2
+from sim.runners.published_robot import LockstepRobot, RealTimeRobot, robots_of
 from sim.runners.real_time import RealTimeVehicle, RealTimeWorld
-from sim.runners.room import Member, Room, Words, warm_up_room
+from sim.runners.room import Room, Words, warm_up_room
 from sim.runners.vehicle_node import VehicleNode
-from sim.scenarios.scenario import Scenario
 from sim.scenarios.team import TeamScenario
 from sim.vehicle.vehicle import VehicleSim
 
@@ -62,111 +61,69 @@ def world_main(team: TeamScenario, options: VehicleOptions) -> int:
     return 0
 
 
-@dataclass(frozen=True)
-class _Flight:
-    """A vehicle and its robot."""
+def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitStack) -> None:
+    lockstep, grid, here = options.lockstep, TickGrid(options.rate_hz), _here(team, options)
+    ids = {number: options.system_id if team.is_alone else number for number in here}
+    endpoints = [opened(options, number, ids[number], stack) for number in here]
+    session = _session(team, options, stack)
+    warm_up_room(team)
+    singles = dict(enumerate(team.singles(options.seed), 1))
+    simulated = [VehicleSim(*singles[number]) for number in here]
+    epoch_ns = EPOCH_NS if lockstep else time.time_ns()
+    feed = Feed.connect(options.recorder, "vehicle", lossless=lockstep, vehicles=len(here))
+    stack.callback(feed.close)
+    nodes = []
+    for number, (endpoint, _), vehicle in zip(here, endpoints, simulated, strict=True):
+        names = team.names(number)
+        name = names.member or options.namespace
+        log = VehicleLog(feed, epoch_ns, name, names)
+        autopilot = autopilot_of(vehicle, options, ids[number], epoch_ns)
+        nodes.append(VehicleNode(number, name, vehicle, autopilot, endpoint, log, _teller(names.member)))
+    room, ticks = Room(nodes, grid, feed), grid.count(options.duration_s)
+    words = Words(team, options.seed) if lockstep and not team.is_alone else None
+    if lockstep:
+        ahead: dict[int, LockstepRobot] = {}
+        if isinstance(options, WorldOptions):
+            ahead = robots_of(team, options, feed, partial(LockstepRobot, grid, session, stop), stack)
+        members = [MemberWords(session, each.name) for each in nodes if words is not None]
+        radio_s = {number: scenario.vehicle.setpoint_delay_s for number, (scenario, _) in singles.items()}
+        loops = [
+            LockstepVehicle(node, ahead.get(node.number), grid, stop, radio_s[node.number], end)
+            for node, end in zip_longest(nodes, members)
+        ]
+        _ready(endpoints, stop)
+        for each in members:
+            each.await_listener(stop)
+        LockstepWorld(loops, room, words and words.pass_on, stop, epoch_ns).run(ticks)
+        feed.flush()
+        while words is not None and not stop.is_set:  # the parent process ends this one
+            time.sleep(_PAUSE_S)
+        return
+    robots: dict[int, RealTimeRobot] = {}
+    if isinstance(options, WorldOptions):
+        robots = robots_of(team, options, feed, partial(RealTimeRobot, grid, session), stack)
+        for number in options.leave_out:
+            robots[number].be_followed()
+    decks = {each.number: RealTimeDeck(session, each.name) for each in nodes if session is not None}
+    vehicles = [
+        RealTimeVehicle(each, robots.get(each.number) or decks.get(each.number), grid) for each in nodes
+    ]
+    _ready(endpoints, stop)
+    RealTimeWorld(vehicles, list(robots.values()), room, grid, stop).run(ticks)
 
-    number: int  # number in the team, from 1
-    scenario: Scenario
-    seed: int
-    robot_seed: int
-    names: Names  # names of its records in the log
-    namespace: str
-    system_id: int
-    elsewhere: bool  # whether the vehicle is not simulated here
 
-
-def _flights(team: TeamScenario, options: VehicleOptions) -> list[_Flight]:
+def _here(team: TeamScenario, options: VehicleOptions) -> list[int]:
+    """Numbers of the vehicles that are simulated here."""
     if options.leave_out and team.is_alone:
         raise ValueError("--leave-out is for a scenario of several vehicles: this one has no members")
     if options.leave_out and options.lockstep:
         raise ValueError(
             "--leave-out is for real time: a vehicle from elsewhere does not wait for the others"
         )
-    shared, found = team.target_seed(options.seed), []
-    for number, (scenario, seed) in enumerate(team.singles(options.seed), 1):
-        names = team.names(number)
-        found.append(
-            _Flight(
-                number, scenario, seed, seed if shared is None else shared, names,
-                names.member or options.namespace, options.system_id if team.is_alone else number,
-                number in options.leave_out,
-            )
-        )  # fmt: skip
-    if all(each.elsewhere for each in found):
+    here = [number for number in range(1, len(team.member) + 1) if number not in options.leave_out]
+    if not here:
         raise ValueError("--leave-out leaves no vehicle; the scenario of one of them simulates it alone")
-    return found
-
-
-def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitStack) -> None:
-    lockstep, with_robots = options.lockstep, isinstance(options, WorldOptions)
-    grid = TickGrid(options.rate_hz)
-    flights = _flights(team, options)
-    here = [each for each in flights if not each.elsewhere]
-    endpoints = [opened(options, each.number, each.system_id, stack) for each in here]
-    session = joined(options, stack)
-    if session is None and not team.is_alone:
-        raise ValueError("vehicles of a team follow robots on Zenoh; --connect, --listen or --zenoh-config")
-    if session is None and with_robots:
-        raise ValueError("the robots publish their odometry on Zenoh; --connect, --listen or --zenoh-config")
-    if session is not None and lockstep and not with_robots:
-        raise ValueError(
-            "in lockstep a vehicle follows no robot of another process; `flightstack world` simulates both"
-        )
-    warm_up_room(team)
-    simulated = [VehicleSim(each.scenario, each.seed) for each in here]
-    epoch_ns = EPOCH_NS if lockstep else time.time_ns()
-    feed = Feed.connect(options.recorder, "vehicle", lossless=lockstep, vehicles=len(here))
-    stack.callback(feed.close)
-    nodes = []
-    for flight, (endpoint, _), vehicle in zip(here, endpoints, simulated, strict=True):
-        log = VehicleLog(feed, epoch_ns, flight.namespace, flight.names)
-        autopilot = autopilot_of(vehicle, options, flight.system_id, epoch_ns)
-        nodes.append(VehicleNode(vehicle, autopilot, endpoint, log, _teller(flight.names.member)))
-    members = [Member(each.number, each.namespace, node) for each, node in zip(here, nodes, strict=True)]
-    room, ticks = Room(members, grid, feed), grid.count(options.duration_s)
-    logs = {each.number: EventLog(feed, each.names.logger("target"), epoch_ns) for each in flights}
-    if lockstep:
-        ahead = {
-            each.number: LockstepRobot(
-                each.scenario, each.robot_seed, grid, session, each.namespace, logs[each.number], stop
-            )
-            for each in flights
-            if with_robots
-        }
-        if isinstance(options, WorldOptions):
-            show_to_ros2(team, options, ahead[1], stack)
-        words = None if team.is_alone else Words(team, options.seed)
-        in_step = [
-            LockstepVehicle(
-                each.node, ahead.get(each.number), grid, stop, flight.scenario.vehicle.setpoint_delay_s,
-                None if words is None else MemberWords(session, each.name),
-            )
-            for each, flight in zip(members, here, strict=True)
-        ]  # fmt: skip
-        _ready(endpoints, stop)
-        LockstepWorld(in_step, room, words, stop, epoch_ns).run(ticks)
-        feed.flush()
-        while words is not None and not stop.is_set:  # the parent process ends this one
-            time.sleep(_PAUSE_S)
-        return
-    robots = {
-        each.number: RealTimeRobot(
-            each.scenario, each.robot_seed, grid, session, each.namespace, logs[each.number],
-            followed=each.elsewhere,
-        )
-        for each in flights
-        if with_robots
-    }  # fmt: skip
-    if isinstance(options, WorldOptions):
-        show_to_ros2(team, options, robots[1], stack)
-    decks = {each.number: RealTimeDeck(session, each.namespace) for each in here if session is not None}
-    vehicles = [
-        RealTimeVehicle(each.node, robots.get(each.number) or decks.get(each.number), grid)
-        for each in members
-    ]
-    _ready(endpoints, stop)
-    RealTimeWorld(vehicles, list(robots.values()), room, grid, stop).run(ticks)
+    return here
 
 
 def _ready(endpoints: Sequence[tuple[Endpoint, str]], stop: Stop) -> None:
@@ -193,10 +150,17 @@ def opened(options: VehicleOptions, number: int, system_id: int, stack: ExitStac
     return endpoint, f"{kind}:{host}:{endpoint.local_port if kind == 'udpin' else port}"
 
 
-def joined(options: VehicleOptions, stack: ExitStack) -> zenoh_link.Session | None:
-    """Open the Zenoh session on which the robots are; None without endpoints."""
+def _session(team: TeamScenario, options: VehicleOptions, stack: ExitStack) -> zenoh_link.Session | None:
+    """Open the Zenoh session of robots and onboard processes; None: one vehicle alone, without endpoints."""
+    with_robots = isinstance(options, WorldOptions)
     if not (options.connect or options.listen or options.zenoh_config is not None):
-        return None
+        if team.is_alone and not with_robots:
+            return None
+        raise ValueError("robots are on Zenoh; --connect, --listen or --zenoh-config is needed")
+    if options.lockstep and not with_robots:
+        raise ValueError(
+            "in lockstep a vehicle follows no robot of another process; `flightstack world` simulates both"
+        )
     session = zenoh_link.open_session(
         options.listen,
         options.connect,

@@ -198,7 +198,7 @@ class Flight:
         self._all_notes = Notes(config, scenario.target.pad_radius_m)
         self._notes = _Notes(self._all_notes)
         self._ground_m = self.vehicle.estimate().position_enu_m[2]
-        node = VehicleNode(self.vehicle, self._autopilot, here, self._notes)
+        node = VehicleNode(1, "cf1", self.vehicle, self._autopilot, here, self._notes)
         here.answer = self._tick
         self.link.poll(0.0)  # says hello, as the process does before the first tick
         self._loop = LockstepVehicle(node, self.target, grid, self._stop, scenario.vehicle.setpoint_delay_s)

@@ -90,10 +90,10 @@ def test_who_leaves_is_gone_with_the_tick_after_its_last_one(ends):
     process.close()
     until(lambda: vehicle._poll() or vehicle._last == 0)
     vehicle.tick = first.number
-    assert not vehicle.is_set  # its answer of this tick may still be on the other wire
+    assert not vehicle.left  # its answer of this tick may still be on the other wire
     assert vehicle.take(Silence(), Stop())
     vehicle.tick = second.number
-    assert vehicle.is_set
+    assert vehicle.left
     assert vehicle.take(Silence(), Stop()) is None
     ends.processes.remove(process)
 

@@ -49,7 +49,7 @@ def ends():
 
 
 def robot_of(ends, name, log):
-    made = LockstepRobot(SCENARIOS[name], 3, GRID, ends.ours, "t", log, Stop())
+    made = LockstepRobot(GRID, ends.ours, Stop(), SCENARIOS[name], 3, "t", log)
     until(lambda: zenoh_link.is_matched(ends.credit))
     made.begin()
     return made
@@ -123,7 +123,7 @@ def test_a_robot_without_readers_does_not_begin(monkeypatch):
     monkeypatch.setattr(published_robot, "STARTUP_S", 0.0)
     session = open_session()
     try:
-        robot = LockstepRobot(SCENARIOS["deck"], 3, GRID, session, "cf1", Log(), Stop())
+        robot = LockstepRobot(GRID, session, Stop(), SCENARIOS["deck"], 3, "cf1", Log())
         with pytest.raises(NoAnswerError, match="nobody subscribed to cf1/target/odom within 0 s"):
             robot.begin()
     finally:

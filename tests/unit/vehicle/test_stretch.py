@@ -22,7 +22,7 @@ def flown(scenario, seed, on_step=None, parameters=()):
     """The flight, what was seen of it, and the ticks flown in stretches."""
     flight, stretched = Companion(scenario, seed, on_step), 0
     for name, value in parameters:
-        flight._loop._node.autopilot.parameters.preset(name, value)
+        flight.node.autopilot.parameters.preset(name, value)
     if flight.stretch is not None:
         fly = flight.stretch.fly
 
