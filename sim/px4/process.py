@@ -41,7 +41,7 @@ class Px4Node:
         self._clock, self._stop = clock, stop
         self._deck = deck
         self._deck_s = 0.0  # simulated time of all flights so far: the deck's clock never goes back
-        self._touched = self._stale = False
+        self._touched = False
 
     def begin(self) -> None:
         self._touched = False
@@ -77,17 +77,16 @@ class Px4Node:
             )
 
     def _move_deck(self, deck: RealTimeDeck, flight: Px4Session, truth: Truth) -> None:
-        now_s = self._deck_s + flight.steps * STEP_S
-        for payload in deck.poll(now_s):
-            self.log.target(flight.steps * _NS_PER_STEP, payload)
-        state = deck.follow(truth.pad_position_enu_m, truth.pad_yaw_rad, now_s)
-        stale = deck.stale(now_s)
-        if stale and not self._stale:
-            print("px4-sim: WARNING: the robot's pose is too old: deck stopped", file=sys.stderr, flush=True)
-        self._stale = stale
+        now_ns = flight.steps * _NS_PER_STEP
+        now_s, log = self._deck_s + flight.steps * STEP_S, partial(self.log.target, now_ns)
+        state = deck.move(now_s, truth, log, _warn)
         if state is not None:
             place, velocity = state.position_enu_m, state.velocity_enu_m_s
             flight.plant.set_deck(place, state.yaw_rad, velocity, state.yaw_rate_rad_s)
+
+
+def _warn(text: str) -> None:
+    print(f"px4-sim: WARNING: {text}", file=sys.stderr, flush=True)
 
 
 def _say(text: str) -> None:

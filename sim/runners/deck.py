@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 from bridge.frames import world_from_body, yaw_from_quaternion
@@ -10,6 +12,7 @@ from bridge.ros2.cdr import OdometryError, decode_odometry
 from bridge.target.odometry import OdometrySubscriber
 from bridge.zenoh import zenoh_link
 from flightstack.core.types import ZERO, Vec3
+from sim.plant.vehicle_types import Truth
 
 STALE_S = 0.5  # s without a true pose until the deck is stopped
 _PULL_1_S = 5.0  # 1/s; velocity for each metre of error, since a jump would throw the vehicle off the deck
@@ -44,34 +47,31 @@ class RealTimeDeck:
         self._subscriber = OdometrySubscriber(session, truth_key(namespace))
         self._last: DeckState | None = None
         self._last_s = 0.0
-        self.bad = 0
+        self._stopped = False  # whether the warning was given
 
-    def poll(self, now_s: float) -> list[bytes]:
-        """Take what has come; returns the messages, for the log."""
+    def move(
+        self, now_s: float, truth: Truth, log: Callable[[bytes], None], warn: Callable[[str], None]
+    ) -> DeckState | None:
+        """Take what has come; return what the deck should do next, None before the first pose.
+
+        ``truth``: where the simulated deck is now; ``log``: for the messages.
+        """
         payloads = [raw.payload for raw in self._subscriber.poll()]
+        for payload in payloads:
+            log(payload)
         for payload in reversed(payloads):
-            try:
+            with contextlib.suppress(OdometryError):
                 self._last, self._last_s = deck_state(payload), now_s
                 break
-            except OdometryError:
-                self.bad += 1
-        return payloads
-
-    def stale(self, now_s: float) -> bool:
-        """Whether there was a pose, but not lately."""
-        return self._last is not None and now_s - self._last_s > STALE_S
-
-    def follow(self, position_enu_m: Vec3, yaw_rad: float, now_s: float) -> DeckState | None:
-        """What the deck, which is here now, should do next; None before the first pose.
-
-        ``position_enu_m``: where the simulated deck is; ``yaw_rad``: its heading.
-        """
-        last = self._last
-        if last is None:
+        if self._last is None:
             return None
-        if self.stale(now_s):
-            return DeckState(position_enu_m, yaw_rad, ZERO, 0.0, b"")
-        return follow(last, now_s - self._last_s, position_enu_m, yaw_rad)
+        position_enu_m, yaw_rad, age_s = truth.pad_position_enu_m, truth.pad_yaw_rad, now_s - self._last_s
+        stopped, self._stopped = self._stopped, age_s > STALE_S
+        if not self._stopped:
+            return follow(self._last, age_s, position_enu_m, yaw_rad)
+        if not stopped:
+            warn("Robot's pose too old: deck stopped")
+        return DeckState(position_enu_m, yaw_rad, ZERO, 0.0, b"")
 
 
 def follow(last: DeckState, age_s: float, position_enu_m: Vec3, yaw_rad: float) -> DeckState:

@@ -11,10 +11,11 @@ Keys under the namespace of each robot (``cf1`` by default):
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from typing import TypeVar
+from typing import ClassVar, TypeVar
 
 from bridge.frames import quaternion_from_yaw
 from bridge.ros2.cdr import encode_odometry
@@ -49,26 +50,33 @@ _MATCH_PAUSE_S = 0.002  # s between two looks for subscribers
 class PublishedRobot(Robot):
     """Publishes what it measures as it drives, and hands its true poses over tick by tick.
 
-    ``session``: stays open; ``namespace``: first part of its keys; ``log``: for its events.
+    ``session``: stays open; ``stop``: ends each wait; ``namespace``: first part of its keys; ``log``: for its
+    events.
     """
+
+    lockstep: ClassVar[bool]
 
     def __init__(
         self,
         grid: TickGrid,
         session: zenoh_link.Session,
+        stop: Stop,
         scenario: Scenario,
         seed: int,
         namespace: str,
         log: EventLog,
-        *,
-        lockstep: bool,
     ) -> None:
         super().__init__(scenario, seed, grid)
-        self.namespace, self.log = namespace, log
+        self._session, self._stop, self.namespace, self.log = session, stop, namespace, log
         self.shown: Ros2Publisher | None = None  # publisher of the odometry to ROS 2
-        self._odom = OdometryPublisher(session, f"{namespace}/target/odom", lossless=lockstep)
+        self._odom = OdometryPublisher(session, f"{namespace}/target/odom", lossless=self.lockstep)
         self._driven, self._samples = 0, 0  # ticks driven, samples put
         self._waiting: deque[tuple[list[float], list[float]]] = deque()  # pad and deck of the ticks to come
+        self._open()
+
+    @abstractmethod
+    def _open(self) -> None:
+        """Declare the other keys."""
 
     def begin(self) -> None:
         """Publish tick 0."""
@@ -131,24 +139,14 @@ R = TypeVar("R", bound=PublishedRobot)
 class LockstepRobot(PublishedRobot):
     """Drives ahead of its vehicle, as far as the credit of its reader allows."""
 
-    def __init__(
-        self,
-        grid: TickGrid,
-        session: zenoh_link.Session,
-        stop: Stop,
-        scenario: Scenario,
-        seed: int,
-        namespace: str,
-        log: EventLog,
-    ) -> None:
-        super().__init__(grid, session, scenario, seed, namespace, log, lockstep=True)
-        self._stop = stop
+    lockstep = True
+
+    def _open(self) -> None:
+        session, namespace = self._session, self.namespace
         self._marker = zenoh_link.blocking_publisher(session, f"{namespace}/sim/target/tick")
         self._token = zenoh_link.liveliness_token(session, f"{namespace}/{ALIVE}")
         self._credits = zenoh_link.fifo_subscriber(session, f"{namespace}/sim/credit")
-        self._credit = (
-            0  # newest tick of the reader; before the first one the run-ahead counts from the start
-        )
+        self._credit = 0  # newest tick of the reader
         self._silent = False  # no credit came in time
 
     def begin(self) -> None:
@@ -208,19 +206,11 @@ class LockstepRobot(PublishedRobot):
 class RealTimeRobot(PublishedRobot):
     """Sees in the controller's steps when the landing begins."""
 
-    def __init__(
-        self,
-        grid: TickGrid,
-        session: zenoh_link.Session,
-        scenario: Scenario,
-        seed: int,
-        namespace: str,
-        log: EventLog,
-    ) -> None:
-        super().__init__(grid, session, scenario, seed, namespace, log, lockstep=False)
-        self._session = session
+    lockstep = False
+
+    def _open(self) -> None:
         self._truth: OdometryPublisher | None = None
-        self._steps = zenoh_link.ring_subscriber(session, f"{namespace}/controller/step")
+        self._steps = zenoh_link.ring_subscriber(self._session, f"{self.namespace}/controller/step")
 
     @property
     def followed(self) -> bool:

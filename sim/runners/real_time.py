@@ -5,6 +5,7 @@ from __future__ import annotations
 import select
 import time
 from collections.abc import Sequence
+from functools import partial
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -29,7 +30,6 @@ class RealTimeVehicle:
 
     def __init__(self, node: VehicleNode, robot: RealTimeRobot | RealTimeDeck | None, grid: TickGrid) -> None:
         self.node, self._robot, self._grid = node, robot, grid
-        self._deck_stale = False
         self._ms = 0  # simulated so far
 
     def tick(self, tick: int) -> None:
@@ -49,15 +49,9 @@ class RealTimeVehicle:
             node.log.target(now_ns, deck.payload)
         truth = node.write_log(tick, now_ns)
         if isinstance(self._robot, RealTimeDeck):
-            for payload in self._robot.poll(now_s):
-                node.log.target(now_ns, payload)
-            state = self._robot.follow(truth.pad_position_enu_m, truth.pad_yaw_rad, now_s)
+            state = self._robot.move(now_s, truth, partial(node.log.target, now_ns), self.warn)
             if state is not None:
                 node.move_deck(state)
-            stale = self._robot.stale(now_s)
-            if stale and not self._deck_stale:
-                self.warn("Robot's pose too old: deck stopped")
-            self._deck_stale = stale
         node.log.feed.flush()
 
     def receive(self) -> None:

@@ -44,7 +44,7 @@ def _drive(team: TeamScenario, options: TargetOptions, stop: Stop, stack: ExitSt
     stack.callback(session.close)
     feed = Feed.connect(options.recorder, "target", lossless=False, vehicles=len(team.member))
     stack.callback(feed.close)
-    make = partial(RealTimeRobot, grid, session)
+    make = partial(RealTimeRobot, grid, session, stop)
     robots = list(robots_of(team, options, feed, make, stack).values())
     epoch_ns = clock.unix_ns()  # once all that takes time is done
     for robot in robots:

@@ -101,7 +101,7 @@ def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitSta
         return
     robots: dict[int, RealTimeRobot] = {}
     if isinstance(options, WorldOptions):
-        robots = robots_of(team, options, feed, partial(RealTimeRobot, grid, session), stack)
+        robots = robots_of(team, options, feed, partial(RealTimeRobot, grid, session, stop), stack)
         for number in options.leave_out:
             robots[number].be_followed()
     decks = {each.number: RealTimeDeck(session, each.name) for each in nodes if session is not None}
