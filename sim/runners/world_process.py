@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 from itertools import zip_longest
@@ -104,10 +104,10 @@ def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitSta
         robots = robots_of(team, options, feed, partial(RealTimeRobot, grid, session, stop), stack)
         for number in options.leave_out:
             robots[number].be_followed()
-    decks = {each.number: RealTimeDeck(session, each.name) for each in nodes if session is not None}
-    vehicles = [
-        RealTimeVehicle(each, robots.get(each.number) or decks.get(each.number), grid) for each in nodes
-    ]
+    followed: Mapping[int, RealTimeRobot | RealTimeDeck] = robots
+    if session is not None and not robots:
+        followed = {each.number: RealTimeDeck(session, each.name) for each in nodes}
+    vehicles = [RealTimeVehicle(each, followed.get(each.number), grid) for each in nodes]
     _ready(endpoints, stop)
     RealTimeWorld(vehicles, list(robots.values()), room, grid, stop).run(ticks)
 
