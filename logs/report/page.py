@@ -82,9 +82,13 @@ def table(
     rows: Sequence[Sequence[str]],
     numbers: Sequence[int] = (),
     row_class: int | None = None,
+    empty: str = "",
 ) -> str:
-    """Rows of text; columns ``numbers`` are set to the right, column ``row_class`` is the style of a row."""
-    return _part("table", head, rows, numbers, row_class)
+    """Rows of text, or the text ``empty`` if there are none.
+
+    Columns ``numbers`` are set to the right, column ``row_class`` is the style of a row.
+    """
+    return _part("table", head, rows, numbers, row_class) if rows else paragraph(empty)
 
 
 def time_bar(*, events: bool) -> str:

@@ -109,7 +109,7 @@ def flight_page(flight: Flight, verdict: Verdict, of: str | None = None) -> Page
     sources = [(what, flight.attachments.get(name), name) for name, what in _FILES]
     links = links_table(side.streams) + ages_table(flight)
     return Page(
-        title, headline(verdict), " · ".join([*_flown(run), verdict.reason]), key_numbers(verdict),
+        title, headline(verdict), " · ".join([*_flown(run), verdict.reason]), key_numbers(side),
         [
             html('<p><a href="{}">The whole fleet</a></p>').format(of) if of is not None else "",
             picture,
@@ -150,7 +150,7 @@ def fleet_page(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path]) -
         (f"Configuration of {name}", flight.attachments.get(ATTACHMENT), f"{name}.toml")
         for name, flight in fleet.flights.items()
     ]
-    result = members_table(verdict, messages, pages) + fleet_result_table(verdict)
+    result = members_table(sides, messages, pages) + fleet_result_table(verdict)
     return Page(
         told.get("scenario", fleet.path.stem),
         _fleet_headline(verdict),
@@ -193,7 +193,7 @@ def _comparison(a: Side, b: Side) -> Page:
         " and ".join(run.get("scenario", s.flight.path.stem) for s, run in runs) + ", compared",
         (outcomes, worse),
         " · ".join(", ".join([f"{s.name}: {s.flight.path}", *_flown(run)]) for s, run in runs),
-        key_numbers(a.verdict, b.verdict),
+        key_numbers(a, b),
         [
             picture,
             Panel("numbers", "Key numbers", "", result_table(a, b)),

@@ -34,29 +34,18 @@ FAULT = "#b00020"
 FLOWN = "#882255"  # wine: what the vehicle really does
 MARGIN = "#E69F00"
 
-PHASE_BANDS = {
-    Phase.WAIT: "rgba(150, 150, 150, 0.10)",
-    Phase.TAKEOFF: "rgba(150, 150, 150, 0.20)",
-    Phase.APPROACH: "rgba(86, 180, 233, 0.12)",
-    Phase.LAND: "rgba(0, 158, 115, 0.14)",
-    Phase.TOUCHDOWN: "rgba(240, 228, 66, 0.40)",
-    Phase.LANDED: "rgba(0, 158, 115, 0.05)",
-    Phase.HOLD: "rgba(230, 159, 0, 0.22)",
-    Phase.CLIMB: "rgba(204, 121, 167, 0.20)",
-    Phase.ABORT: "rgba(213, 94, 0, 0.22)",
-    Phase.LEAVE: "rgba(86, 180, 233, 0.22)",
-}
-PHASE_SOLID: dict[Phase | int, str] = {
-    Phase.WAIT: "#d5d9de",
-    Phase.TAKEOFF: "#bcc3cc",
-    Phase.APPROACH: "#b5dcf3",
-    Phase.LAND: "#9ad6c3",
-    Phase.TOUCHDOWN: "#f3e98a",
-    Phase.LANDED: "#cfe9e1",
-    Phase.HOLD: "#f5d088",
-    Phase.CLIMB: "#e5bcd2",
-    Phase.ABORT: "#efb08a",
-    Phase.LEAVE: "#9fc9e8",
+# phases: red, green, blue, and opacity of the band behind curves
+_PHASES: dict[Phase | int, tuple[int, int, int, float]] = {
+    Phase.WAIT: (150, 150, 150, 0.10),
+    Phase.TAKEOFF: (150, 150, 150, 0.20),
+    Phase.APPROACH: (86, 180, 233, 0.12),
+    Phase.LAND: (0, 158, 115, 0.14),
+    Phase.TOUCHDOWN: (240, 228, 66, 0.40),
+    Phase.LANDED: (0, 158, 115, 0.05),
+    Phase.HOLD: (230, 159, 0, 0.22),
+    Phase.CLIMB: (204, 121, 167, 0.20),
+    Phase.ABORT: (213, 94, 0, 0.22),
+    Phase.LEAVE: (86, 180, 233, 0.22),
 }
 _SPACE_PX = 640  # height of a figure in space
 _TOP_PX, _BOTTOM_PX, _LEGEND_PX = 40, 96, 54  # margins, and the legend's distance below the axis
@@ -121,6 +110,12 @@ def shown_range(flight: Flight) -> list[float]:
     return [max(-BEFORE_S, -start), end - start]
 
 
+def phase_color(phase: Phase | int, *, bar: bool = False) -> str:
+    """Colour of a phase: of the band behind curves, or stronger for a bar."""
+    red, green, blue, opacity = _PHASES.get(phase, (102, 102, 102, 0.05))
+    return f"rgba({red}, {green}, {blue}, {0.2 + 1.5 * opacity if bar else opacity:.3g})"
+
+
 def add_phases(figure: go.Figure, flight: Flight, *, rows: int = 1) -> None:
     """Shade the phases over the whole height of each row, name them on top, mark faults by a strip."""
     low, high = shown_range(flight)
@@ -129,8 +124,7 @@ def add_phases(figure: go.Figure, flight: Flight, *, rows: int = 1) -> None:
     names: list[dict[str, Any]] = []
     for phase, begin_s, end_s in flight.phase_spans():
         begin, end = begin_s - zero, end_s - zero
-        color = PHASE_BANDS.get(Phase(phase), "rgba(0,0,0,0.05)") if isinstance(phase, Phase) else GRID
-        shapes += _bands(rows, begin, end, 0.0, color)
+        shapes += _bands(rows, begin, end, 0.0, phase_color(phase))
         left, right = max(begin, low), min(end, high)
         if right - left >= LABEL_SHARE * (high - low):
             names.append({

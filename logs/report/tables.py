@@ -62,36 +62,15 @@ def headline(verdict: Verdict) -> tuple[str, str]:
     return text, style
 
 
-KeyNumbers = list[tuple[str, str, str]]  # name, value and unit of the numbers at the top of a page
-
-
-def key_numbers(*verdicts: Verdict) -> KeyNumbers:
-    """The four numbers of a landing, or of two."""
-    numbers = [
-        [
-            ("touchdown error", scaled(v.touchdown_error_m, 100.0, 1), "cm"),
-            ("touchdown speed, downwards", number(v.touchdown_speed_vertical_m_s, 2), "m/s"),
-            ("lowest h outside the pad", scaled(v.h_min_outside_pad_m, 1000.0, 1), "mm"),
-            ("time to land", number(v.time_to_land_s, 1), "s"),
-        ]
-        for v in verdicts
-    ]
-    of = ", A · B" if len(verdicts) > 1 else ""
-    return [
-        (f"{each[0][0]}{of}", " · ".join(value for _, value, _ in each), each[0][2])
-        for each in zip(*numbers, strict=True)
-    ]
-
-
-def fleet_key_numbers(verdict: FleetVerdict) -> KeyNumbers:
+def fleet_key_numbers(verdict: FleetVerdict) -> list[tuple[str, str, str]]:
     v, members = verdict, verdict.members.values()
     errors_m = [each.touchdown_error_m for each in members if each.touchdown_error_m is not None]
     lowest_m = [each.h_min_outside_pad_m for each in members if each.h_min_outside_pad_m is not None]
     return [
         ("landed", f"{v.outcomes.count(Outcome.LANDED)} of {len(v.outcomes)}", ""),
         ("smallest distance of two vehicles", number(v.distance_min_m, 2), "m"),
-        ("lowest h outside a pad", scaled(min(lowest_m, default=None), 1000.0, 1), "mm"),
-        ("largest touchdown error", scaled(max(errors_m, default=None), 100.0, 1), "cm"),
+        ("lowest h outside a pad", number(min(lowest_m, default=None), 1, 1e3), "mm"),
+        ("largest touchdown error", number(max(errors_m, default=None), 1, 1e3), "mm"),
     ]
 
 
@@ -99,27 +78,26 @@ def run_table(flight: Flight) -> str:
     run = flight.metadata.get("run", {})
     rows = [(name, run[key]) for key, name in _RUN_NAMES.items() if key in run]
     rows += [(key.replace("_", " "), value) for key, value in run.items() if key not in _RUN_NAMES]
-    return table(("run", "value"), rows) if rows else paragraph("The log does not say what was flown.")
+    return table(("run", "value"), rows, empty="The log does not say what was flown.")
 
 
 def versions_table(metadata: Mapping[str, Mapping[str, str]]) -> str:
     """Versions recorded in the metadata of a log."""
     rows = [(key.replace("_", " "), value or "–") for key, value in metadata.get("made", {}).items()]
     rows += [(f"records lost by {who}", n) for who, n in metadata.get("losses", {}).items()]
-    return table(("made with", "value"), rows) if rows else paragraph("The log does not name versions.")
+    return table(("made with", "value"), rows, empty="The log does not name versions.")
 
 
 def events_table(events: Sequence[Event], zero_s: float | None = None) -> str:
     """Events in order, each with a link to its time: since ``zero_s``, else since the log began."""
-    if not events:
-        return paragraph("No events in this log.")
     rows = [
         (time_link(e.t_s, f"{e.t_s:.2f}") if zero_s is None else _at(e.t_s - zero_s), severity(e.level),
          e.source, e.text)
         for e in events[:EVENTS_MAX]
     ]  # fmt: skip
     more = len(events) - len(rows)
-    shown = table(("time [s]", "level", "from", "event"), rows, numbers=(0,), row_class=1)
+    shown = table(("time [s]", "level", "from", "event"), rows, numbers=(0,), row_class=1,
+                  empty="No events in this log.")  # fmt: skip
     return shown + paragraph(f"{more} later events are in the log only.") if more > 0 else shown
 
 
@@ -130,16 +108,13 @@ def _at(t_s: float) -> str:
 
 def phases_table(flight: Flight) -> str:
     """Phases in order with their length and the reason that the controller gave."""
-    spans = flight.phase_spans()
-    if not spans:
-        return paragraph("No controller steps in this log.")
-    zero = flight.landing_start_s or 0.0
-    rows = []
-    for phase, begin_s, end_s in spans:
+    zero, rows = flight.landing_start_s or 0.0, []
+    for phase, begin_s, end_s in flight.phase_spans():
         name = phase_name(phase)
         why = [e.text.partition(": ")[2] for e in flight.events if _began(e.text, e.t_s, name, begin_s)]
         rows.append((_at(begin_s - zero), name, f"{end_s - begin_s:.2f}", why[0] if why else ""))
-    return table(("from [s]", "phase", "for [s]", "because"), rows, numbers=(0, 2))
+    head = ("from [s]", "phase", "for [s]", "because")
+    return table(head, rows, numbers=(0, 2), empty="No controller steps in this log.")
 
 
 def _began(text: str, at_s: float, name: str, begin_s: float) -> bool:
@@ -151,19 +126,17 @@ def faults_table(flight: Flight) -> str:
     zero, spans = flight.landing_start_s or 0.0, fault_spans(flight)
     ends = [_at(f.end_s - zero) if f.over else "to the end" for f in spans]
     rows = [(_at(f.begin_s - zero), end, f.text) for f, end in zip(spans, ends, strict=True)]
-    if not rows:
-        return paragraph("The log has no fault.")
-    return table(("from [s]", "to [s]", "fault"), rows, numbers=(0, 1))
+    return table(("from [s]", "to [s]", "fault"), rows, numbers=(0, 1), empty="The log has no fault.")
 
 
 def links_table(streams: Sequence[Stream]) -> str:
     rows = [
         (s.name, str(len(s.t_s)), number(s.rate_hz, 1), "not numbered" if s.lost is None else str(s.lost),
-         scaled(s.gap_max_s, 1e3, 0))
+         number(s.gap_max_s, 0, 1e3))
         for s in streams
     ]  # fmt: skip
     head = ("stream", "messages", "rate [Hz]", "lost", "longest gap [ms]")
-    return table(head, rows, numbers=(1, 2, 3, 4)) if rows else paragraph("No traffic in this log.")
+    return table(head, rows, numbers=(1, 2, 3, 4), empty="No traffic in this log.")
 
 
 def ages_table(flight: Flight) -> str:
@@ -186,7 +159,7 @@ def ages_table(flight: Flight) -> str:
 def _age_row(name: str, age_s: Floats, limit_s: float | None, bad: Bools) -> tuple[str, ...]:
     known = age_s[np.isfinite(age_s)] * 1e3
     told = [f"{v:.1f}" for v in (*np.percentile(known, (50, 99)), known.max())] if len(known) else ["–"] * 3
-    return (name, *told, scaled(limit_s, 1e3, 0), str(int(bad.sum())))
+    return (name, *told, number(limit_s, 0, 1e3), str(int(bad.sum())))
 
 
 def definitions() -> str:
@@ -200,13 +173,9 @@ def severity(level: int) -> str:
     return Severity(level).name.lower() if level in Severity._value2member_map_ else str(level)
 
 
-def number(value: float | None, digits: int) -> str:
-    """Return a number with ``digits`` decimals, or a dash for None."""
-    return "–" if value is None else f"{value:.{digits}f}".replace("-", "−")
-
-
-def scaled(value: float | None, factor: float, digits: int) -> str:
-    return number(None if value is None else value * factor, digits)
+def number(value: float | None, digits: int, factor: float = 1.0) -> str:
+    """Return a number times a factor with ``digits`` decimals, or a dash for None."""
+    return "–" if value is None else f"{factor * value:.{digits}f}".replace("-", "−")
 
 
 def _p99(values: Floats) -> float | None:
@@ -225,6 +194,7 @@ def _lost(side: Side) -> float | None:
 
 
 _RELATIVE = "relative to the pad"
+_KEYS = ("lowest h outside the pad", "touchdown error", "touchdown speed, vertical", "time to land")
 # name, unit, digits, factor, value, meaning
 _NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None], str], ...] = (
     ("lowest h", "mm", 1, 1e3, lambda s: s.verdict.h_min_m, "since the landing began"),
@@ -247,6 +217,22 @@ _NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None], str]
     ("faults injected", "", 0, 1.0, lambda s: float(len(fault_spans(s.flight))), ""),
     ("phases", "", 0, 1.0, lambda s: float(len(s.flight.phase_spans())), ""),
 )  # fmt: skip
+
+
+def _found(side: Side, name: str, digits: int | None = None) -> str:
+    """One of the numbers of a flight, as text."""
+    _, _, usual, factor, value, _ = next(row for row in _NUMBERS if row[0] == name)
+    return number(value(side), usual if digits is None else digits, factor)
+
+
+def key_numbers(*sides: Side) -> list[tuple[str, str, str]]:
+    """Name, value and unit of the four numbers of a landing, or of two."""
+    of = ", A · B" if len(sides) > 1 else ""
+    return [
+        (f"{name}{of}", " · ".join(_found(side, name) for side in sides), unit)
+        for name, unit, *_ in _NUMBERS
+        if name in _KEYS
+    ]
 
 
 def result_table(*sides: Side) -> str:
@@ -280,7 +266,7 @@ def compared_settings(a: Flight, b: Flight) -> str:
         left, right = of_a.get(key, "–"), of_b.get(key, "–")
         if left != right:
             rows.append((key, left, right))
-    return table(("setting", "A", "B"), rows) if rows else paragraph("Nothing that the logs tell of.")
+    return table(("setting", "A", "B"), rows, empty="Nothing that the logs tell of.")
 
 
 def _all_settings(flight: Flight) -> dict[str, str]:
@@ -301,17 +287,19 @@ def _flatten(prefix: str, values: object, found: dict[str, str]) -> None:
 _DASH = "\N{WORD JOINER}–\N{WORD JOINER}"  # no line breaks at it
 
 
-def members_table(verdict: FleetVerdict, words: FleetMessages, pages: Mapping[str, Path]) -> str:
+_OF_MEMBERS = {"lowest h outside the pad": 0, "touchdown error": 0, "touchdown speed, vertical": 2,
+               "touchdown speed, horizontal": 2, "time to land": 1}  # fmt: skip  # digits
+
+
+def members_table(sides: Sequence[Side], messages: FleetMessages, pages: Mapping[str, Path]) -> str:
     rows = []
-    for name, v in verdict.members.items():
+    for side in sides:
+        name, v = side.name, side.verdict
         place = html('<a href="{}">{}</a>').format(pages[name].name, name) if name in pages else name
-        rows.append(
-            (place, v.outcome.value, YES_NO[v.violation], number(v.h_min_outside_pad_m, 3),
-             scaled(v.touchdown_error_m, 100.0, 1), number(v.touchdown_speed_vertical_m_s, 2),
-             number(v.touchdown_speed_horizontal_m_s, 2), number(v.time_to_land_s, 1),
-             number(waited_s(words.spans[name]), 1), v.reason)
-        )  # fmt: skip
-    head = ("vehicle", "outcome", "barrier violated", "lowest h [m]", "error [cm]", "down [m/s]",
+        numbers = [_found(side, what, digits) for what, digits in _OF_MEMBERS.items()]
+        waited = number(waited_s(messages.spans[name]), 1)
+        rows.append((place, v.outcome.value, YES_NO[v.violation], *numbers, waited, v.reason))
+    head = ("vehicle", "outcome", "barrier violated", "lowest h [mm]", "error [mm]", "down [m/s]",
             "aside [m/s]", "landed after [s]", "waited [s]", "because")  # fmt: skip
     return table(head, rows, numbers=range(3, 9))
 
@@ -322,20 +310,12 @@ def fleet_result_table(verdict: FleetVerdict) -> str:
         ("outcome", v.outcome.value, "", v.reason),
         ("barrier violation", YES_NO[v.violation], "", "of any member over its pad"),
         ("pairs that collided", _count(v.collisions), "", "their shapes overlapped"),
-        (
-            "ellipsoid violations",
-            _count(v.ellipsoid_violations),
-            "",
-            "times that two came inside, both in flight",
-        ),
-        (
-            "smallest distance in the ellipsoid's measure",
-            number(v.ellipsoid_min, 2),
-            "1",
-            "both in flight; below 1: inside",
-        ),
+        ("ellipsoid violations", _count(v.ellipsoid_violations), "",
+         "times that two came inside, both in flight"),
+        ("smallest distance in the ellipsoid's measure", number(v.ellipsoid_min, 2), "1",
+         "both in flight; below 1: inside"),
         ("smallest distance", number(v.distance_min_m, 3), "m", "of two centres of mass, at any time"),
-    ]
+    ]  # fmt: skip
     return table(("fleet", "value", "unit", "meaning"), rows, numbers=(1,)) + definitions()
 
 
@@ -344,8 +324,6 @@ def _count(value: int | None) -> str:
 
 
 def pairs_table(fleet: Fleet) -> str:
-    if not fleet.pairs:
-        return paragraph("The log has nothing of the simulator about pairs.")
     rows = []
     for (one, other), pair in sorted(fleet.pairs.items()):
         names = f"{fleet.ids.get(one, one)}{_DASH}{fleet.ids.get(other, other)}"
@@ -353,35 +331,23 @@ def pairs_table(fleet: Fleet) -> str:
             None if np.isinf(v) else v for v in (pair.ellipsoid_min, pair.flying_distance_min_m)
         )
         hit = "–" if pair.collided_ms < 0 else f"{pair.collided_ms * 1e-3:.2f}"
-        rows.append(
-            (
-                names,
-                number(least, 2),
-                number(flying_m, 3),
-                str(pair.violations),
-                number(pair.inside_ms * 1e-3, 2),
-                hit,
-            )
-        )
+        inside = number(pair.inside_ms, 2, 1e-3)
+        rows.append((names, number(least, 2), number(flying_m, 3), str(pair.violations), inside, hit))
     head = ("pair", "measure [1]", "distance [m]", "times inside", "inside [s]", "collided [s]")
-    return table(head, rows, numbers=range(1, 6))
+    return table(head, rows, numbers=range(1, 6), empty="The log has nothing of the simulator about pairs.")
 
 
 def waits_table(words: FleetMessages) -> str:
     spans = [(name, span) for name, each in words.spans.items() for span in each if span.waits]
-    if not spans:
-        return paragraph("Nobody waited.")
     rows = [
         (time_link(span.begin_s, f"{span.begin_s:.2f}"), name, ", ".join(span.gives_way_to),
          f"{span.end_s - span.begin_s:.2f}")
         for name, span in sorted(spans, key=lambda each: each[1].begin_s)
     ]  # fmt: skip
-    return table(("from [s]", "who", "for whom", "for [s]"), rows, numbers=(0, 3))
+    return table(("from [s]", "who", "for whom", "for [s]"), rows, numbers=(0, 3), empty="No member waited.")
 
 
 def messages_table(words: FleetMessages) -> str:
-    if not words.links:
-        return paragraph("The log has no messages between members.")
     rows = []
     for link in words.links:
         lost = max(0, link.sent - link.used)
@@ -389,7 +355,7 @@ def messages_table(words: FleetMessages) -> str:
         silent_s = sum(until_s - begin_s for begin_s, until_s in link.silent)
         rows.append(
             (f"{link.sender} to {link.receiver}", str(link.sent), str(link.used), share,
-             scaled(link.late_max_s, 1e3, 0), scaled(link.gap_max_s, 1e3, 0), number(silent_s, 2))
+             number(link.late_max_s, 0, 1e3), number(link.gap_max_s, 0, 1e3), number(silent_s, 2))
         )  # fmt: skip
     head = ("from, to", "sent", "used", "not used [%]", "latest [ms]", "longest gap [ms]", "silent [s]")
-    return table(head, rows, numbers=range(1, 7))
+    return table(head, rows, numbers=range(1, 7), empty="The log has no messages between members.")

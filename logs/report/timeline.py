@@ -19,10 +19,10 @@ from logs.report.style import (
     INK,
     LIMIT,
     NOMINAL,
-    PHASE_SOLID,
     Axis,
     layout,
     light,
+    phase_color,
     time_axis,
     words,
 )
@@ -66,7 +66,7 @@ class _Lanes:
 
     def phases(self, lane: str, side: Side) -> None:
         for phase, begin_s, end_s in side.flight.phase_spans():
-            name, color = phase_name(phase), PHASE_SOLID.get(phase, LIMIT)
+            name, color = phase_name(phase), phase_color(phase, bar=True)
             self.bar(lane, (begin_s + side.offset_s, end_s + side.offset_s), color, f"{side.of}{name}", name)
 
     def mask(self, lane: str, t: Floats, mask: Bools, color: str) -> None:

@@ -43,22 +43,10 @@ MARKER_ARRAY = "visualization_msgs/msg/MarkerArray"
 DIAGNOSTIC_ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 STRING = "std_msgs/msg/String"
 
-_OURS = {
-    CONTROLLER_STEP: "ControllerStep.msg",
-    TARGET_SAMPLE: "TargetSample.msg",
-    CONTROLLER_INPUT: "ControllerInput.msg",
-    NEIGHBOUR: "Neighbour.msg",
-    CONTROLLER_NEIGHBOURS: "ControllerNeighbours.msg",
-    FLEET_ECHO: "FleetEcho.msg",
-    FLEET_WORD: "FleetWord.msg",
-    FLEET_PAIR: "FleetPair.msg",
-    CONTROLLER_STATE: "ControllerState.msg",
-    CONTROLLER_POWER: "ControllerPower.msg",
-    LOOP_TIMING: "LoopTiming.msg",
-    TRUE_STATE: "TrueState.msg",
-    HEALTH: "Health.msg",
-    MAVLINK: "Mavlink.msg",
-}
+_OURS = (
+    CONTROLLER_STEP, TARGET_SAMPLE, CONTROLLER_INPUT, NEIGHBOUR, CONTROLLER_NEIGHBOURS, FLEET_ECHO,
+    FLEET_WORD, FLEET_PAIR, CONTROLLER_STATE, CONTROLLER_POWER, LOOP_TIMING, TRUE_STATE, HEALTH, MAVLINK,
+)  # fmt: skip
 _SEPARATOR = "=" * 80
 
 
@@ -167,5 +155,6 @@ def _known(name: str) -> Typestore:
 def _own_text(name: str) -> str:
     if name.startswith(mavlink.PACKAGE):
         return mavlink.definition(name)
-    text: str = (files("logs.schema") / "msg" / _OURS[name]).read_text(encoding="ascii")
+    file = files("logs.schema") / "msg" / f"{name.rpartition('/')[2]}.msg"
+    text: str = file.read_text(encoding="ascii")
     return text
