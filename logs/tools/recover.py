@@ -6,7 +6,9 @@ and statistics are made anew. A metadata record ``log_tool`` names the command a
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -35,65 +37,43 @@ def recover(log: LogFile, out: Path, *, force: bool = False) -> Recovered:
     """
     with new_file(out, force=force) as part:
         with part.open("wb") as stream:
-            copier = _Copier(ChunkedWriter(stream, CHUNK_BYTES))
-            for record in log.records():
-                copier.take(record)
+            writer, records = ChunkedWriter(stream, CHUNK_BYTES), log.records()
+            first = next(records, None)
+            header = first if isinstance(first, Header) else Header("", "")
+            writer.start(header.profile, header.library)
+            messages = _copy(writer, chain((first,), records))
             problem = log.why_broken
-            copier.end({"command": "recover", "source": log.path.name, "source_problem": problem})
-        return Recovered(copier.messages, problem)
+            done = {"command": "recover", "source": log.path.name, "source_problem": problem}
+            writer.add_metadata(LOG_TOOL, done)
+            writer.finish()
+        return Recovered(messages, problem)
 
 
-class _Copier:
-    """Writes records of one file into another, with numbers of its own for schemas and channels."""
-
-    def __init__(self, writer: ChunkedWriter) -> None:
-        self._writer = writer
-        self._headed = False
-        self._schemas: dict[int, Schema] = {}
-        self._channels: dict[int, int] = {}
-        self._written: dict[tuple[str, str, bytes], int] = {}  # schemas
-        self.messages = 0
-
-    def take(self, record: Any) -> None:
-        """Write one record."""
-        if not self._headed:
-            header = record if isinstance(record, Header) else Header("", "")
-            self._writer.start(header.profile, header.library)
-            self._headed = True
+def _copy(writer: ChunkedWriter, records: Iterable[Any]) -> int:
+    """Write records with new numbers of schemas and channels; return the number of messages."""
+    declared: dict[int, Schema] = {}
+    schemas, channels = {0: 0}, dict[int, int]()  # numbers in the new file; 0: a channel without a schema
+    messages = 0
+    for record in records:
         if isinstance(record, MessageRecord):
-            self._writer.add_message(
-                self._channels[record.channel_id], record.log_time, record.publish_time, record.sequence,
-                record.data,
+            writer.add_message(
+                channels[record.channel_id], record.log_time, record.data, record.publish_time,
+                record.sequence,
             )  # fmt: skip
-            self.messages += 1
+            messages += 1
         elif isinstance(record, Schema):
-            self._schemas[record.id] = record
-        elif isinstance(record, Channel):
-            self._channel(record)
-        elif isinstance(record, Metadata):
-            self._writer.add_metadata(record.name, record.metadata)
-        elif isinstance(record, Attachment):
-            self._writer.add_attachment(
-                record.log_time, record.name, record.media_type, record.data, record.create_time
+            declared[record.id] = record
+        elif isinstance(record, Channel) and record.id not in channels:  # else repeated in the summary
+            number, schema = record.schema_id, declared.get(record.schema_id)
+            if number not in schemas and schema is not None:
+                schemas[number] = writer.register_schema(schema.name, schema.encoding, schema.data)
+            channels[record.id] = writer.register_channel(
+                record.topic, record.message_encoding, schemas.get(number, 0), record.metadata
             )
-
-    def end(self, done: dict[str, str]) -> None:
-        """Write what was done, and the index."""
-        if not self._headed:
-            self._writer.start("", "")
-        self._writer.add_metadata(LOG_TOOL, done)
-        self._writer.finish()
-
-    def _channel(self, channel: Channel) -> None:
-        if channel.id in self._channels:
-            return  # repeated in the summary
-        schema = self._schemas.get(channel.schema_id)
-        number = 0  # MCAP: a channel without a schema
-        if schema is not None:
-            key = (schema.name, schema.encoding, schema.data)
-            if key not in self._written:
-                self._written[key] = self._writer.register_schema(*key)
-            number = self._written[key]
-        self._channels[channel.id] = self._writer.register_channel(
-            channel.topic, channel.message_encoding, number, channel.metadata
-        )
+        elif isinstance(record, Metadata):
+            writer.add_metadata(record.name, record.metadata)
+        elif isinstance(record, Attachment):
+            writer.add_attachment(
+                record.create_time, record.log_time, record.name, record.media_type, record.data
+            )
+    return messages
