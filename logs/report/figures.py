@@ -50,9 +50,7 @@ def panels(side: Side) -> list[Panel]:
     flight, axis = side.flight, axis_of([side.flight])
     both = "Solid: true states of the simulator. Dashed: the vehicle's own estimate."
     source = both if flight.truth is not None else "The vehicle's own estimate; the log holds no true states."
-    edge = (
-        "" if flight.barrier is not None else " The log does not say which barrier was flown; none is drawn."
-    )
+    edge = "" if flight.barrier is not None else " The log does not name the barrier; none is drawn."
     return [
         Panel(
             "relative", "Landing relative to the pad, over the barrier",
@@ -147,10 +145,10 @@ _TIMELINE = (
     "The whole log. Touch or point at a bar or an event to read it; bands in the figures below have the same "
     "colours."
 )
-_MARGIN = "Where the robust filter holds a margin, h may not go below that line; over the pad it fades."
+_MARGIN = "With a margin of the robust filter, h may not fall below that line; over the pad the margin fades."
 _TRACKING = (
     "Wanted: after filter and slew limit. Set-point: corrected for the vehicle's lag and disturbances "
-    "(filter robust). Flown: what the vehicle made of it."
+    "(filter robust). Flown: velocity of the vehicle."
 )
 _VEHICLE = "True tilt of the body and voltage of the battery; a bar at the bottom while the motors are off."
 _PERIODS = (
@@ -206,8 +204,8 @@ def _age_note(flight: Flight) -> str:
 
 def _filter_note(flight: Flight) -> str:
     text = (
-        "Above: how far u* is from u', by barrier and admissible box. Below: what is left of the barrier's "
-        "constraint at u*; 0 is just held, less is not. The bar shows when the barrier changes the velocity."
+        "Above: distance of u* from u', by barrier and admissible box. Below: slack of the barrier's "
+        "constraint at u*; a negative slack violates it. The bar shows when the barrier changes the velocity."
     )
     share = share_active(flight.steps) if flight.steps is not None else None
     return text if share is None else f"{text} It did in {100.0 * share:.0f} % of the ticks with a filter."
@@ -220,7 +218,7 @@ def _error_note(flight: Flight) -> str:
     since = errors.t_s >= start_s
     told = [f"{name} {_rms_mm(values[since])}" for name, values in _named(errors)]
     said = ", ".join(told)
-    return f"What the controller used minus what was true. Root mean square since the landing began: {said}."
+    return f"State used by the controller minus true state. Root mean square since the landing began: {said}."
 
 
 def _named(errors: Errors) -> tuple[tuple[str, Floats], ...]:

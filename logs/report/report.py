@@ -54,8 +54,8 @@ __all__ = ["ReportError", "write_comparison", "write_page", "write_report"]
 _H_TOLERANCE_M = 1e-6  # the barrier we draw has to be the one the simulator judged by
 _SCENARIO = "scenario.toml"
 _FILES = ((ATTACHMENT, "Configuration of the onboard process"), (_SCENARIO, "Scenario, whole"))
-_FAULTS = "Injected on purpose; in the figures a red strip on top."
-_NEAR = "Judged every physics step, while both flew."
+_FAULTS = "Injected by the scenario; in the figures a red strip on top."
+_NEAR = "Measured in every physics step while both flew."
 _EVENTS = "wide events"  # style of the tables of events
 _TICK_S = 0.011  # true states are this far apart; the ellipsoid is judged every millisecond
 _SPEED_M_S = 4.0  # at which two vehicles may come nearer between two of them
@@ -252,7 +252,7 @@ def _source(verdict: Verdict) -> str:
     if verdict.judged_from == TRUTH:
         return (
             "Judged from the simulator's true states, sampled every physics step, "
-            "whatever the controller believed."
+            "independent of the controller's estimate."
         )
     return (
         f"Judged from {SOURCES[verdict.judged_from]}: this log holds no true states. "

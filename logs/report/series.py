@@ -192,7 +192,7 @@ def filter_activity(flight: Flight) -> go.Figure | None:
     slack = np.where(ran, steps.slack_m_s, np.nan)
     figure = rows_of(2, 0.07)
     add_line(figure, 1, t, changed, "change |u* − u'|", FILTERED, width=1.8)
-    add_line(figure, 2, t, slack, "left of the constraint at u*", COMMAND, width=1.6)
+    add_line(figure, 2, t, slack, "slack of the constraint at u*", COMMAND, width=1.6)
     active = np.where(steps.barrier_active, 0.0, np.nan)
     add_line(figure, 2, t, active, "barrier active", BOUNDARY, width=5, hoverinfo="skip")
     for status, (name, symbol) in _ODD.items():
@@ -204,7 +204,7 @@ def filter_activity(flight: Flight) -> go.Figure | None:
             figure.add_trace(marks, row=2, col=1)
     over_time(figure, flight, 480, rows=2)
     figure.update_yaxes(title_text="change [m/s]", rangemode="tozero", row=1, col=1)
-    figure.update_yaxes(title_text="left [m/s]", range=value_range(flight, [(t, slack)]), row=2, col=1)
+    figure.update_yaxes(title_text="slack [m/s]", range=value_range(flight, [(t, slack)]), row=2, col=1)
     return figure
 
 

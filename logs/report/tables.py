@@ -41,9 +41,9 @@ _DEFINITIONS = (
      "rests on the pad"),
     ("crashed", "contact before touchdown with ground, robot body or pad edge, a tumble, or a fall off the "
      "pad"),
-    ("aborted", "the phase machine gave up by itself and said so; a gentle landing on the ground after it is "
+    ("aborted", "the controller declared an abort (phase ABORT); a gentle landing on the ground after it is "
      "no crash"),
-    ("timeout", "everything else, also a miss that nobody declared and a log that ends too early"),
+    ("timeout", "everything else, also a miss without a declared abort and a log that ends too early"),
     ("violation", "h < −5 mm while d exceeds the pad's radius, in a run that began with h ≥ 0; missing data "
      "is never taken for safe: then it is “not known”"),
     ("h", "e_z − β α d exp(−α d), in metres: height of the vehicle above the boundary; safe is h ≥ 0"),
@@ -78,7 +78,7 @@ def run_table(flight: Flight) -> str:
     run = flight.metadata.get("run", {})
     rows = [(name, run[key]) for key, name in _RUN_NAMES.items() if key in run]
     rows += [(key.replace("_", " "), value) for key, value in run.items() if key not in _RUN_NAMES]
-    return table(("run", "value"), rows, empty="The log does not say what was flown.")
+    return table(("run", "value"), rows, empty="The log has no metadata of the run.")
 
 
 def versions_table(metadata: Mapping[str, Mapping[str, str]]) -> str:
@@ -113,7 +113,7 @@ def phases_table(flight: Flight) -> str:
         name = phase_name(phase)
         why = [e.text.partition(": ")[2] for e in flight.events if _began(e.text, e.t_s, name, begin_s)]
         rows.append((_at(begin_s - zero), name, f"{end_s - begin_s:.2f}", why[0] if why else ""))
-    head = ("from [s]", "phase", "for [s]", "because")
+    head = ("from [s]", "phase", "for [s]", "reason")
     return table(head, rows, numbers=(0, 2), empty="No controller steps in this log.")
 
 
@@ -266,7 +266,7 @@ def compared_settings(a: Flight, b: Flight) -> str:
         left, right = of_a.get(key, "–"), of_b.get(key, "–")
         if left != right:
             rows.append((key, left, right))
-    return table(("setting", "A", "B"), rows, empty="Nothing that the logs tell of.")
+    return table(("setting", "A", "B"), rows, empty="The logs name no setting that differs.")
 
 
 def _all_settings(flight: Flight) -> dict[str, str]:
@@ -300,7 +300,7 @@ def members_table(sides: Sequence[Side], messages: FleetMessages, pages: Mapping
         waited = number(waited_s(messages.spans[name]), 1)
         rows.append((place, v.outcome.value, YES_NO[v.violation], *numbers, waited, v.reason))
     head = ("vehicle", "outcome", "barrier violated", "lowest h [mm]", "error [mm]", "down [m/s]",
-            "aside [m/s]", "landed after [s]", "waited [s]", "because")  # fmt: skip
+            "sideways [m/s]", "landed after [s]", "waited [s]", "reason")  # fmt: skip
     return table(head, rows, numbers=range(3, 9))
 
 

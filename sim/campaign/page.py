@@ -51,18 +51,18 @@ def write_page(path: Path, wanted: Plan, flown: Flown) -> None:
 
 
 def campaign_page(wanted: Plan, flown: Flown) -> Page:
-    told = flown.summary or {}
-    bad = told["crashes"] or told["violations"] or told["undeclared_misses"] or flown.missing
-    style = "bad" if bad else "good" if told["landed"] == told["runs"] else "fair"
+    summary = flown.summary or {}
+    bad = summary["crashes"] or summary["violations"] or summary["undeclared_misses"] or flown.missing
+    style = "bad" if bad else "good" if summary["landed"] == summary["runs"] else "fair"
     seeds = f"seeds {wanted.first_seed} to {wanted.first_seed + wanted.runs - 1}"
     lacking = f" · {flown.missing} landings are missing" if flown.missing else ""
-    shown = lines(told)
-    worst = [(str(w["seed"]), w["why"], w["command"]) for w in told["worst"]]
+    shown = lines(summary)
+    worst = [(str(w["seed"]), w["why"], w["command"]) for w in summary["worst"]]
     first = ("barrier violated, or not known", "lowest h outside the pad", "touchdown error, 95 %",
              "time to land, median")  # fmt: skip
     return Page(
         f"{wanted.scenario.name}, filter {wanted.filter_name}",
-        (f"{told['landed']} of {told['runs']} landed", style),
+        (f"{summary['landed']} of {summary['runs']} landed", style),
         f"{wanted.scenario.description} · {seeds}{lacking}",
         [line for line in shown if line[0] in first],
         [

@@ -10,7 +10,7 @@ from logs.report.page import Page, Panel, details, html, need_libraries, paragra
 Summary = dict[str, Any]
 
 _CRITERIA = (
-    "Ratios of rms errors where nothing else is said. Found: over flights, with an interval of 95 % by "
+    "Ratios of rms errors unless stated otherwise. Found: over flights, with an interval of 95 % by "
     "bootstrap over flights. Open: outside the limit, but chance explains it, or no flight covers it."
 )
 _OPEN_LOOP = (
@@ -35,53 +35,53 @@ _SENSING = (
 )
 
 
-def validation_page(told: Summary) -> Page:
+def validation_page(summary: Summary) -> Page:
     """Make the page of a ``summary``. Raises ReportError: the plotting or template library is missing."""
     need_libraries()
     from sim.validation import figures  # needs plotly
 
     rows = [
         (one["part"], one["text"], one["limit"], one["found"], one["word"], one["reason"])
-        for one in told["criteria"]
+        for one in summary["criteria"]
     ]  # fmt: skip
-    numbers = json.dumps({key: value for key, value in told.items() if key != "by_flight"}, indent=1)
+    numbers = json.dumps({key: value for key, value in summary.items() if key != "by_flight"}, indent=1)
     head = ("part", "criterion", "limit", "found", "", "reason of the limit")
-    met = sum(one["met"] for one in told["criteria"])
-    causes = html("".join(map(paragraph, told["causes"])))
+    met = sum(one["met"] for one in summary["criteria"])
+    causes = html("".join(map(paragraph, summary["causes"])))
     return Page(
-        f"{told['vehicle']} beside recorded flights",
-        ("passed", "good") if told["passed"] else ("not passed", "bad"),
-        told["folder"],
+        f"{summary['vehicle']} beside recorded flights",
+        ("passed", "good") if summary["passed"] else ("not passed", "bad"),
+        summary["folder"],
         [
             ("criteria met", f"{met} of {len(rows)}", ""),
-            ("flights compared", f"{told['used']} of {told['flights']}", ""),
-            ("time compared", f"{told['used_s']:.0f}", "s"),
-            ("flights left out in part", str(len(told["cut"])), ""),
+            ("flights compared", f"{summary['used']} of {summary['flights']}", ""),
+            ("time compared", f"{summary['used_s']:.0f}", "s"),
+            ("flights left out in part", str(len(summary["cut"])), ""),
         ],
         [
-            Panel("open_loop", "Open loop", _OPEN_LOOP, figures.open_loop(told)),
-            *([Panel("causes", "Why it did not pass", "", causes)] if told["causes"] else []),
+            Panel("open_loop", "Open loop", _OPEN_LOOP, figures.open_loop(summary)),
+            *([Panel("causes", "Why it did not pass", "", causes)] if summary["causes"] else []),
             Panel("criteria", "Criteria", _CRITERIA, table(head, rows, numbers=(2, 3), row_class=4)),
-            Panel("left_out", "Left out", "What was not compared, and why.", _left_out(told)),
-            Panel("ratios", "Open loop, flight by flight", _RATIOS, figures.ratios(told)),
-            Panel("closed_loop", "Closed loop", _CLOSED_LOOP, figures.closed_loop(told)),
-            Panel("sensing", "Vehicle state", _SENSING, figures.sensing(told)),
-            Panel("flights", "Flights", _FLIGHTS, _flights(told)),
+            Panel("left_out", "Left out", "What was not compared, and why.", _left_out(summary)),
+            Panel("ratios", "Open loop, flight by flight", _RATIOS, figures.ratios(summary)),
+            Panel("closed_loop", "Closed loop", _CLOSED_LOOP, figures.closed_loop(summary)),
+            Panel("sensing", "Vehicle state", _SENSING, figures.sensing(summary)),
+            Panel("flights", "Flights", _FLIGHTS, _flights(summary)),
             Panel("json", "", "", details("Everything as JSON", numbers, "validate.json")),
         ],
     )  # fmt: skip
 
 
-def _left_out(told: Summary) -> str:
+def _left_out(summary: Summary) -> str:
     rows = [
         (each["name"], what, "; ".join(each["reasons"]))
         for key, what in (("left_out", "whole"), ("cut", "parts"))
-        for each in told[key]
+        for each in summary[key]
     ]
     return table(("flight", "what", "reasons"), rows) if rows else "Nothing."
 
 
-def _flights(told: Summary) -> str:
+def _flights(summary: Summary) -> str:
     def both(sides: Summary | None, *path: str) -> str:
         """Recorded / simulated, in mm or ms."""
         if not sides:
@@ -95,7 +95,7 @@ def _flights(told: Summary) -> str:
         return " / ".join(values)
 
     rows = []
-    for one in told["by_flight"]:
+    for one in summary["by_flight"]:
         errors = [h["position_m"]["model"] for h in (one["open_loop"] or {}).get("horizons", [])]
         mm = " / ".join("" if error is None else f"{1000.0 * error:.0f}" for error in errors)
         closed, sensed = one["closed_loop"], one["sensing"]

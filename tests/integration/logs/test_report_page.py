@@ -138,7 +138,7 @@ def test_poor_logs_give_a_page_that_says_so(tmp_path, browse, kind):
     if kind == "bare estimate":
         rows.truth, rows.timing, rows.odometry, rows.events = [], [], [], []
         rows.run.clear()
-        expected = "The log does not say which barrier was flown"
+        expected = "The log does not name the barrier"
     elif kind == "no steps":
         rows.steps = []
         expected = "no controller steps in this log"

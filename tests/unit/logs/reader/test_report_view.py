@@ -180,7 +180,7 @@ def test_the_command_repeats_the_run(written):
     text = repeat_section(flight)
     assert "--scenario scenario.toml --seed 7 --filter robust --lockstep" in text
     assert "--scenario &#39;my odd name&#39;" in text
-    assert "no simulated run of ours" in repeat_section(dataclasses.replace(flight, attachments={}))
+    assert "not the log of a simulated run" in repeat_section(dataclasses.replace(flight, attachments={}))
 
 
 # where the flight is shown, or what the scenario as it was flown has
@@ -207,7 +207,7 @@ def test_every_option_that_changes_a_run_is_in_its_log_and_in_the_command():
 def test_a_log_compared_with_itself_differs_in_nothing(tmp_path):
     log = write_log(tmp_path / "flight.mcap", landing())
     text = write_comparison(log, log).read_text(encoding="utf-8")
-    assert "Nothing that the logs tell of." in text
+    assert "The logs name no setting that differs." in text
     assert "Not drawn" not in text
     assert text.count("<h2>Events of") == 2
 
