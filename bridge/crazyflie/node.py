@@ -72,7 +72,6 @@ _STREAMS: dict[int, tuple[Builder[Vehicle], float | None]] = {
     _M.MAVLINK_MSG_ID_HOME_POSITION: (_home_position, 1.0),
     _M.MAVLINK_MSG_ID_VFR_HUD: (_vfr_hud, None),
 }
-BUILDERS = {id_: builder for id_, (builder, _) in _STREAMS.items()}
 PROFILE = ServerProfile(
     name="crazyflie",
     mark=CRAZYFLIE_MARK,
@@ -80,7 +79,7 @@ PROFILE = ServerProfile(
     | _M.MAV_SYS_STATUS_SENSOR_3D_ACCEL
     | _M.MAV_SYS_STATUS_SENSOR_3D_MAG
     | _M.MAV_SYS_STATUS_SENSOR_BATTERY,
-    rates_hz={id_: hz for id_, (_, hz) in _STREAMS.items() if hz is not None},
+    streams=_STREAMS,
 )
 
 
@@ -101,7 +100,7 @@ class Node(Server[Vehicle]):
                 fixed("MAV_TYPE", dialect.MAV_TYPE_QUADROTOR),
             )
         )
-        super().__init__(Vehicle(rules), PROFILE, parameters, _RATE_HZ, BUILDERS, system_id=system_id)
+        super().__init__(Vehicle(rules), PROFILE, parameters, _RATE_HZ, system_id=system_id)
         self._events: dict[type, Callable[[Any, float], None]] = {
             Connected: self._on_connected,
             Lost: self.vehicle.lost,

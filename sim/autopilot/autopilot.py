@@ -32,7 +32,7 @@ from sim.autopilot.flight import Flight
 from sim.autopilot.ground import degrees_e7, x_of, y_of
 from sim.autopilot.parameters import px4_parameters
 from sim.autopilot.pilot import Goal
-from sim.autopilot.telemetry import BUILDERS, PX4
+from sim.autopilot.telemetry import PX4
 from sim.autopilot.vehicle_like import VehicleLike
 
 _HOME_REACH_M = 100.0  # m from the room's origin
@@ -61,7 +61,7 @@ class Autopilot(Server[Flight]):
         parameters = Parameters(px4_parameters(system_id))
         self.flight = Flight(vehicle, parameters, 1.0 / rate_hz, trim_enu_m_s)
         self._epoch_ns = epoch_ns
-        super().__init__(self.flight, PX4, parameters, rate_hz, BUILDERS, system_id=system_id)
+        super().__init__(self.flight, PX4, parameters, rate_hz, system_id=system_id)
 
     def control(self, now_s: float) -> None:
         """Fly; call it after ``handle`` and before the physics."""

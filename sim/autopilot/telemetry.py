@@ -130,8 +130,6 @@ _STREAMS: dict[int, tuple[Builder[Flight], float | None]] = {
     dialect.MAVLINK_MSG_ID_HOME_POSITION: (_home_position, 0.5),
     dialect.MAVLINK_MSG_ID_ODOMETRY: (_odometry, 5.0),  # PX4's onboard link: 30; costly to pack
 }
-BUILDERS = {id_: builder for id_, (builder, _) in _STREAMS.items()}
-RATES_HZ = {id_: hz for id_, (_, hz) in _STREAMS.items() if hz is not None}
 _SENSORS = (
     dialect.MAV_SYS_STATUS_SENSOR_3D_GYRO
     | dialect.MAV_SYS_STATUS_SENSOR_3D_ACCEL
@@ -139,4 +137,4 @@ _SENSORS = (
     | dialect.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
     | dialect.MAV_SYS_STATUS_SENSOR_BATTERY
 )
-PX4 = ServerProfile(name="px4", mark=SITL_MARK, sensors=_SENSORS, rates_hz=RATES_HZ)
+PX4 = ServerProfile(name="px4", mark=SITL_MARK, sensors=_SENSORS, streams=_STREAMS)

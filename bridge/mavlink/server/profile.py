@@ -6,12 +6,14 @@ the flight stack talks to an autopilot is in ``bridge.mavlink.profiles``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.mavlink.codec.messages import Message
 
 _M = dialect
 
@@ -110,7 +112,9 @@ class ServerProfile:
     name: str
     mark: bytes  # 8 bytes, AUTOPILOT_VERSION.flight_custom_version: which of this project's vehicles it is
     sensors: int  # MAV_SYS_STATUS_SENSOR bits that are always in good order
-    rates_hz: Mapping[int, float]  # default rates by message id; a message that is missing is sent on request
+    # by message id, in the order of a datagram: builder from a snapshot, and default rate, Hz; None: at every
+    # tick or on request
+    streams: Mapping[int, tuple[Callable[[Any], Message], float | None]]
 
     def __deepcopy__(self, memo: dict[int, Any]) -> ServerProfile:
         """Itself: it is constant."""

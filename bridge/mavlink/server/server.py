@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from typing import Any, Generic
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -41,20 +40,15 @@ class Server(ABC, Generic[V]):
         profile: ServerProfile,
         parameters: Parameters,
         rate_hz: float,
-        builders: Mapping[int, Builder[V]],
         *,
         system_id: int = SYSTEM_ID,
     ) -> None:
-        """Set up.
-
-        ``rate_hz`` is the highest rate of any message. ``builders`` are messages that can be streamed, in the
-        order of a datagram.
-        """
+        """Set up; ``rate_hz`` is the highest rate of any message."""
         self.vehicle, self.profile, self.parameters = vehicle, profile, parameters
         self.system_id = system_id
-        self.streams = Streams(rate_hz, builders, profile)
+        self.streams: Streams[V] = Streams(rate_hz, profile)
         requestable: dict[int, Builder[V]] = {
-            **builders,
+            **{id_: builder for id_, (builder, _) in profile.streams.items()},
             dialect.MAVLINK_MSG_ID_HEARTBEAT: heartbeat,
             dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION: autopilot_version,
         }

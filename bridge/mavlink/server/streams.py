@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Generic
 
@@ -36,19 +36,21 @@ class _Stream(Generic[V]):
 class Streams(Generic[V]):
     """Intervals of all messages, and the messages that are due."""
 
-    def __init__(self, rate_hz: float, builders: Mapping[int, Builder[V]], profile: ServerProfile) -> None:
+    def __init__(self, rate_hz: float, profile: ServerProfile) -> None:
         """Set the default rates.
 
-        No request can raise a rate above ``rate_hz``. A datagram has the messages in the order of
-        ``builders``, after attitude and position.
+        No request can raise a rate above ``rate_hz``. A datagram begins with attitude and position.
         """
         self._period_s = 1.0 / rate_hz
         self._hidden: frozenset[int] = frozenset()
         self._default_s = dict.fromkeys(EVERY_TICK, self._period_s)
-        self._default_s |= {id_: max(self._period_s, 1.0 / hz) for id_, hz in profile.rates_hz.items()}
-        order = (*EVERY_TICK, *(id_ for id_ in builders if id_ not in EVERY_TICK))
-        self._streams = {
-            id_: _Stream(id_, builders[id_], self._default_s.get(id_, _OFF), 0.0) for id_ in order
+        streams = profile.streams
+        self._default_s |= {
+            id_: max(self._period_s, 1.0 / hz) for id_, (_, hz) in streams.items() if hz is not None
+        }
+        self._streams: dict[int, _Stream[V]] = {
+            id_: _Stream(id_, streams[id_][0], self._default_s.get(id_, _OFF), 0.0)
+            for id_ in dict.fromkeys((*EVERY_TICK, *streams))
         }
         self._busy: list[_Stream[V]] = []  # at every tick
         self._lazy: list[_Stream[V]] = []  # more rarely

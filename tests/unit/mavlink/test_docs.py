@@ -18,7 +18,7 @@ from flightstack.config.files import load as load_config
 from flightstack.verify.certificate import checks
 from sim.autopilot.flight import STREAM_LOST
 from sim.autopilot.parameters import px4_parameters
-from sim.autopilot.telemetry import BUILDERS, RATES_HZ
+from sim.autopilot.telemetry import PX4
 from sim.autopilot.watches import STATION_LOST
 from sim.plant.params import load
 from sim.px4.airframe import PX4_OF_M, parameters
@@ -98,11 +98,12 @@ def rows(section: str) -> list[list[str]]:
 def rate(message_id: int) -> str:
     if message_id == mav.MAVLINK_MSG_ID_HEARTBEAT:
         return "1 Hz, at once on a change; not settable"
-    if message_id not in BUILDERS:
+    if message_id not in PX4.streams:
         return "on request; not settable"
     if message_id in EVERY_TICK:
         return "every tick"
-    return f"{RATES_HZ[message_id]:g} Hz" if message_id in RATES_HZ else "off"
+    rate_hz = PX4.streams[message_id][1]
+    return f"{rate_hz:g} Hz" if rate_hz is not None else "off"
 
 
 def test_messages() -> None:
