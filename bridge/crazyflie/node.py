@@ -73,7 +73,6 @@ _STREAMS: dict[int, tuple[Builder[Vehicle], float | None]] = {
     _M.MAVLINK_MSG_ID_VFR_HUD: (_vfr_hud, None),
 }
 PROFILE = ServerProfile(
-    name="crazyflie",
     mark=CRAZYFLIE_MARK,
     sensors=_M.MAV_SYS_STATUS_SENSOR_3D_GYRO
     | _M.MAV_SYS_STATUS_SENSOR_3D_ACCEL

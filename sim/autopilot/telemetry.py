@@ -137,4 +137,4 @@ _SENSORS = (
     | dialect.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
     | dialect.MAV_SYS_STATUS_SENSOR_BATTERY
 )
-PX4 = ServerProfile(name="px4", mark=SITL_MARK, sensors=_SENSORS, streams=_STREAMS)
+PX4 = ServerProfile(mark=SITL_MARK, sensors=_SENSORS, streams=_STREAMS)

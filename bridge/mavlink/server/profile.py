@@ -109,7 +109,6 @@ POSITION_SOURCE = _M.MAV_SYS_STATUS_SENSOR_GPS | _M.MAV_SYS_STATUS_SENSOR_VISION
 class ServerProfile:
     """What differs between the PX4-like vehicles of this project."""
 
-    name: str
     mark: bytes  # 8 bytes, AUTOPILOT_VERSION.flight_custom_version: which of this project's vehicles it is
     sensors: int  # MAV_SYS_STATUS_SENSOR bits that are always in good order
     # by message id, in the order of a datagram: builder from a snapshot, and default rate, Hz; None: at every
