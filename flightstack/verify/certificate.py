@@ -2,11 +2,13 @@
 
 ``checks`` proves or refutes each claim of docs/how_it_works/robust_filter.md at its worst point.
 ``problems`` are the refuted claims that are necessary for a landing: the onboard process rejects such a
-configuration. Each filter has its function of checks. The paper's filter has only the paper's checks: it
-guarantees nothing for a vehicle with lag.
+configuration. Each class of filter has its own function of checks: what a subclass flies, nobody has proven.
+The paper's filter has only the paper's checks: it guarantees nothing for a vehicle with lag.
 """
 
 from __future__ import annotations
+
+import math
 
 from flightstack.core.parameters.filters import referred
 from flightstack.core.parameters.flight import FlightConfig
@@ -31,8 +33,21 @@ def checks(config: FlightConfig) -> list[Check]:
     """
     strategy = strategy_class(config.filter)
     strategy.check_config(config)
-    found: list[Check] = referred(strategy.certificate)(config)
+    own = vars(strategy).get("certificate")
+    found: list[Check] = referred(own)(config) if own else [_no_certificate(config.filter)]
     return [*found, *fleet_checks(config)]
+
+
+def _no_certificate(name: str) -> Check:
+    return Check(
+        "certificate",
+        "the class of the filter has a certificate of its own",
+        -math.inf,
+        "",
+        f"{name} has none; that of a class which it extends is not about what it flies",
+        "set the class attribute certificate to MODULE:NAME of a function that returns its checks",
+        Need.PROOF,
+    )
 
 
 def paper_checks(config: FlightConfig) -> list[Check]:

@@ -1,7 +1,7 @@
 """The interface of a safety filter: everything in which one filter differs from another.
 
-A filter must define its barrier, the nominal velocity of the approach, the condition of the touchdown, its
-velocity, and the class attributes ``certificate`` and ``waits_filtered``. It may also estimate
+A filter must define its barrier, the nominal velocity of the approach, the condition of the touchdown and its
+velocity. With the class attribute ``certificate`` it can be proven. It may also estimate
 target and vehicle, detect contact and drift, and correct the set-point; the defaults do none of that. To add
 one, write a class with this interface: ``MODULE:NAME`` selects it (``examples/own_filter.py``).
 ``parameters/filters.py`` has a line for each filter of the package.
@@ -37,7 +37,8 @@ class Strategy(ABC):
 
     Attributes:
         certificate: ``MODULE:NAME`` of the function that returns the checks of a configuration
-            (``FlightConfig -> list[Check]``, flightstack/verify).
+            (``FlightConfig -> list[Check]``, flightstack/verify). It is about what this class flies: a
+            subclass does not inherit it, and has none until it names its own.
         watches_swinging: a vehicle that swings over the pad aborts (``checks.swings_max``).
         waits_filtered: a vehicle found in the air keeps clear of the barrier while it waits.
         rate_1_s: relative rate at which h may fall.
@@ -50,9 +51,9 @@ class Strategy(ABC):
         late: set-points that have no effect yet (dead time).
     """
 
-    certificate: ClassVar[str]
+    certificate: ClassVar[str] = ""
     watches_swinging: ClassVar[bool] = True
-    waits_filtered: ClassVar[bool]
+    waits_filtered: ClassVar[bool] = True
     rate_1_s: float
     acceleration_max_m_s2: Vec3
     contact_speed_max_m_s: float
@@ -180,7 +181,6 @@ def strategy_class(name: str) -> type[Strategy]:
             f"filter: found {name!r}, which is no subclass of flightstack.core.strategies.strategy.Strategy"
         )
     missing = sorted(found.__abstractmethods__)
-    missing += [each for each in ("certificate", "waits_filtered") if not hasattr(found, each)]
     if missing:
         raise ConfigError(f"filter: found {name!r}, which lacks {', '.join(missing)}")
     return found

@@ -18,6 +18,7 @@ from flightstack.core.strategies.strategy import (
 )
 from flightstack.core.types import FilterStatus, Phase
 from flightstack.verify.certificate import checks, problems
+from tests.integration.runs import called
 from tests.point_mass import World
 from tests.unit.core.core_helpers import config
 
@@ -30,6 +31,9 @@ from flightstack.core.strategies.strategy import Strategy
 print("imported")
 class Bare(Strategy):
     certificate = "outside:nothing"
+class Slower(PaperFilter):
+    def approach_m_s(self, at, over_pad):
+        return (0.0, 0.0, -0.5)
 class Picky(PaperFilter):
     certificate = "outside:nothing"
     @staticmethod
@@ -84,7 +88,7 @@ def test_what_is_no_name_is_refused_with_what_is_allowed(name):
         ("examples.own_filter:certificate", "no subclass of flightstack.core.strategies.strategy.Strategy"),
         (
             "flightstack.core.strategies.strategy:Strategy",
-            "lacks .*approach_m_s.*certificate, waits_filtered",
+            "lacks approach_m_s, barrier, descent_m_s, may_touch",
         ),
     ],
 )
@@ -113,8 +117,21 @@ def test_a_filter_in_the_working_folder_is_found_from_the_users_own_file(outside
         with pytest.raises(ConfigError, match="a prime number is needed"):
             use(settings)
     assert capsys.readouterr().out == "imported\n"
-    with pytest.raises(ConfigError, match=r"'outside:Bare', which lacks approach_m_s.*waits_filtered"):
+    with pytest.raises(
+        ConfigError, match=r"'outside:Bare', which lacks approach_m_s, barrier, descent_m_s, may_touch"
+    ):
         strategy_class("outside:Bare")
+
+
+def test_a_subclass_does_not_inherit_the_proof_of_the_class_that_it_extends(outside):
+    look_here("outside:Slower")
+    settings = config("outside:Slower")
+    (found,) = checks(settings)
+    assert (found.name, found.proven) == ("certificate", False)
+    assert problems(settings) == []  # it may fly
+    done = called("check", "paper_static_1", "--filter", "outside:Slower")
+    assert done.code == 1
+    assert "outside:Slower has none" in " ".join(done.out.split())
 
 
 def test_the_working_folder_comes_after_all_that_is_installed(outside):
@@ -134,8 +151,8 @@ def test_a_name_fits_into_a_file_name():
 def test_a_filter_says_itself_what_it_holds_how_it_lands_and_by_which_proof():
     assert Strategy.__abstractmethods__ == {"barrier", "approach_m_s", "descent_m_s", "may_touch"}
     assert Strategy.watches_swinging  # a vehicle that swings over the pad aborts
-    assert not hasattr(Strategy, "certificate")
-    assert not hasattr(Strategy, "waits_filtered")
+    assert not Strategy.certificate
+    assert Strategy.waits_filtered  # the safe default
 
 
 def test_the_cone_lands_and_the_program_holds_it():
