@@ -18,6 +18,7 @@ from flightstack.common.strict_toml import ConfigError, from_table, read_toml
 from flightstack.config import options as shared
 from flightstack.config.files import load, names, path_of
 from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.strategies.strategy import ignored
 from logs.schema.names import member_name
 
 if TYPE_CHECKING:
@@ -55,6 +56,8 @@ def check(options: CheckOptions) -> None:
     else:
         for part in parts:
             _show(f"{options.config}{part.of}, filter {part.filter}", part.checks)
+            for text in part.ignored:
+                click.echo(text)
     sys.exit(PROVEN if all(each.proven for part in parts for each in part.checks) else NOT_PROVEN)
 
 
@@ -65,6 +68,7 @@ class Part(NamedTuple):
     checks: Sequence[Check]
     members: tuple[str, ...] = ()  # vehicles of a team that have it
     of: str = ""  # these, for a title
+    ignored: Sequence[str] = ()  # keys that the filter does not read
 
 
 def _parts(name_or_file: str, name: str | None) -> list[Part]:
@@ -74,7 +78,7 @@ def _parts(name_or_file: str, name: str | None) -> list[Part]:
     config = _configuration(name_or_file)
     if config is not None:
         config = replace(config, filter=name or config.filter)
-        return [Part(config.filter, checks(config))]
+        return [Part(config.filter, checks(config), ignored=ignored(config))]
     from sim.scenarios.team import load as load_scenario
     from sim.vehicle.declared import crowd, declared
 
@@ -83,9 +87,10 @@ def _parts(name_or_file: str, name: str | None) -> list[Part]:
         team = replace(team, member=tuple(each.with_filter(name) for each in team.member))
     configs = [each.onboard for each in team.member]
     if team.is_alone:
-        return [Part(configs[0].filter, [*checks(configs[0]), *declared(team.member[0])])]
+        found = [*checks(configs[0]), *declared(team.member[0])]
+        return [Part(configs[0].filter, found, ignored=ignored(configs[0]))]
     parts = [
-        Part(config.filter, checks(config), members, f" ({', '.join(members)})")
+        Part(config.filter, checks(config), members, f" ({', '.join(members)})", ignored(config))
         for config, members in _alike(configs)
     ]
     if all(config.fleet is not None for config in configs):
@@ -131,6 +136,7 @@ def _as_json(name: str, parts: Sequence[Part]) -> dict[str, object]:
         "config": name,
         "filter": parts[0].filter,
         "proven": all(result.proven for result in every),
+        "ignored": [text for part in parts for text in part.ignored],
         "flies": all(result.proven for result in every if result.need.value == "flight"),
     }
     rows = [{"members": part.members, "checks": [_row(result) for result in part.checks]} for part in parts]

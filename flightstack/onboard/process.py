@@ -21,6 +21,7 @@ from flightstack.core.controller import ERROR, WARN, Controller, Outputs, state_
 from flightstack.core.memory import Memory
 from flightstack.core.mission.phases import DISARMED, MODE_CHANGED
 from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.strategies.strategy import ignored
 from flightstack.core.types import Operator, Phase, VehicleStatus
 from flightstack.onboard import preflight
 from flightstack.onboard.fleet_wire import FleetWire, NoFleet, namespace_of
@@ -227,6 +228,8 @@ def run(
         if onboard.log_file is not None:
             say(f"log {onboard.log_file}")
         say(f"core {onboard.core.value}")
+        for text in ignored(config):
+            say(text)
         say("ready")
         sys.stdout.flush()
         if not options.lockstep:  # only the simulator runs in lockstep, and its parameters are known

@@ -8,6 +8,7 @@ until it may go down in one go, and goes around when it is going to miss the pad
 from __future__ import annotations
 
 import math
+from types import MappingProxyType
 
 from flightstack.core.numeric import hypot, rare
 from flightstack.core.parameters.flight import FlightConfig
@@ -33,6 +34,13 @@ class RobustFilter(Strategy):
     """Eq. 11 with estimates, margin, lag correction, and a landing that goes around."""
 
     certificate = "flightstack.verify.certificate:robust_checks"
+    ignores = MappingProxyType(
+        {
+            "barrier.omega_1_s": "robust.rate_1_s",
+            "limits.slew_max_m_s2": "robust.acceleration_max_m_s2",
+            "touchdown.descent_m_s": "robust.descent_m_s",
+        }
+    )
     waits_filtered = True
 
     brakes_m_s2: float

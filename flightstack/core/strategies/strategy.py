@@ -11,6 +11,9 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import fields
+from types import MappingProxyType
 from typing import ClassVar
 
 from flightstack.common.strict_toml import ConfigError
@@ -40,6 +43,7 @@ class Strategy(ABC):
             (``FlightConfig -> list[Check]``, flightstack/verify). It is about what this class flies: a
             subclass does not inherit it, and has none until it names its own.
         watches_swinging: a vehicle that swings over the pad aborts (``checks.swings_max``).
+        ignores: keys of the configuration that it does not read, and the key that it reads in their place.
         waits_filtered: a vehicle found in the air keeps clear of the barrier while it waits.
         rate_1_s: relative rate at which h may fall.
         acceleration_max_m_s2: largest change of the commanded velocity, on each axis.
@@ -53,6 +57,7 @@ class Strategy(ABC):
 
     certificate: ClassVar[str] = ""
     watches_swinging: ClassVar[bool] = True
+    ignores: ClassVar[Mapping[str, str]] = MappingProxyType({})
     waits_filtered: ClassVar[bool] = True
     rate_1_s: float
     acceleration_max_m_s2: Vec3
@@ -183,6 +188,18 @@ def strategy_class(name: str) -> type[Strategy]:
     missing = sorted(found.__abstractmethods__)
     if missing:
         raise ConfigError(f"filter: found {name!r}, which lacks {', '.join(missing)}")
+    return found
+
+
+def ignored(config: FlightConfig) -> list[str]:
+    """Keys that were changed, though the filter does not read them: a sentence each."""
+    found = []
+    for key, read in strategy_class(config.filter).ignores.items():
+        table, _, name = key.partition(".")
+        section = getattr(config, table)
+        (default,) = (each.default for each in fields(section) if each.name == name)
+        if getattr(section, name) != default:
+            found.append(f"{config.filter} ignores {key}; it reads {read}")
     return found
 
 

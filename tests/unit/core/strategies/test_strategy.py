@@ -12,6 +12,7 @@ from flightstack.config.files import load
 from flightstack.core.parameters.filters import FILTERS, look_here, named, short_name
 from flightstack.core.strategies.strategy import (
     Strategy,
+    ignored,
     packaged_strategy_of,
     strategy_class,
     strategy_of,
@@ -132,6 +133,30 @@ def test_a_subclass_does_not_inherit_the_proof_of_the_class_that_it_extends(outs
     done = called("check", "paper_static_1", "--filter", "outside:Slower")
     assert done.code == 1
     assert "outside:Slower has none" in " ".join(done.out.split())
+
+
+USUAL = {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}, "limits": {}, "touchdown": {}}
+OTHERS = {
+    "barrier.omega_1_s": {"alpha_1_m": 1.0, "beta_m": 1.5, "omega_1_s": 0.4},
+    "limits.slew_max_m_s2": {"slew_max_m_s2": [3.0, 3.0, 3.0]},
+    "touchdown.descent_m_s": {"descent_m_s": 0.3},
+}
+
+
+@pytest.mark.parametrize("key", strategy_class("robust").ignores)
+def test_a_key_that_the_filter_does_not_read_is_named_and_changes_nothing(key):
+    table = key.partition(".")[0]
+    changed = config("robust", **{table: OTHERS[key]})
+    (text,) = ignored(changed)
+    assert text.startswith(f"robust ignores {key}; it reads robust.")
+    assert ignored(config("robust")) == []
+    flown = [
+        World(settings, solid_pad=True) for settings in (changed, config("robust", **{table: USUAL[table]}))
+    ]
+    for world in flown:
+        world.run(20.0)
+    wanted = [[(out.phase, out.wanted) for out in world.outputs] for world in flown]
+    assert wanted[0] == wanted[1]
 
 
 def test_the_working_folder_comes_after_all_that_is_installed(outside):
