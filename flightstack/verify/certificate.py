@@ -60,6 +60,7 @@ def paper_checks(config: FlightConfig) -> list[Check]:
         paper.slews(config, config.limits.slew_max_m_s2, "limits.slew_max_m_s2"),
         paper.lags(config),
         *paper.answers(config),
+        touchdown.modelled(config),
         ends.reaches_touchdown(config),
         ends.contact(config, config.touchdown.descent_m_s, "touchdown.descent_m_s"),
         ends.notices(config),
