@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from contextlib import ExitStack
 
 import click
 
@@ -63,16 +62,10 @@ def onboard(options: OnboardOptions) -> None:
     from flightstack.common.processes import LaunchError
     from flightstack.config.files import load
     from flightstack.onboard import process
-    from flightstack.onboard.recording import OwnRecorder
 
-    with ExitStack() as stack:
-        records = options.recorder is None and not options.no_record
-        own = stack.enter_context(OwnRecorder()) if records else None
-        try:
-            ended = process.run(load(options.config_file), options, say, own)
-        except LaunchError as error:
-            raise LaunchError(f"{error}; --no-record flies without a log") from error
+    try:
+        ended = process.run(load(options.config_file), options, say)
+    except LaunchError as error:
+        raise LaunchError(f"{error}; --no-record flies without a log") from error
     say(f"{ended.phase.name}: {ended.reason}")
-    if own is not None and own.problem is not None:
-        click.echo(f"onboard: WARNING: {own.problem}", err=True)
     sys.exit(ended.exit_code)

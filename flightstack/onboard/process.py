@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 from bridge.mavlink.client.companion import Origin
@@ -29,7 +30,7 @@ from flightstack.onboard.leaving import Ended, Leaving, Signals
 from flightstack.onboard.live_topics import LiveHealth
 from flightstack.onboard.lockstep import LockstepWires, LockstepWords
 from flightstack.onboard.log import OnboardLog
-from flightstack.onboard.recording import OwnRecorder
+from flightstack.onboard.recording import own_recorder
 from flightstack.onboard.runner import (
     LinkedVehicle,
     LiveTarget,
@@ -58,8 +59,9 @@ class Onboard:
         config: FlightConfig,
         options: OnboardOptions,
         say: Callable[[str], None],
-        own_recorder: OwnRecorder | None = None,
+        records: ExitStack | None = None,
     ) -> None:
+        """Open the links, and a recorder where the options name none; ``records`` ends it; None: none."""
         self.options, self.config, self.say = options, config, say
         self.namespace = options.namespace or namespace_of(config)
         rate_hz = config.loop.rate_hz
@@ -91,9 +93,9 @@ class Onboard:
         )
         self.log_file: Path | None = None
         recorder = options.recorder
-        if recorder is None and own_recorder is not None:
+        if recorder is None and records is not None and not options.no_record:
             plugged = {"vehicle": options.vehicle_url, "target": options.target_key}
-            recorder, self.log_file = own_recorder.start(config, plugged)
+            recorder, self.log_file = records.enter_context(own_recorder(config, plugged))
         socket = str(recorder) if recorder is not None else None
         self.names = Names(self.namespace, options.system_id) if options.shared_log else OWN
         self.feed = Feed.connect(socket, self.names.logger(ONBOARD), lossless=options.lockstep)
@@ -201,12 +203,7 @@ def _warn(text: str) -> None:
     print(f"onboard: WARNING: {text}", file=sys.stderr)
 
 
-def run(
-    config: FlightConfig,
-    options: OnboardOptions,
-    say: Callable[[str], None] = print,
-    own_recorder: OwnRecorder | None = None,
-) -> Ended:
+def run(config: FlightConfig, options: OnboardOptions, say: Callable[[str], None] = print) -> Ended:
     """Fly until landed, aborted, ended by the operator, or out of time.
 
     Raises ConfigError: the configuration must not fly; ValueError: a URL, endpoint or key that is not
@@ -220,8 +217,9 @@ def run(
     found = problems(config)
     if found:
         raise ConfigError("refused before take-off: " + "; ".join(found))
-    onboard = Onboard(config, options, say, own_recorder)  # a signal until here calls the flight off
-    try:
+    with ExitStack() as records:
+        onboard = Onboard(config, options, say, records)  # a signal until here calls the flight off
+        records.callback(onboard.close)
         signals = Signals()
         for warning in onboard.link.endpoint.warnings:
             _warn(warning)
@@ -241,8 +239,6 @@ def run(
         quiet_garbage_collector()
         leaving, vehicle = _Leaving(onboard, signals), LinkedVehicle(onboard.link, lockstep=options.lockstep)
         return fly(_runner(onboard, vehicle, leaving, signals), vehicle, leaving, onboard.failed)
-    finally:
-        onboard.close()
 
 
 def _check_speed(options: OnboardOptions) -> None:

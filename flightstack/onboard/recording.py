@@ -5,11 +5,13 @@ from __future__ import annotations
 import platform
 import shutil
 import subprocess
-from collections.abc import Mapping
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
-from types import MappingProxyType, TracebackType
+from types import MappingProxyType
 from typing import NamedTuple
 
 from flightstack.common.processes import CLOSE_TIME_MAX_S, Child, socket_folder
@@ -67,38 +69,26 @@ def end_recorder(recorder: Child) -> str | None:
     return f"record did not end in order: {recorder.errors() or 'no reason given'}"
 
 
-class OwnRecorder:
-    """Context manager with the recorder of an onboard process without ``--recorder``: a child process."""
+@contextmanager
+def own_recorder(config: FlightConfig, run: Mapping[str, str]) -> Iterator[tuple[Path, Path]]:
+    """Record into a log in a new folder of ``runs``; yields socket and log, and warns of an incomplete log.
 
-    def __init__(self) -> None:
-        self.problem: str | None = None  # reason of an incomplete log; known when the context has ended
-        self._child: Child | None = None
-        self._sockets: Path | None = None
-
-    def start(self, config: FlightConfig, run: Mapping[str, str]) -> tuple[Path, Path]:
-        """Start it, with a log in a new folder of ``runs``; its socket and the log.
-
-        ``config``: of the onboard process; ``run``: what is known of the run, for the log.
-        Raises LaunchError: it did not start.
-        """
-        self._sockets = socket_folder()
-        socket, log = self._sockets / "recorder", log_in(new_folder("onboard"))
-        self._child = start_recorder(socket, log)
-        self._child.yield_to_others(10)
-        describe(socket, Described(config, run))
-        return socket, log
-
-    def __enter__(self) -> OwnRecorder:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        del kind, error, trace
-        if self._child is not None:
-            self.problem = end_recorder(self._child)
-        if self._sockets is not None:
-            shutil.rmtree(self._sockets, ignore_errors=True)
+    ``config``: of the onboard process; ``run``: what is known of the run, for the log.
+    Raises LaunchError: the recorder did not start.
+    """
+    sockets = socket_folder()
+    try:
+        socket, log = sockets / "recorder", log_in(new_folder("onboard"))
+        recorder = start_recorder(socket, log)
+        try:
+            recorder.yield_to_others(10)
+            describe(socket, Described(config, run))
+            yield socket, log
+        finally:
+            if problem := end_recorder(recorder):
+                print(f"onboard: WARNING: {problem}", file=sys.stderr)
+    finally:
+        shutil.rmtree(sockets, ignore_errors=True)
 
 
 class Described(NamedTuple):
