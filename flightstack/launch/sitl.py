@@ -35,7 +35,7 @@ from flightstack.launch.vehicles import (
     others_s,
     scenario_file,
 )
-from flightstack.onboard.recording import Described, describe, log_in, new_folder
+from flightstack.onboard.recording import Described, describe, end_recorder, log_in, new_folder
 from flightstack.verify.certificate import problems
 from logs.schema.names import NO_PAD, TEAM, Names, member_name
 from sim.chance import name as seed_name
@@ -207,8 +207,7 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
     )  # fmt: skip
     wall_s = time.monotonic() - started
     launcher.end_all()
-    if problem is None and recorder.process.returncode != 0:  # it may end after the flight
-        problem = f"record did not end in order: {recorder.errors() or 'no reason given'}"
+    problem = problem or end_recorder(recorder)  # it may end after the flight
     about = {"scenario": team.name, "seed": options.seed, "filter": filters}
     return Flown(about, launcher.folder, log, wall_s, flights, problem, launcher.interrupted)
 

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from operator import attrgetter
 from typing import NamedTuple
 
 from bridge.mavlink.client.link import VehicleLink
@@ -163,20 +164,13 @@ class _Pace:
         return self._longest_s
 
 
-class _Bound(NamedTuple):
-    """Which setting ends a phase, and what happens then."""
-
-    setting: str
-    limit_s: Callable[[FlightConfig], float]
-    then: str
-
-
-# Phases in which a silent vehicle is borne; any other is left at once.
-_BOUNDS: Mapping[Phase, _Bound] = {
-    Phase.WAIT: _Bound("checks.wait_time_max_s", lambda c: c.checks.wait_time_max_s, "gives up"),
-    Phase.HOLD: _Bound("checks.hold_time_s", lambda c: c.checks.hold_time_s, "aborts"),
-    Phase.TOUCHDOWN: _Bound("touchdown.timeout_s", lambda c: c.touchdown.timeout_s, "aborts"),
-    Phase.ABORT: _Bound("retreat.abort_time_max_s", lambda c: c.retreat.abort_time_max_s, "ends"),
+# Phases in which a silent vehicle is borne: the setting that ends each, and what happens then. Any other one
+# ends at once.
+_BOUNDS: Mapping[Phase, tuple[str, str]] = {
+    Phase.WAIT: ("checks.wait_time_max_s", "gives up"),
+    Phase.HOLD: ("checks.hold_time_s", "aborts"),
+    Phase.TOUCHDOWN: ("touchdown.timeout_s", "aborts"),
+    Phase.ABORT: ("retreat.abort_time_max_s", "ends"),
 }
 
 
@@ -185,11 +179,11 @@ def countdown(config: FlightConfig, phase: Phase, in_phase_s: float) -> str:
 
     ``in_phase_s``: seconds since the phase began.
     """
-    bound = _BOUNDS.get(phase)
-    if bound is None:
+    if phase not in _BOUNDS:
         return ""
-    left_s = max(0.0, bound.limit_s(config) - in_phase_s)
-    return f"{bound.then} within {left_s:.0f} s ({bound.setting})"
+    setting, then = _BOUNDS[phase]
+    left_s = max(0.0, attrgetter(setting)(config) - in_phase_s)
+    return f"{then} within {left_s:.0f} s ({setting})"
 
 
 class WaitReport:
