@@ -10,6 +10,7 @@ The seed is flown again by another worker; if that one dies, too, it is a row of
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import hashlib
 import multiprocessing
@@ -117,7 +118,8 @@ class _Worker:
 
     def give(self, seed: int) -> None:
         self.seed, self.since_s = seed, time.monotonic()
-        self.pipe.send(seed)
+        with contextlib.suppress(OSError):  # it has just died, which its pipe says next
+            self.pipe.send(seed)
 
     def end(self) -> None:
         self.pipe.close()
@@ -169,58 +171,38 @@ class Workers:
             worker.end()
         self._workers.clear()
 
-    @property
-    def pids(self) -> list[int]:
-        """Process ids of the workers, for tests that kill them."""
-        return [worker.process.pid for worker in self._workers if worker.process.pid is not None]
-
     def fly(self, seeds: Iterable[int]) -> Iterator[Row]:
         """Yield the rows of these seeds as they come, in any order.
 
         Raises WorkersError: workers end before they fly anything.
         """
         waiting = deque(seeds)
-        while waiting or any(worker.seed is not None for worker in self._workers):
+        while waiting or self._busy():
             while len(self._workers) < min(self._number, self._busy() + len(waiting)):
                 self._workers.append(_Worker(self._scenario_toml, [worker.pipe for worker in self._workers]))
-            pipes = {worker.pipe: worker for worker in self._workers}
-            ends = {worker.process.sentinel: worker for worker in self._workers}
-            happened: list[Any] = wait([*pipes, *ends], _LOOK_S)
-            for thing in happened:
-                worker = pipes.get(thing)
-                if worker is None or worker not in self._workers:
-                    continue
-                row = self._take(worker)
-                if row is not None:
+            pipes: dict[Any, _Worker] = {worker.pipe: worker for worker in self._workers}
+            for pipe in wait(list(pipes), _LOOK_S):
+                if (row := self._heard(pipes[pipe], waiting)) is not None:
                     yield row
-            for worker in [w for w in self._workers if not w.process.is_alive() or self._too_slow(w)]:
-                row = self._bury(worker, waiting)
-                if row is not None:
+            for worker in [each for each in self._workers if self._too_slow(each)]:
+                if (row := self._bury(worker, waiting)) is not None:
                     yield row
             for worker in self._workers:
                 if worker.ready and worker.seed is None and waiting:
-                    self._hand_over(worker, waiting)
+                    worker.give(waiting.popleft())
 
     def _busy(self) -> int:
         return sum(worker.seed is not None for worker in self._workers)
 
-    def _take(self, worker: _Worker) -> Row | None:
-        """Receive from a worker; nothing if it died."""
+    def _heard(self, worker: _Worker, waiting: deque[int]) -> Row | None:
+        """Receive from a worker, or bury it: no other process has its end of the pipe."""
         try:
             row: Row | None = worker.pipe.recv()
         except (EOFError, OSError):
             worker.process.join(_END_S)
-            return None
+            return self._bury(worker, waiting)
         worker.ready, worker.seed, self._starts_failed = True, None, 0
         return row
-
-    def _hand_over(self, worker: _Worker, waiting: deque[int]) -> None:
-        seed = waiting.popleft()
-        try:
-            worker.give(seed)
-        except OSError:  # it has just died
-            worker.process.join(_END_S)
-            worker.seed = seed
 
     def _too_slow(self, worker: _Worker) -> bool:
         limit_s = self._limit_s if worker.ready else START_S
@@ -229,29 +211,21 @@ class Workers:
 
     def _bury(self, worker: _Worker, waiting: deque[int]) -> Row | None:
         """Remove a dead or hung worker; its seed is flown again, or given up."""
-        hung = worker.process.is_alive()
-        row = None
-        while not hung and worker.pipe.poll():  # rows that it sent before it died count
-            found = self._take(worker)
-            if found is None:
-                break
-            row = found
+        hung, seed = worker.process.is_alive(), worker.seed
         worker.end()
         self._workers.remove(worker)
-        if worker.seed is None:
-            if not worker.ready:
-                self._starts_failed += 1
-                if self._starts_failed >= STARTS_MAX:
-                    code = worker.process.exitcode
-                    raise WorkersError(
-                        f"{STARTS_MAX} workers in a row ended before they were ready (exit status {code}); "
-                        "is the machine out of memory? Try fewer --workers"
-                    )
-            return row
-        seed = worker.seed
+        code = worker.process.exitcode
+        if seed is None:
+            self._starts_failed += not worker.ready
+            if self._starts_failed >= STARTS_MAX:
+                raise WorkersError(
+                    f"{STARTS_MAX} workers in a row ended before they were ready (exit status {code}); "
+                    "is the machine out of memory? Try fewer --workers"
+                )
+            return None
         self._deaths[seed] += 1
         if self._deaths[seed] < DEATHS_MAX:
             waiting.appendleft(seed)
             return None
-        what = "did not end" if hung else f"ended its worker (exit status {worker.process.exitcode})"
+        what = "did not end" if hung else f"ended its worker (exit status {code})"
         return error_row(seed, f"{what} {DEATHS_MAX} times")
