@@ -119,15 +119,11 @@ def _configuration(name_or_file: str) -> FlightConfig | None:
 
 def _alike(configs: Sequence[FlightConfig]) -> list[tuple[FlightConfig, tuple[str, ...]]]:
     """Configurations that differ in more than the id, each with the vehicles that have it."""
-    alike: list[tuple[FlightConfig, FlightConfig, list[str]]] = []
+    alike: dict[FlightConfig, tuple[FlightConfig, list[str]]] = {}
     for number, config in enumerate(configs, 1):
-        fleet = None if config.fleet is None else replace(config.fleet, id=min(config.fleet.members))
-        same = replace(config, fleet=fleet)
-        members = next((members for other, _, members in alike if other == same), None)
-        if members is None:
-            alike.append((same, config, members := []))
-        members.append(member_name(number))
-    return [(config, tuple(members)) for _, config, members in alike]
+        fleet = config.fleet and replace(config.fleet, id=min(config.fleet.members))
+        alike.setdefault(replace(config, fleet=fleet), (config, []))[1].append(member_name(number))
+    return [(config, tuple(members)) for config, members in alike.values()]
 
 
 def _as_json(name: str, parts: Sequence[Part]) -> dict[str, object]:
