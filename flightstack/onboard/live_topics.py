@@ -10,7 +10,7 @@ import math
 
 from bridge.mavlink.client.vehicle_state import Battery
 from bridge.ros2.ros2_node import Ros2Node, Ros2Publisher
-from bridge.zenoh import zenoh_link
+from bridge.zenoh.zenoh_link import Session
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Outputs
 from logs.derive.derive import STEP_SUFFIX, Deriver
@@ -29,7 +29,6 @@ from logs.schema.schemas import (
     type_hash,
 )
 
-HEALTH_HZ = 5.0
 BATTERY_AGE_MAX_S = 5.0  # SYS_STATUS comes once a second or more often; an older voltage is none
 FLOAT64 = "std_msgs/msg/Float64"
 PLAIN_HZ = 20.0  # rate of h, phase and step; the topics for viewers have their own rates
@@ -43,26 +42,6 @@ _DERIVED = {
     "/cmd/velocity": TWIST_STAMPED,
     "/cbf/markers": MARKER_ARRAY,
 }
-
-
-class LiveHealth:
-    """Publishes ``NAMESPACE/health``; nothing depends on it."""
-
-    def __init__(self, session: zenoh_link.Session, namespace: str, rate_hz: int) -> None:
-        self._every = max(1, round(rate_hz / HEALTH_HZ))
-        self._publisher = zenoh_link.dropping_publisher(
-            session, f"{namespace}/health", f"application/cdr;{HEALTH}"
-        )
-
-    def show(
-        self, tick: Tick, out: Outputs, reason: str, battery: Battery | None, dropped: int
-    ) -> bytes | None:
-        """Publish now and then, and at the end; returns what was published."""
-        if tick.number % self._every != 0 and not out.finished:
-            return None
-        payload = health_row(tick, out, reason, battery, dropped).pack()
-        self._publisher.put(payload)
-        return payload
 
 
 def health_row(tick: Tick, out: Outputs, reason: str, battery: Battery | None, dropped: int) -> HealthRow:
@@ -106,7 +85,7 @@ class LiveRos2:
     Raises ValueError: a namespace or domain that ROS 2 does not allow.
     """
 
-    def __init__(self, session: zenoh_link.Session, domain: int, namespace: str, rate_hz: int) -> None:
+    def __init__(self, session: Session, domain: int, namespace: str, rate_hz: int) -> None:
         space = f"/{namespace}"
         self._node = Ros2Node(session, NODE, domain=domain, namespace=space)
         self._derive = Deriver(space + STEP_SUFFIX)

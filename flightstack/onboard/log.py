@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from bridge.mavlink.client.vehicle_state import Battery
 from bridge.mavlink.endpoint import Direction
 from bridge.mavlink.transport.address import Peer
 from bridge.target.odometry import RawSample
@@ -11,6 +12,7 @@ from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Outputs
 from flightstack.core.memory import FleetState, State
+from flightstack.onboard.live_topics import health_row
 from flightstack.onboard.runner import Taken
 from flightstack.onboard.state_text import StateText
 from logs.recorder.feed import Feed
@@ -39,6 +41,7 @@ from logs.schema.schemas import (
 )
 
 STATUS_HZ = 20.0  # rate of the live topics
+HEALTH_HZ = 5.0  # rate of the live health
 STATE_HZ = 1.0  # rate of the snapshots at which a replay can start
 TIMESYNC_ID = 111  # low byte of the message id, which is at offset 7 of a MAVLink 2 frame
 
@@ -95,6 +98,8 @@ class OnboardLog:
         self._live_timing = zenoh_link.dropping_publisher(
             session, f"{namespace}/loop/timing", encoding + "LoopTiming"
         )
+        self._live_health = zenoh_link.dropping_publisher(session, f"{namespace}/health", encoding + "Health")
+        self._health_every = max(1, round(rate_hz / HEALTH_HZ))
 
     def tap(self, direction: Direction, frame: bytes, peer: Peer) -> None:
         """Keep a MAVLink frame until its tick is known; the endpoint's tap."""
@@ -163,6 +168,16 @@ class OnboardLog:
         """Write what this vehicle said to the others of its fleet, as it went out; None: nothing."""
         if self._word is not None and payload is not None:
             self._feed.write(self._word, tick.unix_ns, tick.unix_ns, tick.number, payload)
+
+    def health(
+        self, tick: Tick, out: Outputs, reason: str, battery: Battery | None, dropped: int
+    ) -> bytes | None:
+        """Publish the health, which the log does not have, now and then and at the end; return it."""
+        if tick.number % self._health_every != 0 and not out.finished:
+            return None
+        payload = health_row(tick, out, reason, battery, dropped).pack()
+        self._live_health.put(payload)
+        return payload
 
     def timing(self, tick: Tick, out: Outputs, exec_s: float, dropped: int) -> None:
         """Write the timing of the tick; publish it and the last step, at ``STATUS_HZ``."""

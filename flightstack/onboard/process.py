@@ -27,7 +27,6 @@ from flightstack.core.types import Operator, Phase, VehicleStatus
 from flightstack.onboard import preflight
 from flightstack.onboard.fleet_wire import FleetWire, NoFleet, namespace_of
 from flightstack.onboard.leaving import Ended, Leaving, Signals
-from flightstack.onboard.live_topics import LiveHealth
 from flightstack.onboard.lockstep import LockstepWires, LockstepWords
 from flightstack.onboard.log import OnboardLog
 from flightstack.onboard.recording import own_recorder
@@ -104,7 +103,6 @@ class Onboard:
             self.feed, self.wires.session, self.namespace, rate_hz, options.lockstep,
             reserve=config.reserve is not None, state=state_class(config), names=self.names,
         )  # fmt: skip
-        self.health = LiveHealth(self.wires.session, self.namespace, rate_hz)
         self.link.endpoint.tap = self.log.tap
         lockstep = options.lockstep  # there wall time has no part in what is said
         self.waiting = WaitReport(config, options.system_id, self.link, self.wires, searches=not lockstep)
@@ -140,7 +138,7 @@ class Onboard:
             self.cause = f"; {self.waiting.cause(tick.now_s)}"
             self.log.event(tick.unix_ns, ERROR, CAUSE + self.cause[2:])
         why = memory.reason + self.cause
-        health = self.health.show(tick, out, why, link.state.battery, self.feed.dropped)
+        health = self.log.health(tick, out, why, link.state.battery, self.feed.dropped)
         self.wires.show(tick, out, row, health)
         if out.transition is not None and out.transition.after is not out.transition.before:
             self.say(out.transition.told(tick.now_s) + self.cause)
