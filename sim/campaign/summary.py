@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
@@ -21,6 +21,12 @@ from sim.campaign.rows import ERROR, Row
 
 CONFIDENCE = 0.95
 WORST_MAX = 10
+_QUANTILES = {
+    "touchdown_error_m": {"median": 0.5, "p95": 0.95},
+    "touchdown_speed_vertical_m_s": {"p95": 0.95},
+    "touchdown_speed_horizontal_m_s": {"p95": 0.95},
+    "time_to_land_s": {"median": 0.5},
+}
 _RANK = {ERROR: 0, Outcome.CRASHED: 1, Outcome.TIMEOUT: 3, Outcome.ABORTED: 4, Outcome.LANDED: 5}
 _VIOLATED_RANK = 2
 
@@ -57,9 +63,9 @@ def upper_bound(events: int, runs: int, confidence: float = CONFIDENCE) -> float
     return 1.0 if events == runs else float(betaincinv(events + 1, runs - events, confidence))
 
 
-def quantile(rows: Sequence[Row], value: Callable[[Row], float | None], share: float) -> float | None:
-    """Quantile of a value over the landings that landed; None without any."""
-    known = [v for row in rows if row.landed and (v := value(row)) is not None]
+def quantile(rows: Sequence[Row], column: str, share: float) -> float | None:
+    """Quantile of a column over the landings that landed; None without any."""
+    known = [v for row in rows if row.landed and (v := getattr(row, column)) is not None]
     return float(np.quantile(known, share)) if known else None
 
 
@@ -80,17 +86,10 @@ def summary(rows: Sequence[Row], command: str, *, wall_s: float, flown_s: float)
         "violations": counts.violations,
         "upper_95_violation_rate": upper_bound(counts.violations, counts.runs),
         "h_min_outside_pad_m": min(lowest, default=None),
-        "touchdown_error_m": {
-            "median": quantile(rows, lambda r: r.touchdown_error_m, 0.5),
-            "p95": quantile(rows, lambda r: r.touchdown_error_m, 0.95),
+        **{
+            column: {name: quantile(rows, column, share) for name, share in shares.items()}
+            for column, shares in _QUANTILES.items()
         },
-        "touchdown_speed_vertical_m_s": {
-            "p95": quantile(rows, lambda r: r.touchdown_speed_vertical_m_s, 0.95)
-        },
-        "touchdown_speed_horizontal_m_s": {
-            "p95": quantile(rows, lambda r: r.touchdown_speed_horizontal_m_s, 0.95)
-        },
-        "time_to_land_s": {"median": quantile(rows, lambda r: r.time_to_land_s, 0.5)},
         **_of_teams(rows),
         "wall_s": wall_s,
         "realtime_factor": flown_s / wall_s if flown_s > 0.0 and wall_s > 0.0 else None,
@@ -253,24 +252,14 @@ def misses(tier: Tier, rows: Sequence[Row], paper: Sequence[Row] | None) -> list
         found.append(
             f"violations: {counts.violations} of {n}, at most {100.0 * limits.violations_max:g} % allowed"
         )
-    ask(
-        "touchdown error, median",
-        quantile(rows, lambda r: r.touchdown_error_m, 0.5),
-        limits.error_m[0],
-        "cm",
-        100.0,
-    )
-    ask(
-        "touchdown error, 95 %",
-        quantile(rows, lambda r: r.touchdown_error_m, 0.95),
-        limits.error_m[1],
-        "cm",
-        100.0,
-    )
-    vertical = quantile(rows, lambda r: r.touchdown_speed_vertical_m_s, 0.95)
-    ask("touchdown speed, vertical, 95 %", vertical, limits.vertical_m_s, "m/s")
-    horizontal = quantile(rows, lambda r: r.touchdown_speed_horizontal_m_s, 0.95)
-    ask("touchdown speed, horizontal, 95 %", horizontal, limits.horizontal_m_s, "m/s")
+    for name, column, share, most in (
+        ("touchdown error, median", "touchdown_error_m", 0.5, limits.error_m[0]),
+        ("touchdown error, 95 %", "touchdown_error_m", 0.95, limits.error_m[1]),
+        ("touchdown speed, vertical, 95 %", "touchdown_speed_vertical_m_s", 0.95, limits.vertical_m_s),
+        ("touchdown speed, horizontal, 95 %", "touchdown_speed_horizontal_m_s", 0.95, limits.horizontal_m_s),
+    ):
+        unit, scale = ("cm", 100.0) if column == "touchdown_error_m" else ("m/s", 1.0)
+        ask(name, quantile(rows, column, share), most, unit, scale)
     if limits.slower_max is not None:
         ask(
             "median time to land over that of the paper's filter", _slower(rows, paper), limits.slower_max, ""
@@ -279,6 +268,6 @@ def misses(tier: Tier, rows: Sequence[Row], paper: Sequence[Row] | None) -> list
 
 
 def _slower(rows: Sequence[Row], paper: Sequence[Row] | None) -> float | None:
-    own = quantile(rows, lambda r: r.time_to_land_s, 0.5)
-    other = quantile(paper, lambda r: r.time_to_land_s, 0.5) if paper is not None else None
+    own = quantile(rows, "time_to_land_s", 0.5)
+    other = quantile(paper, "time_to_land_s", 0.5) if paper is not None else None
     return own / other if own is not None and other else None
