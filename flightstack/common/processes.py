@@ -168,8 +168,7 @@ class Child:
             raise
         hung, code = self.process.poll() is None, self.end()
         why = f"not ready after {worked_s:.0f} s of processor time, and {START_TIME_MAX_S:g} s without any"
-        said = (self.errors() if not hung else why) or "no reason given"
-        raise LaunchError(f"{self.name} did not start: {said}", code)
+        raise LaunchError(f"{self.name} did not start: {why if hung else self.errors()}", code)
 
     def lines(self, timeout_s: float) -> list[str]:
         """Complete lines of output that arrived within the time."""
@@ -184,7 +183,8 @@ class Child:
 
     def errors(self) -> str:
         """Last lines of its standard error."""
-        return "\n".join(self.output.read_text(errors="replace").strip().splitlines()[-5:])
+        lines = self.output.read_text(errors="replace").strip().splitlines()[-5:]
+        return "\n".join(lines) or "no reason given"
 
     def alive(self) -> bool:
         return self.process.poll() is None

@@ -59,7 +59,6 @@ class Followed:
     name: str = ""  # prefix of its lines where there are several; empty: the only one
     last_line: str = ""  # newest line of the process
     aborted: bool = False  # whether it aborted, so that the autopilot lands, or failed
-    problem: str | None = None  # reason of a failure; None: none
 
 
 class Launcher:
@@ -204,7 +203,7 @@ class Launcher:
                 for child in [c for c in others if not c.alive()]:
                     # a safe end does not need it: the onboard process holds, climbs or lands away
                     others.remove(child)
-                    problem = f"{child.name} ended in flight: {child.errors() or 'no reason given'}"
+                    problem = f"{child.name} ended in flight: {child.errors()}"
                     self._print(problem, style="red")
                 if self.interrupted:
                     return "interrupted"
@@ -227,11 +226,11 @@ class Launcher:
             if flight.name and child.process.returncode and not self._tells:  # others may wait for it
                 self._print(f"{flight.name}  {flight.last_line}")
             return None
-        flight.problem = f"{child.name} ended in flight: {child.errors() or 'no reason given'}"
+        problem = f"{child.name} ended in flight: {child.errors()}"
         flight.aborted = True
         if flight.name:  # the others fly on
-            self._print(flight.problem, style="red")
-        return flight.problem
+            self._print(problem, style="red")
+        return problem
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         del number, frame

@@ -66,7 +66,7 @@ def end_recorder(recorder: Child) -> str | None:
     """End a recorder after its clients, in bounded time; return the problem if the log is not complete."""
     if recorder.end(CLOSE_TIME_MAX_S) == 0:
         return None
-    return f"record did not end in order: {recorder.errors() or 'no reason given'}"
+    return f"record did not end in order: {recorder.errors()}"
 
 
 @contextmanager
