@@ -75,7 +75,7 @@ def load_fleet(path: Path | str, member: str | None = None) -> Fleet:
 def _read(whole: LogFile) -> Fleet:
     whole.need(CONTROLLER_STEP, TRUE_STATE, FLEET_PAIR)
     path = whole.path
-    logs = {name: LogFile(path, name) for name in whole.members} or {"": whole}
+    logs = {name: whole.part(name) for name in whole.members} or {"": whole}
     found: dict[str, dict[str, list[Message]]] = {name: {} for name in logs}
     pairs: dict[tuple[int, int], FleetPairRow] = {}
     for message in whole.messages():

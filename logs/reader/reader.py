@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
 from importlib.metadata import version
@@ -210,6 +211,13 @@ class LogFile:
                 f"--member {self.members[0]}"
             )
         return self
+
+    def part(self, member: str) -> LogFile:
+        """Return what a log of a fleet holds of a member; the file is not read once more for it."""
+        found = copy(self)
+        found.member = member
+        found.__dict__.pop("view", None)
+        return found
 
     @property
     def problem(self) -> str:

@@ -27,7 +27,6 @@ from logs.reader.flight_data import Flight, Floats, Ints, Steps
 from logs.verdict.types import (
     ESTIMATE,
     GAP_MAX_S,
-    NEVER_BEGAN,
     REST_TIME_S,
     Outcome,
     Verdict,
@@ -35,6 +34,7 @@ from logs.verdict.types import (
     finite,
     judged_until,
     lowest,
+    never_began,
     violated,
 )
 
@@ -66,10 +66,7 @@ def judge_estimate(flight: Flight) -> Verdict:
         reason = "the log holds neither true states nor controller steps"
         return Verdict.unknown(Outcome.TIMEOUT, reason, ESTIMATE)
     if start_s is None:
-        abort = abort_declared(flight)
-        if abort:
-            return Verdict.unknown(Outcome.ABORTED, f"before the landing began: {abort.text}", ESTIMATE)
-        return Verdict.unknown(Outcome.TIMEOUT, NEVER_BEGAN, ESTIMATE)
+        return never_began(flight, ESTIMATE)
     begin = int(np.searchsorted(steps.t_s, start_s))
     touch = find_touchdown(steps, flight.config, begin)
     outcome, reason = _outcome(flight, steps, touch)

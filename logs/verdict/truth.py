@@ -14,7 +14,6 @@ from logs.reader.flight_data import Truth
 from logs.schema.events import ContactBit
 from logs.verdict.types import (
     GAP_MAX_S,
-    NEVER_BEGAN,
     REST_TIME_S,
     TRUTH,
     Judged,
@@ -25,6 +24,7 @@ from logs.verdict.types import (
     judged_until,
     left_s,
     lowest,
+    never_began,
     violated,
 )
 
@@ -230,12 +230,9 @@ def _never_began(flight: Judged, truth: Truth) -> Verdict:
         & int(_FALLS | ContactBit.PAD_EDGE)
         & ~int(ContactBit.GROUND)
     )
-    abort = abort_declared(flight)
     if hits:
         return Verdict.unknown(Outcome.CRASHED, f"before the landing began: {_names(hits)}", TRUTH)
-    if abort:
-        return Verdict.unknown(Outcome.ABORTED, f"before the landing began: {abort.text}", TRUTH)
-    return Verdict.unknown(Outcome.TIMEOUT, NEVER_BEGAN, TRUTH)
+    return never_began(flight, TRUTH)
 
 
 def _names(bits: int) -> str:

@@ -22,7 +22,6 @@ REST_TIME_S = 2.0  # s after the motors stop
 GAP_MAX_S = 0.2  # s without data beyond which nothing is known about what happened in between
 TRUTH = "truth"
 ESTIMATE = "estimate"
-NEVER_BEGAN = "the landing never began: no controller step in phase APPROACH"
 SOURCES = {TRUTH: "true states", ESTIMATE: "the vehicle's own estimate"}  # in words, by ``judged_from``
 _SAID_WITHIN_S = 0.1  # an event of the tick itself, with margin for another clock
 
@@ -143,6 +142,15 @@ def abort_declared(flight: Judged) -> Abort | None:
     causes = [f"; {text.removeprefix(CAUSE)}" for text in near if text.startswith(CAUSE)]
     said = [text for text in near if not text.startswith(CAUSE)] or ["no reason in the log"]
     return Abort(t_s, f"declared abort: {said[0]}{''.join(causes[:1])}")
+
+
+def never_began(flight: Judged, judged_from: str) -> Verdict:
+    """Return the verdict on a flight without a controller step in phase APPROACH."""
+    abort = abort_declared(flight)
+    if abort:
+        return Verdict.unknown(Outcome.ABORTED, f"before the landing began: {abort.text}", judged_from)
+    reason = "the landing never began: no controller step in phase APPROACH"
+    return Verdict.unknown(Outcome.TIMEOUT, reason, judged_from)
 
 
 def left_s(flight: Judged) -> float:
