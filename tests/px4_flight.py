@@ -111,6 +111,8 @@ def flying(
 ) -> Iterator[Px4Flying]:  # fmt: skip
     """Simulator, PX4, recorder and robot, ready to fly; all are ended whatever happens.
 
+    Raises LaunchError: a process did not start.
+
     Args:
         place: of PX4, as ``sim.px4.program.find_px4`` takes it.
         scenario_name: what is flown.
@@ -118,9 +120,6 @@ def flying(
         folder: for the log and the outputs.
         speed: against real time.
         vehicle_url: where the onboard process finds the vehicle.
-
-    Raises:
-        LaunchError: a process did not start.
     """
     folder.mkdir(parents=True, exist_ok=True)
     socket, paced = folder / "feed", ["--speed", f"{speed:g}"]

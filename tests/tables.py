@@ -48,8 +48,7 @@ def line(definition: Definition) -> str:
 def read_class(cls: Any) -> Definition:
     """Read one of pymavlink's classes; CRC_EXTRA, which leaves extensions out, tells which fields they are.
 
-    Raises:
-        ValueError: no number of extensions gives the CRC_EXTRA.
+    Raises ValueError: no number of extensions gives the CRC_EXTRA.
     """
     kinds = dict(zip(cls.fieldnames, cls.fieldtypes, strict=True))
     arrays = dict(zip(cls.ordered_fieldnames, cls.array_lengths, strict=True))
@@ -77,9 +76,8 @@ _SOURCE = "PX4 Autopilot v1.16.0, all_events.json; BSD 3-Clause, see px4_events.
 def events_table(metadata: Path, source: str = _SOURCE) -> str:
     """Return the whole file: message and argument types of each event, and texts of each enumeration.
 
-    Args:
-        metadata: all_events.json, or the same file compressed by xz.
-        source: release and licence of that file, for the result.
+    ``metadata``: all_events.json, or the same file compressed by xz; ``source``: release and licence of that
+    file, for the result.
     """
     raw = metadata.read_bytes()
     read: dict[str, Any] = json.loads(lzma.decompress(raw) if metadata.suffix == ".xz" else raw)

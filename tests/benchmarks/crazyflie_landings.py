@@ -44,19 +44,13 @@ PATHS = (PathKind.STRAIGHT, PathKind.CIRCLE, PathKind.STOP_AND_GO, PathKind.REVE
 
 @dataclass(frozen=True)
 class Landing:
-    """How one flight ended, by the true states.
+    """How one flight ended, by the true states."""
 
-    Attributes:
-        error_m: horizontal distance from the pad's middle at rest on it; NaN beside it.
-        place: "pad", "floor" or "air".
-        reason: last line of the onboard process.
-    """
-
-    error_m: float
-    place: str
+    error_m: float  # horizontal distance from the pad's middle at rest on it; NaN beside it
+    place: str  # "pad", "floor" or "air"
     motors_off: bool
     locked: bool
-    reason: str
+    reason: str  # last line of the onboard process
     seconds: float
 
     @property

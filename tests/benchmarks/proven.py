@@ -73,8 +73,7 @@ Case = tuple[str, str, tuple[str, ...], Any]  # scenario, filter, parameter, val
 def changed(name: str, kind: str, path: tuple[str, ...], value: Any) -> Scenario:
     """The scenario with one parameter of its configuration changed.
 
-    Raises:
-        ConfigError: the configuration refuses it.
+    Raises ConfigError: the configuration refuses it.
     """
     table = to_table(load(name).with_filter(kind))
     table["duration_max_s"] = DURATION_MAX_S

@@ -116,8 +116,7 @@ FAULTS = [
 def fly(place: Path, fault: Fault, speed: float, folder: Path) -> Result:
     """One flight with the fault.
 
-    Raises:
-        LaunchError: a process did not start, or the flight did not come to the phase.
+    Raises LaunchError: a process did not start, or the flight did not come to the phase.
     """
     with ExitStack() as stack:
         radios: list[Radio] = []

@@ -89,8 +89,7 @@ def team_row(name: str, s: dict) -> str:
 def filled(page: str, name: str, lines: list[str]) -> str:
     """The page with these lines in one of its tables, each in the place of the line of the same first cell.
 
-    Raises:
-        ValueError: the page has no such table, or no such line.
+    Raises ValueError: the page has no such table, or no such line.
     """
     found = re.search(rf"<!-- table: {name} -->\n(.*?)<!-- end -->", page, re.DOTALL)
     if found is None:
@@ -106,11 +105,7 @@ def filled(page: str, name: str, lines: list[str]) -> str:
 
 
 def chosen(names: list[str]) -> list[str]:
-    """Campaigns of these names; none given: all.
-
-    Raises:
-        ValueError: a name that is none.
-    """
+    """Campaigns of these names; none given: all. Raises ValueError: a name that is none."""
     found = [each for each in RUNS if not names or {each, each.rpartition("_")[0]} & set(names)]
     unknown = set(names) - {word for each in RUNS for word in (each, each.rpartition("_")[0])}
     if unknown:

@@ -54,19 +54,15 @@ _HEADS = {
 class Bench:
     """Advances both in steps of 10 ms; a client beats and, if told, streams set-points.
 
-    Attributes:
-        sent: packets of the bridge with their times.
-        out: telemetry with its times.
-        mute: nothing the firmware says gets through.
-        deaf: nothing gets through to it.
+    ``mute``: nothing the firmware says gets through; ``deaf``: nothing gets through to it.
     """
 
     def __init__(self, firmware: Firmware | None = None, rules: Rules | None = None) -> None:
         self.firmware = firmware or Firmware()
         self.node = Node(rules or Rules())
         self.now_s = 0.0
-        self.sent: list[tuple[float, Packet]] = []
-        self.out: list[tuple[float, object]] = []
+        self.sent: list[tuple[float, Packet]] = []  # packets of the bridge with their times
+        self.out: list[tuple[float, object]] = []  # telemetry with its times
         self.replies: list[object] = []
         self.mute = self.deaf = self.client_gone = self.disarm_lost = False
         self.stream: tuple[float, float, float] | None = None  # NED

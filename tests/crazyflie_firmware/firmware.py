@@ -32,15 +32,10 @@ class Block:
 class Firmware:
     """One Crazyflie.
 
-    Attributes:
-        setpoints: (time, velocity, yaw rate in deg/s) of the last velocity set-points.
-        poses: (time, seven numbers) of the last poses from outside.
-        needs_poses: it knows where it is only while poses come.
-        clock_rate: seconds of its clock in one of the host's.
-
     Args:
         plant: what flies; a ``Point`` by default.
-        protocol: CRTP's. Before 12 it is CrazySim's firmware of 2024: no arming by the supervisor's port.
+        protocol: CRTP's. Before 12 it is CrazySim's firmware of 2024: no arming by the supervisor's
+            port.
         auto_arm: as with brushed motors.
         needs_poses: see above.
         clock_rate: see above; CrazySim's ran at 0.97.
@@ -59,12 +54,13 @@ class Firmware:
     ):
         self.plant = plant if plant is not None else Point()
         self.protocol = protocol
-        self.needs_poses = needs_poses
-        self.clock_rate = clock_rate
+        self.needs_poses = needs_poses  # it knows where it is only while poses come
+        self.clock_rate = clock_rate  # seconds of its clock in one of the host's
         self.battery_v = 4.1
         self.power_state = 0
+        # (time, velocity, yaw rate in deg/s) of the last velocity set-points
         self.setpoints: deque = deque(maxlen=4096)
-        self.poses: deque = deque(maxlen=4096)
+        self.poses: deque = deque(maxlen=4096)  # (time, seven numbers) of the last poses from outside
         self.refuse_arming = False
         self._auto_arm, self._tables = auto_arm, tables
         self._host_s = self._now_s = self._stepped_s = self._stalled_until_s = self._started_s = 0.0

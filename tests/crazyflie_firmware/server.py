@@ -16,15 +16,12 @@ TICK_S = 0.002
 class Server:
     """Serves one firmware; ``with Server(firmware) as server: ... server.uri``.
 
-    Attributes:
-        loss: share of the packets that get lost, each way.
-        mute: nothing it says gets through.
-        deaf: nothing said to it gets through.
+    ``mute``: nothing it says gets through; ``deaf``: nothing said to it gets through.
     """
 
     def __init__(self, firmware: Firmware, *, loss: float = 0.0, seed: int = 0) -> None:
         self.firmware = firmware
-        self.loss = loss
+        self.loss = loss  # share of the packets that get lost, each way
         self.mute = self.deaf = False
         self.lost = 0
         self.error: BaseException | None = None

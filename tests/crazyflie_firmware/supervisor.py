@@ -31,9 +31,8 @@ ARMED = MAY_RUN | {State.ARMING}
 class Supervisor:
     """Arming, flying, locking.
 
-    Attributes:
-        setpoints_rule: a set-point of the radio has stopped the high-level commander (bit 10).
-        deck_fault: of a deck, which ends a flight (bit 11).
+    ``setpoints_rule``: a set-point of the radio has stopped the high-level commander (bit 10);
+    ``deck_fault``: of a deck, which ends a flight (bit 11).
     """
 
     def __init__(self, auto_arm: bool) -> None:

@@ -116,11 +116,8 @@ class _NoSession:
 class Recording:
     """A recorder and the companion's log.
 
-    Attributes:
-        path: of the file.
-        disk: that it is on.
-        failure: why the recorder stopped; empty when nothing was wrong.
-        dropped: records that the companion had to drop.
+    ``failure``: why the recorder stopped; empty when nothing was wrong; ``dropped``: records that the
+    companion had to drop.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -153,11 +150,7 @@ class Recording:
         flight.on_step = step
 
     def end(self) -> None:
-        """Close everything.
-
-        Raises:
-            RuntimeError: the recorder hangs.
-        """
+        """Close everything. Raises RuntimeError: the recorder hangs."""
         with mock.patch.object(feed_module, "PATIENCE_S", CLOSE_S):
             self._feed.close()
         self.dropped = self._feed.dropped

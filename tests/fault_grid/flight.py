@@ -55,23 +55,14 @@ Mangle = Callable[[list[bytes], float], list[bytes]]  # payloads that came, and 
 
 @dataclass(frozen=True)
 class Flown:
-    """What became of it; times in simulated seconds, NaN for never.
+    """What became of it; times in simulated seconds, NaN for never."""
 
-    Attributes:
-        seen: as a log would hold it.
-        disturbed_at_s: when the disturbance began; the other times count from then.
-        noticed_s: first phase HOLD, CLIMB or ABORT, or fail-safe of the autopilot.
-        down_s: motors off for good.
-        failsafe_s: first fail-safe of the autopilot.
-        phases: phases of the companion, in order.
-    """
-
-    seen: Seen
-    disturbed_at_s: float
-    noticed_s: float
-    down_s: float
-    failsafe_s: float
-    phases: tuple[Phase, ...]
+    seen: Seen  # as a log would hold it
+    disturbed_at_s: float  # when the disturbance began; the other times count from then
+    noticed_s: float  # first phase HOLD, CLIMB or ABORT, or fail-safe of the autopilot
+    down_s: float  # motors off for good
+    failsafe_s: float  # first fail-safe of the autopilot
+    phases: tuple[Phase, ...]  # phases of the companion, in order
 
     @property
     def failsafe(self) -> bool:
@@ -93,14 +84,11 @@ class _Target(DirectTarget):
     """Hands its samples over as they would come over Zenoh, and drives no further than it must.
 
     So a fault begins at once, not only at the end of what was driven ahead.
-
-    Attributes:
-        mangle: what happens to samples on their way; None: nothing.
     """
 
     def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:
         self._measured: list[TargetMeasurement] = []
-        self.mangle: Mangle | None = None
+        self.mangle: Mangle | None = None  # what happens to samples on their way; None: nothing
         super().__init__(scenario, seed, grid)
 
     def take(self, tick: int, *, wait: bool = True) -> DeckState:
@@ -153,13 +141,6 @@ class _Notes(VehicleNotes):
 class Flight:
     """A flight to be disturbed.
 
-    Attributes:
-        vehicle: its ``faults`` can be begun at any time.
-        target: the same.
-        asked: what a person asks for, from the next tick on.
-        on_step: called after every step of the controller, to log it.
-        phases: phases so far.
-
     Args:
         scenario: what is flown.
         seed: of all chance.
@@ -178,8 +159,9 @@ class Flight:
         rate_hz = config.loop.rate_hz
         grid = TickGrid(rate_hz)
         self.controller = Controller(config)
-        self.target = _Target(scenario, seed, grid)
-        self.asked = Operator.NONE
+        self.target = _Target(scenario, seed, grid)  # faults of its odometry, likewise
+        self.asked = Operator.NONE  # what a person asks for, from the next tick on
+        # called after every step of the controller, to log it
         self.on_step: Callable[[Tick, Taken, Outputs], None] | None = None
         self.phases: list[Phase] = []
         self._moment, self._disturb = moment, disturb
@@ -193,7 +175,7 @@ class Flight:
             "", takeoff_height_m=config.takeoff.height_m, rate_hz=rate_hz, defer_timesync=True,
             endpoint=self._there, profile=OWN_SITL,
         )  # fmt: skip
-        self.vehicle = VehicleSim(scenario, seed)
+        self.vehicle = VehicleSim(scenario, seed)  # its ``faults`` can be begun at any time
         self._autopilot = Autopilot(self.vehicle, rate_hz, trim_enu_m_s=self.vehicle.trim_velocity_enu_m_s)
         self._all_notes = Notes(config, scenario.target.pad_radius_m)
         self._notes = _Notes(self._all_notes)
@@ -223,11 +205,7 @@ class Flight:
         return self.phase is Phase.TAKEOFF and self._notes.height_m > self._ground_m + CLIMB_M
 
     def fly(self) -> Flown:
-        """To the end.
-
-        Raises:
-            RuntimeError: the moment of the disturbance never came.
-        """
+        """To the end. Raises RuntimeError: the moment of the disturbance never came."""
         self._loop.begin()
         for tick in range(self._ticks_max):
             self._loop.tick(tick)

@@ -161,24 +161,14 @@ UPRIGHT = 0.9  # cosine of the tilt of a vehicle that stands
 
 @dataclass(frozen=True)
 class Result:
-    """How a cell ended; times in s since the fault, NaN for never.
-
-    Attributes:
-        end: how.
-        noticed_s: until it was given up, the inputs were called lost, or a fail-safe acted.
-        down_s: until the motors were off for good.
-        h_min_m: lowest h outside the pad while the companion flew; NaN if the landing never began.
-        impact_m_s: fastest downward speed at a contact.
-        said: first thing that was said about it.
-        flown: the whole flight.
-    """
+    """How a cell ended; times in s since the fault, NaN for never."""
 
     end: End
-    noticed_s: float
-    down_s: float
-    h_min_m: float
-    impact_m_s: float
-    said: str
+    noticed_s: float  # until it was given up, the inputs were called lost, or a fail-safe acted
+    down_s: float  # until the motors were off for good
+    h_min_m: float  # lowest h outside the pad while the companion flew; NaN if the landing never began
+    impact_m_s: float  # fastest downward speed at a contact
+    said: str  # first thing that was said about it
     flown: Flown
 
 

@@ -66,26 +66,17 @@ H_MIN_M = -0.005  # outside the pad while the companion flies: a violation below
 
 @dataclass(frozen=True)
 class Need:
-    """Demands on one cell.
+    """Demands on one cell."""
 
-    Attributes:
-        ends: how the flight may end.
-        why: the reason.
-        within_s: longest time from the fault to the abort or to motors off, s; None: the flight may continue,
-            because the fault does no harm.
-        h_min_m: lowest h outside the pad while the companion flies.
-        undetectable: no process on board can detect it; the requirements bound the harm.
-        falls_short: known failure by chance and its reason; empty if there is none.
-        short_ends: ends of that failure.
-    """
-
-    ends: frozenset[End]
+    ends: frozenset[End]  # how the flight may end
     why: str
+    # longest time from the fault to the abort or to motors off, s; None: the flight may continue, because the
+    # fault does no harm
     within_s: float | None = WITHIN_S
-    h_min_m: float = H_MIN_M
-    undetectable: bool = False
-    falls_short: str = ""
-    short_ends: frozenset[End] = frozenset()
+    h_min_m: float = H_MIN_M  # lowest h outside the pad while the companion flies
+    undetectable: bool = False  # no process on board can detect it; the requirements bound the harm
+    falls_short: str = ""  # known failure by chance and its reason; empty if there is none
+    short_ends: frozenset[End] = frozenset()  # ends of that failure
 
 
 def _need(*ends: End, why: str, **more: object) -> Need:

@@ -25,12 +25,8 @@ RADIO_POLL_S = 0.05
 class Radio:
     """Use as a context.
 
-    Args:
-        url: ``udpout:HOST:PORT`` of the vehicle.
-        local_port: UDP port of loopback to which the vehicle sends; 0: it answers where it is called from.
-
-    Attributes:
-        url: where the companion finds it.
+    ``url``: ``udpout:HOST:PORT`` of the vehicle; ``local_port``: UDP port of loopback to which the vehicle
+    sends; 0: it answers where it is called from.
     """
 
     def __init__(self, url: str, local_port: int = 0) -> None:
@@ -40,7 +36,7 @@ class Radio:
         self._near.bind(("127.0.0.1", 0))
         self._far = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._far.bind(("127.0.0.1", local_port))
-        self.url = f"udpout:127.0.0.1:{self._near.getsockname()[1]}"
+        self.url = f"udpout:127.0.0.1:{self._near.getsockname()[1]}"  # where the companion finds it
         self._companion: tuple[str, int] | None = None
         self._cut, self._end = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._forward, daemon=True)
@@ -83,31 +79,24 @@ ABORT_MAX_S = 40.0  # from the abort to its end
 
 
 class Companion:
-    """One flight of ``flightstack onboard``.
-
-    Attributes:
-        said: its lines.
-        watch: its state as anybody may see it.
-    """
+    """One flight of ``flightstack onboard``. ``watch``: its state as anybody may see it."""
 
     def __init__(self, room: Room, child: Child, watch: Watch) -> None:
         self._room, self.child, self.watch = room, child, watch
-        self.said: list[str] = []
+        self.said: list[str] = []  # lines that it has written
         self._start: tuple[float, float, float] | None = None
 
     def until(self, word: str, limit_s: float) -> None:
         """Follow it until it says a word.
 
-        Raises:
-            AssertionError: it ended before, took too long, or left the fence; then it has been called off.
+        Raises AssertionError: it ended before, took too long, or left the fence; then it has been called off.
         """
         self._until(lambda: any(word in line for line in self.said), word, limit_s)
 
     def until_high(self, height_m: float, limit_s: float) -> None:
         """Follow it until the vehicle is so high above where it was seen first.
 
-        Raises:
-            AssertionError: as of ``until``.
+        Raises AssertionError: as of ``until``.
         """
         self._until(lambda: self._height_m() > height_m, f"{height_m:g} m", limit_s)
 

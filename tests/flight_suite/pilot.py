@@ -36,17 +36,12 @@ class Setpoint:
 
 
 class Pilot:
-    """Use as a context: on the way out the vehicle is brought down, whatever happened.
-
-    Attributes:
-        link: companion's side of the vehicle link.
-        texts: what the vehicle said.
-        max_height_m: highest above the start so far.
-    """
+    """Use as a context: on the way out the vehicle is brought down, whatever happened."""
 
     def __init__(self, room: Room) -> None:
         self._room = room
         place = load(room.config).vehicle.origin_wgs84
+        # companion's side of the vehicle link
         self.link = VehicleLink(
             room.url, takeoff_height_m=room.takeoff_height_m, rate_hz=float(RATE_HZ),
             profile=profile(room.autopilot), system_id=room.system_id,
@@ -58,9 +53,9 @@ class Pilot:
             RATE_HZ, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns
         )
         self.now_s = 0.0
-        self.texts: list[str] = []
+        self.texts: list[str] = []  # what the vehicle said
         self.start_enu_m: Vec3 | None = None
-        self.max_height_m = 0.0
+        self.max_height_m = 0.0  # highest above the start so far
 
     def __enter__(self) -> Pilot:
         return self

@@ -31,27 +31,16 @@ class Lost(Enum):
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of the steps for one autopilot.
+    """Limits of the steps for one autopilot."""
 
-    Attributes:
-        settle_s: time at zero velocity before anything is judged.
-        still_m_s: speed below which it holds still.
-        drift_m: distance that it may move in five seconds of zero velocity.
-        step_m_s: speed of the step to the north and back.
-        step_s: time of each of the two.
-        moved_share: least and greatest way of the step, as a share of speed times time.
-        lost: what it does without set-points.
-        lost_s: time until it shows that.
-    """
-
-    settle_s: float
-    still_m_s: float
-    drift_m: float
-    step_m_s: float
-    step_s: float
-    moved_share: tuple[float, float]
-    lost: Lost
-    lost_s: float
+    settle_s: float  # time at zero velocity before anything is judged
+    still_m_s: float  # speed below which it holds still
+    drift_m: float  # distance that it may move in five seconds of zero velocity
+    step_m_s: float  # speed of the step to the north and back
+    step_s: float  # time of each of the two
+    moved_share: tuple[float, float]  # least and greatest way of the step, as a share of speed times time
+    lost: Lost  # what it does without set-points
+    lost_s: float  # time until it shows that
 
 
 _OWN = Limits(
@@ -87,58 +76,33 @@ ORIGIN_WGS84 = (47.397742, 8.545594, 10.0)  # what ArduPilot needs without satel
 
 @dataclass(frozen=True)
 class Fence:
-    """Beyond it a step ends, and the vehicle is brought down.
+    """Beyond it a step ends, and the vehicle is brought down."""
 
-    Attributes:
-        height_m: above the place where the step began.
-        distance_m: horizontal, from there.
-    """
-
-    height_m: float = 2.0
-    distance_m: float = 4.0
+    height_m: float = 2.0  # above the place where the step began
+    distance_m: float = 4.0  # horizontal, from there
 
 
 @dataclass(frozen=True)
 class Room:
-    """Everything a step needs to know.
+    """Everything a step needs to know."""
 
-    Attributes:
-        url: MAVLink URL of the vehicle.
-        autopilot: name of its profile.
-        target_key: Zenoh key of the target's odometry.
-        connect: Zenoh endpoints of the target.
-        listen: Zenoh endpoint of the onboard process.
-        config: its configuration.
-        folder: for output of processes.
-        fence: limits of place.
-        system_id: of the vehicle.
-        signing_key: for MAVLink; None: unsigned.
-        takeoff_height_m: how high the pilot climbs.
-        target_offset_m: landing spot from the tracked frame, in that frame's axes.
-        limits: of the steps; None: those of the profile.
-        speed: of a simulator against real time; 1 on hardware.
-        clock: of a simulator by which the onboard process lives; None: the wall's.
-        target: the simulated robot; None on hardware.
-        vehicle: the simulated vehicle; None on hardware.
-    """
-
-    url: str
-    autopilot: str
-    target_key: str
-    connect: tuple[str, ...]
-    listen: str
-    config: Path
-    folder: Path
-    fence: Fence = field(default_factory=Fence)
-    system_id: int = 1
-    signing_key: Path | None = None
-    takeoff_height_m: float = 0.5
-    target_offset_m: Vec3 = ZERO
-    limits: Limits | None = None
-    speed: float = 1.0
-    clock: Path | None = None
-    target: Child | None = None
-    vehicle: Child | None = None
+    url: str  # MAVLink URL of the vehicle
+    autopilot: str  # name of its profile
+    target_key: str  # Zenoh key of the target's odometry
+    connect: tuple[str, ...]  # Zenoh endpoints of the target
+    listen: str  # Zenoh endpoint of the onboard process
+    config: Path  # configuration of the onboard process
+    folder: Path  # for output of processes
+    fence: Fence = field(default_factory=Fence)  # limits of place
+    system_id: int = 1  # of the vehicle
+    signing_key: Path | None = None  # for MAVLink; None: unsigned
+    takeoff_height_m: float = 0.5  # how high the pilot climbs
+    target_offset_m: Vec3 = ZERO  # landing spot from the tracked frame, in that frame's axes
+    limits: Limits | None = None  # of the steps; None: those of the profile
+    speed: float = 1.0  # of a simulator against real time; 1 on hardware
+    clock: Path | None = None  # of a simulator by which the onboard process lives; None: the wall's
+    target: Child | None = None  # the simulated robot; None on hardware
+    vehicle: Child | None = None  # the simulated vehicle; None on hardware
 
 
 def configured(scenario: Scenario, folder: Path) -> Path:
@@ -182,11 +146,7 @@ def simulated(folder: Path) -> Iterator[Room]:
 
 @contextlib.contextmanager
 def given(config: pytest.Config, folder: Path) -> Iterator[Room]:
-    """The room that the command line names.
-
-    Raises:
-        pytest.UsageError: something is missing.
-    """
+    """The room that the command line names. Raises pytest.UsageError: something is missing."""
     option = config.getoption
     if option("--config") is None:
         raise pytest.UsageError("--vehicle needs --config FILE: the configuration of the onboard process")
@@ -217,20 +177,18 @@ def on_px4(
 ) -> Iterator[Room]:
     """Start simulator, PX4 and robot; ended whatever happens.
 
+    Raises FileNotFoundError: no PX4 there. Raises LaunchError: a process did not start.
+
     Args:
         folder: for output of processes.
         place: of PX4's program, as ``sim.px4.program.find_px4`` takes it.
         scenario_name: name or file of the scenario; its robot waits for the first approach.
         seed: of wind, noise and the vehicle's spread.
         speed: of all of it against real time.
-        clocked: robot and onboard process live by the simulator's clock, which is as fast as all of them can
-            be, at most ``speed``; a pilot in this process still lives by the wall's.
+        clocked: robot and onboard process live by the simulator's clock, which is as fast as all of
+            them can be, at most ``speed``; a pilot in this process still lives by the wall's.
         mocap: the scenario's motion capture instead of satellites.
         recorder: socket of a recorder for the true states.
-
-    Raises:
-        FileNotFoundError: no PX4 there.
-        LaunchError: a process did not start.
     """
     scenario = load(scenario_name)
     # until the first approach, or it is far away before everything has started

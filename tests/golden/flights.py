@@ -75,25 +75,16 @@ FLIGHT_MAX_S = 300.0  # s of wall time
 
 @dataclass(frozen=True)
 class Flight:
-    """One scenario with changes.
+    """One scenario with changes."""
 
-    Attributes:
-        scenario: a scenario of the simulator.
-        phases: that must be in it, else it is not what it is meant to be.
-        changes: keys of the scenario to other values; a slower loop makes a smaller log.
-        lockstep: or in real time, with ticks and arrivals where the clock put them.
-        wire: keep MAVLink frames and odometry, too; twice as large.
-        seed: of all chance.
-        member: the vehicle that is kept, of a scenario with several.
-    """
-
-    scenario: str
-    phases: tuple[str, ...]
+    scenario: str  # a scenario of the simulator
+    phases: tuple[str, ...]  # that must be in it, else it is not what it is meant to be
+    # keys of the scenario to other values; a slower loop makes a smaller log
     changes: dict[str, object] = field(default_factory=dict)
-    lockstep: bool = True
-    wire: bool = True
-    seed: int = 0
-    member: str | None = None
+    lockstep: bool = True  # or in real time, with ticks and arrivals where the clock put them
+    wire: bool = True  # keep MAVLink frames and odometry, too; twice as large
+    seed: int = 0  # of all chance
+    member: str | None = None  # the vehicle that is kept, of a scenario with several
 
 
 _SLOW = {"onboard.loop.rate_hz": 40, "odometry.rate_hz": 40.0}

@@ -132,8 +132,7 @@ class Background:
     def end(self, number: int | None = None) -> int:
         """Wait for its end and for that of all it says, bounded; the exit status.
 
-        Args:
-            number: signal that it is sent first, unless it has ended.
+        ``number``: signal that it is sent first, unless it has ended.
         """
         if number is not None:
             self.process.send_signal(number)

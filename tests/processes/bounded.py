@@ -22,8 +22,7 @@ def line_of(stream: IO[Any], within_s: float = PATIENCE_S) -> str:
 
     Byte by byte and past the stream's buffer, so that nothing is lost for ``communicate``.
 
-    Raises:
-        AssertionError: no whole line came in time.
+    Raises AssertionError: no whole line came in time.
     """
     until_s, text = time.monotonic() + within_s, b""
     while not text.endswith(b"\n"):
@@ -39,8 +38,7 @@ def line_of(stream: IO[Any], within_s: float = PATIENCE_S) -> str:
 def lines_of(stream: IO[Any], within_s: float) -> Iterator[str]:
     """Lines that a process writes, to its end.
 
-    Raises:
-        AssertionError: it neither wrote a line nor ended when so many seconds were over since the call.
+    Raises AssertionError: it neither wrote a line nor ended when so many seconds were over since the call.
     """
     until_s = time.monotonic() + within_s
     while line := line_of(stream, until_s - time.monotonic()):

@@ -80,8 +80,7 @@ class Started:
     def communicate(self, timeout: float) -> tuple[Any, Any]:
         """Read its output to the end, and wait for its end.
 
-        Raises:
-            subprocess.TimeoutExpired: it runs longer than so many seconds.
+        Raises subprocess.TimeoutExpired: it runs longer than so many seconds.
         """
         until_s, said = time.monotonic() + timeout, {self.stdout: b"", self.stderr: b""}
         with selectors.DefaultSelector() as selector:

@@ -156,7 +156,8 @@ def touchdown(
 
     Args:
         speed_m_s: of the descent.
-        motors_off_below_m: stop set-point below this height over the pad; None: half a second after contact.
+        motors_off_below_m: stop set-point below this height over the pad; None: half a second after
+            contact.
         target: pad that drives, if not the standing one.
     """
     spec = target or TargetSpec()

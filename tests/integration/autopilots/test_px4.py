@@ -188,15 +188,10 @@ def scenario_file(folder):
 
 @dataclass
 class Flown:
-    """What became of all flights.
+    """What became of all flights."""
 
-    Attributes:
-        ends: exit status and last line of the onboard process, of each flight that was let fly.
-        truth: true states from the first to the last, while the robot drives on.
-    """
-
-    ends: list
-    truth: Truth
+    ends: list  # exit status and last line of the onboard process, of each flight that was let fly
+    truth: Truth  # true states from the first to the last, while the robot drives on
 
     def armed_s(self):
         """Begin and end of each time with running motors; PX4 may start them for a single sample before."""

@@ -36,18 +36,14 @@ class FlightOverError(Exception):
 
 @dataclass(frozen=True)
 class Crash:
-    """What was left.
-
-    Attributes:
-        missing_s: Wall time between the kill and the last thing the victim brought into the log.
-    """
+    """What was left."""
 
     victim: str
     lockstep: bool
     complete: bool
     messages: int
     recovered: int
-    missing_s: float
+    missing_s: float  # wall time between the kill and the last thing the victim brought into the log
 
 
 def crash(folder: Path, victim: str, seed: int, *, lockstep: bool, sooner: float = 1.0) -> Crash:

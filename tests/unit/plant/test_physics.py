@@ -35,14 +35,11 @@ def quiet_vehicle(slow=False, **parts):
 
 
 class FreePlant:
-    """Body and rotors high above everything, rotor commands prescribed.
-
-    Attributes:
-        record: of the vehicle; drag, rotor maps and so on may be changed before the first step.
-    """
+    """Body and rotors high above everything, rotor commands prescribed."""
 
     def __init__(self, slow=False, **parts):
         self.sim = quiet_vehicle(slow, **parts)
+        # of the vehicle; drag, rotor maps and so on may be changed before the first step
         self.record = self.sim._vehicle[0]
         self.place()
         self.rotors(0.0)

@@ -40,17 +40,11 @@ def setpoint(n=0.0, e=0.0, d=0.0, *, frame=1, mask=2503, yaw=0.0, rate=0.0, targ
 
 
 class Served(ABC):
-    """A vehicle behind a server.
-
-    Attributes:
-        server: the server.
-        telemetry: messages for everybody, all since the start.
-        silence_s: time without set-points after which control is free.
-    """
+    """A vehicle behind a server."""
 
     server: Server
-    telemetry: list
-    silence_s: float
+    telemetry: list  # messages for everybody, all since the start
+    silence_s: float  # time without set-points after which control is free
 
     @property
     @abstractmethod
