@@ -59,12 +59,10 @@ class Px4Flying:
         self.told: list[str] = []  # by the onboard process
 
     def take_off(self) -> Child:
-        """Start the onboard process."""
         self.onboard = StartedChild("onboard", ["onboard", *self._words], self._folder)
         return self.onboard
 
     def look(self) -> None:
-        """Read what the processes said."""
         self.said += self.simulator.lines(0.0)
         if self.onboard is not None:
             self.told += self.onboard.lines(0.0)
@@ -85,7 +83,6 @@ class Px4Flying:
 
     @property
     def armed(self) -> bool:
-        """Whether its motors run."""
         return [line for line in self.said if line in ("armed", "disarmed")][-1:] == ["armed"]
 
     @property
@@ -99,7 +96,6 @@ class Px4Flying:
         return self.onboard is not None and not self.onboard.alive()
 
     def interrupt(self) -> None:
-        """Ctrl-C to the onboard process."""
         assert self.onboard is not None
         self.onboard.process.send_signal(signal.SIGINT)
 

@@ -207,11 +207,9 @@ class Relay:
         self._thread.start()
 
     def pull(self) -> None:
-        """Pull the cable."""
         self._wanted = False
 
     def plug(self) -> None:
-        """Put it back."""
         self._wanted = True
 
     def close(self) -> None:

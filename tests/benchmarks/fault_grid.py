@@ -80,7 +80,6 @@ stamp.
 
 
 def row(way: Way, moment: Moment, need: Need, result: Result) -> str:
-    """One line of the page."""
     return (
         f"| {way} | {moment.name.lower()} | {ends(need)} | {result.end} | {_s(result.noticed_s)} "
         f"| {_s(result.down_s)} | {_s(result.h_min_m, 3)} | {demand(need)} |"
@@ -88,7 +87,6 @@ def row(way: Way, moment: Moment, need: Need, result: Result) -> str:
 
 
 def ends(need: Need) -> str:
-    """Allowed ends."""
     return ", ".join(end for end in End if end in need.ends)
 
 

@@ -77,7 +77,6 @@ def failing(whole: TeamScenario, kind: str, seed: int) -> tuple[TeamScenario, in
 
 
 def line(kind: str, found: Counts) -> str:
-    """Line of the table."""
     own = " / ".join(str(found.own[each]) for each in (Outcome.LANDED, Outcome.ABORTED, Outcome.CRASHED))
     cells = (
         KINDS[kind] or NAMES[kind],

@@ -12,7 +12,6 @@ SCENARIOS = ("paper_static_1", "paper_static_2", "paper_moving_1", "paper_moving
 
 
 def paper_row(scenario: str, seeds: int, filter_name: str) -> str:
-    """One line of the table."""
     runs = []
     for seed in range(seeds):
         with tempfile.TemporaryDirectory() as folder:

@@ -18,10 +18,11 @@ from matplotlib.patches import Rectangle
 
 from flightstack.core.safety.barrier import Barrier
 from logs.reader.flight_data import Truth
-from logs.report.style import BOUNDARY, GRID, INK, TARGET, TRUE
+from logs.report.style import BOUNDARY, TARGET, TRUE
 from sim.plant.params import load as load_plant
 from sim.runners.landing import Landing, land
 from sim.scenarios.scenario import Scenario, StartKind, load
+from tests.benchmarks.vehicle import plots as vehicle_plots
 
 F64 = npt.NDArray[np.float64]
 FILE = Path(__file__).parents[2] / "docs" / "figures" / "landing.svg"
@@ -30,12 +31,7 @@ START_OFFSET_M = (-1.3, 0.0, 0.8)  # from the landing spot, east north up: the r
 BEFORE_S = (4.0, 2.0, 0.0)  # s before the first contact at which the robot and its barrier are drawn
 REACH_M = 1.0  # m to each side of the robot over which a barrier is drawn
 POINTS_MAX = 300  # of a line: more cannot be seen
-STYLE = {
-    "svg.hashsalt": "landing", "font.size": 9.0, "axes.titlesize": 9.5, "legend.fontsize": 8.0,
-    "legend.frameon": False, "axes.edgecolor": "#9aa5b1", "axes.labelcolor": INK, "text.color": INK,
-    "xtick.color": INK, "ytick.color": INK, "axes.grid": True, "grid.color": GRID, "axes.axisbelow": True,
-    "axes.spines.top": False, "axes.spines.right": False,
-}  # fmt: skip
+STYLE = {**vehicle_plots.STYLE, "svg.hashsalt": "landing"}
 
 
 def scenario() -> Scenario:
@@ -107,7 +103,6 @@ def draw(landing: Landing, barrier: Barrier, file: Path) -> None:
 
 
 def main() -> None:
-    """Fly and draw."""
     flown = scenario()
     landing = land(flown, SEED)
     print(f"{landing.verdict.outcome}: {landing.verdict.reason}")

@@ -45,8 +45,6 @@ class Fault(NamedTuple):
 
 
 class Result(NamedTuple):
-    """How it ended."""
-
     place: str
     down_s: float | None  # stack time from the fault until the motors were off
     phases: str

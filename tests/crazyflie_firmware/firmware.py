@@ -21,8 +21,6 @@ START_S = 3.0  # s of a start; armed by itself at 3.1 s
 
 @dataclass
 class Block:
-    """A log block."""
-
     names: list[str]
     period_s: float = 0.0
     due_s: float = 0.0

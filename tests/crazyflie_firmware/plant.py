@@ -49,7 +49,6 @@ class Point:
         return variance_m2(self._pose_age_s)
 
     def pose(self, x: float, y: float, z: float, quaternion_xyzw: tuple[float, ...] | None) -> None:
-        """A pose for the filter."""
         self._pose_age_s = 0.0
 
     def know_drag(self, drag_1_s: tuple[float, float, float]) -> None:

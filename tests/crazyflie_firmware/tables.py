@@ -28,8 +28,6 @@ LOGS = {
 
 @dataclass
 class Param:
-    """One parameter."""
-
     kind: str
     value: float
     read_only: bool = False

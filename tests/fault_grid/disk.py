@@ -55,7 +55,6 @@ class Disk(io.RawIOBase):
         )
 
     def fail(self, way: Way) -> None:
-        """Begin to fail."""
         self._way = way
 
     def heal(self) -> None:
@@ -68,19 +67,15 @@ class Disk(io.RawIOBase):
         return self._file.write(data) if self._way is None else self._ways[self._way](data)
 
     def fileno(self) -> int:
-        """Of the file."""
         return self._file.fileno()
 
     def seek(self, offset: int, whence: int = 0) -> int:
-        """As a file."""
         return self._file.seek(offset, whence)
 
     def truncate(self, size: int | None = None) -> int:
-        """As a file."""
         return self._file.truncate(size)
 
     def close(self) -> None:
-        """As a file."""
         self._file.close()
 
     def _refuse(self, number: int) -> int:
@@ -138,7 +133,6 @@ class Recording:
         self._log: OnboardLog | None = None
 
     def attach(self, flight: Flight) -> None:
-        """Log this flight."""
         rate_hz = flight.controller.config.loop.rate_hz
         self._log = OnboardLog(self._feed, _NoSession(), "cf1", rate_hz, lockstep=False)
         controller, log = flight.controller, self._log

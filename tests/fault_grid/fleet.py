@@ -104,7 +104,6 @@ NAMESAKES = (
 
 
 def row(way: Way, moment: str, verdict: FleetVerdict) -> str:
-    """One line of the page."""
     ends = ", ".join(end.value for end in verdict.outcomes)
     return f"| {way} | {moment} | {ends} | {verdict.ellipsoid_min:.2f} | {verdict.distance_min_m:.2f} |"
 

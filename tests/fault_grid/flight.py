@@ -71,7 +71,6 @@ class Flown:
 
     @property
     def truth(self) -> Truth:
-        """True states."""
         return self.seen.truth
 
     @property
@@ -129,7 +128,6 @@ class _Notes(VehicleNotes):
         self.height_m = 0.0
 
     def truth(self, tick: int, now_ns: int, truth: TrueState) -> None:
-        """Keep the true state."""
         super().truth(tick, now_ns, truth)
         self.height_m = truth.position_enu_m[2]
         if truth.motors_running:
@@ -191,12 +189,10 @@ class Flight:
 
     @property
     def phase(self) -> Phase:
-        """Of the companion."""
         return self.controller.memory.phase
 
     @property
     def now_ns(self) -> int:
-        """Simulated time of the vehicle."""
         return round(self.vehicle.time_s * 1e9)
 
     @property
@@ -247,7 +243,6 @@ class Flight:
         return Ended(out.phase, memory.reason, 1) if out.finished or now_s >= self._duration_s else None
 
     def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
-        """Note a tick."""
         self._now_s = tick.now_s
         self._all_notes.step(tick, out)
         for text in taken.arrived.problems:

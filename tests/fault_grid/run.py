@@ -48,7 +48,6 @@ _VALUES: Mapping[tuple[Part, Way], Mapping[str, Any]] = MappingProxyType(
 
 
 def fault(part: Part, way: Way) -> Fault:
-    """Fault of the simulator."""
     return Fault(_WHAT[part], Kind(way.value), **_VALUES.get((part, way), {}))
 
 
@@ -173,12 +172,10 @@ class Result:
 
 
 def scenario() -> Scenario:
-    """What is flown."""
     return load(SCENARIO)
 
 
 def fly(part: Part, way: Way, moment: Moment, seed: int = SEED) -> Result:
-    """Fly a cell."""
     if part is Part.DISK:
         return _fly_on(way, moment, seed)
     flown = Flight(scenario(), seed, AT[moment], disturb(part, way, seed)).fly()

@@ -66,8 +66,6 @@ H_MIN_M = -0.005  # outside the pad while the companion flies: a violation below
 
 @dataclass(frozen=True)
 class Need:
-    """Demands on one cell."""
-
     ends: frozenset[End]  # how the flight may end
     why: str
     # longest time from the fault to the abort or to motors off, s; None: the flight may continue, because the

@@ -42,11 +42,9 @@ class Radio:
         self._thread = threading.Thread(target=self._forward, daemon=True)
 
     def cut(self) -> None:
-        """Nothing passes from now on."""
         self._cut.set()
 
     def mend(self) -> None:
-        """All passes again."""
         self._cut.clear()
 
     def _forward(self) -> None:
@@ -135,7 +133,6 @@ class Companion:
         return int(self.child.process.returncode)
 
     def signal(self, number: signal.Signals) -> None:
-        """Send a signal."""
         self.child.process.send_signal(number)
 
     def kill(self) -> None:

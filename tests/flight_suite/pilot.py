@@ -71,7 +71,6 @@ class Pilot:
 
     @property
     def own(self) -> OwnState:
-        """Newest state."""
         assert self.link.state.own is not None, "no own state"
         return self.link.state.own
 
@@ -82,7 +81,6 @@ class Pilot:
 
     @property
     def status(self) -> VehicleStatus:
-        """Newest status."""
         assert self.link.state.status is not None, "no status"
         return self.link.state.status
 

@@ -13,7 +13,6 @@ from tests.golden.flights import BYTES_MAX, FLIGHTS, fly, path_of
 
 
 def phases(result: Result) -> set[str]:
-    """Recorded phases."""
     return {change.phase for change in result.phases_recorded}
 
 
@@ -62,7 +61,6 @@ def update(name: str) -> None:
 
 
 def main(arguments: list[str]) -> int:
-    """Check, or update."""
     verb, names = (arguments[0] if arguments else "check"), arguments[1:] or list(FLIGHTS)
     unknown = set(names) - set(FLIGHTS)
     if verb not in ("check", "update") or unknown:

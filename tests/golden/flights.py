@@ -104,7 +104,6 @@ FLIGHTS = {
 
 
 def path_of(name: str) -> Path:
-    """Where a golden log is."""
     return FOLDER / f"{name}.mcap"
 
 

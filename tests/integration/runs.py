@@ -145,7 +145,6 @@ class Background:
         return code
 
     def kill(self) -> None:
-        """Kill it, unless it has ended."""
         self.process.kill()
         self.process.wait(PATIENCE_S)
         self._reader.join(PATIENCE_S)
@@ -178,7 +177,6 @@ class Flying(Background):
 
 
 def kill(pid: int, number: int = signal.SIGKILL) -> None:
-    """Send a signal."""
     os.kill(pid, number)
 
 

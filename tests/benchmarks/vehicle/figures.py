@@ -21,7 +21,6 @@ def written_tables() -> dict[str, str]:
 
 
 def main() -> None:
-    """Write page and figures."""
     from tests.benchmarks.vehicle.plots import draw  # needs a plotting library, which the tables do without
 
     fresh = tables()

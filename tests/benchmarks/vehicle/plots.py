@@ -59,7 +59,6 @@ def panels(
 
 
 def line(axes: Axes, x: F64, y: F64, color: str, label: str | None = None, *, dashed: bool = False) -> None:
-    """Draw a line, thinned."""
     every = max(1, len(x) // POINTS_MAX)
     axes.plot(
         x[::every], y[::every], "--" if dashed else "-", color=color, label=label, lw=1.2 if dashed else 1.6
@@ -144,7 +143,6 @@ def roll_figure() -> Figure:
 
 
 def velocity_figure() -> Figure:
-    """Velocity steps."""
     figure, grid = panels(2, 2, 5.2, sharex=True, sharey="row")
     for row, (axis, way) in zip(grid, ((0, "Horizontal"), (2, "Vertical")), strict=True):
         for axes, loop, title in zip(row, (PAPER, PID), ("paper's loop", "PID loop"), strict=True):

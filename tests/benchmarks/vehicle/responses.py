@@ -130,7 +130,6 @@ def rise_s(t: F64, y: F64, end: float) -> float:
 
 @cache
 def gusts() -> F64:
-    """An hour of wind."""
     return runs.gusts(GUST_S, GUST_STEP_S, GUST_RMS_M_S)
 
 

@@ -50,7 +50,6 @@ class Row:
     digits: int = 3
 
     def cells(self) -> str:
-        """The line of the table."""
         deviation = round(100.0 * (self.simulated / self.reference - 1.0), 1) + 0.0  # no minus zero
         unit = f" {self.unit}" if self.unit else ""
         return (
@@ -86,7 +85,6 @@ def hover_rows() -> Iterable[Row]:
 
 
 def motor_rows() -> Iterable[Row]:
-    """Lag of the motors."""
     h = analysis.HOVER_RPM
     small = 0.02 * h
 
@@ -108,14 +106,12 @@ def motor_rows() -> Iterable[Row]:
 
 
 def mode_rows(name: str, step: Step) -> Iterable[Row]:
-    """Natural frequency and damping ratio."""
     (wn, zeta), (w0, z0) = step.modes
     yield Row(f"{name}: natural frequency", "rad/s", wn, w0, "linear model", 2)
     yield Row(f"{name}: damping ratio", "", zeta, z0, "linear model", 3)
 
 
 def roll_rows() -> Iterable[Row]:
-    """Roll."""
     for slow, name in NAMES.items():
         yield from mode_rows(f"Mellinger, {name}", roll(PAPER, slow))
     for loop, title in ((PAPER, "Mellinger"), (PID, "PID")):
@@ -126,7 +122,6 @@ def roll_rows() -> Iterable[Row]:
 
 
 def velocity_rows() -> Iterable[Row]:
-    """Velocity."""
     for axis, way in ((0, "horizontal"), (2, "vertical")):
         for loop in (PAPER, PID):
             for slow, motors in NAMES.items():
@@ -145,7 +140,6 @@ def velocity_rows() -> Iterable[Row]:
 
 
 def yaw_rows() -> Iterable[Row]:
-    """Yaw."""
     for slow, name in NAMES.items():
         step = yaw(slow)
         yield from mode_rows(name, step)
@@ -189,7 +183,6 @@ CURVES: dict[str, Callable[[F64], F64]] = {
 
 
 def ground_rows() -> Iterable[Row]:
-    """Ground effect."""
     for h in HEIGHTS_M:
         for name, curve in CURVES.items():
             values = [100.0 * increase(h), 100.0 * (float(curve(np.array(h))) - 1.0)]
@@ -197,7 +190,6 @@ def ground_rows() -> Iterable[Row]:
 
 
 def wind_rows() -> Iterable[Row]:
-    """Gusts."""
     shape = analysis.PARAMS.wind
     wind = gusts()
     for axis, name, rms, time_s in (
@@ -212,7 +204,6 @@ def wind_rows() -> Iterable[Row]:
 
 
 def supervisor_rows() -> Iterable[Row]:
-    """Watchdog and landing."""
     for stop, cause in ((False, "set-points stop"), (True, "stop set-points")):
         found = runs.supervisor_times(stop, 6.0 if stop else 3.0)
         for state, reference_ms in ref.SUPERVISOR_MS[stop].items():

@@ -60,7 +60,6 @@ class Observer(Client):
         signing.timestamp = round((time.time() - _SIGNING_EPOCH_S) * 1e5)
 
     def drain(self) -> None:
-        """Take what has come."""
         while self.receive(0.0):
             pass
 
@@ -82,7 +81,6 @@ class Observer(Client):
 
     @property
     def position(self):
-        """Newest LOCAL_POSITION_NED."""
         found = self.last("LOCAL_POSITION_NED")
         assert found is not None, "no position yet"
         return found
@@ -96,12 +94,10 @@ class Observer(Client):
         return _changes([bool(m.base_mode & ARMED) for m in self.all("HEARTBEAT", since)])
 
     def texts(self, since: int = 0) -> list[str]:
-        """What the vehicle said."""
         return [m.text for m in self.all("STATUSTEXT", since)]
 
     @property
     def armed(self) -> bool:
-        """By the newest heartbeat."""
         beat = self.last("HEARTBEAT")
         assert beat is not None, "no heartbeat yet"
         return bool(beat.base_mode & ARMED)
@@ -145,13 +141,11 @@ class Program:
         return f"--- the client printed\n{self.output}\n--- the vehicle said\n{vehicle_said}"
 
     def send(self, line: str) -> None:
-        """Type a line."""
         self.typed.append(line)
         self._stdin.write(f"{line}\n".encode())
         self._stdin.flush()
 
     def hang_up(self) -> None:
-        """End its standard input."""
         self._stdin.close()
 
     def pump(self, timeout_s: float) -> None:

@@ -36,8 +36,6 @@ class FlightOverError(Exception):
 
 @dataclass(frozen=True)
 class Crash:
-    """What was left."""
-
     victim: str
     lockstep: bool
     complete: bool

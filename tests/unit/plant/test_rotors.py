@@ -141,14 +141,6 @@ def test_gusts_have_their_rms(gusts):
     assert abs(np.corrcoef(gusts.T)[np.triu_indices(3, 1)]).max() < 0.2
 
 
-def test_gusts_forget_exponentially(gusts):
-    for i, time in enumerate(times_s()):
-        g = gusts[:, i] - gusts[:, i].mean()
-        for lag_s in (0.2 * time, time):
-            n = round(lag_s / WIND_STEP_S)
-            assert (g[n:] @ g[:-n]) / (g @ g) == pytest.approx(math.exp(-lag_s / time), abs=0.12)
-
-
 def test_gusts_have_the_first_order_spectrum(gusts):
     """Power in octaves of frequency against 4 s^2 T / (1 + (2 pi f T)^2)."""
     frequency = np.fft.rfftfreq(len(gusts), WIND_STEP_S)

@@ -23,7 +23,6 @@ from tests.unit.vehicle.vehicle_sim_helpers import (
     QUIET,
     STANDING,
     fly,
-    series,
     vehicle,
     yaw_of,
 )
@@ -42,31 +41,6 @@ def test_starts_trimmed_and_hovers(loop, wind):
         assert math.dist(truths[-1].position_enu_m, first.position_enu_m) < 0.04
         assert max(math.hypot(*t.velocity_enu_m_s) for t in truths) < 0.03
         assert all(not t.contacts for t in truths)
-
-
-def test_pid_loop_is_slower_and_settles():
-    sim = vehicle(vehicle=VehicleSpec(velocity_loop=VelocityLoop.PID, mocap=QUIET))
-    fly(sim, (0.0, 0.0, 0.0), 0.5)
-    truths = fly(sim, (0.2, 0.0, 0.0), 4.0)
-    vx = series(truths, 0)
-    rise = next(i for i, v in enumerate(vx) if v > 0.18) * 0.01
-    assert 0.3 < rise < 0.7
-    assert max(vx) < 0.23
-    # its integral is small against drag: 25 e + 1 int e degrees
-    assert vx[-1] == pytest.approx(0.18, abs=0.02)
-
-
-@pytest.mark.parametrize("loop", LOOPS)
-@pytest.mark.parametrize("climb", [0.3, -0.3])
-def test_vertical_steps(loop, climb):
-    sim = vehicle(
-        vehicle=VehicleSpec(velocity_loop=loop, mocap=QUIET), start=Start(StartKind.HOVER, offset_m=(0, 0, 3))
-    )
-    fly(sim, (0.0, 0.0, 0.0), 0.5)
-    vz = [v / climb for v in series(fly(sim, (0.0, 0.0, climb), 4.0), 2)]
-    assert 0.05 < next(i for i, v in enumerate(vz) if v > 0.9) * 0.01 < 0.45
-    assert max(vz) < 1.5
-    assert statistics.mean(vz[-100:]) == pytest.approx(1.0, abs=0.05)
 
 
 @pytest.mark.parametrize("loop", LOOPS)
