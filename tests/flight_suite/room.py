@@ -115,13 +115,13 @@ def configured(scenario: Scenario, folder: Path) -> Path:
 
 
 @contextlib.contextmanager
-def simulated(folder: Path) -> Iterator[Room]:
+def simulated(folder: Path, scenario_name: str = SCENARIO) -> Iterator[Room]:
     """Start vehicle and robot, in real time; ended whatever happens."""
-    scenario = load(SCENARIO)
+    scenario = load(scenario_name)
     config = configured(scenario, folder)
     ports, children = [Port(), Port()], []
     target_at, onboard_at = (port.endpoint for port in ports)
-    common = ["--scenario", SCENARIO, "--seed", "1", "--duration", "300"]
+    common = ["--scenario", scenario_name, "--seed", "1", "--duration", "300"]
     try:
         words = ["--connect", target_at, "--url", "udpin:127.0.0.1:0"]
         vehicle = StartedChild("vehicle", ["vehicle", *common, *words], folder)

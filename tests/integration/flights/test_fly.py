@@ -13,52 +13,27 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.signing import load_key
 from bridge.zenoh import zenoh_link
-from flightstack.common.processes import Port
-from flightstack.common.strict_toml import dumps
 from logs.reader.flight import load_flight
 from logs.reader.reader import LogFile
-from sim.scenarios.scenario import load
+from tests.flight_suite.room import simulated
 from tests.integration.runs import COMMAND, WALL_MAX_S, Background, called, flightstack, replayed
 from tests.integration.sim_processes import ROOT, Client, wait_for
 from tests.integration.wires.test_links import signing
 from tests.processes.bounded import killed, lines_of
 from tests.processes.ports import free_endpoint, free_port
-from tests.processes.started import StartedChild
 from tests.unit.target import ros2_helpers as ros
 
 pytestmark = pytest.mark.xdist_group("real-time")
-
-SCENARIO = "grid"
 
 
 @contextmanager
 def theirs(folder):
     """Vehicle and robot that run by themselves; yields the words that plug them in."""
-    config = folder / "mine.toml"
-    config.write_text(dumps(load(SCENARIO).onboard))
-    ports, children = [Port(), Port()], []
-    target_at, onboard_at = (port.endpoint for port in ports)
-    try:
-        common = ["--scenario", SCENARIO, "--duration", "200"]
-        vehicle = StartedChild(
-            "vehicle", ["vehicle", *common, "--connect", target_at, "--url", "udpin:127.0.0.1:0"], folder
-        )
-        children.append(vehicle)
-        target = StartedChild(
-            "target", ["target", *common, "--listen", target_at, "--connect", onboard_at], folder
-        )
-        children.append(target)
-        url = vehicle.wait_ready().replace("udpin", "udpout")
-        target.wait_ready()
+    with simulated(folder) as room:
         yield [
-            "--vehicle", url, "--target", "cf1/target/odom", "--connect", target_at, "--listen", onboard_at,
-            "--config", str(config), "--target-offset", "0", "0", "0",
+            "--vehicle", room.url, "--target", room.target_key, "--connect", *room.connect,
+            "--listen", room.listen, "--config", str(room.config), "--target-offset", "0", "0", "0",
         ]  # fmt: skip
-    finally:
-        for child in reversed(children):
-            child.end()
-        for port in ports:
-            port.close()
 
 
 def test_lands_records_judges_and_reports(tmp_path):
@@ -71,7 +46,7 @@ def test_lands_records_judges_and_reports(tmp_path):
     assert found["outcome"] == "landed"
     assert found["judged_from"] == "estimate"
     assert found["touchdown_error_m"] <= 0.10
-    assert found["config"] == "mine"
+    assert found["config"] == "onboard"
     flight = load_flight(found["log"])
     assert flight.complete
     assert flight.truth is None

@@ -7,15 +7,15 @@ import socket
 import stat
 import threading
 import time
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.signing import Signer, load_key
-from flightstack.common.processes import Port
 from logs.tools.compare import ABSENT, compare
+from tests.flight_suite.room import simulated
 from tests.integration.runs import flightstack, fly
 from tests.integration.sim_processes import PATIENCE_S, Client, is_a, terminate, verb
 from tests.processes.started import StartedChild
@@ -166,26 +166,14 @@ def land_over(folder, make_near, baud, *, noise_bytes_s=0.0, cut_s=(), config="s
         config: of the onboard process.
     """
     with ExitStack() as stack:
-        ports = [stack.enter_context(closing(Port())) for _ in range(2)]
-        robot, onboard = (port.endpoint for port in ports)
-        target = StartedChild(
-            "target", ["target", "--scenario", "large", "--listen", robot, "--connect", onboard], folder
-        )
-        stack.callback(target.end)
-        target.wait_ready()
-        vehicle = StartedChild(
-            "vehicle",
-            ["vehicle", "--scenario", "large", "--url", "udpin:127.0.0.1:0", "--connect", robot],
-            folder,
-        )
-        stack.callback(vehicle.end)
-        port = int(vehicle.wait_ready().rpartition(":")[2])
+        room = stack.enter_context(simulated(folder, "large"))
+        port = int(room.url.rpartition(":")[2])
         relay = Relay(make_near(folder), port, baud, noise_bytes_s=noise_bytes_s)
         stack.callback(relay.close)
         flight = StartedChild(
             "onboard",
-            ["onboard", "--vehicle", relay.near.url, "--target", "cf1/target/odom", "--connect", robot,
-             "--listen", onboard, "--config", str(config), "--autopilot", "sitl"],
+            ["onboard", "--vehicle", relay.near.url, "--target", room.target_key, "--connect", *room.connect,
+             "--listen", room.listen, "--config", str(config), "--autopilot", "sitl"],
             folder,
         )  # fmt: skip
         stack.callback(flight.end)
