@@ -38,11 +38,6 @@ def test_each_axis_has_its_size_and_its_time():
     assert abs(np.corrcoef(torque[:, 0], torque[:, 1])[0, 1]) < 0.05
 
 
-def test_the_seed_decides():
-    assert np.array_equal(drawn(4, 50), drawn(4, 50))
-    assert not np.array_equal(drawn(4, 50), drawn(5, 50))
-
-
 def test_it_is_off_unless_a_vehicles_file_asks_for_it():
     assert load().torque_noise == TorqueNoiseShape()
     off = TorqueNoiseShape()

@@ -82,12 +82,6 @@ def test_a_fault_of_motion_capture_works_on_the_samples_with_their_errors():
     assert np.abs(late[:, :3]).max() < 3e-3
 
 
-def test_equal_seeds_are_equal_and_others_are_not():
-    flights = [repr(flown(StateError(), seed=seed, seconds=0.5)) for seed in (5, 5, 6)]
-    assert flights[0] == flights[1]
-    assert flights[0] != flights[2]
-
-
 def test_noise_and_delay_of_the_link_do_not_count():
     noisy = OdometryLink(100.0, 0.1, 0.0, 0.1, 0.3)
     quiet, loud = (arrays(flown(FINE, mocap=m, seconds=1.0))[1] for m in (QUIET, noisy))
