@@ -35,8 +35,6 @@ class Firmware:
         protocol: CRTP's. Before 12 it is CrazySim's firmware of 2024: no arming by the supervisor's
             port.
         auto_arm: as with brushed motors.
-        needs_poses: see above.
-        clock_rate: see above; CrazySim's ran at 0.97.
         tables: entries of the tables of logs and parameters; the real ones have 567 and 334.
     """
 
@@ -53,7 +51,7 @@ class Firmware:
         self.plant = plant if plant is not None else Point()
         self.protocol = protocol
         self.needs_poses = needs_poses  # it knows where it is only while poses come
-        self.clock_rate = clock_rate  # seconds of its clock in one of the host's
+        self.clock_rate = clock_rate  # seconds of its clock in one of the host's; CrazySim's ran at 0.97
         self.battery_v = 4.1
         self.power_state = 0
         # (time, velocity, yaw rate in deg/s) of the last velocity set-points
