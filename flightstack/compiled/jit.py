@@ -1,4 +1,4 @@
-"""Compiles the functions that run every millisecond (numba), and says where the machine code is kept.
+"""Compiles functions with numba, and stores the machine code on disk.
 
 With ``NUMBA_DISABLE_JIT=1`` the same functions run as plain Python, and numba is not even loaded. No
 fast-math: operations keep the order in which they are written, so that a run is the same bits every time.
@@ -94,7 +94,7 @@ def _own_folder() -> Path:
 
 def _take_over(shipped: Path, found: Path) -> None:
     """Copy machine code into an empty directory, at once for other processes."""
-    with contextlib.suppress(OSError):  # it is compiled anew then
+    with contextlib.suppress(OSError):  # then it is compiled again
         if any(found.iterdir()):
             return
         with tempfile.TemporaryDirectory(dir=found.parent) as folder:
@@ -136,7 +136,7 @@ def keep(what: str) -> None:
 
 @contextlib.contextmanager
 def telling() -> Iterator[None]:
-    """While something is compiled in the block, say how far it is, to standard error.
+    """Print the progress of compiling in the block to standard error.
 
     It takes ten seconds of processor time, of a slow computer minutes, once for each version. The share is
     that of the functions that are known by then; not all of them may be needed.
@@ -164,7 +164,7 @@ def telling() -> Iterator[None]:
             _told.clear()
 
 
-_told: dict[int, int] = {}  # functions that were begun
+_told: dict[int, int] = {}  # functions whose compiling has started
 
 
 def _tell(begun: int) -> None:
@@ -175,7 +175,7 @@ def _tell(begun: int) -> None:
 
 
 def _say(text: str) -> None:
-    with contextlib.suppress(OSError, ValueError):  # nobody reads it: that ends nothing
+    with contextlib.suppress(OSError, ValueError):  # standard error is closed
         print(f"flightstack: {text}", file=sys.stderr, flush=True)
 
 
@@ -203,7 +203,7 @@ def forbid_compiling(machine: Callable[..., Any]) -> None:
 
 @cache
 def load_numba() -> Any:
-    """Return numba, loaded without what it loads only because it is there, and nobody uses here.
+    """Return numba, loaded without optional imports that nothing here uses.
 
     That is a sixth of the time in which it loads: half a second, and as much again with the first machine
     code. Without scipy.linalg compiled code multiplies no matrices.

@@ -126,7 +126,7 @@ def fields_of(cls: Any) -> dict[str, tuple[Kind, int]]:
         if get_origin(hint) is typing.ClassVar or (kind := kind_of_hint(hint)) is None:
             continue
         may_lack = get_origin(hint) in (typing.Union, python_types.UnionType)
-        if not may_lack or kind.is_object or is_state(cls):  # of a constant None is not known in time
+        if not may_lack or kind.is_object or is_state(cls):  # a constant that may be None cannot be typed
             found[name] = (kind, at)
             at += len(kind.format)
     return found

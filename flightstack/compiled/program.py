@@ -20,7 +20,7 @@ from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S, FilterResult, Sa
 from flightstack.core.safety.solver import Columns, columns, compiled_solver
 from flightstack.core.types import FilterStatus, Vec3
 
-NUMBERS = 24  # of ``data_and_start``
+NUMBERS = 24  # length of ``data_and_start``
 _STATUS_AT, _ITERATIONS_AT = 32, 80  # bytes in OSQPInfo (osqp_api_types.h)
 _DOUBLE = 8  # bytes
 
@@ -67,7 +67,7 @@ class OwnProgram:
         numbers[:] = 1.0
         numbers[3:7], numbers[7:11], record.infinity = -1.0, osqp.OSQP_INFTY, osqp.OSQP_INFTY
         record.numbers_at = at = numbers.ctypes.data
-        self._kept = (settings, hessian, constraint, library)
+        self._kept = (settings, hessian, constraint)  # as long as the solver uses their memory
         p, a, solver = _csc(hessian), _csc(constraint), ctypes.c_void_p()
         failed = library.osqp_setup(
             ctypes.byref(solver), ctypes.byref(p), ctypes.c_void_p(at), ctypes.byref(a),
@@ -88,48 +88,9 @@ class OwnProgram:
         )
         record.solved = int(osqp.osqp_status_type.OSQP_SOLVED)
 
-    def solve(self) -> Vec3:
-        """Solve the program whose numbers are in the record, from Python; NaN where the solver did not."""
-        r, library = self._record, self._kept[-1]
-        own, at = ctypes.c_void_p(int(r.solver)), int(r.numbers_at)
-        q, low, high, row, x, y = (ctypes.c_void_p(at + n * _DOUBLE) for n in (0, 3, 7, 11, 17, 20))
-        library.osqp_update_data_vec(own, q, low, high)
-        library.osqp_update_data_mat(own, None, None, 0, row, None, 6)
-        library.osqp_warm_start(own, x, y)
-        library.osqp_solve(own)
-        if ctypes.c_int.from_address(int(r.status)).value != r.solved:
-            return (np.nan, np.nan, np.nan)
-        x_m_s, y_m_s, z_m_s = (ctypes.c_double * 3).from_address(int(r.solution))
-        return (x_m_s, y_m_s, z_m_s)
-
-    def iterations(self) -> int:
-        """Iterations of the newest solution."""
-        return int(ctypes.c_int.from_address(int(self._record.iterations)).value)
-
     def __del__(self) -> None:
         if getattr(self, "_solver", None):
             self._cleanup(self._solver)
-
-
-@cache
-def layout_is_known() -> bool:
-    """Whether this OSQP lays out its memory as assumed here: it then gives the bits of ``SafetyFilter``."""
-    record, plain = new(ProgramRecord), SafetyFilter(1.0)
-    own = OwnProgram(record)
-    for k in range(1, 9):
-        nominal, g, side = (0.3 * k - 1.0, 0.2, -0.1 * k), (0.1 * k, -0.5, 1.0), 0.25 * k
-        lower, upper, h_m = (-side, -side, -side), (side, side, side), 0.1 * k - 0.4
-        result = plain.solve(nominal, h_m, g, 0.05, lower, upper)
-        if result.status is not FilterStatus.SOLVED:
-            return False  # OSQP solves all eight; a program left out would show nothing
-        exact = projection.projected(nominal, g, -h_m - 0.05, lower, upper)
-        record.numbers[:] = qp_filter.data_and_start(
-            nominal, g, -h_m - 0.05, lower, upper, record.infinity, *exact
-        )
-        found, _ = qp_filter.clipped(own.solve(), g, -h_m - 0.05, lower, upper)
-        if (found, own.iterations()) != (result.velocity_enu_m_s, result.iterations):
-            return False
-    return True
 
 
 def _held(one: Any) -> int:
@@ -246,3 +207,17 @@ class CompiledFilter:
         if result.iterations:
             result = result._replace(solve_s=time.perf_counter() - started)
         return result
+
+
+@cache
+def layout_is_known() -> bool:
+    """Whether this OSQP lays out its memory as assumed here: it then gives the bits of ``SafetyFilter``."""
+    plain = SafetyFilter(1.0)
+    made = CompiledFilter(plain)
+    for k in range(1, 9):
+        nominal, g, side = (0.3 * k - 1.0, 0.2, -0.1 * k), (0.1 * k, -0.5, 1.0), 0.25 * k
+        given = nominal, 0.1 * k - 0.4, g, 0.05, (-side, -side, -side), (side, side, side)
+        expected, found = (each.solve(*given)._replace(solve_s=0.0) for each in (plain, made))
+        if expected.status is not FilterStatus.SOLVED or found != expected:
+            return False  # OSQP solves all eight; a program left out would show nothing
+    return True

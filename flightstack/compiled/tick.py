@@ -43,9 +43,9 @@ RULES: dict[Phase, I64] = {
     phase: np.array([(rule.when, rule.unless) for rule in TABLE[phase]], dtype=np.int64)
     for phase in (Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN, Phase.LANDED)
 }
-_SAMPLES = 4  # of the target in a compiled tick, at most
+_SAMPLES = 4  # maximum number of target samples in a compiled tick
 _OWN, _SAMPLE = struct.Struct("=12d"), struct.Struct("=10d")
-_NONE = -1.0  # samples in a call that only compiles
+_NONE = -1.0  # number of samples in a call that only compiles
 
 
 @jitted
@@ -83,7 +83,7 @@ def _landed(kernel: LandingKernel, given: F64, rules: I64) -> tuple[Landing, flo
 class CompiledController(Controller):
     """A controller that computes ordinary ticks of a landing in one compiled call; see ``compiled``.
 
-    The state is copied back when somebody asks for ``memory`` or ``state``, after the set-point has gone out.
+    The state is copied back at the next access to ``memory`` or ``state``: after the set-point was sent.
     """
 
     compiled: ClassVar = {"memory": None}  # for compiled code a field
@@ -177,7 +177,7 @@ class CompiledController(Controller):
             return False
         self._held = self._held or self._objects.write()
         self._status, self._lasting = known, lasting_flags(self.config.checks, memory, status)
-        self._accepted = self.track.accepted
+        self._accepted = self.track.memory.accepted
         return self._held
 
     def _outputs(self, inputs: Inputs, landing: Landing, reserve: float, took_s: float) -> Outputs:

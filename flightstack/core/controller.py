@@ -12,10 +12,10 @@ import math
 from dataclasses import fields
 from typing import NamedTuple
 
-from flightstack.core.fleet.cone import Cone
 from flightstack.core.fleet.exact import Row
 from flightstack.core.fleet.member import NO_ROWS, FleetMember, Rows
 from flightstack.core.fleet.precedence import ALONE
+from flightstack.core.fleet.program import Cone
 from flightstack.core.kernel import Barriers, LandingKernel
 from flightstack.core.memory import FleetState, LateState, ReserveMemory, State, WholeState
 from flightstack.core.mission.guidance import NominalCommand, Situation, nominal_command
@@ -178,8 +178,8 @@ class Controller(LandingKernel):
             transition=transition,
             events=tuple(events),
             finished=self._finished(inputs.status, now_s),
-            target_accepted=self.track.accepted,
-            target_rejected=self.track.rejected,
+            target_accepted=self.track.memory.accepted,
+            target_rejected=self.track.memory.rejected,
             reserve=self.reserve_estimate.reserve if self.reserve_estimate is not None else math.nan,
             own_word=own_word,
         )
@@ -202,12 +202,12 @@ class Controller(LandingKernel):
     def _take_samples(self, inputs: Inputs) -> list[Event]:
         events = []
         for sample in inputs.target_samples:
-            verdict = self.take(sample)
+            verdict, count = self.take(sample), self.track.memory.rejected
             if verdict is Verdict.ACCEPTED:
                 if self.track.stepped_s:
                     by = f"{self.track.stepped_s:+.2f} s"
                     events.append(Event(WARN, f"target: its sender's clock was set by {by}, or began anew"))
-            elif not (count := self.track.rejected) & (count - 1):  # it doubled: a stream would fill the log
+            elif not count & (count - 1):  # it doubled: a stream would fill the log
                 so_far = f" ({count} refused so far)" if count > 1 else ""
                 events.append(Event(WARN, f"target sample refused: {verdict.text}{so_far}"))
         return events

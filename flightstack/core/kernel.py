@@ -77,7 +77,7 @@ class Landing(NamedTuple):
 
 
 class LandingKernel:
-    """The parts of a controller, and what they do together."""
+    """The parts of a controller, and the steps that compiled code computes as well."""
 
     config: FlightConfig
     barrier: Barrier
@@ -85,7 +85,7 @@ class LandingKernel:
     track: TargetTrack
     plausibility: Plausibility
     strategy: Strategy
-    program: Program  # of the landing; an equal form may take its place
+    program: Program  # program of the landing, plain or compiled
     reserve_estimate: ReserveEstimate | None
     slew_step: Vec3
     up_step_m_s: float  # additional step upwards
@@ -119,7 +119,7 @@ class LandingKernel:
 
     @property
     def in_free_flight(self) -> bool:
-        """It flies our velocities, and nothing helps: near the pad the ground effect does, on it the pad."""
+        """It flies our velocities, without support by the pad or the ground effect above it."""
         return self.memory.commanding and self.memory.phase is not Phase.TOUCHDOWN
 
     def _accelerate(self, most_m_s2: Vec3) -> None:
@@ -191,7 +191,7 @@ class LandingKernel:
         return lower, upper
 
     def least_z_m_s(self, target_m_s: Vec3) -> float:
-        """Lowest vertical velocity that a set-point may lead to if it stays the last one.
+        """Lowest vertical velocity that a set-point may lead to if it remains the last one.
 
         So near to the pad nothing but the pad stops a vehicle whose companion has died.
         """

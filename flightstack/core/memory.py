@@ -27,7 +27,7 @@ class AbortWay(IntEnum):
 
 @dataclass(slots=True)
 class Memory:
-    """Of the mission machine and the commands."""
+    """State of mission machine and commands."""
 
     phase: Phase = Phase.WAIT
     phase_since_s: float = 0.0
@@ -59,7 +59,7 @@ class Memory:
 
 @dataclass(slots=True)
 class ClockMemory:
-    """Of a sender's clock; ``way`` is arrival minus stamp: difference of the clocks plus delay."""
+    """State of a sender's clock; ``way`` is arrival minus stamp: difference of the clocks plus delay."""
 
     offset_s: float = inf  # least way, forgotten quickly
     floor_s: float = inf  # least way, forgotten slowly
@@ -76,7 +76,7 @@ class ClockMemory:
 
 @dataclass(slots=True)
 class TrackMemory(ClockMemory):
-    """Of the target track, with its sender's clock."""
+    """State of the target track, with its sender's clock."""
 
     last: TargetSample | None = None  # newest accepted sample
     elsewhere: Annotated[TargetSample | None, ABSENT] = (
@@ -88,7 +88,7 @@ class TrackMemory(ClockMemory):
     distrusted: bool = False  # positions and velocity contradict each other
     distrusts: int = 0  # how often they have in this flight
     parted_m: float = 0.0  # largest distance since they do
-    settled: bool = False  # the flight has begun: the target does not turn up elsewhere any more
+    settled: bool = False  # the flight has started: samples from elsewhere are not accepted any more
     accepted: int = 0
     rejected: int = 0
     refusal: str = ""  # why the newest sample was refused; empty: it was not
@@ -99,7 +99,7 @@ Covariance = tuple[float, float, float, float, float, float]  # pp, pv, pa, vv, 
 
 @dataclass(slots=True)
 class MotionMemory:
-    """Of the target's estimator."""
+    """State of the target's estimator."""
 
     time_s: float = nan  # stamp of the newest sample, on the sender's clock; NaN before the first
     position_enu_m: Vec3 = ZERO  # at that time, like the rest
@@ -108,13 +108,13 @@ class MotionMemory:
     yaw_rad: float | None = None  # measured last, None if it is not known
     turn_rate_rad_s: float = 0.0  # at which velocity and acceleration turn
     surprise: float = 1.0  # normalised innovation squared of x and y; 1 on average
-    covariance_xy: Covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # of x and of y: they have the same
+    covariance_xy: Covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # equal for x and y
     covariance_z: Covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(slots=True)
 class TrackingMemory:
-    """Of the corrections for the vehicle's velocity loop."""
+    """State of the corrections for the vehicle's velocity loop."""
 
     slope_m_s2: Vec3 = ZERO  # smoothed derivative of the velocity wanted
     setpoint_m_s: Vec3 = ZERO  # sent last
@@ -125,7 +125,7 @@ class TrackingMemory:
 
 @dataclass(slots=True)
 class PlausibilityMemory:
-    """Of the checks on own state and set-points."""
+    """State of the checks of vehicle state and set-points."""
 
     last: OwnState | None = None  # newest new measurement
     moved_s: float = 0.0  # arrival of the newest at another position, or of one that did not fly
@@ -136,14 +136,14 @@ class PlausibilityMemory:
 
 @dataclass(slots=True)
 class ReserveMemory:
-    """Of the estimate of the thrust reserve."""
+    """State of the estimate of the thrust reserve."""
 
     effort: float = nan  # smoothed (throttle / highest)^p, upward part; NaN before the first
     rise_m_s: float = 0.0  # vertical velocity with the same smoothing; the difference is acceleration
     tired: bool = False  # fell below the least; remains set in flight
 
 
-# position m, velocity m/s, acceleration by the vehicle's loop m/s^2, error of the velocity told m/s, and
+# position m, velocity m/s, acceleration by the vehicle's loop m/s^2, error of the reported velocity m/s, and
 # acceleration by gusts and turning moments m/s^2
 AxisState = tuple[float, float, float, float, float]
 AT_REST: AxisState = (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -151,9 +151,9 @@ AT_REST: AxisState = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 @dataclass(slots=True)
 class OwnMemory:
-    """Of the estimator of the own state."""
+    """State of the estimator of the vehicle state."""
 
-    time_s: float = nan  # of the newest sample; NaN before the first
+    time_s: float = nan  # time of the newest sample; NaN before the first
     x: AxisState = AT_REST  # at that time, like the rest
     y: AxisState = AT_REST
     z_m: float = 0.0
@@ -170,7 +170,7 @@ Level = tuple[float, float]  # on x and y
 
 @dataclass(slots=True)
 class LateMemory:
-    """Of a velocity loop with a dead time."""
+    """State of a velocity loop with a dead time."""
 
     sent_m_s: tuple[Level, ...] = ()  # horizontal set-points that have no effect yet, oldest first
 
@@ -203,13 +203,13 @@ class LateState(WholeState):
 
 @dataclass(slots=True)
 class Heard:
-    """Of one other vehicle of the fleet."""
+    """State of one neighbour."""
 
-    word: Neighbour | None = None  # newest; None: it was never heard
+    word: Neighbour | None = None  # newest message; None before the first
     yields: bool = False  # this vehicle yields to it, as announced
     claim_s: float = nan  # its claim to which that belongs
     yielded_s: float = -inf  # time of the last such announcement
-    on_pad: bool = False  # it stood on this vehicle's pad when it was heard last
+    on_pad: bool = False  # it stood on this vehicle's pad in its newest message
     faster_m_s2: Vec3 = ZERO  # at which the velocity that it wanted changed
     jumped_m: Vec3 = ZERO  # distance of reported positions beyond the reachable ones
 
@@ -224,17 +224,17 @@ def _nobody_heard() -> Slots:
 
 @dataclass(slots=True)
 class FleetMemory:
-    """Of the other vehicles, and of the own right of way."""
+    """State of the neighbours, and of this vehicle's right of way."""
 
     slots: Slots = field(default_factory=_nobody_heard)
     claim_s: float = nan  # time of the claim for the right of way
     granted: bool = False
     waits_since_s: float = inf  # for it
     committed_s: float = inf  # time since which COMMITTED is announced
-    crowded: bool = False  # reported: the rows of neighbours are relaxed
+    crowded: bool = False  # the report that the rows of neighbours are relaxed was sent
     crowded_s: float = -inf  # when they did last
     left: bool = False  # it has left its pad for another vehicle, or has tried to
-    stays: bool = False  # reported: it does not leave its pad
+    stays: bool = False  # the report that it does not leave its pad was sent
     place_enu_m: Vec3 | None = None  # where it lands then
 
 

@@ -19,7 +19,8 @@ Vec3 = tuple[float, float, float]
 
 MARKED: set[Callable[..., Any]] = set()
 RARE: set[Callable[..., Any]] = set()
-_INEXACT = {"hypot", "dist", "remainder", "fsum", "pow"}  # of ``math``: machine code has other last bits
+# functions of ``math`` that differ in the last bits in machine code
+_INEXACT = {"hypot", "dist", "remainder", "fsum", "pow"}
 _SPLIT = 134217729.0  # 2^27 + 1: splits a double into two halves (Veltkamp)
 
 

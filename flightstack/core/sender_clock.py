@@ -1,13 +1,13 @@
 """Time stamps of another process: plausibility, and the delay of a message.
 
-Arrival minus stamp is the difference of the two clocks plus the delay of the message. Its least value stands
-for a message without delay; what another message takes longer is its lateness. Nothing here is remembered for
-ever, and no single message decides:
+Arrival minus stamp is the difference of the two clocks plus the delay of the message. Its least value belongs
+to a message without delay; the excess of any other message is its lateness. Old values are forgotten, and no
+single message decides:
 
 * the least value, once not met for ``HOLDS_S``, is forgotten at ``FORGETS``: clocks that drift are followed,
   and a queue that grows faster is seen as lateness;
 * a stamp ahead of all that is known, or older than the newest, is refused. When refused messages agree with
-  each other for ``proof_s`` and none was accepted meanwhile, the sender's clock was set, or began anew: they
+  each other for ``proof_s`` and none was accepted meanwhile, the sender's clock was set or restarted: they
   are followed;
 * messages that are only late may come from a queue, which looks like a clock that was set back while nothing
   was sent. No queue keeps its length for long: they have to agree for ``patience_s``.
@@ -107,7 +107,7 @@ class SenderClock:
         return Reading.STEPPED if arrival_s - self.memory.run_since_s >= needed_s else reading
 
     def take(self, stamp_s: float, arrival_s: float) -> bool:
-        """Learn from a good one; whether the sender's clock was set, or began anew."""
+        """Learn from an accepted stamp; returns whether the sender's clock was set or restarted."""
         memory, way_s = self.memory, arrival_s - stamp_s
         newest = memory.run_stamp_s == stamp_s and memory.run_arrival_s == arrival_s
         stepped = newest and memory.run_since_s < math.inf

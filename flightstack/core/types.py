@@ -137,7 +137,7 @@ class TargetSample(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class VehicleStatus:
-    """What the heartbeat and the landed state say."""
+    """Content of heartbeat and landed state."""
 
     arrival_s: float
     armed: bool
@@ -147,22 +147,22 @@ class VehicleStatus:
 
     @property
     def flies_by_setpoints(self) -> bool:
-        """Whether the vehicle says that it is in the air and follows our set-points."""
+        """Whether the vehicle reports that it is in the air and follows our set-points."""
         return self.armed and self.mode is Mode.EXTERNAL and self.landed is not Landed.ON_GROUND
 
 
 @dataclass(frozen=True, slots=True)
 class Power:
-    """What the vehicle says of its battery and its motors; NaN for what it does not say."""
+    """Reported state of battery and motors; NaN for each number that is not reported."""
 
     arrival_s: float  # arrival of the newest message with one of them
     voltage_v: float  # voltage of the battery under the current load
     throttle: float  # mean of the motors' commands, 0 to 1
-    cos_tilt: float  # of the angle between the body's z axis and up
+    cos_tilt: float  # cosine of the angle between the body's z axis and up
 
 
 class Intent(IntEnum):
-    """What a vehicle of a fleet is about to do, as it tells the others."""
+    """Intention of a fleet member, as announced to its neighbours."""
 
     STANDING = 0  # on the ground, or in the climb of its take-off: it does not yield
     WAITING = 1  # flies, without a right of way
@@ -173,7 +173,7 @@ class Intent(IntEnum):
 
 
 class Neighbour(NamedTuple):
-    """What a vehicle of a fleet says of itself; times on the stack clock of who reads it."""
+    """Message of a fleet member; times are on the receiver's stack clock."""
 
     id: int  # number of the vehicle, 1 to 250
     stamp_s: float  # time of the message, corrected for the difference of the clocks

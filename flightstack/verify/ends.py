@@ -9,7 +9,7 @@ from flightstack.core.parameters.reserve import GRAVITY_M_S2
 from flightstack.verify.types import Check, Need
 
 STEADY_ERROR = 0.25  # share of the full speed by which a velocity may be wrong, gusts included
-NOISE_SIGMAS = 7.0  # of one position, in a jump between two: 5 of their difference
+NOISE_SIGMAS = 7.0  # jump in standard deviations of one position: 5 of the difference of two
 FALL_MAX_M_S = 1.0  # twice the speed of a landing, within the strength of the landing gear
 
 

@@ -221,7 +221,7 @@ def touchdowns(config: FlightConfig, fleet: Fleet, descent_s: float) -> Check:
 
 
 def first_attempt_s(config: FlightConfig, fleet: Fleet, descent_s: float) -> float:
-    """Return how long the landing of who waited takes, without going around."""
+    """Return the duration of a landing after the wait, without going around."""
     robust = issubclass(strategy_class(config.filter), RobustFilter)
     if robust:
         near_m, gain_1_s, down_m_s = (

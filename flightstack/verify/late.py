@@ -34,8 +34,8 @@ RESPONSES = (1.0, 1.15, 1.3)  # steady velocity as share of the set-point: ident
 # at which a loop with a dead time still must not swing up: its phase turns without end, so that the gain
 # alone keeps it from that, and an identified gain is the mean of large and small commands
 RESPONSE_LATE = 1.35 * RESPONSES[-1]
-# of a matrix: position against the target, velocity, acceleration; velocity and derivative of the model,
-# disturbance, slope, velocity wanted; velocity of the target, and error of the velocity wanted; then
+# states of the matrix: position against the target, velocity, acceleration; velocity and derivative of the
+# model, disturbance, slope, velocity wanted; velocity of the target, and error of the velocity wanted; then
 # set-points and own states on their way
 STATES = 10
 _TARGET, _ERROR = 8, 9

@@ -27,12 +27,12 @@ class Estimate(NamedTuple):
     """Current estimate of another vehicle."""
 
     age_s: float  # age of its message, with the error of the clock
-    # carried on from the stamp; where its words are late, the upper end of where it may be
+    # position extrapolated from the stamp; with late messages the upper end of its possible positions
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3  # velocity as reported; 0 where the position is carried on no more
     grown_m: float  # growth of both semi-axes
     growth_m_s: float  # rate of that growth
-    late: bool  # its word is older than ``latency_max_s``, and did not say that it is down
+    late: bool  # its message is older than ``latency_max_s``, and did not announce that it is down
     anywhere_m: float  # the same as ``grown_m``, with all that it can have flown since
     depth_m: float = 0.0  # depth that it may have sunk below its position, as its autopilot lands it
     sink_m_s: float = 0.0  # rate of that
@@ -69,7 +69,7 @@ def growth(age_s: float, speed_m_s: float, fleet: Fleet) -> tuple[float, float]:
 
 
 def jump(before: Neighbour, word: Neighbour, fleet: Fleet) -> Vec3:
-    """How far a vehicle tells to be from where its last word leads to; zero if it can have flown there.
+    """Distance of a reported position from the extrapolated last one; zero if it can have flown there.
 
     Its velocity may have changed since as fast as the fleet counts with; both words may err by the standard
     deviations and the errors of clocks that they tell, and by the margin that the ellipsoid has: a landing

@@ -12,8 +12,7 @@ from flightstack.core.fleet.ellipsoid import barrier, estimate, faster, jump
 from flightstack.core.fleet.exact import Row
 from flightstack.core.fleet.precedence import Pad, Way, decide, heard
 from flightstack.core.fleet.program import FleetProgram
-from flightstack.core.fleet.shares import NONE, row, share, wider
-from flightstack.core.fleet.sidestep import Near, sidestep
+from flightstack.core.fleet.shares import NONE, Near, row, share, sidestep, wider
 from flightstack.core.memory import AbortWay, FleetMemory, Heard, Memory
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.safety.position_loop import limit

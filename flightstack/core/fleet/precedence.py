@@ -28,7 +28,7 @@ class Way(NamedTuple):
 
     may_begin: bool = True  # every member has been heard
     may_land: bool = True  # it has the right of way
-    may_touch: bool = True  # all know that it gives way to nobody any more
+    may_touch: bool = True  # the announcement that it no longer gives way has reached all neighbours
     waited: bool = False  # it has waited for its right of way for too long
     text: str = ""  # vehicles that it waits for
     pad_wanted: bool = False  # landed on a pad that others wait for, it is to leave it

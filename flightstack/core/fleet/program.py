@@ -4,6 +4,9 @@ The program of ``safety/qp_filter.py`` with more rows. OSQP starts from the exac
 not confirmed, ``exact.py`` by all active sets), and its result is used only if it meets all rows and equals
 that point. If no point meets all rows, the rows of silent vehicles are relaxed first; then all rows of
 neighbours together by the least common slack. Landing barrier and box are never relaxed.
+
+Over the pad ``Cone`` cuts the box first. A lone vehicle flies inwards, where the boundary falls; one that
+gives way may fly outwards or past the middle, where the boundary may rise faster than it can climb.
 """
 
 from __future__ import annotations
@@ -18,15 +21,17 @@ import numpy as np
 from flightstack.core.fleet import dual, exact
 from flightstack.core.fleet.exact import Nearest, Row
 from flightstack.core.parameters.fleet import OTHERS_MAX
-from flightstack.core.safety.position_loop import clip_to_box
+from flightstack.core.safety.position_loop import clip, clip_to_box
 from flightstack.core.safety.projection import best_corner
 from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S, FilterResult, solver_settings
 from flightstack.core.safety.solver import compiled_solver, matrix
 from flightstack.core.types import ZERO, FilterStatus, Vec3
 
 FIRM_MAX = 2  # rows that never give way
-AGREES_M_S = 1e-6  # of the solver's point with the exact one
+AGREES_M_S = 1e-6  # largest distance of the solver's point from the exact one, m/s
 _ROWS = FIRM_MAX + OTHERS_MAX
+INWARD_RATE_1_S = 2.5  # always allowed horizontal velocity per distance from the pad's middle
+OUTWARD_PART = 0.5  # share of the landing barrier's rate for horizontal velocities that lower h
 RELAXED_M_S = 1e-8  # besides the least slack, so that more than one point is left
 
 
@@ -165,3 +170,44 @@ class FleetProgram:
             missing_m_s = row.missing_m_s(point)
             residual = missing_m_s if missing_m_s > residual else residual
         return point, residual, info.iter
+
+
+class Cone(NamedTuple):
+    """Bounds of the velocity over the pad."""
+
+    rate_1_s: float  # rate at which h may be used up
+    slope_max: float  # steepest slope of the boundary
+    lag_s: float  # delay of a climb
+    period_s: float  # period of a tick
+
+    def outward(self, h_m: float, gradient: Vec3, before_m_s: Vec3, target_m_s: Vec3) -> Row:
+        """Row that lets a velocity out of the cone grow no faster than the climb that holds h can follow.
+
+        Flying inwards may always end.
+        """
+        gx, gy, _ = gradient
+        used_m_s = self.period_s * self.rate_1_s * max(0.0, h_m) / self.lag_s
+        with_target = gx * target_m_s[0] + gy * target_m_s[1]
+        inward_m_s = gx * before_m_s[0] + gy * before_m_s[1] - with_target
+        return Row((gx, gy, 0.0), with_target + min(0.0, inward_m_s) - OUTWARD_PART * used_m_s)
+
+    def box(
+        self, d_m: float, h_m: float, nominal: Vec3, target_m_s: Vec3, lower: Vec3, upper: Vec3
+    ) -> tuple[Vec3, Vec3]:
+        """Box in which making way neither makes the vehicle sink faster nor takes it fast past the middle.
+
+        Beyond the middle a velocity inwards is one outwards. A climb may always end. It sinks no faster than
+        h alone allows: a flight inwards, where the boundary falls, may be turned round by a neighbour sooner
+        than the climb follows.
+        """
+        most = INWARD_RATE_1_S * d_m + OUTWARD_PART * max(0.0, h_m) / (self.slope_max * self.lag_s)
+        (tx, ty, tz), (lx, ly, lz), (ux, uy, uz) = target_m_s, lower, upper
+        least_z_m_s = min(tz, max(nominal[2], tz - self.rate_1_s * max(0.0, h_m)))
+        return (
+            (
+                clip(tx - most, lx, ux),
+                clip(ty - most, ly, uy),
+                clip(least_z_m_s, lz, uz),
+            ),
+            (clip(tx + most, lx, ux), clip(ty + most, ly, uy), uz),
+        )

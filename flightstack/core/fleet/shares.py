@@ -1,13 +1,16 @@
-"""Share of this vehicle in the avoidance of another one: none, half, or all of it.
+"""Share of this vehicle in the avoidance of another one: none, half, or all of it; and the side-step.
 
 The shares of two vehicles always sum to at least 1, also with late or lost messages
 (docs/how_it_works/fleet.md). The order of the rules is the proof: first the announcements of this vehicle,
-then the reasons why the other one cannot give way, then the latest announcements of the other one.
+then the reasons why the other one cannot give way, then the latest announcements of the other one. Two
+vehicles that meet head-on would block each other: each steps aside to its right.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 from flightstack.core.fleet.ellipsoid import Estimate
 from flightstack.core.fleet.exact import Row
@@ -18,6 +21,7 @@ from flightstack.core.types import ZERO, Intent, Neighbour, Vec3
 # members that do not give way, or have a fault
 FIRM = frozenset({Intent.STANDING, Intent.COMMITTED, Intent.CLEARING, Intent.DOWN})
 NONE, HALF, ALL = 0.0, 0.5, 1.0
+_LEAST_M = 1e-6  # least horizontal distance with a direction, m
 
 
 def share(slot: Heard, word: Neighbour, now_s: float, fleet: Fleet) -> float:
@@ -59,7 +63,7 @@ def row(
 
 
 def wider(lax: Row, outer_m: float, now: Estimate, fleet: Fleet) -> Row:
-    """Constraint for a vehicle whose words are late: it may be anywhere in a larger ellipsoid.
+    """Constraint for a vehicle whose messages are late: it may be anywhere in a larger ellipsoid.
 
     While it may fly, this vehicle stays out of it, or comes no nearer to its middle if it is inside. After
     that it lies somewhere in there: who is outside stays so; who is inside has to come down, too.
@@ -70,3 +74,29 @@ def wider(lax: Row, outer_m: float, now: Estimate, fleet: Fleet) -> Row:
     elif outer_m < 0.0:
         return lax
     return Row(lax.g, max(lax.bound_m_s, bound_m_s))
+
+
+class Near(NamedTuple):
+    """A vehicle in reach."""
+
+    h_m: float  # value of the barrier
+    gradient: Vec3  # gradient by this vehicle's position
+    away_m: Vec3  # this vehicle minus the other one, ENU
+    velocity_enu_m_s: Vec3  # velocity of the other one
+
+
+def sidestep(nominal: Vec3, near: Sequence[Near], rate_1_s: float) -> Vec3:
+    """Nominal velocity with a part to the right of each vehicle that it closes in on.
+
+    The part grows to the closing speed from where the row begins to bind to where nothing is left.
+    """
+    x, y, z = nominal
+    for h_m, (gx, gy, gz), (ax, ay, _), (vx, vy, vz) in near:
+        closing_m_s = -(gx * (nominal[0] - vx) + gy * (nominal[1] - vy) + gz * (nominal[2] - vz))
+        if closing_m_s <= 0.0 or rate_1_s * h_m >= closing_m_s:
+            continue
+        d_m = math.hypot(ax, ay)
+        ahead = (-ax / d_m, -ay / d_m) if d_m > _LEAST_M else (1.0, 0.0)
+        part_m_s = min(closing_m_s - rate_1_s * h_m, closing_m_s)
+        x, y = x + part_m_s * ahead[1], y - part_m_s * ahead[0]
+    return (x, y, z)

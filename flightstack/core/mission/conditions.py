@@ -75,7 +75,7 @@ def climbed(config: FlightConfig, memory: Memory, own: OwnState) -> bool:
 
 
 def flown_clear(config: FlightConfig, memory: Memory, own: OwnState) -> bool:
-    """Whether an abort has flown clear of the target and stays so in a landing, or has tried for too long."""
+    """Whether an abort has flown clear of the target and remains clear in a landing, or took too long."""
     target, clearance_m = memory.target_position_enu_m, config.checks.clearance_m
     if target is None:
         return False
@@ -274,7 +274,7 @@ def _sets_off(config: FlightConfig, barrier: Barrier, memory: Memory, at: Relati
 
 @numeric
 def waits_for_calm(config: FlightConfig, memory: Memory, at: Relative, now_s: float) -> bool:
-    """Whether the target is fast now and may be slower soon; a vehicle that is on the pad already stays."""
+    """Whether the target is fast now and may be slower soon; not for a vehicle that is on the pad."""
     touchdown, wait_s = config.touchdown, config.touchdown.calm_wait_s
     if wait_s == 0.0 or now_s - memory.started_s >= wait_s:
         return False

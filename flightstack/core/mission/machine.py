@@ -42,7 +42,7 @@ _CHANGE = rf"(?P<before>{_PHASES})(?: -> (?P<after>{_PHASES}))?"
 _TEXT = re.compile(rf"{_TIME}{_CHANGE}: (?P<reason>.*?)(?: \((?P<way>{_WAYS})\))?", re.DOTALL)
 STANDING_S = 4.0  # on the pad, not let touch down: pushed to the middle, where h >= 0, most are within 3 s
 SLIDING_TIME_S = 0.15  # a delayed vehicle state shows contact 0.1 s late, and the motors need 0.05 s
-ABORT_SETTLE_S = 1.0  # for the heartbeat that says so
+ABORT_SETTLE_S = 1.0  # minimum time in an abort: a heartbeat reports its end, s
 PLACE_RADIUS_M = 0.1  # horizontally: so near the place beside the target it lands ...
 PLACE_SPEED_M_S = 0.15  # ... when it is slower than that
 RETRY_FROM = frozenset({Phase.HOLD, Phase.CLIMB, Phase.TOUCHDOWN})
@@ -167,7 +167,7 @@ class Mission:
         return (over and in_phase_s >= ABORT_SETTLE_S) or in_phase_s > self._config.retreat.abort_time_max_s
 
     def _down(self, status: VehicleStatus, now_s: float) -> bool:
-        """Whether the vehicle stands with its motors off, by its own word."""
+        """Whether the vehicle reports that it stands with its motors off."""
         fresh = now_s - status.arrival_s <= self._config.checks.status_age_max_s
         return status.landed in _NOT_FLYING and not (status.armed and fresh)
 
@@ -210,7 +210,7 @@ class Mission:
         return at.d_m <= self._config.touchdown.pad_radius_m + self._config.contact.beyond_m
 
     def _stands(self, at: Relative, standing: bool, now_s: float) -> bool:
-        """The vehicle says that it stands, or it is on the pad and no longer sinks though it should."""
+        """The vehicle reports that it stands, or it is on the pad and does not sink though it should."""
         memory, config = self.memory, self._config
         near = self._above(at) and at.e_m[2] - config.touchdown.feet_below_reference_m < config.contact.gap_m
         sinking_m_s = at.target.velocity_enu_m_s[2] - at.own.velocity_enu_m_s[2]
@@ -223,7 +223,7 @@ class Mission:
     def _slides(self, at: Relative) -> bool:
         """Low over the pad, and going to slide off it before the motors stand."""
         contact, gap_m = self._config.contact, at.e_m[2] - self._config.touchdown.feet_below_reference_m
-        if contact.sliding_gap_m <= max(0.0, gap_m):  # of 0 it is off, also where the feet seem to be lower
+        if contact.sliding_gap_m <= max(0.0, gap_m):  # 0 disables it, even if the feet seem to be lower
             return False
         vx, vy = at.slip_m_s
         return at.d_m + SLIDING_TIME_S * hypot(vx, vy) > contact.sliding_radius_m

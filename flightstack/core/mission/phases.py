@@ -34,7 +34,7 @@ class Condition(IntEnum):
     WAS_EXTERNAL = 1 << 9  # did so earlier in this flight
     STANDING = 1 << 10  # the vehicle reports ground contact
     AT_START = 1 << 11  # where the landing begins
-    STARTED = 1 << 12  # the landing had begun
+    STARTED = 1 << 12  # the landing has started
     OVER_PAD = 1 << 13  # inside the descending cone
     TOUCH = 1 << 14  # the touchdown rule is met
     RECOVERED = 1 << 15  # inputs were good for long enough; in WAIT each of them was renewed in that time
@@ -81,7 +81,7 @@ _OPERATOR = (
     Rule(C.EMERGENCY, Phase.ABORT, "emergency stop"),
     Rule(C.ABORT_ASKED, Phase.ABORT, "abort requested by the operator"),
 )
-# what the autopilot or another client did: the autopilot's own messages say why
+# caused by the autopilot or another client; the autopilot's messages give the reason
 DISARMED, MODE_CHANGED = (
     "vehicle disarmed without a command from this stack",
     "mode changed without a command from this stack",
@@ -218,12 +218,12 @@ ABORT_TABLE: dict[AbortWay, tuple[Rule[AbortWay], ...]] = {
 
 
 def next_phase(phase: Phase, conditions: int) -> Rule[Phase] | None:
-    """First matching rule of the phase; ``None`` if the phase stays."""
+    """First matching rule of the phase; ``None`` if the phase remains."""
     return _first(TABLE[phase], conditions)
 
 
 def next_way(way: AbortWay, conditions: int) -> Rule[AbortWay] | None:
-    """First matching rule of a way of aborting; ``None`` if it stays."""
+    """First matching rule of a mode of aborting; ``None`` if it remains."""
     return _first(ABORT_TABLE[way], conditions)
 
 

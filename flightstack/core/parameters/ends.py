@@ -56,7 +56,7 @@ class Touchdown:
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """What tells that the vehicle stands on the pad."""
+    """Signs that the vehicle stands on the pad."""
 
     # height of the feet at contact: noise of two positions, tilt of the pad
     gap_m: Annotated[float, span(0.001, 0.5)] = 0.01

@@ -145,7 +145,7 @@ class VehicleSide:
 
 @dataclass(frozen=True, slots=True)
 class FlightConfig:
-    """Everything the onboard process is told."""
+    """Complete configuration of the onboard process."""
 
     barrier: BarrierShape
     filter: str = "robust"  # name in filters.py, or MODULE:NAME of an external class

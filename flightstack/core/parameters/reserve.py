@@ -1,4 +1,4 @@
-"""How much thrust the vehicle has left above its weight, by its battery's voltage, and who may use how much.
+"""How much thrust the vehicle has left above its weight, by its battery's voltage, and how it is shared.
 
 The reserve is the largest thrust divided by the weight. Thrust grows with (throttle x voltage)^p, so that the
 throttle of level flight grows as the voltage falls. At the voltage of level flight the largest thrust is
@@ -25,7 +25,7 @@ from flightstack.common.strict_toml import ConfigError, span
 from flightstack.core.numeric import numeric
 
 GRAVITY_M_S2 = 9.81
-LEAST_M_S2 = 0.1  # of acceleration that is always granted: with none a velocity could not change any more
+LEAST_M_S2 = 0.1  # acceleration that is always granted, m/s^2: without any a velocity could not change
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class Reserve:
     motor_voltage_max_v: Annotated[float, span(0.1, 100.0)] | None = None
     thrust_exponent: Annotated[float, span(0.5, 3.0)] = 1.5  # p above
     share: Annotated[float, span(0.1, 1.0)] = 0.5  # for velocities wanted; the rest is for wind and attitude
-    smoothing_s: Annotated[float, span(0.2, 20.0)] = 1.0  # of the estimate in flight
+    smoothing_s: Annotated[float, span(0.2, 20.0)] = 1.0  # time constant of the estimate in flight
 
     def __post_init__(self) -> None:
         least = self.at(self.lowest_voltage_v)
@@ -55,7 +55,7 @@ class Reserve:
             )
 
     def at(self, voltage_v: float) -> float:
-        """Reserve at a voltage in flight, as the two declared numbers of level flight say."""
+        """Reserve at a voltage in flight, by the two declared numbers of level flight."""
         return self.left(self.effort(self.hover_throttle * self.hover_voltage_v / voltage_v), voltage_v)
 
     def effort(self, throttle: float) -> float:

@@ -28,7 +28,7 @@ class VelocityLoop:
     rate_xy_1_s: Annotated[float, span(0.5, 50.0)] = 5.2  # natural frequency of the second-order model
     rate_z_1_s: Annotated[float, span(0.5, 50.0)] = 8.0
     damping: Annotated[float, span(0.1, 2.0)] = 0.68
-    gain_xy: Annotated[float, span(0.0, 2.0)] = 0.6  # of measured tracking error, added to the set-point
+    gain_xy: Annotated[float, span(0.0, 2.0)] = 0.6  # share of the tracking error added to the set-point
     gain_z: Annotated[float, span(0.0, 2.0)] = 0.5
     error_max_m_s: Annotated[float, span(0.05, 10.0)] = (
         0.6  # horizontal set-point against velocity: bounds tilt
@@ -116,7 +116,7 @@ class Envelope:
 
     target_climb_max_m_s: Annotated[float, span(0.0, 2.0)] = 0.0  # heave of the pad
     target_acceleration_max_m_s2: Annotated[float, span(0.0, 10.0)] = 0.5  # braking, reversing, turning
-    target_rate_hz: Annotated[float, span(1.0, 500.0)] = 50.0  # of its odometry
+    target_rate_hz: Annotated[float, span(1.0, 500.0)] = 50.0  # rate of its odometry
     lag_spread: Annotated[float, span(0.0, 0.9)] = 0.3  # share by which a vehicle may lag more or less
 
 

@@ -22,7 +22,7 @@ from flightstack.core.numeric import numeric
 from flightstack.core.types import Vec3
 
 E = math.e
-_BEND_MOST = math.exp(-3.0)  # of (x - 2) exp(-x), at x = 3
+_BEND_MOST = math.exp(-3.0)  # maximum of (x - 2) exp(-x), at x = 3
 
 
 class ActiveBarrier(Protocol):

@@ -1,7 +1,7 @@
 """The last check before the wire, and the only maker of an ``ApprovedSetpoint``.
 
-Default deny. What the bridge sends as a velocity is of this type, and only ``Gate`` can build one, each tick
-anew: there is no stored set-point that could be sent twice.
+Default deny. The bridge sends only velocities of this type, and only ``Gate`` can build one, a new one each
+tick: no stored set-point could be sent twice.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _fill = object.__setattr__
 
 
 class BarrierCheck(NamedTuple):
-    """What the gate needs to re-check the active barrier, besides what the filter says of its result."""
+    """Data with which the gate checks the active barrier again, and the status of the filter's result."""
 
     barrier: ActiveBarrier
     e_m: Vec3
@@ -86,7 +86,7 @@ class Gate:
         altitude_m: float,
         barrier_check: BarrierCheck | None,
     ) -> tuple[GateVerdict, ApprovedSetpoint | None]:
-        """Approve a velocity, or say why not."""
+        """Approve a velocity, or return the reason why not."""
         verdict = self.verdict(velocity, yaw_rad, own_fresh, target_fresh, altitude_m)
         kept = barrier_check is None or self.keeps_promise(velocity, barrier_check)
         if verdict is GateVerdict.APPROVED and not kept:

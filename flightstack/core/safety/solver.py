@@ -69,7 +69,7 @@ def matrix(dense: NDArray[np.float64]) -> Any:
 
 
 class _ByColumns(ModuleType):
-    """Says what ``scipy.sparse`` says of a matrix by columns."""
+    """Recognises a matrix by columns as ``scipy.sparse`` does."""
 
     @staticmethod
     def isspmatrix_csc(matrix: object) -> bool:

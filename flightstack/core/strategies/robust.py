@@ -10,13 +10,13 @@ from __future__ import annotations
 import math
 from types import MappingProxyType
 
+from flightstack.common.strict_toml import ConfigError
 from flightstack.core.numeric import hypot, rare
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.position_loop import limit, nominal_velocity
 from flightstack.core.safety.robust_barrier import RobustBarrier
 from flightstack.core.snapshot import Relative
-from flightstack.core.strategies.robust_limits import refuse
 from flightstack.core.strategies.strategy import Strategy
 from flightstack.core.strategies.velocity_tracking import VelocityTracking
 from flightstack.core.target.estimator import TargetEstimator
@@ -24,9 +24,9 @@ from flightstack.core.target.own_estimator import OwnEstimator
 from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import OwnState, TargetSample, Vec3
 
-COMMANDED_SHARE = 0.6  # of the descent: a vehicle commanded to sink faster than that ...
-STOPPED_SHARE = 0.4  # ... and sinking slower than that is stopped
-DRIFT_SHARE = 0.6  # of the corridor's radius; nearer to the middle nothing is lost yet
+COMMANDED_SHARE = 0.6  # share of the descent speed: a vehicle commanded to sink faster than that ...
+STOPPED_SHARE = 0.4  # ... and sinking slower than that has stopped
+DRIFT_SHARE = 0.6  # share of the corridor's radius within which no drift is detected
 BRAKING = 0.5  # share of the wanted acceleration that brakes: the velocity lags, and the target may speed up
 
 
@@ -44,15 +44,15 @@ class RobustFilter(Strategy):
     waits_filtered = True
 
     brakes_m_s2: float
-    slope: float  # of the barrier, steepest outside the pad
-    full: float  # share of the margin at the pad's edge, where judging begins: there it is there in full
+    slope: float  # steepest slope of the barrier outside the pad
+    full: float  # share of the margin at the pad's edge, which is scaled so that it is complete there
     estimator: TargetEstimator
     own_estimator: OwnEstimator
     _tracking: VelocityTracking
     _config: FlightConfig
     _barrier: Barrier
     _most: Vec3
-    _learns: bool  # errors of the own velocity
+    _learns: bool  # estimates errors of the reported velocity
     _weighs: bool  # estimates the thrust reserve
     _lag_z_s: float
 
@@ -83,7 +83,8 @@ class RobustFilter(Strategy):
     @staticmethod
     def check_config(config: FlightConfig) -> None:
         """Refuse values that contradict each other, or for which there is no proof."""
-        refuse(config)
+        _refuse_loop(config)
+        _refuse_checks(config)
 
     def take(self, sample: TargetSample) -> None:
         """Update the Kalman filter of the target."""
@@ -115,7 +116,7 @@ class RobustFilter(Strategy):
         )
 
     def vehicle(self, own: OwnState) -> OwnState:
-        """Moved on by its delay; estimated from all that is known where its velocity is not believed."""
+        """Vehicle state extrapolated by its delay, or estimated where its reported velocity has errors."""
         if self._learns:
             return self.own_estimator.step(own)
         t, (x, y, z), (vx, vy, vz) = self._config.own.delay_s, own.position_enu_m, own.velocity_enu_m_s
@@ -123,7 +124,7 @@ class RobustFilter(Strategy):
         return OwnState(own.arrival_s, own.source_time_s, position, own.velocity_enu_m_s, own.yaw_rad)
 
     def observe(self, velocity_enu_m_s: Vec3, commanding: bool) -> None:
-        """Learn the disturbance."""
+        """Estimate the disturbance."""
         self._tracking.observe(velocity_enu_m_s, commanding)
         if not self._learns:
             return
@@ -244,7 +245,7 @@ class RobustFilter(Strategy):
         return d_m < robust.commit_radius_m and d_m + uncertain_m < robust.corridor_m
 
     def stopped(self, at: Relative, command_m_s: Vec3) -> bool:
-        """Commanded to sink, and not sinking: the velocity estimate tells that sooner than the height."""
+        """Commanded to sink, and not sinking: the velocity estimate shows that sooner than the height."""
         pad_m_s, descent_m_s = at.target.velocity_enu_m_s[2], self._config.robust.descent_m_s
         commanded_m_s, sinking_m_s = pad_m_s - command_m_s[2], pad_m_s - at.own.velocity_enu_m_s[2]
         return commanded_m_s > COMMANDED_SHARE * descent_m_s and sinking_m_s < STOPPED_SHARE * descent_m_s
@@ -264,3 +265,68 @@ class RobustFilter(Strategy):
         far = d_m > self._config.velocity_feedback.far_m
         setpoint = self._tracking.command(before_m_s, wanted_m_s, velocity_m_s, self._most, least_z_m_s, far)
         return self.own_estimator.told(setpoint, self._most) if self._learns else setpoint
+
+
+def _refuse_checks(config: FlightConfig) -> None:
+    """Refuse ages, heights and radii that contradict each other."""
+    checks, link, period_s = config.checks, config.target, 1.0 / config.loop.rate_hz
+    sample_s, lag_s = link.delay_s + 1.0 / config.envelope.target_rate_hz, config.velocity_loop.lag_xy_s
+    for key, found_s, least_s, others, why in (
+        ("checks.target_age_max_s", checks.target_age_max_s, sample_s,
+         "envelope.target_rate_hz and target.delay_s", "a sample is as old when the next one comes"),
+        ("checks.own_age_max_s", checks.own_age_max_s, period_s, "loop.rate_hz",
+         "an own state is as old when the next tick comes"),
+        ("checks.follow_lag_max_s", checks.follow_lag_max_s, lag_s, "velocity_loop.lag_xy_s",
+         "a vehicle that follows lags as much"),
+    ):  # fmt: skip
+        if not found_s > least_s:
+            raise ConfigError(
+                f"{key}: found {found_s:g}; by {others} {why}, {least_s:.3g} s: raise the first above that, "
+                "or change the others"
+            )
+    feet_m = config.touchdown.feet_below_reference_m
+    for height in ("wait_height_m", "commit_height_m", "touch_height_m"):
+        height_m = getattr(config.robust, height)
+        if height_m <= feet_m:
+            raise ConfigError(
+                f"robust.{height}: found {height_m:g}; with touchdown.feet_below_reference_m {feet_m:g} the "
+                "feet are in the pad at this height of the reference: raise it above, or lower that"
+            )
+    fade_m, pad_m = config.robust.fade_radius_m, config.touchdown.pad_radius_m
+    if fade_m > pad_m:
+        raise ConfigError(
+            f"robust.fade_radius_m: found {fade_m:g}, allowed is at most the pad's radius, {pad_m:g} m, "
+            "where the margin has to be there: lower it"
+        )
+
+
+def _refuse_loop(config: FlightConfig) -> None:
+    """A model of the velocity loop that is not stable, or whose dead time some part does not know."""
+    loop, rate_hz = config.velocity_loop, config.loop.rate_hz
+    most_1_s = loop.rate_max_1_s(1.0 / rate_hz)
+    for key, found_1_s in (("rate_xy_1_s", loop.rate_xy_1_s), ("rate_z_1_s", loop.rate_z_1_s)):
+        if not found_1_s < most_1_s:
+            raise ConfigError(
+                f"velocity_loop.{key}: found {found_1_s:g}; with velocity_loop.damping {loop.damping:g} "
+                f"and loop.rate_hz {rate_hz} the model of the loop is stable below {most_1_s:.4g} 1/s: "
+                "lower it, or raise loop.rate_hz"
+            )
+    late_s = loop.dead_time_s
+    if late_s <= 0.0:
+        return
+    if not late_s < loop.lag_xy_s:
+        raise ConfigError(
+            f"velocity_loop.dead_time_s: found {late_s:g}; it is a part of velocity_loop.lag_xy_s, "
+            f"{loop.lag_xy_s:g} s: lower it, or raise the lag"
+        )
+    without = {
+        "velocity_feedback.horizontal": config.velocity_feedback.horizontal,
+        "own.velocity_error_m_s": config.own.learns,
+        "fleet": config.fleet is not None,
+    }
+    if any(without.values()):
+        names = ", ".join(name for name, given in without.items() if given)
+        raise ConfigError(
+            f"velocity_loop.dead_time_s: found {late_s:g} together with {names}, which is proven for a loop "
+            "without dead time only: set it to 0, or leave the other out"
+        )

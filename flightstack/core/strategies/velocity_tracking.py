@@ -36,11 +36,11 @@ from flightstack.core.parameters.robust import VelocityFeedback, VelocityLoop
 from flightstack.core.safety.position_loop import clip
 from flightstack.core.types import ZERO, Vec3
 
-# of the lead: period, lag, rate, gain, most of the error, damping, most of the disturbance,
+# numbers of the lead: period, lag, rate, gain, largest error, damping, largest disturbance,
 # shares of slope and disturbance
 Lead = tuple[float, float, float, float, float, float, float, float, float]
-# of the feedback: period, delay, rate, drag, push, most of disturbance and error, share of the slope,
-# of what is missed to velocity and disturbance, rates of error and tilt, most of the acceleration
+# numbers of the feedback: period, delay, rate, drag, push, largest disturbance and error, share of the slope,
+# gains of the observer on velocity and disturbance, rates of error and tilt, largest acceleration
 Feedback = tuple[float, float, float, float, float, float, float, float, float, float, float, float, float]
 
 
@@ -71,7 +71,7 @@ def lead_commanded(
 
 
 def lead_carried(lead: Lead, v: float, m: float, dm: float, sent: Sequence[float]) -> tuple[float, float]:
-    """Way and velocity when the set-points that have no effect yet have had theirs, one a tick."""
+    """Distance and velocity after all set-points that have no effect yet, one a tick."""
     t, way_m, now = lead[0], 0.0, m
     for u in sent:
         m, dm, _ = lead_observed(lead, m, u, m, dm, 0.0)
@@ -124,7 +124,7 @@ def lead_of(
 def feedback_of(loop: VelocityLoop, feedback: VelocityFeedback, delay_s: float, period_s: float) -> Feedback:
     """Numbers of the feedback; ``delay_s`` is the age of the velocity measured, by which it is carried on."""
     rate_1_s, push_1_s = loop.rate_xy_1_s, loop.rate_xy_1_s / (2.0 * loop.damping)  # f / d
-    # of what the model misses, to velocity and disturbance: both poles at the observer's rate
+    # gains of the observer on velocity and disturbance place both poles at the observer's rate
     rate = feedback.observer_rate_1_s
     return (
         period_s, delay_s, rate_1_s, 2.0 * loop.damping * loop.rate_xy_1_s, push_1_s,
@@ -191,7 +191,7 @@ class VelocityTracking:
 
     @rare
     def _forget(self, velocity_enu_m_s: Vec3) -> None:
-        """Take the vehicle to fly the velocity that was measured."""
+        """Assume that the vehicle was commanded its measured velocity."""
         self.late.sent_m_s = (velocity_enu_m_s[:2],) * self.late_ticks
 
     @rare
@@ -203,7 +203,7 @@ class VelocityTracking:
 
     @rare
     def carried(self, velocity_m_s: Vec3) -> tuple[tuple[float, float], Vec3]:
-        """Horizontal way until a set-point sent now has its effect, m, and the velocity then."""
+        """Horizontal distance until a set-point sent now has its effect, m, and the velocity then."""
         memory, sent, lead = self.memory, self.late.sent_m_s, self.lead_xy
         if not sent or self.by_feedback:
             return (0.0, 0.0), velocity_m_s

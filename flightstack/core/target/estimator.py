@@ -88,7 +88,7 @@ class TargetEstimator:
         position_sigma_m: float = 0.0,
         velocity_sigma_m_s: float = 0.0,
     ) -> None:
-        """Take a sample; one that is older than the last, or follows a long gap, starts anew."""
+        """Take a sample; the filter restarts with one that is older than the last, or follows a long gap."""
         memory, xy, z = self.memory, self.noise_xy, self.noise_z
         dt_s, before_rad = time_s - memory.time_s, memory.yaw_rad
         memory.time_s = time_s
@@ -123,7 +123,7 @@ class TargetEstimator:
 
     @rare
     def _noise_at_least(self, position_sigma_m: float, velocity_sigma_m_s: float) -> _Noise:
-        """Of x and y, with measurements no better than these."""
+        """Noise of x and y with measurements no better than these."""
         xy = self.noise_xy
         return xy._replace(
             position2=max(xy.position2, position_sigma_m**2),
@@ -173,7 +173,7 @@ def turn(rate_rad_s: float, dt_s: float) -> float:
 
 @numeric
 def fading(dt_s: float, fade_s: float) -> _Time:
-    """Of an acceleration that fades."""
+    """Integrals over a time of an acceleration that fades."""
     share = dt_s / fade_s
     gone = -math.expm1(-share)
     to_velocity_s = fade_s * gone
@@ -185,14 +185,14 @@ def fading(dt_s: float, fade_s: float) -> _Time:
 
 @numeric
 def turn_rate(before_rad: float, after_rad: float, dt_s: float) -> float:
-    """Between two measured yaws."""
+    """Turn rate between two measured yaws."""
     rate_rad_s = wrapped(after_rad - before_rad) / dt_s
     return max(-TURN_RATE_MAX_RAD_S, min(TURN_RATE_MAX_RAD_S, rate_rad_s))
 
 
 @numeric
 def lasting(dt_s: float) -> _Time:
-    """Of an acceleration that lasts."""
+    """Integrals over a time of a constant acceleration."""
     return (dt_s, 0.5 * dt_s * dt_s, dt_s, 1.0)
 
 
@@ -263,7 +263,7 @@ def _propagate(covariance: Covariance, time: _Time, jerk2: float) -> Covariance:
 
 @numeric
 def _position_variance(covariance: Covariance, time: _Time, jerk2: float) -> float:
-    """First number of ``_propagate``."""
+    """Variance of the position: first number of ``_propagate``."""
     pp, pv, pa, vv, va, aa = covariance
     t, p, _, _ = time
     t2 = t * t
@@ -274,7 +274,7 @@ def _position_variance(covariance: Covariance, time: _Time, jerk2: float) -> flo
 
 @numeric
 def _velocity_variance(covariance: Covariance, time: _Time, jerk2: float) -> float:
-    """Fourth number of ``_propagate``."""
+    """Variance of the velocity: fourth number of ``_propagate``."""
     _, _, _, vv, va, aa = covariance
     t, _, v, _ = time
     return vv + 2.0 * v * va + v * v * aa + jerk2 * t * t * t / 3.0

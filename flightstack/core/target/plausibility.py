@@ -6,7 +6,7 @@ A link that delivers fresh time stamps can still deliver nonsense. Three things 
 sensor:
 
 * numbers that repeat to the last bit while they speak of motion, or for ``STILL_MAX_S`` while the vehicle
-  flies set-points, are not measured anew: such a state ages. A vehicle at rest repeats its numbers;
+  flies set-points, are no new measurement: such a state ages. A vehicle at rest repeats its numbers;
 * a position goes where its velocity takes it: the difference, with a memory, is noise of both;
 * the vehicle follows its set-points within its lag: velocity minus the velocity wanted, summed with a memory,
   is a distance it lags behind, at most its lag at full speed (``checks`` holds memories and bounds).
@@ -100,7 +100,7 @@ class Plausibility:
         )  # fmt: skip
 
     def forget(self) -> None:
-        """Begin the sum of ``follow`` anew: the vehicle flew none of our set-points."""
+        """Restart the sum of ``follow``: the vehicle flew none of our set-points."""
         self.memory.missed_m = ZERO
 
     @property

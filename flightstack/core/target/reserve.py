@@ -1,10 +1,10 @@
 """Estimates the thrust reserve in flight, and what it allows: accelerations, and whether to land at all.
 
-In flight the throttle tells: its power p, upwards, is the thrust as a share of the largest. Averaged over a
+In flight the throttle is used: its power p, upwards, is the thrust as a share of the largest. Averaged over a
 few seconds that is the weight, but for the acceleration in this time. The same low-pass of the vertical
 velocity gives the average of that exactly, without a derivative: it is (v - smoothed v) / smoothing time.
-Until then, and where no throttle comes, the voltage tells. Missing data are no reserve: then the least one
-counts, for which the certificate holds.
+Until then, and without a reported throttle, the voltage is used. Missing data are no reserve: then the least
+one counts, for which the certificate holds.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ AGE_MAX_S = 3.0  # s; the voltage comes once a second, two may be lost
 
 @dataclass(slots=True)
 class Told:
-    """What a vehicle says of its battery and its motors; NaN for what it does not say."""
+    """Reported state of battery and motors as efforts; NaN where the vehicle reports nothing."""
 
     arrival_s: float = math.nan
     standing: bool = False
     low: bool = False  # at rest: it begins no landing
     flying: float = math.nan  # effort by the throttle, where that is of a flight
     resting: float = math.nan  # the same by the voltage
-    sags: float = math.nan  # of this voltage
-    most: float = math.nan  # likewise
+    sags: float = math.nan  # share of the thrust that the sag of this voltage takes
+    most: float = math.nan  # effort at which the thrust command ends at this voltage
 
 
 class ReserveEstimate:
@@ -71,7 +71,7 @@ class ReserveEstimate:
         self.weigh(rise_m_s, flies, status is not None and status.landed is not Landed.ON_GROUND)
 
     def hear(self, power: Power | None, standing: bool) -> bool:
-        """Take what the vehicle says of its battery and its motors, as efforts; whether it is news."""
+        """Convert the reported state of battery and motors to efforts; returns whether it is new."""
         self._power = power
         if self._known == (power, standing):
             return False
@@ -93,7 +93,7 @@ class ReserveEstimate:
         return True
 
     def weigh(self, rise_m_s: float, flies: bool, in_air: bool) -> None:
-        """Estimate the reserve by what was heard, and judge it; arguments as those of ``step``."""
+        """Estimate the reserve from the reported efforts, and judge it; arguments as those of ``step``."""
         memory, told = self.memory, self.told
         if told.standing:
             memory.effort, memory.tired = math.nan, False

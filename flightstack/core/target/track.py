@@ -83,16 +83,6 @@ class TargetTrack:
         assert last is not None
         return last
 
-    @property
-    def accepted(self) -> int:
-        """Samples accepted so far."""
-        return self.memory.accepted
-
-    @property
-    def rejected(self) -> int:
-        """Samples refused so far."""
-        return self.memory.rejected
-
     def accept(self, sample: TargetSample) -> Verdict:
         """Take or refuse one sample."""
         verdict, memory = self._judge(sample), self.memory
@@ -188,8 +178,8 @@ class TargetTrack:
         if lost and free and memory.elsewhere is None:
             return Verdict.ACCEPTED  # nothing so old binds where it is now
         step_s = gap_s if stepped else sample.source_time_s - last.source_time_s
-        # of a lost one the velocity of now explains nothing: it may meet a wrong place by chance; so does its
-        # last velocity after some seconds, and what continues from elsewhere is still there
+        # after a loss the present velocity may explain a wrong place by chance, and after some seconds the
+        # last velocity may, too; samples that continue from elsewhere show a target that is still there
         away = memory.elsewhere if lost else None
         stays = away is not None and self._near(
             away, sample, sample, sample.source_time_s - away.source_time_s

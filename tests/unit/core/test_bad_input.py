@@ -208,7 +208,7 @@ def test_a_stream_of_refused_samples_is_told_by_doublings():
     for _ in range(40):
         world.step()
     told = [text for text in world.texts if text.startswith("target sample refused: ")]
-    count = world.controller.track.rejected
+    count = world.controller.track.memory.rejected
     assert count >= 30
     assert len(told) == count.bit_length()
     assert told[-1].endswith(f"({2 ** (len(told) - 1)} refused so far)")

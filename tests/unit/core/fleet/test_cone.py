@@ -5,7 +5,7 @@ import math
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flightstack.core.fleet.cone import OUTWARD_PART, Cone
+from flightstack.core.fleet.program import OUTWARD_PART, Cone
 from flightstack.core.safety.barrier import Barrier
 
 BARRIER = Barrier(1.0, 1.5)

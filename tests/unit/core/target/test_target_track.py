@@ -57,7 +57,9 @@ def track():
 )
 def test_verdicts(track, sample, verdict):
     assert track.accept(sample) is verdict
-    assert (track.accepted, track.rejected) == ((2, 0) if verdict is Verdict.ACCEPTED else (1, 1))
+    assert (track.memory.accepted, track.memory.rejected) == (
+        (2, 0) if verdict is Verdict.ACCEPTED else (1, 1)
+    )
 
 
 def drives(t_s, stamp_s):
