@@ -6,17 +6,17 @@ import ctypes
 import time
 from collections.abc import Callable
 from functools import cache
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, cast
 
 import numpy as np
 
 from flightstack.compiled.foreign import ask, doubles, record_at, whole
 from flightstack.compiled.jit import forbid_compiling, jitted
-from flightstack.compiled.records import F64, Cell, Record, cell, new
+from flightstack.compiled.objects import Objects
+from flightstack.compiled.records import F64, Record, cell, new
 from flightstack.core.numeric import twin
-from flightstack.core.safety import projection, qp_filter
-from flightstack.core.safety.projection import EMPTY
-from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S, FilterResult, SafetyFilter, solver_settings
+from flightstack.core.safety import qp_filter
+from flightstack.core.safety.qp_filter import FilterResult, SafetyFilter, solver_settings
 from flightstack.core.safety.solver import Columns, columns, compiled_solver
 from flightstack.core.types import FilterStatus, Vec3
 
@@ -24,9 +24,7 @@ NUMBERS = 24  # length of ``data_and_start``
 _STATUS_AT, _ITERATIONS_AT = 32, 80  # bytes in OSQPInfo (osqp_api_types.h)
 _DOUBLE = 8  # bytes
 
-_best_corner, _projected = twin(projection.best_corner, jitted), twin(projection.projected, jitted)
 _data_and_start, _clipped = twin(qp_filter.data_and_start, jitted), twin(qp_filter.clipped, jitted)
-_judged = twin(qp_filter.judged, jitted)
 
 
 class ProgramRecord(Record):
@@ -117,95 +115,65 @@ def _solved(p: ProgramRecord) -> Vec3:
     return (x[0], x[1], x[2])
 
 
-@jitted
-def filtered(
-    p: ProgramRecord,
-    omega_1_s: float,
-    nominal: Vec3,
-    h_m: float,
-    g: Vec3,
-    dh_dt_m_s: float,
-    lower: Vec3,
-    upper: Vec3,
-) -> FilterResult:
-    """``SafetyFilter.solve``, but for the time that it takes."""
-    bound = -omega_1_s * h_m - dh_dt_m_s
-    finite = (
-        bound + g[0] + g[1] + g[2] + nominal[0] + nominal[1] + nominal[2] + lower[0] + lower[1] + lower[2]
-    )
-    if not np.isfinite(finite + upper[0] + upper[1] + upper[2]):
-        return FilterResult((0.0, 0.0, 0.0), np.nan, False, FilterStatus.REJECTED, np.nan, 0, 0.0)
-    point, residual, iterations, status = _best_corner(g, lower, upper), 0.0, 0, FilterStatus.INFEASIBLE
-    if not g[0] * point[0] + g[1] * point[1] + g[2] * point[2] - bound < 0.0:
-        exact, multiplier = _projected(nominal, g, bound, lower, upper)
-        given = _data_and_start(
-            nominal, g, bound, lower, upper, p.infinity, exact,
-            np.inf if multiplier == EMPTY else multiplier,
-        )  # fmt: skip
-        for i in range(NUMBERS):
-            p.numbers[i] = given[i]
-        x, y, z = _solved(p)
-        iterations, status, residual = whole(p.iterations), FilterStatus.SOLVED, np.inf
-        if np.isfinite(x + y + z):
-            point, residual = _clipped((x, y, z), g, bound, lower, upper)
-        if residual > RESIDUAL_MAX_M_S or not np.isfinite(residual):
-            point, status = exact, FilterStatus.CLOSED_FORM
-    slack, active = _judged(point, nominal, g, bound, lower, upper)
-    return FilterResult(point, slack, active, status, residual, iterations, 0.0)
-
-
-@jitted
-def _answered(program: Cell[ProgramRecord], omega_1_s: float, *given: Any) -> FilterResult:
-    return filtered(program[0], omega_1_s, *given)
-
-
 _record: Callable[[int], ProgramRecord] = record_at(ProgramRecord)
 
 
-def _solve(
-    one: CompiledFilter,
-    nominal: Vec3,
-    h_m: float,
-    gradient: Vec3,
-    dh_dt_m_s: float,
-    lower: Vec3,
-    upper: Vec3,
-) -> FilterResult:
-    """``CompiledFilter.solve`` in compiled code."""
+def _osqp(
+    one: CompiledFilter, nominal: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3, start: Vec3,
+    multiplier: float,
+) -> tuple[Vec3, float, int]:  # fmt: skip
+    """``SafetyFilter._osqp`` in compiled code."""
     p = _record(one.address)
-    return filtered(p, one.omega_1_s, nominal, h_m, gradient, dh_dt_m_s, lower, upper)
+    given = _data_and_start(nominal, gradient, bound, lower, upper, p.infinity, start, multiplier)
+    for i in range(NUMBERS):
+        p.numbers[i] = given[i]
+    x, y, z = _solved(p)
+    iterations = whole(p.iterations) + 0
+    if not np.isfinite(x + y + z):
+        return (x, y, z), np.inf, iterations
+    point, residual = _clipped((x, y, z), gradient, bound, lower, upper)
+    return point, residual, iterations
 
 
-class CompiledFilter:
+def _no_time_s(_one: CompiledFilter) -> float:
+    return 0.0
+
+
+@jitted
+def _answered(one: SafetyFilter, *given: Any) -> FilterResult:
+    return one.solve(*given)
+
+
+class CompiledFilter(SafetyFilter):
     """``SafetyFilter`` in one call of compiled code, which is compiled or loaded when one is made.
 
-    ``plain``: the same in Python.
+    Compiled code takes ``solve`` from ``SafetyFilter``, and calls OSQP by its addresses.
     """
 
-    compiled: ClassVar = {"solve": _solve}
+    compiled: ClassVar = {"solve": SafetyFilter.solve, "_osqp": _osqp, "_time_s": _no_time_s}
     address: int
-    omega_1_s: float
 
     def __init__(self, plain: SafetyFilter) -> None:
         record = new(ProgramRecord)
-        self._program, self._cell, self.omega_1_s = OwnProgram(record), cell(record), plain.omega_1_s
-        self.address = np.asarray(self._cell).ctypes.data
+        self._program, self._record, self.omega_1_s = OwnProgram(record), record, plain.omega_1_s
+        self.address = np.asarray(cell(record)).ctypes.data
+        self._objects = Objects(self)
+        self._handle, self._answered, self._plain = self._objects.handle, cast("Any", _answered), plain
         low, high = (-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)
-        _answered(self._cell, self.omega_1_s, (0.0, 0.0, 0.0), 0.1, (0.1, 0.2, 1.0), 0.0, low, high)
-        self._plain = plain
+        self._answered(self._handle, (0.0, 0.0, 0.0), 0.1, (0.1, 0.2, 1.0), 0.0, low, high)
         forbid_compiling(_answered)
 
     def solve(
         self, nominal: Vec3, h_m: float, gradient: Vec3, dh_dt_m_s: float, lower: Vec3, upper: Vec3
     ) -> FilterResult:
         """Filter one nominal velocity; arguments as those of ``SafetyFilter.solve``."""
-        started = time.perf_counter()
+        given, started_s = (nominal, h_m, gradient, dh_dt_m_s, lower, upper), time.perf_counter()
         try:
-            result = _answered(self._cell, self.omega_1_s, nominal, h_m, gradient, dh_dt_m_s, lower, upper)
+            result: FilterResult = self._answered(self._handle, *given)
         except TypeError:  # numbers of a kind that it is not compiled for
-            return self._plain.solve(nominal, h_m, gradient, dh_dt_m_s, lower, upper)
+            return self._plain.solve(*given)
         if result.iterations:
-            result = result._replace(solve_s=time.perf_counter() - started)
+            result = result._replace(solve_s=time.perf_counter() - started_s)
         return result
 
 

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from flightstack.core.safety.position_loop import clip_to_box
-from flightstack.core.safety.projection import projection
+from flightstack.core.safety.projection import EMPTY, projected
 from flightstack.core.types import Vec3
 
 TOLERANCE_M_S = 1e-9  # allowed violation of a constraint
@@ -51,12 +51,11 @@ def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nea
     if not missed:
         return Nearest(point, (0.0,) * len(rows))
     for k in missed:
-        found = projection(nominal, rows[k].g, rows[k].bound_m_s, lower, upper)
-        if found is None:
+        at, multiplier = projected(nominal, rows[k].g, rows[k].bound_m_s, lower, upper)
+        if multiplier == EMPTY:
             return None
-        at = found.point
-        if all(row.missing_m_s(at) <= TOLERANCE_M_S for row in rows) and found.multiplier < np.inf:
-            return Nearest(at, tuple(found.multiplier if n == k else 0.0 for n in range(len(rows))))
+        if all(row.missing_m_s(at) <= TOLERANCE_M_S for row in rows) and multiplier < np.inf:
+            return Nearest(at, tuple(multiplier if n == k else 0.0 for n in range(len(rows))))
     return _of_all_sets(nominal, rows, lower, upper)
 
 

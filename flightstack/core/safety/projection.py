@@ -11,7 +11,6 @@ starts in flight from this result and confirms it, or finds a better one.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 from flightstack.core.numeric import numeric
 from flightstack.core.types import Vec3
@@ -30,28 +29,19 @@ def best_corner(g: Vec3, lower: Vec3, upper: Vec3) -> Vec3:
 EMPTY = -1.0  # multiplier where no point of the box meets the half-space
 
 
-class Projection(NamedTuple):
-    """The minimiser and its multiplier."""
-
-    point: Vec3  # m/s
-    multiplier: float  # lambda of the half-space; 0 if that does not bind, infinite if no finite one meets it
-
-
 def project(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3) -> Vec3 | None:
     """Project ``nominal`` onto ``{lower <= u <= upper, g . u >= b}``; ``None`` if that set is empty."""
-    found = projection(nominal, g, b, lower, upper)
-    return None if found is None else found.point
-
-
-def projection(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3) -> Projection | None:
-    """As ``project``, with the multiplier."""
     point, multiplier = projected(nominal, g, b, lower, upper)
-    return None if multiplier == EMPTY else Projection(point, multiplier)
+    return None if multiplier == EMPTY else point
 
 
 @numeric
 def projected(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3) -> tuple[Vec3, float]:
-    """Point and multiplier of ``projection``; ``EMPTY`` for the multiplier and the best corner if none is."""
+    """The minimiser and the multiplier lambda of the half-space.
+
+    Lambda is 0 if the half-space does not bind, infinite if no finite one meets it, and ``EMPTY`` (with the
+    best corner) if no point of the box meets it.
+    """
     (nx, ny, nz), (lx, ly, lz), (hx, hy, hz) = nominal, lower, upper
     x, y, z = min(max(nx, lx), hx), min(max(ny, ly), hy), min(max(nz, lz), hz)
     value = g[0] * x + g[1] * y + g[2] * z

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from flightstack.core.numeric import numeric
-from flightstack.core.safety.projection import Projection, best_corner, projection
+from flightstack.core.safety.projection import EMPTY, best_corner, projected
 from flightstack.core.safety.solver import compiled_solver, matrix
 from flightstack.core.types import FilterStatus, Vec3
 
@@ -82,6 +82,8 @@ def solver_settings(osqp: Any) -> Any:
 class SafetyFilter:
     """The quadratic program, allocated once."""
 
+    omega_1_s: float
+
     def __init__(self, omega_1_s: float) -> None:
         osqp = compiled_solver()
         self.omega_1_s = omega_1_s
@@ -112,25 +114,33 @@ class SafetyFilter:
         slack = gx * corner[0] + gy * corner[1] + gz * corner[2] - bound
         if slack < 0.0:
             return FilterResult(corner, slack, True, FilterStatus.INFEASIBLE, 0.0, 0, 0.0)
-        started = time.perf_counter()
-        exact = projection(nominal, gradient, bound, lower, upper) or Projection(corner, math.inf)
-        point, residual, iterations = self._osqp(nominal, gradient, bound, lower, upper, exact)
-        solve_s = time.perf_counter() - started
+        started_s = self._time_s()
+        exact, multiplier = projected(nominal, gradient, bound, lower, upper)
+        if multiplier == EMPTY:  # by rounding
+            multiplier = math.inf
+        point, residual, iterations = self._osqp(nominal, gradient, bound, lower, upper, exact, multiplier)
+        solve_s = self._time_s() - started_s
         status = FilterStatus.SOLVED
         if residual > RESIDUAL_MAX_M_S or not math.isfinite(residual):
-            point, status = exact.point, FilterStatus.CLOSED_FORM
+            point, status = exact, FilterStatus.CLOSED_FORM
         slack, active = judged(point, nominal, gradient, bound, lower, upper)
         return FilterResult(point, slack, active, status, residual, iterations, solve_s)
 
+    def _time_s(self) -> float:
+        return time.perf_counter()
+
     def _osqp(
-        self, nominal: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3, start: Projection
-    ) -> tuple[Vec3, float, int]:
-        """Point clipped to the box, its largest violation before that (inf if not solved), iterations."""
+        self, nominal: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3, start: Vec3,
+        multiplier: float,
+    ) -> tuple[Vec3, float, int]:  # fmt: skip
+        """Point clipped to the box, its largest violation before that (inf if not solved), iterations.
+
+        The solver starts from a point and the multiplier of the barrier there.
+        """
         solver = self._solver
         # one copy: numpy needs the same time for three of them
-        _NUMBERS.pack_into(
-            self._memory, 0, *data_and_start(nominal, gradient, bound, lower, upper, self._infinity, *start)
-        )
+        numbers = data_and_start(nominal, gradient, bound, lower, upper, self._infinity, start, multiplier)
+        _NUMBERS.pack_into(self._memory, 0, *numbers)
         solver.update_data_vec(q=self._q, l=self._lower, u=self._upper)
         solver.update_data_mat(P_x=None, P_i=None, A_x=self._ax, A_i=None)
         solver.warm_start(self._x, self._y)

@@ -96,6 +96,7 @@ def test_what_a_stretch_does_not_know_is_flown_tick_by_tick(name):
     assert Companion(load(name), 0).stretch is None
 
 
+@pytest.mark.skipif(is_off(), reason="nothing is compiled")
 def test_another_layout_of_the_solvers_memory_is_noticed(monkeypatch):
     assert layout_is_known()
     solve = CompiledFilter.solve
