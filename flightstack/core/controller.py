@@ -12,20 +12,16 @@ import math
 from dataclasses import fields
 from typing import NamedTuple
 
-from flightstack.core.fleet.exact import Row
-from flightstack.core.fleet.member import NO_ROWS, FleetMember, Rows
+from flightstack.core.fleet.member import NO_ROWS
 from flightstack.core.fleet.precedence import ALONE
-from flightstack.core.fleet.program import Cone
 from flightstack.core.kernel import Barriers, LandingKernel
 from flightstack.core.memory import FleetState, LateState, ReserveMemory, State, WholeState
 from flightstack.core.mission.guidance import NominalCommand, Situation, nominal_command
 from flightstack.core.mission.machine import Transition
-from flightstack.core.numeric import rare
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.gate import ApprovedSetpoint, GateVerdict
 from flightstack.core.safety.position_loop import limit
-from flightstack.core.safety.qp_filter import FilterResult
-from flightstack.core.snapshot import Relative, Snapshot, snapshot_of
+from flightstack.core.snapshot import Snapshot, snapshot_of
 from flightstack.core.target.reserve import ReserveEstimate
 from flightstack.core.target.track import Verdict
 from flightstack.core.types import (
@@ -87,14 +83,6 @@ def state_class(config: FlightConfig) -> type[State]:
 
 class Controller(LandingKernel):
     """The pure core. ``state`` is all that a step depends on besides its inputs and the configuration."""
-
-    def __init__(self, config: FlightConfig) -> None:
-        super().__init__(config)
-        fleet = config.fleet
-        self._fleet = FleetMember(fleet, config.own.position_noise_m) if fleet is not None else None
-        lag_s = max(config.velocity_loop.lag_z_s, self._period_s)
-        self._rows: Rows = NO_ROWS
-        self._cone = Cone(self.strategy.rate_1_s, self.barrier.slope_max, lag_s, self._period_s)
 
     @property
     def state(self) -> State:
@@ -211,28 +199,6 @@ class Controller(LandingKernel):
                 so_far = f" ({count} refused so far)" if count > 1 else ""
                 events.append(Event(WARN, f"target sample refused: {verdict.text}{so_far}"))
         return events
-
-    @rare
-    def filtered_beside(
-        self, at: Relative, active_m: float, gradient: Vec3, dh_dt_m_s: float, nominal: Vec3, base: Vec3,
-        lower: Vec3, upper: Vec3,
-    ) -> FilterResult:  # fmt: skip
-        """The landing's row and box, cut for the lag near neighbours, with their rows."""
-        assert self._fleet is not None
-        landing, moves_m_s = (
-            Row(gradient, -self.strategy.rate_1_s * active_m - dh_dt_m_s),
-            at.target.velocity_enu_m_s,
-        )
-        outward = self._cone.outward(active_m, gradient, base, moves_m_s)
-        lower, upper = self._cone.box(at.d_m, active_m, nominal, moves_m_s, lower, upper)
-        return self._fleet.solve(nominal, (landing, outward), self._rows, lower, upper)
-
-    @rare
-    def clear_of_neighbours(self, wanted: Vec3, base: Vec3) -> Vec3:
-        """Nothing may collide in any phase."""
-        if self._fleet is None or not self._rows.rows:
-            return wanted
-        return self._fleet.solve(wanted, (), self._rows, *self.box(base)).velocity_enu_m_s
 
     def _command(
         self, asked: NominalCommand, snapshot: Snapshot

@@ -12,6 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from flightstack.core.fleet.exact import Row
+from flightstack.core.fleet.member import NO_ROWS, FleetMember, Rows
+from flightstack.core.fleet.program import Cone
 from flightstack.core.memory import Memory
 from flightstack.core.mission.conditions import LANDED_SETTLE_S
 from flightstack.core.mission.guidance import towards_pad
@@ -116,6 +119,10 @@ class LandingKernel:
         )
         self.slew_step = (most[0] * self._period_s, most[1] * self._period_s, most[2] * self._period_s)
         self.up_step_m_s, self.crowded = math.inf, False
+        fleet, lag_s = config.fleet, max(config.velocity_loop.lag_z_s, self._period_s)
+        self._fleet = FleetMember(fleet, config.own.position_noise_m) if fleet is not None else None
+        self._rows: Rows = NO_ROWS  # of this tick
+        self._cone = Cone(self.strategy.rate_1_s, self.barrier.slope_max, lag_s, self._period_s)
 
     @property
     def in_free_flight(self) -> bool:
@@ -217,7 +224,7 @@ class LandingKernel:
         if filtered and fresh:
             lower, upper = self.bounds(at, active_m, gradient, base)
             if self.crowded:
-                result = self.filtered_beside(at, active_m, gradient, dh_dt, nominal, base, lower, upper)
+                result = self._filtered_beside(at, active_m, gradient, dh_dt, nominal, base, lower, upper)
             else:
                 result = self.program.solve(nominal, active_m, gradient, dh_dt, lower, upper)
         wanted = result.velocity_enu_m_s if filtered else self.slewed(base, nominal)
@@ -229,20 +236,27 @@ class LandingKernel:
         """A velocity that the landing barrier does not filter, within box and slew limit."""
         most = self.config.limits.velocity_max_m_s
         wanted = slew(base, limit(nominal, most), self.slew_step, self.up_step_m_s)
-        return self.clear_of_neighbours(wanted, base) if self.crowded else wanted
+        return self._clear_of_neighbours(wanted, base) if self.crowded else wanted
 
     @rare
-    def filtered_beside(
+    def _filtered_beside(
         self, at: Relative, active_m: float, gradient: Vec3, dh_dt_m_s: float, nominal: Vec3, base: Vec3,
         lower: Vec3, upper: Vec3,
     ) -> FilterResult:  # fmt: skip
-        """Filter a velocity with the rows of neighbours."""
-        raise NotImplementedError
+        """Filter a velocity with the rows of neighbours, in a box that is cut near the pad."""
+        assert self._fleet is not None
+        landing = Row(gradient, -self.strategy.rate_1_s * active_m - dh_dt_m_s)
+        moves_m_s = at.target.velocity_enu_m_s
+        outward = self._cone.outward(active_m, gradient, base, moves_m_s)
+        lower, upper = self._cone.box(at.d_m, active_m, nominal, moves_m_s, lower, upper)
+        return self._fleet.solve(nominal, (landing, outward), self._rows, lower, upper)
 
     @rare
-    def clear_of_neighbours(self, wanted: Vec3, base: Vec3) -> Vec3:
-        """Filter a velocity by the rows of neighbours alone."""
-        raise NotImplementedError
+    def _clear_of_neighbours(self, wanted: Vec3, base: Vec3) -> Vec3:
+        """Filter a velocity by the rows of neighbours alone, which hold in every phase."""
+        if self._fleet is None or not self._rows.rows:
+            return wanted
+        return self._fleet.solve(wanted, (), self._rows, *self.box(base)).velocity_enu_m_s
 
     def ordinary(self, status: VehicleStatus) -> bool:
         """Whether ``land`` may run the next tick: nothing is in doubt, and the vehicle does as it should."""

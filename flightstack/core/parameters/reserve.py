@@ -93,14 +93,6 @@ class Reserve:
         """Voltage in flight from which a landing may begin."""
         return self.lowest_voltage_v + self.start_margin_v
 
-    def up_m_s2(self, reserve: float) -> float:
-        """Upward acceleration that may be wanted with this reserve."""
-        return up_m_s2(reserve, self.share)
-
-    def level_m_s2(self, reserve: float) -> float:
-        """Horizontal acceleration that may be wanted on x and on y besides: the thrust left over tilts."""
-        return level_m_s2(reserve, self.share)
-
 
 @numeric
 def left(effort: float, sags: float, most: float) -> float:
@@ -116,6 +108,6 @@ def up_m_s2(reserve: float, share: float) -> float:
 
 @numeric
 def level_m_s2(reserve: float, share: float) -> float:
-    """Horizontal acceleration that may be wanted on each axis besides."""
+    """Horizontal acceleration that may be wanted on x and on y besides: the thrust left over tilts."""
     lift = reserve / (1.0 + share * (reserve - 1.0)) if reserve > 1.0 else 1.0
     return max(LEAST_M_S2, GRAVITY_M_S2 * math.sqrt(0.5 * (lift * lift - 1.0)))

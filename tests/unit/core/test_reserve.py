@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.controller import Controller
 from flightstack.core.memory import WholeState
-from flightstack.core.parameters.reserve import GRAVITY_M_S2, LEAST_M_S2, Reserve
+from flightstack.core.parameters.reserve import GRAVITY_M_S2, LEAST_M_S2, Reserve, level_m_s2, up_m_s2
 from flightstack.core.target.reserve import AGE_MAX_S, ReserveEstimate, too_low
 from flightstack.core.types import Charge, Inputs, Landed, Mode, Phase, Power, VehicleStatus
 from flightstack.onboard.state_text import StateText
@@ -90,7 +90,7 @@ def test_a_lowest_voltage_that_lifts_nothing_is_refused_with_the_one_that_does()
 @given(st.floats(1.0, 1.6), st.floats(0.1, 1.0))
 def test_all_accelerations_together_are_no_more_than_the_thrust(reserve, share):
     table = replace(RESERVE, share=share)
-    up, level = table.up_m_s2(reserve), table.level_m_s2(reserve)
+    up, level = up_m_s2(reserve, table.share), level_m_s2(reserve, table.share)
     if min(up, level) > LEAST_M_S2:
         assert math.hypot(level, level, GRAVITY_M_S2 + up) <= reserve * GRAVITY_M_S2 + 1e-9
 
@@ -134,7 +134,7 @@ def test_without_data_the_least_reserve_counts_and_nothing_is_begun(said):
     assert found.charge is Charge.UNKNOWN
     assert "tells no battery voltage" in found.text
     assert math.isnan(found.reserve)
-    assert found.acceleration_max_m_s2[2] == pytest.approx(RESERVE.up_m_s2(LEAST))
+    assert found.acceleration_max_m_s2[2] == pytest.approx(up_m_s2(LEAST, RESERVE.share))
 
 
 def test_data_that_stop_in_flight_are_no_reserve_and_no_reason_to_abort():
@@ -143,7 +143,7 @@ def test_data_that_stop_in_flight_are_no_reserve_and_no_reason_to_abort():
     assert found.text == ""
     found.step(power(5.0), FLIES, 0.0, 5.0 + AGE_MAX_S + 0.1, flies=True)
     assert found.charge is Charge.UNKNOWN
-    assert found.acceleration_max_m_s2[2] == pytest.approx(RESERVE.up_m_s2(LEAST))
+    assert found.acceleration_max_m_s2[2] == pytest.approx(up_m_s2(LEAST, RESERVE.share))
 
 
 def test_in_flight_a_tired_battery_stays_tired_until_the_vehicle_stands_disarmed():
@@ -199,7 +199,7 @@ def upward(world):
 
 def test_no_upward_acceleration_beyond_the_reserve_is_commanded():
     fresh, tired = upward(flown(6.0, **told(4.0, 0.6))), upward(flown(6.0, **told(3.3, 0.89)))
-    assert all(up <= RESERVE.up_m_s2(reserve) + 1e-9 for up, reserve in fresh + tired)
+    assert all(up <= up_m_s2(reserve, RESERVE.share) + 1e-9 for up, reserve in fresh + tired)
     assert max(up for up, _ in tired) < 0.5 < max(up for up, _ in fresh)
 
 
