@@ -65,11 +65,14 @@ def campaign(options: CampaignOptions) -> None:
     """
     from flightstack.onboard.recording import new_folder
     from sim.campaign import run as core
+    from sim.vehicle.declared import not_proven
 
     wanted = core.plan(options.scenario, options.runs, options.first_seed, options.filter)
     scenario = wanted.scenario
     folder = options.out or new_folder(f"campaign-{scenario.name}-{short_name(wanted.filter_name)}")
     console = Terminal(stderr=options.as_json)
+    if line := not_proven(scenario):
+        console.print(line, soft_wrap=True, markup=False)
     with Bar(console, f"{scenario.name}, filter {wanted.filter_name}", wanted.runs) as bar:
         flown = core.fly(
             wanted, folder, workers=options.workers or os.cpu_count() or 1, cluster=options.cluster,

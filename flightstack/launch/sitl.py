@@ -42,6 +42,7 @@ from sim.chance import name as seed_name
 from sim.options import TargetOptions
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.team import TeamScenario, load, path_of, text
+from sim.vehicle.declared import not_proven
 
 GRACE_S = 60.0  # s of wall time beyond the scenario's duration before a run is given up
 LOCKSTEP_SLOWEST = 0.05  # share of real time below which a lockstep run is given up
@@ -144,6 +145,8 @@ def run(options: RunOptions, console: Console) -> Flown:
     log = log_in(folder)
     scenario_file(folder, team).write_text(text(team))
     with Launcher(folder, console, tells=options.live) as launcher:
+        if line := not_proven(team):
+            _hint(launcher, line)
         return _fly(launcher, options, team, log)
 
 

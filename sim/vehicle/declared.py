@@ -1,4 +1,4 @@
-"""Checks that a configuration declares the robot, the pad, the links and the barrier of its scenario.
+"""Checks that a configuration declares robot, pad, links, barrier, start, wind and vehicle of its scenario.
 
 The certificate proves a configuration for what it declares. These checks compare its declarations with the
 scenario, so that a proof applies to the flight.
@@ -9,16 +9,22 @@ from __future__ import annotations
 import math
 
 from flightstack.core.safety.barrier import Barrier
+from flightstack.verify.certificate import checks
 from flightstack.verify.robust import HELD_M
 from flightstack.verify.team import team_checks
 from flightstack.verify.types import Check, Need
 from sim.plant.params import load
-from sim.scenarios.scenario import Scenario
+from sim.scenarios.scenario import PathKind, Scenario, StartKind, TargetSpec
 from sim.scenarios.team import TeamScenario
 from sim.vehicle.encounters import Shape
 
 DELAY_M_S = 0.02  # s; allowed difference of a declared delay, within the errors of the noise
 NOISE_SHARE = 0.5  # least declared share of a link's noise, which an estimator filters
+SPEED_SHARE = 0.01  # of a declared speed or acceleration; within the errors of both
+# of the gusts' rms: least declared error of the vertical velocity; the lowest of the tiers, in lab
+GUST_SHARE = 0.066
+WIND_FLOWN_M_S = 2.0  # strongest mean wind of the tiers, storm
+RADIO_SHARE = 0.5  # of the declared spread of the lag, which the radio's delay may take
 STEP_M, FAR_M = 0.005, 10.0  # distances at which the barriers are compared
 
 
@@ -32,6 +38,8 @@ def declared(scenario: Scenario) -> list[Check]:
     feet_m = -load(spec.airframe).geometry.foot_bottom_m
     climb_m_s = math.tau * target.heave_rate_hz * target.heave_amplitude_m
     # key, what the scenario has, its key, room
+    accelerates_m_s2 = _acceleration_m_s2(target)
+    spread = max(spec.motor_lag_spread, spec.mass_spread + spec.thrust_spread)
     rows = [
         ("barrier", f"{1000.0 * below_m:.3g} mm below at {at_m:.3g} m", "judge", HELD_M - below_m, "m"),
         (
@@ -56,8 +64,39 @@ def declared(scenario: Scenario) -> list[Check]:
             "m",
         ),
     ]
+    rows.append(
+        (
+            "envelope.target_acceleration_max_m_s2",
+            f"{envelope.target_acceleration_max_m_s2:g} for {accelerates_m_s2:.3g}",
+            "target.acceleration_max_m_s2, speed_m_s times turn_rate_rad_s, and heave",
+            (1.0 + SPEED_SHARE) * envelope.target_acceleration_max_m_s2 - accelerates_m_s2,
+            "m/s^2",
+        )
+    )
     if config.filter != "paper":  # the paper's filter declares no links
+        lag_s, gust_m_s = config.velocity_loop.lag_xy_s, scenario.wind.gust_rms_m_s
         rows += [
+            (
+                "robust.tracking_error_m_s",
+                f"{config.robust.tracking_error_m_s:g} for gusts of {gust_m_s:g}",
+                "wind.gust_rms_m_s",
+                config.robust.tracking_error_m_s - GUST_SHARE * gust_m_s,
+                "m/s",
+            ),
+            (
+                "envelope.lag_spread",
+                f"{envelope.lag_spread:g} for {spread:.3g}",
+                "vehicle.motor_lag_spread, and mass_spread plus thrust_spread",
+                envelope.lag_spread - spread,
+                "",
+            ),
+            (
+                "velocity_loop.lag_xy_s",
+                f"{RADIO_SHARE * envelope.lag_spread * lag_s:.3g} of it for {spec.setpoint_delay_s:g}",
+                "vehicle.setpoint_delay_s",
+                RADIO_SHARE * envelope.lag_spread * lag_s - spec.setpoint_delay_s,
+                "s",
+            ),
             (
                 "envelope.target_climb_max_m_s",
                 f"{envelope.target_climb_max_m_s:g} for {climb_m_s:.3g}",
@@ -100,15 +139,23 @@ def declared(scenario: Scenario) -> list[Check]:
                 )
             )
         if spec.own is None:
-            rows.append(
+            state, mocap = config.own, spec.mocap
+            rows += [
                 (
                     "own.delay_s",
-                    f"{config.own.delay_s:g} for {spec.mocap.delay_s:g}",
+                    f"{state.delay_s:g} for {mocap.delay_s:g}",
                     "vehicle.mocap.delay_s",
-                    DELAY_M_S - abs(config.own.delay_s - spec.mocap.delay_s),
+                    DELAY_M_S - abs(state.delay_s - mocap.delay_s),
                     "s",
-                )
-            )
+                ),
+                (
+                    "own.position_noise_m",
+                    f"{state.position_noise_m:g} for {mocap.position_noise_m:g}",
+                    "vehicle.mocap.position_noise_m",
+                    state.position_noise_m - NOISE_SHARE * mocap.position_noise_m,
+                    "m",
+                ),
+            ]
     return [
         Check(
             f"declared, {key}",
@@ -120,7 +167,57 @@ def declared(scenario: Scenario) -> list[Check]:
             Need.PROOF,
         )
         for key, found, there, room, unit in rows
+    ] + _starts_and_wind(scenario, judge)
+
+
+def not_proven(team: TeamScenario) -> str:
+    """Return a line with what is not proven for this scenario; empty if everything is."""
+    found = dict.fromkeys(
+        check.name
+        for each in team.member
+        for check in (*checks(each.onboard), *declared(each))
+        if not check.proven
+    )
+    return f"not proven for this scenario (flightstack check): {', '.join(found)}" if found else ""
+
+
+def _starts_and_wind(scenario: Scenario, judge: Barrier) -> list[Check]:
+    """Checks of what no key of the configuration declares."""
+    offset_m, wind_m_s = scenario.start.offset_m, scenario.wind.mean_m_s
+    starts_m = scenario.start.h_m[0] if offset_m is None else judge.h(offset_m)
+    if scenario.start.kind is not StartKind.HOVER:
+        starts_m = math.inf  # on the floor, from where it takes off
+    return [
+        Check(
+            "declared, start",
+            "the vehicle starts above the barrier",
+            starts_m,
+            "m",
+            f"start: h is {starts_m:.3g} m",
+            "raise start.h_m or start.offset_m: below the barrier it only recovers",
+            Need.PROOF,
+        ),
+        Check(
+            "declared, wind.mean_m_s",
+            "the mean wind is no stronger than in the tiers, of which the campaigns show that they land",
+            WIND_FLOWN_M_S - wind_m_s,
+            "m/s",
+            f"wind.mean_m_s: {wind_m_s:g}, flown up to {WIND_FLOWN_M_S:g}",
+            "lower wind.mean_m_s",
+            Need.PROOF,
+        ),
     ]
+
+
+def _acceleration_m_s2(target: TargetSpec) -> float:
+    """Largest acceleration of the pad: along the path, across it, and up and down."""
+    speed_m_s = min(target.speed_m_s, target.speed_max_m_s)
+    turn_rad_s = min(abs(target.turn_rate_rad_s), target.turn_rate_max_rad_s)
+    turns_m_s2 = turn_rad_s * (speed_m_s + turn_rad_s * abs(target.pad_behind_axle_m))
+    steady = target.path in (PathKind.STRAIGHT, PathKind.CIRCLE) and not target.wait_for_landing
+    brakes_m_s2 = 0.0 if steady or speed_m_s == 0.0 else target.acceleration_max_m_s2
+    heaves_m_s2 = (math.tau * target.heave_rate_hz) ** 2 * target.heave_amplitude_m
+    return max(math.hypot(brakes_m_s2, turns_m_s2), heaves_m_s2)
 
 
 def crowd(team: TeamScenario) -> list[Check]:
