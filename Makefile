@@ -13,12 +13,12 @@ fly: $(VENV)/.fly
 	$(BIN)/flightstack sitl --scenario paper_moving_1 --filter robust
 
 # the project's own files: a user's scratch code in the checkout is not linted
-SOURCES = $(shell git ls-files '*.py' 2>/dev/null || echo .)
+SOURCES := (git ls-files '*.py' 2>/dev/null || echo .)
 
 # what `make test` and `make quick` have in common; the argument is done meanwhile
 define CHECK
-$(BIN)/ruff check $(SOURCES)
-$(BIN)/ruff format --check $(SOURCES)
+@echo ruff; $(SOURCES) | xargs $(BIN)/ruff check
+@$(SOURCES) | xargs $(BIN)/ruff format --check
 $(BIN)/lint-imports --no-logo --no-cache
 $(1) & $(BIN)/mypy && wait $$!
 endef
