@@ -14,6 +14,7 @@ FALL_MAX_M_S = 1.0  # twice the speed of a landing, within the strength of the l
 
 
 def contact(config: FlightConfig, descent_m_s: float, key: str) -> Check:
+    """Check that the descent set by this key, m/s, is faster than what counts as standing."""
     found = config.contact.speed_m_s
     return Check(
         "contact.speed_m_s",
@@ -26,6 +27,7 @@ def contact(config: FlightConfig, descent_m_s: float, key: str) -> Check:
 
 
 def reaches_touchdown(config: FlightConfig) -> Check:
+    """Check that the vehicle begins the touchdown above the height at which it stands."""
     found, stands_m = config.touchdown.height_m, config.touchdown.feet_below_reference_m
     return Check(
         "touchdown.height_m",

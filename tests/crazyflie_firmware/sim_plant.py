@@ -134,9 +134,7 @@ class SimPlant:
     def _follow(self) -> None:
         if self._deck is None:
             return
-        self._deck.poll(self._now_s)
-        truth = self.vehicle.truth()
-        deck = self._deck.follow(truth.pad_position_enu_m, truth.pad_yaw_rad, self._now_s)
+        deck = self._deck.move(self._now_s, self.vehicle.truth(), log=lambda _: None, warn=lambda _: None)
         if deck is not None:
             self.vehicle.set_deck(
                 deck.position_enu_m, deck.yaw_rad, deck.velocity_enu_m_s, deck.yaw_rate_rad_s

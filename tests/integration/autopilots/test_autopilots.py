@@ -151,7 +151,7 @@ def test_arducopters_program_is_started_and_flown_over_tcp(tmp_path):
         (("--px4", "{program}", "--lockstep"), "--lockstep with --px4"),
         (("--px4", "{program}", "--ardupilot", "{program}"), "only one of"),
         (("--speed", "2"), "--lockstep is faster"),
-        (("--ardupilot", "{program}", "--mocap"), "instead of satellites"),
+        (("--ardupilot", "{program}", "--mocap"), "works with --px4 only, not with satellites"),
         (("--px4", "{program}"), "is not beside it"),
     ],
 )

@@ -76,10 +76,10 @@ def test_vehicles_from_three_sources_hear_each_other_land_and_replay(tmp_path):
     [
         (("--scenario", "fleet_3", "--member", "4=udpin:127.0.0.1:1"), "found 4; allowed are 1 to 3"),
         (("--scenario", "fleet_3", "--member", "two=udpin:127.0.0.1:1"), "N=URL is needed"),
-        (("--scenario", "field", "--member", "1=udpin:127.0.0.1:1"), "for a scenario of several vehicles"),
+        (("--scenario", "field", "--member", "1=udpin:127.0.0.1:1"), "it is for one of several vehicles"),
         (
             ("--scenario", "fleet_3", "--lockstep", "--member", "2=udpin:127.0.0.1:1"),
-            "an external member cannot run in lockstep",
+            "--member with --lockstep: it cannot run in lockstep",
         ),
     ],
 )
