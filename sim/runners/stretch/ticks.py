@@ -201,6 +201,7 @@ def fly_ticks(
         if not abs(2.0 * (attitude[0] * attitude[2] - attitude[3] * attitude[1])) < _POLE:
             return BEFORE
         source_s, yaw_rad = round(now_s * 1000) * 1e-3, _yaw_enu(narrow(_euler(attitude)[2]))
+        kernel.track.memory.settled = True  # as step has it from the take-off on
         for i in range(done_samples, come[n]):
             take(kernel, samples[i], now_s)
         own = OwnState(now_s, source_s, position, velocity, yaw_rad)

@@ -48,7 +48,8 @@ def flown(scenario, make, monkeypatch):
             barrier = barrier._replace(result=barrier.result._replace(solve_s=0.0))
         setpoint = out.setpoint
         told = (setpoint.velocity_enu_m_s, setpoint.yaw_rad) if setpoint is not None else None
-        rows.append(repr((out._replace(barrier=barrier, setpoint=None), told)))
+        state = repr(flight.controller.state) if len(rows) % 50 == 0 else ""
+        rows.append((repr((out._replace(barrier=barrier, setpoint=None), told)), state))
 
     monkeypatch.setattr(
         "sim.runners.companion.with_compiled_program", lambda controller: make(controller.config)
