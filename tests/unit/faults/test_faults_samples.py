@@ -179,7 +179,8 @@ def test_a_robot_with_locked_wheels_stands_at_once_and_drives_on():
     assert set(speeds[100:200]) == {0.0}
     assert set(places[100:201]) == {places[99]}
     assert speeds[-1] == pytest.approx(math.hypot(*one.model.velocity_enu_m_s[:2]), abs=1e-3)
-    assert [str(t) for t in other.faults.take_texts()] == ["Fault: robot stuck", "Fault over: robot stuck"]
+    told = [str(text) for _, text in other.take_texts()]
+    assert told == ["Fault: robot stuck", "Fault over: robot stuck"]
 
 
 def test_a_wrong_heading_of_the_target_stays_in_its_range():
