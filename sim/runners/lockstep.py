@@ -325,7 +325,7 @@ class LockstepWorld:
     def _ended(self) -> bool:
         """Whether to end: on request, but an answer that came in time has a true state after it."""
         if self._stop.is_set:
-            return any(each.over or not each.answered for each in self._vehicles)
+            return all(each.over or not each.answered for each in self._vehicles)
         return self._exchange is not None and all(each.rests for each in self._vehicles)
 
     def _tick(self, tick: int) -> None:
