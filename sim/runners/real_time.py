@@ -33,7 +33,7 @@ class RealTimeVehicle:
         self._ms = 0  # simulated so far
 
     def tick(self, tick: int) -> None:
-        """Send and write what is due at a tick, up to which it was simulated."""
+        """Send messages and write the log for a tick. The vehicle has been simulated up to it."""
         node, now_ns = self.node, self._grid.ns(tick)
         now_s = now_ns / 1e9
         self.receive()

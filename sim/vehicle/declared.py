@@ -171,7 +171,7 @@ def declared(scenario: Scenario) -> list[Check]:
 
 
 def not_proven(team: TeamScenario) -> str:
-    """Return a line with what is not proven for this scenario; empty if everything is."""
+    """Return one line that names the checks not proven for this scenario; empty if all are proven."""
     found = dict.fromkeys(
         check.name
         for each in team.member

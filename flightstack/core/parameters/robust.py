@@ -83,7 +83,7 @@ class OwnStateLink:
     position_noise_m: Annotated[float, span(0.0, 0.2)] = 0.002  # standard deviation on each axis
     # standard deviation of the estimated velocity error on each axis; 0: no velocity error
     velocity_error_m_s: Annotated[float, span(0.0, 0.5)] = 0.0
-    # correlation exp(-t/T) of that error; without velocity feedback the time in which it is learned
+    # correlation time T of that error, exp(-t/T); without velocity feedback: time in which it is estimated
     velocity_error_time_s: Annotated[float, span(0.05, 20.0)] = 0.5
     velocity_error_max_m_s: Annotated[float, span(0.0, 1.0)] = 0.2  # largest estimated velocity error
 

@@ -71,7 +71,7 @@ class RobustFilter(Strategy):
         self.estimator = TargetEstimator(config.target)
         fed_back = config.velocity_feedback.horizontal
         self.own_estimator = OwnEstimator(config.own, loop, period_s, by_loop=fed_back)
-        delay_s = 0.0 if self._learns and fed_back else config.own.delay_s  # then the model knows what comes
+        delay_s = 0.0 if self._learns and fed_back else config.own.delay_s  # 0: estimator predicts over it
         self._tracking = VelocityTracking(loop, period_s, config.velocity_feedback, delay_s)
         self.motion, self.tracking = self.estimator.memory, self._tracking.memory
         self.own, self.late = self.own_estimator.memory, self._tracking.late

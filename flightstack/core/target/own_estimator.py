@@ -237,7 +237,7 @@ def drifted_apart(
     rate_1_s: float,
     most_m_s: float,
 ) -> tuple[float, float]:
-    """Position on an axis, and the error of its velocity, with both as they were told."""
+    """Estimate position and velocity error on an axis from a measured position and a reported velocity."""
     q = p_m + (told_m_s - error_m_s) * elapsed_s
     missed = told_m - q
     error_m_s = clip(error_m_s - rate_1_s * rate_1_s * elapsed_s * missed, -most_m_s, most_m_s)
