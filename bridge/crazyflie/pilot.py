@@ -16,6 +16,9 @@ SPEED_XY_M_S = 0.3  # m/s
 CLIMB_M_S = 0.4  # m/s
 DESCENT_M_S = 0.25  # m/s
 ARRIVED_M, ARRIVED_M_S = 0.05, 0.15  # m, m/s; height reached
+# m of a take-off in which it keeps its horizontal velocity, until it is clear of a deck that carries it
+CLEAR_M = 0.1
+CARRIED_MAX_M_S = 1.0  # m/s; a deck that carries it is not faster, as far as the take-off follows it
 # m/s, without a position: the bias of an accelerometer makes the firmware's own vertical velocity drift by
 # 0.05 m/s in a second, until it climbs while it seems to sink
 UNPLACED_M_S = 0.4
@@ -56,7 +59,10 @@ class Done(Enum):
 
 
 class Pilot:
-    """Flies take-off, hold and landing: holds a point and a heading."""
+    """Flies take-off, hold and landing: holds a point and a heading.
+
+    A take-off begins with the velocity at which the vehicle stands on a deck that drives.
+    """
 
     def __init__(self) -> None:
         self.begin(-math.inf)
@@ -64,6 +70,7 @@ class Pilot:
     def begin(self, now_s: float) -> None:
         self.since_s = now_s  # begin of the present mode
         self._anchor: tuple[Vec3, float] | None = None  # point and heading, with the first state
+        self._clear_z_m = -math.inf  # height from which a take-off holds its point
         self._stopped = Stopped()
 
     def step(
@@ -86,16 +93,19 @@ class Pilot:
             if mode is FlightMode.LAND:
                 return Velocity((0.0, 0.0, -DESCENT_M_S), 0.0), None
             return (None if standing else Velocity(ZERO, 0.0)), None
+        takes_off = mode is FlightMode.TAKEOFF
+        x, y, z = (
+            p + v / GAIN_1_S for p, v in zip(state.position_enu_m, state.velocity_enu_m_s, strict=True)
+        )
         if self._anchor is None:
-            x, y, z = (
-                p + v / GAIN_1_S for p, v in zip(state.position_enu_m, state.velocity_enu_m_s, strict=True)
-            )
-            self._anchor = (
-                (x, y, takeoff_z_m if mode is FlightMode.TAKEOFF else z),
-                yaw_from_quaternion(state.quaternion),
-            )
+            self._anchor = ((x, y, takeoff_z_m if takes_off else z), yaw_from_quaternion(state.quaternion))
+            self._clear_z_m = state.position_enu_m[2] + CLEAR_M
         point_enu_m, yaw_rad = self._anchor
-        vx, vy, vz = _towards(point_enu_m, state.position_enu_m)
+        if takes_off and state.position_enu_m[2] < self._clear_z_m:
+            point_enu_m = (x, y, takeoff_z_m)
+            self._anchor = (point_enu_m, yaw_rad)
+        speed_max_m_s = CARRIED_MAX_M_S if takes_off else SPEED_XY_M_S
+        vx, vy, vz = _towards(point_enu_m, state.position_enu_m, speed_max_m_s)
         turn_rad_s = yaw_rate(yaw_rad, state)
         if mode is FlightMode.LAND:
             stopped_s = self._stopped.lasts_s(-DESCENT_M_S, state, now_s)
@@ -103,7 +113,7 @@ class Pilot:
                 return None, Done.LANDED
             return Velocity((vx, vy, -DESCENT_M_S) if placed else (0.0, 0.0, -UNPLACED_M_S), turn_rad_s), None
         done: Done | None = None
-        if mode is FlightMode.TAKEOFF:
+        if takes_off:
             high = abs(point_enu_m[2] - state.position_enu_m[2]) < ARRIVED_M
             if high and abs(state.velocity_enu_m_s[2]) < ARRIVED_M_S:
                 done = Done.ARRIVED
@@ -112,10 +122,10 @@ class Pilot:
         return Velocity((vx, vy, vz), turn_rad_s), done
 
 
-def _towards(point_enu_m: Vec3, position_enu_m: Vec3) -> Vec3:
+def _towards(point_enu_m: Vec3, position_enu_m: Vec3, speed_max_m_s: float) -> Vec3:
     ex, ey, ez = (a - b for a, b in zip(point_enu_m, position_enu_m, strict=True))
     vx, vy = GAIN_1_S * ex, GAIN_1_S * ey
     speed = math.hypot(vx, vy)
-    if speed > SPEED_XY_M_S:
-        vx, vy = vx * SPEED_XY_M_S / speed, vy * SPEED_XY_M_S / speed
+    if speed > speed_max_m_s:
+        vx, vy = vx * speed_max_m_s / speed, vy * speed_max_m_s / speed
     return (vx, vy, min(max(GAIN_1_S * ez, -DESCENT_M_S), CLIMB_M_S))

@@ -1,7 +1,11 @@
 """Flights one after the other through the stack's own commands: heights, modes and ends between them."""
 
+import math
+from dataclasses import replace
+
 import pytest
 
+from bridge.crazyflie.pilot import CARRIED_MAX_M_S, CLEAR_M, GAIN_1_S, Pilot
 from bridge.crazyflie.types import Order
 from bridge.mavlink.client.commands import CommandSequencer
 from bridge.mavlink.client.vehicle_state import VehicleState
@@ -145,3 +149,31 @@ def test_an_offboard_mode_without_a_stream_ends_on_the_ground_too():
     assert bench.vehicle.mode is FlightMode.OFFBOARD
     bench.run(0.2)
     assert bench.vehicle.mode is FlightMode.HOLD
+
+
+@pytest.mark.parametrize("deck_m_s", [(0.0, 0.0), (0.3, 0.0), (-0.2, 0.25), (0.0, -1.0), (3.0, 0.0)])
+def test_a_take_off_from_a_deck_that_drives_rises_above_its_place_on_the_deck_then_stops(deck_m_s):
+    state = Bench().ready().vehicle.state
+    assert state is not None
+    speed_m_s, period_s = math.hypot(*deck_m_s), 0.02
+    kept = min(1.0, CARRIED_MAX_M_S / speed_m_s) if speed_m_s else 0.0
+    (x, y, floor_m), (vx, vy), rise_m = state.position_enu_m, deck_m_s, 0.0
+    pilot, left = Pilot(), (x, y)
+    pilot.begin(0.0)
+    for n in range(500):
+        seen = replace(state, position_enu_m=(x, y, floor_m + rise_m), velocity_enu_m_s=(vx, vy, 0.0))
+        velocity, done = pilot.step(
+            FlightMode.TAKEOFF, floor_m + 0.5, seen, n * period_s, standing=n == 0, placed=True
+        )
+        if done is not None:
+            break
+        vx, vy, vz = velocity.velocity_enu_m_s
+        if rise_m < CLEAR_M:  # it slides on a deck that is too fast, and on no other
+            assert (vx, vy) == pytest.approx((kept * deck_m_s[0], kept * deck_m_s[1]))
+            vx, vy = deck_m_s if n * period_s < 0.5 else (vx, vy)  # the deck carries it until it lifts off
+            left = (x, y)
+        x, y = x + period_s * vx, y + period_s * vy
+        rise_m += period_s * vz if n * period_s >= 0.5 else 0.0
+    assert rise_m == pytest.approx(0.5, abs=0.06)
+    beyond_m = math.hypot(x - left[0], y - left[1])  # it stops without a turn back
+    assert beyond_m == pytest.approx(min(speed_m_s, CARRIED_MAX_M_S) / GAIN_1_S, rel=0.3, abs=0.01)
