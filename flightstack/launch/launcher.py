@@ -36,7 +36,7 @@ from flightstack.watch.state import Watch
 NAMESPACE = "cf1"
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT, signal.SIGHUP)
 # s of wall time for the vehicle's own landing without the onboard process, whose end it notices that late
-LAND_ALONE_MAX_S = COMPANION_SILENT_S + 20.0
+LAND_ALONE_MAX_S = COMPANION_SILENT_S + 100.0
 LAND_MAX_S = (
     30.0  # s for an onboard process that is asked to end in flight: it brings a real vehicle down first
 )
