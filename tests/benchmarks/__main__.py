@@ -17,6 +17,7 @@ BENCHMARKS = {
     # for hours, or with a picture or a page as their result
     "crazyflie_faults": "crazyflie_landings:faults",
     "crazyflie_landings": "crazyflie_landings:main",
+    "crazyflie_rows": "crazyflie_landings:rows",
     "fault_grid": "fault_grid:main",
     "equal_rows": "equal_rows:main",
     "fleet_faults": "fleet_faults:main",

@@ -3,7 +3,7 @@
 The stand-in for firmware 2026.08 flies the simulated physics by poses of ``bridge crazyflie --mocap``;
 ``onboard --config crazyflie`` lands it on a robot of up to 0.3 m/s, which drives before the take-off already.
 ``python -m tests.benchmarks crazyflie_landings [LANDINGS [FIRST_SEED [BRIDGE_OPTION ...]]]``: a row each.
-``crazyflie_faults`` flies the faults of which the effects were measured: each has to end on pad or floor.
+``crazyflie_rows SEED ...`` flies four in a row. ``crazyflie_faults`` flies the faults of which the effects were measured: each has to end on pad or floor.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from tests.integration.sim_processes import ROOT
 from tests.integration.wires.bridge_processes import KEY, Mocap, verb
 from tests.processes.ports import free_endpoint
 
-LANDINGS = 100
+LANDINGS, IN_A_ROW = 100, 4
 FLIGHT_MAX_S = 120.0
 REST_S = 2.5  # after the end, until it is judged
 DOWN_MAX_S = 30.0  # after the end of the onboard process, until its motors are off on pad or floor
@@ -205,6 +205,20 @@ def faults() -> None:
             f"{'locked, ' if landing.locked else ''}{landing.seconds:.0f} s: {landing.reason}",
             flush=True,
         )
+
+
+def rows() -> None:
+    """Fly four landings in a row of each given seed; the later ones take off from the pad that drives."""
+    good = 0
+    for seed in map(int, sys.argv[1:]):
+        landings = fly(scenario(seed), seed, flights=IN_A_ROW)
+        good += sum(each.good for each in landings)
+        told = ", ".join(
+            f"{100.0 * each.error_m:.1f} cm" if each.good else f"{each.place}: {each.reason}"
+            for each in landings
+        )
+        print(f"{seed} {scenario(seed).target.path.value} {told}", flush=True)
+    print(f"{good} of {IN_A_ROW * len(sys.argv[1:])} landed")
 
 
 def main() -> None:

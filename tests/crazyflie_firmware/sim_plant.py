@@ -7,6 +7,7 @@ Its filter and velocity loop are the firmware's, whatever the scenario says: bod
 import math
 from dataclasses import replace
 
+from bridge.frames import yaw_from_quaternion
 from bridge.zenoh import zenoh_link
 from sim.runners.deck import RealTimeDeck
 from sim.scenarios.scenario import Scenario, VelocityLoop, load
@@ -122,7 +123,11 @@ class SimPlant:
 
     def advance(self, dt_s: float) -> None:
         self._now_s += dt_s
-        self._yaw += self._yaw_rate * dt_s
+        # controller_pid.c: while there is no thrust, the yaw set-point is the vehicle's own yaw
+        if self.vehicle.armed:
+            self._yaw += self._yaw_rate * dt_s
+        else:
+            self._yaw = yaw_from_quaternion(self.quaternion)
         self._rest_s += dt_s
         steps = min(int(self._rest_s * 1000.0), MS_MAX)
         self._rest_s -= steps / 1000.0
