@@ -3,7 +3,8 @@
 The stand-in for firmware 2026.08 flies the simulated physics by poses of ``bridge crazyflie --mocap``;
 ``onboard --config crazyflie`` lands it on a robot of up to 0.3 m/s, which drives before the take-off already.
 ``python -m tests.benchmarks crazyflie_landings [LANDINGS [FIRST_SEED [BRIDGE_OPTION ...]]]``: a row each.
-``crazyflie_rows SEED ...`` flies four in a row. ``crazyflie_faults`` flies the faults of which the effects were measured: each has to end on pad or floor.
+``crazyflie_rows SEED ...`` flies four in a row. ``crazyflie_faults`` flies the faults of which the effects
+were measured: each has to end on pad or floor.
 """
 
 from __future__ import annotations
