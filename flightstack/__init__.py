@@ -1,1 +1,51 @@
-"""The onboard process: position loop, landing barrier, safety filter, phase machine, gate."""
+"""A flight stack that lands a quadrotor on a moving target: ``import flightstack as fs``.
+
+What is listed here is public (docs/reference/python.md). Nothing is imported before it is used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from flightstack.api.frames import frame as frame
+    from flightstack.api.landing import Landing as Landing
+    from flightstack.api.landing import land as land
+    from flightstack.api.landing import read_log as read_log
+    from flightstack.api.scenario import scenario as scenario
+
+_HOME = {
+    "Landing": "landing",
+    "frame": "frames",
+    "land": "landing",
+    "read_log": "landing",
+    "scenario": "scenario",
+}
+__all__ = sorted(_HOME)
+
+# extra of the package that has a module
+_EXTRAS = {"mujoco": "sim", "numba": "sim", "llvmlite": "sim", "plotly": "report", "gymnasium": "env"}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'flightstack' has no attribute {name!r}; it has {', '.join(__all__)}")
+    try:
+        found = getattr(import_module(f"flightstack.api.{_HOME[name]}"), name)
+    except ModuleNotFoundError as error:
+        missing = (error.name or "").partition(".")[0]
+        if missing not in _EXTRAS:
+            raise
+        raise ModuleNotFoundError(
+            f"flightstack.{name} needs {missing}, which is not installed: "
+            f'pip install "crazyflie-flightstack[{_EXTRAS[missing]}]"',
+            name=error.name,
+        ) from error
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -24,6 +24,7 @@ FILTERS: Mapping[str, str] = MappingProxyType(
     }
 )
 ALLOWED = f"{', '.join(FILTERS)}, or MODULE:NAME of a filter from outside the package"
+_GIVEN: dict[str, Any] = {}  # classes of this process, by name
 _REFERENCE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", re.ASCII)
 
 
@@ -48,10 +49,23 @@ def short_name(name: str) -> str:
     return name.rpartition(":")[2]
 
 
+def give(found: Any) -> str:
+    """Name for a class of this process, which need not be importable (a notebook's, a function's)."""
+    place = f"{getattr(found, '__module__', '')}:{getattr(found, '__name__', found)}"
+    name = next((short for short, long in FILTERS.items() if long == place), place)
+    if name not in FILTERS:
+        check_name(name)
+        _GIVEN[name] = found
+        named.cache_clear()
+    return name
+
+
 @lru_cache(maxsize=16)
 def named(name: str) -> Any:
     """Import what a name stands for."""
     check_name(name)
+    if name in _GIVEN:
+        return _GIVEN[name]
     return referred(FILTERS.get(name, name))
 
 

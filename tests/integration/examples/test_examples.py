@@ -1,6 +1,7 @@
 """The programs of ``examples/`` run as a user runs them, and import what the page of the interface lists."""
 
 import ast
+import csv
 import math
 import re
 import signal
@@ -11,9 +12,9 @@ from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 
-import numpy as np
 import pytest
 
+import flightstack as fs
 from bridge.target.odometry import OdometrySubscriber
 from bridge.zenoh.zenoh_link import open_session
 from logs.reader.flight import load_flight
@@ -54,35 +55,40 @@ def running(name, *words):
 
 
 def imports():
-    """(module, name) of this project that the examples import."""
+    """(module, name) of this project that the examples import; ``fs.NAME`` counts as one of flightstack."""
     found = set()
     for file in EXAMPLES.glob("*.py"):
         for node in ast.walk(ast.parse(file.read_text())):
-            assert not isinstance(node, ast.Import) or not {a.name.split(".")[0] for a in node.names} & set(
-                ROOMS
-            )
-            if isinstance(node, ast.ImportFrom) and node.module.split(".")[0] in ROOMS:
+            if isinstance(node, ast.Import):
+                rooms = {alias.name for alias in node.names if alias.name.split(".")[0] in ROOMS}
+                assert rooms <= {"flightstack"}
+            elif isinstance(node, ast.ImportFrom) and node.module.split(".")[0] in ROOMS:
                 found |= {(node.module, alias.name) for alias in node.names}
+            elif isinstance(node, ast.Attribute) and getattr(node.value, "id", "") == "fs":
+                found.add(("flightstack", node.attr))
     return found
 
 
 LISTED = re.findall(r"^\| `([\w.]+)` \| `(\w+)` \| .+ \|$", PAGE, re.MULTILINE)
 
 
-def test_the_page_lists_what_the_examples_import_and_nothing_else():
+def test_the_page_lists_what_the_library_offers_and_the_examples_import_nothing_else():
     assert len(LISTED) == len(set(LISTED))
-    assert set(LISTED) == imports()
+    library = {("flightstack", name) for name in fs.__all__}
+    assert {each for each in LISTED if each[0] == "flightstack"} == library
+    assert imports() <= set(LISTED)
     for module, name in LISTED:
         thing = getattr(import_module(module), name)
         assert thing.__doc__, f"{module}.{name}: help() shows no text"
-        if isinstance(thing, type) and thing.__module__ == module:
+        if isinstance(thing, type) and thing.__module__ in (module, f"flightstack.api.{module}"):
             for member, value in vars(thing).items():
                 if not member.startswith("_") and (callable(value) or isinstance(value, property)):
                     assert value.__doc__, f"{module}.{name}.{member}: help() shows no text"
 
 
 def test_only_the_public_interface_has_docstrings_with_sections():
-    public = {module for module, _ in LISTED} | {"logs.reader.flight_data"}  # of the result of load_flight
+    public = {getattr(import_module(module), name).__module__ for module, name in LISTED}
+    public |= {module for module, _ in LISTED} | {"logs.reader.flight_data"}  # the arrays of a landing
     section = re.compile(r"^ +(Args|Attributes|Raises|Returns|Yields):$", re.MULTILINE)
     files = [file for room in ROOMS for file in (ROOT / room).rglob("*.py")]
     found = {
@@ -99,15 +105,15 @@ def test_a_landing_lands():
     ]  # fmt: skip
 
 
-def test_a_log_becomes_arrays(flown, tmp_path):
+def test_a_log_becomes_a_table(flown, tmp_path):
     flight = flown("paper_static_1")
-    out = run("log_to_numpy.py", flight.log, tmp_path / "flight.npz")
+    out = run("log_to_frame.py", flight.log, tmp_path / "flight.csv")
     steps = load_flight(flight.log).steps
     assert f"{len(steps.t_s)} steps" in out
-    with np.load(tmp_path / "flight.npz") as saved:
-        assert np.array_equal(saved["h_m"], steps.h_m, equal_nan=True)
-        assert saved["command_enu_m_s"].shape == (len(steps.t_s), 3)
-        assert len(saved["true_h_m"]) > len(steps.t_s) // 2
+    with (tmp_path / "flight.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(steps.t_s)
+    assert [float(row["command_enu_m_s_x"]) for row in rows] == steps.command_enu_m_s[:, 0].tolist()
 
 
 @pytest.mark.xdist_group("real-time")

@@ -1,0 +1,25 @@
+"""Read a flight log into a table of columns, print some numbers of it, and save it as CSV.
+
+python examples/log_to_frame.py runs/first/flight.mcap [OUT.csv]
+"""
+
+import sys
+
+import numpy as np
+
+import flightstack as fs
+
+landing = fs.read_log(sys.argv[1])
+for phase, begin_s, end_s in landing.flight.phase_spans():
+    print(f"{begin_s:6.2f} to {end_s:6.2f} s  {getattr(phase, 'name', phase)}")
+steps = landing.log  # arrays; NaN in ticks in which the filter does not run
+change_m_s = np.linalg.norm(steps.filtered_enu_m_s - steps.nominal_enu_m_s, axis=1)
+print(f"{len(steps.t_s)} steps; the filter changes the velocity by {np.nanmax(change_m_s):.2f} m/s at most")
+print(f"lowest h of the estimate: {1000.0 * np.nanmin(steps.h_m):+.0f} mm")
+if landing.truth is not None:  # a real vehicle has no true states
+    print(f"lowest true h: {1000.0 * np.nanmin(landing.truth.h_min_m):+.0f} mm")
+
+table = fs.frame(steps)  # a DataFrame of pandas or polars: command_enu_m_s is command_enu_m_s_x, _y, _z
+print("columns:", ", ".join(list(table)[:8]), "...")
+if len(sys.argv) > 2:
+    table.to_csv(sys.argv[2], index=False)  # polars: write_csv

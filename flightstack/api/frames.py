@@ -1,0 +1,64 @@
+"""Tables of columns: a pandas DataFrame, else polars', else a pyarrow Table, else a dict of arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+
+_AXES = {3: "xyz", 4: "xyzw"}
+
+
+def frame(columns: Any) -> Any:
+    """Table with a column for each array; an array (n, 3) becomes the columns ``_x``, ``_y``, ``_z``.
+
+    Args:
+        columns: arrays of a landing (``landing.log``, ``landing.truth``), a dict of arrays, or a list of
+            dataclasses, each of which becomes a row.
+
+    Returns:
+        A pandas DataFrame; without pandas one of polars, without it a ``pyarrow.Table``, else a dict.
+
+    Raises:
+        TypeError: none of these.
+    """
+    if isinstance(columns, list | tuple) and all(is_dataclass(row) for row in columns) and columns:
+        columns = {f.name: [getattr(row, f.name) for row in columns] for f in fields(columns[0])}
+    elif is_dataclass(columns) and not isinstance(columns, type):
+        columns = {f.name: getattr(columns, f.name) for f in fields(columns)}
+    if not isinstance(columns, Mapping):
+        raise TypeError(f"frame: found {type(columns).__name__}; give landing.log, landing.truth or a dict")
+    flat: dict[str, Any] = {}
+    for name, values in columns.items():
+        if isinstance(values, np.ndarray) and values.ndim == 2:
+            flat |= {f"{name}_{axis}": values[:, k] for k, axis in enumerate(_AXES[values.shape[1]])}
+        else:
+            flat[name] = values
+    return _made(flat)
+
+
+def _made(flat: dict[str, Any]) -> Any:
+    if find_spec("pandas") is not None:
+        import pandas
+
+        return pandas.DataFrame(flat)
+    flat = {name: _plain(values) for name, values in flat.items()}
+    if find_spec("polars") is not None:
+        return import_module("polars").DataFrame(flat)  # no extra of this package
+    if find_spec("pyarrow") is not None:
+        import pyarrow
+
+        return pyarrow.table(flat)
+    return flat
+
+
+def _plain(values: Any) -> Any:
+    """Values without enums, which arrow does not know."""
+    if isinstance(values, list):
+        return [each.value if isinstance(each, Enum) else each for each in values]
+    return values

@@ -1,0 +1,130 @@
+"""A landing flown in this process, or read from a log: verdict, arrays, figure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from flightstack.api.scenario import Changes, FilterLike, scenario
+from flightstack.common.pacing import Tick
+from flightstack.core.controller import Outputs
+from flightstack.core.safety.barrier import Barrier
+from logs.reader.flight import columns, load_flight, since
+from logs.reader.flight_data import Flight, Steps, Truth
+from logs.schema.controller_rows import step_row
+from logs.schema.rows import ControllerStepRow
+from logs.verdict.types import Verdict
+from logs.verdict.verdict import judge
+from sim.runners import landing as runner
+from sim.scenarios.scenario import Scenario
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+
+@dataclass(frozen=True)
+class Landing:
+    """A landing.
+
+    Attributes:
+        verdict: outcome (``landed``, ``crashed``, ``aborted``, ``timeout``), reason, lowest h, touchdown; by
+            the true states where they are known.
+        flight: everything that a log holds, as arrays.
+        seed: of all random draws; None for a log.
+    """
+
+    verdict: Verdict
+    flight: Flight
+    seed: int | None = None
+
+    @property
+    def log(self) -> Steps:
+        """Controller steps, n of them: ``t_s``, ``h_m`` (n,), ``command_enu_m_s`` (n, 3), and more.
+
+        Raises:
+            ValueError: the log holds none.
+        """
+        if self.flight.steps is None:
+            raise ValueError(f"{self.flight.path}: the log holds no controller steps")
+        return self.flight.steps
+
+    @property
+    def truth(self) -> Truth | None:
+        """True states of the simulator: ``t_s``, ``h_m`` (n,), ``position_enu_m`` (n, 3), and more."""
+        return self.flight.truth
+
+    def plot(self) -> go.Figure:
+        """Figure of the path relative to the landing spot, over the barrier.
+
+        Raises:
+            ReportError: plotly is not installed.
+            ValueError: no tick knows both vehicle and target.
+        """
+        from logs.report.page import need_libraries
+
+        need_libraries()
+        from logs.report.space import trajectory_3d
+
+        figure = trajectory_3d(self.flight)
+        if figure is None:
+            raise ValueError("no path: in no tick the positions of both vehicle and target are known")
+        return figure
+
+
+def read_log(path: Path | str, member: str | None = None) -> Landing:
+    """Read and judge a flight log.
+
+    Args:
+        path: of the log, ``flight.mcap``.
+        member: of a fleet; None in the log of one flight.
+
+    Raises:
+        LogError: not a log, or no such member.
+    """
+    flight = load_flight(path, member)
+    return Landing(judge(flight), flight)
+
+
+def land(
+    name: str | Path | Scenario = "lab", seed: int = 0, *, filter: FilterLike = None,
+    changes: Changes | None = None,
+) -> Landing:  # fmt: skip
+    """Fly one landing in simulation, in this process, as ``flightstack sitl --lockstep`` does.
+
+    Args:
+        name: scenario by name, file or object.
+        seed: of all random draws; the same seed gives the same landing to the last bit.
+        filter: ``"paper"``, ``"robust"``, ``MODULE:NAME``, or a class; None: the scenario's.
+        changes: keys of the scenario to change, see ``scenario``.
+
+    Raises:
+        ConfigError: wrong scenario, key, value or filter.
+        RuntimeError: the simulation did not come to its end.
+    """
+    flown = scenario(name, changes, filter=filter)
+    rows: list[ControllerStepRow] = []
+    times_ns: list[int] = []
+
+    def on_step(tick: Tick, out: Outputs) -> None:
+        rows.append(step_row(tick, out))
+        times_ns.append(tick.unix_ns)
+
+    done = runner.land(flown, seed, on_step=on_step)
+    steps = columns(Steps, rows, since(np.array(times_ns, dtype=np.int64), times_ns[0]))
+    seen, limits = done.seen, flown.onboard.limits
+    flight = Flight(
+        path=Path(flown.name),
+        origin_ns=times_ns[0],
+        duration_s=done.simulated_s,
+        steps=steps,
+        truth=seen.truth,
+        events=seen.events,
+        config=flown.onboard,
+        barrier=Barrier(flown.judge.alpha_1_m, flown.judge.beta_m),
+        velocity_max_m_s=limits.velocity_max_m_s,
+        pad_radius_m=seen.pad_radius_m,
+    )
+    return Landing(done.verdict, flight, seed)

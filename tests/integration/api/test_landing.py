@@ -1,0 +1,75 @@
+"""``import flightstack as fs``: landings, logs, tables."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import flightstack as fs
+from flightstack.common.strict_toml import ConfigError
+
+
+def test_the_import_is_light_and_names_what_is_missing():
+    code = (
+        "import sys, flightstack as fs\n"
+        "assert not {'numpy', 'sim', 'logs'} & set(sys.modules)\n"
+        "assert 'land' in dir(fs)\n"
+        "sys.modules['mujoco'] = None\n"
+        "try: fs.land\n"
+        "except ModuleNotFoundError as error: print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "flightstack.land needs mujoco" in done.stdout
+    assert 'pip install "crazyflie-flightstack[sim]"' in done.stdout
+    with pytest.raises(AttributeError, match="it has Landing"):
+        _ = fs.nothing
+
+
+def test_a_landing_equals_the_log_of_the_same_seed(flown):
+    logged, landing = fs.read_log(flown("lab", 7).log), fs.land("lab", seed=7)
+    assert landing.verdict == logged.verdict
+    for part in ("steps", "truth"):
+        here, there = getattr(landing.flight, part), getattr(logged.flight, part)
+        for name, values in vars(there).items():
+            if isinstance(values, np.ndarray):
+                assert np.array_equal(getattr(here, name), values, equal_nan=values.dtype.kind == "f"), name
+    assert landing.flight.barrier == logged.flight.barrier
+    assert landing.flight.pad_radius_m == logged.flight.pad_radius_m
+    assert {trace.type for trace in landing.plot().data} >= {"surface", "scatter3d"}
+
+
+def test_a_table_has_a_column_for_each_axis():
+    steps = fs.land("lab", seed=7).log
+    table = fs.frame(steps)
+    assert len(table) == len(steps.t_s)
+    assert table["command_enu_m_s_z"].to_numpy().tolist() == steps.command_enu_m_s[:, 2].tolist()
+    with pytest.raises(TypeError, match="frame: found int"):
+        fs.frame(3)
+
+
+def test_changed_keys_are_flown_and_judged():
+    made = fs.scenario("lab", {"wind.mean_m_s": np.float64(0.5), "barrier.alpha_1_m": 1.2}, filter="paper")
+    assert (made.wind.mean_m_s, made.onboard.filter) == (0.5, "paper")
+    assert made.judge.alpha_1_m == made.onboard.barrier.build().alpha_1_m == 1.2
+    assert fs.scenario("lab", {"barrier.alpha_1_m": 1.2, "judge.alpha_1_m": 1.1}).judge.alpha_1_m == 1.1
+    assert fs.scenario(made) is made
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"wind.mean": 1.0}, "the key is mean_m_s"),
+        ({"wind.mean_m_s": "much"}, "allowed: 0 to 10"),
+        ({"nothing": 1}, "nothing: unknown key"),
+        ({3: 1}, "found the key 3"),
+    ],
+)
+def test_wrong_keys_are_named(changes, text):
+    with pytest.raises(ConfigError, match=text):
+        fs.land("lab", changes=changes)
+
+
+def test_a_class_that_is_no_filter_is_named():
+    with pytest.raises(ConfigError, match="builtins:int"):
+        fs.land("lab", filter=int)
