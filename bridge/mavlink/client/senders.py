@@ -2,7 +2,8 @@
 
 Ids do not identify a sender: a script or router with default ids, or a second vehicle, has the same. So a
 sender is its address and its ids, and a heartbeat adds its kind (type and autopilot). Frames that contradict
-the known sender are ignored while it is alive, counted, and reported whenever the count has doubled.
+the known sender are ignored while it is alive, counted, and reported whenever the count has doubled. A frame
+that comes a second time, by a slower path or from a line that delivers twice, says what was true before.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ _APART_S = 0.5  # s of alternating addresses that prove two senders; datagrams o
 _GAP_MAX = 4  # greatest step of the sequence number (modulo 256) within a stream: three lost frames
 _STEADY = 8  # frames in a row that make a stream without gaps
 _AGAIN_S = 0.95  # s after which a repeated contradicting heartbeat is accepted: heartbeats have 1 Hz
+_FRAMES = 200  # remembered frames; their sequence numbers differ (modulo 256)
 _OTHERS_MAX = 8  # greatest number of other addresses; the oldest is replaced
 
 
@@ -48,6 +50,7 @@ class Senders:
 
     known: Peer | None = None  # address of the vehicle; None before its first frame
     ignored: int = 0  # rejected frames with its ids
+    repeated: int = 0  # frames that had come before
     doubled: str | None = None  # error text while a second address with the same ids is alive
     _now_s: float = -math.inf  # arrival of the newest frame
     _kind: Kind | None = None
@@ -58,6 +61,7 @@ class Senders:
     )
     _sequence: int = 0  # sequence number of the newest frame of the known sender
     _steady: int = 0  # its frames in a row without a gap
+    _newest: dict[tuple[int, int, int], None] = field(default_factory=dict)  # its frames, in order
     _others: dict[Peer, _Other] = field(default_factory=dict)
     _due: int = 1  # count of ignored frames at which the next notice is due
     _notices: list[str] = field(default_factory=list)
@@ -86,10 +90,12 @@ class Senders:
         radio that restarts behind another port is followed, and a second vehicle is not.
         """
         self._now_s = now_s
-        beats = message.get_msgId() == dialect.MAVLINK_MSG_ID_HEARTBEAT
-        kind = Kind(message.type, message.autopilot) if beats else None
         if self.known is None:
             self.known = peer
+        if peer == self.known and self._repeats(message):
+            return False
+        beats = message.get_msgId() == dialect.MAVLINK_MSG_ID_HEARTBEAT
+        kind = Kind(message.type, message.autopilot) if beats else None
         well = now_s - self._beat_s <= SILENT_S
         fits = kind is not None and (self._kind is None or kind == self._kind or not (well or armed))
         if peer == self.known:
@@ -110,6 +116,20 @@ class Senders:
         else:
             self._note(peer, now_s, well=well)
         self._ignore(message, kind, peer)
+        return False
+
+    def _repeats(self, message: Message) -> bool:
+        """Whether a frame of the known sender has come before; requests of lockstep may come again."""
+        header, newest = message.get_header(), self._newest
+        frame = (header.seq, header.msgId, message.get_crc())
+        if header.msgId == dialect.MAVLINK_MSG_ID_TIMESYNC:
+            return False
+        if frame in newest:
+            self.repeated += 1
+            return True
+        newest[frame] = None
+        if len(newest) > _FRAMES:
+            del newest[next(iter(newest))]
         return False
 
     def _believed(self, heartbeat: Message, now_s: float, *, well: bool) -> bool:

@@ -45,6 +45,28 @@ class Wire:
         return self.admits(message, peer, now_s, armed=armed, stream=stream)
 
 
+@pytest.mark.parametrize("late_s", [0.0, 0.1, 0.3, 0.5])
+def test_a_path_that_delivers_all_once_more_and_later_says_nothing_new(late_s):
+    senders, path, said = Senders(), [], []
+    for k in range(900):  # 300 frames a second; armed after a second
+        now_s = k / 300.0
+        beat = dialect.MAVLink_heartbeat_message(*QUADROTOR, 128 if k >= 300 else 1, LOITER, 3, 3)
+        frame = pack(beat if k % 300 == 0 else position(k) if k % 2 else attitude(k), k % 256, 1, 1)
+        path.append((now_s + late_s, frame))
+        assert senders.admits(decode(frame), HERE, now_s, armed=k > 300)
+        while path and path[0][0] <= now_s:
+            said.append(senders.admits(decode(path.pop(0)[1]), HERE, now_s, armed=k > 300))
+    assert said
+    assert not any(said)
+    assert senders.repeated == len(said)
+    assert senders.ignored == 0  # nobody contradicts the vehicle
+
+
+def test_requests_of_lockstep_may_come_again():
+    senders, request = Senders(), pack(dialect.MAVLink_timesync_message(0, 10), 3, 1, 1)
+    assert all(senders.admits(decode(request), HERE, k, armed=True) for k in range(3))
+
+
 @pytest.mark.parametrize("armed", [False, True])
 @pytest.mark.parametrize(
     "foreign",
