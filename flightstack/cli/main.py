@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import click
@@ -115,6 +117,22 @@ def _command(verb: Verb) -> click.Command:
     return command
 
 
+def _hidden(error: BaseException) -> str | None:
+    """Sentence for an import that failed because another project's package hides this one's; else None."""
+    name = (getattr(error, "name", None) or "").partition(".")[0]
+    if not isinstance(error, ImportError) or name not in ("bridge", "logs", "sim"):
+        return None
+    ours = Path(__file__).parents[2] / name
+    spec = find_spec(name)
+    found = [] if spec is None else [*(spec.submodule_search_locations or ()), *filter(None, [spec.origin])]
+    if not found or str(ours) in found:
+        return None
+    return (
+        f"the Python package {name!r} at {found[0]} belongs to another project and hides the one at {ours}: "
+        "take it out of PYTHONPATH, or uninstall it from this environment"
+    )
+
+
 def load(name: str) -> click.Command:
     """Load a verb with all that it needs; return the command that runs it.
 
@@ -175,9 +193,11 @@ class Verbs(click.Group):
             raise
         except (hangup.CalledOffError, Exception) as error:
             called_off = hangup.called_off()  # a library that was being loaded turns it into its own error
-            if called_off is None and not isinstance(error, (ConfigError, ValueError, OSError, LaunchError)):
+            hidden = _hidden(error)
+            known = isinstance(error, (ConfigError, ValueError, OSError, LaunchError))
+            if called_off is None and hidden is None and not known:
                 raise
-            click.echo(f"flightstack: {plain(called_off or error)}", err=True)
+            click.echo(f"flightstack: {plain(called_off or hidden or error)}", err=True)
             status = error.code if isinstance(error, LaunchError) else WRONG_INPUT
             ctx.exit(INTERRUPTED if called_off else status)
 

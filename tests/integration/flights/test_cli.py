@@ -17,6 +17,7 @@ from flightstack.core.parameters.flight import FlightConfig
 from sim.scenarios import scenario
 from sim.vehicle.vehicle import VehicleSim
 from tests.integration.runs import called, flightstack
+from tests.integration.sim_processes import ROOT
 from tests.unit.verify.certificate_helpers import config
 
 
@@ -177,6 +178,22 @@ def test_wrong_input_exits_2_with_one_line(tmp_path):
         assert result.exit_code == 2, result.output
         assert expected in result.output
         assert "Traceback" not in result.output
+
+
+@pytest.mark.parametrize("name", ["sim", "logs"])
+def test_a_package_of_another_project_with_the_same_name_is_named(name, tmp_path):
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "__init__.py").touch()
+    program = (  # as from a wheel: without the hook of an editable installation
+        "import sys; sys.meta_path[:] = [f for f in sys.meta_path if '__editable__' not in f.__module__]\n"
+        f"sys.path[:0] = [{str(tmp_path)!r}]; sys.path.append({str(ROOT)!r})\n"
+        "from flightstack.cli.main import main\n"
+        "main(dict(logs=['log', 'info', 'x'], sim=['scenarios'])[sys.argv[1]])"
+    )
+    done = subprocess.run([sys.executable, "-P", "-c", program, name], capture_output=True, text=True)
+    assert done.returncode == 2, done.stderr
+    assert f"{name!r} at {tmp_path / name} belongs to another project" in done.stderr
+    assert "Traceback" not in done.stderr
 
 
 @pytest.fixture(scope="module")
