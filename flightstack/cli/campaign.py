@@ -89,6 +89,7 @@ def _print(
 ) -> int:
     """Write the page, print table or JSON; return the exit status."""
     from sim.campaign.run import PAGE, ROWS
+    from sim.campaign.summary import apart
 
     if flown.missing:
         click.echo(
@@ -112,6 +113,8 @@ def _print(
         click.echo(json.dumps(flown.summary))
     else:
         console.print(_table(wanted, flown.summary))
+        for line in apart(flown.summary):
+            console.print(line, soft_wrap=True, markup=False)
         for one in flown.summary["worst"]:
             console.print(f"{one['why']}\n  {one['command']}", soft_wrap=True)
         console.print(f"rows    {folder / ROWS}", soft_wrap=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -42,7 +42,18 @@ def result_table(values: Mapping[str, Any], reason: str) -> Group:
     for name, key, unit in _ROWS:
         table.add_row(name, shown(values.get(key)), unit)
     source = SOURCES.get(values.get("judged_from") or "", "what the onboard process said")
-    return Group(_title(values), table, Text(f"judged from {source}"), Text(reason))
+    return Group(_title(values), table, Text(f"judged from {source}"), Text(reason), *_apart([values]))
+
+
+def _apart(vehicles: Iterable[Mapping[str, Any]]) -> list[Text]:
+    """Lines for flights outside the proven envelope, or judged by another barrier than the flown one."""
+    found = [
+        each[key] and f"{label}{each[key]}"
+        for key, label in (("outside_envelope", "outside the proven envelope: "), ("judged_apart", ""))
+        for each in vehicles
+        if key in each
+    ]
+    return [Text(line, style="yellow") for line in dict.fromkeys(filter(None, found))]
 
 
 _MEMBER_COLUMNS = (
@@ -72,7 +83,8 @@ def _fleet_table(values: Mapping[str, Any], reason: str) -> Group:
     for name, key, unit in (("outcome", "outcome", ""), ("violation", "violation", ""), *_FLEET_ROWS):
         fleet.add_row(name, shown(values[key]), unit)
     judged = dict.fromkeys(SOURCES.get(each["judged_from"], "") for each in values["vehicles"].values())
-    return Group(_title(values), table, fleet, Text(f"judged from {', '.join(judged)}"), Text(reason))
+    source = Text(f"judged from {', '.join(judged)}")
+    return Group(_title(values), table, fleet, source, Text(reason), *_apart(values["vehicles"].values()))
 
 
 def _title(values: Mapping[str, Any]) -> Text:

@@ -42,7 +42,7 @@ from sim.chance import name as seed_name
 from sim.options import TargetOptions
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.team import TeamScenario, load, path_of, text
-from sim.vehicle.declared import not_proven
+from sim.vehicle.declared import not_proven, outside
 
 GRACE_S = 60.0  # s of wall time beyond the scenario's duration before a run is given up
 LOCKSTEP_SLOWEST = 0.05  # share of real time below which a lockstep run is given up
@@ -278,8 +278,9 @@ def _run_metadata(options: RunOptions, scenario: Scenario, seed: int) -> dict[st
     """Return what the log says of the run of a scenario."""
     return {
         **_about(options, scenario, seed),
-        "judge_alpha_1_m": repr(scenario.judge.alpha_1_m),
-        "judge_beta_m": repr(scenario.judge.beta_m),
+        "judge_alpha_1_m": repr(scenario.judged_by.alpha_1_m),
+        "judge_beta_m": repr(scenario.judged_by.beta_m),
+        "outside_envelope": outside([scenario]),
         "pad_radius_m": repr(scenario.target.pad_radius_m),
         **({"pad": NO_PAD} if options.flies in (Flies.PX4_SIH, Flies.ARDUPILOT) else {}),
     }

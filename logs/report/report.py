@@ -47,7 +47,15 @@ from logs.report.tables import (
 )
 from logs.schema.names import FLEET, TEAM
 from logs.verdict.types import RADIUS_BESIDE_M, SOURCES, TRUTH, Outcome, Verdict
-from logs.verdict.verdict import FleetVerdict, PairSeries, judged, pair_series, pairs_known
+from logs.verdict.verdict import (
+    FleetVerdict,
+    PairSeries,
+    judged,
+    judged_apart,
+    outside_envelope,
+    pair_series,
+    pairs_known,
+)
 
 __all__ = ["ReportError", "write_comparison", "write_page", "write_report"]
 
@@ -262,6 +270,10 @@ def _source(verdict: Verdict) -> str:
 
 def warnings(flight: Flight, verdict: Verdict) -> list[str]:
     texts = [*flight.problems]
+    if outside := outside_envelope(flight):
+        texts.append(f"outside the proven envelope: {outside}")
+    if apart := judged_apart(flight):
+        texts.append(apart)
     if flight.truth is None:
         texts.append("no true states in this log: everything here is the vehicle's own estimate")
     if flight.steps is None:

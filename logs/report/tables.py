@@ -33,7 +33,7 @@ _RUN_NAMES = {
     "judge_beta_m": "judged by β [m]", "barrier_alpha_1_m": "controller's α [1/m]",
     "barrier_beta_m": "controller's β [m]", "velocity_max_x_m_s": "velocity box x [m/s]",
     "velocity_max_y_m_s": "velocity box y [m/s]", "velocity_max_z_m_s": "velocity box z [m/s]",
-    "pad_radius_m": "pad radius [m]",
+    "pad_radius_m": "pad radius [m]", "outside_envelope": "outside the proven envelope",
 }  # fmt: skip
 
 _DEFINITIONS = (

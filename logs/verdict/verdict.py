@@ -29,7 +29,7 @@ to the end, an absent collision or ellipsoid violation is "not known".
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -68,6 +68,25 @@ def records_lost(flight: Flight) -> dict[str, int]:
     return {who: int(told.get(who, "0")) for who in ("vehicle", "onboard")}
 
 
+def outside_envelope(flight: Flight) -> str | None:
+    """Where the scenario leaves the envelope of its configuration's proof; None: the log does not say."""
+    return flight.metadata.get("run", {}).get("outside_envelope")
+
+
+def judged_apart(flight: Flight) -> str:
+    """The barrier of the verdict, if it is not the one that was flown; else an empty text."""
+    run = flight.metadata.get("run", {})
+    judge, flown = (
+        tuple(run.get(f"{whose}_{key}") for key in ("alpha_1_m", "beta_m")) for whose in ("judge", "barrier")
+    )
+    return two_barriers(judge, flown) if None not in judge + flown and judge != flown else ""
+
+
+def two_barriers(judge: Sequence[object], flown: Sequence[object]) -> str:
+    """Names the barrier of the verdict and the one that was flown: alpha in 1/m and beta in m of each."""
+    return "judged by alpha {} 1/m, beta {} m; flown with alpha {} 1/m, beta {} m".format(*judge, *flown)
+
+
 def flown_by(told: Mapping[str, Any]) -> dict[str, Any]:
     """Return what was flown, the first keys of ``--json``, by the metadata of a log."""
     seed = told.get("seed", "")
@@ -92,6 +111,8 @@ def verdict_result(
     return {
         **about,
         **verdict.to_json_dict(),
+        "outside_envelope": outside_envelope(flight),
+        "judged_apart": judged_apart(flight),
         "records_lost": sum(records_lost(flight).values()),
         "realtime_factor": realtime_factor,
         "log": str(flight.path),

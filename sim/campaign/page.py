@@ -11,7 +11,7 @@ import numpy as np
 from logs.report.page import Page, Panel, details, need_libraries, table, write
 from logs.verdict.types import VIOLATION_LIMIT_M
 from sim.campaign.rows import CELL_M, D_CELLS, E_Z_CELLS, E_Z_LOW_M, Row, cell_map
-from sim.campaign.summary import lines
+from sim.campaign.summary import apart, lines
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -74,6 +74,7 @@ def campaign_page(wanted: Plan, flown: Flown) -> Page:
             *_histograms(flown.rows),
             Panel("scenario", "", "", details("Scenario", wanted.scenario_toml, "scenario.toml")),
         ],
+        apart(summary),
     )  # fmt: skip
 
 
@@ -123,9 +124,8 @@ def h_map(wanted: Plan, rows: Sequence[Row]) -> go.Figure:
         ),
         460,
     )  # fmt: skip
-    judge = wanted.first.judge
     at = np.linspace(0.0, D_CELLS * CELL_M, 200)
-    height = judge.beta_m * judge.alpha_1_m * at * np.exp(-judge.alpha_1_m * at)
+    height = list(map(wanted.first.judged_by.height, at))
     figure.add_scatter(
         x=at, y=height, mode="lines", line={"color": BOUNDARY, "width": 2}, name="boundary h = 0"
     )

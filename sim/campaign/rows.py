@@ -81,6 +81,8 @@ class Row:
     ellipsoid_min: float | None = None  # smallest distance of two in flight in its measure; below 1: inside
     distance_min_m: float | None = None  # smallest distance of two vehicles
     wait_max_s: float | None = None  # longest time that a vehicle waited for its right of way
+    # where the scenario leaves the envelope of its configuration's proof; of both kinds of rows
+    outside_envelope: str = ""
 
     @property
     def landed(self) -> bool:
@@ -146,6 +148,10 @@ def row_of(flown: TeamLanding) -> Row:
         return [value for row in rows if (value := getattr(row, name)) is not None]
 
     worst = (*_TOUCHDOWN, "own_age_max_s", "target_age_max_s")
+    lowest: dict[str, Any] = {
+        name: getattr(deepest, name) for name in ("h_min_outside_pad_m", "h_min_d_m", "h_min_e_z_m")
+    }
+    largest: dict[str, Any] = {name: max(known(name), default=None) for name in worst}
     return Row(
         seed=flown.seed,
         outcome=verdict.outcome.value,
@@ -153,8 +159,8 @@ def row_of(flown: TeamLanding) -> Row:
         violation=any_known(row.violation for row in rows),
         started_safe=_all(row.started_safe for row in rows),
         h_min_m=least(row.h_min_m for row in rows),
-        **{name: getattr(deepest, name) for name in ("h_min_outside_pad_m", "h_min_d_m", "h_min_e_z_m")},
-        **{name: max(known(name), default=None) for name in worst},
+        **lowest,
+        **largest,
         time_to_land_s=max(known("time_to_land_s"), default=None)
         if verdict.outcome is Outcome.LANDED
         else None,

@@ -26,6 +26,7 @@ from typing import Any
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.parameters.filters import FILTERS, named
 from flightstack.verify.certificate import problems
+from logs.verdict.verdict import two_barriers
 from sim.campaign.rows import Row, RowsError, RowsFile, missing, read_rows, write_parquet, write_rows
 from sim.campaign.summary import repeat_command, summary
 from sim.campaign.workers import Workers, code_fingerprint
@@ -68,6 +69,15 @@ class Plan:
     def first(self) -> Scenario:
         """The scenario of the first, or only, vehicle."""
         return self.scenario.member[0]
+
+    @property
+    def judged_apart(self) -> str:
+        """The barrier of the verdict and the flown one, if they differ."""
+        judge, flown = (
+            (shape.alpha_1_m, shape.beta_m)
+            for shape in (self.first.judged_by, self.first.onboard.barrier.build())
+        )
+        return two_barriers(judge, flown) if judge != flown else ""
 
     @property
     def filter_name(self) -> str:
@@ -169,7 +179,13 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
         write_parquet(folder / ROWS)
         told = None
         if rows:
-            told = summary(rows, wanted.command, wall_s=time.monotonic() - began_s, flown_s=flown_s)
+            told = summary(
+                rows,
+                wanted.command,
+                wall_s=time.monotonic() - began_s,
+                flown_s=flown_s,
+                judged_apart=wanted.judged_apart,
+            )
             (folder / SUMMARY).write_text(json.dumps(told, indent=1) + "\n")
         return Flown(rows, wanted.runs - len(rows), told)
 

@@ -69,11 +69,14 @@ def quantile(rows: Sequence[Row], column: str, share: float) -> float | None:
     return float(np.quantile(known, share)) if known else None
 
 
-def summary(rows: Sequence[Row], command: str, *, wall_s: float, flown_s: float) -> dict[str, Any]:
+def summary(
+    rows: Sequence[Row], command: str, *, wall_s: float, flown_s: float, judged_apart: str = ""
+) -> dict[str, Any]:
     """Return what ``--json`` prints.
 
     ``rows``: at least one; ``command``: that flies one of the seeds alone, with ``{seed}``; ``wall_s``: time
-    of this call; ``flown_s``: simulated time flown in it.
+    of this call; ``flown_s``: simulated time flown in it; ``judged_apart``: barrier of the verdict and the
+    flown one, if they differ.
     """
     counts = count(rows)
     lowest = [row.h_min_outside_pad_m for row in rows if row.h_min_outside_pad_m is not None]
@@ -91,6 +94,8 @@ def summary(rows: Sequence[Row], command: str, *, wall_s: float, flown_s: float)
             for column, shares in _QUANTILES.items()
         },
         **_of_teams(rows),
+        "outside_envelope": next(filter(None, (row.outside_envelope for row in rows)), ""),
+        "judged_apart": judged_apart,
         "wall_s": wall_s,
         "realtime_factor": flown_s / wall_s if flown_s > 0.0 and wall_s > 0.0 else None,
         "worst": [
@@ -169,6 +174,12 @@ _LINES: tuple[tuple[str, str, str, str, float], ...] = (
     ("wall_s", "", "wall time of this call", "s", 1.0),
     ("realtime_factor", "", "simulated time over wall time", "", 1.0),
 )
+
+
+def apart(told: dict[str, Any]) -> list[str]:
+    """Lines of a summary about landings outside the proven envelope, or judged by another barrier."""
+    outside = told["outside_envelope"] and f"outside the proven envelope: {told['outside_envelope']}"
+    return [line for line in (outside, told["judged_apart"]) if line]
 
 
 def lines(told: dict[str, Any]) -> list[tuple[str, str, str]]:

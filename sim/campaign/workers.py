@@ -19,6 +19,7 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from importlib.resources import files
 from multiprocessing.connection import Connection, wait
@@ -33,6 +34,7 @@ from flightstack.common.processes import LaunchError
 from sim.campaign.rows import Row, error_row, row_of
 from sim.runners.landing import land_team, warm_up
 from sim.scenarios.team import TeamScenario, from_text
+from sim.vehicle.declared import outside
 
 _ALONE = threading.Lock()  # a cluster's worker may have threads; more than one would only wait for each other
 _PACKAGES = ("flightstack", "bridge", "sim", "logs")
@@ -65,7 +67,7 @@ def fly_seed(scenario_toml: str, seed: int) -> Row:
     with _ALONE:
         scenario = prepared(scenario_toml)
         try:
-            return row_of(land_team(scenario, seed))
+            return replace(row_of(land_team(scenario, seed)), outside_envelope=outside(scenario.member))
         except Exception as error:
             return error_row(seed, f"{type(error).__name__}: {error}")
         finally:

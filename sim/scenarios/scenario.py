@@ -9,11 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-from flightstack.common.strict_toml import ConfigError, Files, span
+from flightstack.common.strict_toml import ConfigError, Files, over, span
 from flightstack.core.parameters.filters import look_here
 from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Vec3
 from sim.scenarios.fault_spec import Fault
 
@@ -199,10 +200,10 @@ class Wind:
 
 @dataclass(frozen=True, slots=True)
 class Judge:
-    """The barrier of the verdict, evaluated with true states, independent of the controller's estimates."""
+    """Another barrier for the verdict than the one that is flown; each result then names both."""
 
-    alpha_1_m: Annotated[float, span(0.05, 20.0)] = 1.0
-    beta_m: Annotated[float, span(0.05, 20.0)] = 1.5
+    alpha_1_m: Annotated[float, span(0.05, 20.0)]
+    beta_m: Annotated[float, span(0.05, 20.0)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,7 +219,7 @@ class Scenario:
     odometry: TargetLink = field(default_factory=TargetLink)
     vehicle: VehicleSpec = field(default_factory=VehicleSpec)
     wind: Wind = field(default_factory=Wind)
-    judge: Judge = field(default_factory=Judge)
+    judge: Judge | None = None  # None: the verdict uses the barrier that is flown
     fault: tuple[Fault, ...] = ()  # [[fault]], in any order
 
     def __post_init__(self) -> None:
@@ -227,8 +228,26 @@ class Scenario:
                 f"target.speed_m_s: found {self.target.speed_m_s:g}, above target.speed_max_m_s "
                 f"{self.target.speed_max_m_s:g}"
             )
+        if abs(self.target.turn_rate_rad_s) > self.target.turn_rate_max_rad_s + 1e-9:
+            raise ConfigError(
+                f"target.turn_rate_rad_s: found {self.target.turn_rate_rad_s:g}, above "
+                f"target.turn_rate_max_rad_s {self.target.turn_rate_max_rad_s:g}"
+            )
         if self.start.kind is StartKind.GROUND and self.onboard.takeoff.start_offset_m is None:
             raise ConfigError("onboard.takeoff.start_offset_m: missing; a start on the ground needs it")
+        target, declared_m = self.target, self.onboard.touchdown.pad_radius_m
+        if target.pad_radius_m != declared_m:
+            raise ConfigError(
+                f"target.pad_radius_m: found {target.pad_radius_m:g}, and onboard.touchdown.pad_radius_m: "
+                f"found {declared_m:g}; there is one pad: give target.pad_radius_m alone"
+            )
+
+    @property
+    def judged_by(self) -> Barrier:
+        """Barrier of the verdict, which is evaluated with true states."""
+        if self.judge is None:
+            return self.onboard.barrier.build()
+        return Barrier(self.judge.alpha_1_m, self.judge.beta_m)
 
     def with_filter(self, name: str) -> Scenario:
         """Return the same scenario flown with another safety filter.
@@ -238,7 +257,21 @@ class Scenario:
         return replace(self, onboard=replace(self.onboard, filter=name))
 
 
-FILES = Files(Scenario, "sim.scenarios", "scenario")
+def one_pad(table: dict[str, Any]) -> dict[str, Any]:
+    """A scenario's table with the radius of its pad in the configuration, unless that gives one itself."""
+    match table:
+        case {"target": {"pad_radius_m": radius_m}, "onboard": dict()}:
+            return over({"onboard": {"touchdown": {"pad_radius_m": radius_m}}}, table)
+    return table
+
+
+class _Files(Files[Scenario]):
+    def table(self, path: Path) -> dict[str, Any]:
+        """Parse a file as ``Files.table`` does; there is one radius of the pad."""
+        return one_pad(super().table(path))
+
+
+FILES = _Files(Scenario, "sim.scenarios", "scenario")
 names, path_of = FILES.names, FILES.path_of
 
 

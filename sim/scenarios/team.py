@@ -323,7 +323,7 @@ def _team(path: Path, table: dict[str, Any]) -> TeamScenario:
         for key in (*_OF_THE_TEAM, "base"):
             if key in own:
                 raise ConfigError(f"member {number}: {key}: found {own[key]!r}; the team has it, remove it")
-        one = over(_configured(path, shared, own, number), own)
+        one = scenarios.one_pad(over(_configured(path, shared, own, number), own))
         one["name"], one["description"] = f"{about.get('name')}.cf{number}", ""
         found.append(_checked(one, f"member {number}"))
     return from_table(TeamScenario, {**about, "member": found})

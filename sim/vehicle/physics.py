@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 from flightstack.compiled.records import Values, cell, new, reader, scalars
-from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Vec3
 from logs.schema.events import ContactBit
 from sim.plant.correlated_noise import CorrelatedNoise
@@ -61,8 +60,7 @@ class Physics:
         )
         set_up_drag(r.drag, params.body, self.weight_n)
         set_up_downwash(r.downwash, params.body, params.rotor, params.geometry)
-        judge = scenario.judge
-        self.barrier = Barrier(judge.alpha_1_m, judge.beta_m)
+        self.barrier = judge = scenario.judged_by
         cell(r.judge)[0] = (judge.alpha_1_m, judge.beta_m, pad_radius, math.inf, math.inf, False)
         self._h_min, self._h_min_outside, self._tumbled = scalars(
             r.judge, "h_min", "h_min_outside", "tumbled"

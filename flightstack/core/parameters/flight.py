@@ -59,9 +59,23 @@ class BarrierShape:
             {"peak_height_m", "cone_half_angle_rad"},
         ):
             raise ConfigError(
-                f"found {sorted(given) or 'no shape'}; give alpha_1_m and beta_m, or peak_height_m with "
-                "peak_distance_m or cone_half_angle_rad"
+                f"found {', '.join(sorted(given)) or 'no shape'}; give alpha_1_m and beta_m, or "
+                f"peak_height_m with peak_distance_m or cone_half_angle_rad{self._as_numbers(given)}"
             )
+
+    def _as_numbers(self, given: set[str]) -> str:
+        """What to write where a base file gives alpha and beta, and the file itself the peak."""
+        if given < {"alpha_1_m", "beta_m"} or not given & {"alpha_1_m", "beta_m"}:
+            return ""
+        shape = {name: getattr(self, name) for name in given - {"alpha_1_m", "beta_m"}}
+        try:
+            built = BarrierShape(**shape).build()
+        except ConfigError:
+            return ""
+        return (
+            "; where a base file gives alpha_1_m and beta_m, write this peak as "
+            f"alpha_1_m = {built.alpha_1_m:.4g} and beta_m = {built.beta_m:.4g}"
+        )
 
     def build(self) -> Barrier:
         """Make the barrier these numbers describe."""

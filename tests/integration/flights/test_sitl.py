@@ -17,7 +17,7 @@ PAPER = {("paper_static_1", "paper"): (), ("paper_moving_2", "robust"): ("--filt
 KEYS = {
     "scenario", "seed", "filter", "outcome", "violation", "h_min_m", "h_min_outside_pad_m",
     "touchdown_error_m", "touchdown_speed_vertical_m_s", "touchdown_speed_horizontal_m_s", "time_to_land_s",
-    "realtime_factor", "log", "report", "records_lost",
+    "realtime_factor", "log", "report", "records_lost", "outside_envelope", "judged_apart",
 }  # fmt: skip
 
 

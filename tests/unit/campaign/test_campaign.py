@@ -36,7 +36,8 @@ TIMEOUT = replace(GOOD, outcome="timeout", reason="no contact", time_to_land_s=N
 KEYS = [
     "runs", "landed", "declared_aborts", "undeclared_misses", "crashes", "violations",
     "upper_95_violation_rate", "h_min_outside_pad_m", "touchdown_error_m", "touchdown_speed_vertical_m_s",
-    "touchdown_speed_horizontal_m_s", "time_to_land_s", "wall_s", "realtime_factor", "worst",
+    "touchdown_speed_horizontal_m_s", "time_to_land_s", "outside_envelope", "judged_apart", "wall_s",
+    "realtime_factor", "worst",
 ]  # fmt: skip
 
 

@@ -4,9 +4,10 @@ from dataclasses import fields, replace
 
 import pytest
 
+from flightstack.common.strict_toml import ConfigError
 from flightstack.core.parameters.robust import Robust, VelocityLoop
-from sim.scenarios.scenario import OdometryLink, Scenario, load, names
-from sim.vehicle.declared import declared
+from sim.scenarios.scenario import Judge, OdometryLink, Scenario, StateError, load, names
+from sim.vehicle.declared import declared, outside
 from tests.benchmarks.proven import FILTERS, SCENARIOS, cases, fly, parameters, values
 
 pytestmark = pytest.mark.slow
@@ -46,7 +47,6 @@ def test_what_is_proven_neither_crashes_nor_violates(case):
         ("lab", "robust", "checks.follow_memory_s", 5.3, "checks.follow_memory_s"),
         ("deck", "robust", "checks.follow_memory_s", 20.0, "checks.follow_memory_s"),
         ("deck", "robust", "checks.target_jump_max_m", 0.02, "checks.target_jump_max_m"),
-        ("lab", "robust", "barrier.beta_m", 1.0, "declared, barrier"),
         ("field", "robust", "target.delay_s", 0.5, "target.delay_s"),
         ("field", "paper", "barrier.omega_1_s", 0.7, "lag"),
         ("deck", "paper", "position_loop.gain_1_s", [1.0, 1.0, 1.0], "lag"),
@@ -88,10 +88,23 @@ def test_each_scenario_declares_what_it_flies():
     [
         ("judge", "alpha_1_m", 1.2, "barrier"),
         ("judge", "beta_m", 1.6, "barrier"),
+        ("odometry", "loss", 0.5, "odometry.loss"),
+        ("odometry", "dropout_max_s", 1.0, "odometry.dropout_max_s"),
+        ("odometry", "yaw_noise_rad", 0.1, "odometry.yaw_noise_rad"),
+        ("odometry", "error", StateError(delay_s=0.15), "target.delay_s"),
+        ("vehicle", "own", StateError(delay_s=0.15), "own.delay_s"),
+        ("vehicle", "mocap", OdometryLink(20.0, 0.001, 0.0, 0.005, 0.02), "vehicle.mocap.rate_hz"),
+        ("vehicle", "mocap", OdometryLink(loss=0.3, delay_s=0.02), "vehicle.mocap.loss"),
+        ("vehicle", "mocap", OdometryLink(dropout_max_s=1.0, delay_s=0.02), "vehicle.mocap.dropout_max_s"),
+        ("vehicle", "mocap", OdometryLink(yaw_noise_rad=0.1, delay_s=0.02), "vehicle.mocap.yaw_noise_rad"),
+        ("vehicle", "motor_spread", 0.3, "vehicle.motor_spread"),
+        ("vehicle", "battery_charge", (0.1, 1.0), "vehicle.battery_charge"),
+        ("vehicle", "slow_motors", True, "vehicle.slow_motors"),
+        ("vehicle", "ground_effect_gain", 5.0, "vehicle.ground_effect_gain"),
+        ("start", "offset_m", (0.0, 0.0, 3.5), "limits.altitude_max_m"),
         ("target", "speed_m_s", 0.6, "touchdown.target_speed_max_m_s"),
         ("target", "turn_rate_rad_s", 2.0, "envelope.target_acceleration_max_m_s2"),
         ("target", "acceleration_max_m_s2", 1.0, "envelope.target_acceleration_max_m_s2"),
-        ("target", "pad_radius_m", 0.09, "touchdown.pad_radius_m"),
         ("target", "heave_amplitude_m", 0.1, "envelope.target_climb_max_m_s"),
         ("target", "heave_rate_hz", 1.0, "envelope.target_climb_max_m_s"),
         ("odometry", "rate_hz", 40.0, "envelope.target_rate_hz"),
@@ -119,5 +132,36 @@ def test_a_scenario_that_is_not_as_declared_is_not_proven(part, key, value, chec
         scenario = replace(scenario, target=heaves, onboard=replace(scenario.onboard, envelope=envelope))
     if key == "speed_m_s":
         scenario = replace(scenario, target=replace(scenario.target, speed_max_m_s=1.0))
+    if part == "judge":
+        scenario = replace(scenario, judge=Judge(1.0, 1.5))
     assert changed(scenario) == []
-    assert f"declared, {check}" in changed(scenario, **{part: {key: value}})
+    left = replace(scenario, **{part: replace(getattr(scenario, part), **{key: value})})
+    assert f"declared, {check}" in changed(left)
+    assert key in outside([left]) or check in outside([left])
+
+
+@pytest.mark.parametrize(
+    ("own", "text"),
+    [
+        (
+            "[onboard.barrier]\ncone_half_angle_rad = 1.0\npeak_height_m = 0.5",
+            "alpha_1_m = 1.284 and beta_m",
+        ),
+        ("[onboard.touchdown]\npad_radius_m = 0.2", "there is one pad"),
+        ("[target]\nturn_rate_rad_s = 2.9", "above target.turn_rate_max_rad_s"),
+        ("[target]\nspeed_m_s = 2.9", "above target.speed_max_m_s"),
+    ],
+)
+def test_two_numbers_that_must_agree_are_refused_over_a_base_too(tmp_path, own, text):
+    (tmp_path / "mine.toml").write_text(f'base = "lab"\n{own}\n')
+    with pytest.raises(ConfigError, match=text):
+        load(tmp_path / "mine.toml")
+
+
+def test_barrier_of_the_verdict_and_pad_of_the_configuration_follow_from_what_a_file_gives(tmp_path):
+    (tmp_path / "mine.toml").write_text(
+        'base = "large"\n[target]\npad_radius_m = 0.4\n[onboard.barrier]\nbeta_m = 3.0\n'
+    )
+    scenario = load(tmp_path / "mine.toml")
+    assert scenario.onboard.touchdown.pad_radius_m == 0.4
+    assert scenario.judged_by == scenario.onboard.barrier.build()
