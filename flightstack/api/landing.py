@@ -11,7 +11,6 @@ import numpy as np
 from flightstack.api.scenario import Changes, FilterLike, scenario
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Outputs
-from flightstack.core.safety.barrier import Barrier
 from logs.reader.flight import columns, load_flight, since
 from logs.reader.flight_data import Flight, Steps, Truth
 from logs.schema.controller_rows import step_row
@@ -123,7 +122,7 @@ def land(
         truth=seen.truth,
         events=seen.events,
         config=flown.onboard,
-        barrier=Barrier(flown.judge.alpha_1_m, flown.judge.beta_m),
+        barrier=flown.judged_by,
         velocity_max_m_s=limits.velocity_max_m_s,
         pad_radius_m=seen.pad_radius_m,
     )

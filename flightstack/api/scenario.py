@@ -13,21 +13,19 @@ from flightstack.common.strict_toml import ConfigError, from_table, over, to_tab
 from flightstack.core.parameters.filters import give, look_here
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.strategy import strategy_class
-from sim.scenarios.scenario import Judge, Scenario, load
+from sim.scenarios.scenario import Scenario, load, one_pad
 
 Changes: TypeAlias = Mapping[str, Any]
 FilterLike: TypeAlias = str | type[Any] | None
 _SCENARIO = frozenset(field.name for field in fields(Scenario))
 _FLOWN = frozenset(field.name for field in fields(FlightConfig))
-_SHAPE = ("alpha_1_m", "beta_m")  # keys that the barriers of judge and flight share
+_PAD = ("onboard", "touchdown", "pad_radius_m")
 
 
 def scenario(
     name: str | Path | Scenario = "lab", changes: Changes | None = None, *, filter: FilterLike = None
 ) -> Scenario:
     """Scenario of one vehicle, with some keys changed.
-
-    A change of the flown barrier's shape also changes the judge's, unless a key of ``judge`` is changed, too.
 
     Args:
         name: name of a scenario of the package, file, or scenario.
@@ -49,11 +47,9 @@ def scenario(
         for step in reversed(_path(key)):
             part = {step: part}
         table = over(table, part)
-    reshaped = any(_path(key)[:2] == ("onboard", "barrier") for key in changes)
-    if reshaped and not any(key.startswith("judge") for key in changes):
-        barrier = from_table(FlightConfig, table["onboard"], "onboard").barrier.build()
-        table["judge"] = to_table(Judge(*(getattr(barrier, key) for key in _SHAPE)))
-    return from_table(Scenario, table)
+    if _PAD not in map(_path, changes):  # it follows from the robot's
+        del table["onboard"]["touchdown"]["pad_radius_m"]
+    return from_table(Scenario, one_pad(table))
 
 
 def filter_name(filter: str | type[Any]) -> str:
