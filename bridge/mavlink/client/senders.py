@@ -122,7 +122,8 @@ class Senders:
         """Whether a frame of the known sender has come before; requests of lockstep may come again."""
         header, newest = message.get_header(), self._newest
         frame = (header.seq, header.msgId, message.get_crc())
-        if header.msgId == dialect.MAVLINK_MSG_ID_TIMESYNC:
+        # a message without a checksum was never on a wire
+        if header.msgId == dialect.MAVLINK_MSG_ID_TIMESYNC or frame[2] is None:
             return False
         if frame in newest:
             self.repeated += 1
