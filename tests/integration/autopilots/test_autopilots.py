@@ -1,6 +1,5 @@
 """PX4 and ArduCopter: the simulated vehicle, programs of both, and the check before a flight."""
 
-import json
 import os
 import re
 import signal
@@ -19,8 +18,6 @@ from tests.integration.flights.test_sitl import KEYS
 from tests.integration.runs import WALL_MAX_S, called, flightstack
 from tests.integration.sim_processes import ROOT, verb
 from tests.px4_flight import px4_or_skip
-
-PAGE = ROOT / "docs" / "how_to" / "autopilots.md"
 
 
 @pytest.mark.parametrize(("scenario", "seed"), [("lab", 1), ("large", 0)], ids=["Crazyflie", "1 kg"])
@@ -57,18 +54,6 @@ def test_preflight_tells_safe_from_unsafe(tmp_path):
         config.write_text(re.sub(r"accepted_parameters = \[\]", accepted, text))
         done = flightstack("preflight", "--vehicle", url, "--config", config)
         assert done.code == 0, done.out
-
-
-def test_the_documented_command_reads_as_it_stands():
-    (command,) = [
-        line for line in PAGE.read_text().splitlines() if "flightstack preflight --vehicle udpout" in line
-    ]
-    with vehicle_process() as (_, url):
-        words = command.split()[1:]
-        words[words.index("--vehicle") + 1] = url
-        done = flightstack(*words)
-    assert done.code == 0
-    assert json.loads(done.out)["safe"] is True
 
 
 def test_preflight_of_nobody_and_of_nonsense():

@@ -12,6 +12,7 @@ from click.testing import CliRunner
 from flightstack.cli.main import main
 from flightstack.common.processes import Port
 from logs.reader.flight import load_flight
+from tests.integration.runs import called
 from tests.integration.sim_processes import priority_or_skip, prompt_threads, verb
 from tests.unit.px4.px4_fakes import FakePx4, Pilot, parameters_of, true_place
 
@@ -37,8 +38,8 @@ def lines(child):
     return out.splitlines(), err
 
 
-@pytest.mark.parametrize("name", ["paper_moving_1", "large"])
-def test_climbs_hovers_and_flies_aside_by_the_sensors_alone(name):
+def test_climbs_hovers_and_flies_aside_by_the_sensors_alone():
+    name = "large"
     with simulator(name, "--seed", "3", "--duration", "14") as (child, port):
         fake, pilot = FakePx4(port), pilot_for(name)
         fake.hello()
@@ -137,21 +138,6 @@ def test_a_new_px4_finds_the_vehicle_at_its_start_and_the_same_seed_reads_the_sa
         assert "listening for the next one" in err
 
 
-def test_garbage_and_other_autopilots_are_dropped_and_px4_flies_after_them():
-    with simulator("paper_moving_1") as (child, port):
-        other = FakePx4(port)
-        other.hello(autopilot=3)
-        assert other.sensor() is None  # hung up
-        gone = FakePx4(port)
-        gone.raw(b"\xfd\x00nothing that is MAVLink")
-        gone.close()
-        assert len(first_steps(port, 20)) == 20
-        child.send_signal(signal.SIGINT)
-        _, err = lines(child)
-        assert "autopilot 3 of MAV_AUTOPILOT" in err
-        assert child.returncode == 0
-
-
 def test_a_silent_px4_ends_it_with_the_reason():
     with simulator("paper_moving_1", "--silent-max", "1") as (child, port):
         fake = FakePx4(port)
@@ -173,10 +159,9 @@ def test_a_silent_px4_ends_it_with_the_reason():
     ],
 )
 def test_wrong_input_is_status_2_with_a_reason(arguments, word):
-    with verb("px4-sim", *arguments, ready=False) as (child, _):
-        _, err = lines(child)
-        assert child.returncode == 2
-        assert word in err
+    done = called("px4-sim", *arguments)
+    assert done.code == 2
+    assert word in done.err
 
 
 @pytest.mark.xdist_group("real-time")

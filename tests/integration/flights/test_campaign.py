@@ -36,7 +36,6 @@ SHORT = ("stop_and_go", "--runs", RUNS, "--seed", 40, "--no-report")
         ("room", 1),  # errors of the own state, a state that is estimated, a thrust reserve
         ("storm", 1),  # drop-outs, wind
         ("deck", 2),
-        ("unsafe", 0),
         ("fault_link_burst", 0),
         ("fault_target_dropout", 0),
         ("fault_motor_dead", 0),
@@ -115,12 +114,6 @@ def test_the_command_of_a_seed_repeats_it(whole, tmp_path):
     row = next(r for r in untimed(folder) if r.seed == told["seed"])
     for key in ("outcome", "reason", "violation", "h_min_m", "h_min_outside_pad_m", "touchdown_error_m"):
         assert told[key] == getattr(row, key), key
-
-
-@shared
-def test_the_number_of_workers_changes_nothing(whole, tmp_path):
-    campaign(*SHORT, "--workers", 1, "--out", tmp_path)
-    assert untimed(tmp_path) == untimed(whole[0])
 
 
 def begun(folder, *arguments):

@@ -11,14 +11,12 @@ from contextlib import contextmanager
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from bridge.mavlink.signing import load_key
 from bridge.zenoh import zenoh_link
 from logs.reader.flight import load_flight
 from logs.reader.reader import LogFile
 from tests.flight_suite.room import simulated
 from tests.integration.runs import COMMAND, WALL_MAX_S, Background, called, flightstack, replayed
-from tests.integration.sim_processes import ROOT, Client, wait_for
-from tests.integration.wires.test_links import signing
+from tests.integration.sim_processes import ROOT, wait_for
 from tests.processes.bounded import killed, lines_of
 from tests.processes.ports import free_endpoint, free_port
 from tests.unit.target import ros2_helpers as ros
@@ -55,30 +53,6 @@ def test_lands_records_judges_and_reports(tmp_path):
     assert (flight.metadata["preflight"]["profile"], flight.metadata["preflight"]["problem"]) == ("sitl", "")
     assert not any("UNSAFE" in value for value in flight.metadata["preflight"].values())
     assert (tmp_path / "flight" / "report.html").stat().st_size > 100_000
-
-
-def test_ctrl_c_flies_clear_and_lands_before_anything_ends(tmp_path):
-    out = tmp_path / "flight"
-    with theirs(tmp_path) as words:
-        run = subprocess.Popen(
-            [*COMMAND, "fly", *words, "--out", str(out), "--no-report"],
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        )  # fmt: skip
-        said = []
-        try:
-            for line in lines_of(run.stdout, WALL_MAX_S):
-                said.append(line)
-                if "-> APPROACH" in line:
-                    run.send_signal(signal.SIGINT)
-                    break
-            said.append(run.communicate(timeout=WALL_MAX_S)[0])
-        finally:
-            killed(run)
-    assert run.returncode == 1, said
-    flight = load_flight(out / "flight.mcap")
-    assert flight.complete
-    assert any("-> ABORT" in event.text for event in flight.events)
-    assert flight.steps.own_position_enu_m[-1, 2] < 0.1
 
 
 def test_a_reader_that_ends_changes_nothing_and_sigterm_commands_the_landing(tmp_path):
@@ -188,32 +162,6 @@ def heartbeat():
 def onboard(start, port, folder, wait_s, *more):
     words = ("--target", TARGET, "--config", config(folder, wait_s), "--no-record")
     return start("onboard", "--vehicle", f"udpin:127.0.0.1:{port}", *words, *more)
-
-
-def test_a_vehicle_that_is_not_there_or_has_another_id(start, port, tmp_path):
-    waits = onboard(start, port, tmp_path, 9.0)
-    first = waits.until("preflight: waiting: no heartbeat of system 1, component 1: nothing arrives; for")
-    assert first.endswith("s more")
-    other = Client(f"udpin:127.0.0.1:{port}", system=2, component=1)
-    waits.until("frames come from system/component 2/1; --system-id", each=lambda: other.send(heartbeat()))
-    other.close()
-    assert waits.end() == 1
-    last = waits.lines[-1]
-    assert last.startswith("WAIT: no heartbeat of system 1, component 1: ")
-    assert last.endswith("within 9 s, is the vehicle's link up?")
-
-
-def test_a_vehicle_that_signs_with_another_key_or_not_at_all(start, port, tmp_path):
-    ours, theirs = tmp_path / "ours.key", tmp_path / "theirs.key"
-    for file in (ours, theirs):
-        assert flightstack("key", file).code == 0
-    waits = onboard(start, port, tmp_path, 40.0, "--signing-key", ours)
-    unsigned = Client(f"udpin:127.0.0.1:{port}", component=1)
-    waits.until("frames have no signature", each=lambda: unsigned.send(heartbeat()))
-    unsigned.close()
-    signed = signing(Client(f"udpin:127.0.0.1:{port}", component=1), load_key(theirs))
-    waits.until("are signed with another key than --signing-key", each=lambda: signed.send(heartbeat()))
-    signed.close()
 
 
 def test_a_target_on_another_key_then_in_another_frame_then_a_vehicle_that_dies(start, tmp_path):

@@ -10,9 +10,9 @@ from flightstack.core.types import Phase
 from logs.reader.flight import load_flight
 from sim.campaign.run import plan
 from sim.runners.landing import land
-from tests.integration.runs import Flying, called, flightstack, fly, gone, kill, replayed
+from tests.integration.runs import Flying, flightstack, fly, gone, kill, replayed
 
-SCENARIOS = ["paper_static_1", "paper_static_2", "paper_moving_1", "paper_moving_2"]
+SCENARIOS = ["paper_static_1", "paper_static_2", "paper_moving_1", "paper_moving_2", "reversing"]
 PAPER = {("paper_static_1", "paper"): (), ("paper_moving_2", "robust"): ("--filter", "robust")}
 KEYS = {
     "scenario", "seed", "filter", "outcome", "violation", "h_min_m", "h_min_outside_pad_m",
@@ -49,9 +49,8 @@ def test_the_papers_runs_land_in_one_process_which_flies_the_same_as_the_wires(s
     assert verdict.touchdown_error_m <= 0.10
 
 
-@pytest.mark.parametrize("scenario", ["stop_and_go", "reversing"])
-def test_other_paths_loops_and_a_start_in_hover_land_by_contact_and_replay(flown, scenario):
-    result = flown(scenario)
+def test_a_robot_that_stops_and_a_start_in_hover_land_by_contact_and_replay(flown):
+    result = flown("stop_and_go")
     assert result.code == 0, result.err
     assert result.json["outcome"] == "landed"
     assert result.json["touchdown_error_m"] <= 0.10
@@ -59,17 +58,10 @@ def test_other_paths_loops_and_a_start_in_hover_land_by_contact_and_replay(flown
     assert_decided_again(result.log)
 
 
-def test_the_same_seed_makes_the_same_log_and_another_one_flown_beside_it_does_not(flown, tmp_path):
-    first = flown("paper_moving_2", 0)
-    flying = [
-        Flying(tmp_path / str(k), "--scenario", "paper_moving_2", "--lockstep", "--seed", k) for k in (0, 1)
-    ]
-    assert [run.end() for run in flying] == [0, 0], [run.lines for run in flying]
-    same = flightstack("compare", first.log, tmp_path / "0" / "flight.mcap")
+def test_the_same_seed_makes_the_same_log(flown, tmp_path):
+    assert fly(tmp_path, "paper_moving_2", 0).code == 0
+    same = flightstack("compare", flown("paper_moving_2", 0).log, tmp_path / "flight.mcap")
     assert (same.code, same.out.strip().splitlines()[-1]) == (0, "equal"), same.out
-    other = flightstack("compare", first.log, tmp_path / "1" / "flight.mcap")
-    assert other.code == 1
-    assert "/cf1/" in other.out
 
 
 def test_an_interrupted_run_ends_everything_and_says_what_was_reached(tmp_path):
@@ -100,20 +92,6 @@ def test_a_killed_onboard_process_leaves_a_vehicle_that_lands_itself(tmp_path):
     assert truth.position_enu_m[-1, 2] < 0.25
 
 
-def test_a_target_lost_for_good_is_held_climbed_from_and_landed_away_from(tmp_path):
-    shown = flightstack("scenarios", "fault_target_dropout").out
-    (tmp_path / "s.toml").write_text(shown.replace("duration_s = 0.6\n", ""))
-    assert fly(tmp_path / "run", tmp_path / "s.toml").code == 1
-    flight = load_flight(tmp_path / "run" / "flight.mcap")
-    phases = set(flight.steps.phase.tolist())
-    assert {Phase.HOLD, Phase.CLIMB, Phase.ABORT} <= phases
-    assert Phase.LANDED not in phases
-    last = flight.truth
-    distance = ((last.position_enu_m[-1, :2] - last.pad_position_enu_m[-1, :2]) ** 2).sum() ** 0.5
-    assert distance > 0.8
-    assert not last.motors_running[-1]
-
-
 def test_a_world_that_stands_still_for_some_seconds_only_delays_a_lockstep_flight(tmp_path):
     run = Flying(tmp_path, "--scenario", "paper_moving_1", "--lockstep")
     run.until("-> TAKEOFF")
@@ -133,16 +111,6 @@ def test_a_killed_world_ends_the_run(tmp_path):
     kill(run.children()["world"])
     assert run.end() == 1
     assert any("world ended in flight" in line for line in run.lines), run.lines
-
-
-def test_a_time_limit_ends_a_run_as_an_abort_that_lands(tmp_path):
-    result = fly(tmp_path, "paper_moving_1", 0, "--duration", "6")
-    assert result.code == 1
-    assert result.json["outcome"] == "aborted"
-    assert not load_flight(result.json["log"]).truth.motors_running[-1]
-
-
-ARMED = 128
 
 
 def events(folder, *words):
@@ -173,11 +141,3 @@ def test_the_log_says_when_the_robot_was_out_of_sight_and_what_came_of_it(flown)
     assert any(text.startswith("HOLD -> CLIMB: target stayed lost") for text in told)
     assert "CLIMB -> APPROACH: target back" in told
     assert told.count("Fault over: target odometry off") == 2
-
-
-def test_a_wrong_fault_is_refused_before_anything_starts(tmp_path):
-    shown = flightstack("scenarios", "fault_motor_dead").out
-    (tmp_path / "s.toml").write_text(shown.replace("motor = 2", "motor = 7"))
-    result = called("sitl", "--scenario", tmp_path / "s.toml", "--out", tmp_path / "out")
-    assert result.code == 2
-    assert "fault[0].motor: found 7, allowed: an integer, 1 to 4" in result.err

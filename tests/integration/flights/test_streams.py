@@ -15,7 +15,7 @@ from tests.integration.sim_processes import COMMAND
 
 GOLDEN = str(path_of("paper_static_1"))
 PRINTING = [
-    ["--help"], ["scenarios"], ["config", "crazyflie"], ["log", "verdict", GOLDEN, "--json"],
+    ["scenarios"], ["log", "verdict", GOLDEN, "--json"],
 ]  # fmt: skip
 SITL = ["sitl", "--scenario", "paper_static_1", "--lockstep", "--no-report", "--json"]
 WALL_MAX_S = 240.0
@@ -43,10 +43,9 @@ def test_a_reader_that_has_enough_is_no_error(words):
         os.close(writes)
 
 
-@pytest.mark.parametrize("words", PRINTING[1:3], ids=lambda words: " ".join(words))
-def test_a_full_disk_is_told_where_the_output_is_all_there_is(words):
+def test_a_full_disk_is_told_where_the_output_is_all_there_is():
     with Path("/dev/full").open("wb") as full:
-        code, said = ended(words, full)
+        code, said = ended(["scenarios"], full)
     assert code == 2
     assert said == "flightstack: standard output is not complete: No space left on device\n"
 
@@ -59,7 +58,7 @@ def shell(words, redirections, cwd):
     ).returncode  # fmt: skip
 
 
-@pytest.mark.parametrize("redirections", [">&- 2>&- <&-", ">/dev/full 2>/dev/full", "2>&1 | true; exit 0"])
+@pytest.mark.parametrize("redirections", [">/dev/full 2>&- <&-", "2>&1 | true; exit 0"])
 def test_a_flight_lands_and_its_log_is_whole_whatever_becomes_of_the_output(redirections, tmp_path):
     assert shell([*SITL, "--out", "flight"], redirections, tmp_path) == 0
     flight = load_flight(tmp_path / "flight" / "flight.mcap")

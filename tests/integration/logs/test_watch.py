@@ -18,6 +18,7 @@ from flightstack.core.types import Phase
 from flightstack.watch.live import draw
 from flightstack.watch.state import STALE_S, News, Watch, snapshot
 from logs.schema.rows import HealthRow
+from tests.integration.runs import called
 from tests.integration.sim_processes import ROOT
 from tests.processes.bounded import PATIENCE_S, killed, line_of
 from tests.synthetic_flight import landing
@@ -180,30 +181,22 @@ def command(*words):
     return [sys.executable, "-m", "flightstack.cli.main", *words]
 
 
-def run(*words):
-    return subprocess.run(
-        command(*words), cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S, check=False
-    )
-
-
 def test_nobody_there_is_said_and_exit_status_1():
     port = Port()
     words = ("watch", "--connect", port.endpoint, "--once", "--timeout", "0.5")
-    done = run(*words)
-    assert done.returncode == 1
-    assert f"no reply from {port.endpoint}" in done.stdout
-    done = run(*words, "--json")
-    values = json.loads(done.stdout)
-    assert (done.returncode, values["fresh"], values["connections"]) == (1, False, 0)
+    done = called(*words)
+    assert done.code == 1
+    assert f"no reply from {port.endpoint}" in done.out
+    done = called(*words, "--json")
+    assert (done.code, done.json["fresh"], done.json["connections"]) == (1, False, 0)
     port.close()
 
 
 @pytest.mark.parametrize("words", [["--connect", "nonsense"], ["--namespace", "a//b"]])
 def test_wrong_words_are_refused(words):
-    done = run("watch", "--once", *words)
-    assert done.returncode == 2
-    assert "allowed" in done.stderr
-    assert "Traceback" not in done.stderr
+    done = called("watch", "--once", *words)
+    assert done.code == 2
+    assert "allowed" in done.err
 
 
 def test_a_flight_in_real_time_is_watched_from_outside(tmp_path):

@@ -30,7 +30,6 @@ pytestmark = pytest.mark.xdist_group("real-time")
 
 ARMED, LAND, HOLD = 128, 0x06040000, 0x03040000
 HIGH_M, TABLES = 1.5, (567, 334)  # m; entries of firmware 2026.08's tables of logs and parameters
-PAD_M, PAD_RADIUS_M = 0.2, 0.15
 
 
 def test_the_simulated_physics_land_on_the_moving_robot_through_cflib(tmp_path):
@@ -61,12 +60,6 @@ def test_the_simulated_physics_land_on_the_moving_robot_through_cflib(tmp_path):
         ended(robot)
 
 
-def test_it_has_the_system_id_of_a_member_of_a_fleet():
-    with Server(Firmware()) as server, bridge(server, "--system-id", "3") as started, client(started) as one:
-        heartbeat = one.until(is_a("HEARTBEAT"), each=one.hello)
-        assert heartbeat.get_srcSystem() == 3
-
-
 @pytest.mark.parametrize("kind", ["crazyflie", "mocap"])
 def test_a_bridge_and_its_threads_wait_for_no_other_program(kind):
     priority_or_skip()
@@ -93,11 +86,6 @@ def test_connects_over_a_radio_that_loses_every_tenth_packet_of_the_real_tables(
         assert server.lost > 20
 
 
-def test_firmware_without_a_log_variable_is_refused_by_its_version():
-    with Server(Firmware(protocol=7, auto_arm=False)) as server, bridge(server) as started:
-        wait_for(lambda: started.said("firmware speaks CRTP 7, arming by supervisor needs 12"), "the reason")
-
-
 def test_old_firmware_is_refused_with_the_version_needed():
     with (
         Server(Firmware(protocol=9, auto_arm=False)) as server,
@@ -109,14 +97,6 @@ def test_old_firmware_is_refused_with_the_version_needed():
         assert one.until(is_a("COMMAND_ACK", command=400)).result == 1
         wait_for(lambda: started.said("firmware speaks CRTP 9, arming by supervisor needs 12"), "the reason")
         assert not server.firmware.supervisor.armed
-
-
-def test_told_to_end_in_the_air_it_lands_first_and_leaves_it_ready_to_fly():
-    with Server(Firmware()) as server, bridge(server) as started, client(started) as one:
-        fly(one, server)
-        assert started.end(signal.SIGTERM) == 0
-        assert server.firmware.plant.on_surface
-        stays_unlocked(server)
 
 
 def stays_unlocked(server):

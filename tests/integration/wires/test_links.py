@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import socket
 import stat
 import threading
 import time
@@ -11,7 +10,6 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.signing import Signer, load_key
 from logs.tools.compare import ABSENT, compare
@@ -102,20 +100,6 @@ def test_sitl_lands_signed_and_its_log_equals_the_unsigned_one(key_file, flown, 
         assert each.a.replace(f"signing_key = {key_file}\\n", "") == each.b
 
 
-@pytest.mark.xdist_group("real-time")
-def test_configured_peers_find_the_vehicle_without_a_call(vehicle):
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
-        listener.bind(("127.0.0.1", 0))
-        listener.settimeout(PATIENCE_S)
-        child, _ = vehicle("--peer", f"127.0.0.1:{listener.getsockname()[1]}")
-        parser, types = mav.MAVLink(None, 255, 190), set()
-        until = time.monotonic() + PATIENCE_S
-        while "HEARTBEAT" not in types and time.monotonic() < until:
-            types |= {m.get_type() for m in parser.parse_buffer(listener.recv(65536)) or []}
-        assert types >= {"HEARTBEAT", "LOCAL_POSITION_NED", "ATTITUDE"}
-        terminate(child)
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -129,12 +113,6 @@ def test_wrong_wires_of_the_vehicle_are_refused_with_what_to_do(arguments, words
     done = flightstack("vehicle", "--scenario", "paper_moving_1", *arguments)
     assert done.code in (1, 2)
     assert words in done.err
-
-
-def test_onboard_refuses_the_network_without_a_key():
-    done = flightstack("onboard", "--vehicle", "udpin:0.0.0.0:0", "--config", "crazyflie")
-    assert (done.code, done.out) == (2, "")
-    assert "--signing-key FILE" in done.err
 
 
 def test_a_key_is_never_written_over_nor_read_when_others_can(key_file):

@@ -24,20 +24,19 @@ from tests.integration.wires.bridge_processes import KEY, Mocap, bridge, client,
 pytestmark = pytest.mark.xdist_group("real-time")
 
 
-@pytest.mark.parametrize("dialect", ["plain", "rmw_zenoh"])
-def test_a_crazyflie_that_needs_motion_capture_flies_by_it(dialect):
+def test_a_crazyflie_that_needs_motion_capture_flies_by_a_topic_of_ros_2():
     plant = Point(0.4, -0.3)
     plant.yaw = 2.5
     firmware = Firmware(plant, needs_poses=True)
     firmware.params["deck.bcLighthouse4"].value = 0
-    key, given = KEY, KEY
-    if dialect == "rmw_zenoh":
-        given = "ros2:/lab/cf1/pose"
-        key = topic_key(0, "/lab/cf1/pose", *ROS_TYPES[TargetType.POSE])
+    given = "ros2:/lab/cf1/pose"
+    key = topic_key(0, given.removeprefix("ros2:"), *ROS_TYPES[TargetType.POSE])
     with (
         Mocap(key, lambda: (tuple(plant.position), plant.quaternion)) as mocap,
         Server(firmware) as server,
-        bridge(server, "--mocap", given, "--frame", "map", "--connect", mocap.endpoint) as started,
+        bridge(
+            server, "--mocap", "ros2:/lab/cf1/pose", "--frame", "map", "--connect", mocap.endpoint
+        ) as started,
         client(started) as one,
     ):
         fly(one, server)

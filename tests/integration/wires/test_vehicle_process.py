@@ -45,8 +45,7 @@ def test_its_time_is_that_of_the_wall() -> None:
         terminate(child)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-@pytest.mark.parametrize("lockstep", [False, True])
+@pytest.mark.parametrize(("lockstep", "number"), [(False, signal.SIGINT), (True, signal.SIGTERM)])
 def test_ends_on_a_signal_also_before_anybody_has_called(lockstep: bool, number: signal.Signals) -> None:
     with vehicle(1, lockstep=lockstep) as (child, ready):
         assert ready.startswith("ready udpin:127.0.0.1:")
@@ -104,24 +103,6 @@ class Companion(Client):
         commands = {5: self.command(400, 1.0), 8: self.command(22), 350: self.command(176, 1.0, 6.0)}
         first = [commands[tick]] if tick in commands else []
         return [setpoint(0.2, -0.1, 0.0), *first] if tick >= 340 else first
-
-
-def fly(seed: int, ticks: int) -> list[bytes]:
-    with vehicle(seed, lockstep=True) as (child, ready):
-        companion = Companion(ready.removeprefix("ready "))
-        for _ in range(ticks):
-            assert companion.step()
-        beats = [m for m in companion.log if m.get_type() == "HEARTBEAT"]
-        assert beats[-1].custom_mode == OFFBOARD
-        terminate(child)
-        return companion.frames
-
-
-def test_lockstep_gives_the_same_bytes_for_the_same_seed() -> None:
-    first = fly(7, 460)
-    assert len(first) > 3 * 460
-    assert fly(7, 460) == first
-    assert fly(8, 460) != first
 
 
 def test_an_answer_from_before_the_end_is_acted_on_however_late_the_vehicle_gets_to_run() -> None:

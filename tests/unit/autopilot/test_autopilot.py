@@ -219,15 +219,6 @@ def test_stream_that_comes_back_does_not_take_over_by_itself() -> None:
     assert rig.vehicle.setpoint[2] < 0.0
 
 
-def test_fence_is_healthy_and_home_and_place_on_earth_come_in_the_first_two_seconds() -> None:
-    rig = Rig()
-    rig.run(2.0)
-    (*_, status) = rig.seen(mav.MAVLINK_MSG_ID_SYS_STATUS)
-    assert status.onboard_control_sensors_health & mav.MAV_SYS_STATUS_GEOFENCE
-    assert rig.seen(mav.MAVLINK_MSG_ID_HOME_POSITION)[0].altitude == 0
-    assert rig.seen(mav.MAVLINK_MSG_ID_GLOBAL_POSITION_INT)
-
-
 @pytest.mark.parametrize("value", [NAN, math.inf, 0.0, 60.0])
 def test_parameters_out_of_range_keep_their_value_and_say_so(value: float) -> None:
     rig = Rig()

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from bridge.mavlink.server.parameters import INT32, Parameters
 from bridge.mavlink.server.profile import FlightMode
 from sim.autopilot.flight import STREAM_LOST
-from sim.autopilot.ground import degrees_e7, x_of, y_of
+from sim.autopilot.ground import degrees_e7
 from sim.autopilot.parameters import px4_parameters
 from sim.autopilot.watches import STATION_LOST, Watches
 from sim.plant.params import load
@@ -52,12 +52,6 @@ def test_home_moves_with_all_that_counts_from_it() -> None:
     assert rig.autopilot.flight.home_enu_m == rig.vehicle.state.position_enu_m
     rig.vehicle.state.valid = False
     assert rig.command(179, 1.0) == REJECTED
-
-
-def test_geodesy_goes_there_and_back() -> None:
-    latitude_e7, longitude_e7 = degrees_e7(12.34, -5.67)
-    assert x_of(longitude_e7 / 1e7) == pytest.approx(12.34, abs=0.01)
-    assert y_of(latitude_e7 / 1e7) == pytest.approx(-5.67, abs=0.01)
 
 
 def test_reposition_flies_there_with_heading_and_speed_and_pause_stops() -> None:

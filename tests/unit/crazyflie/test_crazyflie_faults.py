@@ -270,7 +270,7 @@ def test_markers_tilted_against_the_body_are_refused_with_the_angle(own, tilt_de
 
 def test_firmware_that_arms_itself_anew_every_30_seconds_is_no_one_who_disarms():
     bench = Bench().ready()
-    for offset_s in (-0.1, -0.05, 0.05):
+    for offset_s in (-0.1, 0.05):
         left = [s for _, s in bench.firmware.supervisor.history].count(State.CHECKS_FAILED)
         ready_s = bench.firmware.supervisor.history[-1][0]
         bench.until(lambda due_s=ready_s + 30.04 + offset_s: bench.now_s >= due_s, 40.0)

@@ -59,7 +59,7 @@ class Stack:
         self.run(flight, Request.EXTERNAL, lambda s: s.mode is Mode.EXTERNAL)
 
 
-@pytest.mark.parametrize("floor_m", [0.0, 0.05, 0.3, 0.5, 1.4, -0.3])
+@pytest.mark.parametrize("floor_m", [0.0, 0.5, 1.4, -0.3])
 def test_it_climbs_by_its_height_from_a_table_of_any_height_and_then_from_another(floor_m):
     stack = Stack(floor_m)
     for _ in range(2):
@@ -125,13 +125,12 @@ def _killed_after_a_landing_by_its_own_client(stack, flight):
 ENDS = (_landing_by_set_points, _abort, _kill, _take_over, _killed_after_a_landing_by_its_own_client)
 
 
-@pytest.mark.parametrize("first", range(len(ENDS)))
-def test_after_any_end_the_next_flight_begins_as_the_first(first):
+def test_after_any_end_the_next_flight_begins_as_the_first():
     stack = Stack(0.2)
-    for n in range(4):
+    for end in (*ENDS, ENDS[0]):
         flight = stack.flight()
         stack.climb(flight)
-        ENDS[(first + n) % len(ENDS)](stack, flight)
+        end(stack, flight)
         stack.bench.until(lambda: not stack.bench.vehicle.armed)
         stack.bench.stream = None
         stack.bench.until(lambda: stack.bench.firmware.plant.on_surface).run(0.1)

@@ -51,8 +51,7 @@ def test_a_dead_motor_tips_it_over(loop):
     assert not sim.motors_running
 
 
-@pytest.mark.parametrize("loop", LOOPS)
-@pytest.mark.parametrize("motor", [1, 2, 3, 4])
+@pytest.mark.parametrize(("loop", "motor"), zip([*LOOPS] * 2, [1, 2, 3, 4], strict=True))
 def test_a_tenth_less_thrust_of_one_motor_is_flown_out(loop, motor):
     sim = aloft(fault(What.MOTOR, Kind.WEAK, start_s=0.5, motor=motor, value=0.9), loop=loop)
     truths = hold(sim, 4.0)

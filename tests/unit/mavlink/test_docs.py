@@ -35,7 +35,7 @@ def options(verb):
     return {name for p in bridge.commands[verb].params for name in p.opts}
 
 
-@pytest.mark.parametrize("page", [CRAZYFLIE, MOCAP])
+@pytest.mark.parametrize("page", [CRAZYFLIE, MOCAP], ids=["crazyflie", "mocap"])
 def test_the_commands_are_understood(page):
     ran = 0
     for line in re.findall(r"^\$ flightstack bridge (.*)$", page, re.MULTILINE):

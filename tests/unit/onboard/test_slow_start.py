@@ -23,9 +23,9 @@ def child(tmp_path, code):
 
 
 def test_a_child_that_computes_is_waited_for(tmp_path, monkeypatch):
-    monkeypatch.setattr(processes, "START_TIME_MAX_S", 1.5)
+    monkeypatch.setattr(processes, "START_TIME_MAX_S", 0.6)
     monkeypatch.setattr(processes, "_WORKING_S", 0.02)
-    slow = child(tmp_path, WORKS.format(1.7))
+    slow = child(tmp_path, WORKS.format(0.8))
     assert slow.wait_ready() == "here"
     slow.end()
 

@@ -132,11 +132,6 @@ def test_without_shared_memory_one_process_compares_all(monkeypatch, capsys):
     assert "one process instead of 4" in capsys.readouterr().err
 
 
-def test_zenoh_needs_no_shared_memory():
-    config = zenoh_link._configuration((), (), None, zenoh_link.Role.PEER)
-    assert config.get_json("transport/shared_memory/enabled") == "false"
-
-
 @pytest.mark.parametrize(
     "encode",
     [

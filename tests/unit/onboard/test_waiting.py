@@ -1,8 +1,6 @@
 """What is said while a flight waits: each cause by name, and the setting that decides about it."""
 
 import math
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -24,6 +22,7 @@ from flightstack.core.types import Inputs, Landed, Mode, OwnState, Phase, Vehicl
 from flightstack.onboard.live_topics import BATTERY_AGE_MAX_S, health_row
 from flightstack.onboard.waiting import TargetSeen, VehicleSeen, WaitReport, countdown, missing
 from flightstack.onboard.zenoh_wires import ZenohWires
+from tests.integration.runs import called
 from tests.processes.ports import free_endpoint, free_port
 from tests.unit.target import ros2_helpers as ros
 from tests.unit.target.ros2_helpers import until
@@ -245,13 +244,6 @@ def test_lockstep_is_with_the_simulated_target(wires, target, kind):
         wires(target, kind, lockstep=True)
 
 
-def run(*words):
-    return subprocess.run(
-        [sys.executable, "-m", "flightstack.cli.main", *words],
-        cwd=ROOT, capture_output=True, text=True, timeout=120.0, check=False,
-    )  # fmt: skip
-
-
 ONBOARD = ("onboard", "--vehicle", "udpout:127.0.0.1:9", "--config", "crazyflie")
 CLIENT = ("--zenoh-config", "docs/how_to/zenoh/client.json5")
 
@@ -274,15 +266,15 @@ CLIENT = ("--zenoh-config", "docs/how_to/zenoh/client.json5")
 )  # fmt: skip
 def test_wrong_words_are_refused_with_what_is_allowed(words, status, said):
     with ros.network(0) as (endpoint, _):
-        done = run(*(word.replace("{router}", endpoint) for word in words))
-    assert (done.returncode, "Traceback" in done.stderr) == (status, False), done.stderr
-    assert said in done.stderr
+        done = called(*(word.replace("{router}", endpoint) for word in words), cwd=ROOT)
+    assert done.code == status, done.err
+    assert said in done.err
 
 
 def test_a_router_of_ros_that_is_not_there_is_said_before_the_flight():
-    done = run(*ONBOARD, "--ros2", free_endpoint())
-    assert done.returncode == 2
-    assert "is the router running, and does it accept us" in done.stderr
+    done = called(*ONBOARD, "--ros2", free_endpoint())
+    assert done.code == 2
+    assert "is the router running, and does it accept us" in done.err
 
 
 def test_what_the_autopilot_did_by_itself_carries_its_own_reason():

@@ -11,7 +11,7 @@ from bridge.mavlink.preflight.table import Needs, table
 from bridge.mocap.vehicle import POSE_NEEDS
 from flightstack.common.strict_toml import ConfigError
 from sim.plant.params import load
-from sim.plant.rotors import MIX_YAW, POSITION_X, POSITION_Y
+from sim.plant.rotors import MIX_YAW
 from sim.px4.airframe import FORMATS, OFF, PX4_OF_M, parameter_text, parameters, rotor_speeds
 from sim.px4.plant import Px4Plant
 from sim.scenarios.scenario import VEHICLE_FILES, OdometryLink, Start, StartKind, Wind
@@ -52,16 +52,6 @@ def test_equals_the_vehicle_of_the_simulator_bit_by_bit_when_it_gets_the_same_ro
     assert ours.battery_v == theirs.battery_v
     assert ours.wind_enu_m_s == theirs.wind_enu_m_s
     assert (ours.h_m, ours.h_min_m, ours.contacts) == (theirs.h_m, theirs.h_min_m, theirs.contacts)
-
-
-def test_outputs_drive_the_motors_that_px4_means():
-    # PX4: front right and rear left counter-clockwise, then front left and rear right clockwise
-    forward, right, turns = (1, -1, 1, -1), (1, -1, -1, 1), (1, 1, -1, -1)
-    for ours, px4 in enumerate(PX4_OF_M):
-        assert POSITION_X[ours] == forward[px4]
-        assert -POSITION_Y[ours] == right[px4]
-        assert -MIX_YAW[ours] == turns[px4]
-    assert sorted(PX4_OF_M) == [0, 1, 2, 3]
 
 
 @pytest.mark.parametrize(

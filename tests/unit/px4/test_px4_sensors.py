@@ -65,14 +65,6 @@ def mean(rows):
     return np.mean(np.array(list(rows)), axis=0)
 
 
-def test_at_rest_the_accelerometer_reads_minus_g_down_in_frd_and_the_gyro_nothing():
-    readings = many(body())
-    assert mean(r.accel_frd_m_s2 for r in readings) == pytest.approx(
-        [0.0, 0.0, -G], abs=0.12
-    )  # bias 0.03 rms
-    assert mean(r.gyro_frd_rad_s for r in readings) == pytest.approx([0.0, 0.0, 0.0], abs=0.005)
-
-
 @settings(max_examples=40, deadline=None)
 @given(ANGLE, st.floats(-1.5, 1.5), ANGLE)
 def test_at_rest_in_any_attitude_accelerometer_and_magnetometer_show_the_world_turned_into_the_body(

@@ -93,7 +93,7 @@ def test_every_verb_ends_with_a_sentence_whatever_is_damaged(logs, kind, tmp_pat
     assert len(whole) > 200
     checked = kind in ("ours", "zstd", "none")  # every byte has a checksum
     assert LogFile(logs[kind]).complete
-    for number in range(24):
+    for number in range(12):
         bad.write_bytes(damaged(bytearray(logs[kind].read_bytes()), rng))
         log = LogFile(bad)
         broken += not log.complete
@@ -108,7 +108,7 @@ def test_every_verb_ends_with_a_sentence_whatever_is_damaged(logs, kind, tmp_pat
             )
             assert result.exit_code in (0, 1, 2), verb
             assert result.output.strip(), verb
-    assert broken >= (12 if checked else 4)
+    assert broken >= (6 if checked else 2)
 
 
 @pytest.mark.parametrize("kind", ["ours", "zstd", "none"])

@@ -19,7 +19,6 @@ from bridge.mavlink.profiles import (
     PROFILES,
     PX4,
     Encoding,
-    Reading,
     found,
     profile,
     refusal,
@@ -126,12 +125,6 @@ def test_motors_off_is_sent_on_whatever_is_answered():
     assert s.failed is None
 
 
-def test_a_temporary_rejection_is_tried_again():
-    for autopilot in PROFILES.values():
-        for result in (dialect.MAV_RESULT_TEMPORARILY_REJECTED, dialect.MAV_RESULT_FAILED):
-            assert autopilot.answers[result] is Reading.AGAIN
-
-
 def test_ardupilot_is_prepared_on_the_ground_until_it_shows_guided():
     s = sequencer(ARDUPILOT)
     sent = []
@@ -167,12 +160,6 @@ def test_guided_is_a_take_off_until_it_follows_us():
     assert state.status.mode is Mode.OTHER
 
 
-def test_offboard_of_px4_always_follows():
-    state = VehicleState(PX4)
-    state.update(heartbeat(6 << 16, armed=True), 1.0)
-    assert state.status.mode is Mode.EXTERNAL
-
-
 def test_ardupilots_take_off_is_over_for_the_sequencer_only_in_the_air():
     s = sequencer(ARDUPILOT)
     s.above_home = (0.01, 0.0)
@@ -205,16 +192,6 @@ def test_what_never_comes_is_asked_for_every_three_seconds_in_both_ways():
     later = [m.get_type() for tick in range(6000, 12000) for m in streams.step(tick * 0.01)]
     assert set(later) == {"COMMAND_LONG", "REQUEST_DATA_STREAM"}
     assert len(later) == 20
-
-
-def test_a_stream_that_comes_more_slowly_than_asked_is_left_as_it_is():
-    streams = StreamRequests({32: 50.0}, 1, 1, 0.0)
-    sent = 0
-    for tick in range(6000):
-        if tick % 10 == 0:  # 10 Hz, which is all that the line has room for
-            streams.seen(32)
-        sent += len(streams.step(tick * 0.01))
-    assert sent == 5
 
 
 def test_after_a_restart_what_does_not_come_is_asked_for_at_once():

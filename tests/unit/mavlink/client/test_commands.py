@@ -56,25 +56,19 @@ def test_before_a_second_flight_px4_leaves_offboard():
 
 def test_takeoff_arms_then_takes_off_then_is_quiet():
     s = sequencer(CRAZYFLIE)
+    s.home_amsl_m = 488.0  # heights of PX4's commands count from the sea
     (arm,) = s.step(Request.TAKEOFF, status(0.0), 0.0)
     assert arm.command == 400
     assert params(arm)[:2] == [1.0, 0.0]
     assert (arm.target_system, arm.target_component) == (1, 1)
     (takeoff,) = s.step(Request.TAKEOFF, status(0.1, armed=True), 0.1)
     assert takeoff.command == 22
-    assert params(takeoff)[6] == pytest.approx(HEIGHT)
+    assert params(takeoff)[6] == pytest.approx(488.0 + HEIGHT)
     assert all(math.isnan(p) for p in params(takeoff)[:6])
     assert s.step(Request.TAKEOFF, status(0.2, armed=True, mode=Mode.TAKEOFF), 0.2) == []
     assert s.reached
     # It has climbed and holds: the level is still wanted, and still nothing is sent.
     assert s.step(Request.TAKEOFF, status(9.0, armed=True, landed=Landed.IN_AIR), 9.0) == []
-
-
-def test_takeoff_height_counts_from_home_above_sea_level_where_px4s_commands_are_flown():
-    s = sequencer(CRAZYFLIE)
-    s.home_amsl_m = 488.0
-    (takeoff,) = s.step(Request.TAKEOFF, status(0.0, armed=True, mode=Mode.EXTERNAL), 0.0)
-    assert (takeoff.command, takeoff.param7) == (22, pytest.approx(488.0 + HEIGHT))
 
 
 @pytest.mark.parametrize("stands_m", [0.0, 0.4, -2.5, 31.0])

@@ -11,7 +11,6 @@ from flightstack.core.types import Mode, Request
 from tests.unit.mavlink.client.vehicle_link_fakes import (
     HEIGHT,
     LAND,
-    LOITER,
     OFFBOARD,
     TAKEOFF,
     FakeAutopilot,
@@ -48,15 +47,6 @@ def test_hello_is_a_companions_heartbeat(vehicle):
     assert (hello.get_srcSystem(), hello.get_srcComponent()) == (1, COMPONENT_ID)
     assert not link.heard
     link.close()
-
-
-def test_state_and_status_come_through(vehicle, link):
-    vehicle.send(heartbeat(LOITER), attitude(500), position(500))
-    poll(link, 2.0)
-    assert link.state.own.position_enu_m == pytest.approx((2.0, 1.0, 3.0))
-    assert link.state.own.arrival_s == 2.0
-    assert link.state.status.mode is Mode.HOLD
-    assert link.heard
 
 
 @pytest.mark.parametrize("ids", [(2, 1), (1, 190), (255, 190)])
@@ -166,13 +156,6 @@ def test_a_flight_from_arming_to_motors_off(vehicle, link):
         assert link.failed is None
 
 
-def test_texts_are_handed_over_once(vehicle, link):
-    vehicle.send(dialect.MAVLink_statustext_message(4, b"low battery", 0, 0))
-    poll(link, 0.0)
-    assert link.take_texts() == [(4, "low battery")]
-    assert link.take_texts() == []
-
-
 def test_a_refusal_is_explained(vehicle, link):
     for tick in range(600):
         now = tick * 0.01
@@ -255,15 +238,6 @@ def test_listening_link_follows_a_vehicle_that_comes_back_on_another_port():
         assert vehicle.take("SET_POSITION_TARGET_LOCAL_NED")
         vehicle.endpoint.close()
     link.close()
-
-
-def test_calling_link_hears_nobody_but_the_vehicle_it_calls(vehicle, link):
-    other = FakeAutopilot(f"udpout:127.0.0.1:{link.endpoint.local_port}")
-    other.beat()
-    vehicle.beat()
-    poll(link, 0.1)
-    assert link.endpoint.counters.received == 1
-    other.endpoint.close()
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,9 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.endpoint import Direction, Endpoint
-from bridge.mavlink.signing import SigningKey
 from bridge.mavlink.transport.address import parse_peer, parse_url
 from tests.unit.mavlink.codec.frames_of_messages import frames_of, position
+from tests.unit.mavlink.signing.signing_helpers import KEY, heartbeat
 
 
 @pytest.fixture
@@ -145,17 +145,6 @@ def test_wait_gives_up_after_the_time_and_close_can_be_repeated():
     endpoint.close()
 
 
-KEY = SigningKey(bytes(range(32)))
-
-
-def heartbeat():
-    return dialect.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
-
-
-def place():
-    return dialect.MAVLink_local_position_ned_message(10, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
-
-
 def remembered(endpoint):
     return len(endpoint._peers._beating) + len(endpoint._peers._strangers)
 
@@ -215,14 +204,14 @@ def call(server):
 
 
 def test_heartbeat_makes_a_peer_and_numbers_begin_with_it(server, call):
-    server.send([place()])  # nobody known: nothing is sent, no number is used
+    server.send([position()])  # nobody known: nothing is sent, no number is used
     caller = call()
-    caller.send(place())
+    caller.send(position())
     assert server.peers == ()
-    server.send([place()])
+    server.send([position()])
     caller.send(heartbeat())
     assert server.peers == (caller.address,)
-    server.send([place()])
+    server.send([position()])
     frame = caller.socket.recv(2048)
     assert frame[4] == 0
 
@@ -241,7 +230,7 @@ def test_sender_without_heartbeat_gets_no_more_bytes_than_it_sent(server, call):
     received = 0
     for _ in range(5):
         (request,) = caller.send(dialect.MAVLink_param_request_list_message(1, 1))
-        server.send([place()] * 80, request.peer)
+        server.send([position()] * 80, request.peer)
         received += caller.waiting()
         assert received <= caller.sent
     assert server.counters.withheld > 300
@@ -250,13 +239,13 @@ def test_sender_without_heartbeat_gets_no_more_bytes_than_it_sent(server, call):
     server.send([ack], command.peer)
     assert caller.waiting(21) > 20  # the answer to a single command fits
     caller.send(heartbeat())
-    server.send([place()] * 80, caller.address)
+    server.send([position()] * 80, caller.address)
     assert caller.waiting(80 * 30 + 1) > 80 * 30
 
 
 def test_repeats_count_against_the_allowance_too(server, call):
     caller = call()
-    (received,) = caller.send(place())
+    (received,) = caller.send(position())
     for _ in range(10):
         server.repeat(received.raw, caller.address)
     assert caller.waiting(caller.sent) == caller.sent
@@ -264,16 +253,16 @@ def test_repeats_count_against_the_allowance_too(server, call):
 
 
 def test_nobody_unheard_is_answered(server, call):
-    server.send([place()], call().address)
+    server.send([position()], call().address)
     assert (server.counters.sent, server.counters.withheld) == (0, 1)
 
 
 def test_withheld_answers_use_no_numbers(server, call):
     caller = call()
     (request,) = caller.send(dialect.MAVLink_param_request_list_message(1, 1))
-    server.send([place()] * 3, request.peer)
+    server.send([position()] * 3, request.peer)
     caller.send(heartbeat())
-    server.send([place()])
+    server.send([position()])
     assert caller.socket.recv(2048)[4] == 0
 
 
@@ -282,7 +271,7 @@ def test_tables_are_bounded_and_expire(server, call, monkeypatch):
     monkeypatch.setattr("bridge.mavlink.transport.address.time.monotonic", lambda: now)
     callers = [call() for _ in range(30)]
     for caller in callers:
-        caller.send(place())
+        caller.send(position())
     assert remembered(server) == 16
     for caller in callers[:3]:
         caller.send(heartbeat())
@@ -291,7 +280,7 @@ def test_tables_are_bounded_and_expire(server, call, monkeypatch):
     assert remembered(server) <= 18
     now = 111.0  # all silent for longer than 10 s
     assert server.peers == ()
-    server.send([place()] * 60, callers[0].address)  # who wants to speak to one of them still can
+    server.send([position()] * 60, callers[0].address)  # who wants to speak to one of them still can
     assert callers[0].waiting(60 * 30 + 1) > 60 * 30
     callers[2].send(heartbeat())
     assert server.peers == (callers[2].address,)
@@ -299,7 +288,7 @@ def test_tables_are_bounded_and_expire(server, call, monkeypatch):
 
 def test_strangers_cannot_keep_a_peer_out(server, call):
     for _ in range(40):
-        call().send(place())
+        call().send(position())
     caller = call()
     caller.send(heartbeat())
     assert server.peers == (caller.address,)
@@ -358,11 +347,11 @@ def test_peers_that_cannot_be_served_are_refused():
 def test_caller_hears_only_whom_it_calls(server):
     client = Endpoint(f"udpout:127.0.0.1:{server.local_port}", 1, 191)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
-        stranger.sendto(place().pack(dialect.MAVLink(None, 1, 1)), ("127.0.0.1", client.local_port))
+        stranger.sendto(position().pack(dialect.MAVLink(None, 1, 1)), ("127.0.0.1", client.local_port))
     client.send([heartbeat()])
     assert server.wait(5.0)
     server.receive()
-    server.send([place()])
+    server.send([position()])
     assert client.wait(5.0)
     assert [r.peer for r in client.receive()] == [("127.0.0.1", server.local_port)]
     client.close()

@@ -62,7 +62,7 @@ def hostile(rng: random.Random, id_: int, commands: list[int]):
     return message
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_nothing_from_the_network_raises_and_every_answer_can_be_sent(flown, seed: int) -> None:
     rng = random.Random(seed)
     link = mav.MAVLink(None, 1, 1)
@@ -144,7 +144,7 @@ def asks_to_land(message) -> bool:
     return kind == "SET_MODE" and message.custom_mode >> 16 & 0xFFFF == LAND.main | LAND.sub << 8
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_stranger_can_neither_fly_it_nor_change_what_its_owner_has_set(flown, seed: int) -> None:
     rng = random.Random(seed)
     commands, handled = list(flown.server.commands.table), sorted(flown.server._handlers)

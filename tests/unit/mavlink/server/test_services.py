@@ -6,8 +6,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.client.texts import TextAssembler
-from bridge.mavlink.codec.framing import split_frames
-from bridge.mavlink.codec.messages import decode, pack
+from bridge.mavlink.codec.messages import pack
 from bridge.mavlink.server.texts import Text, TextWire
 from tests.unit.mavlink.server.served import ACCEPTED, COMPANION, DENIED, FAILED, NAN, UNSUPPORTED, as_long
 
@@ -25,14 +24,6 @@ def test_heartbeat_comes_once_a_second_and_at_once_on_a_change(served) -> None:
     (beat,) = served.seen(mav.MAVLINK_MSG_ID_HEARTBEAT)[before:]
     assert beat.base_mode == 157
     assert beat.system_status == mav.MAV_STATE_ACTIVE
-
-
-def test_position_and_attitude_come_at_100_hz(served) -> None:
-    served.run(1.0)
-    positions = served.seen(mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
-    assert len(positions) == len(served.seen(mav.MAVLINK_MSG_ID_ATTITUDE)) == 100
-    times_ms = [m.time_boot_ms for m in positions]
-    assert times_ms[-1] - times_ms[0] == pytest.approx(990, abs=2)
 
 
 def test_what_clients_wait_for_is_there_in_the_first_two_seconds(served) -> None:
@@ -178,15 +169,6 @@ def test_messages_from_itself_and_of_no_interest_do_nothing(served) -> None:
     for number in range(300):  # its field is named like the message's number in pymavlink
         assert served.handle(mav.MAVLink_statustext_message(6, b"hello", number)) == []
     assert not served.armed
-
-
-def test_everything_it_says_can_be_serialised(flown) -> None:
-    flown.run(2.5, (0.1, -0.1, 0.0))
-    link = mav.MAVLink(None, 1, 1)
-    asked = [m for id_ in flown.server.messages for m in flown.handle(as_long(512, (float(id_),)))]
-    for message in [*flown.telemetry, *asked]:
-        (frame,) = split_frames(message.pack(link))
-        assert decode(frame).get_msgId() == message.get_msgId()
 
 
 @pytest.mark.parametrize("length", [1, 49, 50, 51, 100, 101, 180])

@@ -13,9 +13,7 @@ from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.signing import (
     AHEAD_TICKS,
     ANSWER_S,
-    ANSWERED,
     STALE_TICKS,
-    Refusal,
     Signer,
     StaleAnswers,
 )
@@ -266,10 +264,6 @@ def test_who_has_not_the_key_gets_no_answer(link):
     assert vehicle.answers == []
     assert link.endpoint.counters.stale_answered == 0
     vehicle.socket.close()
-
-
-def test_answered_are_frames_with_the_right_signature_and_the_wrong_time():
-    assert {Refusal.STALE, Refusal.REPLAYED} == ANSWERED
 
 
 def test_few_addresses_are_answered_at_a_time_and_nobody_before_there_is_a_heartbeat():
