@@ -76,11 +76,6 @@ def test_a_time_that_is_over_in_flight_is_an_abort():
     assert in_time == (Phase.LANDED, "motors off", 0)
 
 
-def test_the_emergency_stop_is_above_all():
-    flight = Leaving(0.0, asking(Operator.EMERGENCY_STOP, stop=True))
-    assert flight.operator(status(), 1.0) is Operator.EMERGENCY_STOP
-
-
 def test_lockstep_waits_for_others_no_longer_than_a_second(monkeypatch):
     now, person = SimpleNamespace(s=100.0), asking()
     monkeypatch.setattr(lockstep, "time", SimpleNamespace(monotonic=lambda: now.s))

@@ -29,8 +29,9 @@ pytestmark = pytest.mark.slow
 
 LIMITS = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({0}, {0}));"  # bytes of a file
 RECORD = (
-    "import sys; from pathlib import Path; from logs.recorder.recorder import record_main;"
-    "sys.exit(record_main(Path(sys.argv[1]), Path(sys.argv[2]), None))"
+    "import sys; from pathlib import Path; from logs.recorder import recorder;"
+    "recorder.GRACE_S = 600.0;"  # longer than the test waits: a second signal alone ends it at once
+    "sys.exit(recorder.record_main(Path(sys.argv[1]), Path(sys.argv[2]), None))"
 )
 
 

@@ -124,11 +124,6 @@ def test_every_message_of_pymavlinks_dialects_is_known(other):
         assert (MESSAGES[id_].msgname, MESSAGES[id_].crc_extra) == (cls.msgname, cls.crc_extra)
 
 
-@pytest.mark.parametrize("number", [8, 290, 291, 380, 410, 411, 436])
-def test_messages_that_px4_sends_are_known(number):
-    assert number in MESSAGES
-
-
 def test_known_messages_stay_pymavlinks_own():
     assert all(MESSAGES[id_] is cls for id_, cls in ardupilotmega.mavlink_map.items())
 
