@@ -7,10 +7,15 @@ BIN := $(VENV)/bin
 # not compiled: Python does that by itself with what is imported, a tenth of what is installed
 PIP := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: fly test quick bench clean
+.PHONY: fly view test quick bench docs clean
 
 fly: $(VENV)/.fly
 	$(BIN)/flightstack sitl --scenario paper_moving_1 --filter robust
+
+# the same flight with a live view in 3-D
+view: $(VENV)/.fly
+	$(PIP) --editable '.[sim,report,view]'
+	$(BIN)/flightstack sitl --scenario paper_moving_1 --filter robust --view native
 
 # the project's own files: a user's scratch code in the checkout is not linted
 SOURCES := (git ls-files '*.py' 2>/dev/null || echo .)

@@ -111,5 +111,5 @@ def without_recordings(error: ModuleNotFoundError, what: str) -> Exception:
 
 def without_rerun(error: ModuleNotFoundError, what: str) -> Exception:
     """Return what to raise when the command or option ``what`` cannot import a viewer."""
-    text = f"`{what}` needs Rerun: pip install 'crazyflie-flightstack[view]'; "
+    text = f"`{what}` needs Rerun: pip install 'crazyflie-flightstack[view]', or `make view` in a checkout; "
     return without(error, text + "or open the log itself in another viewer (docs/how_to/viewing.md)", "rerun")

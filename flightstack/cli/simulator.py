@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sys
+import textwrap
 from dataclasses import replace
 
 import click
@@ -99,7 +101,10 @@ def scenarios(name: str | None) -> None:
     if name is not None:
         click.echo(team.path_of(name).read_text(), nl=False)
         return
-    for known in scenario.names():
-        click.echo(f"{known:18} {scenario.load(known).description}")
-    for known in team.names():
-        click.echo(f"{known:18} {team.load(known).description}")
+    listed = {known: scenario.load(known).description for known in scenario.names()}
+    listed |= {known: team.load(known).description for known in team.names()}
+    wide = max(map(len, listed)) + 2
+    columns = max(shutil.get_terminal_size().columns, wide + 40)
+    for known, description in listed.items():
+        lines = textwrap.wrap(description, columns - wide)
+        click.echo("\n".join([f"{known:{wide}}{lines[0]}", *(" " * wide + line for line in lines[1:])]))

@@ -61,7 +61,7 @@ def chosen_core(core: Core, config: FlightConfig, *, lockstep: bool) -> Core:
 
 def compiled(config: FlightConfig) -> Controller:
     """Make a controller with compiled ticks, or only a compiled program where its ticks are Python's."""
-    with telling():
+    with telling("the controller, about 10 s"):
         made = with_compiled_program(Controller(config))
         if type(made.program) is not SafetyFilter and suits(config) and hypot_is_known():
             from flightstack.compiled.tick import CompiledController

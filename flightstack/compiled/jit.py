@@ -135,11 +135,11 @@ def keep(what: str) -> None:
 
 
 @contextlib.contextmanager
-def telling() -> Iterator[None]:
+def telling(what: str = "the simulator, about 10 s") -> Iterator[None]:
     """Print the progress of compiling in the block to standard error.
 
-    It takes ten seconds of processor time, of a slow computer minutes, once for each version. The share is
-    that of the functions that are known by then; not all of them may be needed.
+    ``what``: is compiled, and its processor time, which a slow computer multiplies; once for each version.
+    The share is that of the functions that are known by then; not all of them may be needed.
     """
     if is_off() or _told:
         yield
@@ -149,7 +149,7 @@ def telling() -> Iterator[None]:
 
     class Share(event.Listener):  # type: ignore[misc]
         def on_start(self, event: Any) -> None:
-            _tell(len(_told))
+            _tell(len(_told), what)
             _told.setdefault(id(event.data["dispatcher"]), 0)
 
         def on_end(self, event: Any) -> None:
@@ -167,11 +167,11 @@ def telling() -> Iterator[None]:
 _told: dict[int, int] = {}  # functions whose compiling has started
 
 
-def _tell(begun: int) -> None:
+def _tell(begun: int, what: str) -> None:
     """Say each tenth once."""
     tenth = min(9, 10 * begun // max(1, len(_made)))
     if not begun or tenth > min(9, 10 * (begun - 1) // max(1, len(_made))):
-        _say(f"compiling the loops, once for this version: {10 * tenth} %")
+        _say(f"compiling {what}, once: {10 * tenth} %")
 
 
 def _say(text: str) -> None:

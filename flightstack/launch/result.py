@@ -17,7 +17,7 @@ from flightstack.launch.launcher import Followed
 from logs.reader.flight import load_fleet
 from logs.reader.reader import LogError
 from logs.report.report import ReportError, write_report
-from logs.verdict.types import SOURCES
+from logs.verdict.types import BELOW_ON_PAD, SOURCES
 from logs.verdict.verdict import Verdict, fleet_result, judge_fleet
 
 _ABOUT = ("scenario", "seed", "config", "filter")
@@ -41,8 +41,12 @@ def result_table(values: Mapping[str, Any], reason: str) -> Group:
     table = Table("result", Column("value", justify="right"), "unit")
     for name, key, unit in _ROWS:
         table.add_row(name, shown(values.get(key)), unit)
+    lowest_m = values.get("h_min_m")
+    on_pad = [Text(BELOW_ON_PAD, style="dim")] if lowest_m is not None and lowest_m < 0.0 else []
     source = SOURCES.get(values.get("judged_from") or "", "what the onboard process said")
-    return Group(_title(values), table, Text(f"judged from {source}"), Text(reason), *_apart([values]))
+    return Group(
+        _title(values), table, Text(f"judged from {source}"), Text(reason), *on_pad, *_apart([values])
+    )
 
 
 def _apart(vehicles: Iterable[Mapping[str, Any]]) -> list[Text]:

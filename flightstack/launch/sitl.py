@@ -181,11 +181,16 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
             duration_s=others_s(team), listen=(robots_at,), connect=(vehicles[0].endpoint,),
         )  # fmt: skip
         robots.append(launcher.start("target", plugged))
+    loading: list[Child] = [*flying.pending, *robots]
+    if not options.lockstep:  # else the onboard process reports that nothing arrives from the vehicle
+        for child in loading:
+            child.wait_ready()
+        loading = []
     onboards = [
         _start(launcher, options, each, vehicles, flying, robots_at, {**both, "lockstep": options.lockstep})
         for each in vehicles
     ]
-    for child in (*flying.pending, *robots, *onboards):  # they load at once
+    for child in (*loading, *onboards):  # they load at once
         child.wait_ready()
     if not options.lockstep:
         recorder.yield_to_others(RECORDER_YIELDS // len(vehicles))  # starved, it would lose records

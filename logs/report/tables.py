@@ -14,7 +14,7 @@ from logs.reader.flight_data import Bools, Event, Fleet, Flight, Floats, phase_n
 from logs.report.derived import Side, Stream, estimate_errors, fault_spans, root_mean_square
 from logs.report.page import html, paragraph, table, time_link
 from logs.schema.events import Severity
-from logs.verdict.types import ESTIMATE, Outcome, Verdict
+from logs.verdict.types import BELOW_ON_PAD, ESTIMATE, Outcome, Verdict
 from logs.verdict.verdict import FleetVerdict
 
 _SAME_TICK_S = 0.011  # an event of the tick in which a phase began
@@ -197,7 +197,7 @@ _RELATIVE = "relative to the pad"
 _KEYS = ("lowest h outside the pad", "touchdown error", "touchdown speed, vertical", "time to land")
 # name, unit, digits, factor, value, meaning
 _NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None], str], ...] = (
-    ("lowest h", "mm", 1, 1e3, lambda s: s.verdict.h_min_m, "since the landing began"),
+    ("lowest h", "mm", 1, 1e3, lambda s: s.verdict.h_min_m, BELOW_ON_PAD),
     ("lowest h outside the pad", "mm", 1, 1e3, lambda s: s.verdict.h_min_outside_pad_m, ""),
     ("touchdown error", "mm", 1, 1e3, lambda s: s.verdict.touchdown_error_m, "d at first contact"),
     ("touchdown speed, vertical", "m/s", 3, 1.0, lambda s: s.verdict.touchdown_speed_vertical_m_s, _RELATIVE),

@@ -23,6 +23,10 @@ GAP_MAX_S = 0.2  # s without data beyond which nothing is known about what happe
 TRUTH = "truth"
 ESTIMATE = "estimate"
 SOURCES = {TRUTH: "true states", ESTIMATE: "the vehicle's own estimate"}  # in words, by ``judged_from``
+BELOW_ON_PAD = (
+    "lowest h may be below 0 over the pad, where it does not count: beside the landing spot the boundary is "
+    "higher than the reference point of a vehicle that stands on the pad"
+)
 _SAID_WITHIN_S = 0.1  # an event of the tick itself, with margin for another clock
 
 

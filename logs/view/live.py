@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import socket
 import subprocess
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +26,7 @@ from logs.view.view import draw, viewer_program
 NATIVE, WEB = "native", "web"
 ENDING = ".rrd"
 SIZE_M = 3.0  # m: extent of the scene at which the camera looks, before any path is known
+VIEWER_TIME_MAX_S = 2.0  # s; then the flight begins without a viewer
 FLUSH_TIME_MAX_S = 2.0  # s for a viewer to take the last rows; a stuck one does not get them
 MEMORY_LIMIT = "512MB"  # of viewer and server each: the oldest data go first
 
@@ -46,6 +49,7 @@ class LiveRecording:
             pages = Port()
             at = self._start("--serve-web", "--web-viewer-port", str(pages.number))
             pages.close()
+            _wait_for(pages.number)
             self.address = f"http://127.0.0.1:{pages.number}/?url={quote(at, safe='')}"
         else:
             self._stream.save(_new(Path(where)))
@@ -96,6 +100,7 @@ class LiveRecording:
             start_new_session=self._stays,
         )  # fmt: skip
         port.close()
+        _wait_for(port.number)
         at = f"rerun+http://127.0.0.1:{port.number}/proxy"
         self._stream.connect_grpc(at)
         return at
@@ -113,6 +118,15 @@ class LiveRecording:
         if events and reason:
             events[-1] = replace(events[-1], text=f"{events[-1].text}: {reason}")
         return events
+
+
+def _wait_for(port: int) -> None:
+    """Wait until the viewer takes connections, to show the flight from its beginning; 2 s at most."""
+    until_s = time.monotonic() + VIEWER_TIME_MAX_S
+    while time.monotonic() < until_s:
+        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=0.5):
+            return
+        time.sleep(0.02)
 
 
 def _since(origin_ns: int, rows: Sequence[ControllerStepRow | LoopTimingRow]) -> Floats:

@@ -142,7 +142,7 @@ def warm_up(team: TeamScenario) -> None:
     """Compile everything that a flight calls, or load it from the cache, before the first begins."""
     first = team.member[0]
     warm_up_room(team)
-    with telling():
+    with telling("the loop of a campaign, about 20 s"):
         stretch = Companion(first, 0).stretch
         if stretch is not None and team.is_alone:
             stretch.warm_up()
