@@ -62,6 +62,7 @@ GROUPS = {
         ),
         "watch": Verb("watch:watch", "Show a flight while it flies."),
         "scenarios": Verb("simulator:scenarios", "List the scenarios, or print one."),
+        "new": Verb("simulator:new", "Write a scenario of your own."),
     },
     "Prove": {
         "check": Verb("check:check", "Prove a configuration before flight."),

@@ -7,6 +7,7 @@ import shutil
 import sys
 import textwrap
 from dataclasses import replace
+from pathlib import Path
 
 import click
 
@@ -87,6 +88,30 @@ def px4_sim(options: Px4SimOptions) -> None:
         return
     namespace = options.namespace if options.member is None else member_name(options.member)
     sys.exit(process.px4_sim_main(loaded, replace(options, seed=seed, namespace=namespace)))
+
+
+@click.command()
+@click.argument("what", type=click.Choice(["scenario"]))
+@click.argument("name")
+@click.option(
+    "--base", default="lab", show_default=True, help="Scenario, by name, whose values it begins with."
+)
+def new(what: str, name: str, base: str) -> None:
+    """Write NAME.toml here: a scenario over another one, with a comment for each key.
+
+    Exit status: 0 written, 2 wrong name, or the file exists.
+    """
+    del what
+    from flightstack.common.strict_toml import ConfigError
+    from sim.scenarios.keys import commented
+
+    file, text = Path(f"{name}.toml"), commented(name, base)
+    try:
+        with file.open("x", encoding="utf-8") as out:
+            out.write(text)
+    except FileExistsError:
+        raise ConfigError(f"{file}: exists and is not written over; choose another name") from None
+    click.echo(f"{file}: fly it with `flightstack sitl --scenario {file} --lockstep`")
 
 
 @click.command()

@@ -163,7 +163,7 @@ def from_table(cls: type[T], table: object, where: str = "") -> T:
 
     Raises ConfigError: unknown or missing key, wrong unit or type, out of range, or from ``__post_init__``.
     """
-    places = dict(_places(_type_info(cls), table, where))  # type: ignore[arg-type]  # a class is hashable
+    places = dict(_places(type_info(cls), table, where))  # type: ignore[arg-type]  # a class is hashable
     try:
         return msgspec.convert(table, cls)
     except msgspec.ValidationError as error:
@@ -172,10 +172,10 @@ def from_table(cls: type[T], table: object, where: str = "") -> T:
         if error.__cause__ is not None:  # error of a __post_init__
             raise ConfigError(f"{at}: {error.__cause__}" if at else str(error.__cause__)) from None
         kind, found = places[at]
-        raise ConfigError(f"{at or cls.__name__}: found {found!r}, allowed: {_allowed(kind, at)}") from None
+        raise ConfigError(f"{at or cls.__name__}: found {found!r}, allowed: {allowed(kind, at)}") from None
 
 
-_type_info = cache(inspect.type_info)
+type_info = cache(inspect.type_info)
 
 
 def _places(kind: inspect.Type, value: object, at: str) -> Iterator[tuple[str, tuple[inspect.Type, object]]]:
@@ -206,8 +206,8 @@ def _places(kind: inspect.Type, value: object, at: str) -> Iterator[tuple[str, t
             yield from _places(inner, item, f"{at}[{number}]")
 
 
-def _allowed(kind: inspect.Type, at: str) -> str:
-    """The values that a type allows, as text."""
+def allowed(kind: inspect.Type, at: str) -> str:
+    """Return the values that a type allows, as text."""
     match kind:
         case inspect.IntType(ge=low, le=high):
             return "an integer" if low is None else f"an integer, {low:g} to {high:g}"
@@ -222,23 +222,23 @@ def _allowed(kind: inspect.Type, at: str) -> str:
         case inspect.DataclassType():
             return f"a table [{at}]"
         case inspect.UnionType(types=kinds):
-            return " or ".join(_allowed(each, at) for each in kinds)
+            return " or ".join(allowed(each, at) for each in kinds)
     return {"StrType": "a string", "BoolType": "true or false"}.get(type(kind).__name__, "an array")
 
 
-def _unknown(key: str, allowed: Sequence[str], where: str) -> str:
+def _unknown(key: str, known: Sequence[str], where: str) -> str:
     at = f"{where}.{key}" if where else key
-    stem, unit = _stem(key)
-    for name in allowed:
-        wanted_stem, wanted = _stem(name)
-        if wanted_stem == stem and wanted != unit:
+    found, unit = stem(key)
+    for name in known:
+        wanted_stem, wanted = stem(name)
+        if wanted_stem == found and wanted != unit:
             return f"{at}: wrong unit: found [{unit or 'none'}], the key is {name} [{wanted or 'none'}]"
-    close = difflib.get_close_matches(key, allowed, n=1)
+    close = difflib.get_close_matches(key, known, n=1)
     hint = f"did you mean {close[0]}? " if close else ""
-    return f"{at}: unknown key; {hint}allowed: {', '.join(sorted(allowed))}"
+    return f"{at}: unknown key; {hint}allowed: {', '.join(sorted(known))}"
 
 
-def _stem(key: str) -> tuple[str, str]:
+def stem(key: str) -> tuple[str, str]:
     """A key without its unit, and the unit."""
     for unit in sorted(UNITS, key=len, reverse=True):
         if key.endswith("_" + unit):

@@ -40,6 +40,7 @@ from flightstack.verify.certificate import problems
 from logs.schema.names import NO_PAD, TEAM, Names, member_name
 from sim.chance import name as seed_name
 from sim.options import TargetOptions
+from sim.robot.course import try_out
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.team import TeamScenario, load, path_of, text
 from sim.vehicle.declared import not_proven, outside
@@ -66,6 +67,8 @@ def prepare(options: RunOptions) -> TeamScenario:
     Raises ConfigError: it must not fly.
     """
     team = load(options.scenario)
+    for each in team.member:
+        try_out(each.target)
     number, asked = len(team.member), options.members
     options.check(number)
     if any(not 1 <= n <= number for n in asked) or len(asked) == number:

@@ -30,6 +30,7 @@ from logs.verdict.verdict import two_barriers
 from sim.campaign.rows import Row, RowsError, RowsFile, missing, read_rows, write_parquet, write_rows
 from sim.campaign.summary import repeat_command, summary
 from sim.campaign.workers import Workers, code_fingerprint
+from sim.robot.course import try_out
 from sim.runners.landing import warm_up
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.team import TeamScenario, load, text
@@ -93,6 +94,8 @@ class Plan:
 def plan(scenario_name: str, runs: int, first_seed: int, filter_name: str | None) -> Plan:
     """Load and check a scenario. Raises ConfigError: it must not fly."""
     scenario = load(scenario_name)
+    for member in scenario.member:
+        try_out(member.target)
     if filter_name is not None:
         scenario = scenario.with_filter(filter_name)
     found = dict.fromkeys(problem for each in scenario.member for problem in problems(each.onboard))

@@ -19,6 +19,7 @@ from sim.chance import stream
 from sim.plant.params import load
 from sim.plant.sensors import BLOCK, NS, MeasurementChannel
 from sim.plant.state_error import DELAY, TURN, WIDTH, PastRecord, mismeasured, state_errors
+from sim.robot.course import course
 from sim.scenarios.scenario import PathKind, StateError, TargetLink, TargetSpec
 
 DRIVE_LAG_S = 0.1  # first-order lag of the drive; not documented by ROBOTIS, 0.05 to 0.15 s (assumption)
@@ -48,6 +49,7 @@ DEMANDS: dict[PathKind, tuple[float, float, float, float]] = {
     PathKind.CIRCLE: (1.0, 1.0, 1.0, 1.0),
     PathKind.STOP_AND_GO: (1.0, 1.0, 0.0, 0.0),
     PathKind.REVERSING: (1.0, 1.0, -1.0, 1.0),
+    PathKind.FIGURE_OF_EIGHT: (1.0, 1.0, 1.0, -1.0),
 }
 
 
@@ -182,9 +184,14 @@ class TargetModel:
         self.speed_m_s = min(spec.speed_m_s * share, spec.speed_max_m_s)
         self.turn_rate_rad_s = float(_clip(spec.turn_rate_rad_s * turn_share, spec.turn_rate_max_rad_s))
         self._record = m = new(MotionRecord)
-        m.demand[:] = DEMANDS[spec.path]
+        m.demand[:] = DEMANDS.get(spec.path, (0.0, 0.0, 0.0, 0.0))
         m.speed, m.turn_rate = self.speed_m_s, self.turn_rate_rad_s
         m.phase_s, m.period_s = phase * spec.stop_period_s, spec.stop_period_s
+        if spec.path is PathKind.FIGURE_OF_EIGHT and self.turn_rate_rad_s:
+            m.phase_s, m.period_s = 0.0, 2.0 * math.pi / abs(self.turn_rate_rad_s)
+        self._course = course(spec, self.speed_m_s, self.turn_rate_rad_s)
+        if self._course is not None:  # it gives speed and turn rate themselves
+            m.speed = m.turn_rate = 1.0
         m.speed_max, m.turn_rate_max = spec.speed_max_m_s, spec.turn_rate_max_rad_s
         m.accel_max = spec.acceleration_max_m_s2
         m.turn_accel_max = spec.acceleration_max_m_s2 / load().robot.wheel_half_track_m
@@ -210,7 +217,13 @@ class TargetModel:
     def run(self, steps: int, dt_s: float, driving: bool) -> F64:
         """Step so often; returns the pad's motion after each, (steps, 12) numbers of a PadRecord."""
         pads = np.empty((steps, len(self.pad)))
-        drive_on(self._cell, dt_s, driving, pads)
+        if self._course is None or not driving:
+            drive_on(self._cell, dt_s, driving, pads)
+        else:
+            m = self._record
+            for n in range(steps):
+                m.demand[:] = 2 * self._course(m.driven_s, m.x, m.y, m.yaw)
+                drive_on(self._cell, dt_s, True, pads[n : n + 1])
         self._show()
         return pads
 

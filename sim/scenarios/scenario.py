@@ -39,6 +39,9 @@ class PathKind(Enum):
     CIRCLE = "circle"  # constant speed and turn rate
     STOP_AND_GO = "stop_and_go"
     REVERSING = "reversing"
+    FIGURE_OF_EIGHT = "figure_of_eight"  # a circle to the left, then one to the right
+    WAYPOINTS = "waypoints"  # waypoints_m in order, again and again
+    FUNCTION = "function"  # function, MODULE:NAME
 
 
 class VelocityLoop(Enum):
@@ -52,38 +55,54 @@ class VelocityLoop(Enum):
 class Start:
     """Where the vehicle begins. ``offset_m`` is relative to the landing spot at time zero, ENU."""
 
-    kind: StartKind = StartKind.GROUND
+    kind: StartKind = StartKind.GROUND  # `ground`: on the floor, disarmed; `hover`: in the air, armed
     ground_position_m: tuple[float, float] = (0.0, 0.0)  # start position for kind = ground
-    offset_m: Vec3 | None = None  # start for kind = hover; None: drawn from distance, bearing and h below
-    distance_m: tuple[float, float] = (0.3, 2.5)
-    h_m: tuple[float, float] = (0.03, 1.2)
+    offset_m: Vec3 | None = (
+        None  # for kind = hover, from the landing spot; none: drawn from distance_m, h_m and any bearing
+    )
+    distance_m: tuple[float, float] = (0.3, 2.5)  # horizontal distance from the landing spot, drawn
+    h_m: tuple[float, float] = (0.03, 1.2)  # barrier value at the start, drawn
 
 
 @dataclass(frozen=True, slots=True)
 class TargetSpec:
     """The ground robot: a TurtleBot3 Burger with a pad, on a path."""
 
-    path: PathKind = PathKind.STILL
-    speed_m_s: Annotated[float, span(0.0, 3.0)] = 0.0
-    turn_rate_rad_s: Annotated[float, span(-3.0, 3.0)] = 0.0
+    path: PathKind = PathKind.STILL  # path of the robot
+    speed_m_s: Annotated[float, span(0.0, 3.0)] = 0.0  # speed on the path
+    turn_rate_rad_s: Annotated[float, span(-3.0, 3.0)] = 0.0  # turn rate on the path
+    waypoints_m: tuple[tuple[float, float], ...] = ()  # for path = waypoints: east and north
+    # for path = function: MODULE:NAME, found from the working folder; it returns speed and turn rate
+    function: str = ""
     random_speed: bool = (
         False  # draw speed in [0, speed_m_s] and turn rate in +-turn_rate_rad_s from the seed
     )
-    position_m: tuple[float, float] = (0.0, 0.0)
-    heading_rad: float = 0.0
-    random_heading: bool = False
-    wait_for_landing: bool = True
+    position_m: tuple[float, float] = (0.0, 0.0)  # position of the axle at time zero
+    heading_rad: float = 0.0  # heading at time zero, from east to north
+    random_heading: bool = False  # draw the heading from the seed
+    wait_for_landing: bool = True  # the robot stands until the landing begins
     stop_period_s: Annotated[float, span(0.5, 60.0)] = 4.0  # stop_and_go and reversing: time between changes
-    acceleration_max_m_s2: Annotated[float, span(0.05, 10.0)] = 1.0
+    acceleration_max_m_s2: Annotated[float, span(0.05, 10.0)] = 1.0  # largest acceleration of the wheels
     speed_max_m_s: Annotated[float, span(0.01, 5.0)] = 0.2108  # OpenCR turtlebot3_burger.h: 61 rpm wheels
     turn_rate_max_rad_s: Annotated[float, span(0.01, 10.0)] = 2.635  # OpenCR turtlebot3_burger.h
-    heave_amplitude_m: Annotated[float, span(0.0, 0.5)] = 0.0
-    heave_rate_hz: Annotated[float, span(0.0, 2.0)] = 0.0
+    heave_amplitude_m: Annotated[float, span(0.0, 0.5)] = 0.0  # half of the height by which the pad heaves
+    heave_rate_hz: Annotated[float, span(0.0, 2.0)] = 0.0  # oscillations of the heave in a second
     pad_height_m: Annotated[float, span(0.05, 2.0)] = 0.20  # LDS top at 0.192 m plus the pad
     pad_radius_m: Annotated[float, span(0.05, 2.0)] = 0.10
     pad_behind_axle_m: Annotated[float, span(-0.2, 0.2)] = 0.0  # 0.032 would be the body's centre
 
     def __post_init__(self) -> None:
+        turns = self.path in (PathKind.FIGURE_OF_EIGHT, PathKind.WAYPOINTS)
+        if turns and not (self.speed_m_s and self.turn_rate_rad_s):
+            raise ConfigError(
+                f"path: found {self.path.value!r}, which needs speed_m_s and turn_rate_rad_s above 0"
+            )
+        if self.path is PathKind.WAYPOINTS and len(self.waypoints_m) < 2:
+            raise ConfigError(
+                f"waypoints_m: found {len(self.waypoints_m)}, at least 2 are needed: [[0, 0], [1, 0]]"
+            )
+        if self.path is PathKind.FUNCTION and ":" not in self.function:
+            raise ConfigError(f"function: found {self.function!r}, MODULE:NAME of a function is needed")
         most_m = self.pad_height_m - BELOW_PAD_MIN_M
         if self.heave_amplitude_m > most_m:
             raise ConfigError(
@@ -96,14 +115,14 @@ class TargetSpec:
 class OdometryLink:
     """How measurements reach their reader: rate, noise, delay, loss."""
 
-    rate_hz: Annotated[float, span(1.0, 500.0)] = 100.0
-    position_noise_m: Annotated[float, span(0.0, 0.2)] = 0.0
-    velocity_noise_m_s: Annotated[float, span(0.0, 0.5)] = 0.0
-    yaw_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.0
-    delay_s: Annotated[float, span(0.0, 0.5)] = 0.0
-    loss: Annotated[float, span(0.0, 1.0)] = 0.0
+    rate_hz: Annotated[float, span(1.0, 500.0)] = 100.0  # samples in a second
+    position_noise_m: Annotated[float, span(0.0, 0.2)] = 0.0  # standard deviation on each axis
+    velocity_noise_m_s: Annotated[float, span(0.0, 0.5)] = 0.0  # standard deviation on each axis
+    yaw_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.0  # standard deviation
+    delay_s: Annotated[float, span(0.0, 0.5)] = 0.0  # time from measurement to arrival
+    loss: Annotated[float, span(0.0, 1.0)] = 0.0  # probability that a sample is lost
     dropout_every_s: Annotated[float, span(0.0, 600.0)] = 0.0  # mean time between drop-outs; 0: none
-    dropout_max_s: Annotated[float, span(0.0, 5.0)] = 0.0
+    dropout_max_s: Annotated[float, span(0.0, 5.0)] = 0.0  # longest drop-out; its length is drawn up to this
 
 
 class TapeKind(Enum):
@@ -123,16 +142,16 @@ class StateError:
     """
 
     tape: str | None = None  # folder of recorded flights; their error instead of the model below
-    tape_kind: TapeKind = TapeKind.DELAY
+    tape_kind: TapeKind = TapeKind.DELAY  # `delay` or `raw`: what of the recording is played back
     delay_s: Annotated[float, span(-0.1, 0.2)] = 0.02  # delay of the position: mean of all flights
     delay_spread_s: Annotated[float, span(0.0, 0.1)] = 0.015  # spread between flights
     delay_shared: bool = False  # vehicle and target have the same mean delay, or tapes of the same flight
     delay_fast_s: Annotated[float, span(0.0, 0.1)] = 0.025  # variation in flight: median flight
     delay_fast_time_s: Annotated[float, span(0.01, 10.0)] = 0.072  # correlation (1 + t/T) exp(-t/T)
     delay_fast_varies: Annotated[float, span(0.0, 2.0)] = 0.0  # spread of its logarithm between flights
-    delay_slow_s: Annotated[float, span(0.0, 0.1)] = 0.011
-    delay_slow_time_s: Annotated[float, span(0.01, 60.0)] = 0.4
-    delay_slow_varies: Annotated[float, span(0.0, 2.0)] = 0.7
+    delay_slow_s: Annotated[float, span(0.0, 0.1)] = 0.011  # slow variation of the delay in flight
+    delay_slow_time_s: Annotated[float, span(0.01, 60.0)] = 0.4  # its correlation
+    delay_slow_varies: Annotated[float, span(0.0, 2.0)] = 0.7  # spread of its logarithm between flights
     velocity_lead_s: Annotated[float, span(-0.1, 0.1)] = 0.018  # delay of position less delay of velocity
     velocity_lead_spread_s: Annotated[float, span(0.0, 0.1)] = 0.012  # spread between flights
     position_error_m: Annotated[float, span(0.0, 0.2)] = 0.0009  # each axis
@@ -167,16 +186,18 @@ class VehicleSpec:
     """
 
     airframe: str = "crazyflie20"  # name of a file in sim/vehicles, or the path of another
-    velocity_loop: VelocityLoop = VelocityLoop.PAPER
-    mass_spread: Annotated[float, span(0.0, 0.5)] = 0.0
+    velocity_loop: VelocityLoop = VelocityLoop.PAPER  # `paper`: eq. 8; `pid`: that of the firmware
+    mass_spread: Annotated[float, span(0.0, 0.5)] = 0.0  # half-width of the drawn mass, as a share
+    # half-width of the drawn time constant of the motors, as a share
     motor_lag_spread: Annotated[float, span(0.0, 0.9)] = 0.0
-    thrust_spread: Annotated[float, span(0.0, 0.5)] = 0.0
+    thrust_spread: Annotated[float, span(0.0, 0.5)] = 0.0  # half-width of the drawn thrust, as a share
     motor_spread: Annotated[float, span(0.0, 0.3)] = 0.0  # each motor's thrust about the mean of the four
     battery_charge: tuple[Share, Share] = (1.0, 1.0)  # share of a full cell at the start, lowest and highest
     # least thrust over weight of the weakest motor; with less it begins with a fuller battery
     hover_reserve: Annotated[float, span(0.0, 1.5)] = 0.0
     slow_motors: bool = False  # 0.136 s up, 0.108 s down instead of 0.07 s
-    ground_effect_gain: Annotated[float, span(0.0, 6.0)] = 1.0
+    ground_effect_gain: Annotated[float, span(0.0, 6.0)] = 1.0  # factor on the measured ground effect
+    # motion capture of the on-board estimator
     mocap: OdometryLink = field(default_factory=lambda: OdometryLink(100.0, 0.001, 0.0, 0.005, 0.010))
     own: StateError | None = None
     known_drag_1_s: tuple[Drag, Drag, Drag] | None = None  # body axes
@@ -193,26 +214,27 @@ class VehicleSpec:
 class Wind:
     """Mean wind (direction drawn from the seed unless given) and gusts."""
 
-    mean_m_s: Annotated[float, span(0.0, 10.0)] = 0.0
-    gust_rms_m_s: Annotated[float, span(0.0, 5.0)] = 0.0
-    direction_rad: float | None = None
+    mean_m_s: Annotated[float, span(0.0, 10.0)] = 0.0  # mean wind
+    gust_rms_m_s: Annotated[float, span(0.0, 5.0)] = 0.0  # standard deviation of the gusts on each axis
+    direction_rad: float | None = None  # where the wind blows to, from east to north; none: drawn
 
 
 @dataclass(frozen=True, slots=True)
 class Judge:
     """Another barrier for the verdict than the one that is flown; each result then names both."""
 
-    alpha_1_m: Annotated[float, span(0.05, 20.0)]
-    beta_m: Annotated[float, span(0.05, 20.0)]
+    alpha_1_m: Annotated[float, span(0.05, 20.0)]  # as onboard.barrier.alpha_1_m
+    beta_m: Annotated[float, span(0.05, 20.0)]  # as onboard.barrier.beta_m
 
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
     """A whole scenario."""
 
-    name: str
-    description: str
+    name: str  # name of the scenario
+    description: str  # what it is for, in a sentence
     onboard: FlightConfig
+    # a run that lasts longer has the outcome timeout
     duration_max_s: Annotated[float, span(1.0, 3600.0)] = 120.0
     start: Start = field(default_factory=Start)
     target: TargetSpec = field(default_factory=TargetSpec)
@@ -289,7 +311,9 @@ def in_place(scenario: Scenario, beside: Path) -> Scenario:
 
     ``scenario``: as read; ``beside``: folder of its file, where tapes may be.
     """
-    look_here(scenario.onboard.filter)
+    for name in (scenario.onboard.filter, scenario.target.function):
+        if name:
+            look_here(name)
     vehicle, odometry = scenario.vehicle, scenario.odometry
     vehicle = replace(vehicle, own=_placed(vehicle.own, beside))
     return replace(

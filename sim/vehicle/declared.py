@@ -227,7 +227,8 @@ def _acceleration_m_s2(target: TargetSpec) -> float:
     speed_m_s = target.speed_m_s
     turn_rad_s = abs(target.turn_rate_rad_s)
     turns_m_s2 = turn_rad_s * (speed_m_s + turn_rad_s * abs(target.pad_behind_axle_m))
-    steady = target.path in (PathKind.STRAIGHT, PathKind.CIRCLE) and not target.wait_for_landing
+    even = (PathKind.STRAIGHT, PathKind.CIRCLE, PathKind.FIGURE_OF_EIGHT)
+    steady = target.path in even and not target.wait_for_landing
     brakes_m_s2 = 0.0 if steady or speed_m_s == 0.0 else target.acceleration_max_m_s2
     heaves_m_s2 = (math.tau * target.heave_rate_hz) ** 2 * target.heave_amplitude_m
     return max(math.hypot(brakes_m_s2, turns_m_s2), heaves_m_s2)

@@ -69,19 +69,19 @@ def named(name: str) -> Any:
     return referred(FILTERS.get(name, name))
 
 
-def referred(reference: str) -> Any:
-    """Import ``MODULE:NAME``."""
+def referred(reference: str, key: str = "filter") -> Any:
+    """Import ``MODULE:NAME``, the value of this key."""
     module, _, attribute = reference.partition(":")
     try:
         found = importlib.import_module(module)
     except ImportError as error:
         raise ConfigError(
-            f"filter: found {reference!r}, but module {module} cannot be imported ({error}); install it, or "
+            f"{key}: found {reference!r}, but module {module} cannot be imported ({error}); install it, or "
             "run in the folder that it is in"
         ) from error
     try:
         return getattr(found, attribute)
     except AttributeError:
         raise ConfigError(
-            f"filter: found {reference!r}, but module {module} ({found.__file__}) has no {attribute}"
+            f"{key}: found {reference!r}, but module {module} ({found.__file__}) has no {attribute}"
         ) from None

@@ -32,19 +32,24 @@ _NAME_MAX = 16  # characters of a MAVLink parameter's name
 class Loop:
     """Rate of the onboard process."""
 
-    rate_hz: Annotated[int, span(10, 500)] = 100
+    rate_hz: Annotated[int, span(10, 500)] = 100  # ticks in a second
 
 
 @dataclass(frozen=True, slots=True)
 class BarrierShape:
     """Shape of the barrier: alpha and beta, or the peak's height with its distance or cone angle (eq. 7)."""
 
+    # shape: the peak stands 1/alpha from the landing spot
     alpha_1_m: Annotated[float, span(0.05, 20.0)] | None = None
-    beta_m: Annotated[float, span(0.05, 20.0)] | None = None
+    beta_m: Annotated[float, span(0.05, 20.0)] | None = None  # shape: the peak is beta/e high
+    # height of the peak, instead of alpha and beta
     peak_height_m: Annotated[float, span(0.05, 10.0)] | None = None
+    # distance of the peak from the landing spot
     peak_distance_m: Annotated[float, span(0.05, 20.0)] | None = None
+    # angle at the landing spot between the vertical and the peak
     cone_half_angle_rad: Annotated[float, span(0.05, 1.5)] | None = None
-    omega_1_s: Annotated[float, span(0.01, 20.0)] = 0.7
+    omega_1_s: Annotated[float, span(0.01, 20.0)] = 0.7  # paper's filter: relative rate at which h may fall
+    # radius within which the gradient fades to vertical
     apex_smoothing_m: Annotated[float, span(0.001, 0.02)] = 0.005
 
     def __post_init__(self) -> None:
@@ -92,24 +97,25 @@ class BarrierShape:
 class PositionLoop:
     """Gain K_p of the position loop, per axis."""
 
-    gain_1_s: Each[Annotated[float, span(0.05, 10.0)]] = (1.0, 1.0, 1.0)
+    gain_1_s: Each[Annotated[float, span(0.05, 10.0)]] = (1.0, 1.0, 1.0)  # gain K_p of the position loop
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
     """Admissible velocities (paper: v_m) and how fast a command may change."""
 
-    velocity_max_m_s: Each[Annotated[float, span(0.05, 5.0)]] = (0.2, 0.2, 0.5)
+    velocity_max_m_s: Each[Annotated[float, span(0.05, 5.0)]] = (0.2, 0.2, 0.5)  # largest commanded velocity
+    # paper's filter: largest change of the command
     slew_max_m_s2: Each[Annotated[float, span(0.2, 50.0)]] = (4.0, 4.0, 4.0)
-    altitude_max_m: Annotated[float, span(0.5, 100.0)] = 3.0
+    altitude_max_m: Annotated[float, span(0.5, 100.0)] = 3.0  # highest flight above the pad
 
 
 @dataclass(frozen=True, slots=True)
 class Checks:
     """Limits on what the links deliver, and how long to bear with it."""
 
-    own_age_max_s: Annotated[float, span(0.02, 0.4)] = 0.2
-    target_age_max_s: Annotated[float, span(0.02, 1.0)] = 0.25
+    own_age_max_s: Annotated[float, span(0.02, 0.4)] = 0.2  # oldest vehicle state that is used
+    target_age_max_s: Annotated[float, span(0.02, 1.0)] = 0.25  # oldest target state that is used
     # difference of position and integrated velocity
     own_drift_max_m: Annotated[float, span(0.05, 2.0)] = 0.15
     own_drift_memory_s: Annotated[float, span(0.2, 20.0)] = 2.0  # decay time of this difference
@@ -117,22 +123,22 @@ class Checks:
     follow_lag_max_s: Annotated[float, span(0.1, 5.0)] = 0.45
     follow_memory_s: Annotated[float, span(0.1, 20.0)] = 1.0  # decay time of the tracking lag, above the lag
     status_age_max_s: Annotated[float, span(1.0, 10.0)] = 3.0  # heartbeat at 1 Hz, two may be lost
-    target_speed_max_m_s: Annotated[float, span(0.1, 10.0)] = 1.5
-    target_jump_max_m: Annotated[float, span(0.02, 5.0)] = 0.2
+    target_speed_max_m_s: Annotated[float, span(0.1, 10.0)] = 1.5  # fastest target that is believed
+    target_jump_max_m: Annotated[float, span(0.02, 5.0)] = 0.2  # largest jump of the target that is believed
     # difference of positions and integrated velocity
     target_drift_max_m: Annotated[float, span(0.02, 2.0)] = 0.1
     target_drift_memory_s: Annotated[float, span(0.2, 20.0)] = 2.0  # decay time of this difference
-    target_frame: str = "map"
-    target_child_frame: str = "target"
-    hold_time_s: Annotated[float, span(0.1, 10.0)] = 1.0
-    climb_time_max_s: Annotated[float, span(0.5, 60.0)] = 10.0
-    recovery_time_s: Annotated[float, span(0.05, 5.0)] = 0.3
-    retries_max: Annotated[int, span(0, 20)] = 3
+    target_frame: str = "map"  # frame of the odometry
+    target_child_frame: str = "target"  # child frame of the odometry
+    hold_time_s: Annotated[float, span(0.1, 10.0)] = 1.0  # time in HOLD before it climbs
+    climb_time_max_s: Annotated[float, span(0.5, 60.0)] = 10.0  # time in CLIMB before it aborts
+    recovery_time_s: Annotated[float, span(0.05, 5.0)] = 0.3  # time with fresh inputs before it continues
+    retries_max: Annotated[int, span(0, 20)] = 3  # go-arounds before it aborts
     # oscillation over the pad: allowed exits from the cone, and time in it without a touchdown
     swings_max: Annotated[int, span(1, 100)] = 3
     over_pad_time_max_s: Annotated[float, span(2.0, 600.0)] = 15.0
-    landing_time_max_s: Annotated[float, span(5.0, 600.0)] = 120.0
-    wait_time_max_s: Annotated[float, span(1.0, 3600.0)] = 60.0
+    landing_time_max_s: Annotated[float, span(5.0, 600.0)] = 120.0  # longest landing
+    wait_time_max_s: Annotated[float, span(1.0, 3600.0)] = 60.0  # longest wait for inputs before the landing
     clearance_m: Annotated[float, span(0.3, 20.0)] = 1.0  # horizontal distance that is clear of the target
 
 
@@ -162,7 +168,7 @@ class FlightConfig:
     """Complete configuration of the onboard process."""
 
     barrier: BarrierShape
-    filter: str = "robust"  # name in filters.py, or MODULE:NAME of an external class
+    filter: str = "robust"  # `paper`, `robust`, or MODULE:NAME of a class
     loop: Loop = field(default_factory=Loop)
     position_loop: PositionLoop = field(default_factory=PositionLoop)
     limits: Limits = field(default_factory=Limits)

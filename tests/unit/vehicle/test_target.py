@@ -10,9 +10,10 @@ import pytest
 from bridge.frames import quaternion_from_yaw, world_from_body, yaw_from_quaternion
 from bridge.ros2.cdr import OdometryError, encode_odometry
 from flightstack.common.pacing import RUN_AHEAD_TICKS
+from flightstack.common.strict_toml import ConfigError
 from flightstack.core.types import TargetSample
 from sim.clock import TickGrid
-from sim.robot.target import TargetModel, TargetOdometry, arc, wrap
+from sim.robot.target import DEMANDS, TargetModel, TargetOdometry, arc, wrap
 from sim.robot.target_motion import TargetMotion
 from sim.runners.deck import DeckState, deck_state, follow, reckon
 from sim.runners.robot import DirectTarget, in_world
@@ -43,6 +44,57 @@ def test_wrap():
     assert wrap(3.0 * math.pi + 0.1) == pytest.approx(-math.pi + 0.1)
 
 
+def test_a_figure_of_eight_comes_back_to_its_middle():
+    spec = TargetSpec(path=PathKind.FIGURE_OF_EIGHT, speed_m_s=0.2, turn_rate_rad_s=0.5)
+    _, states = drive(spec, seconds=8.0 * math.pi)
+    norths = [pose.position_enu_m[1] for _, pose, _, _ in states]
+    assert max(norths) == pytest.approx(0.8, abs=0.05)  # two circles of 0.4 m beside each other
+    assert min(norths) == pytest.approx(-0.8, abs=0.05)
+    assert math.hypot(*states[-1][1].position_enu_m[:2]) < 0.1
+
+
+def test_waypoints_are_reached_in_order_again_and_again():
+    points = ((1.0, 0.0), (1.0, 1.0), (0.0, 0.0))
+    spec = TargetSpec(path=PathKind.WAYPOINTS, speed_m_s=0.2, turn_rate_rad_s=1.0, waypoints_m=points)
+    _, states = drive(spec, seconds=60.0)
+    reached = []
+    for _, pose, velocity, rate in states:
+        assert math.hypot(*velocity[:2]) <= 0.2 + 1e-9
+        assert abs(rate) <= 1.0 + 1e-9
+        near = [n for n, point in enumerate(points) if math.dist(point, pose.position_enu_m[:2]) < 0.06]
+        if near and near[0] != (reached or [2])[-1]:
+            reached.append(near[0])
+    assert reached[:5] == [0, 1, 2, 0, 1]
+
+
+def zigzag(t_s, x_m, y_m, yaw_rad):
+    if t_s > 5.0:
+        raise ZeroDivisionError("beyond the end")
+    return 9.0, math.cos(t_s)
+
+
+def test_a_function_steers_within_the_limits_and_its_error_says_whose_it_is(monkeypatch):
+    monkeypatch.setattr("sim.robot.course.referred", lambda name, key: zigzag)
+    spec = TargetSpec(path=PathKind.FUNCTION, speed_m_s=0.2, turn_rate_rad_s=0.5, function="mine:zigzag")
+    _, states = drive(spec, seconds=4.9)
+    assert math.hypot(*states[-1][2][:2]) == pytest.approx(0.2)
+    with pytest.raises(ConfigError, match=r"mine:zigzag at 5\.0\d s raised ZeroDivisionError: beyond"):
+        drive(spec, seconds=6.0)
+
+
+@pytest.mark.parametrize(
+    ("spec", "text"),
+    [
+        ({"path": PathKind.WAYPOINTS, "speed_m_s": 0.1, "turn_rate_rad_s": 1.0}, "at least 2 are needed"),
+        ({"path": PathKind.FIGURE_OF_EIGHT, "speed_m_s": 0.1}, "needs speed_m_s and turn_rate_rad_s"),
+        ({"path": PathKind.FUNCTION}, "MODULE:NAME"),
+    ],
+)
+def test_a_path_without_what_it_needs_is_refused(spec, text):
+    with pytest.raises(ConfigError, match=text):
+        TargetSpec(**spec)
+
+
 def test_circle_has_the_radius_speed_over_turn_rate_and_closes():
     spec = TargetSpec(path=PathKind.CIRCLE, speed_m_s=0.1, turn_rate_rad_s=0.1)
     _, states = drive(spec, seconds=90.0)
@@ -59,7 +111,7 @@ def test_circle_has_the_radius_speed_over_turn_rate_and_closes():
         assert math.hypot(*velocity[:2]) == pytest.approx(0.1)
 
 
-@pytest.mark.parametrize("path", list(PathKind))
+@pytest.mark.parametrize("path", DEMANDS)
 @pytest.mark.parametrize("seed", range(5))
 def test_limits_are_never_passed(path, seed):
     spec = TargetSpec(

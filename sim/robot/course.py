@@ -1,0 +1,78 @@
+"""Paths of the robot that depend on its pose: waypoints, and a function of the user."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from flightstack.common.strict_toml import ConfigError
+from flightstack.core.parameters.filters import referred
+from sim.scenarios.scenario import PathKind, TargetSpec
+
+# time driven (s), position of the axle (m, ENU) and heading (rad) -> speed (m/s) and turn rate (rad/s)
+Course = Callable[[float, float, float, float], tuple[float, float]]
+GAIN_1_S = 2.0  # turn rate for each rad between heading and waypoint (assumption)
+REACHED_M = 0.05  # distance at which the next waypoint counts
+
+
+class Waypoints:
+    """Drives to each point in order, then to the first again; it turns on the spot for a point behind it."""
+
+    def __init__(
+        self, points_m: Sequence[tuple[float, float]], speed_m_s: float, turn_rate_rad_s: float
+    ) -> None:
+        self._points, self._speed, self._turn = points_m, speed_m_s, turn_rate_rad_s
+        self._next = 0
+
+    def __call__(self, t_s: float, x_m: float, y_m: float, yaw_rad: float) -> tuple[float, float]:
+        del t_s
+        to_x, to_y = self._points[self._next]
+        if math.hypot(to_x - x_m, to_y - y_m) < REACHED_M:
+            self._next = (self._next + 1) % len(self._points)
+            to_x, to_y = self._points[self._next]
+        off_rad = math.remainder(math.atan2(to_y - y_m, to_x - x_m) - yaw_rad, math.tau)
+        turn = max(-self._turn, min(self._turn, GAIN_1_S * off_rad))
+        return self._speed * max(0.0, math.cos(off_rad)) ** 3, turn
+
+
+class Function:
+    """The user's function; what it returns is limited to the speed and the turn rate of the scenario."""
+
+    def __init__(self, name: str, speed_m_s: float, turn_rate_rad_s: float) -> None:
+        self._name, self._speed, self._turn = name, speed_m_s, turn_rate_rad_s
+        self._function: Any = referred(name, "target.function")
+
+    def __call__(self, t_s: float, x_m: float, y_m: float, yaw_rad: float) -> tuple[float, float]:
+        try:
+            speed, turn = map(float, self._function(t_s, x_m, y_m, yaw_rad))
+        except Exception as error:
+            raise ConfigError(f"{self._at(t_s)} raised {type(error).__name__}: {error}; {_NEEDED}") from error
+        if not (math.isfinite(speed) and math.isfinite(turn)):
+            raise ConfigError(f"{self._at(t_s)} returned {speed:g}, {turn:g}; {_NEEDED}")
+        return max(-self._speed, min(self._speed, speed)), max(-self._turn, min(self._turn, turn))
+
+    def _at(self, t_s: float) -> str:
+        return f"target.function: {self._name} at {t_s:.2f} s"
+
+
+_NEEDED = "it takes t_s, x_m, y_m, yaw_rad and must return speed in m/s and turn rate in rad/s"
+
+
+def course(spec: TargetSpec, speed_m_s: float, turn_rate_rad_s: float) -> Course | None:
+    """What steers the robot from its pose; None for a path that depends on time alone.
+
+    ``speed_m_s``, ``turn_rate_rad_s``: limits, as drawn from the seed.
+    Raises ConfigError: the function cannot be imported.
+    """
+    if spec.path is PathKind.WAYPOINTS:
+        return Waypoints(spec.waypoints_m, speed_m_s, abs(turn_rate_rad_s))
+    if spec.path is PathKind.FUNCTION:
+        return Function(spec.function, speed_m_s, abs(turn_rate_rad_s))
+    return None
+
+
+def try_out(spec: TargetSpec) -> None:
+    """Call the function of a path once, at its beginning. Raises ConfigError: it cannot be used."""
+    if (steers := course(spec, spec.speed_m_s, spec.turn_rate_rad_s)) is not None:
+        steers(0.0, *spec.position_m, spec.heading_rad)

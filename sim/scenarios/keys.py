@@ -1,0 +1,195 @@
+"""Every key of a scenario with unit, default, range and meaning, read from the declarations.
+
+``python -m sim.scenarios.keys`` writes the table of docs/reference/scenario_keys.md; ``flightstack new
+scenario`` writes a file with the same texts. The meaning of a key is the comment at its field.
+"""
+
+from __future__ import annotations
+
+import inspect
+import io
+import re
+import sys
+import tokenize
+from collections.abc import Iterator
+from dataclasses import MISSING, Field, fields
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from msgspec import inspect as types
+
+from flightstack.common.strict_toml import ConfigError, allowed, stem, to_table, type_info
+from sim.scenarios.scenario import FILES, Scenario
+
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "scenario_keys.md"
+_ABOUT = ("name", "description")  # of the scenario itself
+_TABLES = {"Fault": "see [faults](faults.md)"}  # arrays of tables, which have pages of their own
+
+
+class Key(NamedTuple):
+    """A key of a scenario."""
+
+    table: str  # empty: at the top
+    name: str
+    unit: str
+    default: str  # as TOML; empty: none, the key is needed
+    allowed: str
+    meaning: str
+
+
+def keys(cls: type[Any] = Scenario, table: str = "") -> Iterator[Key]:
+    """Yield the keys of a dataclass and of the tables below it, in the order of their declaration."""
+    kinds = {each.name: each.type for each in type_info(cls).fields}  # type: ignore[arg-type, attr-defined]
+    below: list[tuple[type[Any], str]] = []
+    for each in fields(cls):
+        kind, meaning = _single(kinds[each.name]), _meanings(cls).get(each.name, "")
+        if isinstance(kind, types.DataclassType):
+            below.append((kind.cls, f"{table}.{each.name}" if table else each.name))
+            continue
+        what, unit = stem(each.name)
+        if isinstance(kind, types.VarTupleType) and isinstance(kind.item_type, types.DataclassType):
+            meaning = _TABLES.get(kind.item_type.cls.__name__, meaning)
+        text = _range(kind, each.name)
+        yield Key(table, each.name, _written(unit), _default(each), text, meaning or what.replace("_", " "))
+    for inner, name in below:
+        yield from keys(inner, name)
+
+
+def page() -> str:
+    """The page of all keys."""
+    lines = [_INTRODUCTION]
+    table = None
+    for key in sorted(keys(), key=lambda each: each.table.startswith("onboard")):
+        if key.table != table:
+            table = key.table
+            lines += ["", f"## `[{table}]`" if table else "## At the top", "", _HEAD]
+        cells = (
+            f"`{key.name}`",
+            key.unit,
+            f"`{key.default}`" if key.default else "needed",
+            key.allowed,
+            key.meaning,
+        )
+        lines.append(f"| {' | '.join(each.replace('|', chr(92) + '|') for each in cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+_INTRODUCTION = """# Keys of a scenario
+
+A scenario is a TOML file. `flightstack new scenario NAME` writes one with comments. With `base = "lab"` (a name or a
+file) a file has only what differs from that scenario. An unknown key, a wrong unit and a value out of range are refused.
+Positions are east, north, up. The tables `[onboard.…]` are the configuration of the onboard process (`flightstack
+config`). Where the tables `judge`, `vehicle.own`, `odometry.error`, `onboard.reserve` and `onboard.fleet` are missing,
+there is no such part: the verdict then uses the flown barrier.
+
+This page is made from the declarations: `python -m sim.scenarios.keys`."""  # noqa: E501
+_HEAD = "| key | unit | default | allowed | meaning |\n|---|---|---|---|---|"
+
+
+def commented(name: str, base: str = "lab") -> str:
+    """A scenario over ``base`` in which every key stands as a comment, with the base's value.
+
+    Raises ConfigError: there is no such base, or the name is no word.
+    """
+    if not re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII):
+        raise ConfigError(f"scenario {name!r}: letters, digits and _ are allowed, a letter first")
+    values = to_table(FILES.load(base))
+    lines = [
+        f"# Fly it: flightstack sitl --scenario {name}.toml --lockstep",
+        "# Prove it: flightstack check FILE; many seeds: flightstack campaign FILE --runs 100",
+        f"# To change a key, remove the # before it and before its table; all else is as in {base}.",
+        "# Tables [onboard.…] are the configuration of the onboard process: docs/reference/scenario_keys.md.",
+        f'base = "{base}"', f'name = "{name}"', 'description = "What this scenario is for"',
+    ]  # fmt: skip
+    table = ""
+    for key in keys():
+        if key.name in (*_ABOUT, "fault") or key.table.startswith("onboard") or key.table.count(".") > 1:
+            continue
+        if key.table != table:
+            table = key.table
+            lines += ["", f"# [{table}]"]
+        unit = f"{key.unit}; " if key.unit else ""
+        value = _at(values, f"{table}.{key.name}" if table else key.name, key.default)
+        value = "..." if value in ("", "none") else value
+        lines.append(f"# {key.name} = {value}  # {unit}{key.allowed}; {key.meaning}")
+    return "\n".join(lines) + "\n"
+
+
+def _at(values: dict[str, Any], path: str, default: str) -> str:
+    found: Any = values
+    for step in path.split("."):
+        if not isinstance(found, dict) or step not in found:
+            return default
+        found = found[step]
+    return _toml(found)
+
+
+def _single(kind: types.Type) -> types.Type:
+    """The type of an optional value, without None."""
+    if isinstance(kind, types.UnionType):
+        some = [each for each in kind.types if not isinstance(each, types.NoneType)]
+        return some[0] if len(some) == 1 else kind
+    return kind
+
+
+def _range(kind: types.Type, name: str) -> str:
+    if isinstance(kind, types.TupleType):
+        inner = dict.fromkeys(_range(_single(each), name) for each in kind.item_types)
+        return f"{len(kind.item_types)} of: {', '.join(inner)}"
+    return allowed(kind, name)
+
+
+def _default(field: Field[Any]) -> str:
+    if field.default is not MISSING:
+        return "none" if field.default is None else _toml(to_table(field.default))
+    return "" if field.default_factory is MISSING else _toml(to_table(field.default_factory()))
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(map(_toml, value))}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return (
+        f'"{value}"' if isinstance(value, str) else f"{value:g}" if isinstance(value, float) else str(value)
+    )
+
+
+def _written(unit: str) -> str:
+    """A unit as in print: the key's ``m_s2`` is m/s²."""
+    known = {"m_s": "m/s", "m_s2": "m/s²", "m_s3": "m/s³", "rad_s": "rad/s", "rad_s2": "rad/s²", "1_s": "1/s",
+             "1_m": "1/m", "hz": "Hz", "v": "V", "n": "N"}  # fmt: skip
+    return known.get(unit, unit)
+
+
+def _meanings(cls: type[Any]) -> dict[str, str]:
+    """The comment at each field, of those that it inherits, too."""
+    return {name: text for each in reversed(cls.__mro__[:-1]) for name, text in _comments(each).items()}
+
+
+def _comments(cls: type[Any]) -> dict[str, str]:
+    """The comment at each field: behind it, else in the lines before it."""
+    found: dict[str, str] = {}
+    before: list[str] = []
+    name, depth = "", 0
+    for token in tokenize.generate_tokens(io.StringIO(inspect.cleandoc(inspect.getsource(cls))).readline):
+        depth += {"(": 1, "[": 1, ")": -1, "]": -1}.get(token.string, 0) if token.type == tokenize.OP else 0
+        if token.type == tokenize.COMMENT and not token.string.startswith(("# fmt", "# noqa")):
+            text = token.string.lstrip("# ")
+            if name:
+                found[name] = text
+            else:
+                before.append(text)
+        elif token.type == tokenize.NAME and not name and re.match(rf"\s*{token.string}\s*:", token.line):
+            name = token.string
+            if before:
+                found[name] = " ".join(before)
+            before = []
+        elif token.type == tokenize.NEWLINE:
+            name = ""
+    return found
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page())
+    sys.stdout.write(f"{PAGE}\n")

@@ -1,0 +1,41 @@
+"""The page of a scenario's keys is made from the declarations, and so is a new scenario."""
+
+import re
+
+import pytest
+
+from flightstack.common.strict_toml import ConfigError
+from sim.scenarios.keys import PAGE, commented, keys, page
+from sim.scenarios.scenario import load
+
+
+def test_the_page_is_equal_to_the_declarations():
+    assert PAGE.read_text() == page(), "python -m sim.scenarios.keys"
+
+
+def test_each_key_of_a_scenario_has_a_meaning():
+    named = [key for key in keys() if not key.table.startswith("onboard")]
+    assert len(named) > 80
+    assert [key for key in named if key.meaning == key.name.replace("_", " ")] == []
+
+
+def test_a_new_scenario_is_its_base_and_each_of_its_lines_can_be_used(tmp_path):
+    file, text = tmp_path / "mine.toml", commented("mine")
+    file.write_text(text)
+    lab = load("lab")
+    mine = load(file)
+    assert (mine.target, mine.onboard, mine.start, mine.wind) == (
+        lab.target,
+        lab.onboard,
+        lab.start,
+        lab.wind,
+    )
+    parts = [part for part in text.split("\n\n") if not re.match(r"# \[(\w+\.error|\w+\.own|judge)\]", part)]
+    used = re.sub(r"^# (\[|\w+ = (?!\.\.\.))", r"\1", "\n\n".join(parts), flags=re.MULTILINE)
+    file.write_text(used)
+    assert (load(file).target, load(file).vehicle) == (lab.target, lab.vehicle)
+
+
+def test_a_name_that_is_no_word_is_refused():
+    with pytest.raises(ConfigError, match="letters, digits"):
+        commented("a/b")
