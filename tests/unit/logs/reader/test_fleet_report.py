@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from flightstack.core.types import Intent
 from logs.reader.fleet_messages import load_messages, waited_s
 from logs.reader.flight import load_fleet
 from logs.report.page import render
-from logs.report.report import fleet_page, write_comparison, write_report
+from logs.report.report import fleet_page, write_comparison
 from logs.report.several import distances
 from logs.report.style import fleet_axis
 from logs.verdict.verdict import judge_fleet, pair_series
@@ -35,13 +36,18 @@ def words(read):
     return load_messages(read)
 
 
-@pytest.fixture(scope="module")
-def pages(read, tmp_path_factory):
-    return write_report(read, judge_fleet(read), tmp_path_factory.mktemp("pages") / "report.html")
-
-
 def run(*arguments):
     return CliRunner().invoke(main, [str(each) for each in arguments])
+
+
+@pytest.fixture(scope="module")
+def told(fleet, tmp_path_factory):
+    """What the command says of the pages that it writes."""
+    folder = tmp_path_factory.mktemp("pages")
+    done = run("report", fleet.log, "--out", folder / "report.html", "--json")
+    assert done.exit_code == 0
+    assert {page.name for page in folder.iterdir()} == {"report.html", *(f"report_{m}.html" for m in MEMBERS)}
+    return json.loads(done.stdout)
 
 
 def test_who_waited_for_whom_is_what_they_told(read, words):
@@ -128,15 +134,13 @@ def test_distances_are_those_that_were_judged(read, fleet):
     assert series[0].measure[100] == pytest.approx(rho)
 
 
-def test_the_page_of_all_links_those_of_the_members(pages):
-    text = pages[""].read_text(encoding="utf-8")
+def test_the_page_of_all_links_those_of_the_members(told):
+    text = Path(told["report"]).read_text(encoding="utf-8")
     assert "All landed" in text
     assert "Mind when reading" not in text
     for member in MEMBERS:
         assert f'<a href="report_{member}.html">{member}</a>' in text
-        own = pages[member]
-        assert own.parent == pages[""].parent
-        page = own.read_text(encoding="utf-8")
+        page = Path(told["vehicles"][member]["report"]).read_text(encoding="utf-8")
         assert '<a href="report.html">The whole fleet</a>' in page
         assert f"flightstack replay flight.mcap --check --member {member}" in page
         assert "Fly it again" not in page
@@ -162,13 +166,7 @@ def test_a_violation_is_in_the_headline(read):
     assert "All landed, with a barrier violation and an ellipsoid violation" in text
 
 
-def test_the_command_writes_all_or_one(fleet, tmp_path):
-    done = run("report", fleet.log, "--out", tmp_path / "all.html", "--json")
-    told = json.loads(done.stdout)
-    assert done.exit_code == 0
-    assert told["report"] == str(tmp_path / "all.html")
-    assert told["vehicles"]["cf2"]["report"] == str(tmp_path / "all_cf2.html")
-    assert {p.name for p in tmp_path.glob("*.html")} == {"all.html", *(f"all_{m}.html" for m in MEMBERS)}
+def test_the_command_writes_all_or_one(fleet, told):
     done = run("report", fleet.log, "--member", "cf3", "--json")
     assert json.loads(done.stdout)["report"] == str(fleet.log.with_name("flight_cf3.html"))
     done = run("report", fleet.log, "--member", "cf4")
