@@ -9,18 +9,31 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from flightstack.api.campaign import Campaign as Campaign
+    from flightstack.api.campaign import Sweep as Sweep
+    from flightstack.api.campaign import campaign as campaign
+    from flightstack.api.campaign import sweep as sweep
     from flightstack.api.frames import frame as frame
     from flightstack.api.landing import Landing as Landing
     from flightstack.api.landing import land as land
     from flightstack.api.landing import read_log as read_log
     from flightstack.api.scenario import scenario as scenario
+    from flightstack.core.strategies.strategy import At as At
+    from flightstack.core.strategies.strategy import Filter as Filter
 
+_FILTERS = "flightstack.core.strategies.strategy"
 _HOME = {
-    "Landing": "landing",
-    "frame": "frames",
-    "land": "landing",
-    "read_log": "landing",
-    "scenario": "scenario",
+    "At": _FILTERS,
+    "Campaign": "flightstack.api.campaign",
+    "Filter": _FILTERS,
+    "Landing": "flightstack.api.landing",
+    "Sweep": "flightstack.api.campaign",
+    "campaign": "flightstack.api.campaign",
+    "frame": "flightstack.api.frames",
+    "land": "flightstack.api.landing",
+    "read_log": "flightstack.api.landing",
+    "scenario": "flightstack.api.scenario",
+    "sweep": "flightstack.api.campaign",
 }
 __all__ = sorted(_HOME)
 
@@ -33,7 +46,7 @@ def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module 'flightstack' has no attribute {name!r}; it has {', '.join(__all__)}")
     try:
-        found = getattr(import_module(f"flightstack.api.{_HOME[name]}"), name)
+        found = getattr(import_module(_HOME[name]), name)
     except ModuleNotFoundError as error:
         missing = (error.name or "").partition(".")[0]
         if missing not in _EXTRAS:

@@ -13,11 +13,11 @@ import click
 from rich.table import Column, Table
 
 from flightstack.cli.options import takes
-from flightstack.cli.progress import Bar
 from flightstack.common.options import Argument, Option
 from flightstack.common.terminal import Terminal
 from flightstack.config import options as shared
 from flightstack.core.parameters.filters import short_name
+from sim.campaign.progress import Bar
 
 if TYPE_CHECKING:
     from sim.campaign.run import Flown, Plan

@@ -10,9 +10,9 @@ from typing import Annotated
 import click
 
 from flightstack.cli.options import takes, without_recordings
-from flightstack.cli.progress import Bar
 from flightstack.common.options import Argument, Option
 from flightstack.common.terminal import Terminal
+from sim.campaign.progress import Bar
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,6 +35,9 @@ class ReplayOptions:
         "Show what another configuration would have commanded, e.g. barrier.alpha_1_m=1.2; repeatable.",
         "KEY=VALUE"
     )] = ()  # fmt: skip
+    filter: Annotated[str | None, shared.safety_filter(
+        "Filter of the log, for one that is looked for in the working folder"
+    )] = None  # fmt: skip
     member: shared.Member = None
     as_json: shared.AsJson = False
 
@@ -93,7 +96,10 @@ def _one(options: ReplayOptions, member: str | None) -> tuple[dict[str, Any], li
 
     log, settings = options.log, options.settings
     try:
-        config = changed(FlightInputs(log, member).table, settings) if settings else None
+        table = FlightInputs(log, member).table
+        if options.filter not in (None, table["filter"]):
+            raise ReplayError(f"{log}: --filter {options.filter}, but the log's filter is {table['filter']}")
+        config = changed(table, settings) if settings else None
         result = run(log, config, member)
     except ReplayError as error:
         return {"result": "unusable", "path": str(log), "reason": str(error)}, [f"unusable: {error}"]

@@ -15,8 +15,8 @@ from rich.table import Table
 from rich.text import Text
 
 from flightstack.cli.options import takes, without_recordings
-from flightstack.cli.progress import Bar
 from flightstack.common.terminal import Terminal
+from sim.campaign.progress import Bar
 from sim.options import ValidateOptions
 
 PASSED, FAILED = 0, 1

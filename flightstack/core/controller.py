@@ -9,19 +9,22 @@ compiled ``LandingKernel.land``, equal to the last bit.
 from __future__ import annotations
 
 import math
-from dataclasses import fields
-from typing import NamedTuple
+from dataclasses import fields, make_dataclass
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 from flightstack.core.fleet.member import NO_ROWS
 from flightstack.core.fleet.precedence import ALONE
 from flightstack.core.kernel import Barriers, LandingKernel
-from flightstack.core.memory import FleetState, LateState, ReserveMemory, State, WholeState
+from flightstack.core.memory import FilterMemory, FleetState, LateState, ReserveMemory, State, WholeState
 from flightstack.core.mission.guidance import NominalCommand, Situation, nominal_command
 from flightstack.core.mission.machine import Transition
+from flightstack.core.parameters.filters import FILTERS
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.gate import ApprovedSetpoint, GateVerdict
 from flightstack.core.safety.position_loop import limit
 from flightstack.core.snapshot import Snapshot, snapshot_of
+from flightstack.core.strategies.strategy import Filter, strategy_class
 from flightstack.core.target.reserve import ReserveEstimate
 from flightstack.core.target.track import Verdict
 from flightstack.core.types import (
@@ -74,6 +77,22 @@ def _level(transition: Transition) -> int:
 
 def state_class(config: FlightConfig) -> type[State]:
     """Class of the state of this configuration."""
+    kind = _packaged(config)
+    if config.filter in FILTERS:
+        return kind
+    found = strategy_class(config.filter)
+    return kind if found.filter is Filter.filter else _with_filter(kind, found.State)  # type: ignore[arg-type]
+
+
+@lru_cache(maxsize=16)
+def _with_filter(kind: type[State], own: type[Any] | None) -> type[State]:
+    """The same with the state of a filter of one's own."""
+    parts = [("filter", FilterMemory), *([("filter_state", own)] if own is not None else [])]
+    made: type[State] = make_dataclass("FilterState", parts, bases=(kind,), slots=True)
+    return made
+
+
+def _packaged(config: FlightConfig) -> type[State]:
     if config.fleet is not None:
         return FleetState
     if config.velocity_loop.dead_time_s > 0.0:
@@ -90,12 +109,16 @@ class Controller(LandingKernel):
         strategy = self.strategy
         known = (self.memory, self.track.memory, strategy.motion, strategy.tracking, self.plausibility.memory)
         kind = state_class(self.config)
-        if kind is State:
-            return State(*known)
-        more = (self.reserve_estimate.memory if self.reserve_estimate else ReserveMemory(), strategy.own)
-        if kind is LateState:
-            return LateState(*known, *more, strategy.late)
-        return FleetState(*known, *more, self._fleet.memory) if self._fleet else WholeState(*known, *more)
+        more: tuple[Any, ...] = ()
+        if issubclass(kind, WholeState):
+            more = (self.reserve_estimate.memory if self.reserve_estimate else ReserveMemory(), strategy.own)
+        if issubclass(kind, LateState):
+            more = (*more, strategy.late)
+        if issubclass(kind, FleetState) and self._fleet is not None:
+            more = (*more, self._fleet.memory)
+        if strategy.replaces_program:
+            more = (*more, strategy.memory, *([strategy.state] if strategy.state is not None else []))
+        return kind(*known, *more)
 
     def restore(self, state: State) -> None:
         """Go on from a state that was written down."""

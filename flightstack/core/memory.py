@@ -176,6 +176,13 @@ class LateMemory:
 
 
 @dataclass(slots=True)
+class FilterMemory:
+    """State of a filter of one's own."""
+
+    refusal: str = ""  # why its newest result is no velocity; empty: it is one
+
+
+@dataclass(slots=True)
 class State:
     """All of it: with a configuration and the inputs to come it determines every further output."""
 

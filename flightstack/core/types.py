@@ -51,6 +51,7 @@ class FilterStatus(IntEnum):
     INFEASIBLE = 3  # nothing in the box meets the barrier; fastest way to raise h used
     REJECTED = 4  # inputs of the program are not finite: there is no result
     CROWDED = 5  # the rows of neighbours gave way by the least common slack; barrier and box are held
+    OWN = 6  # result of a class with its own ``filter``: within the limits, not held to the barrier
 
 
 class Request(IntEnum):

@@ -28,6 +28,7 @@ _RAN = (
     FilterStatus.CLOSED_FORM,
     FilterStatus.INFEASIBLE,
     FilterStatus.CROWDED,
+    FilterStatus.OWN,
 )
 _NEAR_S = 0.02  # a true state farther in time than two ticks is not that of the step
 BEGINS, ENDS = "Fault: ", "Fault over: "

@@ -14,6 +14,7 @@ import contextlib
 import gc
 import hashlib
 import multiprocessing
+import pickle
 import signal
 import threading
 import time
@@ -31,6 +32,7 @@ from typing import Any
 from flightstack.common.forked import forget_handlers, may_fork
 from flightstack.common.pacing import quiet_garbage_collector
 from flightstack.common.processes import LaunchError
+from flightstack.core.parameters.filters import give
 from sim.campaign.rows import Row, error_row, row_of
 from sim.runners.landing import land_team, warm_up
 from sim.scenarios.team import TeamScenario, from_text
@@ -101,7 +103,7 @@ class WorkersError(LaunchError):
 class _Worker:
     """One process and its pipe; ``seed`` is what it flies, None before it is ready."""
 
-    def __init__(self, scenario_toml: str, others: Sequence[Connection]) -> None:
+    def __init__(self, scenario_toml: str, others: Sequence[Connection], given: bytes) -> None:
         forks = may_fork()
         context: ForkContext | SpawnContext = multiprocessing.get_context("spawn")
         if forks:
@@ -110,7 +112,7 @@ class _Worker:
         self.pipe, theirs = context.Pipe()
         not_its_own = (*others, self.pipe) if forks else ()
         self.process: BaseProcess = context.Process(
-            target=_work, args=(theirs, scenario_toml, not_its_own), daemon=True
+            target=_work, args=(theirs, scenario_toml, not_its_own, given), daemon=True
         )
         self.process.start()
         theirs.close()
@@ -132,12 +134,17 @@ class _Worker:
             self.process.join(_END_S)
 
 
-def _work(pipe: Connection, scenario_toml: str, not_its_own: Sequence[Connection]) -> None:
+def _work(
+    pipe: Connection, scenario_toml: str, not_its_own: Sequence[Connection], given: bytes = b""
+) -> None:
     """Fly seeds until the pipe is closed; Ctrl-C is for the parent.
 
     ``pipe``: seeds come and rows go; ``scenario_toml``: what is flown; ``not_its_own``: ends of the parent
-    that a fork inherits: a pipe closes only when no process holds its other end.
+    that a fork inherits: a pipe closes only when no process holds its other end; ``given``: pickled class of
+    a filter that no module has.
     """
+    if given:
+        give(pickle.loads(given))
     for one in not_its_own:
         one.close()
     forget_handlers()
@@ -155,11 +162,11 @@ class Workers:
     """A fixed number of them, kept running; ends them all on leaving.
 
     ``scenario_toml``: the scenario as text; ``number``: how many; ``duration_max_s``: of a landing,
-    simulated.
+    simulated; ``given``: pickled class of a filter that no module has, for workers that are not forked.
     """
 
-    def __init__(self, scenario_toml: str, number: int, duration_max_s: float) -> None:
-        self._scenario_toml, self._number = scenario_toml, number
+    def __init__(self, scenario_toml: str, number: int, duration_max_s: float, *, given: bytes = b"") -> None:
+        self._scenario_toml, self._number, self._given = scenario_toml, number, given
         self._limit_s = duration_max_s / SLOWEST
         self._workers: list[_Worker] = []
         self._deaths: Counter[int] = Counter()
@@ -181,7 +188,9 @@ class Workers:
         waiting = deque(seeds)
         while waiting or self._busy():
             while len(self._workers) < min(self._number, self._busy() + len(waiting)):
-                self._workers.append(_Worker(self._scenario_toml, [worker.pipe for worker in self._workers]))
+                self._workers.append(
+                    _Worker(self._scenario_toml, [worker.pipe for worker in self._workers], self._given)
+                )
             pipes: dict[Any, _Worker] = {worker.pipe: worker for worker in self._workers}
             for pipe in wait(list(pipes), _LOOK_S):
                 if (row := self._heard(pipes[pipe], waiting)) is not None:

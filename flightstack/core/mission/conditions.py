@@ -16,7 +16,7 @@ from flightstack.core.numeric import hypot, numeric
 from flightstack.core.parameters.flight import Checks, FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.snapshot import Relative, Snapshot
-from flightstack.core.strategies.strategy import Strategy
+from flightstack.core.strategies.strategy import Filter
 from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import Charge, Landed, Mode, Operator, OwnState, Phase, Vec3, VehicleStatus
@@ -110,7 +110,7 @@ def _landing_distance_m(
 
 def condition_flags(
     config: FlightConfig,
-    strategy: Strategy,
+    strategy: Filter,
     barrier: Barrier,
     memory: Memory,
     times_s: PhaseTimes,
@@ -132,6 +132,8 @@ def condition_flags(
         flags |= C.TARGET_LOST
     if command_failed:
         flags |= C.COMMAND_FAILED
+    if strategy.memory.refusal:
+        flags |= C.NO_RESULT
     if now_s - memory.good_since_s >= config.checks.recovery_time_s:
         steady = phase is not Phase.WAIT or _steady(config.checks, memory, snapshot, now_s)
         flags |= C.RECOVERED if steady else 0
@@ -239,7 +241,7 @@ def _at_start(config: FlightConfig, at: Relative) -> bool:
 
 @numeric
 def landing_flags(
-    config: FlightConfig, strategy: Strategy, barrier: Barrier, memory: Memory, at: Relative, now_s: float,
+    config: FlightConfig, strategy: Filter, barrier: Barrier, memory: Memory, at: Relative, now_s: float,
     may_land: bool, may_touch: bool,
 ) -> int:  # fmt: skip
     """Flags of where it is over the pad; all inputs are good."""
@@ -295,6 +297,7 @@ class Known(NamedTuple):
     battery: str = ""  # what is wrong with it, where something is
     velocity_max_m_s: float = 0.0  # horizontal, of the configuration
     swings: int = 0  # how often it has left the cone over the pad
+    refusal: str = ""  # why the result of a filter of one's own is no velocity
 
 
 def reason(rule: Rule[Phase], flags: int, known: Known) -> str:
@@ -380,5 +383,6 @@ _NUMBERS: Mapping[Condition, Callable[[Known], str]] = MappingProxyType(
         Condition.NOT_FOLLOWING: _follow,
         Condition.SWINGS: _swinging,
         Condition.TIRED: lambda known: known.battery,
+        Condition.NO_RESULT: lambda known: known.refusal,
     }
 )

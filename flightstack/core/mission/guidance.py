@@ -17,7 +17,7 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.position_loop import limit, nominal_velocity
 from flightstack.core.snapshot import Relative, Snapshot
-from flightstack.core.strategies.strategy import Strategy
+from flightstack.core.strategies.strategy import Filter
 from flightstack.core.types import ZERO, Landed, Operator, Phase, Request, Vec3
 
 CLIMB_OVER = 0.5  # share of the climb margin by which the climb aims beyond what is high enough, to get there
@@ -39,7 +39,7 @@ class Situation(NamedTuple):
     barrier: Barrier
     memory: Memory
     snapshot: Snapshot
-    strategy: Strategy
+    strategy: Filter
 
 
 def _wait(s: Situation) -> NominalCommand:
@@ -88,7 +88,7 @@ def _land(s: Situation) -> NominalCommand:
 
 
 @numeric
-def towards_pad(config: FlightConfig, memory: Memory, strategy: Strategy, at: Relative) -> Vec3:
+def towards_pad(config: FlightConfig, memory: Memory, strategy: Filter, at: Relative) -> Vec3:
     """Nominal velocity of APPROACH and LAND, above a target that is fast now and may be slower soon, too."""
     x, y, z = strategy.approach_m_s(at, memory.phase is Phase.LAND)
     if waits_for_calm(config, memory, at, at.own.arrival_s):

@@ -30,7 +30,7 @@ from flightstack.core.numeric import hypot
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.snapshot import Relative, Snapshot
-from flightstack.core.strategies.strategy import Strategy
+from flightstack.core.strategies.strategy import Filter
 from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.reserve import ReserveEstimate
 from flightstack.core.target.track import TargetTrack
@@ -92,14 +92,14 @@ class Mission:
     memory: Memory
     _config: FlightConfig  # configuration of the flight
     _barrier: Barrier  # the paper's
-    _strategy: Strategy  # the safety filter
+    _strategy: Filter  # the safety filter
     _times_s: PhaseTimes
 
     def __init__(
         self,
         config: FlightConfig,
         barrier: Barrier,
-        strategy: Strategy,
+        strategy: Filter,
         track: TargetTrack,
         plausibility: Plausibility,
         reserve: ReserveEstimate | None = None,
@@ -239,7 +239,7 @@ class Mission:
         most_m_s = min(self._config.limits.velocity_max_m_s[:2])
         known = Known(
             self._config.checks, snapshot, self._plausibility, self._track, now_s, battery, most_m_s,
-            memory.swings,
+            memory.swings, self._strategy.memory.refusal,
         )  # fmt: skip
         why = reason(rule, flags, known)
         if before in RETRY_FROM and after in RETRY_TO:

@@ -43,7 +43,7 @@ class Condition(IntEnum):
     PHASE_TIME_OVER = 1 << 18  # the longest time allowed in this phase
     LANDING_TIME_OVER = 1 << 19
     COMMAND_FAILED = 1 << 20  # the vehicle refused a command for good
-    # about to leave the corridor above the pad while still above the cone (Strategy.drifts), or the target
+    # about to leave the corridor above the pad while still above the cone (Filter.drifts), or the target
     # has become fast again with height left to climb away
     DRIFTED = 1 << 21
     NOT_FOLLOWING = 1 << 22  # the vehicle does not fly the commanded velocity
@@ -55,6 +55,7 @@ class Condition(IntEnum):
     CLEAR = 1 << 28  # flown clear of the target: it lands beside it
     CUT_OFF = 1 << 29  # too few fleet members send messages, and the pad is not the shortest way down
     SWINGS = 1 << 30  # leaves the cone over the pad repeatedly, or remains in it without a touchdown
+    NO_RESULT = 1 << 31  # the class of the filter returned no velocity in the last tick
 
 
 C = Condition
@@ -92,6 +93,7 @@ _IN_FLIGHT = (
     Rule(C.WAS_EXTERNAL, Phase.ABORT, MODE_CHANGED, unless=C.EXTERNAL | C.LINK_LOST),
     Rule(C.COMMAND_FAILED, Phase.ABORT, "the vehicle refused a command"),
     Rule(C.NOT_FOLLOWING, Phase.ABORT, "vehicle does not follow its velocity set-points"),
+    Rule(C.NO_RESULT, Phase.ABORT, "the filter returned no velocity"),
 )
 _TIRED = Rule(C.TIRED, Phase.ABORT, "the battery is too low to land on the target")
 _CUT_OFF = Rule(C.CUT_OFF, Phase.ABORT, "too few fleet members send messages")

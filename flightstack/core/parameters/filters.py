@@ -60,6 +60,11 @@ def give(found: Any) -> str:
     return name
 
 
+def given(name: str) -> Any:
+    """Class of this process with this name; None: it is found by importing its module."""
+    return _GIVEN.get(name)
+
+
 @lru_cache(maxsize=16)
 def named(name: str) -> Any:
     """Import what a name stands for."""

@@ -131,6 +131,8 @@ class Gate:
         The promise is linear; a result of the filter that keeps it may miss by the boundary's bend and by the
         slope that the gradient leaves out at the apex, and by no more (docs/how_it_works/robust_filter.md).
         """
+        if check.status is FilterStatus.OWN:
+            return True  # the class answers for it
         status, hopeless = check.status, check.status is FilterStatus.INFEASIBLE
         solved = status is FilterStatus.SOLVED or status is FilterStatus.CLOSED_FORM
         if not (solved or hopeless or status is FilterStatus.CROWDED):

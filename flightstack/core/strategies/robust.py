@@ -17,7 +17,7 @@ from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.position_loop import limit, nominal_velocity
 from flightstack.core.safety.robust_barrier import RobustBarrier
 from flightstack.core.snapshot import Relative
-from flightstack.core.strategies.strategy import Strategy
+from flightstack.core.strategies.strategy import Filter
 from flightstack.core.strategies.velocity_tracking import VelocityTracking
 from flightstack.core.target.estimator import TargetEstimator
 from flightstack.core.target.own_estimator import OwnEstimator
@@ -30,7 +30,7 @@ DRIFT_SHARE = 0.6  # share of the corridor's radius within which no drift is det
 BRAKING = 0.5  # share of the wanted acceleration that brakes: the velocity lags, and the target may speed up
 
 
-class RobustFilter(Strategy):
+class RobustFilter(Filter):
     """Eq. 11 with estimates, margin, lag correction, and a landing that goes around."""
 
     certificate = "flightstack.verify.certificate:robust_checks"
@@ -49,8 +49,6 @@ class RobustFilter(Strategy):
     estimator: TargetEstimator
     own_estimator: OwnEstimator
     _tracking: VelocityTracking
-    _config: FlightConfig
-    _barrier: Barrier
     _most: Vec3
     _learns: bool  # estimates errors of the reported velocity
     _weighs: bool  # estimates the thrust reserve
@@ -64,7 +62,6 @@ class RobustFilter(Strategy):
         self.brakes_m_s2 = BRAKING * min(config.slew_max_m_s2[:2])
         self.contact_speed_max_m_s = robust.descent_m_s + robust.descent_lead_max_m_s
         self.stopped_below_m = robust.touch_height_m
-        self._config, self._barrier = config, barrier
         self._most = config.limits.velocity_max_m_s
         self._learns, self._weighs = config.own.learns, config.reserve is not None
         loop, period_s = config.velocity_loop, 1.0 / config.loop.rate_hz

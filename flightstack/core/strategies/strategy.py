@@ -1,34 +1,89 @@
 """The interface of a safety filter: everything in which one filter differs from another.
 
-A filter must define its barrier, the nominal velocity of the approach, the condition of the touchdown and its
-velocity. With the class attribute ``certificate`` it can be proven. It may also estimate
-target and vehicle, detect contact and drift, and correct the set-point; the defaults do none of that. To add
-one, write a class with this interface: ``MODULE:NAME`` selects it (``examples/own_filter.py``).
+The base class is whole: the paper's barrier and program, the position loop as approach, a straight descent.
+A filter overrides what it does otherwise; one method, ``filter``, is enough. With the class attribute
+``certificate`` it can be proven. ``MODULE:NAME`` selects a class (``examples/own_filter.py``);
 ``parameters/filters.py`` has a line for each filter of the package.
 """
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from types import MappingProxyType
-from typing import ClassVar
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from flightstack.common.strict_toml import ConfigError
-from flightstack.core.memory import LateMemory, MotionMemory, OwnMemory, TrackingMemory
+from flightstack.core.memory import FilterMemory, LateMemory, MotionMemory, OwnMemory, TrackingMemory
 from flightstack.core.parameters.ends import TouchdownRule
 from flightstack.core.parameters.filters import FILTERS, named
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import ActiveBarrier, Barrier
-from flightstack.core.safety.qp_filter import Program, SafetyFilter
+from flightstack.core.safety.position_loop import nominal_velocity
+from flightstack.core.safety.projection import best_corner, project
+from flightstack.core.safety.qp_filter import FilterResult, Program, SafetyFilter
 from flightstack.core.snapshot import Relative
 from flightstack.core.target.track import TargetState, TargetTrack
-from flightstack.core.types import ZERO, OwnState, TargetSample, Vec3
+from flightstack.core.types import ZERO, FilterStatus, OwnState, TargetSample, Vec3
+
+Vector = NDArray[np.float64]
 
 
-class Strategy(ABC):
+class At(NamedTuple):
+    """What ``Filter.filter`` sees of a tick; vectors are arrays (3,) in ENU.
+
+    Attributes:
+        t_s: time of the vehicle state, on the stack's clock.
+        position_enu_m: of the vehicle, as the filter estimates it for now.
+        velocity_enu_m_s: of the vehicle.
+        target_position_enu_m: of the landing spot.
+        target_velocity_enu_m_s: of the landing spot.
+        e_m: position of the vehicle minus landing spot.
+        d_m: horizontal length of ``e_m``.
+        h_m: value of the barrier; below 0 is unsafe.
+        gradient: of the barrier, by the vehicle's position.
+        dh_dt_m_s: rate of the barrier by time alone: the target moves.
+        rate_1_s: largest relative rate at which h may fall.
+        lower_m_s: lowest velocity that may be commanded in this tick, by limits and slew.
+        upper_m_s: highest.
+    """
+
+    t_s: float
+    position_enu_m: Vector
+    velocity_enu_m_s: Vector
+    target_position_enu_m: Vector
+    target_velocity_enu_m_s: Vector
+    e_m: Vector
+    d_m: float
+    h_m: float
+    gradient: Vector
+    dh_dt_m_s: float
+    rate_1_s: float
+    lower_m_s: Vector
+    upper_m_s: Vector
+
+    @property
+    def bound_m_s(self) -> float:
+        """The barrier is kept by velocities with gradient . velocity >= this, m/s (eq. 11)."""
+        return -self.rate_1_s * self.h_m - self.dh_dt_m_s
+
+    def enforced(self, velocity_m_s: ArrayLike) -> Vector:
+        """Nearest velocity within the limits that keeps the barrier; without one, the one that raises h most.
+
+        Args:
+            velocity_m_s: (3,) ENU.
+        """
+        x, y, z = np.asarray(velocity_m_s, dtype=np.float64).tolist()
+        gradient, lower, upper = self.gradient.tolist(), self.lower_m_s.tolist(), self.upper_m_s.tolist()
+        found = project((x, y, z), tuple(gradient), self.bound_m_s, tuple(lower), tuple(upper))
+        return np.array(found if found is not None else best_corner(gradient, lower, upper))
+
+
+class Filter:
     """One safety filter.
 
     Velocities are ENU, m/s; positions ENU, m. ``motion``, ``tracking``, ``own`` and ``late`` are all that a
@@ -39,6 +94,8 @@ class Strategy(ABC):
         barrier: the paper's barrier with the configured shape.
 
     Attributes:
+        State: class of ``state``, a dataclass whose fields have defaults and are numbers, texts, tuples or
+            dataclasses: what ``filter`` stores from tick to tick. Logs hold it, and a replay restores it.
         certificate: ``MODULE:NAME`` of the function that returns the checks of a configuration
             (``FlightConfig -> list[Check]``, flightstack/verify). It is about what this class flies: a
             subclass does not inherit it, and has none until it names its own.
@@ -55,6 +112,7 @@ class Strategy(ABC):
         late: set-points that have no effect yet (dead time).
     """
 
+    State: ClassVar[type[Any] | None] = None
     certificate: ClassVar[str] = ""
     watches_swinging: ClassVar[bool] = True
     ignores: ClassVar[Mapping[str, str]] = MappingProxyType({})
@@ -67,10 +125,16 @@ class Strategy(ABC):
     tracking: TrackingMemory
     own: OwnMemory
     late: LateMemory
+    replaces_program: bool  # the class has its own method ``filter``
     _by_rule: bool  # paper's touchdown rule is configured
+    _config: FlightConfig
+    _barrier: Barrier
 
     def __init__(self, config: FlightConfig, barrier: Barrier) -> None:
-        del barrier
+        self._config, self._barrier = config, barrier
+        self.replaces_program = type(self).filter is not Filter.filter
+        self.memory = FilterMemory()
+        self.state: Any = self.State() if self.State is not None else None
         self.rate_1_s = config.barrier.omega_1_s
         self.acceleration_max_m_s2 = config.limits.slew_max_m_s2
         self.contact_speed_max_m_s = config.touchdown.descent_m_s
@@ -87,26 +151,66 @@ class Strategy(ABC):
             ConfigError: which value, what is allowed.
         """
 
-    @abstractmethod
-    def barrier(self, at: Relative) -> ActiveBarrier:
-        """Barrier that is enforced in this tick."""
+    def filter(self, nominal: Vector, at: At) -> ArrayLike:
+        """Velocity to fly in APPROACH and LAND, m/s ENU, (3,).
 
-    @abstractmethod
+        It replaces the program of eq. 11: the gate holds the result to limits and slew, not to the barrier.
+        ``at.enforced(velocity)`` is the nearest velocity that keeps the barrier. A result that is not three
+        finite numbers, and an exception, end the flight in an abort that names the class.
+
+        Args:
+            nominal: nominal velocity, m/s ENU, (3,).
+            at: vehicle, target, barrier and limits in this tick.
+        """
+        return at.enforced(nominal)
+
+    def result(self, nominal: Vec3, at: At) -> FilterResult:
+        """Result of ``filter``; REJECTED, and written down, if it is no velocity."""
+        try:
+            found = np.asarray(self.filter(np.array(nominal), at), dtype=np.float64)
+            problem = "" if found.shape == (3,) else f"returned an array of shape {found.shape}"
+            if not problem and not np.isfinite(found).all():
+                problem = f"returned {found.tolist()}"
+        except Exception as error:
+            problem = f"raised {type(error).__name__}: {error}"
+        if problem:
+            needed = "three finite numbers (m/s ENU) are needed"
+            self.memory.refusal = f"filter {type(self).__name__} {problem}; {needed}"
+            return FilterResult(ZERO, math.nan, False, FilterStatus.REJECTED, math.nan, 0, 0.0)
+        x, y, z = np.clip(found, at.lower_m_s, at.upper_m_s).tolist()
+        gx, gy, gz = at.gradient.tolist()
+        slack_m_s = gx * x + gy * y + gz * z - at.bound_m_s
+        return FilterResult((x, y, z), slack_m_s, (x, y, z) != nominal, FilterStatus.OWN, 0.0, 0, 0.0)
+
+    def barrier(self, at: Relative) -> ActiveBarrier:
+        """Barrier that is enforced in this tick; default: the paper's."""
+        return self._barrier
+
     def approach_m_s(self, at: Relative, over_pad: bool) -> Vec3:
         """Nominal velocity on the way to the pad.
+
+        Default: position loop with the target's velocity fed forward (paper IV-A).
 
         Args:
             at: vehicle relative to target.
             over_pad: the vehicle is inside the descending cone, phase LAND.
         """
+        return nominal_velocity(at.e_m, self._config.position_loop.gain_1_s, at.target.velocity_enu_m_s)
 
-    @abstractmethod
     def descent_m_s(self, at: Relative) -> Vec3:
-        """Velocity of the touchdown; it is not filtered."""
+        """Velocity of the touchdown; it is not filtered. Default: straight down over the pad's middle."""
+        t = at.target.velocity_enu_m_s
+        x, y, _ = nominal_velocity(at.e_m, self._config.position_loop.gain_1_s, t)
+        return (x, y, t[2] - self._config.touchdown.descent_m_s)
 
-    @abstractmethod
     def may_touch(self, at: Relative) -> bool:
-        """Whether the touchdown may begin at this position and velocity."""
+        """Whether the touchdown may begin at this position and velocity.
+
+        Default: below the touchdown height in the descending cone (paper V).
+        """
+        touchdown = self._config.touchdown
+        low = at.e_m[2] < touchdown.height_m and at.d_m <= touchdown.pad_radius_m
+        return low and self._barrier.h(at.e_m) >= 0.0
 
     def motors_off(self, at: Relative) -> bool:
         """Whether the motors stop before contact in the touchdown; with the paper's rule at once."""
@@ -178,16 +282,14 @@ class Strategy(ABC):
         return wanted_m_s
 
 
-def strategy_class(name: str) -> type[Strategy]:
+def strategy_class(name: str) -> type[Filter]:
     """Class of a filter by its name. Raises ConfigError: there is no such filter, or it is none."""
     found = named(name)
-    if not (isinstance(found, type) and issubclass(found, Strategy)):
-        raise ConfigError(
-            f"filter: found {name!r}, which is no subclass of flightstack.core.strategies.strategy.Strategy"
-        )
-    missing = sorted(found.__abstractmethods__)
-    if missing:
-        raise ConfigError(f"filter: found {name!r}, which lacks {', '.join(missing)}")
+    if not (isinstance(found, type) and issubclass(found, Filter)):
+        raise ConfigError(f"filter: found {name!r}, which is no subclass of flightstack.Filter")
+    state = found.State
+    if state is not None and not (isinstance(state, type) and is_dataclass(state)):
+        raise ConfigError(f"filter {name}: State is {state!r}; a dataclass is needed")
     return found
 
 
@@ -203,7 +305,7 @@ def ignored(config: FlightConfig) -> list[str]:
     return found
 
 
-def strategy_of(config: FlightConfig) -> Strategy:
+def strategy_of(config: FlightConfig) -> Filter:
     """Make the filter of a configuration.
 
     Raises ConfigError: there is no such filter, or it refuses the configuration.
@@ -213,6 +315,6 @@ def strategy_of(config: FlightConfig) -> Strategy:
     return found(config, config.barrier.build())
 
 
-def packaged_strategy_of(config: FlightConfig) -> Strategy | None:
+def packaged_strategy_of(config: FlightConfig) -> Filter | None:
     """Filter for a reader of logs; ``None`` for a filter from outside: no log decides which code runs."""
     return strategy_of(config) if config.filter in FILTERS else None

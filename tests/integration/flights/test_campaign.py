@@ -250,13 +250,13 @@ def test_a_cluster_that_loses_a_worker_ends_complete_and_equal(whole, tmp_path):
 
 
 ROOT = Path(__file__).parents[3]
-EXAMPLE = "examples.own_filter:ConeFilter"
+EXAMPLE = "examples.own_boundary:ConeFilter"
 
 
 @pytest.fixture
 def elsewhere(tmp_path):
     """A working folder that holds the filter as a module of another name."""
-    shutil.copy(ROOT / "examples" / "own_filter.py", tmp_path / "mine.py")
+    shutil.copy(ROOT / "examples" / "own_boundary.py", tmp_path / "mine.py")
     return tmp_path
 
 
@@ -297,7 +297,7 @@ def test_a_filter_that_there_is_not_is_refused_with_what_is_allowed(verb):
     done = called(*verb, "--filter", "best")
     assert done.code == 2
     assert "filter: found 'best', allowed: paper, robust, or MODULE:NAME" in done.err
-    done = called(*verb, "--filter", "examples.own_filter:Kone")
+    done = called(*verb, "--filter", "examples.own_boundary:Kone")
     assert done.code == 2
     assert "has no Kone" in done.err
 

@@ -36,16 +36,16 @@ def everything(phase):
 
     What neither asks about changes neither.
     """
-    word = Word(np.zeros(1, np.int32))
+    word = Word(np.zeros(1, np.int64))
     expected_rules(phase, word)
     mask = word.asked
     for rule in TABLE[phase]:
         mask |= rule.when | rule.unless
-    words = np.zeros(1, np.int32)
+    words = np.zeros(1, np.int64)
     for flag in Condition:
         if mask & flag:
-            words = np.concatenate((words, words | np.int32(flag)))
-    return np.concatenate((words, words | np.int32(ALL & ~mask)))
+            words = np.concatenate((words, words | np.int64(flag)))
+    return np.concatenate((words, words | np.int64(ALL & ~mask)))
 
 
 def operator(w):
@@ -70,6 +70,7 @@ def in_flight(w):
         ),
         (w.command_failed, Phase.ABORT, "the vehicle refused a command"),
         (w.not_following, Phase.ABORT, "vehicle does not follow its velocity set-points"),
+        (w.no_result, Phase.ABORT, "the filter returned no velocity"),
     ]
 
 
@@ -193,7 +194,7 @@ def leads_to(phase, asked=0, unless=0):
 
 
 def test_conditions_are_one_bit_each_and_phases_are_numbered_as_in_the_log():
-    assert [int(c) for c in Condition.__members__.values()] == [1 << n for n in range(31)]
+    assert [int(c) for c in Condition.__members__.values()] == [1 << n for n in range(32)]
     assert set(TABLE) == set(Phase)
     assert [(p.name, int(p)) for p in Phase] == [
         ("WAIT", 0), ("TAKEOFF", 1), ("APPROACH", 2), ("LAND", 3), ("TOUCHDOWN", 4), ("LANDED", 5),
@@ -205,7 +206,7 @@ def test_conditions_are_one_bit_each_and_phases_are_numbered_as_in_the_log():
 def test_the_machine_does_what_was_meant_for_every_word_and_every_rule_can_fire(phase):
     chance = random.Random(int(phase))
     asked = [chance.getrandbits(len(Condition)) for _ in range(20_000)] + everything(phase).tolist()
-    found, outcomes = expected(phase, np.array(asked, np.int32))
+    found, outcomes = expected(phase, np.array(asked, np.int64))
     rules = [next_phase(phase, word) for word in asked]
     machine = [STAY if rule is None else (rule.to, rule.reason) for rule in rules]
     assert machine == [outcomes[number] for number in found.tolist()]

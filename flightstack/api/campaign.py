@@ -1,0 +1,234 @@
+"""Many seeded landings on all cores, of one scenario or of a grid of its keys; results as tables."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from importlib import import_module
+from importlib.util import find_spec
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from flightstack.api.frames import frame
+from flightstack.api.scenario import Changes, FilterLike, filter_name, scenario
+from flightstack.common.forked import may_fork
+from flightstack.common.strict_toml import ConfigError
+from flightstack.common.terminal import Terminal
+from flightstack.core.parameters.filters import given
+from flightstack.verify.certificate import problems
+from logs.report.style import layout
+from sim.campaign.progress import Bar
+from sim.campaign.rows import Row, row_of
+from sim.campaign.summary import summary
+from sim.campaign.workers import Workers
+from sim.runners.landing import land_team, warm_up
+from sim.scenarios.scenario import Scenario
+from sim.scenarios.team import TeamScenario, alone, load, names, text
+from sim.vehicle.declared import not_proven
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+_HIDDEN = ("cells",)  # columns of a row that are no result
+_RATES = ("landed", "violations")
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Landings of one scenario.
+
+    Attributes:
+        rows: a row for each seed, by seed: outcome, violation, lowest h, touchdown error, times.
+        scenario: what was flown.
+        wall_s: wall time.
+    """
+
+    rows: tuple[Row, ...]
+    scenario: TeamScenario
+    wall_s: float
+
+    @cached_property
+    def table(self) -> Any:
+        """A DataFrame with a line for each seed, see ``frame``; lengths in m, times in s."""
+        return frame({f.name: [getattr(row, f.name) for row in self.rows] for f in _shown()})
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """Counts, bounds of the rates with 95 % confidence, quantiles, worst seeds."""
+        flown_s = sum(row.simulated_s or 0.0 for row in self.rows)
+        return summary(self.rows, "fs.land(..., seed={seed})", wall_s=self.wall_s, flown_s=flown_s)
+
+    def __len__(self) -> int:
+        """Number of landings."""
+        return len(self.rows)
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Landings on a grid of keys.
+
+    Attributes:
+        keys: swept keys.
+        points: values of the keys, and the landings there.
+    """
+
+    keys: tuple[str, ...]
+    points: tuple[tuple[tuple[Any, ...], Campaign], ...]
+
+    @cached_property
+    def table(self) -> Any:
+        """A DataFrame with a line for each point and seed: the swept keys, then as ``Campaign.table``."""
+        lines = [(values, row) for values, campaign in self.points for row in campaign.rows]
+        swept = {key: [values[k] for values, _ in lines] for k, key in enumerate(self.keys)}
+        return frame(swept | {f.name: [getattr(row, f.name) for _, row in lines] for f in _shown()})
+
+    def rates(self) -> list[dict[str, Any]]:
+        """Values of the keys at each point, number of runs, share that landed, share with a violation."""
+        found = []
+        for values, campaign in self.points:
+            rows, runs = campaign.rows, len(campaign.rows)
+            landed = sum(row.landed for row in rows) / runs
+            violations = sum(row.violation is not False for row in rows) / runs
+            found.append(dict(zip(self.keys, values, strict=True)) | {
+                "runs": runs, "landed": landed, "violations": violations
+            })  # fmt: skip
+        return found
+
+    def plot(self) -> go.Figure:
+        """Figure of the shares that landed and that violated the barrier, over the first key.
+
+        The other keys give a line each.
+
+        Raises:
+            ModuleNotFoundError: plotly is not installed.
+        """
+        import plotly.graph_objects as go
+
+        figure, first, others = go.Figure(), self.keys[0], self.keys[1:]
+        rates = self.rates()
+        for line in dict.fromkeys(tuple(point[key] for key in others) for point in rates):
+            part = [point for point in rates if tuple(point[key] for key in others) == line]
+            named = ", ".join(f"{key} {value}" for key, value in zip(others, line, strict=True))
+            for rate in _RATES:
+                x, y = [point[first] for point in part], [100.0 * point[rate] for point in part]
+                name = f"{rate}, {named}" if named else rate
+                dash = "solid" if rate == "landed" else "dot"
+                figure.add_trace(go.Scatter(x=x, y=y, name=name, mode="lines+markers", line_dash=dash))
+        layout(figure, 420)
+        figure.update_xaxes(title_text=first)
+        figure.update_yaxes(title_text="share of the landings [%]", range=[-2, 102])
+        return figure
+
+
+def campaign(
+    name: str | Path | Scenario = "lab", seeds: Iterable[int] = range(100), *, filter: FilterLike = None,
+    changes: Changes | None = None, workers: int | None = None,
+) -> Campaign:  # fmt: skip
+    """Fly many seeds of a scenario, of one vehicle or of several, with a progress bar.
+
+    A class of a notebook or of a function reaches workers by fork; where that is not safe (other threads, no
+    Linux) by cloudpickle, and where that is not installed its seeds are flown in this process.
+
+    Args:
+        name: scenario by name, file or object.
+        seeds: seeds to fly.
+        filter: ``"paper"``, ``"robust"``, ``MODULE:NAME``, or a class; None: the scenario's.
+        changes: keys of the scenario to change, see ``scenario``; of one vehicle only.
+        workers: number of processes; None: one for each core.
+
+    Raises:
+        ConfigError: wrong scenario, key, value or filter, or one that must not fly.
+        WorkersError: no worker can be kept running.
+    """
+    team = _team(name, changes, filter)
+    return _flown([((), team)], list(seeds), workers)[0][1]
+
+
+def sweep(
+    name: str | Path | Scenario, grid: Mapping[str, Sequence[Any]], seeds: Iterable[int] = range(100), *,
+    filter: FilterLike = None, changes: Changes | None = None, workers: int | None = None,
+) -> Sweep:  # fmt: skip
+    """Fly the same seeds at each point of a grid of keys.
+
+    A landing is judged by the barrier that it flew, also where the grid changes its shape, unless a key of
+    ``judge`` is changed, too.
+
+    Args:
+        name: scenario of one vehicle.
+        grid: values of each key, e.g. ``{"wind.mean_m_s": [0, 1]}``; all combinations are flown.
+        seeds: seeds, the same at each point.
+        filter: as of ``campaign``.
+        changes: keys that are changed at all points.
+        workers: number of processes; None: one for each core.
+
+    Raises:
+        ConfigError: wrong scenario, key, value or filter, or a point that must not fly.
+        WorkersError: no worker can be kept running.
+    """
+    if not grid or not all(len(values) for values in grid.values()):
+        raise ConfigError(f"sweep: found {dict(grid)!r}; a key and values for it are needed")
+    points = list(product(*grid.values()))
+    teams = [
+        _team(name, {**(changes or {}), **dict(zip(grid, values, strict=True))}, filter) for values in points
+    ]
+    return Sweep(tuple(grid), tuple(_flown(list(zip(points, teams, strict=True)), list(seeds), workers)))
+
+
+def _shown() -> list[Any]:
+    return [f for f in fields(Row) if f.name not in _HIDDEN]
+
+
+def _team(name: str | Path | Scenario, changes: Changes | None, filter: FilterLike) -> TeamScenario:
+    """Scenario of one vehicle or of several, which may fly."""
+    if name in names() or (isinstance(name, str | Path) and not changes and not load(name).is_alone):
+        if changes:
+            raise ConfigError(f"{name}: has several vehicles; changes are for scenarios of one vehicle")
+        team = load(name)
+        team = team if filter is None else team.with_filter(filter_name(filter))
+    else:
+        team = alone(scenario(name, changes, filter=filter))
+    found = dict.fromkeys(problem for each in team.member for problem in problems(each.onboard))
+    if found:
+        raise ConfigError(f"{team.name}: refused before take-off: " + "; ".join(found))
+    return team
+
+
+def _flown(
+    points: Sequence[tuple[tuple[Any, ...], TeamScenario]], seeds: list[int], workers: int | None
+) -> list[tuple[tuple[Any, ...], Campaign]]:
+    """Fly the seeds at all points."""
+    if not seeds or not all(isinstance(seed, int) and seed >= 0 for seed in seeds):
+        raise ConfigError(f"seeds: found {seeds!r:.60}; whole numbers from 0 on are needed, one at least")
+    first, done = points[0][1], []
+    console = Terminal(stderr=True)
+    if line := not_proven(first):
+        console.print(line, soft_wrap=True)
+    with Bar(
+        console, f"{first.name}, filter {first.member[0].onboard.filter}", len(points) * len(seeds)
+    ) as bar:
+        for values, team in points:
+            rows, began_s = [], time.monotonic()
+            for row in _rows(team, seeds, workers or os.cpu_count() or 1):
+                rows.append(row)
+                bar.row(row)
+            by_seed = tuple(sorted(rows, key=lambda row: row.seed))
+            done.append((values, Campaign(by_seed, team, time.monotonic() - began_s)))
+    return done
+
+
+def _rows(team: TeamScenario, seeds: list[int], workers: int) -> Iterable[Row]:
+    warm_up(team)
+    classes = [] if may_fork() else [given(each.onboard.filter) for each in team.member]
+    here, pickled = [each for each in classes if each is not None], b""
+    if here and find_spec("cloudpickle") is None:
+        yield from (row_of(land_team(team, seed)) for seed in seeds)
+        return
+    if here:
+        pickled = import_module("cloudpickle").dumps(here[0])
+    longest_s = sum(each.duration_max_s for each in team.member)
+    with Workers(text(team), min(workers, len(seeds)), longest_s, given=pickled) as processes:
+        yield from processes.fly(seeds)
