@@ -5,6 +5,7 @@ What is listed here is public (docs/reference/python.md). Nothing is imported be
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,8 @@ if TYPE_CHECKING:
     from flightstack.api.campaign import Sweep as Sweep
     from flightstack.api.campaign import campaign as campaign
     from flightstack.api.campaign import sweep as sweep
+    from flightstack.api.env import LandingEnv as LandingEnv
+    from flightstack.api.env import make_env as make_env
     from flightstack.api.frames import frame as frame
     from flightstack.api.landing import Landing as Landing
     from flightstack.api.landing import land as land
@@ -27,10 +30,12 @@ _HOME = {
     "Campaign": "flightstack.api.campaign",
     "Filter": _FILTERS,
     "Landing": "flightstack.api.landing",
+    "LandingEnv": "flightstack.api.env",
     "Sweep": "flightstack.api.campaign",
     "campaign": "flightstack.api.campaign",
     "frame": "flightstack.api.frames",
     "land": "flightstack.api.landing",
+    "make_env": "flightstack.api.env",
     "read_log": "flightstack.api.landing",
     "scenario": "flightstack.api.scenario",
     "sweep": "flightstack.api.campaign",
@@ -38,7 +43,14 @@ _HOME = {
 __all__ = sorted(_HOME)
 
 # extra of the package that has a module
-_EXTRAS = {"mujoco": "sim", "numba": "sim", "llvmlite": "sim", "plotly": "report", "gymnasium": "env"}
+_EXTRAS = {
+    "mujoco": "sim",
+    "numba": "sim",
+    "llvmlite": "sim",
+    "plotly": "report",
+    "gymnasium": "env",
+    "greenlet": "env",
+}
 
 
 def __getattr__(name: str) -> Any:
@@ -62,3 +74,9 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
+
+
+if (
+    "gymnasium" in sys.modules
+):  # so that gymnasium.make knows the name; else ``flightstack.api.env`` registers
+    sys.modules["gymnasium"].register("flightstack/Landing-v0", "flightstack.api.env:LandingEnv")

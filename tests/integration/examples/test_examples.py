@@ -105,6 +105,22 @@ def test_a_landing_lands():
     ]  # fmt: skip
 
 
+def test_a_controller_of_ones_own_and_two_environments_land():
+    out = run("own_controller.py", 1)
+    assert re.search(r"^seed 0: touched \d", out, re.MULTILINE)
+    out = run("environment.py")
+    assert "observations (2, 13), actions (2, 3)" in out
+    assert sorted(line.split(",")[0] for line in out.splitlines()[1:]) == [
+        "environment 0: landed", "environment 1: landed"
+    ]  # fmt: skip
+
+
+def test_filters_and_sweeps_are_flown(tmp_path):
+    assert run("own_filter.py").startswith("landed: ")
+    assert "violations" in run("sweep.py", 1, tmp_path / "sweep.html")
+    assert (tmp_path / "sweep.html").stat().st_size > 1000
+
+
 def test_a_log_becomes_a_table(flown, tmp_path):
     flight = flown("paper_static_1")
     out = run("log_to_frame.py", flight.log, tmp_path / "flight.csv")

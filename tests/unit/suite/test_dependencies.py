@@ -13,7 +13,7 @@ OURS = ("flightstack", "bridge", "sim", "logs")
 # packages that need more than the dependencies of the onboard process, and the extras that they may use
 EXTRAS = {
     "bridge.crazyflie": {"crazyflie"},
-    "flightstack.api": {"sim", "export", "report"},
+    "flightstack.api": {"sim", "export", "report", "env"},
     "flightstack.cli": {"view"},
     "flightstack.compiled": {"sim"},  # only where it is installed: tests/unit/compiled/test_core.py
     "logs.report": {"report"},

@@ -1,0 +1,20 @@
+"""The environment under its name in Gymnasium: two landings side by side, by the stack's own velocity.
+
+python examples/environment.py
+"""
+
+import gymnasium
+import numpy as np
+
+name = "flightstack.api.env:flightstack/Landing-v0"  # the module registers it
+env = gymnasium.make_vec(name, num_envs=2, scenario="lab", filter="robust")
+seen, infos = env.reset(seed=[7, 8])
+print(f"observations {env.observation_space.shape}, actions {env.action_space.shape}")
+ended = np.zeros(2, bool)
+while not ended.all():
+    actions = np.array(env.call("builtin_action"))  # an agent's would be made from ``seen``
+    seen, rewards, terminated, truncated, infos = env.step(actions)
+    for n in np.flatnonzero((terminated | truncated) & ~ended):
+        print(f"environment {n}: {infos['outcome'][n]}, last reward {rewards[n]:+.1f}")
+    ended |= terminated | truncated
+env.close()

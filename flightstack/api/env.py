@@ -1,0 +1,263 @@
+"""A Gymnasium environment: the agent chooses the nominal velocity of the landing, tick by tick.
+
+The flight is that of ``fs.land``: the same simulator, autopilot, wires, phase machine, gate and verdict. It
+runs in a greenlet that stops where the stack asks for the nominal velocity, and continues with the agent's
+action.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from greenlet import greenlet
+from gymnasium import spaces
+
+from flightstack.api.scenario import Changes, scenario
+from flightstack.common.strict_toml import ConfigError
+from flightstack.core.safety.qp_filter import FilterResult, Program
+from flightstack.core.snapshot import Relative
+from flightstack.core.strategies.paper import PaperFilter
+from flightstack.core.strategies.robust import RobustFilter
+from flightstack.core.strategies.strategy import Filter
+from flightstack.core.types import ZERO, FilterStatus, Vec3
+from logs.reader.flight_data import Truth
+from logs.verdict.truth import judge_truth
+from logs.verdict.types import Outcome, Verdict
+from sim.runners.companion import Companion
+from sim.runners.landing import warm_up
+from sim.scenarios.scenario import Scenario
+from sim.scenarios.team import alone
+
+STEP_REWARD = -0.01  # of each tick
+# at the end, by outcome, and for a violation of the barrier
+END_REWARD = {Outcome.LANDED: 10.0, Outcome.CRASHED: -10.0}
+OTHER_END_REWARD, VIOLATION_REWARD = -5.0, -10.0
+_SPEED_FAR_M = 1e3  # bound of the observations, m and m/s
+
+ENV_ID = "flightstack/Landing-v0"
+Ask = Callable[[Relative, Vec3], Vec3]  # vehicle relative to target, built-in velocity -> the agent's
+
+
+class _Agent(Filter):
+    """The agent's velocity in place of the approach; ``ask`` is set by the environment."""
+
+    ask: Ask | None = None
+
+    def approach_m_s(self, at: Relative, over_pad: bool) -> Vec3:
+        own = super().approach_m_s(at, over_pad)
+        return own if self.ask is None else self.ask(at, own)
+
+
+class PaperAgent(_Agent, PaperFilter):
+    """The agent's velocity, filtered by eq. 11."""
+
+
+class RobustAgent(_Agent, RobustFilter):
+    """The agent's velocity, filtered by the robust filter."""
+
+
+class _Unfiltered:
+    """Program that only keeps the limits."""
+
+    def solve(
+        self, nominal: Vec3, h_m: float, gradient: Vec3, dh_dt_m_s: float, lower: Vec3, upper: Vec3
+    ) -> FilterResult:
+        del h_m, gradient, dh_dt_m_s
+        x, y, z = (min(max(v, low), high) for v, low, high in zip(nominal, lower, upper, strict=True))
+        return FilterResult((x, y, z), 0.0, False, FilterStatus.OWN, 0.0, 0, 0.0)
+
+
+class BareAgent(_Agent):
+    """The agent's velocity, within the limits only."""
+
+    def program(self) -> Program:
+        return _Unfiltered()
+
+
+_AGENTS = {"paper": PaperAgent, "robust": RobustAgent, None: BareAgent}
+
+
+class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  # gymnasium is an extra
+    """A landing; a step is a tick of the controller (0.01 s) in the phases APPROACH and LAND.
+
+    Take-off before, touchdown, go-around and aborts are flown by the stack between two steps, or in the last.
+
+    Observation, (13,), SI, ENU: position of the vehicle minus landing spot (3), velocity of the vehicle minus
+    that of the landing spot (3), velocity of the landing spot (3), value of the paper's barrier (1), velocity
+    commanded in the last tick (3); positions in m, velocities in m/s, as the controller estimates them.
+
+    Action, (3,): nominal velocity of the vehicle, m/s ENU, within ``limits.velocity_max_m_s``. It is held to
+    limits and slew, with a ``filter`` also to the barrier.
+
+    Reward: -0.01 each step, plus the decrease of the distance to the landing spot in m; at the end 10 for a
+    landing, -10 for a crash, -5 otherwise, and -10 if the barrier was violated.
+
+    ``terminated``: the flight is over; ``truncated``: it took too long. The last ``info`` has ``verdict``,
+    ``outcome``, ``violation`` (None: not known), ``h_min_outside_pad_m`` and ``is_success``.
+
+    Args:
+        scenario: scenario of one vehicle, by name, file or object.
+        filter: ``None``: none; ``"paper"``, ``"robust"``.
+        changes: keys of the scenario to change, see ``fs.scenario``.
+
+    Raises:
+        ConfigError: wrong scenario, key or filter.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+
+    def __init__(
+        self, scenario: str | Path | Scenario = "lab", filter: str | None = None,
+        changes: Changes | None = None, render_mode: None = None,
+    ) -> None:  # fmt: skip
+        if filter not in _AGENTS:
+            raise ConfigError(f"filter: found {filter!r}, allowed: None, 'paper', 'robust'")
+        self.render_mode = render_mode
+        self.scenario = _with_agent(scenario, filter, changes)
+        most = np.array(self.scenario.onboard.limits.velocity_max_m_s)
+        self.action_space = spaces.Box(-most, most, dtype=np.float64)
+        self.observation_space = spaces.Box(-_SPEED_FAR_M, _SPEED_FAR_M, (13,), np.float64)
+        warm_up(alone(self.scenario))
+        self._companion: Companion | None = None
+        self._flight: greenlet | None = None
+        self._builtin: Vec3 = ZERO
+        self._distance_m = 0.0
+        self._seen = np.zeros(13)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin the flight of a seed, and fly until the stack asks for a velocity.
+
+        Args:
+            seed: of the flight, the same as of ``fs.land``; None: drawn.
+            options: not used.
+
+        Raises:
+            RuntimeError: the flight ended before the landing began.
+        """
+        super().reset(seed=seed, options=options)
+        self.close()
+        flown = int(self.np_random.integers(2**31)) if seed is None else seed
+        self._companion = Companion(self.scenario, flown, _nothing)
+        strategy = self._companion.controller.strategy
+        assert isinstance(strategy, _Agent)
+        strategy.ask = self._ask
+        self._flight = greenlet(self._companion.fly)
+        at = self._flight.switch()
+        if at is None:
+            raise RuntimeError(f"seed {flown}: the flight ended before the landing began")
+        return self._observed(at), {"seed": flown}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Fly with this velocity until the stack asks for the next one, or the flight is over.
+
+        Args:
+            action: (3,) m/s ENU.
+
+        Raises:
+            RuntimeError: ``reset`` was not called, or the flight is over.
+            ValueError: not three finite numbers.
+        """
+        flight, companion = self._flight, self._companion
+        if flight is None or companion is None:
+            raise RuntimeError("step: call reset first; a flight that is over has no further step")
+        x, y, z = np.asarray(action, dtype=np.float64).tolist()
+        if not np.isfinite(x + y + z):
+            raise ValueError(f"action: found {action}, three finite numbers (m/s ENU) are needed")
+        before_m = self._distance_m
+        at = flight.switch((x, y, z))
+        if at is not None:
+            seen = self._observed(at)
+            return seen, STEP_REWARD + before_m - self._distance_m, False, False, {}
+        self._flight = None
+        flown = companion.seen()
+        verdict = judge_truth(flown, flown.truth)
+        reward = END_REWARD.get(verdict.outcome, OTHER_END_REWARD)
+        reward += VIOLATION_REWARD if verdict.violation is not False else 0.0
+        late = verdict.outcome is Outcome.TIMEOUT
+        return self._seen, STEP_REWARD + reward, not late, late, _info(verdict)
+
+    def builtin_action(self) -> np.ndarray:
+        """The nominal velocity that the stack itself would choose in this tick, m/s ENU, (3,).
+
+        It may exceed the action space; flown in each step it gives the flight of ``fs.land``, bit by bit.
+        """
+        return np.array(self._builtin)
+
+    @property
+    def truth(self) -> Truth:
+        """True states of the flight that is over, as ``Landing.truth``.
+
+        Raises:
+            RuntimeError: no flight is over.
+        """
+        if self._companion is None or self._flight is not None:
+            raise RuntimeError("truth: no flight is over; step until terminated or truncated")
+        return self._companion.seen().truth
+
+    def close(self) -> None:
+        """End the flight."""
+        flight, self._flight = self._flight, None
+        if flight is not None:
+            flight.throw()  # GreenletExit
+
+    def _ask(self, at: Relative, own: Vec3) -> Vec3:
+        """Stop the flight until the agent has chosen."""
+        self._builtin = own
+        flight = self._flight
+        assert flight is not None
+        chosen: Vec3 = flight.parent.switch(at)
+        return chosen
+
+    def _observed(self, at: Relative) -> np.ndarray:
+        companion = self._companion
+        assert companion is not None
+        v, t, e = at.own.velocity_enu_m_s, at.target.velocity_enu_m_s, at.e_m
+        controller = companion.controller
+        self._distance_m = (e[0] * e[0] + e[1] * e[1] + e[2] * e[2]) ** 0.5
+        slip = (v[0] - t[0], v[1] - t[1], v[2] - t[2])
+        self._seen = np.array((*e, *slip, *t, controller.barrier.h(e), *controller.memory.command))
+        return self._seen
+
+
+def make_env(
+    name: str | Path | Scenario = "lab", filter: str | None = None, changes: Changes | None = None
+) -> LandingEnv:
+    """Environment of a scenario; arguments and spaces as of ``LandingEnv``.
+
+    Args:
+        name: scenario of one vehicle, by name, file or object.
+        filter: ``None``: none; ``"paper"``, ``"robust"``.
+        changes: keys of the scenario to change, see ``scenario``.
+
+    Raises:
+        ConfigError: wrong scenario, key or filter.
+    """
+    return LandingEnv(name, filter, changes)
+
+
+def _with_agent(name: str | Path | Scenario, filter: str | None, changes: Changes | None) -> Scenario:
+    return scenario(name, changes, filter=_AGENTS[filter])
+
+
+def _nothing(*_: object) -> None:
+    """Called after each step: ticks are flown one by one."""
+
+
+def _info(verdict: Verdict) -> dict[str, Any]:
+    return {
+        "verdict": verdict,
+        "outcome": verdict.outcome.value,
+        "violation": verdict.violation,
+        "h_min_outside_pad_m": verdict.h_min_outside_pad_m,
+        "is_success": verdict.outcome is Outcome.LANDED,
+    }
+
+
+if ENV_ID not in gymnasium.registry:  # ``import flightstack`` registers where Gymnasium was imported before
+    gymnasium.register(ENV_ID, "flightstack.api.env:LandingEnv")

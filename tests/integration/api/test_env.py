@@ -1,0 +1,87 @@
+"""The Gymnasium environment: the same flight as ``land``, spaces, rewards, errors."""
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import flightstack as fs
+from flightstack.common.strict_toml import ConfigError
+
+NAME = "flightstack/Landing-v0"
+
+
+def flown(env, seed, action=None):
+    """Fly a seed; the rewards of all steps, and the last info."""
+    env.reset(seed=seed)
+    rewards, over = [], False
+    while not over:
+        chosen = env.builtin_action() if action is None else action
+        _, reward, terminated, truncated, info = env.step(chosen)
+        rewards.append(reward)
+        over = terminated or truncated
+    return rewards, info
+
+
+@pytest.mark.parametrize("name", ["paper", "robust"])
+def test_the_built_in_policy_flies_as_land_does_bit_by_bit(name):
+    env = fs.make_env("lab", filter=name)
+    _, info = flown(env, 7)
+    landing = fs.land("lab", 7, filter=name)
+    assert info["verdict"] == landing.verdict
+    truth = env.truth
+    for field, values in vars(landing.truth).items():
+        if isinstance(values, np.ndarray):
+            assert np.array_equal(getattr(truth, field), values, equal_nan=values.dtype.kind == "f"), field
+
+
+@pytest.mark.filterwarnings("ignore")  # of the checker: no render modes, float64
+def test_gymnasium_finds_it_and_its_checker_passes():
+    env = gymnasium.make(NAME, scenario="lab", filter="paper")
+    check_env(env.unwrapped)
+    assert env.observation_space.shape == (13,)
+    assert env.action_space.high.tolist() == list(fs.scenario("lab").onboard.limits.velocity_max_m_s)
+
+
+def test_the_observation_is_the_state_and_seeds_are_equal():
+    env = fs.make_env("lab")
+    seen, info = env.reset(seed=3)
+    again, _ = env.reset(seed=3)
+    assert np.array_equal(seen, again)
+    assert info == {"seed": 3}
+    truth_m = fs.land("lab", 3).truth.e_m[0]
+    assert np.allclose(seen[:3], truth_m, atol=0.05)
+    env.close()
+    with pytest.raises(RuntimeError, match="call reset first"):
+        env.step(np.zeros(3))
+
+
+def test_an_agent_without_a_filter_violates_and_with_one_does_not():
+    down = np.array([0.0, 0.0, -0.5])
+    rewards, bare = flown(fs.make_env("lab"), 1, down)
+    _, safe = flown(fs.make_env("lab", filter="robust"), 1, down)
+    assert bare["violation"]
+    assert rewards[-1] <= -10.0
+    assert safe["violation"] is False
+
+
+@pytest.mark.parametrize("mode", ["sync", "async"])
+def test_vectors_of_environments_fly_their_seeds(mode):
+    envs = gymnasium.make_vec(NAME, num_envs=2, vectorization_mode=mode, scenario="lab", filter="paper")
+    seen, _ = envs.reset(seed=[7, 8])
+    alone, _ = fs.make_env("lab", filter="paper").reset(seed=8)
+    assert np.array_equal(seen[1], alone)
+    seen, rewards, *_ = envs.step(np.zeros((2, 3)))
+    assert seen.shape == (2, 13)
+    assert np.isfinite(rewards).all()
+    envs.close()
+
+
+def test_bad_input_is_named():
+    with pytest.raises(ConfigError, match="filter: found 'best', allowed"):
+        fs.make_env("lab", filter="best")
+    env = fs.make_env("lab")
+    env.reset(seed=1)
+    with pytest.raises(ValueError, match="three finite numbers"):
+        env.step(np.array([np.nan, 0.0, 0.0]))
+    env.close()
