@@ -270,6 +270,9 @@ class FlightOptions(Signing, Ros2, Zenoh):
     system_id: SystemId = 1
     autopilot: Autopilot = "auto"
     accept_release: AcceptRelease = False
+    unproven: Annotated[
+        bool, Option("--unproven", "Fly a filter whose class has no certificate of its own.")
+    ] = False
     core: Annotated[str, Option(
         "--core", "Code of the control step: plain Python, or compiled by numba, equal to the last bit; "
         "auto: compiled in real time where it has been compiled before.", choices=CORES

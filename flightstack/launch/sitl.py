@@ -247,6 +247,7 @@ def _start(
         listen=(vehicle.endpoint, *options.listen), config_file=vehicle.config,
         duration_s=vehicle.scenario.duration_max_s, recorder=launcher.socket,
         zenoh_config=options.zenoh_config, accept_release=options.accept_release,
+        unproven=True,  # the vehicle is simulated
     )  # fmt: skip
     return launcher.start("onboard", plugged, of=member)
 

@@ -41,7 +41,7 @@ from flightstack.onboard.runner import (
 )
 from flightstack.onboard.waiting import WaitReport
 from flightstack.onboard.zenoh_wires import ZenohWires
-from flightstack.verify.certificate import problems
+from flightstack.verify.certificate import certificate_of, problems
 from logs.recorder.feed import Feed
 from logs.schema.events import CAUSE, ONBOARD
 from logs.schema.names import OWN, Names
@@ -215,6 +215,11 @@ def run(config: FlightConfig, options: OnboardOptions, say: Callable[[str], None
     found = problems(config)
     if found:
         raise ConfigError("refused before take-off: " + "; ".join(found))
+    if not (options.unproven or options.lockstep or certificate_of(config)):
+        raise ConfigError(
+            f"refused before take-off: filter {config.filter} has no certificate of its own; "
+            "--unproven flies it"
+        )
     with ExitStack() as records:
         onboard = Onboard(config, options, say, records)  # a signal until here calls the flight off
         records.callback(onboard.close)

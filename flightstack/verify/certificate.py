@@ -25,6 +25,11 @@ def problems(config: FlightConfig) -> list[str]:
     return [check.text for check in checks(config) if check.need is Need.FLIGHT and not check.proven]
 
 
+def certificate_of(config: FlightConfig) -> str:
+    """Function of the checks that the class of the filter names itself; empty: it has no certificate."""
+    return str(vars(strategy_class(config.filter)).get("certificate", ""))
+
+
 def checks(config: FlightConfig) -> list[Check]:
     """Every check of the configuration's filter, and of its table [fleet] if it has one.
 
@@ -33,7 +38,7 @@ def checks(config: FlightConfig) -> list[Check]:
     """
     strategy = strategy_class(config.filter)
     strategy.check_config(config)
-    own = vars(strategy).get("certificate")
+    own = certificate_of(config)
     found: list[Check] = referred(own)(config) if own else [_no_certificate(config.filter)]
     return [*found, *fleet_checks(config)]
 

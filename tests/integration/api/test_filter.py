@@ -118,3 +118,12 @@ def test_a_wrong_class_or_state_is_one_clear_line(tmp_path):
             return nominal
 
     assert fs.land("lab", filter=Untyped).verdict is not None  # only a log needs it as text
+
+
+def test_a_real_vehicle_flies_it_only_if_told_that_nothing_is_proven(tmp_path):
+    config = tmp_path / "mine.toml"
+    config.write_text(f'base = "crazyflie"\nfilter = "{SMOOTH}"\n')
+    words = ("onboard", "--vehicle", "udpin:127.0.0.1:0", "--config", config, "--no-record")
+    done = flightstack(*words)
+    assert done.code == 2
+    assert f"filter {SMOOTH} has no certificate of its own; --unproven flies it" in done.err
