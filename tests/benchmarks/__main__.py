@@ -13,6 +13,7 @@ BENCHMARKS = {
     "campaign_speed": "campaign_speed:main",
     "codec": "speed:codec_times",
     "control_step": "speed:control_step",
+    "environment": "speed:environment",
     "lockstep": "speed:lockstep",
     # for hours, or with a picture or a page as their result
     "crazyflie_faults": "crazyflie_landings:faults",

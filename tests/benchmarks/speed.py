@@ -9,6 +9,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -169,3 +170,29 @@ def lockstep() -> None:
             factors.append(sitl(folder, "paper_moving_1", seed, "--lockstep")["realtime_factor"])
     runs = ", ".join(f"{f:.1f}" for f in factors)
     print(f"{statistics.median(factors):.1f} x real time (asked 50); runs {runs}")
+
+
+def environment() -> None:
+    """Steps a second of the environment with a policy in Python; Pendulum of Gymnasium beside it."""
+    import gymnasium
+
+    import flightstack as fs
+
+    def flown(env: Any, seeds: range, act: Callable[[], Any]) -> float:
+        steps, began_s = 0, time.process_time()
+        for seed in seeds:
+            env.reset(seed=seed)
+            over = False
+            while not over:
+                _, _, terminated, truncated, _ = env.step(act())
+                steps, over = steps + 1, terminated or truncated
+        return steps / (time.process_time() - began_s)
+
+    for name in ("paper", "robust"):
+        env = fs.make_env("lab", filter=name)
+        flown(env, range(2), env.builtin_action)
+        print(
+            f"landing, filter {name}: {flown(env, range(2, 10), env.builtin_action):,.0f} steps/s of CPU time"
+        )
+    pendulum = gymnasium.make("Pendulum-v1")
+    print(f"Pendulum-v1: {flown(pendulum, range(20), pendulum.action_space.sample):,.0f} steps/s of CPU time")
