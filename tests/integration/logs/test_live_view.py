@@ -15,7 +15,7 @@ from bridge.zenoh import zenoh_link
 from flightstack.cli.main import main
 from flightstack.common.processes import Port
 from logs.view.live import LiveRecording
-from tests.integration.runs import COMMAND, flightstack
+from tests.integration.runs import COMMAND, called, flightstack
 from tests.integration.sim_processes import ROOT, wait_for
 from tests.processes.bounded import killed, line_of
 from tests.synthetic_flight import landing
@@ -132,7 +132,7 @@ def test_a_viewer_that_hangs_holds_up_nobody(sender, watching):
     ],
 )
 def test_wrong_words_are_refused(tmp_path, words, told):
-    done = flightstack("watch", *words, cwd=tmp_path)
+    done = called("watch", *words, cwd=tmp_path)
     assert done.code == 2
     assert told in done.err
     assert list(tmp_path.iterdir()) == []
@@ -140,7 +140,7 @@ def test_wrong_words_are_refused(tmp_path, words, told):
 
 def test_a_recording_that_exists_is_kept(tmp_path):
     (tmp_path / "old.rrd").write_text("old")
-    done = flightstack("watch", "--view", tmp_path / "old.rrd")
+    done = called("watch", "--view", tmp_path / "old.rrd")
     assert (done.code, "exists" in done.err) == (2, True)
     assert (tmp_path / "old.rrd").read_text() == "old"
 

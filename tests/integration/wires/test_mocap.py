@@ -14,7 +14,7 @@ from bridge.target.ros2_target import ROS_TYPES, TargetType
 from tests.crazyflie_firmware.firmware import Firmware
 from tests.crazyflie_firmware.plant import Point
 from tests.crazyflie_firmware.server import Server
-from tests.integration.runs import flightstack
+from tests.integration.runs import called
 from tests.integration.sim_processes import (
     is_a,
     wait_for,
@@ -121,6 +121,6 @@ def test_another_type_under_the_topic_is_said():
     ],
 )
 def test_wrong_input_is_an_error_that_says_what_is_allowed(arguments, reason):
-    done = flightstack("bridge", "mocap", "--vehicle", "udpout:127.0.0.1:9", *arguments)
+    done = called("bridge", "mocap", "--vehicle", "udpout:127.0.0.1:9", *arguments)
     assert done.code == 2
     assert reason in done.err
