@@ -99,19 +99,6 @@ def test_any_program_is_answered_alike(filters, nominal, h_m, gradient, dh_dt_m_
     assert repr(by_machine) == repr(by_python)
 
 
-def test_all_ways_to_an_answer_are_among_them(filters):
-    box, gradient = ((-0.2, -0.2, -0.5), (0.2, 0.2, 0.5)), (0.3, 0.4, 1.0)
-    cases = {
-        FilterStatus.SOLVED: ((0.1, 0.0, -0.4), 0.1),
-        FilterStatus.INFEASIBLE: ((0.1, 0.0, -0.4), -9.0),
-        FilterStatus.REJECTED: ((math.nan, 0.0, -0.4), 0.1),
-    }
-    for status, (nominal, h_m) in cases.items():
-        found = [each.solve(nominal, h_m, gradient, 0.0, *box)._replace(solve_s=0.0) for each in filters]
-        assert {each.status for each in found} == {status}
-        assert repr(found[0]) == repr(found[1])
-
-
 def test_where_the_solver_fails_the_exact_projection_is_the_answer(filters, monkeypatch):
     program, machine = filters
     monkeypatch.setattr(program, "_solved", -77)

@@ -95,23 +95,6 @@ def test_infeasible_sets_are_found(sections, word):
     assert any(word in problem for problem in problems(paper(**sections)))
 
 
-def test_the_feasibility_bound_is_where_the_program_really_fails():
-    assert problems(paper(touchdown={"target_speed_max_m_s": 0.533})) == []
-    from flightstack.core.safety.qp_filter import SafetyFilter
-    from flightstack.core.types import FilterStatus
-
-    barrier = config().barrier.build()
-    e = (1e-1, 0.0, barrier.height(1e-1))  # on the boundary by the apex, target coming along x
-    for speed, expected in ((0.5, FilterStatus.SOLVED), (0.7, FilterStatus.INFEASIBLE)):
-        h, g, dh_dt = barrier.evaluate(e, (-speed, 0.0, 0.0))
-        h2, g2, dh_dt2 = barrier.evaluate(e, (speed, 0.0, 0.0))
-        found = {
-            SafetyFilter(0.7).solve((0.0, 0.0, 0.0), *state, (-0.2, -0.2, -0.5), (0.2, 0.2, 0.5)).status
-            for state in ((h, g, dh_dt), (h2, g2, dh_dt2))
-        }
-        assert expected in found
-
-
 def test_a_file_that_is_not_toml_names_itself_in_the_error(tmp_path):
     path = tmp_path / "wrong.toml"
     path.write_text("[barrier\n")

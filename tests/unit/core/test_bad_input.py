@@ -73,14 +73,6 @@ def flown(fault, phase=Phase.APPROACH, seconds=math.inf):
     return World(CONFIG).fault_in(phase, fault, seconds)
 
 
-def test_without_faults_it_lands():
-    world = World(CONFIG).run(60.0, until=lambda w: w.phase is Phase.LANDED)
-    assert world.phase is Phase.LANDED
-    d = math.hypot(*world.relative()[:2])
-    assert d < 0.05
-    assert not world.armed
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.LAND])
 @pytest.mark.parametrize("name", TARGET_FAULTS)

@@ -2,7 +2,6 @@
 
 import math
 import random
-from dataclasses import replace
 
 import pytest
 
@@ -312,12 +311,6 @@ def test_it_goes_around_no_more_often_than_allowed_and_then_flies_clear():
     assert world.controller.memory.retries == world.config.checks.retries_max
     assert sum("go around" in text for text in world.texts) == world.config.checks.retries_max
     assert any("no retry left" in text for text in world.texts)
-
-
-def test_the_papers_filter_does_not_go_around():
-    world = World(replace(ruled("contact"), filter="paper"), solid_pad=True)
-    world.fault_in(Phase.TOUCHDOWN, blown_off, seconds=0.015)
-    assert world.step().phase is Phase.TOUCHDOWN
 
 
 @pytest.mark.parametrize("end", [Phase.LANDED, Phase.ABORT])

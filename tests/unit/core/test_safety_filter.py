@@ -89,18 +89,6 @@ def test_the_best_corner_is_the_best_and_stays_where_nothing_is_won(g, box):
             assert abs(x) == min(abs(y) for y in (lo, hi, *((0.0,) if lo <= 0.0 <= hi else ())))
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
-@pytest.mark.parametrize(
-    ("lower", "upper", "nearest"), [(-1.0, 2.0, 0.0), (0.5, 2.0, 0.5), (-2.0, -0.5, -0.5)]
-)
-def test_an_axis_without_a_gradient_stays_nearest_to_zero(axis, lower, upper, nearest):
-    g, lows, highs = [1.0, -1.0, 1.0], [-0.3, -0.3, -0.3], [0.4, 0.4, 0.4]
-    g[axis], lows[axis], highs[axis] = 0.0, lower, upper
-    expected = [0.4 if s > 0.0 else -0.3 for s in g]
-    expected[axis] = nearest
-    assert best_corner(tuple(g), tuple(lows), tuple(highs)) == tuple(expected)
-
-
 def test_exact_cases_of_the_projection():
     lower, upper = (-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)
     assert project((0.0, 0.5, 0.25), (0.0, 0.0, 1.0), 0.25, lower, upper) == (0.0, 0.5, 0.25)
@@ -124,7 +112,7 @@ def test_exact_cases_of_the_projection():
 def test_osqp_agrees_with_the_exact_projection_on_random_states():
     chance = random.Random(20261121)
     worst, solved = 0.0, 0
-    for _ in range(5000):  # 10^5 in the benchmark
+    for _ in range(2000):
         lower = tuple(-chance.choice((0.2, 0.5, 1.0)) for _ in range(3))
         upper = tuple(lo + chance.uniform(0.01, 1.0) for lo in lower)  # cut by the slew limit
         nominal = tuple(chance.uniform(-2, 2) for _ in range(3))
@@ -140,7 +128,7 @@ def test_osqp_agrees_with_the_exact_projection_on_random_states():
         clipped = [min(max(n, lo), hi) for n, lo, hi in zip(nominal, lower, upper, strict=True)]
         assert result.active == (dot(gradient, clipped) < -0.7 * h - dh_dt)
     assert worst < 1e-6
-    assert solved > 3500
+    assert solved > 1400
 
 
 @given(velocities, st.floats(-1, 1), gradients, st.floats(-0.5, 0.5), boxes)
@@ -158,19 +146,6 @@ def test_never_outside_the_box_and_never_below_the_barrier_unless_it_says_so(
         assert result.velocity_enu_m_s == best_corner(gradient, *box)
     else:
         assert result.slack_m_s >= -2e-6
-
-
-def test_a_safe_nominal_passes_unchanged():
-    result = FILTER.solve((0.1, -0.1, -0.2), 1.0, (0.5, 0.5, 1.0), 0.0, low(BOX), BOX)
-    assert result.velocity_enu_m_s == pytest.approx((0.1, -0.1, -0.2), abs=1e-7)
-    assert not result.active
-
-
-def test_filtering_twice_changes_nothing():
-    once = FILTER.solve((0.2, 0.0, -0.5), 0.0, (1.0, 0.0, 1.0), -0.1, low(BOX), BOX)
-    twice = FILTER.solve(once.velocity_enu_m_s, 0.0, (1.0, 0.0, 1.0), -0.1, low(BOX), BOX)
-    assert once.active
-    assert twice.velocity_enu_m_s == pytest.approx(once.velocity_enu_m_s, abs=1e-6)
 
 
 def test_a_result_does_not_depend_on_what_was_solved_before():
@@ -240,12 +215,6 @@ def test_when_nothing_in_the_box_holds_the_barrier_it_says_so_and_rises():
     assert (result.active, result.residual_m_s, result.iterations, result.solve_s) == (True, 0.0, 0, 0.0)
 
 
-def test_a_barrier_that_only_the_corner_holds_is_held():
-    result = FILTER.solve(STILL, 0.0, (0.0, 0.0, 1.0), -0.5, low(BOX), BOX)
-    assert result.status in (FilterStatus.SOLVED, FilterStatus.CLOSED_FORM)
-    assert result.velocity_enu_m_s[2] == pytest.approx(0.5, abs=1e-6)
-
-
 def test_a_nominal_on_the_barrier_itself_is_not_changed():
     result = FILTER.solve((0.0, 0.0, 0.25), 0.0, (0.0, 0.0, 1.0), -0.25, low(BOX), BOX)
     assert not result.active
@@ -261,7 +230,7 @@ def test_the_time_is_that_of_the_solver():
 
 def test_the_solver_confirms_the_projection_and_corrects_a_wrong_one(monkeypatch):
     chance, corrected, tried = random.Random(5), 0, 0
-    for _ in range(2000):
+    for _ in range(600):
         nominal = tuple(chance.uniform(-2, 2) for _ in range(3))
         gradient = (chance.uniform(-2, 2), chance.uniform(-2, 2), 1.0)
         asked = (nominal, chance.uniform(-0.5, 1.0), gradient, chance.uniform(-0.4, 0.4), low(BOX), BOX)
@@ -278,7 +247,7 @@ def test_the_solver_confirms_the_projection_and_corrects_a_wrong_one(monkeypatch
             corrected += 1
             assert result.velocity_enu_m_s == pytest.approx(right.velocity_enu_m_s, abs=1e-6)
             assert result.iterations > 1
-    assert tried > 1000
+    assert tried > 300
     assert corrected > 0.9 * tried
 
 
@@ -355,10 +324,6 @@ def test_the_solver_is_asked_the_program():
 def test_a_multiplier_without_end_is_no_start():
     _, solver = told(STILL, multiplier=math.inf)
     assert solver.dual == pytest.approx([0.0, 0.6, -1.0, 0.6])
-
-
-def test_a_point_inside_misses_nothing():
-    assert told((0.1, 0.2, 0.3))[0] == ((0.1, 0.2, 0.3), 0.0, 35)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

@@ -72,12 +72,6 @@ def test_a_member_overrides_the_team_and_the_team_its_base(written):
     assert [each.name for each in found.member] == ["mine.cf1", "mine.cf2"]
 
 
-def test_a_base_beside_the_file_is_found(written, tmp_path):
-    (tmp_path / "calm.toml").write_text('base = "lab"\nwind.gust_rms_m_s = 0.0\n')
-    found = team.load(written(ABOUT + 'base = "calm.toml"\n[[member]]\n'))
-    assert found.member[0].wind.gust_rms_m_s == 0.0
-
-
 def test_all_members_can_have_another_filter():
     assert {each.onboard.filter for each in team.load("fleet_3").with_filter("paper").member} == {"paper"}
 

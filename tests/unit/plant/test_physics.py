@@ -5,16 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from sim.firmware.attitude import attitude_moments
-from sim.firmware.mixer import mix, motor_speed
-from sim.firmware.paper_loop import axes_from_force
 from sim.plant.params import STEP_S, load
-from sim.plant.rotation import nine
 from sim.scenarios.scenario import OdometryLink, VehicleSpec, Wind
-from sim.vehicle.loop import push, sense
+from sim.vehicle.loop import push
 from sim.world.step import physics_step
 from tests import independent_plant as other
-from tests import linear_analysis as linear
 from tests.unit.vehicle.vehicle_sim_helpers import vehicle
 
 pytestmark = pytest.mark.slow
@@ -78,29 +73,6 @@ G = 9.81
 HOVER_RPM = 18968.0  # by hand from the L250 thrust map, 0.0782 N per rotor
 
 
-def test_free_fall_is_exact():
-    plant = FreePlant()
-    plant.no_drag()
-    for _ in range(4):
-        plant.run(500)
-        t = plant.sim._world  # z = -g t^2 / 2
-        seconds = -t.velocity[2] / G
-        assert HIGH_M - t.position[2] == pytest.approx(0.5 * G * seconds**2, rel=1e-9)
-    assert plant.state[5] == pytest.approx(-2.0 * G, rel=1e-12)
-
-
-@pytest.mark.parametrize("seconds", [0.5, 2.0, 5.0])
-def test_fall_with_drag_follows_the_closed_form(seconds):
-    plant = FreePlant()
-    plant.run(round(seconds * 1000))
-    rate = 0.0128 / 0.0319  # 1/s, L250 drag along body z over mass
-    speed = G / rate * -math.expm1(-rate * seconds)
-    fallen = G / rate * seconds - speed / rate
-    step_error = 0.5 * STEP_S * rate  # drag is that of the velocity before the step
-    assert plant.state[5] == pytest.approx(-speed, rel=1.5 * step_error)
-    assert HIGH_M - plant.state[2] == pytest.approx(fallen, rel=1.5 * step_error)
-
-
 def test_falls_sideways_with_the_wind_in_the_end():
     plant = FreePlant(wind=Wind(2.0, direction_rad=0.5))
     plant.place()
@@ -120,23 +92,6 @@ def test_hover_is_where_the_data_sheet_puts_it():
     assert thrust / 4 / 0.12 * 65535 == pytest.approx(42_700, abs=50)  # counts
     plant.run(999)
     assert abs(plant.state[5]) < 0.005  # 18968 rpm is rounded
-
-
-def test_energy_of_a_free_flight_is_conserved():
-    plant = FreePlant()
-    plant.no_drag()
-    plant.place((0.9, 0.3, -0.2, 0.1), velocity=(2.0, -1.0, 5.0), rates=(6.0, -4.0, 9.0))
-
-    def energies():
-        s = plant.state
-        turning = 0.5 * float(np.array(BODY.inertia_kg_m2) @ s[10:13] ** 2)
-        return 0.5 * BODY.mass_kg * float(s[3:6] @ s[3:6]) + BODY.mass_kg * G * (s[2] - HIGH_M), turning
-
-    moving, turning = energies()
-    for _ in range(5):
-        plant.run(1000)
-        assert energies()[0] == pytest.approx(moving, rel=1e-6)
-        assert energies()[1] == pytest.approx(turning, rel=1e-6)
 
 
 def angular_momentum(plant):
@@ -180,7 +135,7 @@ def random_flight(seed, slow, spread_rpm):
 
 
 @pytest.mark.parametrize("slow", [False, True])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_six_degrees_of_freedom_agree_with_the_independent_model(seed, slow):
     """Rates, attitude, velocity, position and speeds over 1.5 s of random commands.
 
@@ -198,109 +153,3 @@ def test_six_degrees_of_freedom_agree_with_the_independent_model(seed, slow):
     assert error[:, 3:6].max() < 0.5 * STEP_S * turning * G * 1.5  # thrust, about m g, turned by half a step
     assert error[:, :3].max() < 0.5 * STEP_S * turning * G * 1.5**2 / 2.0
     assert error[:, 13:].max() < (0.01 if slow else 1e-6)  # rpm; the slow fall is a second-order step
-
-
-NOMINAL_S = 0.07
-HOVER_COUNTS = linear.MASS * linear.G / 4.0 / linear.N_PER_COUNT
-STEP_DEG = 1.0
-
-
-def lag_of(slow):
-    return linear.slow_lag_s() if slow else NOMINAL_S
-
-
-def attitude_step(axis, slow, seconds):
-    """Roll, pitch or yaw after a step of the desired attitude in hover, in parts of the step, 500 Hz."""
-    plant = FreePlant(slow)
-    plant.no_drag()
-    plant.rotors(linear.HOVER_RPM)
-    plant.sim._settle()
-    f, size = plant.record.firmware, math.radians(STEP_DEG)
-    force = [(0.0, -math.tan(size), 1.0), (math.tan(size), 0.0, 1.0), (0.0, 0.0, 1.0)][axis]
-    yaw = size if axis == 2 else 0.0
-    desired = axes_from_force(*force, math.cos(yaw), math.sin(yaw))
-    f.paper.attitude.wx = math.nan
-    out = []
-    for k in range(round(seconds * 500)):
-        if k % 100 == 0:
-            plant.sim._imu.top_up()
-        sense(plant.sim._vehicle)
-        s = f.estimator.sensed
-        moments = attitude_moments(
-            f.paper.attitude, nine(s.axes), desired, s.rates[0], s.rates[1], s.rates[2]
-        )
-        counts = mix(HOVER_COUNTS, moments)
-        plant.run(2, [motor_speed(f.thrust_map, c, 1e9) for c in counts])
-        w, x, y, z = plant.state[6:10]
-        angle = (2.0 * w * x, 2.0 * w * y, math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
-        out.append(angle[axis] / size)
-    return np.array(out)
-
-
-def slowest(poles, count):
-    """The poles that last, without integrators that the output does not show."""
-    return np.array([p for p in poles if p.real < -0.3][:count])
-
-
-def nearest(pole, candidates):
-    return min(np.abs(np.asarray(candidates) - pole))
-
-
-@pytest.mark.parametrize("slow", [False, True])
-@pytest.mark.parametrize("axis", [0, 1])
-def test_roll_and_pitch_steps_have_the_linear_models_poles(axis, slow):
-    y = attitude_step(axis, slow, 1.5)
-    assert y[-1] == pytest.approx(1.0, abs=0.01)
-    loop = linear.roll_loop(lag_of(slow))
-    assert np.abs(y - loop.response(1.5)).max() < 0.01
-    measured = linear.prony_poles(y, linear.DT, 3)
-    for pole in slowest(loop.poles(), 3):
-        assert nearest(pole, measured) < 0.1 * abs(pole)
-
-
-@pytest.mark.parametrize("slow", [False, True])
-def test_yaw_step_has_the_linear_models_poles(slow):
-    y = attitude_step(2, slow, 5.0)
-    loop = linear.yaw_loop(lag_of(slow))
-    expected = loop.response(5.0)
-    assert np.abs(y - expected).max() < 0.015
-    measured = linear.prony_poles(y, linear.DT, 4)  # the integral's slow pole and the motor's among them
-    for pole in slowest(loop.poles(), 2):
-        assert nearest(pole, measured) < 0.1 * abs(pole)
-    without = linear.yaw_loop(lag_of(slow), reaction=False).response(5.0)
-    assert np.abs(y - without).max() > 3.0 * np.abs(y - expected).max()  # the reaction torque shows
-
-
-def velocity_step(axis, slow, seconds):
-    """Velocity along an axis after a small step of the set-point, in parts of the step, 500 Hz."""
-    sim = quiet_vehicle(slow)
-    size = 0.02
-    sim.set_velocity((0.0, 0.0, 0.0), 0.0)
-    sim.advance(500)
-    before = np.array(sim.truth().velocity_enu_m_s)
-    wanted = [0.0, 0.0, 0.0]
-    wanted[axis] = size
-    out = []
-    for k in range(round(seconds * 500)):
-        if k % 50 == 0:
-            sim.set_velocity(tuple(wanted), 0.0)
-        sim.advance(2)
-        out.append((sim.truth().velocity_enu_m_s[axis] - before[axis]) / size)
-    return np.array(out)
-
-
-@pytest.mark.parametrize("slow", [False, True])
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_velocity_steps_of_the_papers_loop(axis, slow):
-    """Whole vehicle, K_v = 0.5: estimator, attitude loop, motors and all."""
-    y = velocity_step(axis, slow, 3.0)
-    if axis == 2:  # thrust of all four rises together, with the rate of rising
-        lag = 1.0 / linear.PARAMS.rotor.slow_rise_1_s if slow else NOMINAL_S
-        loop = linear.vertical_loop(lag)
-    else:
-        loop = linear.horizontal_loop(lag_of(slow))
-    expected = loop.response(3.0)
-    asymmetric = slow and axis == 2  # the linear model rises only, the slow motors also fall, faster
-    assert np.abs(y - expected).max() < (0.12 if asymmetric else 0.015)
-    assert y.max() == pytest.approx(expected.max(), rel=0.1)  # the overshoot
-    assert y.argmax() == pytest.approx(expected.argmax(), rel=0.1)

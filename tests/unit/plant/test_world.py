@@ -9,7 +9,7 @@ import pytest
 
 from logs.schema.events import ContactBit
 from sim.plant.params import STEP_S, load
-from sim.plant.rotation import quaternion_from_axes, rotation_axes
+from sim.plant.rotation import rotation_axes
 from sim.scenarios.scenario import TargetSpec
 from sim.world.step import apart
 from sim.world.world import World
@@ -46,11 +46,6 @@ def test_torque_is_in_the_body_frame():
     w.set_vehicle((0.0, 0.0, 10.0), (half, 0.0, 0.0, half))  # nose north
     w.step(WEIGHT, (1.68e-5, 0.0, 0.0))
     assert w.rates == pytest.approx((STEP_S, 0.0, 0.0), abs=1e-12)
-
-
-def test_quaternion_and_axes_are_inverse():
-    q = (0.8, 0.1, -0.3, math.sqrt(1 - 0.64 - 0.01 - 0.09))
-    assert quaternion_from_axes(rotation_axes(q)) == pytest.approx(q)
 
 
 def test_deck_moves_on_an_exact_arc():
@@ -199,7 +194,7 @@ def test_a_bounce_goes_as_high_as_its_speed_carries_it(speed):
     assert (top > 1e-3) is (speed >= 2.0)
 
 
-@pytest.mark.parametrize("speed", [0.1, 0.3, 0.6, 1.0])
+@pytest.mark.parametrize("speed", [0.1, 1.0])
 @pytest.mark.parametrize("direction", [0.0, 0.3, math.pi / 4])
 def test_slides_with_mu_g_and_stops(speed, direction):
     w = world()
@@ -289,7 +284,7 @@ def test_tips_over_beyond_the_angle_of_its_hull(beyond_deg, falls_over):
     assert upright(w) == pytest.approx(-1.0 if falls_over else 1.0, abs=0.02)
 
 
-@pytest.mark.parametrize("angle_deg", [2.0, 10.0, 30.0, 50.0])
+@pytest.mark.parametrize("angle_deg", [10.0, 50.0])
 @pytest.mark.parametrize("axis", [(0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (math.sqrt(0.5), math.sqrt(0.5), 0.0)])
 def test_on_its_feet_it_always_falls_back(angle_deg, axis):
     """The static tipping angle of the feet, atan(span/2 over height), is beyond where the rims touch."""

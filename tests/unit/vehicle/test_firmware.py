@@ -1,7 +1,6 @@
 """Controllers, mixer, supervisor, estimator."""
 
 import math
-import statistics
 
 import numpy as np
 import pytest
@@ -10,16 +9,14 @@ from flightstack.compiled.records import new
 from sim.firmware.estimator import ACCEL_XY_M_S2, ACCEL_Z_M_S2, Estimator, axis_gains, predict, yaw_gain
 from sim.firmware.mixer import MapRecord, mix, motor_speed, set_up_map
 from sim.firmware.paper_loop import PaperLoop, axes_from_force, paper_update
-from sim.firmware.pid import PidLoop, cascade_update
 from sim.firmware.setpoint import SensedState, Setpoint, SetpointRecord
 from sim.plant.params import CONTROL_STEP_S, STEP_S, Plant, load
-from sim.plant.rotation import quaternion_from_axes, rotation_axes
+from sim.plant.rotation import rotation_axes
 from sim.plant.rotors import Rotors, turn_rotors
 
 PARAMS = load()
 WEIGHT = PARAMS.body.mass_kg * PARAMS.contact.gravity_m_s2
 HOVER_COUNTS = WEIGHT / 4.0 / 0.12 * 65535.0
-PER_N = 65535.0 / (4 * 0.12)  # counts
 LEVEL = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 NO_RATES = (0.0, 0.0, 0.0)
 
@@ -71,10 +68,6 @@ def paper(sensed, setpoint, level):
     return paper_update(PaperLoop(PARAMS).record, sensed, new(SetpointRecord, setpoint.fields()), level)
 
 
-def pid(loop, sensed, setpoint, level):
-    return cascade_update(loop.record, sensed, new(SetpointRecord, setpoint.fields()), level)
-
-
 class TestPaperLoop:
     def test_equation_8(self):
         """The desired body axis is along -K_v (v - u) + m G; at that attitude all of it is thrust."""
@@ -84,31 +77,6 @@ class TestPaperLoop:
         counts, moments = paper(sensed_at(tuple(v), axes), Setpoint(*u), level=False)
         assert counts * 4 * 0.12 / 65535 == pytest.approx(np.linalg.norm(force), rel=1e-9)
         assert moments == (0, 0, 0)
-
-    def test_level_keeps_the_vertical_set_point_only(self):
-        counts, moments = paper(sensed_at(), Setpoint(1.0, -1.0, -0.3), level=True)
-        assert moments == (0, 0, 0)
-        assert counts * 4 * 0.12 / 65535 == pytest.approx(WEIGHT - 0.15, rel=1e-6)
-
-    def test_trim_is_the_inverse(self):
-        force = (0.03, -0.01, 0.33)
-        counts, moments = paper(
-            sensed_at(axes=axes_from_force(*force, 1.0, 0.0)),
-            Setpoint(*PaperLoop(PARAMS).trim(force, PER_N)),
-            False,
-        )
-        assert counts * 4 * 0.12 / 65535 == pytest.approx(math.hypot(*force), rel=1e-9)
-        assert moments == (0, 0, 0)
-
-
-class TestPid:
-    @pytest.mark.parametrize("force", [(0.05, 0.0, 0.33), (0.0, -0.05, 0.33), (0.0, 0.0, 0.4)])
-    def test_trim_holds(self, force):
-        loop = PidLoop(PARAMS)
-        setpoint = Setpoint(*loop.trim(force, PER_N))
-        counts, moments = pid(loop, sensed_at(axes=axes_from_force(*force, 1.0, 0.0)), setpoint, level=False)
-        assert counts * 4 * 0.12 / 65535 == pytest.approx(math.hypot(*force), rel=1e-9)
-        assert moments == pytest.approx((0, 0, 0), abs=1)
 
 
 class TestEstimator:
@@ -168,36 +136,3 @@ class TestEstimator:
                 estimator.correct(speed * (k * CONTROL_STEP_S - delay), 0.0, 1.0, 0.0)
         assert estimator.sensed.position[0] == pytest.approx(speed * (10.0 - delay), abs=1e-4)
         assert estimator.sensed.velocity[0] == pytest.approx(speed, abs=1e-4)
-
-    def test_starts_balanced_whatever_the_bias(self):
-        estimator = Estimator(0.01, CONTROL_STEP_S, 9.81)
-        tilted = quaternion_from_axes(axes_from_force(0.05, -0.03, 0.3, 1.0, 0.0))
-        axes, bias = rotation_axes(tilted), [0.05, -0.03, 0.08]
-        estimator.settle((0.0, 0.0, 1.0), NO_RATES, axes, tilted, bias)
-        accel = tuple(9.81 * axes[i] + b for i, b in zip((2, 5, 8), bias, strict=True))
-        predict(estimator.record, np.array(NO_RATES), np.array(accel))
-        assert estimator.sensed.velocity == pytest.approx(NO_RATES, abs=2e-6)
-
-    def test_noise_of_a_still_estimate(self):
-        rng = np.random.default_rng(3)
-        estimator = Estimator(0.01, CONTROL_STEP_S, 9.81)
-        estimator.settle((0.0, 0.0, 1.0), NO_RATES, LEVEL, (1.0, 0.0, 0.0, 0.0), [0.0, 0.0, 0.0])
-        position, velocity = [], []
-        for k in range(20_000):
-            predict(estimator.record, np.array(NO_RATES), np.array((0.0, 0.0, 9.81)))
-            if k % 5 == 0:
-                n = 0.005 * rng.standard_normal(4)
-                estimator.correct(n[0], n[1], 1.0 + n[2], n[3])
-                position.append(estimator.sensed.position[0])
-                velocity.append(estimator.sensed.velocity[0])
-        assert statistics.pstdev(position) == pytest.approx(0.0015, rel=0.3)  # of 5 mm
-        assert 0.002 < statistics.pstdev(velocity) < 0.008
-
-    def test_is_invalid_without_samples(self):
-        estimator = Estimator(0.01, CONTROL_STEP_S, 9.81)
-        for _ in range(240):
-            predict(estimator.record, np.array(NO_RATES), np.array((0.0, 0.0, 9.81)))
-        assert estimator.valid
-        for _ in range(20):
-            predict(estimator.record, np.array(NO_RATES), np.array((0.0, 0.0, 9.81)))
-        assert not estimator.valid

@@ -92,13 +92,6 @@ def mellinger(loop, sensed, setpoint, level=False):
 
 
 class TestMellinger:
-    def test_at_its_set_point_it_carries_its_weight(self):
-        counts, moments = mellinger(
-            MellingerLoop(), sensed_at((1.0, 2.0, 3.0)), Setpoint(position=(1.0, 2.0, 3.0))
-        )
-        assert counts == pytest.approx(WEIGHT * MASS_THRUST)
-        assert moments == (0, 0, 0)
-
     @given(st.tuples(*[st.floats(-0.3, 0.3)] * 3), st.tuples(*[st.floats(-0.3, 0.3)] * 3))
     def test_the_first_tick_by_hand(self, error, velocity):
         """Force by the gains; of a level body all of its upper part is thrust."""

@@ -13,7 +13,7 @@ from flightstack.common.pacing import RUN_AHEAD_TICKS
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.types import TargetSample
 from sim.clock import TickGrid
-from sim.robot.target import DEMANDS, TargetModel, TargetOdometry, arc, wrap
+from sim.robot.target import DEMANDS, TargetModel, TargetOdometry, wrap
 from sim.robot.target_motion import TargetMotion
 from sim.runners.deck import DeckState, deck_state, follow, reckon
 from sim.runners.robot import DirectTarget, in_world
@@ -30,18 +30,6 @@ def drive(spec, seed=1, seconds=20.0, driving=True):
         states.append((model.time_s, model.pose, model.velocity_enu_m_s, model.yaw_rate_rad_s))
         model.step(DT, driving)
     return model, states
-
-
-def test_arc_is_exact():
-    assert arc(2.0, 0.0) == (2.0, 0.0)
-    assert arc(math.pi, math.pi) == pytest.approx((0.0, 2.0))
-    assert arc(1.0, 1e-10)[1] == pytest.approx(5e-11)
-
-
-def test_wrap():
-    assert wrap(math.pi) == math.pi
-    assert wrap(-math.pi) == math.pi
-    assert wrap(3.0 * math.pi + 0.1) == pytest.approx(-math.pi + 0.1)
 
 
 def test_a_figure_of_eight_comes_back_to_its_middle():
@@ -263,7 +251,7 @@ def ahead(scenario, seed, chosen_at):
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-@pytest.mark.parametrize("chosen_at", [0, 1, 18, 19, 20, 21, 137])
+@pytest.mark.parametrize("chosen_at", [0, 19, 20, 137])
 def test_the_same_as_tick_by_tick(name, chosen_at):
     expected = list(tick_by_tick(SCENARIOS[name], 3, chosen_at))
     assert repr(list(ahead(SCENARIOS[name], 3, chosen_at))) == repr(expected)

@@ -2,12 +2,10 @@
 
 import math
 import random
-import re
 from dataclasses import replace
 
 import pytest
 
-from flightstack.common.strict_toml import to_table
 from flightstack.core.parameters.filters import FILTERS
 from flightstack.core.safety.position_loop import nominal_velocity
 from flightstack.core.safety.qp_filter import SafetyFilter
@@ -16,13 +14,13 @@ from flightstack.core.snapshot import Snapshot
 from flightstack.core.strategies.robust import RobustFilter
 from flightstack.core.target.track import TargetState
 from flightstack.core.types import ZERO, Inputs, OwnState
-from flightstack.verify.certificate import checks, problems
+from flightstack.verify.certificate import problems
 from flightstack.verify.envelope import extremes
 from flightstack.verify.robust import depth_m
 from flightstack.verify.touchdown import drift_m
 from sim.scenarios import scenario
 from tests.unit.verify.certificate_helpers import config
-from tests.unit.verify.certificate_page import PAGES, split, tables
+from tests.unit.verify.certificate_page import split, tables
 
 pytestmark = pytest.mark.slow
 
@@ -126,28 +124,6 @@ def test_h_stays_above_what_is_promised_outside_the_pad(name):
     assert lowest < extremes(settings).usual.margin_m.low  # it came to the boundary: the promise was tried
 
 
-def test_without_the_margin_the_promise_would_be_broken():
-    """The flights above do press on the boundary: a filter told of smaller errors than there are loses."""
-    told = config(robust={"tracking_error_m_s": 0.0, "sigma_factor": 0.001})
-    true = config()
-    x = extremes(true)
-    depth, _ = depth_m(told, extremes(told))
-    lowest = math.inf
-    for seed in range(12):
-        rng = random.Random(seed)
-        angle = rng.uniform(0.0, math.tau)
-        held = RobustBarrier(x.barrier, extremes(told).usual.margin_m.low, told.robust.fade_radius_m)
-        e = [1.5 * math.cos(angle), 1.5 * math.sin(angle), 0.0]
-        e[2] = -held.h(tuple(e))
-        for _ in range(300):  # slides along the boundary, always flying 4 cm/s lower than wanted
-            h, gradient, _ = held.evaluate(tuple(e), ZERO)
-            inward = [-0.3 * e[0], -0.3 * e[1]]
-            climb = -told.robust.rate_1_s * h - gradient[0] * inward[0] - gradient[1] * inward[1]
-            e = [e[0] + inward[0] * DT_S, e[1] + inward[1] * DT_S, e[2] + (climb - 0.04) * DT_S]
-            lowest = min(lowest, x.barrier.h(tuple(e)))
-    assert lowest < -depth
-
-
 @pytest.mark.parametrize("acceleration", [0.0, 0.5, 1.5])
 def test_no_descent_drifts_farther_than_promised(acceleration):
     """The vehicle's motion over the pad, with every error at its worst and turned against it."""
@@ -157,7 +133,7 @@ def test_no_descent_drifts_farther_than_promised(acceleration):
     gain, told = settings.robust.gain_over_pad_1_s, settings.velocity_loop.lag_xy_s
     dt = 0.002
     farthest = 0.0
-    for seed in range(150):
+    for seed in range(60):
         rng = random.Random(seed)
         lag = rng.choice((x.lag_xy_s, told, 2.0 * told - x.lag_xy_s, rng.uniform(0.7, 1.3) * told))
         turn = rng.uniform(0.0, math.tau)
@@ -184,36 +160,11 @@ def test_no_descent_drifts_farther_than_promised(acceleration):
     assert farthest > 0.65 * promised  # and the promise is not caution alone
 
 
-TEXT = (PAGES / "robust_filter.md").read_text()
-
-
 @pytest.mark.parametrize("name", ["worked", "verdicts", "fleet"])
 def test_the_tables_are_the_codes(name):
     page, table = tables()[name]
     _, within, _ = split(page.read_text(), name)
     assert within == table, "run: python -m tests.unit.verify.certificate_page"
-
-
-RESERVE = {"hover_throttle": 0.6, "hover_voltage_v": 3.7, "lowest_voltage_v": 3.2}
-
-
-def test_every_parameter_it_names_exists():
-    known = to_table(config(reserve=RESERVE))
-    keys = {key for section in known.values() if isinstance(section, dict) for key in section}
-    named = set(re.findall(r"`(?:(\w+)\.)?(\w+_(?:s|m|m_s|m_s2|1_s|hz|sqrthz|factor|spread))`", TEXT))
-    assert len(named) > 15
-    for section, key in named:
-        assert key in keys, key
-        if section:
-            assert key in known[section], section
-
-
-def test_every_check_it_names_exists():
-    plain, fed_back = config(), config(velocity_feedback={"horizontal": True})
-    weighed = config(reserve=RESERVE)
-    names = {check.name for settings in (plain, fed_back, weighed) for check in checks(settings)}
-    for named in re.findall(r"[Cc]heck \*([a-z ]+)\*", TEXT):
-        assert named in names, named
 
 
 @pytest.mark.parametrize("kind", FILTERS)

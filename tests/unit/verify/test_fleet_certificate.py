@@ -144,7 +144,7 @@ def least_sum(latency_s, period_s, seed):
 @pytest.mark.parametrize(("latency_s", "proven"), [(0.05, True), (0.041, True), (0.021, False)])
 def test_shares_held_by_processes_with_late_ticks(latency_s, proven):
     assert one("shares", {"latency_max_s": latency_s}, loop={"rate_hz": 50}).proven is proven
-    least = min(least_sum(latency_s, 0.02, seed) for seed in range(2000))
+    least = min(least_sum(latency_s, 0.02, seed) for seed in range(600))
     assert (least >= 1.0) is proven
 
 
@@ -247,9 +247,9 @@ def test_a_landing_from_where_it_waits_takes_no_longer_than_waits_count_with():
     count_s = first_attempt_s(
         field.onboard, fleet, descent_time_s(field.onboard, extremes(field.onboard))
     ) - (fleet.age_max_s + 2.0 * fleet.latency_max_s)
-    flown = [land(replace(field, start=start), seed) for seed in range(12)]
+    flown = [land(replace(field, start=start), seed) for seed in range(6)]
     times = [each.verdict.time_to_land_s for each in flown if each.retries == 0]
-    assert len(times) >= 8
+    assert len(times) >= 4
     assert max(times) < count_s
     assert min(times) > 0.4 * count_s
 

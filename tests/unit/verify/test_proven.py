@@ -12,7 +12,7 @@ from tests.benchmarks.proven import FILTERS, SCENARIOS, cases, fly, parameters, 
 
 pytestmark = pytest.mark.slow
 
-EVERY = 397  # of the changes of both filters in all scenarios
+EVERY = 797  # of the changes of both filters in all scenarios
 PATHS = {".".join(each.path): each for each in parameters()}
 SAMPLE = list(cases([], list(SCENARIOS), list(FILTERS), 5))[::EVERY]
 

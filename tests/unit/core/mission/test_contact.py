@@ -97,15 +97,6 @@ def test_a_descent_that_stopped_low_over_the_pad_is_contact():
     assert not contact_after(PAPER, memory, 1.0, e=low, velocity=slow)
 
 
-def test_contact_counts_as_far_outside_the_edge_as_two_positions_err():
-    wide = starting(contact={"beyond_m": 0.02})
-    for settings, beyond_m in ((ROBUST, 0.0), (wide, 0.02)):
-        edge_m = settings.touchdown.pad_radius_m + beyond_m
-        for e_m, found in ((edge_m - 1e-6, True), (edge_m + 1e-6, False)):
-            memory = Memory(phase=Phase.TOUCHDOWN)
-            assert contact_after(settings, memory, 1.0, e=(0.0, e_m, ON_PAD[2])) is found
-
-
 @given(
     st.floats(0.0, 0.12),
     st.floats(0.0, 0.5),

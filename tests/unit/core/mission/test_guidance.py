@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from flightstack.core.fleet.precedence import ALONE, Way
 from flightstack.core.memory import AbortWay, Memory
-from flightstack.core.mission import guidance
 from flightstack.core.mission.conditions import TAKEOFF_DONE, high_enough_m
 from flightstack.core.mission.guidance import NominalCommand as Command
 from flightstack.core.mission.guidance import Situation, nominal_command
@@ -54,11 +53,6 @@ def asked(
     command = nominal_command(Situation(settings, BARRIER, memory, seen, strategy))
     assert memory == before, "guidance only reads"
     return command
-
-
-def test_every_phase_and_way_has_an_answer():
-    assert set(guidance._PHASES) == set(Phase)
-    assert set(guidance._ABORT) == set(AbortWay)
 
 
 LOST = [{}, {"own": False}, {"target": False}, {"own": False, "target": False, "status": False}]

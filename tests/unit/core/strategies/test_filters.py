@@ -103,25 +103,6 @@ def test_climbing_as_told_holds_the_barrier_whatever_is_flown_sideways(rate, mar
         assert h >= -lost
 
 
-@given(rates, st.floats(0.0, 0.05), st.floats(-0.02, 0.02), velocities, velocities)
-@settings(max_examples=30)
-def test_across_the_axis_no_more_is_lost_than_the_gradient_leaves_out(rate, margin, beside, velocity, target):
-    """Its slope is short by 1 - d / sqrt(d^2 + s^2), which is s over a whole way out from the axis."""
-    law, _ = robust(robust={"rate_1_s": rate})
-    held = RobustBarrier(CONE, margin, 0.06)
-    dx, dy = velocity[0] - target[0], velocity[1] - target[1]
-    speed = math.hypot(dx, dy)
-    if speed < 0.2:
-        return
-    e = tuple((-0.3 * a + beside * b) / speed for a, b in ((dx, -dy), (dy, dx)))
-    e = (*e, -held.h((*e, 0.0)))
-    dt_s = 2e-4 / speed  # steps of 0.2 mm
-    curvature = 2.0 * 1.5 + 1.5 / 0.005 + 4.0 * margin / 0.06**2
-    least = min(h for h, _ in fly(law, held, e, [(velocity, target, 0.6 / speed)], dt_s))
-    step_lost = 0.5 * curvature * 2e-4 * 0.05 + 0.5 * 20.0 * 2e-4 * speed / rate
-    assert least >= -(CONE.slope_max * CONE.smoothing_m + step_lost)
-
-
 @given(
     rates,
     velocities,

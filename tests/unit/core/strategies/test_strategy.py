@@ -62,15 +62,6 @@ def test_a_filter_is_found_by_its_name_and_names_its_own_checks(name):
     assert problems(settings) == []
 
 
-def test_no_two_filters_are_the_same():
-    found = [strategy_class(name) for name in (*FILTERS, CONE)]
-    assert len(set(found)) == len(found)
-    assert len({cls.certificate for cls in found}) == len(found)
-    own = {check.name for check in checks(config(CONE))}
-    assert "cone" in own
-    assert all(own != {check.name for check in checks(config(name))} for name in FILTERS)
-
-
 @pytest.mark.parametrize("name", ["best", "", "Paper", "a b:C", "a:", ":b", "a.:b", "a:b:c", "../a:b"])
 def test_what_is_no_name_is_refused_with_what_is_allowed(name):
     with pytest.raises(
@@ -191,7 +182,7 @@ def test_the_cone_lands_and_the_program_holds_it():
 
 def test_the_cones_linearisation_bound_is_one_and_is_reached():
     cone, chance, reached = Cone(1.5, 0.5), random.Random(3), 0.0
-    for _ in range(20_000):
+    for _ in range(5_000):
         d, moved, angle = (
             chance.choice((0.0, 1e-3, 0.1, 0.4)),
             10.0 ** chance.uniform(-4.0, 0.0),

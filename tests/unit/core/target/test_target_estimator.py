@@ -211,21 +211,6 @@ def test_on_motions_that_it_does_not_know_it_is_no_worse_than_it_says():
     assert inside / total > 0.99
 
 
-def test_it_knows_more_than_a_sample_does():
-    estimator, chance = TargetEstimator(LINK), random.Random(6)
-    errors = []
-    for n in range(500):
-        position, velocity = circle(0.02 * n)
-        estimator.update(
-            0.02 * n,
-            tuple(a + chance.gauss(0.0, LINK.position_noise_m) for a in position),
-            tuple(a + chance.gauss(0.0, LINK.velocity_noise_m_s) for a in velocity),
-        )
-        errors.append(math.dist(estimator.memory.position_enu_m, position))
-    assert np.mean(errors[50:]) < 0.7 * math.sqrt(8.0 / math.pi) * LINK.position_noise_m
-    assert estimator.at(10.0).position_sigma_m < LINK.position_noise_m
-
-
 @pytest.mark.parametrize(
     "link", [LINK, replace(LINK, jerk_xy_m_s3_sqrthz=6.0), replace(LINK, position_noise_m=0.02)]
 )
@@ -247,16 +232,6 @@ def test_before_the_newest_sample_it_is_as_certain_as_at_it():
     assert motion.position_enu_m == pytest.approx((0.99, 2.02, 2.97))
     assert motion.position_sigma_m == estimator.at(5.0).position_sigma_m == LINK.position_noise_m
     assert motion.velocity_sigma_m_s == LINK.velocity_noise_m_s
-
-
-def test_a_late_sample_counts_for_when_it_was_measured():
-    late, punctual = TargetEstimator(LINK), TargetEstimator(LINK)
-    for n in range(20):
-        for estimator in (late, punctual):
-            estimator.update(0.05 * n, *circle(0.05 * n))
-    assert late.at(1.3) == punctual.at(1.3)  # whenever it came, and whatever was asked in between
-    position, _ = circle(1.3)
-    assert math.dist(late.at(1.3).position_enu_m, position) < 0.01
 
 
 @pytest.mark.parametrize("gap_s", [RESTART_S + 1e-6, 30.0, 0.0, -0.01, -1e6])
