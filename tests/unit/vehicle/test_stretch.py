@@ -60,7 +60,7 @@ def test_a_landing_in_stretches_is_the_same_to_the_last_bit(name, seed, filter_n
 
 
 @pytest.mark.parametrize("filter_name", ["robust", "paper"])
-@pytest.mark.parametrize("rate_hz", [10, 11, 12, 15, 19, 37, 77, 144, 333, 500])
+@pytest.mark.parametrize("rate_hz", [10, 15, 37, 144, 500])
 def test_at_every_rate_a_landing_in_stretches_is_the_same(rate_hz, filter_name):
     """Streams of the vehicle that are as quick as the ticks, and slower ones that have to catch up, too."""
     room = load("room")

@@ -1,4 +1,4 @@
-"""Vehicles and pads: the least sum of all permutations; equal sums; straight approaches never cross."""
+"""Vehicles and pads: the least sum of all permutations; equal sums."""
 
 import itertools
 import math
@@ -39,33 +39,6 @@ def test_it_is_the_best_of_all_permutations(fleet):
     assert assign(*fleet) == by_trying(*fleet)
 
 
-def side(a, b, c):
-    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-
-
-def cross_by(a, b, c, d):
-    """How far beyond each other the ends of two lines are; positive: they cross."""
-    if min(math.dist(a[:2], b[:2]), math.dist(c[:2], d[:2])) == 0.0:
-        return 0.0
-    one = [side(a, b, e) / math.dist(a[:2], b[:2]) for e in (c, d)]
-    other = [side(c, d, e) / math.dist(c[:2], d[:2]) for e in (a, b)]
-    if one[0] * one[1] >= 0.0 or other[0] * other[1] >= 0.0:
-        return 0.0
-    return min(map(abs, (*one, *other)))
-
-
-@given(fleets(PLACE))
-def test_straight_approaches_do_not_cross(fleet):
-    starts, pads = fleet
-    lines = [(start, pads[k]) for start, k in zip(starts, assign(starts, pads), strict=True)]
-    for (a, b), (c, d) in itertools.combinations(lines, 2):
-        assert cross_by(a, b, c, d) < 0.01  # distances are rounded: lines nearly one on the other may
-
-
-def test_crossing_lines_are_found_by_the_test():
-    assert cross_by((-1, 0), (1, 0), (0, -1), (0, 1)) == 1.0
-
-
 def test_equal_sums_leave_each_vehicle_its_own_pad():
     square = [(1.0, 1.0, 0.0), (1.0, -1.0, 0.0), (-1.0, -1.0, 0.0)]
     assert assign([(0.0, 0.0, 1.0)] * 3, square) == (0, 1, 2)
@@ -74,10 +47,6 @@ def test_equal_sums_leave_each_vehicle_its_own_pad():
     assert (
         assign([(9.0, 9.0, 0.0), (9.0, -9.0, 0.0), (0.0, 0.0, 0.0)], [*square[:2], (-9.0, 0.0, 0.0)])[2] == 2
     )
-
-
-def test_heights_do_not_count():
-    assert assign([(0.0, 0.0, 9.0), (1.0, 0.0, 0.0)], [(0.2, 0.0, 0.0), (1.0, 0.0, 9.0)]) == (0, 1)
 
 
 @pytest.mark.parametrize(

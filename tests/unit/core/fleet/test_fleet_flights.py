@@ -47,7 +47,7 @@ def test_two_that_meet_head_on_pass_each_other_and_land():
     assert sky.least_h_m >= 0.0, sky.least_at
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1])
 def test_three_land_on_pads_that_drive_and_cross(seed):
     starts = [(-2.0, 0.0, 1.0), (2.0, 0.3, 1.0), (0.0, 2.0, 1.2)]
     pads = [driving(1.0, -0.8, -0.1, 0.02), driving(-1.0, 0.8, 0.1, 0.0), driving(0.2, -2.0, 0.0, 0.1)]
@@ -58,7 +58,7 @@ def test_three_land_on_pads_that_drive_and_cross(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1])
 def test_eight_change_places(seed):
     ring = [2.0 * math.pi * k / 8 for k in range(8)]
     starts = [(2.5 * math.cos(a), 2.5 * math.sin(a), 1.0) for a in ring]
@@ -71,7 +71,7 @@ def test_eight_change_places(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_one_falls_silent_and_nobody_comes_too_near(seed):
     starts = [(-2.0, 0.0, 1.0), (2.0, 0.0, 1.0), (0.0, 2.0, 1.0)]
     pads = [parked(2.0, 0.1), parked(-2.0, 0.0), parked(0.1, -2.0)]

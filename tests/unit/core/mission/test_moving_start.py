@@ -31,7 +31,7 @@ def take_off(path, speed_m_s, turn_rate_rad_s=0.0):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("speed_m_s", [0.1, 0.3])
+@pytest.mark.parametrize("speed_m_s", [0.3])
 @pytest.mark.parametrize(("path", "turn_rate_rad_s"), [(STRAIGHT, 0.0), (CIRCLE, 0.5), (CIRCLE, -0.2)])
 def test_the_start_beside_a_driving_robot_is_reached(path, turn_rate_rad_s, speed_m_s):
     phases = take_off(path, speed_m_s, turn_rate_rad_s)

@@ -315,14 +315,3 @@ def test_a_sender_that_says_it_is_worse_is_believed_and_one_that_is_better_is_no
     assert found.memory.position_enu_m[:2] == pytest.approx(configured.memory.position_enu_m[:2], abs=1e-12)
     assert found.memory.covariance_z == fed(LINK).memory.covariance_z
     assert found.at(1.3).position_sigma_m >= fed(LINK).at(1.3).position_sigma_m
-
-
-def told(steps):
-    """What an estimator makes of samples at irregular times, some of them after a gap, to the last bit."""
-    estimator, rng, t_s = TargetEstimator(LINK), random.Random(5), 0.0
-    for _ in range(steps):
-        t_s += rng.choice((0.01, 0.05, 0.05, 0.4, 1.5))
-        position, velocity = (tuple(rng.gauss(0.0, 1.0) for _ in range(3)) for _ in range(2))
-        estimator.update(t_s, position, velocity, rng.choice((rng.uniform(-3.0, 3.0), math.nan)), 0.01)
-        for ahead_s in (-0.02, 0.0, 1e-4, 0.07, 0.5):
-            yield repr((estimator.memory, estimator.at(t_s + ahead_s)))
