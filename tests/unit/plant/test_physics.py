@@ -1,4 +1,4 @@
-"""The plant against closed forms, conservation laws and a second model; its loops against linear ones."""
+"""The plant against a second model, a conservation law and a closed form."""
 
 import math
 

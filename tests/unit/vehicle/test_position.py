@@ -25,7 +25,6 @@ from sim.scenarios.scenario import Start, StartKind, VehicleSpec, VelocityLoop
 from tests.unit.vehicle.vehicle_sim_helpers import vehicle
 
 PARAMS, ROOM = load(), load("crazyflie21_room")
-LEVEL = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 WEIGHT = MASS_KG * 9.81
 
 
