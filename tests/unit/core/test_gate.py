@@ -97,6 +97,23 @@ def test_the_verdicts_numbers_are_those_of_the_log():
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    ("changes", "verdict"),
+    [
+        ({}, APPROVED),
+        ({"own_fresh": False}, GateVerdict.OWN_STALE),
+        ({"target_fresh": False}, GateVerdict.TARGET_STALE),
+        ({"yaw": math.nan}, GateVerdict.NOT_FINITE),
+        ({"velocity": (0.0, 0.0, 0.6)}, GateVerdict.OUTSIDE_BOX),
+        ({"altitude_m": 3.01, "velocity": (0.0, 0.0, 0.01)}, GateVerdict.TOO_HIGH),
+        ({"altitude_m": 3.01, "velocity": (0.0, 0.0, -0.01)}, APPROVED),
+        ({"barrier_check": plane_check(), "velocity": (0.0, 0.0, -0.5)}, GateVerdict.BARRIER),
+    ],
+)
+def test_every_verdict_of_the_gate(changes, verdict):
+    assert check(**changes)[0] is verdict
+
+
 def test_of_several_reasons_the_worst_is_named():
     everything = {
         "own_fresh": False, "target_fresh": False, "velocity": (math.nan, 9.0, 9.0), "altitude_m": 9.0,
@@ -191,6 +208,15 @@ def test_the_filters_promise_is_held_to_the_float(e, target):
     assert found == pytest.approx(target[2] - 0.7 * e[2] - SOLVER_TOLERANCE_M_S, abs=1e-13)
 
 
+def test_a_promise_that_is_just_kept_is_kept():
+    gate = Gate(0.5, (9.0, 9.0, 9.0), 3.0, 1.0)  # one second, so that nothing is rounded
+    sinking = (0.0, 0.0, -SOLVER_TOLERANCE_M_S)
+    on_the_edge = {**GOOD, "barrier_check": plane_check((1.0, 0.0, 0.0))}
+    assert gate.check(sinking, sinking, 0.0, **on_the_edge)[0] is APPROVED
+    sinking = (0.0, 0.0, math.nextafter(-SOLVER_TOLERANCE_M_S, -1.0))
+    assert gate.check(sinking, sinking, 0.0, **on_the_edge)[0] is GateVerdict.BARRIER
+
+
 @pytest.mark.parametrize("target", [(0.1, 0.7, 0.0), (-0.4, -0.2, 0.3)])
 @pytest.mark.parametrize("sideways", [(0.9, 0.0), (0.0, -0.6)])
 def test_what_the_barrier_bends_away_by_is_allowed_for_and_no_more(target, sideways):
@@ -202,6 +228,15 @@ def test_what_the_barrier_bends_away_by_is_allowed_for_and_no_more(target, sidew
         ask = plane_check((place, 0.0, 0.1), target, bend_1_m=bend)
         lowest = straight - bend * place * moved_m / 0.01
         assert lowest_approved(gate, ask, sideways) == pytest.approx(lowest, abs=1e-10)
+
+
+def test_what_is_missed_by_just_what_is_allowed_passes():
+    sinking = (0.25, 0.0, -0.5)
+    missing_m = 0.5 - SOLVER_TOLERANCE_M_S  # of one second, from h = 0
+    gate = Gate(0.5, (9.0, 9.0, 9.0), 3.0, 1.0)
+    for allowed_m, verdict in ((missing_m, APPROVED), (math.nextafter(missing_m, 0.0), GateVerdict.BARRIER)):
+        ask = plane_check((1.0, 0.0, 0.0), bend_1_m=4.0 * allowed_m)  # a quarter of a metre of way
+        assert gate.check(sinking, sinking, 0.0, **{**GOOD, "barrier_check": ask})[0] is verdict
 
 
 speeds = st.floats(-1.5, 1.5)
