@@ -93,7 +93,7 @@ def prepare(options: RunOptions) -> TeamScenario:
 
 def adapted(options: RunOptions, scenario: Scenario) -> Scenario:
     """Return a scenario as the options want it. Raises ConfigError: it must not fly."""
-    name = options.config_file or VEHICLES[options.flies].configuration(scenario)
+    name = options.config_file or VEHICLES[options.flies].configuration(scenario, options.program)
     if name is not None:
         scenario = replace(scenario, onboard=_begun_as(scenario, load_config(name)))
     if options.filter is not None:

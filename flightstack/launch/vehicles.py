@@ -8,6 +8,8 @@ their position from where they start, so the robot is moved instead.
 from __future__ import annotations
 
 import contextlib
+import mmap
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -177,6 +179,20 @@ ARDUPILOT_PARAMETERS: Mapping[str, float] = {
 }
 
 
+_FIRMWARE = re.compile(rb"ArduCopter V(\d+)\.(\d+)")  # THISFIRMWARE of ArduCopter/version.h
+_DEAD_TIME_SINCE = (4, 7)  # release whose velocity loop has a dead time (ATC_INPUT_TC)
+
+
+def _ardupilot_configuration(program: Path | None) -> str:
+    """Return the name of the configuration for the release that the program holds; unknown: the newest."""
+    release = _DEAD_TIME_SINCE
+    if program is not None and program.is_file() and program.stat().st_size:
+        with program.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as held:
+            if found := _FIRMWARE.search(held):
+                release = int(found[1]), int(found[2])
+    return "ardupilot-1kg" if release < _DEAD_TIME_SINCE else "ardupilot47-1kg"
+
+
 class Vehicle(NamedTuple):
     """A kind of vehicle that ``sitl`` can fly."""
 
@@ -184,7 +200,8 @@ class Vehicle(NamedTuple):
     # endpoint of the robots; LaunchError: it is not ready
     start: Callable[[Launcher, RunOptions, TeamScenario, str], Flying]
     configs: Mapping[str, str] = {}  # names of configurations by airframe; else the scenario's own
-    config: str | None = None  # name of the configuration for all airframes
+    # name of the configuration for all airframes of the program at this place
+    config: Callable[[Path | None], str] | None = None
     with_robots: bool = False  # its process simulates the robots, too
     at_origin: bool = False  # its position counts from its start, so the robot is moved instead
 
@@ -192,16 +209,18 @@ class Vehicle(NamedTuple):
         """Return the scenario with the changes that this vehicle needs."""
         return around_the_start(scenario) if self.at_origin else scenario
 
-    def configuration(self, scenario: Scenario) -> str | None:
+    def configuration(self, scenario: Scenario, program: Path | None) -> str | None:
         """Return the name of the configuration for this vehicle; None: the scenario's own."""
-        return self.config or self.configs.get(scenario.vehicle.airframe)
+        if self.config is not None:
+            return self.config(program)
+        return self.configs.get(scenario.vehicle.airframe)
 
 
 VEHICLES: Mapping[Flies, Vehicle] = {
     Flies.OWN: Vehicle(_own, with_robots=True),
     Flies.PX4: Vehicle(_px4, configs={"crazyflie20": "px4-crazyflie", "quad_1000g": "px4-1kg"}),
-    Flies.PX4_SIH: Vehicle(_px4_sih, config="px4-1kg", at_origin=True),
-    Flies.ARDUPILOT: Vehicle(_ardupilot, config="ardupilot-1kg", at_origin=True),
+    Flies.PX4_SIH: Vehicle(_px4_sih, config=lambda _: "px4-1kg", at_origin=True),
+    Flies.ARDUPILOT: Vehicle(_ardupilot, config=_ardupilot_configuration, at_origin=True),
 }
 
 

@@ -12,6 +12,8 @@ import pytest
 
 from flightstack.common.strict_toml import dumps
 from flightstack.config.files import path_of
+from flightstack.launch.run_options import Flies
+from flightstack.launch.vehicles import VEHICLES
 from logs.reader.flight import load_flight
 from sim.scenarios.scenario import PathKind, load
 from tests.integration.flights.test_sitl import KEYS
@@ -128,6 +130,23 @@ def test_arducopters_program_is_started_and_flown_over_tcp(tmp_path):
     assert (done.json["outcome"], done.json["judged_from"]) == ("landed", "estimate")
     defaults = (tmp_path / "run" / "ardupilot" / "defaults.parm").read_text()
     assert "GUID_TIMEOUT 0.5\n" in defaults
+
+
+@pytest.mark.parametrize(
+    ("holds", "name"),
+    [
+        (b"\x7fELF..ArduCopter V4.6.3 (8f1c2a7)\x00", "ardupilot-1kg"),
+        (b"ArduCopter V4.7.0\x00", "ardupilot47-1kg"),
+        (b"\x00" * 5000 + b"ArduCopter V4.8.0-dev (1a2b)", "ardupilot47-1kg"),
+        (b"ArduCopter V4.10.1", "ardupilot47-1kg"),
+        (b"#!/bin/sh", "ardupilot47-1kg"),
+        (b"", "ardupilot47-1kg"),
+    ],
+)
+def test_arducopters_configuration_is_that_of_the_release_in_its_program(holds, name, tmp_path):
+    program = tmp_path / "arducopter"
+    program.write_bytes(holds)
+    assert VEHICLES[Flies.ARDUPILOT].configuration(load("large"), program) == name
 
 
 @pytest.mark.parametrize(
