@@ -61,6 +61,7 @@ class Senders:
     )
     _sequence: int = 0  # sequence number of the newest frame of the known sender
     _steady: int = 0  # its frames in a row without a gap
+    _number: int = -1  # sequence number of its newest frame that was no repetition
     _newest: dict[tuple[int, int, int], None] = field(default_factory=dict)  # its frames, in order
     _others: dict[Peer, _Other] = field(default_factory=dict)
     _due: int = 1  # count of ignored frames at which the next notice is due
@@ -122,9 +123,10 @@ class Senders:
         """Whether a frame of the known sender has come before; requests of lockstep may come again."""
         header, newest = message.get_header(), self._newest
         frame = (header.seq, header.msgId, message.get_crc())
-        # a message without a checksum was never on a wire
-        if header.msgId == dialect.MAVLINK_MSG_ID_TIMESYNC or frame[2] is None:
+        # a message without a checksum was never on a wire; a sender may also number all frames alike
+        if header.msgId == dialect.MAVLINK_MSG_ID_TIMESYNC or frame[2] is None or header.seq == self._number:
             return False
+        self._number = header.seq
         if frame in newest:
             self.repeated += 1
             return True
