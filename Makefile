@@ -41,6 +41,12 @@ quick: $(VENV)/.test
 	$(call CHECK,$(WARM))
 	$(BIN)/python -m pytest -n logical --dist loadgroup -q -m "not slow" tests/unit
 
+# the documentation site, into build/site; a broken link fails
+docs: | $(VENV)/bin/python
+	$(PIP) --editable '.[sim,docs]'
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	@echo build/site/index.html
+
 bench: $(VENV)/.test
 	$(BIN)/python -m tests.benchmarks
 
@@ -54,7 +60,7 @@ $(VENV)/.fly: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@touch $@
 
 $(VENV)/.test: pyproject.toml constraints.txt tests/requirements-nodeps.txt tests/node/package-lock.json | $(VENV)/bin/python
-	$(PIP) --editable '.[all]'
+	$(PIP) --editable '.[all,docs]'
 	$(PIP) --no-deps --requirement tests/requirements-nodeps.txt
 	@if command -v npm >/dev/null; then npm ci --silent --no-audit --no-fund --prefix tests/node; \
 	  else echo "no npm: logs are not opened by @mcap/core"; fi
