@@ -20,6 +20,7 @@ BENCHMARKS = {
     "fault_grid": "fault_grid:main",
     "equal_rows": "equal_rows:main",
     "fleet_faults": "fleet_faults:main",
+    "landing_animation": "landing_figure:animation",
     "landing_figure": "landing_figure:main",
     "paper_runs": "flights:paper_runs",
     "proven": "proven:main",

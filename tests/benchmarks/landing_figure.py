@@ -1,5 +1,6 @@
 """The picture of a landing at the top of the README, flown and drawn anew.
 
+``python -m tests.benchmarks landing_animation`` writes docs/figures/landing.gif, a film of the same landing.
 ``python -m tests.benchmarks landing_figure`` flies one seed of a scenario in this process and writes
 docs/figures/landing.svg. The same code flies the same landing to the last bit, and draws the same file.
 """
@@ -12,6 +13,7 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
+from matplotlib.animation import FuncAnimation, PillowWriter
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
@@ -26,6 +28,9 @@ from tests.benchmarks.vehicle import plots as vehicle_plots
 
 F64 = npt.NDArray[np.float64]
 FILE = Path(__file__).parents[2] / "docs" / "figures" / "landing.svg"
+FILM = FILE.with_suffix(".gif")
+FRAMES_HZ = 15.0
+AFTER_S = 1.0  # s shown after the first contact
 SEED = 1
 START_OFFSET_M = (-1.3, 0.0, 0.8)  # from the landing spot, east north up: the robot drives in that plane
 BEFORE_S = (4.0, 2.0, 0.0)  # s before the first contact at which the robot and its barrier are drawn
@@ -100,6 +105,45 @@ def draw(landing: Landing, barrier: Barrier, file: Path) -> None:
         side_view(left, truth, barrier, touch_s)
         barrier_value(right, truth, touch_s, landing.seen.pad_radius_m)
         figure.savefig(file, metadata={"Date": None})
+
+
+def animate(landing: Landing, barrier: Barrier, file: Path) -> None:
+    """Write a film of a landing from the side, in real time."""
+    truth, robot = landing.seen.truth, load_plant("crazyflie20").robot
+    touch_s = float(truth.first_touch_time_s[-1])
+    times_s = np.arange(truth.t_s[0], touch_s + AFTER_S, 1.0 / FRAMES_HZ)
+    d = np.linspace(-REACH_M, REACH_M, 81)
+    boundary = np.array([barrier.height(abs(float(each))) for each in d])
+    x, z = truth.position_enu_m[:, 0], truth.position_enu_m[:, 2]
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 2.6), layout="constrained", facecolor="white", dpi=100)
+        axes = figure.subplots()
+
+        def frame(t_s: float) -> None:
+            at = min(int(np.searchsorted(truth.t_s, t_s)), len(truth.t_s) - 1)
+            pad_x, _, pad_z = truth.pad_position_enu_m[at]
+            axes.clear()
+            axes.fill_between(pad_x + d, 0.0, pad_z + boundary, color=BOUNDARY, alpha=0.06, lw=0)
+            axes.plot(pad_x + d, pad_z + boundary, color=BOUNDARY, lw=1.2)
+            low = robot.ground_clearance_m
+            axes.add_patch(Rectangle((pad_x - 0.5 * robot.body_length_m, low), robot.body_length_m,
+                                     pad_z - low, color=TARGET, lw=0))  # fmt: skip
+            axes.plot(x[: at + 1 : 4], z[: at + 1 : 4], color=TRUE, lw=1.2, alpha=0.6)
+            axes.plot([x[at] - 0.06, x[at] + 0.06], [z[at], z[at]], color=TRUE, lw=4.0)
+            axes.set(xlim=(float(x.min()) - 0.2, float(x.max()) + 0.6), ylim=(0.0, 1.4), xlabel="east [m]",
+                     ylabel="height [m]")  # fmt: skip
+            axes.set_aspect("equal")
+            axes.set_title(f"h = {truth.h_m[at]:+.2f} m, {touch_s - t_s:.1f} s before touchdown"
+                           if t_s < touch_s else "landed", loc="left")  # fmt: skip
+
+        film = FuncAnimation(figure, frame, frames=times_s, blit=False, cache_frame_data=False)
+        film.save(file, writer=PillowWriter(fps=FRAMES_HZ))
+
+
+def animation() -> None:
+    flown = scenario()
+    animate(land(flown, SEED), flown.onboard.barrier.build(), FILM)
+    print(f"{FILM}: {FILM.stat().st_size / 1024:.0f} KB")
 
 
 def main() -> None:
