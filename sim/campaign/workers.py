@@ -16,6 +16,7 @@ import hashlib
 import multiprocessing
 import pickle
 import signal
+import sys
 import threading
 import time
 from collections import Counter, deque
@@ -114,7 +115,8 @@ class _Worker:
         self.process: BaseProcess = context.Process(
             target=_work, args=(theirs, scenario_toml, not_its_own, given), daemon=True
         )
-        self.process.start()
+        with contextlib.nullcontext() if forks else _without_main():
+            self.process.start()
         theirs.close()
         self.ready = False
         self.seed: int | None = None
@@ -132,6 +134,19 @@ class _Worker:
         if self.process.is_alive():
             self.process.kill()
             self.process.join(_END_S)
+
+
+@contextlib.contextmanager
+def _without_main() -> Iterator[None]:
+    """Start processes that do not run the program again: a script need not guard its calls."""
+    main = sys.modules["__main__"]
+    file, main.__spec__, spec = vars(main).pop("__file__", None), None, main.__spec__
+    try:
+        yield
+    finally:
+        main.__spec__ = spec
+        if file is not None:
+            main.__file__ = file
 
 
 def _work(

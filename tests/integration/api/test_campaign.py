@@ -1,5 +1,7 @@
 """Campaigns and sweeps of the library."""
 
+import subprocess
+import sys
 import threading
 
 import pytest
@@ -39,6 +41,27 @@ def test_a_local_class_reaches_workers_that_cannot_be_forked():
         ends.set()
         other.join()
     assert row.violation
+
+
+SCRIPT = """
+import threading
+import flightstack as fs
+ends = threading.Event()
+threading.Thread(target=ends.wait).start()
+class Slower(fs.Filter):
+    def filter(self, nominal, at):
+        return 0.5 * nominal
+print(fs.campaign("lab", seeds=[1], filter=Slower).rows[0].violation)
+ends.set()
+"""
+
+
+def test_a_script_with_threads_needs_no_guard(tmp_path):
+    (tmp_path / "script.py").write_text(SCRIPT)
+    done = subprocess.run(
+        [sys.executable, tmp_path / "script.py"], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.splitlines() == ["True"]
 
 
 def test_a_sweep_judges_by_the_barrier_that_flew():
