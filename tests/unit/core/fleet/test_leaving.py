@@ -148,7 +148,7 @@ def over_the_pad(sky, radius_m):
     return [f for f in sky.flyers if math.dist(f.position[:2], pad[:2]) < radius_m]
 
 
-@pytest.mark.parametrize("seed", [1])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_three_land_on_one_pad_and_free_it(seed):
     sky = Sky(turns(), seed=seed)
 
