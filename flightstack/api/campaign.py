@@ -37,7 +37,7 @@ _HIDDEN = ("cells",)  # columns of a row that are no result
 _RATES = ("landed", "violations")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Campaign:
     """Landings of one scenario.
 
@@ -66,8 +66,16 @@ class Campaign:
         """Number of landings."""
         return len(self.rows)
 
+    def __repr__(self) -> str:
+        landed = sum(row.landed for row in self.rows)
+        violations = sum(row.violation is not False for row in self.rows)
+        return (
+            f"Campaign({self.scenario.name}: {landed} of {len(self)} landed, {violations} with a "
+            f"violation or not known, {self.wall_s:.1f} s)"
+        )
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class Sweep:
     """Landings on a grid of keys.
 
@@ -97,6 +105,13 @@ class Sweep:
                 "runs": runs, "landed": landed, "violations": violations
             })  # fmt: skip
         return found
+
+    def __repr__(self) -> str:
+        lines = (
+            f"  {', '.join(f'{k} {v}' for k, v in zip(self.keys, values, strict=True))}: {campaign!r}"
+            for values, campaign in self.points
+        )
+        return "\n".join(("Sweep(", *lines, ")"))
 
     def plot(self) -> go.Figure:
         """Figure of the shares that landed and that violated the barrier, over the first key.

@@ -29,6 +29,8 @@ def test_a_campaign_is_a_table_and_equals_single_landings():
             verdict.h_min_m,
         )
     assert len(result) == 2
+    assert repr(result).startswith("Campaign(lab: ")
+    assert len(repr(result)) < 100
 
 
 def test_a_local_class_reaches_workers_that_cannot_be_forked():
