@@ -16,7 +16,9 @@ BENCHMARKS = {
     "environment": "speed:environment",
     "lockstep": "speed:lockstep",
     # for hours, or with a picture or a page as their result
+    "crazyflie_faults": "crazyflie_landings:faults",
     "crazyflie_landings": "crazyflie_landings:main",
+    "crazyflie_rows": "crazyflie_landings:rows",
     "fault_grid": "fault_grid:main",
     "equal_rows": "equal_rows:main",
     "fleet_faults": "fleet_faults:main",
@@ -29,7 +31,7 @@ BENCHMARKS = {
     "tier_results": "tier_results:main",
     "vehicle_figures": "vehicle.figures:main",
 }
-BENCH = list(BENCHMARKS)[: list(BENCHMARKS).index("crazyflie_landings")]
+BENCH = list(BENCHMARKS)[: list(BENCHMARKS).index("crazyflie_faults")]
 
 
 def run(name: str) -> None:

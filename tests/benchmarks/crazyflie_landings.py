@@ -3,6 +3,8 @@
 The stand-in for firmware 2026.08 flies the simulated physics by poses of ``bridge crazyflie --mocap``;
 ``onboard --config crazyflie`` lands it on a robot of up to 0.3 m/s, which drives before the take-off already.
 ``python -m tests.benchmarks crazyflie_landings [LANDINGS [FIRST_SEED [BRIDGE_OPTION ...]]]``: a row each.
+``crazyflie_rows SEED ...`` flies four in a row. ``crazyflie_faults`` flies the faults of which the effects
+were measured: each has to end on pad or floor.
 """
 
 from __future__ import annotations
@@ -12,8 +14,10 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from bridge.zenoh import zenoh_link
 from flightstack.common.processes import ended
@@ -30,10 +34,11 @@ from tests.integration.sim_processes import ROOT
 from tests.integration.wires.bridge_processes import KEY, Mocap, verb
 from tests.processes.ports import free_endpoint
 
-LANDINGS = 100
+LANDINGS, IN_A_ROW = 100, 4
 FLIGHT_MAX_S = 120.0
 REST_S = 2.5  # after the end, until it is judged
 DOWN_MAX_S = 30.0  # after the end of the onboard process, until its motors are off on pad or floor
+FAULT_AFTER_S, FAULT_ABOVE_M = 3.0, 0.5  # a fault begins so long after it is so high
 SPEED_MAX_M_S = 0.3
 PATHS = (PathKind.STRAIGHT, PathKind.CIRCLE, PathKind.STOP_AND_GO, PathKind.REVERSING)
 
@@ -74,8 +79,30 @@ def scenario(seed: int) -> Scenario:
     )
 
 
-def fly(one: Scenario, seed: int, *options: str) -> Landing:
-    """Fly it; ``options`` are more of ``bridge crazyflie``."""
+class Flying(NamedTuple):
+    """What a fault may work on."""
+
+    server: Server
+    mocap: Mocap
+    onboard: subprocess.Popen[str]
+
+
+def fly(
+    one: Scenario, seed: int, *options: str, flights: int = 1, loss: float = 0.0, tilt_rad: float = 0.0,
+    fault: Callable[[Flying], None] | None = None, **firmware: Any,
+) -> list[Landing]:  # fmt: skip
+    """Fly it so many times in a row, with the same firmware and bridge.
+
+    Args:
+        one: scenario.
+        seed: of robot, vehicle and wind.
+        options: more of ``bridge crazyflie``.
+        flights: in a row.
+        loss: share of the packets that get lost, each way.
+        tilt_rad: of the markers against the body, about body y.
+        fault: called once in each flight.
+        firmware: more of ``Firmware``.
+    """
     here, there = free_endpoint(), free_endpoint()
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "scenario.toml"
@@ -87,27 +114,30 @@ def fly(one: Scenario, seed: int, *options: str) -> Landing:
         )  # fmt: skip
         session = zenoh_link.open_session([], [here])
 
+        def pose() -> tuple:
+            (w, x, y, z), half = plant.true_quaternion, 0.5 * tilt_rad
+            return plant.position, (w - half * y, x - half * z, y + half * w, z + half * x)
+
         try:
             plant = SimPlant(one, seed, session, by_poses=True)
-            made = Firmware(plant, needs_poses=True)
-
-            def pose() -> tuple:
-                return plant.position, plant.true_quaternion
-
-            with Server(made, seed=seed) as server, Mocap(KEY, pose) as mocap:
+            made = Firmware(plant, needs_poses=True, **firmware)
+            with Server(made, loss=loss, seed=seed) as server, Mocap(KEY, pose) as mocap:
                 words = ("--uri", server.uri, "--url", "udpin:127.0.0.1:0")
                 posed = ("--mocap", KEY, "--connect", mocap.endpoint)
                 with verb("crazyflie", *words, *posed, *options) as bridge:
                     vehicle = bridge.url.replace("udpin", "udpout")
                     words = ("--vehicle", vehicle, "--connect", here, "--listen", there)
-                    return _land(plant, server, words)
+                    return [_land(plant, server, mocap, words, fault) for _ in range(flights)]
         finally:
             session.close()
             ended(robot)
 
 
-def _land(plant: SimPlant, server: Server, words: tuple[str, ...]) -> Landing:
-    began_s = time.monotonic()
+def _land(
+    plant: SimPlant, server: Server, mocap: Mocap, words: tuple[str, ...],
+    fault: Callable[[Flying], None] | None,
+) -> Landing:  # fmt: skip
+    began_s, high_s = time.monotonic(), math.inf
     with tempfile.TemporaryFile("w+") as out:
         onboard = subprocess.Popen(
             [*COMMAND, "onboard", *words, "--config", "crazyflie", "--no-record", "--duration",
@@ -117,6 +147,10 @@ def _land(plant: SimPlant, server: Server, words: tuple[str, ...]) -> Landing:
         try:
             while onboard.poll() is None and time.monotonic() - began_s < FLIGHT_MAX_S + DOWN_MAX_S:
                 time.sleep(0.02)
+                high_s = min(high_s, time.monotonic()) if plant.position[2] > FAULT_ABOVE_M else math.inf
+                if fault is not None and time.monotonic() - high_s > FAULT_AFTER_S:
+                    fault(Flying(server, mocap, onboard))
+                    fault = None
         finally:
             ended(onboard)
         out.seek(0)
@@ -138,6 +172,56 @@ def _land(plant: SimPlant, server: Server, words: tuple[str, ...]) -> Landing:
     return Landing(error_m, place, not plant.motors, locked, reason, seconds)
 
 
+def _silent(flying: Flying) -> None:
+    flying.server.mute = flying.server.deaf = True
+    time.sleep(1.3)
+    flying.server.mute = flying.server.deaf = False
+
+
+FAULTS: dict[str, tuple[dict[str, Any], Callable[[Flying], None] | None]] = {
+    "drag not known": ({"options": ("--airframe", "none")}, None),
+    "markers tilted by 1 degree": ({"tilt_rad": 0.0175}, None),
+    "motion capture ends": ({}, lambda flying: flying.mocap.stop()),
+    "radio silent for 1.3 s": ({}, _silent),
+    "firmware restarts in the air": ({}, lambda flying: flying.server.firmware.restart()),
+    "set-points end": ({}, lambda flying: flying.onboard.kill()),
+    "simulator stalls for 0.2 s": ({}, lambda flying: flying.server.firmware.stall(0.2)),
+    "clock at 0.97": ({"clock_rate": 0.97}, None),
+    "10 % of the packets lost": ({"loss": 0.1}, None),
+    "tables of 901 entries": ({"tables": (567, 334)}, None),
+}
+
+
+def faults() -> None:
+    """Fly each fault once and print how it ends; words given choose those whose names hold one."""
+    chosen = [name for name in FAULTS if not sys.argv[1:] or any(word in name for word in sys.argv[1:])]
+    for seed, name in enumerate(chosen, 1):
+        more, fault = FAULTS[name]
+        options = more.get("options", ())
+        others = {key: value for key, value in more.items() if key != "options"}
+        landing = fly(scenario(seed), seed, *options, fault=fault, **others)[0]
+        down = landing.place in ("pad", "floor") and landing.motors_off
+        print(
+            f"{name}: {'down' if down else 'NOT DOWN'}, {landing.place}, "
+            f"{'locked, ' if landing.locked else ''}{landing.seconds:.0f} s: {landing.reason}",
+            flush=True,
+        )
+
+
+def rows() -> None:
+    """Fly four landings in a row of each given seed; the later ones take off from the pad that drives."""
+    good = 0
+    for seed in map(int, sys.argv[1:]):
+        landings = fly(scenario(seed), seed, flights=IN_A_ROW)
+        good += sum(each.good for each in landings)
+        told = ", ".join(
+            f"{100.0 * each.error_m:.1f} cm" if each.good else f"{each.place}: {each.reason}"
+            for each in landings
+        )
+        print(f"{seed} {scenario(seed).target.path.value} {told}", flush=True)
+    print(f"{good} of {IN_A_ROW * len(sys.argv[1:])} landed")
+
+
 def main() -> None:
     """Print a row for each landing, then the sums."""
     given = sys.argv[1:]
@@ -145,7 +229,7 @@ def main() -> None:
     count, first, options = (*numbers, *(LANDINGS, 1)[len(numbers) :], given[2:])
     landings = []
     for seed in range(first, first + count):
-        landing = fly(scenario(seed), seed, *options)
+        landing = fly(scenario(seed), seed, *options)[0]
         landings.append(landing)
         print(
             f"{seed} {scenario(seed).target.path.value} {'good' if landing.good else 'BAD'} {landing.place} "
