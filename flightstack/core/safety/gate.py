@@ -131,11 +131,10 @@ class Gate:
         The promise is linear; a result of the filter that keeps it may miss by the boundary's bend and by the
         slope that the gradient leaves out at the apex, and by no more (docs/how_it_works/robust_filter.md).
         """
-        if check.status is FilterStatus.OWN:
-            return True  # the class answers for it
         status, hopeless = check.status, check.status is FilterStatus.INFEASIBLE
         solved = status is FilterStatus.SOLVED or status is FilterStatus.CLOSED_FORM
-        if not (solved or hopeless or status is FilterStatus.CROWDED):
+        own = status is FilterStatus.OWN  # of a class of the user, which promises nothing
+        if not (solved or hopeless or own or status is FilterStatus.CROWDED):
             return False
         t = self.period_s
         (ex, ey, ez), (tx, ty, tz), (vx, vy, vz) = check.e_m, check.target_velocity_enu_m_s, velocity
@@ -143,8 +142,8 @@ class Gate:
         then = check.barrier.h((ex + (vx - tx) * t, ey + (vy - ty) * t, ez + (vz - tz) * t))
         if not math.isfinite(now + then):
             return False
-        if hopeless:
-            return True  # nothing better is in the box
+        if hopeless or own:
+            return True  # hopeless: nothing better is in the box
         missing_m = now * (1.0 - self.omega_1_s * t) - then - SOLVER_TOLERANCE_M_S * t
         # mostly there is nothing to allow for
         return missing_m <= 0.0 or missing_m <= check.barrier.linearisation_bound_m(

@@ -31,7 +31,10 @@ GOOD = {"own_fresh": True, "target_fresh": True, "altitude_m": 1.0, "barrier_che
 STILL = (0.0, 0.0, 0.0)
 APPROVED = GateVerdict.APPROVED
 LEAST = math.ulp(0.0)
-PASSING = (FilterStatus.SOLVED, FilterStatus.CLOSED_FORM, FilterStatus.INFEASIBLE, FilterStatus.CROWDED)
+PASSING = (
+    FilterStatus.SOLVED, FilterStatus.CLOSED_FORM, FilterStatus.INFEASIBLE, FilterStatus.CROWDED,
+    FilterStatus.OWN,
+)  # fmt: skip
 
 
 def check(velocity=(0.1, 0.0, -0.1), yaw=0.0, setpoint=None, **changes):
@@ -291,7 +294,7 @@ def test_the_vehicles_and_the_targets_motion_both_count(barrier, axis, sign):
     assert verdict(outward, outward) is APPROVED
 
 
-@pytest.mark.parametrize("status", [*FilterStatus, 6, -1, None, "SOLVED", math.nan])
+@pytest.mark.parametrize("status", [*FilterStatus, 7, -1, None, "SOLVED", math.nan])
 def test_only_a_result_of_the_filter_passes_in_a_landing(status):
     verdict = check(barrier_check=plane_check((1.0, 0.0, 2.0), status=status))[0]
     assert (verdict is APPROVED) == (status in PASSING)
