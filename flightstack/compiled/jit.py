@@ -135,7 +135,7 @@ def keep(what: str) -> None:
 
 
 @contextlib.contextmanager
-def telling(what: str = "the simulator, about 10 s") -> Iterator[None]:
+def telling(what: str = "the simulator, about 25 s") -> Iterator[None]:
     """Print the progress of compiling in the block to standard error.
 
     ``what``: is compiled, and its processor time, which a slow computer multiplies; once for each version.

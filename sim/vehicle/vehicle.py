@@ -341,7 +341,7 @@ class VehicleSim:
 def warm_up(scenario: Scenario) -> None:
     """Compile the code of a flight, or load it from the cache.
 
-    Takes about 10 s of processor time the first time on a machine, then some milliseconds.
+    Takes about 25 s of processor time the first time on a machine, then some milliseconds.
     """
     vehicle = VehicleSim(scenario, 0)
     vehicle.arm()
