@@ -5,7 +5,8 @@
 It starts at the clipped u', where sides of the box bind, and adds the constraint with the largest violation
 until there is none (Goldfarb and Idnani, Mathematical Programming 27, 1983). A constraint whose multiplier
 would become negative is removed. The result is used only if it meets the conditions of Karush, Kuhn and
-Tucker, which are checked here. It depends only on the numbers of this tick.
+Tucker, which are checked here; else ``exact.py`` tries all active sets. It depends only on the numbers of
+this tick.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from flightstack.core.fleet.exact import Row
 from flightstack.core.safety.position_loop import clip_to_box
 from flightstack.core.types import ZERO, Vec3
 
@@ -21,28 +23,11 @@ TOLERANCE_M_S = 1e-9  # allowed violation of a constraint
 STEPS_MAX = 60  # greatest number of added constraints; above it the result is not confirmed
 _CONFIRMED_M_S = 2e-9  # allowed violation of a condition
 _DEPENDS = 1e-12  # squared length of the orthogonal rest below which a unit vector depends on others
-_NEARLY_ZERO = 1e-6  # share of a gradient's largest component; moves a row by less than 1 um/s
 _LEAST_LENGTH = 1e-9  # least length of a gradient with a direction
 _SIDES: tuple[Vec3, ...] = (
     (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0),  # lower
     (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0),  # upper
 )  # fmt: skip
-
-
-class Row(NamedTuple):
-    """A constraint g . u >= b on the velocity."""
-
-    g: Vec3  # without unit
-    bound_m_s: float  # b
-
-    def missing_m_s(self, u: Vec3) -> float:
-        """Violation of the row by a velocity; not positive if it is met."""
-        return self.bound_m_s - (self.g[0] * u[0] + self.g[1] * u[1] + self.g[2] * u[2])
-
-
-class Nearest(NamedTuple):
-    point: Vec3  # m/s
-    multipliers: tuple[float, ...]  # one for each row; 0 for those that do not bind
 
 
 class Found(NamedTuple):
@@ -55,32 +40,14 @@ class Found(NamedTuple):
     lacking_m_s: float = 0.0  # violation of these constraints, m/s, if point is None
 
 
-def _straight(rows: Sequence[Row]) -> list[Row]:
-    """Rows whose gradients have no components that are nearly zero: nearly parallel to a side of the box."""
-    straight: list[Row] = []
-    for (gx, gy, gz), bound_m_s in rows:
-        least = _NEARLY_ZERO * max(abs(gx), abs(gy), abs(gz))
-        x, y, z = (g if abs(g) > least else 0.0 for g in (gx, gy, gz))
-        straight.append(Row((x, y, z), bound_m_s))
-    return straight
-
-
 def solve(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Found | None:
     """Minimiser of the program; ``None`` if the result cannot be confirmed."""
-    return _solve(nominal, rows, lower, upper) or _solve(nominal, _straight(rows), lower, upper)
-
-
-def _solve(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Found | None:
     count = len(rows)
-    normals: list[Vec3] = []
-    bounds: list[float] = []
-    lengths: list[float] = []
+    normals, bounds, lengths = [], [], []
     for (gx, gy, gz), bound in rows:
         length = math.sqrt(gx * gx + gy * gy + gz * gz)
-        if not length > _LEAST_LENGTH:  # no velocity changes it: met by all or by none
-            if bound > TOLERANCE_M_S:
-                return Found(None, tuple(float(k == len(lengths)) for k in range(count)), bound)
-            gx, gy, gz, bound, length = 0.0, 0.0, 0.0, -1.0, 1.0
+        if not length > _LEAST_LENGTH:
+            return None
         lengths.append(length)
         normals.append((gx / length, gy / length, gz / length))
         bounds.append(bound / length)
@@ -197,7 +164,7 @@ def _impossible(
 def least_slack(
     firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3
 ) -> tuple[float, Vec3] | None:
-    """Least common slack of the soft rows and its velocity; ``None`` if the firm rows exclude all velocities.
+    """Least common slack of the soft rows, as ``exact.least_slack``; ``None`` if it cannot be confirmed.
 
     Each sum of constraints that no velocity meets gives a lower bound of the slack. With this slack the next
     such sum is searched, until there is none: then the slack is sufficient and least.

@@ -8,8 +8,8 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from flightstack.core.fleet.beside import place_beside
-from flightstack.core.fleet.dual import Row
 from flightstack.core.fleet.ellipsoid import barrier, estimate, faster, jump
+from flightstack.core.fleet.exact import Row
 from flightstack.core.fleet.precedence import Pad, Way, decide, heard
 from flightstack.core.fleet.program import FleetProgram
 from flightstack.core.fleet.shares import NONE, Near, row, share, sidestep, wider
@@ -78,7 +78,7 @@ class FleetMember:
         self.memory = FleetMemory()
         self._fleet, self._sigma_m = fleet, sigma_m
         self._index = {n: k for k, n in enumerate(fleet.others)}
-        self._program, self._given_m_s = FleetProgram(), 0.0
+        self._program, self._given_m_s = FleetProgram(len(fleet.others)), 0.0
 
     @property
     def slots(self) -> list[tuple[int, Heard]]:

@@ -1,9 +1,9 @@
 """The program with the rows of neighbours: landing barrier, box, and one row for each neighbour in reach.
 
-The program of ``safety/qp_filter.py`` with more rows. OSQP starts from the exact solution (``dual.py``), and
-its result is used only if it meets all rows and equals that point. If no point meets all rows, the rows of
-silent vehicles are relaxed first; then all rows of neighbours together by the least common slack. Landing
-barrier and box are never relaxed.
+The program of ``safety/qp_filter.py`` with more rows. OSQP starts from the exact solution (``dual.py``; if
+not confirmed, ``exact.py`` by all active sets), and its result is used only if it meets all rows and equals
+that point. If no point meets all rows, the rows of silent vehicles are relaxed first; then all rows of
+neighbours together by the least common slack. Landing barrier and box are never relaxed.
 
 Over the pad ``Cone`` cuts the box first. A lone vehicle flies inwards, where the boundary falls; one that
 gives way may fly outwards or past the middle, where the boundary may rise faster than it can climb.
@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from flightstack.core.fleet import dual
-from flightstack.core.fleet.dual import Nearest, Row
+from flightstack.core.fleet import dual, exact
+from flightstack.core.fleet.exact import Nearest, Row
 from flightstack.core.parameters.fleet import OTHERS_MAX
 from flightstack.core.safety.position_loop import clip, clip_to_box
 from flightstack.core.safety.projection import best_corner
@@ -52,13 +52,21 @@ def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nea
     else:
         return Nearest(point, (0.0,) * len(rows))
     found = dual.solve(nominal, rows, lower, upper)
-    return None if found is None or found.point is None else Nearest(found.point, found.multipliers)
+    if found is None:
+        return exact.nearest(nominal, rows, lower, upper)
+    return None if found.point is None else Nearest(found.point, found.multipliers)
+
+
+def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3) -> tuple[float, Vec3]:
+    """Return the least common slack of the soft rows and its velocity, as ``exact.least_slack`` does."""
+    return dual.least_slack(firm, soft, lower, upper) or exact.least_slack(firm, soft, lower, upper)
 
 
 class FleetProgram:
     """The quadratic program, allocated once."""
 
-    def __init__(self) -> None:
+    def __init__(self, neighbours: int = OTHERS_MAX) -> None:
+        exact.prepare(neighbours)
         osqp = compiled_solver()
         size, self._infinite, self._used = _ROWS + 3, float(osqp.OSQP_INFTY), _ROWS
         self._q, self._x, self._y = np.zeros(3), np.zeros(3), np.zeros(size)
@@ -111,9 +119,10 @@ class FleetProgram:
             if not (residual <= RESIDUAL_MAX_M_S and math.dist(point, best.point) <= AGREES_M_S):
                 point, status = best.point, FilterStatus.CLOSED_FORM
         else:
-            eased = dual.least_slack(firm, neighbours, lower, upper)
-            given_m_s, point = (math.inf, corner) if eased is None else eased  # only the corner is left
-            if eased is not None:
+            given_m_s, point = least_slack(firm, neighbours, lower, upper)
+            if not math.isfinite(given_m_s):  # only the corner meets the barrier
+                point = corner
+            else:
                 less = given_m_s + RELAXED_M_S
                 found = nearest(nominal, [*firm, *(Row(g, b - less) for g, b in neighbours)], lower, upper)
                 point = found.point if found is not None else point

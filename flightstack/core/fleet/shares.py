@@ -12,8 +12,8 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from flightstack.core.fleet.dual import Row
 from flightstack.core.fleet.ellipsoid import Estimate
+from flightstack.core.fleet.exact import Row
 from flightstack.core.memory import Heard
 from flightstack.core.parameters.fleet import HOLD_LATENCIES, ZERO_LATENCIES, Fleet
 from flightstack.core.types import ZERO, Intent, Neighbour, Vec3

