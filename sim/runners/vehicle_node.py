@@ -159,10 +159,8 @@ class VehicleNode:
         """Let the autopilot fly; its first flight by the companion's set-points begins the judging."""
         vehicle = self.vehicle
         self.autopilot.control(now_s)
-        armed = vehicle.armed
-        if armed is not self._armed:
-            self._armed = armed
-            self.tell(armed)
+        if self.over:
+            self._tell_change()
         for fault in vehicle.faults.take_texts():
             severity = dialect.MAV_SEVERITY_WARNING if fault.begins else dialect.MAV_SEVERITY_NOTICE
             self.autopilot.flight.texts.say(severity, str(fault))
@@ -197,4 +195,12 @@ class VehicleNode:
         if state_text != self._state_text:
             self._state_text = state_text
             self.log.event(now_ns, Severity.INFO, f"firmware: {state_text}")
+        self._tell_change()
         return truth
+
+    def _tell_change(self) -> None:
+        """Tell a change of arming once its state is in the log: who hears of it may end this process."""
+        armed = self.vehicle.armed
+        if armed is not self._armed:
+            self._armed = armed
+            self.tell(armed)
