@@ -176,7 +176,8 @@ def test_the_solver_is_set_as_it_was_scanned():
     assert {name: getattr(found, name) for name in expected} == expected
     assert RESIDUAL_MAX_M_S == 1e-6
     assert [(s.name, int(s)) for s in FilterStatus] == [
-        ("NOT_RUN", 0), ("SOLVED", 1), ("CLOSED_FORM", 2), ("INFEASIBLE", 3), ("REJECTED", 4), ("CROWDED", 5)
+        ("NOT_RUN", 0), ("SOLVED", 1), ("CLOSED_FORM", 2), ("INFEASIBLE", 3), ("REJECTED", 4), ("CROWDED", 5),
+        ("OWN", 6),
     ]  # fmt: skip
 
 

@@ -173,5 +173,4 @@ def test_the_large_configuration_is_proven_and_made_for_its_vehicle():
     assert config.touchdown.pad_radius_m == scenario.target.pad_radius_m
     feet_m = 2**0.5 * (params.geometry.foot_offset_m + params.geometry.foot_radius_m)
     assert config.robust.corridor_m + feet_m < config.touchdown.pad_radius_m  # they all stand on the pad
-    judged = (scenario.judge.alpha_1_m, scenario.judge.beta_m)
-    assert judged == (config.barrier.alpha_1_m, config.barrier.beta_m)
+    assert scenario.judge is None  # the verdict uses the barrier that is flown
