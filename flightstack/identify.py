@@ -147,7 +147,7 @@ def _difference(passed: Segment, parameters: Floats, period_s: float) -> Floats:
 
 
 def _covariance(jacobian: Floats, difference: Floats, block: int) -> Floats:
-    """Covariance of least squares whose differences are alike within blocks."""
+    """Covariance of least squares whose differences are correlated within blocks."""
     inverse = np.linalg.pinv(jacobian.T @ jacobian)
     scores = jacobian * difference[:, None]
     starts = np.arange(0, len(scores), block)

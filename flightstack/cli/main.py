@@ -95,7 +95,7 @@ GROUPS = {
         "key": Verb("prepare:key", "Make a MAVLink signing key."),
     },
 }
-# their exit status is about the flight, whatever becomes of what they print
+# verbs whose exit status is that of the flight, even if their output is lost
 FLIES = (
     "sitl",
     "fly",

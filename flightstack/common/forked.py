@@ -67,7 +67,7 @@ class Forked(ForkProcess):
         super().__init__(target=run, name=name)
         output, self._output = os.pipe()
         self._errors = errors.fileno()
-        # until it has its own handlers
+        # blocked until the child has its own handlers
         self._blocked = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
         try:
             self.start()
@@ -131,7 +131,7 @@ def forget_handlers() -> None:
 
 
 def _own_streams(output: int, errors: int) -> None:
-    """No input, these two outputs, and no other file of the parent."""
+    """Give the child no input, these two outputs, and no other file of the parent."""
     nothing = os.open(os.devnull, os.O_RDONLY)
     # their numbers may be those of standard streams if the parent had none
     for place, number in enumerate([_above(each) for each in (nothing, output, errors)]):
@@ -146,5 +146,5 @@ def _own_streams(output: int, errors: int) -> None:
 
 
 def _above(number: int) -> int:
-    """The same file under a number above those of the streams."""
+    """Duplicate a descriptor to a number above those of the streams."""
     return fcntl.fcntl(number, fcntl.F_DUPFD, _LAST_STREAM + 1)

@@ -24,11 +24,11 @@ EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01T00:00:00Z, time zero of simul
 PAIR = struct.Struct("<qq")  # lockstep messages on Zenoh: (tick, number), see docs/how_it_works/lockstep.md
 RUN_AHEAD_TICKS = 20  # greatest lead of the target before the onboard process's credit
 NO_GO = -1  # credit: the target may not drive yet
-# s of wall time in lockstep without a message of a process that is still there, until it counts as dead: on a
-# busy computer it may wait for its processor for many seconds
+# s of wall time in lockstep without a message, after which a running process counts as dead: on a busy
+# computer it may wait for the processor for many seconds
 TARGET_SILENT_S = 60.0
-COMPANION_SILENT_S = 20.0  # the onboard process, of which UDP does not tell whether it is still there
-TARGET_LOOK_S = 0.5  # s without a message after which its connection is looked at
+COMPANION_SILENT_S = 20.0  # for the onboard process: UDP does not show whether it still runs
+TARGET_LOOK_S = 0.5  # s without a message after which its connection is checked
 _LOOK_MAX_S = 0.1  # s
 # priority under SCHED_FIFO, 1 to 99: above all ordinary processes, below the kernel's own threads
 PRIORITY = 10

@@ -75,7 +75,7 @@ def guard() -> bool:
 
 
 def never_wait() -> None:
-    """From now on output without a reader is dropped: a flight does not wait for it."""
+    """Drop output without a reader from now on: a flight does not wait for it."""
     Stream.waits = False
 
 

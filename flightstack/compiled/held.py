@@ -112,7 +112,7 @@ else:
         return choose
 
     def _raising(function: Any) -> Any:
-        """What compiled code does instead of a rare function: it gives the tick back."""
+        """Compiled form of a rare function: it returns the tick to Python."""
         hint = get_type_hints(function).get("return")
         kind = None if hint in (None, type(None)) else kind_of_hint(hint)
         zero = _zero(types.none if kind is None else _numba_type(kind))

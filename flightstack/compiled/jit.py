@@ -138,8 +138,8 @@ def keep(what: str) -> None:
 def telling(what: str = "the simulator, about 25 s") -> Iterator[None]:
     """Print the progress of compiling in the block to standard error.
 
-    ``what``: is compiled, and its processor time, which a slow computer multiplies; once for each version.
-    The share is that of the functions that are known by then; not all of them may be needed.
+    ``what``: what is compiled, and its processor time, which is longer on a slow computer; once for each
+    version. The share counts the functions known by then, some of which may not be needed.
     """
     if is_off() or _told:
         yield
@@ -168,7 +168,7 @@ _told: dict[int, int] = {}  # functions whose compiling has started
 
 
 def _tell(begun: int, what: str) -> None:
-    """Say each tenth once."""
+    """Report each tenth once."""
     tenth = min(9, 10 * begun // max(1, len(_made)))
     if not begun or tenth > min(9, 10 * (begun - 1) // max(1, len(_made))):
         _say(f"compiling {what}, once: {10 * tenth} %")
@@ -186,7 +186,7 @@ def _first(numbers: Any) -> float:
 
 @cache
 def make_ready() -> None:
-    """Do what the first call of compiled code does, whichever it is: 0.2 s in which numba gets ready."""
+    """Initialise numba, as the first call of any compiled code does: 0.2 s."""
     import numpy as np
 
     jitted(_first)(np.zeros(1))

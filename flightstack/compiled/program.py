@@ -92,7 +92,7 @@ class OwnProgram:
 
 
 def _held(one: Any) -> int:
-    """Address of the C++ object that an object of pybind11 holds: it stands behind Python's own head."""
+    """Address of the C++ object that an object of pybind11 holds: it follows Python's object header."""
     return int(ctypes.c_void_p.from_address(id(one) + object.__basicsize__).value or 0)
 
 
@@ -103,7 +103,7 @@ def _csc(m: Columns) -> _Csc:
 
 @jitted
 def _solved(p: ProgramRecord) -> Vec3:
-    """Solve the program whose numbers are there; NaN where the solver did not."""
+    """Solve the program with the stored numbers; NaN if the solver failed."""
     at = p.numbers_at
     ask(p.update_vectors, (p.solver, at, at + 3 * _DOUBLE, at + 7 * _DOUBLE))
     ask(p.update_matrix, (p.solver, 0, 0, 0, at + 11 * _DOUBLE, 0, 6))
@@ -187,5 +187,5 @@ def layout_is_known() -> bool:
         given = nominal, 0.1 * k - 0.4, g, 0.05, (-side, -side, -side), (side, side, side)
         expected, found = (each.solve(*given)._replace(solve_s=0.0) for each in (plain, made))
         if expected.status is not FilterStatus.SOLVED or found != expected:
-            return False  # OSQP solves all eight; a program left out would show nothing
+            return False  # OSQP solves all eight; a skipped program would prove nothing
     return True

@@ -1,7 +1,7 @@
 """The controller whose ordinary ticks of a landing are compiled: ``LandingKernel.land``, from one source.
 
 Its set-points, states and rows of the log are those of plain Python to the last bit; a replay in plain Python
-shows that of each flight. All other ticks are Python's. Nothing is compiled in flight.
+verifies this for each flight. All other ticks run in Python. Nothing is compiled in flight.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ class CompiledController(Controller):
         return out
 
     def _ordinary_tick(self, inputs: Inputs, now_s: float) -> Outputs | None:
-        """Outputs of a tick that the kernel computes; None, with nothing changed, where it does not."""
+        """Outputs of a tick by the kernel; None, with nothing changed, if the kernel cannot compute it."""
         own, status, samples = inputs.own, inputs.status, inputs.target_samples
         if own is None or status is None or not self._holds(status):
             return None
@@ -182,7 +182,7 @@ class CompiledController(Controller):
         return self._held
 
     def _outputs(self, inputs: Inputs, landing: Landing, reserve: float, took_s: float) -> Outputs:
-        """What ``Controller.step`` returns; the gate checks the velocity again."""
+        """Outputs as ``Controller.step`` returns them; the gate checks the velocity again."""
         (_, at, barriers, wanted, setpoint), memory = landing, self._memory
         result = barriers.result
         if result.iterations:

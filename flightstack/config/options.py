@@ -184,7 +184,7 @@ class Zenoh:
 
 @dataclass(frozen=True, kw_only=True)
 class Signing:
-    """Who may speak MAVLink."""
+    """MAVLink senders that are accepted."""
 
     signing_key: SigningKey = None
     allow_unsigned: AllowUnsigned = False
@@ -234,7 +234,7 @@ def repeated(described: Mapping[str, str]) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """What remains of a flight."""
+    """Files and output of a flight."""
 
     out: Annotated[Path | None, Option(
         "--out", "Folder for log and report; default: a new folder in runs/.", path="folder"
@@ -245,7 +245,7 @@ class Result:
 
 @dataclass(frozen=True, kw_only=True)
 class FlightOptions(Signing, Ros2, Zenoh):
-    """What it needs to fly any vehicle: vehicle, target, configuration, links."""
+    """Options to fly any vehicle: vehicle, target, configuration, links."""
 
     vehicle_url: VehicleUrl
     target_key: Annotated[str, Option(

@@ -1,7 +1,7 @@
-"""The landing kernel: what runs in almost every tick, as plain Python and compiled, from one source.
+"""The landing kernel: code of almost every tick, as plain Python and compiled from the same source.
 
-``Controller.step`` calls these methods tick by tick. Campaigns call ``land``, which puts them together for a
-tick in which nothing rare happens, compiled (``flightstack/compiled/objects.py``).
+``Controller.step`` calls these methods tick by tick. Campaigns call ``land``, which combines them for an
+ordinary tick, in compiled form (``flightstack/compiled/objects.py``).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ RISE_FREE_S = 7.0
 
 FLYING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN})
 
-Rules = NDArray[np.int64]  # (n, 2): flags that each rule of a phase asks for, and those that keep it back
+Rules = NDArray[np.int64]  # (n, 2): flags that each rule of a phase requires, and flags that block it
 
 
 class Barriers(NamedTuple):
@@ -66,7 +66,7 @@ class Command(NamedTuple):
     barriers: Barriers
     wanted: Vec3  # velocity wanted, m/s ENU, before the correction for the vehicle's lag
     setpoint: Vec3  # m/s ENU
-    check: BarrierCheck  # what the gate checks if the velocity is filtered
+    check: BarrierCheck  # data for the gate's check of a filtered velocity
 
 
 class Landing(NamedTuple):
@@ -150,7 +150,7 @@ class LandingKernel:
         self.strategy.motion.time_s = math.nan
 
     def estimate_own(self, own: OwnState, flies: bool, now_s: float) -> OwnState:
-        """Judge the own state, compare it with the velocity that is flown, and estimate that of now."""
+        """Check the vehicle state, compare it with the commanded velocity, and estimate it for now."""
         memory, plausibility, velocity = self.memory, self.plausibility, own.velocity_enu_m_s
         plausibility.take(own, memory.commanding and not memory.contact)
         believed = plausibility.believes(now_s)
@@ -158,17 +158,17 @@ class LandingKernel:
             plausibility.follow(memory.command, velocity)
         elif believed and memory.lifting and flies:
             plausibility.follow(self._lifting(velocity[2], now_s), velocity)
-        else:  # it flies none of ours, or stands
+        else:  # the vehicle follows none of our set-points, or stands
             plausibility.forget()
         now = self.strategy.vehicle(own)
         self.strategy.observe(now.velocity_enu_m_s, memory.commanding and believed)
         return now
 
     def _lifting(self, rises_m_s: float, now_s: float) -> Vec3:
-        """Velocity that the vehicle is to fly in the climb from the ground.
+        """Velocity expected of the vehicle in the climb from the ground.
 
         The autopilot decides how fast it rises (it spools up and ramps), but not how it moves sideways; after
-        ``RISE_FREE_S`` it has to rise as fast as wanted, faster is allowed.
+        ``RISE_FREE_S`` it has to rise at least as fast as commanded.
         """
         x, y, up_m_s = self.memory.command
         free = now_s - self.memory.phase_since_s <= RISE_FREE_S
@@ -190,7 +190,7 @@ class LandingKernel:
         return lower, (x if x < mx else mx, y if y < my else my, z if z < mz else mz)
 
     def bounds(self, at: Relative, active_m: float, gradient: Vec3, base: Vec3) -> tuple[Vec3, Vec3]:
-        """The box, and the least vertical velocity that the filter asks for besides its program."""
+        """The box, with the least vertical velocity that the filter requires in addition to its program."""
         lower, upper = self.box(base)
         climb_m_s = self.strategy.climb_m_s(active_m, gradient, base, at)
         if climb_m_s > lower[2]:
@@ -200,7 +200,7 @@ class LandingKernel:
     def least_z_m_s(self, target_m_s: Vec3) -> float:
         """Lowest vertical velocity that a set-point may lead to if it remains the last one.
 
-        So near to the pad nothing but the pad stops a vehicle whose companion has died.
+        So near to the pad only the pad stops a vehicle whose companion process has ended.
         """
         if self.memory.phase is not Phase.TOUCHDOWN:
             return -math.inf
@@ -245,7 +245,7 @@ class LandingKernel:
         self, at: Relative, active_m: float, gradient: Vec3, dh_dt_m_s: float, nominal: Vec3, lower: Vec3,
         upper: Vec3,
     ) -> FilterResult:  # fmt: skip
-        """Filter a velocity by the class's own method."""
+        """Filter a velocity with the method ``filter`` of the user's class."""
         own, target = at.own, at.target
         seen = At(
             own.arrival_s,
@@ -290,7 +290,7 @@ class LandingKernel:
         return self._fleet.solve(wanted, (), self._rows, *self.box(base)).velocity_enu_m_s
 
     def ordinary(self, status: VehicleStatus) -> bool:
-        """Whether ``land`` may run the next tick: nothing is in doubt, and the vehicle does as it should."""
+        """Whether ``land`` may run the next tick: the inputs are trusted, and the vehicle is commanded."""
         memory, track = self.memory, self.track.memory
         if track.run_since_s < math.inf or track.distrusted or self.plausibility.memory.distrusted:
             return False
@@ -302,7 +302,7 @@ class LandingKernel:
         return memory.phase in FLYING and status.flies_by_setpoints and commanded
 
     def land(self, own: OwnState, lasting: int, rules: Rules, now_s: float) -> Landing:
-        """Run a tick of APPROACH, LAND, TOUCHDOWN or LANDED in which nothing rare happens, for compiled code.
+        """Run an ordinary tick of APPROACH, LAND, TOUCHDOWN or LANDED, for compiled code.
 
         The samples of the target have been taken, the vehicle is alone, its heartbeat is young, and it flies
         by set-points or, landed, stands.

@@ -46,11 +46,9 @@ class Memory:
     swings: int = 0  # how often it has left the cone over the pad since the last touchdown
     ground_z_m: float = inf  # height at which it stood
     yaw_rad: float | None = None  # heading held in the whole flight
-    command: Vec3 = (
-        ZERO  # last velocity wanted, before corrections for the vehicle's lag; base of the slew limit
-    )
+    command: Vec3 = ZERO  # last commanded velocity, before the correction for the lag; base of the slew limit
     commanding: bool = False  # a command went out in the last tick, and is flown
-    lifting: bool = False  # the same of the climb of a take-off, flown once the vehicle has lifted off
+    lifting: bool = False  # a climb command of the take-off went out; it is flown after lift-off
     target_position_enu_m: Vec3 | None = None  # last known
     target_velocity_enu_m_s: Vec3 | None = None  # at that time
     abort_way: AbortWay = AbortWay.NONE
@@ -61,9 +59,9 @@ class Memory:
 class ClockMemory:
     """State of a sender's clock; ``way`` is arrival minus stamp: difference of the clocks plus delay."""
 
-    offset_s: float = inf  # least way, forgotten quickly
-    floor_s: float = inf  # least way, forgotten slowly
-    held_s: float = 0.0  # for how long all ways were longer than the least
+    offset_s: float = inf  # smallest arrival minus stamp, with fast forgetting
+    floor_s: float = inf  # smallest arrival minus stamp, with slow forgetting
+    held_s: float = 0.0  # time since the smallest value was last met
     stamp_s: float = -inf  # newest accepted stamp
     taken_s: float = -inf  # its arrival
     began_s: float = inf  # arrival of the first, or of the first after a step
@@ -102,11 +100,11 @@ class MotionMemory:
     """State of the target's estimator."""
 
     time_s: float = nan  # stamp of the newest sample, on the sender's clock; NaN before the first
-    position_enu_m: Vec3 = ZERO  # at that time, like the rest
+    position_enu_m: Vec3 = ZERO  # at that time, as all fields below
     velocity_enu_m_s: Vec3 = ZERO
     acceleration_enu_m_s2: Vec3 = ZERO
-    yaw_rad: float | None = None  # measured last, None if it is not known
-    turn_rate_rad_s: float = 0.0  # at which velocity and acceleration turn
+    yaw_rad: float | None = None  # newest measured heading; None: unknown
+    turn_rate_rad_s: float = 0.0  # turn rate of the velocity and acceleration vectors
     surprise: float = 1.0  # normalised innovation squared of x and y; 1 on average
     covariance_xy: Covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # equal for x and y
     covariance_z: Covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -117,10 +115,10 @@ class TrackingMemory:
     """State of the corrections for the vehicle's velocity loop."""
 
     slope_m_s2: Vec3 = ZERO  # smoothed derivative of the velocity wanted
-    setpoint_m_s: Vec3 = ZERO  # sent last
+    setpoint_m_s: Vec3 = ZERO  # last set-point sent
     model_m_s: Vec3 = ZERO  # velocity that the model of the loop predicts
     model_m_s2: Vec3 = ZERO  # its derivative
-    disturbance_m_s: Vec3 = ZERO  # what the model does not explain: wind, drag, weight
+    disturbance_m_s: Vec3 = ZERO  # velocity error of the model: wind, drag, wrong weight
 
 
 @dataclass(slots=True)
@@ -128,8 +126,8 @@ class PlausibilityMemory:
     """State of the checks of vehicle state and set-points."""
 
     last: OwnState | None = None  # newest new measurement
-    moved_s: float = 0.0  # arrival of the newest at another position, or of one that did not fly
-    drift_m: Vec3 = ZERO  # where no velocity took it
+    moved_s: float = 0.0  # arrival of the newest state that moved, or was not flying
+    drift_m: Vec3 = ZERO  # position change that the velocity does not explain
     distrusted: bool = False
     missed_m: Vec3 = ZERO  # distance by which the vehicle lags behind the commanded velocity
 
@@ -140,7 +138,7 @@ class ReserveMemory:
 
     effort: float = nan  # smoothed (throttle / highest)^p, upward part; NaN before the first
     rise_m_s: float = 0.0  # vertical velocity with the same smoothing; the difference is acceleration
-    tired: bool = False  # fell below the least; remains set in flight
+    tired: bool = False  # the reserve fell below its minimum; remains set in flight
 
 
 # position m, velocity m/s, acceleration by the vehicle's loop m/s^2, error of the reported velocity m/s, and
@@ -154,7 +152,7 @@ class OwnMemory:
     """State of the estimator of the vehicle state."""
 
     time_s: float = nan  # time of the newest sample; NaN before the first
-    x: AxisState = AT_REST  # at that time, like the rest
+    x: AxisState = AT_REST  # at that time, as all fields below
     y: AxisState = AT_REST
     z_m: float = 0.0
     z_error_m_s: float = 0.0  # error of the reported vertical velocity
@@ -177,14 +175,14 @@ class LateMemory:
 
 @dataclass(slots=True)
 class FilterMemory:
-    """State of a filter of one's own."""
+    """State of a user's filter."""
 
-    refusal: str = ""  # why its newest result is no velocity; empty: it is one
+    refusal: str = ""  # why its newest result is not a valid velocity; empty: it is
 
 
 @dataclass(slots=True)
 class State:
-    """All of it: with a configuration and the inputs to come it determines every further output."""
+    """Complete controller state: with the configuration and the next inputs it determines all outputs."""
 
     memory: Memory
     track: TrackMemory
@@ -195,7 +193,7 @@ class State:
 
 @dataclass(slots=True)
 class WholeState(State):
-    """The same with what only some configurations ask for: logs of the others keep their layout."""
+    """``State`` with parts that only some configurations use; logs of the others keep their layout."""
 
     reserve: ReserveMemory
     own: OwnMemory
@@ -203,7 +201,7 @@ class WholeState(State):
 
 @dataclass(slots=True)
 class LateState(WholeState):
-    """The same of a vehicle whose velocity loop has a dead time."""
+    """``WholeState`` of a vehicle whose velocity loop has a dead time."""
 
     late: LateMemory
 
@@ -214,14 +212,14 @@ class Heard:
 
     word: Neighbour | None = None  # newest message; None before the first
     yields: bool = False  # this vehicle yields to it, as announced
-    claim_s: float = nan  # its claim to which that belongs
-    yielded_s: float = -inf  # time of the last such announcement
+    claim_s: float = nan  # claim of the neighbour to which this yielding belongs
+    yielded_s: float = -inf  # time of the last announcement of yielding
     on_pad: bool = False  # it stood on this vehicle's pad in its newest message
-    faster_m_s2: Vec3 = ZERO  # at which the velocity that it wanted changed
+    faster_m_s2: Vec3 = ZERO  # smoothed acceleration of its commanded velocity
     jumped_m: Vec3 = ZERO  # distance of reported positions beyond the reachable ones
 
 
-# one for each other member in the order of their ids; those of a smaller fleet stay as they are
+# one slot for each other member, in the order of the ids; a smaller fleet leaves the last ones unused
 Slots = tuple[Heard, Heard, Heard, Heard, Heard, Heard, Heard, Heard]
 
 

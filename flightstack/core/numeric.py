@@ -31,17 +31,17 @@ def numeric(function: F) -> F:
 
 
 def rare(function: F) -> F:
-    """Mark what compiled code leaves to Python: there a call of it raises ``NotOrdinary``."""
+    """Mark a function that compiled code leaves to Python: there a call raises ``NotOrdinary``."""
     RARE.add(function)
     return function
 
 
-# annotations of fields: for compiled code one is always None, or is not there
+# annotations of fields that are always None, or missing, in compiled code
 ABSENT, UNSEEN = "absent", "unseen"
 
 
 class NotOrdinary(Exception):  # noqa: N818
-    """Compiled code gives back a tick, whose state has to be restored."""
+    """Compiled code returns a tick to Python, and the state has to be restored."""
 
 
 @cache

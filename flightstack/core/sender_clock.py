@@ -4,8 +4,8 @@ Arrival minus stamp is the difference of the two clocks plus the delay of the me
 to a message without delay; the excess of any other message is its lateness. Old values are forgotten, and no
 single message decides:
 
-* the least value, once not met for ``HOLDS_S``, is forgotten at ``FORGETS``: clocks that drift are followed,
-  and a queue that grows faster is seen as lateness;
+* a least value that is not met for ``HOLDS_S`` is forgotten at the rate ``FORGETS``: drifting clocks are
+  followed, and a queue that grows faster counts as lateness;
 * a stamp ahead of all that is known, or older than the newest, is refused. When refused messages agree with
   each other for ``proof_s`` and none was accepted meanwhile, the sender's clock was set or restarted: they
   are followed;
@@ -24,21 +24,21 @@ from flightstack.core.numeric import rare
 from flightstack.core.types import TextEnum
 
 FORGETS = 0.04  # s/s; firmware and simulators may run 3 % slow; a delay of 0.25 s counts as age for 7 s
-HOLDS_S = 1.0  # in which some message is quick
+HOLDS_S = 1.0  # at least one message within this time has a short delay
 FORGETS_SLOWLY = 0.002  # s/s; four times what Linux slews a clock at most (adjtimex(2), 500 ppm)
 ELAPSED_MAX_S = 1.0  # largest counted silence, which proves no drift
 FLOOR_MAX_S = 0.2  # a busy network hides the least delay by no more; beyond, the clocks have drifted
 GRAIN_S = 1e-6  # above the rounding of Unix times to doubles, 2.4e-7 s: that is no drift
-AHEAD_S = 0.03  # a message may be quicker than all before by this and a tick
-AGREE_S = 0.1  # most by which the delays of messages of one clock differ
-GAP_MAX_S = 0.5  # between two of them
+AHEAD_S = 0.03  # a message may be faster than all before by this plus a tick
+AGREE_S = 0.1  # largest difference of the delays of messages of one clock
+GAP_MAX_S = 0.5  # longest gap between two such messages
 PATIENCE_S = 10.0  # queues of some seconds grow or drain meanwhile
 QUEUE_MAX_S = 10.0  # a longer queue (256 samples at 20 Hz) needs time to fill
 STAMP_MAX_S = 2.0**32  # the year 2106; ROS 2 and Unix times end before
 
 
 class Reading(TextEnum):
-    """What a time stamp is worth."""
+    """Result of the check of a time stamp."""
 
     FRESH = "in time"
     STEPPED = "by a clock that was set, or began anew"
@@ -55,7 +55,7 @@ class Reading(TextEnum):
 
 
 class SenderClock:
-    """What is known of the clock of one sender; ``memory`` is all of its state."""
+    """Estimate of the clock of one sender; ``memory`` is its whole state."""
 
     memory: ClockMemory
     ahead_max_s: float
@@ -130,7 +130,7 @@ class SenderClock:
         return stepped
 
     def lateness_s(self, stamp_s: float, now_s: float) -> float:
-        """Age at a time of ours of what was stamped then."""
+        """Age of a message with this stamp, at a time of our clock."""
         return max(0.0, now_s - stamp_s - self.memory.offset_s)
 
     def _goes_on_late(self, way_s: float, arrival_s: float) -> bool:
@@ -145,7 +145,7 @@ class SenderClock:
 
     @rare
     def _noted(self, reading: Reading, stamp_s: float, arrival_s: float) -> bool:
-        """Note a refused message; whether no delay explains those that agree with it."""
+        """Store a refused message; returns whether no delay explains the messages that agree with it."""
         m, way_s = self.memory, arrival_s - stamp_s
         if stamp_s > m.run_stamp_s and self._agrees(way_s, arrival_s):
             m.run_way_s = min(m.run_way_s, way_s)

@@ -1,4 +1,4 @@
-"""What is known in one tick: the newest inputs, judged by their age, and vehicle relative to target."""
+"""Snapshot of one tick: the newest inputs, checked for their age, and vehicle relative to target."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ class Snapshot:
     link_ok: bool  # the heartbeat is young enough
     e_m: Vec3 | None  # position of the vehicle minus landing spot, ENU, m; ``None`` unless both are known
     follows: bool = True  # the vehicle flies the commanded velocity
-    charge: Charge = Charge.FIT  # what the battery is fit for; without a table [reserve] it always is
-    way: Way = ALONE  # what the other vehicles allow; without a table [fleet] everything
-    # the target is young enough, its velocity is not believed: ``target`` has the one that its positions show
+    charge: Charge = Charge.FIT  # state of the battery; FIT without a table [reserve]
+    way: Way = ALONE  # permissions by the other vehicles; without a table [fleet] all
+    # the target is young enough, but its velocity is not trusted: ``target`` has that of its positions
     target_placed: bool = False
-    good: bool = field(init=False)  # all inputs can be flown by
+    good: bool = field(init=False)  # all inputs are usable
     # vehicle relative to target; ``None`` unless both are known
     relative: Relative | None = field(init=False)
 

@@ -35,10 +35,10 @@ class Phase(IntEnum):
     APPROACH = 2  # to the target, filtered
     LAND = 3  # the same inside the descending cone over the pad; not the autopilot's landing
     TOUCHDOWN = 4  # straight down to contact, then motors off
-    LANDED = 5  # the heartbeat says that the motors are off after a touchdown
+    LANDED = 5  # the heartbeat reports that the motors are off after a touchdown
     HOLD = 6  # an input is lost
     CLIMB = 7  # above the target, which remains lost
-    ABORT = 8  # ends the flight in a way of ``AbortWay``
+    ABORT = 8  # ends the flight as ``AbortWay`` defines
     LEAVE = 9  # frees the pad for another vehicle: takes off again, flies clear, lands beside the target
 
 
@@ -48,10 +48,10 @@ class FilterStatus(IntEnum):
     NOT_RUN = 0
     SOLVED = 1
     CLOSED_FORM = 2  # solver failed, or its result did not pass the check: the exact projection is the result
-    INFEASIBLE = 3  # nothing in the box meets the barrier; fastest way to raise h used
+    INFEASIBLE = 3  # no velocity in the box meets the barrier; the one that raises h fastest is used
     REJECTED = 4  # inputs of the program are not finite: there is no result
-    CROWDED = 5  # the rows of neighbours gave way by the least common slack; barrier and box are held
-    OWN = 6  # result of a class with its own ``filter``: within the limits, not held to the barrier
+    CROWDED = 5  # the neighbours' rows are relaxed by the least common slack; barrier and box are met
+    OWN = 6  # result of a class with its own ``filter``: checked for the limits, not the barrier
 
 
 class Request(IntEnum):
@@ -89,11 +89,11 @@ class Landed(IntEnum):
 
 
 class Charge(IntEnum):
-    """What the battery is fit for, by its voltage and the thrust reserve."""
+    """State of the battery, by its voltage and the thrust reserve."""
 
     FIT = 0
-    UNKNOWN = 1  # no voltage and no throttle has come lately
-    TIRED = 2  # too low to begin a landing, or in flight to go on with it
+    UNKNOWN = 1  # no voltage and no throttle was received recently
+    TIRED = 2  # too low to begin a landing, or, in flight, to continue it
 
 
 class Operator(IntEnum):
@@ -183,20 +183,20 @@ class Neighbour(NamedTuple):
     velocity_enu_m_s: Vec3  # measured
     wanted_enu_m_s: Vec3  # velocity that it is about to fly
     position_sigma_m: float = 0.0  # standard deviation of the position on each axis
-    clock_bound_s: float = 0.0  # most that the stamp may be wrong by
-    intent: Intent = Intent.STANDING  # what it is about to do
+    clock_bound_s: float = 0.0  # largest error of the stamp
+    intent: Intent = Intent.STANDING  # announced intention
     claim_s: float = math.nan  # time of its claim of the right of way; NaN: it has no claim
     pad_position_enu_m: Vec3 | None = None  # landing spot; ``None``: not known yet
     pad_velocity_enu_m_s: Vec3 | None = None  # its velocity
-    yields_to: tuple[int, ...] = ()  # vehicles that it gives way to
+    yields_to: tuple[int, ...] = ()  # vehicles to which it yields
 
 
 class Inputs(NamedTuple):
-    """Everything one tick may look at: the newest of each link, and the samples that came since the last."""
+    """All inputs of one tick: the newest message of each link, and the samples since the last tick."""
 
     own: OwnState | None = None
     status: VehicleStatus | None = None
     target_samples: tuple[TargetSample, ...] = ()
     operator: Operator = Operator.NONE
     power: Power | None = None  # requested only by a configuration with a table [reserve]
-    neighbours: tuple[Neighbour, ...] = ()  # what came since the last tick; with a table [fleet] only
+    neighbours: tuple[Neighbour, ...] = ()  # received since the last tick; only with a table [fleet]

@@ -35,7 +35,7 @@ from flightstack.watch.state import Watch
 
 NAMESPACE = "cf1"
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT, signal.SIGHUP)
-# s of wall time for the vehicle's own landing without the onboard process, whose end it notices that late
+# s of wall time for the vehicle's own landing after the end of the onboard process, detection included
 LAND_ALONE_MAX_S = COMPANION_SILENT_S + 100.0
 LAND_MAX_S = (
     30.0  # s for an onboard process that is asked to end in flight: it brings a real vehicle down first
@@ -201,7 +201,7 @@ class Launcher:
                     flying.remove(flight)
                     problem = self._ended(flight) or problem
                 for child in [c for c in others if not c.alive()]:
-                    # a safe end does not need it: the onboard process holds, climbs or lands away
+                    # not needed for a safe end: the onboard process holds, climbs or lands away
                     others.remove(child)
                     problem = f"{child.name} ended in flight: {child.errors()}"
                     self._print(problem, style="red")
@@ -257,7 +257,7 @@ class Launcher:
     def _let_it_land(self, teller: Child | None, until: float) -> None:
         """Wait until the vehicles have landed by themselves after the onboard processes ended.
 
-        What they have said so far has not been read: who never armed, or stands already, is known at once.
+        Their output so far is unread; it shows at once a vehicle that never armed or stands already.
         """
         until, armed = min(until, time.monotonic() + LAND_ALONE_MAX_S), set[str]()
         while teller is not None and teller.alive() and not self.interrupted and time.monotonic() < until:

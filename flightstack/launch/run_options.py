@@ -85,7 +85,7 @@ class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
 
     @property
     def flies(self) -> Flies:
-        """Whose autopilot and physics."""
+        """Program that provides autopilot and physics."""
         return next(iter(self._programs), Flies.OWN)
 
     @property

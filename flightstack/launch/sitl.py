@@ -92,7 +92,7 @@ def prepare(options: RunOptions) -> TeamScenario:
 
 
 def adapted(options: RunOptions, scenario: Scenario) -> Scenario:
-    """Return a scenario as the options want it. Raises ConfigError: it must not fly."""
+    """Return a scenario with the options applied. Raises ConfigError: it must not fly."""
     name = options.config_file or VEHICLES[options.flies].configuration(scenario, options.program)
     if name is not None:
         scenario = replace(scenario, onboard=_begun_as(scenario, load_config(name)))
@@ -111,8 +111,8 @@ def adapted(options: RunOptions, scenario: Scenario) -> Scenario:
 
 
 def _begun_as(scenario: Scenario, config: FlightConfig) -> FlightConfig:
-    """Begin the landing where the scenario does, in its fleet, unless the configuration says else."""
-    if config.fleet is None:  # a member's is its own
+    """Use the scenario's start of the landing and its fleet, unless the configuration sets them."""
+    if config.fleet is None:  # the configuration of a member has its own
         config = replace(config, fleet=scenario.onboard.fleet)
     if config.takeoff.start_offset_m is not None:
         return config

@@ -28,7 +28,7 @@ class Offset(NamedTuple):
 
 
 class Least:
-    """The least of what was noted, which grows with its age."""
+    """Minimum of the noted values; it grows with its age."""
 
     def __init__(self) -> None:
         self._value_ns: int | None = None
@@ -41,7 +41,7 @@ class Least:
         self._at_ns = now_ns
 
     def at(self, now_ns: int) -> int | None:
-        """Return the least value as it is worth now; None before the first."""
+        """Return the minimum with its growth until now; None before the first value."""
         if self._value_ns is None:
             return None
         return self._value_ns + round(DRIFT * max(0, now_ns - self._at_ns))
@@ -54,16 +54,16 @@ class OtherClock:
         self._ahead, self._echo = Least(), Least()
 
     def heard(self, stamp_ns: int, arrival_ns: int, echo_ns: int | None) -> bool:
-        """Take the times of a message; whether the clocks agree with what was known of them.
+        """Add the times of a message; returns whether they agree with the earlier ones.
 
-        If not, one of them has jumped, and all that was known is forgotten.
+        If not, one of the clocks has jumped, and the estimate restarts.
 
         ``stamp_ns``: of the message, by the other clock; ``arrival_ns``: of the message, by ours;
         ``echo_ns``: its reported value; None: it has received nothing from us.
         """
         self._ahead.note(arrival_ns - stamp_ns, arrival_ns)
         if echo_ns is not None:
-            self._echo = Least()  # the other process remembers the least one
+            self._echo = Least()  # the other process stores the minimum
             self._echo.note(echo_ns, arrival_ns)
         offset = self.offset(arrival_ns)
         if offset is None or offset.bound_ns >= 0:
@@ -76,7 +76,7 @@ class OtherClock:
         return self._ahead.at(now_ns)
 
     def offset(self, now_ns: int) -> Offset | None:
-        """Return our clock minus the other one; None as long as not both directions are known.
+        """Return our clock minus the other one; None until both directions are known.
 
         ``now_ns``: our clock.
         """

@@ -1,11 +1,11 @@
 """The wire of a fleet: messages that this vehicle sends to the others in each tick, and theirs.
 
 Each process publishes ``FleetWord`` on ``NAMESPACE/fleet/word`` and subscribes to ``**/fleet/word``. One
-pattern needs no list of namespaces, and shows two processes that say they are the same vehicle, and vehicles
-that are no members. The key begins with the namespace as all of a vehicle's keys do, so that rules of access
+pattern needs no list of namespaces, and detects two processes with the same vehicle id, and vehicles that are
+no members. The key begins with the namespace as all of a vehicle's keys do, so that rules of access
 can name it.
 
-Nothing waits here. What is refused is counted, and said when the count has doubled.
+No call blocks. Refused messages are counted; a text reports each doubling of the count.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from logs.schema.schemas import FLEET_WORD
 
 KEY = "fleet/word"
 EVERYBODY = f"**/{KEY}"
-CAPACITY = 256  # words; the oldest are dropped: a tick needs the newest of each member only
+CAPACITY = 256  # messages; the oldest are dropped: a tick needs the newest of each member only
 BYTES_MAX = 2048  # longest message
 PROOF_S = 0.3  # time for which messages after a clock step must agree: longer than a late message
 ONE_WAY_S = 2.0  # time of one-way reception until it is reported
@@ -60,7 +60,7 @@ def _not_begun() -> float:
 
 
 class _Counts:
-    """Counts what was refused; a text whenever a count has doubled."""
+    """Counts refused messages; adds a text whenever a count has doubled."""
 
     def __init__(self) -> None:
         self._counts: dict[str, int] = {}
@@ -73,7 +73,7 @@ class _Counts:
 
 
 class _Member:
-    """What is known of another member's process."""
+    """State of the connection to another member's process."""
 
     def __init__(self, fleet: Fleet) -> None:
         self.process: int | None = None
@@ -88,7 +88,7 @@ class _Member:
 
 
 class FleetWire:
-    """Words of this vehicle and of the others.
+    """Sends this vehicle's messages and receives those of the other members.
 
     ``session``: an open Zenoh session; it stays the caller's; ``namespace``: first part of the key of this
     vehicle; ``fleet``: of the configuration.
@@ -109,7 +109,7 @@ class FleetWire:
         self._subscriber = zenoh_link.remote_subscriber(session, EVERYBODY, CAPACITY)
 
     def begin(self, epoch_ns: int, now_s: Callable[[], float]) -> None:
-        """Take the clock of the ticks; before that nothing is said.
+        """Set the clock of the ticks; before that nothing is sent.
 
         ``epoch_ns``: Unix time of zero of the stack clock; ``now_s``: reads the stack clock.
         """
@@ -118,7 +118,7 @@ class FleetWire:
     def namesake(self) -> str:
         """Why this process must not begin: another one has the same vehicle id; empty: none.
 
-        What came before is dropped.
+        Messages that arrived before are dropped.
         """
         for row in self._rows():
             if row.id == self._fleet.id and row.process != self._process:
@@ -126,9 +126,9 @@ class FleetWire:
         return self.doubled
 
     def words(self) -> tuple[Neighbour, ...]:
-        """Return the newest word of each member since the last call; never blocks."""
+        """Return the newest message of each member since the last call; never blocks."""
         rows = self._rows()
-        now_s = self._now_s()  # after the words were taken: none came later
+        now_s = self._now_s()  # read after the messages were taken: none is newer
         now_ns = self._epoch_ns + round(now_s * 1e9)
         newest: dict[int, Neighbour] = {}
         for row in rows:
@@ -156,7 +156,7 @@ class FleetWire:
         return payload
 
     def texts(self) -> list[str]:
-        """What a person should know since the last call."""
+        """Texts for the operator since the last call."""
         texts, self._counts.texts = self._counts.texts, []
         return texts
 
@@ -186,7 +186,7 @@ class FleetWire:
     def _is_of_member(self, row: FleetWordRow, now_ns: int) -> bool:
         """Whether a message is from the process of another member; the first sender remains that process."""
         if row.id == self._fleet.id:
-            if row.process != self._process:  # else a network brings back what this one said
+            if row.process != self._process:  # else the network has returned this process's own message
                 self._hear_namesake()
             return False
         member = self._members.get(row.id)
@@ -234,7 +234,7 @@ class FleetWire:
             return None
         if not row.claims:
             member.claim_ns, member.claim_s = None, math.nan
-        elif row.claim_ns != member.claim_ns:  # once for a claim: the same one keeps its time to the bit
+        elif row.claim_ns != member.claim_ns:  # once for each claim, whose time then stays equal to the bit
             member.claim_ns = row.claim_ns
             member.claim_s = (row.claim_ns + offset.ns - self._epoch_ns) / 1e9
         stamp_s = (row.stamp_ns + offset.ns - self._epoch_ns) / 1e9

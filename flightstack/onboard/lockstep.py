@@ -1,8 +1,8 @@
 """Lockstep on the side of the onboard process: the vehicle sends the tick, the target counts its samples.
 
-Order between MAVLink and Zenoh is never assumed: a tick begins when the vehicle has asked for it by TIMESYNC,
-the target has said, tick by tick, how many samples belong to it, and in a fleet the words that belong to it
-have come (docs/how_it_works/lockstep.md).
+No order between MAVLink and Zenoh is assumed: a tick begins when the vehicle has requested it by TIMESYNC,
+the target has reported how many samples belong to it, and in a fleet its messages have arrived
+(docs/how_it_works/lockstep.md).
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from logs.schema.controller_rows import pack_neighbours, unpack_neighbours, word
 
 CREDIT_EVERY = 10  # ticks
 WAIT_SLICE_S = 0.05  # s of wall time between looks at the signals while waiting
-FIRST_WAIT_MAX_S = 600.0  # s of wall time until vehicle and target have shown up: a slow computer compiles
-SAID_S = 10.0  # s after which that wait is said
+FIRST_WAIT_MAX_S = 600.0  # s of wall time until vehicle and target have sent a message; may include compiling
+SAID_S = 10.0  # s after which this wait is reported
 # s of wall time without the vehicle after which the process ends; the vehicle may wait for the robot
 LOST_RUN_MAX_S = TARGET_SILENT_S + 15.0
 ALIVE = "sim/target/alive"  # liveliness token of the robot's process in lockstep
@@ -65,9 +65,9 @@ class Patience:
 
 
 class VehicleTicks:
-    """Ticks of the vehicle: it asks for each by TIMESYNC.
+    """Ticks of the vehicle, which requests each by TIMESYNC.
 
-    ``stopped``: whether to stop waiting; by default there is no wait for a vehicle that has not asked.
+    ``stopped``: whether to stop waiting; by default there is no wait for a missing request.
     """
 
     def __init__(
@@ -81,11 +81,11 @@ class VehicleTicks:
         self._last_ns = sim_ns
 
     def wait(self) -> Tick:
-        """Wait until the vehicle asks, for a bounded wall time. Raises ClockStoppedError: it does not."""
+        """Wait for the vehicle's request, for a bounded wall time. Raises ClockStoppedError: no request."""
         link = self._vehicle.link
         first, silence = self._last_ns < 0, None
         most_s, due_s = (FIRST_WAIT_MAX_S, SAID_S) if first else (LOST_RUN_MAX_S, math.inf)
-        if self._last_ns >= 0:  # it asks for the next tick when it has flown this one, and not before
+        if self._last_ns >= 0:  # the vehicle requests the next tick only after it has flown this one
             link.endpoint.wait(WAIT_SLICE_S)
         while True:
             link.poll(max(0, self._last_ns) / 1e9)
@@ -95,7 +95,7 @@ class VehicleTicks:
                 return self._clock.tick(sim_ns)
             if sim_ns is not None:
                 link.endpoint.repeat(self._vehicle.reply)
-            if silence is None:  # mostly the vehicle has asked, which needs no clock
+            if silence is None:  # usually the request has arrived already: no clock is needed
                 silence = Silence()
             waited_s = silence.look()
             if self._stopped() or waited_s > most_s:
@@ -115,7 +115,7 @@ class VehicleTicks:
 
 
 class LockstepWires:
-    """Clock and source of target samples: a tick begins when vehicle and target have both come to it.
+    """Clock and source of target samples: a tick begins when vehicle and target have both reached it.
 
     ``odometry``: samples of the target; ``session``: brings the number of samples of each tick; ``words``:
     messages of the other vehicles of a fleet; None: no fleet.
@@ -138,16 +138,16 @@ class LockstepWires:
         self._credit = zenoh_link.blocking_publisher(session, f"{namespace}/sim/credit")
         self._session, self._alive_key = session, f"{namespace}/{ALIVE}"
         self._marker_tick, self._received = -1, 0
-        self._pool: list[RawSample] = []  # received, of which the target has not yet said the tick
+        self._pool: list[RawSample] = []  # received samples whose tick the target has not yet reported
         self._released: list[RawSample] = []  # samples of this tick
         self._counts: dict[int, int] = {}
         self._go_tick = NO_GO
         self._target_gone = False
 
     def wait(self) -> Tick:
-        """Wait for the vehicle, then for the target and the words; each for a bounded wall time.
+        """Wait for the vehicle, then for the target and the messages; each for a bounded wall time.
 
-        Raises ClockStoppedError: the vehicle does not come, or the process is to end.
+        Raises ClockStoppedError: no request of the vehicle, or the process is to end.
         """
         try:
             tick = self._ticks.wait()
@@ -165,7 +165,7 @@ class LockstepWires:
         return decoded(self._released, now_s)
 
     def landing_began(self, tick: int) -> None:
-        """Tell the target when it may drive: after the last tick that it may already have computed."""
+        """Send the target the tick from which it may drive: after the last one that it may have computed."""
         self._go_tick = tick + RUN_AHEAD_TICKS + 1
         self._give_credit(tick)
 
@@ -204,10 +204,10 @@ class LockstepWires:
 
 
 class LockstepWords:
-    """Words of a fleet in lockstep: the others receive a word of one tick in a later tick.
+    """Messages of a fleet in lockstep: the others receive a message of one tick in a later tick.
 
     The vehicles' process takes the messages of all and distributes them, tick by tick, so that their order
-    does not depend on wall time. In place of ``FleetWire``, whose clocks and networks are those of real time.
+    does not depend on wall time. It replaces ``FleetWire``, whose clocks and network run in real time.
 
     ``session`` stays open; ``namespace``: first part of the keys of this vehicle.
     """
@@ -263,7 +263,7 @@ class LockstepWords:
         return self.doubled
 
     def texts(self) -> list[str]:
-        """What a person should know since the last call."""
+        """Texts for the operator since the last call."""
         texts, self._texts = self._texts, []
         return texts
 

@@ -105,7 +105,7 @@ class OnboardLog:
         """Keep a MAVLink frame until its tick is known; the endpoint's tap."""
         if self._lockstep and direction is Direction.IN and frame[7] == TIMESYNC_ID:
             if frame == self._asked:
-                return  # a repeated question, the same to the byte: a matter of wall time
+                return  # a repeated request, equal to the byte: repeats depend on wall time
             self._asked = frame
         self._frames.append((direction, frame, self._peer_names(peer)))
 
@@ -165,7 +165,7 @@ class OnboardLog:
         return row
 
     def word(self, tick: Tick, payload: bytes | None) -> None:
-        """Write what this vehicle said to the others of its fleet, as it went out; None: nothing."""
+        """Write the message of this vehicle to its fleet, as it was sent; None: no message."""
         if self._word is not None and payload is not None:
             self._feed.write(self._word, tick.unix_ns, tick.unix_ns, tick.number, payload)
 

@@ -104,24 +104,24 @@ class Onboard:
             reserve=config.reserve is not None, state=state_class(config), names=self.names,
         )  # fmt: skip
         self.link.endpoint.tap = self.log.tap
-        lockstep = options.lockstep  # there wall time has no part in what is said
+        lockstep = options.lockstep  # then no text may depend on wall time
         self.waiting = WaitReport(config, options.system_id, self.link, self.wires, searches=not lockstep)
         self._foreign_due, self.refusals = 1, Refusals()
         self.cause = ""  # cause of an end by the autopilot, appended to the reason
         self.opened_s = time.monotonic()
 
     def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
-        """Log, show and say a tick."""
+        """Log and publish a tick, and send the message to the fleet."""
         link, arrived = self.link, taken.arrived
         exec_s *= self.options.speed
-        self.log.word(tick, self.fleet.say(out.own_word))  # the others wait for it, the log does not
+        self.log.word(tick, self.fleet.say(out.own_word))  # first, because the other members wait for it
         self.log.samples(arrived.messages, tick.unix_ns)
         for text in self.refusals.told(arrived.problems):
             self.log.event(tick.unix_ns, WARN, text)
         for severity, text in link.take_texts():
             self.waiting.note_text(tick.now_s, severity, text)
             self.log.event(tick.unix_ns, _SEVERITY_LEVEL.get(severity, 20), f"vehicle: {text}")
-        if link.counters.foreign >= self._foreign_due:  # a ground station sends many: said on doublings
+        if link.counters.foreign >= self._foreign_due:  # reported on doublings: they are many
             self.log.event(tick.unix_ns, WARN, f"frames of other systems ignored: {link.counters.foreign}")
             self._foreign_due = 2 * link.counters.foreign
         notices = (*link.endpoint.take_notices(), *link.senders.take_notices())
@@ -168,7 +168,7 @@ class Onboard:
         )
 
     def _line_use(self) -> str:
-        """What went over the serial line."""
+        """Text about the use of the serial line."""
         counters, took_s = self.link.endpoint.counters, time.monotonic() - self.opened_s
         return (
             f"serial line in {took_s:.1f} s: {counters.bytes_in / took_s:.0f} B/s in, "
@@ -177,12 +177,12 @@ class Onboard:
         )
 
     def failed(self, text: str) -> None:
-        """Say and log an exception that ended the flight."""
+        """Print and log an exception that ended the flight."""
         _warn(text)
         self.log.event(time.time_ns(), ERROR, text)
 
     def close(self) -> None:
-        """Close all links; the feed says goodbye to the recorder."""
+        """Close all links; the feed reports its end to the recorder."""
         dropped = self.link.endpoint.counters.dropped()
         if dropped:
             print(f"onboard: MAVLink not let through: {dropped}", file=sys.stderr)
@@ -197,7 +197,7 @@ class Onboard:
 
 
 def _warn(text: str) -> None:
-    """Say it on standard error."""
+    """Print a warning to standard error."""
     print(f"onboard: WARNING: {text}", file=sys.stderr)
 
 
@@ -268,7 +268,7 @@ def _check_fleet(config: FlightConfig, options: OnboardOptions) -> None:
 
 
 def _alone_with_its_id(onboard: Onboard, signals: Signals) -> Ended | None:
-    """Refuse to begin while another process says that it is the same vehicle."""
+    """Refuse to begin while another process sends with the same vehicle id."""
     if isinstance(onboard.fleet, NoFleet) or signals.operator is Operator.EMERGENCY_STOP:
         return None
     time.sleep(max(0.0, onboard.opened_s + NAMESAKE_S - time.monotonic()))

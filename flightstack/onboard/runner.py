@@ -64,14 +64,14 @@ class VehicleInputs(NamedTuple):
 
 
 class ClockStoppedError(RuntimeError):
-    """There is no further tick; the text says why."""
+    """No further tick arrives; the text gives the reason."""
 
 
 class Clock(Protocol):
     """Begins the ticks."""
 
     def wait(self) -> Tick:
-        """Wait for the next tick; what the vehicle has sent until then is taken.
+        """Wait for the next tick; read the vehicle's messages until then.
 
         Raises ClockStoppedError: there is none.
         """
@@ -89,7 +89,7 @@ class Target(Protocol):
     """The source of target samples."""
 
     def samples(self, now_s: float) -> Arrived:
-        """Return what came since the last call; ``now_s`` is when it counts as arrived."""
+        """Return the samples since the last call; ``now_s`` counts as their arrival."""
 
     def landing_began(self, tick: int) -> None:
         """Report that the landing has started, at this tick: a simulated robot then drives."""
@@ -168,19 +168,19 @@ class RealTimeClock:
         self._pacer, self._link = pacer, link
 
     def wait(self) -> Tick:
-        """Sleep until the next deadline, then take what the vehicle has sent."""
+        """Sleep until the next deadline, then read the vehicle's messages."""
         tick = self._pacer.wait()
         self._link.poll(tick.now_s)
         return tick
 
 
 class LiveTarget:
-    """A target whose samples come when they come; it needs no word about the landing.
+    """A target in real time; it needs no message about the landing.
 
-    Samples of a tick in which the process stalled are not used: they may have come later than the tick.
-    The shortest delay of a sample would be too short from then on, and later ones would count as too late.
+    Samples of a tick in which the process stalled are not used: they may have arrived after the tick began.
+    They would make the shortest delay too short, and later samples would count as too late.
 
-    ``source``: of the samples; ``clock``: the stack's, s.
+    ``source``: source of the samples; ``clock``: stack clock, s.
     """
 
     def __init__(self, source: SampleSource, clock: Callable[[], float]) -> None:
@@ -220,7 +220,7 @@ class LinkedVehicle:
         return VehicleInputs(state.own, status, link.failed is not None, state.power)
 
     def ask(self, request: Request, now_s: float) -> None:
-        """Hear it and ask for a mode, without the controller."""
+        """Read the link and request a mode, without the controller."""
         self.link.poll(now_s)
         self.link.command(request, now_s)
         self.link.flush()
@@ -243,7 +243,7 @@ REFUSED = "target sample refused: "
 
 
 class Refusals:
-    """Counts what was refused, and says so when the count has doubled: a stream would fill the log."""
+    """Counts refusals, and reports them when the count has doubled: a stream would fill the log."""
 
     def __init__(self) -> None:
         self._count, self._due = 0, 1
@@ -300,7 +300,7 @@ def fly(ticks: Runner, vehicle: LinkedVehicle, leaving: Leaving, failed: Callabl
 
 
 def _leave(ended: Ended, ticks: Runner, vehicle: LinkedVehicle, leaving: Leaving, *, works: bool) -> Ended:
-    """Ask for the landing until it shows; the reason then says whether it does."""
+    """Request the landing until the heartbeat shows it; the reason then states whether it did."""
     memory, began_s, leaving.leaves = ticks.memory, time.monotonic(), True
     arms = leaving.arms and not memory.was_armed  # perhaps only when this process has ended
     works = works and not arms

@@ -1,7 +1,7 @@
 """The causes for which a flight waits, as texts for a person, each with the setting that limits it.
 
-``missing`` judges what the links have shown, ``countdown`` says what ends a phase and when; both are pure.
-``WaitReport`` watches the links and says both every two seconds.
+``missing`` finds the causes in the state of the links, ``countdown`` gives the limit of a phase; both are
+pure. ``WaitReport`` watches the links and reports both every two seconds.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from flightstack.onboard.zenoh_wires import ZenohWires
 
 PERIOD_S = 2.0  # s between two reports
 _FLYING = frozenset({Landed.IN_AIR, Landed.TAKEOFF, Landed.LANDING})
-_REASON_SEVERITY = 4  # MAV_SEVERITY_WARNING; what is less urgent is no reason
+_REASON_SEVERITY = 4  # MAV_SEVERITY_WARNING; less urgent texts do not count as reasons
 _REASONS = 3  # texts of the vehicle that are repeated
 _REASON_AGE_MAX_S = 15.0  # s; PX4 and ArduPilot repeat why they do not arm within that time
 _CAUSE_AGE_MAX_S = 5.0  # s; a disarm shows with the next heartbeat, at 1 Hz, of which two may be lost
@@ -164,8 +164,8 @@ class _Pace:
         return self._longest_s
 
 
-# Phases in which a silent vehicle is borne: the setting that ends each, and what happens then. Any other one
-# ends at once.
+# Phases that continue without messages of the vehicle: the setting that ends each, and what happens then. Any
+# other phase ends at once.
 _BOUNDS: Mapping[Phase, tuple[str, str]] = {
     Phase.WAIT: ("checks.wait_time_max_s", "gives up"),
     Phase.HOLD: ("checks.hold_time_s", "aborts"),
@@ -227,7 +227,7 @@ class WaitReport:
     def step(
         self, out: Outputs, memory: Memory, arrived: int, problems: Sequence[str], now_s: float
     ) -> str | None:
-        """Return what a person should read now, if anything.
+        """Return the text for the operator, if one is due.
 
         ``out``: of this tick; ``memory``: of the controller, after it; ``arrived``: samples of the target in
         this tick; ``problems``: why some of them could not be decoded; ``now_s``: the stack's clock.

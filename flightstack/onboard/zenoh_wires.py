@@ -56,7 +56,7 @@ class ZenohWires:
         ]
 
     def texts(self, now_s: float) -> list[str]:
-        """What a person should know since the last call; in lockstep nothing that wall time has a part in."""
+        """Texts for the operator since the last call; in lockstep none that depends on wall time."""
         texts, self._texts = self._texts + self.odometry.take_problems(), []
         if not self._lockstep:
             for alarm in self._alarms:

@@ -2,8 +2,8 @@
 
 ``checks`` proves or refutes each claim of docs/how_it_works/robust_filter.md at its worst point.
 ``problems`` are the refuted claims that are necessary for a landing: the onboard process rejects such a
-configuration. Each class of filter has its own function of checks: what a subclass flies, nobody has proven.
-The paper's filter has only the paper's checks: it guarantees nothing for a vehicle with lag.
+configuration. Each class of filter has its own function of checks: the proof of a class does not cover its
+subclasses. The paper's filter has only the paper's checks: it guarantees nothing for a vehicle with lag.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from flightstack.verify.types import Check, Need
 
 
 class Crowd(NamedTuple):
-    """What decides about common points."""
+    """Numbers that decide whether a common point exists."""
 
     steepest: float  # steepest slope of the boundary outside the pad
     climb_m_s: float  # climb of the pad
@@ -32,7 +32,7 @@ class Crowd(NamedTuple):
 
 
 def crowd(config: FlightConfig, fleet: Fleet, shape: Shape, climb_m_s: float) -> Crowd:
-    """By a configuration with a table [fleet].
+    """Numbers of a configuration with a table [fleet].
 
     ``shape``: boundary; ``climb_m_s``: fastest climb of the pad.
     """

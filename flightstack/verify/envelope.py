@@ -31,8 +31,8 @@ class Extremes:
     target_acceleration_m_s2: float  # horizontal
     heave_acceleration_m_s2: float  # vertical; 0 for a target that does not heave
     slip_m_s: float  # horizontal speed against the target while it is followed
-    position_error_m: float  # horizontal error of vehicle minus target, with the covered factor
-    height_error_m: float  # the same upwards
+    position_error_m: float  # sigma_factor times the horizontal standard deviation of vehicle minus target
+    height_error_m: float  # the same, vertical
     growth_m: float  # growth of the margin between two samples of the target
     velocity_error_m_s: float  # error of the target's estimated velocity on an axis, likewise
     lag_xy_s: float  # lag_xy_s, lag_z_s: slowest vehicle of the spread

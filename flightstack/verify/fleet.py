@@ -124,7 +124,7 @@ def shares(fleet: Fleet, period_s: float) -> Check:
 
 
 def _fastest_m_s(config: FlightConfig, fleet: Fleet) -> float:
-    """Fastest that this vehicle can use up the distance, along any gradient."""
+    """Largest rate at which this vehicle can reduce the distance, along any gradient."""
     vx, vy, vz = config.limits.velocity_max_m_s
     return math.sqrt(vx * vx + vy * vy + (fleet.radius_xy_m / fleet.radius_z_m * vz) ** 2)
 

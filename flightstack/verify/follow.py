@@ -53,7 +53,7 @@ def follow_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
 
 
 def _reach_m(config: FlightConfig, x: Extremes, low: float, high: float) -> tuple[float, float]:
-    """Return the largest distance of any vehicle of a piece, negative, and that of the middle one."""
+    """Return minus the largest distance of all vehicles of a piece, and the distance of its middle one."""
     own_m, beside_m = _piece_m(config, x, low, high)
     return -(own_m + beside_m), own_m
 

@@ -1,7 +1,7 @@
 """The newest data of a flight on another machine, and their age by the watcher's own clock.
 
-A sample counts as news only if its tick is another one than before: a sender that repeats itself is as
-silent as one that says nothing.
+A sample counts as news only if its tick is another one than before: a sender that only repeats a tick
+counts as silent.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ class Watch:
 
 
 def snapshot(watch: Watch) -> dict[str, Any]:
-    """Newest values for scripts: ``None`` for what is not known; ``fresh``: whether they are current."""
+    """Newest values for scripts: ``None`` for an unknown value; ``fresh``: whether they are current."""
     step, health = watch.step, watch.health
     values: dict[str, Any] = {
         "fresh": watch.news is News.FRESH,

@@ -29,13 +29,13 @@ class Estimate(NamedTuple):
     age_s: float  # age of its message, with the error of the clock
     # position extrapolated from the stamp; with late messages the upper end of its possible positions
     position_enu_m: Vec3
-    velocity_enu_m_s: Vec3  # velocity as reported; 0 where the position is carried on no more
+    velocity_enu_m_s: Vec3  # reported or commanded velocity; 0 after the extrapolation ends
     grown_m: float  # growth of both semi-axes
     growth_m_s: float  # rate of that growth
     late: bool  # its message is older than ``latency_max_s``, and did not announce that it is down
-    anywhere_m: float  # the same as ``grown_m``, with all that it can have flown since
-    depth_m: float = 0.0  # depth that it may have sunk below its position, as its autopilot lands it
-    sink_m_s: float = 0.0  # rate of that
+    anywhere_m: float  # ``grown_m`` plus the distance that it can have flown since
+    depth_m: float = 0.0  # possible descent below this position while its autopilot lands it
+    sink_m_s: float = 0.0  # rate of this descent
 
     def beside(self, place_enu_m: Vec3) -> tuple[Vec3, Vec3]:
         """A place minus the nearest one between the position and the depth below it; the velocity of that."""
@@ -89,7 +89,7 @@ def jump(before: Neighbour, word: Neighbour, fleet: Fleet) -> Vec3:
 
 
 def faster(before_m_s2: Vec3, before: Neighbour, word: Neighbour) -> Vec3:
-    """Acceleration of the velocity that another vehicle wants, smoothed."""
+    """Smoothed acceleration of another vehicle's commanded velocity."""
     t = word.stamp_s - before.stamp_s
     share = 1.0 / (t + SMOOTH_S)
     (x, y, z), (ox, oy, oz), (ax, ay, az) = word.wanted_enu_m_s, before.wanted_enu_m_s, before_m_s2
@@ -103,12 +103,12 @@ def faster(before_m_s2: Vec3, before: Neighbour, word: Neighbour) -> Vec3:
 def estimate(
     word: Neighbour, now_s: float, own_sigma_m: float, fleet: Fleet, faster_m_s2: Vec3 = ZERO
 ) -> Estimate:
-    """Where another vehicle is now, and how far it may be from there.
+    """Estimate where another vehicle is now, and how far from there it may be.
 
-    One whose words are late is carried on for ``CARRIED_AGES`` with the set-point that it may have had, about
-    as long as an autopilot without a companion flies on; it drifts from there, and may sink to the ground.
-    Where it may be grows until ``silent_flight_s``: by then its own failsafe has ended its flight.
-    One that is down stands still, or rides on a pad that may have stopped since.
+    A vehicle whose messages are late is extrapolated for ``CARRIED_AGES`` with its last possible set-point,
+    about as long as an autopilot continues without its companion; it drifts from this course and may sink to
+    the ground. Its region grows until ``silent_flight_s``: by then its own fail-safe has ended the flight.
+    A vehicle that is down stands still, or moves with a pad that may have stopped since.
     """
     v, p = word.velocity_enu_m_s, word.position_enu_m
     speed_m_s = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
@@ -133,7 +133,7 @@ def estimate(
 def _late(
     word: Neighbour, age_s: float, base_m: float, speed_m_s: float, fleet: Fleet, faster_m_s2: Vec3
 ) -> Estimate:
-    """The estimate of a vehicle whose messages are late."""
+    """Estimate the position of a vehicle whose messages are late."""
     (x, y, z), (vx, vy, vz), (wx, wy, wz) = word.position_enu_m, word.velocity_enu_m_s, word.wanted_enu_m_s
     ax, ay, az = faster_m_s2
     wx, wy, wz = wx + LEAD_S * ax, wy + LEAD_S * ay, wz + LEAD_S * az

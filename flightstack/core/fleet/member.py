@@ -57,7 +57,7 @@ NO_ROWS = Rows((), (), ())
 
 
 def intent_of(memory: Memory, *, granted: bool, flies: bool) -> Intent:
-    """What a phase means to the others."""
+    """Intent that a phase announces to the other members."""
     if memory.phase is Phase.ABORT and memory.abort_way is AbortWay.FLY_CLEAR and not memory.clear:
         return Intent.CLEARING
     if memory.phase is Phase.LEAVE and memory.clear:
@@ -229,7 +229,7 @@ class FleetMember:
         self, memory: Memory, own: OwnState, status: VehicleStatus | None, wanted_m_s: Vec3,
         target: TargetState | None, now_s: float,
     ) -> Neighbour:  # fmt: skip
-        """What the process has to tell the others after this tick."""
+        """Message to the other members after this tick."""
         flies = status is not None and status.armed and status.landed is not Landed.ON_GROUND
         fleet, mine, (x, y, z) = self._fleet, self.memory, own.position_enu_m
         intent = intent_of(memory, granted=mine.granted, flies=flies)

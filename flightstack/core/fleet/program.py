@@ -27,12 +27,12 @@ from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S, FilterResult, so
 from flightstack.core.safety.solver import compiled_solver, matrix
 from flightstack.core.types import ZERO, FilterStatus, Vec3
 
-FIRM_MAX = 2  # rows that never give way
+FIRM_MAX = 2  # rows that are never relaxed
 AGREES_M_S = 1e-6  # largest distance of the solver's point from the exact one, m/s
 _ROWS = FIRM_MAX + OTHERS_MAX
 INWARD_RATE_1_S = 2.5  # always allowed horizontal velocity per distance from the pad's middle
 OUTWARD_PART = 0.5  # share of the landing barrier's rate for horizontal velocities that lower h
-RELAXED_M_S = 1e-8  # besides the least slack, so that more than one point is left
+RELAXED_M_S = 1e-8  # added to the least slack, so that the feasible set is more than one point
 
 
 class FleetResult(NamedTuple):
@@ -194,11 +194,11 @@ class Cone(NamedTuple):
     def box(
         self, d_m: float, h_m: float, nominal: Vec3, target_m_s: Vec3, lower: Vec3, upper: Vec3
     ) -> tuple[Vec3, Vec3]:
-        """Box in which making way neither makes the vehicle sink faster nor takes it fast past the middle.
+        """Box in which avoidance neither adds sink rate nor carries the vehicle fast across the middle.
 
-        Beyond the middle a velocity inwards is one outwards. A climb may always end. It sinks no faster than
-        h alone allows: a flight inwards, where the boundary falls, may be turned round by a neighbour sooner
-        than the climb follows.
+        Beyond the middle an inward velocity becomes an outward one. A climb may always end. The vehicle
+        sinks no faster than h alone allows: on an inward path, where the boundary falls, a neighbour may
+        reverse the vehicle sooner than the climb follows.
         """
         most = INWARD_RATE_1_S * d_m + OUTWARD_PART * max(0.0, h_m) / (self.slope_max * self.lag_s)
         (tx, ty, tz), (lx, ly, lz), (ux, uy, uz) = target_m_s, lower, upper

@@ -25,14 +25,14 @@ _LEAST_M = 1e-6  # least horizontal distance with a direction, m
 
 
 def share(slot: Heard, word: Neighbour, now_s: float, fleet: Fleet) -> float:
-    """Part of this vehicle."""
+    """Share of the avoidance that this vehicle takes: none, half or all of it."""
     if slot.yields or now_s - slot.yielded_s <= HOLD_LATENCIES * fleet.latency_max_s:
         return ALL
     age_s = now_s - word.stamp_s + word.clock_bound_s
     if word.intent in FIRM or age_s > fleet.age_max_s:
         return ALL
     if slot.jumped_m != ZERO and math.hypot(*slot.jumped_m) > fleet.margin_m:
-        return ALL  # its position may be unknown to itself
+        return ALL  # its own position estimate may be wrong
     if fleet.id in word.yields_to and age_s <= ZERO_LATENCIES * fleet.latency_max_s:
         return NONE
     return HALF
@@ -65,8 +65,9 @@ def row(
 def wider(lax: Row, outer_m: float, now: Estimate, fleet: Fleet) -> Row:
     """Constraint for a vehicle whose messages are late: it may be anywhere in a larger ellipsoid.
 
-    While it may fly, this vehicle stays out of it, or comes no nearer to its middle if it is inside. After
-    that it lies somewhere in there: who is outside stays so; who is inside has to come down, too.
+    While the other vehicle may fly, this vehicle stays out of the ellipsoid, or, inside it, does not approach
+    its middle. After that the other vehicle lies in the ellipsoid: a vehicle outside remains outside, and one
+    inside has to land, too.
     """
     bound_m_s = -fleet.rate_1_s * outer_m
     if now.age_s <= fleet.silent_flight_s:
@@ -86,9 +87,9 @@ class Near(NamedTuple):
 
 
 def sidestep(nominal: Vec3, near: Sequence[Near], rate_1_s: float) -> Vec3:
-    """Nominal velocity with a part to the right of each vehicle that it closes in on.
+    """Nominal velocity plus a side-step to the right of each vehicle that it approaches.
 
-    The part grows to the closing speed from where the row begins to bind to where nothing is left.
+    The side-step grows from 0, where the row begins to bind, to the closing speed, where h is 0.
     """
     x, y, z = nominal
     for h_m, (gx, gy, gz), (ax, ay, _), (vx, vy, vz) in near:

@@ -21,8 +21,8 @@ from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import Charge, Landed, Mode, Operator, OwnState, Phase, Vec3, VehicleStatus
 
-OVER_PAD_LEFT = 1.5  # times the radius at which the cone over the pad is entered
-TAKEOFF_DONE = 0.85  # share of the take-off height at which we take over
+OVER_PAD_LEFT = 1.5  # multiple of the radius at which the cone over the pad is entered
+TAKEOFF_DONE = 0.85  # share of the take-off height at which the stack takes over control
 LANDED_SETTLE_S = 2.2  # the judge requires 2 s at rest on the pad
 DRIFT_CAUSES = (
     "usual causes: a twist in header.frame_id instead of child_frame_id, a heading that is off by 180 "
@@ -63,13 +63,13 @@ def start_point(config: FlightConfig, target: TargetState) -> Vec3 | None:
 
 
 def high_enough_m(config: FlightConfig, barrier: Barrier, memory: Memory) -> float:
-    """Height above which nothing of the target reaches."""
+    """Height above every part of the target, climb margin included."""
     base = memory.target_position_enu_m[2] if memory.target_position_enu_m else 0.0
     return base + barrier.peak_height_m + config.retreat.climb_margin_m
 
 
 def climbed(config: FlightConfig, memory: Memory, own: OwnState) -> bool:
-    """Whether the climb of the take-off is over: armed, and nearly as high as asked for."""
+    """Whether the take-off climb is over: armed, and near the commanded height."""
     climbed_m = own.position_enu_m[2] - memory.ground_z_m
     return memory.was_armed and climbed_m > TAKEOFF_DONE * config.takeoff.height_m
 
@@ -91,13 +91,13 @@ def _landing_distance_m(
 ) -> float:
     """Least horizontal distance from the target in a landing that begins now.
 
-    The vehicle comes to rest by its velocity loop, then sinks straight down; the target drives on as it did
-    when it was seen last.
+    The vehicle comes to rest by its velocity loop, then sinks straight down; the target continues with its
+    last known velocity.
     """
-    assert memory.target_velocity_enu_m_s is not None  # known since its position is
+    assert memory.target_velocity_enu_m_s is not None  # known whenever the position is known
     lag_s = config.velocity_loop.lag_xy_s
     (vx, vy, _), (tx, ty, _) = own.velocity_enu_m_s, memory.target_velocity_enu_m_s
-    ground_z_m = memory.ground_z_m if memory.ground_z_m < math.inf else 0.0  # found in the air: the origin's
+    ground_z_m = memory.ground_z_m if memory.ground_z_m < math.inf else 0.0  # in the air from the start: 0
     sinks_s = max(0.0, own.position_enu_m[2] - ground_z_m) / config.retreat.landing_speed_m_s
     x, y = away_m[0] + vx * lag_s, away_m[1] + vy * lag_s
     closing_m2_s, speed2_m2_s2 = x * tx + y * ty, tx * tx + ty * ty
@@ -165,7 +165,7 @@ def condition_flags(
 
 @numeric
 def time_flags(checks: Checks, times_s: PhaseTimes, memory: Memory, now_s: float) -> int:
-    """Flags of what is over, and of contact as the mission has found it."""
+    """Flags of expired times, and of contact as detected by the mission."""
     flags = 0
     if memory.started_s < math.inf:
         flags |= C.STARTED
@@ -177,7 +177,7 @@ def time_flags(checks: Checks, times_s: PhaseTimes, memory: Memory, now_s: float
         flags |= C.ON_PAD
     if (
         memory.phase is Phase.LAND and memory.contact
-    ):  # off the middle it stands where h < 0: no rule allows it
+    ):  # beside the middle it stands at h < 0, which no rule allows
         flags |= C.TOUCH
     return flags
 
@@ -287,21 +287,21 @@ def waits_for_calm(config: FlightConfig, memory: Memory, at: Relative, now_s: fl
 
 
 class Known(NamedTuple):
-    """What the numbers are taken from."""
+    """Data from which the numbers of a reason are read."""
 
     checks: Checks  # limits of the configuration
     snapshot: Snapshot  # this tick's inputs
     plausibility: Plausibility  # plausibility of vehicle state and of following
     track: TargetTrack  # samples of the target
     now_s: float  # stack clock
-    battery: str = ""  # what is wrong with it, where something is
-    velocity_max_m_s: float = 0.0  # horizontal, of the configuration
-    swings: int = 0  # how often it has left the cone over the pad
-    refusal: str = ""  # why the result of a filter of one's own is no velocity
+    battery: str = ""  # problem of the battery; empty: none
+    velocity_max_m_s: float = 0.0  # largest horizontal velocity of the configuration
+    swings: int = 0  # how often the vehicle has left the cone over the pad
+    refusal: str = ""  # why the result of a user's filter is not a valid velocity
 
 
 def reason(rule: Rule[Phase], flags: int, known: Known) -> str:
-    """Reason of a rule that fires, with the numbers of those of its conditions that hold."""
+    """Reason text of a rule that fires, with the numbers of its conditions that hold."""
     asked = (rule.when | rule.about) & flags
     told = [say(known) for condition, say in _NUMBERS.items() if asked & condition]
     way = known.snapshot.way

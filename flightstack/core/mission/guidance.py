@@ -1,6 +1,6 @@
 """What each phase commands: the vehicle's mode, and the velocity before safety filter and gate.
 
-Pure: nothing is remembered here, and the memory of the mission is only read.
+Pure functions: they read the mission's memory and do not change it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from flightstack.core.snapshot import Relative, Snapshot
 from flightstack.core.strategies.strategy import Filter
 from flightstack.core.types import ZERO, Landed, Operator, Phase, Request, Vec3
 
-CLIMB_OVER = 0.5  # share of the climb margin by which the climb aims beyond what is high enough, to get there
+CLIMB_OVER = 0.5  # share of the climb margin by which the climb's goal exceeds the height to reach
 CLEAR_BELOW = 0.25  # share of the climb margin by which the vehicle may be too low while it flies clear
 
 
@@ -33,7 +33,7 @@ class NominalCommand(NamedTuple):
 
 
 class Situation(NamedTuple):
-    """Everything a phase may look at."""
+    """Inputs of the command of a phase."""
 
     config: FlightConfig
     barrier: Barrier
@@ -45,7 +45,7 @@ class Situation(NamedTuple):
 def _wait(s: Situation) -> NominalCommand:
     status = s.snapshot.inputs.status
     if status is not None and status.armed and status.landed is not Landed.ON_GROUND and s.snapshot.target_ok:
-        # found in the air: take over, standing still, and never below the barrier of a pad that comes nearer
+        # in the air from the start: take over and hover, never below the barrier of an approaching pad
         return NominalCommand(Request.EXTERNAL, ZERO, filtered=s.strategy.waits_filtered)
     return NominalCommand(Request.NONE)
 
@@ -71,7 +71,7 @@ def _takeoff(s: Situation) -> NominalCommand:
 
 
 def _follows_in_air(s: Situation) -> bool:
-    """Whether it has lifted off and follows set-points: nothing is left to ask of its own take-off."""
+    """Whether the vehicle has lifted off and follows set-points, so that its own take-off is over."""
     status = s.snapshot.inputs.status
     standing = status is None or status.landed is Landed.ON_GROUND
     return s.memory.was_external and not standing
@@ -106,9 +106,9 @@ def _outside(at: Relative, fleet: Fleet, config: FlightConfig) -> Vec3:
 
 
 def _touchdown(s: Situation) -> NominalCommand:
-    """Motors off by the rule; until then straight down, above the pad's middle.
+    """Motors off by the filter's rule; until then a straight descent above the pad's middle.
 
-    Within the pad's radius the cone is narrower than the pad and no longer what guards the landing.
+    Within the pad's radius the cone is narrower than the pad and no longer protects the landing.
     """
     if s.memory.contact:
         return NominalCommand(Request.MOTORS_OFF)
@@ -121,18 +121,19 @@ def _touchdown(s: Situation) -> NominalCommand:
 
 
 def _landed(s: Situation) -> NominalCommand:
-    """Nothing; but an emergency stop is obeyed, in case the heartbeat did not tell the truth."""
+    """No request, except for an emergency stop, in case the heartbeat was wrong."""
     emergency = s.snapshot.inputs.operator is Operator.EMERGENCY_STOP
     return NominalCommand(Request.MOTORS_OFF if emergency else Request.NONE)
 
 
 def _leave(s: Situation) -> NominalCommand:
-    """Up above the pad until nothing of the target reaches so high, then to the place where it lands."""
+    """Climb above the pad to a height above all of the target, then fly to the landing place."""
     memory, at, status = s.memory, s.snapshot.relative, s.snapshot.inputs.status
     if memory.clear:
         return NominalCommand(Request.LAND)
     flies = status is not None and status.armed and status.landed is not Landed.ON_GROUND
-    request = Request.EXTERNAL if flies else Request.TAKEOFF  # a take-off of its own does not follow the pad
+    # the autopilot's own take-off does not follow the pad
+    request = Request.EXTERNAL if flies else Request.TAKEOFF
     if at is None:
         return NominalCommand(request)
     gain, (x, y, z) = s.config.position_loop.gain_1_s, at.own.position_enu_m

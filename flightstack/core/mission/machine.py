@@ -40,11 +40,11 @@ _PHASES, _WAYS = "|".join(Phase.__members__), "|".join(w.name.lower().replace("_
 _TIME = r"(?: *[0-9.]+ s  )?"
 _CHANGE = rf"(?P<before>{_PHASES})(?: -> (?P<after>{_PHASES}))?"
 _TEXT = re.compile(rf"{_TIME}{_CHANGE}: (?P<reason>.*?)(?: \((?P<way>{_WAYS})\))?", re.DOTALL)
-STANDING_S = 4.0  # on the pad, not let touch down: pushed to the middle, where h >= 0, most are within 3 s
+STANDING_S = 4.0  # time on the pad in LAND; most vehicles are pushed to the middle, where h >= 0, in 3 s
 SLIDING_TIME_S = 0.15  # a delayed vehicle state shows contact 0.1 s late, and the motors need 0.05 s
 ABORT_SETTLE_S = 1.0  # minimum time in an abort: a heartbeat reports its end, s
-PLACE_RADIUS_M = 0.1  # horizontally: so near the place beside the target it lands ...
-PLACE_SPEED_M_S = 0.15  # ... when it is slower than that
+PLACE_RADIUS_M = 0.1  # horizontal distance to the place beside the target below which it lands ...
+PLACE_SPEED_M_S = 0.15  # ... at less than this speed
 RETRY_FROM = frozenset({Phase.HOLD, Phase.CLIMB, Phase.TOUCHDOWN})
 RETRY_TO = frozenset({Phase.APPROACH, Phase.TAKEOFF})
 _NOT_FLYING = frozenset({Landed.ON_GROUND, Landed.UNKNOWN})
@@ -127,7 +127,7 @@ class Mission:
             self.watch_contact(at, standing, now_s)
         elif memory.phase is Phase.TOUCHDOWN and not memory.contact:
             own_ok, target_ok = snapshot.own_ok, snapshot.target_ok
-            # without a target in sight, that of its last samples counts: its height does not change meanwhile
+            # a lost target is taken at its last samples: its height does not change meanwhile
             stopped = own_ok and not target_ok and at is not None and self._stopped(at, now_s)
             memory.contact = stopped or (standing and not (own_ok and target_ok))
         config, times_s = self._config, self._times_s
@@ -172,7 +172,7 @@ class Mission:
         return status.landed in _NOT_FLYING and not (status.armed and fresh)
 
     def _remember(self, snapshot: Snapshot, now_s: float) -> None:
-        """Newest known target, heading, what the vehicle has been, and since when the inputs are good."""
+        """Store the newest target, heading and past vehicle states, and since when the inputs are good."""
         memory, target, own, status = (
             self.memory,
             snapshot.target,
@@ -196,7 +196,7 @@ class Mission:
                 memory.was_external = True
 
     def _stopped(self, at: Relative, now_s: float) -> bool:
-        """Stopped low over the pad for some samples: two noisy heights do not tell so soon."""
+        """Whether it has stopped low over the pad for ``stopped_time_s``: two noisy heights prove nothing."""
         memory = self.memory
         if not self._strategy.stopped(at, memory.command):
             memory.stopped_since_s = math.inf
@@ -259,7 +259,7 @@ class Mission:
         return Transition(before, after, why, memory.abort_way)
 
     def _abort(self, flags: int) -> Transition | None:
-        """Choose how the abort ends the flight; a person may still ask for more than it does."""
+        """Choose how the abort ends the flight; the operator may still command a stronger one."""
         memory = self.memory
         rule = next_way(memory.abort_way, flags)
         if rule is None:

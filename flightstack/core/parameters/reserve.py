@@ -5,14 +5,14 @@ throttle of level flight grows as the voltage falls. At the voltage of level fli
 
     r = (throttle_max / hover throttle)^p,    hover throttle = hover_throttle hover_voltage_v / voltage
 
-times the weight; but more thrust takes more current, by its power 1.5, and the voltage sags with it: by sag_v
-from rest to level flight. To first order that leaves of r - 1 the share 1 / (1 + 1.5 p sag_v / voltage).
+times the weight. But the current grows with the thrust to the power 1.5, and lowers the voltage: by sag_v
+from rest to level flight. To first order the share 1 / (1 + 1.5 p sag_v / voltage) of r - 1 remains.
 
-A firmware that compensates the battery ends its thrust command at a fixed voltage at the motors, so that a
-full battery lifts no more than that: the largest throttle is motor_voltage_max_v / voltage, if that is less.
+A firmware that compensates the battery limits its thrust command at a fixed motor voltage, so that a full
+battery gives no more thrust: the largest throttle is motor_voltage_max_v / voltage, if that is less.
 
 Recorded Crazyflies 2.1 with markers hover at 0.78 of full PWM at 3.7 V and at 0.90 at 3.1 V, with p = 1.5;
-their motors differ by 9 %, so that the first one is at its end at a mean of about 0.95.
+their motors differ by 9 %, so that the first one saturates at a mean of about 0.95.
 """
 
 from __future__ import annotations
@@ -63,21 +63,21 @@ class Reserve:
         return math.pow(throttle / self.throttle_max, self.thrust_exponent)
 
     def left(self, effort: float, voltage_v: float) -> float:
-        """Reserve for an effort of level flight; the voltage in flight, which sags when the thrust rises."""
+        """Reserve for an effort of level flight at this voltage, which falls when the thrust rises."""
         return left(effort, self.sags(voltage_v), self.most(voltage_v))
 
     def sags(self, voltage_v: float) -> float:
-        """Share of the thrust left that the sag of this voltage takes, see above."""
+        """Loss term of the voltage sag, 1.5 p sag_v / voltage, see above."""
         return 1.5 * self.thrust_exponent * self.sag_v / voltage_v
 
     def most(self, voltage_v: float) -> float:
-        """Effort at which the thrust command ends at this voltage; inf: only at full throttle."""
+        """Effort at which the thrust command saturates at this voltage; inf: only at full throttle."""
         if self.motor_voltage_max_v is None:
             return math.inf
         return self.effort(self.motor_voltage_max_v / voltage_v)
 
     def voltage_v(self, reserve: float) -> float:
-        """Voltage in flight from which the reserve is this one; inf: at none."""
+        """Lowest voltage in flight that gives this reserve; inf: no voltage does."""
         hover_v, most_v = self.hover_throttle * self.hover_voltage_v, self.motor_voltage_max_v
         if most_v is not None and math.pow(most_v / hover_v, self.thrust_exponent) < reserve:
             return math.inf
@@ -102,12 +102,12 @@ def left(effort: float, sags: float, most: float) -> float:
 
 @numeric
 def up_m_s2(reserve: float, share: float) -> float:
-    """Upward acceleration that may be wanted."""
+    """Limit of the commanded upward acceleration."""
     return max(LEAST_M_S2, share * (reserve - 1.0) * GRAVITY_M_S2)
 
 
 @numeric
 def level_m_s2(reserve: float, share: float) -> float:
-    """Horizontal acceleration that may be wanted on x and on y besides: the thrust left over tilts."""
+    """Limit of the commanded acceleration on x and on y: the remaining thrust is used for tilt."""
     lift = reserve / (1.0 + share * (reserve - 1.0)) if reserve > 1.0 else 1.0
     return max(LEAST_M_S2, GRAVITY_M_S2 * math.sqrt(0.5 * (lift * lift - 1.0)))

@@ -16,7 +16,7 @@ from flightstack.core.numeric import hypot
 
 @dataclass(frozen=True, slots=True)
 class VelocityLoop:
-    """How the vehicle answers a velocity set-point, and how much its loop is helped.
+    """Response of the vehicle to a velocity set-point, and gains of its correction.
 
     Defaults: Crazyflie firmware's PID loops on the simulated Crazyflie 2.0, by step responses.
     """
@@ -52,9 +52,9 @@ class VelocityLoop:
 
 @dataclass(frozen=True, slots=True)
 class VelocityFeedback:
-    """Horizontally the vehicle's whole state is fed back, not the lead: core/strategies/velocity_tracking.py.
+    """Horizontal feedback of the whole vehicle state, not the lead: core/strategies/velocity_tracking.py.
 
-    For gusts. It needs the velocity loop identified, and room for tilt above the wind's share.
+    It rejects gusts. It needs an identified velocity loop, and a reserve of tilt beyond what the wind takes.
     """
 
     horizontal: bool = False
@@ -69,7 +69,7 @@ class VelocityFeedback:
 
     @property
     def far(self) -> VelocityFeedback:
-        """The same with the rates of far away; itself where they are everywhere the same."""
+        """These parameters with the far rates; unchanged if ``far_m`` is 0."""
         if not self.far_m:
             return self
         return replace(self, error_rate_1_s=self.far_error_rate_1_s, tilt_rate_1_s=self.far_tilt_rate_1_s)
@@ -77,7 +77,7 @@ class VelocityFeedback:
 
 @dataclass(frozen=True, slots=True)
 class OwnStateLink:
-    """How the vehicle's own state reaches us."""
+    """Delay and errors of the received vehicle state."""
 
     delay_s: Annotated[float, span(0.0, 0.2)] = 0.01  # age of a position when it arrives
     position_noise_m: Annotated[float, span(0.0, 0.2)] = 0.002  # standard deviation on each axis
@@ -89,13 +89,13 @@ class OwnStateLink:
 
     @property
     def learns(self) -> bool:
-        """Whether an error of the velocity is learned."""
+        """Whether the velocity error is estimated."""
         return self.velocity_error_m_s > 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class TargetLink:
-    """How the target moves and how its odometry reaches us."""
+    """Motion of the target, and delay and noise of its odometry."""
 
     delay_s: Annotated[float, span(0.0, 0.5)] = 0.02  # shortest age of a sample when it arrives
     position_noise_m: Annotated[float, span(1e-4, 0.5)] = 0.005  # standard deviation on each axis
@@ -112,7 +112,7 @@ class TargetLink:
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
-    """What the certificate must hold for, besides ``touchdown.target_speed_max_m_s``; flight ignores it."""
+    """Range that the certificate covers, with ``touchdown.target_speed_max_m_s``; unused in flight."""
 
     target_climb_max_m_s: Annotated[float, span(0.0, 2.0)] = 0.0  # heave of the pad
     target_acceleration_max_m_s2: Annotated[float, span(0.0, 10.0)] = 0.5  # braking, reversing, turning

@@ -18,7 +18,7 @@ from flightstack.core.types import FilterStatus, Vec3
 
 _KEY = object()
 BOX_TOLERANCE_M_S = 1e-9
-SOLVER_TOLERANCE_M_S = 2.0 * RESIDUAL_MAX_M_S  # what a result of the filter may miss the barrier by; rounding
+SOLVER_TOLERANCE_M_S = 2.0 * RESIDUAL_MAX_M_S  # largest violation by a result of the filter; rounding
 
 
 class GateVerdict(IntEnum):
@@ -68,7 +68,7 @@ class BarrierCheck(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """Limits of everything that goes out."""
+    """Limits of every set-point that is sent."""
 
     omega_1_s: float
     velocity_max_m_s: Vec3
@@ -98,7 +98,7 @@ class Gate:
         return verdict, None
 
     def stop(self, yaw_rad: float, *, own_fresh: bool) -> ApprovedSetpoint | None:
-        """Zero velocity, for when a command was refused; nothing at all without a fresh own state."""
+        """Zero velocity in place of a refused command; no set-point without a fresh vehicle state."""
         if not own_fresh or not math.isfinite(yaw_rad):
             return None
         return ApprovedSetpoint(_KEY, (0.0, 0.0, 0.0), yaw_rad)
@@ -106,7 +106,7 @@ class Gate:
     def verdict(
         self, velocity: Vec3, yaw_rad: float, own_fresh: bool, target_fresh: bool, altitude_m: float
     ) -> GateVerdict:
-        """Judge a velocity but for the barrier; arguments as those of ``check``."""
+        """Judge a velocity except for the barrier; arguments as those of ``check``."""
         if not own_fresh:
             return GateVerdict.OWN_STALE
         if not target_fresh:
@@ -126,14 +126,14 @@ class Gate:
         return GateVerdict.APPROVED
 
     def keeps_promise(self, velocity: Vec3, check: BarrierCheck) -> bool:
-        """The next h by the kinematic model is what the constraint of eq. 11 promised, without derivatives.
+        """Whether the next h, by the kinematic model, meets the bound of eq. 11, without derivatives.
 
-        The promise is linear; a result of the filter that keeps it may miss by the boundary's bend and by the
-        slope that the gradient leaves out at the apex, and by no more (docs/how_it_works/robust_filter.md).
+        The bound is linear; a filter result that meets it may miss h by the boundary's curvature and by the
+        slope that the gradient neglects at the apex, and by no more (docs/how_it_works/robust_filter.md).
         """
         status, hopeless = check.status, check.status is FilterStatus.INFEASIBLE
         solved = status is FilterStatus.SOLVED or status is FilterStatus.CLOSED_FORM
-        own = status is FilterStatus.OWN  # of a class of the user, which promises nothing
+        own = status is FilterStatus.OWN  # result of a user's class, which guarantees nothing
         if not (solved or hopeless or own or status is FilterStatus.CROWDED):
             return False
         t = self.period_s

@@ -41,9 +41,9 @@ class FilterResult(NamedTuple):
         velocity_enu_m_s: the command, always inside the box.
         slack_m_s: g . u + omega h + dh/dt at the command; negative only if INFEASIBLE.
         active: the barrier changed the command.
-        status: how it came about.
+        status: how the result was found.
         residual_m_s: the solver's largest violation before clipping.
-        iterations: of the solver.
+        iterations: number of the solver's iterations.
         solve_s: wall time of projection and solver.
     """
 
@@ -57,7 +57,7 @@ class FilterResult(NamedTuple):
 
 
 class Program(Protocol):
-    """What makes the velocity wanted from the nominal one."""
+    """Computes the filtered velocity from the nominal one."""
 
     def solve(
         self, nominal: Vec3, h_m: float, gradient: Vec3, dh_dt_m_s: float, lower: Vec3, upper: Vec3
@@ -66,7 +66,7 @@ class Program(Protocol):
 
 
 def solver_settings(osqp: Any) -> Any:
-    """Settings with which a result depends on the numbers of its tick alone."""
+    """Solver settings that make a result depend only on the numbers of its tick."""
     settings = osqp.OSQPSettings()
     osqp.osqp_set_default_settings(settings)
     settings.verbose = 0

@@ -1,9 +1,9 @@
-"""The landing barrier with a margin: what the robust filter holds so that the barrier itself is held.
+"""The landing barrier with a margin, which the robust filter enforces to keep the barrier itself.
 
     h_r(e) = h(e) - m (1 - exp(-(d / w)^2))
 
 The margin m fades within the radius w around the landing spot, or the vehicle would hover over the pad for
-ever. The law chooses m such that at the pad's edge what is needed there is left of it.
+ever. The rule chooses m such that the faded margin is still sufficient at the pad's edge.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from flightstack.core.types import Vec3
 
 @numeric
 class RobustBarrier(NamedTuple):
-    """Barrier with a margin; has what the gate and the filter need of a barrier."""
+    """Barrier with a margin; has the interface of a barrier that gate and filter use."""
 
     barrier: Barrier
     margin_m: float
@@ -26,7 +26,7 @@ class RobustBarrier(NamedTuple):
 
     @property
     def slope_max(self) -> float:
-        """Bound of the boundary's slope: the barrier's and the margin's steepest, that at w / sqrt(2)."""
+        """Bound of the boundary's slope: the barrier's steepest plus the margin's, at w / sqrt(2)."""
         return self.barrier.slope_max + self.margin_m / self.fade_radius_m * math.sqrt(2.0 / math.e)
 
     def linearisation_bound_m(self, e_m: Vec3, moved_m: float) -> float:

@@ -1,4 +1,4 @@
-"""The paper's filter, eq. 11 as printed: what the base class does."""
+"""The paper's filter, eq. 11 as printed, as the base class implements it."""
 
 from __future__ import annotations
 
@@ -13,6 +13,6 @@ class PaperFilter(Filter):
     """Eq. 11 as printed: the velocity loop is taken to be perfect, and nothing is estimated."""
 
     certificate = "flightstack.verify.certificate:paper_checks"
-    watches_swinging = False  # as printed: it knows nothing of the velocity loop
+    watches_swinging = False  # as printed: it has no model of the velocity loop
     waits_filtered = False
     motion: Annotated[MotionMemory, UNSEEN]  # it estimates nothing

@@ -95,9 +95,9 @@ class RobustFilter(Filter):
         )
 
     def target(self, track: TargetTrack, now_s: float) -> TargetState:
-        """Estimate moved on to now; the shortest delay, which no clock shows, is a parameter.
+        """Estimate extrapolated to now; the shortest delay, which no clock shows, is a parameter.
 
-        No further than the age limit: beyond it the target is lost, and only what stays bounded is of use.
+        It ends at the age limit: beyond it the target is lost, and only a bounded estimate is useful.
         """
         last = track.newest
         delay_s = self._config.target.delay_s
@@ -140,7 +140,7 @@ class RobustFilter(Filter):
             memory.disturbance_m_s = (x[4] / push_1_s, y[4] / push_1_s, memory.disturbance_m_s[2])
 
     def barrier(self, at: Relative) -> RobustBarrier:
-        """The barrier with a margin for what is uncertain now."""
+        """The barrier with a margin for the present uncertainty."""
         margin_m = self.margin_m(at.target.position_sigma_m, at.target.position_sigma_z_m)
         return RobustBarrier(self._barrier, margin_m, self._config.robust.fade_radius_m)
 
@@ -194,15 +194,15 @@ class RobustFilter(Filter):
         return (ex + x - late_s * tx, ey + y - late_s * ty, ez), (vx - tx, vy - ty)
 
     def _ahead_m(self, e_m: Vec3, slip_m_s: tuple[float, float]) -> float:
-        """Height of the boundary ahead that no velocity in the box may be quick enough for.
+        """Height of the boundary ahead that the velocities in the box may be too slow to climb over.
 
-        Far out that is its ring, over which the way leads. Near the middle it is where the vehicle comes to
-        rest, if that is on the other side: the barrier sees an overshoot only past the middle.
+        Far out this is the ring of its peak, which the path crosses. Near the middle it is the height where
+        the vehicle comes to rest, if that is on the other side: the barrier shows an overshoot only there.
         """
         (ex, ey, _), (vx, vy), barrier = e_m, slip_m_s, self._barrier
         if hypot(ex, ey) > 1.0 / barrier.alpha_1_m:
             return barrier.peak_height_m
-        rest_s = hypot(vx, vy) / (2.0 * self.brakes_m_s2)  # at this velocity, until as far as it comes
+        rest_s = hypot(vx, vy) / (2.0 * self.brakes_m_s2)  # braking distance over the present velocity
         if rest_s * (vx * vx + vy * vy) <= -(ex * vx + ey * vy):
             return 0.0  # on this side
         return barrier.height(hypot(ex + rest_s * vx, ey + rest_s * vy))
@@ -242,13 +242,13 @@ class RobustFilter(Filter):
         return d_m < robust.commit_radius_m and d_m + uncertain_m < robust.corridor_m
 
     def stopped(self, at: Relative, command_m_s: Vec3) -> bool:
-        """Commanded to sink, and not sinking: the velocity estimate shows that sooner than the height."""
+        """Whether it is commanded to sink and does not: the velocity shows this sooner than the height."""
         pad_m_s, descent_m_s = at.target.velocity_enu_m_s[2], self._config.robust.descent_m_s
         commanded_m_s, sinking_m_s = pad_m_s - command_m_s[2], pad_m_s - at.own.velocity_enu_m_s[2]
         return commanded_m_s > COMMANDED_SHARE * descent_m_s and sinking_m_s < STOPPED_SHARE * descent_m_s
 
     def drifts(self, at: Relative) -> bool:
-        """Going to leave the corridor above the pad, while still high enough above the cone to climb away."""
+        """Whether it will leave the corridor above the pad, while high enough to climb away."""
         corridor_m, retreat, (vx, vy) = self._config.robust.corridor_m, self._config.retreat, at.slip_m_s
         if self._barrier.h(at.e_m) < retreat.h_left_m or at.d_m < DRIFT_SHARE * corridor_m:
             return False
@@ -258,7 +258,7 @@ class RobustFilter(Filter):
     def setpoint(
         self, before_m_s: Vec3, wanted_m_s: Vec3, velocity_m_s: Vec3, d_m: float, least_z_m_s: float
     ) -> Vec3:
-        """Corrected for lag and disturbance."""
+        """Set-point, corrected for lag and disturbance."""
         far = d_m > self._config.velocity_feedback.far_m
         setpoint = self._tracking.command(before_m_s, wanted_m_s, velocity_m_s, self._most, least_z_m_s, far)
         return self.own_estimator.told(setpoint, self._most) if self._learns else setpoint
@@ -298,7 +298,7 @@ def _refuse_checks(config: FlightConfig) -> None:
 
 
 def _refuse_loop(config: FlightConfig) -> None:
-    """A model of the velocity loop that is not stable, or whose dead time some part does not know."""
+    """Refuse an unstable model of the velocity loop, or a dead time that some part does not support."""
     loop, rate_hz = config.velocity_loop, config.loop.rate_hz
     most_1_s = loop.rate_max_1_s(1.0 / rate_hz)
     for key, found_1_s in (("rate_xy_1_s", loop.rate_xy_1_s), ("rate_z_1_s", loop.rate_z_1_s)):

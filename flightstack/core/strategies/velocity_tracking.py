@@ -8,21 +8,22 @@ the disturbance adds:
     v' = a + f,      a' = w^2 (u - v) - 2 z w a
 
 The lead adds corrections to the velocity wanted, r (internal model control, with a lead instead of the
-inverse model). Of the vehicle it feeds back little but k (r - v), so it forgives a wrong model:
+inverse model). It feeds back little of the vehicle's state except k (r - v), so it tolerates a wrong
+model:
 
     u = r + lag * r' + k (r - v) - d,      d = low-pass of (v - M(u))
 
-The feedback takes all of the state, of which an observer knows what is not measured. It answers
-gusts sooner and does not swing, and has to know the vehicle's loop: the acceleration a* that mends the
-velocity at the rate l, reached at the rate m,
+The feedback uses the whole state; an observer estimates what is not measured. It rejects gusts sooner and
+does not oscillate, but needs the model of the vehicle's loop. The acceleration a* corrects the velocity at
+the rate l, and is reached at the rate m:
 
     a* = r' + l (r - v) - f,      a' = m (a* - a),      u = v + (2 z w a + m (a* - a)) / w^2
 
 The disturbance is clamped, as no model is perfect.
 
-With a dead time T the model answers to the set-point of T ago. The set-point of now has its effect in T: by
-then the set-points in between have moved the vehicle, which the model foretells (a Smith predictor: of the
-model only the difference between then and now is used). The lead's v is the velocity then.
+With a dead time T the model responds to the set-point sent T ago. The present set-point has its effect after
+T: by then the set-points in between have moved the vehicle, which the model predicts (a Smith predictor: only
+the predicted change is used). The v of the lead is the predicted velocity.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def lead_observed(
 ) -> tuple[float, float, float]:
     """Velocity by the model, its derivative, and the disturbance, a tick later.
 
-    The model goes by the set-point alone; what the velocity differs by is low-passed.
+    The model uses the set-point alone; its difference from the velocity is low-passed.
     """
     t, _, w, _, _, damping, most_m_s, _, share = lead
     dm += t * (w * w * (u - m) - 2.0 * damping * w * dm)
@@ -83,7 +84,7 @@ def lead_carried(lead: Lead, v: float, m: float, dm: float, sent: Sequence[float
 def feedback_observed(
     feedback: Feedback, v: float, u: float, m: float, dm: float, d: float
 ) -> tuple[float, float, float]:
-    """As ``lead_observed``; the model goes by the velocity, and what it misses corrects it."""
+    """As ``lead_observed``; the model uses the velocity, and the innovation corrects it."""
     t, delay_s, w, drag_1_s, push_1_s, most_m_s, _, _, to_velocity, to_disturbance, _, _, _ = feedback
     f = push_1_s * d
     now = v + delay_s * (dm + f)
@@ -122,7 +123,7 @@ def lead_of(
 
 
 def feedback_of(loop: VelocityLoop, feedback: VelocityFeedback, delay_s: float, period_s: float) -> Feedback:
-    """Numbers of the feedback; ``delay_s`` is the age of the velocity measured, by which it is carried on."""
+    """Numbers of the feedback; the velocity is extrapolated over its age ``delay_s``."""
     rate_1_s, push_1_s = loop.rate_xy_1_s, loop.rate_xy_1_s / (2.0 * loop.damping)  # f / d
     # gains of the observer on velocity and disturbance place both poles at the observer's rate
     rate = feedback.observer_rate_1_s
@@ -167,7 +168,7 @@ class VelocityTracking:
         self._carried: tuple[object, tuple[tuple[float, float], Vec3]] = (None, ((0.0, 0.0), ZERO))
 
     def observe(self, velocity_enu_m_s: Vec3, commanding: bool) -> None:
-        """Compare the velocity with what the model expects of the last set-point."""
+        """Compare the velocity with the model's prediction for the last set-point."""
         memory = self.memory
         if not commanding:
             memory.model_m_s, memory.model_m_s2, memory.slope_m_s2 = velocity_enu_m_s, ZERO, ZERO

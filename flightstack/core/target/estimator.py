@@ -4,15 +4,15 @@ Each axis is a triple integrator driven by white jerk; samples measure position 
 stamp, and the state is carried from there to now. x and y have the same noise. Lost samples make the
 uncertainty grow, late ones are taken at the time they were measured.
 
-A wheeled robot's velocity turns with it, and nothing else turns it: so the horizontal velocity turns at the
-rate at which the measured yaw does (coordinated turn). What acceleration there is besides comes from setting
-off and braking, and does not last: it fades (R. A. Singer, Estimating Optimal Tracking Filter Performance for
-Manned Maneuvering Targets, IEEE Transactions on Aerospace and Electronic Systems 6(4), 1970). Carried on over
-a gap, an acceleration that lasted would make the target faster than any robot. The vertical one lasts: a deck
-heaves for seconds. The covariances of x and y are equal, so turning leaves them as they are.
+The velocity of a wheeled robot turns only with its heading: so the horizontal velocity turns at the rate of
+the measured yaw (coordinated turn). The remaining acceleration comes from starting and braking, and is short:
+it decays (R. A. Singer, Estimating Optimal Tracking Filter Performance for
+Manned Maneuvering Targets, IEEE Transactions on Aerospace and Electronic Systems 6(4), 1970). Extrapolated
+over a gap, a constant acceleration would make the target faster than any robot. The vertical one does not
+decay: a deck heaves for seconds. The covariances of x and y are equal, so turning leaves them as they are.
 
 While the innovations of the samples are larger than expected, the jerk on x and y is raised, up to a factor:
-a robot that brakes is followed at once, and one that drives on is known better than by any one jerk.
+a braking robot is followed at once, and one at constant speed is estimated better than with any fixed jerk.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from flightstack.core.numeric import numeric, rare, wrapped
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.types import ZERO, Vec3
 
-RESTART_S = 1.0  # s between two samples; checks.target_age_max_s is no longer, so the target was lost before
+RESTART_S = 1.0  # s between two samples; checks.target_age_max_s is not longer, so the target was lost before
 
 TURN_TIME_S = 0.3  # low-pass of the yaw rate: differences of two measured yaws are noisy
 TURN_RATE_MAX_RAD_S = 3.0  # a TurtleBot3 turns at up to 2.84 (ROBOTIS, specifications)
@@ -51,7 +51,7 @@ _State = tuple[Vec3, Vec3, Vec3]  # position, velocity, acceleration
 
 
 class _Noise(NamedTuple):
-    """Squares of what the filter assumes of one axis."""
+    """Squared noise parameters of one axis."""
 
     position2: float
     velocity2: float
@@ -246,7 +246,7 @@ def _moved(state: _State, turned_rad: float, fading: _Time, lasting: _Time) -> _
 
 @numeric
 def _propagate(covariance: Covariance, time: _Time, jerk2: float) -> Covariance:
-    """Covariance later, driven by white jerk of density ``jerk2``, of which nothing fades: the safe side."""
+    """Propagated covariance with white jerk of density ``jerk2``, whose part does not decay: conservative."""
     pp, pv, pa, vv, va, aa = covariance
     t, p, v, left = time
     t2 = t * t
@@ -306,7 +306,7 @@ def _correct(
 def _corrected(
     gains: _Gains, p: float, v: float, a: float, measured_p: float, measured_v: float
 ) -> tuple[float, float, float, float, float]:
-    """Position, velocity and acceleration of one axis by what was measured, and the squares of the misses."""
+    """Corrected position, velocity and acceleration of one axis, and the squared innovations."""
     kp, kv, ka, lp, lv, la = gains
     missed_p = measured_p - p
     p, v, a = p + kp * missed_p, v + kv * missed_p, a + ka * missed_p

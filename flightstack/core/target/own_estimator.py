@@ -1,17 +1,18 @@
 """Estimates the vehicle state from delayed positions and wrong velocities.
 
-An estimate on board that is fed with late positions tells velocities that are wrong for a part of a second
-and by a share of the speed for a whole flight (docs/how_it_works/own_state.md). The vehicle's velocity loop
-flies the velocity that is told. Horizontally each axis has the position p, the velocity v, the acceleration
-a that the loop gives, the error e of the velocity told, and the acceleration f of gusts and turning moments.
+An onboard estimate from late positions reports velocities with two errors: one changes within a part of a
+second, the other is a share of the speed for a whole flight (docs/how_it_works/own_state.md). The vehicle's
+velocity loop controls the reported velocity. Horizontally each axis has the position p, the velocity v, the
+acceleration a that the loop gives, the error e of the reported velocity, and the acceleration f of gusts and
+turning moments.
 With velocity feedback, which needs the same model:
 
     p' = v,   v' = a + f,   a' = w^2 (u - v - e) - 2 z w a,   e' = -e / T + noise,   f' = -f / T_f + noise
 
 with p and v + e measured. A steady Kalman filter estimates all five for the time of the measurement, and
 the same model carries them on over the delay with the set-points u that are on their way. Without velocity
-feedback the loop may be another one than declared, and the model would take its quicker answers for errors.
-Then, and always upwards, where the thrust ends first and the model with it, only p and e are learned:
+feedback the loop may differ from the declared one, and the model would take its faster response for errors.
+Then, and always vertically, where the thrust saturates first and the model fails, only p and e are estimated:
 
     q' = v - e + 2 w (p - q),      e' = -w^2 (p - q),      w = 1 / T
 """
@@ -28,26 +29,26 @@ from flightstack.core.parameters.robust import OwnStateLink, VelocityLoop
 from flightstack.core.safety.position_loop import clip
 from flightstack.core.types import OwnState, Vec3
 
-KNOWN = 4  # set-points kept: those of 30 ms at 100 Hz, and the one before them
+KNOWN = 4  # stored set-points: those of 30 ms at 100 Hz, and the one before them
 GAP_MAX_S = 0.2  # s without a sample after which it restarts
 TELLS_M_S = 0.01  # noise of a reported velocity, from sample to sample
 
 PUSH_M_S2 = 0.15  # rms of f: recorded turning moments, a tilt of the estimate by 0.015 rad, gusts of 0.3 m/s
-PUSH_TIME_S = 1.0  # between that of the moments, 0.1 s, and that of a tilt, all the flight
-PERIODS = 600  # of the Riccati recursion: 6 s at 100 Hz, many times the slowest time constant
+PUSH_TIME_S = 1.0  # between the time of the moments, 0.1 s, and of a tilt, the whole flight
+PERIODS = 600  # steps of the Riccati recursion: 6 s at 100 Hz, many times the slowest time constant
 
 Matrix = list[list[float]]
 Model = tuple[float, float, float, float, float]  # of an axis, see ``OwnEstimator``
 
 
 class Gains(NamedTuple):
-    """What a position and a velocity that were missed add to each of the five states."""
+    """Corrections of the five states per innovation of position and of velocity."""
 
     position: tuple[float, float, float, float, float]
     velocity: tuple[float, float, float, float, float]
 
 
-NO_GAINS = Gains((0.0,) * 5, (0.0,) * 5)  # where nothing is learned
+NO_GAINS = Gains((0.0,) * 5, (0.0,) * 5)  # no correction
 
 
 @lru_cache(maxsize=16)
@@ -93,17 +94,17 @@ def steady_gains(loop: VelocityLoop, link: OwnStateLink, period_s: float) -> Gai
 
 
 class OwnEstimator:
-    """Call ``step`` once a tick, and ``told`` for each set-point; ``memory`` is all that it remembers."""
+    """Call ``step`` once a tick, and ``told`` for each set-point; ``memory`` is its whole state."""
 
     memory: OwnMemory
     gains: Gains  # gains of the Kalman filter
     # model of an axis: period of a tick, s, square of its rate, drag, and what a tick leaves of e and f
     model: Model
     period_s: float  # period of a tick
-    by_loop: bool  # by the model of the velocity loop
+    by_loop: bool  # estimates with the model of the velocity loop
     delay_s: float
     push_1_s: float  # push over the disturbance of the velocity
-    rate_1_s: float  # at which an error is learned without the model
+    rate_1_s: float  # rate of the error estimate without the model
     most_m_s: float
     ahead: int  # ticks from the newest sample to now
     gap_max: int
@@ -148,14 +149,14 @@ class OwnEstimator:
         )
 
     def told(self, velocity_m_s: Vec3, most_m_s: Vec3) -> Vec3:
-        """Velocity that the vehicle tells when it flies this one: the set-point to send."""
+        """Set-point to send: the velocity that the vehicle reports when it flies this one."""
         memory = self.memory
         errors_m_s = (memory.x_now[3], memory.y_now[3], memory.z_error_m_s)
         memory.sent_m_s = to_be_told(velocity_m_s, errors_m_s, most_m_s)
         return memory.sent_m_s
 
     def forget(self) -> None:
-        """Begin anew with the next sample: what the vehicle flew is not known."""
+        """Restart with the next sample: the flown set-points are unknown."""
         self.memory.time_s = math.nan
 
     def _begin(self, own: OwnState) -> None:
@@ -186,9 +187,9 @@ class OwnEstimator:
 
 @numeric
 def on_its_way(ahead: int, k: int) -> int:
-    """Which of the set-points kept is flown k ticks after the newest sample, -1 for the one that it shows.
+    """Index of the stored set-point flown k ticks after the newest sample (k = -1: the one it shows).
 
-    Of a delay longer than they reach the oldest one stands for all before it.
+    If the delay is longer than the stored time, the oldest set-point is used for all earlier ones.
     """
     return max(0, KNOWN - ahead + k)
 
@@ -246,6 +247,6 @@ def drifted_apart(
 
 @numeric
 def to_be_told(velocity_m_s: Vec3, errors_m_s: Vec3, most_m_s: Vec3) -> Vec3:
-    """What a vehicle tells, with these errors, that flies this velocity."""
+    """Velocity that a vehicle with these errors reports when it flies this velocity."""
     (x, y, z), (ex, ey, ez), (mx, my, mz) = velocity_m_s, errors_m_s, most_m_s
     return (clip(x + ex, -mx, mx), clip(y + ey, -my, my), clip(z + ez, -mz, mz))

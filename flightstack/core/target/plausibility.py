@@ -5,14 +5,14 @@
 A link that delivers fresh time stamps can still deliver nonsense. Three things are known without a second
 sensor:
 
-* numbers that repeat to the last bit while they speak of motion, or for ``STILL_MAX_S`` while the vehicle
+* numbers that repeat to the last bit while they report motion, or for ``STILL_MAX_S`` while the vehicle
   flies set-points, are no new measurement: such a state ages. A vehicle at rest repeats its numbers;
-* a position goes where its velocity takes it: the difference, with a memory, is noise of both;
+* the position changes by the integrated velocity: the difference, summed with forgetting, is noise of both;
 * the vehicle follows its set-points within its lag: velocity minus the velocity wanted, summed with a memory,
   is a distance it lags behind, at most its lag at full speed (``checks`` holds memories and bounds).
 
-What is wrong in the same way in both position and velocity, such as an offset that was there from the start,
-shows in none of them.
+An error that is the same in position and velocity, such as an offset from the start, is not detected by any
+of them.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Plausibility:
         return norm(self.memory.missed_m)
 
     def take(self, own: OwnState, flies: bool = False) -> None:
-        """Look at the newest own state; the same one again is no news."""
+        """Check the newest vehicle state; a repeated one is ignored."""
         memory, last = self.memory, self.memory.last
         if last is not None and own.arrival_s == last.arrival_s:
             return
@@ -85,14 +85,14 @@ class Plausibility:
         memory.distrusted = drift_m > (TRUSTED_AGAIN * most_m if memory.distrusted else most_m)
 
     def believes(self, now_s: float) -> bool:
-        """Whether the own state may be flown by now."""
+        """Whether the vehicle state is usable now."""
         last = self.memory.last
         if last is None or self.memory.distrusted:
             return False
         return now_s - last.arrival_s <= self._checks.own_age_max_s
 
     def follow(self, wanted_m_s: Vec3, velocity_m_s: Vec3) -> None:
-        """Compare the velocity with what was wanted of the vehicle in the last tick; call it once a tick."""
+        """Compare the velocity with the command of the last tick; call it once a tick."""
         t, kept = self.period_s, self.kept
         (mx, my, mz), (wx, wy, wz), (vx, vy, vz) = self.memory.missed_m, wanted_m_s, velocity_m_s
         self.memory.missed_m = (
@@ -111,7 +111,7 @@ class Plausibility:
     def _drift(self, last: OwnState, own: OwnState) -> None:
         dt_s = own.arrival_s - last.arrival_s
         if not 0.0 < dt_s <= self._checks.own_age_max_s:
-            return  # lost in between: nothing so old binds where it is now
+            return  # lost in between: so old a state does not limit the present position
         self.memory.drift_m = drifted(
             self.memory.drift_m, last.position_enu_m, own.position_enu_m,
             last.velocity_enu_m_s, own.velocity_enu_m_s, dt_s, self._checks.own_drift_memory_s,

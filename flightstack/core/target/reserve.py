@@ -1,10 +1,10 @@
 """Estimates the thrust reserve in flight, and what it allows: accelerations, and whether to land at all.
 
-In flight the throttle is used: its power p, upwards, is the thrust as a share of the largest. Averaged over a
-few seconds that is the weight, but for the acceleration in this time. The same low-pass of the vertical
-velocity gives the average of that exactly, without a derivative: it is (v - smoothed v) / smoothing time.
-Until then, and without a reported throttle, the voltage is used. Missing data are no reserve: then the least
-one counts, for which the certificate holds.
+In flight the throttle is used: the upward part of throttle^p is the thrust as a share of the largest thrust.
+Its average over a few seconds is the weight plus the mean acceleration. The same low-pass of the vertical
+velocity gives this mean exactly, without a derivative: it is (v - smoothed v) / smoothing time. Before the
+flight, and without a reported throttle, the voltage is used. Without data the lowest reserve
+counts, for which the certificate holds.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from flightstack.core.numeric import numeric
 from flightstack.core.parameters.reserve import GRAVITY_M_S2, Reserve, left, level_m_s2, up_m_s2
 from flightstack.core.types import Charge, Landed, Power, Vec3, VehicleStatus
 
-# share of the weight, averaged over seconds, below which the vehicle falls and nothing is learned
+# averaged lift as a share of the weight; below it the vehicle falls, which shows no reserve
 LEAST_LIFT = 0.1
-AGE_MAX_S = 3.0  # s; the voltage comes once a second, two may be lost
+AGE_MAX_S = 3.0  # s; the voltage arrives once a second, two messages may be lost
 
 
 @dataclass(slots=True)
@@ -28,24 +28,24 @@ class Told:
 
     arrival_s: float = math.nan
     standing: bool = False
-    low: bool = False  # at rest: it begins no landing
-    flying: float = math.nan  # effort by the throttle, where that is of a flight
-    resting: float = math.nan  # the same by the voltage
-    sags: float = math.nan  # share of the thrust that the sag of this voltage takes
-    most: float = math.nan  # effort at which the thrust command ends at this voltage
+    low: bool = False  # the voltage at rest is too low to begin a landing
+    flying: float = math.nan  # effort in flight: from the throttle, else from the voltage
+    resting: float = math.nan  # effort from the voltage
+    sags: float = math.nan  # loss term of the voltage sag (``Reserve.sags``)
+    most: float = math.nan  # effort at which the thrust command saturates at this voltage
 
 
 class ReserveEstimate:
-    """Call ``step`` once a tick; ``memory`` is all that it remembers."""
+    """Call ``step`` once a tick; ``memory`` is its whole state."""
 
     memory: ReserveMemory
     told: Told
-    most_m_s2: Vec3  # acceleration of the velocity wanted, with all reserve
+    most_m_s2: Vec3  # limit of the commanded acceleration with full reserve
     share: float  # weight of a tick in the average
     lasting_m_s: float  # velocity that the acceleration of gravity gives in the time of the average
-    least: float  # reserve with which it is fit to land
+    least: float  # lowest reserve that allows a landing
     reserve: float  # largest thrust over weight; NaN while it is not known
-    charge: Charge  # what the battery is fit for
+    charge: Charge  # state of the battery
     acceleration_max_m_s2: Vec3  # limit of the velocity wanted, ENU; upwards on z
     _part: float  # usable fraction of the reserve (``Reserve.share``)
 
@@ -121,7 +121,7 @@ class ReserveEstimate:
 
     @property
     def text(self) -> str:
-        """Why the battery is not fit to land with, and what to do; empty where it is fit."""
+        """Why the battery does not allow a landing, and what to do; empty: it does."""
         table, power = self._table, self._power
         if self.charge is Charge.FIT:
             return ""
@@ -136,7 +136,7 @@ class ReserveEstimate:
 
 
 def too_low(table: Reserve, voltage_v: float) -> str:
-    """Why a battery with this voltage at rest begins no landing; empty: it may."""
+    """Why a battery with this voltage at rest does not allow a landing; empty: it does."""
     least_v = table.start_voltage_v + table.sag_v
     if voltage_v >= least_v:
         return ""

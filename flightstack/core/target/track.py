@@ -1,12 +1,12 @@
 """Plausibility of target samples, and the current state of the target.
 
-Default deny: a sample counts only if it is finite, of the right robot, newer than the last, in time and where
-the last one could have gone. What was refused is counted by reason.
+Default deny: a sample counts only if it is finite, of the right robot, newer than the last, in time, and
+reachable from the last one. Refused samples are counted by reason.
 
-A velocity that its positions contradict is noticed over some samples: a twist in the wrong frame, a heading
-that is off by half a turn. Position minus integrated velocity, with a memory, is noise of both; beyond
-``checks.target_drift_max_m`` the target is not believed, until half of that. One that stands agrees with any
-twist: the second contradiction of a flight is the last.
+A velocity that contradicts the positions is detected over some samples, such as a twist in the wrong frame or
+a heading that is off by half a turn. Position minus integrated velocity, summed with forgetting, is noise of
+both; beyond ``checks.target_drift_max_m`` the target is distrusted, until half of that. A standing target
+agrees with any twist: after the second contradiction of a flight it remains distrusted.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ DISTRUSTS_MAX = 2  # contradictions of positions and velocity in a flight, the l
 
 
 class Verdict(TextEnum):
-    """What became of a sample."""
+    """Result of the check of a sample."""
 
     ACCEPTED = "accepted"
     NOT_FINITE = "not finite"
@@ -51,7 +51,7 @@ _REFUSED = {
 
 
 class TargetState(NamedTuple):
-    """The target at the time asked for."""
+    """State of the target at the requested time."""
 
     age_s: float
     position_enu_m: Vec3
@@ -108,7 +108,7 @@ class TargetTrack:
 
     @property
     def moves_m_s(self) -> Vec3:
-        """Velocity that the positions show: the newest sample's, and the rate at which the two part."""
+        """Velocity derived from the positions: the newest sample's velocity plus the drift rate."""
         memory, memory_s = self.memory, self._checks.target_drift_memory_s
         assert memory.last is not None
         x, y, z = (
@@ -122,7 +122,7 @@ class TargetTrack:
     def _drift(self, last: TargetSample, sample: TargetSample) -> None:
         checks, memory, dt_s = self._checks, self.memory, sample.source_time_s - last.source_time_s
         if not 0.0 < dt_s <= checks.target_age_max_s:
-            return  # lost in between: nothing so old binds where it is now
+            return  # lost in between: so old a sample does not limit the present position
         memory.drift_m = drifted(
             memory.drift_m, last.position_enu_m, sample.position_enu_m,
             last.velocity_enu_m_s, sample.velocity_enu_m_s, dt_s, checks.target_drift_memory_s,
@@ -176,7 +176,7 @@ class TargetTrack:
         reach_m = checks.target_jump_max_m + checks.target_speed_max_m_s * gap_s
         free = not stepped or math.dist(last.position_enu_m, sample.position_enu_m) <= reach_m
         if lost and free and memory.elsewhere is None:
-            return Verdict.ACCEPTED  # nothing so old binds where it is now
+            return Verdict.ACCEPTED  # so old a sample does not limit the present position
         step_s = gap_s if stepped else sample.source_time_s - last.source_time_s
         # after a loss the present velocity may explain a wrong place by chance, and after some seconds the
         # last velocity may, too; samples that continue from elsewhere show a target that is still there
