@@ -1,4 +1,4 @@
-"""Chance of a landing: random streams of a seed, and seeds whose chance is another's, moved a little.
+"""Random numbers of a landing: streams of a seed, and seeds that move the numbers of another a little.
 
 A seed below 2^64 is one landing's chance. A longer one is a list of moves, one in each 64 bits above
 the lowest: 56 bits are the seed of a fresh stream, 8 its weight w. The normal numbers of a stream are then
@@ -83,7 +83,7 @@ def fresh(move_seed: int) -> int:
 
 
 def moved(seed: int, move_seed: int, weight: float) -> int:
-    """Seed whose chance is that of another, moved.
+    """Seed whose random numbers are those of another seed, moved.
 
     ``seed``: by ``fresh`` or ``moved``; 0 with a weight of 1, which removes it; ``move_seed``: 1 to
     ``MOVE_SEED_MAX``; ``weight``: of the move, above 0 and at most 1, rounded to 1/256.
@@ -132,7 +132,7 @@ def member(seed: int, number: int) -> int:
 
 
 def name(seed: int) -> str:
-    """Short text for titles and folders: the seed itself, or the last move's and the number of moves."""
+    """Short text for titles and folders: the seed, or the seed of the last move and the number of moves."""
     if seed <= _WORD:
         return str(seed)
     words = _words(seed)

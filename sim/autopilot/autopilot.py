@@ -53,7 +53,7 @@ class Autopilot(Server[Flight]):
         epoch_ns: int = 0,
         trim_enu_m_s: Vec3 = ZERO,
     ) -> None:
-        """Set up; a vehicle that is flying already is held at its place.
+        """Set up; a vehicle that already flies holds its position.
 
         ``rate_hz`` is that of the loop, and of position and attitude on the wire. ``epoch_ns`` is the Unix
         time of time zero. ``trim_enu_m_s`` keeps a vehicle in place that starts in the air.

@@ -1,6 +1,6 @@
 """Parameters of the simulated autopilot, with PX4's names, units and values.
 
-The fixed parameters say what the simulator does, or mean nothing here.
+The fixed parameters describe the simulator's behaviour, or have no effect.
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.server.parameters import REAL32, Parameter, fixed, integer, one_of, real
 
-# The fixed ones mean nothing here: QGroundControl's PX4 plug-in wants to find them (PX4
-# mavlink_parameters.cpp, list in send()).
+# These have no effect: QGroundControl's PX4 plug-in requires that they exist (PX4 mavlink_parameters.cpp,
+# list in send()).
 _FOR_QGROUNDCONTROL = (
     *(fixed(f"CAL_MAG{i}_{kind}", 0) for i in range(4) for kind in ("ID", "ROT")),
     *(fixed(name, 0) for name in ("CAL_ACC0_ID", "CAL_GYRO0_ID", "SENS_BOARD_ROT", "TRIG_MODE")),

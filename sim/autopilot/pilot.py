@@ -72,8 +72,8 @@ class PositionHold:
     ) -> Vec3:
         """Velocity towards the hold point.
 
-        ``vertical_m_s`` is wanted instead of holding the height. While the vehicle stands it does not
-        ``learn``: the integral stays.
+        ``vertical_m_s`` replaces the control of the height. While the vehicle stands, ``learn`` is false and
+        the integral is constant.
         """
         ex, ey, ez = (goal - now for goal, now in zip(self.point_enu_m, position_enu_m, strict=True))
         vx, vy, vz = limits.gain_xy_1_s * ex, limits.gain_xy_1_s * ey, limits.gain_z_1_s * ez
@@ -231,7 +231,7 @@ class Pilot:
 
     def _fly_hold(self, estimate: CheckedEstimate, standing: bool, dt_s: float) -> Event | None:
         if standing:
-            # Repeated: the firmware takes silence after a flight for a lost link, and locks.
+            # Repeated: without set-points after a flight the firmware assumes a lost link, and locks.
             self.stop()
             return None
         first, goal, limits = self._engage(estimate), self.goal, self._limits

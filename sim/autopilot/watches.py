@@ -1,8 +1,8 @@
 """Checks of the autopilot ten times a second: the charge of the battery, and the ground station.
 
 The charge is that of PX4 battery.cpp: the cell's voltage, plus what the load takes at this throttle, between
-the voltages of an empty and a full cell. Voltage and throttle are smoothed, or every climb would look like an
-empty battery.
+the voltages of an empty and a full cell. Voltage and throttle are smoothed, or every climb would indicate
+an empty battery.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ def charge_left(voltage_v: float, throttle: float, empty_v: float, full_v: float
 
 
 class WatchRecord(Record):
-    """State of ``Watches``, and until when ``Watches.step`` finds nothing new."""
+    """State of ``Watches``, and the time until which ``Watches.step`` has no new result."""
 
-    due_s: float  # when it looks next
-    last_s: float  # when it looked last
+    due_s: float  # time of the next check
+    last_s: float  # time of the last check
     voltage_v: float  # of the battery, smoothed, as the throttle is
     throttle: float
     until_s: float  # a ground station may count as lost from then on

@@ -10,7 +10,7 @@ from sim.campaign.rows import Row, error_row
 from sim.campaign.workers import code_fingerprint, fly_seed_as
 
 CONNECT_S = 10.0  # s of wall time until scheduler and a worker have answered
-AHEAD = 4  # seeds given out for each thread of the cluster; the rest waits here
+AHEAD = 4  # seeds submitted for each thread of the cluster; the others wait here
 
 
 class ClusterError(LaunchError):
@@ -54,7 +54,7 @@ class Cluster:
         ours = self._code
         try:
             theirs = self._client.run(code_fingerprint)
-        except Exception as error:  # a worker raises what it raises: all mean that it has not our code
+        except Exception as error:  # any exception of a worker means that it has other code
             raise ClusterError(
                 f"--cluster {address}: a worker cannot fly ({error}); install the same version there"
             ) from error

@@ -33,7 +33,7 @@ from sim.runners.landing import warm_up
 
 FAILURES = "failures"  # folder of files with seeds
 FAILURES_KEPT = 20
-_LEAST = 1e-9  # score of what is safe, at least
+_LEAST = 1e-9  # smallest score of a landing without the failure
 
 OnRow = Callable[[Row], None]
 SHARE = 0.1  # fraction of a level's landings that start the next one's chains (Au and Beck: 0.1 to 0.3)
@@ -49,8 +49,8 @@ Scores = Callable[[Sequence[int]], Sequence[float]]
 class Level:
     """One level."""
 
-    begins_at: float  # score at or below which all its landings are; infinite for the first
-    ends_at: float  # score at or below which the next one's are; 0 for the last
+    begins_at: float  # largest score of its landings; infinite for the first level
+    ends_at: float  # largest score of the next level's landings; 0 for the last level
     share: float  # fraction of its landings at or below ``ends_at``
     variation: float  # coefficient of variation of that share, correlation within the chains included
     accepted: float  # share of accepted moves; 1 for the first level
@@ -154,7 +154,7 @@ def _variation(within: np.ndarray) -> float:
 
 def _estimate(levels: list[Level], landings: int, failures: tuple[int, ...], number: int) -> Estimate:
     rate = math.prod(level.share for level in levels)
-    if rate == 0.0:  # the last level alone found none: by its own landings, three would have been likely
+    if rate == 0.0:  # no failure in the last level: 95 % bound by the rule of three
         bound = math.prod(level.share for level in levels[:-1]) * 3.0 / number
         return Estimate(0.0, 0.0, bound, tuple(levels), landings, failures)
     spread = math.sqrt(math.log1p(math.fsum(level.variation**2 for level in levels)))
@@ -170,7 +170,7 @@ class Event(Enum):
 
 
 def score(event: Event, row: Row, pad_radius_m: float) -> float:
-    """How far a landing was from the failure, m; 0 where it is one, or may be one.
+    """Distance of a landing from the failure, m; 0 if it is a failure, or may be one.
 
     ``violation``: lowest h outside the pad above the limit of a violation. ``miss``: the distance of the
     touch from the pad's edge; 0 for a touch beyond it, a crash, or an undeclared miss.

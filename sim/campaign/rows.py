@@ -134,9 +134,9 @@ def judge_team(flown: TeamLanding) -> FleetVerdict:
 
 
 def row_of(flown: TeamLanding) -> Row:
-    """Make the row of a team: sums of retries and of times in the phases, of everything else the worst.
+    """Make the row of a team: sums of retries and phase times; every other value is that of the worst member.
 
-    Of one vehicle it has no values of a team.
+    The row of a single vehicle has no team values.
     """
     if len(flown.landings) == 1:
         return vehicle_row(flown.landings[0])
@@ -186,7 +186,7 @@ def _visited(rows: Iterable[Row]) -> Iterator[tuple[int, int, int]]:
 
 
 def _all(values: Iterable[bool | None]) -> bool | None:
-    """Whether all are true; None if that is not known."""
+    """Whether all are true; None if one is unknown and none is false."""
     found = set(values)
     return False if False in found else None if None in found else True
 

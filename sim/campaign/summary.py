@@ -1,7 +1,7 @@
 """Summary of a campaign: counts, confidence bounds, quantiles, worst seeds; and the limits of each tier.
 
-What is not known counts against: a row of outcome "error" is an undeclared miss, and a violation that cannot
-be excluded is a violation.
+An unknown result counts as a failure: a row of outcome "error" is an undeclared miss, and a violation that
+cannot be excluded is a violation.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def summary(
 
 
 def _of_teams(rows: Sequence[Row]) -> dict[str, Any]:
-    """What only teams have; empty for vehicles alone."""
+    """Values that only teams have; empty for single vehicles."""
     teams = [row for row in rows if row.outcomes]
     if not teams:
         return {}

@@ -2,10 +2,10 @@
 
 A cluster's workers call ``fly_seed_as``; here, processes get seeds and return rows.
 
-Each worker has a pipe of its own: a shared queue could be left locked by one that is killed. Workers go on
-with what this process has loaded and compiled (fork), or are spawned where it has other threads. A worker
-holds one seed at a time, so that nothing is queued without bound and it is known which seed a death concerns.
-The seed is flown again by another worker; if that one dies, too, it is a row of outcome "error".
+Each worker has a pipe of its own: a killed worker could leave a shared queue locked. Workers are forked and
+use the modules and code that this process has loaded and compiled; if it has other threads, they are spawned.
+A worker has one seed at a time, so that the queue is bounded and the seed of a dead worker is known. Another
+worker flies the seed again; if that one dies, too, the seed's row has the outcome "error".
 """
 
 from __future__ import annotations
@@ -59,14 +59,14 @@ def loaded(scenario_toml: str) -> TeamScenario:
 
 @lru_cache(maxsize=4)
 def prepared(scenario_toml: str) -> TeamScenario:
-    """Scenario from its text, with all code compiled; the collector then leaves alone what exists."""
+    """Scenario from its text, with all code compiled; the garbage collector then skips present objects."""
     scenario = loaded(scenario_toml)
     quiet_garbage_collector()
     return scenario
 
 
 def fly_seed(scenario_toml: str, seed: int) -> Row:
-    """Fly one landing; an exception becomes a row, so that the other seeds are flown."""
+    """Fly one landing; an exception becomes a row, so that the other seeds still fly."""
     with _ALONE:
         scenario = prepared(scenario_toml)
         try:
@@ -124,7 +124,7 @@ class _Worker:
 
     def give(self, seed: int) -> None:
         self.seed, self.since_s = seed, time.monotonic()
-        with contextlib.suppress(OSError):  # it has just died, which its pipe says next
+        with contextlib.suppress(OSError):  # it has just died, as its pipe will show
             self.pipe.send(seed)
 
     def end(self) -> None:
@@ -169,7 +169,7 @@ def _work(
         pipe.send(None)
         while True:
             pipe.send(fly_seed(scenario_toml, pipe.recv()))
-    except (EOFError, OSError):  # the parent has gone, or wants no more
+    except (EOFError, OSError):  # the parent has ended, or closed the pipe
         return
 
 
@@ -221,7 +221,7 @@ class Workers:
         return sum(worker.seed is not None for worker in self._workers)
 
     def _heard(self, worker: _Worker, waiting: deque[int]) -> Row | None:
-        """Receive from a worker, or bury it: no other process has its end of the pipe."""
+        """Receive from a worker, or handle its death: no other process holds its end of the pipe."""
         try:
             row: Row | None = worker.pipe.recv()
         except (EOFError, OSError):

@@ -126,7 +126,7 @@ def rewrite_of(running: Running) -> Rewrite | None:
 
 
 class Way(Enum):
-    """Direction, seen from the vehicle."""
+    """Direction of a message, seen from the vehicle."""
 
     IN = "in"
     OUT = "out"

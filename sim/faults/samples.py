@@ -153,7 +153,7 @@ class SampleFaults(Generic[S]):
             self.release_ns = self._held[0][0] if self._held else NEVER_NS
 
     def deliver(self, now_ns: int, samples: list[S]) -> list[S]:
-        """Samples that arrive now, in order, where ``samples`` (may be empty) would arrive without faults."""
+        """Samples that arrive now, in order; without faults these are ``samples`` (may be empty)."""
         for sample in samples:
             kept = self._through(sample, now_ns)
             if kept is not None and len(self._held) < HELD_MAX:
@@ -226,7 +226,7 @@ class EstimateFaults:
             self._arrived, self._arrived_ns = arrived, now_ns
 
     def report(self, now_ns: int, estimate: Estimate) -> Estimate:
-        """The autopilot's estimate by that of the firmware; invalid after ``INNOVATION_AGE_MAX_S``."""
+        """Estimate as the autopilot receives it; invalid after ``INNOVATION_AGE_MAX_S``."""
         arrived = self._arrived
         if arrived is None:
             return estimate

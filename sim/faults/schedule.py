@@ -58,11 +58,11 @@ class Schedule:
 
     seed: int
     next_ns: int = NEVER_NS  # time of the next start or end
-    _waiting: list[Running] = field(default_factory=list)  # for their reference
+    _waiting: list[Running] = field(default_factory=list)  # faults whose reference has not happened
     _due: list[tuple[int, int, bool, Running]] = field(default_factory=list)
     _active: list[Running] = field(default_factory=list)
-    _added: int = 0  # names the random streams
-    _planned: int = 0  # orders what is due at the same time
+    _added: int = 0  # number in the names of the random streams
+    _planned: int = 0  # order of events that are due at the same time
 
     def add(self, faults: Iterable[Fault], now_ns: int = 0) -> None:
         """Add faults; those after ``time`` count from zero, others wait for ``refer``."""

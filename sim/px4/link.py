@@ -35,7 +35,7 @@ class FrameStream:
         data, counts = self._rest + data, FrameCounters()
         found: list[Message] = []
         used = at = 0
-        waiting: int | None = None  # where a frame may begin whose end has not come
+        waiting: int | None = None  # start of a possible frame whose end has not arrived
         while at < len(data):
             end = frame_end(data, at, len(data), counts) or version_1_end(data, at, len(data))
             if end > 0:
@@ -93,7 +93,7 @@ def _timeval(seconds: float) -> bytes:
 class Px4Link:
     def __init__(self, connected: socket.socket) -> None:
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        # The system's own limits instead of Python's, which asks the system twice for every message
+        # Time-outs of the system, since those of Python need two system calls a message
         connected.settimeout(None)
         connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _timeval(_SEND_MAX_S))
         connected.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _timeval(SLICE_S))

@@ -51,7 +51,7 @@ class Px4Mocap:
 
     def _odometry(self, values: Sequence[float], now_us: int) -> Message:
         x, y, z, yaw, w, i, j, k = values
-        c, s = math.cos(0.5 * yaw), math.sin(0.5 * yaw)  # an error about the vertical turns everything
+        c, s = math.cos(0.5 * yaw), math.sin(0.5 * yaw)  # a yaw error turns the whole attitude
         attitude = (c * w - s * k, c * i - s * j, c * j + s * i, c * k + s * w)
         pose = Pose(now_us * 1000, "", (x, y, z), attitude, self._covariance)
         return odometry(Passed(pose, now_us * 1e-6, 0), now_us)

@@ -151,9 +151,9 @@ class Px4Program:
             raise ValueError(f"PX4 instance {instance}: allowed are 0 to {INSTANCES.stop - 1}")
         files = find_px4(binary)
         self.folder = folder.absolute()  # working folder: parameters, its log (log/), output (px4.txt)
-        self.instance = instance  # moves all ports
+        self.instance = instance  # offset of all ports
         self.simulator_port = 4560 + instance  # TCP, of the simulator that it connects to (NONE_IRIS)
-        # UDP: to and from which it sends a companion's MAVLink; on which it replies to ground stations
+        # UDP ports: destination and source of the MAVLink to a companion; port for ground stations
         self.onboard_port, self.onboard_local_port = 14540 + instance, 14580 + instance
         self.ground_port = 18570 + instance
         self._parameters = dict(parameters or {})

@@ -1,7 +1,7 @@
 """True state to what PX4's sensors would read: body FRD, world NED, noise from the seed. Pure but for noise.
 
-The IMU is read every 4 ms (250 Hz, IMU_INTEG_RATE of px4-rc.simulator): mean acceleration since the last
-reading, rates now, unfiltered, since PX4 filters itself.
+The IMU is read every 4 ms (250 Hz, IMU_INTEG_RATE of px4-rc.simulator): it gives the mean acceleration since
+the last reading and the present rates, both unfiltered, since PX4 filters them.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Fix:
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """What is new at one IMU reading; None for what is not."""
+    """New values at one IMU reading; None for a sensor without a new value."""
 
     accel_frd_m_s2: Vec3
     gyro_frd_rad_s: Vec3

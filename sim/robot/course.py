@@ -37,7 +37,7 @@ class Waypoints:
 
 
 class Function:
-    """The user's function; what it returns is limited to the speed and the turn rate of the scenario."""
+    """The user's function; its result is limited to the speed and the turn rate of the scenario."""
 
     def __init__(self, name: str, speed_m_s: float, turn_rate_rad_s: float) -> None:
         self._name, self._speed, self._turn = name, speed_m_s, turn_rate_rad_s
@@ -60,7 +60,7 @@ _NEEDED = "it takes t_s, x_m, y_m, yaw_rad and must return speed in m/s and turn
 
 
 def course(spec: TargetSpec, speed_m_s: float, turn_rate_rad_s: float) -> Course | None:
-    """What steers the robot from its pose; None for a path that depends on time alone.
+    """Steering of the robot by its pose; None for a path that depends on time alone.
 
     ``speed_m_s``, ``turn_rate_rad_s``: limits, as drawn from the seed.
     Raises ConfigError: the function cannot be imported.

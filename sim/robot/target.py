@@ -65,7 +65,7 @@ class PadRecord(Record):
 
 
 class MotionRecord(Record):
-    """What the robot is to do, the axle's state, and the pad's motion that follows."""
+    """Commands of the robot, the state of its axle, and the resulting motion of the pad."""
 
     demand: Annotated[F64, 4]
     speed: float  # m/s
@@ -130,7 +130,7 @@ def publish(motion: Cell[MotionRecord], dt_s: float) -> None:
 
 @jitted
 def drive(motion: Cell[MotionRecord], dt_s: float, driving: bool) -> None:
-    """Move on by ``dt_s`` with the twist chosen before, then choose the next; not driving: braking."""
+    """Move by ``dt_s`` with the twist chosen before, then choose the next; brake if not ``driving``."""
     m = motion[0]
     forward, left = arc(m.v * dt_s, m.w * dt_s)
     c, s = math.cos(m.yaw), math.sin(m.yaw)
@@ -238,7 +238,7 @@ class TargetModel:
 
 
 class TargetError:
-    """What motion capture makes of the true state; one call a sample, in order.
+    """Error of motion capture on the true state; one call a sample, in order.
 
     ``spec``: errors; ``rate_hz``: of the samples.
     """

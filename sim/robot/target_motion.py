@@ -27,7 +27,7 @@ SHAPE: Shape[TargetMeasurement] = Shape(_move, lambda first, now: first._replace
 
 
 class TargetFaults:
-    """Schedule and effects; what was held back comes with a later sample or call.
+    """Schedule and effects of faults; a delayed sample is returned with a later sample or call.
 
     ``faults``: those of the scenario; faults of the vehicle are ignored.
     """
@@ -53,11 +53,11 @@ class TargetFaults:
         self._schedule.refer(After.LANDING, now_ns)
 
     def fail(self, faults: Iterable[Fault], now_ns: int) -> None:
-        """Begin faults with the next sample, those after ``time`` at least."""
+        """Add faults, effective from the next sample; those after ``time`` not before their start."""
         self._schedule.add(faults, now_ns)
 
     def deliver(self, now_ns: int, samples: list[TargetMeasurement]) -> list[TargetMeasurement]:
-        """What leaves the robot now when ``samples`` would have left."""
+        """Samples that the robot sends now; without faults these are ``samples``."""
         if now_ns >= self._schedule.next_ns:
             for running, begins in self._schedule.due(now_ns):
                 if running.fault.what is What.ROBOT:

@@ -1,6 +1,7 @@
-"""The onboard process and everything it flies, in one process: vehicle, autopilot, robot and wires.
+"""The onboard process, vehicle, autopilot, robot and wires in one process.
 
-Only the wires are handed over directly, with their rounding; everything else is the code of the processes.
+Only the wires are replaced: messages are passed directly, with the same rounding. All other
+code is that of the processes.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@ The same code as over the wires flies: the vehicle's lockstep loop with its auto
 the companion's link and its runner of ticks. Only the wires are handed over directly, with their rounding;
 so a landing equals ``flightstack sitl --lockstep`` of the same scenario and seed to the last bit.
 
-Vehicles that share a room fly tick by tick. What they have of each other is of the tick before, so that their
-order does not matter: the jets of the rotors, collisions, and what the companions send each other
+Vehicles that share a room fly tick by tick. They act on each other with a delay of one tick, so that their
+order does not matter: by the jets of the rotors, collisions, and what the companions send each other
 (``Exchange``). One vehicle alone flies many ticks at once where that is possible.
 """
 
@@ -90,7 +90,7 @@ def land_team(
 ) -> TeamLanding:
     """Fly the landings of a team and judge each.
 
-    A member whom no other comes near flies the same bits as ``land`` with its own scenario and seed
+    A member that no other approaches flies the same bits as ``land`` with its own scenario and seed
     (``TeamScenario.singles``).
 
     ``exchange``: messages between the companions, made of the outputs of all controllers, None where the

@@ -1,8 +1,8 @@
 """The MAVLink wire of a landing in one process: messages handed over as they would arrive, without bytes.
 
-A float of a message has 32 bits on the wire; that rounding is done here and nothing else of it, for packing,
-checksums and sockets change no number. What cannot be handed over so simply (strings, doubles, and frames
-that a fault of the link has touched) is packed and decoded in full.
+A float of a message has 32 bits on the wire. Only this rounding is done here, since packing, checksums and
+sockets change no number. Strings, doubles, and frames that a fault of the link has changed are packed and
+decoded in full.
 """
 
 from __future__ import annotations

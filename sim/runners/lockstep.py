@@ -95,12 +95,12 @@ class LockstepVehicle:
 
     @property
     def rests(self) -> bool:
-        """Whether nothing more happens: the autopilot of a vehicle without its companion lands it."""
+        """Whether nothing more happens; a vehicle without its companion first lands by its autopilot."""
         return self.over or not (self._answers or self._node.vehicle.armed)
 
     @property
     def undisturbed(self) -> bool:
-        """Whether the companion answers at each tick, and nothing waits for the next one."""
+        """Whether the companion answers at each tick, and no message waits for the next one."""
         waits = self._replies or self._late or not self._node.wire.sound
         return self._companion is not None and self._answers and not waits
 
@@ -131,7 +131,7 @@ class LockstepVehicle:
         self.act(tick, Silence())
 
     def ask(self, tick: int) -> None:
-        """Begin a tick: send what is due, ask the companion, and simulate what does not wait for its answer.
+        """Begin a tick: send due messages, request the answer, and simulate the part that precedes it.
 
         A vehicle whose flight is over flies the whole tick here: its autopilot still controls it, and nothing
         is sent or logged.
@@ -158,7 +158,7 @@ class LockstepVehicle:
             node.log.feed.flush()
         if self._robot is not None:
             self._robot.run_ahead(tick)
-        # Whatever the answer is, the radio delays it: so much can be simulated before it is known.
+        # The radio delays any answer, so this much can be simulated before the answer is known.
         ahead = min(steps, self._radio_ms)
         node.vehicle.advance(ahead)
         node.vehicle.sent_before_ms = ahead
@@ -249,7 +249,7 @@ class LockstepVehicle:
         return False
 
     def _answer(self, received: Received, now_ns: int, now_s: float) -> None:
-        """Let the autopilot act; what it answers the companion goes with the next tick."""
+        """Let the autopilot act; its replies to the companion are sent with the next tick."""
         replies = self._node.answer(received, now_s)
         if not replies:
             return

@@ -11,7 +11,7 @@ from flightstack.onboard.lockstep import HEARD, OVER, TOLD, joined
 from sim.clock import STARTUP_S, NoAnswerError, wait_until
 
 _NOTHING = b""
-_YIELDS = 20  # looks that only yield the processor: a message is there, or due at once
+_YIELDS = 20  # polls that only yield the processor: usually the message arrives by then
 _PAUSE_S = 50e-6  # s between two looks after that
 _MATCH_PAUSE_S = 0.002  # s between two looks for subscribers
 

@@ -1,6 +1,6 @@
-"""What a landing in one process leaves behind, instead of a log: the steps, true states and events, noted.
+"""Record of a landing in one process, instead of a log: the steps, true states and events.
 
-As in the log of the same flight over the wires, so that the same judge looks at both.
+Its content equals the log of the same flight over the wires, so that the same judge reads both.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class Notes:
             self._truth = []
 
     def event(self, t_s: float, level: int, source: str, text: str) -> None:
-        """Note something that was said."""
+        """Store an event."""
         self._events.append(Event(t_s, level, source, text))
 
     def seen(self) -> Seen:
@@ -161,12 +161,12 @@ class VehicleNotes(VehicleLog):
         """Not needed: the true state holds the deck's."""
 
     def event(self, now_ns: int, level: int, text: str) -> None:
-        """Keep what was said."""
+        """Store an event of the vehicle."""
         self._notes.event(now_ns * 1e-9, level, "vehicle", text)
 
 
 def _seconds(times_ns: Sequence[int]) -> Floats:
-    """As in a log, whose time zero is the first tick's."""
+    """Seconds since the first tick, as in a log."""
     return np.asarray(np.array(times_ns, dtype=np.int64) * 1e-9, dtype=np.float64)
 
 

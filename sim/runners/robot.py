@@ -25,7 +25,7 @@ from sim.robot.target_motion import TargetMotion
 from sim.runners.deck import DeckState
 from sim.scenarios.scenario import Scenario
 
-DRIVES_TICKS = 64  # ahead of the vehicle, of which half are for nothing when the landing is over
+DRIVES_TICKS = 64  # ticks ahead of the vehicle; half of them are unused when the landing ends
 WorldSample = tuple[float, str, str, Vec3, Vec3, float, float]  # a target sample but for when it arrives
 
 # the very formulas of both ends, compiled
@@ -69,8 +69,8 @@ def deck_rows(pads: F64) -> F64:
 class Robot(ABC):
     """Drives tick by tick or some ticks ahead; it may drive off when the landing begins.
 
-    It drives ahead at most so far that the tick at which it drives off is known in time. Many ticks at once
-    cost a fifth of what they cost one by one.
+    Its lead is limited so that the tick at which it drives off is known in time. Ticks in a batch take a
+    fifth of the time of single ticks.
     """
 
     def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:
@@ -119,11 +119,11 @@ class Robot(ABC):
         """Drive on from the current tick while the companion computes, if that saves time."""
 
     def _drives_off(self, tick: int) -> None:  # noqa: B027
-        """From this tick on it drives."""
+        """Called with the tick from which the robot drives."""
 
 
 class Ahead(NamedTuple):
-    """What the robot says at n ticks, the next ones."""
+    """States and samples of the robot at the next n ticks."""
 
     decks: F64  # (n, 8) position, heading, velocity and turn rate of the pad
     samples: F64  # (m, 9) time, position, velocity, heading and turn rate of the target
@@ -156,7 +156,7 @@ class DirectTarget(Robot):
         return DeckState((x, y, z), yaw, (vx, vy, vz), rate, b"")
 
     def ahead(self, tick: int, count: int) -> Ahead:
-        """What the robot says at this tick, the next one, and at those after it; at most ``count`` in all."""
+        """States and samples of the robot from this tick, the next one, on; at most ``count`` ticks."""
         if len(self._come) - self._at < count:
             self._drive(tick + self._ahead_ticks - 1)
         these, (decks, samples, _, come) = slice(self._at, self._at + count), self._ahead
@@ -177,7 +177,7 @@ class DirectTarget(Robot):
         return self._come[self._at - 1] if self._at else 0
 
     def _keep(self, pads: F64, due: Sequence[int], new: F64) -> None:
-        """Append what the robot says at some ticks; forget what was taken."""
+        """Append states and samples of some ticks; drop those that were taken."""
         decks = deck_rows(pads)
         before, left = self._come_before, self._ahead
         samples = left.samples[before:]

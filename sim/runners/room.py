@@ -91,7 +91,7 @@ class Pairs:
         return tuple(self.all)
 
     def _note(self, begin_ms: int, steps: int) -> None:
-        """Count who is inside whose ellipsoid; who overlaps first collides."""
+        """Count the pairs inside their ellipsoid; the first overlap of a pair is a collision."""
         now, hits = [bool(each) for each in self._team.inside], []
         for pair, inside, was, overlap_ms in zip(
             self.all, now, self._inside, self._team.overlap_ms.tolist(), strict=True
@@ -127,7 +127,7 @@ class Pairs:
 class Room:
     """Joins the vehicles tick by tick: ``begin``, each flies the tick, ``end``.
 
-    What one has of the others is of the tick before.
+    Vehicles act on each other with a delay of one tick.
 
     Raises ValueError: two vehicles begin inside each other.
     """

@@ -30,7 +30,7 @@ _HEADER_BYTES = 10  # header of a MAVLink 2 frame
 
 
 class Held(Generic[T]):
-    """What waits for its time, or for the end of a stall."""
+    """Items that wait for their time, or for the end of a stall."""
 
     def __init__(self) -> None:
         self._timed: list[tuple[int, int, T]] = []
@@ -52,7 +52,7 @@ class Held(Generic[T]):
         heapq.heappush(self._timed, (due_ns, self._count, item))
 
     def due(self, now_ns: int) -> list[T]:
-        """Take what may go on now, in order."""
+        """Return the items whose wait is over, in order."""
         out = [item for stall in [s for s in self._stalled if s.over] for item in self._stalled.pop(stall)]
         while self._timed and self._timed[0][0] <= now_ns:
             out.append(heapq.heappop(self._timed)[2])
@@ -77,11 +77,11 @@ class Wire:
 
     @property
     def sound(self) -> bool:
-        """Whether nothing happens to what is sent, and nothing waits to be."""
+        """Whether no fault acts on sent messages, and no message waits to be sent."""
         return not self._leaving.size and not self._faults.active(Way.OUT)
 
     def send(self, messages: Sequence[Message], peers: Sequence[Peer], now_ns: int) -> None:
-        """Send what is due of these messages and of earlier ones, each in a datagram of its own.
+        """Send those of these and earlier messages that are due, each in a separate datagram.
 
         ``messages`` may be changed.
         """
@@ -98,7 +98,7 @@ class Wire:
                     self._ship(frame)
 
     def receive(self, received: Received, now_ns: int) -> list[Received]:
-        """What the autopilot gets now of a message that has come: it, nothing, or it twice."""
+        """Copies of an arrived message that the autopilot receives now: none, one or two."""
         if not self._faults.active(Way.IN):
             return [received]
         fate = self._faults.fate(Way.IN, received.message, now_ns)
@@ -111,7 +111,7 @@ class Wire:
         return out
 
     def late(self, now_ns: int) -> list[Received]:
-        """Messages held back that the autopilot gets now."""
+        """Delayed messages that the autopilot receives now."""
         return self._coming.due(now_ns) if self._coming.size else []
 
     def _ship(self, frame: _Frame) -> None:
@@ -150,7 +150,7 @@ class VehicleNode:
         self.wire = Wire(self.endpoint, self.vehicle.faults.link)
 
     def answer(self, received: Received, now_s: float) -> list[Message]:
-        """Let the autopilot act on a frame; returns what to answer its sender."""
+        """Let the autopilot act on a frame; returns the replies to its sender."""
         message = received.message
         header = message.get_header()
         return self.autopilot.handle(message, (header.srcSystem, header.srcComponent, received.peer), now_s)
@@ -186,7 +186,7 @@ class VehicleNode:
         self.vehicle.set_deck(deck.position_enu_m, deck.yaw_rad, deck.velocity_enu_m_s, deck.yaw_rate_rad_s)
 
     def write_log(self, tick: int, now_ns: int) -> Truth:
-        """Log the true state, what the autopilot said and what the firmware's supervisor did."""
+        """Log the true state, the texts of the autopilot and the state of the firmware's supervisor."""
         truth = self.vehicle.truth()
         self.log.truth(tick, now_ns, truth)
         for text in self.autopilot.take_texts():
@@ -199,7 +199,7 @@ class VehicleNode:
         return truth
 
     def _tell_change(self) -> None:
-        """Tell a change of arming once its state is in the log: who hears of it may end this process."""
+        """Report a change of arming after its state is logged: the receiver may end this process."""
         armed = self.vehicle.armed
         if armed is not self._armed:
             self._armed = armed

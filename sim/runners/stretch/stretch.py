@@ -1,4 +1,4 @@
-"""Flies ticks of a landing in which nothing rare happens, and leaves all parts as if they had run them."""
+"""Flies ordinary ticks of a landing as a batch; the state afterwards is the same as tick by tick."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ from sim.runners.stretch.ticks import BEFORE, MIDDLE, TRUTH, fly_ticks, narrow
 from sim.runners.stretch.watch import WatchBook
 from sim.runners.vehicle_node import VehicleNode
 
-TICKS = 20  # of one call, at most; as far as the robot drives ahead
-SPAN_S = 0.25  # s of one call, at most: a stream of set-points with a longer gap would begin anew
-_SOON_S = 1e-6  # s before something is due in which Python looks
-SPEED_MAX_M_S = 2.5  # on each axis; with more the autopilot's own bound of set-points may count
-_BACK_OFF = 4  # ticks without another try, at most, where tries come to nothing
+TICKS = 20  # most ticks in one call; the robot drives ahead as far
+SPAN_S = 0.25  # s; longest time of one call: a set-point stream with a longer gap would start again
+_SOON_S = 1e-6  # s before a message is due from which the ticks run in Python
+SPEED_MAX_M_S = 2.5  # on each axis; above it the autopilot's own limit of set-points may apply
+_BACK_OFF = 4  # most ticks without a new try after failed tries
 
 
 def suited(controller: Controller, node: VehicleNode) -> bool:
@@ -54,7 +54,7 @@ def suited(controller: Controller, node: VehicleNode) -> bool:
 
 
 def suits(config: FlightConfig) -> bool:
-    """Whether kernel and simulated link know everything that this configuration asks for."""
+    """Whether kernel and simulated link support everything that this configuration requires."""
     return (
         core.suits(config)
         and max(config.limits.velocity_max_m_s) <= SPEED_MAX_M_S
@@ -142,7 +142,7 @@ class Stretch:
         return done
 
     def _quiet_until_s(self, tick: int) -> float | None:
-        """Until when nothing but own states and set-points is sent; None: it has to be now."""
+        """Time until which only vehicle states and set-points are sent; None: other messages are due now."""
         request = Request.EXTERNAL if self._controller.memory.phase in FLYING else Request.NONE
         now_s = self._grid.ns(tick) / 1e9
         until_s = self._link.silent_until_s(request) - _SOON_S
@@ -152,10 +152,10 @@ class Stretch:
         return until_s if now_s < until_s else None
 
     def _speak(self, tick: int) -> bool:
-        """Exchange what is due at this tick, the next one; False where the tick has to be Python's.
+        """Exchange the messages due at the next tick; False if the tick has to run in Python.
 
-        Such are heartbeats, and what the vehicle says of itself now and then. That comes before the step of
-        the controller, or means nothing to the autopilot, as in a tick of Python.
+        Such messages are heartbeats and the slow telemetry of the vehicle. They arrive before the step of the
+        controller, or have no effect on the autopilot, as in a tick in Python.
         """
         node, now_s = self._node, self._grid.ns(tick) / 1e9
         if self._controller.memory.phase not in RULES or not self._loop.undisturbed:
@@ -180,7 +180,7 @@ class Stretch:
         return self._controller.ordinary(status)
 
     def _prepare(self) -> bool:
-        """Write down the phase and what the vehicle says; whether they are those of a stretch."""
+        """Store phase and vehicle status; returns whether a batch of ticks can run with them."""
         c, rules, status = self._controller, self._rules, self._link.state.status
         memory, flight, vehicle = c.memory, self._node.autopilot.flight, self._node.vehicle
         if status is None or not c.ordinary(status) or memory.yaw_rad is None:
@@ -209,7 +209,7 @@ class Stretch:
         return True
 
     def _weigh(self) -> bool:
-        """Write down what the vehicle has told of its power; False where only Python knows what to do."""
+        """Store the reported battery and motors; False if only Python can handle them."""
         estimate, power = self._reserve, self._link.state.power
         if estimate is None:
             return True
@@ -273,7 +273,7 @@ class Stretch:
         return done, how if self._goes_on(flies) else BEFORE
 
     def _goes_on(self, flies: bool) -> bool:
-        """Whether the autopilot has changed nothing that counts."""
+        """Whether mode, arming and contact with the ground are still those of the batch."""
         flight, vehicle = self._node.autopilot.flight, self._node.vehicle
         mode = flight.mode is FlightMode.OFFBOARD or not flies
         return mode and vehicle.armed == flies and flight.standing != flies and flight.ground.settled

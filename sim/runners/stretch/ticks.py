@@ -1,9 +1,8 @@
 """Ticks of a landing in one compiled call: deck, telemetry, controller, set-point, physics, true states.
 
-A tick is that of ``LockstepVehicle`` with all it calls. It is left to Python, before anything of it has
-happened, where the landing kernel or what the vehicle says leaves it; and in its middle, when the
-controller's answer is known and the radio's delay has passed, where the autopilot has more to do than to hand
-the set-point on.
+A tick does the same as that of ``LockstepVehicle`` with all its calls. Python takes it over before its start
+if the landing kernel or the telemetry requires it; and in its middle, after the controller's answer and the
+radio's delay, if the autopilot has to do more than to pass the set-point on.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from sim.vehicle.loop import VehicleRecord, fly
 from sim.vehicle.physics import TUMBLED
 from sim.world.bodies import arc_of_step
 
-END, BEFORE, MIDDLE = 0, 1, 2  # all ticks are done; Python has to do the next one; the rest of the last one
+END, BEFORE, MIDDLE = 0, 1, 2  # all ticks done; Python runs the next one, or the rest of the last one
 TRUTH = 41  # numbers of a true state
 _LARGEST = 1e6  # m, m/s: beyond it a message counts as damaged (bridge.mavlink.client.vehicle_state)
 _POLE = 0.999  # sine of a pitch so near to straight up that Python looks at it

@@ -15,7 +15,7 @@ _smoothed = twin(watches.smoothed, jitted)
 
 @jitted
 def looks(w: WatchRecord, v: VehicleRecord, now_s: float) -> bool:
-    """Look, if it is time; False, and nothing done, where there may be something to be found."""
+    """Run the checks if they are due; False, with nothing done, if one may have a result."""
     if now_s < w.due_s:
         return True
     if now_s >= w.until_s:
@@ -31,7 +31,7 @@ def looks(w: WatchRecord, v: VehicleRecord, now_s: float) -> bool:
 
 
 class WatchBook:
-    """Writes what the watches need into a record, and what they saw back."""
+    """Writes the inputs of the watches into a record, and their results back."""
 
     def __init__(self, record: WatchRecord) -> None:
         self._write = writer(record)
