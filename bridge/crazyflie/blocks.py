@@ -71,7 +71,7 @@ class LogBlocks:
     """Call ``step`` often. Blocks are requested together, without waiting for each other."""
 
     def __init__(self, crazyflie: Any, put: Callable[[Event], None]) -> None:
-        """Ask for nothing yet. ``put`` is called by cflib's thread."""
+        """Set up without a request. cflib's thread calls ``put``."""
         self._crazyflie = crazyflie
         known = crazyflie.log.toc.get_element_by_complete_name
         self._blocks = []

@@ -29,8 +29,8 @@ _POSITION_DECKS = {
 }
 _UP: Vec3 = (0.0, 0.0, 1.0)
 _GAP_MAX_S = Limits().gap_max_s  # s without a pose until that is a problem
-_SHARE = 0.1  # of a new difference in the mean one, at 10 Hz: a second
-_AT_REST_G = 0.1  # g; an accelerometer that shows another length shows more than gravity
+_SHARE = 0.1  # weight of a new difference in the mean; at 10 Hz a time constant of 1 s
+_AT_REST_G = 0.1  # g; a measured length that differs more is not gravity alone
 
 
 class Condition:
@@ -52,7 +52,7 @@ class Condition:
         self._forget_outside()
 
     def _forget_outside(self) -> None:
-        """Reset what a new connection, possibly to another firmware, has to measure anew."""
+        """Reset the values that a new connection, possibly to another firmware, has to measure again."""
         self._outside: Outside | None = None
         self._tick_s: float | None = None  # when the firmware's time of the newest pose changed last
         self._leaning: Vec3 | None = None  # mean of the poses' upright less gravity's, in the body
@@ -124,7 +124,7 @@ class Condition:
     def _compare_level(self, acceleration_flu_g: Vec3 | None) -> None:
         """Compare the poses' upright with gravity's, on the ground.
 
-        Without an accelerometer its own attitude stands for gravity, as long as that is not the poses'.
+        Without an accelerometer the attitude of the firmware replaces gravity, unless the poses give it.
         """
         if self.state is None or self.state.info & Info.FLYING:
             return

@@ -159,7 +159,7 @@ class CrazyflieLink:
     def _connection(self, crazyflie: Any) -> str:
         """Connect, then send packets until the connection ends; the reason of the end."""
         if not self._flies:
-            self._outbox.clear()  # nothing from before this connection may act
+            self._outbox.clear()  # no packet from before this connection may be sent
         self._broken, self._heard_s = None, time.monotonic()
         self._fully.clear()
         self._current = crazyflie
@@ -220,7 +220,7 @@ class CrazyflieLink:
             self._flown_s = time.monotonic()
         elif packet is Order.STOP:
             self._flown_s = -math.inf
-        # before the version is known cflib would send an outdated form
+        # until the protocol version is known, cflib would send an outdated packet format
         if crazyflie.link is not None and crazyflie.platform.get_protocol_version() >= 0:
             senders[packet if isinstance(packet, Order) else Velocity](packet)
         return None

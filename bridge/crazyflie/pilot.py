@@ -16,11 +16,11 @@ SPEED_XY_M_S = 0.3  # m/s
 CLIMB_M_S = 0.4  # m/s
 DESCENT_M_S = 0.25  # m/s
 ARRIVED_M, ARRIVED_M_S = 0.05, 0.15  # m, m/s; height reached
-# m of a take-off in which it keeps its horizontal velocity, until it is clear of a deck that carries it
+# m; first part of a take-off, with constant horizontal velocity, until it is clear of a moving deck
 CLEAR_M = 0.1
-CARRIED_MAX_M_S = 1.0  # m/s; a deck that carries it is not faster, as far as the take-off follows it
+CARRIED_MAX_M_S = 1.0  # m/s; largest velocity of a moving deck that the take-off follows
 # m/s, without a position: the bias of an accelerometer makes the firmware's own vertical velocity drift by
-# 0.05 m/s in a second, until it climbs while it seems to sink
+# 0.05 m/s in a second, until it climbs while its estimate shows a descent
 UNPLACED_M_S = 0.4
 STOPPED_SHARE = 0.3  # share of the descent speed; slower than that it stands on something
 LANDING_MIN_S = 1.0  # s of a landing until a stop counts: a climb has to end first

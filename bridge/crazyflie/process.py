@@ -1,7 +1,7 @@
 """The Crazyflie bridge as a process: cflib on one side, a MAVLink vehicle on the other.
 
-The loop sleeps on both wires and on nothing else: a set-point goes to the radio when it comes, a state to the
-clients when it comes.
+The loop waits for both links only: it sends a set-point to the radio, and a state to the clients, as soon as
+it arrives.
 """
 
 from __future__ import annotations

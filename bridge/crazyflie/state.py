@@ -70,7 +70,7 @@ class BootClock:
         return min(self._shortest_s) < math.inf
 
     def take(self, time_ms: int, at_s: float) -> tuple[int, float] | None:
-        """Unwrapped milliseconds and lateness in seconds; None: not newer than the last, or not believed yet.
+        """Unwrapped milliseconds and lateness in seconds; None: not newer than the last, or not trusted yet.
 
         ``time_ms`` has 24 bits.
         """

@@ -45,7 +45,7 @@ class Limits:
     turn_rate_max_rad_s: float = 20.0
     turn_rad: float = 0.2
     room_m: float = 100.0  # the Crazyflie's estimator resets beyond (estimator supervisor)
-    gap_counted_s: float = 1.0  # greatest part of a gap in which the vehicle may have moved
+    gap_counted_s: float = 1.0  # longest part of a gap that counts as motion of the vehicle
     return_m: float = 0.5  # allowed distance from the last good pose after rejected ones
     settle_s: float = 1.0  # time at a new place after a jump until it is accepted, disarmed only
 

@@ -152,7 +152,7 @@ class _Compiler:
         self.pack: list[str] = []
         self.unpack: list[str] = []
         self.constants: dict[str, Any] = {}
-        self.large = False  # has sequences of numbers: a bytearray then grows faster than bytes
+        self.large = False  # it has sequences of numbers, for which a bytearray grows faster than bytes
         self._frame = None if frame_id is None else frame_id.encode() + b"\x00"
         self._indent = "    "
         self._at: int | None = 0  # bytes from the start of the payload; None: known only at run time
@@ -283,7 +283,7 @@ class _Compiler:
             self._after.append(after)
 
     def _grow(self, value: str | None = None) -> None:
-        """End the run, and append bytes; what follows begins at an offset known at run time only."""
+        """End the run, and append bytes; the next field's offset is known at run time only."""
         self.flush()
         self._at = None
         if value is not None:

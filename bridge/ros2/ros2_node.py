@@ -38,7 +38,7 @@ class Ros2Node:
     def publisher(self, topic: str, type_name: str, type_hash: str) -> Ros2Publisher:
         """Announce a topic and declare its publisher.
 
-        With another hash of the type the ROS 2 side hears nothing.
+        With another type hash the ROS 2 nodes receive nothing.
 
         Raises ValueError: a part is malformed.
         """

@@ -17,7 +17,7 @@ from flightstack.core.target.estimator import RESTART_S, TargetEstimator
 from flightstack.core.types import ZERO
 
 SETTLED_M_S = 0.05  # greatest standard deviation of a usable velocity; a quarter of the Burger's
-UNKNOWN_M_S = 100.0  # standard deviation of the "measured" velocity zero, far above that of robots
+UNKNOWN_M_S = 100.0  # standard deviation of a velocity that was not measured, far above that of robots
 GATE_SIGMAS = 6.0  # distance from the expected pose that makes an outlier: 1 in 10^8 by chance
 OUTLIERS_MAX = 5  # outliers in a row after which the estimate restarts there
 UNSETTLED_MAX = 50  # poses without a velocity that trigger a warning

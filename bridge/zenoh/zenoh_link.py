@@ -30,9 +30,9 @@ Sample = Any
 LOOPBACK = "tcp/127.0.0.1:0"  # any free port, this machine only
 LOOPBACK_ROUTER = "tcp/127.0.0.1:7447"  # default address of a router for clients and ROS 2 nodes
 _LEASE_MS = 2000  # a peer without messages is disconnected and dialled again; liveness is the age of messages
-# in lockstep a process may stand still for longer, and nothing may be lost; a killed one disconnects at once
+# in lockstep a process may pause for longer, and no message may be lost; a killed one disconnects at once
 _LOCKSTEP_WAIT_MS = 60_000
-_ALIVE_TIMEOUT_S = 1.0  # the answer is in this process's own tables
+_ALIVE_TIMEOUT_S = 1.0  # the reply comes from the tables of this process
 _CLIENT_WAIT_MS = 10_000  # wait for a router that has not started
 _RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 1.5}
 

@@ -32,8 +32,8 @@ _FINALS = 2  # final rejections until a request is given up: one may belong to a
 class CommandSequencer:
     """Pure: gets time and status, returns messages.
 
-    After a heartbeat newer than the request has shown the requested status, nothing more is sent for it: a
-    later change of mode has another cause, and the controller decides on it.
+    When a heartbeat newer than the request shows the requested status, the request is complete: a later
+    change of mode has another cause, and the controller decides what to do.
     """
 
     def __init__(

@@ -19,7 +19,7 @@ from bridge.mavlink.profiles import named
 from bridge.mavlink.transport.address import Peer
 
 SILENT_S = 2.5  # s without a frame after which the known sender is not alive; heartbeats have 1 Hz
-_APART_S = 0.5  # s of alternating addresses that prove two senders; datagrams overtake each other by less
+_APART_S = 0.5  # s of alternating addresses that prove two senders; reordered datagrams are closer together
 _GAP_MAX = 4  # greatest step of the sequence number (modulo 256) within a stream: three lost frames
 _STEADY = 8  # frames in a row that make a stream without gaps
 _AGAIN_S = 0.95  # s after which a repeated contradicting heartbeat is accepted: heartbeats have 1 Hz
@@ -41,7 +41,7 @@ class _Other:
 
     first_s: float
     last_s: float
-    met: bool = False  # the known sender was heard after this one
+    met: bool = False  # a frame of the known sender arrived after this one
 
 
 @dataclass(slots=True)
@@ -139,7 +139,7 @@ class Senders:
         """Whether a heartbeat belongs to the known stream.
 
         A heartbeat with new content whose sequence number does not continue the stream must be repeated after
-        a second without a contradiction: frames that a router adds to the line have numbers of their own.
+        a second without a contradiction: frames that a router adds have separate sequence numbers.
         """
         claims = (heartbeat.base_mode, heartbeat.custom_mode)
         number = heartbeat.get_header().seq

@@ -51,7 +51,7 @@ class StreamRequests:
         self._target = (target_system, target_component)
         self._unset = unset
         self._data_streams = data_streams
-        self.quiet_until_s = -math.inf  # ``step`` returns nothing before
+        self.quiet_until_s = -math.inf  # time before which ``step`` returns nothing
 
     def seen(self, message_id: int, count: int = 1) -> None:
         stream = self._streams.get(message_id)

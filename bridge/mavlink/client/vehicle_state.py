@@ -24,7 +24,7 @@ _REBOOT_S = 1.0  # s; a boot clock that falls back further than this after a sil
 _PROOF_S = 0.3
 _TICK_S = 0.1  # s; period of the slowest loop: a message arrives at a tick
 _YAW_AGE_MAX_S = 0.5  # s between a position and the attitude with its heading
-_LARGEST = 1e6  # m, m/s: a number beyond this is damage
+_LARGEST = 1e6  # m, m/s; a larger number counts as corrupted
 _THROTTLE_AGE_MAX_S = 1.0  # s; an older throttle of VFR_HUD counts as missing
 _VOLTAGE_UNKNOWN = 0xFFFF  # mV, MAVLink SYS_STATUS.voltage_battery
 _LANDED = {state.value: state for state in Landed}
@@ -53,7 +53,7 @@ class VehicleState:
     """Newest state and status of the vehicle by its messages, whose sender is already checked."""
 
     def __init__(self, profile: Profile | None) -> None:
-        # for the meaning of the modes; None: not known yet, and then there is no status
+        # meaning of the modes; None: not known yet, and no status is available
         self.profile = profile
         self.counters = StateCounters()
         self.own: OwnState | None = None  # newest vehicle state; None before a position and an attitude

@@ -25,9 +25,9 @@ _NAME_MAX = 16  # characters, MAVLink PARAM_VALUE
 class Needs(NamedTuple):
     """Requirements of the flight on the autopilot."""
 
-    horizontal_m_s: float  # of the command box
+    horizontal_m_s: float  # largest command of the velocity box
     vertical_m_s: float
-    horizontal_m_s2: float  # of the largest acceleration of the commanded velocity
+    horizontal_m_s2: float  # largest acceleration of the commanded velocity
     vertical_m_s2: float
     altitude_max_m: float  # above the ground
     system_id: int = 1  # MAVLink id of the vehicle and its companion

@@ -1,1 +1,1 @@
-"""The vehicle's side of MAVLink: what a program needs that other programs shall take for an autopilot."""
+"""The vehicle's side of MAVLink: a server that lets a program appear as an autopilot."""

@@ -2,8 +2,8 @@
 
 Every command may be repeated, since an acknowledgement can be lost and MAVSDK does not count its repeats:
 a command that already has its effect is ACCEPTED. A parameter that is NaN means "the default". ACCEPTED
-means "valid, and being done"; nothing is ever IN_PROGRESS. Only arming may be acknowledged later, when its
-result is known.
+means "valid, and in execution"; no command is reported as IN_PROGRESS. Only arming may be acknowledged later,
+when its result is known.
 """
 
 from __future__ import annotations
@@ -78,15 +78,15 @@ class Reply(NamedTuple):
 
 
 def answer(reason: str | None, result: int = REJECTED) -> Answer:
-    """ACCEPTED without a reason, else refused."""
+    """Answer ACCEPTED if ``reason`` is None, else ``result`` with the reason."""
     return Answer() if reason is None else Answer(result, reason)
 
 
 class Entry(NamedTuple):
     run: Callable[[Command], Answer]
-    right: Right  # which senders may, while one has control
+    right: Right  # senders that may send it while one of them has control
     place: bool = False  # has a position or height: the frame of COMMAND_INT matters
-    right_of: Callable[[Command], Right] | None = None  # when it depends on the parameters
+    right_of: Callable[[Command], Right] | None = None  # used if the right depends on the parameters
 
 
 Table = Mapping[int, Entry]

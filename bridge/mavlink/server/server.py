@@ -24,7 +24,7 @@ from bridge.mavlink.server.telemetry import Builder, Snapshot, V, autopilot_vers
 from bridge.mavlink.server.texts import Text, TextWire
 
 SYSTEM_ID = 1
-COMPONENT_ID = dialect.MAV_COMP_ID_AUTOPILOT1  # clients look for the autopilot nowhere else
+COMPONENT_ID = dialect.MAV_COMP_ID_AUTOPILOT1  # the only component id at which clients look for the autopilot
 _HEARTBEAT_S = 1.0
 _LOG_MAX = 1024  # texts that wait for the log
 _BROADCAST = frozenset({dialect.MAV_CMD_REQUEST_MESSAGE})  # the only command obeyed when sent to system 0
@@ -81,7 +81,7 @@ class Server(ABC, Generic[V]):
         """Take note of a heartbeat of another program."""
 
     def own_commands(self) -> dict[int, Entry]:
-        """Commands besides the common ones, or in their place."""
+        """Commands that extend or replace the common ones."""
         return {}
 
     def own_handlers(self) -> dict[int, Handler]:
@@ -89,7 +89,7 @@ class Server(ABC, Generic[V]):
         return {}
 
     def condition(self, snapshot: Snapshot[V]) -> object:
-        """A value that changes with everything that HEARTBEAT and SYS_STATUS show at once."""
+        """Value whose change makes HEARTBEAT and SYS_STATUS due at once."""
         vehicle = snapshot.vehicle
         return vehicle.mode, vehicle.armed, vehicle.failsafe, snapshot.valid
 

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.frames import enu_from_ned, flu_from_frd, quaternion_from_yaw, world_from_body, yaw_enu_from_ned
 from flightstack.core.types import Vec3
 
-SPEED_MAX_M_S = 5.0  # m/s; far above what any controller of this stack may ask for
+SPEED_MAX_M_S = 5.0  # m/s; far above the commands of any controller of this stack
 YAW_RATE_MAX_RAD_S = 6.0  # rad/s
 
 # POSITION_TARGET_TYPEMASK: a set bit means "ignore". Bit 9 is about the acceleration, which is unused.

@@ -111,7 +111,7 @@ class Streams(Generic[V]):
         return messages + [stream.build(snapshot) for stream in self._passed(snapshot.now_s)]
 
     def next_s(self, message_ids: frozenset[int]) -> float:
-        """Time at which one of these messages is due next, without those of every tick, or somewhat earlier.
+        """Lower bound of the time at which one of these messages, except those of every tick, is due next.
 
         It is -inf unless position and attitude, and no others of them, come at every tick.
         """
@@ -126,12 +126,12 @@ class Streams(Generic[V]):
         return min(due_s, default=_OFF) - 0.5 * self._period_s
 
     def pass_over(self, snapshot: Snapshot[V], message_ids: frozenset[int]) -> list[Message]:
-        """Advance as ``due`` does, but make only messages of these ids that are not of every tick."""
+        """Advance as ``due`` does, but make only messages with these ids, and none of those of every tick."""
         passed = self._passed(snapshot.now_s)
         return [stream.build(snapshot) for stream in passed if stream.message_id in message_ids]
 
     def _passed(self, now_s: float) -> list[_Stream[V]]:
-        """Streams besides those of every tick that are due; they are due anew an interval later."""
+        """Due streams, except those of every tick; their next due time is an interval later."""
         limit_s = now_s + 0.5 * self._period_s  # nearer to this tick than to the next
         if self._lazy_due_s > limit_s:
             return []

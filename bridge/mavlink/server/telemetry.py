@@ -56,8 +56,8 @@ class Snapshot(Generic[V]):
     vehicle: V
     profile: ServerProfile
     estimate: EstimateLike
-    valid: bool  # position and velocity may be flown by
-    now_s: float  # time that the rates of the streams count in
+    valid: bool  # position and velocity are usable for control
+    now_s: float  # time base of the rates of the streams
     boot_s: float  # boot clock of the vehicle
     epoch_ns: int = 0  # Unix time of the boot clock's zero
 
@@ -148,7 +148,7 @@ def extended_sys_state(s: Snapshot[V]) -> Message:
 
 def battery_status(s: Snapshot[V]) -> Message:
     battery = s.vehicle.battery
-    voltages = [_millivolts(battery)] + [0xFFFF] * 9  # one cell; the rest are not there
+    voltages = [_millivolts(battery)] + [0xFFFF] * 9  # one cell; the other entries mean "no cell"
     unknown = dialect.MAV_BATTERY_FUNCTION_UNKNOWN
     return dialect.MAVLink_battery_status_message(
         0, unknown, dialect.MAV_BATTERY_TYPE_LIPO, 0x7FFF, voltages, -1, -1, -1, battery.percent, 0,
