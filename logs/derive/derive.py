@@ -168,7 +168,7 @@ class Derivers:
         member, name = split(name)
         if name != ATTACHMENT:
             return
-        with contextlib.suppress(ConfigError):  # of another version: barrier and pad are not drawn
+        with contextlib.suppress(ConfigError):  # of another version: no barrier, no pad
             self._of(member).shape = shape(read_config(data))
         self._configure_steps()
 

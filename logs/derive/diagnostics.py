@@ -17,8 +17,8 @@ from logs.schema.schemas import DIAGNOSTIC_ARRAY, packer
 
 TOPIC = "/diagnostics"
 PERIOD_NS = 1_000_000_000
-FILTER_BAD = 3  # ControllerStep: FILTER_INFEASIBLE and what is worse
-LATE_S = 0.002  # a tick later than this after its deadline, a fifth of 10 ms, is worth a look
+FILTER_BAD = 3  # ControllerStep: FILTER_INFEASIBLE and worse states
+LATE_S = 0.002  # delay of a tick after its deadline that gives a warning: a fifth of 10 ms
 LOST_MAX = 0.02  # share of the vehicle's frames that are missing by their numbers
 
 
@@ -149,11 +149,11 @@ def _safety(name: str, rows: Sequence[ControllerStepRow]) -> Status:
 
 
 def _worst(values: Any) -> float:
-    """The largest age; one that is not a number, never seen, is the worst."""
+    """The largest age; NaN, for an input that never arrived, is the worst."""
     ages = list(values)
     return math.nan if any(math.isnan(a) for a in ages) else max(ages)
 
 
 def _texts(values: dict[str, float]) -> tuple[tuple[str, str], ...]:
-    """Keys and values; six digits of what is not a count."""
+    """Keys and values; values that are no counts have six digits."""
     return tuple((key, f"{v:.6g}" if isinstance(v, float) else str(v)) for key, v in values.items())

@@ -12,14 +12,14 @@ from typing import NamedTuple
 from logs.schema.mavlink import PEER_CHARACTERS, FrameError, Type, of
 
 TOPICS_MAX = 512  # bound on topics, since a sender can invent system ids
-_HALF = 128  # of 256 sequence numbers: one that is so far ahead comes late
+_HALF = 128  # half of the 256 sequence numbers: a number at least so far ahead counts as late
 SENDERS_MAX = 256  # senders whose sequence numbers are followed
 _HEADER_BYTES = 20  # encapsulation, stamp, frame_id of three characters: the fields begin aligned to 8
 _NOBODY = struct.pack("<I", PEER_CHARACTERS + 1) + b"p--\x00"  # frame_id of a frame whose peer is not known
 # Offsets in the raw record.
 _NAME_LENGTH_AT = 12
 _FIXED_AT, _FIXED_NOBODY_AT = 20, 17  # of framing_status, with and without the name of a peer
-_LENGTH, _SEQUENCE, _SENDER = 2, 5, 6  # behind that: payload length; sequence number; system and component
+_LENGTH, _SEQUENCE, _SENDER = 2, 5, 6  # after that: payload length; sequence number; system and component
 _ID_AT = 28  # message id
 _WORDS_END, _PAYLOAD_AT = 40, 44
 
@@ -108,7 +108,7 @@ class FrameDecoder:
 
 
 def repacked(kind: Type, payload: bytes) -> bytes:
-    """Return a payload with text, or with fields that CDR aligns otherwise, as the body behind a header."""
+    """Return a payload, with text or with another alignment in CDR, as the body after a header."""
     out = bytearray()
     at = 0
     for field in kind.fields:

@@ -14,12 +14,12 @@ from logs.schema.rows import ControllerStepRow
 from logs.schema.schemas import MARKER_ARRAY, packer
 
 ARROW, CUBE, SPHERE, CYLINDER, LINE_STRIP, TRIANGLE_LIST = 0, 1, 2, 3, 4, 11  # visualization_msgs/msg/Marker
-LIFETIME_S = 0.5  # two and a half periods of 5 Hz: a picture that is not repeated disappears
-PATH_POINTS = 200  # of one path; when full, every second point goes and the spacing doubles
-PATH_PERIOD_NS = 100_000_000  # 10 Hz to begin with
-REACH = 2.5  # of the barrier surface, in distances of its peak
-FLEET_REACH = 1.0  # the same in a fleet
-SECTORS, RINGS = 24, 8  # of the barrier surface: 24 x 8 x 2 triangles
+LIFETIME_S = 0.5  # two and a half periods of 5 Hz: a marker that is not repeated disappears
+PATH_POINTS = 200  # points of one path; when it is full, every second point is removed
+PATH_PERIOD_NS = 100_000_000  # 10 Hz at first
+REACH = 2.5  # radius of the barrier surface, in distances of its peak
+FLEET_REACH = 1.0  # this radius in a fleet
+SECTORS, RINGS = 24, 8  # grid of the barrier surface: 24 x 8 x 2 triangles
 _GRID_1_M = 1024.0  # surface points on whole 1/1024 m: sub-millimetre, and they compress well
 _ARROW_SIZE_M = (0.012, 0.03, 0.04)  # shaft and head diameter, head length
 BODY_SIZE_M = (0.092, 0.092, 0.029)  # m, Bitcraze, Crazyflie 2.1 data sheet: 92 x 92 x 29 mm
@@ -131,7 +131,7 @@ class Scene:
                 (row.command_enu_m_s if row.setpoint_sent else _NO_VELOCITY, COMMAND_COLOR),
             )
             for number, (velocity_m_s, color) in enumerate(arrows):
-                if math.isfinite(sum(velocity_m_s)):  # else the filter did not run, or nothing was sent
+                if math.isfinite(sum(velocity_m_s)):  # NaN: the filter did not run, or no set-point was sent
                     markers.append(_arrow(number, row.own_position_enu_m, velocity_m_s, color))
         return self._pack(([_values(row.stamp_ns, marker) for marker in markers if marker is not None],))
 
@@ -168,13 +168,13 @@ def _values(stamp_ns: int, marker: Marker) -> tuple[object, ...]:
     return (
         (stamp_ns, marker.frame_id), marker.ns, marker.number, marker.kind, _ADD,
         (marker.position, _NO_ROTATION), marker.scale, marker.color, _LIFETIME_NS,
-        True,  # frame_locked: the viewer moves the picture with its frame between two of ours
+        True,  # frame_locked: the viewer moves the marker with its frame between two of our messages
         marker.points, *_NO_COLORS_TEXTURE_AND_MESH,
     )  # fmt: skip
 
 
 def _pad(frame: str, radius_m: float) -> Marker:
-    thickness_m = 0.01  # only for the eye: the top is where it belongs, at the target frame's origin
+    thickness_m = 0.01  # for display only; the top is at the origin of the target frame
     scale = (2.0 * radius_m, 2.0 * radius_m, thickness_m)
     return Marker(frame, "pad", 0, CYLINDER, scale, PAD_COLOR, position=(0.0, 0.0, -0.5 * thickness_m))
 

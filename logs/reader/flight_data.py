@@ -183,17 +183,17 @@ class Fleet:
         return min(flight.origin_ns for flight in self.flights.values())
 
     def shift_s(self, flight: Flight) -> float:
-        """What to add to the times of a member, to count from the origin of the fleet, s."""
+        """Offset that converts the times of a member to the origin of the fleet, s."""
         return (flight.origin_ns - self.origin_ns) * 1e-9
 
 
 def phase_name(phase: int) -> str:
-    """Name for a reader; a phase that this version does not know keeps its number."""
+    """Name of a phase; a phase that this version does not know is shown as a number."""
     return Phase(phase).name if phase in Phase._value2member_map_ else f"phase {phase}"
 
 
 def _phase(number: int) -> Phase | int:
-    """The phase, or its bare number if a newer stack wrote one we do not know."""
+    """The phase, or its number if a newer stack wrote an unknown one."""
     return Phase(number) if number in Phase._value2member_map_ else number
 
 

@@ -37,11 +37,11 @@ from mcap.records import (
 from mcap.stream_reader import get_chunk_data_stream
 
 MAGIC = bytes((0x89, 0x4D, 0x43, 0x41, 0x50, 0x30, 0x0D, 0x0A))  # MCAP specification, "Magic"
-_HEAD = struct.Struct("<BQ")  # of a record: its kind and the length of what follows
+_HEAD = struct.Struct("<BQ")  # head of a record: its kind and the length of its content
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence number, log time, publish time; then the payload
 _INDEX = struct.Struct("<HI")  # channel, bytes of the entries that follow
 _TIME_MAX_NS = 2**63 - 1  # of ROS 2, whose times are signed
-_ENTRY_BYTES = 16  # of a message index: log time and offset
+_ENTRY_BYTES = 16  # size of an entry of a message index: log time and offset
 _FOOTER_BYTES = _HEAD.size + 20
 _NO_CRC = bytes(4)
 _COMPRESSIONS = ("", "lz4", "zstd")
@@ -52,7 +52,7 @@ _KINDS: dict[int, Any] = {
     Opcode.CHUNK_INDEX: ChunkIndex, Opcode.ATTACHMENT_INDEX: AttachmentIndex,
     Opcode.METADATA_INDEX: MetadataIndex, Opcode.SUMMARY_OFFSET: SummaryOffset, **_DECLARED,
 }  # fmt: skip
-_PLACES = {  # records of the index that say where another one begins, and how long it is
+_PLACES = {  # records of the index that give start and length of another record
     ChunkIndex: (Opcode.CHUNK, "chunk_start_offset", "chunk_length"),
     AttachmentIndex: (Opcode.ATTACHMENT, "offset", "length"),
     MetadataIndex: (Opcode.METADATA, "offset", "length"),
@@ -99,7 +99,7 @@ class Records:
         at = len(MAGIC)
         crc: int | None = zlib.crc32(
             MAGIC
-        )  # of all bytes so far; of the summary behind the data; None: unknown
+        )  # CRC of all bytes so far, or of the summary after the data; None: unknown
         self._stream.seek(at)
         while not self.ended:
             head = self._stream.read(_HEAD.size)
@@ -229,7 +229,7 @@ class _Index:
             elif type(record) in _PLACES:
                 opcode, offset, length_of = _PLACES[type(record)]
                 begins.append((opcode, getattr(record, offset), getattr(record, length_of)))
-        for opcode, begin, whole in begins:  # only where there is such a record
+        for opcode, begin, whole in begins:  # used only if the file has this record there
             if len(MAGIC) <= begin < start:
                 stream.seek(begin)
                 if stream.read(_HEAD.size) == _HEAD.pack(opcode, max(whole - _HEAD.size, 0)):
@@ -237,7 +237,7 @@ class _Index:
         self._fences.sort()
 
     def after(self, at: int) -> int:
-        """Return where the next record that is known begins, or the end of the file."""
+        """Return the start of the next known record, or the end of the file."""
         return self._fences[min(bisect_right(self._fences, at), len(self._fences) - 1)]
 
 

@@ -1,7 +1,7 @@
 """Read a flight log, whole or broken; of a fleet's log all of it, or the part of one member.
 
 A recorder that was killed leaves a file without its index, cut at any byte; a disk or a transfer damages
-bytes anywhere. What can be read is read, and what cannot is named.
+bytes anywhere. All readable data are read, and unreadable parts are reported.
 
 The log of a fleet has a metadata record ``fleet`` with its members. What belongs to one of them has its
 namespace in front: ``/cf2/controller/step``, the logger ``cf2.onboard`` on /rosout, the metadata ``cf2/run``,
@@ -221,7 +221,7 @@ class LogFile:
 
     @property
     def problem(self) -> str:
-        """What the last pass could not read so far, and where; empty while it could read everything."""
+        """Unreadable part that the last pass found so far, and its place; empty: none."""
         return self._last.problem if self._last is not None else ""
 
     @property
@@ -236,7 +236,7 @@ class LogFile:
 
     @property
     def why_broken(self) -> str:
-        """What of the log could not be read or decoded; empty for one that is whole."""
+        """Parts of the log that could not be read or decoded; empty for a complete log."""
         more = f" and {self._refused - 1} more" if self._refused > 1 else ""
         refused = f"{self._first_refused}{more}" if self._refused else ""
         return "; ".join(filter(None, (self._outline.problem, refused)))

@@ -139,7 +139,7 @@ class ChunkedWriter(Writer):  # type: ignore[misc]
 CHUNK_BYTES = 256 * 1024  # a killed recorder loses at most the open chunk
 # Kept free for the end of the file: the pending chunk, schemas and the index, and more as the index grows.
 RESERVE_BYTES = 2 * 2**20
-_RESERVE_STEP = 2**20  # by which it grows, so that it does so every ten minutes and not every flush
+_RESERVE_STEP = 2**20  # step of its growth: about every ten minutes instead of at every flush
 _QOS = "[]"  # as rosbags writes it: nothing is known about the sender's quality of service
 
 
@@ -162,7 +162,7 @@ class SafeStream:
         return self._position
 
     def write(self, data: bytes) -> int:
-        """Write everything or nothing; after a failure that lasts, nothing."""
+        """Write all bytes or none; after a permanent failure, none."""
         if not self._stopped and not self._try(data):
             if self._reserve is not None:
                 self._reserve.close()  # the record that failed, and the end of the file, go where this was
@@ -174,7 +174,7 @@ class SafeStream:
         return len(data)
 
     def flush(self) -> None:
-        """Do nothing: every write has left the process already."""
+        """Do nothing: each write is passed to the system at once."""
 
     def descriptor(self) -> int:
         return self._raw.fileno()

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 # the clients gather (0.1 s in lockstep); a power cut also the time the disk takes: half a second in all.
 FLUSH_PERIOD_S = 0.25
 READ_PERIOD_S = 0.004  # wall time; clients flush every tick, reading them in batches saves the processor
-GRACE_S = 3.0  # s of wall time that clients have to finish after a stop
+GRACE_S = 3.0  # s of wall time for clients to finish after a stop
 _RECEIVE_BYTES = 2**18
 
 
@@ -229,7 +229,7 @@ class Syncer:
     """Calls ``fdatasync`` on one open file on request, one call at a time."""
 
     def __init__(self, descriptor: int, path: Path) -> None:
-        """Start the thread; the name of the file in its directory is brought to the disk at once."""
+        """Start the thread; the directory entry of the file is written to the disk at once."""
         _sync_directory(path.parent)
         self._descriptor = os.dup(descriptor)  # the file may be closed before the last wait
         self._wanted = threading.Event()
@@ -241,11 +241,11 @@ class Syncer:
         self._thread.start()
 
     def ask(self) -> None:
-        """Have everything written so far on the disk soon; never waits."""
+        """Request a sync of all data written so far; never waits."""
         self._wanted.set()
 
     def close(self) -> None:
-        """Wait for the disk a last time, with everything written so far, and end the thread."""
+        """Sync all data written so far a last time, and end the thread."""
         self._closing = True
         self._wanted.set()
         self._thread.join()
@@ -314,7 +314,7 @@ def record_main(
         signal.signal(number, stop)
     on_hangup(stop)
     begun()
-    typestore()  # half a second of work the first time: not in the middle of a flight
+    typestore()  # the first call takes half a second: done here, before the flight
     print("ready", flush=True)
     counts = process.run(until_clients)
     for problem in problems(counts):

@@ -33,7 +33,7 @@ _INPUT_END = "/controller/input"
 
 
 class ReplayError(ValueError):
-    """A log that proves nothing."""
+    """A log that cannot be replayed."""
 
 
 @dataclass(slots=True)
@@ -144,7 +144,7 @@ class FlightInputs:
                     tick.given, tick.told = tick.given._replace(inputs=inputs), True
                 elif topic == state:
                     snapshot = ControllerStateRow.unpack(data)
-                    if snapshot.stamp_ns == tick.unix_ns:  # else an older one, from before a cut
+                    if snapshot.stamp_ns == tick.unix_ns:  # else it is older: the log has a gap
                         tick.state = snapshot
                 elif topic == odometry:
                     tick.odometry.append(data)

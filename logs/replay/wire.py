@@ -32,7 +32,7 @@ from logs.schema.controller_rows import TickInputs
 from logs.tools.compare import TickDifference, values_of
 
 _SAID_BY_THE_WIRE = ("target sample refused: ", "vehicle: ")  # the other lines are about the socket
-_ID_AND_PAYLOAD = slice(7, -2)  # of an unsigned frame: what is left of head, sequence number and checksum
+_ID_AND_PAYLOAD = slice(7, -2)  # part of an unsigned frame without head, sequence number and checksum
 
 
 class RecordedEndpoint(Endpoint):
@@ -58,7 +58,7 @@ class RecordedEndpoint(Endpoint):
         self.sent += [self.pack(message) for message in messages]
 
     def repeat(self, frame: bytes, peer: Peer | None = None) -> None:
-        """Do nothing: repeats are not in a log either."""
+        """Do nothing: a log contains no repeats."""
 
     def take_notices(self) -> list[str]:
         return []
@@ -122,7 +122,7 @@ class WireReplay:
     def answer(self, record: TickRecord, given: TickInputs, out: Outputs) -> list[TickDifference]:
         self._vehicle.answer(out, given.now_s)
         if not self._heard:
-            return []  # until the vehicle is heard, greetings go out by wall time
+            return []  # until the first message of the vehicle, heartbeats are sent by wall time
         recorded = [frame[_ID_AND_PAYLOAD].hex() for frame in record.frames_out]
         replayed = [frame[_ID_AND_PAYLOAD].hex() for frame in self._endpoint.sent]
         if recorded == replayed:

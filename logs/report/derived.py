@@ -37,7 +37,7 @@ _ENOUGH = 200  # a page with more is not read
 
 
 def held_margin_m(flight: Flight) -> Floats | None:
-    """(n,) margin on h that the filter held at each step, m; NaN where it did not run.
+    """(n,) margin on h that the filter enforced at each step, m; NaN where it did not run.
 
     The step holds the slack s of the constraint at u*: s = g u* + rate * h_held + dh/dt. So h_held follows,
     and the margin is h - h_held. ``None`` without steps, without configuration,
@@ -92,7 +92,7 @@ def estimate_errors(flight: Flight) -> Errors | None:
 
 
 def root_mean_square(values: Floats) -> float | None:
-    """Of the numbers among the values; ``None`` without any."""
+    """Root mean square of the finite values; ``None`` without any."""
     known = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(known * known))) if len(known) else None
 

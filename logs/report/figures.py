@@ -1,4 +1,4 @@
-"""All figures of the report, in order, each with what it shows and where its numbers come from."""
+"""All figures of the report, in order, each with its description and the source of its numbers."""
 
 from __future__ import annotations
 

@@ -59,15 +59,15 @@ from logs.verdict.verdict import (
 
 __all__ = ["ReportError", "write_comparison", "write_page", "write_report"]
 
-_H_TOLERANCE_M = 1e-6  # the barrier we draw has to be the one the simulator judged by
+_H_TOLERANCE_M = 1e-6  # largest difference between the drawn barrier and that of the simulator's verdict
 _SCENARIO = "scenario.toml"
 _FILES = ((ATTACHMENT, "Configuration of the onboard process"), (_SCENARIO, "Scenario, whole"))
 _FAULTS = "Injected by the scenario; in the figures a red strip on top."
 _NEAR = "Measured in every physics step while both flew."
 _EVENTS = "wide events"  # style of the tables of events
 _TICK_S = 0.011  # true states are this far apart; the ellipsoid is judged every millisecond
-_SPEED_M_S = 4.0  # at which two vehicles may come nearer between two of them
-_EQUAL = 1e-3  # of the measure: a true state between two ticks is not in the log
+_SPEED_M_S = 4.0  # largest closing speed of two vehicles between two true states
+_EQUAL = 1e-3  # tolerance of the measure: the log has no true states between two ticks
 _WAITS = "Times in which a member flew and gave way to neighbours, by its own messages."
 _WAYS = (
     "Used: messages that a tick of the receiver used. The others were lost, or a newer one replaced them. "

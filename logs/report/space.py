@@ -30,7 +30,7 @@ from logs.report.style import (
 
 _SURFACE_RINGS, _SURFACE_SPOKES = 48, 73
 _SURFACE_COLORS = [[0.0, "#fff3c4"], [0.5, "#f7b267"], [1.0, "#d55e00"]]  # low to high, as printed
-_DISTANCE_MIN_M = 0.6  # m, shown at least, so that the cone can be seen
+_DISTANCE_MIN_M = 0.6  # m; smallest range of the distance axis, so that the cone is visible
 _BEFORE = "#9aa5b1"
 _SYMBOLS_3D = {"circle": "circle", "square-open": "square", "triangle-up": "diamond"}
 
@@ -153,7 +153,7 @@ def altitude_over_distance(sides: Sequence[Side]) -> go.Figure | None:
         )
     for number, (side, tracks) in enumerate(drawn):
         color = COLORS[number % len(COLORS)]
-        for track in tracks if alone else tracks[-1:]:  # the best known comes last
+        for track in tracks if alone else tracks[-1:]:  # the most accurate track is the last one
             distance = np.hypot(track.points_m[:, 0], track.points_m[:, 1])
             name = f"vehicle ({track.name})" if alone else f"{side.name}, {track.name}"
             look = {"dash": track.dash, "width": 2.4 if track.dash == "solid" else 1.6}

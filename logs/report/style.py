@@ -94,7 +94,7 @@ def layout_3d(figure: go.Figure, titles: tuple[str, str, str], **scene: Any) -> 
 
 
 def zero_s(flight: Flight) -> float:
-    """Time that the figures call zero: the begin of the landing, else of the log."""
+    """Time zero of the figures: the start of the landing, or of the log without a landing."""
     return flight.landing_start_s or 0.0
 
 
@@ -209,7 +209,7 @@ def line(x: Floats, y: Floats, name: str, color: str, **more: Any) -> go.Scatter
 
 
 def _places(x: Floats) -> dict[str, Any]:
-    """Evenly spaced places as start and step, which halves the page; else all of them."""
+    """Evenly spaced coordinates as start and step, which halves the page; otherwise all of them."""
     if len(x) > 2 and np.isfinite(x).all():
         step = float(x[-1] - x[0]) / (len(x) - 1)
         if step > 0.0 and np.abs(x - (x[0] + step * np.arange(len(x)))).max() < _EVEN_S:

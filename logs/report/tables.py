@@ -17,7 +17,7 @@ from logs.schema.events import Severity
 from logs.verdict.types import BELOW_ON_PAD, ESTIMATE, Outcome, Verdict
 from logs.verdict.verdict import FleetVerdict
 
-_SAME_TICK_S = 0.011  # an event of the tick in which a phase began
+_SAME_TICK_S = 0.011  # s; an event within this time belongs to the tick in which a phase began
 EVENTS_MAX = 500  # a page with more is not read
 HEADLINES = {
     Outcome.LANDED: ("Landed", "good"),

@@ -31,7 +31,7 @@ from logs.schema.events import Severity
 _EVENTS_MAX = 500
 _SILENT_MAX = 16  # lanes of silent members; more are not read
 _ROW_PX = 26
-_LETTER_SHARE = 0.009  # of the axis, for a letter of a label; a bar that is too short carries none
+_LETTER_SHARE = 0.009  # share of the axis for one letter of a label; a shorter bar has no label
 _INTENT_COLORS = {
     Intent.STANDING: "#d5d9de",
     Intent.WAITING: "#f5e3b3",

@@ -123,11 +123,11 @@ def _data(topic: str, index: int, x: Message, y: Message) -> Iterator[MessageDif
 
 
 def messages_of(schema: str, a: bytes, b: bytes) -> Iterator[tuple[str, str, str]]:
-    """Yield (field, a, b) of the fields that differ in two messages in CDR, the bytes if no value does."""
+    """Yield (field, a, b) for each field that differs in two CDR messages; if no value differs, the bytes."""
     if a == b:
         return
     found: list[tuple[str, str, str]] = []
-    with suppress(Exception):  # a library raises whatever it likes about damaged bytes
+    with suppress(Exception):  # a library may raise any exception for damaged bytes
         store = store_for(schema)
         found = list(values_of(store.deserialize_cdr(a, schema), store.deserialize_cdr(b, schema)))
     yield from found or [("data", a.hex(), b.hex())]

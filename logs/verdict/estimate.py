@@ -39,22 +39,22 @@ from logs.verdict.types import (
 )
 
 REST_SPEED_MAX_M_S = 0.10  # relative to the pad; a resting vehicle's estimate still carries noise
-REST_HEIGHT_MAX_M = 0.05  # of the feet over or under the pad, beyond the configured gap: two estimates drift
+REST_HEIGHT_MAX_M = 0.05  # largest distance of feet and pad beyond the configured gap: two estimates drift
 REST_SEEN_S = (
     0.5  # s from there for a valid state: one in millimetres repeats itself at rest, and looks stuck
 )
 _SAME_S = 1e-6  # below the resolution of a tick
 BEFORE_S = 0.3  # s before phase TOUCHDOWN: a gust may press the vehicle onto the pad while it still waits
 AFTER_S = 1.0  # s after it: with the paper's rule the vehicle falls the last centimetres
-MEMORY_S = 0.15  # s over which the sink rate before a contact is known
-STOPPED_SHARE = 0.5  # of the sink rate before (median): below it the descent was stopped
-STAYS_S = 0.05  # s for which it stays so on average; a noisy sample does not
-SINK_MIN_M_S = 0.05  # m/s; a slower descent does not show where it ended
+MEMORY_S = 0.15  # s before a contact that are used for the sink rate
+STOPPED_SHARE = 0.5  # share of the median sink rate before; below it the descent has stopped
+STAYS_S = 0.05  # s for which the mean remains below it; a single noisy sample does not count
+SINK_MIN_M_S = 0.05  # m/s; for a slower descent the end cannot be detected
 # share of the highest sink rate then: the last step above it was before the contact. A lower share takes in
 # steps of a state that lags (0.03 s at 50 Hz: 0.10 m/s too slow with 0.85, 0.03 m/s with 0.95)
 BEGINS_SHARE = 0.95
 BEND_OF_NOISE = 1.65  # median size of the second difference of normal noise, in standard deviations
-FALL_S = 0.06  # s in which the sink rate falls to that share
+FALL_S = 0.06  # s; duration of the fall of the sink rate to that share
 FIT_S = 0.05  # s before the contact through which the line is laid
 HEIGHT_ERROR_MAX_M = 0.05  # m: of both estimates together, beyond the gap that the configuration allows for
 _NO_CONTACTS = "an estimate shows no contacts"

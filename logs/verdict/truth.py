@@ -40,10 +40,10 @@ _NAMES = {
     ContactBit.TUMBLED: "tumble",
     ContactBit.VEHICLE: "another vehicle",
 }
-_HITS = ~int(ContactBit.PAD)  # everything that must not be touched
+_HITS = ~int(ContactBit.PAD)  # contacts that are not allowed
 _FALLS = int(
     ContactBit.GROUND | ContactBit.ROBOT | ContactBit.TUMBLED | ContactBit.VEHICLE
-)  # after touchdown: no longer on the pad
+)  # after touchdown: contacts that show that it is no longer on the pad
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ def judge_truth(flight: Judged, truth: Truth) -> Verdict:
     start_s = flight.landing_start_s
     if start_s is None:
         return _never_began(flight, truth)
-    begin = int(np.searchsorted(truth.t_s, start_s + _SAME_S))  # what happened since the start
+    begin = int(np.searchsorted(truth.t_s, start_s + _SAME_S))  # first true state after the start
     if begin >= len(truth.t_s):
         return Verdict.unknown(Outcome.TIMEOUT, "the true states end before the landing began", TRUTH)
     touch = _first_contact(truth, begin)

@@ -275,13 +275,13 @@ def fleet_result(
 
 
 def any_known(values: Iterable[bool | None]) -> bool | None:
-    """Return whether one is true; None if that is not known."""
+    """Return whether one is true; None if none is true and one is unknown."""
     found = set(values)
     return True if True in found else None if None in found else False
 
 
 def least(values: Iterable[float | None]) -> float | None:
-    """Return the smallest of what is known and finite; None if nothing is."""
+    """Return the smallest known and finite value; None without one."""
     return min((value for value in values if value is not None and value < float("inf")), default=None)
 
 
@@ -298,7 +298,7 @@ class PairSeries(NamedTuple):
 
 
 def pair_series(fleet: Fleet) -> list[PairSeries]:
-    """Distances of all pairs whose true states are in the log, where both are."""
+    """Distances of all pairs with true states, at the times that both members have."""
     found = []
     for (a, one), (b, other) in combinations(fleet.flights.items(), 2):
         if one.truth is None or other.truth is None:

@@ -110,7 +110,7 @@ def _plot(origin: str, name: str, legend: Corner = "RightTop") -> Any:
 
 
 def of_member(entity: str, member: str) -> str:
-    """Return the name of an entity that each member has: in the one world, else below the member's name."""
+    """Return the name of an entity that each member has: in the common world, else below its name."""
     if not member or entity == WORLD:
         return entity
     return (
@@ -119,7 +119,7 @@ def of_member(entity: str, member: str) -> str:
 
 
 class Canvas:
-    """A recording stream with what it has to remember between two pieces of a flight."""
+    """A recording stream with its state between two parts of a flight."""
 
     def __init__(
         self, stream: rr.RecordingStream, origin_ns: int, member: str = "", own_color: Color | str = OWN_COLOR
@@ -163,7 +163,7 @@ def times(origin_ns: int, t_s: Floats) -> Ints:
 
 
 def every(at_ns: Ints, period_ns: int) -> Ints:
-    """Indices of the first time of each period: a screen shows less than what is recorded."""
+    """Indices of the first time of each period: a screen cannot show all recorded samples."""
     slots = at_ns // period_ns
     return np.flatnonzero(np.diff(slots, prepend=slots[:1] - 1))
 

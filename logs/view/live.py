@@ -28,7 +28,7 @@ ENDING = ".rrd"
 SIZE_M = 3.0  # m: extent of the scene at which the camera looks, before any path is known
 VIEWER_TIME_MAX_S = 2.0  # s; then the flight begins without a viewer
 FLUSH_TIME_MAX_S = 2.0  # s for a viewer to take the last rows; a stuck one does not get them
-MEMORY_LIMIT = "512MB"  # of viewer and server each: the oldest data go first
+MEMORY_LIMIT = "512MB"  # limit of viewer and server each; the oldest data are dropped first
 
 
 class LiveRecording:

@@ -77,7 +77,7 @@ def scene(canvas: Canvas, flight: Flight) -> None:
             labels=[canvas.member] if canvas.member else None,
         ),
     )  # fmt: skip
-    if "ellipsoid_xy_m" in run and "ellipsoid_z_m" in run:  # those of two touch at their limit
+    if "ellipsoid_xy_m" in run and "ellipsoid_z_m" in run:  # two of them touch at the limit
         beside_m, above_m = 0.5 * float(run["ellipsoid_xy_m"]), 0.5 * float(run["ellipsoid_z_m"])
         canvas.style(
             f"{WORLD}/vehicle/ellipsoid",
