@@ -35,13 +35,13 @@ class Reserve:
     hover_throttle: Annotated[float, span(0.05, 1.0)]  # mean of the motors in level flight ...
     hover_voltage_v: Annotated[float, span(1.0, 100.0)]  # ... at this voltage, in flight
     lowest_voltage_v: Annotated[float, span(1.0, 100.0)]  # in flight; the certificate holds down to it
-    sag_v: Annotated[float, span(0.0, 20.0)] = 0.0  # by which the voltage falls from rest to hover
-    start_margin_v: Annotated[float, span(0.0, 20.0)] = 0.05  # above the lowest voltage, to begin a landing
+    sag_v: Annotated[float, span(0.0, 20.0)] = 0.0  # voltage drop from rest to hover
+    start_margin_v: Annotated[float, span(0.0, 20.0)] = 0.05  # required above lowest_voltage_v for a landing
     throttle_max: Annotated[float, span(0.1, 1.0)] = 0.95  # highest mean: beyond it single motors are at 1
-    # at the highest thrust command, mean of the motors, where the firmware compensates the battery
+    # mean motor voltage at the highest thrust command, if the firmware compensates the battery
     motor_voltage_max_v: Annotated[float, span(0.1, 100.0)] | None = None
     thrust_exponent: Annotated[float, span(0.5, 3.0)] = 1.5  # p above
-    share: Annotated[float, span(0.1, 1.0)] = 0.5  # for velocities wanted; the rest is for wind and attitude
+    share: Annotated[float, span(0.1, 1.0)] = 0.5  # for velocity commands; the rest is for wind and attitude
     smoothing_s: Annotated[float, span(0.2, 20.0)] = 1.0  # time constant of the estimate in flight
 
     def __post_init__(self) -> None:

@@ -58,11 +58,11 @@ class VelocityFeedback:
     """
 
     horizontal: bool = False
-    error_rate_1_s: Annotated[float, span(0.5, 20.0)] = 5.0  # at which a wrong velocity is mended
+    error_rate_1_s: Annotated[float, span(0.5, 20.0)] = 5.0  # rate at which a velocity error is corrected
     tilt_rate_1_s: Annotated[float, span(1.0, 50.0)] = 13.0  # rate at which this acceleration is reached
-    observer_rate_1_s: Annotated[float, span(1.0, 50.0)] = 25.0  # at which disturbances are learned
-    acceleration_max_m_s2: Annotated[float, span(0.2, 20.0)] = 3.0  # wanted; 3.5 tilt a vehicle by 20 degrees
-    # farther from the landing spot the rates are these: quick tilting takes thrust; 0: everywhere the same
+    observer_rate_1_s: Annotated[float, span(1.0, 50.0)] = 25.0  # rate of the disturbance estimate
+    acceleration_max_m_s2: Annotated[float, span(0.2, 20.0)] = 3.0  # commanded; 3.5 is 20 degrees of tilt
+    # distance from the landing spot beyond which the far rates apply: fast tilting takes thrust; 0: never
     far_m: Annotated[float, span(0.0, 100.0)] = 0.0
     far_error_rate_1_s: Annotated[float, span(0.5, 20.0)] = 4.0
     far_tilt_rate_1_s: Annotated[float, span(1.0, 50.0)] = 8.0
@@ -102,11 +102,11 @@ class TargetLink:
     velocity_noise_m_s: Annotated[float, span(1e-4, 1.0)] = 0.02
     jerk_xy_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.6  # about 0.5 m/s^2 changing every second
     jerk_z_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.02  # it drives on a floor; 0.6 on a ship
-    # times the jerk on x and y, while innovations are larger than expected; 1: always the same
+    # largest factor on the jerk of x and y while innovations are larger than expected; 1: constant jerk
     jerk_growth_max: Annotated[float, span(1.0, 100.0)] = 1.0
     acceleration_xy_m_s2: Annotated[float, span(0.001, 10.0)] = 0.3  # before anything is known
-    acceleration_time_s: Annotated[float, span(0.05, 1000.0)] = 0.5  # in which that on x and y fades, unseen
-    turns_with_yaw: bool = True  # its velocity does, as of all wheeled robots but those that go sideways
+    acceleration_time_s: Annotated[float, span(0.05, 1000.0)] = 0.5  # time constant of its decay on x and y
+    turns_with_yaw: bool = True  # false: a robot that can move sideways
     acceleration_z_m_s2: Annotated[float, span(0.001, 10.0)] = 0.01
 
 
@@ -117,33 +117,33 @@ class Envelope:
     target_climb_max_m_s: Annotated[float, span(0.0, 2.0)] = 0.0  # heave of the pad
     target_acceleration_max_m_s2: Annotated[float, span(0.0, 10.0)] = 0.5  # braking, reversing, turning
     target_rate_hz: Annotated[float, span(1.0, 500.0)] = 50.0  # rate of its odometry
-    lag_spread: Annotated[float, span(0.0, 0.9)] = 0.3  # share by which a vehicle may lag more or less
+    lag_spread: Annotated[float, span(0.0, 0.9)] = 0.3  # relative tolerance of the vehicle's lag, up and down
 
 
 @dataclass(frozen=True, slots=True)
 class Robust:
     """The filter itself."""
 
-    rate_1_s: Annotated[float, span(0.1, 10.0)] = 1.5  # at which h may be used up; below the velocity loop's
-    tracking_error_m_s: Annotated[float, span(0.0, 1.0)] = 0.04  # vertical velocity not flown as wanted
+    rate_1_s: Annotated[float, span(0.1, 10.0)] = 1.5  # largest decay rate of h; below the velocity loop's
+    tracking_error_m_s: Annotated[float, span(0.0, 1.0)] = 0.04  # vertical tracking error of the velocity
     sigma_factor: Annotated[float, span(0.0, 6.0)] = 2.0  # standard deviations of position that are covered
     fade_radius_m: Annotated[float, span(0.01, 1.0)] = 0.06  # the margin fades within it, for the touchdown
     acceleration_max_m_s2: Each[Annotated[float, span(0.2, 20.0)]] = (
         2.0,
         2.0,
         2.5,
-    )  # of the wanted velocity
+    )  # limit of the commanded acceleration
     gain_1_s: Annotated[float, span(0.1, 5.0)] = 1.2  # position loop on the way to the pad
-    gain_over_pad_1_s: Annotated[float, span(0.1, 5.0)] = 2.0  # the same horizontally, over the pad
+    gain_over_pad_1_s: Annotated[float, span(0.1, 5.0)] = 2.0  # horizontal gain over the pad
     gain_descent_1_s: Annotated[float, span(0.0, 5.0)] = 0.0  # the same after the commit; 0: as over the pad
-    descent_min_m_s: Annotated[float, span(0.01, 1.0)] = 0.1  # slowest on the way, above the waiting height
-    descent_max_m_s: Annotated[float, span(0.05, 10.0)] = 1.0  # fastest on the way, relative to the pad
-    wait_height_m: Annotated[float, span(0.03, 3.0)] = 0.1  # above the pad until it may go down
-    commit_height_m: Annotated[float, span(0.05, 3.0)] = 0.22  # from here it goes down in one go
-    commit_radius_m: Annotated[float, span(0.005, 1.0)] = 0.04  # if it is so near to the middle
-    commit_speed_m_s: Annotated[float, span(0.01, 1.0)] = 0.12  # and so slow against the target
-    corridor_m: Annotated[float, span(0.01, 2.0)] = 0.085  # going to leave this radius: go around
-    descent_m_s: Annotated[float, span(0.05, 1.0)] = 0.22  # relative to the pad, to contact
+    descent_min_m_s: Annotated[float, span(0.01, 1.0)] = 0.1  # slowest descent above the waiting height
+    descent_max_m_s: Annotated[float, span(0.05, 10.0)] = 1.0  # fastest descent, relative to the pad
+    wait_height_m: Annotated[float, span(0.03, 3.0)] = 0.1  # height above the pad until it may descend
+    commit_height_m: Annotated[float, span(0.05, 3.0)] = 0.22  # below it the vehicle descends without a stop
+    commit_radius_m: Annotated[float, span(0.005, 1.0)] = 0.04  # if it is within this distance of the middle
+    commit_speed_m_s: Annotated[float, span(0.01, 1.0)] = 0.12  # and below this speed relative to the target
+    corridor_m: Annotated[float, span(0.01, 2.0)] = 0.085  # about to leave this radius: go around
+    descent_m_s: Annotated[float, span(0.05, 1.0)] = 0.22  # final descent relative to the pad, until contact
     descent_lead_max_m_s: Annotated[float, span(0.0, 1.0)] = 0.15  # set-point faster than that, for the lag
     touch_height_m: Annotated[float, span(0.005, 0.5)] = 0.05  # below it a stopped descent is contact
 
