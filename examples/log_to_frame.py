@@ -1,6 +1,7 @@
 """Read a flight log into a table of columns, print some numbers of it, and save it as CSV.
 
 python examples/log_to_frame.py runs/first/flight.mcap [OUT.csv]
+The CSV file needs pandas: pip install "crazyflie-flightstack[export]"
 """
 
 import sys

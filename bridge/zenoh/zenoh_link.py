@@ -168,6 +168,14 @@ def _configuration(listen: Sequence[str], connect: Sequence[str], file: Path | N
     return config
 
 
+def is_client(file: Path | None) -> bool:
+    """Whether a session of this configuration is a client of a router, which cannot listen.
+
+    Raises ValueError: the file cannot be read.
+    """
+    return _role(_configuration((), (), file, Role.PEER)) is Role.CLIENT
+
+
 def _role(config: Any) -> Role:
     return Role(json.loads(config.get_json("mode")))
 

@@ -6,8 +6,9 @@ import time
 
 from rich.console import Console
 
+from bridge.zenoh.zenoh_link import is_client
 from flightstack.common.options import shared
-from flightstack.common.strict_toml import dumps
+from flightstack.common.strict_toml import ConfigError, dumps
 from flightstack.config.files import load
 from flightstack.config.options import OnboardOptions
 from flightstack.launch.launcher import Followed, Launcher, Shown
@@ -36,19 +37,25 @@ def run(options: FlyOptions, console: Console) -> Flown:
             recorder.yield_to_others(10)
             known = {"config": name, "vehicle": options.vehicle_url, "target": options.target_key}
             describe(launcher.socket, Described(config, known))
-        at = launcher.endpoint()
+        # a client of a router cannot listen: the view would need a connection to that router, too
+        at = () if is_client(options.zenoh_config) else (launcher.endpoint(),)
         if options.view is not None:
-            launcher.view(options.view, at, config_file, namespace)
+            if not at:
+                raise ConfigError(
+                    "--view: a client of a Zenoh router has no endpoint of its own; run `flightstack watch "
+                    "--view ... --connect ROUTER` beside it"
+                )
+            launcher.view(options.view, at[0], config_file, namespace)
         socket = launcher.socket if recorder is not None else None
         plugged = shared(
-            options, OnboardOptions, config_file=config_file, listen=(*options.listen, at), recorder=socket
+            options, OnboardOptions, config_file=config_file, listen=(*options.listen, *at), recorder=socket
         )
         onboard = launcher.start("onboard", plugged)
         onboard.wait_ready()
-        for endpoint in (at, *options.listen):
+        for endpoint in (*at, *options.listen):
             console.print(f"to watch: flightstack watch --connect {endpoint}", style="dim", soft_wrap=True)
         title = f"{name}  {options.vehicle_url}  filter {config.filter}"
-        shown = Shown([at], title, [namespace]) if live and console.is_terminal else None
+        shown = Shown(at, title, [namespace]) if at and live and console.is_terminal else None
         started, flight = time.monotonic(), Followed(onboard)
         problem = launcher.watch([flight], [recorder] if recorder is not None else [], None, shown)
         wall_s = time.monotonic() - started

@@ -370,3 +370,15 @@ def test_who_dials_nobody_is_not_alone():
         assert [ConnectionAlarm(session, []).poll(float(t)) for t in range(0, 100, 10)] == [[]] * 10
     finally:
         session.close()
+
+
+def test_a_configuration_says_whether_its_session_can_listen(tmp_path):
+    (tmp_path / "peer.json5").write_text("{}")
+    pages = Path(__file__).parents[3] / "docs" / "how_to" / "zenoh"
+    assert [
+        zenoh_link.is_client(file) for file in (None, tmp_path / "peer.json5", pages / "client.json5")
+    ] == [
+        False,
+        False,
+        True,
+    ]
