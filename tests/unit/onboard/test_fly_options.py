@@ -35,6 +35,7 @@ def started(monkeypatch):
     monkeypatch.setattr(Launcher, "start", start)
     monkeypatch.setattr(Launcher, "record", lambda launcher, log: log.parent)
     monkeypatch.setattr(fly, "describe", lambda *_: None)
+    monkeypatch.setattr(fly, "is_client", lambda file: False)  # the file is none of Zenoh's
     monkeypatch.setattr(Path, "yield_to_others", lambda *_: None, raising=False)
 
     def fly_with(*words):
