@@ -7,7 +7,6 @@ action.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -16,14 +15,13 @@ import numpy as np
 from greenlet import greenlet
 from gymnasium import spaces
 
-from flightstack.api.scenario import Changes, scenario
+from flightstack.api.scenario import Changes
+from flightstack.api.scenario import scenario as _scenario
 from flightstack.common.strict_toml import ConfigError
-from flightstack.core.safety.qp_filter import FilterResult, Program
+from flightstack.core.controller import Controller
+from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.snapshot import Relative
-from flightstack.core.strategies.paper import PaperFilter
-from flightstack.core.strategies.robust import RobustFilter
-from flightstack.core.strategies.strategy import Filter
-from flightstack.core.types import ZERO, FilterStatus, Vec3
+from flightstack.core.types import ZERO, Vec3
 from logs.reader.flight_data import Truth
 from logs.verdict.truth import judge_truth
 from logs.verdict.types import Outcome, Verdict
@@ -39,46 +37,9 @@ OTHER_END_REWARD, VIOLATION_REWARD = -5.0, -10.0
 _SPEED_FAR_M = 1e3  # bound of the observations, m and m/s
 
 ENV_ID = "flightstack/Landing-v0"
-Ask = Callable[[Relative, Vec3], Vec3]  # vehicle relative to target, built-in velocity -> the agent's
 
 
-class _Agent(Filter):
-    """The agent's velocity in place of the approach; ``ask`` is set by the environment."""
-
-    ask: Ask | None = None
-
-    def approach_m_s(self, at: Relative, over_pad: bool) -> Vec3:
-        own = super().approach_m_s(at, over_pad)
-        return own if self.ask is None else self.ask(at, own)
-
-
-class PaperAgent(_Agent, PaperFilter):
-    """The agent's velocity, filtered by eq. 11."""
-
-
-class RobustAgent(_Agent, RobustFilter):
-    """The agent's velocity, filtered by the robust filter."""
-
-
-class _Unfiltered:
-    """Program that only keeps the limits."""
-
-    def solve(
-        self, nominal: Vec3, h_m: float, gradient: Vec3, dh_dt_m_s: float, lower: Vec3, upper: Vec3
-    ) -> FilterResult:
-        del h_m, gradient, dh_dt_m_s
-        x, y, z = (min(max(v, low), high) for v, low, high in zip(nominal, lower, upper, strict=True))
-        return FilterResult((x, y, z), 0.0, False, FilterStatus.OWN, 0.0, 0, 0.0)
-
-
-class BareAgent(_Agent):
-    """The agent's velocity, within the limits only."""
-
-    def program(self) -> Program:
-        return _Unfiltered()
-
-
-_AGENTS = {"paper": PaperAgent, "robust": RobustAgent, None: BareAgent}
+_FILTERS = {None: "paper", "paper": "paper", "robust": "robust"}  # filter that flies, by the argument
 
 
 class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  # gymnasium is an extra
@@ -114,10 +75,13 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         self, scenario: str | Path | Scenario = "lab", filter: str | None = None,
         changes: Changes | None = None, render_mode: None = None,
     ) -> None:  # fmt: skip
-        if filter not in _AGENTS:
+        if filter not in _FILTERS:
             raise ConfigError(f"filter: found {filter!r}, allowed: None, 'paper', 'robust'")
         self.render_mode = render_mode
-        self.scenario = _with_agent(scenario, filter, changes)
+        self.scenario, self._enforces = (
+            _scenario(scenario, changes, filter=_FILTERS[filter]),
+            filter is not None,
+        )
         most = np.array(self.scenario.onboard.limits.velocity_max_m_s)
         self.action_space = spaces.Box(-most, most, dtype=np.float64)
         self.observation_space = spaces.Box(-_SPEED_FAR_M, _SPEED_FAR_M, (13,), np.float64)
@@ -143,10 +107,11 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         super().reset(seed=seed, options=options)
         self.close()
         flown = int(self.np_random.integers(2**31)) if seed is None else seed
-        self._companion = Companion(self.scenario, flown, _nothing)
-        strategy = self._companion.controller.strategy
-        assert isinstance(strategy, _Agent)
-        strategy.ask = self._ask
+        controller = Controller(self.scenario.onboard)
+        controller.strategy.ask, controller.strategy.agent.flies = self._ask, True
+        assert isinstance(controller.program, SafetyFilter)
+        controller.program.enforces = self._enforces
+        self._companion = Companion(self.scenario, flown, controller=controller)
         self._flight = greenlet(self._companion.fly)
         at = self._flight.switch()
         if at is None:
@@ -239,14 +204,6 @@ def make_env(
         ConfigError: wrong scenario, key or filter.
     """
     return LandingEnv(name, filter, changes)
-
-
-def _with_agent(name: str | Path | Scenario, filter: str | None, changes: Changes | None) -> Scenario:
-    return scenario(name, changes, filter=_AGENTS[filter])
-
-
-def _nothing(*_: object) -> None:
-    """Called after each step: ticks are flown one by one."""
 
 
 def _info(verdict: Verdict) -> dict[str, Any]:

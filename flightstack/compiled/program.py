@@ -155,7 +155,8 @@ class CompiledFilter(SafetyFilter):
 
     def __init__(self, plain: SafetyFilter) -> None:
         record = new(ProgramRecord)
-        self._program, self._record, self.omega_1_s = OwnProgram(record), record, plain.omega_1_s
+        self._program, self._record = OwnProgram(record), record
+        self.omega_1_s, self.enforces = plain.omega_1_s, plain.enforces
         self.address = np.asarray(cell(record)).ctypes.data
         self._objects = Objects(self)
         self._handle, self._answered, self._plain = self._objects.handle, cast("Any", _answered), plain

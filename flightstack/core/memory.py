@@ -181,6 +181,15 @@ class FilterMemory:
 
 
 @dataclass(slots=True)
+class AgentMemory:
+    """Velocity that an agent chooses in place of the approach; it is no part of a recorded state."""
+
+    flies: bool = False  # there is an agent
+    own: Vec3 = ZERO  # m/s ENU; nominal velocity of the stack in this tick
+    chosen: Vec3 = ZERO  # m/s ENU
+
+
+@dataclass(slots=True)
 class State:
     """Complete controller state: with the configuration and the next inputs it determines all outputs."""
 

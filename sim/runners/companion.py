@@ -38,19 +38,20 @@ OnStep = Callable[[Tick, Outputs], None]
 class Companion:
     """The onboard process, called by the vehicle's loop whenever that waits for its answer.
 
-    ``on_step``: called after every controller step; ``system_id``: MAVLink system id of the vehicle, its
+    ``controller``: flown in place of one that is made of the scenario; ``on_step``: called after every
+    controller step; ``system_id``: MAVLink system id of the vehicle, its
     number in a team; ``target_seed``: seed of the robot, None: ``seed``; ``alone``: no other vehicle is near,
     so that many ticks at once are allowed.
     """
 
     def __init__(
         self, scenario: Scenario, seed: int, on_step: OnStep | None = None, system_id: int = SYSTEM_ID,
-        target_seed: int | None = None, *, alone: bool = True,
+        target_seed: int | None = None, *, alone: bool = True, controller: Controller | None = None,
     ) -> None:  # fmt: skip
         config = scenario.onboard
         rate_hz = config.loop.rate_hz
         self.name = member_name(system_id)  # name and namespace of the vehicle: cf1 for system id 1
-        self.controller = with_compiled_program(Controller(config))
+        self.controller = with_compiled_program(controller or Controller(config))
         self._on_step = on_step
         self._stop = Stop()
         self._over = False

@@ -90,7 +90,7 @@ def _land(s: Situation) -> NominalCommand:
 @numeric
 def towards_pad(config: FlightConfig, memory: Memory, strategy: Filter, at: Relative) -> Vec3:
     """Nominal velocity of APPROACH and LAND, above a target that is fast now and may be slower soon, too."""
-    x, y, z = strategy.approach_m_s(at, memory.phase is Phase.LAND)
+    x, y, z = strategy.choose(at, strategy.approach_m_s(at, memory.phase is Phase.LAND))
     if waits_for_calm(config, memory, at, at.own.arrival_s):
         below_m = config.touchdown.calm_height_m - at.e_m[2]
         z = max(z, at.target.velocity_enu_m_s[2] + config.position_loop.gain_1_s[2] * below_m)

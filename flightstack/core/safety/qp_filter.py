@@ -83,10 +83,11 @@ class SafetyFilter:
     """The quadratic program, allocated once."""
 
     omega_1_s: float
+    enforces: bool  # False: the velocity is only held to the box
 
     def __init__(self, omega_1_s: float) -> None:
         osqp = compiled_solver()
-        self.omega_1_s = omega_1_s
+        self.omega_1_s, self.enforces = omega_1_s, True
         constraint = matrix(np.vstack([np.ones((1, 3)), np.eye(3)]))
         numbers = np.ones(_NUMBERS.size // 8)
         self._memory = numbers.data
@@ -110,6 +111,9 @@ class SafetyFilter:
         finite = bound + gx + gy + gz + nominal[0] + nominal[1] + nominal[2] + lower[0] + lower[1] + lower[2]
         if not math.isfinite(finite + upper[0] + upper[1] + upper[2]):
             return FilterResult((0.0, 0.0, 0.0), math.nan, False, FilterStatus.REJECTED, math.nan, 0, 0.0)
+        if not self.enforces:
+            free, _ = clipped(nominal, gradient, bound, lower, upper)
+            return FilterResult(free, 0.0, False, FilterStatus.OWN, 0.0, 0, 0.0)
         corner = best_corner(gradient, lower, upper)
         slack = gx * corner[0] + gy * corner[1] + gz * corner[2] - bound
         if slack < 0.0:

@@ -9,7 +9,7 @@ A filter overrides what it does otherwise; one method, ``filter``, is enough. Wi
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
@@ -18,7 +18,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from flightstack.common.strict_toml import ConfigError
-from flightstack.core.memory import FilterMemory, LateMemory, MotionMemory, OwnMemory, TrackingMemory
+from flightstack.core.memory import (
+    AgentMemory,
+    FilterMemory,
+    LateMemory,
+    MotionMemory,
+    OwnMemory,
+    TrackingMemory,
+)
 from flightstack.core.parameters.ends import TouchdownRule
 from flightstack.core.parameters.filters import FILTERS, named
 from flightstack.core.parameters.flight import FlightConfig
@@ -31,6 +38,7 @@ from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import ZERO, FilterStatus, OwnState, TargetSample, Vec3
 
 Vector = NDArray[np.float64]
+Ask = Callable[[Relative, Vec3], Vec3]  # vehicle relative to target, own nominal velocity -> the agent's
 
 
 class At(NamedTuple):
@@ -83,6 +91,15 @@ class At(NamedTuple):
         return np.array(found if found is not None else best_corner(gradient, lower, upper))
 
 
+def _chosen(one: Filter, _at: Relative, own: Vec3) -> Vec3:
+    """``Filter.choose`` in compiled code, to which the answer is given before."""
+    agent = one.agent
+    if not agent.flies:
+        return own
+    agent.own = own
+    return agent.chosen
+
+
 class Filter:
     """One safety filter.
 
@@ -117,6 +134,7 @@ class Filter:
     watches_swinging: ClassVar[bool] = True
     ignores: ClassVar[Mapping[str, str]] = MappingProxyType({})
     waits_filtered: ClassVar[bool] = True
+    compiled: ClassVar = MappingProxyType({"choose": _chosen})
     rate_1_s: float
     acceleration_max_m_s2: Vec3
     contact_speed_max_m_s: float
@@ -125,6 +143,7 @@ class Filter:
     tracking: TrackingMemory
     own: OwnMemory
     late: LateMemory
+    agent: AgentMemory
     replaces_program: bool  # the class has its own method ``filter``
     _by_rule: bool  # paper's touchdown rule is configured
     _config: FlightConfig
@@ -140,7 +159,9 @@ class Filter:
         self.contact_speed_max_m_s = config.touchdown.descent_m_s
         self.stopped_below_m = 0.0
         self.motion, self.tracking, self.own = MotionMemory(), TrackingMemory(), OwnMemory()
-        self.late = LateMemory()
+        self.late, self.agent = LateMemory(), AgentMemory()
+        self.ask: Ask | None = None  # of an agent (flightstack/api/env.py)
+        self.answer: Vec3 | None = None  # of the agent, in a tick that compiled code began
         self._by_rule = config.touchdown.rule is TouchdownRule.PAPER
 
     @staticmethod
@@ -196,6 +217,13 @@ class Filter:
             over_pad: the vehicle is inside the descending cone, phase LAND.
         """
         return nominal_velocity(at.e_m, self._config.position_loop.gain_1_s, at.target.velocity_enu_m_s)
+
+    def choose(self, at: Relative, own: Vec3) -> Vec3:
+        """The agent's nominal velocity in place of the approach's, if there is an agent."""
+        if self.ask is None:
+            return own
+        answer, self.answer = self.answer, None
+        return self.ask(at, own) if answer is None else answer
 
     def descent_m_s(self, at: Relative) -> Vec3:
         """Velocity of the touchdown; it is not filtered. Default: straight down over the pad's middle."""

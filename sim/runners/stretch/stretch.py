@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from flightstack.compiled import core
 from flightstack.compiled.jit import is_off
 from flightstack.compiled.objects import Objects
 from flightstack.compiled.program import CompiledFilter
-from flightstack.compiled.records import cell, new, scalars
+from flightstack.compiled.records import F64, I64, cell, new, scalars
 from flightstack.compiled.tick import RULES
 from flightstack.core.controller import Controller
 from flightstack.core.kernel import FLYING
@@ -36,7 +36,7 @@ from sim.runners.lockstep import LockstepVehicle
 from sim.runners.notes import Notes
 from sim.runners.robot import DirectTarget
 from sim.runners.stretch.records import RulesRecord
-from sim.runners.stretch.ticks import BEFORE, MIDDLE, TRUTH, fly_ticks, narrow
+from sim.runners.stretch.ticks import BEFORE, MIDDLE, TRUTH, fly_ticks, look, narrow
 from sim.runners.stretch.watch import WatchBook
 from sim.runners.vehicle_node import VehicleNode
 
@@ -44,6 +44,7 @@ TICKS = 20  # most ticks in one call; the robot drives ahead as far
 SPAN_S = 0.25  # s; longest time of one call: a set-point stream with a longer gap would start again
 _SOON_S = 1e-6  # s before a message is due from which the ticks run in Python
 SPEED_MAX_M_S = 2.5  # on each axis; above it the autopilot's own limit of set-points may apply
+ASKING = (Phase.APPROACH, Phase.LAND)  # in which an agent chooses the nominal velocity
 _BACK_OFF = 4  # most ticks without a new try after failed tries
 
 
@@ -87,12 +88,14 @@ class Stretch:
         self._rules = new(RulesRecord)
         self._rules.ends_s, self._rules.delay_ms = ends_s, round(radio_s * 1000.0)
         self._rules.status_age_max_s = controller.config.checks.status_age_max_s
+        self._strategy = controller.strategy
         self._objects = objects = Objects(controller)
         self._cells: Any = (node.vehicle.physics.vehicle, cell(self._rules), objects.handle)
         self._memory = objects.state, objects.spare
         self._most = max(1, min(TICKS, int(SPAN_S * grid.rate_hz)))
         self._plan = np.array((0, 0, grid.rate_hz, self._rules.delay_ms, 0, 0), dtype=np.int64)
         self._ages, self._told = np.zeros(TICKS), np.zeros(11)
+        self._asked = -1  # newest tick for which an agent was asked
         self._next, self._wait = 0, 1  # tick of the next try; how many are left out when one fails
         self._flies, self._yaw_told_rad, self._delay_ms = False, 0.0, round(radio_s * 1000.0)
         self._stream_until_s, self._status_s = scalars(self._rules, "stream_until_s", "status_s")
@@ -117,6 +120,8 @@ class Stretch:
 
     def fly(self, tick: int) -> int:
         """Fly from this tick, the next one, as far as possible; returns the number of ticks flown."""
+        if tick != self._asked:
+            self._strategy.answer = None
         if tick < self._next:
             return 0
         done, until_s = 0, self._quiet_until_s(tick)
@@ -221,7 +226,9 @@ class Stretch:
     def _call(self, tick: int, until_s: float) -> tuple[int, int]:
         """Fly ticks in one call; returns how many, and how it ended."""
         node, grid, flight = self._node, self._grid, self._node.autopilot.flight
-        count = min(self._most, max(0, math.ceil((until_s - grid.ns(tick) / 1e9) * grid.rate_hz)))
+        asks = self._strategy.ask is not None and self._controller.memory.phase in ASKING
+        most = 1 if asks else self._most
+        count = min(most, max(0, math.ceil((until_s - grid.ns(tick) / 1e9) * grid.rate_hz)))
         while count and not grid.ns(tick + count - 1) / 1e9 < until_s:
             count -= 1
         decks, samples, come_before, come = self._target.ahead(tick, count)
@@ -233,6 +240,8 @@ class Stretch:
         self._stream_until_s[0] = flight.stream_ends_s if waits else math.inf
         self._plan[0], self._plan[1], self._plan[4] = tick, count, come_before
         truths = np.empty((count, TRUTH))
+        if asks and not self._ask(tick, samples, come):
+            return 0, BEFORE
         try:
             flown: Any = fly_ticks
             how = flown(
@@ -245,6 +254,7 @@ class Stretch:
         done = int(self._plan[5])
         if done == 0:
             return 0, how
+        self._strategy.answer = None
         self._watch_book.read(self._watches)
         last = tick + done - 1
         times_ns = [grid.ns(each) for each in range(tick, last + 1)]
@@ -271,6 +281,23 @@ class Stretch:
         self._watch_book.write(self._watches)
         node.vehicle.advance(grid.ms(last + 1) - grid.ms(last) - ahead_ms)
         return done, how if self._goes_on(flies) else BEFORE
+
+    def _ask(self, tick: int, samples: F64, come: I64) -> bool:
+        """Let the agent choose its velocity of the next tick; False if Python has to run this tick."""
+        objects, strategy, looked = self._objects, self._strategy, cast("Any", look)
+        try:
+            at, command, own = looked(
+                *self._cells, self._phase_rules, *self._memory, self._plan, samples, come
+            )
+        except NotOrdinary:
+            return False
+        finally:
+            objects.state[:] = objects.spare
+        assert strategy.ask is not None
+        self._controller.memory.command, self._asked = command, tick
+        strategy.answer = strategy.agent.chosen = strategy.ask(at, own)
+        objects.write_one(strategy.agent)
+        return True
 
     def _goes_on(self, flies: bool) -> bool:
         """Whether mode, arming and contact with the ground are still those of the batch."""

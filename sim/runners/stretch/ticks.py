@@ -15,9 +15,10 @@ from bridge import frames
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, I64, Cell
 from flightstack.compiled.tick import take
-from flightstack.core.kernel import LandingKernel
+from flightstack.core.kernel import Landing, LandingKernel
 from flightstack.core.numeric import NotOrdinary, numeric, twin, wrapped
 from flightstack.core.safety.barrier import barrier_h
+from flightstack.core.snapshot import Relative
 from flightstack.core.types import OwnState, Vec3
 from sim.clock import NS_PER_S
 from sim.firmware.estimator import INNOVATION_AGE_MAX_S
@@ -141,6 +142,53 @@ def _needs_autopilot(p: RulesRecord, v: VehicleRecord, now_ms: int, now_s: float
 
 
 @jitted
+def _decided(
+    v: VehicleRecord, p: RulesRecord, kernel: LandingKernel, phase_rules: I64, samples: F64, since: int,
+    until: int, now_s: float,
+) -> tuple[OwnState, Landing]:  # fmt: skip
+    """Tell the controller the state of its vehicle and these samples of the target; run its tick."""
+    f, e = v.firmware, v.firmware.estimator
+    if (
+        bool(f.supervisor.motors_allowed) != bool(p.armed)
+        or f.supervisor.state != p.supervisor
+        or f.inbox.end - f.inbox.first >= ROOM
+        or not e.since_sample_s < INNOVATION_AGE_MAX_S
+        or now_s - p.status_s > p.status_age_max_s
+        or now_s >= p.ends_s
+    ):
+        raise NotOrdinary
+    position, velocity = _narrow3(three(e.sensed.position)), _narrow3(three(e.sensed.velocity))
+    q = e.sensed.quaternion
+    attitude = _frd((q[0], q[1], q[2], q[3]))
+    if not (_usable(position) and _usable(velocity) and _usable(three(e.sensed.rates))):
+        raise NotOrdinary
+    if not abs(2.0 * (attitude[0] * attitude[2] - attitude[3] * attitude[1])) < _POLE:
+        raise NotOrdinary
+    source_s, yaw_rad = round(now_s * 1000) * 1e-3, _yaw_enu(narrow(_euler(attitude)[2]))
+    kernel.track.memory.settled = True  # as step has it from the take-off on
+    for i in range(since, until):
+        take(kernel, samples[i], now_s)
+    own = OwnState(now_s, source_s, position, velocity, yaw_rad)
+    return own, kernel.land(own, p.lasting, phase_rules, now_s)
+
+
+@jitted
+def look(
+    vehicle: Cell[VehicleRecord], rules: Cell[RulesRecord], kernel: LandingKernel, phase_rules: I64,
+    state: F64, spare: F64, plan: I64, samples: F64, come: I64,
+) -> tuple[Relative, Vec3, Vec3]:  # fmt: skip
+    """What an agent sees in the next tick: the relative state, the last command, the own nominal velocity.
+
+    The caller restores ``state`` from ``spare``. Arguments as those of ``fly_ticks``.
+    Raises NotOrdinary: Python has to do the tick.
+    """
+    spare[:] = state
+    before, now_s = kernel.memory.command, plan[0] * NS_PER_S // plan[2] / 1e9
+    _, landing = _decided(vehicle[0], rules[0], kernel, phase_rules, samples, plan[4], come[0], now_s)
+    return landing.at, before, kernel.strategy.agent.own
+
+
+@jitted
 def fly_ticks(
     vehicle: Cell[VehicleRecord],
     rules: Cell[RulesRecord],
@@ -182,37 +230,16 @@ def fly_ticks(
             (2000 * (tick + n) + rate) // (2 * rate),
             (2000 * (tick + n + 1) + rate) // (2 * rate),
         )
-        allowed, e = bool(f.supervisor.motors_allowed), f.estimator
-        if (
-            allowed != bool(p.armed)
-            or f.supervisor.state != p.supervisor
-            or f.inbox.end - f.inbox.first >= ROOM
-            or not e.since_sample_s < INNOVATION_AGE_MAX_S
-            or now_s - p.status_s > p.status_age_max_s
-            or now_s >= p.ends_s
-        ):
-            return BEFORE
-        position, velocity = _narrow3(three(e.sensed.position)), _narrow3(three(e.sensed.velocity))
-        q = e.sensed.quaternion
-        attitude = _frd((q[0], q[1], q[2], q[3]))
-        if not (_usable(position) and _usable(velocity) and _usable(three(e.sensed.rates))):
-            return BEFORE
-        if not abs(2.0 * (attitude[0] * attitude[2] - attitude[3] * attitude[1])) < _POLE:
-            return BEFORE
-        source_s, yaw_rad = round(now_s * 1000) * 1e-3, _yaw_enu(narrow(_euler(attitude)[2]))
-        kernel.track.memory.settled = True  # as step has it from the take-off on
-        for i in range(done_samples, come[n]):
-            take(kernel, samples[i], now_s)
-        own = OwnState(now_s, source_s, position, velocity, yaw_rad)
-        landing = kernel.land(own, p.lasting, phase_rules, now_s)
+        own, landing = _decided(v, p, kernel, phase_rules, samples, done_samples, come[n], now_s)
         setpoint = _narrow3(landing.setpoint)
         if landing.sends != bool(p.flies) or (landing.sends and not _flyable(p, setpoint)):
             raise NotOrdinary
         done_samples = come[n]
         ages[n] = landing.at.target.age_s
         for i in range(3):
-            told[i], told[3 + i], told[8 + i] = position[i], velocity[i], setpoint[i]
-        told[6], told[7] = yaw_rad, source_s
+            told[i], told[3 + i] = own.position_enu_m[i], own.velocity_enu_m_s[i]
+            told[8 + i] = setpoint[i]
+        told[6], told[7] = own.yaw_rad, own.source_time_s
         plan[5] = n + 1
         _place_deck(v, decks[n])
         _write_truth(v, now_ms, truths[n])

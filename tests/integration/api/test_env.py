@@ -35,6 +35,27 @@ def test_the_built_in_policy_flies_as_land_does_bit_by_bit(name):
             assert np.array_equal(getattr(truth, field), values, equal_nan=values.dtype.kind == "f"), field
 
 
+@pytest.mark.parametrize("name", [None, "paper", "robust"])
+def test_an_agent_sees_and_flies_the_same_without_compiled_ticks(name, monkeypatch):
+    """Each tick is asked for once, also where compiled code hands a tick back after the agent chose."""
+
+    def seen():
+        env, rng = fs.make_env("storm", filter=name), np.random.default_rng(4)
+        rows, over = [env.reset(seed=5)[0]], False
+        while not over and len(rows) < 900:
+            wild = rng.uniform(-0.4, 0.4, 3) if len(rows) % 3 else 0.0
+            row, reward, over, _, _ = env.step(env.builtin_action() + wild)
+            rows.append((*row, reward))
+        env.close()
+        return rows
+
+    compiled = seen()
+    monkeypatch.setattr("sim.runners.companion.suited", lambda *_: False)
+    plain = seen()
+    assert len(compiled) == len(plain)
+    assert all(np.array_equal(a, b) for a, b in zip(compiled, plain, strict=True))
+
+
 @pytest.mark.filterwarnings("ignore")  # of the checker: no render modes, float64
 def test_gymnasium_finds_it_and_its_checker_passes():
     env = gymnasium.make(NAME, scenario="lab", filter="paper")
