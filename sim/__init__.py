@@ -1,6 +1,6 @@
-"""The software-in-the-loop vehicle, its ground robot and their world."""
+"""The simulator: software-in-the-loop vehicle, ground robot and the world around them."""
 
 import os
 
-# Nothing is drawn by MuJoCo: its import would start a process that looks for a library of windows.
+# MuJoCo only computes physics here: with rendering enabled its import starts a process that searches OpenGL.
 os.environ.setdefault("MUJOCO_GL", "disable")

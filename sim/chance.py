@@ -1,14 +1,15 @@
-"""Random numbers of a landing: streams of a seed, and seeds that move the numbers of another a little.
+"""Random numbers of a landing: streams from a seed, and seeds that shift another seed's numbers a little.
 
-A seed below 2^64 is one landing's chance. A longer one is a list of moves, one in each 64 bits above
-the lowest: 56 bits are the seed of a fresh stream, 8 its weight w. The normal numbers of a stream are then
+A seed below 2^64 is the plain seed of one landing. A longer one is a list of moves. The bits above the lowest
+64 hold one move in each 64 bits: a 56-bit seed of a fresh stream and its 8-bit weight w. The normal numbers
+of a stream are then
 
     z = w_m z_m + sqrt(1 - w_m^2) (w_(m-1) z_(m-1) + sqrt(1 - w_(m-1)^2) ( ... ))
 
-which are standard normal again, whatever the weights, and near those before the move where its weight is
-small: moves of preconditioned Crank-Nicolson, with which Papaioannou et al. (2015,
-doi:10.1016/j.probengmech.2015.06.006) run subset simulation. What is not normal is made from normal numbers.
-So each landing that moves lead to is flown again from one number.
+They are standard normal for all weights, and close to the numbers before the move if its weight is small.
+These are the moves of preconditioned Crank-Nicolson, with which Papaioannou et al. (2015,
+doi:10.1016/j.probengmech.2015.06.006) run subset simulation. Other distributions are transformed from normal
+numbers. So one number, the seed, reproduces each landing that moves lead to.
 """
 
 from __future__ import annotations
@@ -23,41 +24,41 @@ import numpy as np
 _WORD_BITS, _WEIGHT_BITS = 64, 8
 _WORD, _WEIGHTS = (1 << _WORD_BITS) - 1, 1 << _WEIGHT_BITS
 MOVE_SEED_MAX = (1 << (_WORD_BITS - _WEIGHT_BITS)) - 1
-MOVES_MAX = 200  # of a seed; a longer one is refused: Python reads numbers of up to 4,300 digits
+MOVES_MAX = 200  # maximum moves of a seed; Python reads numbers of up to 4,300 digits
 
 
 class Chance(Protocol):
-    """The part of numpy's ``Generator`` that the simulator draws with."""
+    """The methods of numpy's ``Generator`` that the simulator uses."""
 
     def standard_normal(self, size: Any = None) -> Any:
-        """Standard normal numbers."""
+        """Return standard normal numbers."""
 
     def uniform(self, low: Any = 0.0, high: Any = 1.0, size: Any = None) -> Any:
-        """Numbers between two."""
+        """Return numbers that are uniform between ``low`` and ``high``."""
 
     def random(self, size: Any = None) -> Any:
-        """Numbers between 0 and 1."""
+        """Return numbers that are uniform between 0 and 1."""
 
     def exponential(self, scale: float = 1.0) -> Any:
-        """One number of the exponential distribution of this mean."""
+        """Return one number of the exponential distribution with the mean ``scale``."""
 
     def integers(self, low: Any) -> Any:
-        """Whole numbers from 0 to below ``low``."""
+        """Return integers from 0 to ``low`` - 1."""
 
     def permutation(self, x: int) -> Any:
-        """The numbers from 0 to below ``x`` in any order."""
+        """Return the integers from 0 to ``x`` - 1 in random order."""
 
     def choice(self, a: int, *, p: Any) -> Any:
-        """A number from 0 to below ``a``, with the probabilities ``p``."""
+        """Return an integer from 0 to ``a`` - 1, drawn with the probabilities ``p``."""
 
     def spawn(self, n_children: int) -> Sequence[Chance]:
-        """Streams that are independent of this one and of each other."""
+        """Return streams that are independent of this one and of each other."""
 
 
 def stream(seed: int, purpose: str) -> Chance:
-    """Random stream of one purpose; streams of different purposes are independent of each other.
+    """Return the random stream of one purpose; streams of different purposes are independent.
 
-    ``seed``: of the run, also one with moves; ``purpose``: name of the stream.
+    ``seed``: seed of the run, with or without moves; ``purpose``: name of the stream.
     """
 
     def plain(one: int) -> np.random.Generator:
@@ -74,20 +75,21 @@ def stream(seed: int, purpose: str) -> Chance:
 
 
 def fresh(move_seed: int) -> int:
-    """Seed of a chance that begins a line of moves.
+    """Return a seed with one move, the first.
 
     ``move_seed``: 1 to ``MOVE_SEED_MAX``.
-    Raises ValueError: another one.
+    Raises ValueError: ``move_seed`` is outside this range.
     """
     return moved(0, move_seed, 1.0)
 
 
 def moved(seed: int, move_seed: int, weight: float) -> int:
-    """Seed whose random numbers are those of another seed, moved.
+    """Return a seed whose random numbers are those of ``seed``, changed by one more move.
 
-    ``seed``: by ``fresh`` or ``moved``; 0 with a weight of 1, which removes it; ``move_seed``: 1 to
-    ``MOVE_SEED_MAX``; ``weight``: of the move, above 0 and at most 1, rounded to 1/256.
-    Raises ValueError: a number is not allowed.
+    ``seed``: result of ``fresh`` or ``moved``, or 0 with a weight of 1; ``move_seed``: 1 to
+    ``MOVE_SEED_MAX``; ``weight``: weight of the move, above 0, at most 1, rounded to 1/256; 1 drops earlier
+    moves.
+    Raises ValueError: a number is outside its range.
     """
     if not 1 <= move_seed <= MOVE_SEED_MAX:
         raise ValueError(f"seed of a move is {move_seed}; 1 to 2^56 - 1 is allowed")
@@ -105,13 +107,13 @@ def moved(seed: int, move_seed: int, weight: float) -> int:
 
 
 def member(seed: int, number: int) -> int:
-    """Seed of one member of a team, of the same kind as the team's; the first one has the team's own.
+    """Return the seed of one member of a team; the first member has the seed of the team.
 
-    What a member draws does not depend on how many others there are. Moves of the team's seed are moves of
-    the member's, with the same weights.
+    A member's random numbers do not depend on the size of the team. The member's seed has the same moves as
+    the team's, with the same weights.
 
-    ``seed``: of the team, also one with moves; ``number``: of the member, from 1.
-    Raises ValueError: a number below 1.
+    ``seed``: seed of the team, with or without moves; ``number``: number of the member, from 1.
+    Raises ValueError: the number is below 1.
     """
     if number < 1:
         raise ValueError(f"number of a member is {number}; they are counted from 1")
@@ -132,7 +134,7 @@ def member(seed: int, number: int) -> int:
 
 
 def name(seed: int) -> str:
-    """Short text for titles and folders: the seed, or the seed of the last move and the number of moves."""
+    """Return a short text for titles and folders: the seed, or the last move's seed and number of moves."""
     if seed <= _WORD:
         return str(seed)
     words = _words(seed)
@@ -140,7 +142,7 @@ def name(seed: int) -> str:
 
 
 def _words(seed: int) -> list[int]:
-    """The moves, first one first."""
+    """Return the moves of a seed, the first one first."""
     words = []
     while seed := seed >> _WORD_BITS:
         words.append(seed & _WORD)
@@ -148,23 +150,23 @@ def _words(seed: int) -> list[int]:
 
 
 def _below(normal: Any) -> Any:
-    """Probability of a smaller normal number."""
-    from scipy.special import ndtr  # plain seeds, which most processes have, do not pay for it
+    """Return the probability that a standard normal number is smaller."""
+    from scipy.special import ndtr  # a late import: most processes have plain seeds and do not need scipy
 
     return ndtr(normal)
 
 
 class Moved:
-    """A stream of a seed with moves.
+    """Random stream of a seed with moves.
 
-    ``parts``: share of each move's normal numbers, and their stream; the squares of the shares sum up to 1.
+    ``parts``: for each move its factor on the normal numbers, and its stream; the factors' squares sum to 1.
     """
 
     def __init__(self, parts: Sequence[tuple[float, np.random.Generator]]) -> None:
         self._parts = parts
 
     def standard_normal(self, size: int | Sequence[int] | None = None) -> Any:
-        """Standard normal numbers."""
+        """Return standard normal numbers."""
         (share, first), *others = self._parts
         total = share * first.standard_normal(size)
         for share, part in others:
@@ -172,32 +174,32 @@ class Moved:
         return total
 
     def random(self, size: int | Sequence[int] | None = None) -> Any:
-        """Numbers between 0 and 1."""
+        """Return numbers that are uniform between 0 and 1."""
         return _below(self.standard_normal(size))
 
     def uniform(self, low: Any = 0.0, high: Any = 1.0, size: int | None = None) -> Any:
-        """Numbers between two."""
+        """Return numbers that are uniform between ``low`` and ``high``."""
         return low + (high - low) * self.random(size)
 
     def exponential(self, scale: float = 1.0) -> Any:
-        """One number of the exponential distribution of this mean."""
+        """Return one number of the exponential distribution with the mean ``scale``."""
         return -scale * math.log(_below(-self.standard_normal()))
 
     def integers(self, low: Any) -> Any:
-        """Whole numbers from 0 to below ``low``."""
+        """Return integers from 0 to ``low`` - 1."""
         shape = np.shape(low)
         drawn = np.floor(self.random(shape or None) * np.asarray(low)).astype(np.int64)
         return np.minimum(drawn, np.asarray(low) - 1)
 
     def permutation(self, x: int) -> Any:
-        """The numbers from 0 to below ``x`` in any order."""
+        """Return the integers from 0 to ``x`` - 1 in random order."""
         return np.argsort(self.standard_normal(x))
 
     def choice(self, a: int, *, p: Any) -> Any:
-        """A number from 0 to below ``a``, with the probabilities ``p``."""
+        """Return an integer from 0 to ``a`` - 1, drawn with the probabilities ``p``."""
         return min(int(np.searchsorted(np.cumsum(p), self.random(), side="right")), a - 1)
 
     def spawn(self, n_children: int) -> Sequence[Chance]:
-        """Streams that are independent of this one and of each other."""
+        """Return streams that are independent of this one and of each other."""
         shares, children = [s for s, _ in self._parts], [part.spawn(n_children) for _, part in self._parts]
         return [Moved(list(zip(shares, each, strict=True))) for each in zip(*children, strict=True)]

@@ -1,4 +1,4 @@
-"""Time in the simulator's processes: integer ticks and bounded waiting."""
+"""Simulated time as integer ticks, and waiting with a time-out, for the simulator's processes."""
 
 from __future__ import annotations
 
@@ -11,39 +11,42 @@ from flightstack.common.hangup import Stop
 from flightstack.common.pacing import Silence
 
 NS_PER_S = 1_000_000_000
-STARTUP_S = 600.0  # s of wall time for the start of the other processes of a run, also on slow computers
-_SAID_S = 10.0  # s after which a wait is reported
-_PAUSE_S = 50e-6  # s; with the system's timer slack about 0.1 ms
+STARTUP_S = 600.0  # longest wall time for the start of a run's other processes, s; slow computers need it
+_SAID_S = 10.0  # time after which a wait is reported, s
+_PAUSE_S = 50e-6  # sleep between two polls, s; with the system's timer slack about 0.1 ms
 
 
 class NoAnswerError(RuntimeError):
-    """Another process of the run did not start or stopped answering; the text names it and the time."""
+    """Another process of the run did not start or stopped answering; the message names it and the wait."""
 
 
 def told(what: str) -> str:
-    """Report a wait once; returns the empty text."""
-    with contextlib.suppress(OSError):  # no reader
+    """Print once on standard error that this process waits for ``what``; return the empty text."""
+    with contextlib.suppress(OSError):  # standard error is closed
         print(f"waits for {what}", file=sys.stderr, flush=True)
     return ""
 
 
 class TickGrid:
-    """Tick k is at k / rate; in nanoseconds and, for the physics, in whole milliseconds."""
+    """Time of each tick: tick k is at k / rate; in ns and, for the physics, in whole ms."""
 
     def __init__(self, rate_hz: int) -> None:
         self.rate_hz = rate_hz
         self.period_s = 1.0 / rate_hz
 
     def ns(self, tick: int) -> int:
-        """Time of a tick, ns, cut to a whole number."""
+        """Return the time of a tick, ns, rounded down."""
         return tick * NS_PER_S // self.rate_hz
 
     def ms(self, tick: int) -> int:
-        """Time of a tick, ms, to the nearest: for rates that do not divide 1000 ticks are 1 ms uneven."""
+        """Return the time of a tick in whole ms, rounded.
+
+        Ticks are uneven by 1 ms if the rate does not divide 1000.
+        """
         return (2000 * tick + self.rate_hz) // (2 * self.rate_hz)
 
     def count(self, duration_s: float | None) -> int | None:
-        """Number of ticks in a duration; None for no end."""
+        """Return the number of ticks in a duration; None for no end."""
         return None if duration_s is None else max(1, round(duration_s * self.rate_hz))
 
 
@@ -56,14 +59,14 @@ def wait_until(
     yields: int = 0,
     what: str = "",
 ) -> bool:
-    """Poll ``done`` until it is true, ``stop`` is set, or the time is over.
+    """Poll ``done`` until it is true, ``stop`` is set, or the time-out has passed.
 
-    Zenoh's handlers have no wait with a time limit, so this polls: first without sleeping, for short waits,
-    then with short sleeps.
+    Zenoh's handlers cannot wait with a time-out. This polls, first without a sleep, then with short sleeps.
 
-    ``timeout_s``: wall time without pauses of the machine; ``pause_s``: sleep between two polls; ``yields``:
-    polls that only yield the processor, before the first sleep; ``what``: text on standard error during a
-    long wait; empty: none. Returns False after the time limit; after True ``stop`` has to be checked.
+    ``timeout_s``: wall time, without the time in which the machine was suspended; ``pause_s``: sleep between
+    two polls; ``yields``: number of polls that only yield the processor, before the first sleep; ``what``:
+    text on standard error during a long wait, if not empty. Returns False after the time-out; after True,
+    check ``stop``.
     """
     if done() or stop.is_set:
         return True

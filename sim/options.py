@@ -13,7 +13,10 @@ from flightstack.config import options as shared
 
 @dataclass(frozen=True, kw_only=True)
 class VehicleOptions(shared.Signing, shared.Zenoh, shared.Simulated):
-    """The simulated vehicle. Without Zenoh the deck stands where the scenario puts it."""
+    """Options of the process that simulates vehicles.
+
+    Without Zenoh the deck stays where the scenario puts it.
+    """
 
     url: shared.Url = "udpin:127.0.0.1:14580"
     peers: shared.Peers = ()
@@ -36,12 +39,12 @@ class VehicleOptions(shared.Signing, shared.Zenoh, shared.Simulated):
 
 @dataclass(frozen=True, kw_only=True)
 class WorldOptions(shared.Ros2, VehicleOptions):
-    """The simulated vehicles and ground robots."""
+    """Options of the process that simulates vehicles and ground robots."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TargetOptions(shared.Ros2, shared.Zenoh, shared.Simulated):
-    """The simulated ground robot."""
+    """Options of the process that simulates the ground robot."""
 
     rate_hz: shared.Rate = 100
     speed: shared.Speed = 1.0
@@ -53,7 +56,10 @@ class TargetOptions(shared.Ros2, shared.Zenoh, shared.Simulated):
 
 @dataclass(frozen=True, kw_only=True)
 class Px4SimOptions(shared.Zenoh, shared.Simulated):
-    """How PX4 is served. Without Zenoh the deck stands where the scenario puts it."""
+    """Options of the process that serves PX4's simulation link.
+
+    Without Zenoh the deck stays where the scenario puts it.
+    """
 
     tcp: Annotated[str, Option(
         "--tcp", "Where PX4 connects to; port 0 takes a free one.", "HOST:PORT"
@@ -87,7 +93,7 @@ class Px4SimOptions(shared.Zenoh, shared.Simulated):
 
 @dataclass(frozen=True, kw_only=True)
 class ValidateOptions(shared.Result):
-    """A comparison of the simulator with recorded flights."""
+    """Options of the tool that compares the simulator with recorded flights."""
 
     folder: Annotated[Path, Argument(metavar="DIR", exists=True, path="folder")]
     columns: Annotated[Path | None, Option(

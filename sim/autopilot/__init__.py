@@ -1,1 +1,1 @@
-"""The MAVLink autopilot that other programs see; ``server`` puts its parts together."""
+"""The simulated vehicle's MAVLink autopilot; ``server`` assembles its parts."""

@@ -1,6 +1,7 @@
-"""The MAVLink autopilot that other programs see: PX4, played by the simulated vehicle.
+"""The MAVLink autopilot of the simulated vehicle; it behaves like PX4.
 
-Pure: messages and times in, messages out. No socket, no clock, no randomness.
+Pure computation: messages and times are the inputs, messages the outputs. It uses no socket, clock or random
+number.
 """
 
 from __future__ import annotations
@@ -35,14 +36,17 @@ from sim.autopilot.pilot import Goal
 from sim.autopilot.telemetry import PX4
 from sim.autopilot.vehicle_like import VehicleLike
 
-_HOME_REACH_M = 100.0  # m from the room's origin
+_HOME_REACH_M = 100.0  # largest distance of the home from the room's origin
 _CHANGE_MODE = 1  # MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
 _UNITS = dialect.enums["FAILURE_UNIT"]
 _KINDS = dialect.enums["FAILURE_TYPE"]
 
 
 class Autopilot(Server[Flight]):
-    """One autopilot. At each tick: ``telemetry``, ``handle`` each message, ``control``, physics."""
+    """One autopilot.
+
+    Call at each tick: ``telemetry``, ``handle`` for each message, ``control``, the physics.
+    """
 
     def __init__(
         self,
@@ -53,10 +57,10 @@ class Autopilot(Server[Flight]):
         epoch_ns: int = 0,
         trim_enu_m_s: Vec3 = ZERO,
     ) -> None:
-        """Set up; a vehicle that already flies holds its position.
+        """Start the autopilot; a vehicle that already flies holds its position.
 
-        ``rate_hz`` is that of the loop, and of position and attitude on the wire. ``epoch_ns`` is the Unix
-        time of time zero. ``trim_enu_m_s`` keeps a vehicle in place that starts in the air.
+        ``rate_hz``: rate of the loop, and of position and attitude messages; ``epoch_ns``: Unix time at
+        simulated time zero; ``trim_enu_m_s``: set-point that holds a vehicle that starts in the air.
         """
         parameters = Parameters(px4_parameters(system_id))
         self.flight = Flight(vehicle, parameters, 1.0 / rate_hz, trim_enu_m_s)
@@ -64,11 +68,11 @@ class Autopilot(Server[Flight]):
         super().__init__(self.flight, PX4, parameters, rate_hz, system_id=system_id)
 
     def control(self, now_s: float) -> None:
-        """Fly; call it after ``handle`` and before the physics."""
+        """Compute the set-point; call it after ``handle`` and before the physics."""
         self.flight.control(now_s)
 
     def snapshot(self, now_s: float) -> Snapshot[Flight]:
-        """State of the vehicle; its boot clock is the simulated time."""
+        """Return the state of the vehicle; its boot clock is the simulated time."""
         estimate = self.flight.vehicle.estimate()
         return Snapshot(self.flight, self.profile, estimate, estimate.valid, now_s, now_s, self._epoch_ns)
 
@@ -97,7 +101,7 @@ class Autopilot(Server[Flight]):
         self.flight.texts.refuse("Origin refused: the simulated room does not move", now_s)
         return [dialect.MAVLink_gps_global_origin_message(*degrees_e7(0.0, 0.0), 0, round(now_s * 1e6))]
 
-    # Its own commands, with PX4's results (Commander.cpp)
+    # Commands of this autopilot only, with PX4's results (Commander.cpp)
 
     def _terminate(self, command: Command) -> Answer:
         if not (command.given(1) or 0.0) > 0.5:
@@ -120,7 +124,7 @@ class Autopilot(Server[Flight]):
         if distance_m > _HOME_REACH_M:
             reason = f"Home refused: {distance_m:.4g} m from the origin, at most {_HOME_REACH_M:g}"
             return Answer(REJECTED, reason)
-        self.flight.home_enu_m = point  # local coordinates stay as they are
+        self.flight.home_enu_m = point  # local coordinates do not change
         self.streams.hasten(dialect.MAVLINK_MSG_ID_HOME_POSITION)
         return Answer()
 
@@ -153,7 +157,7 @@ class Autopilot(Server[Flight]):
     def _reboot(self, command: Command) -> Answer:
         what = integer(command.given(1))
         if what == 0:
-            return Answer()  # "do nothing", for example when only the companion shall restart
+            return Answer()  # "do nothing", for example when only the companion restarts
         if what != 1:
             return Answer(DENIED, "Reboot refused: param1 must be 1, nothing else can be done")
         reason = self.flight.reboot(command.now_s)

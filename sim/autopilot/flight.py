@@ -1,4 +1,4 @@
-"""The simulated vehicle's arming, modes and fail-safes."""
+"""Arming, modes and fail-safes of the simulated vehicle."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from sim.autopilot.pilot import Event, Goal, Pilot
 from sim.autopilot.vehicle_like import Standing, VehicleLike
 from sim.autopilot.watches import STATION_LOST, Watches
 
-HEIGHT_RANGE_M = (0.1, 20.0)  # m above home of take-off and reposition; the room is lower
-_REACH_M = 50.0  # m from home of a reposition
-# Mode that COM_OBL_RC_ACT selects (PX4 failsafe.cpp). 0 is the position mode: without sticks it cannot be
-# flown, and PX4 too ends by landing.
+HEIGHT_RANGE_M = (0.1, 20.0)  # range of height above home for take-off and reposition; the room is lower
+_REACH_M = 50.0  # largest horizontal distance from home of a reposition
+# Mode that COM_OBL_RC_ACT selects (PX4 failsafe.cpp). 0 is position mode: it cannot be flown without stick
+# input, so PX4 also lands.
 STREAM_LOST: Mapping[int, FlightMode] = {0: FlightMode.LAND, 4: FlightMode.LAND, 5: FlightMode.HOLD}
-_ESTIMATE_LOST_S = 0.5  # s without a valid estimate until it lands by itself
+_ESTIMATE_LOST_S = 0.5  # time without a valid estimate after which the vehicle lands
 
 
 class Flight(Commander):
@@ -39,9 +39,9 @@ class Flight(Commander):
         self.watches = Watches(parameters, vehicle)
         self.ground = Standing(vehicle)
         self._parameters = parameters
-        self._goal: Goal | None = None  # goal of the mode that begins
+        self._goal: Goal | None = None  # goal of the next mode
         self._was_armed = vehicle.armed
-        self._flew = vehicle.armed and not self.ground.now  # since arming
+        self._flew = vehicle.armed and not self.ground.now  # whether it has flown since arming
         self._control_s: float | None = None
         self._period_s = period_s
         self._armed_s = 0.0
@@ -53,7 +53,7 @@ class Flight(Commander):
 
     @property
     def battery(self) -> Battery:
-        """Battery, with PX4's estimate of its charge."""
+        """Battery state, with PX4's estimate of the charge."""
         return Battery(self.vehicle.battery_v, round(100 * self.watches.charge))
 
     @property
@@ -66,7 +66,7 @@ class Flight(Commander):
 
     @property
     def positioned(self) -> bool:
-        """Whether there is a position to fly by."""
+        """Whether the position estimate is valid for flight."""
         return self.vehicle.estimate().valid
 
     @property
@@ -74,7 +74,10 @@ class Flight(Commander):
         return self.vehicle.armed and not self.standing
 
     def sensors_healthy(self, _now_s: float) -> int:
-        """Bits of position and fence (there is none): without the fence bit MAVProxy reports a breach."""
+        """Health bits of position and fence.
+
+        Without the bit of the fence, which does not exist, MAVProxy reports a breach.
+        """
         return (POSITION_SOURCE if self.positioned else 0) | int(dialect.MAV_SYS_STATUS_GEOFENCE)
 
     def problems(self, _now_s: float) -> list[str]:
@@ -104,7 +107,7 @@ class Flight(Commander):
         self.pilot.begin(self._goal)
 
     def arm(self, now_s: float) -> str | None:
-        """Arm; the motors idle until a mode flies."""
+        """Arm; the motors idle until a mode commands thrust."""
         if self.vehicle.armed:
             return None
         problems = self.problems(now_s)
@@ -120,7 +123,7 @@ class Flight(Commander):
 
     def disarm(self, now_s: float, *, force: bool) -> str | None:
         if not self.vehicle.armed:
-            self.vehicle.disarm(force)  # also clears the firmware's memory of a crash
+            self.vehicle.disarm(force)  # also resets the firmware's crash state
             return None
         if self.airborne and not force:
             return "Disarming refused: not landed"
@@ -131,7 +134,7 @@ class Flight(Commander):
         return None
 
     def reboot(self, now_s: float) -> str | None:
-        """Restart the firmware, also a locked one; parameters, home and boot clock stay."""
+        """Restart the firmware, also if locked; parameters, home and boot clock do not change."""
         if self.vehicle.armed:
             return "Reboot refused: armed"
         reason = self.vehicle.reboot()
@@ -157,7 +160,7 @@ class Flight(Commander):
         return None
 
     def flown(self, now_s: float, setpoint: Setpoint | None, sender: Sender) -> None:
-        """Take over ticks that were flown without ``control``, with the last of their set-points, if any."""
+        """Update the state after ticks that flew set-points without ``control``; ``setpoint``: the newest."""
         self._control_s = self._estimate_seen_s = now_s
         if setpoint is not None:
             self._owner, self._setpoint_s = sender, now_s
@@ -165,14 +168,14 @@ class Flight(Commander):
 
     @property
     def stream_ends_s(self) -> float:
-        """When the stream of set-points counts as ended, if none comes."""
+        """Time at which the stream of set-points times out if none arrives."""
         return self._setpoint_s + self.stream_lost_s
 
     def yaw_rad(self) -> float:
         return yaw_from_quaternion(self.vehicle.estimate().quaternion)
 
     def control(self, now_s: float) -> None:
-        """Fly: call it at every tick, after the messages and before the physics."""
+        """Run modes and fail-safes; call it at every tick, after the messages and before the physics."""
         dt_s = now_s - self._control_s if self._control_s is not None else self._period_s
         self._control_s = now_s
         vehicle, ground = self.vehicle, self.ground
@@ -224,7 +227,7 @@ class Flight(Commander):
         self.pilot.stop()
         self._owner = None
         self._was_armed = self._flew = False
-        if self.mode is not FlightMode.OFFBOARD:  # OFFBOARD ends with its stream, as the companion expects
+        if self.mode is not FlightMode.OFFBOARD:  # OFFBOARD lasts until its stream ends
             self._enter(FlightMode.HOLD, now_s)
         self.failsafe = False
 
@@ -242,7 +245,7 @@ class Flight(Commander):
     def _fall_back(self, now_s: float, mode: FlightMode, text: str) -> None:
         """Hold or land because of a failure; on the ground, or without a position, land."""
         if self.standing or not self.positioned:
-            mode = FlightMode.LAND  # which disarms what stands, and needs no position
+            mode = FlightMode.LAND  # this mode disarms on the ground and needs no position
         if self.mode is FlightMode.LAND:
             self.texts.say(dialect.MAV_SEVERITY_CRITICAL, text)
             return

@@ -1,6 +1,6 @@
 """Flies one mode: velocity set-points for hold, take-off, landing and offboard.
 
-In its own modes the velocities come from position errors; in offboard they are those of the set-points.
+In hold, take-off and landing the velocity follows from the position error; in offboard it is the set-point.
 Changes of mode, arming and fail-safes are in ``sim.autopilot.flight``.
 """
 
@@ -19,17 +19,15 @@ from bridge.mavlink.server.setpoints import Setpoint
 from flightstack.core.types import ZERO, Vec3
 from sim.autopilot.vehicle_like import CheckedEstimate, VehicleLike
 
-_INTEGRAL_GAIN_1_S2 = 0.25  # takes out wind and a wrong mass within some seconds, slower than the loop
-_INTEGRAL_MAX_M_S = 0.4  # more than the paper's velocity loop sags with 10 % mass error and 2 m/s of wind
-_LEARN_BELOW_M_S = (
-    0.1  # proportional velocity above which the integral stays: on the way to a far point it would wind up
-)
-_SLEW_M_S2 = 1.0  # keeps K_v = 0.5 clear of zero thrust: 0.53 m/s at once would be that (27 g)
+_INTEGRAL_GAIN_1_S2 = 0.25  # cancels wind and mass error within some seconds; slower than the position loop
+_INTEGRAL_MAX_M_S = 0.4  # larger than the steady velocity error at 10 % mass error and 2 m/s of wind
+_LEARN_BELOW_M_S = 0.1  # proportional velocity above which the integral is constant: anti-windup
+_SLEW_M_S2 = 1.0  # with K_v = 0.5 a step of 0.53 m/s would command zero thrust (27 g)
 
 
 @dataclass(frozen=True, slots=True)
 class OwnLimits:
-    """Gains and speeds of the autopilot's own flying, from its parameters."""
+    """Gains and speeds of the autopilot's modes, from its parameters."""
 
     gain_xy_1_s: float
     gain_z_1_s: float
@@ -39,18 +37,18 @@ class OwnLimits:
 
 
 class PositionHold:
-    """A position loop with a clamped integral and a slew limit; its output is a velocity set-point, ENU."""
+    """Position loop with a clamped integral and a slew limit; its output is a velocity set-point, ENU."""
 
     def __init__(self, trim_enu_m_s: Vec3) -> None:
-        self._trim_m_s = trim_enu_m_s  # set-point that keeps the vehicle in place
-        self.point_enu_m: Vec3 = ZERO  # where to hold
-        self.velocity_enu_m_s: Vec3 = ZERO  # newest set-point
+        self._trim_m_s = trim_enu_m_s  # set-point that holds the position at the start
+        self.point_enu_m: Vec3 = ZERO  # hold point
+        self.velocity_enu_m_s: Vec3 = ZERO  # newest output set-point
         self._integral_m_s: Vec3 = trim_enu_m_s
 
     def engage(self, position_enu_m: Vec3, velocity_enu_m_s: Vec3, gain_xy_1_s: float) -> None:
-        """Take over a vehicle in motion: hold the point where it stops.
+        """Start to control a vehicle in motion: hold the point where it stops.
 
-        The hold point lies v / gain ahead, so the first set-point equals the velocity, which then decays.
+        The hold point is v / gain ahead, so the first set-point equals the velocity, which then decays.
         """
         x, y, z = position_enu_m
         vx, vy, _ = velocity_enu_m_s
@@ -70,10 +68,10 @@ class PositionHold:
         vertical_m_s: float | None = None,
         learn: bool = True,
     ) -> Vec3:
-        """Velocity towards the hold point.
+        """Return the velocity set-point towards the hold point.
 
-        ``vertical_m_s`` replaces the control of the height. While the vehicle stands, ``learn`` is false and
-        the integral is constant.
+        ``vertical_m_s``: replaces the height control; ``learn``: false while the vehicle is on the ground,
+        where the integral stays constant.
         """
         ex, ey, ez = (goal - now for goal, now in zip(self.point_enu_m, position_enu_m, strict=True))
         vx, vy, vz = limits.gain_xy_1_s * ex, limits.gain_xy_1_s * ey, limits.gain_z_1_s * ez
@@ -89,7 +87,7 @@ class PositionHold:
         return self._slew(((vx + ix) * scale, (vy + iy) * scale, vertical_m_s), dt_s)
 
     def sink(self, vertical_m_s: float, dt_s: float) -> Vec3:
-        """Velocity without a position: vertical only."""
+        """Return a velocity set-point without a position estimate: vertical only."""
         return self._slew((0.0, 0.0, vertical_m_s), dt_s)
 
     def _slew(self, wanted: Vec3, dt_s: float) -> Vec3:
@@ -113,43 +111,43 @@ def _clamp(value: float, low: float, high: float) -> float:
     return min(max(value, low), high)
 
 
-_ARRIVED_M = 0.05  # m, half the Crazyflie's size: height reached
-_ARRIVED_M_S = 0.15  # m/s
+_ARRIVED_M = 0.05  # height error at which a height counts as reached, half the Crazyflie's size
+_ARRIVED_M_S = 0.15  # vertical speed below which a height counts as reached
 
 
 class Event(Enum):
-    """Result of a step, for the mode machine."""
+    """Result of a step, for the mode logic."""
 
     ARRIVED = auto()  # take-off height reached
-    LANDED = auto()  # it stands, in a landing
-    CLIPPED = auto()  # a set-point was faster than the vehicle may fly
+    LANDED = auto()  # the vehicle stands on a surface in LAND
+    CLIPPED = auto()  # a set-point exceeded the speed limits
 
 
 class Goal(NamedTuple):
-    """A place to fly to and hold."""
+    """A position to fly to and hold."""
 
     point_enu_m: Vec3
-    yaw_rad: float | None  # None: the present heading
-    speed_m_s: float | None  # over ground; None: MPC_XY_CRUISE
+    yaw_rad: float | None  # None: the current heading
+    speed_m_s: float | None  # horizontal; None: MPC_XY_CRUISE
 
 
 class Pilot:
-    """Turns mode, estimate and set-point into velocities for the firmware."""
+    """Computes velocity set-points for the firmware from mode, estimate and received set-point."""
 
     def __init__(self, vehicle: VehicleLike, parameters: Parameters, trim_enu_m_s: Vec3 = ZERO) -> None:
-        self.goal: Goal | None = None  # where to hold; None: where the vehicle comes to rest
-        self.velocity_setpoint_enu_m_s: Vec3 | None = None  # the firmware's newest; None: none holds
+        self.goal: Goal | None = None  # point to hold; None: the point where the vehicle stops
+        self.velocity_setpoint_enu_m_s: Vec3 | None = None  # last one sent to the firmware; None: none active
         self._vehicle = vehicle
         self._parameters = parameters
         self._hold = PositionHold(trim_enu_m_s)
         self._setpoint: Setpoint | None = None
-        self._fresh = False  # the set-point has not been handed on yet
-        self._engaged = False  # the position loop has taken over in this mode
+        self._fresh = False  # the set-point has not been sent to the firmware yet
+        self._engaged = False  # the position loop has started in this mode
         self._yaw_rad = 0.0  # heading to hold
-        self._takeoff_z_m = 0.0  # height of the take-off, local
-        self._version = -1  # of the parameters that the limits below are from
+        self._takeoff_z_m = 0.0  # height of the take-off, local frame
+        self._version = -1  # version of the parameters from which the limits were read
         self._limits = OwnLimits(1.0, 1.0, 0.0, 0.0, 0.0)
-        self._clip = (0.0, 0.0, 0.0)  # m/s: over ground, up, down
+        self._clip = (0.0, 0.0, 0.0)  # speed limits in m/s: horizontal, up, down
         self._fly: dict[FlightMode, Callable[[CheckedEstimate, bool, float], Event | None]] = {
             FlightMode.HOLD: self._fly_hold,
             FlightMode.TAKEOFF: self._fly_takeoff,
@@ -158,28 +156,28 @@ class Pilot:
         }
 
     def begin(self, goal: Goal | None = None) -> None:
-        """Begin a mode from the present state."""
+        """Begin a mode from the current state."""
         self._engaged, self._fresh, self.goal = False, True, goal
 
     def take(self, setpoint: Setpoint) -> None:
-        """Store the newest set-point; it is flown in OFFBOARD."""
+        """Store the newest received set-point; OFFBOARD flies it."""
         self._setpoint, self._fresh = setpoint, True
 
     @property
     def passes_on(self) -> tuple[float, float, float] | None:
-        """Limits over ground, up and down of set-points that pass unchanged, m/s; None: they do not."""
+        """Limits (horizontal, up, down) below which set-points pass unchanged, m/s; None: they never do."""
         known = self._version == self._parameters.version
         return self._clip if known and self._engaged and self._setpoint is not None else None
 
     def handed_on(self, setpoint: Setpoint) -> None:
-        """Record a set-point that was flown unchanged."""
+        """Record a set-point that was sent to the firmware unchanged."""
         self._setpoint, self._fresh = setpoint, False
         if setpoint.yaw_rad is not None:
             self._yaw_rad = setpoint.yaw_rad
         self.velocity_setpoint_enu_m_s = setpoint.velocity_enu_m_s
 
     def stop(self) -> None:
-        """Notify the firmware that no set-point is active."""
+        """Send a stop set-point to the firmware."""
         self._vehicle.stop_setpoint()
         self.velocity_setpoint_enu_m_s = None
         self._engaged = False
@@ -187,7 +185,7 @@ class Pilot:
     def fly(
         self, mode: FlightMode, takeoff_z_m: float, estimate: CheckedEstimate, standing: bool, dt_s: float
     ) -> Event | None:
-        """Fly one step; only while armed."""
+        """Run one control step; only while armed."""
         self._takeoff_z_m = takeoff_z_m
         if self._version != self._parameters.version:
             self._read_limits()
@@ -211,7 +209,7 @@ class Pilot:
         vertical_m_s: float | None = None,
         learn: bool = True,
     ) -> None:
-        """Fly towards the hold point; without a position level, at the vertical velocity."""
+        """Fly towards the hold point; without a position estimate fly level at the vertical velocity."""
         if estimate.valid:
             at = estimate.position_enu_m
             velocity = self._hold.step(at, limits, dt_s, vertical_m_s=vertical_m_s, learn=learn)
@@ -221,7 +219,7 @@ class Pilot:
         self._vehicle.set_velocity(velocity, self._yaw_rad)
 
     def _engage(self, estimate: CheckedEstimate) -> bool:
-        """Take over a vehicle in motion; True the first time in a mode."""
+        """Start the position loop at the current motion; return True the first time in a mode."""
         if self._engaged:
             return False
         self._hold.engage(estimate.position_enu_m, estimate.velocity_enu_m_s, self._limits.gain_xy_1_s)
@@ -231,7 +229,7 @@ class Pilot:
 
     def _fly_hold(self, estimate: CheckedEstimate, standing: bool, dt_s: float) -> Event | None:
         if standing:
-            # Repeated: without set-points after a flight the firmware assumes a lost link, and locks.
+            # Sent repeatedly: without set-points after a flight the firmware assumes a lost link and locks.
             self.stop()
             return None
         first, goal, limits = self._engage(estimate), self.goal, self._limits
@@ -253,7 +251,7 @@ class Pilot:
         return Event.ARRIVED if arrived else None
 
     def go_on(self) -> None:
-        """Hold where the take-off ended, with the same integral."""
+        """Hold the point where the take-off ended; the integral continues."""
         self._engaged = True
 
     def _fly_land(self, estimate: CheckedEstimate, standing: bool, dt_s: float) -> Event | None:
@@ -265,14 +263,14 @@ class Pilot:
 
     def _fly_offboard(self, estimate: CheckedEstimate, _standing: bool, dt_s: float) -> Event | None:
         setpoint = self._setpoint
-        if setpoint is None:  # the stream's check comes first
+        if setpoint is None:  # the check of the stream runs first
             return None
         if not self._engaged:
             self._yaw_rad, self._engaged = yaw_from_quaternion(estimate.quaternion), True
         if setpoint.yaw_rad is not None:
             self._yaw_rad = setpoint.yaw_rad
         self._yaw_rad += setpoint.yaw_rate_rad_s * dt_s
-        # Only new set-points are passed on, so that the firmware's own watchdog detects a broken stream too.
+        # Send only new set-points, so that the firmware's watchdog also detects a broken stream.
         if not (self._fresh or setpoint.yaw_rate_rad_s):
             return None
         self._fresh = False
@@ -289,7 +287,7 @@ def _at_height(estimate: CheckedEstimate, height_m: float) -> bool:
 
 
 def clip(velocity_enu_m_s: Vec3, xy_m_s: float, up_m_s: float, down_m_s: float) -> Vec3:
-    """Shorten a velocity to the vehicle's limits; the direction over ground stays."""
+    """Limit a velocity to the vehicle's speeds; its horizontal direction does not change."""
     x, y, z = velocity_enu_m_s
     if x * x + y * y <= xy_m_s * xy_m_s and -down_m_s <= z <= up_m_s:
         return velocity_enu_m_s

@@ -1,4 +1,4 @@
-"""Messages of the simulated autopilot besides those of every vehicle."""
+"""Messages of the simulated autopilot in addition to those of every vehicle."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sim.autopilot.flight import Flight
 from sim.autopilot.ground import degrees_e7
 
 _NAN = math.nan
-_UNKNOWN_COVARIANCE = (_NAN,) + (0.0,) * 20  # NaN first: not known
+_UNKNOWN_COVARIANCE = (_NAN,) + (0.0,) * 20  # a leading NaN means unknown
 _ESTIMATOR_FLAGS = (
     dialect.ESTIMATOR_ATTITUDE
     | dialect.ESTIMATOR_VELOCITY_HORIZ
@@ -30,7 +30,7 @@ _ESTIMATOR_FLAGS = (
     | dialect.ESTIMATOR_POS_HORIZ_ABS
     | dialect.ESTIMATOR_POS_VERT_ABS
 )
-_PWM_MIN_US, _PWM_SPAN_US = 1000, 1000  # us; what PX4's SITL reports for an idle and a full motor
+_PWM_MIN_US, _PWM_SPAN_US = 1000, 1000  # us; idle pulse and span up to full speed in PX4's SITL
 
 
 def _home_position(s: Snapshot[Flight]) -> Message:
@@ -70,8 +70,8 @@ def _altitude(s: Snapshot[Flight]) -> Message:
 
 
 def _odometry(s: Snapshot[Flight]) -> Message:
-    # The velocity is in the world's axes: so PX4 1.16's own ODOMETRY was measured (frame_id = child_frame_id
-    # = 1), since its estimator's velocity is NED (PX4 streams/ODOMETRY.hpp, EKF2.cpp).
+    # The velocity is in world axes: measured in PX4 1.16's ODOMETRY (frame_id = child_frame_id = 1), because
+    # its estimator's velocity is NED (PX4 streams/ODOMETRY.hpp, EKF2.cpp).
     e = s.estimate
     return dialect.MAVLink_odometry_message(
         s.boot_us, dialect.MAV_FRAME_LOCAL_NED, dialect.MAV_FRAME_LOCAL_NED,
@@ -109,8 +109,8 @@ def _system_time(s: Snapshot[Flight]) -> Message:
     return dialect.MAVLink_system_time_message(s.epoch_ns // 1000 + s.boot_us, s.boot_ms)
 
 
-# Streams in the order of a datagram, with the default rates, Hz: PX4's own, or what clients need as measured.
-# None: at every tick, or on request only.
+# Streams in the order of a datagram, with the default rates, Hz: PX4's rates, or rates that clients need as
+# measured. None: at every tick, or on request only.
 _STREAMS: dict[int, tuple[Builder[Flight], float | None]] = {
     dialect.MAVLINK_MSG_ID_SYS_STATUS: (common.sys_status, 5.0),
     dialect.MAVLINK_MSG_ID_SYSTEM_TIME: (_system_time, 1.0),
@@ -128,7 +128,7 @@ _STREAMS: dict[int, tuple[Builder[Flight], float | None]] = {
     dialect.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: (_position_target_local_ned, 2.0),
     dialect.MAVLINK_MSG_ID_ALTITUDE: (_altitude, 1.0),
     dialect.MAVLINK_MSG_ID_HOME_POSITION: (_home_position, 0.5),
-    dialect.MAVLINK_MSG_ID_ODOMETRY: (_odometry, 5.0),  # PX4's onboard link: 30; costly to pack
+    dialect.MAVLINK_MSG_ID_ODOMETRY: (_odometry, 5.0),  # 30 Hz on PX4's onboard link; packing it is slow
 }
 _SENSORS = (
     dialect.MAV_SYS_STATUS_SENSOR_3D_GYRO

@@ -1,8 +1,8 @@
-"""Checks of the autopilot ten times a second: the charge of the battery, and the ground station.
+"""Checks at ten times a second: battery charge and connection to the ground station.
 
-The charge is that of PX4 battery.cpp: the cell's voltage, plus what the load takes at this throttle, between
-the voltages of an empty and a full cell. Voltage and throttle are smoothed, or every climb would indicate
-an empty battery.
+The charge is computed as in PX4 battery.cpp. The voltage under load plus the voltage drop at this throttle is
+compared with the voltages of an empty and a full cell. Voltage and throttle are low-pass filtered, because
+otherwise every climb would indicate an empty battery.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from flightstack.compiled.records import Record
 from flightstack.core.numeric import numeric
 from sim.autopilot.vehicle_like import VehicleLike
 
-PERIOD_S = 0.1 - 1e-6  # s; nothing here is faster
-_SMOOTH_S = 1.0  # s, time constant
+PERIOD_S = 0.1 - 1e-6  # period of the checks
+_SMOOTH_S = 1.0  # time constant of the low-pass filter
 
 # Mode that NAV_DLL_ACT selects when the ground station is lost (PX4 failsafe.cpp, commander_params.c)
 STATION_LOST: Mapping[int, FlightMode | None] = {0: None, 1: FlightMode.HOLD, 3: FlightMode.LAND}
@@ -27,13 +27,13 @@ STATION_LOST: Mapping[int, FlightMode | None] = {0: None, 1: FlightMode.HOLD, 3:
 
 @numeric
 def smoothed(before: float, measured: float, dt_s: float) -> float:
-    """Value that follows a measured one slowly."""
+    """Return the output of a first-order low-pass filter."""
     return before + (1.0 - math.exp(-dt_s / _SMOOTH_S)) * (measured - before)
 
 
 @numeric
 def charge_left(voltage_v: float, throttle: float, empty_v: float, full_v: float, drop_v: float) -> float:
-    """Charge, 0 to 1, of a cell under load; ``drop_v`` is what full throttle takes from its voltage."""
+    """Return the charge, 0 to 1, of a cell under load; ``drop_v``: voltage drop at full throttle."""
     rest_v = voltage_v + drop_v * throttle
     return min(max((rest_v - empty_v) / max(full_v - empty_v, 0.01), 0.0), 1.0)
 
@@ -43,13 +43,13 @@ class WatchRecord(Record):
 
     due_s: float  # time of the next check
     last_s: float  # time of the last check
-    voltage_v: float  # of the battery, smoothed, as the throttle is
-    throttle: float
-    until_s: float  # a ground station may count as lost from then on
+    voltage_v: float  # battery voltage, low-pass filtered
+    throttle: float  # mean motor command, low-pass filtered
+    until_s: float  # earliest time at which a ground station can count as lost
 
 
 class Watches:
-    """Smooths voltage and throttle, and notices that the ground station is lost."""
+    """Filters voltage and throttle, and detects a lost ground station."""
 
     def __init__(self, parameters: Parameters, vehicle: VehicleLike) -> None:
         self._parameters = parameters
@@ -57,25 +57,25 @@ class Watches:
         self.due_s = -math.inf  # time of the next check, s
         self._voltage_v, self._throttle = vehicle.battery_v, throttle(vehicle)
         self._last_s: float | None = None
-        self._station_s: float | None = None  # newest heartbeat of a ground station
+        self._station_s: float | None = None  # time of the newest heartbeat of a ground station
         self._station_lost = False
 
     @property
     def charge(self) -> float:
-        """Charge left, 0 to 1."""
+        """Remaining charge, 0 to 1."""
         p = self._parameters
         curve = p["BAT1_V_EMPTY"], p["BAT1_V_CHARGED"], p["BAT1_V_LOAD_DROP"]
         return charge_left(self._voltage_v, self._throttle, *curve)
 
     def heartbeat(self, type_: int, now_s: float) -> bool:
-        """Record a HEARTBEAT; True when a ground station is back after a loss."""
+        """Record a HEARTBEAT; return True when a ground station is back after a loss."""
         if type_ != dialect.MAV_TYPE_GCS:
             return False
         back, self._station_lost, self._station_s = self._station_lost, False, now_s
         return back
 
     def step(self, now_s: float) -> bool:
-        """Check when it is due; True when the ground station has just been lost."""
+        """Run a due check; return True when the ground station has just been lost."""
         if now_s < self.due_s:
             return False
         dt_s = now_s - self._last_s if self._last_s is not None else 0.0
@@ -89,7 +89,7 @@ class Watches:
         return True
 
     def calm(self) -> tuple[float, ...]:
-        """Numbers of a ``WatchRecord``; before the first look ``until_s`` is past."""
+        """Return the values of a ``WatchRecord``; before the first check ``until_s`` is in the past."""
         station_s = None if self._station_lost else self._station_s
         until_s = math.inf if station_s is None else station_s + self._parameters["COM_DL_LOSS_T"]
         if self._last_s is None:
@@ -97,12 +97,12 @@ class Watches:
         return self.due_s, self._last_s, self._voltage_v, self._throttle, until_s
 
     def passed(self, last_s: float, voltage_v: float, throttle: float) -> None:
-        """Take over the values of a batch of ticks before ``until_s``."""
+        """Store the values after a batch of ticks that ended before ``until_s``."""
         self._last_s, self.due_s = last_s, last_s + PERIOD_S
         self._voltage_v, self._throttle = voltage_v, throttle
 
 
 def throttle(vehicle: VehicleLike) -> float:
-    """Mean of the motors' commands, 0 to 1."""
+    """Return the mean of the motor commands, 0 to 1."""
     m1, m2, m3, m4 = vehicle.motor_commands
-    return (m1 + m2 + m3 + m4) / 4.0  # sum() rounds differently from Python 3.12 on
+    return (m1 + m2 + m3 + m4) / 4.0  # not sum(), which rounds differently from Python 3.12 on

@@ -1,1 +1,1 @@
-"""Injected faults and their effects."""
+"""Faults that are injected into a simulation, and their effects."""

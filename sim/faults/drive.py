@@ -8,14 +8,14 @@ from sim.plant.params import Rotor
 from sim.plant.rotors import BatteryRecord, RotorRecord
 from sim.scenarios.fault_spec import Kind
 
-EMPTY_V = 3.0  # at rest; firmware platform_defaults_cf2.h: DEFAULT_BAT_CRITICAL_LOW_VOLTAGE
+EMPTY_V = 3.0  # cell voltage at rest; firmware platform_defaults_cf2.h: DEFAULT_BAT_CRITICAL_LOW_VOLTAGE
 
 
 class MotorFaults:
-    """Target speed of a motor = share * command + held; share 1 and held 0 without a fault.
+    """Motor faults: target speed = share * command + held; without a fault share is 1 and held 0.
 
     ``share`` and ``held`` (rpm) of M1..M4 are changed in place. ``hover_rpm``: speed at which the thrust of a
-    weak motor is exact; elsewhere within some per cent, since thrust is not exactly quadratic in speed.
+    weak motor is exact. At other speeds the error is some per cent, because thrust is not exactly quadratic.
     """
 
     def __init__(self, share: F64, held: F64, rotors: RotorRecord, rotor: Rotor, hover_rpm: float) -> None:
@@ -25,7 +25,7 @@ class MotorFaults:
         share[:], held[:] = 1.0, 0.0
 
     def begin(self, running: Running) -> None:
-        """Start a fault; of several on one motor the newest counts."""
+        """Start a fault; if a motor has several, the newest applies."""
         fault = running.fault
         assert fault.motor is not None
         share = held = 0.0
@@ -55,7 +55,7 @@ class BatteryFaults:
 
     def __init__(self, record: BatteryRecord) -> None:
         self._record = record
-        self._taken: dict[Running, tuple[float, float]] = {}  # charge (A s) and voltage (V)
+        self._taken: dict[Running, tuple[float, float]] = {}  # removed charge (A s) and voltage (V)
 
     def begin(self, running: Running) -> None:
         b, fault = self._record, running.fault

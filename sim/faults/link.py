@@ -1,4 +1,4 @@
-"""Faults of the MAVLink wire in both directions, and of the messages' contents."""
+"""Faults of the MAVLink connection in both directions, and of the contents of messages."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from sim.faults.schedule import Running
 from sim.plant.sensors import NS
 from sim.scenarios.fault_spec import Kind, What
 
-Rewrite = Callable[[Any, int], None]  # changes a message in place; time in ns
-_By = Callable[[Running, Any, int], None]  # the same for a running fault
+Rewrite = Callable[[Any, int], None]  # function of message and time (ns) that changes the message in place
+_By = Callable[[Running, Any, int], None]  # a ``Rewrite`` with the running fault as first argument
 
 _TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
-_SERVO: int = dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW  # the message with a 32-bit time in microseconds
+_SERVO: int = dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW  # the only message with a 32-bit time in microseconds
 _HEARTBEAT_FIELDS = ("base_mode", "custom_mode", "system_status")
 _VELOCITY_FIELDS = ("vx", "vy", "vz")
-_MODE_BITS, _STATES = 1 << 26, 9  # PX4's modes end in bit 26; MAV_STATE has nine
+_MODE_BITS, _STATES = 1 << 26, 9  # upper limits of random custom_mode and system_status
 _U32, _U64 = 1 << 32, 1 << 64
 
 
@@ -67,7 +67,7 @@ def _standing_ns(running: Running, now_ns: int) -> int:
     return now_ns - (now_ns - running.start_ns) % round(running.fault.period * NS)
 
 
-# fault and simulated time to the time of the faulty clock, ns
+# for each kind of clock fault: function of fault and simulated time that returns the faulty time, ns
 _CLOCKS: Mapping[Kind, Callable[[Running, int], int]] = {
     Kind.OFF: lambda _, __: 0,
     Kind.STUCK: lambda running, _: running.start_ns,
@@ -82,13 +82,13 @@ _CLOCKS: Mapping[Kind, Callable[[Running, int], int]] = {
 
 
 def clock_ns(running: Running, now_ns: int) -> int:
-    """Time of a faulty clock, ns; never negative."""
+    """Return the time of a faulty clock, ns, not negative."""
     return max(0, _CLOCKS[running.fault.kind](running, now_ns))
 
 
 def _clock(running: Running, message: Any, now_ns: int) -> None:
     if message.get_msgId() == _TIMESYNC:
-        if message.tc1 != 0:  # a reply; requests are sent in lockstep only
+        if message.tc1 != 0:  # a reply; only lockstep sends requests
             message.tc1 = max(1, clock_ns(running, now_ns))
         return
     boot_ms = getattr(message, "time_boot_ms", None)
@@ -117,7 +117,7 @@ _REWRITES: Mapping[tuple[What, Kind], _By] = {
 
 
 def rewrite_of(running: Running) -> Rewrite | None:
-    """Effect of a fault on the content of messages; None: no effect."""
+    """Return the effect of a fault on the content of messages; None if there is no effect."""
     what, kind = running.fault.what, running.fault.kind
     if kind is Kind.STUCK and what in _STUCK:
         return _frozen(_STUCK[what])
@@ -133,14 +133,14 @@ class Way(Enum):
 
 
 class Fate(NamedTuple):
-    """Effect of the faults on a message."""
+    """Effect of all active faults on one message."""
 
-    due_ns: tuple[int, ...]  # arrival times; empty: lost; two: duplicated
-    damaged: bool = False  # wrong checksum
+    due_ns: tuple[int, ...]  # arrival times; none if lost, two if duplicated
+    damaged: bool = False  # the checksum is wrong
     stall: Running | None = None  # the message waits for the end of this fault
 
 
-# direction and messages (None: all) that a fault concerns
+# for each kind of fault: affected direction and messages (None: all)
 CONCERNS: dict[What, tuple[Way, frozenset[int] | None]] = {
     What.LINK_OUT: (Way.OUT, None),
     What.LINK_IN: (Way.IN, None),
@@ -148,7 +148,7 @@ CONCERNS: dict[What, tuple[Way, frozenset[int] | None]] = {
     What.SETPOINTS: (Way.IN, frozenset({dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED})),
     What.CLOCK: (Way.OUT, None),
 }
-# the command that ends faults must arrive
+# These commands must arrive, because they end faults.
 _COMMANDS = frozenset(
     {
         dialect.MAVLINK_MSG_ID_COMMAND_LONG,
@@ -158,9 +158,9 @@ _COMMANDS = frozenset(
 )
 
 
-HELD_BACK_NS = 30_000_000  # delay of a reordered message: three ticks at 100 Hz
+HELD_BACK_NS = 30_000_000  # delay of a reordered message, three ticks at 100 Hz
 
-Due = list[int]  # arrival times of a message, ns; empty: lost; two: duplicated
+Due = list[int]  # arrival times of a message, ns; none if lost, two if duplicated
 
 
 def _later(due: Due, by_ns: int) -> Due:
@@ -175,7 +175,7 @@ DUE: Mapping[Kind, Callable[[Running, Due], Due]] = {
 
 
 class _One(NamedTuple):
-    """One running fault."""
+    """A running fault and its effects on messages."""
 
     running: Running
     rewrite: Rewrite | None
@@ -183,7 +183,7 @@ class _One(NamedTuple):
 
 
 class LinkFaults:
-    """Active faults of one vehicle's wire; every message passes ``fate``."""
+    """Active faults of one vehicle's MAVLink connection; call ``fate`` for every message."""
 
     def __init__(self) -> None:
         self._running: list[_One] = []
@@ -193,18 +193,18 @@ class LinkFaults:
         self._running.append(_One(running, rewrite, None if lost is None else lost(running)))
 
     def end(self, running: Running, now_ns: int) -> None:
-        """End a fault; messages that waited for it are released."""
+        """End a fault and release the messages that waited for it."""
         del now_ns
         self._running = [one for one in self._running if one.running is not running]
 
     def active(self, way: Way) -> bool:
-        """Whether messages in this direction have to pass ``fate``."""
+        """Whether messages in this direction need a call of ``fate``."""
         if not self._running:
             return False
         return any(CONCERNS[one.running.fault.what][0] is way for one in self._running)
 
     def fate(self, way: Way, message: Message, now_ns: int) -> Fate:
-        """Effect on one message, which may be changed in place; called once for each message, in order."""
+        """Apply all faults to one message, possibly in place; called once for each message, in order."""
         id_: int = message.get_msgId()
         if id_ in _COMMANDS and message.command == dialect.MAV_CMD_INJECT_FAILURE:
             return Fate((now_ns,))
@@ -222,6 +222,6 @@ class LinkFaults:
                 due = DUE[kind](running, due)
             elif kind is Kind.STUCK:
                 stall = running
-            elif running.happens():  # garbage
+            elif running.happens():  # kind GARBAGE
                 damaged = True
         return Fate(tuple(due), damaged, stall)

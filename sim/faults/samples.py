@@ -1,4 +1,4 @@
-"""Faults of a stream of samples: motion capture, vehicle state, target odometry; and losses of a stream."""
+"""Faults of sample streams (motion capture, vehicle state, target odometry), and losses of a stream."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from sim.scenarios.fault_spec import Kind
 
 S = TypeVar("S")
 
-HELD_MAX = 8192  # samples; 5 s at 500 Hz are 2500
-ESTIMATE_PERIOD_NS = NS // 100  # period of a Crazyflie's log stream with its estimate
+HELD_MAX = 8192  # maximum delayed samples; 5 s at 500 Hz are 2500
+ESTIMATE_PERIOD_NS = NS // 100  # period of a Crazyflie's log stream of the state estimate
 
-Lost = Callable[[int], bool]  # whether a sample at this time (ns) is lost
+Lost = Callable[[int], bool]  # function that returns whether a sample at this time (ns) is lost
 
 
 def _in_bursts(running: Running) -> Lost:
-    fault, burst, change_ns = running.fault, True, running.start_ns  # starts with a good time
+    fault, burst, change_ns = running.fault, True, running.start_ns  # it starts without loss
 
     def lost(now_ns: int) -> bool:
         nonlocal burst, change_ns
@@ -43,7 +43,7 @@ def _all_but_each_nth(running: Running) -> Lost:
     return lambda _: next(count) % n != 0
 
 
-# time stamps of samples and of messages
+# For each kind of loss: function that creates the ``Lost`` of a fault, for samples and for messages.
 LOST: Mapping[Kind, Callable[[Running], Lost]] = {
     Kind.OFF: lambda _: lambda _: True,
     Kind.LOSS: lambda running: lambda _: running.happens(),
@@ -54,13 +54,13 @@ LOST: Mapping[Kind, Callable[[Running], Lost]] = {
 
 
 class Shape(NamedTuple, Generic[S]):
-    """Effect of faults on a kind of sample."""
+    """Operations on one kind of sample that faults use."""
 
-    move: Callable[[S, Vec3, float], S]  # by an offset (ENU, m) and a turn (rad)
-    freeze: Callable[[S, S], S]  # the first sample, with the time stamp of the second
+    move: Callable[[S, Vec3, float], S]  # moves a sample by offset (ENU, m) and yaw (rad)
+    freeze: Callable[[S, S], S]  # returns the first sample with the time stamp of the second
 
 
-Change = Callable[[Any, int], Any]  # (sample, time in ns) to the changed sample
+Change = Callable[[Any, int], Any]  # function from sample and time (ns) to the changed sample
 
 
 def _stuck(running: Running, shape: Shape[Any]) -> Change:
@@ -112,7 +112,7 @@ CHANGES: Mapping[Kind, Callable[[Running, Shape[Any]], Change]] = {
 
 
 class _One(NamedTuple):
-    """One running fault of a stream."""
+    """A running fault of a stream and its effects."""
 
     running: Running
     lost: Lost
@@ -121,7 +121,7 @@ class _One(NamedTuple):
 
 
 class SampleFaults(Generic[S]):
-    """Applies the faults of one stream one after the other, in the order of their start."""
+    """Applies the faults of one stream in the order of their start."""
 
     def __init__(self, shape: Shape[S]) -> None:
         self._shape = shape
@@ -135,7 +135,7 @@ class SampleFaults(Generic[S]):
 
     @property
     def active(self) -> bool:
-        """Whether samples have to pass ``deliver``."""
+        """Whether samples need a call of ``deliver``."""
         return bool(self._running or self._held)
 
     def begin(self, running: Running) -> None:
@@ -153,7 +153,10 @@ class SampleFaults(Generic[S]):
             self.release_ns = self._held[0][0] if self._held else NEVER_NS
 
     def deliver(self, now_ns: int, samples: list[S]) -> list[S]:
-        """Samples that arrive now, in order; without faults these are ``samples`` (may be empty)."""
+        """Return the samples that arrive now, in order; possibly none.
+
+        Without faults these are ``samples``.
+        """
         for sample in samples:
             kept = self._through(sample, now_ns)
             if kept is not None and len(self._held) < HELD_MAX:
@@ -175,7 +178,7 @@ class SampleFaults(Generic[S]):
 
 
 def turned(q: Quat, yaw_rad: float) -> Quat:
-    """Attitude turned about the vertical."""
+    """Return an attitude turned about the vertical."""
     c, s = math.cos(0.5 * yaw_rad), math.sin(0.5 * yaw_rad)
     w, x, y, z = q
     return (c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w)
@@ -191,10 +194,10 @@ ESTIMATE: Shape[Estimate] = Shape(_move_estimate, lambda first, _: first)
 
 
 class EstimateFaults:
-    """Faults of the estimate on its way from the firmware to its autopilot.
+    """Faults of the state estimate between firmware and autopilot.
 
-    On a Crazyflie that is a log stream over the radio: the firmware uses the correct estimate, autopilot and
-    companion get the faulty one. ``due_ns``: time of the next call of ``sample``.
+    On a Crazyflie the radio carries a log stream of the estimate: the firmware uses the correct estimate,
+    autopilot and companion receive the faulty one. ``due_ns``: time of the next call of ``sample``.
     """
 
     def __init__(self) -> None:
@@ -218,7 +221,7 @@ class EstimateFaults:
             self._reset()
 
     def sample(self, now_ns: int, estimate: Estimate) -> None:
-        """Send an estimate."""
+        """Send an estimate through the faults."""
         self.due_ns += ESTIMATE_PERIOD_NS
         if self._arrived is None:
             self._arrived, self._arrived_ns = estimate, now_ns
@@ -226,7 +229,7 @@ class EstimateFaults:
             self._arrived, self._arrived_ns = arrived, now_ns
 
     def report(self, now_ns: int, estimate: Estimate) -> Estimate:
-        """Estimate as the autopilot receives it; invalid after ``INNOVATION_AGE_MAX_S``."""
+        """Return the estimate that the autopilot receives; it is invalid after ``INNOVATION_AGE_MAX_S``."""
         arrived = self._arrived
         if arrived is None:
             return estimate

@@ -1,4 +1,4 @@
-"""Schedule of faults, for the vehicle and for the robot."""
+"""Schedule of faults, used by the vehicle and by the robot."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from sim.chance import Chance, stream
 from sim.plant.sensors import NEVER_NS, NS
 from sim.scenarios.fault_spec import After, Fault
 
-RUNNING_MAX = 64  # active faults; further commands are rejected
+RUNNING_MAX = 64  # maximum active faults; further commands are rejected
 
 
 @dataclass(slots=True, eq=False)
 class Running:
-    """A fault in progress, with its random stream."""
+    """A scheduled or active fault, with its random stream."""
 
     fault: Fault
     rng: Chance
@@ -26,11 +26,11 @@ class Running:
     over: bool = False
 
     def happens(self) -> bool:
-        """Draw whether the fault has an effect, with the probability ``value``."""
+        """Draw whether the fault has an effect this time, with the fault's probability ``value``."""
         return bool(self.rng.random() < self.fault.amount)
 
     def paused(self, now_ns: int) -> bool:
-        """Whether an intermittent fault pauses; it starts with a pause."""
+        """Return whether an intermittent fault pauses; it starts with a pause."""
         since_s = (now_ns - self.start_ns) / NS
         return since_s % self.fault.period < self.fault.amount
 
@@ -43,7 +43,7 @@ class Change(NamedTuple):
 
 
 class FaultText(NamedTuple):
-    """Text on the start or end of a fault."""
+    """Message about the start or end of a fault."""
 
     begins: bool
     text: str
@@ -58,14 +58,14 @@ class Schedule:
 
     seed: int
     next_ns: int = NEVER_NS  # time of the next start or end
-    _waiting: list[Running] = field(default_factory=list)  # faults whose reference has not happened
+    _waiting: list[Running] = field(default_factory=list)  # faults whose reference event has not occurred
     _due: list[tuple[int, int, bool, Running]] = field(default_factory=list)
     _active: list[Running] = field(default_factory=list)
-    _added: int = 0  # number in the names of the random streams
-    _planned: int = 0  # order of events that are due at the same time
+    _added: int = 0  # number of added faults, for the names of the random streams
+    _planned: int = 0  # sequence number that orders events at equal times
 
     def add(self, faults: Iterable[Fault], now_ns: int = 0) -> None:
-        """Add faults; those after ``time`` count from zero, others wait for ``refer``."""
+        """Add faults. Those relative to ``time`` start at zero; others wait for their event (``refer``)."""
         for fault in faults:
             rng = stream(self.seed, f"fault.{self._added}.{fault.what.value}.{fault.kind.value}")
             self._added += 1
@@ -81,22 +81,22 @@ class Schedule:
         return tuple(self._active)
 
     def waits_for(self, after: After) -> bool:
-        """Whether a fault waits for this event."""
+        """Return whether a fault waits for this event."""
         return any(running.fault.after is after for running in self._waiting)
 
     def refer(self, after: After, now_ns: int) -> None:
-        """An event occurred: plan the faults that waited for it."""
+        """Schedule the faults that waited for this event, which occurs now."""
         ready = [r for r in self._waiting if r.fault.after is after]
         self._waiting = [r for r in self._waiting if r.fault.after is not after]
         for running in ready:
             self._plan(running, now_ns + round(running.fault.start_s * NS))
 
     def due(self, now_ns: int) -> list[Change]:
-        """Return starts and ends until now, in order of time."""
+        """Return starts and ends up to now, in order of time."""
         changes = []
         while self._due and self._due[0][0] <= now_ns:
             _, _, begins, running = heapq.heappop(self._due)
-            if not running.over:  # healed before
+            if not running.over:  # an injected command has not ended it before
                 changes.append(self._begin(running) if begins else self._end(running))
         self.next_ns = self._due[0][0] if self._due else NEVER_NS
         return changes

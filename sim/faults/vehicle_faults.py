@@ -1,6 +1,6 @@
-"""All faults of one vehicle: by schedule and by MAV_CMD_INJECT_FAILURE, with texts.
+"""All faults of one vehicle, scheduled or from MAV_CMD_INJECT_FAILURE, and their messages.
 
-This code runs only while a fault starts, ends or is active; the compiled loop has only two numbers a motor.
+This code runs only when a fault starts, ends or is active; the compiled loop has only two numbers per motor.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from sim.scenarios.fault_spec import After, Fault, Kind, What
 MOTORS = (1, 2, 3, 4)
 OK: int = dialect.FAILURE_TYPE_OK
 
-Make = Callable[[tuple[int, ...]], list[Fault]]  # from motor numbers
+Make = Callable[[tuple[int, ...]], list[Fault]]  # function from motor numbers to faults
 
-_OFFSET_M = (0.3, 0.0, 0.0)  # error of a wrong position
+_OFFSET_M = (0.3, 0.0, 0.0)  # position error of a "wrong" measurement
 
 
 def _motors(kind: Kind) -> Make:
@@ -51,7 +51,7 @@ _TYPES: dict[int, Kind] = {
     _D.FAILURE_TYPE_INTERMITTENT: Kind.INTERMITTENT,
 }
 _POSITION: dict[int, Make] = {type_: _mocap(kind) for type_, kind in _TYPES.items()}
-# unit and type (except OK) to faults, with the defaults of the table
+# failure unit and type (except OK) to faults, with the defaults of the fault table
 FAILURES: dict[int, dict[int, Make]] = {
     _D.FAILURE_UNIT_SENSOR_GPS: _POSITION,
     _D.FAILURE_UNIT_SENSOR_VIO: _POSITION,
@@ -69,7 +69,7 @@ FAILURES: dict[int, dict[int, Make]] = {
         for type_, kind in _TYPES.items()
     },
 }
-# faults that FAILURE_TYPE_OK heals
+# kinds of faults that FAILURE_TYPE_OK ends, for each unit
 PARTS: dict[int, frozenset[What]] = {
     unit: frozenset(fault.what for make in kinds.values() for fault in make(MOTORS))
     for unit, kinds in FAILURES.items()
@@ -86,7 +86,7 @@ TYPES = _names("FAILURE_TYPE_")
 
 
 def motors_of(unit: int, instance: int) -> tuple[int, ...] | str:
-    """Numbers of the motors (none for other units), or why there is no such instance."""
+    """Return the numbers of the motors (none for other units), or an error text for an invalid instance."""
     if unit != dialect.FAILURE_UNIT_SYSTEM_MOTOR:
         if instance in (0, 1):
             return ()
@@ -97,7 +97,7 @@ def motors_of(unit: int, instance: int) -> tuple[int, ...] | str:
 
 
 def faults_of(unit: int, kind: int, instance: int) -> list[Fault] | str:
-    """Faults of FAILURE_UNIT, FAILURE_TYPE and instance (0: all), none for OK; or why it is not simulated."""
+    """Return the faults of FAILURE_UNIT, FAILURE_TYPE, instance (0: all); none for OK; or an error text."""
     if unit not in FAILURES:
         names = ", ".join(UNITS[u] for u in FAILURES)
         return f"failure unit {UNITS.get(unit, unit)} is not simulated; these are: {names}"
@@ -111,13 +111,13 @@ def faults_of(unit: int, kind: int, instance: int) -> list[Fault] | str:
     return kinds[kind](motors)
 
 
-TEXTS_MAX = 256  # texts kept until ``take_texts``; the oldest are dropped
+TEXTS_MAX = 256  # maximum stored messages until ``take_texts``; the oldest are dropped
 
 MocapSample = tuple[float, ...]  # x, y, z (ENU, m), yaw (rad)
 
 
 class Effect(Protocol):
-    """Applies the faults of one part."""
+    """Applies the faults of one component."""
 
     def begin(self, running: Running) -> None: ...
 
@@ -133,7 +133,7 @@ MOCAP: Shape[MocapSample] = Shape(_move_mocap, lambda first, _: first)
 
 
 class Faults:
-    """Schedule and effects; faults of the robot are ignored."""
+    """Schedule and effects of one vehicle's faults; faults of the robot are ignored."""
 
     def __init__(
         self, faults: Iterable[Fault], seed: int, motors: MotorFaults, battery: BatteryFaults
@@ -141,10 +141,10 @@ class Faults:
         self._schedule = Schedule(seed)
         ours = [fault for fault in faults if not fault.of_the_robot]
         self._schedule.add(ours)
-        self.quiet = not ours  # there was no fault and none is planned
-        self.mocap = SampleFaults(MOCAP)  # motion capture on its way to the estimator
-        self.own_state = EstimateFaults()  # the estimate on its way to the autopilot
-        self.link = LinkFaults()  # for the owner of the MAVLink wire
+        self.quiet = not ours  # there was no fault and none is scheduled
+        self.mocap = SampleFaults(MOCAP)  # faults of motion capture before the estimator
+        self.own_state = EstimateFaults()  # faults of the estimate before the autopilot
+        self.link = LinkFaults()  # used by the owner of the MAVLink connection
         self._effects: dict[What, Effect] = {
             What.MOTOR: motors,
             What.BATTERY: battery,
@@ -156,16 +156,16 @@ class Faults:
 
     @property
     def next_ns(self) -> int:
-        """Time of the next start, end, delayed or due sample."""
+        """Time of the next start or end of a fault, or of the next due or delayed sample."""
         return min(self._schedule.next_ns, self.mocap.release_ns, self.own_state.due_ns)
 
     @property
     def waits_for_takeoff(self) -> bool:
-        """Whether ``took_off`` has to be called at the take-off."""
+        """Whether ``took_off`` must be called at the take-off."""
         return self._schedule.waits_for(After.TAKEOFF)
 
     def took_off(self, now_ns: int) -> None:
-        """The vehicle flies for the first time."""
+        """Start faults that are relative to the first take-off."""
         self._schedule.refer(After.TAKEOFF, now_ns)
 
     def run(self, now_ns: int) -> None:
@@ -174,7 +174,7 @@ class Faults:
             self._apply(change, now_ns)
 
     def inject(self, unit: int, kind: int, instance: int, now_ns: int) -> str | None:
-        """MAV_CMD_INJECT_FAILURE; returns the reason of a rejection. OK also heals scheduled faults."""
+        """Apply MAV_CMD_INJECT_FAILURE; return the reason of a rejection. OK also ends scheduled faults."""
         found = faults_of(unit, kind, instance)
         if isinstance(found, str):
             return found
@@ -182,20 +182,20 @@ class Faults:
             self._heal(unit, instance, now_ns)
             return None
         active = {running.fault for running in self._schedule.active}
-        fresh = [fault for fault in found if fault not in active]  # a repeated command
+        fresh = [fault for fault in found if fault not in active]  # without repeated commands
         if len(active) + len(fresh) > RUNNING_MAX:
             return f"{len(active)} faults are on, at most {RUNNING_MAX} are possible; heal some"
         self.fail(fresh, now_ns)
         return None
 
     def fail(self, faults: Iterable[Fault], now_ns: int) -> None:
-        """Start faults now, those with a time after ``time`` at least."""
+        """Start faults now; a fault with a time relative to ``time`` starts not before that time."""
         self.quiet = False
         self._schedule.add(faults, now_ns)
         self.run(now_ns)
 
     def take_texts(self) -> list[FaultText]:
-        """Texts on starts and ends since the last call."""
+        """Return the messages about starts and ends since the last call."""
         if not self._texts:
             return []
         texts = list(self._texts)

@@ -1,1 +1,1 @@
-"""The vehicle's physics: parameters, battery, rotors, wind, ground effect, sensors."""
+"""Physics models of the vehicle: parameters, battery, rotors, wind, ground effect, sensors."""

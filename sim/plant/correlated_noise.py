@@ -14,28 +14,28 @@ from sim.plant.sensors import Tape, TapeRecord, take
 
 
 class NoiseRecord(Record):
-    """Values on three axes, in the unit of their standard deviation."""
+    """State of the noise on three axes; values in units of their standard deviation."""
 
     now: Vector
-    decay: Vector  # in one step
-    kick: Vector  # standard deviation added in a step
+    decay: Vector  # factor on the value in one step
+    kick: Vector  # standard deviation of the noise that one step adds
     on: bool
     tape: TapeRecord
 
 
 @jitted
 def vary(n: NoiseRecord) -> None:
-    """Advance by one step; takes three numbers from the tape."""
+    """Advance the noise by one step; takes three numbers from the tape."""
     if n.on:
         for i in range(3):
             n.now[i] = n.decay[i] * n.now[i] + n.kick[i] * take(n.tape)
 
 
 class CorrelatedNoise:
-    """Noise of one random stream.
+    """Correlated noise from one random stream.
 
-    ``rms``: standard deviation of each axis, off where all are zero; ``time_s``: correlation times;
-    ``purpose``: name of the stream; ``step_s``: time between calls of ``vary``; ``record``: its memory.
+    ``rms``: standard deviation of each axis, all zero for no noise; ``time_s``: correlation times;
+    ``purpose``: name of the stream; ``step_s``: time between calls of ``vary``; ``record``: memory.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class CorrelatedNoise:
         for i, (axis, time) in enumerate(zip(rms, time_s, strict=True)):
             decay = math.exp(-step_s / time)  # exact discretisation
             r.decay[i], r.kick[i] = decay, axis * math.sqrt(1.0 - decay**2)
-            r.now[i] = axis * take(r.tape)  # stationary from the start
+            r.now[i] = axis * take(r.tape)  # the process is stationary from the start
 
     def top_up(self) -> None:
         """Draw numbers for at least 340 steps."""

@@ -1,18 +1,18 @@
-"""Downwash: the jet of one vehicle at the place of another, and its forces there.
+"""Downwash: the velocity of one vehicle's rotor jet at another vehicle, and the resulting forces.
 
-The wakes of four rotors merge into one turbulent jet along the thrust. Its mean velocity is that of
-Bauersfeld, Muller, Ziegler, Coletti and Scaramuzza, "Robotics meets Fluid Dynamics: A Characterization of the
-Induced Airflow below a Quadrotor as a Turbulent Jet" (arXiv 2403.13321), fitted to quadrotors of six sizes:
+The wakes of the four rotors merge into one turbulent jet along the thrust. The model of its mean velocity is
+from Bauersfeld, Muller, Ziegler, Coletti and Scaramuzza, "Robotics meets Fluid Dynamics: A Characterization
+of the Induced Airflow below a Quadrotor as a Turbulent Jet" (arXiv 2403.13321), fitted to six sizes:
 
     U(s, r) = U_c (1 + (sqrt(2) - 1) (r / b)^2)^-2     U_c = U_H DECAY / (s/l - ORIGIN)
     U_H = sqrt(T / (2 rho 4 pi R^2))                   b = SPREAD (s/l - ORIGIN) l
 
-with the distance s along the jet, r from its axis, the thrust T, the rotors' radius R and the distance l of
-two motors across the vehicle. The published jet starts 2.5 l below the rotors; nearer, the value there is
-used.
+s is the distance along the jet, r the distance from its axis, T the thrust, R the rotors' radius and l the
+distance between two opposite motors. The published model starts 2.5 l below the rotors; closer to the rotors,
+the value at 2.5 l applies.
 
-A vehicle in it loses thrust by the plant's drag along body z, a quarter at each rotor; the rotors' drag acts
-sideways; and the body has the drag of a plate of its board's size (C_D = 1.18, as in Jain, Fortmuller, Byun,
+A vehicle in a jet loses thrust according to its drag along body z, a quarter at each rotor. The rotor drag
+acts sideways. The body has the drag of a plate of its board's size (C_D = 1.18, as in Jain, Fortmuller, Byun,
 Makiharju and Mueller, ICUAS 2019). docs/how_it_works/vehicle.md has the numbers.
 """
 
@@ -26,13 +26,13 @@ from sim.plant.params import Body, Geometry, Rotor
 from sim.plant.rotation import Nine
 from sim.plant.rotors import POSITION_X, POSITION_Y
 
-AIR_KG_M3 = 1.204  # 20 degrees C at sea level
-DECAY = 10.11  # decay of the velocity on the axis; this, ORIGIN and SPREAD: Bauersfeld et al.
-ORIGIN = -5.817  # virtual origin of the jet in lengths l below the rotors; negative: above
-SPREAD = 0.07668  # half width per distance from there
-NEAR = 2.5  # lengths l from which the four wakes are one jet
-EDGE = 4.0  # half widths of the jet; it fades out over the last one
-PLATE_DRAG = 1.18  # C_D of a flat plate across the flow
+AIR_KG_M3 = 1.204  # air density at 20 degrees C and sea level
+DECAY = 10.11  # decay of the velocity on the axis; DECAY, ORIGIN and SPREAD are from Bauersfeld et al.
+ORIGIN = -5.817  # virtual origin of the jet, in lengths l below the rotors; a negative value is above them
+SPREAD = 0.07668  # half width of the jet per distance from its virtual origin
+NEAR = 2.5  # distance from the rotors, in lengths l, at which the four wakes have merged
+EDGE = 4.0  # outer radius of the jet, in half widths; the velocity fades to zero over the last one
+PLATE_DRAG = 1.18  # drag coefficient of a flat plate across the flow
 _NARROWS = math.sqrt(2.0) - 1.0
 
 # columns of a jet: origin (m) and direction in the world (ENU), induced velocity in hover (m/s), size (m)
@@ -40,27 +40,27 @@ JET = 8
 
 
 class DownwashRecord(Record):
-    """Air from the jets of other vehicles at this one; ``air`` and ``along`` are valid only while ``on``."""
+    """Air velocity at a vehicle from others' jets; ``air`` and ``along`` are valid while ``on``."""
 
     on: bool
-    air: Vector  # velocity at the centre of mass, world ENU, m/s
-    along: Motors  # velocity along body z at the rotors, m/s
-    loss: float  # loss of each rotor's thrust per velocity, N s/m
-    across: float  # the rotors' drag across body z, N s/m
-    moment: float  # about the centre of mass, of that drag, N m per m/s
-    plate: float  # force per velocity squared, N s^2/m^2
-    arm: float  # m
-    above: float  # rotor plane above the centre of mass, m
-    inertia: float  # 2 rho A of all rotors: thrust is this times the square of the induced velocity, kg/m
-    span: float  # distance of two motors across the vehicle, m
+    air: Vector  # air velocity at the centre of mass, world ENU, m/s
+    along: Motors  # air velocity along body z at the rotors, m/s
+    loss: float  # thrust loss of each rotor per air velocity, N s/m
+    across: float  # rotor drag across body z, N s/m
+    moment: float  # moment of that drag about the centre of mass, N m per m/s
+    plate: float  # drag of the body per squared velocity, N s^2/m^2
+    arm: float  # distance of the rotor axes from the centre along body x and y, m
+    above: float  # height of the rotor plane above the centre of mass, m
+    inertia: float  # 2 rho A of all rotors, kg/m; thrust = inertia * (induced velocity)^2
+    span: float  # distance between two opposite motors, m
 
 
 @jitted
 def jet_speed(along_m: float, beside_m: float, hover_m_s: float, size_m: float) -> float:
-    """Velocity in a jet, m/s.
+    """Return the air velocity in a jet, m/s.
 
     ``along_m``: distance from the rotors along the jet; ``beside_m``: distance from its axis; ``hover_m_s``:
-    induced velocity U_H; ``size_m``: distance l of two motors across the vehicle.
+    induced velocity U_H; ``size_m``: distance l between two opposite motors.
     """
     lengths = along_m / size_m
     if lengths <= 0.0:
@@ -71,13 +71,13 @@ def jet_speed(along_m: float, beside_m: float, hover_m_s: float, size_m: float) 
         return 0.0
     fade = min(1.0, EDGE - ratio)
     profile = 1.0 / (1.0 + _NARROWS * ratio * ratio)
-    begins = min(1.0, lengths)  # continuous at the plane of the rotors
+    begins = min(1.0, lengths)  # keeps the velocity continuous at the rotor plane
     return hover_m_s * DECAY / grown * profile * profile * fade * fade * (3.0 - 2.0 * fade) * begins
 
 
 @jitted
 def add_jet(jets: F64, number: int, x: float, y: float, z: float, air: F64) -> None:
-    """Add the velocity of jet ``number`` at a place (ENU, m) to ``air`` (3,), m/s."""
+    """Add the velocity of jet ``number`` at a position (ENU, m) to ``air`` (3,), m/s."""
     jet = jets[number]
     x, y, z = x - jet[0], y - jet[1], z - jet[2]
     along = x * jet[3] + y * jet[4] + z * jet[5]
@@ -90,7 +90,7 @@ def add_jet(jets: F64, number: int, x: float, y: float, z: float, air: F64) -> N
 
 @jitted
 def set_jet(d: DownwashRecord, thrust_n: float, position: F64, axes: Nine, jet: F64) -> None:
-    """The jet (JET,) of a vehicle by its total thrust, centre of mass (ENU, m) and body axes."""
+    """Set the jet (JET,) of a vehicle from its total thrust, centre of mass (ENU, m) and body axes."""
     for i in range(3):
         jet[i] = position[i] + d.above * axes[6 + i]
         jet[3 + i] = -axes[6 + i]
@@ -100,7 +100,7 @@ def set_jet(d: DownwashRecord, thrust_n: float, position: F64, axes: Nine, jet: 
 
 @jitted
 def reaches(jets: F64, number: int, x: float, y: float, z: float, radius_m: float) -> bool:
-    """Whether a jet reaches any point within a radius around a place; arguments as in ``add_jet``."""
+    """Return whether a jet reaches any point within a radius around a position; inputs as in ``add_jet``."""
     jet = jets[number]
     x, y, z = x - jet[0], y - jet[1], z - jet[2]
     along = x * jet[3] + y * jet[4] + z * jet[5] + radius_m
@@ -113,7 +113,7 @@ def reaches(jets: F64, number: int, x: float, y: float, z: float, radius_m: floa
 
 @jitted
 def feel(d: DownwashRecord, jets: F64, own: int, position: F64, axes: Nine) -> None:
-    """Velocity of the air at vehicle ``own`` by the jets of all others, which add up.
+    """Sum the air velocities at vehicle ``own`` from the jets of all other vehicles.
 
     ``jets``: (N, JET); ``position``: (3,) its centre of mass, ENU, m; ``axes``: its body axes in the world.
     """
@@ -145,7 +145,7 @@ def feel(d: DownwashRecord, jets: F64, own: int, position: F64, axes: Nine) -> N
 
 @jitted
 def press(d: DownwashRecord, axes: Nine, force: F64, torque: F64) -> None:
-    """Add the effect of the air of ``feel``: ``force`` (3,) world frame, N; ``torque`` (3,) body, N m."""
+    """Add the effect of this air velocity to ``force`` (3,), world, N, and ``torque`` (3,), body, N m."""
     zx, zy, zz = axes[6], axes[7], axes[8]
     u, a = d.air, d.along
     along = u[0] * zx + u[1] * zy + u[2] * zz
@@ -161,7 +161,7 @@ def press(d: DownwashRecord, axes: Nine, force: F64, torque: F64) -> None:
 
 
 def set_up_downwash(d: DownwashRecord, body: Body, rotor: Rotor, geometry: Geometry) -> DownwashRecord:
-    """Set up the record of one vehicle, without jets."""
+    """Initialise the record of one vehicle, without jets."""
     half_x, half_y, _ = geometry.body_half_size_m
     d.on = False
     d.loss, d.across = 0.25 * body.drag_n_s_m[2], body.drag_n_s_m[0]

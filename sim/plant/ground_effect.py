@@ -1,8 +1,8 @@
 """Thrust gain close to a surface: Cheeseman and Bennett 1955, T/T0 = 1 / (1 - (R/4h)^2), per rotor.
 
-``gain`` multiplies the increase: measurements on small quadrotors lie 1 to 4 times above the formula
-(Sanchez-Cuevas 2017). Heights below 20 mm count as 20 mm; the effect fades out between 3 R and 4 R. A rotor
-over the edge of the pad gets the share of its disc that is over the pad, linear across its diameter.
+``gain`` multiplies the increase: measured increases of small quadrotors are 1 to 4 times the formula's
+(Sanchez-Cuevas 2017). Heights below 20 mm are treated as 20 mm. The effect fades out between 3 R and 4 R.
+Over the pad's edge, the share of a rotor's disc that is over the pad is linear across the diameter.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from sim.plant.rotation import Nine
 from sim.plant.rotors import POSITION_X, POSITION_Y
 
 HEIGHT_MIN_M = 0.020
-UPRIGHT_COS = 0.5  # no ground effect above 60 degrees of tilt
+UPRIGHT_COS = 0.5  # cosine of 60 degrees; there is no ground effect at a larger tilt
 
 
 class GroundRecord(Record):
-    """Sizes in m."""
+    """Parameters of the ground effect; lengths in m."""
 
     radius: float
     arm: float
-    above: float  # rotor plane above the centre of mass
-    gain: float
+    above: float  # height of the rotor plane above the centre of mass
+    gain: float  # factor on the increase of the thrust
     pad_radius: float
-    reach: float  # greatest height of the centre of mass with an effect, at any tilt
+    reach: float  # largest height of the centre of mass with a ground effect, at any tilt
 
 
 @jitted
@@ -45,10 +45,10 @@ def thrust_increase(g: GroundRecord, height_m: float) -> float:
 def ground_effect(
     g: GroundRecord, ex: float, ey: float, ez: float, pad_height_m: float, axes: Nine, factors: F64
 ) -> None:
-    """Compute the factors on the four thrusts, 1 when nothing is near.
+    """Compute the factors on the four thrusts, 1 without a surface nearby.
 
-    ``ex``, ``ey``, ``ez``: vehicle minus pad centre, ENU, m; ``pad_height_m``: above the floor; ``axes``:
-    body axes in the world.
+    ``ex``, ``ey``, ``ez``: vehicle minus pad centre, ENU, m; ``pad_height_m``: height of the pad above the
+    floor; ``axes``: body axes in the world.
     """
     factors[:] = 1.0
     height = ez + pad_height_m
@@ -71,7 +71,7 @@ def ground_effect(
 
 
 def set_up_ground(g: GroundRecord, rotor: Rotor, gain: float, pad_radius_m: float) -> GroundRecord:
-    """Set up the record of one vehicle and a round pad; ``gain`` multiplies the increase."""
+    """Initialise the record for one vehicle and a round pad; ``gain`` multiplies the increase."""
     g.radius, g.arm, g.above = rotor.radius_m, rotor.arm_m, rotor.above_com_m
     g.gain, g.pad_radius = gain, pad_radius_m
     g.reach = 4.0 * rotor.radius_m + rotor.arm_m + rotor.above_com_m

@@ -1,4 +1,4 @@
-"""Gyro and accelerometer: bias drawn from the seed, white noise, first-order filter, at the control rate.
+"""Gyro and accelerometer: a bias drawn from the seed, white noise, first-order filter, at the control rate.
 
 The filters have the group delay of the firmware's second-order Butterworth filters, sqrt(2) / (2 pi f).
 """
@@ -19,18 +19,18 @@ from sim.plant.sensors import Tape, TapeRecord, take
 
 
 class ImuRecord(Record):
-    """Readings and what they are made of; body FLU, SI."""
+    """Readings of the IMU and its parameters; body FLU, SI units."""
 
-    gyro: Vector  # rad/s
+    gyro: Vector  # angular velocity, rad/s
     accel: Vector  # specific force, m/s^2
-    velocity: Vector  # true, at the last measurement; world
+    velocity: Vector  # true velocity at the last measurement, world, m/s
     gyro_bias: Vector
     accel_bias: Vector
-    gyro_sigma: float  # white noise per measurement
+    gyro_sigma: float  # standard deviation of the white noise per measurement
     accel_sigma: float
     gyro_gain: float  # gain of the filter
     accel_gain: float
-    per_step: float  # 1 / (time between measurements)
+    per_step: float  # measurements per second
     gravity: float
     noise: TapeRecord
 
@@ -39,7 +39,7 @@ class ImuRecord(Record):
 def measure(imu: ImuRecord, velocity: F64, rates: F64, axes: Nine) -> None:
     """Measure the mean acceleration since the last call and the current rates; uses six random numbers.
 
-    ``velocity``: true, world, m/s; ``rates``: true body rates, rad/s; ``axes``: true body axes.
+    ``velocity``: true velocity, world, m/s; ``rates``: true body rates, rad/s; ``axes``: true body axes.
     """
     old, per_step = imu.velocity, imu.per_step
     ax, ay = (velocity[0] - old[0]) * per_step, (velocity[1] - old[1]) * per_step
@@ -55,7 +55,7 @@ def measure(imu: ImuRecord, velocity: F64, rates: F64, axes: Nine) -> None:
 
 
 class Imu:
-    """One IMU; ``step_s``: time between calls of ``measure``; ``record``: its memory."""
+    """One IMU. ``step_s``: time between calls of ``measure``; ``record``: memory of the state."""
 
     def __init__(
         self,
@@ -70,8 +70,8 @@ class Imu:
         rng = stream(seed, "imu.bias")
         r.gyro_bias[:] = imu.gyro_bias_rad_s * rng.standard_normal(3)
         r.accel_bias[:] = imu.accel_bias_m_s2 * rng.standard_normal(3)
-        self.accel_bias: list[float] = r.accel_bias.tolist()  # drawn bias, m/s^2
-        band = math.sqrt(0.5 / step_s)  # white noise of density n has n * sqrt(rate / 2) per sample
+        self.accel_bias: list[float] = r.accel_bias.tolist()  # accelerometer bias drawn from the seed, m/s^2
+        band = math.sqrt(0.5 / step_s)  # white noise of density n has standard deviation n * sqrt(rate / 2)
         r.gyro_sigma = imu.gyro_noise_rad_s_sqrthz * band
         r.accel_sigma = imu.accel_noise_m_s2_sqrthz * band
         r.gyro_gain = -math.expm1(-step_s * math.sqrt(2.0) * math.pi * imu.gyro_filter_hz)
@@ -82,7 +82,7 @@ class Imu:
         self._tape = Tape(seed, "imu.noise", r.noise)
 
     def settle(self, velocity: Vec3, specific_force: Vec3) -> None:
-        """Set the filters to their steady state for this specific force (body frame)."""
+        """Set the filters to their steady state for this specific force (body frame, m/s^2)."""
         r = self.record
         r.velocity[:] = velocity
         r.accel[:] = np.array(specific_force) + r.accel_bias
@@ -98,12 +98,12 @@ class Imu:
 
     @property
     def gyro(self) -> Vec3:
-        """Rates read, rad/s, body FLU."""
+        """Measured angular velocity, rad/s, body FLU."""
         x, y, z = self._gyro.tolist()
         return (x, y, z)
 
     @property
     def accel(self) -> Vec3:
-        """Specific force read, m/s^2, body FLU."""
+        """Measured specific force, m/s^2, body FLU."""
         x, y, z = self._accel.tolist()
         return (x, y, z)

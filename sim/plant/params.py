@@ -1,4 +1,4 @@
-"""Parameters of a simulated vehicle, from its TOML file, and their random spread by the seed."""
+"""Parameters of a simulated vehicle, read from its TOML file, and their random spread."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from sim.scenarios.scenario import VEHICLE_FILES, VehicleSpec
 
 Four = tuple[float, float, float, float]
 
-STEP_S = 0.001  # physics step
-CONTROL_STEP_S = 0.002  # firmware stabilizer_types.h: ATTITUDE_RATE 500 Hz
+STEP_S = 0.001  # time step of the physics
+CONTROL_STEP_S = 0.002  # period of the control loops; firmware stabilizer_types.h: ATTITUDE_RATE 500 Hz
 
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """Rigid body.
+    """Rigid body of the vehicle.
 
-    Its drag acts ``drag_above_com_m`` above the centre of mass, along body z. ``rate_damping_n_m_s`` is a
+    The drag acts ``drag_above_com_m`` above the centre of mass, along body z. ``rate_damping_n_m_s`` is a
     torque against roll and pitch rates: a rotor that moves down has more thrust.
     """
 
@@ -36,9 +36,9 @@ class Body:
 class Rotor:
     """One motor with its propeller.
 
-    ``volt_map``: the map of its motors in the firmware, share of full counts = sum of volt_map[k] V^k at the
-    mean voltage V of a motor. It commands V as a share of the battery voltage, so that a low battery
-    saturates. None: the map is exact, counts are linear in thrust, and the battery only limits the speed.
+    ``volt_map``: the firmware's map from mean motor voltage V to the share of full counts, which is the sum
+    of volt_map[k] V^k. The firmware commands V as a share of the battery voltage, so a low battery saturates.
+    None: the map is exact, counts are linear in thrust, and the battery limits only the speed.
     """
 
     arm_m: float
@@ -57,11 +57,11 @@ class Rotor:
     volt_map: Four | None = None
 
     def thrust_n(self, rpm: float) -> float:
-        """Static thrust of one rotor."""
+        """Return the static thrust of one rotor, N."""
         return max(0.0, (self.thrust_linear_n_rpm + self.thrust_square_n_rpm2 * rpm) * rpm)
 
     def rpm(self, thrust_n: float) -> float:
-        """Rotor speed that gives this static thrust (inverse of ``thrust_n``); 0 for no thrust."""
+        """Return the rotor speed, rpm, for a static thrust (inverse of ``thrust_n``); 0 for no thrust."""
         if thrust_n <= 0.0:
             return 0.0
         a, b = self.thrust_square_n_rpm2, self.thrust_linear_n_rpm
@@ -70,7 +70,7 @@ class Rotor:
 
 @dataclass(frozen=True, slots=True)
 class Battery:
-    """LiPo cell: straight discharge curve and a resistance."""
+    """LiPo cell with a linear discharge curve and an internal resistance."""
 
     charge_a_s: float
     full_v: float
@@ -82,26 +82,26 @@ class Battery:
     speed_per_volt_rpm: float
 
     def speed_rpm(self, motor_v: float) -> float:
-        """Speed that a rotor settles at with this mean voltage at its motor."""
+        """Return the steady rotor speed, rpm, for a mean voltage at the motor."""
         return self.speed_at_zero_v_rpm + self.speed_per_volt_rpm * motor_v
 
     def motor_v(self, speed_rpm: float) -> float:
-        """Mean voltage at the motor that holds a speed (inverse of ``speed_rpm``)."""
+        """Return the mean voltage at the motor for a steady speed (inverse of ``speed_rpm``)."""
         return (speed_rpm - self.speed_at_zero_v_rpm) / self.speed_per_volt_rpm
 
     @property
     def hover_sag_v(self) -> float:
-        """By how much the load of the hover lowers the voltage."""
+        """Voltage drop under the load of hover, V."""
         return self.resistance_ohm * (self.idle_current_a + self.hover_current_a)
 
     def hover_duty(self, speed_rpm: float, voltage_v: float) -> float:
-        """Share of full duty at a speed near hover, with the voltage under the load of hover."""
+        """Return the duty cycle at a speed near hover, given the voltage under the load of hover."""
         return (self.motor_v(speed_rpm) + self.hover_sag_v) / (voltage_v + self.hover_sag_v)
 
 
 @dataclass(frozen=True, slots=True)
 class Geometry:
-    """Contact shapes of the vehicle, body frame."""
+    """Contact shapes of the vehicle, in the body frame."""
 
     foot_offset_m: float
     foot_radius_m: float
@@ -113,7 +113,7 @@ class Geometry:
 
 @dataclass(frozen=True, slots=True)
 class Robot:
-    """Shapes of the ground robot."""
+    """Contact shapes of the ground robot."""
 
     body_length_m: float
     body_width_m: float
@@ -135,7 +135,7 @@ class Contact:
 
 @dataclass(frozen=True, slots=True)
 class Imu:
-    """Noise densities (one-sided), biases (standard deviation over vehicles) and filters."""
+    """Noise densities (one-sided), biases (standard deviation over vehicles) and filters of the IMU."""
 
     gyro_noise_rad_s_sqrthz: float
     gyro_bias_rad_s: float
@@ -147,7 +147,7 @@ class Imu:
 
 @dataclass(frozen=True, slots=True)
 class WindShape:
-    """Correlation times of gusts and the vertical share."""
+    """Correlation times of gusts, and ratio of vertical to horizontal gusts."""
 
     horizontal_time_s: float
     vertical_time_s: float
@@ -156,7 +156,7 @@ class WindShape:
 
 @dataclass(frozen=True, slots=True)
 class TorqueNoiseShape:
-    """Standard deviations and correlation times of the torque noise about body x, y, z; none by default."""
+    """Standard deviations and correlation times of the torque noise about body x, y, z; zero by default."""
 
     rms_n_m: Vec3 = (0.0, 0.0, 0.0)
     time_s: Vec3 = (1.0, 1.0, 1.0)
@@ -164,25 +164,25 @@ class TorqueNoiseShape:
 
 @dataclass(frozen=True, slots=True)
 class VelocityGains:
-    """Gains of the PID loop from velocity to degrees of tilt, and to thousands of thrust counts.
+    """Gains of the PID loop from velocity to tilt (degrees) and to thrust (thousands of counts).
 
     Defaults: Crazyflie firmware, platform_defaults_cf2.h, PID_VEL_X and PID_VEL_Z. The other numbers model an
-    autopilot that filters its attitude commands: a later horizontal response, with another steady velocity.
+    autopilot that filters attitude commands: a later horizontal response and another steady velocity.
     """
 
     xy_p: float = 25.0
     xy_i: float = 1.0
     z_p: float = 25.0
     z_i: float = 15.0
-    xy_dead_time_s: Annotated[float, span(0.0, 0.6)] = 0.0  # from set-point to velocity error
-    tilt_time_s: Annotated[float, span(0.0, 1.0)] = 0.0  # low-pass of the commanded tilt
-    # target velocity of the loop, as share of the set-point
+    xy_dead_time_s: Annotated[float, span(0.0, 0.6)] = 0.0  # dead time from set-point to velocity error
+    tilt_time_s: Annotated[float, span(0.0, 1.0)] = 0.0  # time constant of the commanded tilt's low-pass
+    # ratio of the loop's target velocity to the set-point
     xy_response: Annotated[float, span(0.5, 3.0)] = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class Params:
-    """Everything in a vehicle's file."""
+    """All parameters of a vehicle's file."""
 
     body: Body
     rotor: Rotor
@@ -198,17 +198,17 @@ class Params:
 
 @dataclass(frozen=True, slots=True)
 class Plant:
-    """Factors by which this vehicle differs from the nominal one; the firmware uses the nominal values."""
+    """Ratios of this vehicle's parameters to the nominal ones; the firmware uses the nominal values."""
 
     mass: float = 1.0
     motor_lag: float = 1.0
     thrust: float = 1.0
-    motors: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)  # thrust of M1..M4; their mean is 1
-    battery_charge: float = 1.0  # share of a full cell at the start
+    motors: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)  # thrust of M1..M4; the mean is 1
+    battery_charge: float = 1.0  # state of charge at the start, 0 to 1
 
     @classmethod
     def draw(cls, spec: VehicleSpec, seed: int) -> Plant:
-        """Draw from uniform distributions of the scenario's half-widths and ranges."""
+        """Draw the ratios from uniform distributions with the scenario's half-widths and ranges."""
         draws = stream(seed, "plant")
         mass, lag, thrust = draws.uniform(-1.0, 1.0, 3).tolist()
         motors = 1.0 + spec.motor_spread * draws.uniform(-1.0, 1.0, 4)
@@ -223,7 +223,7 @@ class Plant:
 
 
 def able_to_hover(plant: Plant, params: Params, reserve: float) -> Plant:
-    """Raise the charge of a drawn plant until each motor has ``reserve`` times its share of the weight."""
+    """Raise the charge of a drawn plant until each motor can lift its weight share ``reserve`` times."""
     battery, rotor = params.battery, params.rotor
     thrust_n = 0.25 * reserve * params.body.mass_kg * plant.mass * params.contact.gravity_m_s2 / plant.thrust
     most_v = max(battery.motor_v(rotor.rpm(thrust_n / motor)) for motor in plant.motors)

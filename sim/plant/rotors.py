@@ -1,11 +1,11 @@
 """The drive: four rotors with lag, thrust and torques, and the battery that limits their speed.
 
-Body frame FLU. M1 front right turns counter-clockwise, M2 rear right clockwise, M3 rear left
-counter-clockwise, M4 front left clockwise (seen from above; firmware power_distribution_quadrotor.c). A
+Body frame FLU. Seen from above, M1 (front right) turns counter-clockwise, M2 (rear right) clockwise, M3 (rear
+left) counter-clockwise, M4 (front left) clockwise (firmware power_distribution_quadrotor.c). A
 counter-clockwise rotor turns the body clockwise, which is a negative yaw torque.
 
 With MIX_YAW_i = -1 for counter-clockwise rotors, the rotors' angular momentum is h_z = -I_p sum(MIX_YAW_i
-w_i), and the body feels -dh/dt - w x h.
+w_i), and the torque -dh/dt - w x h acts on the body.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from sim.plant.params import Battery, Plant, Rotor
 Four = tuple[float, float, float, float]
 
 RAD_S_PER_RPM = 2.0 * math.pi / 60.0
-POSITION_X = (1, -1, -1, 1)  # sign of a rotor's x, M1..M4
-POSITION_Y = (-1, -1, 1, 1)
+POSITION_X = (1, -1, -1, 1)  # signs of the rotors' x, M1..M4
+POSITION_Y = (-1, -1, 1, 1)  # signs of the rotors' y, M1..M4
 MIX_YAW = (-1, 1, -1, 1)
-ALWAYS_POSITIVE_RPM = 3000.0  # the fitted parabola of the thrust dips below zero under this speed
+ALWAYS_POSITIVE_RPM = 3000.0  # below this speed the fitted thrust parabola can be negative
 
 
 class RotorRecord(Record):
-    """Rotor speeds and the wrench they make."""
+    """Rotor speeds, and the resulting force and torque on the body."""
 
     rpm: Motors
-    share: Motors  # thrust and drag torque of each motor over those of the mean motor
-    thrust_n: float  # sum of the thrusts, along body z
-    torque_x: float  # on the body, N m
+    share: Motors  # ratio of each motor's thrust and drag torque to the mean motor's
+    thrust_n: float  # sum of the thrusts along body z
+    torque_x: float  # torque on the body, N m
     torque_y: float
     torque_z: float
     ground_factors: Motors  # factors of the ground effect on the thrusts
@@ -43,9 +43,9 @@ class RotorRecord(Record):
     q1: float  # drag torque = (q1 + q2 rpm) rpm, N m
     q2: float
     arm: float
-    gyro: float  # angular momentum per rpm
-    reaction: float  # torque per change of speed in a step
-    gain: float  # gain of the first-order lag, exact for a constant command
+    gyro: float  # angular momentum per speed, N m s / rpm
+    reaction: float  # torque per change of speed in one step
+    gain: float  # gain of the first-order lag in one step; exact for a constant command
     slow_rise: float
     slow_fall: float
     slow: bool
@@ -53,7 +53,7 @@ class RotorRecord(Record):
 
 @jitted
 def turn_rotors(r: RotorRecord, command: F64, wx: float, wy: float) -> None:
-    """Advance the speeds towards ``command`` (rpm) by one step and compute the wrench.
+    """Advance the speeds towards ``command`` (rpm) by one step; compute force and torque on the body.
 
     ``wx``, ``wy``: body roll and pitch rate, rad/s. The factors ``r.ground_factors`` must be current.
     """
@@ -90,8 +90,8 @@ def turn_rotors(r: RotorRecord, command: F64, wx: float, wy: float) -> None:
 class Rotors:
     """The rotors of one vehicle.
 
-    ``plant``: factors on thrust (and torque) and lag; ``slow``: the slow, asymmetric lag instead of the
-    first-order one; ``step_s``: time between calls of ``turn_rotors``; ``record``: its memory.
+    ``plant``: ratios of thrust (and torque) and lag; ``slow``: use the slow, asymmetric lag instead of the
+    first-order lag; ``step_s``: time between calls of ``turn_rotors``; ``record``: memory of the state.
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class Rotors:
 
     @property
     def rpm(self) -> Four:
-        """Speeds of M1..M4."""
+        """Speeds of M1..M4, rpm."""
         m1, m2, m3, m4 = self._rpm.tolist()
         return (m1, m2, m3, m4)
 
@@ -124,12 +124,12 @@ class Rotors:
 
 
 class BatteryRecord(Record):
-    """Charge and voltage; the rest as in ``params.Battery``."""
+    """Charge and voltage of the battery, and the parameters of ``params.Battery``."""
 
-    voltage_v: float  # under load
-    sag_v: float  # drop of the voltage by the load
+    voltage_v: float  # voltage under load
+    sag_v: float  # voltage drop under load
     used_a_s: float
-    hover_power: float  # sum of the cubes of the speeds in hover, rpm^3
+    hover_power: float  # sum of the cubed rotor speeds in hover, rpm^3
     charge_a_s: float
     full_v: float
     empty_v: float
@@ -142,7 +142,7 @@ class BatteryRecord(Record):
 
 @jitted
 def drain(b: BatteryRecord, rpm: F64, dt_s: float) -> None:
-    """Draw current for ``dt_s``; power grows with the cube of the speed, scaled to the hover current."""
+    """Discharge for ``dt_s``; the power grows with the cube of the speed, scaled to the hover current."""
     power = 0.0
     for i in range(4):
         power += math.pow(rpm[i], 3.0)
@@ -156,25 +156,25 @@ def drain(b: BatteryRecord, rpm: F64, dt_s: float) -> None:
 
 @jitted
 def speed_at_no_duty(b: BatteryRecord) -> float:
-    """Speed at zero duty, rpm, of the linear map from duty cycle to speed.
+    """Return the rotor speed at zero duty cycle, rpm, of the linear map from duty cycle to speed.
 
-    Motors draw current in pulses, which lower the voltage by sag / duty during a pulse: the mean motor
-    voltage is duty * (voltage at rest) - sag, and the voltage under load (voltage at rest) - sag.
+    Motors draw current in pulses. During a pulse the voltage is lower by sag / duty, so the mean motor
+    voltage is duty * (voltage at rest) - sag. The voltage under load is (voltage at rest) - sag.
     """
     return b.speed_at_zero_v_rpm - b.speed_per_volt_rpm * b.sag_v
 
 
 @jitted
 def speed_limit(b: BatteryRecord) -> float:
-    """Speed at full duty cycle, rpm."""
+    """Return the rotor speed at full duty cycle, rpm."""
     return b.speed_at_zero_v_rpm + b.speed_per_volt_rpm * b.voltage_v
 
 
 class BatteryModel:
-    """One cell.
+    """The battery, a single cell.
 
-    ``hover_rpm``: rotor speed at the hover current; ``record``: its memory; ``charge``: initial share of a
-    full cell.
+    ``hover_rpm``: rotor speed at the hover current; ``record``: memory of the state; ``charge``: state of
+    charge at the start, 0 to 1.
     """
 
     def __init__(
@@ -194,21 +194,21 @@ class BatteryModel:
         b.voltage_v = rest_v - b.sag_v
 
     def load(self, rpm: Sequence[float]) -> float:
-        """Apply the load of these rotor speeds; returns the voltage under load."""
+        """Apply the load of these rotor speeds; return the voltage under load, V."""
         drain(self.record, np.array(rpm), 0.0)
         return self.voltage_v
 
     @property
     def voltage_v(self) -> float:
-        """Voltage under load."""
+        """Voltage under load, V."""
         return float(self._voltage[0])
 
     @property
     def rpm_max(self) -> float:
-        """Speed at full duty cycle."""
+        """Rotor speed at full duty cycle, rpm."""
         return speed_limit(self.record)
 
     @property
     def rpm_no_duty(self) -> float:
-        """As ``speed_at_no_duty``."""
+        """Result of ``speed_at_no_duty``, rpm."""
         return speed_at_no_duty(self.record)

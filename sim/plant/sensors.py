@@ -18,24 +18,24 @@ from sim.scenarios.scenario import OdometryLink
 NS = 1_000_000_000
 NS_PER_MS = 1_000_000
 NEVER_NS = 1 << 62
-NO_NOISE = -0.0  # adding it also keeps the sign of a zero
-BLOCK = 1024  # numbers in one draw: single draws from numpy cost twenty times as much
+NO_NOISE = -0.0  # adding this zero does not change the sign of a zero
+BLOCK = 1024  # numbers per draw; single draws from numpy take twenty times as long per number
 
 
 def ms_from(time_ns: int) -> int:
-    """First whole millisecond that is not earlier."""
+    """Return a time in whole milliseconds, rounded up."""
     return -(-time_ns // NS_PER_MS)
 
 
 class Normals:
-    """Standard normal numbers, drawn in blocks."""
+    """Standard normal numbers that are drawn in blocks."""
 
     def __init__(self, seed: int, purpose: str) -> None:
         self._rng = stream(seed, purpose)
         self._left: list[float] = []
 
     def block(self) -> F64:
-        """Noise for the next samples, one a row, in the order of use: the least number of whole blocks."""
+        """Return noise of the next samples, one row each, in the order of use; as few blocks as possible."""
         drawn: F64 = self._rng.standard_normal(BLOCK)
         return drawn[::-1]
 
@@ -47,9 +47,9 @@ class Normals:
 
 
 class NoiseRows:
-    """Noise for samples of several values, one number of ``Normals`` for each value with noise.
+    """Noise of samples with several values; each value with noise uses one number of ``Normals``.
 
-    ``sigmas``: standard deviation for each value; ``purpose``: name of the random stream.
+    ``sigmas``: standard deviation of each value; ``purpose``: name of the random stream.
     """
 
     def __init__(self, sigmas: Sequence[float], seed: int, purpose: str) -> None:
@@ -59,13 +59,13 @@ class NoiseRows:
         self._left: list[list[float]] = []
 
     def take(self) -> list[float]:
-        """Noise for the values of the next sample."""
+        """Return the noise of the next sample's values."""
         if not self._left:
             self._left = self.block()[::-1].tolist()
         return self._left.pop()
 
     def block(self) -> F64:
-        """Noise for the next samples, one a row, in the order of use: the least number of whole blocks."""
+        """Return noise of the next samples, one row each, in the order of use; as few blocks as possible."""
         width = int(self._noisy.sum())
         if width == 0:
             return np.full((BLOCK, len(self._sigmas)), NO_NOISE)
@@ -77,7 +77,7 @@ class NoiseRows:
 
 
 class TapeRecord(Record):
-    """Normal numbers drawn ahead for compiled code, in the order of use."""
+    """Normal numbers drawn in advance for compiled code, in the order of use."""
 
     numbers: Annotated[F64, 2 * BLOCK]
     next: int
@@ -85,13 +85,13 @@ class TapeRecord(Record):
 
 @jitted
 def take(tape: TapeRecord) -> float:
-    """Return the next number; there must be one (``Tape.top_up``)."""
+    """Return the next number; the tape must not be empty (``Tape.top_up``)."""
     tape.next += 1
     return float(tape.numbers[tape.next - 1])
 
 
 class Tape:
-    """The numbers of ``Normals`` for compiled code, which cannot draw its own."""
+    """Supplies compiled code, which cannot draw random numbers, with the numbers of ``Normals``."""
 
     def __init__(self, seed: int, purpose: str, record: TapeRecord) -> None:
         self._normals = Normals(seed, purpose)
@@ -108,16 +108,16 @@ class Tape:
 
 
 class Losses:
-    """Lost samples of a link: some by chance, and all within a drop-out.
+    """Lost samples of a link: random single losses, and all samples within a drop-out.
 
-    Drop-outs start as a Poisson process of mean distance ``dropout_every_s`` with a uniform duration up to
-    ``dropout_max_s``. ``purpose``: name of the random stream.
+    Drop-outs start as a Poisson process with the mean interval ``dropout_every_s``; their duration is uniform
+    up to ``dropout_max_s``. ``purpose``: name of the random stream.
     """
 
     def __init__(self, link: OdometryLink, seed: int, purpose: str) -> None:
         self._link = link
         self._rng = stream(seed, purpose)
-        self._chances: list[float] = []  # drawn in advance, used from the end
+        self._chances: list[float] = []  # drawn in advance; used from the end of the list
         self._drop_start_ns = self._drop_end_ns = NEVER_NS
         if link.dropout_every_s > 0.0 and link.dropout_max_s > 0.0:
             self._draw_dropout(0)
@@ -128,18 +128,18 @@ class Losses:
 
     @property
     def possible(self) -> bool:
-        """Whether a sample can be lost."""
+        """Whether the link can lose samples."""
         return self._link.loss > 0.0 or self._drop_start_ns != NEVER_NS
 
     def lost(self, measured_ns: int) -> bool:
-        """Whether the next sample is lost; called once for each sample, in order."""
+        """Return whether the next sample is lost; call this once for each sample, in order."""
         while measured_ns >= self._drop_end_ns:
             self._draw_dropout(self._drop_end_ns)
         by_chance = self._link.loss > 0.0 and self._chance() < self._link.loss
         return by_chance or measured_ns >= self._drop_start_ns
 
     def _chance(self) -> float:
-        if self._drop_start_ns != NEVER_NS:  # drop-outs are drawn in between
+        if self._drop_start_ns != NEVER_NS:  # drop-outs use the same random stream in between
             return float(self._rng.random())
         if not self._chances:
             self._chances = self._rng.random(BLOCK)[::-1].tolist()
@@ -149,9 +149,9 @@ class Losses:
 class MeasurementChannel:
     """Samples a quantity at the link's rate and releases the samples after the link's delay, in order.
 
-    Sample k is measured at time k / rate, and may be lost (``Losses``). Times are integer nanoseconds;
-    ``due_ns`` and ``release_ns`` are those of the next work. ``sigmas``: standard deviation of the noise on
-    each value; ``purpose``: name of the random stream.
+    Sample k is measured at time k / rate and can be lost (``Losses``). Times are integer nanoseconds.
+    ``due_ns`` is the time of the next measurement, ``release_ns`` of the next release. ``sigmas``: standard
+    deviation of the noise of each value; ``purpose``: name of the random stream.
     """
 
     def __init__(self, link: OdometryLink, sigmas: Sequence[float], seed: int, purpose: str) -> None:
@@ -174,12 +174,12 @@ class MeasurementChannel:
     def run(
         self, times_ns: Sequence[int], values: F64, worsen: Callable[[int], None] | None = None
     ) -> tuple[list[int], F64]:
-        """``sample`` and ``release`` at several times, each sample at a fraction of the cost.
+        """Run ``sample`` and ``release`` for many times at once, which is much faster.
 
-        ``times_ns``: in order; ``values``: (n, width) at each time, used where a sample is due; ``worsen``:
-        called before with the index of each such time.
-        Returns for each released sample the index of its release, and (m, 1 + width) time of measurement, ns,
-        and values.
+        ``times_ns``: times in increasing order; ``values``: (n, width) at each time, used where a sample is
+        due; ``worsen``: called before each measurement with the index of its time.
+        Returns for each released sample the index of its release, and (m, 1 + width): time of measurement,
+        ns, and values.
         """
         due: list[int] = []
         for n, now_ns in enumerate(times_ns):

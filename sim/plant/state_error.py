@@ -1,8 +1,8 @@
-"""Errors of a measured state like those of recorded flights: mostly a varying delay.
+"""Errors of a measured state as in recorded flights; the largest part is a varying delay.
 
-A row of numbers is drawn in advance for every sample. The sample follows from the row and the true path: a
-delayed position plus a small error, a velocity with errors that grow with speed, and a rotated attitude.
-``Rows`` come from a model (``ModelRows``) or from recorded flights (``TapeRows``).
+A row of random numbers for each sample is drawn in advance. The sample is computed from the row and the true
+path: a delayed position plus a small error, a velocity with errors that grow with speed, and a rotated
+attitude. ``Rows`` come from a model (``ModelRows``) or from recorded flights (``TapeRows``).
 """
 
 from __future__ import annotations
@@ -20,30 +20,30 @@ from sim.scenarios.scenario import StateError, TapeKind
 if TYPE_CHECKING:
     from sim.flights.tape import Piece, Tape
 
-# columns of a row
-DELAY = 0  # delay of the position, s; negative: ahead
-VELOCITY_DELAY = 1  # s
-POSITION = 2  # three: error of the position, ENU, m
-AHEAD, ASIDE = 5, 6  # error of the velocity along and left of the horizontal velocity, as shares of the speed
-STILL_AHEAD, STILL_ASIDE = 7, 8  # additional error at any speed, m/s
-VELOCITY = 9  # three: error of the velocity in the axes of the world, ENU, m/s
-TURN = 12  # three: turn of the measured attitude against the body, rotation vector, body FLU, rad
+# columns of a row of errors
+DELAY = 0  # delay of the position, s; a negative one predicts the position
+VELOCITY_DELAY = 1  # delay of the velocity, s
+POSITION = 2  # first of three columns: error of the position, ENU, m
+AHEAD, ASIDE = 5, 6  # velocity error along and left of the horizontal velocity, as shares of the speed
+STILL_AHEAD, STILL_ASIDE = 7, 8  # additional velocity error at any speed, along and left, m/s
+VELOCITY = 9  # first of three columns: velocity error in world axes, ENU, m/s
+TURN = 12  # first of three columns: rotation vector from true to measured attitude, body FLU, rad
 WIDTH = 15
 
-PAST = 128  # states kept: 0.25 s at 500 Hz
+PAST = 128  # number of stored states: 0.25 s at 500 Hz
 DELAY_MAX_S = 0.2
 DELAY_MIN_S = -0.1  # limit of the prediction at constant velocity
-CUT_S = (3.0, 8.0)  # length of a cut from a recorded flight
-FADE_S = 0.2  # from one cut to the next
-SMOOTH_S = 0.02  # the recorded errors' correlation is round at the top: 0.98 to 0.99 after 10 ms
-SETTLED = 12.0  # time constants that noise runs before its use
+CUT_S = (3.0, 8.0)  # shortest and longest segment cut from a recorded flight
+FADE_S = 0.2  # transition from one segment to the next
+SMOOTH_S = 0.02  # smoothing time; recorded errors' correlation is smooth at zero: 0.98 to 0.99 after 10 ms
+SETTLED = 12.0  # settling time of the noise before its use, in time constants
 
 
 class PastRecord(Record):
-    """The true states of the last samples, and the resulting measured one."""
+    """Ring buffer of the true states at the last samples, and the measured state computed from it."""
 
-    states: Annotated[F64, 6 * PAST]  # position (m) and velocity (m/s), ENU; a ring
-    count: int  # number of states so far
+    states: Annotated[F64, 6 * PAST]  # ring buffer of position (m) and velocity (m/s), ENU
+    count: int  # number of states stored since the start
     rate: float  # states per second
     late: Annotated[F64, 6]  # measured position and velocity
 
@@ -65,7 +65,7 @@ def _recall(past: PastRecord, delay_s: float, first: int) -> None:
 
 @jitted
 def mismeasure(past: PastRecord, position: F64, velocity: F64, row: F64) -> None:
-    """Add the true state (ENU) and write a sample with the errors of ``row`` to ``late``."""
+    """Store the true state (ENU) and write a sample with the errors of ``row`` to ``late``."""
     at = 6 * (past.count % PAST)
     for i in range(3):
         past.states[at + i] = position[i]
@@ -77,7 +77,7 @@ def mismeasure(past: PastRecord, position: F64, velocity: F64, row: F64) -> None
     lead_s = max(0.0, -row[DELAY])
     for i in range(3):
         late[i] += velocity[i] * lead_s + row[POSITION + i]
-        if row[VELOCITY_DELAY] < 0.0:  # extrapolated by the last change; a derivative would jump at an impact
+        if row[VELOCITY_DELAY] < 0.0:  # extrapolate from the last change; a derivative jumps at an impact
             late[3 + i] = 2.0 * velocity[i] - late[3 + i]
     speed = math.sqrt(late[3] * late[3] + late[4] * late[4])
     x, y = 1.0, 0.0
@@ -92,7 +92,7 @@ def mismeasure(past: PastRecord, position: F64, velocity: F64, row: F64) -> None
 
 @jitted
 def mismeasured(past: Cell[PastRecord], position: F64, velocity: F64, row: F64) -> None:
-    """``mismeasure`` for plain Python."""
+    """Call ``mismeasure`` from interpreted Python."""
     mismeasure(past[0], position, velocity, row)
 
 
@@ -108,18 +108,18 @@ def mismeasured_path(
 
 
 class Rows(Protocol):
-    """Draws the errors of one flight."""
+    """Source of one flight's errors."""
 
     def take(self, count: int) -> F64:
-        """Errors of the next samples, (count, WIDTH)."""
+        """Return the errors of the next samples, (count, WIDTH)."""
 
 
 class Noise:
-    """Correlated normal noise of several values with variance one: white noise through two lags.
+    """Correlated normal noise of several values with variance one: white noise through two first-order lags.
 
-    Its correlation after t is (T exp(-t / T) - S exp(-t / S)) / (T - S), (1 + t / T) exp(-t / T) where T = S.
-    So it falls with T and is smooth from sample to sample: jumps would excite the controllers on board.
-    ``width``: number of values; ``time_s``: T; ``step_s``: between samples.
+    Its correlation after t is (T exp(-t / T) - S exp(-t / S)) / (T - S), or (1 + t / T) exp(-t / T) if T = S.
+    It decays with T and is smooth from sample to sample; jumps would excite the controllers on board.
+    ``width``: number of values; ``time_s``: T; ``smooth_s``: S; ``step_s``: time between samples.
     """
 
     def __init__(self, rng: Chance, width: int, time_s: float, smooth_s: float, step_s: float) -> None:
@@ -131,7 +131,7 @@ class Noise:
 
     def take(self, count: int) -> F64:
         """Return the next samples, (count, width)."""
-        from scipy.signal import lfilter  # takes 0.5 s; needed only for flights with such errors
+        from scipy.signal import lfilter  # late import: it takes 0.5 s; few flights need it
 
         white = self._gain * self._rng.standard_normal((count, self._width))
         out, self._state = lfilter([1.0], self._lag, white, axis=0, zi=self._state)
@@ -139,13 +139,13 @@ class Noise:
         return noise
 
 
-_NOISY = (*range(POSITION, POSITION + 3), AHEAD, ASIDE, VELOCITY + 2, *range(TURN, TURN + 3))  # columns
+_NOISY = (*range(POSITION, POSITION + 3), AHEAD, ASIDE, VELOCITY + 2, *range(TURN, TURN + 3))  # noisy columns
 
 
 class ModelRows:
-    """Errors by the parameters of ``StateError``.
+    """Errors from the statistical model with the parameters of ``StateError``.
 
-    ``purpose``: name of the random stream; the delay is shared by all purposes; ``rate_hz``: of the samples.
+    ``purpose``: name of the random stream; all purposes share the delay; ``rate_hz``: rate of the samples.
     """
 
     def __init__(self, spec: StateError, seed: int, purpose: str, rate_hz: float) -> None:
@@ -162,7 +162,7 @@ class ModelRows:
         self._slow_s = spec.delay_slow_s * math.exp(spec.delay_slow_varies * _within(slow))
         self._turn = np.array((spec.tilt_rad, spec.tilt_rad, spec.yaw_rad)) * rng.standard_normal(3)
         self._scale = spec.velocity_scale * _within(float(rng.standard_normal()))
-        one, two, three = rng.spawn(3)  # so that rows do not depend on the size of the blocks
+        one, two, three = rng.spawn(3)  # separate streams: the rows do not depend on the size of the blocks
         fast_s, slow_s = spec.delay_fast_time_s, spec.delay_slow_time_s
         self._fast, self._slow = Noise(one, 1, fast_s, fast_s, step_s), Noise(two, 1, slow_s, slow_s, step_s)
         self._state = Noise(three, len(_NOISY), spec.error_time_s, SMOOTH_S, step_s)
@@ -175,7 +175,7 @@ class ModelRows:
         )  # fmt: skip
 
     def take(self, count: int) -> F64:
-        """Errors of the next samples, (count, WIDTH)."""
+        """Return the errors of the next samples, (count, WIDTH)."""
         rows = np.zeros((count, WIDTH))
         delay = self._base_s + self._fast_s * self._fast.take(count) + self._slow_s * self._slow.take(count)
         rows[:, DELAY] = np.clip(delay[:, 0], DELAY_MIN_S, DELAY_MAX_S)
@@ -189,16 +189,16 @@ class ModelRows:
 
 
 def _within(draw: float) -> float:
-    """Limit a standard normal draw of a flight to two standard deviations, the range of recorded flights."""
+    """Limit a standard normal number to two standard deviations, the range of recorded flights."""
     return max(-2.0, min(2.0, draw))
 
 
 class TapeRows:
-    """Errors of one recorded flight, cut at random into pieces that are joined."""
+    """Errors of one recorded flight: random segments of it, joined."""
 
     def __init__(self, tape: Tape, rng: Chance, rate_hz: float) -> None:
         self._rng = rng
-        self._step = 1.0 / (rate_hz * tape.step_s)  # samples of the recording per sample
+        self._step = 1.0 / (rate_hz * tape.step_s)  # recorded samples per simulated sample
         self._pieces = [_rows(piece) for piece in tape.pieces]
         lengths = np.array([len(piece) for piece in self._pieces], dtype=np.float64)
         self._shares = lengths / lengths.sum()
@@ -207,14 +207,14 @@ class TapeRows:
         self._left = self._cut()
 
     def take(self, count: int) -> F64:
-        """Errors of the next samples, (count, WIDTH)."""
+        """Return the errors of the next samples, (count, WIDTH)."""
         while len(self._left) < count + self._fade:
             self._left = self._joined(self._left, self._cut())
         rows, self._left = self._left[:count], self._left[count:]
         return rows
 
     def _cut(self) -> F64:
-        """Draw a part of a piece, at the rate of the samples."""
+        """Draw a random segment, resampled to the rate of the samples."""
         piece = self._pieces[int(self._rng.choice(len(self._pieces), p=self._shares))]
         last = len(piece) - 1
         length = min(float(last), float(self._rng.uniform(*self._cut_samples)))
@@ -225,7 +225,7 @@ class TapeRows:
         return np.stack([np.interp(at, np.arange(len(piece)), column) for column in piece.T], axis=1)
 
     def _joined(self, before: F64, after: F64) -> F64:
-        """Change linearly from one cut to the next, since recordings have no jumps."""
+        """Join two segments with a linear transition, because recordings have no jumps."""
         fade = min(self._fade, len(before), len(after))
         share = (np.arange(1, fade + 1) / (fade + 1))[:, None]
         between = before[len(before) - fade :] * (1.0 - share) + after[:fade] * share
@@ -245,14 +245,14 @@ def _rows(piece: Piece) -> F64:
 
 
 def state_errors(spec: StateError, seed: int, purpose: str, rate_hz: float) -> Rows:
-    """Errors of a run from the source of the scenario.
+    """Return the error source that the scenario selects.
 
-    ``purpose``: name of the random stream; ``rate_hz``: of the samples.
+    ``purpose``: name of the random stream; ``rate_hz``: rate of the samples.
     Raises RecordingError: the folder of flights, or a usable flight in it, is missing.
     """
     if spec.tape is None:
         return ModelRows(spec, seed, purpose, rate_hz)
-    from sim.flights.tape import draw_tape, tape_folder  # needs pyarrow, which the model does not
+    from sim.flights.tape import draw_tape, tape_folder  # a late import: only recorded flights need pyarrow
 
     rng = stream(seed, f"{purpose}.tape")
     chooser = stream(seed, "capture.tape") if spec.delay_shared else rng

@@ -8,22 +8,22 @@ from flightstack.core.types import Vec3
 
 
 class Estimate(NamedTuple):
-    """Estimate on board."""
+    """State estimate on board."""
 
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3
-    quaternion: tuple[float, float, float, float]  # w, x, y, z; FLU body in ENU world
+    quaternion: tuple[float, float, float, float]  # attitude (w, x, y, z) of body FLU in world ENU
     angular_velocity_flu_rad_s: Vec3
     valid: bool
 
 
 class Truth(NamedTuple):
-    """The true state and what happened since the last call of ``truth`` (fields of TrueState.msg)."""
+    """True state, and extremes and contacts since the last call of ``truth`` (fields of TrueState.msg)."""
 
     time_s: float
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3
-    quaternion: tuple[float, float, float, float]  # w, x, y, z; FLU body in ENU world
+    quaternion: tuple[float, float, float, float]  # attitude (w, x, y, z) of body FLU in world ENU
     angular_velocity_flu_rad_s: Vec3
     rotor_rpm: tuple[float, float, float, float]
     pad_position_enu_m: Vec3
@@ -31,11 +31,11 @@ class Truth(NamedTuple):
     pad_yaw_rad: float
     h_m: float
     h_min_m: float
-    h_min_outside_pad_m: float  # +inf if no step was outside the pad's radius
+    h_min_outside_pad_m: float  # smallest h outside the pad's radius; +inf if no step was outside
     contacts: int  # bits CONTACT_*
-    first_touch_relative_position_enu_m: Vec3  # NaN before
+    first_touch_relative_position_enu_m: Vec3  # NaN before the first touch
     first_touch_relative_velocity_enu_m_s: Vec3
-    first_touch_time_s: float  # NaN before
+    first_touch_time_s: float  # NaN before the first touch
     motors_running: bool
     battery_v: float
     wind_enu_m_s: Vec3

@@ -1,7 +1,7 @@
 """Wind: a constant mean and gusts.
 
-Each gust component is an Ornstein-Uhlenbeck process, dg = -g/T dt + rms sqrt(2/T) dW, the first-order
-spectrum that Dryden's model has along the wind. T and the vertical share stand in ``crazyflie20.toml``.
+Each gust component is an Ornstein-Uhlenbeck process, dg = -g/T dt + rms sqrt(2/T) dW, with the first-order
+spectrum of Dryden's longitudinal gusts. ``crazyflie20.toml`` has T and the vertical ratio.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class WindRecord(Record):
     """Wind at the vehicle, m/s, world ENU."""
 
     now: Vector
-    steady: Vector  # the mean
+    steady: Vector  # mean wind
     gust: NoiseRecord
 
 
@@ -38,7 +38,8 @@ class WindModel:
     """Wind at the vehicle: ``x``, ``y``, ``z`` in m/s, world ENU.
 
     ``wind``: mean, gust rms, direction towards which the mean blows (None: drawn from the seed); ``shape``:
-    correlation times and vertical share; ``step_s``: time between calls of ``step``; ``record``: its memory.
+    correlation times, ratio of vertical gusts; ``step_s``: time between calls of ``step``; ``record``:
+    memory.
     """
 
     def __init__(

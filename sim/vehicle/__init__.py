@@ -1,1 +1,1 @@
-"""The simulated vehicle: plant and firmware in one loop."""
+"""The simulated vehicle: physics and firmware in one loop."""

@@ -1,7 +1,7 @@
-"""The air between vehicles: the jets of all vehicles act on the others.
+"""Air flow between vehicles: the rotor jet of each vehicle acts on the others.
 
-The jets of a call are constant until the next one, so a motion of one vehicle reaches the others in the next
-tick. Jets have no transport delay and are not moved by wind.
+Each call updates the jets, which then stay constant until the next call. So a vehicle's motion acts on the
+others one tick later. Jets have no transport delay, and wind does not move them.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def _feel(vehicle: Cell[VehicleRecord], jets: F64, own: int) -> None:
 
 
 class Air:
-    """The air of a team of vehicles."""
+    """Air flow between the vehicles of a team."""
 
     def __init__(self, team: Sequence[Physics]) -> None:
         self._team = tuple(team)

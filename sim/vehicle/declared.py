@@ -1,7 +1,7 @@
 """Checks that a configuration declares robot, pad, links, barrier, start, wind and vehicle of its scenario.
 
-The certificate proves a configuration for what it declares. These checks compare its declarations with the
-scenario, so that a proof applies to the flight.
+The certificate proves a configuration for the values that it declares. These checks compare the declared
+values with the scenario, so that the proof is valid for its flights.
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ from sim.scenarios.scenario import PathKind, Scenario, StartKind, TargetSpec
 from sim.scenarios.team import TeamScenario
 from sim.vehicle.encounters import Shape
 
-DELAY_M_S = 0.02  # s; allowed difference of a declared delay, within the errors of the noise
-NOISE_SHARE = 0.5  # least declared share of a link's noise, which an estimator filters
-SPEED_SHARE = 0.01  # of a declared speed or acceleration; within the errors of both
-# of the gusts' rms: least declared error of the vertical velocity; the lowest of the tiers, in lab
+DELAY_M_S = 0.02  # allowed difference of a declared delay, s; smaller than the errors from noise
+NOISE_SHARE = 0.5  # smallest declared share of a link's noise; an estimator filters the noise
+SPEED_SHARE = 0.01  # allowed relative excess of a declared speed or acceleration, within their errors
+# smallest declared error of the vertical velocity as share of the gusts' rms; the lowest of the tiers (lab)
 GUST_SHARE = 0.066
-RADIO_SHARE = 0.5  # of the declared spread of the lag, which the radio's delay may take
-STEP_M, FAR_M = 0.005, 10.0  # distances at which the barriers are compared
+RADIO_SHARE = 0.5  # largest share of the declared lag spread that the radio's delay may use
+STEP_M, FAR_M = 0.005, 10.0  # step and largest distance at which the barriers are compared, m
 
 
 class _Row(NamedTuple):
-    """A number that the configuration declares, beside that of the scenario."""
+    """A value that the configuration declares, and the scenario's value."""
 
-    key: str  # of the configuration
+    key: str  # key in the configuration
     declared: float
-    there: str  # key of the scenario
+    there: str  # key in the scenario
     found: float
-    room: float  # negative: the scenario leaves what is declared
+    room: float  # margin; negative if the scenario exceeds the declared value
     unit: str
 
 
 def declared(scenario: Scenario) -> list[Check]:
-    """Checks of a scenario in addition to those of its configuration."""
+    """Return the checks of a scenario, in addition to those of its configuration."""
     return [
         Check(
             f"declared, {row.key}",
@@ -56,13 +56,13 @@ def declared(scenario: Scenario) -> list[Check]:
 
 
 def outside(scenarios: Iterable[Scenario]) -> str:
-    """Where a scenario leaves the envelope of its configuration's proof: keys and values; or no text."""
+    """Return the keys and values with which scenarios exceed their configuration's proof; or no text."""
     found = dict.fromkeys(check.worst for each in scenarios for check in declared(each) if not check.proven)
     return "; ".join(found)
 
 
 def not_proven(team: TeamScenario) -> str:
-    """Return one line that names the checks not proven for this scenario; empty if all are proven."""
+    """Return one line that names the checks not proven for these scenarios; empty if all are proven."""
     found = dict.fromkeys(
         check.name
         for each in team.member
@@ -73,7 +73,7 @@ def not_proven(team: TeamScenario) -> str:
 
 
 def _at_most(key: str, declared: float, there: str, found: float, unit: str, share: float = 1.0) -> _Row:
-    """The scenario has at most the declared value, or ``share`` of it."""
+    """Return a row with margin >= 0 while the scenario's value is at most ``share`` of the declared one."""
     return _Row(key, declared, there, found, declared - share * found, unit)
 
 
@@ -82,7 +82,7 @@ def _near(key: str, declared: float, there: str, found: float, most: float, unit
 
 
 def _rows(scenario: Scenario) -> Iterator[_Row]:
-    """Robot, feet and altitude: declared for every filter."""
+    """Yield the rows of robot, feet and altitude, which every filter declares."""
     config, target, start = scenario.onboard, scenario.target, scenario.start
     touchdown, envelope = config.touchdown, config.envelope
     feet_m = -load(scenario.vehicle.airframe).geometry.foot_bottom_m
@@ -107,7 +107,7 @@ def _rows(scenario: Scenario) -> Iterator[_Row]:
 
 
 def _links(scenario: Scenario) -> Iterator[_Row]:
-    """Vehicle, wind and links: the paper's filter declares none of them."""
+    """Yield the rows of vehicle, wind and links, which the filter "paper" does not declare."""
     config, target, spec, link = scenario.onboard, scenario.target, scenario.vehicle, scenario.odometry
     envelope, sent, state, mocap = config.envelope, config.target, config.own, spec.mocap
     yield _at_most(
@@ -157,7 +157,7 @@ def _links(scenario: Scenario) -> Iterator[_Row]:
 
 
 def _judged(scenario: Scenario) -> Check:
-    """The barrier of the verdict is nowhere above the one that is flown, where h counts."""
+    """Return the check that the verdict's barrier is nowhere above the flown barrier, where h counts."""
     flown, judge = scenario.onboard.barrier.build(), scenario.judged_by
     distances = (scenario.target.pad_radius_m + k * STEP_M for k in range(int(FAR_M / STEP_M)))
     below_m, at_m = max((judge.height(d) - flown.height(d), d) for d in distances)
@@ -176,7 +176,7 @@ def _starts(scenario: Scenario) -> Check:
     offset_m = scenario.start.offset_m
     starts_m = scenario.start.h_m[0] if offset_m is None else scenario.judged_by.h(offset_m)
     if scenario.start.kind is not StartKind.HOVER:
-        starts_m = math.inf  # on the floor, from where it takes off
+        starts_m = math.inf  # it takes off from the floor
     return Check(
         "declared, start",
         "the vehicle starts above the barrier",
@@ -189,11 +189,11 @@ def _starts(scenario: Scenario) -> Check:
 
 
 def _flown(scenario: Scenario) -> list[Check]:
-    """Checks of what no key of the configuration declares: no worse than in the tiers."""
+    """Return checks of values without a key in the configuration: each is no worse than in the tiers."""
     link, spec, wind = scenario.odometry, scenario.vehicle, scenario.wind
     mocap, charge = spec.mocap, spec.battery_charge[0]
-    discharged = 0.08 if scenario.onboard.reserve is not None else 1.0  # room; the others have full batteries
-    # key, value, largest value in a tier (a smallest one: both negative), unit
+    discharged = 0.08 if scenario.onboard.reserve is not None else 1.0  # only tier room has low batteries
+    # key, value, worst value in a tier, unit; where a smaller value is worse, both values are negative
     rows = [
         ("wind.mean_m_s", wind.mean_m_s, 2.0, "m/s"),  # storm
         ("odometry.loss", link.loss, 0.2, ""),  # storm
@@ -223,7 +223,7 @@ def _flown(scenario: Scenario) -> list[Check]:
 
 
 def _acceleration_m_s2(target: TargetSpec) -> float:
-    """Largest acceleration of the pad: along the path, across it, and up and down."""
+    """Return the largest acceleration of the pad: along the path, across it, and vertical."""
     speed_m_s = target.speed_m_s
     turn_rad_s = abs(target.turn_rate_rad_s)
     turns_m_s2 = turn_rad_s * (speed_m_s + turn_rad_s * abs(target.pad_behind_axle_m))
@@ -235,7 +235,7 @@ def _acceleration_m_s2(target: TargetSpec) -> float:
 
 
 def crowd(team: TeamScenario) -> list[Check]:
-    """Checks of all vehicles of a team together."""
+    """Return the checks of a whole team."""
     shapes = [Shape.of(load(each.vehicle.airframe)) for each in team.member]
     radius_m = 2.0 * max(shape.radius_m for shape in shapes)
     up_m = max(shape.top_m for shape in shapes) - min(shape.bottom_m for shape in shapes)

@@ -1,8 +1,8 @@
 """Smallest distances between vehicles at every millisecond, and overlaps of their shapes.
 
-A shape is an upright cylinder around rotors and body. Between two ticks the position of one vehicle relative
-to another follows the cubic through positions and velocities at both. There are two distances: that of the
-centres of mass, and that in the norm of an ellipsoid around the other vehicle, which is 1 on its surface.
+A shape is an upright cylinder around rotors and body. Between two ticks the relative position follows the
+cubic through the positions and velocities at both ticks. There are two distances: the distance between the
+centres of mass, and the norm of an ellipsoid around the other vehicle, which is 1 on its surface.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from sim.plant.params import STEP_S, Params
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """Upright cylinder around a vehicle: what collides."""
+    """Collision shape of a vehicle: an upright cylinder."""
 
-    radius_m: float  # from the axis to the tips of the rotors
-    bottom_m: float  # lowest point above the centre of mass, negative
-    top_m: float  # highest point above the centre of mass
+    radius_m: float  # distance from the axis to the rotor tips
+    bottom_m: float  # lowest point, relative to the centre of mass; negative
+    top_m: float  # highest point, relative to the centre of mass
 
     @classmethod
     def of(cls, params: Params) -> Shape:
-        """The cylinder around rotors and body of a vehicle's file at level attitude."""
+        """Return the cylinder around rotors and body at level attitude, from a vehicle's file."""
         g, r = params.geometry, params.rotor
         half_x, half_y, half_z = g.body_half_size_m
         return cls(
@@ -42,7 +42,7 @@ class Shape:
 
 @jitted
 def ellipsoid_distance(x: float, y: float, z: float, beside_m: float, above_m: float) -> float:
-    """Norm of an offset (m) from the centre of an ellipsoid with these semi-axes; 1 on its surface."""
+    """Return the norm of an offset (m) from an ellipsoid's centre, given its semi-axes; 1 on its surface."""
     return math.sqrt((x * x + y * y) / (beside_m * beside_m) + z * z / (above_m * above_m))
 
 
@@ -88,31 +88,31 @@ def _follow(
 
 
 class Team:
-    """Follows all P pairs of a team: (0, 1), (0, 2) and so on."""
+    """Tracks the P pairs of a team, in the order (0, 1), (0, 2) and so on."""
 
     def __init__(self, shapes: Sequence[Shape]) -> None:
         number = len(shapes) * (len(shapes) - 1) // 2
         self._shapes = np.array([(each.radius_m, each.bottom_m, each.top_m) for each in shapes])
-        # (P, 3) smallest distance of the centres of mass, m; the same while both flew; and the norm of the
-        # ellipsoid while both flew. Infinite before.
+        # (P, 3): smallest distance of the centres of mass, m; the same, but only while both vehicles flew;
+        # smallest norm of the ellipsoid while both flew. Infinite before the first call.
         self.least = np.full((number, 3), np.inf)
-        # inside: (P,) inside the ellipsoid in the last call of ``follow`` while both flew; overlap_ms: (P,)
-        # milliseconds from the first tick to the first overlap of the shapes; -1: never
+        # inside: (P,) whether the pair was inside the ellipsoid in the last call, both flying; overlap_ms:
+        # (P,) time from the first tick to the first overlap of the shapes, ms; -1 if there was none
         self.inside, self.overlap_ms = np.zeros(number, dtype=np.int64), np.full(number, -1, dtype=np.int64)
 
     def follow(self, before: F64, after: F64, flew: I64, steps: int) -> bool:
-        """Follow all pairs from one tick (exclusive) to the next.
+        """Update all pairs from one tick (exclusive) to the next.
 
-        ``before``, ``after``: (N, 6) positions (m) and velocities (m/s), ENU, at both; ``flew``: (N,) whether
-        each flew at both; ``steps``: milliseconds between them.
-        Returns whether any pair was inside or overlapped.
+        ``before``, ``after``: (N, 6) positions (m) and velocities (m/s), ENU, at both ticks; ``flew``: (N,)
+        whether the vehicle flew at both ticks; ``steps``: time between the ticks, ms.
+        Returns whether any pair was inside an ellipsoid or overlapped.
         """
         found = (self.least, self.inside, self.overlap_ms)
         return bool(_follow(before, after, flew, steps, self._shapes, *found))
 
 
 def overlapping(shapes: Sequence[Shape], places: F64) -> list[tuple[int, int]]:
-    """Pairs of members (the lower first) with overlapping shapes at (N, 3) positions, ENU, m, at rest."""
+    """Return pairs of members (lower number first) whose shapes overlap at the (N, 3) positions, ENU, m."""
     team, still = Team(shapes), np.hstack((places, np.zeros_like(places)))
     team.follow(still, still, np.zeros(len(shapes), dtype=np.int64), 1)
     pairs = combinations(range(len(shapes)), 2)

@@ -1,4 +1,4 @@
-"""Judged quantities of a flight: extremes of the barrier, tumbling, contacts."""
+"""Quantities for the verdict of a flight: smallest barrier function values, tumbling, contacts."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from flightstack.core.safety.barrier import boundary_height
 from sim.world.contact import GROUND, PAD
 from sim.world.step import WorldRecord, tumbled
 
-GAP_MS = 30  # a bounce shorter than this does not end a contact
+GAP_MS = 30  # gap in a contact, ms; a shorter bounce does not end the contact
 NONE_MS = -1_000_000
 
 
 class JudgeRecord(Record):
-    """The barrier and the extremes since the last reading."""
+    """Barrier of the verdict, and the extremes since the last reading."""
 
     alpha_1_m: float
     beta_m: float
     pad_radius: float
     h_min: float
-    h_min_outside: float  # the same outside the pad's radius
+    h_min_outside: float  # smallest h outside the pad's radius
     tumbled: bool
 
 
-_height = twin(boundary_height, jitted)  # the formula of the controller
+_height = twin(boundary_height, jitted)  # the same formula as in the controller
 
 
 @jitted
 def judge(j: JudgeRecord, world: WorldRecord) -> None:
-    """Update the smallest h and the tumbling."""
+    """Update the smallest h and the tumble flag."""
     p, d = world.body.position, world.deck.position
     ex, ey = p[0] - d[0], p[1] - d[1]
     square = ex * ex + ey * ey
@@ -44,15 +44,15 @@ def judge(j: JudgeRecord, world: WorldRecord) -> None:
 
 
 class ContactRecord(Record):
-    """Times in ms of simulated time, ``NONE_MS`` for never."""
+    """Times of contacts, simulated time in ms; ``NONE_MS`` if there was none."""
 
-    bits: int  # all contacts since the last reading
-    since_ms: int  # start of the contact with pad or ground
+    bits: int  # bits of all contacts since the last reading
+    since_ms: int  # start of the current contact with pad or ground
     pad_ms: int  # last contact with the pad's top
     ground_ms: int
-    judging: bool  # the next touch of the pad is the first
-    touch_ms: int  # the first touch
-    touch_e: Vector  # vehicle minus pad centre at the start of that step, m
+    judging: bool  # whether the next touch of the pad counts as the first one
+    touch_ms: int  # time of the first touch
+    touch_e: Vector  # vehicle minus pad centre at the start of the step of the touch, m
     touch_velocity: Vector  # velocity of the vehicle relative to the pad below it, m/s
 
 
@@ -60,10 +60,10 @@ class ContactRecord(Record):
 def note_contact(
     c: ContactRecord, world: WorldRecord, now_ms: int, before_e: F64, before_velocity: F64
 ) -> None:
-    """Update contact times; latch the state before the first judged touch of the pad.
+    """Update contact times; store the state before the first judged touch of the pad.
 
-    At the start of the step, ``now_ms``: ``before_e`` is vehicle minus pad centre, m, ``before_velocity``
-    that of the vehicle, m/s.
+    The arguments are valid at the start of the step: ``now_ms``; ``before_e``: vehicle minus pad centre, m;
+    ``before_velocity``: velocity of the vehicle, m/s.
     """
     deck, bits = world.deck, world.contacts
     c.bits |= bits

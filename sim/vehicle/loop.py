@@ -1,6 +1,6 @@
 """The vehicle's record, and its compiled loop with set-points and motion capture.
 
-Plain Python only draws random numbers in advance and applies faults.
+Interpreted Python only draws random numbers in advance and applies faults.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ BATTERY_EVERY_MS = 10
 
 
 class DragRecord(Record):
-    """Rotor drag and weight."""
+    """Rotor drag and weight of the vehicle."""
 
-    moment: float  # about the centre of mass, of the drag along body x and y, N m per m/s
+    moment: float  # moment about the centre of mass from the drag along body x and y, N m per m/s
     damping: float  # torque against roll and pitch rate, N m s
-    xy: float  # N s/m
-    along: float  # additional drag along body z
+    xy: float  # drag along body x and y, N s/m
+    along: float  # additional drag along body z, N s/m
     weight: float  # N
 
 
@@ -43,7 +43,7 @@ def set_up_drag(drag: DragRecord, body: Body, weight_n: float) -> None:
 
 
 class VehicleRecord(Record):
-    """State that changes in every step."""
+    """State that every step changes."""
 
     world: WorldRecord
     rotors: RotorRecord
@@ -59,15 +59,15 @@ class VehicleRecord(Record):
     judge: JudgeRecord
     contact: ContactRecord
     motor_share: Motors  # target speed of a motor = share * command + held (1 and 0 without a fault)
-    motor_held: Motors  # rpm
-    drive: Motors  # target speeds, rpm
-    before_e: Vector  # vehicle minus pad at the beginning of the last step
+    motor_held: Motors  # held speed, rpm
+    drive: Motors  # target speeds of the motors, rpm
+    before_e: Vector  # vehicle minus pad at the beginning of the last step, m
     before_velocity: Vector
 
 
 @jitted
 def sense(vehicle: Cell[VehicleRecord]) -> None:
-    """Measure and estimate (500 Hz)."""
+    """Run sensors and estimator (500 Hz)."""
     v = vehicle[0]
     measure(v.imu, v.world.body.velocity, v.world.body.rates, rotation_axes(v.world.body.quaternion))
     predict(v.firmware.estimator, v.imu.gyro, v.imu.accel)
@@ -75,7 +75,7 @@ def sense(vehicle: Cell[VehicleRecord]) -> None:
 
 @jitted
 def apply_ground_effect(v: VehicleRecord) -> None:
-    """Factors of the ground effect on the four thrusts."""
+    """Update the ground effect's factors on the four thrusts."""
     p, d = v.world.body.position, v.world.deck.position
     if v.rotors.thrust_n > 0.0:
         axes = rotation_axes(v.world.body.quaternion)
@@ -86,7 +86,7 @@ def apply_ground_effect(v: VehicleRecord) -> None:
 
 @jitted
 def push(v: VehicleRecord) -> None:
-    """Turn the rotors by one step; compute force and torque of thrust, drag, weight and others' jets."""
+    """Advance the rotors by one step; sum force and torque of thrust, drag, weight and others' jets."""
     body, rotors, drag, wrench = v.world.body, v.rotors, v.drag, v.world.wrench
     for i in range(3):
         v.before_e[i] = body.position[i] - v.world.deck.position[i]
@@ -125,7 +125,7 @@ def surround(v: VehicleRecord, now_ms: int) -> None:
 
 @jitted
 def move(v: VehicleRecord, now_ms: int) -> None:
-    """Move body and deck by one step and judge it."""
+    """Advance body and deck by one step and update the judged quantities."""
     physics_step(v.world)
     judge(v.judge, v.world)
     if v.world.contacts:
@@ -134,9 +134,9 @@ def move(v: VehicleRecord, now_ms: int) -> None:
 
 @jitted
 def fly(vehicle: Cell[VehicleRecord], begin_ms: int, end_ms: int) -> None:
-    """Run steps of 1 ms until ``end_ms``, at most until the next event of a fault.
+    """Run steps of 1 ms until ``end_ms``, or earlier until the next start or end of a fault.
 
-    The random numbers must suffice (``VehicleSim.advance`` draws them).
+    Enough random numbers must have been drawn (``VehicleSim.advance`` draws them).
     """
     v = vehicle[0]
     for now_ms in range(begin_ms, end_ms):

@@ -1,10 +1,10 @@
-"""Motion capture for compiled code: the random numbers of each sample are drawn in advance, in plain Python.
+"""Motion capture for compiled code: Python draws the random numbers of each sample in advance.
 
-Times, noise and loss of a sample depend only on the seed, so in flight only the true pose is added. The
-numbers and their order are those of ``MeasurementChannel``.
+Time, noise and loss of a sample depend only on the seed, so the compiled code only adds the true pose. The
+numbers and their order are the same as in ``MeasurementChannel``.
 
-With the errors of recorded flights (``StateError``) a sample is an estimate on board: it has no delay and
-replaces the estimate. A fault that diverts samples gets the same position and heading.
+With the errors of recorded flights (``StateError``) a sample is a complete on-board estimate: it arrives
+without delay and replaces the estimate. A fault that diverts samples gets its position and heading.
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ from sim.plant.state_error import TURN, WIDTH, PastRecord, mismeasure, state_err
 from sim.scenarios.scenario import OdometryLink, StateError
 from sim.world.bodies import BodyRecord
 
-ROWS = 512  # samples; at most 250 are on their way (500 Hz, 0.5 s)
+ROWS = 512  # number of samples; at most 250 are in transit (500 Hz, 0.5 s)
 LOST = -1
 VALUES = 4  # x, y, z (ENU, m), yaw (rad)
 
 
 class MocapRecord(Record):
-    """Samples in the order of measurement: arrived samples, then delayed ones, then future ones."""
+    """Samples in the order of measurement: first arrived ones, then those in transit, then future ones."""
 
     measured_ms: Annotated[I64, ROWS]
-    arrives_ms: Annotated[I64, ROWS]  # or LOST
-    values: Annotated[F64, ROWS * VALUES]  # noise; after the measurement the sample
-    measuring: int  # the row that is measured next
-    arriving: int  # the row that arrives next
-    diverted: bool  # arriving samples go to Python, for a fault
-    recorded: bool  # errors of recorded flights, in the rows of ``errors``
+    arrives_ms: Annotated[I64, ROWS]  # arrival time, or ``LOST``
+    values: Annotated[F64, ROWS * VALUES]  # noise of the values; after the measurement, the measured values
+    measuring: int  # row of the next measurement
+    arriving: int  # row of the next arrival
+    diverted: bool  # arriving samples go to Python code, for a fault
+    recorded: bool  # samples have the errors of recorded flights, from the rows of ``errors``
     errors: Annotated[F64, ROWS * WIDTH]
     past: PastRecord
 
 
 @jitted
 def measure_pose(m: MocapRecord, body: BodyRecord, now_ms: int) -> None:
-    """Measure the due samples; the rows must be filled (``MocapTape.top_up``)."""
+    """Measure the due samples; their rows must be filled (``MocapTape.top_up``)."""
     while m.measured_ms[m.measuring] <= now_ms:
         axes = rotation_axes(body.quaternion)
         at = VALUES * m.measuring
@@ -63,7 +63,7 @@ def measure_pose(m: MocapRecord, body: BodyRecord, now_ms: int) -> None:
 
 @jitted
 def next_arrived(m: MocapRecord, now_ms: int) -> int:
-    """Index of the first value of the next arrived sample, or -1."""
+    """Return the index of the first value of the next arrived sample, or -1."""
     while m.arriving < m.measuring and m.arrives_ms[m.arriving] <= now_ms:
         m.arriving += 1
         if m.arrives_ms[m.arriving - 1] != LOST:
@@ -82,7 +82,7 @@ def correct_estimate(m: MocapRecord, estimator: EstimatorRecord, body: BodyRecor
         else:
             correct(estimator, m.values[at], m.values[at + 1], m.values[at + 2], m.values[at + 3])
             if estimator.by_pose:
-                correct_tilt(estimator, body.quaternion)  # without noise and delay
+                correct_tilt(estimator, body.quaternion)  # the tilt is exact and undelayed
         at = next_arrived(m, now_ms)
 
 
@@ -97,9 +97,9 @@ def _measure_pose(mocap: Cell[MocapRecord], body: Cell[BodyRecord], now_ms: int)
 
 
 class MocapTape:
-    """Fills the rows, and returns samples by ``take`` while a fault diverts them.
+    """Fills the rows with random numbers; while a fault diverts samples, ``take`` returns them.
 
-    ``error``: errors of recorded flights instead of noise and delay of the link.
+    ``error``: errors of recorded flights; they replace noise and delay of the link.
     """
 
     def __init__(
@@ -125,16 +125,16 @@ class MocapTape:
             record.measured_ms, record.arrives_ms, record.values.reshape(ROWS, VALUES),
         )  # fmt: skip
         self._measuring, self._arriving = self._cell["measuring"], self._cell["arriving"]
-        self._count = 0  # samples drawn
+        self._count = 0  # number of drawn samples
         self._fill(0)
 
     @property
     def drawn_until_ms(self) -> int:
-        """Time up to which there are rows."""
+        """Time of the last filled row."""
         return int(self._measured_ms[-1])
 
     def top_up(self) -> None:
-        """Fill rows for at least the next half second, and at most ten minutes."""
+        """Fill the rows for at least the next half second and at most ten minutes."""
         if self._measuring[0] < ROWS // 2:
             return
         done = int(self._arriving[0])
@@ -161,7 +161,7 @@ class MocapTape:
             self._error_rows[first:] = self._errors.take(len(counts))
 
     def divert(self, diverted: bool) -> None:
-        """Set whether arriving samples go to ``take`` instead of the estimator."""
+        """Choose whether arriving samples go to ``take`` or to the estimator."""
         self._cell["diverted"][0] = diverted
 
     def take(self, now_ms: int) -> list[tuple[float, ...]]:
@@ -173,12 +173,12 @@ class MocapTape:
         return samples
 
     def next_ms(self) -> int:
-        """Time of the next work for ``take``."""
+        """Return the time at which ``take`` next measures or releases a sample."""
         measuring, arriving = int(self._measuring[0]), int(self._arriving[0])
         measured_ms = int(self._measured_ms[measuring])
         return min(measured_ms, int(self._arrives_ms[arriving])) if arriving < measuring else measured_ms
 
 
 def _ms_from(times_ns: I64) -> I64:
-    """``ms_from`` of many."""
+    """Apply ``ms_from`` to an array."""
     return -(-times_ns // NS_PER_MS)

@@ -1,4 +1,4 @@
-"""World, rotors, battery, wind and deck of one vehicle, independent of its autopilot, and its true states."""
+"""Physics of one vehicle without its autopilot: world, rotors, battery, wind, deck, and the true state."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from sim.vehicle.judge import GAP_MS, NONE_MS
 from sim.vehicle.loop import WIND_EVERY_MS, VehicleRecord, set_up_drag
 from sim.world.world import World
 
-AIRBORNE_AFTER_MS = 200  # time without contact after which the judging starts
+AIRBORNE_AFTER_MS = 200  # time without contact after which the flight is judged
 TUMBLED = ContactBit.TUMBLED.value
 _VEHICLE = ContactBit.VEHICLE.value
 _NAN3: Vec3 = (math.nan, math.nan, math.nan)
 
 
 class Physics:
-    """One vehicle's body and surroundings; times are simulated ones, ms.
+    """Body and surroundings of one vehicle; times are simulated times in ms.
 
-    ``params``: instead of the vehicle's file; ``plant``: instead of the drawn one.
+    ``params``: replaces the vehicle file's parameters; ``plant``: replaces the plant drawn from the seed.
     """
 
     def __init__(
@@ -39,18 +39,18 @@ class Physics:
         if plant is None:
             plant, reserve = Plant.draw(scenario.vehicle, seed), scenario.vehicle.hover_reserve
             plant = able_to_hover(plant, params, reserve) if reserve > 0.0 else plant
-        self.plant = plant  # factors by which this vehicle differs from the nominal one
+        self.plant = plant  # ratio of this vehicle's true parameters to the nominal ones
         mass_kg = params.body.mass_kg * plant.mass
         self.weight_n = mass_kg * params.contact.gravity_m_s2
-        # record: memory of the steps of 1 ms, in one piece; vehicle: its view for compiled code
+        # record: memory of the 1 ms steps, one contiguous array; vehicle: the view of it for compiled code
         self.record = r = new(VehicleRecord)
         self.vehicle = cell(r)
-        # views of its parts
+        # views of the record's parts
         self.world = World(params, mass_kg, scenario.target, r.world)
         self.rotors = Rotors(params.rotor, plant, scenario.vehicle.slow_motors, STEP_S, r.rotors)
         pad_radius = scenario.target.pad_radius_m
         set_up_ground(r.ground, params.rotor, scenario.vehicle.ground_effect_gain, pad_radius)
-        # rotor speed of hover in still air
+        # rotor speed in hover without wind, rpm
         self.hover_rpm = params.rotor.rpm(self.weight_n / 4.0 / plant.thrust)
         self.battery = BatteryModel(params.battery, self.hover_rpm, r.battery, plant.battery_charge)
         self.wind = WindModel(scenario.wind, params.wind, seed, WIND_EVERY_MS * STEP_S, r.wind)
@@ -65,9 +65,9 @@ class Physics:
         self._h_min, self._h_min_outside, self._tumbled = scalars(
             r.judge, "h_min", "h_min_outside", "tumbled"
         )
-        # one element each: last contact with pad and floor, start of the current contact
+        # arrays with one element: start of the current contact, last contact with pad and with floor
         self.since_ms, self.pad_ms, self.ground_ms = scalars(r.contact, "since_ms", "pad_ms", "ground_ms")
-        # one element: whether touches count
+        # arrays with one element: first touch, whether touches count, contact bits
         self._touch_ms, self.judging, self._contacts = scalars(r.contact, "touch_ms", "judging", "bits")
         for times in (self.since_ms, self.pad_ms, self.ground_ms, self._touch_ms):
             times[0] = NONE_MS
@@ -84,24 +84,24 @@ class Physics:
         self._torque_noise.top_up()
 
     def on_pad(self, now_ms: int) -> bool:
-        """In contact with the pad's top (true contact; bounces shorter than 30 ms don't count)."""
+        """Return whether the vehicle touches the pad's top; a bounce below 30 ms does not end the contact."""
         return bool(now_ms - self.pad_ms[0] <= GAP_MS)
 
     def on_ground(self, now_ms: int) -> bool:
-        """In contact with the floor."""
+        """Return whether the vehicle touches the floor."""
         return bool(now_ms - self.ground_ms[0] <= GAP_MS)
 
     def judge_from_here(self) -> None:
-        """Start the judged part of the flight; earlier contacts are dropped."""
+        """Start the judged part of the flight and clear earlier contacts."""
         self.judging[0] = True
         self._touch_ms[0] = NONE_MS
 
     def airborne(self, now_ms: int) -> bool:
-        """Whether it has been without contact long enough."""
+        """Return whether the vehicle has been without contact for ``AIRBORNE_AFTER_MS``."""
         return bool(now_ms - max(self.pad_ms[0], self.ground_ms[0]) > AIRBORNE_AFTER_MS)
 
     def judge_once_airborne(self, now_ms: int) -> None:
-        """Start the judging after the lift-off."""
+        """Start the judged part of the flight once the vehicle has taken off."""
         if not self.judging[0] and self.airborne(now_ms):
             self.judging[0] = True
 
@@ -110,17 +110,17 @@ class Physics:
         self._contacts[0] |= _VEHICLE
 
     def body(self) -> Values:
-        """Position (3), velocity (3), quaternion (4, w first) and angular velocity (3), as in the record."""
+        """Position (3), velocity (3), quaternion (4, w first) and angular velocity (3), in record order."""
         return self._read_body()
 
     def truth(self, now_ms: int, motors_running: bool) -> Truth:
-        """The current true state, and extremes and contacts since the last call."""
-        body, deck = self._read_body(), self._read_deck()  # in the order of their records
+        """Return the current true state, and extremes and contacts since the last call."""
+        body, deck = self._read_body(), self._read_deck()  # values in the order of the record's fields
         position, pad = body[:3], deck[:3]
         h = self.barrier.h((position[0] - pad[0], position[1] - pad[1], position[2] - pad[2]))
         touch_s, touch_e, touch_v = math.nan, _NAN3, _NAN3
         if self._touch_ms[0] != NONE_MS:
-            contact = self._read_contact()  # ends with place and velocity
+            contact = self._read_contact()  # its last six values are position and velocity
             touch_s, touch_e, touch_v = self._touch_ms[0] * STEP_S, contact[-6:-3], contact[-3:]
         h_min = self._h_min[0]
         truth = Truth(

@@ -1,6 +1,6 @@
-"""The simulated Crazyflie: body, rotors, firmware, estimator and the deck it lands on, in 1 ms steps.
+"""The simulated Crazyflie: body, rotors, firmware, estimator and the deck, in steps of 1 ms.
 
-Deterministic in (scenario, seed); independent of MAVLink and wall time.
+The result depends only on scenario and seed, not on MAVLink or wall time.
 """
 
 from __future__ import annotations
@@ -30,24 +30,24 @@ from sim.vehicle.loop import fly
 from sim.vehicle.mocap import MocapTape
 from sim.vehicle.physics import Physics
 
-LANDED_AFTER_MS = 150  # time of contact after which it counts as landed
-_KEPT = "vehicle"  # name of a flight's code in the folder of machine code
-WARM_UP_MS = 100  # every loop of the firmware has run, and motion capture has arrived
-SUPPLY_MS = 320  # time for which the noise of the IMU, six numbers every 2 ms, is drawn in advance
+LANDED_AFTER_MS = 150  # time of contact after which the vehicle counts as landed
+_KEPT = "vehicle"  # name of the compiled flight code in the cache folder
+WARM_UP_MS = 100  # in this time every loop of the firmware runs and motion capture arrives
+SUPPLY_MS = 320  # time for which IMU noise, six numbers every 2 ms, is drawn in advance
 _STATE_TEXTS = tuple(str(state.value) for state in STATES)
 _BROKEN = tuple(Fault(What.MOTOR, Kind.DEAD, motor=motor) for motor in range(1, 5))
 _LOCKED, _CRASHED = STATES.index(State.LOCKED), STATES.index(State.CRASHED)
 
 
 class VehicleSim:
-    """One vehicle with its deck; ``params`` replaces its file, ``plant`` the drawn one."""
+    """One vehicle and its deck. ``params`` replaces the vehicle's file, ``plant`` the drawn plant."""
 
     def __init__(
         self, scenario: Scenario, seed: int, params: Params | None = None, plant: Plant | None = None
     ) -> None:
         self._physics = physics = Physics(scenario, seed, params, plant)
         r, self._vehicle, self._world = physics.record, physics.vehicle, physics.world
-        # factors between this vehicle and the nominal one
+        # ratio of this vehicle's true parameters to the nominal ones
         self._params, self.plant, self._rotors = physics.params, physics.plant, physics.rotors
         self._battery, self._wind = physics.battery, physics.wind
         params = self._params
@@ -58,16 +58,16 @@ class VehicleSim:
         self._believed = self._firmware.estimator.believed
         self._mocap = MocapTape(spec.mocap, seed, r.mocap, r.world.body, spec.own)
         motors = MotorFaults(r.motor_share, r.motor_held, r.rotors, params.rotor, physics.hover_rpm)
-        # its ``link`` is for the owner of the MAVLink wire
+        # the owner of the MAVLink connection uses ``faults.link``
         self.faults = Faults(scenario.fault, seed, motors, BatteryFaults(r.battery))
         self._ms = self._supplied_ms = 0
         self._allowed, self._state = scalars(r.firmware.supervisor, "motors_allowed", "state")
         self._pad_ms, self._ground_ms, self._since_ms = scalars(r.contact, "pad_ms", "ground_ms", "since_ms")
         self._read_commands = reader(r.firmware.commands)
-        # set-point that holds a hover start against weight and mean wind; zero otherwise
+        # set-point that holds the hover at the start against weight and mean wind; zero for other starts
         self.trim_velocity_enu_m_s: Vec3 = ZERO
-        # age of the set-points at their delivery, at most the radio's delay; a simulation may run ahead by
-        # this time without them
+        # time between sending and delivery of set-points, ms, at most the radio's delay; the simulation may
+        # run ahead of the set-points by this time
         self.sent_before_ms = 0
         physics.judging[0] = scenario.start.kind is StartKind.HOVER
         if scenario.start.kind is StartKind.HOVER:
@@ -79,7 +79,7 @@ class VehicleSim:
         self._settle()
 
     def _start_hover(self, scenario: Scenario, seed: int) -> None:
-        """Place the vehicle at rest in the air, rotors and firmware trimmed for the mean wind."""
+        """Place the vehicle at rest in the air, with rotors and firmware trimmed for the mean wind."""
         offset = scenario.start.offset_m or self._draw_offset(scenario, seed)
         deck = self._world.deck_position
         position = (deck[0] + offset[0], deck[1] + offset[1], deck[2] + offset[2])
@@ -87,7 +87,7 @@ class VehicleSim:
         drag_xy, _, drag_z = self._params.body.drag_n_s_m
         zx, zy, zz = 0.0, 0.0, 1.0
         fx = fy = fz = 0.0
-        for _ in range(20):  # drag depends on the tilt, the tilt on the drag
+        for _ in range(20):  # fixed-point iteration: drag depends on the tilt, the tilt on the drag
             along = (drag_z - drag_xy) * (wx * zx + wy * zy + wz * zz)
             fx, fy = -drag_xy * wx - along * zx, -drag_xy * wy - along * zy
             fz = self._physics.weight_n - drag_xy * wz - along * zz
@@ -126,7 +126,7 @@ class VehicleSim:
     def set_deck(
         self, position_enu_m: Vec3, yaw_rad: float, velocity_enu_m_s: Vec3, yaw_rate_rad_s: float
     ) -> None:
-        """True pose and twist of the pad centre now; it moves on an arc until the next call."""
+        """Set the true pose and velocity of the pad centre; it moves on an arc until the next call."""
         self._world.set_deck(position_enu_m, yaw_rad, velocity_enu_m_s, yaw_rate_rad_s)
 
     def advance(self, steps: int) -> None:
@@ -143,13 +143,13 @@ class VehicleSim:
         self._physics.judge_once_airborne(self._ms)
 
     def supplied_until(self, end_ms: int) -> bool:
-        """Draw random numbers until this time; False where this is not possible."""
+        """Draw random numbers up to ``end_ms``; return False where this is not possible."""
         if end_ms > self._supplied_ms:
             self._supply()
         return end_ms <= self._supplied_ms
 
     def flown(self, now_ms: int) -> None:
-        """Record steps that were run by ``fly`` outside of this object."""
+        """Update this object after ``fly`` was called outside of it."""
         self._ms = now_ms
 
     def _supply(self) -> None:
@@ -160,7 +160,7 @@ class VehicleSim:
         self._supplied_ms = min(self._ms + SUPPLY_MS, self._mocap.drawn_until_ms)
 
     def _fail(self) -> int:
-        """Start and end faults, and apply those of vehicle state and motion capture.
+        """Start and end faults, and apply the faults of vehicle state and motion capture.
 
         Returns the time of the next call, ms.
         """
@@ -181,27 +181,27 @@ class VehicleSim:
         return min(next_ms, ms_from(faults.next_ns))
 
     def inject_failure(self, unit: int, kind: int, instance: int) -> str | None:
-        """MAV_CMD_INJECT_FAILURE with FAILURE_UNIT and FAILURE_TYPE; returns the reason of a rejection."""
+        """Apply MAV_CMD_INJECT_FAILURE with FAILURE_UNIT and FAILURE_TYPE; return the reason if rejected."""
         return self.faults.inject(unit, kind, instance, self._ms * NS_PER_MS)
 
     def collide(self) -> None:
-        """A collision with another vehicle breaks the propellers: no motor has thrust any more."""
+        """Simulate a collision with another vehicle: the propellers break, and no motor has thrust."""
         self._physics.collide()
         self.faults.fail(_BROKEN, self._ms * NS_PER_MS)
 
     def arm(self) -> str | None:
-        """Arm; None if accepted (or armed already), else why not."""
+        """Arm the vehicle. Return None if accepted or already armed, else the reason of the rejection."""
         return self._firmware.arm(self._ms, self._battery.voltage_v)
 
     def disarm(self, force: bool) -> str | None:
-        """Disarm, motors off at once; without ``force`` only in contact. None if accepted, else why not."""
+        """Disarm and stop the motors; without ``force`` only in contact. Return the reason of a rejection."""
         if not force and self.armed and self.motors_running and not (self.on_pad or self.on_ground):
             return "in the air; land first, or force"
         self._firmware.disarm(self._ms)
         return None
 
     def reboot(self) -> str | None:
-        """Restart the firmware, which also unlocks it; None when done, else why not."""
+        """Restart and unlock the firmware. Return None if done, else the reason of the rejection."""
         if self.armed:
             return "armed; disarm first"
         self._firmware.supervisor.restart()
@@ -210,21 +210,21 @@ class VehicleSim:
         return None
 
     def set_velocity(self, velocity_enu_m_s: Vec3, yaw_rad: float) -> None:
-        """Send a velocity set-point; it takes effect, and its age counts, after the radio's delay."""
+        """Send a velocity set-point; it takes effect, and its age starts, after the radio's delay."""
         vx, vy, vz = velocity_enu_m_s
         self._firmware.send(Setpoint(vx, vy, vz, yaw_rad), self._ms - self.sent_before_ms)
 
     def set_position(self, position_enu_m: Vec3, yaw_rad: float, velocity_enu_m_s: Vec3 = ZERO) -> None:
-        """Send a position set-point, with the velocity to feed forward; it arrives as ``set_velocity``."""
+        """Send a position set-point with a feed-forward velocity; it is delayed as in ``set_velocity``."""
         setpoint = Setpoint(*velocity_enu_m_s, yaw_rad, position=position_enu_m)
         self._firmware.send(setpoint, self._ms - self.sent_before_ms)
 
     def choose_mellinger(self) -> None:
-        """Use the Mellinger controller from now on; it follows positions only."""
+        """Select the Mellinger controller; it accepts only position set-points."""
         self._firmware.choose_mellinger()
 
     def take_pose(self, position_enu_m: Vec3, quaternion: tuple[float, float, float, float]) -> None:
-        """Use an external pose; needs ``known_drag_1_s`` in the scenario."""
+        """Use an external pose as measurement; the scenario must set ``known_drag_1_s``."""
         self._firmware.estimator.take_pose(position_enu_m, quaternion)
 
     def reset_estimate(self, position_enu_m: Vec3, yaw_rad: float) -> None:
@@ -237,11 +237,11 @@ class VehicleSim:
         self._firmware.estimator.know_drag(drag_1_s)
 
     def stop_setpoint(self) -> None:
-        """Send a stop set-point: motors off while it is the newest; it ages like others."""
+        """Send a stop set-point, which turns the motors off while it is the newest; it times out as usual."""
         self._firmware.send(STOP, self._ms - self.sent_before_ms)
 
     def begin_judging(self) -> None:
-        """The landing starts: the next touch of the pad is the first."""
+        """Start the judged landing: the next touch of the pad counts as the first."""
         self._physics.judge_from_here()
 
     @property
@@ -255,7 +255,7 @@ class VehicleSim:
 
     @property
     def battery_v(self) -> float:
-        """Voltage under load."""
+        """Battery voltage under load, V."""
         return self._battery.voltage_v
 
     @property
@@ -265,7 +265,7 @@ class VehicleSim:
 
     @property
     def locked(self) -> bool:
-        """Whether only a reboot (a new object) helps."""
+        """Whether the firmware is locked until a reboot (``reboot``)."""
         return bool(self._state[0] == _LOCKED)
 
     @property
@@ -275,7 +275,7 @@ class VehicleSim:
 
     @property
     def crashed(self) -> bool:
-        """Whether the supervisor saw a tumble; disarm to clear."""
+        """Whether the supervisor detected a tumble; disarming resets it."""
         return bool(self._state[0] == _CRASHED)
 
     @property
@@ -290,14 +290,14 @@ class VehicleSim:
 
     @property
     def motor_commands(self) -> tuple[float, float, float, float]:
-        """Commands of M1..M4 over the highest speed at the current voltage, 0 to 1."""
+        """Speed commands of M1..M4 as shares of the highest speed at the current voltage, 0 to 1."""
         limit = self._battery.rpm_max
         m1, m2, m3, m4 = (min(1.0, max(0.0, c / limit)) for c in self._firmware.commands)
         return (m1, m2, m3, m4)
 
     @property
     def duty(self) -> tuple[float, float, float, float]:
-        """Duty cycles of M1..M4, 0 to 1, for a motor map without compensation of the battery."""
+        """Duty cycles of M1..M4, 0 to 1, for a motor map without battery compensation."""
         at_zero, limit = self._battery.rpm_no_duty, self._battery.rpm_max
         m1, m2, m3, m4 = (
             min(1.0, max(0.0, (c - at_zero) / (limit - at_zero))) for c in self._firmware.commands
@@ -310,38 +310,38 @@ class VehicleSim:
 
     @property
     def on_pad(self) -> bool:
-        """In contact with the pad's top (true contact; bounces shorter than 30 ms don't count)."""
+        """Whether the vehicle truly touches the pad's top; a bounce below 30 ms does not end the contact."""
         on_pad: bool = self._ms - self._pad_ms[0] <= GAP_MS
         return on_pad
 
     @property
     def on_ground(self) -> bool:
-        """In contact with the floor."""
+        """Whether the vehicle touches the floor."""
         on_ground: bool = self._ms - self._ground_ms[0] <= GAP_MS
         return on_ground
 
     @property
     def landed(self) -> bool:
-        """In contact with pad or floor for 0.15 s."""
+        """Whether the vehicle has touched pad or floor for 0.15 s."""
         lasts: bool = self._ms - self._since_ms[0] >= LANDED_AFTER_MS
         return lasts and (self.on_pad or self.on_ground)
 
     def estimate(self) -> Estimate:
-        """Return the newest estimate that has reached the autopilot."""
+        """Return the newest state estimate that has reached the autopilot."""
         believed = self._believed()
         if self.faults.quiet:
             return believed
         return self.faults.own_state.report(self._ms * NS_PER_MS, believed)
 
     def truth(self) -> Truth:
-        """The current true state, and extremes and contacts since the last call."""
+        """Return the current true state, and extremes and contacts since the last call."""
         return self._physics.truth(self._ms, self._read_commands() != OFF)
 
 
 def warm_up(scenario: Scenario) -> None:
     """Compile the code of a flight, or load it from the cache.
 
-    Takes about 25 s of processor time the first time on a machine, then some milliseconds.
+    The first compilation on a machine takes about 25 s of processor time, loading takes some milliseconds.
     """
     vehicle = VehicleSim(scenario, 0)
     vehicle.arm()
@@ -355,9 +355,9 @@ def warm_up(scenario: Scenario) -> None:
 
 
 def compile_first(scenario: Scenario) -> None:
-    """Compile code that is not in the cache before processes with time limits start.
+    """Compile code that is not in the cache before processes with time-outs start.
 
-    Forked processes use it, also where it cannot be stored.
+    Forked processes inherit the compiled code, even where it cannot be stored in the cache.
     """
     if not is_off() and not is_kept(_KEPT):
         warm_up(scenario)

@@ -1,1 +1,1 @@
-"""The MuJoCo world: vehicle, deck, contact."""
+"""The physics of vehicle and deck, with contacts computed by MuJoCo."""

@@ -1,7 +1,7 @@
-"""The vehicle's rigid body without contact, what acts on it, and the deck, which moves on an arc.
+"""Motion of the vehicle's rigid body without contact, and of the deck, which moves on an arc.
 
-The body's rates follow the implicit midpoint rule, which keeps the energy of a free rotation; position and
-attitude follow the mean of the velocities before and after the step, which makes constant acceleration exact.
+The body rates follow the implicit midpoint rule, which keeps the energy of a free rotation. Position and
+attitude use the mean of the velocities before and after the step, which is exact for constant acceleration.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from sim.plant.params import STEP_S
 
 
 class BodyRecord(Record):
-    """The vehicle's rigid body: centre of mass ENU, m and m/s; body FLU in world ENU."""
+    """Vehicle's rigid body: centre of mass in ENU, m and m/s; attitude of body FLU in world ENU."""
 
     position: Vector
     velocity: Vector
@@ -23,7 +23,7 @@ class BodyRecord(Record):
 
 
 class DeckRecord(Record):
-    """Pad centre (top), ENU, and the arc on which it moves: how a step turns and shifts it."""
+    """State of the pad centre (top side) in ENU, and the rotation and displacement of one step on its arc."""
 
     position: Vector
     velocity: Vector
@@ -31,12 +31,12 @@ class DeckRecord(Record):
     rate: float
     cos_turn: float
     sin_turn: float
-    along: float  # displacement of one step, per m/s
-    across: float
+    along: float  # displacement along the velocity in one step, per m/s
+    across: float  # displacement to the left of the velocity in one step, per m/s
 
 
 class WrenchRecord(Record):
-    """Force and torque on the vehicle, and what they move."""
+    """Force and torque on the vehicle, and its mass and inertia."""
 
     force: Vector  # force on the centre of mass, weight included, world frame, N
     torque: Vector  # body frame, N m
@@ -46,17 +46,17 @@ class WrenchRecord(Record):
 
 @jitted
 def gyroscopic(inertia: F64, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Angular velocity cross angular momentum, body frame."""
+    """Return the angular velocity cross the angular momentum, body frame, N m."""
     jx, jy, jz = inertia[0], inertia[1], inertia[2]
     return ((jz - jy) * y * z, (jx - jz) * z * x, (jy - jx) * x * y)
 
 
 @jitted
 def midpoint_rates(rates: F64, s: WrenchRecord) -> tuple[float, float, float]:
-    """Rates in the middle of the step, rad/s."""
+    """Return the body rates in the middle of the step, rad/s."""
     half = 0.5 * STEP_S
     x, y, z = rates[0], rates[1], rates[2]
-    for _ in range(4):  # each gains a factor of rate times half a step, 0.01 at most
+    for _ in range(4):  # each iteration reduces the error by the factor rate * half a step, at most 0.01
         gx, gy, gz = gyroscopic(s.inertia, x, y, z)
         x = rates[0] + half * (s.torque[0] - gx) / s.inertia[0]
         y = rates[1] + half * (s.torque[1] - gy) / s.inertia[1]
@@ -66,7 +66,7 @@ def midpoint_rates(rates: F64, s: WrenchRecord) -> tuple[float, float, float]:
 
 @jitted
 def rotate(q: F64, x: float, y: float, z: float) -> None:
-    """Turn a unit quaternion by a rotation vector in the body frame, rad."""
+    """Rotate a unit quaternion by a rotation vector in the body frame, rad."""
     half = 0.5 * math.sqrt(x * x + y * y + z * z)
     share = 0.5 * math.sin(half) / half if half > 0.0 else 0.5
     x, y, z, turn = share * x, share * y, share * z, math.cos(half)
@@ -79,7 +79,7 @@ def rotate(q: F64, x: float, y: float, z: float) -> None:
 
 @jitted
 def move_body(body: BodyRecord, s: WrenchRecord) -> None:
-    """Move the vehicle on by one step without contact."""
+    """Advance the vehicle by one step without contact."""
     x, y, z = midpoint_rates(body.rates, s)
     rotate(body.quaternion, STEP_S * x, STEP_S * y, STEP_S * z)
     body.rates[0] = 2.0 * x - body.rates[0]
@@ -93,7 +93,7 @@ def move_body(body: BodyRecord, s: WrenchRecord) -> None:
 
 @jitted
 def arc_of_step(rate: float) -> tuple[float, float, float, float]:
-    """Cosine and sine of the turn of one step, and how far it goes along and across, per m/s; rad/s."""
+    """Return the turn's cosine and sine and the displacements of ``DeckRecord`` for a turn rate in rad/s."""
     turn = rate * STEP_S
     sine = math.sin(0.5 * turn)
     chord = sine / (0.5 * turn) if turn else 1.0  # chord over arc length
@@ -103,7 +103,7 @@ def arc_of_step(rate: float) -> tuple[float, float, float, float]:
 
 @jitted
 def move_deck(deck: DeckRecord) -> None:
-    """Move the deck on by one step."""
+    """Advance the deck by one step."""
     p, v = deck.position, deck.velocity
     vx, vy, vz = v[0], v[1], v[2]
     p[0] += deck.along * vx - deck.across * vy

@@ -1,4 +1,4 @@
-"""What the vehicle touches, read from the contact sensors of the MuJoCo model."""
+"""Contacts of the vehicle, read from the contact sensors of the MuJoCo model."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from flightstack.compiled.foreign import Doubles
 from flightstack.compiled.jit import jitted
 from logs.schema.events import ContactBit
 
-TOP_NORMAL = 0.7  # a contact whose normal is within 45 degrees of the vertical is with the pad's top
-RIM_M = 0.002  # a contact lower than this under the pad's top is with its edge
+TOP_NORMAL = 0.7  # smallest |z| of the contact normal, about 45 degrees from the vertical, of the pad's top
+RIM_M = 0.002  # a contact more than this distance below the pad's top counts as contact with the edge, m
 
-# numbers of the sensors: contacts with the floor, with what is below the pad, and each one with the pad
-PAD_CONTACTS = 16  # nine shapes of the vehicle, one or two of each
-PER_CONTACT = 7  # whether there is one, place (world, m), normal
+# Layout of the sensor readings: one for the floor, one for the robot below the pad, then all pad contacts.
+PAD_CONTACTS = 16  # maximum number of contacts with the pad: nine shapes of the vehicle, up to two each
+PER_CONTACT = 7  # values per contact: whether it exists, position (world, m), normal
 SENSORS = 2 + PAD_CONTACTS * PER_CONTACT
 
 
@@ -22,7 +22,7 @@ PAD, GROUND, ROBOT, PAD_EDGE = (
 
 @jitted
 def touched(sensors: Doubles, pad_m: float) -> int:
-    """Contact bits. ``sensors``: readings, see ``SENSORS``; ``pad_m``: height of the pad's top."""
+    """Return the contact bits. ``sensors``: ``SENSORS`` readings; ``pad_m``: height of the pad's top, m."""
     bits = GROUND if sensors[0] > 0.0 else 0
     if sensors[1] > 0.0:
         bits |= ROBOT

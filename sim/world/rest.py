@@ -1,7 +1,7 @@
-"""A vehicle that stands still on the pad is carried by it; MuJoCo is asked again when anything changes.
+"""A vehicle at rest moves with the pad, without MuJoCo, until the forces or the deck's motion change.
 
-Static friction holds it in reality. MuJoCo's contact is soft, so that in it whatever stands under a steady
-side force creeps, and each of its steps costs ten times as much as all the rest of a step.
+On a real pad static friction holds the vehicle. MuJoCo's contact is soft: in MuJoCo a vehicle under a steady
+side force creeps, and a step of MuJoCo takes ten times as long as all the rest of a step.
 """
 
 from __future__ import annotations
@@ -14,25 +14,25 @@ from sim.plant.params import Params
 from sim.plant.rotation import rotation_axes
 from sim.world.bodies import BodyRecord, DeckRecord, WrenchRecord, move_deck
 
-WAIT_STEPS = 50  # steps of 1 ms at rest in a row until it is carried: longer than a bounce of the feet
-STILL_M = 1e-4  # largest motion on the pad in that time
-DIAGONAL = 1.4143  # diagonal of a square over its side, rounded up: the feet stand on its corners
-SAME_RAD = 0.002  # between two attitudes in all that time
-UPRIGHT = 0.99  # cosine of the tilt: on all its feet
-LOADED = 0.5  # share of the weight that is on the feet, at least
-HOLDS = 0.25  # share of what friction and weight could hold; with more MuJoCo decides
-TICK_S = 0.01  # time in which the deck takes up a new velocity; it is set in steps
-MOVED_M, TURNED_RAD = 1e-4, 1e-3  # beyond that the deck was placed elsewhere
+WAIT_STEPS = 50  # steps of 1 ms at rest in a row before the pad carries the vehicle; a bounce is shorter
+STILL_M = 1e-4  # largest motion relative to the pad in these steps, m
+DIAGONAL = 1.4143  # ratio of a square's diagonal to its side, rounded up: the feet are at the corners
+SAME_RAD = 0.002  # largest change of attitude in these steps, rad
+UPRIGHT = 0.99  # smallest cosine of the tilt at which the vehicle stands on all feet
+LOADED = 0.5  # smallest share of the weight that loads the feet
+HOLDS = 0.25  # largest used share of what friction and weight can hold; above it MuJoCo computes the step
+TICK_S = 0.01  # time in which the deck adopts a new velocity, s; the velocity is set in steps
+MOVED_M, TURNED_RAD = 1e-4, 1e-3  # a larger jump of the deck in one step means that it was placed elsewhere
 
 
 class RestRecord(Record):
-    """How long the vehicle has been at rest on the pad, and where it stands there."""
+    """Number of steps at rest on the pad, and the vehicle's pose on the pad."""
 
-    wait_steps: int  # ``WAIT_STEPS``; more than a flight has: never
+    wait_steps: int  # ``WAIT_STEPS``; a number larger than the steps of a flight disables the resting state
     steps: int  # consecutive steps at rest
     friction: float
     gravity: float  # m/s^2
-    feet_m: float  # distance of the feet beside the centre of mass
+    feet_m: float  # distance of the feet from the centre of mass along body x and y
     pad_radius_m: float
     place: Vector  # position from the pad's centre, along the pad's axes, m
     attitude: Quaternion  # attitude in the pad's axes
@@ -43,7 +43,7 @@ class RestRecord(Record):
 
 
 def set_up_rest(r: RestRecord, params: Params, pad_radius_m: float) -> None:
-    """Fill in what does not change."""
+    """Fill in the constant values."""
     r.wait_steps, r.friction = WAIT_STEPS, params.contact.friction
     r.gravity, r.pad_radius_m = params.contact.gravity_m_s2, pad_radius_m
     r.feet_m = params.geometry.foot_offset_m
@@ -58,14 +58,14 @@ def _note_deck(r: RestRecord, deck: DeckRecord) -> None:
 
 @jitted
 def _change(now: F64, before: F64) -> tuple[float, float]:
-    """How much a vector changed, level and up."""
+    """Return the horizontal and the vertical size of a vector's change."""
     x, y = now[0] - before[0], now[1] - before[1]
     return math.sqrt(x * x + y * y), abs(now[2] - before[2])
 
 
 @jitted
 def _holds(r: RestRecord, wrench: WrenchRecord, deck: DeckRecord) -> bool:
-    """Whether friction and weight hold the vehicle easily; False for NaN."""
+    """Return whether friction and weight hold the vehicle with margin; False for NaN."""
     force, torque, down = wrench.force, wrench.torque, -wrench.force[2]
     moved_m, raised_m = _change(deck.position, r.deck_position)
     faster_m_s, rises_m_s = _change(deck.velocity, r.deck_velocity)
@@ -90,17 +90,17 @@ def _holds(r: RestRecord, wrench: WrenchRecord, deck: DeckRecord) -> bool:
 
 @jitted
 def _turned(q: F64, yaw: float) -> tuple[float, float, float, float]:
-    """An attitude, turned about the vertical."""
+    """Return an attitude (w, x, y, z) that is turned about the vertical by ``yaw``, rad."""
     c, s = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
     return c * q[0] - s * q[3], c * q[1] - s * q[2], c * q[2] + s * q[1], c * q[3] + s * q[0]
 
 
 @jitted
 def look(r: RestRecord, body: BodyRecord, deck: DeckRecord, on_pad: bool) -> None:
-    """Take note of a step at its end, with the deck moved on.
+    """Count a step at rest; called at the end of a step, after the deck has moved.
 
-    ``body``: the vehicle; ``on_pad``: whether the vehicle touched the top of the pad, and nothing else, in
-    that step.
+    ``body``: the vehicle; ``on_pad``: whether in this step the vehicle touched the top of the pad and nothing
+    else.
     """
     q = body.quaternion
     x, y = body.position[0] - deck.position[0], body.position[1] - deck.position[1]
@@ -113,7 +113,7 @@ def look(r: RestRecord, body: BodyRecord, deck: DeckRecord, on_pad: bool) -> Non
     place, attitude, now = r.place, r.attitude, _turned(q, -deck.yaw)
     dx, dy, dz = x - place[0], y - place[1], z - place[2]
     product = now[0] * attitude[0] + now[1] * attitude[1] + now[2] * attitude[2] + now[3] * attitude[3]
-    same = abs(product) > 1.0 - SAME_RAD * SAME_RAD / 8.0  # the cosine of half the angle between them
+    same = abs(product) > 1.0 - SAME_RAD * SAME_RAD / 8.0  # cosine of half the angle between both attitudes
     if not (same and dx * dx + dy * dy + dz * dz < STILL_M * STILL_M):
         r.steps = 0
     r.steps += 1
@@ -126,7 +126,7 @@ def look(r: RestRecord, body: BodyRecord, deck: DeckRecord, on_pad: bool) -> Non
 
 @jitted
 def carried(r: RestRecord, wrench: WrenchRecord, body: BodyRecord, deck: DeckRecord) -> bool:
-    """Move the deck on by one step and a resting vehicle with it; False, and nothing done, for others."""
+    """Advance the deck and a resting vehicle by one step; without one change nothing and return False."""
     if r.steps < r.wait_steps:
         return False
     if not _holds(r, wrench, deck):

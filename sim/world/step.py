@@ -1,4 +1,4 @@
-"""Steps of 1 ms of vehicle and deck; where they may touch, MuJoCo makes the step."""
+"""Physics steps of 1 ms of vehicle and deck; MuJoCo computes the step if they may be in contact."""
 
 from __future__ import annotations
 
@@ -22,54 +22,54 @@ from sim.world.bodies import (
 from sim.world.contact import PAD, touched
 from sim.world.rest import RestRecord, carried, look
 
-TUMBLE_COS = 0.5  # 60 degrees
+TUMBLE_COS = 0.5  # cosine of 60 degrees, the tilt of a tumble
 
 
 class ReachRecord(Record):
-    """How far the shapes extend, m, margin included."""
+    """Outer bounds of the shapes, m, margin included."""
 
     vehicle: float  # radius about the centre of mass
-    side: float  # radius of the cylinder around it, about the body's z axis
-    bottom: float  # bottom of the cylinder along that axis, below zero
-    top: float
-    robot: float  # radius about the pad's axis
-    robot_top: float  # above the pad
+    side: float  # radius of the cylinder around the vehicle, about the body's z axis
+    bottom: float  # bottom of this cylinder on the body's z axis, negative
+    top: float  # top of this cylinder on the body's z axis
+    robot: float  # radius of the robot about the pad's axis
+    robot_top: float  # highest point of the robot above the pad's top
 
 
 class MujocoRecord(Record):
-    """Addresses of MuJoCo's function ``mj_step``, of its model and data, and of numbers in the data."""
+    """Addresses of MuJoCo's function ``mj_step``, of its model and data, and of arrays in the data."""
 
     mj_step: int
     mj_model: int
     mj_data: int
-    positions: int  # QPOS of them
-    velocities: int  # QVEL
-    applied: int  # generalised forces, QVEL
-    sensors: int  # readings of the state before the step, see SENSORS
+    positions: int  # generalised positions, ``QPOS`` numbers
+    velocities: int  # generalised velocities, ``QVEL`` numbers
+    applied: int  # generalised forces, ``QVEL`` numbers
+    sensors: int  # ``SENSORS`` sensor readings for the state before the step
 
 
 class WorldRecord(Record):
-    """The vehicle's body and the deck."""
+    """Memory of the physics: states of vehicle and deck, bounds, forces and contacts."""
 
     body: BodyRecord
     deck: DeckRecord
     reach: ReachRecord
     wrench: WrenchRecord
-    contacts: int  # ``ContactBit`` of the state the last step began with
+    contacts: int  # ``ContactBit`` of the state before the last step
     rest: RestRecord
     mujoco: MujocoRecord
 
 
 @jitted
 def apart(reach: ReachRecord, body: BodyRecord, deck: DeckRecord) -> bool:
-    """Return whether vehicle and floor, and vehicle and robot, cannot touch; False for NaN.
+    """Return whether the vehicle certainly touches neither floor nor robot; False for NaN.
 
-    ``reach``: bounds; ``body``: the vehicle's; ``deck``: the pad's.
+    ``reach``: bounds of the shapes; ``body``: the vehicle; ``deck``: the pad.
     """
     p, d, below = body.position, deck.position, reach.vehicle
     x, y, z = p[0] - d[0], p[1] - d[1], p[2] - d[2]
     square, beside = x * x + y * y, reach.vehicle + reach.robot
-    if not (p[2] > below and z > below + reach.robot_top):  # near: how far the tilted cylinder reaches down
+    if not (p[2] > below and z > below + reach.robot_top):  # close: find the tilted cylinder's lowest point
         axes = rotation_axes(body.quaternion)
         level, up = math.sqrt(axes[6] * axes[6] + axes[7] * axes[7]), axes[8]
         below = reach.side * level - min(reach.bottom * up, reach.top * up)
@@ -79,7 +79,7 @@ def apart(reach: ReachRecord, body: BodyRecord, deck: DeckRecord) -> bool:
 
 @jitted
 def ask(world: WorldRecord) -> None:
-    """Hand the step to MuJoCo."""
+    """Write the state, force and torque of this step into MuJoCo's data."""
     body, deck, s = world.body, world.deck, world.wrench
     positions, velocities = doubles(world.mujoco.positions), doubles(world.mujoco.velocities)
     applied = doubles(world.mujoco.applied)
@@ -100,7 +100,7 @@ def ask(world: WorldRecord) -> None:
 
 @jitted
 def answer(body: BodyRecord, m: MujocoRecord) -> None:
-    """Take the vehicle's state from MuJoCo."""
+    """Read the vehicle's state from MuJoCo."""
     positions, velocities = doubles(m.positions), doubles(m.velocities)
     for i in range(3):
         body.position[i], body.velocity[i], body.rates[i] = positions[i], velocities[i], velocities[3 + i]
@@ -110,11 +110,11 @@ def answer(body: BodyRecord, m: MujocoRecord) -> None:
 
 @jitted
 def physics_step(world: WorldRecord) -> None:
-    """Advance by one step.
+    """Advance vehicle and deck by one step.
 
-    MuJoCo's Euler step moves position and attitude with the velocities at its end, which ``move_body`` does
-    better; so a step of MuJoCo's that finds no contact does not count. It moves nothing but the vehicle. One
-    that rests on the pad is carried, and its contacts stay as they are.
+    MuJoCo's Euler step uses the velocities at the end of the step. ``move_body`` is more accurate, so it
+    replaces a MuJoCo step without contact. MuJoCo moves only the vehicle. A vehicle at rest moves with the
+    pad, and its contact bits stay the same.
     """
     if carried(world.rest, world.wrench, world.body, world.deck):
         return
@@ -134,6 +134,6 @@ def physics_step(world: WorldRecord) -> None:
 
 @jitted
 def tumbled(quaternion: Sequence[float] | F64) -> bool:
-    """Whether the body's z axis is tilted by more than 60 degrees."""
+    """Return whether the body's z axis is tilted by more than 60 degrees."""
     x, y = quaternion[1], quaternion[2]
     return bool(x * x + y * y > 0.5 * (1.0 - TUMBLE_COS))  # body z axis: 1 - 2 (x^2 + y^2)

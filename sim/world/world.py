@@ -1,4 +1,4 @@
-"""The vehicle's body and the moving deck; MuJoCo makes the steps in which they may touch."""
+"""The MuJoCo model and the memory of vehicle and moving deck."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from sim.world.contact import PAD_CONTACTS
 from sim.world.rest import set_up_rest
 from sim.world.step import ReachRecord, WorldRecord, physics_step, tumbled
 
-MARGIN_M = 1e-3  # beyond rounding
-_LIBRARIES = ("libmujoco*.so*", "libmujoco*.dylib", "mujoco.dll")  # Linux, macOS, Windows
-HEAVY_KG = 1.0e4  # against 0.03 kg: a landing moves it by nothing
-QPOS, QVEL = 11, 10  # the vehicle's free joint comes first, then the robot's x, y, z and yaw
+MARGIN_M = 1e-3  # margin for rounding errors, m
+_LIBRARIES = ("libmujoco*.so*", "libmujoco*.dylib", "mujoco.dll")  # file names on Linux, macOS, Windows
+HEAVY_KG = 1.0e4  # mass of the simulated robot; contacts with the vehicle (0.03 kg) do not move it
+QPOS, QVEL = 11, 10  # sizes of MuJoCo's state: the vehicle's free joint, then the robot's x, y, z and yaw
 
 
 @cache
 def mujoco_function(name: str) -> int:
-    """Address of a function of MuJoCo's C library, which its Python package has loaded.
+    """Return the address of a function in MuJoCo's C library, which its Python package has loaded.
 
-    Raises OSError: the package holds no such library; AttributeError: the library has no such function.
+    Raises OSError: the package has no such library; AttributeError: the library has no such function.
     """
     folder = Path(mujoco.__file__).parent
     found = sorted(each for kind in _LIBRARIES for each in folder.glob(kind))
@@ -55,7 +55,7 @@ def measure_reach(model: mujoco.MjModel, reach: ReachRecord) -> None:
 
 
 def _cylinder(model: mujoco.MjModel, geoms: npt.NDArray[np.bool_]) -> tuple[float, float, float]:
-    """Radius, bottom and top of a cylinder about the body's z axis around geoms that are not turned in it."""
+    """Return radius, bottom and top of a cylinder about body z around geoms aligned with the body."""
     centre = model.geom_pos[geoms] + model.geom_aabb[geoms, :3]
     half = model.geom_aabb[geoms, 3:]
     return (
@@ -73,8 +73,8 @@ def _step(world: Cell[WorldRecord]) -> None:
 class World:
     """The vehicle's rigid body and the deck.
 
-    ``params``: geometry and contact; ``mass_kg``: true mass; the inertia scales with it; ``target``: pad and
-    robot shapes; ``record``: where to keep everything; None for a place of its own.
+    ``params``: geometry and contact; ``mass_kg``: true mass; the inertia scales with it; ``target``: shapes
+    of pad and robot; ``record``: memory of the state; None creates it.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class World:
     ) -> None:
         self._model = model = mujoco.MjModel.from_xml_string(model_xml(params, mass_kg, target))
         self._data = data = mujoco.MjData(model)
-        self.record = r = new(WorldRecord) if record is None else record  # their state
+        self.record = r = new(WorldRecord) if record is None else record  # state of vehicle and deck
         measure_reach(model, r.reach)
         r.wrench.mass, r.wrench.inertia[:] = mass_kg, model.body("vehicle").inertia
         set_up_rest(r.rest, params, target.pad_radius_m)
@@ -105,19 +105,19 @@ class World:
         velocity: Vec3 = (0.0, 0.0, 0.0),
         rates: Vec3 = (0.0, 0.0, 0.0),
     ) -> None:
-        """Place the vehicle."""
+        """Set the vehicle's state."""
         self.record.rest.steps = 0
         self._set_body(*position, *velocity, *quaternion, *rates)
 
     def set_deck(self, position: Vec3, yaw: float, velocity: Vec3, rate: float) -> None:
-        """Place the deck; from here on it moves on an arc: body-frame speed, climb and turn rate constant."""
+        """Set the deck's state; it then moves on an arc with constant forward speed, climb and turn rate."""
         self._set_deck(*position, *velocity, yaw, rate, *arc_of_step(rate))
 
     def step(self, force: Vec3, torque: Vec3) -> int:
-        """Do one step.
+        """Advance by one step.
 
-        ``force``: on the centre of mass, weight included, world frame, N; ``torque``: body frame, N m.
-        Returns contact bits of the state the step began with, and whether it is tumbled now.
+        ``force``: force on the centre of mass, weight included, world frame, N; ``torque``: body frame, N m.
+        Returns the contact bits of the state before the step, and the tumble bit of the state after it.
         """
         wrench = self.record.wrench
         wrench.force[:], wrench.torque[:] = force, torque
@@ -126,17 +126,17 @@ class World:
 
     @property
     def position(self) -> Vec3:
-        """Of the vehicle's centre of mass, ENU, m."""
+        """Position of the vehicle's centre of mass, ENU, m."""
         return self._read_body()[:3]
 
     @property
     def velocity(self) -> Vec3:
-        """Of the vehicle's centre of mass, ENU, m/s."""
+        """Velocity of the vehicle's centre of mass, ENU, m/s."""
         return self._read_body()[3:6]
 
     @property
     def quaternion(self) -> tuple[float, float, float, float]:
-        """w, x, y, z; body FLU in world ENU."""
+        """Attitude (w, x, y, z) of body FLU in world ENU."""
         return self._read_body()[6:10]
 
     @property
@@ -146,12 +146,12 @@ class World:
 
     @property
     def deck_position(self) -> Vec3:
-        """Of the pad centre (top), ENU, m."""
+        """Position of the pad centre (top side), ENU, m."""
         return self._read_deck()[:3]
 
 
 def vehicle_geoms(params: Params) -> str:
-    """Feet, board and propeller discs; feet first."""
+    """Return the XML of feet, board and propeller discs; feet first."""
     g, r = params.geometry, params.rotor
     z = g.foot_bottom_m + g.foot_radius_m
     feet, discs = [], []
@@ -167,9 +167,9 @@ def vehicle_geoms(params: Params) -> str:
 
 
 def robot_geoms(params: Params, target: TargetSpec) -> str:
-    """Pad, and body and lidar of the robot below it; origin is the pad centre (top), x forward.
+    """Return the XML of the pad and of the robot below it; origin: pad centre (top side), x forward.
 
-    A pad lower than the robot is tall (a deck of another kind) has only a box below it.
+    A deck that is lower than the robot's height has only a box below the pad.
     """
     r = params.robot
     half = r.pad_thickness_m / 2.0
@@ -193,10 +193,10 @@ def robot_geoms(params: Params, target: TargetSpec) -> str:
 def model_xml(params: Params, mass_kg: float, target: TargetSpec) -> str:
     """Return the MuJoCo model as XML text. Joints: the vehicle's free one, then the robot's x, y, z and yaw.
 
-    The robot has a velocity, so that friction carries what stands on it (a mocap body has none). Its state is
-    imposed every step; its weight is so large that no contact moves it in between. The friction cone is
-    elliptic: the pyramid would hold diagonally with 0.7 of the friction only. Gravity is off and the
-    vehicle's weight is applied as a force, so that the robot needs no support.
+    The robot is a body with a velocity, because only a moving body carries others by friction (a mocap body
+    has no velocity). Its state is set every step; its mass is so large that no contact moves it in between.
+    The friction cone is elliptic: the pyramid holds diagonally with only 0.7 of the friction. Gravity is off
+    and the vehicle's weight is applied as a force, so that the robot needs no support.
     """
     jxx, jyy, jzz = params.body.inertia_kg_m2
     scale = mass_kg / params.body.mass_kg
