@@ -96,7 +96,7 @@ def fleet():
     found = team.load("fleet_3")
     results = [*fleet_checks(found.member[0].onboard), *crowd(found)]
     rows = [_row(check.name, [check.claim, _room(check), check.worst]) for check in results]
-    return "\n".join(["| check | claim | room | worst point |", "|---|---|---|---|", *rows])
+    return "\n".join(["| check | claim | distance to the limit | worst point |", "|---|---|---|---|", *rows])
 
 
 def _room(check):
