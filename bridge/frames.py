@@ -17,8 +17,8 @@ from flightstack.core.types import Vec3
 Quat = tuple[float, float, float, float]
 
 _SQRT_HALF = math.sqrt(0.5)
-_POLE = 1.0 - 1e-12  # sine of a pitch that is 90 degrees but for 1e-6 rad
-_NED_AXIS = (1, 0, 2, 4, 3, 5)  # ENU axis of each NED axis, of position and rotation
+_POLE = 1.0 - 1e-12  # sine of a pitch angle that is 1e-6 rad below 90 degrees
+_NED_AXIS = (1, 0, 2, 4, 3, 5)  # index of the ENU axis of each NED axis, for position, then for rotation
 _NED_SIGN = (1.0, 1.0, -1.0, 1.0, 1.0, -1.0)
 
 
@@ -43,42 +43,42 @@ def wrap_angle(angle_rad: float) -> float:
 
 @numeric
 def yaw_enu_from_ned(yaw_ned_rad: float) -> float:
-    """Turn a heading clockwise from north into one counter-clockwise from east, in (-pi, pi]."""
+    """Convert a heading clockwise from north into a heading counter-clockwise from east, in (-pi, pi]."""
     return wrap_angle(math.pi / 2 - yaw_ned_rad)
 
 
 @numeric
 def yaw_ned_from_enu(yaw_enu_rad: float) -> float:
-    """Turn a heading counter-clockwise from east into one clockwise from north, in (-pi, pi]."""
+    """Convert a heading counter-clockwise from east into a heading clockwise from north, in (-pi, pi]."""
     return wrap_angle(math.pi / 2 - yaw_enu_rad)
 
 
 @numeric
 def ned_frd_from_enu_flu(q: Quat) -> Quat:
-    """Turn the attitude of FLU in ENU into the attitude of FRD in NED.
+    """Convert the attitude of FLU in ENU into the attitude of FRD in NED.
 
-    The product q(NED<-ENU) q q(FLU<-FRD) with the half turns (0, s, s, 0), s = sqrt(1/2), and (0, 1, 0, 0),
-    multiplied out; the sign of the whole quaternion is chosen so that the conversion is its own inverse.
+    The formula is the expanded product q(NED<-ENU) q q(FLU<-FRD) with the half turns (0, s, s, 0), s =
+    sqrt(1/2), and (0, 1, 0, 0). The sign of the quaternion makes the conversion its own inverse.
     """
     w, x, y, z = q
     return (_SQRT_HALF * (w + z), _SQRT_HALF * (x + y), _SQRT_HALF * (x - y), _SQRT_HALF * (w - z))
 
 
 def quaternion_from_yaw(yaw_rad: float) -> Quat:
-    """Attitude of a body that is level and turned by ``yaw_rad`` about the world's z axis."""
+    """Return the attitude of a level body that is rotated by ``yaw_rad`` about the world's z axis."""
     return (math.cos(yaw_rad / 2), 0.0, 0.0, math.sin(yaw_rad / 2))
 
 
 def yaw_from_quaternion(q: Quat) -> float:
-    """Heading of the body's x axis in the world's x-y plane, (-pi, pi], of a unit quaternion."""
+    """Return the heading of the body's x axis in the world's x-y plane, (-pi, pi], of a unit quaternion."""
     w, x, y, z = q
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
 def world_from_body(q: Quat, v: Vec3) -> Vec3:
-    """Rotate a vector from the body into the world; ``q`` is a unit quaternion."""
+    """Rotate a vector from the body frame into the world frame; ``q`` is a unit quaternion."""
     w, x, y, z = q
-    # v + 2 r x (r x v + w v), with r the vector part: 18 products, no matrix.
+    # The formula is v + 2 r x (r x v + w v), r being the vector part of q: 18 products, no matrix.
     tx = y * v[2] - z * v[1] + w * v[0]
     ty = z * v[0] - x * v[2] + w * v[1]
     tz = x * v[1] - y * v[0] + w * v[2]
@@ -90,16 +90,16 @@ def world_from_body(q: Quat, v: Vec3) -> Vec3:
 
 
 def body_from_world(q: Quat, v: Vec3) -> Vec3:
-    """Rotate a vector from the world into the body; ``q`` is a unit quaternion."""
+    """Rotate a vector from the world frame into the body frame; ``q`` is a unit quaternion."""
     return world_from_body((q[0], -q[1], -q[2], -q[3]), v)
 
 
 def ned_covariance_from_enu(covariance: Sequence[float]) -> tuple[float, ...]:
-    """Turn a covariance of position and rotation about the world's axes from ENU into NED.
+    """Convert a covariance of position and rotation about the world's axes from ENU into NED.
 
-    ``covariance``: 6 x 6, row by row, order x y z and rotations about x y z (geometry_msgs).
-    Returns the same about north, east and down (the conversion is its own inverse).
-    Raises ValueError: it has not 36 entries.
+    ``covariance`` is 6 x 6, row by row, in the order x, y, z and rotations about x, y, z (geometry_msgs). The
+    result has the axes north, east and down; the conversion is its own inverse.
+    Raises ValueError: the covariance does not have 36 entries.
     """
     if len(covariance) != 36:
         raise ValueError(f"covariance has {len(covariance)} entries: 6 x 6 are needed")
@@ -111,15 +111,15 @@ def ned_covariance_from_enu(covariance: Sequence[float]) -> tuple[float, ...]:
 
 
 def upper_triangle(covariance: Sequence[float]) -> tuple[float, ...]:
-    """The 21 entries of a symmetric 6 x 6 matrix that MAVLink carries, row by row."""
+    """Return the 21 upper entries, row by row, of a symmetric 6 x 6 matrix, as MAVLink sends them."""
     return tuple(covariance[6 * i + j] for i in range(6) for j in range(i, 6))
 
 
 @numeric
 def euler_from_quaternion(q: Quat) -> Vec3:
-    """Roll, pitch and yaw, turned about z, then y, then x, of a unit quaternion; pitch in [-pi/2, pi/2].
+    """Return roll, pitch in [-pi/2, pi/2] and yaw of a unit quaternion; they rotate about z, then y, then x.
 
-    With the nose straight up or down roll and yaw have the same axis: roll is 0 then.
+    If the nose points straight up or down, roll and yaw have the same axis; roll is then 0.
     """
     w, x, y, z = q
     sine = 2.0 * (w * y - z * x)

@@ -1,1 +1,1 @@
-"""A stock Crazyflie as a MAVLink vehicle, through cflib; ``process`` is the loop, ``vehicle`` the core."""
+"""Presents a Crazyflie with stock firmware, reached through cflib, to MAVLink clients as a vehicle."""

@@ -1,8 +1,8 @@
-"""Arming and motors-off requests to the firmware's supervisor: repeated until answered, then given up.
+"""Requests to the firmware's supervisor to arm or to stop the motors; each is repeated until answered.
 
-Motors off is three packets: a stop set-point, the notice that no more set-points come, without which the
-supervisor locks two seconds later (firmware supervisor.c), and a disarming request, which it obeys in flight
-too. A forced disarm that has no effect becomes an emergency stop, which latches until a restart.
+Motors-off consists of three packets: a stop set-point; a notice that no more set-points follow, without which
+the supervisor locks after two seconds (firmware supervisor.c); and a disarming request, which also works in
+flight. If a forced disarm has no effect, an emergency stop follows; it is latched until a restart.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 from bridge.crazyflie.types import ArmReply, CrazyflieState, Info, Order, Packet
 
-REPEAT_S = 0.05  # s between two of the same; two packets of state
-ARM_MAX_S = 0.6  # s until an unanswered arming request has failed
-KILL_UNSEEN_S = 0.2  # s until a forced disarm without effect becomes an emergency stop
-OFF_MAX_S = 1.0  # s, longest time that motors-off is repeated
-NOTICES = 6  # repeats of the notice once the motors are off, in case one gets lost
+REPEAT_S = 0.05  # time between two repeats of a request, s; two state packets arrive in it
+ARM_MAX_S = 0.6  # time-out of an arming request without an answer, s
+KILL_UNSEEN_S = 0.2  # time without effect after which a forced disarm becomes an emergency stop, s
+OFF_MAX_S = 1.0  # longest time that motors-off is repeated, s
+NOTICES = 6  # number of notices sent after the motors are off, since packets may be lost
 REFUSED = "the supervisor refused"
 _OFF = (Order.STOP, Order.NOTIFY_STOP, Order.DISARM)
 
@@ -29,10 +29,10 @@ class _Asked:
 
 
 class Arming:
-    """Requests to the supervisor whose effect has not been observed yet."""
+    """Requests to the supervisor whose effect is not observed yet."""
 
     def __init__(self) -> None:
-        self.armed = False  # by a client of this bridge, confirmed by the firmware
+        self.armed = False  # armed by a client of this bridge and confirmed by the firmware
         self._arm: _Asked | None = None
         self._off: _Asked | None = None
         self._latched = False
@@ -45,11 +45,11 @@ class Arming:
 
     @property
     def busy(self) -> bool:
-        """Whether a packet is still to be sent, or an effect still to be observed."""
+        """Whether a packet must still be sent or an effect must still be observed."""
         return self._arm is not None or self._off is not None or self._notices > 0
 
     def ask(self, state: CrazyflieState, now_s: float) -> list[Packet]:
-        """Begin arming; firmware that arms itself needs no packet."""
+        """Start arming; firmware that arms itself needs no packet."""
         self._off, self._notices = None, 0
         if state.info & Info.ARMED:
             self.armed = True
@@ -58,9 +58,9 @@ class Arming:
         return [Order.ARM]
 
     def reply(self, reply: ArmReply) -> str | None:
-        """Take the supervisor's answer; the reason when it refused.
+        """Handle the supervisor's answer; return the reason if it refused.
 
-        Firmware that arms itself refuses requests while it does so; that refusal is ignored.
+        Firmware that arms itself refuses requests while it is arming; such a refusal is ignored.
         """
         if self._arm is None or reply.accepted:
             return None
@@ -71,7 +71,7 @@ class Arming:
         return REFUSED
 
     def off(self, now_s: float, *, forced: bool) -> list[Packet]:
-        """Motors off, now; a repeated request sends the packets again, since they may have been lost."""
+        """Stop the motors now; a repeated request sends the packets again, in case they were lost."""
         self.armed, self._arm = False, None
         since_s = self._off.since_s if self._off is not None and self._off.forced else now_s
         self._off = _Asked(since_s, now_s, forced or (self._off is not None and self._off.forced))
@@ -83,12 +83,12 @@ class Arming:
         return [Order.EMERGENCY_STOP, *packets]
 
     def forget(self, *, armed: bool) -> None:
-        """Drop all open requests: the link is lost."""
+        """Drop all open requests because the link is lost."""
         self.armed, self._arm, self._off, self._latched = armed, None, None, False
         self._notices = 0
 
     def step(self, state: CrazyflieState | None, now_s: float) -> tuple[list[Packet], str | None]:
-        """Packets to repeat, and a text when a request was given up."""
+        """Return the packets to repeat, and a text if a request has failed."""
         if self._arm is not None:
             return self._step_arm(self._arm, state, now_s)
         if self._off is not None:
@@ -113,10 +113,10 @@ class Arming:
         self, asked: _Asked, state: CrazyflieState | None, now_s: float
     ) -> tuple[list[Packet], str | None]:
         after_s = now_s - asked.since_s
-        fresh = state is not None and state.at_s > asked.since_s + REPEAT_S  # not one that was under way
+        fresh = state is not None and state.at_s > asked.since_s + REPEAT_S  # measured after the request
         if fresh and state is not None and not state.info & Info.FLYING:
             self._off, self._latched = None, False
-            # A stop set-point whose notice gets lost is a lost link two seconds later.
+            # If the notice is lost, the supervisor reports a lost link two seconds later.
             self._notices, self._notice_s = NOTICES, now_s
             return [Order.NOTIFY_STOP], None
         if after_s > OFF_MAX_S:

@@ -1,8 +1,8 @@
-"""Log blocks of one connection: requested, and requested anew when none arrives.
+"""Log blocks of one connection: requested at the start, and again when no packet arrives.
 
-The firmware deletes them when it has received nothing for a second (crtp.c, log.c), and cflib does not check
-that blocks arrive. It requests a long block in two packets without checking that the second has arrived; a
-block that is too short is never decoded.
+The firmware deletes its log blocks when it has received nothing for a second (crtp.c, log.c); cflib does not
+check that blocks arrive. cflib requests a long block in two packets and does not check that the second one
+arrived; a block without it is too short and is never decoded.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from bridge.crazyflie.state import (
 )
 from bridge.crazyflie.types import Event, HealthBlock, OutsideBlock, StateBlock
 
-SILENT_S = 1.0  # s without a packet of a block until it is requested anew
+SILENT_S = 1.0  # time without a packet after which a block is requested again, s
 
 
 class _Kind(NamedTuple):
@@ -50,7 +50,7 @@ class _Block:
         self._config: Any = None
 
     def ask(self, crazyflie: Any) -> None:
-        """Request it under a new number; data of the old number is no longer decoded."""
+        """Request the block under a new number; packets with the old number are no longer decoded."""
         if self._config is not None:
             self._config.delete()
             crazyflie.log.log_blocks.remove(self._config)
@@ -68,10 +68,10 @@ class _Block:
 
 
 class LogBlocks:
-    """Call ``step`` often. Blocks are requested together, without waiting for each other."""
+    """Keeps the log blocks requested: call ``step`` often. The blocks do not wait for each other."""
 
     def __init__(self, crazyflie: Any, put: Callable[[Event], None]) -> None:
-        """Set up without a request. cflib's thread calls ``put``."""
+        """Send no request yet. cflib's thread calls ``put``."""
         self._crazyflie = crazyflie
         known = crazyflie.log.toc.get_element_by_complete_name
         self._blocks = []
@@ -84,7 +84,7 @@ class LogBlocks:
                 self._blocks.append(_Block(kind._replace(variables=there), put))
 
     def step(self) -> None:
-        """Request the blocks of which no packet has arrived for a second."""
+        """Request each block that has sent no packet for a second."""
         since_s = time.monotonic() - SILENT_S
         for block in self._blocks:
             if max(block.heard_s, block.asked_s) <= since_s:
@@ -92,6 +92,6 @@ class LogBlocks:
 
     @property
     def waits_for(self) -> str | None:
-        """A needed block that has not arrived yet; None: all have."""
+        """Name of a required block that has not arrived yet; None: all have arrived."""
         waiting = (block for block in self._blocks if block.kind.needed and block.heard_s == -math.inf)
         return next((block.kind.name for block in waiting), None)

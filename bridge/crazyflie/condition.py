@@ -1,4 +1,4 @@
-"""Newest state and condition of a Crazyflie, whether it may be flown by, and why it must not be armed now."""
+"""Newest state of a Crazyflie, whether its position estimate is good, and the reasons against arming."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from bridge.mavlink.server.profile import POSITION_SOURCE
 from bridge.mocap.checks import Limits, Passed
 from flightstack.core.types import ZERO, Vec3
 
-STATE_AGE_MAX_S = 0.3  # s; thirty packets missing
-HEALTH_AGE_MAX_S = 1.0  # s; ten packets missing
-VARIANCE_MAX_M2 = 0.01  # m2 on each axis: 0.1 m; settled ones have 0.001 and less (cflib reset_estimator)
-TILT_MAX_DEG = 2.0  # degrees; each makes 6.8 cm/s of drift, and an accelerometer's zero is 1 degree off
-BATTERY_MIN_V = 3.7  # V at rest, a sixth of the charge; the firmware does not land on an empty battery
+STATE_AGE_MAX_S = 0.3  # maximum age of the state, s; thirty packets are missing then
+HEALTH_AGE_MAX_S = 1.0  # maximum age of the health packet, s; ten packets are missing then
+VARIANCE_MAX_M2 = 0.01  # maximum position variance of an axis, m2; settled: 0.001 (cflib reset_estimator)
+TILT_MAX_DEG = 2.0  # maximum tilt, degrees; 1 degree causes 6.8 cm/s of drift and is a usual sensor bias
+BATTERY_MIN_V = 3.7  # lowest voltage at rest, V, a sixth of the charge; the firmware does not land when empty
 ESTIMATOR, KALMAN = "stabilizer.estimator", "2"
-# stabilizer.controller that fly velocities: 0 is the default, which is PID (firmware controller.c). Mellinger
-# (2) holds height zero for a velocity set-point, or gives full thrust (firmware controller_mellinger.c).
+# Values of stabilizer.controller that follow velocity set-points; 0 is the default, PID (controller.c). For
+# such a set-point Mellinger (2) holds height zero or gives full thrust (controller_mellinger.c).
 CONTROLLERS = {"0": "default", "1": "PID"}
 _POSITION_DECKS = {
     "deck.bcLighthouse4": "Lighthouse deck: are the base stations seen, and is their geometry stored?",
@@ -28,80 +28,80 @@ _POSITION_DECKS = {
     "deck.bcFlow2": "Flow deck: is the floor in sight, with texture and light?",
 }
 _UP: Vec3 = (0.0, 0.0, 1.0)
-_GAP_MAX_S = Limits().gap_max_s  # s without a pose until that is a problem
-_SHARE = 0.1  # weight of a new difference in the mean; at 10 Hz a time constant of 1 s
-_AT_REST_G = 0.1  # g; a measured length that differs more is not gravity alone
+_GAP_MAX_S = Limits().gap_max_s  # time without a pose after which a problem is reported, s
+_SHARE = 0.1  # weight of a new difference in the mean; at 10 Hz the time constant is 1 s
+_AT_REST_G = 0.1  # limit in g; if the measured length differs more from 1 g, it is not gravity alone
 
 
 class Condition:
-    """Poses from outside come through this bridge or from another program.
+    """Newest data of a Crazyflie, and the checks before arming.
 
-    The firmware logs the time of the newest pose from any sender (``locSrvZ.tick``): once that has changed,
-    poses are expected.
+    External poses arrive through this bridge or from another program. The firmware logs the time of the
+    newest pose of any sender (``locSrvZ.tick``): once it has changed, poses are expected.
     """
 
     def __init__(self, *, mocap: bool) -> None:
         self.link = Link()
-        self.state: CrazyflieState | None = None  # newest, of any age
-        self.health: Health | None = None  # newest quality of the estimate, and battery
-        # reason why there are no good poses from outside; None: there are, or none are needed
+        self.state: CrazyflieState | None = None  # newest state, of any age
+        self.health: Health | None = None  # newest variance of the estimate, and battery
+        # reason why there is no good external pose; None: there is one, or none is needed
         self.mocap_problem: str | None = "mocap: no pose yet" if mocap else None
         self._mocap, self._posed_s = mocap, -math.inf
-        self._pose_quaternion: Quat | None = None  # of the newest pose through this bridge
-        self.fit_s = -math.inf  # when the supervisor last showed that it is, or can be, armed
+        self._pose_quaternion: Quat | None = None  # attitude of the newest pose sent through this bridge
+        self.fit_s = -math.inf  # time when the supervisor last reported armed or ready to arm
         self._forget_outside()
 
     def _forget_outside(self) -> None:
-        """Reset the values that a new connection, possibly to another firmware, has to measure again."""
+        """Reset the values that must be measured again on a new connection, possibly to another firmware."""
         self._outside: Outside | None = None
-        self._tick_s: float | None = None  # when the firmware's time of the newest pose changed last
-        self._leaning: Vec3 | None = None  # mean of the poses' upright less gravity's, in the body
+        self._tick_s: float | None = None  # time of the last change of ``locSrvZ.tick``
+        self._leaning: Vec3 | None = None  # mean difference of up in the poses and measured up, body frame
 
     def alive(self, now_s: float) -> bool:
-        """Whether states of the Crazyflie arrive; without them no telemetry is sent."""
+        """Whether states of the Crazyflie arrive; otherwise no telemetry is sent."""
         heard = self.state is not None and now_s - self.state.at_s <= LOST_S
         return heard and self.link.protocol is not None
 
     def problems(self, now_s: float) -> list[str]:
-        """Reasons against arming, the most basic first; empty when there are none."""
+        """Return the reasons against arming, the most basic first."""
         if self.link.protocol is None:
             return [f"no link to the Crazyflie: {self.link.reason}"]
         return [text for text in (check(self, now_s) for check in CHECKS) if text is not None]
 
     def position_known(self, now_s: float) -> bool:
-        """Whether its estimate of position may be flown by."""
+        """Whether the position estimate is good enough to fly."""
         return all(check(self, now_s) is None for check in (_state, _estimator, _poses, _position))
 
     def fresh_state(self, now_s: float) -> CrazyflieState | None:
-        """The newest state, None when it is too old to fly by."""
+        """Return the newest state; None if it is too old for flight control."""
         state = self.state
         return state if state is not None and now_s - state.at_s <= STATE_AGE_MAX_S else None
 
     def yaw_rad(self) -> float | None:
-        """Heading, counter-clockwise from east; None: no state yet."""
+        """Return the heading, counter-clockwise from east; None: no state has arrived yet."""
         return yaw_from_quaternion(self.state.quaternion) if self.state is not None else None
 
     def sensors_healthy(self, now_s: float) -> int:
-        """The position, while it may be flown by."""
+        """Return the position sensor's bit while the position estimate is good."""
         return POSITION_SOURCE if self.position_known(now_s) else 0
 
     @property
     def battery(self) -> Battery:
-        """Battery, by the firmware."""
+        """Battery as measured by the firmware."""
         voltage_v = self.state.battery_v if self.state is not None else 0.0
         return Battery(voltage_v, self.health.battery_percent if self.health is not None else -1)
 
     def take_health(self, health: Health) -> None:
-        """Quality of the estimate, and battery."""
+        """Store the variance of the estimate and the battery."""
         self.health = health
         if self._outside is None:
             self._compare_level(None)
 
     def take_outside(self, outside: Outside) -> None:
-        """Take the firmware's time of the newest pose from outside, and gravity."""
+        """Store the firmware's time of the newest external pose, and the measured gravity."""
         before, self._outside = self._outside, outside
         if before is None:
-            self._leaning = None  # gravity is measured from now on
+            self._leaning = None  # gravity was not measured before this packet
         elif before.tick != outside.tick:
             self._tick_s = outside.at_s
         self._compare_level(outside.acceleration_flu_g)
@@ -111,10 +111,10 @@ class Condition:
             self._posed_s = max(self._posed_s, passed.measured_s)
             self._pose_quaternion = passed.pose.orientation_wxyz
         elif problem is None:
-            self._posed_s = max(self._posed_s, now_s - _GAP_MAX_S)  # there would be one otherwise
+            self._posed_s = max(self._posed_s, now_s - _GAP_MAX_S)  # a missing pose would be a problem
 
     def pose_age_s(self, now_s: float) -> float | None:
-        """Age of the newest pose from outside that has arrived; None: none are expected."""
+        """Return the age of the newest external pose; None: no poses are expected."""
         ages_s = [now_s - self._posed_s] if self._mocap else []
         if self._outside is not None and self._tick_s is not None:
             heard = now_s - self._outside.at_s <= HEALTH_AGE_MAX_S
@@ -122,15 +122,15 @@ class Condition:
         return max(ages_s, default=None)
 
     def _compare_level(self, acceleration_flu_g: Vec3 | None) -> None:
-        """Compare the poses' upright with gravity's, on the ground.
+        """Compare the up direction of the poses with measured gravity while on the ground.
 
-        Without an accelerometer the attitude of the firmware replaces gravity, unless the poses give it.
+        Without an accelerometer the firmware's attitude replaces gravity, unless it follows the poses.
         """
         if self.state is None or self.state.info & Info.FLYING:
             return
         attitude = self._pose_quaternion
         if attitude is None and self._tick_s is not None:
-            attitude = self.state.quaternion  # by poses of another program
+            attitude = self.state.quaternion  # this attitude follows the poses of another program
         if attitude is None:
             return
         gravity = acceleration_flu_g or body_from_world(self.state.quaternion, _UP)
@@ -144,13 +144,13 @@ class Condition:
 
     @property
     def tilt_rad(self) -> float:
-        """Angle between the poses' upright and gravity's."""
+        """Angle between the up direction of the poses and measured gravity."""
         leaning = math.hypot(*(self._leaning or ZERO))
         return 2.0 * math.asin(min(1.0, 0.5 * leaning))
 
 
 def stuck(info: Info) -> str | None:
-    """Why the firmware does not allow the motors to run; None: it does."""
+    """Return the reason why the firmware blocks the motors; None: it does not."""
     return next((text for bit, text in _STUCK.items() if info & bit), None)
 
 
@@ -164,7 +164,7 @@ _STUCK = {
 
 
 def too_old(protocol: int) -> str | None:
-    """Why firmware of this CRTP protocol is not supported; None: it is."""
+    """Return the reason why firmware of this CRTP protocol is not supported; None: it is."""
     if protocol >= PROTOCOL_MIN:
         return None
     return f"firmware speaks CRTP {protocol}, arming by supervisor needs {PROTOCOL_MIN}: update it"
@@ -187,7 +187,7 @@ def _supervisor(c: Condition, _now_s: float) -> str | None:
     if found is not None or c.state is None or info & FIT:
         return found
     if info & Info.AUTO_ARM and c.state.at_s - c.fit_s <= REARM_S:
-        return None  # it arms itself anew
+        return None  # the firmware arms itself again
     return "supervisor's pre-flight checks have not passed"
 
 
@@ -219,7 +219,7 @@ def _position(c: Condition, now_s: float) -> str | None:
     if c.health is None or now_s - c.health.at_s > HEALTH_AGE_MAX_S:
         return "no variance of the position estimate received"
     worst = max(c.health.variance_m2)
-    # a filter that does not run has no variance
+    # a filter that does not run reports no variance
     if math.isfinite(sum(c.health.variance_m2)) and 0.0 < worst <= VARIANCE_MAX_M2:
         return None
     decks = [text for name, text in _POSITION_DECKS.items() if c.link.params.get(name, "0") != "0"]
@@ -228,7 +228,7 @@ def _position(c: Condition, now_s: float) -> str | None:
 
 
 def _poses(c: Condition, now_s: float) -> str | None:
-    """Without poses the variance remains small for seconds; after 2.5 s the position is 0.65 m wrong."""
+    """Without poses the variance remains small for seconds, but after 2.5 s the position error is 0.65 m."""
     age_s = c.pose_age_s(now_s)
     if age_s is None or age_s <= POSE_AGE_MAX_S:
         return None

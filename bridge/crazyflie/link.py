@@ -1,8 +1,8 @@
-"""Where cflib's threads end: callbacks only put into bounded queues, one worker thread calls cflib.
+"""Radio link through cflib: its callbacks fill bounded queues; one worker thread calls cflib.
 
-cflib may block for 2 s in a send (radiodriver.py), and for ever while it connects; so the MAVLink loop never
-calls it. The loop takes events with ``poll`` and hands over packets with ``send``; both return at once. The
-outbox sends urgent packets first, and drops velocities that are too old.
+cflib may block for 2 s in a send (radiodriver.py), and without limit while it connects; so the MAVLink loop
+never calls it. The loop takes events with ``poll`` and queues packets with ``send``; neither blocks. The
+outbox sends urgent packets first and drops old velocities.
 """
 
 from __future__ import annotations
@@ -47,22 +47,22 @@ PARAMS = (  # checked before arming
     *DRAG,
 )  # fmt: skip
 EVENTS_MAX = 512  # five seconds of packets; older ones are useless
-SILENT_S = 2.0  # s without any answer until an attempt to connect is given up
-UNANSWERED_S = 0.5  # s, the same for the first answer in a blind landing, which cflib requests only once
-CONNECT_MAX_S = 120.0  # s of one attempt; 1,235 requests of which every fifth is lost take 40
-RESEND_S = 0.05  # s without an answer until cflib repeats a request over UDP; its own 0.2 s suit a radio
-RETRY_S = 0.5  # s between two attempts
-REOPEN_S = 0.1  # s, the same in a blind landing: without set-points the motors stop at 2 s
-FLOWN_S = 0.5  # s since the last set-point until it no longer counts as flying
+SILENT_S = 2.0  # time without any answer after which an attempt to connect is given up, s
+UNANSWERED_S = 0.5  # time-out of the first answer in a blind landing, s: cflib requests it only once
+CONNECT_MAX_S = 120.0  # time-out of one attempt, s; 1,235 requests, one in five lost, take 40 s
+RESEND_S = 0.05  # time-out before cflib repeats a request over UDP, s; its default of 0.2 s suits a radio
+RETRY_S = 0.5  # time between two attempts, s
+REOPEN_S = 0.1  # time between two attempts in a blind landing, s: without set-points the motors stop at 2 s
+FLOWN_S = 0.5  # time after the last set-point when the vehicle no longer counts as flying, s
 _ANSWERS = (CRTPPort.PARAM, CRTPPort.MEM, CRTPPort.LOGGING, CRTPPort.PLATFORM, CRTPPort.LINKCTRL)
 _LOG_DATA = (CRTPPort.LOGGING, 2)  # port, channel
-LOGS_MAX_S = 10.0  # s until each log block's first packet has come
+LOGS_MAX_S = 10.0  # time-out of the first packet of each log block, s
 _Senders = dict[Any, Callable[[Any], None]]
 _ARM_REPLY = 0x81  # answer to command 1 on channel 1 of the supervisor's port (cflib supervisor.py)
 
 
 class _Tables(TocCache):  # type: ignore[misc]
-    """Tables of contents by their checksum, in memory too: after a gap the next connection is 2 s faster."""
+    """Tables of contents by checksum, also cached in memory: a second connection is 2 s faster."""
 
     def __init__(self, **folders: str | None) -> None:
         super().__init__(**folders)
@@ -77,11 +77,11 @@ class _Tables(TocCache):  # type: ignore[misc]
 
 
 class CrazyflieLink:
-    """One Crazyflie by URI; opens the link again and again until closed."""
+    """Link to one Crazyflie by URI; opens the connection again after each loss until closed."""
 
     def __init__(self, uri: str, cache: Path | None = None) -> None:
-        """Start connecting; with a ``cache`` of tables of contents a second connection is fast."""
-        self.events_lost = 0  # for lack of room; the oldest first
+        """Start connecting; a ``cache`` folder for tables of contents makes a second connection fast."""
+        self.events_lost = 0  # number of events dropped from a full queue, oldest first
         self._uri, self._tables = uri, _Tables(rw_cache=str(cache) if cache else None)
         self._events: deque[Arrived] = deque()
         self._lock = threading.Lock()
@@ -92,22 +92,22 @@ class CrazyflieLink:
         os.set_blocking(self._write_fd, False)
         self._heard_s = 0.0
         self._broken: str | None = None
-        self._protocol: int | None = None  # of the last connection
+        self._protocol: int | None = None  # CRTP protocol of the last connection
         self._current: Any = None  # cflib's object of the present connection
-        self._flown_s = -math.inf  # last set-point handed on
+        self._flown_s = -math.inf  # time of the last set-point sent
         self._fully = threading.Event()
-        # cflib logs a trace for every packet that it cannot use; missing packets are counted here.
+        # cflib logs a trace for every packet that it cannot use; this class counts lost packets instead.
         logging.getLogger("cflib").setLevel(logging.CRITICAL)
         cflib.crtp.init_drivers()
         self._thread = threading.Thread(target=self._run, name="crazyflie-link", daemon=True)
         self._thread.start()
 
     def fileno(self) -> int:
-        """Readable while events wait, for ``select``."""
+        """Return a descriptor for ``select`` that is readable while events wait."""
         return self._read_fd
 
     def poll(self) -> list[Arrived]:
-        """Take all events, oldest first; never blocks."""
+        """Return all events, oldest first; never blocks."""
         try:
             while os.read(self._read_fd, 4096):
                 pass
@@ -119,11 +119,11 @@ class CrazyflieLink:
         return events
 
     def send(self, packet: Packet) -> None:
-        """Hand over a packet; never blocks. A newer velocity or pose takes the place of one not yet sent."""
+        """Queue a packet; never blocks. A newer velocity or pose replaces one that is not sent yet."""
         self._outbox.put(packet, time.monotonic())
 
     def close(self) -> None:
-        """Close the link; bounded by cflib's own joins of about 2 s."""
+        """Close the link; cflib's joins limit the time to about 2 s."""
         self._closing.set()
         self._outbox.wake()
         self._thread.join(6.0)
@@ -139,7 +139,7 @@ class CrazyflieLink:
             self._events.append(arrived)
         try:
             os.write(self._write_fd, b"\x00")
-        except (BlockingIOError, OSError):  # full: it is readable already; closed: there is no reader
+        except (BlockingIOError, OSError):  # a full pipe is readable already; a closed pipe has no reader
             return
 
     def _run(self) -> None:
@@ -148,7 +148,7 @@ class CrazyflieLink:
             crazyflie._toc_cache = self._tables
             try:
                 reason = self._connection(crazyflie)
-            except Exception as error:  # cflib raises bare exceptions, from USB to its table of contents
+            except Exception as error:  # cflib raises bare exceptions, for USB and tables of contents alike
                 reason = f"{type(error).__name__}: {error}"
             finally:
                 self._close(crazyflie)
@@ -157,9 +157,9 @@ class CrazyflieLink:
                 self._closing.wait(REOPEN_S if self._flies else RETRY_S)
 
     def _connection(self, crazyflie: Any) -> str:
-        """Connect, then send packets until the connection ends; the reason of the end."""
+        """Connect, then send packets until the connection ends; return the reason of the end."""
         if not self._flies:
-            self._outbox.clear()  # no packet from before this connection may be sent
+            self._outbox.clear()  # drop packets that are older than this connection
         self._broken, self._heard_s = None, time.monotonic()
         self._fully.clear()
         self._current = crazyflie
@@ -170,7 +170,7 @@ class CrazyflieLink:
 
         self._listen(crazyflie, put)
         crazyflie.open_link(self._uri)
-        if self._flies and self._protocol is not None:  # until it answers: set-points need a form meanwhile
+        if self._flies and self._protocol is not None:  # set-points need a format before the firmware answers
             crazyflie.platform._protocolVersion = self._protocol
         senders = _senders(crazyflie, put)
         reason = self._wait_connected(crazyflie, senders)
@@ -200,7 +200,7 @@ class CrazyflieLink:
 
     @property
     def _flies(self) -> bool:
-        """Whether set-points continue over a connection that is opened anew."""
+        """Whether set-points continue while the connection is opened again."""
         return not self._closing.is_set() and time.monotonic() - self._flown_s < FLOWN_S
 
     @property
@@ -208,9 +208,9 @@ class CrazyflieLink:
         return self._closing.is_set() or self._broken is not None
 
     def _pass_on(self, crazyflie: Any, senders: _Senders, wait_s: float) -> Packet | None:
-        """Wait for a packet; set-points and orders go out as soon as the link is open.
+        """Wait for a packet; set-points and orders are sent as soon as the link is open.
 
-        They do not wait until a connection is set up, so that a blind landing continues; without a link
+        They do not wait for the set-up of the connection, so that a blind landing continues; without a link
         they are dropped.
         """
         packet = self._outbox.get(wait_s, time.monotonic)
@@ -241,18 +241,18 @@ class CrazyflieLink:
         return None
 
     def _close(self, crazyflie: Any) -> None:
-        """Close the link with the motors off, unless it flies.
+        """Close the link and stop the motors, unless the vehicle flies.
 
-        cflib itself ends with a set-point of no thrust: within two seconds after a flight the supervisor
-        takes the silence for a lost link, and locks. So the stop and its notice are sent instead. cflib joins
-        its threads for up to two seconds, in which the next connection may begin.
+        cflib ends with a set-point of zero thrust: within two seconds of a flight the supervisor takes the
+        silence that follows for a lost link and locks. So the stop and its notice are sent instead. cflib
+        joins its threads for up to two seconds; the next connection may begin in that time.
         """
         if crazyflie.link is not None and not self._flies:
             crazyflie.commander.send_stop_setpoint()
-            for _ in range(3):  # in case one gets lost
+            for _ in range(3):  # repeated because a packet may be lost
                 crazyflie.commander.send_notify_setpoint_stop()
         crazyflie.commander.send_setpoint = lambda *_: None
-        self._current = None  # later events of its threads are ignored
+        self._current = None  # ignores later events of its threads
         closer = threading.Thread(
             target=_close_quietly, args=(crazyflie,), name="crazyflie-close", daemon=True
         )
@@ -262,13 +262,13 @@ class CrazyflieLink:
 
     def _listen(self, crazyflie: Any, put: Callable[[Event], None]) -> None:
         def resend(_uri: str) -> None:
-            # The UDP driver never repeats a request: one lost answer would hang the connection for ever.
+            # The UDP driver never repeats a request: one lost answer would block the connection for ever.
             if crazyflie.link is not None and crazyflie.link.get_name() == "udp":
                 crazyflie.link.needs_resending = True
                 crazyflie.send_packet = partial(crazyflie.send_packet, timeout=RESEND_S)
 
         def heard(packet: Any) -> None:
-            # Log blocks of an earlier connection still arrive: they answer no request.
+            # Log packets of an earlier connection may still arrive; they answer no request.
             answer = packet.port in _ANSWERS and (packet.port, packet.channel) != _LOG_DATA
             if answer and self._current is crazyflie:
                 self._heard_s = time.monotonic()
@@ -296,7 +296,7 @@ class CrazyflieLink:
 
 
 def _close_quietly(crazyflie: Any) -> None:
-    with suppress(Exception):  # a link that broke breaks again when it is closed
+    with suppress(Exception):  # closing a broken link raises an error again
         crazyflie.close_link()
 
 
@@ -310,7 +310,7 @@ def _senders(crazyflie: Any, put: Callable[[Event], None]) -> _Senders:
     commander, supervisor = crazyflie.commander, crazyflie.supervisor
 
     def velocity(packet: Velocity) -> None:
-        yaw_rate_deg_s = packet.yaw_rate_rad_s * 57.29577951308232  # CRTP counts in degrees a second
+        yaw_rate_deg_s = packet.yaw_rate_rad_s * 57.29577951308232  # CRTP expects degrees per second
         commander.send_velocity_world_setpoint(*packet.velocity_enu_m_s, yaw_rate_deg_s)
 
     def pose(packet: Pose) -> None:

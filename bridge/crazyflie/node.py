@@ -1,7 +1,7 @@
-"""Presents a Crazyflie to MAVLink clients as a PX4 vehicle: takes messages, returns messages.
+"""Presents a Crazyflie to MAVLink clients as a PX4 vehicle: accepts messages and returns messages.
 
-Pure: no socket, no clock, no thread. Telemetry is made from new states only, so an old one is never sent as
-if it were new. Without a state from the Crazyflie no heartbeat is sent, only a text.
+Pure: no socket, no clock, no thread. Telemetry is made only from new states, so an old state is never sent as
+a new one. Without a state of the Crazyflie no heartbeat is sent, only status texts.
 """
 
 from __future__ import annotations
@@ -42,18 +42,18 @@ from bridge.mavlink.server.profile import ServerProfile
 from bridge.mavlink.server.server import COMPONENT_ID, SYSTEM_ID, Server
 from bridge.mavlink.server.telemetry import Builder, Snapshot
 
-READINESS_S = 1.0  # s between two checks whether it could be armed
-_RATE_HZ = 1000.0 / STATE_PERIOD_MS  # of new states
+READINESS_S = 1.0  # time between two checks of the conditions for arming, s
+_RATE_HZ = 1000.0 / STATE_PERIOD_MS  # rate of new states, Hz
 _M = dialect
 _NOTHING: frozenset[int] = frozenset()
-# A position is sent only while the estimate may be flown by, as PX4 does.
+# The position is sent only while its estimate is good, as in PX4.
 _NEED_POSITION = frozenset({_M.MAVLINK_MSG_ID_LOCAL_POSITION_NED})
-_GAP_S = 0.05  # s, five packets: without a state for longer, only messages are sent that are no part of it
+_GAP_S = 0.05  # age of the state, s (five packets), above which only messages without state values are sent
 _OF_STATE = _NEED_POSITION | {_M.MAVLINK_MSG_ID_ATTITUDE, _M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION}
 
 
 def _home_position(s: Snapshot[Vehicle]) -> Message:
-    return telemetry.home_position(s, 0, 0)  # unknown place on earth
+    return telemetry.home_position(s, 0, 0)  # the position on earth is unknown
 
 
 def _vfr_hud(s: Snapshot[Vehicle]) -> Message:
@@ -61,7 +61,7 @@ def _vfr_hud(s: Snapshot[Vehicle]) -> Message:
     return telemetry.vfr_hud(s, round(100 * health.throttle) if health is not None else 0)
 
 
-# Streams in the order of a datagram, with the default rates, Hz; None: with every state, or on request only
+# Streams in the order of a datagram, with default rates, Hz; None: with every state, or only on request
 _STREAMS: dict[int, tuple[Builder[Vehicle], float | None]] = {
     _M.MAVLINK_MSG_ID_ATTITUDE: (telemetry.attitude, None),
     _M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: (telemetry.attitude_quaternion, 50.0),
@@ -83,12 +83,12 @@ PROFILE = ServerProfile(
 
 
 class Node(Server[Vehicle]):
-    """Call ``take`` and ``handle`` as events and messages arrive, then ``step``; send the results."""
+    """MAVLink server of a Crazyflie: call ``take`` and ``handle`` on arrival, then ``step``."""
 
     def __init__(self, rules: Rules, system_id: int = SYSTEM_ID) -> None:
-        self.late = 0  # states that were delayed too long to be sent
-        self.clock = BootClock()  # of the firmware
-        self._streamed: list[Message] = []  # made from new states, not sent yet
+        self.late = 0  # number of states dropped because they arrived too late
+        self.clock = BootClock()  # firmware clock
+        self._streamed: list[Message] = []  # messages made from new states and not sent yet
         self._readiness_due_s, self._readiness = READINESS_S, ""
         self._shown_armed = False
         self._restarts = 0
@@ -111,11 +111,11 @@ class Node(Server[Vehicle]):
         }
 
     def take(self, arrived: Arrived, at_s: float) -> None:
-        """Take an event of the link; ``at_s`` is its arrival on the bridge's clock."""
+        """Handle an event of the link; ``at_s`` is its arrival time on the bridge's clock."""
         self._events[type(arrived.event)](arrived.event, at_s)
 
     def step(self, now_s: float) -> tuple[list[Message], list[Reply]]:
-        """Fly, and return the telemetry for all clients and late acknowledgements of arming."""
+        """Run one step; return the telemetry for all clients, and delayed acknowledgements of arming."""
         vehicle = self.vehicle
         vehicle.step(now_s)
         if now_s >= self._readiness_due_s and not vehicle.armed:
@@ -127,7 +127,7 @@ class Node(Server[Vehicle]):
         return messages, self.commands.finish(ACCEPTED if vehicle.armed else REJECTED)
 
     def snapshot(self, now_s: float) -> Snapshot[Vehicle] | None:
-        """State of the Crazyflie; None while none arrives."""
+        """Return the state of the Crazyflie; None while no state arrives."""
         vehicle = self.vehicle
         if vehicle.state is None or not vehicle.alive(now_s):
             return None
@@ -135,42 +135,42 @@ class Node(Server[Vehicle]):
         return Snapshot(vehicle, self.profile, vehicle.state, known, now_s, vehicle.state.boot_ms / 1000.0)
 
     def streamed(self, snapshot: Snapshot[Vehicle]) -> list[Message]:
-        """Messages made from the states since the last call; while none arrives, those of the condition."""
+        """Return the messages of the states since the last call; without states, those of the condition."""
         messages, self._streamed = self._streamed, []
         return messages + self.stream(snapshot) if self._gap(snapshot.now_s) else messages
 
     def hidden(self, now_s: float) -> frozenset[int]:
-        """Hide the position while it is not good, and all of a state that is not new."""
+        """Hide the position while its estimate is bad, and all messages of a state that is too old."""
         if self._gap(now_s):
             return _OF_STATE
         return _NOTHING if self.vehicle.position_known(now_s) else _NEED_POSITION
 
     def boot_ns(self, now_s: float) -> int | None:
-        """The firmware's clock, once a state has come."""
+        """Return the firmware's clock, ns; None before the first state."""
         return self.clock.now_ns(now_s) if self.clock.running else None
 
     def own_commands(self) -> dict[int, Entry]:
-        """The emergency stop, also of a Crazyflie that seems to be disarmed."""
+        """Return the emergency stop; it is allowed even if the Crazyflie appears disarmed."""
         return {dialect.MAV_CMD_DO_FLIGHTTERMINATION: Entry(self._terminate, Right.OWNER_OR_GROUND)}
 
     def on_heartbeat(self, message: Any, _sender: Sender, now_s: float) -> list[Message]:
-        """Take note of a client; heartbeats of other vehicles do not count."""
+        """Register a client; heartbeats of other vehicles do not count."""
         if message.autopilot == dialect.MAV_AUTOPILOT_INVALID:
             self.vehicle.client(now_s)
         return []
 
     def on_setpoint(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        """The sender also counts as a client."""
+        """Handle a set-point; its sender also counts as a client."""
         self.vehicle.client(now_s)
         return super().on_setpoint(message, sender, now_s)
 
     def on_command(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        """The sender also counts as a client."""
+        """Handle a command; its sender also counts as a client."""
         self.vehicle.client(now_s)
         return super().on_command(message, sender, now_s)
 
     def _new_home(self, now_s: float) -> list[Message]:
-        """Send home before the heartbeat that shows it armed: clients add their take-off height to it."""
+        """Send the home position before the armed heartbeat: clients add their take-off height to it."""
         changed, self._shown_armed = self.vehicle.armed != self._shown_armed, self.vehicle.armed
         snapshot = self.snapshot(now_s) if changed else None
         return [_home_position(snapshot)] if snapshot is not None else []
@@ -186,7 +186,7 @@ class Node(Server[Vehicle]):
         return Answer()
 
     def _tell_readiness(self, now_s: float) -> None:
-        """Report what prevents arming, when that changes in more than a number."""
+        """Report the reason against arming when more than its numbers change."""
         found = self.vehicle.problems(now_s)
         text = f"Not ready: {found[0]}" if found else "Ready to arm"
         kind = re.sub(r"[-+.\d]+", "", text)
@@ -200,16 +200,16 @@ class Node(Server[Vehicle]):
 
     def _on_state(self, block: StateBlock, at_s: float) -> None:
         timed = self.clock.take(block.time_ms, at_s)
-        if timed is None or self.vehicle.link.protocol is None:  # out of order, or the link is being set up
+        if timed is None or self.vehicle.link.protocol is None:  # out of order, or the link is not set up yet
             return
         boot_ms, late_s = timed
         if late_s > LATE_MAX_S:
             self.late += 1
             return
-        state = decode_state(block, boot_ms, at_s - late_s)  # the time of the state, not of its arrival
+        state = decode_state(block, boot_ms, at_s - late_s)  # the time when the state was measured
         restarts, self._restarts = self._restarts, self.clock.restarts
         self.vehicle.take_state(state, at_s, restarted=restarts != self.clock.restarts)
-        snapshot = self.snapshot(state.at_s)  # this clock is as even as the Crazyflie's
+        snapshot = self.snapshot(state.at_s)  # the bridge's clock is as steady as the Crazyflie's
         if snapshot is not None:
             self._streamed += self.stream(snapshot)
 

@@ -1,4 +1,4 @@
-"""Packets that wait for the radio: urgent ones first; old velocities are dropped."""
+"""Queue of packets for the radio: urgent packets first; old velocities are dropped."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from collections.abc import Callable
 from bridge.crazyflie.types import Order, Packet, Pose, SetParam, Velocity
 
 ORDERS_MAX = 64
-VELOCITY_AGE_MAX_S = 0.1  # s; an older velocity is dropped: the firmware's watchdog handles silence safely
+VELOCITY_AGE_MAX_S = 0.1  # maximum age of a velocity, s; without one the firmware's watchdog acts
 _URGENT = frozenset({Order.EMERGENCY_STOP, Order.STOP, Order.DISARM})
 
 
 class Outbox:
-    """Thread-safe; ``put`` never blocks."""
+    """Thread-safe queue of packets; ``put`` never blocks."""
 
     def __init__(self) -> None:
-        self.late = 0  # velocities dropped for their age
-        self.lost = 0  # orders dropped because too many waited
+        self.late = 0  # number of velocities dropped because of their age
+        self.lost = 0  # number of orders dropped from a full queue
         self._ready = threading.Condition()
         self._orders: deque[Order | SetParam] = deque()
         self._velocity: tuple[Velocity, float] | None = None
@@ -26,7 +26,7 @@ class Outbox:
         self._woken = False
 
     def put(self, packet: Packet, now_s: float) -> None:
-        """Add a packet; motors-off clears the velocity that waits."""
+        """Add a packet; motors-off deletes the queued velocity."""
         with self._ready:
             if isinstance(packet, Velocity):
                 self._velocity = (packet, now_s)
@@ -51,7 +51,7 @@ class Outbox:
             self._orders.append(order)
 
     def get(self, timeout_s: float, clock: Callable[[], float]) -> Packet | None:
-        """Take the next packet; None: no packet arrived within the time-out."""
+        """Return the next packet; None: no packet arrived within the time-out."""
         with self._ready:
             self._ready.wait_for(self._anything, timeout_s)
             self._woken = False

@@ -1,4 +1,4 @@
-"""Velocities for the bridge's own modes: climb to a height, hold, go down. Position in, velocity out."""
+"""Velocity set-points for the bridge's own modes: take-off, hold and landing, from the measured position."""
 
 from __future__ import annotations
 
@@ -11,39 +11,39 @@ from bridge.frames import wrap_angle, yaw_from_quaternion
 from bridge.mavlink.server.profile import FlightMode
 from flightstack.core.types import ZERO, Vec3
 
-GAIN_1_S = 1.5  # 1/s; a third of the firmware's velocity loop (position_controller_pid.c), so no overshoot
-SPEED_XY_M_S = 0.3  # m/s
-CLIMB_M_S = 0.4  # m/s
-DESCENT_M_S = 0.25  # m/s
-ARRIVED_M, ARRIVED_M_S = 0.05, 0.15  # m, m/s; height reached
-# m; first part of a take-off, with constant horizontal velocity, until it is clear of a moving deck
+GAIN_1_S = 1.5  # position gain, 1/s; a third of the firmware's velocity loop's, so no overshoot
+SPEED_XY_M_S = 0.3  # greatest horizontal speed, m/s
+CLIMB_M_S = 0.4  # greatest climb rate, m/s
+DESCENT_M_S = 0.25  # descent rate, m/s
+ARRIVED_M, ARRIVED_M_S = 0.05, 0.15  # greatest height error, m, and speed, m/s, at the end of a take-off
+# first part of a take-off, m, flown with constant horizontal velocity until it is clear of a moving deck
 CLEAR_M = 0.1
-CARRIED_MAX_M_S = 1.0  # m/s; largest velocity of a moving deck that the take-off follows
-# m/s, without a position: the bias of an accelerometer makes the firmware's own vertical velocity drift by
-# 0.05 m/s in a second, until it climbs while its estimate shows a descent
+CARRIED_MAX_M_S = 1.0  # greatest velocity of a moving deck that the take-off follows, m/s
+# Descent rate without a position, m/s: an accelerometer bias makes the firmware's vertical velocity drift by
+# 0.05 m/s per second, until the vehicle climbs while the estimate shows a descent.
 UNPLACED_M_S = 0.4
-STOPPED_SHARE = 0.3  # share of the descent speed; slower than that it stands on something
-LANDING_MIN_S = 1.0  # s of a landing until a stop counts: a climb has to end first
-STOPPED_TIME_S = 0.4  # s that the stop has to last; longer than the descent takes to begin
-SINKING_M_S = -0.1  # m/s; a set-point below that is a descent command, above it may be an error of control
-YAW_GAIN_1_S = 2.0  # 1/s; CRTP velocity set-points have a yaw rate, no yaw
-YAW_RATE_MAX_RAD_S = 1.5  # rad/s
+STOPPED_SHARE = 0.3  # share of the descent rate; a slower vehicle stands on something
+LANDING_MIN_S = 1.0  # time of a landing before a stop counts, s: a climb must end first
+STOPPED_TIME_S = 0.4  # time that the stop must last, s; longer than the descent takes to begin
+SINKING_M_S = -0.1  # limit of a descent command, m/s; a set-point above it may be a control error
+YAW_GAIN_1_S = 2.0  # yaw gain, 1/s; CRTP velocity set-points have a yaw rate but no yaw
+YAW_RATE_MAX_RAD_S = 1.5  # greatest yaw rate, rad/s
 
 
 def yaw_rate(wanted_rad: float, state: CrazyflieState) -> float:
-    """Yaw rate, counter-clockwise, that turns to a heading and holds it."""
+    """Return the yaw rate, counter-clockwise, that turns to a heading and holds it."""
     error_rad = wrap_angle(wanted_rad - yaw_from_quaternion(state.quaternion))
     return min(max(YAW_GAIN_1_S * error_rad, -YAW_RATE_MAX_RAD_S), YAW_RATE_MAX_RAD_S)
 
 
 class Stopped:
-    """Detects that a vehicle stands on something: it does not follow a descent command."""
+    """Detects that the vehicle stands on something because it does not follow a descent command."""
 
     def __init__(self) -> None:
         self._since_s = math.inf
 
     def lasts_s(self, wanted_z_m_s: float, state: CrazyflieState | None, now_s: float) -> float:
-        """Seconds since it stopped to follow; -inf while it follows. Call it with every set-point."""
+        """Return the time since it stopped following, s; -inf while it follows. Call with every set-point."""
         sinks = state is None or state.velocity_enu_m_s[2] < STOPPED_SHARE * wanted_z_m_s
         if wanted_z_m_s > SINKING_M_S or sinks:
             self._since_s = math.inf
@@ -53,24 +53,24 @@ class Stopped:
 
 
 class Done(Enum):
-    ARRIVED = auto()  # take-off height reached
+    ARRIVED = auto()  # the take-off height is reached
     LANDED = auto()
-    STUCK = auto()  # take-off height not reached in time
+    STUCK = auto()  # the take-off height was not reached in time
 
 
 class Pilot:
-    """Flies take-off, hold and landing: holds a point and a heading.
+    """Flies take-off, hold and landing: controls position and heading.
 
-    A take-off begins with the velocity at which the vehicle stands on a deck that drives.
+    A take-off starts with the velocity of the vehicle on a moving deck.
     """
 
     def __init__(self) -> None:
         self.begin(-math.inf)
 
     def begin(self, now_s: float) -> None:
-        self.since_s = now_s  # begin of the present mode
-        self._anchor: tuple[Vec3, float] | None = None  # point and heading, with the first state
-        self._clear_z_m = -math.inf  # height from which a take-off holds its point
+        self.since_s = now_s  # start time of the present mode
+        self._anchor: tuple[Vec3, float] | None = None  # point and heading to hold, set with the first state
+        self._clear_z_m = -math.inf  # height above which a take-off holds its point
         self._stopped = Stopped()
 
     def step(
@@ -83,11 +83,11 @@ class Pilot:
         standing: bool,
         placed: bool,
     ) -> tuple[Velocity | None, Done | None]:
-        """Velocity to send, and whether the mode is done.
+        """Return the velocity to send, and the result if the mode is finished.
 
-        ``mode`` is any but OFFBOARD. ``state`` is None when there is no fresh one: then it stops in the air,
-        or continues down. ``standing``: it has not moved yet. ``placed``: its position is known; a
-        landing goes straight down without.
+        ``mode`` is any but OFFBOARD. If ``state`` is None (no fresh one), the vehicle stops in the air or
+        continues to descend. ``standing``: it has not moved yet. ``placed``: its position is known; without
+        it a landing descends vertically.
         """
         if state is None:
             if mode is FlightMode.LAND:

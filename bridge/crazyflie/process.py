@@ -1,6 +1,6 @@
-"""The Crazyflie bridge as a process: cflib on one side, a MAVLink vehicle on the other.
+"""Process of the Crazyflie bridge: connects cflib to MAVLink clients.
 
-The loop waits for both links only: it sends a set-point to the radio, and a state to the clients, as soon as
+The loop waits for both links: it sends each set-point to the radio, and each state to the clients, as soon as
 it arrives.
 """
 
@@ -38,12 +38,12 @@ RESET = "kalman.resetEstimation"
 
 class PoseFeed:
     def __init__(self) -> None:
-        self._begun: tuple[int, int] | None = None  # which link and series the estimator was started with
+        self._begun: tuple[int, int] | None = None  # link and series with which the estimator was started
 
     def packets(self, passed: Passed, link: Link, *, armed: bool) -> list[Packet]:
-        """Packets of one pose; nothing without a link.
+        """Return the packets of one pose; none without a link.
 
-        Another ``link`` object is another connection. While it is armed the estimator is left alone.
+        A new connection has a new ``link`` object. While armed, the estimator is not restarted.
         """
         if link.protocol is None:
             return []
@@ -62,9 +62,9 @@ _URI = re.compile(
     r"^(radio://[0-9A-Fa-f]+/\d{1,3}/(250K|1M|2M)(/[0-9A-Fa-f]{1,10})?(\?rate_limit=\d+)?|usb://\d+"
     r"|(udp|tcp)://[^:/\s]+:\d{1,5})$"
 )
-TICK_S = 0.01  # s; longest sleep
-POSE_TICK_S = 0.002  # s; the same with motion capture, which cannot wake the loop
-SHUT_DOWN_MAX_S = 20.0  # s for the landing when the bridge ends in flight
+TICK_S = 0.01  # longest sleep, s
+POSE_TICK_S = 0.002  # longest sleep with motion capture, whose samples cannot wake the loop, s
+SHUT_DOWN_MAX_S = 20.0  # time limit of the landing when the bridge ends in flight, s
 
 
 class Loop:
@@ -86,7 +86,7 @@ class Loop:
         return time.monotonic() - self._start_s
 
     def turn(self) -> None:
-        """Sleep until something arrives, or for a tick, then act on all of it."""
+        """Sleep until data arrives or a tick ends, then process all data."""
         select.select((self._endpoint.fileno(), self._link.fileno()), (), (), self._tick_s)
         node, endpoint = self._node, self._endpoint
         for arrived in self._link.poll():
@@ -119,9 +119,9 @@ class Loop:
                 self._link.send(packet)
 
     def run(self, stop: Stop, duration_s: float | None) -> int:
-        """Turn until a signal; in flight it lands first, but not after a second signal. The exit status.
+        """Loop until a signal; in flight the first signal lands, the second ends. Return the exit status.
 
-        An exception ends it in the same way: without set-points the firmware would stop the motors.
+        An exception ends the loop likewise: without set-points the firmware would stop the motors.
         """
         vehicle, status = self._node.vehicle, 0
         ending_s: float | None = None
@@ -146,7 +146,7 @@ class Loop:
         return status
 
     def _descend(self) -> None:
-        """Continue the landing alone, after another part of a turn has failed."""
+        """Continue only the landing after another part of the loop has failed."""
         time.sleep(self._tick_s)
         with suppress(Exception):
             self._node.step(self.now_s)
@@ -155,7 +155,7 @@ class Loop:
 
 
 def check_uri(uri: str) -> None:
-    """Refuse a URI that cflib would try for ever."""
+    """Reject a URI that cflib would try to open for ever."""
     if not _URI.match(uri):
         raise ValueError(
             f"Crazyflie URI {uri!r} is not understood: allowed is radio://DONGLE/CHANNEL/RATE or "
@@ -170,10 +170,10 @@ def run(
     poses: CheckedPoses | None = None,
     say: Callable[[str], None] = print,
 ) -> int:
-    """Serve until a signal; prints ``ready URL`` when clients can reach it.
+    """Serve clients until a signal arrives; print ``ready URL`` when clients can connect.
 
-    ``drag_1_s`` is for the firmware's filter, in body axes; None leaves its value. ``poses`` are those of
-    motion capture; None: the Crazyflie positions itself.
+    ``drag_1_s`` is the rotor drag of the firmware's filter, body axes; None leaves it unchanged. ``poses``
+    come from motion capture; None: the Crazyflie uses its own positioning.
     """
     try:
         from bridge.crazyflie.link import CrazyflieLink
@@ -192,7 +192,7 @@ def run(
             "crazyflie", options.url, options.system_id, COMPONENT_ID, options, options.peers
         )
         stack.callback(endpoint.close)
-        run_promptly()  # before the link: cflib's threads have the priority of the one that starts them
+        run_promptly()  # set the priority before the link: cflib's threads inherit it
         link = CrazyflieLink(options.uri, options.cache)
         stack.callback(link.close)
         stop = Stop().install()

@@ -1,4 +1,4 @@
-"""Times and limits of the Crazyflie bridge, and what a person may choose of them."""
+"""Time limits of the Crazyflie bridge, and its options."""
 
 from __future__ import annotations
 
@@ -11,37 +11,37 @@ from flightstack.common.options import Option
 from flightstack.config import options as shared
 from flightstack.core.types import Vec3
 
-SILENT_S = 0.5  # s without state until it is reported; the flight stack calls its state lost after 0.2 s
-LOST_S = 1.0  # s without state until no heartbeat is sent
-RECONNECT_S = 3.0  # s without state until the link is opened anew; the firmware has stopped by then
-BLIND_SPARE_S, BLIND_SHARE = 1.0, 1.2  # s, and factor of height / descent speed: longest blind landing
-POSE_AGE_MAX_S = 0.5  # s without a pose from outside until the position is not good, at any variance
-REARM_S = 0.4  # s; firmware that arms itself is disarmed for 0.12 s every 30 s
-CLIENT_SILENT_S = 3.0  # s without a heartbeat of any client until it lands
-STREAM_S = 1.0  # s without set-points until control is free and OFFBOARD has no stream; PX4's COM_OF_LOSS_T
-LEVEL_OUT_S = 0.5  # s after which the firmware's watchdog acts (supervisor.c)
-OWN_PERIOD_S = 0.02  # s between two set-points of the bridge's own modes
-STANDING_S = 1.0  # s without following a descent command until it counts as standing
-SPEED_MAX_M_S = 1.0  # m/s, longest velocity passed on
-HEIGHT_RANGE_M = (0.1, 3.0)  # m above home of a take-off
-IDLE_S = 10.0  # s armed on the ground until it is disarmed; PX4's COM_DISARM_PRFLT
-KILL_KEPT_S = 10.0  # s that a kill without a link stays pending until the link is back
-TAKEOFF_MAX_S = 15.0  # s until a take-off is given up; 3 m take 8
-TAKEOFF_M = 0.5  # m above home, of a take-off without a height
+SILENT_S = 0.5  # time without a state until this is reported, s; the flight stack's limit is 0.2 s
+LOST_S = 1.0  # time without a state after which no heartbeat is sent, s
+RECONNECT_S = 3.0  # time without a state until the link is reopened, s; the firmware has stopped by then
+BLIND_SPARE_S, BLIND_SHARE = 1.0, 1.2  # longest blind landing: 1.0 s plus 1.2 times height / descent rate
+POSE_AGE_MAX_S = 0.5  # maximum age of an external pose, s; the position is not good then, at any variance
+REARM_S = 0.4  # maximum time disarmed, s: firmware that arms itself disarms for 0.12 s every 30 s
+CLIENT_SILENT_S = 3.0  # time without a heartbeat of any client after which the vehicle lands, s
+STREAM_S = 1.0  # time without set-points after which control is free, s; PX4's COM_OF_LOSS_T
+LEVEL_OUT_S = 0.5  # time without set-points until the firmware levels the vehicle, s (supervisor.c)
+OWN_PERIOD_S = 0.02  # time between two set-points of the bridge's own modes, s
+STANDING_S = 1.0  # time without following a descent command after which the vehicle counts as standing, s
+SPEED_MAX_M_S = 1.0  # greatest speed of a forwarded set-point, m/s
+HEIGHT_RANGE_M = (0.1, 3.0)  # allowed take-off height above home, m
+IDLE_S = 10.0  # time armed on the ground after which it is disarmed, s; PX4's COM_DISARM_PRFLT
+KILL_KEPT_S = 10.0  # longest time that a kill without a link remains pending, s
+TAKEOFF_MAX_S = 15.0  # time-out of a take-off, s; 3 m take 8 s
+TAKEOFF_M = 0.5  # default take-off height above home, m
 
 
 @dataclass(frozen=True, slots=True)
 class Rules:
     speed_max_m_s: float = SPEED_MAX_M_S
-    land_on_silence: bool = False  # land when set-points stop, instead of leaving it to the firmware
-    mocap: bool = False  # poses come from outside
-    drag_1_s: Vec3 | None = None  # for the firmware's filter, body axes; None leaves what it has
-    restore: bool = False  # the firmware's parameters, when the bridge ends
+    land_on_silence: bool = False  # land when set-points stop, instead of leaving this to the firmware
+    mocap: bool = False  # poses come from an external system
+    drag_1_s: Vec3 | None = None  # rotor drag for the firmware's filter, body axes; None: unchanged
+    restore: bool = False  # restore the firmware's parameters when the bridge ends
 
 
 @dataclass(frozen=True, kw_only=True)
 class CrazyflieOptions(PoseOptions):
-    """Where the bridge is plugged in, and what a person may choose of its rules."""
+    """Connection of the bridge, and its settings."""
 
     uri: Annotated[str, Option(
         "--uri", "Crazyflie's address in cflib: radio://0/80/2M/E7E7E7E7E7, usb://0, udp://HOST:PORT.", "URI"

@@ -1,7 +1,7 @@
-"""Decodes the Crazyflie's log packets: one packet holds a whole state, so its parts fit together.
+"""Decodes the Crazyflie's log packets: one packet holds a complete state, so all its values fit together.
 
-``stateEstimateZ`` (firmware stabilizer.c) carries millimetres, millimetres a second, a quaternion in 32 bits
-and milliradians a second; with supervisor bits and voltage that makes 26 bytes, the most a packet holds.
+``stateEstimateZ`` (firmware stabilizer.c) has millimetres, millimetres per second, a quaternion in 32 bits
+and milliradians per second; with supervisor bits and voltage it fills the 26 bytes of a packet.
 """
 
 from __future__ import annotations
@@ -35,34 +35,34 @@ HEALTH_VARIABLES: tuple[str, ...] = (
 )  # fmt: skip
 OUTSIDE_PERIOD_MS = 100
 OUTSIDE_VARIABLES: tuple[str, ...] = ("acc.x", "acc.y", "acc.z", "locSrvZ.tick")
-FETCHED_AS: Mapping[str, str] = dict.fromkeys(HEALTH_VARIABLES[-4:], "uint16_t")  # older firmware has 32 bits
+FETCHED_AS: Mapping[str, str] = dict.fromkeys(HEALTH_VARIABLES[-4:], "uint16_t")  # older firmware: 32 bits
 _PWM_MAX = 65535.0
-LATE_MAX_S = 0.2  # s; a packet that was delayed longer is ignored
+LATE_MAX_S = 0.2  # maximum delay of a packet, s; a later one is ignored
 _WRAP_MS = 1 << 24
-_REBOOT_MS = 1000  # a clock that falls back further is a restart, less is a packet out of order
+_REBOOT_MS = 1000  # limit, ms: a greater step back is a restart, a smaller one a packet out of order
 _DRIFT = 0.1  # maximum drift of a simulated firmware's clock; CrazySim's ran at 0.97
-_SPAN_S, _SPAN_PACKETS = 0.25, 10  # minimum s and packets of a span; longer than a burst of delayed ones
+_SPAN_S, _SPAN_PACKETS = 0.25, 10  # minimum length of a span, s and packets; longer than a delayed burst
 _MAGNITUDE = (1 << 9) - 1  # largest magnitude of a quaternion's element; the sign is a bit (quatcompress.h)
 
 
 class BootClock:
-    """The firmware's 24-bit milliseconds as a clock that continues, and how late a packet is.
+    """Converts the firmware's 24-bit time, ms, into a continuous clock, and measures the delay of packets.
 
-    The packet with the shortest delay has lateness 0; any extra delay is lateness. The shortest delay is
-    forgotten after half a second of packets: the clock of a simulated firmware may be slow, or stall.
+    The packet with the shortest delay has lateness 0; any additional delay is lateness. The shortest delay is
+    dropped after half a second of packets, because the clock of a simulated firmware may run slowly or stop.
     """
 
     def __init__(self) -> None:
-        self.restarts = 0  # of the firmware, or steps back of its clock
+        self.restarts = 0  # number of firmware restarts, or steps back of its clock
         self._last_ms: int | None = None
         self._last_at_s = 0.0
         self.begin()
 
     def begin(self) -> None:
-        """Start again with a new connection; the last time remains, to detect a restart."""
-        self._shortest_s = [math.inf, math.inf]  # arrival minus firmware time, of two spans of packets
+        """Start again on a new connection; the last time remains stored to detect a restart."""
+        self._shortest_s = [math.inf, math.inf]  # smallest arrival minus firmware time, of two spans
         self._span_s, self._in_span = -math.inf, 0
-        self._odd_ms: int | None = None  # a time that fits neither the clock nor a restart
+        self._odd_ms: int | None = None  # time that fits neither the clock nor a restart
 
     @property
     def running(self) -> bool:
@@ -70,7 +70,7 @@ class BootClock:
         return min(self._shortest_s) < math.inf
 
     def take(self, time_ms: int, at_s: float) -> tuple[int, float] | None:
-        """Unwrapped milliseconds and lateness in seconds; None: not newer than the last, or not trusted yet.
+        """Return continuous time, ms, and lateness, s; None: the packet is old or not trusted yet.
 
         ``time_ms`` has 24 bits.
         """
@@ -97,22 +97,22 @@ class BootClock:
         if not restarted and -_REBOOT_MS < step_ms <= elapsed_ms + tolerance_ms:
             return last_ms + step_ms if step_ms > 0 else None
         if not restarted and (self._odd_ms is None or not 0 < time_ms - self._odd_ms < _REBOOT_MS):
-            self._odd_ms = time_ms  # one packet alone moves no clock
+            self._odd_ms = time_ms  # one packet alone does not set the clock
             return None
         self.restarts += restarted or step_ms < 0
         self.begin()
         return time_ms if restarted or step_ms < 0 else last_ms + step_ms
 
     def now_ns(self, now_s: float) -> int:
-        """Firmware clock at a bridge time, ns, for TIMESYNC."""
+        """Return the firmware clock at a bridge time, ns, for TIMESYNC."""
         return max(1, round((now_s - min(self._shortest_s)) * 1e9))
 
 
 def decode_state(block: StateBlock, boot_ms: int, at_s: float) -> CrazyflieState:
-    """Turn a packet into a state.
+    """Decode a state packet.
 
-    The packet holds every variable of ``STATE_VARIABLES``; ``boot_ms`` is unwrapped time, ``at_s`` the
-    arrival.
+    The packet holds every variable of ``STATE_VARIABLES``; ``boot_ms`` is the continuous firmware time,
+    ``at_s`` the arrival time.
     """
     v = block.values
     x, y, z, vx, vy, vz = (v[name] / 1000.0 for name in STATE_VARIABLES[:6])
@@ -123,14 +123,14 @@ def decode_state(block: StateBlock, boot_ms: int, at_s: float) -> CrazyflieState
         (x, y, z),
         (vx, vy, vz),
         decompress_quaternion(v["stateEstimateZ.quat"]),
-        (roll, -pitch, yaw),  # the firmware counts pitch the other way round (stabilizer.c, compressState)
+        (roll, -pitch, yaw),  # the firmware's pitch has the opposite sign (stabilizer.c, compressState)
         Info(v["supervisor.info"] & sum(Info)),
         v["pm.vbatMV"] / 1000.0,
     )
 
 
 def decode_health(block: HealthBlock, at_s: float) -> Health:
-    """Decode quality of the estimate, battery and motors."""
+    """Decode the variance of the estimate, the battery and the motors."""
     v: Mapping[str, float] = block.values
     variance = (v["kalman.varPX"], v["kalman.varPY"], v["kalman.varPZ"])
     throttle = sum(v[name] for name in HEALTH_VARIABLES[-4:]) / (4.0 * _PWM_MAX)
@@ -138,16 +138,16 @@ def decode_health(block: HealthBlock, at_s: float) -> Health:
 
 
 def decode_outside(block: OutsideBlock, at_s: float) -> Outside:
-    """Decode gravity and the time of the newest pose; variables may be missing."""
+    """Decode gravity and the time of the newest external pose; variables may be missing."""
     v = block.values
     acceleration = (v["acc.x"], v["acc.y"], v["acc.z"]) if {"acc.x", "acc.y", "acc.z"} <= v.keys() else None
     return Outside(at_s, acceleration, int(v["locSrvZ.tick"]) if "locSrvZ.tick" in v else None)
 
 
 def decompress_quaternion(packed: int) -> Quat:
-    """Unit quaternion w, x, y, z of 32 bits: the index of the largest element, the other three as ten bits.
+    """Decode 32 bits into a unit quaternion w, x, y, z: index of the largest element, then three of ten bits.
 
-    The largest is positive and follows from the norm; order on the wire is x, y, z, w (quatcompress.h).
+    The largest is positive and follows from the norm; the wire order is x, y, z, w (quatcompress.h).
     """
     largest = packed >> 30
     xyzw = [0.0] * 4

@@ -1,6 +1,6 @@
-"""Data between the cflib side and the MAVLink side of the Crazyflie bridge.
+"""Data types between the cflib side and the MAVLink side of the Crazyflie bridge.
 
-World is the Crazyflie's own (x, y, z up), taken as ENU; body is FLU. Metres, seconds, radians, volts.
+The Crazyflie's world frame (x, y, z up) is used as ENU; body: FLU. Metres, seconds, radians, volts.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class Info(IntFlag):
 
     CAN_BE_ARMED = 1 << 0
     ARMED = 1 << 1
-    AUTO_ARM = 1 << 2  # the firmware arms itself, as all Crazyflie 2.x with brushed motors do
+    AUTO_ARM = 1 << 2  # the firmware arms itself, as on every Crazyflie 2.x with brushed motors
     CAN_FLY = 1 << 3
     FLYING = 1 << 4
     TUMBLED = 1 << 5
@@ -31,7 +31,7 @@ class Info(IntFlag):
 
 
 class Power(Enum):
-    """``pm.state`` (firmware pm.h)."""
+    """Values of ``pm.state`` (firmware pm.h)."""
 
     BATTERY = 0
     CHARGING = 1
@@ -41,17 +41,17 @@ class Power(Enum):
 
 
 class Velocity(NamedTuple):
-    """A velocity set-point: one packet, sent at once or never."""
+    """A velocity set-point: one packet that is sent at once or dropped."""
 
     velocity_enu_m_s: Vec3
-    yaw_rate_rad_s: float  # counter-clockwise
+    yaw_rate_rad_s: float  # yaw rate, counter-clockwise
 
 
 class Pose(NamedTuple):
-    """A pose from outside, for the on-board estimator."""
+    """An external pose for the on-board estimator."""
 
     position_enu_m: Vec3
-    quaternion: Quat  # w, x, y, z, of FLU in ENU
+    quaternion: Quat  # order w, x, y, z; attitude of FLU in ENU
 
 
 class Order(Enum):
@@ -73,10 +73,10 @@ Packet = Velocity | Pose | Order | SetParam
 
 
 class Connected(NamedTuple):
-    """The link is open, and all requests of its start have been answered."""
+    """The link is open and the start-up requests are answered."""
 
     protocol: int
-    params: dict[str, str]  # of ``crazyflie_link.PARAMS``; those the firmware does not have are missing
+    params: dict[str, str]  # values of ``crazyflie_link.PARAMS``, without those that the firmware lacks
 
 
 class Lost(NamedTuple):
@@ -86,20 +86,20 @@ class Lost(NamedTuple):
 
 
 class StateBlock(NamedTuple):
-    """One log packet of the state, unchanged."""
+    """One log packet of the state, not decoded."""
 
     time_ms: int  # firmware clock, 24 bits
     values: dict[str, int]
 
 
 class HealthBlock(NamedTuple):
-    """One log packet of values that change slowly."""
+    """One log packet of slowly changing values."""
 
     values: dict[str, float]
 
 
 class OutsideBlock(NamedTuple):
-    """One log packet for the check of external poses; firmware may lack any of its values."""
+    """One log packet to check external poses; the firmware may lack any of its values."""
 
     values: dict[str, float]
 
@@ -120,21 +120,21 @@ Event = Connected | Lost | StateBlock | HealthBlock | OutsideBlock | ArmReply | 
 
 
 class Arrived(NamedTuple):
-    """An event with the time of its arrival."""
+    """An event and its arrival time."""
 
-    at_s: float  # time.monotonic()
+    at_s: float  # arrival time on time.monotonic()
     event: Event
 
 
 @dataclass(frozen=True, slots=True)
 class CrazyflieState:
-    """State of one log packet, all of one time."""
+    """State of one log packet; all values have the same time."""
 
     at_s: float  # bridge clock
-    boot_ms: int  # firmware clock, unwrapped
+    boot_ms: int  # continuous firmware clock
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3
-    quaternion: Quat  # w, x, y, z, of FLU in ENU
+    quaternion: Quat  # order w, x, y, z; attitude of FLU in ENU
     angular_velocity_flu_rad_s: Vec3
     info: Info
     battery_v: float
@@ -143,7 +143,7 @@ class CrazyflieState:
 @dataclass(frozen=True, slots=True)
 class Health:
     at_s: float
-    variance_m2: Vec3  # of the position estimate
+    variance_m2: Vec3  # variance of the position estimate
     power: Power
     battery_percent: int
     throttle: float = 0.0  # mean of the motors' PWM, 0 to 1
@@ -151,16 +151,16 @@ class Health:
 
 @dataclass(frozen=True, slots=True)
 class Outside:
-    """Gravity by the accelerometer, and the firmware's time of the newest pose from outside."""
+    """Measured gravity, and the firmware's time of the newest external pose."""
 
     at_s: float
-    acceleration_flu_g: Vec3 | None  # specific force
-    tick: int | None  # 16 bits, ms
+    acceleration_flu_g: Vec3 | None  # specific force measured by the accelerometer
+    tick: int | None  # firmware time of the newest external pose, 16 bits, ms
 
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """The firmware of the present connection; ``protocol`` None: not connected."""
+    """The firmware of the present connection; ``protocol`` is None without a connection."""
 
     protocol: int | None = None
     params: dict[str, str] = field(default_factory=dict)

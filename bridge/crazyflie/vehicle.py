@@ -1,9 +1,9 @@
-"""A Crazyflie as a vehicle with modes: pure, events and commands in, packets and texts out.
+"""A Crazyflie as a vehicle with flight modes; pure: events and commands in, packets and texts out.
 
-A client's velocity goes to the radio once, at once, and never again: when the client stops, the firmware's
-own watchdog levels out after 0.5 s and stops the motors after 2 s (firmware supervisor.c). Only in the
-bridge's own modes (take-off, hold, landing) does the bridge make set-points, and only while it hears a
-client, or to land.
+A client's velocity is sent to the radio at once and never repeated: when the client stops, the firmware's
+watchdog levels the vehicle after 0.5 s and stops the motors after 2 s (firmware supervisor.c). The bridge
+makes set-points only in its own modes (take-off, hold, landing), and only while clients send heartbeats, or
+to land.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ _ENDS = "the bridge ends"
 
 
 class Vehicle(Condition, Commander):
-    """Call the methods as events arrive, then ``step``, then take ``packets`` and ``texts``.
+    """Modes and commands of a Crazyflie: handle events on arrival, then ``step``, then send the packets.
 
-    Home is the origin, at the height where it stands or was armed.
+    Home is the horizontal origin, at the height where the vehicle stands or was armed.
     """
 
     height_range_m = limits.HEIGHT_RANGE_M
@@ -57,12 +57,12 @@ class Vehicle(Condition, Commander):
         self.settings = Settings(rules.drag_1_s, restore=rules.restore)
         self._packets: list[Packet] = []
         self._pilot = Pilot()
-        self._moved = False  # a velocity has gone out since arming
+        self._moved = False  # a velocity was sent since arming
         self._kill_s = -math.inf
         self._silence_said = False
         self._connected_s = 0.0
-        self._armed_state: CrazyflieState | None = None  # the newest that shows it armed
-        # newest state with a known position, and the longest landing without one, s
+        self._armed_state: CrazyflieState | None = None  # newest state that reports armed
+        # time of the newest state with a known position, and the longest landing without a position, s
         self._placed_s, self._sink_s = -math.inf, 0.0
         self._stopped = Stopped()
         self._client_s = self._own_s = -math.inf
@@ -80,16 +80,16 @@ class Vehicle(Condition, Commander):
 
     @property
     def busy(self) -> bool:
-        """Armed, or waiting for the supervisor: the link must not be closed yet."""
+        """Whether it is armed or a request to the supervisor is open; the link must not be closed then."""
         return self.armed or self._arming.busy
 
     @property
     def standing(self) -> bool:
-        """Not in the air, as far as the commands show: there is no sensor for it."""
+        """Whether it is on the ground, as far as the commands show; no sensor measures this."""
         return not (self.armed and self._moved)
 
     def take_packets(self) -> list[Packet]:
-        """Take the packets for the Crazyflie, in order."""
+        """Return the packets for the Crazyflie, in order."""
         packets, self._packets = self._packets, []
         return packets
 
@@ -119,7 +119,7 @@ class Vehicle(Condition, Commander):
         self.texts.say(INFO, f"{event.name} is {event.value}")
 
     def lost(self, event: Lost, now_s: float) -> None:
-        """The link is lost; in the bridge's own modes the vehicle lands blindly meanwhile."""
+        """Handle the loss of the link; in the bridge's own modes the vehicle lands blindly."""
         if self.link.protocol is not None:
             self.texts.say(CRITICAL, f"Radio lost: {event.reason}")
         else:
@@ -132,9 +132,9 @@ class Vehicle(Condition, Commander):
         self._arming.forget(armed=self.armed)
 
     def take_state(self, state: CrazyflieState, now_s: float, *, restarted: bool = False) -> None:
-        """A new state; ``restarted``: the firmware has restarted since the last one."""
+        """Handle a new state; ``restarted``: the firmware has restarted since the last state."""
         before, self.state = self.state, state
-        if not self.armed:  # a take-off that waits for the arming climbs from the place of the arming
+        if not self.armed:  # a pending take-off climbs from the place where the vehicle is armed
             height_m = state.position_enu_m[2]
             self.takeoff_z_m += height_m - self.home_enu_m[2]
             self.home_enu_m = (0.0, 0.0, height_m)
@@ -143,11 +143,11 @@ class Vehicle(Condition, Commander):
             self._silence_said = False
         if self.position_known(now_s):
             self._placed_s = state.at_s
-            height_m = state.position_enu_m[2] - min(0.0, self.home_enu_m[2])  # floor below a table
+            height_m = state.position_enu_m[2] - min(0.0, self.home_enu_m[2])  # the floor can be below home
             self._sink_s = limits.BLIND_SPARE_S + limits.BLIND_SHARE * max(0.0, height_m) / DESCENT_M_S
         if restarted:
             self._stop("it restarted", now_s)
-            if before is not None:  # its settings are the defaults again
+            if before is not None:  # the restart has reset the parameters
                 self._packets += [Order.STOP, Order.RECONNECT]
                 self.lost(Lost("it restarted"), now_s)
                 return
@@ -161,7 +161,7 @@ class Vehicle(Condition, Commander):
             self._stop("by the firmware", now_s)
 
     def _stays_armed(self, state: CrazyflieState) -> bool:
-        """Whether it is armed, or arms itself again: such firmware is disarmed for 0.12 s every 30 s."""
+        """Whether it remains armed; firmware that arms itself is disarmed for 0.12 s every 30 s."""
         if state.info & Info.ARMED:
             self._armed_state = state
             return True
@@ -171,7 +171,7 @@ class Vehicle(Condition, Commander):
         return rearms and last is not None and state.at_s - last.at_s <= limits.REARM_S
 
     def emergency_stop(self, now_s: float) -> None:
-        """Stop the motors; latched until a restart."""
+        """Stop the motors; the stop is latched until a restart."""
         if self.link.protocol is None:
             self._kill_s = now_s
             self.texts.say(CRITICAL, "Emergency stop waits for the radio")
@@ -184,7 +184,7 @@ class Vehicle(Condition, Commander):
             self.texts.refuse(f"Arming refused: {reason}", now_s)
 
     def mocap(self, problem: str | None, passed: Passed | None = None, now_s: float = -math.inf) -> None:
-        """Take the state of the poses from outside: the problem, None if they are good, and a new pose."""
+        """Handle a new external pose, and the problem of these poses (None: they are good)."""
         self._note_pose(problem, passed, now_s)
         if self.armed and problem is not None and self.mocap_problem is None:
             self.texts.say(CRITICAL, problem)
@@ -206,7 +206,7 @@ class Vehicle(Condition, Commander):
             self._packets += [Order.RECONNECT] if self.armed else [Order.STOP, Order.RECONNECT]
 
     def _has_sunk(self, now_s: float) -> bool:
-        """Whether a landing without a position has taken longer than from the last known height."""
+        """Whether a landing without a position has lasted longer than the last known height requires."""
         return now_s - max(self._placed_s, self._pilot.since_s) > self._sink_s
 
     # Changes
@@ -214,7 +214,7 @@ class Vehicle(Condition, Commander):
     def _enter(
         self, mode: FlightMode, now_s: float, *, failsafe: bool = False, restart: bool = False
     ) -> None:
-        """Change the mode; any but a landing begins anew at the present place."""
+        """Change the mode; every mode but landing restarts at the present position."""
         super()._enter(mode, now_s, failsafe=failsafe, restart=restart or mode is not FlightMode.LAND)
 
     def _begin(self, now_s: float) -> None:
@@ -246,7 +246,7 @@ class Vehicle(Condition, Commander):
             self._packets += self._arming.off(now_s, forced=False)
 
     def _end(self, reason: str) -> None:
-        """Take note that it is no longer armed."""
+        """Mark the vehicle as disarmed."""
         if self.armed:
             self.texts.say(CRITICAL, f"Disarmed: {reason}")
         self._arming.armed = False
@@ -255,15 +255,15 @@ class Vehicle(Condition, Commander):
     def _ended(self) -> None:
         self._moved = self.failsafe = False
         self._owner = None
-        self.mode = FlightMode.HOLD  # in OFFBOARD control would not be free for the next client
+        self.mode = FlightMode.HOLD  # in OFFBOARD the next client could not get control
 
-    # Commands of clients; the reason if refused
+    # Commands of clients; each returns the reason if it refuses
 
     def client(self, now_s: float) -> None:
         self._client_s = now_s
 
     def arm(self, now_s: float) -> str | None:
-        """Request arming from the supervisor; ``armed`` or a text shows the result."""
+        """Request arming from the supervisor; ``armed`` or a status text shows the result."""
         if self.armed or self.arming:
             return None
         if self.state is not None and self.state.info & STUCK == Info.CRASHED and not self._ends:
@@ -283,7 +283,7 @@ class Vehicle(Condition, Commander):
         return None
 
     def disarm(self, now_s: float, *, force: bool) -> str | None:
-        """Motors off; in the air only by force."""
+        """Stop the motors; in the air only if ``force`` is set."""
         if not force and not self.standing:
             return "Disarming refused: not landed"
         if force and self.link.protocol is None:
@@ -296,7 +296,7 @@ class Vehicle(Condition, Commander):
         return None
 
     def end(self, now_s: float) -> None:
-        """Land because the bridge ends: from now on nothing arms it or takes it out of the landing."""
+        """Land because the bridge ends; afterwards it cannot be armed, nor leave the landing."""
         self._ends = True
         self.land(now_s)
 
@@ -307,7 +307,7 @@ class Vehicle(Condition, Commander):
         return "no position estimate" if blind else None
 
     def _take(self, setpoint: Setpoint, now_s: float) -> None:
-        """Pass a velocity on, once, when it is armed and in OFFBOARD; a longer one is cut to the limit."""
+        """Send a velocity once if armed and in OFFBOARD; a velocity above the speed limit is scaled down."""
         velocity_enu_m_s, yaw_rad, yaw_rate_rad_s = setpoint
         self._stream_end_said = False
         if not (self.armed and self.mode is FlightMode.OFFBOARD):
@@ -322,12 +322,12 @@ class Vehicle(Condition, Commander):
         if yaw_rad is not None:
             yaw_rate_rad_s = yaw_rate(yaw_rad, state) if state is not None else 0.0
         self._command(Velocity(velocity_enu_m_s, yaw_rate_rad_s))
-        # a client that landed may disarm
+        # a client may disarm after it has landed
         if self._stopped.lasts_s(velocity_enu_m_s[2], state, now_s) > limits.STANDING_S:
             self._moved = False
 
     def step(self, now_s: float) -> None:
-        """Do what is due; call it at least every 10 ms."""
+        """Run what is due; call this at least every 10 ms."""
         self._note_pose(self.mocap_problem, None, now_s)
         self._watch_radio(now_s)
         was_armed = self.armed
@@ -384,7 +384,7 @@ class Vehicle(Condition, Commander):
             self._command(velocity)
 
     def _fly_offboard(self, now_s: float) -> None:
-        """Send nothing; report and handle the end of the stream."""
+        """Send no set-point; report and handle the end of the client's stream."""
         silence_s = now_s - self._setpoint_s
         if silence_s > limits.LEVEL_OUT_S and not self._stream_end_said and self._moved:
             self._stream_end_said = True

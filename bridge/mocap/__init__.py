@@ -1,1 +1,1 @@
-"""Poses of a motion capture to the vehicle; ``process`` is the loop, ``checks`` the core."""
+"""Forwards motion capture poses to the vehicle: ``process`` holds the loop, ``checks`` the checks."""

@@ -1,7 +1,7 @@
-"""Checks poses of motion capture for a vehicle: order, age, rate and jumps. Pure.
+"""Checks the order, age, rate and jumps of motion capture poses. Pure: no input or output.
 
-The Crazyflie's estimator has no gate for outliers (firmware mm_pose.c): one swapped marker flips the vehicle.
-So a pose is forwarded only when the vehicle can have reached it from the last one.
+The Crazyflie's estimator does not reject outliers (firmware mm_pose.c): one pair of swapped markers makes the
+vehicle flip. So a pose is forwarded only if the vehicle can have moved there from the last good pose.
 """
 
 from __future__ import annotations
@@ -33,25 +33,25 @@ class Refusal(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    frame_id: str | None = None  # None: any
-    late_max_s: float = 0.1  # behind the quickest of the last samples
-    # agreement of the poses after a step of their clock; no pose is good meanwhile
+    frame_id: str | None = None  # required frame of the poses; None: any frame is accepted
+    late_max_s: float = 0.1  # greatest delay relative to the fastest recent sample, s
+    # time that the poses must agree after their sender's clock has jumped, s; no pose is good until then
     clock_proof_s: float = 0.3
-    gap_max_s: float = 0.2  # greatest age of the last good pose; same as that of the vehicle state
-    rate_min_hz: float = 20.0  # a lower rate is reported; PX4 needs 30 to 50
-    rate_max_hz: float = 100.0  # greatest forwarded rate
-    speed_max_m_s: float = 5.0  # speed of the body, without the allowances below for noise
+    gap_max_s: float = 0.2  # greatest age of the last good pose, s; the vehicle state has the same limit
+    rate_min_hz: float = 20.0  # lowest good rate, Hz; a lower rate is reported; PX4 needs 30 to 50 Hz
+    rate_max_hz: float = 100.0  # greatest forwarded rate, Hz
+    speed_max_m_s: float = 5.0  # greatest speed of the body, m/s; the allowances below for noise are added
     jump_m: float = 0.05
     turn_rate_max_rad_s: float = 20.0
     turn_rad: float = 0.2
-    room_m: float = 100.0  # the Crazyflie's estimator resets beyond (estimator supervisor)
-    gap_counted_s: float = 1.0  # longest part of a gap that counts as motion of the vehicle
-    return_m: float = 0.5  # allowed distance from the last good pose after rejected ones
-    settle_s: float = 1.0  # time at a new place after a jump until it is accepted, disarmed only
+    room_m: float = 100.0  # half side of the room, m; the Crazyflie's estimator resets beyond 100 m
+    gap_counted_s: float = 1.0  # longest part of a gap that counts as motion of the vehicle, s
+    return_m: float = 0.5  # allowed distance from the last good pose after rejected poses, m
+    settle_s: float = 1.0  # time at a new place after which a jump is accepted, s; only while disarmed
 
 
 class Sample(NamedTuple):
-    """A received pose; ``pose`` None: unreadable."""
+    """A received pose; ``pose`` is None if the message is unreadable."""
 
     pose: Pose | None
     arrival_s: float
@@ -61,15 +61,15 @@ class Passed(NamedTuple):
     """A pose to forward."""
 
     pose: Pose
-    measured_s: float  # on our clock: arrival minus lateness
-    resets: int  # number of restarts of the series, for estimators
+    measured_s: float  # time of measurement on the local clock, s: arrival minus delay
+    resets: int  # number of times that the series of poses has restarted
 
 
 class Step(NamedTuple):
     """Result of one call of ``PoseChecks.step``."""
 
     passed: tuple[Passed, ...]
-    problem: str | None  # why there is no good pose, or None
+    problem: str | None  # reason why there is no good pose; None: there is one
 
 
 _RATE_WINDOW_S = 1.0
@@ -84,10 +84,10 @@ _REFUSALS = {
 
 @dataclass(slots=True)
 class PoseChecks:
-    """Checks the poses of one body; ``step`` is called at every turn of the loop."""
+    """Checks the poses of one body; the loop calls ``step`` in every pass."""
 
     limits: Limits = field(default_factory=Limits)
-    # rejected samples by reason; ``thinned``: omitted for the rate
+    # rejected samples by reason; ``thinned`` counts the samples omitted to limit the rate
     counts: dict[Refusal, int] = field(default_factory=lambda: dict.fromkeys(Refusal, 0))
     thinned: int = 0
     passed: int = 0
@@ -95,7 +95,7 @@ class PoseChecks:
     _clock: SenderClock = field(init=False)
     _sent_s: float = -math.inf
     _resets: int = 0
-    _elsewhere: Passed | None = None  # newest pose of a series after a jump
+    _elsewhere: Passed | None = None  # newest pose of the series that follows a jump
     _elsewhere_since_s: float = 0.0
     _refused: Refusal | None = None
     _window_s: float = -math.inf
@@ -106,7 +106,7 @@ class PoseChecks:
         self._clock = SenderClock(self.limits.late_max_s, self.limits.clock_proof_s)
 
     def step(self, samples: Sequence[Sample], now_s: float, *, armed: bool) -> Step:
-        """Check samples in their order; while the vehicle is armed no jump is accepted."""
+        """Check samples in their order; no jump is accepted while the vehicle is armed."""
         good = [passed for sample in samples if (passed := self._judge(sample, armed)) is not None]
         self._count_rate(len(good), now_s)
         kept = tuple(passed for passed in good if self._due(passed.measured_s))
@@ -143,7 +143,7 @@ class PoseChecks:
         if returns and self._reaches(last, passed, math.inf if before is None else self.limits.return_m):
             return passed
         if before is not None and self._reaches(before, passed, math.inf):
-            return self._carried(passed, armed)  # the series continues at the new place
+            return self._carried(passed, armed)  # the series of poses continues at the new place
         self._elsewhere_since_s = passed.measured_s
         self._elsewhere = passed
         return Refusal.JUMP
@@ -157,7 +157,7 @@ class PoseChecks:
         return fits and turned_rad <= limits.turn_rad + limits.turn_rate_max_rad_s * dt_s
 
     def _carried(self, passed: Passed, armed: bool) -> Passed | Refusal:
-        """A series at a new place is accepted after a time on the ground: the vehicle was carried."""
+        """Accept poses at a new place after ``settle_s`` on the ground: the vehicle was carried there."""
         if armed:
             self._elsewhere_since_s = passed.measured_s
         self._elsewhere = passed
@@ -167,7 +167,7 @@ class PoseChecks:
         return passed._replace(resets=self._resets)
 
     def _due(self, at_s: float) -> bool:
-        if at_s - self._sent_s < 0.75 / self.limits.rate_max_hz:  # above the greatest rate, beyond jitter
+        if at_s - self._sent_s < 0.75 / self.limits.rate_max_hz:  # the rate is too high, beyond jitter
             self.thinned += 1
             return False
         self._sent_s = at_s
@@ -195,20 +195,20 @@ class PoseChecks:
 
 
 def _apart(a: Passed, b: Passed) -> float:
-    """Distance of two poses: metres plus radians."""
+    """Return the distance of two poses: metres plus radians."""
     turned_rad = angle_between(a.pose.orientation_wxyz, b.pose.orientation_wxyz)
     return math.dist(a.pose.position_m, b.pose.position_m) + turned_rad
 
 
 def angle_between(a: Quat, b: Quat) -> float:
-    """Angle of the rotation from one unit quaternion to another, 0 to pi."""
+    """Return the angle of the rotation from one unit quaternion to another, 0 to pi."""
     along = abs(sum(x * y for x, y in zip(a, b, strict=True)))
     across = math.sqrt(max(0.0, 1.0 - along * along))
     return 2.0 * math.atan2(across, along)
 
 
 def centre(pose: Pose, offset_flu_m: Vec3) -> Pose:
-    """Pose of the vehicle's centre, at ``offset_flu_m`` from the markers' centre in body axes."""
+    """Return the pose of the vehicle's centre, ``offset_flu_m`` from the markers' centre in body axes."""
     dx, dy, dz = world_from_body(pose.orientation_wxyz, offset_flu_m)
     x, y, z = pose.position_m
     return pose._replace(position_m=(x + dx, y + dy, z + dz))

@@ -1,4 +1,4 @@
-"""Options of the bridges that receive poses of motion capture."""
+"""Options of the bridges that receive motion capture poses."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ POSE_TYPES = ("pose", "pose-covariance")
 
 @dataclass(frozen=True, kw_only=True)
 class PoseOptions(shared.Zenoh, shared.Signing):
-    """Which poses of motion capture are accepted, and the links of a bridge."""
+    """Settings of the motion capture poses, and of the links of a bridge."""
 
     pose_type: Annotated[
         str, Option("--pose-type", "PoseStamped or PoseWithCovarianceStamped.", choices=POSE_TYPES)

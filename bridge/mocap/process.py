@@ -1,4 +1,4 @@
-"""The mocap bridge as a process: poses from Zenoh on one side, a MAVLink vehicle on the other."""
+"""Process of the mocap bridge: receives poses from Zenoh, sends them to a MAVLink vehicle."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from flightstack.common.pacing import run_promptly
 from flightstack.core.parameters.flight import check_origin
 from flightstack.core.types import ZERO, Vec3
 
-CAPACITY = 256  # samples between two polls; the oldest are dropped
+CAPACITY = 256  # maximum number of samples between two polls; the oldest are dropped
 _DECODERS = {TargetType.POSE: decode_pose, TargetType.POSE_COVARIANCE: decode_pose_with_covariance}
 
 
 def parse_spec(text: str, pose_type: str = TargetType.POSE.value, domain: int = 0) -> TargetSpec:
-    """Parse ``KEY``, ``ros2:/TOPIC`` or ``ros2dds:/TOPIC``. Raises ValueError: not a topic or pose type."""
+    """Parse ``KEY``, ``ros2:/TOPIC`` or ``ros2dds:/TOPIC``. Raises ValueError: topic or pose type is bad."""
     found = TargetType(pose_type)
     if found not in _DECODERS:
         raise ValueError(
@@ -40,14 +40,14 @@ def parse_spec(text: str, pose_type: str = TargetType.POSE.value, domain: int = 
 
 class MocapSource:
     def __init__(self, session: zenoh_link.Session, spec: TargetSpec, offset_flu_m: Vec3 = ZERO) -> None:
-        """``offset_flu_m``: from the markers' centre to the vehicle's. Raises ValueError: bad key."""
+        """``offset_flu_m``: from the markers' centre to the vehicle's. Raises ValueError: the key is bad."""
         self._subscriber = zenoh_link.ring_subscriber(session, spec.key, CAPACITY)
         self._spec, self._offset_flu_m = spec, offset_flu_m
         self._decode = _DECODERS[spec.type]
-        self.problem_text: str | None = None  # why the newest sample is unreadable, or None
+        self.problem_text: str | None = None  # reason why the newest sample is unreadable, or None
 
     def poll(self, now_s: float) -> list[Sample]:
-        """Return all samples that arrived, oldest first; never blocks."""
+        """Return all samples that have arrived, oldest first; never blocks."""
         return [self._sample(sample, now_s) for sample in zenoh_link.drain(self._subscriber)]
 
     def close(self) -> None:
@@ -70,14 +70,14 @@ class MocapSource:
 
 
 class CheckedPoses:
-    """Source and checks for the Crazyflie bridge: newest good pose, or the reason of its absence."""
+    """Poses of motion capture after their checks, for the Crazyflie bridge."""
 
     def __init__(self, source: MocapSource, checks: PoseChecks) -> None:
         self._source, self.checks = source, checks
-        self.problem: str | None = "mocap: no pose yet"  # why there is no good pose, or None
+        self.problem: str | None = "mocap: no pose yet"  # reason why there is no good pose, or None
 
     def poll(self, now_s: float, *, armed: bool) -> Passed | None:
-        """The newest good pose since the last call."""
+        """Return the newest good pose since the last call."""
         step = self.checks.step(self._source.poll(now_s), now_s, armed=armed)
         self.problem = step.problem
         if self.problem is not None and self._source.problem_text is not None:
@@ -85,20 +85,20 @@ class CheckedPoses:
         return step.passed[-1] if step.passed else None
 
 
-TICK_S = 0.002  # s; greatest delay of a pose by the loop
+TICK_S = 0.002  # longest delay that the loop adds to a pose, s
 _AUTOPILOT = dialect.MAV_COMP_ID_AUTOPILOT1
-_SAY_S = 2.0  # s between two texts about the same
+_SAY_S = 2.0  # time between two texts on the same topic, s
 
 
 class StatusPrinter:
-    """Prints each text when it changes and every two seconds."""
+    """Prints each status text when it changes, and repeats it every two seconds."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self._say = say
         self._last: dict[str, tuple[str | None, float]] = {}
 
     def about(self, topic: str, text: str | None, now_s: float, *, good: str | None = None) -> None:
-        """Report a text, or its end."""
+        """Print a text of a topic when it is due; None ends the topic and prints ``good``."""
         before, said_s = self._last.get(topic, (None, 0.0))
         changed = (text is None) != (before is None)
         if text is not None and (changed or now_s - said_s >= _SAY_S):
@@ -111,7 +111,7 @@ class StatusPrinter:
 
 
 class Bridge:
-    """One source of poses and one vehicle."""
+    """Forwards the poses of one source to one vehicle."""
 
     def __init__(
         self,
@@ -131,7 +131,7 @@ class Bridge:
         return time.monotonic() - self._start_s
 
     def run(self, stop: Stop, duration_s: float | None) -> None:
-        """Run until a signal; while the vehicle is armed, until a second signal."""
+        """Run until a signal arrives; while the vehicle is armed, until a second signal arrives."""
         told = False
         while stop.count < 2:
             self.turn()
@@ -143,7 +143,7 @@ class Bridge:
                     told = True
 
     def turn(self) -> None:
-        """Wait for a tick or a message, then forward poses."""
+        """Wait for a tick or a message, then forward the poses."""
         self._endpoint.wait(TICK_S)
         for notice in (*self._endpoint.take_notices(), *self._senders.take_notices()):
             self._say(f"mocap: {notice}")
@@ -184,7 +184,7 @@ def limits(options: PoseOptions) -> Limits:
 
 
 def run(options: MocapOptions, say: Callable[[str], None] = print) -> int:
-    """Run until a signal; while the vehicle is armed, until a second signal."""
+    """Run until a signal arrives; while the vehicle is armed, until a second signal arrives."""
     origin = None
     if options.origin is not None:
         check_origin("--origin", options.origin)
@@ -200,7 +200,7 @@ def run(options: MocapOptions, say: Callable[[str], None] = print) -> int:
         vehicle = MocapVehicle(options.system_id, limits(options), origin)
         source = MocapSource(session, spec, options.offset_flu_m)
         bridge = Bridge(source, vehicle, endpoint, options.system_id, say)
-        run_promptly()  # a delayed pose is useless
+        run_promptly()  # request a high priority: a delayed pose is useless
         stop = Stop().install()
         say("ready")
         sys.stdout.flush()
@@ -210,7 +210,7 @@ def run(options: MocapOptions, say: Callable[[str], None] = print) -> int:
 
 
 def summary(checks: PoseChecks) -> str:
-    """Counts of all poses as one line."""
+    """Return the counts of all poses as one line."""
     refused = ", ".join(f"{reason.name.lower()} {n}" for reason, n in checks.counts.items() if n)
     passed = f"{checks.passed} poses passed on, {checks.thinned} left out for the rate"
     return f"mocap: {passed}; refused: {refused or 'none'}"

@@ -1,4 +1,4 @@
-"""The MAVLink side of motion capture: poses in the form that the vehicle's autopilot needs. Pure."""
+"""Builds the MAVLink messages that carry poses, in the form that the vehicle's autopilot needs. Pure."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from bridge.mocap.checks import Limits, Passed, PoseChecks, Sample
 from flightstack.core.types import Landed, Mode, VehicleStatus
 
 COMPONENT_ID = dialect.MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY
-SILENT_S = 3.0  # s without the vehicle's heartbeat after which it is gone
+SILENT_S = 3.0  # time without a heartbeat after which the vehicle counts as absent, s
 _HEARTBEAT_S = 1.0
-_HELLO_S = 0.2  # s between heartbeats before the first message of the vehicle
-_UNKNOWN = (math.nan, *([0.0] * 20))  # NaN first: not known (MAVLink)
+_HELLO_S = 0.2  # time between heartbeats before the first message of the vehicle, s
+_UNKNOWN = (math.nan, *([0.0] * 20))  # covariance whose first entry NaN means unknown (MAVLink)
 
 
 def _covariance(covariance: tuple[float, ...]) -> list[float]:
-    known = any(covariance)  # all zero means unknown in ROS
+    known = any(covariance)  # in ROS a covariance of zeros means unknown
     return list(upper_triangle(ned_covariance_from_enu(covariance)) if known else _UNKNOWN)
 
 
 def vision_position_estimate(passed: Passed, time_us: int) -> Message:
-    """VISION_POSITION_ESTIMATE: position in NED, roll, pitch and yaw of FRD in NED."""
+    """Build VISION_POSITION_ESTIMATE: position in NED; roll, pitch and yaw of FRD in NED."""
     pose = passed.pose
     return dialect.MAVLink_vision_position_estimate_message(
         time_us,
@@ -45,7 +45,7 @@ def vision_position_estimate(passed: Passed, time_us: int) -> Message:
 
 
 def odometry(passed: Passed, time_us: int) -> Message:
-    """ODOMETRY of type VISION: pose of FRD in NED as a quaternion; velocities unknown."""
+    """Build ODOMETRY of type VISION: pose of FRD in NED as a quaternion; velocities are unknown."""
     pose = passed.pose
     return dialect.MAVLink_odometry_message(
         time_us,
@@ -63,13 +63,13 @@ def odometry(passed: Passed, time_us: int) -> Message:
 
 @dataclass(frozen=True, slots=True)
 class PoseNeeds:
-    """Requirements of an autopilot on external poses."""
+    """Requirements of an autopilot for external poses."""
 
     title: str
     message: Callable[[Passed, int], Message]
     rate_max_hz: float
-    needs_origin: bool  # without SET_GPS_GLOBAL_ORIGIN it has no position
-    settings: str  # its parameters, as text
+    needs_origin: bool  # the autopilot has no position until it receives SET_GPS_GLOBAL_ORIGIN
+    settings: str  # autopilot parameters to set, as text
 
 
 POSE_NEEDS: Mapping[int, PoseNeeds] = {
@@ -87,13 +87,13 @@ POSE_NEEDS: Mapping[int, PoseNeeds] = {
 
 
 class MocapVehicle:
-    """Sends poses to a vehicle: ``handle`` its messages, then ``step``."""
+    """Sends poses to a vehicle: call ``handle`` for each of its messages, then ``step``."""
 
     def __init__(self, system_id: int, limits: Limits, origin: Origin | None) -> None:
-        """``origin``: position of the room's zero on earth, for an autopilot that needs one."""
-        self.checks = PoseChecks(limits)  # checks of the poses, with counters
+        """``origin`` is the position of the room's origin on earth, for an autopilot that needs it."""
+        self.checks = PoseChecks(limits)  # pose checks and their counters
         self.needs: PoseNeeds | None = None  # requirements of the vehicle; None before its first heartbeat
-        # MAV_AUTOPILOT of a vehicle that is not in the table, else None
+        # MAV_AUTOPILOT number of an unsupported autopilot; None: the autopilot is supported
         self.unknown_autopilot: int | None = None
         self._limits, self._origin, self._system_id = limits, origin, system_id
         self._origin_sender = OriginSender(None, system_id)
@@ -103,7 +103,7 @@ class MocapVehicle:
 
     @property
     def origin_missing(self) -> bool:
-        """Whether the vehicle needs an origin and none is configured."""
+        """Whether the vehicle needs an origin but none is configured."""
         return (
             self.needs is not None
             and self.needs.needs_origin
@@ -112,27 +112,27 @@ class MocapVehicle:
         )
 
     def heard(self, now_s: float) -> bool:
-        """Whether the vehicle sends messages."""
+        """Whether the vehicle has sent a heartbeat within ``SILENT_S``."""
         return now_s - self._heard_s <= SILENT_S
 
     def flies(self, now_s: float) -> bool:
-        """Whether it sends messages and is armed: then it needs its poses."""
+        """Whether the vehicle sends heartbeats and is armed, so that it needs its poses."""
         return self._armed and self.heard(now_s)
 
     def handle(self, message: Message, now_s: float) -> list[Message]:
-        """Handle a message of the vehicle's autopilot; returns the reply."""
+        """Handle a message of the vehicle's autopilot; return the reply."""
         id_ = message.get_msgId()
         if id_ == dialect.MAVLINK_MSG_ID_HEARTBEAT:
             self._on_heartbeat(message, now_s)
         elif id_ == dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN:
             self._origin_known = True
         elif id_ == dialect.MAVLINK_MSG_ID_TIMESYNC and message.tc1 == 0:
-            # PX4 uses our time stamps after a synchronisation by these replies (Timesync.cpp)
+            # PX4 uses our time stamps once these replies have synchronised the clocks (Timesync.cpp)
             return [dialect.MAVLink_timesync_message(max(1, round(now_s * 1e9)), message.ts1)]
         return []
 
     def step(self, samples: Sequence[Sample], now_s: float) -> tuple[list[Message], str | None]:
-        """Messages to send now, and why there is no good pose."""
+        """Return the messages to send now, and the reason why there is no good pose."""
         judged = self.checks.step(samples, now_s, armed=self.flies(now_s))
         messages: list[Message] = []
         if now_s - self._beat_s >= (_HEARTBEAT_S if self.heard(now_s) else _HELLO_S) - 1e-9:
