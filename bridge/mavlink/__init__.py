@@ -1,1 +1,1 @@
-"""MAVLink: endpoint, codec, transports, signing, client of a vehicle."""
+"""MAVLink: endpoint, codec, transports, signing, client and server of a vehicle."""

@@ -1,4 +1,4 @@
-"""One MAVLink 2 endpoint: a socket or serial line, its peers, and the frames that pass through it."""
+"""One MAVLink 2 endpoint: its socket or serial line, its peers, and the frames it receives and sends."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ _SENDERS_MAX = 16  # greatest number of other systems and components with a coun
 
 @dataclass(slots=True)
 class LinkCounters:
-    foreign: int = 0  # frames of other systems or components
-    held_lost: int = 0  # lockstep: frames without a tick
-    setpoints_refused: int = 0  # not finite, or during a take-off of the vehicle
-    # foreign frames by system and component
+    foreign: int = 0  # frames from other systems or components
+    held_lost: int = 0  # frames received in lockstep without a tick
+    setpoints_refused: int = 0  # set-points refused: not finite, or the vehicle takes off
+    # frames of other senders, by system and component
     senders: dict[tuple[int, int], int] = field(default_factory=dict)
 
     def add_foreign(self, sender: tuple[int, int]) -> None:
@@ -43,15 +43,15 @@ class LinkCounters:
             self.senders[sender] = self.senders.get(sender, 0) + 1
 
 
-_CHUNKS_PER_CALL = 512  # greatest number in one call of receive()
-_RECEIVE_MAX_S = 0.004  # s of processor time in one call
-_UNTIMED_BYTES = 4096  # bytes before the first reading of the clock, which costs as much as a datagram
-_HEARTBEAT = bytes(3)  # message id 0, on the wire
+_CHUNKS_PER_CALL = 512  # greatest number of chunks in one call of receive()
+_RECEIVE_MAX_S = 0.004  # limit of processor time in one call, s
+_UNTIMED_BYTES = 4096  # bytes read before the first clock reading, which costs as much as a datagram
+_HEARTBEAT = bytes(3)  # message id 0 as sent on the wire
 _SETUP_SIGNING: int = dialect.MAVLINK_MSG_ID_SETUP_SIGNING
 
 
 class Direction(Enum):
-    """Direction of a frame, seen from this process."""
+    """Direction of a frame as seen from this process."""
 
     IN = "in"
     OUT = "out"
@@ -67,9 +67,9 @@ Tap = Callable[[Direction, bytes, Peer], None]
 
 
 class Endpoint:
-    """MAVLink 2 over a UDP socket, serial line or TCP connection; not thread-safe, owned by one loop.
+    """MAVLink 2 over a UDP socket, serial line or TCP connection; not thread-safe, used by one loop.
 
-    With a key every frame is signed, and frames without its signature are dropped before decoding.
+    With a key the endpoint signs every frame, and drops frames without a valid signature before decoding.
     """
 
     def __init__(
@@ -85,15 +85,15 @@ class Endpoint:
     ) -> None:
         """Open the socket or line.
 
-        ``url``: ``udpin:HOST:PORT`` listens; ``udpout:HOST:PORT`` and ``tcp:HOST:PORT`` have one peer, as
-        ``serial:DEVICE:BAUD``; ``system_id``, ``component_id``: ours, 1 to 255; ``max_peers``: greatest
-        number of senders of heartbeats in the table; ``signing_key``: sign all frames and accept only signed
-        ones; ``always``: ``udpin`` only: peers that get telemetry from the start and never expire;
-        ``allow_unsigned``: listen to a network without a key. Raises ValueError: bad URL or id, the host has
-        no IPv4 address, a network without a key, or an invalid state of signing; OSError: the address cannot
-        be bound (used by another process), the device cannot be opened, or the state of signing cannot be
-        read or written. A refused TCP connection is not an error: it is tried again, with a text in
-        ``take_notices``.
+        ``url``: ``udpin:HOST:PORT`` listens; ``udpout:HOST:PORT``, ``tcp:HOST:PORT`` and
+        ``serial:DEVICE:BAUD`` have one peer; ``system_id``, ``component_id``: ids of this endpoint, 1 to 255;
+        ``max_peers``: greatest number of peers that are known by a heartbeat; ``signing_key``: sign all
+        frames and accept only signed ones; ``always``: peers of ``udpin`` that receive telemetry from the
+        start and never expire; ``allow_unsigned``: permit listening to a network without a key. Raises
+        ValueError: bad URL or id, the host has no IPv4 address, a network without a key, or an invalid
+        signing state; OSError: the address cannot be bound (another process uses it), the device cannot be
+        opened, or the signing state cannot be read or written. A refused TCP connection is no error: the
+        endpoint retries, and ``take_notices`` reports it.
         """
         for name, value in (("system", system_id), ("component", component_id)):
             if not 1 <= value <= 255:
@@ -104,11 +104,11 @@ class Endpoint:
         warning = check_policy(
             url, address, configured, signed=signing_key is not None, allow_unsigned=allow_unsigned
         )
-        # Called with every valid frame in both directions, for the recorder; once for an outgoing frame.
-        # Frames have no signatures there: these would depend on the clock. Frames of unknown messages, whose
-        # checksum cannot be checked, go only there.
+        # The recorder's callback for every valid frame in both directions, once for an outgoing frame. These
+        # frames have no signature, since it would depend on the clock. Frames of unknown messages, whose
+        # checksum cannot be checked, are passed only to this callback.
         self.tap: Tap | None = None
-        self.counters = EndpointCounters()  # frames and bytes by outcome
+        self.counters = EndpointCounters()  # numbers of frames and bytes by outcome
         self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
         self._peers = PeerTable(configured if kind == "udpin" else (address,), max_peers)
         self._transport: ByteStream | DatagramTransport = (
@@ -124,15 +124,15 @@ class Endpoint:
         self._framer = StreamFramer(self.counters) if self._transport.is_stream else None
         self._answers = StaleAnswers()
         self._unknown: list[bytes] = []  # frames of unknown messages in the current chunk
-        self.local_port = self._transport.local_port  # UDP port of the socket; 0 of other links
-        self.baud = self._transport.baud  # bits a second of a serial line; None of other links
+        self.local_port = self._transport.local_port  # UDP port of the socket; 0 for other links
+        self.baud = self._transport.baud  # speed of a serial line, bit/s; None for other links
         signer_warning = self._signer.warning if self._signer else None
         # texts for the operator before a flight
         self.warnings = tuple(text for text in (warning, signer_warning) if text is not None)
 
     @property
     def peers(self) -> tuple[Peer, ...]:
-        """Receivers of ``send``: configured peers, and senders of a heartbeat in the last 10 s."""
+        """Receivers of ``send``: configured peers, and peers that sent a heartbeat in the last 10 s."""
         return self._peers.reached
 
     @property
@@ -140,9 +140,9 @@ class Endpoint:
         return self._signer is not None
 
     def receive(self) -> list[Received]:
-        """Return the frames in the socket, in order of arrival; never blocks, never raises.
+        """Return the received frames in order of arrival; never blocks, never raises.
 
-        After the first 4 kB it stops at 4 ms of work; the rest of a flood waits for the next call.
+        After the first 4 kB the call ends after 4 ms of work; the next call reads the rest of a flood.
         """
         received: list[Received] = []
         size, until_s = 0, math.inf
@@ -172,7 +172,7 @@ class Endpoint:
         return split_frames(data, self.counters, self._unknown.append)
 
     def _take_unknown(self, frame: bytes, peer: Peer) -> None:
-        """Pass a frame of an unknown message to the recorder; it neither makes a peer nor adds allowance."""
+        """Pass a frame of an unknown message to the recorder; its sender becomes no peer, earns no bytes."""
         refused = self._refused(frame)
         if refused is not None:
             self.counters.add(refused.value)
@@ -180,7 +180,7 @@ class Endpoint:
             self.tap(Direction.IN, without_signature(frame) if frame[2] & FLAG_SIGNED else frame, peer)
 
     def _take(self, frame: bytes, peer: Peer, received: list[Received]) -> None:
-        """Check and decode a frame and record its sender; rejected frames are counted."""
+        """Check and decode a frame and record its sender; count it if it is rejected."""
         counters, size = self.counters, len(frame)
         refused = self._refused(frame)
         if refused is not None:
@@ -192,10 +192,10 @@ class Endpoint:
             frame = without_signature(frame)
         try:
             message = decode(frame)
-        except Exception:  # a frame from the network must never stop the loop
+        except Exception:  # an invalid frame from the network must never stop the loop
             counters.undecodable += 1
             return
-        if message.get_msgId() == _SETUP_SIGNING:  # keys come only from files, and must not be logged
+        if message.get_msgId() == _SETUP_SIGNING:  # keys are read only from files and must not be logged
             counters.setup_signing += 1
             return
         counters.received += 1
@@ -206,36 +206,36 @@ class Endpoint:
         received.append(Received(message, frame, peer))
 
     def _refused(self, frame: bytes) -> Refusal | None:
-        """Why signing rejects a frame; None: accepted."""
+        """Return the reason why signing rejects a frame; None: the frame is accepted."""
         signed = frame[2] & FLAG_SIGNED
         if self._signer is None:
-            self.counters.unchecked += signed  # unchecked: same as an unsigned one
+            self.counters.unchecked += signed  # handled like an unsigned frame
             return None
         return self._signer.refusal(frame) if signed else Refusal.UNSIGNED
 
     def _answer_stale(self, peer: Peer) -> None:
-        """Send our heartbeat to a peer with a late clock: a signed frame advances an autopilot's clock."""
+        """Send a heartbeat to a peer whose clock is late: a signed frame advances an autopilot's clock."""
         heartbeat = self._answers.due(peer)
         if heartbeat is not None and self._signer is not None:
-            mav = self._mav  # no new number and not recorded: it depends on wall time
+            mav = self._mav  # keeps its number and is not recorded: it depends on wall time
             frame = pack(heartbeat, mav.seq, mav.srcSystem, mav.srcComponent)
             self._transport.send((self._signer.sign(frame),), peer)
             self.counters.stale_answered += 1
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait for input; False when nothing arrived in ``timeout_s`` of wall time."""
+        """Wait for input; return False if none arrived within ``timeout_s`` of wall time."""
         return self._transport.wait(max(0.0, timeout_s))
 
     def fileno(self) -> int:
-        """Descriptor for a ``select`` over several links; it changes when a line is lost."""
+        """Return the descriptor for a ``select`` over several links; it changes when a line is lost."""
         return self._transport.fileno()
 
     def take_notices(self) -> list[str]:
-        """Texts for the operator since the last call: the line was lost or is back."""
+        """Return the texts for the operator since the last call, for example that the line was lost."""
         return self._transport.take_notices()
 
     def pack(self, message: Message) -> bytes:
-        """Serialise a message, unsigned, with our ids and the next sequence number.
+        """Serialise a message, unsigned, with the ids of this endpoint and the next sequence number.
 
         Raises struct.error: a field does not fit its type on the wire; IndexError: an array is too short.
         """
@@ -245,10 +245,10 @@ class Endpoint:
         return frame
 
     def send(self, messages: Sequence[Message], peer: Peer | None = None) -> None:
-        """Send messages, in order; by UDP in one datagram (more only when they exceed 1400 bytes).
+        """Send messages in order; by UDP in one datagram (in several if they exceed 1400 bytes).
 
-        ``peer``: None: all known peers; without any peer nothing is sent or numbered. A peer without a
-        heartbeat gets at most as many bytes as it has sent; the rest is dropped.
+        ``peer`` None: all known peers; without any peer no message is sent or numbered. A peer without a
+        heartbeat receives at most as many bytes as it has sent; the rest is dropped.
         Raises struct.error: a field does not fit its type on the wire.
         """
         if self._signer is not None:
@@ -270,10 +270,10 @@ class Endpoint:
                 self.tap(Direction.OUT, frame, peers[0])
 
     def repeat(self, frame: bytes, peer: Peer | None = None) -> None:
-        """Send a frame again, byte for byte: no new sequence number, not recorded.
+        """Send a frame again, unchanged: with the same sequence number, and not recorded.
 
-        Repetitions depend on wall time, so they are kept out of log and numbering. With a key the frame gets
-        a new signature, since a receiver rejects a repeated timestamp.
+        Repetitions depend on wall time, so they are neither logged nor numbered. With a key the frame gets a
+        new signature, since receivers reject a repeated timestamp.
         """
         wire = self._signer.sign(frame) if self._signer is not None and intact(frame) else frame
         for to in (peer,) if peer is not None else self.peers:
@@ -285,7 +285,7 @@ class Endpoint:
             self._transport.send((wire,), to)
 
     def close(self) -> None:
-        """Close the socket or line and write the state of signing; may be called twice."""
+        """Close the socket or line and write the signing state; may be called twice."""
         self._transport.close()
         if self._signer is not None:
             self._signer.close()
@@ -293,7 +293,7 @@ class Endpoint:
     def _pack(
         self, messages: Sequence[Message], allowance_bytes: int | None
     ) -> tuple[list[bytes], list[bytes]]:
-        """Frames for the log and for the wire; as many as the allowance covers."""
+        """Return the frames for the log and for the wire, as many as the allowance covers."""
         if self._signer is None and allowance_bytes is None:
             frames = [self.pack(message) for message in messages]
             return frames, frames
@@ -304,7 +304,7 @@ class Endpoint:
             signed = self._signer.sign(frame) if self._signer is not None else frame
             size += len(signed)
             if allowance_bytes is not None and size > allowance_bytes:
-                self._mav.seq = number  # not sent: the next frame has this number
+                self._mav.seq = number  # the frame is not sent: the next one has this number
                 self.counters.withheld += len(messages) - len(frames)
                 break
             frames.append(frame)
@@ -317,11 +317,11 @@ def open_endpoint(
 ) -> Endpoint:
     """Open an endpoint with the options of a process, and print its warnings.
 
-    ``who``: the process, before each warning; ``url``, ``system_id`` and ``component_id``: of the endpoint;
-    ``signing``: options with the key; ``peers``: HOST:PORT of those who get telemetry before they speak.
+    ``who``: name of the process in warnings; ``url``, ``system_id``, ``component_id``: those of ``Endpoint``;
+    ``signing``: options with the key; ``peers``: HOST:PORT of peers that receive telemetry from the start.
 
-    Raises ValueError: a URL, peer or key that is not understood, or a network without a key; OSError: the
-    address cannot be opened.
+    Raises ValueError: a bad URL, peer or key, or a network without a key; OSError: the address cannot be
+    opened.
     """
     endpoint = Endpoint(
         url, system_id, component_id,

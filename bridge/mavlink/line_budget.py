@@ -1,4 +1,4 @@
-"""Message rates at which a flight fits into a serial line. Pure."""
+"""Chooses message rates at which a flight fits into a serial line. Pure."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.wide_messages import MESSAGES
 
-_BITS_PER_BYTE = 10  # bits of a byte on a serial line, 8N1
-_USABLE = 0.9  # share of the line; the rest is for replies, texts and other messages of the autopilot
-_FRAME = 12  # bytes around a payload: header and checksum of MAVLink 2
-_SIGNATURE = 13  # bytes
+_BITS_PER_BYTE = 10  # bits per byte on a serial line, 8N1
+_USABLE = 0.9  # usable share of the line; replies, texts and other messages of the autopilot need the rest
+_FRAME = 12  # length of a MAVLink 2 header and checksum, bytes
+_SIGNATURE = 13  # length of a signature, bytes
 _IN_A_ROW = 3  # periods within the greatest age of the state: two messages in a row may be lost
 _BAUDS = (9_600, 19_200, 38_400, 57_600, 115_200, 230_400, 460_800, 921_600, 1_500_000, 3_000_000)
-# besides position and attitude, Hz
+# rates requested in addition to position and attitude, Hz
 _ASKED_HZ = {dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0, dialect.MAVLINK_MSG_ID_SYS_STATUS: 2.0}
 _UNASKED_HZ = {dialect.MAVLINK_MSG_ID_HEARTBEAT: 1.0, dialect.MAVLINK_MSG_ID_TIMESYNC: 10.0}  # PX4 v1.16
 _OUT_HZ = {dialect.MAVLINK_MSG_ID_HEARTBEAT: 1.0, dialect.MAVLINK_MSG_ID_TIMESYNC: 10.0}
@@ -25,17 +25,17 @@ _SETPOINT: int = dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
 
 
 class LineTooSlowError(ValueError):
-    """The line cannot carry the flight; the text contains the numbers."""
+    """The line is too slow for the flight; the text contains the rates."""
 
 
 @dataclass(frozen=True, slots=True)
 class LinePlan:
-    state_hz: float  # position and attitude, each
+    state_hz: float  # rate of position and of attitude
     setpoint_every: int  # ticks between two set-points
-    setpoint_hz: float  # the same as a rate
-    in_bytes_s: float  # telemetry, from the vehicle to the companion
-    out_bytes_s: float  # set-points, heartbeats and replies, from the companion to the vehicle
-    capacity_bytes_s: float | None  # capacity of the line in each direction; None: not limited
+    setpoint_hz: float  # rate of set-points
+    in_bytes_s: float  # telemetry from the vehicle to the companion
+    out_bytes_s: float  # set-points, heartbeats and replies from the companion to the vehicle
+    capacity_bytes_s: float | None  # capacity of the line in each direction; None: no limit
 
     @property
     def text(self) -> str:
@@ -49,17 +49,17 @@ class LinePlan:
 
 
 def bytes_per_s(rates_hz: Mapping[int, float], *, signed: bool = False) -> float:
-    """Bytes a second of messages with their frames; rates are by message id."""
+    """Return the bytes per second of framed messages; ``rates_hz`` has message ids as keys."""
     around = _FRAME + (_SIGNATURE if signed else 0)
     return sum(rate_hz * float(MESSAGES[id_].unpacker.size + around) for id_, rate_hz in rates_hz.items())
 
 
 def plan(baud: int | None, rate_hz: float, own_age_max_s: float, *, signed: bool = False) -> LinePlan:
-    """Choose the highest rates that fit, integer fractions of the loop rate.
+    """Choose the highest rates that fit; they are integer fractions of the loop rate.
 
-    ``baud``: bits a second of the serial line; None: no limit; ``rate_hz``: of the loop; ``own_age_max_s``:
-    greatest age of the vehicle state. The lowest rate of state and set-points is three times its inverse.
-    Raises LineTooSlowError: not even the lowest rates fit.
+    ``baud``: speed of the serial line, bit/s, None: no limit; ``rate_hz``: loop rate; ``own_age_max_s``:
+    greatest age of the vehicle state. Lowest rate of states and set-points: 3 / ``own_age_max_s``.
+    Raises LineTooSlowError: even the lowest rates do not fit.
     """
     capacity = None if baud is None else baud / _BITS_PER_BYTE
     usable = math.inf if capacity is None else capacity * _USABLE

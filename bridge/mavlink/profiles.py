@@ -1,9 +1,9 @@
-"""Table of the supported autopilots, and their detection by HEARTBEAT and AUTOPILOT_VERSION.
+"""Table of the supported autopilots, and their detection from HEARTBEAT and AUTOPILOT_VERSION.
 
 No other part of the stack distinguishes autopilots. This project's vehicles use PX4's commands and
-MAV_AUTOPILOT, but have other parameters; a recorded vehicle has none.
+MAV_AUTOPILOT but have other parameters; a recorded vehicle has no parameters.
 Sources: PX4 ``px4_custom_mode.h``, ``mavlink_receiver.cpp`` and ``offboardCheck.cpp`` (v1.16); ArduPilot
-``ArduCopter/mode.h``, ``mode_guided.cpp`` and ``GCS_Mavlink.cpp`` (4.6); both measured in their own SITL.
+``ArduCopter/mode.h``, ``mode_guided.cpp`` and ``GCS_Mavlink.cpp`` (4.6); both measured in their SITL.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class TakeoffAltitude(Enum):
 
 
 class Reading(Enum):
-    """Consequence of a MAV_RESULT for the next try; no result proves that a command was carried out."""
+    """Consequence of a MAV_RESULT for the next try; no result proves that a command was executed."""
 
     NOTED = "telemetry decides"
     WORKING = "wait longer"
@@ -46,20 +46,20 @@ class Encoding(Enum):
     C_CAST = "converted to a float"
 
 
-Params = tuple[float | None, ...]  # seven; None is "unset", sent as the profile's unset value
+Params = tuple[float | None, ...]  # seven parameters; None is sent as the profile's ``unset`` value
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A command of a sequence, and the status after which it is no longer needed."""
+    """A command of a sequence, and the status that makes it unnecessary."""
 
-    command: int  # MAV_CMD
+    command: int  # MAV_CMD number
     name: str
     params: Callable[[float], Params]  # function of the take-off altitude in the profile's convention, m
     done: Callable[[VehicleStatus], bool]
-    prestream: bool = False  # set-points must be streaming first
+    prestream: bool = False  # the command requires streaming set-points
     blind: bool = False  # also sent to a vehicle without status, and after any reply
-    period_s: float = 0.5  # s between two tries
+    period_s: float = 0.5  # time between two tries, s
     tries: int = 10
 
 
@@ -67,23 +67,23 @@ class Step:
 class Profile:
     name: str
     title: str
-    autopilot: int  # MAV_AUTOPILOT in its heartbeat
-    modes: Mapping[int, Mode]  # by custom_mode of the heartbeat; others are OTHER
+    autopilot: int  # MAV_AUTOPILOT in the heartbeat
+    modes: Mapping[int, Mode]  # mode by custom_mode of the heartbeat; missing ones mean OTHER
     sequences: Mapping[Request, tuple[Step, ...]]
-    answers: Mapping[int, Reading]  # by MAV_RESULT; others are AGAIN
+    answers: Mapping[int, Reading]  # reading by MAV_RESULT; missing ones mean AGAIN
     takeoff_altitude: TakeoffAltitude
-    # Set-points may be sent during a take-off of the vehicle; else a set-point ends it, and the external mode
-    # follows set-points only from the first one on.
+    # Whether set-points may be sent during the vehicle's take-off. If not, a set-point ends the take-off, and
+    # the external mode follows set-points only after the first one.
     stream_in_takeoff: bool
-    prestream_s: float  # s of unbroken set-points before the mode is switched
+    prestream_s: float  # time of continuous set-points before the mode change, s
     unset: float  # value of a command parameter that is not given
     encoding: Encoding
-    needs_origin: bool  # without satellites there is no position before SET_GPS_GLOBAL_ORIGIN
-    stream_lost: str  # text: reaction to missing set-points
-    time_sync: str  # text: use of TIMESYNC
-    prepare: tuple[Step, ...] = ()  # on the ground before the first request
+    needs_origin: bool  # without satellites the position needs SET_GPS_GLOBAL_ORIGIN
+    stream_lost: str  # text about the reaction to missing set-points
+    time_sync: str  # text about the use of TIMESYNC
+    prepare: tuple[Step, ...] = ()  # steps on the ground before the first request
     asked_hz: Mapping[int, float] = field(default_factory=dict)  # besides position, attitude, landed state
-    # message id to MAV_DATA_STREAM, for versions without SET_MESSAGE_INTERVAL
+    # MAV_DATA_STREAM by message id, for versions without SET_MESSAGE_INTERVAL
     data_streams: Mapping[int, int] = field(default_factory=dict)
     setpoint_mask: int = VELOCITY_AND_YAW
     frame: int = 1  # MAV_FRAME_LOCAL_NED
@@ -92,8 +92,8 @@ class Profile:
         return self.modes.get(custom_mode, Mode.OTHER)
 
 
-AUTO = "auto"  # by the heartbeat
-FORCE = 21196.0  # magic of a forced disarm, param2 of MAV_CMD_COMPONENT_ARM_DISARM
+AUTO = "auto"  # the heartbeat selects the profile
+FORCE = 21196.0  # param2 of MAV_CMD_COMPONENT_ARM_DISARM that forces a disarm
 
 _DO_SET_MODE = 176
 _NAV_LAND = 21
@@ -101,7 +101,7 @@ _NAV_TAKEOFF = 22
 _ARM_DISARM = 400
 _CUSTOM_MODE_ENABLED = 1  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 _AIRBORNE = frozenset({Landed.IN_AIR, Landed.TAKEOFF, Landed.LANDING})
-# MAV_TYPE of vehicles that hover and follow velocities in all axes.
+# MAV_TYPE of vehicles that hover and follow velocity set-points on all axes.
 _MULTIROTORS = frozenset(
     {
         dialect.MAV_TYPE_QUADROTOR,
@@ -132,7 +132,7 @@ def _airborne(status: VehicleStatus) -> bool:
 
 
 def _flying(status: VehicleStatus) -> bool:
-    # A vehicle in the air never gets a take-off command: another client may control it.
+    # A vehicle in the air never receives a take-off command: another client may control it.
     return status.armed and (status.mode is Mode.TAKEOFF or status.landed in _AIRBORNE)
 
 
@@ -145,23 +145,23 @@ def _guided_or_armed(status: VehicleStatus) -> bool:
 
 
 def _landing(status: VehicleStatus) -> bool:
-    # Disarmed in the air is a contradiction; on the ground the command is harmless.
+    # A vehicle disarmed in the air is a contradiction; on the ground the landing command is harmless.
     return status.mode is Mode.LAND or not (status.armed or status.landed in _AIRBORNE)
 
 
 def _offboard_or_airborne(status: VehicleStatus) -> bool:
-    # The mode of a vehicle in the air is not changed for a take-off: another client may control it.
+    # A take-off never changes the mode of a vehicle in the air: another client may control it.
     return _external(status) or _airborne(status)
 
 
 def _may_arm_in_its_mode(status: VehicleStatus) -> bool:
-    # Without set-points PX4's checks fail in OFFBOARD (the mode after a landing by set-points) and in LAND.
+    # Without set-points PX4's checks fail in OFFBOARD (its mode after a landing by set-points) and in LAND.
     standing = status.landed is Landed.ON_GROUND and not status.armed
     return not (standing and status.mode in (Mode.EXTERNAL, Mode.LAND))
 
 
 def _given(*params: float) -> Callable[[float], Params]:
-    """The first parameters; the rest is unset."""
+    """Return a function that gives the first parameters and leaves the others unset."""
     return lambda _altitude_m: (*params, *(None,) * (7 - len(params)))
 
 
@@ -183,7 +183,7 @@ _HOLD = Step(
     period_s=1.0, tries=3600,
 )  # fmt: skip
 _OWN_TAKEOFF = (_ARM, Step(_NAV_TAKEOFF, "take off", _takeoff, _flying))
-# The kill is repeated for a minute.
+# A forced disarm is repeated for a minute.
 _KILL = Step(_ARM_DISARM, "force disarm", _given(0.0, FORCE), _disarmed, blind=True, tries=120)
 # PX4 answers a mode change twice, the first time always with ACCEPTED, so ACCEPTED proves nothing.
 _ANSWERS: Mapping[int, Reading] = {
@@ -209,8 +209,8 @@ PX4 = Profile(
     },
     sequences={
         Request.NONE: (),
-        # By set-points: COM_OBL_RC_ACT acts only in OFFBOARD, so after a crash of the companion in the climb
-        # of AUTO.TAKEOFF the vehicle would hover.
+        # The take-off uses set-points: COM_OBL_RC_ACT acts only in OFFBOARD, so in the climb of AUTO.TAKEOFF
+        # a crash of the companion would leave the vehicle hovering.
         Request.TAKEOFF: (replace(_OFFBOARD, done=_offboard_or_airborne), _ARM),
         Request.EXTERNAL: (_OFFBOARD,),
         Request.LAND: (_LAND,),
@@ -219,7 +219,7 @@ PX4 = Profile(
     answers=_ANSWERS,
     takeoff_altitude=TakeoffAltitude.AMSL,
     stream_in_takeoff=True,
-    # s; PX4 needs one set-point younger than COM_OF_LOSS_T = 1.0 s at its next health check
+    # time, s; at its next health check PX4 needs a set-point younger than COM_OF_LOSS_T = 1.0 s
     prestream_s=0.3,
     unset=math.nan,
     encoding=Encoding.BYTEWISE,
@@ -233,7 +233,7 @@ OWN_SITL = replace(  # the simulated vehicle imitates PX4
     PX4,
     name="sitl",
     title="own simulator, OFFBOARD",
-    # s; it checks each set-point at its arrival, and a deck may rise meanwhile
+    # time, s; the vehicle checks each set-point on arrival, and a deck may rise meanwhile
     prestream_s=0.05,
     stream_lost="COM_OBL_RC_ACT after COM_OF_LOSS_T; remains in that mode when the stream returns",
     time_sync="requested in lockstep: it is the tick",
@@ -243,8 +243,8 @@ CRAZYFLIE = replace(
     PX4,
     name="crazyflie",
     title="Crazyflie behind the bridge, OFFBOARD",
-    # After a crash of the companion the bridge lands it from its own take-off; in OFFBOARD the motors stop
-    # after 2 s.
+    # If the companion crashes during the bridge's own take-off, the bridge lands the vehicle; in OFFBOARD the
+    # motors would stop after 2 s.
     sequences={**PX4.sequences, Request.TAKEOFF: _OWN_TAKEOFF},
     prepare=(),  # arming does not depend on the mode
     stream_lost="the firmware stops the motors after 2 s, or the bridge lands it (--land-on-silence)",
@@ -257,7 +257,7 @@ ARDUPILOT = Profile(
     title="ArduCopter, GUIDED",
     autopilot=dialect.MAV_AUTOPILOT_ARDUPILOTMEGA,
     modes={
-        4: Mode.EXTERNAL,  # GUIDED; also in a take-off of the vehicle
+        4: Mode.EXTERNAL,  # GUIDED; also during the vehicle's own take-off
         5: Mode.HOLD,  # LOITER
         9: Mode.LAND,
         16: Mode.HOLD,  # POSHOLD
@@ -268,7 +268,7 @@ ARDUPILOT = Profile(
         Request.TAKEOFF: (
             Step(_DO_SET_MODE, "switch to GUIDED", _GUIDED, _guided_or_airborne),
             _ARM,
-            # A repeated take-off restarts the spool-up, so there is more time between tries.
+            # A repeated take-off restarts the spool-up, so the tries are further apart.
             Step(_NAV_TAKEOFF, "take off", _takeoff, _airborne, period_s=4.0, tries=4),
         ),
         Request.EXTERNAL: (Step(_DO_SET_MODE, "switch to GUIDED", _GUIDED, _external),),
@@ -284,8 +284,8 @@ ARDUPILOT = Profile(
     needs_origin=True,
     stream_lost="stops after GUID_TIMEOUT, remains in GUIDED and armed; continues when the stream returns",
     time_sync="answered on request; not needed",
-    # The pre-arm bit depends on the mode, so the mode comes first. A mode that is set in the first seconds
-    # after boot is acknowledged and lost: repeated during the whole wait.
+    # The pre-arm bit depends on the mode, so the mode is set first. ArduPilot acknowledges but drops a mode
+    # change in the first seconds after boot, so the step repeats during the whole wait.
     prepare=(Step(_DO_SET_MODE, "switch to GUIDED", _GUIDED, _guided_or_armed, period_s=1.0, tries=3600),),
     asked_hz={dialect.MAVLINK_MSG_ID_SYS_STATUS: 2.0},  # all SRx_ rates may be 0
     data_streams={
@@ -297,12 +297,12 @@ ARDUPILOT = Profile(
 
 PROFILES: Mapping[str, Profile] = {p.name: p for p in (OWN_SITL, CRAZYFLIE, PX4, ARDUPILOT)}
 CHOICES = (AUTO, *PROFILES)
-# The real autopilots; other profiles with the same MAV_AUTOPILOT use the same commands.
+# Real autopilots; other profiles with the same MAV_AUTOPILOT use the same commands.
 _BY_AUTOPILOT: Mapping[int, Profile] = {p.autopilot: p for p in (PX4, ARDUPILOT)}
 
 
 def profile(name: str) -> Profile | None:
-    """Profile by name, None for ``auto``. Raises ValueError: unknown name; the text lists the known ones."""
+    """Return the profile of a name, None for ``auto``. Raises ValueError: unknown name."""
     if name == AUTO:
         return None
     try:
@@ -316,9 +316,9 @@ def found(autopilot: int) -> Profile | None:
 
 
 def refusal(autopilot: int, type_: int, chosen: Profile | None) -> str | None:
-    """Why a vehicle with this heartbeat is not supported, or None.
+    """Return the reason why a vehicle with this heartbeat is not supported, or None.
 
-    ``autopilot`` is its MAV_AUTOPILOT, ``type_`` its MAV_TYPE, ``chosen`` the configured profile; None: auto.
+    ``autopilot``: its MAV_AUTOPILOT; ``type_``: its MAV_TYPE; ``chosen``: configured profile, None for auto.
     """
     if chosen is None and found(autopilot) is None:
         known = ", ".join(f"{p.title} ({number})" for number, p in _BY_AUTOPILOT.items())
@@ -337,17 +337,17 @@ def refusal(autopilot: int, type_: int, chosen: Profile | None) -> str | None:
 
 
 def named(enum: str, number: int) -> str:
-    """Name and number of an entry of a MAVLink enum; the number alone if unknown."""
+    """Return the name and number of an entry of a MAVLink enum; the number alone if it is unknown."""
     entry = dialect.enums[enum].get(number)
     return f"{entry.name.removeprefix(f'{enum}_')} ({number})" if entry is not None else str(number)
 
 
-# flight_custom_version; other autopilots have eight digits of their revision there
+# mark in flight_custom_version; other autopilots have eight digits of their revision there
 SITL_MARK = b"cfstack\x00"
 CRAZYFLIE_MARK = b"cfbridge"
 _MARKED: Mapping[bytes, Profile] = {SITL_MARK: OWN_SITL, CRAZYFLIE_MARK: CRAZYFLIE}
 
 
 def marked(message: Message) -> Profile | None:
-    """Profile of a vehicle of this project by its AUTOPILOT_VERSION; None: another vehicle."""
+    """Return the profile of a vehicle of this project from its AUTOPILOT_VERSION; None: another vehicle."""
     return _MARKED.get(bytes(message.flight_custom_version))

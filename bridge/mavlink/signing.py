@@ -1,7 +1,7 @@
-"""MAVLink 2 message signing (mavlink.io, guide/message_signing): check the signature, then the time.
+"""MAVLink 2 message signing (mavlink.io, guide/message_signing): checks the signature, then the timestamp.
 
 A frame without a correct signature changes no state. A stream is a link, system and component, independent of
-the address, so a frame that is replayed from another address is old, too.
+the address; so a frame replayed from another address is rejected as old, too.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from bridge.mavlink.codec.framing import with_signed_flag
 from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.transport.address import Peer
 
-KEY_BYTES = 32  # MAVLink 2 message signing, secret key
-_KEY_READ_MAX = 4096  # bytes; far more than any allowed content
+KEY_BYTES = 32  # length of the secret key in MAVLink 2 signing, bytes
+_KEY_READ_MAX = 4096  # greatest number of bytes read; far more than any valid file has
 _HEX = re.compile(rb"[0-9a-fA-F]{64}")
 _HELP = "a key file holds 32 bytes or 64 hexadecimal characters; `flightstack key FILE` makes one"
 
 
 @dataclass(frozen=True, slots=True)
 class SigningKey:
-    """A secret key shared by all members of a link.
+    """Secret key shared by all members of a link.
 
-    Raises ValueError: the secret has another length, or all its bytes are the same.
+    Raises ValueError: the secret has another length, or all its bytes are equal.
     """
 
     secret: bytes = field(repr=False)
@@ -49,16 +49,16 @@ class SigningKey:
 
 
 def load_key(path: Path) -> SigningKey:
-    """Read a key file: an ordinary file with mode 0600 or 0400.
+    """Read a key from a regular file with mode 0600 or 0400.
 
-    Raises ValueError: another mode, or no key in it; OSError: it cannot be read.
+    Raises ValueError: the file has another mode or holds no key; OSError: it cannot be read.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
         raise OSError(error.errno, f"signing key {path}: {error.strerror}; {_HELP}") from error
     try:
-        mode = os.fstat(descriptor).st_mode  # mode of the opened file; the name may have changed
+        mode = os.fstat(descriptor).st_mode  # mode of the open file; its path may have changed
         if not stat.S_ISREG(mode):
             raise ValueError(f"signing key {path} is no ordinary file; {_HELP}")
         if mode & 0o077:
@@ -76,7 +76,7 @@ def load_key(path: Path) -> SigningKey:
 
 
 def make_key(path: Path) -> None:
-    """Write a new random key, as 64 hexadecimal characters, readable by its owner only.
+    """Write a new random key as 64 hexadecimal characters; only the owner can read the file.
 
     Raises FileExistsError: the file exists and is not overwritten; OSError: it cannot be written.
     """
@@ -92,28 +92,28 @@ def make_key(path: Path) -> None:
 
 Stream = tuple[int, int, int]  # link id, system id, component id
 
-STREAMS_MAX = 64  # above the number of senders of any link; only holders of the key can fill the table
+STREAMS_MAX = 64  # more than the senders of any link; only holders of the key can fill the table
 TIMESTAMP_MAX = 2**48 - 1
-_STATE_READ_MAX = 65536  # bytes; 64 streams need 3000
+_STATE_READ_MAX = 65536  # greatest number of bytes read; 64 streams need 3000
 
 
 @dataclass(slots=True)
 class SigningState:
-    """Times in units of 10 us since 2015-01-01 UTC, the unit of MAVLink 2 signing."""
+    """Signing state; times in units of 10 us since 2015-01-01 UTC, as in MAVLink 2 signing."""
 
-    clock: int = 0  # our clock at the time of writing
+    clock: int = 0  # clock of this process at the time of writing
     sent: int = 0  # timestamp of the last signed frame
-    # timestamp of the last accepted frame of each stream; the least recent stream first
+    # timestamp of the last accepted frame of each stream; the least recent stream is first
     streams: dict[Stream, int] = field(default_factory=dict)
 
 
 _Byte = Annotated[int, msgspec.Meta(ge=0, le=255)]
 _Timestamp = Annotated[int, msgspec.Meta(ge=0, le=TIMESTAMP_MAX)]
-_Row = tuple[_Byte, _Byte, _Byte, _Timestamp]  # stream, newest timestamp
+_Row = tuple[_Byte, _Byte, _Byte, _Timestamp]  # stream and newest timestamp
 
 
 class _Stored(msgspec.Struct):
-    """The state in its file."""
+    """Format of the state file."""
 
     clock: _Timestamp
     sent: _Timestamp
@@ -121,9 +121,9 @@ class _Stored(msgspec.Struct):
 
 
 def load_state(path: Path) -> SigningState:
-    """Read a state; an empty one without a file.
+    """Read a state; without a file it is empty.
 
-    Raises ValueError: invalid content; OSError: it cannot be read.
+    Raises ValueError: the content is invalid; OSError: the file cannot be read.
     """
     try:
         with path.open("rb") as file:
@@ -141,7 +141,7 @@ def load_state(path: Path) -> SigningState:
 
 
 def save_state(path: Path, state: SigningState) -> None:
-    """Write a state atomically, readable by its owner only. Raises OSError: it cannot be written."""
+    """Write a state atomically, readable only by its owner. Raises OSError: it cannot be written."""
     rows = [(*stream, timestamp) for stream, timestamp in state.streams.items()]
     data = msgspec.json.encode(_Stored(state.clock, state.sent, rows))
     new = path.with_name(f"{path.name}.{os.getpid()}")
@@ -157,13 +157,13 @@ def save_state(path: Path, state: SigningState) -> None:
 
 EPOCH_NS = 1_420_070_400_000_000_000  # 2015-01-01T00:00:00Z, time zero of signing
 TICK_NS = 10_000  # unit of a signing timestamp
-_S = 1_000_000_000 // TICK_NS  # ticks in a second
-STALE_TICKS = 60 * _S  # greatest delay of a new stream behind our clock (mavlink.io: one minute)
-AHEAD_TICKS = 3600 * _S  # greatest lead of a frame: ArduPilot adds a minute at every start
-_SAVE_S = 10.0  # s between two writes of the state
+_S = 1_000_000_000 // TICK_NS  # ticks per second
+STALE_TICKS = 60 * _S  # greatest delay of a new stream behind the local clock (mavlink.io: one minute)
+AHEAD_TICKS = 3600 * _S  # greatest lead of a frame: ArduPilot adds a minute to its clock at every start
+_SAVE_S = 10.0  # time between two writes of the state, s
 _LINK = bytes(1)  # link id of every endpoint of this project
 _TAG = 6  # bytes of SHA-256 in a frame
-_STAMP = 12  # bytes from the timestamp to the end
+_STAMP = 12  # length from the timestamp to the end, bytes
 
 
 class Refusal(Enum):
@@ -179,7 +179,7 @@ class Refusal(Enum):
 
 
 class Signer:
-    """Signs what one endpoint sends and checks what it receives."""
+    """Signs the frames that one endpoint sends, and checks the frames that it receives."""
 
     def __init__(
         self,
@@ -192,11 +192,11 @@ class Signer:
     ) -> None:
         """Continue from the state of the last run.
 
-        ``unix_ns``: system clock, which may jump; ``monotonic_ns``: clock that never goes back.
-        Raises ValueError: bad state file; OSError: the state cannot be read or written.
+        ``unix_ns``: system clock, which may jump; ``monotonic_ns``: clock that never goes back. Raises
+        ValueError: the state file is bad; OSError: the state cannot be read or written.
         """
-        self.warning: str | None = None  # text for the operator on the clock, or None
-        self.state_errors = 0  # failed writes of the state, each repeated 10 s later
+        self.warning: str | None = None  # text for the operator about the clock, or None
+        self.state_errors = 0  # number of failed writes of the state; each is repeated after 10 s
         self._own = bytes((system_id, component_id))
         self._keyed = hashlib.sha256(key.secret)
         self._unix_ns, self._monotonic_ns = unix_ns, monotonic_ns
@@ -206,28 +206,28 @@ class Signer:
         self._start = self._first_time()
         self._saved_s = self._start_ns / 1e9
         if self._path is not None:
-            save_state(self._path, self._snapshot())  # now, so that missing rights are an error at the start
+            save_state(self._path, self._snapshot())  # early: missing permissions are an error at the start
 
     @property
     def streams(self) -> int:
         return len(self._state.streams)
 
     def now(self) -> int:
-        """Our clock in signing ticks; it never goes back, also over a restart."""
+        """Return the signing clock in ticks; it never goes back, not even after a restart."""
         elapsed = (self._monotonic_ns() - self._start_ns) // TICK_NS
         return max(self._system(), self._start + elapsed)
 
     def sign(self, frame: bytes) -> bytes:
-        """Sign an unsigned frame; timestamps are those of the clock and always increase."""
+        """Sign an unsigned frame; timestamps follow the clock and always increase."""
         state = self._state
         state.sent = max(state.sent + 1, self.now())
         body = with_signed_flag(frame) + _LINK + state.sent.to_bytes(6, "little")
         return body + self._tag(body)
 
     def refusal(self, frame: bytes) -> Refusal | None:
-        """Check a signed frame; None: accepted, and its timestamp is stored."""
+        """Check a signed frame; None: the frame is accepted and its timestamp stored."""
         if frame[5:7] == self._own:
-            return Refusal.REFLECTED  # our signature is correct from any address
+            return Refusal.REFLECTED  # its signature is correct from any address
         if not hmac.compare_digest(self._tag(frame[:-_TAG]), frame[-_TAG:]):
             return Refusal.BAD_SIGNATURE
         stamp = int.from_bytes(frame[-_STAMP:-_TAG], "little")
@@ -244,7 +244,7 @@ class Signer:
         elif stamp <= last:
             return Refusal.REPLAYED
         else:
-            del streams[stream]  # the least recent stream remains first
+            del streams[stream]  # keeps the least recent stream first
         streams[stream] = stamp
         return None
 
@@ -256,7 +256,7 @@ class Signer:
             self._save(self._path)
 
     def close(self) -> None:
-        """Write the state a last time; may be called twice."""
+        """Write the state for the last time; may be called twice."""
         if self._path is not None:
             self._save(self._path)
 
@@ -287,11 +287,11 @@ class Signer:
             f"the system clock is {behind_s:.0f} s behind the last run with this signing key: signing "
             f"continues from that run's time;  set the clock, and if that time was wrong delete {self._path}"
         )
-        # As in ArduPilot: later than all frames that may have been sent after the last write.
+        # As in ArduPilot, the clock starts later than all frames that followed the last write.
         return stored + STALE_TICKS
 
     def _make_room(self, now: int) -> bool:
-        """Drop the least recent stream that is rejected by its age alone; False: there is none."""
+        """Drop the least recent stream if its age alone rejects its frames; return False if there is none."""
         for stream, stamp in self._state.streams.items():
             if stamp < now - STALE_TICKS:
                 del self._state.streams[stream]
@@ -305,14 +305,14 @@ def _state_path(key: SigningKey, system_id: int, component_id: int) -> Path | No
     return key.path.with_name(f"{key.path.name}.{system_id}-{component_id}-{_LINK[0]}.state")
 
 
-ANSWERED = frozenset({Refusal.STALE, Refusal.REPLAYED})  # correct signature, wrong time
-ANSWER_S = 1.0  # s between two replies to one address
-_PEERS_MAX = 4  # greatest number of addresses with replies, which bounds the replies to replayed frames
+ANSWERED = frozenset({Refusal.STALE, Refusal.REPLAYED})  # correct signature, wrong timestamp
+ANSWER_S = 1.0  # time between two replies to one address, s
+_PEERS_MAX = 4  # greatest number of addresses with replies; it limits the replies to replayed frames
 _HEARTBEAT = 0  # message id
 
 
 class StaleAnswers:
-    """Chooses the peers that get our newest heartbeat."""
+    """Chooses the peers that receive this endpoint's newest heartbeat as a reply to a stale frame."""
 
     def __init__(self, clock_s: Callable[[], float] = time.monotonic) -> None:
         self._clock_s = clock_s
@@ -320,13 +320,13 @@ class StaleAnswers:
         self._answered_s: dict[Peer, float] = {}
 
     def note(self, messages: Sequence[Message]) -> None:
-        """Store our heartbeat from messages that are sent, also without peers."""
+        """Store this endpoint's heartbeat from the messages to send, also without peers."""
         for message in messages:
             if message._header.msgId == _HEARTBEAT:
                 self._heartbeat = message
 
     def due(self, peer: Peer) -> Message | None:
-        """Our heartbeat for the sender of a correctly signed, too old frame; None: not now."""
+        """Return the heartbeat for the sender of a signed but too old frame; None: no reply is due."""
         now_s = self._clock_s()
         said_s = self._answered_s.get(peer)
         if self._heartbeat is None or (said_s is not None and now_s - said_s < ANSWER_S):

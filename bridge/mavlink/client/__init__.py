@@ -1,1 +1,1 @@
-"""A companion computer's side of the link to a vehicle."""
+"""Companion computer's side of the link to a vehicle."""

@@ -1,7 +1,7 @@
 """Repeats the MAVLink commands of a request until the heartbeat shows the requested status.
 
-Only telemetry counts: an acknowledgement does not prove that a command was carried out (PX4 answers a mode
-change twice, the first time always with ACCEPTED, and either can be lost). A rejection only decides on
+Only telemetry counts: an acknowledgement does not prove that a command was executed (PX4 answers a mode
+change twice, the first time always with ACCEPTED, and either can be lost). A rejection only affects the
 retries.
 """
 
@@ -18,22 +18,22 @@ from bridge.mavlink.profiles import Profile, Reading, Step, TakeoffAltitude
 from flightstack.core.types import Request, VehicleStatus
 
 _NAV_TAKEOFF = dialect.MAV_CMD_NAV_TAKEOFF
-_STREAM_GAP_S = 0.3  # s; a longer pause between two set-points ends a stream (PX4 itself allows 1.0 s)
+_STREAM_GAP_S = 0.3  # longest pause within a stream of set-points, s (PX4 itself allows 1.0 s)
 _RESULTS: dict[int, str] = {
     value: entry.name.removeprefix("MAV_RESULT_") for value, entry in dialect.enums["MAV_RESULT"].items()
 }
 _TEXTS_KEPT = 4
-_WORKING_S = 3.0  # s until the next try after MAV_RESULT_IN_PROGRESS (as MAVSDK)
-_DATUM_PERIOD_S = 1.0  # s between two requests for the datum of the take-off height
+_WORKING_S = 3.0  # time until the next try after MAV_RESULT_IN_PROGRESS, s (as in MAVSDK)
+_DATUM_PERIOD_S = 1.0  # time between two requests for the datum of the take-off height, s
 _DATUM_TRIES = 30
-_FINALS = 2  # final rejections until a request is given up: one may belong to an earlier try
+_FINALS = 2  # final rejections before a request fails: one may belong to an earlier try
 
 
 class CommandSequencer:
-    """Pure: gets time and status, returns messages.
+    """Sends the commands of the current request. Pure: status and time in, messages out.
 
-    When a heartbeat newer than the request shows the requested status, the request is complete: a later
-    change of mode has another cause, and the controller decides what to do.
+    A request is complete when a heartbeat newer than the request shows its status: a later change of mode has
+    another cause, and the controller decides how to react.
     """
 
     def __init__(
@@ -46,16 +46,16 @@ class CommandSequencer:
         self._height_m = takeoff_height_m
         self._stream_start_s: float | None = None
         self._stream_last_s = -math.inf
-        # height of home above sea level, for autopilots with that datum; None: requested before arming
+        # height of home above sea level, for autopilots with that datum; None: it is requested before arming
         self.home_amsl_m: float | None = None
-        # arrival, s, and newest height above home, m, for autopilots with that datum; arming moves home to
-        # the vehicle unless it is locked
+        # arrival time, s, and newest height above home, m, for autopilots with that datum; arming moves home
+        # to the vehicle unless home is locked
         self.above_home: tuple[float, float] | None = None
-        self._entered_s = -math.inf  # start of the current step
+        self._entered_s = -math.inf  # start time of the current step
         self._datum_tries = 0
         self._datum_s = -math.inf
         self._offset_m = 0.0  # height of the vehicle above the datum of its take-off command
-        self.failed: str | None = None  # why the current request was given up, or None
+        self.failed: str | None = None  # reason why the current request failed, or None
         self.reached = False  # a heartbeat has shown the requested status
         self._request = Request.NONE
         self._since_s = -math.inf
@@ -66,7 +66,7 @@ class CommandSequencer:
         self._last_result: str | None = None
         self._working = False
         self._finals = 0
-        self._begun = False  # there was a request
+        self._begun = False  # a request was made before
         self._texts: list[str] = []
 
     @property
@@ -74,7 +74,7 @@ class CommandSequencer:
         return self._request
 
     def idle(self, request: Request, status: VehicleStatus | None) -> bool:
-        """Whether ``step`` sends nothing for this request until the status changes."""
+        """Whether ``step`` sends no message for this request until the status changes."""
         if request is not self._request or self.failed is not None:
             return False
         return self.reached or (self._begun and self._step is None and self._next_step(status) is None)
@@ -86,7 +86,7 @@ class CommandSequencer:
         self._stream_last_s = now_s
 
     def note_ack(self, command: int, result: int) -> None:
-        """Record a COMMAND_ACK: for the reason of a failure, and whether to try again."""
+        """Record a COMMAND_ACK, as the reason of a failure and to decide on a retry."""
         if self._step is None or command != self._step.command:
             return
         self._last_result = _RESULTS.get(result, f"result {result}")
@@ -95,12 +95,12 @@ class CommandSequencer:
         self._finals += reading is Reading.FINAL
 
     def note_text(self, text: str) -> None:
-        """Record a text of the vehicle for the reason of a failure."""
+        """Record a text of the vehicle as the reason of a failure."""
         if self._step is not None and text not in self._texts:
             self._texts = [*self._texts, text][-_TEXTS_KEPT:]
 
     def step(self, request: Request, status: VehicleStatus | None, now_s: float) -> list[Message]:
-        """Return the commands to send now, at most one. A change of the request starts over."""
+        """Return the commands to send now, at most one. A new request starts a new sequence."""
         if request is not self._request:
             self._request, self._since_s = request, now_s
             self.failed, self.reached = None, False
@@ -112,7 +112,7 @@ class CommandSequencer:
         if step is not self._step:
             self._enter(step, now_s)
         if step is None:
-            # Before the first request there is nothing to reach: the vehicle may leave the prepared mode.
+            # Before the first request no status is required: the vehicle may leave the prepared mode.
             self.reached = self._begun and status is not None and status.arrival_s > self._since_s
             return []
         datum = self._lacking(step)
@@ -136,12 +136,12 @@ class CommandSequencer:
         return own and self._profile.takeoff_altitude is TakeoffAltitude.AMSL
 
     def _lacking(self, step: Step) -> int | None:
-        """Id of the message that is missing for the height of a take-off; None: none."""
+        """Return the id of the message that the take-off height still needs; None: it needs none."""
         if self._request is not Request.TAKEOFF:
             return None
         if self._counts_from_sea_level:
             return dialect.MAVLINK_MSG_ID_HOME_POSITION if self.home_amsl_m is None else None
-        if step.command != _NAV_TAKEOFF or self._tries > 0:  # a repeated one uses the height of the first
+        if step.command != _NAV_TAKEOFF or self._tries > 0:  # a repeated command uses the first one's height
             return None
         newer = self.above_home is not None and self.above_home[0] > self._entered_s
         return None if newer else dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT

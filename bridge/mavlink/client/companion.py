@@ -13,9 +13,9 @@ from bridge.mavlink.profiles import Profile
 from flightstack.core.safety.gate import ApprovedSetpoint
 from flightstack.core.types import VehicleStatus
 
-_PERIOD_S = 1.0  # s between two tries
+_PERIOD_S = 1.0  # time between two tries, s
 _TRIES = 60
-_E7 = 1e7  # degrees to MAVLink's integers
+_E7 = 1e7  # MAVLink's integer degrees are multiples of 1e-7 degrees
 
 
 class Origin(NamedTuple):
@@ -27,23 +27,23 @@ class Origin(NamedTuple):
 
 
 class OriginSender:
-    """SET_GPS_GLOBAL_ORIGIN until the vehicle shows its origin, on the ground and disarmed only."""
+    """Sends SET_GPS_GLOBAL_ORIGIN until the vehicle reports its origin; only while disarmed on the ground."""
 
     def __init__(self, origin: Origin | None, target_system: int) -> None:
-        """``origin`` None: nothing is sent."""
+        """``origin`` None: no message is sent."""
         self._origin, self._target_system = origin, target_system
         self._tries = 0
         self._last_s = -math.inf
 
     def restart(self) -> None:
-        """Start over after a restart of the vehicle, which may have lost its origin."""
+        """Start again after a restart of the vehicle, which may have lost its origin."""
         self._tries = 0
 
     def step(self, status: VehicleStatus | None, known: bool, now_s: float) -> list[Message]:
         """Return the message to send now.
 
-        ``known``: the vehicle has sent its origin or a local position, which requires one. Then nothing is
-        sent, since setting the origin again resets the estimate.
+        ``known``: the vehicle has sent its origin, or a local position, which requires an origin. Then no
+        message is sent, since setting the origin again resets the estimate.
         """
         origin = self._origin
         if origin is None or status is None or status.armed or known or self._tries >= _TRIES:
@@ -58,14 +58,14 @@ class OriginSender:
 
 
 def companion_heartbeat() -> Message:
-    """Heartbeat of an active onboard controller."""
+    """Return the heartbeat of an active onboard controller."""
     return dialect.MAVLink_heartbeat_message(
         dialect.MAV_TYPE_ONBOARD_CONTROLLER, dialect.MAV_AUTOPILOT_INVALID, 0, 0, dialect.MAV_STATE_ACTIVE, 3
     )
 
 
 def request_message(target: tuple[int, int], message_id: int, unset: float) -> Message:
-    """Command REQUEST_MESSAGE; ``unset`` is the autopilot's value of an omitted parameter."""
+    """Return the command REQUEST_MESSAGE; ``unset`` is the autopilot's value of an omitted parameter."""
     params = (float(message_id), *(unset,) * 5, 0.0)
     return dialect.MAVLink_command_long_message(*target, dialect.MAV_CMD_REQUEST_MESSAGE, 0, *params)
 

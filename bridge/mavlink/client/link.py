@@ -1,4 +1,4 @@
-"""Companion side of the vehicle link: one vehicle, velocity set-points out, state and status in."""
+"""Companion side of the vehicle link: sends velocity set-points, receives state and status of one vehicle."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from flightstack.core.safety.gate import ApprovedSetpoint
 from flightstack.core.types import Landed, OwnState, Request
 
 COMPONENT_ID = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
-_HEARTBEAT_S = 1.0  # s; every autopilot judges a link by heartbeats of 1 Hz
-_HELLO_S = 0.2  # s of wall time between heartbeats before the first message of the vehicle
-_LANDED_STATE_HZ = 5.0  # Hz; the default of PX4
-_THROTTLE_HZ = 10.0  # Hz of VFR_HUD, where the thrust reserve is estimated
+_HEARTBEAT_S = 1.0  # period, s; every autopilot monitors a link by heartbeats of 1 Hz
+_HELLO_S = 0.2  # wall time between heartbeats before the first message of the vehicle, s
+_LANDED_STATE_HZ = 5.0  # requested rate; the default of PX4
+_THROTTLE_HZ = 10.0  # requested rate of VFR_HUD, when the thrust reserve is estimated
 _TEXTS_MAX = 256  # greatest number of texts that wait for ``take_texts``
 _HELD_MAX = 4096  # greatest number of messages that wait for their tick in lockstep
 _RESTARTED = "restarted, or heard again after a silence: missing telemetry is requested again"
@@ -42,7 +42,7 @@ class _Requests(NamedTuple):
 
 
 class VehicleLink:
-    """One vehicle over one endpoint: ``poll``, ``command``, ``send_setpoint``, ``flush`` in this order."""
+    """Link to one vehicle: call ``poll``, ``command``, ``send_setpoint``, ``flush`` in this order."""
 
     def __init__(
         self,
@@ -62,12 +62,12 @@ class VehicleLink:
     ) -> None:
         """Open the link.
 
-        ``takeoff_height_m``: climb of ``Request.TAKEOFF``, m; ``rate_hz``: rate of the loop, requested for
-        position and attitude; ``profile``: None: by the first heartbeat; ``defer_timesync``: lockstep, see
-        below; ``origin``: sent to a vehicle that needs one and has none; ``endpoint``: used instead of
+        ``takeoff_height_m``: climb of ``Request.TAKEOFF``; ``rate_hz``: rate of the loop, requested for
+        position and attitude; ``profile`` None: the first heartbeat selects it; ``defer_timesync``: lockstep,
+        see below; ``origin``: sent to a vehicle that needs one and has none; ``endpoint``: used instead of
         opening one from URL and key; ``line``: rates for a slow serial line; ``power``: request the throttle,
-        for ``VehicleState.power``. The others are those of ``Endpoint``.
-        Raises ValueError: bad URL or id, a rate or height that is not positive, or a network without a key;
+        for ``VehicleState.power``. The others are those of ``Endpoint``. Raises ValueError: bad URL or id, a
+        rate or height that is not positive, or a network without a key;
         OSError: the address cannot be opened.
         """
         if not (rate_hz > 0.0 and math.isfinite(rate_hz)):
@@ -75,13 +75,13 @@ class VehicleLink:
         # decoder: newest state, status, power and profile, and counters of rejected telemetry
         self.state = VehicleState(profile)
         self.counters, self.senders = LinkCounters(), Senders()
-        # lockstep: TIMESYNC requests are passed to ``take_timesync``, and a message is stamped with the
-        # simulated time of the request that follows it
+        # lockstep: TIMESYNC requests are passed to ``take_timesync``, and each message gets the simulated
+        # time of the TIMESYNC request that follows it
         self.defer_timesync = defer_timesync
         self._power = power
         if power:
             self.state.watch_power()
-        # why this vehicle is not supported, or None
+        # reason why this vehicle is not supported, or None
         self.refused: str | None = None
         self.heard = False  # a message of the vehicle has arrived
         self._target = (system_id, dialect.MAV_COMP_ID_AUTOPILOT1)
@@ -99,7 +99,7 @@ class VehicleLink:
         self._timesync_ns: int | None = None
         self._heartbeat_at_s = self._hello_at_s = -math.inf
         self._hello = b""  # first heartbeat, repeated until a message of the vehicle arrives
-        self._restarted_s = -math.inf  # newest restart that was handled
+        self._restarted_s = -math.inf  # time of the newest restart that was handled
         self._warned: str | None = None
         self._judged: object = None  # autopilot, type and profile at the last evaluation of ``refused``
         self._handlers: dict[int, Callable[[Message, float], None]] = {
@@ -111,13 +111,13 @@ class VehicleLink:
 
     @property
     def failed(self) -> str | None:
-        """Why the current request was given up, or None."""
+        """Reason why the current request failed, or None."""
         return self._requests.sequencer.failed if self._requests is not None else None
 
     def adopt(self, profile: Profile) -> None:
-        """Use this profile, which the preflight check found.
+        """Use the profile that the preflight check found.
 
-        Raises RuntimeError: there is a profile already, configured or by a heartbeat.
+        Raises RuntimeError: the link already has a profile, configured or from a heartbeat.
         """
         if self.state.profile is not None:
             raise RuntimeError(f"the link flies by {self.state.profile.name} already, not by {profile.name}")
@@ -126,11 +126,11 @@ class VehicleLink:
         self._requests = self._senders_for(profile)
 
     def poll(self, now_s: float) -> None:
-        """Handle all messages that arrived and queue what is due: heartbeat, requests for telemetry.
+        """Handle all messages that have arrived; queue the heartbeats and telemetry requests that are due.
 
-        Messages are stamped with ``now_s``, the stack's clock. With ``defer_timesync`` the stamp is the
-        simulated time of the next TIMESYNC request, ``ts1 / 1e9``; messages without a following request
-        wait for the next call.
+        Messages are stamped with ``now_s`` of the stack's clock. With ``defer_timesync`` the stamp is the
+        simulated time of the next TIMESYNC request, ``ts1 / 1e9``; messages without a following request wait
+        for the next call.
         """
         tick_s: float | None = None if self.defer_timesync else now_s
         target, status = self._target, self.state.status
@@ -160,9 +160,9 @@ class VehicleLink:
             self._queue_due(tick_s)
 
     def command(self, request: Request, now_s: float) -> None:
-        """Work towards a request; called every tick with the current one."""
+        """Send the commands of a request; called every tick with the current one."""
         if self._requests is None:
-            if request is Request.MOTORS_OFF:  # the same for all autopilots: sent without a profile, too
+            if request is Request.MOTORS_OFF:  # equal for all autopilots, so it is sent without a profile
                 self._outgoing += self._kill.step(request, None, now_s)
             return
         sequencer, _, origin = self._requests
@@ -177,9 +177,9 @@ class VehicleLink:
             self._outgoing += origin.step(self.state.status, known, now_s)
 
     def send_setpoint(self, setpoint: ApprovedSetpoint, now_s: float) -> bool:
-        """Queue a velocity set-point; the only way to send a velocity.
+        """Queue a velocity set-point; no other function sends a velocity.
 
-        Returns false when it was rejected: a number is not finite, or it would end a take-off of the vehicle.
+        Returns False if it is rejected: a number is not finite, or it would end a take-off of the vehicle.
         """
         velocity, yaw = setpoint.velocity_enu_m_s, setpoint.yaw_rad
         profile = self.state.profile
@@ -191,7 +191,7 @@ class VehicleLink:
         self.state.follow(True)
         self._setpoints += 1
         if self._line is not None and self._setpoints % self._line.setpoint_every:
-            return True  # the line has no room for every set-point; a newer one follows
+            return True  # the slow line skips this set-point; a newer one follows
         self._outgoing.append(velocity_setpoint(setpoint, profile, self._target, now_s))
         return True
 
@@ -202,17 +202,17 @@ class VehicleLink:
         self.endpoint.send(messages, self.senders.known)
 
     def take_timesync(self) -> int | None:
-        """Time ``ts1`` (ns) of the newest TIMESYNC request since the last call; lockstep only."""
+        """Return ``ts1`` (ns) of the newest TIMESYNC request since the last call; lockstep only."""
         ts1_ns, self._timesync_ns = self._timesync_ns, None
         return ts1_ns
 
     @staticmethod
     def timesync_reply(ts1_ns: int) -> Message:
-        """Reply to the request of lockstep tick ``ts1_ns``; tc1 is 1 ns later, since 0 is a request."""
+        """Return the reply to the request of lockstep tick ``ts1_ns``; tc1 is 1 ns later: 0 is a request."""
         return dialect.MAVLink_timesync_message(ts1_ns + 1, ts1_ns)
 
     def take_texts(self) -> list[tuple[int, str]]:
-        """Texts of the vehicle since the last call: (MAV_SEVERITY, text)."""
+        """Return the texts of the vehicle since the last call: (MAV_SEVERITY, text)."""
         texts, self._texts = self._texts, []
         return texts
 
@@ -223,7 +223,7 @@ class VehicleLink:
         return frozenset((*self._handlers, *self.state.heeded, *asked))
 
     def silent_until_s(self, request: Request) -> float:
-        """Time until which only set-points are sent if the request stays and only the state arrives."""
+        """Return the time until which only set-points are due if only states arrive."""
         requests, waits = self._requests, self._outgoing or self._held or self._line
         restarted = self.state.restarted_s != self._restarted_s
         if requests is None or waits or restarted or not self.state.following:
@@ -233,7 +233,7 @@ class VehicleLink:
         return min(self._heartbeat_at_s + _HEARTBEAT_S - 1e-9, requests.streams.quiet_until_s)
 
     def hear(self, now_s: float) -> bool:
-        """Handle messages that arrived outside of ticks and send a due heartbeat; False: more is due."""
+        """Handle messages that arrived outside of ticks and send a due heartbeat; False: more work is due."""
         for received in self.endpoint.receive():
             self._handle(received.message, now_s)
         self._queue_due(now_s)
@@ -244,7 +244,7 @@ class VehicleLink:
         return True
 
     def took(self, own: OwnState, ticks: int, *, setpoints: bool) -> None:
-        """Record ticks outside of ``poll`` with the newest state; all with a set-point or none."""
+        """Record ticks outside of ``poll`` with the newest state; either all or none have a set-point."""
         self.state.took(own)
         self._setpoints += ticks if setpoints else 0
         if self._requests is not None:
@@ -279,7 +279,7 @@ class VehicleLink:
         self._say(dialect.MAV_SEVERITY_INFO, f"its heartbeat says: {profile.title}")
 
     def _may_stream(self, profile: Profile) -> bool:
-        """Whether a set-point would not end or prevent a take-off of the vehicle."""
+        """Whether a set-point would neither end nor prevent a take-off of the vehicle."""
         if profile.stream_in_takeoff or self._requests is None:
             return True
         status = self.state.status
@@ -295,12 +295,12 @@ class VehicleLink:
             handle(message, arrival_s)
 
     def _shorten_held(self) -> None:
-        surplus = len(self._held) - _HELD_MAX  # a vehicle without TIMESYNC requests is not in lockstep
+        surplus = len(self._held) - _HELD_MAX  # a vehicle that sends no TIMESYNC requests is not in lockstep
         self.counters.held_lost += surplus
         del self._held[:surplus]
 
     def _handle(self, message: Message, arrival_s: float) -> None:
-        message_id: int = message.get_msgId()  # not .id: in STATUSTEXT that is a field
+        message_id: int = message.get_msgId()  # in STATUSTEXT, .id is a field
         if self._requests is not None:
             self._requests.streams.seen(message_id)
         elif message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT:
@@ -332,7 +332,7 @@ class VehicleLink:
 
     def _on_timesync(self, message: Message, arrival_s: float) -> None:
         if message.tc1 != 0:
-            return  # a reply, not a request
+            return  # this is a reply, not a request
         if self.defer_timesync:
             self._timesync_ns = message.ts1
         else:
@@ -340,7 +340,7 @@ class VehicleLink:
             self.endpoint.send([reply], self.senders.known)
 
     def _say_hello(self) -> None:
-        # The vehicle may wait for our address; before its first message only wall time is available.
+        # The vehicle may wait for this address; before its first message only wall time is available.
         wall_s = time.monotonic()
         if wall_s - self._hello_at_s >= _HELLO_S:
             self._hello_at_s = wall_s

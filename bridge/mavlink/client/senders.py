@@ -1,9 +1,9 @@
-"""Selects the frames of one vehicle by ids and address. Pure.
+"""Selects the frames of one vehicle by their ids and address. Pure.
 
-Ids do not identify a sender: a script or router with default ids, or a second vehicle, has the same. So a
-sender is its address and its ids, and a heartbeat adds its kind (type and autopilot). Frames that contradict
-the known sender are ignored while it is alive, counted, and reported whenever the count has doubled. A frame
-that comes a second time, by a slower path or from a line that delivers twice, says what was true before.
+Ids do not identify a sender: a script or router with default ids, or a second vehicle, may use the same. So a
+sender is an address with ids, and a heartbeat adds its kind (type and autopilot). Frames that contradict the
+known sender are ignored while it is alive, counted, and reported whenever the count has doubled. A frame that
+arrives a second time, over a slower path or a line that duplicates, contains an outdated state.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.profiles import named
 from bridge.mavlink.transport.address import Peer
 
-SILENT_S = 2.5  # s without a frame after which the known sender is not alive; heartbeats have 1 Hz
-_APART_S = 0.5  # s of alternating addresses that prove two senders; reordered datagrams are closer together
-_GAP_MAX = 4  # greatest step of the sequence number (modulo 256) within a stream: three lost frames
+SILENT_S = 2.5  # time without a frame after which the known sender is not alive, s; heartbeats have 1 Hz
+_APART_S = 0.5  # time of alternating addresses that proves two senders, s; reordering takes less time
+_GAP_MAX = 4  # greatest step of the sequence number (modulo 256) in a stream: three lost frames
 _STEADY = 8  # frames in a row that make a stream without gaps
-_AGAIN_S = 0.95  # s after which a repeated contradicting heartbeat is accepted: heartbeats have 1 Hz
-_FRAMES = 200  # remembered frames; their sequence numbers differ (modulo 256)
+_AGAIN_S = 0.95  # time after which a repeated contradicting heartbeat is accepted, s: heartbeats have 1 Hz
+_FRAMES = 200  # number of stored frames; their sequence numbers differ (modulo 256)
 _OTHERS_MAX = 8  # greatest number of other addresses; the oldest is replaced
 
 
@@ -37,38 +37,38 @@ class Kind(NamedTuple):
 
 @dataclass(slots=True)
 class _Other:
-    """Another address with the same ids."""
+    """Another address that uses the same ids."""
 
     first_s: float
     last_s: float
-    met: bool = False  # a frame of the known sender arrived after this one
+    met: bool = False  # a frame of the known sender arrived after this address appeared
 
 
 @dataclass(slots=True)
 class Senders:
-    """Admits the frames of one vehicle. All times are of the caller's clock."""
+    """Admits the frames of one vehicle. All times are on the caller's clock."""
 
     known: Peer | None = None  # address of the vehicle; None before its first frame
-    ignored: int = 0  # rejected frames with its ids
-    repeated: int = 0  # frames that had come before
+    ignored: int = 0  # number of rejected frames with the vehicle's ids
+    repeated: int = 0  # number of frames that arrived again
     doubled: str | None = None  # error text while a second address with the same ids is alive
     _now_s: float = -math.inf  # arrival of the newest frame
     _kind: Kind | None = None
-    _beat_s: float = -math.inf  # newest frame of the known sender after its first heartbeat
+    _beat_s: float = -math.inf  # time of the known sender's newest frame after its first heartbeat
     _claims: tuple[int, int] | None = None  # base_mode and custom_mode of that heartbeat
     _doubted: tuple[tuple[int, int], float] | None = (
-        None  # the same of a contradicting heartbeat, and its time
+        None  # base_mode, custom_mode and time of a contradicting heartbeat
     )
     _sequence: int = 0  # sequence number of the newest frame of the known sender
-    _steady: int = 0  # its frames in a row without a gap
-    _number: int = -1  # sequence number of its newest frame that was no repetition
-    _newest: dict[tuple[int, int, int], None] = field(default_factory=dict)  # its frames, in order
+    _steady: int = 0  # frames of the known sender in a row without a gap
+    _number: int = -1  # sequence number of its newest frame that was not repeated
+    _newest: dict[tuple[int, int, int], None] = field(default_factory=dict)  # its newest frames, in order
     _others: dict[Peer, _Other] = field(default_factory=dict)
     _due: int = 1  # count of ignored frames at which the next notice is due
     _notices: list[str] = field(default_factory=list)
 
     def begin(self, now_s: float) -> None:
-        """Change to another clock; the known sender remains, with a frame now."""
+        """Change to another clock; the known sender remains and counts as heard now."""
         if self._kind is not None:
             self._beat_s = now_s
         self.ignored, self._due, self._now_s = 0, 1, now_s
@@ -76,19 +76,19 @@ class Senders:
 
     @property
     def suspects(self) -> bool:
-        """Whether another address, which may be a second vehicle, has sent recently: blocks arming."""
+        """Whether another address, perhaps a second vehicle, has sent recently; this blocks arming."""
         return any(self._now_s - other.last_s <= SILENT_S for other in self._others.values())
 
     def take_notices(self) -> list[str]:
-        """Texts for the operator since the last call."""
+        """Return the texts for the operator since the last call."""
         notices, self._notices = self._notices, []
         return notices
 
     def admits(self, message: Message, peer: Peer, now_s: float, *, armed: bool) -> bool:
         """Whether a frame with the vehicle's ids comes from the vehicle.
 
-        Another address replaces a silent one by a heartbeat; in flight only by one of the same kind. So a
-        radio that restarts behind another port is followed, and a second vehicle is not.
+        A heartbeat from another address replaces a silent sender; in flight only if its kind is the same. So
+        a radio that restarts behind another port is accepted, but a second vehicle is not.
         """
         self._now_s = now_s
         if self.known is None:
@@ -120,10 +120,10 @@ class Senders:
         return False
 
     def _repeats(self, message: Message) -> bool:
-        """Whether a frame of the known sender has come before; requests of lockstep may come again."""
+        """Whether a frame of the known sender arrived before; lockstep requests may be repeated."""
         header, newest = message.get_header(), self._newest
         frame = (header.seq, header.msgId, message.get_crc())
-        # a message without a checksum was never on a wire; a sender may also number all frames alike
+        # a message without a checksum was never on a wire; a sender may also give all frames the same number
         if header.msgId == dialect.MAVLINK_MSG_ID_TIMESYNC or frame[2] is None or header.seq == self._number:
             return False
         self._number = header.seq
@@ -138,8 +138,8 @@ class Senders:
     def _believed(self, heartbeat: Message, now_s: float, *, well: bool) -> bool:
         """Whether a heartbeat belongs to the known stream.
 
-        A heartbeat with new content whose sequence number does not continue the stream must be repeated after
-        a second without a contradiction: frames that a router adds have separate sequence numbers.
+        A heartbeat that has new content and does not continue the sequence numbers must be repeated after a
+        second without a contradiction: frames added by a router have their own sequence numbers.
         """
         claims = (heartbeat.base_mode, heartbeat.custom_mode)
         number = heartbeat.get_header().seq
@@ -163,7 +163,7 @@ class Senders:
             other.met = other.met or now_s - other.first_s >= _APART_S
 
     def _note(self, peer: Peer, now_s: float, *, well: bool) -> None:
-        """Record another address; one that alternates with the known one is a second sender."""
+        """Record another address; an address that alternates with the known one is a second sender."""
         other = self._others.get(peer)
         if other is None or now_s - other.last_s > SILENT_S:
             if len(self._others) >= _OTHERS_MAX:

@@ -1,4 +1,4 @@
-"""Reasons why no heartbeat of a vehicle arrives: other senders, and frames that are dropped. Pure."""
+"""Explains why no heartbeat of a vehicle arrives: other senders, or dropped frames. Pure."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ class _Cause(NamedTuple):
     """A reason for dropped frames, with its counters."""
 
     counters: tuple[str, ...]
-    text: str  # with the count as {n}
+    text: str  # text with the count as {n}
 
 
-# The first cause that applies is named. Every vehicle sends some unknown messages, so other senders come
-# first.
+# The first cause that applies is reported. Every vehicle sends some unknown messages, so other senders are
+# checked first.
 _SIGNING = (
     _Cause(("bad_signature",), "{n} frames are signed with another key than --signing-key"),
     _Cause(("unsigned",), "{n} frames have no signature: with --signing-key only signed ones are accepted"),
@@ -43,7 +43,7 @@ class Arrivals:
         self._before: dict[str, int] = {}
 
     def grown(self, counters: EndpointCounters) -> dict[str, int]:
-        """Increments of the counters since the last call, without zeros."""
+        """Return the increments of the counters since the last call, without zeros."""
         now = asdict(counters)
         grown = {name: n - self._before.get(name, 0) for name, n in now.items()}
         self._before = now
@@ -57,10 +57,10 @@ def why_silent(
     *,
     heard_s: float | None = None,
 ) -> str:
-    """Sentence on the missing heartbeat of a vehicle with the likely reason.
+    """Return a sentence about the missing heartbeat of a vehicle with the likely reason.
 
-    ``grown``: increments of the endpoint's counters; ``senders``: number of frames by (system, component) of
-    other senders; ``heard_s``: seconds since its last heartbeat; None: there was none.
+    ``grown``: increments of the endpoint's counters; ``senders``: number of frames of each other sender
+    (system, component); ``heard_s``: seconds since the last heartbeat, None if there was none.
     """
     since = "" if heard_s is None else f" for {heard_s:.0f} s"
     text = f"no heartbeat of system {system_id}, component 1{since}: "
@@ -77,7 +77,7 @@ def why_silent(
 
 
 def _first(causes: Sequence[_Cause], grown: Mapping[str, int]) -> str:
-    """Sentence of the first cause that applies; empty if none does."""
+    """Return the sentence of the first cause that applies; empty if none applies."""
     for cause in causes:
         n = sum(grown.get(name, 0) for name in cause.counters)
         if n:

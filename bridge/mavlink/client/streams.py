@@ -1,6 +1,6 @@
-"""Requests the telemetry of the stack: every second at first, then at a lower rate while none arrives.
+"""Requests the stack's telemetry: every second at first, then less often while none arrives.
 
-An autopilot may have no position to send for minutes (no satellites, no origin).
+An autopilot may have no position for minutes (no satellites, no origin).
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.messages import Message
 
-_SET_MESSAGE_INTERVAL = 511  # MAV_CMD
-_CHECK_S = 1.0  # s over which a rate is measured
-_ENOUGH = 0.7  # share of the requested rate; the rest is loss and rounding to the autopilot's ticks
-_ROUNDING_S = 1e-6  # s, above the rounding of a time
+_SET_MESSAGE_INTERVAL = 511  # MAV_CMD number
+_CHECK_S = 1.0  # time over which a rate is measured, s
+_ENOUGH = 0.7  # sufficient share of the requested rate; loss and the autopilot's ticks reduce it
+_ROUNDING_S = 1e-6  # margin above the rounding error of a time, s
 _TRIES = 5  # tries of each kind of request, one every _CHECK_S
-_AGAIN_S = 3.0  # s between two later tries, while nothing arrives
+_AGAIN_S = 3.0  # time between two later tries, s, while no message arrives
 
 
 @dataclass(slots=True)
@@ -32,9 +32,9 @@ class _Stream:
 
 
 class StreamRequests:
-    """Pure: counts messages and returns SET_MESSAGE_INTERVAL commands while their rate is too low.
+    """Counts messages and returns SET_MESSAGE_INTERVAL commands while their rate is too low. Pure.
 
-    Where a profile names a data stream for a message, REQUEST_DATA_STREAM and SET_MESSAGE_INTERVAL alternate
+    If the profile has a data stream for a message, REQUEST_DATA_STREAM and SET_MESSAGE_INTERVAL alternate
     after ``_TRIES``.
     """
 
@@ -46,12 +46,12 @@ class StreamRequests:
         unset: float,
         data_streams: Mapping[int, int] = MappingProxyType({}),
     ) -> None:
-        """``rates_hz`` by message id, ``data_streams``: MAV_DATA_STREAM by message id."""
+        """``rates_hz`` and ``data_streams`` (MAV_DATA_STREAM) have message ids as keys."""
         self._streams = {id_: _Stream(id_, rate) for id_, rate in rates_hz.items()}
         self._target = (target_system, target_component)
         self._unset = unset
         self._data_streams = data_streams
-        self.quiet_until_s = -math.inf  # time before which ``step`` returns nothing
+        self.quiet_until_s = -math.inf  # time before which ``step`` returns no message
 
     def seen(self, message_id: int, count: int = 1) -> None:
         stream = self._streams.get(message_id)
@@ -83,12 +83,12 @@ class StreamRequests:
         if stream.tries and elapsed_s < _CHECK_S:
             return False
         if stream.tries and stream.seen >= _ENOUGH * stream.rate_hz * elapsed_s:
-            stream.tries = 1  # arrives; requested again should it stop
+            stream.tries = 1  # the stream arrives; if it stops, it is requested again
             stream.seen, stream.since_s = 0, now_s
             return False
         if stream.tries < (2 * _TRIES if stream.message_id in self._data_streams else _TRIES):
             return True
-        if stream.seen:  # a lower rate, the limit of this vehicle or line
+        if stream.seen:  # a lower rate is the limit of this vehicle or line
             stream.seen, stream.since_s = 0, now_s
             return False
         return elapsed_s >= _AGAIN_S

@@ -1,9 +1,9 @@
-"""Texts of the vehicle: STATUSTEXT, whose long texts are split into chunks, and PX4's events.
+"""Texts of the vehicle: STATUSTEXT, which splits long texts into chunks, and PX4's events.
 
 PX4 sends an event as a number with arguments (MAVLink EVENT) on every link, and the same text as STATUSTEXT
-only to a ground station. The texts are those of PX4, in ``px4_events.json`` (with release and licence), made
-by ``python -m tests.tables px4_events FILE`` from the metadata of a PX4 build. An event outside the table is
-shown by its number. Format: github.com/mavlink/libevents, README.
+only to a ground station. ``px4_events.json`` holds PX4's texts (with release and licence), made by ``python
+-m tests.tables px4_events FILE`` from the metadata of a PX4 build. An event outside the table is shown as its
+number. Format: github.com/mavlink/libevents, README.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from typing import Any, NamedTuple
 from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.codec.wide_messages import CODES
 
-_CHUNK = 50  # characters a message holds; a chunk with fewer is the last
-_CHUNKS_MAX = 16  # longest text taken: 800 characters
+_CHUNK = 50  # characters per message; a shorter chunk is the last one
+_CHUNKS_MAX = 16  # greatest number of chunks of a text: 800 characters
 
 
 class TextAssembler:
-    """Collects the chunks of one text at a time, as PX4 sends them."""
+    """Joins the chunks of one text at a time, as PX4 sends them."""
 
     def __init__(self) -> None:
         self._id = 0
@@ -32,9 +32,9 @@ class TextAssembler:
         self._parts: list[str] = []
 
     def add(self, message: Message) -> list[tuple[int, str]]:
-        """Take one STATUSTEXT; return the texts (severity, text) that it completes.
+        """Add one STATUSTEXT; return the texts (severity, text) that it completes.
 
-        An incomplete text is returned with an ellipsis when the next one starts.
+        An incomplete text ends with an ellipsis when the next text starts.
         """
         texts: list[tuple[int, str]] = []
         if self._parts and (message.id != self._id or message.chunk_seq != self._next):
@@ -54,12 +54,12 @@ class TextAssembler:
 
 
 def clean(text: str) -> str:
-    """Printable characters only: the text comes from the network and goes to terminals and logs."""
+    """Keep printable characters only: the text comes from the network and is shown in terminals and logs."""
     return "".join(c if c.isprintable() else " " for c in text).strip()
 
 
 EVENT = 410  # message id; pymavlink has no name for it
-_SHOWN_MAX = 7  # log levels up to debug, as MAV_SEVERITY; above are protocol and disabled
+_SHOWN_MAX = 7  # log levels up to debug equal MAV_SEVERITY; higher ones are protocol and disabled
 _ARGUMENT = re.compile(r"\{(\d+)(?::\.(\d+))?(m\^2|m/s|m_v|m|C)?\}")
 _UNITS = {None: "", "m": " m", "m_v": " m", "m^2": " m²", "m/s": " m/s", "C": " °C"}
 _TAG = re.compile(r"(?<!\\)</?[a-z][^>]*>")
@@ -72,20 +72,20 @@ class _Enum(NamedTuple):
     entries: dict[int, str]
 
     def text(self, value: int) -> str:
-        """Words for a value; of a bit field for all its bits."""
+        """Return the text of a value; for a bit field, the texts of all its bits."""
         if not self.is_bitfield:
             return self.entries.get(value, str(value))
         return ", ".join(text for bit, text in self.entries.items() if value & bit) or str(value)
 
 
 class _Table(NamedTuple):
-    events: dict[int, tuple[str, tuple[str, ...]]]  # id to message and types of the arguments
+    events: dict[int, tuple[str, tuple[str, ...]]]  # event id to message and argument types
     enums: dict[str, _Enum]
 
 
 def event_text(message: Message) -> tuple[int, str] | None:
-    """MAV_SEVERITY and text of an EVENT; None for one that is not addressed to people."""
-    severity: int = message.log_levels & 0x0F  # lower half: external level; upper half: PX4's log
+    """Return MAV_SEVERITY and text of an EVENT; None if the event is not meant for people."""
+    severity: int = message.log_levels & 0x0F  # lower half: external level; upper half: PX4's internal one
     if severity > _SHOWN_MAX:
         return None
     known = _table().events.get(message.id)
@@ -96,7 +96,7 @@ def event_text(message: Message) -> tuple[int, str] | None:
 
 
 def _values(kinds: tuple[str, ...], data: bytes) -> list[float | str]:
-    """Read arguments, which follow each other without padding, little-endian."""
+    """Decode arguments, which are packed without padding, little-endian."""
     values: list[float | str] = []
     at = 0
     for kind in kinds:
@@ -125,7 +125,7 @@ def _filled(template: str, values: list[float | str]) -> str:
 
 @cache
 def _table() -> _Table:
-    """Read the table at the first event; it takes a millisecond."""
+    """Read the table at the first event; this takes a millisecond."""
     raw: dict[str, Any] = json.loads(
         files("bridge.mavlink.client").joinpath("px4_events.json").read_text(encoding="utf-8")
     )

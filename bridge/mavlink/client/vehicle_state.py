@@ -1,4 +1,4 @@
-"""Pure decoder of MAVLink telemetry: newest vehicle state and status in the stack's frames."""
+"""Decodes MAVLink telemetry into the newest vehicle state and status in the stack's frames. Pure."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from flightstack.core.types import Landed, Mode, OwnState, Power, VehicleStatus
 _GLOBAL_POSITION = dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 _ARMED = dialect.MAV_MODE_FLAG_SAFETY_ARMED
 _PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
-_REBOOT_S = 1.0  # s; a boot clock that falls back further than this after a silence is a reboot
-# s for which rejected messages have to agree: above the default of checks.own_age_max_s, so that the vehicle
-# state counts as lost meanwhile
+_REBOOT_S = 1.0  # limit, s; a boot clock that steps back further after a silence shows a reboot
+# time for which rejected messages must agree, s: longer than the default of checks.own_age_max_s, so that the
+# vehicle state counts as lost in between
 _PROOF_S = 0.3
-_TICK_S = 0.1  # s; period of the slowest loop: a message arrives at a tick
-_YAW_AGE_MAX_S = 0.5  # s between a position and the attitude with its heading
-_LARGEST = 1e6  # m, m/s; a larger number counts as corrupted
-_THROTTLE_AGE_MAX_S = 1.0  # s; an older throttle of VFR_HUD counts as missing
-_VOLTAGE_UNKNOWN = 0xFFFF  # mV, MAVLink SYS_STATUS.voltage_battery
+_TICK_S = 0.1  # period of the slowest loop, s; messages are handled at its ticks
+_YAW_AGE_MAX_S = 0.5  # greatest time between a position and the attitude with its heading, s
+_LARGEST = 1e6  # limit in m and m/s; a larger number counts as corrupted
+_THROTTLE_AGE_MAX_S = 1.0  # maximum age of the throttle in VFR_HUD, s
+_VOLTAGE_UNKNOWN = 0xFFFF  # value in mV of an unknown voltage, MAVLink SYS_STATUS.voltage_battery
 _LANDED = {state.value: state for state in Landed}
 
 
 class Battery(NamedTuple):
-    """Battery of SYS_STATUS; None for unknown values."""
+    """Battery data of SYS_STATUS; unknown values are None."""
 
     arrival_s: float
     voltage_v: float | None
@@ -40,41 +40,41 @@ class Battery(NamedTuple):
 
 @dataclass(slots=True)
 class StateCounters:
-    """Refused telemetry by reason."""
+    """Numbers of rejected telemetry messages by reason."""
 
-    not_finite: int = 0  # NaN, infinite or absurd numbers
-    out_of_order: int = 0  # not newer than the newest
-    ahead: int = 0  # time stamp from the future
+    not_finite: int = 0  # NaN, infinite or implausibly large numbers
+    out_of_order: int = 0  # not newer than the newest message
+    ahead: int = 0  # time stamp in the future
     without_yaw: int = 0  # position without a recent attitude
-    other_autopilot: int = 0  # heartbeat of another autopilot than the configured one, or of no multirotor
+    other_autopilot: int = 0  # heartbeat of an autopilot that is not configured, or of no multirotor
 
 
 class VehicleState:
-    """Newest state and status of the vehicle by its messages, whose sender is already checked."""
+    """Newest state and status of the vehicle from its messages; the caller has checked the sender."""
 
     def __init__(self, profile: Profile | None) -> None:
-        # meaning of the modes; None: not known yet, and no status is available
+        # meaning of the modes; None: still unknown, so that no status is available
         self.profile = profile
         self.counters = StateCounters()
         self.own: OwnState | None = None  # newest vehicle state; None before a position and an attitude
-        # newest status, None before a heartbeat; ``arrival_s`` is that of the heartbeat
+        # newest status, None before a heartbeat; ``arrival_s`` is the heartbeat's arrival
         self.status: VehicleStatus | None = None
         # altitude of home above sea level, None before HOME_POSITION
         self.home_amsl_m: float | None = None
-        # arrival, s, and newest height above home, m; None before GLOBAL_POSITION_INT
+        # arrival time, s, and newest height above home, m; None before GLOBAL_POSITION_INT
         self.above_home: tuple[float, float] | None = None
-        self.autopilot: int | None = None  # MAV_AUTOPILOT of the newest heartbeat, None before
-        self.type: int | None = None  # MAV_TYPE of the newest heartbeat, None before
+        self.autopilot: int | None = None  # MAV_AUTOPILOT of the newest heartbeat; None before the first one
+        self.type: int | None = None  # MAV_TYPE of the newest heartbeat; None before the first one
         # the vehicle has sent its origin since its last restart
         self.origin_known = False
-        # time of the last restart on the stack's clock: its boot clock stepped, or its heartbeat returned
-        # after a silence; -inf: none
+        # time of the last restart on the stack's clock: the boot clock stepped, or heartbeats resumed after a
+        # silence; -inf: no restart
         self.restarted_s = -math.inf
         self._beat_s = math.inf  # arrival of the newest heartbeat
         self._following = profile is None or profile.stream_in_takeoff
         self._custom_mode = 0
-        self.battery: Battery | None = None  # newest battery state, None before SYS_STATUS
-        # newest data of battery and motors, None before; updated only after ``watch_power``
+        self.battery: Battery | None = None  # newest battery data; None before SYS_STATUS
+        # newest data of battery and motors; None before the first; updated only after ``watch_power``
         self.power: Power | None = None
         self._throttle, self._throttle_s, self._cos_tilt = math.nan, -math.inf, math.nan
         self._watches_power = False
@@ -104,7 +104,7 @@ class VehicleState:
 
     @property
     def following(self) -> bool:
-        """Whether the external mode follows our set-points, and not a take-off of the vehicle."""
+        """Whether the external mode follows this stack's set-points, not a take-off of the vehicle."""
         return self._following
 
     def follow(self, following: bool) -> None:
@@ -120,17 +120,17 @@ class VehicleState:
         return frozenset(self._handlers) - (set() if counts_from_home else {_GLOBAL_POSITION})
 
     def took(self, own: OwnState) -> None:
-        """Record a vehicle state that was decoded elsewhere, with the attitude of the same time."""
+        """Record a vehicle state that another function decoded, with the attitude of the same time."""
         self.own, self._yaw_enu_rad, self._yaw_time_s = own, own.yaw_rad, own.source_time_s
 
     def update(self, message: Message, arrival_s: float) -> None:
         """Handle a message of the vehicle; ``arrival_s`` is on the stack's clock."""
-        handler = self._handlers.get(message.get_msgId())  # not .id: in STATUSTEXT that is a field
+        handler = self._handlers.get(message.get_msgId())  # in STATUSTEXT, .id is a field
         if handler is not None:
             handler(message, arrival_s)
 
     def tilted(self, roll_rad: float, pitch_rad: float) -> None:
-        """Record the tilt, for ``power``."""
+        """Record the tilt for ``power``."""
         self._cos_tilt = math.cos(roll_rad) * math.cos(pitch_rad)
 
     def _on_position(self, m: Message, arrival_s: float) -> None:
@@ -157,7 +157,7 @@ class VehicleState:
                 self.tilted(m.roll, m.pitch)
 
     def _in_time(self, clock: SenderClock, time_s: float, arrival_s: float) -> bool:
-        """Whether a boot time is plausible; one that is accepted after a step means a restart."""
+        """Whether a boot time is plausible; a step that is accepted means a restart."""
         reading = clock.accept(time_s, arrival_s)
         if reading is Reading.STEPPED:
             self._restart(arrival_s)
@@ -186,7 +186,7 @@ class VehicleState:
         self.restarted_s, self.origin_known = arrival_s, False
 
     def _mode(self) -> Mode:
-        """Mode of the newest heartbeat; an external mode without set-points is a take-off of the vehicle."""
+        """Return the mode of the newest heartbeat; external without set-points is the vehicle's take-off."""
         assert self.profile is not None
         mode = self.profile.mode(self._custom_mode)
         return Mode.TAKEOFF if mode is Mode.EXTERNAL and not self._following else mode
@@ -205,7 +205,7 @@ class VehicleState:
             self._tell_power(arrival_s)
 
     def _on_vfr_hud(self, m: Message, arrival_s: float) -> None:
-        self._throttle, self._throttle_s = m.throttle * 1e-2, arrival_s  # percent
+        self._throttle, self._throttle_s = m.throttle * 1e-2, arrival_s  # VFR_HUD contains percent
         self._tell_power(arrival_s)
 
     def _tell_power(self, arrival_s: float) -> None:
@@ -220,10 +220,10 @@ class VehicleState:
         )
 
     def _on_home(self, m: Message, _arrival_s: float) -> None:
-        self.home_amsl_m = m.altitude * 1e-3  # mm
+        self.home_amsl_m = m.altitude * 1e-3  # HOME_POSITION contains mm
 
     def _on_global_position(self, m: Message, arrival_s: float) -> None:
-        self.above_home = (arrival_s, m.relative_alt * 1e-3)  # mm
+        self.above_home = (arrival_s, m.relative_alt * 1e-3)  # GLOBAL_POSITION_INT contains mm
 
     def _on_origin(self, _m: Message, _arrival_s: float) -> None:
         self.origin_known = True
@@ -235,7 +235,7 @@ class VehicleState:
 
 
 def _usable(a: float, b: float, c: float, d: float, e: float, f: float) -> bool:
-    """Whether all are numbers of sensible size; NaN is not."""
+    """Whether all numbers are finite and of plausible size."""
     most = _LARGEST
     return (
         -most < a < most and -most < b < most and -most < c < most

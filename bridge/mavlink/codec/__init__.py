@@ -1,1 +1,1 @@
-"""Frames and messages of MAVLink, to and from bytes."""
+"""Converts MAVLink frames and messages to and from bytes."""

@@ -1,12 +1,12 @@
-"""Finds the MAVLink 2 frames in a datagram or in a byte stream: pure bytes in, bytes out.
+"""Finds the MAVLink 2 frames in a datagram or a byte stream. Pure.
 
-A parser that accepts the length byte of every start marker loses several good frames to a stray 0xFD, and a
+A parser that trusts the length byte after every start marker loses several good frames to a stray 0xFD, and a
 cut datagram damages the next one. So each datagram is parsed alone, a frame counts only with a correct
-checksum, and after anything else the search continues at the next byte. The incomplete end of a stream is
-kept in a bounded buffer.
+checksum, and after any other byte the search continues at the next one. The incomplete end of a stream waits
+in a bounded buffer.
 
-The checksum also covers the message's definition, so a frame of an unknown message cannot be checked: it is
-kept raw where the frames around it show its length, and never decoded.
+The checksum also covers the message's definition, so a frame of an unknown message cannot be checked: its raw
+bytes are passed on if the frames around it confirm its length; it is never decoded.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from bridge.mavlink.codec.wide_messages import MESSAGES
 _MARKER_V1 = 0xFE
 _MARKER_V2 = 0xFD
 _HEADER_V1 = 6  # bytes: marker, length, sequence, system, component, id
-_HEADER_V2 = 10  # bytes: as above with two flag bytes and an id of three bytes
-_CHECKSUM = 2  # bytes
+_HEADER_V2 = 10  # bytes: version 1's fields, two flag bytes, and an id of three bytes
+_CHECKSUM = 2  # length of the checksum, bytes
 _SIGNATURE = 13  # bytes: link id, timestamp, signature
-FLAG_SIGNED = 0x01  # the only incompatibility flag MAVLink 2 defines
+FLAG_SIGNED = 0x01  # the only incompatibility flag that MAVLink 2 defines
 
-_UNKNOWN_RUN_MAX = 4  # frames of unknown messages in a row that are kept
-# buffered bytes of a stream: four frames of the greatest length, for unknown ones and those that show their
-# end
+_UNKNOWN_RUN_MAX = 4  # greatest number of frames of unknown messages in a row
+# buffered bytes of a stream: four frames of the greatest length, for unknown frames and for those that
+# confirm their end
 REST_MAX = 1120
 
 # CRC_EXTRA of every known message: the checksum also covers the message's definition.
 CRC_EXTRA: dict[int, bytes] = {id_: bytes([cls.crc_extra]) for id_, cls in MESSAGES.items()}
-# CRC-16/MCRF4XX by fastcrc; pymavlink's slow class where fastcrc has no build.
+# fastcrc computes CRC-16/MCRF4XX; where it has no build, pymavlink's slow class does.
 checksum = dialect.mcrf4xx or (lambda data: dialect.x25crc(data).crc)
 
 
@@ -43,19 +43,19 @@ class FrameCounters:
     """Counters of dropped bytes and frames, for the log and for diagnosis."""
 
     garbage_bytes: int = 0  # bytes that belong to no accepted frame
-    bad_crc: int = 0  # candidates for a frame of a known message with a wrong checksum
-    unknown_id: int = 0  # candidates for a frame of an unknown message without confirmation
+    bad_crc: int = 0  # possible frames of a known message with a wrong checksum
+    unknown_id: int = 0  # possible frames of an unknown message without confirmation
     unknown_frames: int = 0  # frames of unknown messages: recorded raw, not checked, not decoded
     version_1: int = 0  # valid MAVLink 1 frames, rejected: they cannot be signed
-    undecodable: int = 0  # correct checksum, invalid payload
+    undecodable: int = 0  # frames with a correct checksum and an invalid payload
 
 
 class NoFrame(IntEnum):
-    """Why no checked frame starts at a byte; all values are below the end of any frame."""
+    """Reason why no checked frame starts at a byte; all values are below the end of any frame."""
 
     INVALID = 0
     CUT_SHORT = -1  # the bytes end within the frame
-    UNKNOWN = -2  # no checksum seed (CRC_EXTRA) for this message id
+    UNKNOWN = -2  # the message id has no checksum seed (CRC_EXTRA)
 
 
 def split_frames(
@@ -63,9 +63,9 @@ def split_frames(
 ) -> Iterator[bytes]:
     """Yield every MAVLink 2 frame of a known message with a correct checksum, in order.
 
-    Frames reach from marker to checksum, or to the end of the signature. ``counters`` counts skipped bytes
+    Frames extend from marker to checksum, or to the end of the signature. ``counters`` counts skipped bytes
     and candidates. ``unknown`` is called with each frame of an unknown message: its header is plausible, it
-    is followed by the end or by frames up to a checked one or the end, and contains no checked frame.
+    contains no checked frame, and the end or frames up to a checked one or the end follow it.
     """
     yield from _scan(datagram, counters if counters is not None else FrameCounters(), unknown, None)
 
@@ -74,8 +74,8 @@ class StreamFramer:
     """Splits a stream that arrives in chunks into frames.
 
     After a checked frame, the parser waits for the complete next frame. After noise it waits only for a
-    header of a known message with a fitting length, so a stray 0xFD does not delay frames. Of a wrong
-    candidate only the first byte is skipped.
+    header of a known message with a fitting length, so a stray 0xFD does not delay frames. Only the first
+    byte of a wrong candidate is skipped.
     """
 
     def __init__(self, counters: FrameCounters) -> None:
@@ -84,7 +84,7 @@ class StreamFramer:
         self.in_sync = True  # a frame may start at the first buffered byte
 
     def push(self, piece: bytes, unknown: Callable[[bytes], None] | None = None) -> Iterator[bytes]:
-        """Add a chunk; yields frames as ``split_frames`` does."""
+        """Add a chunk; yield frames as ``split_frames`` does."""
         data, self._rest = self._rest + piece, b""
         self._rest = data[(yield from _scan(data, self._counters, unknown, self)) :]
 
@@ -103,7 +103,7 @@ class StreamFramer:
 def _scan(
     data: bytes, count: FrameCounters, unknown: Callable[[bytes], None] | None, stream: StreamFramer | None
 ) -> Generator[bytes, None, int]:
-    """Yield the frames; returns the start of the bytes to buffer (stream only)."""
+    """Yield the frames; return the start of the bytes to buffer (stream only)."""
     size, pos = len(data), 0
     while pos < size:
         end = frame_end(data, pos, size, count)
@@ -129,7 +129,7 @@ def _scan(
 
 
 def _skipped(data: bytes, pos: int, size: int, count: FrameCounters) -> int:
-    """Count the frame of version 1 at ``pos``, or one byte of garbage, and return its length."""
+    """Count a version 1 frame at ``pos``, or one byte of garbage, and return its length."""
     end = version_1_end(data, pos, size)
     if end > 0:
         count.version_1 += 1
@@ -139,12 +139,12 @@ def _skipped(data: bytes, pos: int, size: int, count: FrameCounters) -> int:
 
 
 def with_signed_flag(frame: bytes) -> bytes:
-    """Set the flag of an unsigned frame and correct its checksum; the signature is appended later."""
+    """Set the signed flag of an unsigned frame and correct its checksum; the signature is added later."""
     return _with_flags(frame, len(frame), FLAG_SIGNED)
 
 
 def without_signature(frame: bytes) -> bytes:
-    """The unsigned form of a signed frame."""
+    """Return the unsigned form of a signed frame."""
     return _with_flags(frame, len(frame) - _SIGNATURE, 0)
 
 
@@ -154,7 +154,7 @@ def intact(frame: bytes) -> bool:
 
 
 def frame_end(data: bytes, pos: int, size: int, count: FrameCounters) -> int:
-    """End of the checked frame at ``pos``, or a :class:`NoFrame`; a wrong checksum is counted."""
+    """Return the end of the checked frame at ``pos``, or a :class:`NoFrame`; count a wrong checksum."""
     if data[pos] != _MARKER_V2:
         return NoFrame.INVALID
     end = _claimed_end(data, pos, size)
@@ -171,10 +171,10 @@ def frame_end(data: bytes, pos: int, size: int, count: FrameCounters) -> int:
 
 
 def _unknown_end(data: bytes, pos: int, size: int, *, whole: bool = True) -> int:
-    """End of the frame of an unknown message that starts at ``pos``, by the bytes after it.
+    """Return the end of the frame of an unknown message at ``pos``, judged by the bytes after it.
 
-    INVALID: the bytes do not confirm a frame; CUT_SHORT: not decided yet. ``whole``: no more bytes follow, as
-    in a datagram.
+    INVALID: the bytes do not confirm a frame; CUT_SHORT: more bytes are needed. ``whole``: no more bytes
+    follow, as in a datagram.
     """
     first = at = _claimed_end(data, pos, size)
     for _ in range(_UNKNOWN_RUN_MAX):
@@ -200,18 +200,18 @@ def _message_id(data: bytes, pos: int) -> int:
 
 
 def _claimed_end(data: bytes, pos: int, size: int) -> int:
-    """End of the frame at ``pos`` by its length and flags, or a :class:`NoFrame`."""
+    """Return the end of the frame at ``pos`` from its length and flags, or a :class:`NoFrame`."""
     if pos + _HEADER_V2 + _CHECKSUM > size:
         return NoFrame.CUT_SHORT
     flags = data[pos + 2]
     if flags & ~FLAG_SIGNED:
-        return NoFrame.INVALID  # an unknown flag: not to be interpreted (MAVLink 2 packet format)
+        return NoFrame.INVALID  # an unknown flag forbids decoding (MAVLink 2 packet format)
     end = pos + _HEADER_V2 + data[pos + 1] + _CHECKSUM + (_SIGNATURE if flags else 0)
     return end if end <= size else NoFrame.CUT_SHORT
 
 
 def _has_sender(data: bytes, pos: int) -> bool:
-    """Whether system and component of a header are those of a sender; 0 is broadcast."""
+    """Whether system and component of a header belong to a sender; 0 means broadcast."""
     return data[pos + 5] != 0 and data[pos + 6] != 0
 
 
@@ -226,10 +226,10 @@ def _holds_frame(data: bytes, start: int, stop: int, size: int) -> bool:
 
 
 def _with_flags(frame: bytes, end: int, flags: int) -> bytes:
-    """Set the flags and correct the checksum; the message need not be known.
+    """Set the flags and correct the checksum; the message may be unknown.
 
-    The checksum is linear: between two messages of the same length and CRC_EXTRA its difference depends only
-    on the bytes that differ.
+    The checksum is linear: for two messages of the same length and CRC_EXTRA its difference depends only on
+    the bytes that differ.
     """
     crc_at = end - _CHECKSUM
     changed = bytearray(frame[:end])
@@ -242,7 +242,7 @@ def _with_flags(frame: bytes, end: int, flags: int) -> bytes:
 
 
 def version_1_end(data: bytes, pos: int, size: int) -> int:
-    """End of the checked MAVLink 1 frame at ``pos``, or a :class:`NoFrame`."""
+    """Return the end of the checked MAVLink 1 frame at ``pos``, or a :class:`NoFrame`."""
     if data[pos] != _MARKER_V1:
         return NoFrame.INVALID
     if pos + _HEADER_V1 + _CHECKSUM > size:

@@ -1,9 +1,9 @@
-"""Turns checked MAVLink 2 frames into pymavlink's message objects, and those into frames.
+"""Converts checked MAVLink 2 frames into pymavlink's message objects, and objects into frames.
 
 Decoding takes half the time of pymavlink's ``decode``, packing a quarter of its ``pack``. ``framing`` has
-checked checksum and length of a frame; fields are sorted by size on the wire and are put into the order of
-the constructor. Results and kinds of errors equal pymavlink's for every message of the dialect (tested).
-Packed frames are unsigned; ``signing`` signs.
+checked the checksum and length of a frame; the wire sorts fields by size, and this module restores the order
+of the constructor. Results and kinds of errors equal pymavlink's for every message of the dialect (tested).
+Packed frames are unsigned; ``signing`` adds signatures.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.codec.framing import CRC_EXTRA, checksum
 from bridge.mavlink.codec.wide_messages import MESSAGES
 
-Message = Any  # an instance of one of pymavlink's generated classes, which carry no types
+Message = Any  # an instance of one of pymavlink's generated classes, which have no type hints
 
-_HEADER = struct.Struct("<xBBBBBBHB")  # of a frame
+_HEADER = struct.Struct("<xBBBBBBHB")  # header of a frame
 _HEADER_BYTES = 10
 _SIGNED = 0x01
 
@@ -33,17 +33,17 @@ class _Layout:
     make: Any
     unpacker: struct.Struct
     size: int
-    fields: tuple[tuple[int, int], ...]  # (first, last + 1) in the tuple; a scalar or string spans one
-    plain: tuple[int, ...] | None  # positions alone, when there are neither arrays nor strings
+    fields: tuple[tuple[int, int], ...]  # (first, last + 1) in the tuple; a scalar or string has one position
+    plain: tuple[int, ...] | None  # the positions if there are neither arrays nor strings
 
 
 def message_id(frame: bytes) -> int:
-    """Message id in the header of a frame of version 2."""
+    """Return the message id in the header of a version 2 frame."""
     return frame[7] | frame[8] << 8 | frame[9] << 16
 
 
 def parameter_name(field: str | bytes) -> str:
-    """Name of a parameter up to its first zero byte; bytes that are not ASCII become U+FFFD."""
+    """Return a parameter's name up to its first zero byte; bytes that are not ASCII become U+FFFD."""
     raw = field.encode("latin-1", "replace") if isinstance(field, str) else bytes(field)
     return raw.partition(b"\x00")[0].decode("ascii", "replace")
 
@@ -51,14 +51,14 @@ def parameter_name(field: str | bytes) -> str:
 def decode(frame: bytes) -> Message:
     """Decode one frame from ``split_frames``.
 
-    Raises KeyError: the message is not known; Exception: of a message class for its field values.
+    Raises KeyError: the message is unknown; Exception: a message class rejects its field values.
     """
     length, incompat, compat, sequence, system, component, id_low, id_high = _HEADER.unpack_from(frame)
     id_ = id_low | id_high << 16
     layout = _LAYOUTS[id_]
     end = _HEADER_BYTES + length
     payload = frame[_HEADER_BYTES:end]
-    # The sender omits trailing zeros; fields that a newer dialect has appended are dropped here.
+    # The sender omits trailing zeros; fields added by a newer dialect are dropped here.
     if length != layout.size:
         payload = payload[: layout.size].ljust(layout.size, b"\x00")
     values = layout.unpacker.unpack(payload)
@@ -67,7 +67,7 @@ def decode(frame: bytes) -> Message:
     else:
         message = layout.make(*[_field(values, first, stop) for first, stop in layout.fields])
     message._msgbuf = bytearray(frame)
-    message._payload = message._msgbuf[6:end]  # as pymavlink, which counts from a version 1 header
+    message._payload = message._msgbuf[6:end]  # as in pymavlink, whose offset is that of a version 1 header
     message._crc = frame[end] | frame[end + 1] << 8
     message._header = dialect.MAVLink_header(id_, incompat, compat, length, sequence, system, component)
     return message
@@ -81,7 +81,7 @@ def _field(values: tuple[Any, ...], first: int, stop: int) -> Any:
 
 
 def _layout(cls: Any) -> _Layout:
-    # ``lengths`` are in wire order, one entry a field; a string of n bytes is one value of the tuple.
+    # ``lengths`` has one entry per field, in wire order; a string of n bytes is one value of the tuple.
     starts: list[int] = []
     spans: list[int] = []
     at = 0
@@ -112,7 +112,7 @@ Payload = Callable[[Message], bytes]
 
 
 def pack(message: Message, sequence: int, system_id: int, component_id: int) -> bytes:
-    """Serialise a message; it stores the frame for ``get_msgbuf``, and its header is unchanged.
+    """Serialise a message; it stores the frame for ``get_msgbuf``; its header stays unchanged.
 
     Raises struct.error: a field does not fit its type on the wire; IndexError: an array is too short.
     """
@@ -152,7 +152,7 @@ def _payload(cls: Any) -> Payload:
 
 
 def _all_of(names: list[str]) -> Callable[[Message], tuple[Any, ...]]:
-    """Read these attributes; ``attrgetter`` gives no tuple for a single one."""
+    """Return a reader of these attributes; ``attrgetter`` gives no tuple for a single one."""
     read = attrgetter(*names)
     return read if len(names) > 1 else lambda message: (read(message),)
 

@@ -1,8 +1,8 @@
-"""MAVLink messages that pymavlink's dialect ``ardupilotmega`` lacks, as classes of the same form.
+"""Classes for MAVLink messages that pymavlink's dialect ``ardupilotmega`` lacks, in pymavlink's form.
 
-They come from ``wide_messages.csv``: the additional messages of pymavlink's dialect ``all`` (which takes 0.6
-s to load), and messages of MAVLink's ``common`` that PX4 sends and pymavlink lacks. ``python -m tests.tables
-messages`` updates the first and keeps the second.
+``wide_messages.csv`` holds them: the additional messages of pymavlink's dialect ``all`` (which takes 0.6 s to
+load), and messages of MAVLink's ``common`` that PX4 sends and pymavlink lacks. ``python -m tests.tables
+messages`` updates the first group and keeps the second.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ CODES = {
 
 
 class WideField(NamedTuple):
-    kind: str  # type of MAVLink, without the array
+    kind: str  # MAVLink type, without the array length
     name: str
-    array: int  # elements; 0: no array
-    extension: bool  # after the sorted fields, not in CRC_EXTRA
+    array: int  # number of elements; 0: no array
+    extension: bool  # sent after the sorted fields, not in CRC_EXTRA
 
     @property
     def size(self) -> int:
-        """Bytes of one element."""
+        """Size of one element in bytes."""
         return struct.calcsize(f"<{CODES[self.kind]}")
 
     @property
     def code(self) -> str:
-        """Format of the whole field for ``struct``."""
+        """``struct`` format of the whole field."""
         code = CODES[self.kind]
         if not self.array:
             return code
@@ -53,21 +53,21 @@ class Definition(NamedTuple):
     def parse(cls, line: str) -> Definition:
         """Read ``id;name;crc_extra;type name;...``: ``type[n]`` is an array, ``+type`` an extension.
 
-        Raises ValueError: the line has another form, or a type is not known.
+        Raises ValueError: the line has another form, or a type is unknown.
         """
         id_, name, crc_extra, *fields = line.split(";")
         return cls(int(id_), name, int(crc_extra), tuple(_field(text) for text in fields))
 
     @property
     def on_the_wire(self) -> list[WideField]:
-        """Fields in the order of the wire: by size, then extensions (MAVLink serialization guide)."""
+        """Fields in wire order: sorted by size, then extensions (MAVLink serialization guide)."""
         extensions = [field for field in self.fields if field.extension]
         rest = [field for field in self.fields if not field.extension]
         return [*sorted(rest, key=lambda field: -field.size), *extensions]
 
 
 def definitions() -> Iterator[Definition]:
-    """Read the table. Returns one definition for each message, by rising id."""
+    """Read the table; yield one definition per message, in ascending order of id."""
     text = files("bridge.mavlink.codec").joinpath("wide_messages.csv").read_text(encoding="ascii")
     for line in text.splitlines():
         if line and not line.startswith("#"):
@@ -75,7 +75,7 @@ def definitions() -> Iterator[Definition]:
 
 
 def make_class(definition: Definition) -> Any:
-    """Make a message class with the attributes that pymavlink's generated classes have."""
+    """Make a message class with the attributes of pymavlink's generated classes."""
     wire = definition.on_the_wire
     names = [field.name for field in definition.fields]
 
@@ -126,5 +126,5 @@ def _field(text: str) -> WideField:
     return WideField(kind, name, int(array or 0), text.startswith("+"))
 
 
-# All known messages by id: pymavlink's, then the wide ones.
+# All known messages by id: pymavlink's, then those of the table.
 MESSAGES: dict[int, Any] = {**dialect.mavlink_map, **{d.id: make_class(d) for d in definitions()}}
