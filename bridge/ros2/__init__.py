@@ -1,1 +1,1 @@
-"""ROS 2 on Zenoh: names, nodes, CDR of its messages."""
+"""ROS 2 over Zenoh: names, nodes, and the CDR encoding of messages."""

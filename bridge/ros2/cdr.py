@@ -1,7 +1,7 @@
-"""Odometry, poses and transforms in CDR, as other programs send them.
+"""Odometry, poses and transforms in CDR, the encoding of ROS 2 messages.
 
 Odometry is ``nav_msgs/msg/Odometry``; poses without a velocity are ``PoseStamped``,
-``PoseWithCovarianceStamped`` and ``TFMessage``, of which only what a tracker needs is kept.
+``PoseWithCovarianceStamped`` and ``TFMessage``, of which only the fields for a tracker are decoded.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from bridge.frames import Quat
 from bridge.ros2.codec import CDR_HEADER, Unpack, codec
 from flightstack.core.types import ZERO, Vec3
 
-NO_COVARIANCE: tuple[float, ...] = (0.0,) * 36  # REP 103 practice: all zero means unknown
-TRANSFORMS_MAX = 1000  # in one message; a robot has some dozens
-_UNIT_TOLERANCE = 0.01  # of the squared norm, as in odometry.py
-_LARGEST_M = 1e9  # beyond this a number is damage, not a measurement
+NO_COVARIANCE: tuple[float, ...] = (0.0,) * 36  # ROS convention: all zeros means unknown
+TRANSFORMS_MAX = 1000  # greatest number in one message; a robot has a few dozen
+_UNIT_TOLERANCE = 0.01  # tolerance of the squared norm, as in odometry.py
+_LARGEST_M = 1e9  # limit, m; a larger number is damaged data, not a measurement
 _ODOMETRY = "nav_msgs/msg/Odometry"
 _POSE = "geometry_msgs/msg/PoseStamped"
 _POSE_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -44,7 +44,7 @@ class Odometry(NamedTuple):
     """One ``nav_msgs/msg/Odometry``.
 
     The pose is in ``frame_id``, the twist in ``child_frame_id`` (ROS convention). Metres, radians, seconds;
-    quaternion in the order w, x, y, z; covariances row by row, 6 x 6, order x y z roll pitch yaw.
+    quaternion in the order w, x, y, z; covariances 6 x 6, row by row, in the order x y z roll pitch yaw.
     """
 
     stamp_ns: int
@@ -58,22 +58,22 @@ class Odometry(NamedTuple):
     twist_covariance: tuple[float, ...] = NO_COVARIANCE
 
     def pack(self) -> bytes:
-        """Serialise it, as ``encode_odometry`` does."""
+        """Serialise the message, as ``encode_odometry`` does."""
         return encode_odometry(*self)
 
 
 class Pose(NamedTuple):
-    """A pose in a frame; the quaternion is w, x, y, z and of unit length."""
+    """A pose in a frame; the quaternion is w, x, y, z and has unit length."""
 
     stamp_ns: int
     frame_id: str
     position_m: Vec3
     orientation_wxyz: Quat
-    covariance: tuple[float, ...] = NO_COVARIANCE  # 6 x 6, order x y z roll pitch yaw; all zero: unknown
+    covariance: tuple[float, ...] = NO_COVARIANCE  # 6 x 6, order x y z roll pitch yaw; all zeros: unknown
 
 
 class Transform(NamedTuple):
-    """Pose of the frame ``child_frame_id`` in another."""
+    """Pose of the frame ``child_frame_id`` in another frame."""
 
     child_frame_id: str
     pose: Pose
@@ -92,7 +92,7 @@ def encode_odometry(
 ) -> bytes:
     """Serialise an odometry message; the arguments are the fields of ``Odometry``.
 
-    Raises OdometryError: the stamp does not fit 32-bit seconds, or a covariance has not 36 entries.
+    Raises OdometryError: the stamp exceeds 32-bit seconds, or a covariance does not have 36 entries.
     """
     w, x, y, z = orientation_wxyz
     pose, twist = (position_m, (x, y, z, w)), (linear_m_s, angular_rad_s)
@@ -109,10 +109,10 @@ def encode_odometry(
 
 
 def decode_odometry(payload: bytes) -> Odometry:
-    """Parse a serialised odometry message, from ROS 2 or from ``encode_odometry``.
+    """Decode a serialised odometry message from ROS 2 or ``encode_odometry``.
 
-    Bytes after the last field are ignored: some writers pad. Raises OdometryError: too short, in another
-    encoding, or its strings are broken.
+    Bytes after the last field are ignored, because some writers add padding. Raises OdometryError: the
+    payload is too short, has another encoding, or its strings are invalid.
     """
     (stamp_ns, frame_id), child_frame_id, (pose, pose_cov), (twist, twist_cov) = _decoded(
         _unpack_odometry, payload
@@ -126,19 +126,19 @@ def decode_odometry(payload: bytes) -> Odometry:
 
 
 def decode_pose(payload: bytes) -> Pose:
-    """Parse a ``geometry_msgs/msg/PoseStamped``; raises OdometryError: cut short, or no pose."""
+    """Decode a ``geometry_msgs/msg/PoseStamped``. Raises OdometryError: it is cut short or no pose."""
     (stamp_ns, frame_id), (position_m, turn) = _decoded(_unpacker(_POSE), payload)
     return _checked(stamp_ns, frame_id, position_m, turn)
 
 
 def decode_pose_with_covariance(payload: bytes) -> Pose:
-    """Parse a ``geometry_msgs/msg/PoseWithCovarianceStamped``; raises as ``decode_pose``."""
+    """Decode a ``geometry_msgs/msg/PoseWithCovarianceStamped``; raises as ``decode_pose``."""
     (stamp_ns, frame_id), ((position_m, turn), covariance) = _decoded(_unpacker(_POSE_COVARIANCE), payload)
     return _checked(stamp_ns, frame_id, position_m, turn)._replace(covariance=covariance)
 
 
 def decode_transforms(payload: bytes) -> list[Transform]:
-    """Parse a ``tf2_msgs/msg/TFMessage``; raises OdometryError: cut short, too long, or no transforms."""
+    """Decode a ``tf2_msgs/msg/TFMessage``. Raises OdometryError: cut short, too long, or no transforms."""
     count = int.from_bytes(payload[4:8], "little")
     if payload[:2] == CDR_HEADER[:2] and count > TRANSFORMS_MAX:
         raise OdometryError(f"{_TRANSFORMS} holds {count} transforms: {TRANSFORMS_MAX} are allowed")
@@ -155,7 +155,7 @@ def _unpacker(schema: str) -> Unpack:
 
 
 def _decoded(unpack: Unpack, payload: bytes) -> Any:
-    # The two option bytes carry padding in newer versions of the standard and are ignored, as ROS 2 does.
+    # Newer versions of the standard put padding into the two option bytes; ROS 2 ignores them, too.
     if payload[:2] != CDR_HEADER[:2]:
         if len(payload) < 4:
             raise OdometryError(f"odometry payload has {len(payload)} bytes: not even a CDR header")

@@ -1,9 +1,9 @@
-"""Packers and unpackers of CDR, made from message definitions.
+"""Generates functions that encode and decode CDR from message definitions.
 
-A ROS 2 message on the wire is a four-byte header and the fields in order, each aligned to its size. Numbers
-that follow one another are one ``struct`` call; strings and sequences stand between such runs. The functions
-are made as source text, as ``collections.namedtuple`` makes its classes: a codec that walks the definition
-for each message takes ten times as long. Tests hold them byte-equal with ``rosbags``.
+A ROS 2 message is sent as a four-byte header and the fields in order, each aligned to its size. Consecutive
+numbers are one ``struct`` call; strings and sequences separate such runs. The functions are generated as
+source text, as ``collections.namedtuple`` generates its classes: a codec that reads the definition for each
+message takes ten times as long. Tests compare the bytes with those of ``rosbags``.
 
 The value of a message is the tuple of the values of its fields, in order:
 
@@ -29,17 +29,17 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 CDR_HEADER = b"\x00\x01\x00\x00"  # plain CDR, little-endian, no options (OMG DDSI-RTPS 10.5)
-MAP = "map"  # the world frame of every message of ours
+MAP = "map"  # world frame of every message of this stack
 HEADER_TYPE = "std_msgs/msg/Header"
 TIME_TYPES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 CODES = {
     "bool": "?", "byte": "B", "char": "B", "int8": "b", "uint8": "B", "int16": "h", "uint16": "H",
     "int32": "i", "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
 }  # fmt: skip
-_NS = 1_000_000_000  # nanoseconds in a second
-_ALIGNMENT_MAX = 8  # bytes, of the largest number
+_NS = 1_000_000_000  # nanoseconds per second
+_ALIGNMENT_MAX = 8  # size of the largest number, bytes
 
-# Standard types by their ROS 2 definitions: no process waits for a whole store of types when it starts.
+# Standard types by their ROS 2 definitions, so that no process loads a complete type store at start.
 _STANDARD = {
     "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
     "std_msgs/msg/Header": "builtin_interfaces/Time stamp\nstring frame_id",
@@ -73,7 +73,7 @@ Unpack = Callable[[bytes], Any]
 class Field(NamedTuple):
     name: str
     kind: str  # "float64", "string", or the full name of a message type
-    length: int | None  # of an array; None: a single value, 0: a sequence
+    length: int | None  # length of an array; None: a single value, 0: a sequence
 
 
 def fields_of_text(text: str) -> tuple[Field, ...]:
@@ -83,12 +83,12 @@ def fields_of_text(text: str) -> tuple[Field, ...]:
 
 
 def standard(schema: str) -> tuple[Field, ...] | None:
-    """Return the fields of a standard type; None: not one of the table."""
+    """Return the fields of a standard type; None: the table does not have it."""
     return fields_of_text(_STANDARD[schema]) if schema in _STANDARD else None
 
 
 def _full(kind: str) -> str:
-    """``std_msgs/Header`` as ``std_msgs/msg/Header``."""
+    """Convert ``std_msgs/Header`` into ``std_msgs/msg/Header``."""
     package, separator, name = kind.partition("/")
     return f"{package}/msg/{name}" if separator else kind
 
@@ -107,12 +107,12 @@ def codec(
     *,
     foreign: bool = False,
 ) -> tuple[Pack, Unpack]:
-    """Return the functions that pack the value of a message as CDR, and make it again.
+    """Return the functions that encode the value of a message as CDR, and decode it.
 
-    The packer raises a struct.error for a number out of the range of its field, the unpacker a ValueError for
-    a payload that is cut short, too long, or of another encoding or frame. With ``frame_id`` None each
-    message has its own. ``fields`` gives the fields of a type. Payloads of foreign programs may have bytes
-    behind the message, and texts without a NUL at their end.
+    The encoder raises a struct.error for a number outside the range of its field. The decoder raises a
+    ValueError for a payload that is cut short, too long, or of another encoding or frame. With ``frame_id``
+    None each message has its own frame. ``fields`` returns the fields of a type. Payloads of foreign programs
+    may have bytes after the message, and strings without a NUL at the end.
     """
     compiler = _Compiler(frame_id, fields)
     names = compiler.message(schema, "row")
@@ -140,7 +140,7 @@ def codec(
 
 
 class _Compiler:
-    """Source text of both functions, which give their local variables the same names.
+    """Source text of both functions, which use the same names for their local variables.
 
     A name joins field names by two underscores, helpers follow three: ROS allows neither in a field's name.
     """
@@ -152,16 +152,16 @@ class _Compiler:
         self.pack: list[str] = []
         self.unpack: list[str] = []
         self.constants: dict[str, Any] = {}
-        self.large = False  # it has sequences of numbers, for which a bytearray grows faster than bytes
+        self.large = False  # it has sequences of numbers, which a bytearray appends faster than bytes
         self._frame = None if frame_id is None else frame_id.encode() + b"\x00"
         self._indent = "    "
         self._at: int | None = 0  # bytes from the start of the payload; None: known only at run time
-        # The run of numbers that is being collected: codes, what is packed, what is unpacked, then done.
+        # Current run of numbers: codes, encoded expressions, decoded names, and the statements that follow.
         self._codes, self._given, self._taken = ["4s"], ["CDR"], ["cdr"]
         self._after = ["if cdr != CDR: refuse('encoding', cdr, CDR)"]
 
     def message(self, schema: str, value: str) -> str:
-        """Treat all fields; their variables, which make up the value."""
+        """Generate code for all fields; return their variables, which form the value."""
         fields = self._fields(schema)
         names = [f"{value}__{field.name}" for field in fields]
         joined = "".join(f"{name}, " for name in names)
@@ -171,7 +171,7 @@ class _Compiler:
         return joined
 
     def flush(self) -> None:
-        """End the run of numbers."""
+        """End the current run of numbers."""
         if self._codes:
             given, taken = ", ".join(self._given), "".join(f"{name}, " for name in self._taken)
             if self._at is not None:
@@ -221,7 +221,7 @@ class _Compiler:
         return fields
 
     def _numbers(self, kind: str) -> list[str]:
-        """Codes of a number, or of a message made of numbers of one type; empty for everything else."""
+        """Return the codes of a number, or of a message of equal numbers; empty for any other type."""
         if kind in CODES:
             return [CODES[kind]]
         if kind == "string":
@@ -258,7 +258,7 @@ class _Compiler:
         if numbers:
             self.large, size = True, struct.calcsize("<" + numbers[0])
             self._run("I", f"len({v}) // {size * len(numbers)}", [f"{v}___count"])
-            self._grow(f"bytes((4 - len(out)) % {size}) + {v} if {v} else b''")  # no element, no padding
+            self._grow(f"bytes((4 - len(out)) % {size}) + {v} if {v} else b''")  # no padding without elements
             self._line(self.unpack, f"at += (4 - at) % {size} if {v}___count else 0")
             self._line(self.unpack, f"{v} = bytes_at(data, at, {v}___count * {size * len(numbers)})")
             self._line(self.unpack, f"at += len({v})")
@@ -283,7 +283,7 @@ class _Compiler:
             self._after.append(after)
 
     def _grow(self, value: str | None = None) -> None:
-        """End the run, and append bytes; the next field's offset is known at run time only."""
+        """End the current run and append bytes; the next field's offset is known only at run time."""
         self.flush()
         self._at = None
         if value is not None:
@@ -299,7 +299,7 @@ class _Compiler:
 
 
 def _layout(codes: Sequence[str], at: int) -> struct.Struct:
-    """Layout of numbers that begin ``at`` bytes from the start of the payload, or so many modulo 8."""
+    """Return the layout of numbers that start ``at`` bytes (or ``at`` modulo 8) from the payload's start."""
     out = "<"
     for code in codes:
         size = struct.calcsize("<" + code)

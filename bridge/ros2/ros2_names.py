@@ -1,6 +1,6 @@
-"""Names of ROS 2 on Zenoh: the keys, liveliness tokens and publisher ids of rmw_zenoh, and of the DDS bridge.
+"""ROS 2 names on Zenoh: keys, liveliness tokens and publisher ids of rmw_zenoh, and keys of the DDS bridge.
 
-The network that they are used on is here, too: its address, and the domain that is in every name.
+The module also has the network of these names: its address, and the domain that every name contains.
 
 Layouts: rmw_zenoh docs/design.md and detail/liveliness_utils.cpp (Jazzy from 0.2.4, Kilted, Lyrical);
 zenoh-plugin-ros2dds ros2_utils.rs. Name rules: rmw validate_full_topic_name.c.
@@ -18,9 +18,9 @@ import xxhash
 from bridge.zenoh import zenoh_link
 from flightstack.config.options import Ros2
 
-DOMAIN_MAX = 232  # ROS 2 documentation, "The ROS_DOMAIN_ID": what DDS has ports for
+DOMAIN_MAX = 232  # ROS 2 documentation, "The ROS_DOMAIN_ID": limit of the DDS ports
 TOPIC_LENGTH_MAX = 247  # rmw validate_full_topic_name.h
-NO_HASH = "TypeHashNotSupported"  # what ROS 2 Humble, which has no type hashes, puts in their place
+NO_HASH = "TypeHashNotSupported"  # placeholder of ROS 2 Humble, which has no type hashes
 QOS_KEEP_10 = "::,10:,:,:,,"  # reliable, volatile, keep last 10; empty means rmw_zenoh's default (qos.cpp)
 _ADMIN = "@ros2_lv"
 _TOPIC = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
@@ -32,7 +32,7 @@ _HASH = re.compile(r"RIHS01_[0-9a-f]{64}")
 
 class TopicKey(NamedTuple):
     domain: int
-    topic: str  # with its leading slash
+    topic: str  # name with its leading slash
     type_name: str  # package/msg/Name
     type_hash: str
 
@@ -44,13 +44,13 @@ class Node(NamedTuple):
     session: str  # id of the Zenoh session, as Zenoh prints it
     name: str
     namespace: str = "/"
-    number: int = 0  # of the node within the session
+    number: int = 0  # number of the node within the session
 
 
 def check_topic(topic: str) -> str:
-    """Return a topic name if it is a fully qualified one.
+    """Return a topic name if it is fully qualified.
 
-    Raises ValueError: it is not; the text says what is allowed.
+    Raises ValueError: it is not; the text states what is allowed.
     """
     if _TOPIC.fullmatch(topic) and len(topic) <= TOPIC_LENGTH_MAX:
         return topic
@@ -69,9 +69,9 @@ def check_domain(domain: int) -> int:
 
 
 def dds_type(type_name: str) -> str:
-    """Name of a message type in DDS: ``nav_msgs::msg::dds_::Odometry_``.
+    """Return the name of a message type in DDS, such as ``nav_msgs::msg::dds_::Odometry_``.
 
-    Raises ValueError: not ``package/msg/Name``.
+    Raises ValueError: the type is not ``package/msg/Name``.
     """
     match = _TYPE.fullmatch(type_name)
     if match is None:
@@ -80,7 +80,7 @@ def dds_type(type_name: str) -> str:
 
 
 def topic_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
-    """Key of a topic in rmw_zenoh: ``DOMAIN/TOPIC/TYPE/HASH``. Raises ValueError: a part is malformed."""
+    """Return a topic's rmw_zenoh key ``DOMAIN/TOPIC/TYPE/HASH``. Raises ValueError: a part is malformed."""
     if not _HASH.fullmatch(type_hash) and type_hash != NO_HASH:
         raise ValueError(
             f"type hash {type_hash!r}: RIHS01_ and 64 hexadecimal digits are needed, or {NO_HASH}"
@@ -89,7 +89,7 @@ def topic_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
 
 
 def any_type_key(domain: int, topic: str) -> str:
-    """Key expression of a topic with any type, to detect a topic with a wrong type.
+    """Return the key expression of a topic with any type, to detect a topic with a wrong type.
 
     Raises ValueError: a part is malformed.
     """
@@ -97,7 +97,7 @@ def any_type_key(domain: int, topic: str) -> str:
 
 
 def parse_topic_key(key: str) -> TopicKey | None:
-    """Read a key of rmw_zenoh; ``None`` for any other."""
+    """Parse a key of rmw_zenoh; return None for any other key."""
     parts = key.split("/")
     if len(parts) < 4:
         return None
@@ -112,7 +112,7 @@ def parse_topic_key(key: str) -> TopicKey | None:
 
 
 def bridge_key(topic: str) -> str:
-    """Key of a topic behind zenoh-bridge-ros2dds: its name without the leading slash.
+    """Return the key of a topic behind zenoh-bridge-ros2dds: its name without the leading slash.
 
     Raises ValueError: the name is malformed.
     """
@@ -120,24 +120,24 @@ def bridge_key(topic: str) -> str:
 
 
 def node_token(node: Node) -> str:
-    """Liveliness token of a node, for ``ros2 node list``. Raises ValueError: a name is malformed."""
+    """Return the liveliness token of a node, for ``ros2 node list``. Raises ValueError: a name is bad."""
     return "/".join([*_begin(node, node.number, "NN"), node.name])
 
 
 def publisher_token(node: Node, number: int, topic: str, type_name: str, type_hash: str, qos: str) -> str:
-    """Liveliness token of a publisher, for ``ros2 topic list``.
+    """Return the liveliness token of a publisher, for ``ros2 topic list``.
 
-    No other entity of the session has the ``number``; ``qos`` is in rmw_zenoh's short form.
+    No other entity of the session has the same ``number``; ``qos`` has rmw_zenoh's short form.
 
     Raises ValueError: a part is malformed.
     """
-    topic_key(node.domain, topic, type_name, type_hash)  # checks
+    topic_key(node.domain, topic, type_name, type_hash)  # raises if a part is malformed
     tail = [node.name, _mangle(topic), dds_type(type_name), type_hash, qos]
     return "/".join([*_begin(node, number, "MP"), *tail])
 
 
 def publisher_id(token: str) -> bytes:
-    """The 16 bytes that go with every sample: XXH3-128 of the token, lowest byte first."""
+    """Return the 16-byte publisher id of every sample: XXH3-128 of the token, lowest byte first."""
     digest: bytes = xxhash.xxh3_128_digest(token.encode())
     return digest[::-1]
 
@@ -149,7 +149,7 @@ def _begin(node: Node, number: int, kind: str) -> list[str]:
         raise ValueError(
             f"ROS 2 node name {node.name!r}: letters, digits and underscores are allowed, no digit first"
         )
-    enclave = "%"  # none
+    enclave = "%"  # "%" stands for no enclave
     return [
         _ADMIN, str(check_domain(node.domain)), node.session, str(node.number), str(number), kind, enclave,
         _mangle(node.namespace),
@@ -160,7 +160,7 @@ def _mangle(name: str) -> str:
     return name.replace("/", "%")
 
 
-_FILES = (".json5", ".json", ".yaml", ".yml")  # what Zenoh reads
+_FILES = (".json5", ".json", ".yaml", ".yml")  # file formats that Zenoh reads
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,10 +169,10 @@ class Ros2Network:
 
     # endpoint of their router (``rmw_zenohd``, zenoh-bridge-ros2dds), or a Zenoh configuration file
     where: str
-    domain: int = 0  # their ROS_DOMAIN_ID
+    domain: int = 0  # ROS_DOMAIN_ID of these nodes
 
     def open(self) -> zenoh_link.Session:
-        """Open a session there; close it when done.
+        """Open a session to this network; the caller closes it.
 
         Raises ValueError: neither an endpoint nor a configuration, or the domain is out of range;
         ZenohLinkError: no reply.
@@ -184,5 +184,5 @@ class Ros2Network:
 
 
 def network(options: Ros2) -> Ros2Network | None:
-    """The network that the options name; None: ``--ros2`` is not given."""
+    """Return the network given by the options; None: ``--ros2`` is not given."""
     return Ros2Network(options.ros2_where, options.ros_domain) if options.ros2_where is not None else None

@@ -1,6 +1,6 @@
-"""This process as a ROS 2 node: ``ros2 node list`` shows it, and any ROS 2 node can read its topics.
+"""Makes this process a ROS 2 node: ``ros2 node list`` shows it, and any ROS 2 node can read its topics.
 
-For rmw_zenoh a node is a liveliness token, a publisher another, and a sample is CDR with an attachment.
+In rmw_zenoh a node and each publisher is a liveliness token; a sample is CDR with an attachment.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from bridge.zenoh.zenoh_link import pack_attachment
 
 
 class Ros2Node:
-    """A node on a Zenoh session that ROS 2 can reach; the session stays the caller's."""
+    """A node on a Zenoh session that ROS 2 can reach; the caller owns the session."""
 
     def __init__(
         self, session: zenoh_link.Session, name: str, *, domain: int = 0, namespace: str = "/"
     ) -> None:
         """Announce the node.
 
-        ``domain`` is the ROS_DOMAIN_ID of the others; topics are named in full, whatever the namespace.
+        ``domain`` is the ROS_DOMAIN_ID of the other nodes; topics have full names, whatever the namespace.
 
         Raises ValueError: a name or the domain is not allowed.
         """
@@ -38,11 +38,11 @@ class Ros2Node:
     def publisher(self, topic: str, type_name: str, type_hash: str) -> Ros2Publisher:
         """Announce a topic and declare its publisher.
 
-        With another type hash the ROS 2 nodes receive nothing.
+        With another type hash ROS 2 nodes receive no samples.
 
         Raises ValueError: a part is malformed.
         """
-        number = 1 + len(self._publishers)  # the node itself is 0
+        number = 1 + len(self._publishers)  # the node itself has number 0
         token = publisher_token(self._node, number, check_topic(topic), type_name, type_hash, QOS_KEEP_10)
         key = topic_key(self._node.domain, topic, type_name, type_hash)
         publisher = Ros2Publisher(zenoh_link.dropping_publisher(self._session, key), publisher_id(token))
@@ -63,7 +63,7 @@ class Ros2Publisher:
 
     def __init__(self, publisher: zenoh_link.Publisher, identity: bytes) -> None:
         self._publisher, self._identity = publisher, identity
-        self.sequence = 0  # of the message put last; the first is 1, as in rmw_zenoh
+        self.sequence = 0  # number of the newest message; the first has 1, as in rmw_zenoh
 
     @property
     def matched(self) -> bool:

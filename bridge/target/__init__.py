@@ -1,1 +1,1 @@
-"""Target samples from odometry, poses and transforms on the wire."""
+"""Receives target samples as odometry, poses or transforms."""

@@ -1,6 +1,6 @@
-"""Target odometry on Zenoh: ``nav_msgs/msg/Odometry`` in CDR, with rmw_zenoh's attachment.
+"""Target odometry on Zenoh: ``nav_msgs/msg/Odometry`` in CDR with the attachment of rmw_zenoh.
 
-Also its decoded samples, their noise, and the odometry of another point of the same body.
+It also has the decoded samples, their noise, and the odometry of another point of the same body.
 """
 
 from __future__ import annotations
@@ -25,40 +25,40 @@ from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.types import TargetSample, Vec3
 
 ENCODING = "application/cdr;nav_msgs/msg/Odometry"
-# tolerance of the squared norm, as tf2 (buffer_core.cpp, QUATERNION_NORMALIZATION_TOLERANCE)
+# tolerance of the squared norm, as in tf2 (buffer_core.cpp, QUATERNION_NORMALIZATION_TOLERANCE)
 _UNIT_TOLERANCE = 0.01
-_LARGEST = 1e9  # m, m/s, rad/s: greater numbers are damaged data
-WARN_FACTOR = 1.5  # noise over the configured one that triggers a warning
+_LARGEST = 1e9  # limit in m, m/s and rad/s: larger numbers are damaged data
+WARN_FACTOR = 1.5  # ratio of reported to configured noise above which a warning is sent
 _UNUSED_M2 = 1e3  # diff_drive_controller and others write 1e6 for unmeasured values
 
 
 class RawSample(NamedTuple):
-    """A received sample, for the controller and, unchanged, for the log."""
+    """A received sample, decoded for the controller and unchanged for the log."""
 
     payload: bytes
     attachment: bytes | None = None
-    sequence: int | None = None  # from the attachment, None without one
-    source_time_ns: int | None = None  # from the attachment, Unix time
-    odometry: Odometry | None = None  # source of the payload; None: the payload was received
+    sequence: int | None = None  # sequence number of the attachment; None: no attachment
+    source_time_ns: int | None = None  # Unix time of the attachment; None: no attachment
+    odometry: Odometry | None = None  # odometry that was converted here; None: the payload was received
 
 
 class SampleSource(Protocol):
     """A source of odometry samples."""
 
     def poll(self) -> list[RawSample]:
-        """Take all samples that have arrived, oldest first; never blocks."""
+        """Return all samples that have arrived, oldest first; never blocks."""
 
 
 def sample_of(raw: RawSample, arrival_s: float) -> TargetSample:
-    """A received sample with velocities in the world frame; ``arrival_s`` is on the stack's clock.
+    """Convert a received sample, with velocities in the world frame; ``arrival_s`` is on the stack's clock.
 
-    Raises OdometryError: as ``sample_from_cdr``.
+    Raises OdometryError: for the reasons of ``sample_from_cdr``.
     """
     return _sample(raw.odometry or decode_odometry(raw.payload), arrival_s)
 
 
 def sample_from_cdr(payload: bytes, arrival_s: float) -> TargetSample:
-    """A serialised message (CDR with header) as a sample with velocities in the world frame.
+    """Convert a serialised message (CDR with header) into a sample with velocities in the world frame.
 
     Raises OdometryError: malformed, a number not finite or beyond 1e9, or the orientation no unit quaternion.
     """
@@ -93,7 +93,7 @@ def _sample(o: Odometry, arrival_s: float) -> TargetSample:
 
 
 def sigma_of(variance_x: float, variance_y: float) -> float | None:
-    """The larger standard deviation of x and y; None: not reported."""
+    """Return the larger standard deviation of x and y; None: not reported."""
     known = 0.0 < variance_x < _UNUSED_M2 and 0.0 < variance_y < _UNUSED_M2  # False for NaN
     return math.sqrt(max(variance_x, variance_y)) if known else None
 
@@ -101,7 +101,7 @@ def sigma_of(variance_x: float, variance_y: float) -> float | None:
 def excess_noise(
     pose_covariance: Sequence[float], twist_covariance: Sequence[float], link: TargetLink
 ) -> str:
-    """Warning if the sender reports more noise than the configuration; else empty."""
+    """Return a warning if the sender reports more noise than the configuration has; else empty."""
     found: list[str] = []
     for covariance, configured, name, unit in (
         (pose_covariance, link.position_noise_m, "position_noise_m", "m"),
@@ -119,14 +119,14 @@ def excess_noise(
 
 
 def shift_pose(pose: Pose, offset_m: Vec3) -> Pose:
-    """The pose of the point at ``offset_m`` in the axes of the pose; the covariance is unchanged."""
+    """Return the pose of the point at ``offset_m`` in the axes of the pose; the covariance is unchanged."""
     return pose._replace(position_m=_shift(pose.position_m, world_from_body(pose.orientation_wxyz, offset_m)))
 
 
 def shift_odometry(odometry: Odometry, offset_m: Vec3) -> Odometry:
-    """The odometry of the point at ``offset_m`` in the axes of the child frame.
+    """Return the odometry of the point at ``offset_m`` in the axes of the child frame.
 
-    The velocity is that of a rigid body, v + w x r. Covariances are unchanged.
+    The velocity is v + w x r, as for a rigid body. Covariances are unchanged.
     """
     (wx, wy, wz), (x, y, z) = odometry.angular_rad_s, offset_m
     return odometry._replace(
@@ -168,11 +168,11 @@ class OdometryPublisher:
         self._gid = secrets.token_bytes(GID_BYTES)
         self.frame_id = frame_id
         self.child_frame_id = child_frame_id
-        self.sequence = 0  # number of the sample put last, 0 before the first
+        self.sequence = 0  # number of the newest sample, 0 before the first
 
     @property
     def matched(self) -> bool:
-        """Whether there is a subscriber; samples before are lost."""
+        """Whether there is a subscriber; samples sent without one are lost."""
         return zenoh_link.is_matched(self._publisher)
 
     def encode(
@@ -202,9 +202,9 @@ class OdometryPublisher:
         """Send a serialised message.
 
         Args:
-            payload: from ``encode``.
-            source_time_ns: time of sending, Unix time or the simulated clock's.
-            attachment: instead of rmw_zenoh's, for keys outside of ROS 2.
+            payload: result of ``encode``.
+            source_time_ns: time of sending, Unix time or simulated time.
+            attachment: replaces rmw_zenoh's attachment, for keys outside of ROS 2.
         """
         self.sequence += 1
         if attachment is None:
@@ -217,14 +217,14 @@ class OdometryPublisher:
 
 
 class OdometrySubscriber:
-    """Receives odometry under one key; polled, never called back."""
+    """Receives odometry under one key; the owner polls it, there are no callbacks."""
 
     def __init__(
         self, session: zenoh_link.Session, key: str, *, lossless: bool = False, capacity: int = 256
     ) -> None:
         """Declare the subscriber.
 
-        ``lossless`` holds up the sender when full (lockstep) instead of dropping the oldest.
+        With ``lossless`` a full queue blocks the sender (lockstep) instead of dropping the oldest samples.
 
         Raises ValueError: the key is not allowed.
         """

@@ -1,8 +1,8 @@
-"""Turns poses of a target into odometry by an estimate of its velocity.
+"""Converts poses of a target into odometry by estimating the velocity.
 
-The estimator is that of the stack (position and velocity measured), with a velocity noise so large that the
-velocity has no influence. Odometry is the measured pose with the estimated velocity; there is none before
-the estimate has settled, and none for an outlier.
+The estimator is the stack's (it measures position and velocity), with so large a velocity noise that the
+measured velocity has no influence. Odometry is the measured pose with the estimated velocity; there is none
+before the estimate has settled, and none for an outlier.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from flightstack.core.target.estimator import RESTART_S, TargetEstimator
 from flightstack.core.types import ZERO
 
 SETTLED_M_S = 0.05  # greatest standard deviation of a usable velocity; a quarter of the Burger's
-UNKNOWN_M_S = 100.0  # standard deviation of a velocity that was not measured, far above that of robots
+UNKNOWN_M_S = 100.0  # standard deviation of a velocity that was not measured, far above robot speeds
 GATE_SIGMAS = 6.0  # distance from the expected pose that makes an outlier: 1 in 10^8 by chance
-OUTLIERS_MAX = 5  # outliers in a row after which the estimate restarts there
-UNSETTLED_MAX = 50  # poses without a velocity that trigger a warning
+OUTLIERS_MAX = 5  # outliers in a row after which the estimate restarts at their position
+UNSETTLED_MAX = 50  # poses without a velocity after which a warning is sent
 
 
 class PoseTrack:
-    """Turns poses of one target into odometry of ``child_frame_id``; ``link``: noise of poses and motion."""
+    """Converts poses of a target into odometry of ``child_frame_id``; ``link``: noise of poses and motion."""
 
     def __init__(self, link: TargetLink, child_frame_id: str) -> None:
         self._estimator = TargetEstimator(replace(link, velocity_noise_m_s=UNKNOWN_M_S))
@@ -32,11 +32,11 @@ class PoseTrack:
         self._last: Pose | None = None  # last accepted pose
         self._outliers = 0
         self._unsettled = 0  # poses since the last restart
-        self.problem = ""  # why poses are withheld, or ""
-        self.withheld = 0  # poses without odometry: unsettled, outliers, repeated or out of order
+        self.problem = ""  # reason why poses are withheld, or ""
+        self.withheld = 0  # number of poses without odometry: unsettled, outliers, repeated or out of order
 
     def take(self, pose: Pose) -> Odometry | None:
-        """The odometry of a pose; None while the velocity is unknown."""
+        """Return the odometry of a pose; None while the velocity is unknown."""
         odometry = self._take(pose)
         self.withheld += odometry is None
         return odometry
@@ -71,7 +71,7 @@ class PoseTrack:
                 )
             return None
         self.problem = ""
-        # Between two poses, unfiltered: for the record only.
+        # Yaw rate between two poses, unfiltered; only the log uses it.
         turned_rad = wrap_angle(yaw_rad - yaw_from_quaternion(last.orientation_wxyz))
         return Odometry(
             pose.stamp_ns,
@@ -87,4 +87,4 @@ class PoseTrack:
     def _is_outlier(self, pose: Pose, time_s: float) -> bool:
         expected = self._estimator.at(time_s)
         allowed_m = GATE_SIGMAS * math.hypot(expected.position_sigma_m, self._noise_m)
-        return not math.dist(pose.position_m, expected.position_enu_m) <= allowed_m  # also for NaN
+        return not math.dist(pose.position_m, expected.position_enu_m) <= allowed_m  # also an outlier for NaN

@@ -1,8 +1,8 @@
-"""The source of the target's motion: a Zenoh key, or a ROS 2 topic of one of four message types.
+"""Source of the target's motion: a Zenoh key, or a ROS 2 topic of one of four message types.
 
-``KEY`` is a Zenoh key, ``ros2:/TOPIC`` a topic of rmw_zenoh, ``ros2dds:/TOPIC`` one behind
-zenoh-bridge-ros2dds. The output is ``nav_msgs/msg/Odometry``: serialised, for log and replay, and, if it was
-converted here, also as values.
+``KEY`` is a Zenoh key, ``ros2:/TOPIC`` a topic of rmw_zenoh, ``ros2dds:/TOPIC`` a topic behind
+zenoh-bridge-ros2dds. The output is ``nav_msgs/msg/Odometry``: serialised, for log and replay, and also
+decoded if this module made it.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from bridge.zenoh import zenoh_link
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.types import ZERO, Vec3
 
-TEXTS_MAX = 32  # greatest number of different warnings of a flight; the counters continue
-OFFSET_MAX_M = 5.0  # greatest offset of the landing spot on an axis; a greater one is a wrong unit
+TEXTS_MAX = 32  # greatest number of different warnings per flight; the counters continue
+OFFSET_MAX_M = 5.0  # greatest offset of the landing spot per axis, m; a larger one has a wrong unit
 LOOK_EVERY = 100  # samples between two checks of frames and covariances
 CAPACITY = 1024  # samples between two polls
 
 
-_Made = list[Odometry] | None  # odometry from a message; None: the message is the odometry
+_Made = list[Odometry] | None  # odometry made from a message; None: the message is the odometry
 
 
 class Dialect(Enum):
@@ -62,7 +62,7 @@ class TargetType(Enum):
 
 class RosType(NamedTuple):
     name: str
-    type_hash: str  # REP 2016; the same from Iron on for these
+    type_hash: str  # REP 2016; equal for these types from Iron on
 
 
 ROS_TYPES = {
@@ -98,7 +98,7 @@ class TargetSpec:
     ) -> TargetSpec:
         """Parse ``KEY``, ``ros2:/TOPIC`` or ``ros2dds:/TOPIC``.
 
-        Raises ValueError: a topic or domain that ROS 2 does not allow, or an offset out of range.
+        Raises ValueError: ROS 2 does not allow the topic or domain, or an offset is out of range.
         """
         if not all(abs(one) <= OFFSET_MAX_M for one in offset_m):  # False for NaN
             raise ValueError(f"--target-offset {offset_m}: up to {OFFSET_MAX_M:g} m on each axis are allowed")
@@ -106,7 +106,7 @@ class TargetSpec:
             (d for d in (Dialect.ROS2DDS, Dialect.RMW_ZENOH) if text.startswith(d.value)), Dialect.PLAIN
         )
         spec = cls(text, dialect, text.removeprefix(dialect.value), target_type, domain, offset_m)
-        _ = spec.key  # checks
+        _ = spec.key  # raises if malformed
         return spec
 
     @property
@@ -121,24 +121,24 @@ class TargetSpec:
         return replace(self, name=f"{self.name}_static").key
 
     def described(self) -> dict[str, str]:
-        """Text for the log: source and processing of the odometry."""
+        """Return the source and processing of the odometry as text for the log."""
         x, y, z = self.offset_m
         return {"target": self.text, "target_type": self.type.value, "target_offset_m": f"{x:g} {y:g} {z:g}"}
 
     @property
     def is_direct(self) -> bool:
-        """Whether it is odometry on a Zenoh key, as of a simulated target, also in lockstep."""
+        """Whether the target is odometry on a Zenoh key, like a simulated target, also in lockstep."""
         plain = self.dialect is Dialect.PLAIN and self.type is TargetType.ODOMETRY
         return plain and self.offset_m == ZERO
 
 
 class TargetSource:
-    """Receives the target's motion; polled, without callbacks.
+    """Receives the target's motion; the owner polls it, there are no callbacks.
 
-    ``session``: owned by the caller; ``frame_id``: of the poses; ``child_frame_id``: of the target in
-    ``/tf``, and its name for a target that sends poses only; ``link``: noise of poses, for their velocity;
-    ``lossless``: block the sender when full instead of dropping the oldest (lockstep). Raises ValueError: the
-    key is not allowed.
+    ``session``: owned by the caller; ``frame_id``: frame of the poses; ``child_frame_id``: frame of the
+    target in ``/tf``, and its name if it sends only poses; ``link``: noise of poses, to estimate their
+    velocity; ``lossless``: block the sender when full instead of dropping the oldest (lockstep). Raises
+    ValueError: the key is not allowed.
     """
 
     def __init__(
@@ -192,7 +192,7 @@ class TargetSource:
         return taken
 
     def take_problems(self) -> list[str]:
-        """Warnings since the last call, each once a flight."""
+        """Return the warnings since the last call; each is sent once per flight."""
         texts, self._texts = self._texts, []
         return texts
 
@@ -227,7 +227,7 @@ class TargetSource:
         return True
 
     def _odometry(self, payload: bytes) -> _Made:
-        # Rejected samples are returned, too: the controller counts them, and the log has them unchanged.
+        # Rejected samples are returned, too: the controller counts them, and the log stores them unchanged.
         if self._until_look == 0:
             self._until_look = LOOK_EVERY
             self._look_at(payload)
@@ -241,7 +241,7 @@ class TargetSource:
         try:
             odometry = decode_odometry(payload)
         except OdometryError:
-            return  # the controller's decoder reports the error of each
+            return  # the controller's decoder reports the error of each sample
         self._is_framed(odometry.frame_id)
         if odometry.child_frame_id != self._child:
             self._tell(
@@ -306,10 +306,10 @@ _LIKELY = (
 
 
 class KeySearch:
-    """Subscribes to keys with names of odometry, a pose or tf, from the first ``keys`` until ``stop``.
+    """Lists keys whose names contain odometry, a pose or tf, from the first ``keys`` until ``stop``.
 
-    Meanwhile all samples of such keys are sent to this process: for use without a flight. Keys that the
-    session publishes are not found.
+    During the search this process receives all samples of such keys, so do not use it in flight. Keys that
+    the session itself publishes are not found.
     """
 
     def __init__(self, session: zenoh_link.Session) -> None:
@@ -318,7 +318,7 @@ class KeySearch:
         self._found: dict[str, None] = {}
 
     def keys(self) -> tuple[str, ...]:
-        """Names found so far, in order; those of rmw_zenoh as ``ros2:/TOPIC``. None in the first call."""
+        """Names found so far, in order; ``ros2:/TOPIC`` for keys of rmw_zenoh. The first call finds none."""
         if not self._subscribers:
             self._subscribers = [
                 zenoh_link.remote_subscriber(self._session, key, _CAPACITY) for key in _LIKELY

@@ -1,9 +1,9 @@
-"""The pose of one frame in another from single transforms, as on ROS 2's ``/tf``.
+"""Computes the pose of one frame in another from single transforms, as on ROS 2's ``/tf``.
 
-There is a pose for each new transform of the tracked frame, at its stamp; if it is fixed to another frame
-(``/tf_static``), for each new transform of that one. The newest transforms of the frames above are used. They
-must be fixed, or at most ``EDGE_AGE_MAX_S`` older: after a failure of the localisation the odometry of the
-wheels must not be used alone.
+Each new transform of the tracked frame gives a pose at its stamp; if the frame is fixed to another frame
+(``/tf_static``), each new transform of that frame does. The newest transforms of the frames above are used.
+They must be fixed, or at most ``EDGE_AGE_MAX_S`` older: after a failure of the localisation the wheel
+odometry must not be used alone.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from collections.abc import Iterable
 from bridge.frames import Quat, world_from_body
 from bridge.ros2.cdr import Pose, Transform
 
-EDGE_AGE_MAX_S = 1.0  # AMCL sends map -> odom at the rate of the laser, 5 Hz on a TurtleBot3
+EDGE_AGE_MAX_S = 1.0  # s; AMCL sends map -> odom at the rate of the laser, 5 Hz on a TurtleBot3
 FRAMES_MAX = 256  # further frames are ignored
-DEPTH_MAX = 16  # edges from the tracked frame to the world's
+DEPTH_MAX = 16  # greatest number of edges from the tracked frame to the world frame
 
 
 class TransformChain:
@@ -23,9 +23,9 @@ class TransformChain:
 
     def __init__(self, frame_id: str, child_frame_id: str) -> None:
         self._frame, self._child = frame_id, child_frame_id
-        self._edges: dict[str, Pose] = {}  # child: its pose in its parent
-        self._fixed: dict[str, Pose] = {}  # the same, from ``/tf_static``
-        self.problem = f"no transform of {child_frame_id!r} yet"  # why there is no pose, or ""
+        self._edges: dict[str, Pose] = {}  # pose in the parent frame, by child frame
+        self._fixed: dict[str, Pose] = {}  # fixed pose in the parent frame, from ``/tf_static``
+        self.problem = f"no transform of {child_frame_id!r} yet"  # reason why there is no pose, or ""
 
     def take_fixed(self, transforms: Iterable[Transform]) -> None:
         for transform in transforms:
@@ -33,7 +33,7 @@ class TransformChain:
             _keep(self._fixed, child, edge, child == self._child)
 
     def take(self, transforms: Iterable[Transform]) -> list[Pose]:
-        """Use the transforms of one message; returns the new poses, oldest first."""
+        """Use the transforms of one message; return the new poses, oldest first."""
         taken = [_without_slash(transform) for transform in transforms]
         for child, edge in taken:
             _keep(self._edges, child, edge, child == self._child)
@@ -52,7 +52,7 @@ class TransformChain:
         return poses
 
     def _carrier(self) -> tuple[str, Pose | None]:
-        """The nearest frame above (or itself) that is not fixed to another, and the pose in it."""
+        """Return the nearest frame above (or itself) that is not fixed to another, and the pose in it."""
         frame, place = self._child, None
         for _ in range(DEPTH_MAX):
             fixed = self._fixed.get(frame)
@@ -90,7 +90,7 @@ class TransformChain:
 
 
 def _without_slash(transform: Transform) -> tuple[str, Pose]:
-    """The name without the leading slash of ROS 1's tf."""
+    """Return the transform's frame name without the leading slash of ROS 1's tf, and its pose."""
     pose = transform.pose
     return transform.child_frame_id.removeprefix("/"), pose._replace(frame_id=pose.frame_id.removeprefix("/"))
 
@@ -101,7 +101,7 @@ def _keep(edges: dict[str, Pose], child: str, edge: Pose, always: bool) -> None:
 
 
 def _compose(above: Pose, pose: Pose) -> Pose:
-    """A pose in the parent frame of ``above``, with the stamp of the lower one."""
+    """Return a pose in the parent frame of ``above``, with the stamp of ``pose``."""
     x, y, z = world_from_body(above.orientation_wxyz, pose.position_m)
     ax, ay, az = above.position_m
     return Pose(
@@ -113,7 +113,7 @@ def _compose(above: Pose, pose: Pose) -> Pose:
 
 
 def _product(a: Quat, b: Quat) -> Quat:
-    """The rotation ``b`` followed by ``a`` (Hamilton product)."""
+    """Return the rotation ``b`` followed by ``a`` (Hamilton product)."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
     return (

@@ -1,1 +1,1 @@
-"""Zenoh sessions, connection alarms, attachments."""
+"""Zenoh sessions, connection alarms and attachments."""

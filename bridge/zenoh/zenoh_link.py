@@ -1,8 +1,8 @@
-"""Zenoh sessions that connect to the given endpoints only and are polled from the owner's loop.
+"""Zenoh sessions that connect only to the given endpoints and that the owner's loop polls.
 
-Without scouting and gossip unless a configuration file enables them, and without callbacks: a callback runs
+Scouting and gossip are off unless a configuration file enables them. There are no callbacks: a callback runs
 in another thread, hides exceptions, and blocks the end of a process with an open session. Zenoh retries a
-connection silently, so an alarm watches it; a rejected certificate, a wrong password and a missing machine
+connection silently, so an alarm monitors it; a rejected certificate, a wrong password and a missing machine
 cannot be distinguished.
 """
 
@@ -22,23 +22,23 @@ import zenoh.ext
 from flightstack.common.pacing import ask_for_priority, give_up_priority
 from flightstack.common.strict_toml import decoded
 
-Session = Any  # independent of the types of the zenoh package
+Session = Any  # Any, so that the types of the zenoh package are not needed
 Publisher = Any
 Subscriber = Any
 Sample = Any
 
 LOOPBACK = "tcp/127.0.0.1:0"  # any free port, this machine only
 LOOPBACK_ROUTER = "tcp/127.0.0.1:7447"  # default address of a router for clients and ROS 2 nodes
-_LEASE_MS = 2000  # a peer without messages is disconnected and dialled again; liveness is the age of messages
-# in lockstep a process may pause for longer, and no message may be lost; a killed one disconnects at once
+_LEASE_MS = 2000  # time without messages before a peer is disconnected, then connected again
+# a process in lockstep may pause for longer without losing a message; a killed one disconnects at once
 _LOCKSTEP_WAIT_MS = 60_000
-_ALIVE_TIMEOUT_S = 1.0  # the reply comes from the tables of this process
+_ALIVE_TIMEOUT_S = 1.0  # the reply comes from tables of this process
 _CLIENT_WAIT_MS = 10_000  # wait for a router that has not started
 _RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 1.5}
 
 
 class Role(Enum):
-    """The role of a session (``mode`` of a Zenoh configuration)."""
+    """Role of a session (``mode`` of a Zenoh configuration)."""
 
     PEER = "peer"  # exchanges data with direct connections only
     CLIENT = "client"  # exchanges data with all clients and peers of a router
@@ -49,15 +49,15 @@ _DEFAULTS: dict[str, Any] = {
     "connect/retry": _RETRY,
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
-    "scouting/delay": 0,  # else open() blocks 500 ms without a peer
+    "scouting/delay": 0,  # otherwise open() blocks for 500 ms without a peer
     "transport/link/tx/lease": _LEASE_MS,
-    # our messages are too small for shared memory, which needs /dev/shm
+    # shared memory needs /dev/shm and has no benefit for this stack's small messages
     "transport/shared_memory/enabled": False,
 }
 _ROLE_DEFAULTS: dict[Role, dict[str, Any]] = {
-    Role.PEER: {"listen/endpoints": [LOOPBACK]},  # default of Zenoh: every interface
+    Role.PEER: {"listen/endpoints": [LOOPBACK]},  # Zenoh's default is every interface
     Role.CLIENT: {"listen/endpoints": [], "connect/timeout_ms": _CLIENT_WAIT_MS},
-    # By gossip with their router ROS 2 nodes find each other (rmw_zenoh DEFAULT_RMW_ZENOH_ROUTER_CONFIG).
+    # ROS 2 nodes find each other by gossip with their router (rmw_zenoh DEFAULT_RMW_ZENOH_ROUTER_CONFIG).
     Role.ROUTER: {"listen/endpoints": [LOOPBACK_ROUTER], "scouting/gossip/enabled": True},
 }
 _LOCKSTEP: dict[str, Any] = {
@@ -96,21 +96,21 @@ def open_session(
 ) -> Session:
     """Open a session with these endpoints and no others.
 
-    Settings of a configuration file are used; endpoints given here replace those of the file. A peer, the
-    default, returns at once even without a connection: this is retried in the background every 0.05 to 0.5 s.
-    A client needs its router within 10 s, and continues after a loss. A rejected connection is not reported;
+    A configuration file provides the settings; endpoints given here replace those of the file. A peer, the
+    default, returns at once even without a connection, and retries in the background every 0.05 to 0.5 s. A
+    client needs its router within 10 s, and continues after a loss. A rejected connection is not reported;
     see ``transports`` and the age of messages. Close the session after use.
 
     Args:
         listen: endpoints for incoming connections; empty: those of the file, or a free port on loopback.
         connect: endpoints to connect to; empty: those of the file.
         config_file: a Zenoh configuration (JSON5), for example with TLS keys and access rules.
-        role: if the file does not set the mode; a router does not forward between its peers.
-        prompt: real-time priority for its threads, where the system allows it.
-        lockstep: a connection outlives a pause of 60 s of a process at either end, and loses nothing in it.
+        role: used if the file does not set the mode; a router does not forward between its peers.
+        prompt: request real-time priority for its threads, if the system allows it.
+        lockstep: a connection survives a pause of 60 s of a process at either end without losing messages.
 
     Raises:
-        ValueError: an endpoint is malformed, or the file is.
+        ValueError: an endpoint or the file is malformed.
         ZenohLinkError: the session could not be opened, for example because a port is taken.
     """
     listen = [check_endpoint(endpoint) for endpoint in listen]
@@ -136,7 +136,7 @@ def open_session(
 
 
 def _configuration(listen: Sequence[str], connect: Sequence[str], file: Path | None, role: Role) -> Any:
-    """Zenoh's configuration: arguments, then the file, then our defaults."""
+    """Return Zenoh's configuration: first the arguments, then the file, then this module's defaults."""
     untouched = zenoh.Config()
     try:
         if file is None:
@@ -190,36 +190,36 @@ def _reason(error: zenoh.ZError) -> str:
 
 
 def blocking_publisher(session: Session, key: str, encoding: str | None = None) -> Publisher:
-    """A publisher whose ``put`` waits for room: at most 5 s, in lockstep 60 s, then Zenoh disconnects."""
+    """Declare a publisher that waits for room: at most 5 s, in lockstep 60 s; then Zenoh disconnects."""
     return _publisher(session, key, encoding, zenoh.CongestionControl.BLOCK)
 
 
 def dropping_publisher(session: Session, key: str, encoding: str | None = None) -> Publisher:
-    """A publisher whose ``put`` drops the sample without room (real time)."""
+    """Declare a publisher that drops samples when its queue is full (real time)."""
     return _publisher(session, key, encoding, zenoh.CongestionControl.DROP)
 
 
 def ring_subscriber(session: Session, key: str, capacity: int = 256) -> Subscriber:
-    """A subscriber with the newest ``capacity`` samples; older ones are dropped (real time)."""
+    """Declare a subscriber that stores the newest ``capacity`` samples and drops older ones (real time)."""
     return session.declare_subscriber(_key(key), zenoh.handlers.RingChannel(capacity))
 
 
 def remote_subscriber(session: Session, key: str, capacity: int = 256) -> Subscriber:
-    """A ring subscriber without the publications of its session."""
+    """Declare a ring subscriber that ignores the publications of its own session."""
     return session.declare_subscriber(
         _key(key), zenoh.handlers.RingChannel(capacity), allowed_origin=zenoh.Locality.REMOTE
     )
 
 
 def fifo_subscriber(session: Session, key: str, capacity: int = 1024) -> Subscriber:
-    """A subscriber without losses: a full one blocks the sender (lockstep)."""
+    """Declare a subscriber without losses: when it is full, it blocks the sender (lockstep)."""
     return session.declare_subscriber(_key(key), zenoh.handlers.FifoChannel(capacity))
 
 
 def kept_subscriber(session: Session, key: str, capacity: int = 256) -> Subscriber:
-    """Declare a ring subscriber that also receives what publishers cache for late subscribers.
+    """Declare a ring subscriber that also receives the samples cached for late subscribers.
 
-    ROS 2's *transient local*: rmw_zenoh and zenoh-bridge-ros2dds store it in advanced publishers.
+    ROS 2 calls this *transient local*: rmw_zenoh and zenoh-bridge-ros2dds use advanced publishers for it.
     """
     return zenoh.ext.declare_advanced_subscriber(
         session,
@@ -235,7 +235,7 @@ def liveliness_token(session: Session, key: str) -> Any:
 
 
 def is_alive(session: Session, key: str) -> bool:
-    """Return whether a connected session holds this token."""
+    """Whether a connected session holds this token."""
     return any(True for _ in session.liveliness().get(_key(key), timeout=_ALIVE_TIMEOUT_S))
 
 
@@ -248,19 +248,19 @@ def drain(subscriber: Subscriber) -> list[Sample]:
 
 
 def is_matched(publisher: Publisher) -> bool:
-    """Whether there is a subscriber; samples before are lost."""
+    """Whether there is a subscriber; samples sent without one are lost."""
     return bool(publisher.matching_status.matching)  # the status object itself is always true
 
 
 def transports(session: Session) -> int:
-    """Number of open connections; 0 long after opening means rejected or unreachable."""
+    """Return the number of open connections; 0 long after opening means rejected or unreachable."""
     return len(session.info.transports())
 
 
 def dialled(
     connect: Sequence[str] = (), *, config_file: Path | None = None, role: Role = Role.PEER
 ) -> tuple[Role, list[str]]:
-    """Return the role of ``open_session`` with these arguments, and the endpoints it connects to.
+    """Return the role of ``open_session`` with these arguments, and the endpoints to which it connects.
 
     Raises ValueError: the file is malformed.
     """
@@ -286,7 +286,7 @@ def open_to_all(listen: Sequence[str] = (), *, config_file: Path | None = None) 
 
 
 def knows_router(session: Session) -> bool:
-    """Whether one of the connections is to a router."""
+    """Whether one of the connections leads to a router."""
     return any(True for _ in session.info.routers_zid())
 
 
@@ -306,14 +306,14 @@ def _key(key: str) -> Any:
         ) from error
 
 
-PATIENCE_S = 3.0  # s without a connection before a warning; a restarted router needs less
+PATIENCE_S = 3.0  # time without a connection before a warning; a restarted router needs less
 LOOK_EVERY_S = 1.0
 
 
 class ConnectionAlarm:
-    """Watches one session; poll it in every tick.
+    """Monitors the connection of one session; poll it in every tick.
 
-    ``whom`` are the endpoints it connects to; without any there is no alarm.
+    ``whom``: endpoints to which the session connects; without any there is no alarm.
     """
 
     def __init__(self, session: Session, whom: Sequence[str], role: Role = Role.PEER) -> None:
@@ -324,7 +324,7 @@ class ConnectionAlarm:
         self._said_router = role is not Role.PEER
 
     def poll(self, now_s: float) -> list[str]:
-        """Texts on changes since the last call; ``now_s`` never goes back."""
+        """Return texts about changes since the last call; ``now_s`` must never go back."""
         if not self._whom or now_s < self._next_s:
             return []
         self._next_s = now_s + LOOK_EVERY_S
@@ -362,7 +362,7 @@ _OLD_NAMES = (b"\x0fsequence_number", b"\x10source_timestamp", b"\x0asource_gid"
 
 
 def pack_attachment(sequence: int, source_time_ns: int, gid: bytes) -> bytes:
-    """The 33-byte attachment: sequence from 1, Unix time of sending, id of the publisher (16 bytes).
+    """Return the 33-byte attachment: sequence from 1, Unix time of sending, publisher id (16 bytes).
 
     Raises ValueError: ``gid`` has another length.
     """
@@ -372,7 +372,7 @@ def pack_attachment(sequence: int, source_time_ns: int, gid: bytes) -> bytes:
 
 
 def parse_attachment(data: bytes | None) -> tuple[int, int] | None:
-    """Sequence number and source time (Unix, ns); None if absent or of another form."""
+    """Return sequence number and source time (Unix, ns); None if absent or of another form."""
     if data is None:
         return None
     if len(data) == _NEW.size:

@@ -1,1 +1,1 @@
-"""Check of a vehicle's parameters before a flight."""
+"""Checks a vehicle's parameters before a flight."""

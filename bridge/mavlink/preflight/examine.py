@@ -1,4 +1,4 @@
-"""Identifies the vehicle before a flight and reads its parameters. Bounded in time; writes nothing."""
+"""Identifies the vehicle and reads its parameters before a flight. Bounded in time; writes no parameter."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ from bridge.mavlink.preflight.table import (
 from bridge.mavlink.preflight.table import table as table_of
 from bridge.mavlink.profiles import OWN_SITL, Encoding, Profile, found, marked, refusal
 
-_HELLO_S = 0.2  # s between heartbeats before the first message of the vehicle
+_HELLO_S = 0.2  # time between heartbeats before the first message of the vehicle, s
 _HEARTBEAT_S = 1.0
-_VERSION_S = 0.5  # s between two tries
-_VERSION_TRIES = 12  # a busy line of 57,600 baud loses most replies
-_VERSION_TRIES_UNNEEDED = 4  # tries with rules that do not depend on the release
-_SAY_S = 2.0  # s between two texts on the wait
-_VOLTAGE_UNKNOWN = 0xFFFF  # mV, MAVLink SYS_STATUS.voltage_battery
-_SLICE_S = 0.02  # s between two looks
-_READ_MAX_S = 30.0  # s for the whole check after the first message of the vehicle
+_VERSION_S = 0.5  # time between two tries, s
+_VERSION_TRIES = 12  # number of tries; a busy line of 57,600 baud loses most replies
+_VERSION_TRIES_UNNEEDED = 4  # number of tries if the rules do not depend on the release
+_SAY_S = 2.0  # time between two texts about the wait, s
+_VOLTAGE_UNKNOWN = 0xFFFF  # value in mV of an unknown voltage, MAVLink SYS_STATUS.voltage_battery
+_SLICE_S = 0.02  # time between two polls, s
+_READ_MAX_S = 30.0  # time limit of the check after the first message of the vehicle, s
 
 
-_AT_ONCE = 5  # pending requests; the buffer of a radio is small
-_READ_PERIOD_S = 0.4  # s between two tries; PX4 and ArduPilot reply within 0.05 s on a wire
+_AT_ONCE = 5  # number of pending requests; a radio has a small buffer
+_READ_PERIOD_S = 0.4  # time between two tries, s; PX4 and ArduPilot reply within 0.05 s on a wire
 _READ_TRIES = 5
-_READ_TRIES_LOSSY = 15  # after a lost reply: a busy line of 57,600 baud loses most of them
+_READ_TRIES_LOSSY = 15  # number of tries after a lost reply: a busy line of 57,600 baud loses most of them
 _FLOAT = struct.Struct("<f")
-# Layout of the float field with bytewise integers.
+# Layout of the float field that carries an integer bytewise.
 _BYTES: Mapping[int, struct.Struct] = {
     dialect.MAV_PARAM_TYPE_UINT8: struct.Struct("<Bxxx"),
     dialect.MAV_PARAM_TYPE_INT8: struct.Struct("<bxxx"),
@@ -60,16 +60,16 @@ _ERRORS = {number: entry.name.removeprefix("MAV_PARAM_ERROR_") for number, entry
 
 
 class ParameterReader:
-    """Reads parameters by name (mavlink.io, services/parameter): bounded tries, matched by name.
+    """Reads parameters by name (mavlink.io, services/parameter); the number of tries is limited.
 
-    A parameter without reply is missing, with the reason. After a lost reply the number of tries is raised.
+    A parameter without a reply is missing, with a reason. A lost reply raises the limit of tries.
     """
 
     def __init__(
         self, names: Iterable[str], target_system: int, target_component: int, encoding: Encoding
     ) -> None:
-        self.values: dict[str, float] = {}  # received values
-        self.missing: dict[str, str] = {}  # reasons of the missing ones
+        self.values: dict[str, float] = {}  # received values by name
+        self.missing: dict[str, str] = {}  # reasons why parameters are missing, by name
         self._open = list(dict.fromkeys(names))
         self._target = (target_system, target_component)
         self._encoding = encoding
@@ -82,7 +82,7 @@ class ParameterReader:
         return not self._open
 
     def take(self, message: Message) -> None:
-        """Handle a message of the vehicle; messages without relation to a request are ignored."""
+        """Handle a message of the vehicle; ignore messages that answer no request."""
         kind = message.get_msgId()
         if kind == dialect.MAVLINK_MSG_ID_PARAM_VALUE:
             self._value(message)
@@ -92,7 +92,7 @@ class ParameterReader:
                 self._close(name, f"refused: {_ERRORS.get(message.error, f'error {message.error}')}")
 
     def step(self, now_s: float) -> list[Message]:
-        """Return the requests to send now; a parameter without reply becomes missing."""
+        """Return the requests to send now; a parameter without a reply becomes missing."""
         most = self._tries_max
         for name in [n for n in self._open if self._tries[n] >= most and self._waited(n, now_s)]:
             self._close(name, f"no answer to {most} requests in {most * _READ_PERIOD_S:g} s")
@@ -133,11 +133,11 @@ class ParameterReader:
 class Report:
     profile: Profile | None  # profile of the autopilot; None: not recognised
     version: str | None  # release of the autopilot; None: not received
-    findings: tuple[Finding, ...]  # one for each rule; empty if the check ended before
-    problem: str | None  # why the vehicle may not fly, apart from parameters; or None
-    notes: tuple[str, ...] = ()  # information on the release for the operator
+    findings: tuple[Finding, ...]  # one finding per rule; empty if the check ended early
+    problem: str | None  # reason, other than parameters, why the vehicle may not fly, or None
+    notes: tuple[str, ...] = ()  # information about the release for the operator
     rules: str | None = None  # release whose rules were used; None: no rules
-    # required and measured rates of a serial line; None: other link
+    # required and measured rates of a serial line; None: another kind of link
     line: str | None = None
     rest_v: float | None = None  # battery voltage before arming; None: armed, or not received
 
@@ -163,12 +163,12 @@ def examine(
     say: Callable[[str], None] = lambda _text: None,
     senders: Senders | None = None,
 ) -> Report:
-    """Check the vehicle; consumes the messages of ``endpoint`` meanwhile.
+    """Check the vehicle; this consumes the messages of ``endpoint``.
 
-    ``chosen``: configured profile; None: by the heartbeat; ``accepted``: names of accepted parameters;
-    ``wait_s``: for the first heartbeat; ``accept_release``: allow an unknown release, with the nearest rules;
-    ``stopped``: ends the check early; ``say``: gets a text on the wait every two seconds; ``senders``: learns
-    the vehicle's address for the flight.
+    ``chosen``: configured profile, None: the heartbeat selects it; ``accepted``: names of accepted
+    parameters; ``wait_s``: time-out of the first heartbeat; ``accept_release``: allow an unknown release,
+    with the nearest rules; ``stopped``: returns True to end the check early; ``say``: receives a text about
+    the wait every two seconds; ``senders``: stores the vehicle's address for the flight.
     """
     check = _Check(endpoint, system_id, chosen, senders or Senders(), accept_release=accept_release)
     began_s = time.monotonic()
@@ -199,7 +199,7 @@ def examine(
 
 
 class _Check:
-    """State of the check; ``turn`` makes one step."""
+    """State of the check; ``turn`` runs one step."""
 
     def __init__(
         self, endpoint: Endpoint, system_id: int, chosen: Profile | None, senders: Senders, *,
@@ -223,7 +223,7 @@ class _Check:
         self._version_over = False
         self._foreign = LinkCounters()
         self._arrivals = Arrivals()
-        self._why = ""  # reason of the silence, from the last increment of the counters
+        self._why = ""  # reason of the silence, from the last increase of the counters
 
     @property
     def version(self) -> str | None:
@@ -236,7 +236,7 @@ class _Check:
         return self.refused is not None or (read and not self._senders.suspects)
 
     def waits_for(self) -> str:
-        """What has not arrived yet, as text."""
+        """Text about the message that has not arrived yet."""
         if not self.heard:
             grown = self._arrivals.grown(self._endpoint.counters)
             if grown.keys() - {"sent"} or not self._why:
@@ -250,7 +250,7 @@ class _Check:
         return f"{len(known)} of {len(names)} parameters received; missing are {', '.join(left[:4])}"
 
     def turn(self, now_s: float) -> None:
-        """Send due requests, wait briefly, handle the input."""
+        """Send due requests, wait briefly, handle the received messages."""
         messages: list[Message] = []
         if now_s - self._said_s >= (_HEARTBEAT_S if self.heard else _HELLO_S):
             self._said_s = now_s
@@ -285,7 +285,7 @@ class _Check:
         return [request_message(self._target, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION, profile.unset)]
 
     def _choose(self, profile: Profile) -> None:
-        """Choose the rules; those of this project's vehicles do not depend on the release."""
+        """Choose the rules; for this project's vehicles they do not depend on the release."""
         table = table_of(profile.name)
         if table is None:
             return

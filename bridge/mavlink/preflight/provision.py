@@ -1,7 +1,7 @@
 """Sets or removes the MAVLink signing key of a vehicle on the ground by SETUP_SIGNING. Bounded in time.
 
-PX4 from 1.18 on accepts a first key unsigned on any link; a key of zeros, signed with the current one, ends
-signing. ArduPilot accepts a key, too, and never signs on its first USB link. Both reject it while armed.
+PX4 from 1.18 on accepts a first key unsigned on any link; a key of zeros, signed with the current key, ends
+signing. ArduPilot accepts a key, too, but never signs on its first USB link. Both reject a key while armed.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from bridge.mavlink.signing import EPOCH_NS, KEY_BYTES, TICK_NS, SigningKey
 from bridge.mavlink.transport.address import Peer, is_local, parse_url, resolve
 
 _COMPONENT_ID = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
-_PERIOD_S = 0.5  # s between two tries
+_PERIOD_S = 0.5  # time between two tries, s
 _TRIES = 12
-_SLICE_S = 0.02  # s between two looks
+_SLICE_S = 0.02  # time between two polls, s
 
 
 def provision(url: str, system_id: int, key: SigningKey, *, remove: bool, wait_s: float) -> str | None:
-    """Set or remove a key; it is sent unencrypted, so only over a cable or loopback.
+    """Set or remove a key; it is sent unencrypted, so only a cable or loopback is allowed.
 
-    ``key``: the new key, or the current one with ``remove``; ``wait_s``: for the first heartbeat.
-    Returns the reason of a failure; None when the vehicle has shown the change.
-    Raises ValueError: bad URL, or one that leads over a network; OSError: the address cannot be opened.
+    ``key``: the new key, or the current key with ``remove``; ``wait_s``: time-out of the first heartbeat.
+    Returns the reason of a failure; None: the vehicle has shown the change.
+    Raises ValueError: the URL is bad or leads over a network; OSError: the address cannot be opened.
     """
     kind, host, port = parse_url(url)
     if kind != "serial" and not is_local(resolve(f"MAVLink URL {url!r}", host, port)):
@@ -77,7 +77,7 @@ class _Provision:
         )
 
     def _changed(self) -> int:
-        """Number of frames that show the change: signed ones, or unsigned ones after a removal."""
+        """Return the number of frames that show the change: signed ones, or unsigned ones after a removal."""
         counters = self._endpoint.counters
         return counters.unsigned if self._remove else counters.unchecked
 

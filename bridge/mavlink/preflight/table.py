@@ -1,4 +1,4 @@
-"""Rules for an autopilot's parameters by release, from a TOML file, and the judgement by them; pure."""
+"""Rules for an autopilot's parameters by release, read from a TOML file, and their evaluation. Pure."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from flightstack.common.strict_toml import Files
 
 _FILE_OF = {OWN_SITL.name: "px4", PX4.name: "px4", ARDUPILOT.name: "ardupilot"}  # others have no parameters
 _SLACK = 1e-6  # relative tolerance of a parameter in single precision
-_NAME_MAX = 16  # characters, MAVLink PARAM_VALUE
+_NAME_MAX = 16  # characters of a name, MAVLink PARAM_VALUE
 
 
 class Needs(NamedTuple):
-    """Requirements of the flight on the autopilot."""
+    """Requirements of the flight for the autopilot."""
 
     horizontal_m_s: float  # largest command of the velocity box
     vertical_m_s: float
     horizontal_m_s2: float  # largest acceleration of the commanded velocity
     vertical_m_s2: float
-    altitude_max_m: float  # above the ground
+    altitude_max_m: float  # height above the ground
     system_id: int = 1  # MAVLink id of the vehicle and its companion
 
 
 class Need(Enum):
-    """A bound that depends on the flight: attributes of ``Needs``."""
+    """A bound that depends on the flight; the values are attributes of ``Needs``."""
 
     HORIZONTAL_M_S = "horizontal_m_s"
     VERTICAL_M_S = "vertical_m_s"
@@ -47,10 +47,10 @@ class Need(Enum):
 class Severity(Enum):
     """Consequence of an unsafe or missing value."""
 
-    UNSAFE = "unsafe"  # does not arm, unless accepted by name
+    UNSAFE = "unsafe"  # the vehicle is not armed, unless the operator accepts the name
     NOTE = "note"  # information for the operator
-    INFO = "info"  # could work better
-    IGNORED = "ignored"  # for a missing value: not every vehicle has it
+    INFO = "info"  # the vehicle could perform better
+    IGNORED = "ignored"  # for a missing value that not every vehicle has
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,9 +59,9 @@ class Name:
 
     name: str
     since: str = ""  # first release; empty: the oldest of the table
-    before: str = ""  # first release that no longer has it; empty: none
+    before: str = ""  # first release without the name; empty: there is none
     unit: str = ""
-    scale: float = 1.0  # factor from the parameter's unit to the rule's
+    scale: float = 1.0  # factor from the parameter's unit to the rule's unit
 
     def has(self, release: str) -> bool:
         """Whether a release of the table has this name."""
@@ -72,7 +72,7 @@ class Name:
 
     @property
     def where(self) -> str:
-        """Releases that have it."""
+        """Releases that have the name, as text."""
         ends = (f"from {self.since}" if self.since else "", f"before {self.before}" if self.before else "")
         return " ".join(filter(None, ends))
 
@@ -81,25 +81,25 @@ class Name:
 class Rule:
     """Requirement on one setting of the vehicle under all its names, with exactly one condition.
 
-    Numbers are in the rule's unit: a parameter's value times the ``scale`` of its name.
+    Numbers have the rule's unit: a parameter's value times the ``scale`` of its name.
     """
 
-    means: str  # our name of the setting, the same over all releases
+    means: str  # this project's name of the setting, equal for all releases
     names: tuple[Name, ...]
     text: str  # consequence of another value
     severity: Severity = Severity.UNSAFE
-    missing: Severity | None = None  # severity of a missing value; None: that of the rule
-    profiles: tuple[str, ...] = ()  # profiles of the file with this rule; empty: all
-    stops: tuple[str, ...] = ()  # values that stop the motors in the air: always unsafe
-    wanted: str = ""  # allowed values as text; {}: the number; empty: from the condition
+    missing: Severity | None = None  # severity of a missing value; None: severity of the rule
+    profiles: tuple[str, ...] = ()  # profiles of the file that have this rule; empty: all
+    stops: tuple[str, ...] = ()  # values that stop the motors in the air and are always unsafe
+    wanted: str = ""  # allowed values as text; {}: the number; empty: derived from the condition
     # conditions
-    low: float | Need | None = None  # least and greatest value
+    low: float | Need | None = None  # smallest and greatest allowed value
     high: float | Need | None = None
-    values: tuple[str, ...] = ()  # allowed whole numbers, each with its meaning, as "4 (land)"
+    values: tuple[str, ...] = ()  # allowed whole numbers with their meaning, such as "4 (land)"
     bits_set: int | None = None
     bits_clear: int | None = None
     not_zero: bool = False
-    # also allowed: this number and all below
+    # greatest number of a second allowed range, which has no lower limit
     off: float | None = None
     off_text: str = ""
 
@@ -132,7 +132,7 @@ class Rule:
         return number in _numbers(self.stops)
 
     def wanted_in(self, name: Name, needs: Needs) -> str:
-        """Required value of the parameter in its unit; rounded up, so that it suffices."""
+        """Return the required value of the parameter in its unit, rounded up so that it suffices."""
         unit = f" {name.unit}" if name.unit else ""
 
         def own(number: float) -> str:
@@ -165,7 +165,7 @@ class Asked(NamedTuple):
     others: tuple[tuple[Name, bool], ...]  # names in other releases; True: the value can be converted
 
     def elsewhere(self, value: float | None) -> str:
-        """Names and, where they can be converted, values in other releases; empty: the same."""
+        """Return names and convertible values in other releases; empty: the names are equal."""
         texts = []
         for other, converts in self.others:
             converted = ""
@@ -196,7 +196,7 @@ class Table:
                     raise ValueError(f"{a[0].name}: two rules for release {release}")
 
     def asked(self, profile: str, release: str) -> tuple[Asked, ...]:
-        """Parameters of one of the table's releases for one of its profiles."""
+        """Return the parameters of one of the table's releases for one of its profiles."""
         rules = [rule for rule in self.rule if not rule.profiles or profile in rule.profiles]
         found = []
         for rule in rules:
@@ -213,7 +213,7 @@ class Table:
 
 
 def minor(release: str) -> tuple[int, int]:
-    """Major and minor number of a release such as ``4.7``. Raises ValueError: another form."""
+    """Return major and minor number of a release such as ``4.7``. Raises ValueError: another form."""
     major, dot, number = release.partition(".")
     if not (dot and major.isdecimal() and number.isdecimal()):
         raise ValueError(f"found {release!r}, a release such as '4.7' is needed")
@@ -225,7 +225,7 @@ _FILES = Files(Table, "bridge.mavlink.preflight", "rules")
 
 @cache
 def table(profile: str) -> Table | None:
-    """The rules of a profile; None: its vehicle has no parameters. Raises ConfigError: a broken file."""
+    """Return the rules of a profile; None: it has no parameters. Raises ConfigError: the file is invalid."""
     file = _FILE_OF.get(profile)
     return _FILES.load(file) if file is not None else None
 
@@ -235,10 +235,10 @@ _TYPE = "FIRMWARE_VERSION_TYPE"
 
 class Level(Enum):
     OK = "ok"
-    INFO = "info"  # works, could work better
+    INFO = "info"  # safe, but the vehicle could perform better
     NOTE = "note"  # information for the operator
-    UNSAFE = "UNSAFE"  # does not arm, unless accepted by name
-    ACCEPTED = "accepted"  # unsafe, and accepted by name
+    UNSAFE = "UNSAFE"  # the vehicle is not armed, unless the operator accepts the name
+    ACCEPTED = "accepted"  # unsafe, but accepted by name
 
 
 _LEVEL_OF = {Severity.UNSAFE: Level.UNSAFE, Severity.NOTE: Level.NOTE, Severity.INFO: Level.INFO}
@@ -248,12 +248,12 @@ _LEVEL_OF = {Severity.UNSAFE: Level.UNSAFE, Severity.NOTE: Level.NOTE, Severity.
 class Finding:
     name: str
     level: Level
-    value: float | None  # in the vehicle's unit; None: missing
+    value: float | None  # value in the vehicle's unit; None: missing
     unit: str
     wanted: str
     why: str
     means: str  # name of the setting over all releases
-    elsewhere: str  # name in other releases, with the value where it can be converted
+    elsewhere: str  # name in other releases, with the value if it can be converted
 
     @property
     def shown(self) -> str:
@@ -276,10 +276,10 @@ def judge(
     needs: Needs,
     accepted: Collection[str],
 ) -> list[Finding]:
-    """Judge all parameters of the vehicle's release.
+    """Evaluate all parameters of the vehicle's release.
 
-    ``values``: received, by name; ``missing``: reasons of the others, by name; ``accepted``: names, of any
-    release, that the operator has accepted with any value.
+    ``values``: received values by name; ``missing``: reasons for the other names; ``accepted``: names, of any
+    release, whose value the operator accepts.
     """
     found = (_finding(each, values.get(each.name.name), missing, needs, accepted) for each in asked)
     return [finding for finding in found if finding is not None]
@@ -313,7 +313,7 @@ class Release(NamedTuple):
 
     @property
     def text(self) -> str:
-        """As ``1.16.0 beta``."""
+        """Release as text, such as ``1.16.0 beta``."""
         return f"{self.major}.{self.minor}.{self.patch} {self.kind}".rstrip()
 
 
@@ -327,14 +327,14 @@ def release_of(message: Message) -> Release:
 
 class Choice(NamedTuple):
     release: str  # release of the table
-    problem: str | None  # why the vehicle may not fly, or None
+    problem: str | None  # reason why the vehicle may not fly, or None
     note: str | None  # information for the operator
 
 
 def choose(table: Table, release: Release | None, silence: str, *, accept: bool) -> Choice:
-    """Choose the rules of a release; of the nearest one for an unknown release.
+    """Choose the rules of a release, or of the nearest one if the release is unknown.
 
-    ``release``: None: not received, for the reason ``silence``; ``accept``: allow an unknown release.
+    ``release`` None: it was not received, for the reason ``silence``; ``accept``: allow an unknown release.
     """
     newest, oldest = table.releases[-1], table.releases[0]
     number = (release.major, release.minor) if release is not None else (0, 0)

@@ -1,1 +1,1 @@
-"""The vehicle's side of MAVLink: a server that lets a program appear as an autopilot."""
+"""Vehicle side of MAVLink: a server with which a program appears as an autopilot."""

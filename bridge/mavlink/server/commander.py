@@ -1,10 +1,10 @@
-"""Modes of a PX4-like vehicle, what clients' commands do with them, and which client has control.
+"""Flight modes of a PX4-like vehicle, the effect of clients' commands, and which client has control.
 
-One sender of set-points has control of the vehicle, and few commands of other senders are obeyed: PX4 obeys
-the newest message, and a second companion or a forgotten script could take over in flight.
+One sender of set-points has control of the vehicle, and only few commands of other senders are accepted: PX4
+follows the newest message, so a second companion or a forgotten script could take over in flight.
 
-A subclass arms and disarms, flies the modes, and has fail-safes of its own. Methods that can refuse return
-the reason, None when done.
+A subclass arms and disarms, flies the modes, and adds its fail-safes. Methods that can refuse return the
+reason, or None after success.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from bridge.mavlink.server.texts import Texts
 from bridge.mavlink.transport.address import Peer
 from flightstack.core.types import ZERO, Vec3
 
-# system id, component id, and the address where there is one: ids alone are not unique
+# system id, component id, and the address if there is one: ids alone are not unique
 Sender = tuple[int, int] | tuple[int, int, Peer]
 
 # System ids of ground stations: QGroundControl, MAVProxy and dronekit use 255, MAVSDK uses 245.
@@ -30,35 +30,35 @@ GROUND_STATIONS = frozenset({255, 245})
 
 
 class Right(Enum):
-    """Which senders may do something while one of them has control."""
+    """Senders that may send a command while one sender has control."""
 
-    ANYBODY = "anybody"  # changes nothing, or makes the vehicle safer: questions, telemetry, landing
-    OWNER = "owner"  # changes what the vehicle does
-    OWNER_OR_GROUND = "owner or ground station"  # motors off in an emergency
+    ANYBODY = "anybody"  # for queries, telemetry, landing: they change nothing or increase safety
+    OWNER = "owner"  # for commands that change the motion of the vehicle
+    OWNER_OR_GROUND = "owner or ground station"  # for motors off in an emergency
 
 
 class Battery(NamedTuple):
-    """Battery of one cell."""
+    """Battery with one cell."""
 
     voltage_v: float
-    percent: int  # -1: not known
+    percent: int  # remaining charge; -1: unknown
 
 
 class Commander(ABC):
-    """One vehicle as the server sees it."""
+    """State and commands of one vehicle, as the server needs them."""
 
-    height_range_m: ClassVar[tuple[float, float]]  # of a take-off, above home
+    height_range_m: ClassVar[tuple[float, float]]  # allowed take-off height above home
 
     def __init__(self) -> None:
-        self.mode = FlightMode.HOLD  # meaningful also while disarmed
-        self.failsafe = False  # the mode was not requested but forced by a failure
+        self.mode = FlightMode.HOLD  # mode; also valid while disarmed
+        self.failsafe = False  # a failure, not a client, has set the mode
         self.texts = Texts()
         self.home_enu_m: Vec3 = ZERO
-        self.takeoff_z_m = 0.0  # height of the next or present take-off, local
+        self.takeoff_z_m = 0.0  # local height of the next or present take-off
         self._owner: Sender | None = (
             None  # sender that has control; it loses control when its set-points stop
         )
-        self._setpoint_s = -math.inf  # time of the owner's newest set-point
+        self._setpoint_s = -math.inf  # time of the newest set-point of the sender in control
 
     @property
     @abstractmethod
@@ -73,7 +73,7 @@ class Commander(ABC):
     @property
     @abstractmethod
     def standing(self) -> bool:
-        """Whether it is on the ground or on the pad, not just touching."""
+        """Whether it stands on the ground or the pad; a mere touch does not count."""
 
     @property
     @abstractmethod
@@ -82,48 +82,48 @@ class Commander(ABC):
     @property
     @abstractmethod
     def stream_lost_s(self) -> float:
-        """Silence after which OFFBOARD has no stream and control is free."""
+        """Time without set-points, s, after which OFFBOARD has no stream and control is free."""
 
     @abstractmethod
     def sensors_healthy(self, now_s: float, /) -> int:
-        """MAV_SYS_STATUS_SENSOR bits in good order, besides those of the profile."""
+        """Return the MAV_SYS_STATUS_SENSOR bits of healthy sensors, in addition to the profile's."""
 
     @abstractmethod
     def problems(self, now_s: float, /) -> list[str]:
-        """Reasons why the vehicle would not arm now; empty when ready."""
+        """Return the reasons against arming now; empty when ready."""
 
     @abstractmethod
     def yaw_rad(self) -> float | None:
-        """Heading, counter-clockwise from east; None: not known."""
+        """Heading, counter-clockwise from east; None: unknown."""
 
     @abstractmethod
     def arm(self, now_s: float, /) -> str | None: ...
 
     @abstractmethod
     def disarm(self, now_s: float, /, *, force: bool) -> str | None:
-        """Disarm; in the air only by force."""
+        """Disarm; in the air only if ``force`` is set."""
 
     @abstractmethod
     def _why_no_mode(self, mode: FlightMode, now_s: float) -> str | None:
-        """Why it cannot change to any mode but LAND."""
+        """Return the reason why the mode cannot start, or None; a change to LAND is not checked."""
 
     @abstractmethod
     def _height_m(self) -> float:
-        """Local height by the estimate; -inf: not known."""
+        """Return the estimated local height; -inf: unknown."""
 
     @abstractmethod
     def _default_takeoff_z_m(self) -> float:
-        """Local height of a take-off that names none."""
+        """Return the local height of a take-off without a given height."""
 
     @abstractmethod
     def _begin(self, now_s: float) -> None:
-        """Begin to fly ``mode`` from the present state."""
+        """Start to fly ``mode`` from the present state."""
 
     @abstractmethod
     def _take(self, setpoint: Setpoint, now_s: float) -> None:
-        """Take the owner's set-point; it is flown in OFFBOARD only."""
+        """Handle a set-point of the sender in control; it is flown only in OFFBOARD."""
 
-    # What clients command
+    # Commands of clients
 
     @property
     def landed_state(self) -> int:
@@ -131,14 +131,14 @@ class Commander(ABC):
         return int(dialect.MAV_LANDED_STATE_ON_GROUND) if self.standing else AIRBORNE_STATE[self.mode]
 
     def forbids(self, sender: Sender, right: Right, now_s: float) -> str | None:
-        """Why this sender may not do something now; while disarmed every sender may."""
+        """Return the reason why this sender may not do this now; while disarmed every sender may."""
         ground = right is Right.OWNER_OR_GROUND and sender[0] in GROUND_STATIONS
         if not self.armed or right is Right.ANYBODY or ground:
             return None
         return self._other_has_control(sender, now_s)
 
     def _other_has_control(self, sender: Sender, now_s: float) -> str | None:
-        """Text on the other sender that has control; None: this sender has it, or it is free."""
+        """Return a text about the other sender that has control; None: this sender has it, or it is free."""
         owner = self._owner
         if owner is None or sender == owner or now_s - self._setpoint_s > self.stream_lost_s:
             return None
@@ -146,7 +146,7 @@ class Commander(ABC):
         return f"{owner[0]}/{owner[1]}{at} has control"
 
     def take_off(self, height_m: float | None, now_s: float) -> str | None:
-        """Climb to a local height and hold there; disarmed: as soon as it is armed. It never descends."""
+        """Climb to a local height and hold there; if disarmed, once it is armed. It never descends."""
         reason = self._why_no_mode(FlightMode.TAKEOFF, now_s)
         if reason is not None:
             return f"Take-off refused: {reason}"
@@ -165,7 +165,7 @@ class Commander(ABC):
         return None
 
     def land(self, now_s: float) -> None:
-        """Land at the present place; on the ground there is nothing to do. Nothing refuses it."""
+        """Land at the present place; on the ground this has no effect. It is never refused."""
         if self.armed:
             self._enter(FlightMode.LAND, now_s)
 
@@ -184,7 +184,7 @@ class Commander(ABC):
         return None
 
     def take_setpoint(self, setpoint: Setpoint, sender: Sender, now_s: float) -> str | None:
-        """Take a valid set-point; it keeps the stream alive in all modes."""
+        """Accept a valid set-point; it keeps the stream alive in all modes."""
         other = self._other_has_control(sender, now_s)
         if other is not None:
             return f"Set-point dropped: {other}"
@@ -199,14 +199,14 @@ class Commander(ABC):
     def _enter(
         self, mode: FlightMode, now_s: float, *, failsafe: bool = False, restart: bool = False
     ) -> None:
-        """Change the mode and begin to fly it; the same mode is begun anew by ``restart`` only."""
+        """Change the mode and start to fly it; the same mode restarts only with ``restart``."""
         self.failsafe = failsafe
         if mode is not self.mode or restart:
             self._change(mode)
             self._begin(now_s)
 
     def _change(self, mode: FlightMode) -> None:
-        """Change the mode alone."""
+        """Change the mode without starting to fly it."""
         if mode is not self.mode:
             self.texts.say(dialect.MAV_SEVERITY_INFO, f"Mode {mode.value}")
         self.mode = mode

@@ -1,9 +1,8 @@
-"""MAVLink commands: COMMAND_LONG and COMMAND_INT in, acknowledgement out.
+"""MAVLink commands: accepts COMMAND_LONG and COMMAND_INT, returns the acknowledgement.
 
-Every command may be repeated, since an acknowledgement can be lost and MAVSDK does not count its repeats:
-a command that already has its effect is ACCEPTED. A parameter that is NaN means "the default". ACCEPTED
-means "valid, and in execution"; no command is reported as IN_PROGRESS. Only arming may be acknowledged later,
-when its result is known.
+Every command may be repeated, since an acknowledgement can be lost and MAVSDK does not count its repeats: a
+command that already has its effect is ACCEPTED. A parameter NaN means "the default". ACCEPTED means "valid,
+and in execution"; IN_PROGRESS is never sent. Only arming may be acknowledged later, when its result is known.
 """
 
 from __future__ import annotations
@@ -28,14 +27,14 @@ DENIED: int = dialect.MAV_RESULT_DENIED
 UNSUPPORTED: int = dialect.MAV_RESULT_UNSUPPORTED
 FAILED: int = dialect.MAV_RESULT_FAILED
 
-_WAITING_MAX = 8  # senders that wait for an acknowledgement
+_WAITING_MAX = 8  # greatest number of senders that wait for an acknowledgement
 _INT32_MAX = 2**31 - 1
-_INT_NAN = 0x7FF80000  # how a careless client's NaN looks as an integer (PX4 mavlink_receiver.cpp)
+_INT_NAN = 0x7FF80000  # NaN that a faulty client has cast to an integer (PX4 mavlink_receiver.cpp)
 _INT_SCALE = 1e-7  # COMMAND_INT carries degrees times 1e7
-# Frames of COMMAND_INT in which z is above sea level, or above home. COMMAND_LONG counts from sea level.
+# COMMAND_INT frames whose z counts from sea level, or from home; COMMAND_LONG counts from sea level.
 _AMSL_FRAMES = frozenset({dialect.MAV_FRAME_GLOBAL, dialect.MAV_FRAME_GLOBAL_INT})
 _HOME_FRAMES = frozenset({dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT, dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT})
-_FORCE = 21196.0  # magic of a forced disarm (MAV_CMD_COMPONENT_ARM_DISARM, param2)
+_FORCE = 21196.0  # param2 of MAV_CMD_COMPONENT_ARM_DISARM that forces a disarm
 _CUSTOM_MODE = dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 
 
@@ -43,19 +42,19 @@ _CUSTOM_MODE = dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 class Command:
     """COMMAND_LONG and COMMAND_INT in one form; ``params[0]`` is param1."""
 
-    number: int  # MAV_CMD
+    number: int  # MAV_CMD number
     params: tuple[float, float, float, float, float, float, float]
     sender: Sender
     now_s: float
     frame: int = dialect.MAV_FRAME_GLOBAL
 
     def given(self, n: int) -> float | None:
-        """Parameter n (from 1), None when it was left out."""
+        """Return parameter n (from 1); None if it was omitted."""
         value = self.params[n - 1]
         return None if math.isnan(value) else value
 
     def local_z_m(self, height_m: float, home_enu_m: Vec3) -> float:
-        """Local height of a height in this command; local heights count from sea level."""
+        """Return the local height of a height in this command; local heights count from sea level."""
         return height_m + (home_enu_m[2] if self.frame in _HOME_FRAMES else 0.0)
 
     @property
@@ -64,10 +63,10 @@ class Command:
 
 
 class Answer(NamedTuple):
-    result: int = ACCEPTED  # MAV_RESULT
-    reason: str | None = None  # of a refusal
-    messages: tuple[Message, ...] = ()  # for the sender, after the acknowledgement
-    later: bool = False  # the result is not known yet; acknowledged by ``Commands.finish``
+    result: int = ACCEPTED  # MAV_RESULT number
+    reason: str | None = None  # reason of a refusal
+    messages: tuple[Message, ...] = ()  # messages for the sender after the acknowledgement
+    later: bool = False  # the result is not known yet; ``Commands.finish`` sends it
 
 
 class Reply(NamedTuple):
@@ -78,14 +77,14 @@ class Reply(NamedTuple):
 
 
 def answer(reason: str | None, result: int = REJECTED) -> Answer:
-    """Answer ACCEPTED if ``reason`` is None, else ``result`` with the reason."""
+    """Return ACCEPTED if ``reason`` is None, else ``result`` with the reason."""
     return Answer() if reason is None else Answer(result, reason)
 
 
 class Entry(NamedTuple):
     run: Callable[[Command], Answer]
     right: Right  # senders that may send it while one of them has control
-    place: bool = False  # has a position or height: the frame of COMMAND_INT matters
+    place: bool = False  # it has a position or height, so the frame of COMMAND_INT matters
     right_of: Callable[[Command], Right] | None = None  # used if the right depends on the parameters
 
 
@@ -93,7 +92,7 @@ Table = Mapping[int, Entry]
 
 
 def read_command(message: Any, sender: Sender, now_s: float) -> Command | None:
-    """Bring a COMMAND_LONG or COMMAND_INT into one form; None if its numbers are no numbers."""
+    """Convert a COMMAND_LONG or COMMAND_INT into one form; None if a value is not a number."""
     m = message
     if m.get_msgId() == dialect.MAVLINK_MSG_ID_COMMAND_INT:
         if m.x == m.y == _INT_NAN:
@@ -111,15 +110,15 @@ def read_command(message: Any, sender: Sender, now_s: float) -> Command | None:
 
 
 def integer(value: float | None) -> int | None:
-    """A parameter that is a whole number, None if it is not."""
+    """Return a parameter as an integer; None if it is not a whole number."""
     return int(value) if value is not None and value == int(value) else None
 
 
 class Commands(Generic[V]):
-    """Runs COMMAND_LONG and COMMAND_INT, and reports why one is refused.
+    """Runs COMMAND_LONG and COMMAND_INT, and reports the reason of each refusal.
 
-    Arming, modes, take-off, landing and requests for messages are here; ``own`` adds the commands of one
-    vehicle. Results are those of PX4's ``Commander.cpp``.
+    This class has arming, modes, take-off, landing and message requests; ``own`` adds the commands of one
+    vehicle. Results equal those of PX4's ``Commander.cpp``.
     """
 
     def __init__(
@@ -130,7 +129,7 @@ class Commands(Generic[V]):
         snapshot: Callable[[float], Snapshot[V] | None],
         own: Table,
     ) -> None:
-        """Set up. ``builders`` are messages that can be requested, by id; ``own`` are further commands."""
+        """``builders`` make the messages that can be requested, by id; ``own`` has further commands."""
         self._vehicle, self._streams = vehicle, streams
         self._builders, self._snapshot = builders, snapshot
         self._waiting: list[tuple[int, Sender]] = []  # command and sender
@@ -151,11 +150,11 @@ class Commands(Generic[V]):
         }
 
     def run(self, message: Message, sender: Sender, now_s: float) -> list[Message]:
-        """Run a command; returns the acknowledgement and the requested messages."""
+        """Run a command; return the acknowledgement and the requested messages."""
         result, reason, messages, later = self._run(message, sender, now_s)
         if reason is not None:
             entry = self.table.get(message.command)
-            # A ground station requests many messages that it does not need: no warning for its pilot.
+            # A ground station requests many messages that it does not need, so no warning is sent for them.
             question = entry is not None and entry.right is Right.ANYBODY
             severity = dialect.MAV_SEVERITY_DEBUG if question else dialect.MAV_SEVERITY_WARNING
             self._vehicle.texts.refuse(reason, now_s, severity=severity)
@@ -167,7 +166,7 @@ class Commands(Generic[V]):
         return [self._acknowledge(message.command, result, sender), *messages]
 
     def finish(self, result: int) -> list[Reply]:
-        """Acknowledge the commands whose result was pending, all with this MAV_RESULT."""
+        """Acknowledge all commands whose result was pending with this MAV_RESULT."""
         waiting, self._waiting = sorted(self._waiting), []
         return [Reply(to, self._acknowledge(number, result, to)) for number, to in waiting]
 
@@ -186,7 +185,7 @@ class Commands(Generic[V]):
         if forbidden is not None:
             return Answer(REJECTED, f"Command {command.number} refused: {forbidden}")
         if entry.place and not command.frame_known:
-            # PX4 ignores the frame, and would fly to another place than the one meant.
+            # PX4 ignores the frame, and would fly to another place than the intended one.
             return Answer(DENIED, f"Command {command.number} denied: frame {command.frame}, only global")
         return entry.run(command)
 
@@ -196,7 +195,7 @@ class Commands(Generic[V]):
             return Answer(UNSUPPORTED, "Arm or disarm? param1 must be 0 or 1")
         if round(arm) == 0:
             return answer(self._vehicle.disarm(command.now_s, force=force == _FORCE))
-        reason = self._vehicle.arm(command.now_s)  # force skips no check, as with PX4
+        reason = self._vehicle.arm(command.now_s)  # force skips no check, as in PX4
         return answer(reason) if reason is not None else Answer(later=self._vehicle.arming)
 
     def _take_off(self, command: Command) -> Answer:
@@ -237,7 +236,7 @@ class Commands(Generic[V]):
         return Answer()
 
     def _right_to_interval(self, command: Command) -> Right:
-        """The rates are one table for all: no other sender may lower those of the owner of control."""
+        """Return the right: all peers share the rates, so only the sender in control may lower them."""
         message_id = integer(command.given(1))
         if message_id is None or not self._streams.known(message_id):
             return Right.ANYBODY
@@ -257,7 +256,7 @@ class Commands(Generic[V]):
     def _give(self, message_id: int | None, now_s: float) -> Answer:
         builder = self._builders.get(message_id) if message_id is not None else None
         if builder is None:
-            # After an ACCEPTED QGroundControl waits for the message for ever.
+            # After an ACCEPTED QGroundControl would wait for the message for ever.
             return Answer(DENIED, f"Message {message_id} refused: there is none")
         snapshot = self._snapshot(now_s)
         if snapshot is None:
@@ -275,4 +274,4 @@ def _right_to_arm(command: Command) -> Right:
 
 
 def _no_stream(message_id: int | None) -> Answer:
-    return Answer(FAILED, f"Message {message_id} has no rate to set")  # as PX4 does, HEARTBEAT included
+    return Answer(FAILED, f"Message {message_id} has no rate to set")  # as in PX4, including HEARTBEAT

@@ -1,4 +1,4 @@
-"""Parameters of a vehicle: reading, listing and writing by MAVLink's parameter protocol."""
+"""Parameters of a vehicle: read, listed and written by MAVLink's parameter protocol."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ INT32 = dialect.MAV_PARAM_TYPE_INT32
 REAL32 = dialect.MAV_PARAM_TYPE_REAL32
 _FLOAT = struct.Struct("<f")
 _INT = struct.Struct("<i")
-_LIST_AT_ONCE = 20  # values of a list in one tick, as many as PX4 sends at once on UDP
-_OUT_OF_RANGE = dialect.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE  # the dialect has none for a wrong type
+_LIST_AT_ONCE = 20  # list values per tick, as many as PX4 sends at once on UDP
+_OUT_OF_RANGE = dialect.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE  # the dialect has no error for a wrong type
 _READ_ONLY = dialect.MAV_PARAM_ERROR_READ_ONLY
 NOT_NOW = dialect.MAV_PARAM_ERROR_PERMISSION_DENIED
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One parameter: default, allowed range (both ends allowed), and whether it may change in flight."""
+    """One parameter: default, allowed range (including both ends), and whether it may change in flight."""
 
     name: str  # at most 16 characters
-    type: int  # MAV_PARAM_TYPE; PX4 has INT32 and REAL32 alone
+    type: int  # MAV_PARAM_TYPE; PX4 has only INT32 and REAL32
     default: float
     low: float
     high: float
     in_flight: bool = False
-    choices: tuple[int, ...] = ()  # when only some values of the range mean something
+    choices: tuple[int, ...] = ()  # valid values, if not the whole range is valid
 
     @property
     def allowed(self) -> str:
@@ -41,7 +41,7 @@ class Parameter:
         return f"{self.low:g} to {self.high:g}" if self.low < self.high else f"{self.low:g}"
 
     def accepts(self, value: float) -> bool:
-        # Single precision: the end of a range must not refuse its own neighbour.
+        # In single precision the ends of a range need a tolerance.
         slack = 1e-6 * max(1.0, abs(self.low), abs(self.high))
         if not (math.isfinite(value) and self.low - slack <= value <= self.high + slack):
             return False
@@ -57,7 +57,7 @@ def integer(name: str, default: int, low: int, high: int) -> Parameter:
 
 
 def one_of(name: str, default: int, *choices: int) -> Parameter:
-    """A whole number, one of some, in rising order."""
+    """Return an integer parameter with the given choices, in ascending order."""
     return Parameter(name, INT32, default, choices[0], choices[-1], choices=choices)
 
 
@@ -66,22 +66,22 @@ def fixed(name: str, value: float, type_: int = INT32) -> Parameter:
 
 
 class Refused(NamedTuple):
-    """A write that was not done."""
+    """A rejected write."""
 
-    error: int  # MAV_PARAM_ERROR
+    error: int  # MAV_PARAM_ERROR number
     reason: str
 
 
 class Parameters:
-    """The values in force; read as ``parameters["COM_OF_LOSS_T"]``."""
+    """Current values, read as ``parameters["COM_OF_LOSS_T"]``."""
 
     def __init__(self, rows: Iterable[Parameter]) -> None:
-        """Set the defaults; the parameters are listed by name."""
+        """Set the defaults; the parameters are sorted by name."""
         self._table = tuple(sorted(rows, key=lambda parameter: parameter.name))
         self._index = {parameter.name: i for i, parameter in enumerate(self._table)}
         self._values = {parameter.name: parameter.default for parameter in self._table}
-        self.version = 0  # changes with every write
-        self.left_to_list = self._next = 0  # values of a list that are still to be sent
+        self.version = 0  # counter that changes with every write
+        self.left_to_list = self._next = 0  # number of list values that are still to be sent
 
     def __getitem__(self, name: str) -> float:
         return self._values[name]
@@ -93,7 +93,7 @@ class Parameters:
         return self._table[self._index[name]]
 
     def find(self, name: str, index: int) -> str | None:
-        """Name of the parameter requested by name (index -1) or by index; None: there is none."""
+        """Return the name of a parameter requested by name (index -1) or by index; None: unknown."""
         if index >= 0:
             return self._table[index].name if index < len(self._table) else None
         return name if name in self._index else None
@@ -102,7 +102,7 @@ class Parameters:
         index = self._index[name]
         parameter = self._table[index]
         value = self._values[name]
-        if parameter.type == INT32:  # its bits travel in the float field
+        if parameter.type == INT32:  # the float field carries the bits of the integer
             (value,) = _FLOAT.unpack(_INT.pack(int(value)))
         return dialect.MAVLink_param_value_message(
             name.encode(), value, parameter.type, len(self._table), index
@@ -119,11 +119,11 @@ class Parameters:
         self.version += 1
 
     def list_all(self) -> None:
-        """Begin to send every value; after a request meanwhile all are sent again."""
+        """Start to send every value; a request during a list starts the list again."""
         self.left_to_list = len(self._table)
 
     def listing(self) -> list[Message]:
-        """PARAM_VALUE of the next ones of a list; empty when none is being sent."""
+        """Return PARAM_VALUE of the next values of a list; empty if no list is active."""
         count = min(_LIST_AT_ONCE, self.left_to_list)
         names = [self._table[(self._next + i) % len(self._table)].name for i in range(count)]
         self.left_to_list -= count
@@ -131,7 +131,7 @@ class Parameters:
         return [self.message(name) for name in names]
 
     def set(self, name: str, wire_value: float, type_: int, *, armed: bool) -> Refused | None:
-        """Write a parameter from PARAM_SET; None when it was written.
+        """Write a parameter from PARAM_SET; None: it was written.
 
         ``wire_value`` is the message's float field, ``type_`` its MAV_PARAM_TYPE.
         """

@@ -1,7 +1,7 @@
-"""PX4 as the vehicles of this project imitate it: modes, capabilities, and the differences between them.
+"""PX4 as this project's vehicles imitate it: modes, capabilities, and differences between the vehicles.
 
-The numbers are those of PX4 1.18 (``px4_custom_mode.h``, ``Commander.cpp``, ``mavlink_receiver.cpp``). How
-the flight stack talks to an autopilot is in ``bridge.mavlink.profiles``.
+The numbers are from PX4 1.18 (``px4_custom_mode.h``, ``Commander.cpp``, ``mavlink_receiver.cpp``).
+``bridge.mavlink.profiles`` describes how the flight stack uses an autopilot.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ class FlightMode(Enum):
 
 
 class Code(NamedTuple):
-    """A mode on the wire."""
+    """Numbers of a mode in MAVLink messages."""
 
     main: int  # PX4_CUSTOM_MAIN_MODE (px4_custom_mode.h)
     sub: int  # PX4_CUSTOM_SUB_MODE_AUTO
-    base: int  # MAV_MODE_FLAG of a disarmed vehicle
+    base: int  # MAV_MODE_FLAG bits of a disarmed vehicle
 
     @property
     def custom_mode(self) -> int:
@@ -49,7 +49,7 @@ PX4_CODES: Mapping[FlightMode, Code] = {
 }
 _BY_CODE = {(code.main, code.sub): mode for mode, code in PX4_CODES.items()}
 
-# PX4's other modes, and why no vehicle here has them.
+# PX4's other modes, and the reasons why no vehicle of this project supports them.
 _STICKS = "no stick input"
 _NOT_HERE: Mapping[tuple[int, int], str] = {
     (1, 0): f"manual: {_STICKS}",
@@ -75,18 +75,18 @@ AIRBORNE_STATE: Mapping[FlightMode, int] = {
 
 
 def mode_of(main: int, sub: int) -> FlightMode | None:
-    """Mode of PX4's two numbers, None if no vehicle here has it."""
+    """Return the mode of PX4's two numbers; None if no vehicle here supports it."""
     return _BY_CODE.get((main, 0 if main == PX4_CODES[FlightMode.OFFBOARD].main else sub))
 
 
 def why_no_mode(main: int, sub: int) -> str:
-    """Reason why ``mode_of`` gives none."""
+    """Return the reason why ``mode_of`` returns None."""
     reason = _NOT_HERE.get((main, sub if main == PX4_CODES[FlightMode.HOLD].main else 0))
     return f"Mode refused: {reason}" if reason else f"Mode {main}/{sub} refused: there is none"
 
 
 def mode_numbers(custom_mode: int) -> tuple[int, int]:
-    """Main and sub mode of a ``custom_mode``, as DO_SET_MODE has them in param2 and param3."""
+    """Return main and sub mode of a ``custom_mode``, as DO_SET_MODE has them in param2 and param3."""
     return custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
 
 
@@ -99,22 +99,22 @@ CAPABILITIES = (
     | _M.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
 )
 VERSION = 1 << 24 | 18 << 16 | 255  # AUTOPILOT_VERSION.flight_sw_version: 1.18.0, official
-# The order is that of a datagram: a position counts with the attitude that came before it.
+# The order within a datagram: a position is used with the attitude that precedes it.
 EVERY_TICK = (_M.MAVLINK_MSG_ID_ATTITUDE, _M.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
-# Indoors there is no GPS; but clients know a good position only by this bit (MAVSDK telemetry_impl.cpp).
+# Indoors there is no GPS, but clients recognise a good position only by its bit (MAVSDK telemetry_impl.cpp).
 POSITION_SOURCE = _M.MAV_SYS_STATUS_SENSOR_GPS | _M.MAV_SYS_STATUS_SENSOR_VISION_POSITION
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServerProfile:
-    """What differs between the PX4-like vehicles of this project."""
+    """Differences between the PX4-like vehicles of this project."""
 
-    mark: bytes  # 8 bytes, AUTOPILOT_VERSION.flight_custom_version: which of this project's vehicles it is
-    sensors: int  # MAV_SYS_STATUS_SENSOR bits that are always in good order
-    # by message id, in the order of a datagram: builder from a snapshot, and default rate, Hz; None: at every
-    # tick or on request
+    mark: bytes  # AUTOPILOT_VERSION.flight_custom_version, 8 bytes: identifies the kind of vehicle
+    sensors: int  # MAV_SYS_STATUS_SENSOR bits that are always healthy
+    # builder and default rate, Hz, by message id, in the order of a datagram; None: at every tick or on
+    # request
     streams: Mapping[int, tuple[Callable[[Any], Message], float | None]]
 
     def __deepcopy__(self, memo: dict[int, Any]) -> ServerProfile:
-        """Itself: it is constant."""
+        """Return itself: a profile is constant."""
         return self

@@ -1,7 +1,7 @@
-"""One MAVLink vehicle for other programs: messages and times in, messages out.
+"""Server for one MAVLink vehicle: messages and times in, messages out.
 
-Pure: no socket, no clock, no randomness. Behaviour follows PX4 1.18 (``Commander.cpp``,
-``mavlink_receiver.cpp``, ``streams/*.hpp``), except where the code says so.
+Pure: no socket, no clock, no randomness. It behaves like PX4 1.18 (``Commander.cpp``,
+``mavlink_receiver.cpp``, ``streams/*.hpp``), except where a comment states a difference.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from bridge.mavlink.server.telemetry import Builder, Snapshot, V, autopilot_vers
 from bridge.mavlink.server.texts import Text, TextWire
 
 SYSTEM_ID = 1
-COMPONENT_ID = dialect.MAV_COMP_ID_AUTOPILOT1  # the only component id at which clients look for the autopilot
+COMPONENT_ID = dialect.MAV_COMP_ID_AUTOPILOT1  # clients look for the autopilot only at this component id
 _HEARTBEAT_S = 1.0
-_LOG_MAX = 1024  # texts that wait for the log
-_BROADCAST = frozenset({dialect.MAV_CMD_REQUEST_MESSAGE})  # the only command obeyed when sent to system 0
+_LOG_MAX = 1024  # greatest number of texts that wait for the log
+_BROADCAST = frozenset({dialect.MAV_CMD_REQUEST_MESSAGE})  # the only command accepted when sent to system 0
 _NOTHING: frozenset[int] = frozenset()
 
 
 class Server(ABC, Generic[V]):
-    """One autopilot on the wire; a subclass adds what its vehicle alone has."""
+    """MAVLink server of one autopilot; a subclass adds the features of its vehicle."""
 
     def __init__(
         self,
@@ -52,7 +52,7 @@ class Server(ABC, Generic[V]):
             dialect.MAVLINK_MSG_ID_HEARTBEAT: heartbeat,
             dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION: autopilot_version,
         }
-        self.messages = frozenset(requestable)  # ids
+        self.messages = frozenset(requestable)  # message ids
         self.commands = Commands(vehicle, self.streams, requestable, self.snapshot, self.own_commands())
         self._handlers: dict[int, Handler] = {
             dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: self.on_setpoint,
@@ -65,7 +65,7 @@ class Server(ABC, Generic[V]):
             **self.own_handlers(),
         }
         self._heartbeat_due_s = -math.inf
-        self._shown: object = None  # condition shown last
+        self._shown: object = None  # condition that was sent last
         self._landed_shown = vehicle.landed_state
         self._texts_to_log: list[Text] = []
         self._wire = TextWire()
@@ -74,43 +74,43 @@ class Server(ABC, Generic[V]):
 
     @abstractmethod
     def snapshot(self, now_s: float) -> Snapshot[V] | None:
-        """State of the vehicle now; None while it is not known, and then no telemetry is sent."""
+        """Return the present state of the vehicle; None while it is unknown: then no telemetry is sent."""
 
     @abstractmethod
     def on_heartbeat(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        """Take note of a heartbeat of another program."""
+        """Handle a heartbeat of another program."""
 
     def own_commands(self) -> dict[int, Entry]:
-        """Commands that extend or replace the common ones."""
+        """Return commands that extend or replace the common ones."""
         return {}
 
     def own_handlers(self) -> dict[int, Handler]:
-        """Handlers of other messages, by id."""
+        """Return handlers of other messages, by id."""
         return {}
 
     def condition(self, snapshot: Snapshot[V]) -> object:
-        """Value whose change makes HEARTBEAT and SYS_STATUS due at once."""
+        """Return a value; when it changes, HEARTBEAT and SYS_STATUS are sent at once."""
         vehicle = snapshot.vehicle
         return vehicle.mode, vehicle.armed, vehicle.failsafe, snapshot.valid
 
     def hidden(self, _now_s: float) -> frozenset[int]:
-        """Ids of messages that are not sent now."""
+        """Return the ids of the messages that are not sent now."""
         return _NOTHING
 
     def boot_ns(self, now_s: float) -> int | None:
         return round(now_s * 1e9)
 
-    # What the process calls
+    # Called by the process
 
     def handle(self, message: Message, sender: Sender, now_s: float) -> list[Message]:
-        """Act on one message of a valid checksum; its content may be wrong. Answers for this sender."""
+        """Handle a message with a valid checksum; its content may be wrong. Return the replies."""
         handler = self._handlers.get(message.get_msgId())  # some messages have a field named id
         if handler is None or sender[:2] == (self.system_id, COMPONENT_ID) or not self._for_us(message):
             return []
         return handler(message, sender, now_s)
 
     def telemetry(self, now_s: float) -> list[Message]:
-        """Messages for all clients that are due: heartbeat, texts, streams, values of a parameter list."""
+        """Return the messages due for all clients: heartbeat, texts, streams, values of a parameter list."""
         snapshot = self.snapshot(now_s)
         messages = self._announced(snapshot, now_s) if snapshot is not None else []
         if self.vehicle.texts.waiting:
@@ -125,18 +125,18 @@ class Server(ABC, Generic[V]):
         return messages
 
     def silent_until_s(self, now_s: float, heeded: frozenset[int]) -> float:
-        """Time until which nothing is due for these message ids, if the vehicle does not change.
+        """Return the time until which no message with these ids is due, if the vehicle does not change.
 
-        ``now_s`` is that of the next tick. Messages of every tick do not count.
+        ``now_s`` is the time of the next tick. Messages sent at every tick do not count.
         """
         if self._calm(now_s) is None:
             return -math.inf
         return min(self._heartbeat_due_s, self.streams.next_s(heeded))
 
     def brief(self, now_s: float, heeded: frozenset[int]) -> list[Message] | None:
-        """``telemetry`` of these message ids alone, without those of every tick.
+        """Return the part of ``telemetry`` with these message ids, without the messages of every tick.
 
-        None, and no change, where another message is due.
+        Return None, and change no state, if another message is due.
         """
         snapshot = self._calm(now_s)
         if snapshot is None:
@@ -144,7 +144,7 @@ class Server(ABC, Generic[V]):
         return [*self._announced(snapshot, now_s), *self.streams.pass_over(snapshot, heeded)]
 
     def _calm(self, now_s: float) -> Snapshot[V] | None:
-        """State of the vehicle if nothing has changed that is sent at once."""
+        """Return the state of the vehicle if no change must be sent at once; else None."""
         snapshot, texts = self.snapshot(now_s), self.vehicle.texts.waiting or self._texts_to_log
         if snapshot is None or texts or self.parameters.left_to_list:
             return None
@@ -152,21 +152,21 @@ class Server(ABC, Generic[V]):
         return snapshot if shown else None
 
     def streamed(self, snapshot: Snapshot[V]) -> list[Message]:
-        """Messages of the streams for the present telemetry."""
+        """Return the messages of the streams for the present telemetry."""
         return self.stream(snapshot)
 
     def stream(self, snapshot: Snapshot[V]) -> list[Message]:
-        """Make the messages of the streams that are due."""
+        """Build the messages of the streams that are due."""
         self.streams.hide(self.hidden(snapshot.now_s))
         return self.streams.due(snapshot)
 
     def take_texts(self) -> list[Text]:
-        """Take the texts sent since the last call, for the log."""
+        """Return the texts sent since the last call, for the log."""
         texts, self._texts_to_log = self._texts_to_log, []
         return texts
 
     def _announced(self, snapshot: Snapshot[V], now_s: float) -> list[Message]:
-        """HEARTBEAT when it is due; what changed is shown at once."""
+        """Return HEARTBEAT when it is due; a change is sent at once."""
         shown, landed_state = self.condition(snapshot), self.vehicle.landed_state
         messages = []
         if shown != self._shown or now_s >= self._heartbeat_due_s:
@@ -181,12 +181,12 @@ class Server(ABC, Generic[V]):
         return messages
 
     def _for_us(self, message: Any) -> bool:
-        """Whether it is addressed to us or to all; messages without an address are for all."""
+        """Whether the message is addressed to this system or to all; without an address it is for all."""
         system = getattr(message, "target_system", 0)
         return system in (0, self.system_id) and getattr(message, "target_component", 0) in (0, COMPONENT_ID)
 
     def on_setpoint(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        """SET_POSITION_TARGET_LOCAL_NED, which has no answer but the text of a refusal."""
+        """Handle SET_POSITION_TARGET_LOCAL_NED; its only reply is a text after a refusal."""
         vehicle = self.vehicle
         setpoint = read_setpoint(message, vehicle.yaw_rad)
         if isinstance(setpoint, str):
@@ -198,13 +198,13 @@ class Server(ABC, Generic[V]):
         return []
 
     def on_command(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        """COMMAND_LONG and COMMAND_INT."""
+        """Handle COMMAND_LONG and COMMAND_INT."""
         if message.target_system == 0 and message.command not in _BROADCAST:
             return []
         return self.commands.run(message, sender, now_s)
 
     def _on_set_mode(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        """SET_MODE, which has no answer but the text."""
+        """Handle SET_MODE; its only reply is a text."""
         if message.target_system != self.system_id:
             return []
         vehicle = self.vehicle
@@ -221,7 +221,7 @@ class Server(ABC, Generic[V]):
         return []
 
     def _on_timesync(self, message: Any, _sender: Sender, now_s: float) -> list[Message]:
-        boot_ns = self.boot_ns(now_s) if message.tc1 == 0 else None  # another tc1: an answer
+        boot_ns = self.boot_ns(now_s) if message.tc1 == 0 else None  # another tc1 marks a reply
         if boot_ns is None:
             return []
-        return [dialect.MAVLink_timesync_message(max(1, boot_ns), message.ts1)]  # 0 would ask back
+        return [dialect.MAVLink_timesync_message(max(1, boot_ns), message.ts1)]  # 0 would be a request

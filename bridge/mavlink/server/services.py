@@ -1,4 +1,4 @@
-"""Parameters, ping, and unsupported protocols, which are refused at once.
+"""Replies for parameters, ping, and unsupported protocols, which are refused at once.
 
 Without a reply clients would wait and repeat their request for seconds.
 """
@@ -16,7 +16,7 @@ from bridge.mavlink.server.parameters import NOT_NOW, Parameters, Refused
 
 Handler = Callable[[Any, Sender, float], list[Message]]
 
-# FILE_TRANSFER_PROTOCOL payload (mavlink.io, services/ftp).
+# Opcodes and errors of FILE_TRANSFER_PROTOCOL (mavlink.io, services/ftp).
 _FTP_NAK = 129
 _FTP_FAIL = 1
 _FTP_BYTES = 251
@@ -40,10 +40,10 @@ _REFUSED_SETPOINTS = {
 
 
 class Services:
-    """Handlers by message id; each returns the answer to the sender.
+    """Handlers by message id; each returns the reply to the sender.
 
-    REQUEST_DATA_STREAM has none, as in PX4: what MAVProxy and dronekit request at their start (4 Hz of every
-    message) would starve the companion of its position.
+    REQUEST_DATA_STREAM has no handler, as in PX4: the rates that MAVProxy and dronekit request at their start
+    (4 Hz of every message) would slow down the companion's position stream.
     """
 
     def __init__(self, vehicle: Commander, parameters: Parameters) -> None:
@@ -64,7 +64,7 @@ class Services:
         }
 
     def _parameter_list(self, _message: Any, _sender: Sender, _now_s: float) -> list[Message]:
-        self._parameters.list_all()  # goes out with the telemetry of the next ticks
+        self._parameters.list_all()  # sent with the telemetry of the next ticks
         return []
 
     def _parameter_read(self, message: Any, sender: Sender, _now_s: float) -> list[Message]:
@@ -86,7 +86,7 @@ class Services:
         if refused is None:
             return [in_force]
         self._vehicle.texts.refuse(refused.reason, now_s)
-        # The error first: MAVSDK takes a different value for a lost write and repeats it five times.
+        # The error is sent first: MAVSDK treats a different value as a lost write and repeats it five times.
         return [_parameter_error(name.encode(), -1, refused.error, sender), in_force]
 
     def _refuse_setpoint(self, message: Any, _sender: Sender, now_s: float) -> list[Message]:
@@ -96,7 +96,7 @@ class Services:
 
 
 def _no_parameter(message: Any, sender: Sender) -> Message:
-    """PX4 sends no reply here, and clients wait for seconds (mavlink.io, services/parameter)."""
+    """Return an error; PX4 sends no reply, and clients wait for seconds (mavlink.io, services/parameter)."""
     index = getattr(message, "param_index", -1)
     name = parameter_name(message.param_id).encode("ascii", "replace")
     return _parameter_error(name, index, dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST, sender)
@@ -108,19 +108,19 @@ def _parameter_error(name: bytes, index: int, error: int, sender: Sender) -> Mes
 
 def _ping(message: Any, sender: Sender, _now_s: float) -> list[Message]:
     if message.target_system != 0 or message.target_component != 0:
-        return []  # an answer
+        return []  # this message is a reply
     return [dialect.MAVLink_ping_message(message.time_usec, message.seq, *sender[:2])]
 
 
 def _mission_list(message: Any, sender: Sender, _now_s: float) -> list[Message]:
-    """MISSION_REQUEST_LIST: empty."""
+    """Reply to MISSION_REQUEST_LIST: there are no items."""
     if message.mission_type not in _TYPES:
         return _mission_ack(message, sender, dialect.MAV_MISSION_UNSUPPORTED)
     return [dialect.MAVLink_mission_count_message(*sender[:2], 0, message.mission_type)]
 
 
 def _mission_change(message: Any, sender: Sender, _now_s: float) -> list[Message]:
-    """MISSION_COUNT, the beginning of an upload, and MISSION_CLEAR_ALL: only an empty list is taken."""
+    """Reply to MISSION_COUNT (start of an upload) and MISSION_CLEAR_ALL: only an empty list is accepted."""
     clears = message.get_msgId() == dialect.MAVLINK_MSG_ID_MISSION_CLEAR_ALL
     known = message.mission_type in _TYPES or (clears and message.mission_type == _ALL)
     taken = known and (clears or not message.count)
@@ -129,7 +129,7 @@ def _mission_change(message: Any, sender: Sender, _now_s: float) -> list[Message
 
 
 def _mission_refused(message: Any, sender: Sender, _now_s: float) -> list[Message]:
-    """Items: none can be read, and none was requested."""
+    """Refuse mission items: none exists, and none was requested."""
     wanted = message.get_msgId() in _ITEM_REQUESTS
     result = dialect.MAV_MISSION_INVALID_SEQUENCE if wanted else dialect.MAV_MISSION_UNSUPPORTED
     return _mission_ack(message, sender, result)

@@ -1,4 +1,4 @@
-"""Velocity set-points from the wire: which are accepted."""
+"""Decodes and checks velocity set-points from MAVLink messages."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.frames import enu_from_ned, flu_from_frd, quaternion_from_yaw, world_from_body, yaw_enu_from_ned
 from flightstack.core.types import Vec3
 
-SPEED_MAX_M_S = 5.0  # m/s; far above the commands of any controller of this stack
-YAW_RATE_MAX_RAD_S = 6.0  # rad/s
+SPEED_MAX_M_S = 5.0  # limit, m/s; far above the commands of any controller of this stack
+YAW_RATE_MAX_RAD_S = 6.0  # limit, rad/s
 
-# POSITION_TARGET_TYPEMASK: a set bit means "ignore". Bit 9 is about the acceleration, which is unused.
+# POSITION_TARGET_TYPEMASK: a set bit means "ignore". Bit 9 concerns the acceleration, which is unused.
 _POSITION = 0b000000111
 _VELOCITY = 0b000111000
 _ACCELERATION = 0b111000000
@@ -24,18 +24,18 @@ _FRAMES = (dialect.MAV_FRAME_LOCAL_NED, dialect.MAV_FRAME_BODY_NED)
 
 
 class Setpoint(NamedTuple):
-    """A velocity to fly, with the heading to go with it."""
+    """A velocity set-point with its heading or yaw rate."""
 
     velocity_enu_m_s: Vec3
-    yaw_rad: float | None  # heading to hold; None: see the rate
-    yaw_rate_rad_s: float  # counter-clockwise; 0 holds the present heading
+    yaw_rad: float | None  # heading to hold; None: ``yaw_rate_rad_s`` applies
+    yaw_rate_rad_s: float  # yaw rate, counter-clockwise; 0 holds the present heading
 
 
 def read_setpoint(message: Any, yaw_rad: Callable[[], float | None]) -> Setpoint | str:
-    """Turn SET_POSITION_TARGET_LOCAL_NED into a set-point, or into the reason why it is refused.
+    """Convert SET_POSITION_TARGET_LOCAL_NED into a set-point, or return the reason of its refusal.
 
-    A body frame is turned by the heading only, as PX4 does. ``yaw_rad`` gives the present heading of the
-    vehicle, counter-clockwise from east; None: not known.
+    A velocity in a body frame is rotated by the heading only, as in PX4. ``yaw_rad`` returns the present
+    heading of the vehicle, counter-clockwise from east; None: unknown.
     """
     mask = message.type_mask
     if mask & _POSITION != _POSITION or mask & _ACCELERATION != _ACCELERATION or mask & _VELOCITY:
@@ -60,7 +60,7 @@ def read_setpoint(message: Any, yaw_rad: Callable[[], float | None]) -> Setpoint
             return "Set-point dropped: yaw not finite"
         return Setpoint(velocity, yaw_enu_from_ned(message.yaw), 0.0)
     if not mask & _YAW_RATE:
-        if not abs(message.yaw_rate) <= YAW_RATE_MAX_RAD_S:  # also refuses NaN
+        if not abs(message.yaw_rate) <= YAW_RATE_MAX_RAD_S:  # also rejects NaN
             return f"Set-point dropped: yaw rate above {YAW_RATE_MAX_RAD_S:g} rad/s"
         return Setpoint(velocity, None, -message.yaw_rate)
     return Setpoint(velocity, None, 0.0)

@@ -1,4 +1,4 @@
-"""Times at which telemetry is due; one table of rates for all peers, as of one PX4 port."""
+"""Schedule of the telemetry streams: one table of rates for all peers, as for one PX4 port."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from bridge.mavlink.server.profile import EVERY_TICK, ServerProfile
 from bridge.mavlink.server.telemetry import Builder, Snapshot, V
 
 _OFF = float("inf")
-_INTERVAL_MAX_S = 2000.0  # s; MESSAGE_INTERVAL counts microseconds in 32 bits, which end at 2147 s
+_INTERVAL_MAX_S = 2000.0  # limit, s; MESSAGE_INTERVAL counts microseconds in 32 bits, up to 2147 s
 
 
 @dataclass(slots=True)
 class _Stream(Generic[V]):
     message_id: int
     build: Builder[V]
-    interval_s: float  # infinite: off
+    interval_s: float  # period; infinite: off
     due_s: float
-    passed_s: float = -_OFF  # when it was due last; at most once a tick, also to catch up
+    passed_s: float = -_OFF  # time when it was sent last; at most once per tick
 
     def passes(self, now_s: float, limit_s: float) -> bool:
-        """Whether it is due until ``limit_s``; then it is due anew an interval later."""
+        """Whether it is due until ``limit_s``; if so, schedule it again one interval later."""
         if self.due_s > limit_s or now_s == self.passed_s:
             return False
         self.passed_s = now_s
@@ -39,7 +39,7 @@ class Streams(Generic[V]):
     def __init__(self, rate_hz: float, profile: ServerProfile) -> None:
         """Set the default rates.
 
-        No request can raise a rate above ``rate_hz``. A datagram begins with attitude and position.
+        No request can raise a rate above ``rate_hz``. A datagram starts with attitude and position.
         """
         self._period_s = 1.0 / rate_hz
         self._hidden: frozenset[int] = frozenset()
@@ -52,9 +52,9 @@ class Streams(Generic[V]):
             id_: _Stream(id_, streams[id_][0], self._default_s.get(id_, _OFF), 0.0)
             for id_ in dict.fromkeys((*EVERY_TICK, *streams))
         }
-        self._busy: list[_Stream[V]] = []  # at every tick
-        self._lazy: list[_Stream[V]] = []  # more rarely
-        self._lazy_due_s = 0.0  # the first of those
+        self._busy: list[_Stream[V]] = []  # streams sent at every tick
+        self._lazy: list[_Stream[V]] = []  # streams with longer intervals
+        self._lazy_due_s = 0.0  # earliest due time of these streams
         for stream in self._streams.values():
             if stream.interval_s == _OFF:
                 stream.due_s = _OFF
@@ -64,12 +64,12 @@ class Streams(Generic[V]):
         return message_id in self._streams
 
     def interval_us(self, message_id: int) -> int:
-        """Interval as in MESSAGE_INTERVAL: microseconds, -1 off."""
+        """Return the interval as in MESSAGE_INTERVAL: microseconds, -1: off."""
         interval_s = self._streams[message_id].interval_s
         return -1 if interval_s == _OFF else round(interval_s * 1e6)
 
     def set_interval(self, message_id: int, interval_us: float, now_s: float) -> None:
-        """Change a rate: microseconds, 0 for the default, negative for off."""
+        """Set an interval: microseconds, 0 for the default, negative for off."""
         interval_s = self._interval_s(message_id, interval_us)
         stream = self._streams[message_id]
         if interval_s != stream.interval_s:
@@ -93,7 +93,7 @@ class Streams(Generic[V]):
             self.set_interval(message_id, 0.0, now_s)
 
     def hide(self, message_ids: frozenset[int]) -> None:
-        """Send none of these messages from now on, and all others at their rates."""
+        """Stop these messages from now on, and send all others at their rates."""
         if message_ids != self._hidden:
             self._hidden = message_ids
             self._sort()
@@ -106,14 +106,14 @@ class Streams(Generic[V]):
             stream.passed_s = -_OFF
 
     def due(self, snapshot: Snapshot[V]) -> list[Message]:
-        """Make the messages that are due."""
+        """Build the messages that are due."""
         messages = [stream.build(snapshot) for stream in self._busy]
         return messages + [stream.build(snapshot) for stream in self._passed(snapshot.now_s)]
 
     def next_s(self, message_ids: frozenset[int]) -> float:
-        """Lower bound of the time at which one of these messages, except those of every tick, is due next.
+        """Return a lower bound of the next due time of these messages, without those of every tick.
 
-        It is -inf unless position and attitude, and no others of them, come at every tick.
+        It is -inf unless exactly position and attitude, of these messages, are sent at every tick.
         """
         busy = {stream.message_id for stream in self._busy}
         if not busy.issuperset(EVERY_TICK) or busy & message_ids - set(EVERY_TICK):
@@ -126,13 +126,13 @@ class Streams(Generic[V]):
         return min(due_s, default=_OFF) - 0.5 * self._period_s
 
     def pass_over(self, snapshot: Snapshot[V], message_ids: frozenset[int]) -> list[Message]:
-        """Advance as ``due`` does, but make only messages with these ids, and none of those of every tick."""
+        """Advance as ``due`` does, but build only these messages, without those of every tick."""
         passed = self._passed(snapshot.now_s)
         return [stream.build(snapshot) for stream in passed if stream.message_id in message_ids]
 
     def _passed(self, now_s: float) -> list[_Stream[V]]:
-        """Due streams, except those of every tick; their next due time is an interval later."""
-        limit_s = now_s + 0.5 * self._period_s  # nearer to this tick than to the next
+        """Return the due streams without those of every tick, and schedule them one interval later."""
+        limit_s = now_s + 0.5 * self._period_s  # nearer to this tick than to the next one
         if self._lazy_due_s > limit_s:
             return []
         passed = [stream for stream in self._lazy if stream.passes(now_s, limit_s)]
@@ -140,7 +140,7 @@ class Streams(Generic[V]):
         return passed
 
     def skip(self, ticks_s: Sequence[float]) -> None:
-        """Advance as ``due`` does at each of these times, without making messages."""
+        """Advance as ``due`` does at each of these times, without building messages."""
         half_s = 0.5 * self._period_s
         for now_s in ticks_s:
             if self._lazy_due_s <= now_s + half_s:

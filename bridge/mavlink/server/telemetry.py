@@ -1,4 +1,4 @@
-"""Messages that every vehicle sends, each made from a snapshot."""
+"""Messages that every vehicle sends, each built from a snapshot."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ from flightstack.core.types import Vec3
 
 
 class EstimateLike(Protocol):
-    """State of the vehicle by its on-board estimator."""
+    """State of the vehicle from its on-board estimator."""
 
     @property
-    def position_enu_m(self) -> Vec3: ...  # of the centre of mass
+    def position_enu_m(self) -> Vec3: ...  # position of the centre of mass
 
     @property
     def velocity_enu_m_s(self) -> Vec3: ...
 
     @property
-    def quaternion(self) -> Quat: ...  # w, x, y, z, of FLU in ENU
+    def quaternion(self) -> Quat: ...  # order w, x, y, z; attitude of FLU in ENU
 
     @property
     def angular_velocity_flu_rad_s(self) -> Vec3: ...
@@ -51,15 +51,15 @@ V = TypeVar("V", bound=Commander)
 
 @dataclass(slots=True)
 class Snapshot(Generic[V]):
-    """One moment of a vehicle; all its telemetry is made from this."""
+    """State of a vehicle at one time; all its telemetry is built from this."""
 
     vehicle: V
     profile: ServerProfile
     estimate: EstimateLike
-    valid: bool  # position and velocity are usable for control
-    now_s: float  # time base of the rates of the streams
+    valid: bool  # position and velocity are good enough for control
+    now_s: float  # time base of the stream rates
     boot_s: float  # boot clock of the vehicle
-    epoch_ns: int = 0  # Unix time of the boot clock's zero
+    epoch_ns: int = 0  # Unix time at zero of the boot clock
 
     @property
     def boot_ms(self) -> int:
@@ -74,7 +74,7 @@ Builder = Callable[[Snapshot[V]], Message]
 
 
 def heartbeat(s: Snapshot[V]) -> Message:
-    """HEARTBEAT with PX4's modes and states (PX4 streams/HEARTBEAT.hpp)."""
+    """Build HEARTBEAT with PX4's modes and states (PX4 streams/HEARTBEAT.hpp)."""
     vehicle = s.vehicle
     code, armed = PX4_CODES[vehicle.mode], vehicle.armed
     if armed:
@@ -111,7 +111,7 @@ def attitude_quaternion(s: Snapshot[V]) -> Message:
 
 
 def home_position(s: Snapshot[V], latitude_e7: int, longitude_e7: int) -> Message:
-    """HOME_POSITION at a place on earth, 1e-7 degrees."""
+    """Build HOME_POSITION for a place on earth, 1e-7 degrees."""
     home = s.vehicle.home_enu_m
     q = [1.0, 0.0, 0.0, 0.0]
     return dialect.MAVLink_home_position_message(
@@ -120,7 +120,7 @@ def home_position(s: Snapshot[V], latitude_e7: int, longitude_e7: int) -> Messag
 
 
 def heading_deg(s: Snapshot[V]) -> float:
-    """Heading clockwise from north, 0 to 360."""
+    """Return the heading clockwise from north, 0 to 360."""
     return math.degrees(yaw_ned_from_enu(yaw_from_quaternion(s.estimate.quaternion))) % 360.0
 
 
@@ -148,7 +148,7 @@ def extended_sys_state(s: Snapshot[V]) -> Message:
 
 def battery_status(s: Snapshot[V]) -> Message:
     battery = s.vehicle.battery
-    voltages = [_millivolts(battery)] + [0xFFFF] * 9  # one cell; the other entries mean "no cell"
+    voltages = [_millivolts(battery)] + [0xFFFF] * 9  # one cell; 0xFFFF means "no cell"
     unknown = dialect.MAV_BATTERY_FUNCTION_UNKNOWN
     return dialect.MAVLink_battery_status_message(
         0, unknown, dialect.MAV_BATTERY_TYPE_LIPO, 0x7FFF, voltages, -1, -1, -1, battery.percent, 0,

@@ -1,4 +1,4 @@
-"""STATUSTEXT of a vehicle: events and reasons of refusals, bounded in number and rate."""
+"""STATUSTEXT of a vehicle: events and reasons of refusals, limited in number and rate."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.codec.messages import Message
 
 _CHUNK = 50  # characters of one STATUSTEXT
-_WAITING_MAX = 64  # texts between two ticks
+_WAITING_MAX = 64  # greatest number of texts between two ticks
 _SAME_GAP_S = (
-    1.0  # s between two refusals on the same topic; a wrong stream repeats its error 100 times a second
+    1.0  # time between two refusals on one topic, s; a wrong stream repeats its error 100 times a second
 )
 _BURST = 20  # refusals on different topics at once; a ground station sends a dozen requests at its start
-_PER_S = 5.0  # 1/s, refusals after that
+_PER_S = 5.0  # rate of further refusals, 1/s
 _TOPICS_MAX = 64
 
 
 class Text(NamedTuple):
-    severity: int  # MAV_SEVERITY
+    severity: int  # MAV_SEVERITY number
     text: str
 
 
 class Texts:
-    """Texts that wait to be sent: at most 64 events, and refusals at a bounded rate."""
+    """Texts that wait to be sent: at most 64 events, and refusals at a limited rate."""
 
     def __init__(self) -> None:
         self.waiting: list[Text] = []  # pending texts
@@ -41,9 +41,9 @@ class Texts:
     def refuse(
         self, text: str, now_s: float, topic: str = "", severity: int = dialect.MAV_SEVERITY_WARNING
     ) -> None:
-        """Add the reason of a refusal, unless the same was added in the last second.
+        """Add the reason of a refusal, unless the same one was added in the last second.
 
-        Refusals of one ``topic`` count as the same; the topic is the text itself when left out.
+        Refusals with the same ``topic`` count as equal; without a topic the text is used.
         """
         topic = topic or text
         if now_s - self._said_s.get(topic, -math.inf) < _SAME_GAP_S:
@@ -68,7 +68,7 @@ class Texts:
 
 
 class TextWire:
-    """Turns texts into STATUSTEXT, long ones in chunks."""
+    """Converts texts into STATUSTEXT messages, long ones in chunks."""
 
     def __init__(self) -> None:
         self._id = 0
@@ -77,8 +77,8 @@ class TextWire:
         raw = text.text.encode("ascii", "replace")
         if len(raw) <= _CHUNK:
             return [dialect.MAVLink_statustext_message(text.severity, raw)]
-        self._id = self._id % 0xFFFF + 1  # 0 would mean "not in chunks"
-        # A chunk shorter than 50 ends the text; a full last one is followed by an empty one.
+        self._id = self._id % 0xFFFF + 1  # 0 means "not in chunks"
+        # A chunk shorter than 50 ends the text; an empty chunk follows a full last one.
         return [
             dialect.MAVLink_statustext_message(text.severity, raw[at : at + _CHUNK], self._id, at // _CHUNK)
             for at in range(0, len(raw) + 1, _CHUNK)

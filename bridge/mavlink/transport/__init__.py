@@ -1,1 +1,1 @@
-"""UDP, TCP and serial lines."""
+"""MAVLink transports: UDP, TCP and serial lines."""

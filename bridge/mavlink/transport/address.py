@@ -1,4 +1,4 @@
-"""MAVLink URLs and addresses: policy without a signing key, and the table of peers."""
+"""MAVLink URLs and addresses, the rules for unsigned links, and the table of peers."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from ipaddress import IPv4Address
 
 Peer = tuple[str, int]
 
-DEFAULT_BAUD = 921_600  # default of a serial line, bits/s, as of PX4's TELEM2
-_BAUDS = range(1_200, 12_000_001)  # bits/s
+DEFAULT_BAUD = 921_600  # default speed of a serial line, bit/s, as of PX4's TELEM2
+_BAUDS = range(1_200, 12_000_001)  # allowed speeds, bit/s
 _URL = re.compile(r"^(udpin|udpout|tcp):(?://)?([^:/\s]+):(\d{1,5})$")
 _IPV6 = re.compile(r"^\w+:(//)?(\[|[^/]*::)")
 _SERIAL = re.compile(r"^serial:(?://(?=/))?(/\S+?)(?::(\d{1,8}))?$")
@@ -26,7 +26,7 @@ _PEER_HELP = "allowed is HOST:PORT, PORT 1 to 65535, for example 127.0.0.1:14550
 
 
 def parse_url(url: str) -> tuple[str, str, int]:
-    """Split an endpoint URL into kind ("udpin", "udpout", "tcp"), host, port; or "serial", device, bits/s.
+    """Split an endpoint URL into kind ("udpin", "udpout", "tcp"), host, port; or "serial", device, bit/s.
 
     Raises ValueError: the URL has none of the allowed forms.
     """
@@ -53,7 +53,7 @@ def parse_url(url: str) -> tuple[str, str, int]:
 
 
 def parse_udp_url(url: str, who: str) -> tuple[str, str, int]:
-    """As ``parse_url``, for UDP only; ``who`` is the subject of the error text.
+    """Parse a URL as ``parse_url`` does, for UDP only; ``who`` is the subject of the error text.
 
     Raises ValueError: another kind of link, or none of the allowed forms.
     """
@@ -66,13 +66,13 @@ def parse_udp_url(url: str, who: str) -> tuple[str, str, int]:
 
 
 def baud_of(url: str) -> int | None:
-    """Bits a second of a serial line; None of other links. Raises ValueError: not an allowed form."""
+    """Return the bit/s of a serial line; None for other links. Raises ValueError: not an allowed form."""
     kind, _, number = parse_url(url)
     return number if kind == "serial" else None
 
 
 def parse_peer(text: str) -> Peer:
-    """Address of a peer ``HOST:PORT``. Raises ValueError: another form, or no IPv4 address of the host."""
+    """Return the address of a peer ``HOST:PORT``. Raises ValueError: another form, or no IPv4 address."""
     match = _PEER.match(text)
     if "[" in text or "::" in text:
         raise ValueError(f"MAVLink peer {text!r} has an IPv6 address; MAVLink links here use IPv4 alone")
@@ -82,7 +82,7 @@ def parse_peer(text: str) -> Peer:
 
 
 def resolve(what: str, host: str, port: int, help_text: str = _URL_HELP) -> Peer:
-    """IPv4 address of a host. Raises ValueError: it has none; the text has ``what`` and ``help_text``."""
+    """Return the IPv4 address of a host. Raises ValueError (``what`` and ``help_text``): it has none."""
     try:
         info = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)
     except OSError as error:
@@ -92,26 +92,26 @@ def resolve(what: str, host: str, port: int, help_text: str = _URL_HELP) -> Peer
 
 
 def is_local(address: Peer) -> bool:
-    """Whether an address is of the loopback network 127.0.0.0/8."""
+    """Whether an address belongs to the loopback network 127.0.0.0/8."""
     return IPv4Address(address[0]).is_loopback
 
 
 def local_host_for(address: Peer) -> str:
-    """Our address on the route to ``address``, so that the socket listens on one interface only."""
+    """Return the local address on the route to ``address``, so that the socket uses one interface only."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.connect(address)  # UDP: selects a route without sending
+        probe.connect(address)  # UDP selects a route without sending
         return str(probe.getsockname()[0])
 
 
 def check_policy(
     url: str, address: Peer, always: tuple[Peer, ...], *, signed: bool, allow_unsigned: bool
 ) -> str | None:
-    """Reject an endpoint that accepts commands of any host of the network; returns a warning, or None.
+    """Reject an endpoint that accepts commands from any host of the network; return a warning, or None.
 
-    ``address``: local address, or that of the only peer; device and baud of a serial line; ``always``: peers
-    that get telemetry from the start; ``signed``: with a key; ``allow_unsigned``: the operator accepts the
-    risk.
-    Raises ValueError: not allowed.
+    ``address``: local address, or address of the only peer; for a serial line device and baud; ``always``:
+    peers that receive telemetry from the start; ``signed``: there is a key; ``allow_unsigned``: the operator
+    accepts the risk.
+    Raises ValueError: the endpoint is not allowed.
     """
     kind = parse_url(url)[0]
     listens = kind == "udpin"
@@ -119,7 +119,7 @@ def check_policy(
         raise ValueError("a signing key and --allow-unsigned exclude each other: give one of them")
     if always and not listens:
         raise ValueError(f"MAVLink URL {url!r} calls one address and speaks to no other peer: use udpin")
-    if kind == "serial":  # a cable: its other end has physical access
+    if kind == "serial":  # the other end of a cable has physical access
         return None
     if is_local(address):
         for host, port in [peer for peer in always if not is_local(peer)]:
@@ -140,21 +140,21 @@ def check_policy(
     return f"MAVLink is not signed on {url!r}: {who} can command the vehicle"
 
 
-EXPIRY_S = 10.0  # s of wall time without a heartbeat, which has 1 Hz
+EXPIRY_S = 10.0  # wall time without a heartbeat (1 Hz) after which a peer expires, s
 _STRANGERS_MAX = 16  # greatest number of senders without heartbeat; the least recent is replaced
 
 
 @dataclass(slots=True)
 class _Stranger:
     heard_s: float
-    credit_bytes: int  # received minus sent
+    credit_bytes: int  # received bytes minus sent bytes
 
 
 class PeerTable:
-    """Bounded tables of senders; frames of other senders are accepted without replies.
+    """Bounded tables of senders; further senders are received but get no replies.
 
-    ``configured``: peers that get all frames from the start and never expire; ``peers_max``: greatest number
-    of other peers, which have sent a heartbeat.
+    ``configured``: peers that receive all frames from the start and never expire; ``peers_max``: greatest
+    number of other peers, which have sent a heartbeat.
     """
 
     def __init__(self, configured: tuple[Peer, ...], peers_max: int) -> None:
@@ -165,7 +165,7 @@ class PeerTable:
 
     @property
     def reached(self) -> tuple[Peer, ...]:
-        """Receivers of telemetry: configured peers, and senders of a heartbeat in the last 10 s."""
+        """Receivers of telemetry: configured peers, and peers that sent a heartbeat in the last 10 s."""
         oldest_s = time.monotonic() - EXPIRY_S
         alive = [peer for peer, heard_s in self._beating.items() if heard_s >= oldest_s]
         if not self._configured:
@@ -173,7 +173,7 @@ class PeerTable:
         return (*self._configured, *(peer for peer in alive if peer not in self._configured))
 
     def heard(self, peer: Peer, size: int, *, heartbeat: bool) -> bool:
-        """Record a valid frame; False: a heartbeat of a new peer without room in the table."""
+        """Record a valid frame; False: the table has no room for the new peer of this heartbeat."""
         now_s = time.monotonic()
         if peer in self._beating:
             self._beating[peer] = now_s
@@ -190,7 +190,7 @@ class PeerTable:
         return not heartbeat
 
     def allowance_bytes(self, peer: Peer) -> int | None:
-        """Bytes that may be sent to a peer now; None: unlimited."""
+        """Return the number of bytes that may be sent to a peer now; None: no limit."""
         if peer in self._configured or peer in self._beating:
             return None
         stranger = self._strangers.get(peer)
@@ -202,7 +202,7 @@ class PeerTable:
             stranger.credit_bytes -= size
 
     def _room(self, now_s: float) -> bool:
-        """Whether there is room for a peer; the place of an expired one is free."""
+        """Whether there is room for a peer; expired peers are removed."""
         for peer, heard_s in list(self._beating.items()):
             if len(self._beating) >= self._peers_max and now_s - heard_s > EXPIRY_S:
                 del self._beating[peer]

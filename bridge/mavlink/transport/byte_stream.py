@@ -1,7 +1,7 @@
 """MAVLink over a serial line or a TCP connection that is reopened after a loss.
 
-Opening is tried every half second. Outgoing frames wait in a bounded buffer; without room a new frame is
-dropped as a whole, so that the other side never gets a part of one. Only ``wait`` blocks.
+The line is reopened every half second. Outgoing frames wait in a bounded buffer; if it is full, a new frame
+is dropped as a whole, so that the receiver never gets a part of one. Only ``wait`` blocks.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from collections.abc import Callable, Sequence
 from bridge.mavlink.transport.address import Peer
 from bridge.mavlink.transport.transport import Chunk, EndpointCounters
 
-RETRY_S = 0.5  # s between two tries to open a lost connection
+RETRY_S = 0.5  # time between two tries to open a lost connection, s
 _READ_BYTES = 4096  # greatest size of a read
 _NOTICES_MAX = 32  # greatest number of texts that wait for ``take_notices``
-OUTGOING_MAX = 4096  # buffered bytes of TCP; a serial line has less
-_FRAME_MAX = 280  # bytes; one frame of the greatest length must fit into every queue
-_BITS_PER_BYTE = 10  # on a serial line: a start bit, eight bits of data, a stop bit (8N1)
-_QUEUE_S = 0.1  # s of buffered frames on a serial line: an older set-point is useless
-_KERNEL_QUEUE_S = 0.05  # s of bytes in the kernel's buffer
-_CONNECT_MAX_S = 2.0  # s until a TCP connection without reply is given up
-_UNANSWERED_MAX_MS = 2000  # ms without acknowledgement until a TCP connection counts as lost
-_SEND_BUFFER = 4096  # bytes of the kernel's buffer for TCP, small against delay
+OUTGOING_MAX = 4096  # buffered bytes of TCP; a serial line has fewer
+_FRAME_MAX = 280  # length of the longest frame, bytes; every queue must hold one
+_BITS_PER_BYTE = 10  # bits per byte on a serial line: a start bit, eight data bits, a stop bit (8N1)
+_QUEUE_S = 0.1  # buffered frames on a serial line, s: an older set-point is useless
+_KERNEL_QUEUE_S = 0.05  # bytes in the kernel's buffer, s
+_CONNECT_MAX_S = 2.0  # time without reply after which a TCP connection attempt is given up, s
+_UNANSWERED_MAX_MS = 2000  # time without acknowledgement after which a TCP connection counts as lost, ms
+_SEND_BUFFER = 4096  # bytes of the kernel's buffer for TCP, few to limit the latency
 
 
 class ByteStream:
     """A serial line or TCP connection that is reopened after a loss.
 
-    ``name`` and ``peer`` of the other side are for notices and the log. ``connect`` opens a channel, or
-    starts to. ``outgoing_max``: bytes of frames that may wait.
+    ``name`` of the connection and ``peer`` of the other side are for notices and the log. ``connect`` opens a
+    channel, or starts to. ``outgoing_max``: greatest number of bytes that wait.
     """
 
     is_stream = True
@@ -62,7 +62,7 @@ class ByteStream:
         self._lost_s = self._retry_s = time.monotonic()
         self._outgoing: deque[bytes] = deque()
         self._waiting_bytes = 0
-        self._rest = b""  # rest of a frame that is sent in part
+        self._rest = b""  # unsent rest of a frame
         self._notices: list[str] = []
         self._nothing, self._never = socket.socketpair()  # a descriptor that is never readable
 
@@ -72,7 +72,7 @@ class ByteStream:
         self._look()
 
     def receive(self) -> Chunk | None:
-        """Next bytes; None: no bytes now."""
+        """Return the next bytes; None: no bytes have arrived."""
         channel = self._ready()
         if channel is None:
             return None
@@ -87,7 +87,7 @@ class ByteStream:
         return Chunk(data, self._peer)
 
     def send(self, frames: Sequence[bytes], _peer: Peer) -> None:
-        """Send frames, or buffer them; without a connection or room they are dropped."""
+        """Send or buffer frames; without a connection or room they are dropped."""
         if self._ready() is None:
             self._counters.send_errors += len(frames)
             return
@@ -121,7 +121,7 @@ class ByteStream:
                 return True
             if writable:
                 self._write()
-                if self._waiting_bytes:  # the slow line accepts bytes: no busy loop
+                if self._waiting_bytes:  # the slow line accepts bytes; this avoids a busy loop
                     time.sleep(min(left_s, 0.001))
             if time.monotonic() >= until_s:
                 return False
@@ -136,7 +136,7 @@ class ByteStream:
         return notices
 
     def close(self) -> None:
-        """Close it; may be called twice."""
+        """Close the connection; may be called twice."""
         self._closed = True
         if self._channel is not None:
             self._write()
@@ -147,7 +147,7 @@ class ByteStream:
         self._never.close()
 
     def _ready(self) -> Channel | None:
-        """The connection, reopened when due; None while there is none."""
+        """Return the connection, reopened when due; None while there is none."""
         if self._channel is None:
             now_s = time.monotonic()
             if self._closed or now_s < self._retry_s:
@@ -161,7 +161,7 @@ class ByteStream:
         return self._look()
 
     def _look(self) -> Channel | None:
-        """The established connection, with a notice when it is new; else None."""
+        """Return the established connection, else None; report a new one."""
         channel = self._channel
         assert channel is not None
         try:
@@ -195,7 +195,7 @@ class ByteStream:
         self._say(f"{self._name} {what} ({error.strerror or error}): tried again every {RETRY_S:g} s")
 
     def _write(self) -> None:
-        """Write pending bytes while there is room; the rest of a started frame goes first."""
+        """Write pending bytes while there is room; the rest of a started frame is first."""
         channel = self._channel
         if channel is None:
             return
@@ -218,9 +218,9 @@ class ByteStream:
 
 
 def open_stream(kind: str, address: Peer, counters: EndpointCounters) -> ByteStream:
-    """A serial line or TCP connection; ``address``: device and baud, or IPv4 address and port.
+    """Open a serial line or TCP connection; ``address``: device and baud, or IPv4 address and port.
 
-    Raises OSError: the device cannot be opened; a refused TCP connection is tried again instead.
+    Raises OSError: the device cannot be opened; a refused TCP connection is retried instead.
     """
     if kind == "tcp":
         name = f"TCP connection to {address[0]}:{address[1]}"
@@ -239,12 +239,12 @@ def open_stream(kind: str, address: Peer, counters: EndpointCounters) -> ByteStr
 
 
 def _bytes_in(time_s: float, baud: int) -> int:
-    """Bytes that a serial line carries in a time; at least one frame."""
+    """Return the bytes that a serial line transmits in a time; at least one frame."""
     return max(_FRAME_MAX, round(baud / _BITS_PER_BYTE * time_s))
 
 
 def _number(device: int, request: int) -> int:
-    """Integer result of an ioctl request."""
+    """Return the integer result of an ioctl request."""
     (answer,) = struct.unpack("i", fcntl.ioctl(device, request, bytes(4)))
     return int(answer)
 
@@ -253,7 +253,7 @@ def _number(device: int, request: int) -> int:
 
 
 class _SerialChannel:
-    """An open serial port; OSError when it cannot be opened or set up."""
+    """An open serial port. Raises OSError: it cannot be opened or set up."""
 
     def __init__(self, device: str, baud: int) -> None:
         import serial
@@ -293,12 +293,12 @@ class _SerialChannel:
         return data
 
     def write(self, data: bytes) -> int:
-        # Only a small part of the kernel's buffer is used: it would hold seconds of frames.
+        # Only a small part of the kernel's buffer is used, because the full buffer holds seconds of frames.
         room = self._queue_max - _number(self._fd, termios.TIOCOUTQ)
         return os.write(self._fd, data[:room]) if room > 0 else 0
 
     def close(self) -> None:
-        # The kernel's buffer is nearly empty; a missing device is not waited for.
+        # The kernel's buffer is nearly empty; closing does not wait for a missing device.
         with contextlib.suppress(OSError):
             self._port.close()
 
@@ -312,7 +312,7 @@ _REASONS = {
 
 
 class _TcpChannel:
-    """A connecting or established connection; OSError when it is refused at once."""
+    """A connecting or established TCP connection. Raises OSError: it is refused at once."""
 
     def __init__(self, address: Peer) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)

@@ -1,4 +1,4 @@
-"""UDP for a MAVLink endpoint, and the counters of an endpoint; ``byte_stream`` has serial lines and TCP."""
+"""UDP for a MAVLink endpoint, and an endpoint's counters; ``byte_stream`` has serial lines and TCP."""
 
 from __future__ import annotations
 
@@ -22,48 +22,48 @@ _PASSED = ("received", "sent", "bytes_in", "bytes_out", "unknown_frames", "stale
 
 @dataclass(slots=True)
 class EndpointCounters(FrameCounters):
-    """Counters of one endpoint, one for each reason to drop something."""
+    """Counters of one endpoint, one for each reason to drop data."""
 
-    received: int = 0  # frames decoded
-    sent: int = 0  # frames handed to the socket, once per peer
-    bytes_in: int = 0  # all received bytes
-    bytes_out: int = 0  # all sent bytes
-    send_errors: int = 0  # datagrams rejected by the system; frames during a lost line or connection
-    outgoing_full: int = 0  # serial and TCP: frames dropped by a full buffer
-    connections_lost: int = 0  # serial and TCP
+    received: int = 0  # decoded frames
+    sent: int = 0  # frames passed to the socket, once per peer
+    bytes_in: int = 0  # received bytes
+    bytes_out: int = 0  # sent bytes
+    send_errors: int = 0  # datagrams rejected by the system, and frames without a connection
+    outgoing_full: int = 0  # serial and TCP: frames dropped because the buffer is full
+    connections_lost: int = 0  # serial and TCP: lost connections
     peers_refused: int = 0  # heartbeats of senders without room in the peer table
     oversize: int = 0  # datagrams longer than 4096 bytes
-    withheld: int = 0  # replies dropped: more bytes than a sender without heartbeat had sent
+    withheld: int = 0  # dropped replies: more bytes than a sender without heartbeat had sent
     setup_signing: int = 0  # ignored attempts to set a key over the network
-    unchecked: int = 0  # without a key: signed frames, accepted as unsigned ones
-    # With a key only:
+    unchecked: int = 0  # without a key: signed frames, accepted like unsigned ones
+    # These counters need a key:
     stale_answered: int = 0  # heartbeats sent to peers whose signing clock is behind
     unsigned: int = 0  # frames without a signature
-    bad_signature: int = 0  # signed with another key, forged or changed
-    replayed: int = 0  # not later than the last frame of the same stream
-    stale: int = 0  # a new stream a minute or more behind our clock
-    ahead: int = 0  # more than an hour ahead of our clock
-    reflected: int = 0  # frames with our own ids
-    streams_refused: int = 0  # a new stream without room in the table
+    bad_signature: int = 0  # frames signed with another key, forged or changed
+    replayed: int = 0  # frames not later than the last frame of the same stream
+    stale: int = 0  # frames of a new stream a minute or more behind the local clock
+    ahead: int = 0  # frames more than an hour ahead of the local clock
+    reflected: int = 0  # frames with the ids of this endpoint
+    streams_refused: int = 0  # frames of a new stream without room in the table
 
     def add(self, name: str) -> None:
         setattr(self, name, getattr(self, name) + 1)
 
     def dropped(self) -> str:
-        """Everything that was dropped, as one line; empty if nothing was."""
+        """Numbers of all dropped data as one line; empty if no data was dropped."""
         counts = asdict(self)
         return ", ".join(f"{name} {n}" for name, n in counts.items() if n and name not in _PASSED)
 
 
-_RECEIVED_MAX = 4096  # greatest datagram, bytes, above an Ethernet frame
-_DATAGRAM_MAX = 1400  # bytes; below an Ethernet frame and PX4's 1600-byte buffer (mavlink_receiver.cpp)
-_SOCKET_BUFFER = 1 << 20  # requested bytes; the kernel may give less
+_RECEIVED_MAX = 4096  # greatest datagram, bytes; longer than an Ethernet frame
+_DATAGRAM_MAX = 1400  # limit, bytes; below an Ethernet frame and PX4's buffer of 1600 (mavlink_receiver.cpp)
+_SOCKET_BUFFER = 1 << 20  # requested size, bytes; the kernel may grant less
 
 
 class DatagramTransport:
-    """A UDP socket; one that does not listen has ``address`` as its only peer. Only ``wait`` blocks.
+    """A UDP socket; without listening it has ``address`` as its only peer. Only ``wait`` blocks.
 
-    Raises  OSError: the address cannot be bound, or there is no route to it.
+    Raises OSError: the address cannot be bound, or there is no route to it.
     """
 
     baud: int | None = None
@@ -79,7 +79,7 @@ class DatagramTransport:
                 self._socket.bind(address)
             else:
                 self._socket.bind((local_host_for(address), 0))
-                self._socket.connect(address)  # the kernel drops other senders
+                self._socket.connect(address)  # the kernel then drops frames of other senders
         except OSError as error:
             self._socket.close()
             hint = "is another process listening there?" if listens else "is there a route to it?"
@@ -89,14 +89,14 @@ class DatagramTransport:
         self._readable.register(self._socket, select.POLLIN)
 
     def receive(self) -> Chunk | None:
-        """One datagram; None: no datagram. An oversized one is counted and returned empty."""
+        """Return one datagram; None: no datagram. An oversized one is counted and returned empty."""
         if not self._readable.poll(0):  # a third of the cost of an empty recvfrom
             return None
         try:
             datagram, peer = self._socket.recvfrom(_RECEIVED_MAX + 1)
         except BlockingIOError:
             return None
-        except OSError:  # the port of a peer, or ours, was closed
+        except OSError:  # the port of a peer, or the local port, was closed
             return Chunk(b"", ("", 0))
         self._counters.bytes_in += len(datagram)
         if len(datagram) > _RECEIVED_MAX:
@@ -105,7 +105,7 @@ class DatagramTransport:
         return Chunk(datagram, peer)
 
     def send(self, frames: Sequence[bytes], peer: Peer) -> None:
-        """Send frames, in order, in one datagram (in more above 1400 bytes)."""
+        """Send frames in order in one datagram (in several above 1400 bytes)."""
         for datagram in _datagrams(frames):
             self._send(datagram, peer)
 
@@ -116,7 +116,7 @@ class DatagramTransport:
         return self._socket.fileno()
 
     def take_notices(self) -> list[str]:
-        """UDP has no connection that could be lost."""
+        """Return no notice: UDP has no connection that could be lost."""
         return []
 
     def close(self) -> None:
@@ -127,7 +127,7 @@ class DatagramTransport:
             try:
                 self._counters.bytes_out += self._socket.sendto(datagram, peer)
             except ConnectionRefusedError:
-                continue  # an earlier datagram had no listener; this one was not sent
+                continue  # an earlier datagram had no receiver; this one was not sent
             except OSError:  # full buffer or no route: a newer frame follows in the next tick
                 self._counters.send_errors += 1
             return
