@@ -1,1 +1,1 @@
-"""The Crazyflie's firmware: attitude and velocity loops, mixer, estimator, supervisor."""
+"""Model of the Crazyflie's firmware: attitude and velocity loops, mixer, estimator, supervisor."""

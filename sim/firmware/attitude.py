@@ -1,11 +1,11 @@
-"""Attitude controller of the Crazyflie's Mellinger controller (firmware controller_mellinger.c), in FLU.
+"""Attitude part of the Crazyflie's Mellinger controller (firmware controller_mellinger.c), in FLU.
 
     M = -kR eR - kw w + ki int(-eR) - kd dw/dt,   eR = (Rd' R - R' Rd) as a vector
 
-As in the firmware: eR without the 1/2 of the literature, so that kR counts twice on a small angle; a D-term
-on roll and pitch rate as a raw difference at 500 Hz, which acts as inertia (200 counts make 2.4e-5 kg m^2,
-more than the body's own); outputs clamped to 32000 counts and cut to whole counts. The firmware's pitch has
-the opposite sign inside, which cancels in FLU moments.
+The model follows the firmware: eR lacks the factor 1/2 of the literature, so kR counts twice at a small
+angle. The D-term on roll and pitch rate is the raw difference at 500 Hz. It acts as inertia (200 counts equal
+2.4e-5 kg m^2, more than the body's inertia). Outputs are limited to 32000 counts and truncated to integers.
+The firmware inverts pitch internally, which cancels in FLU moments.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from flightstack.compiled.records import Record
 from sim.plant.params import CONTROL_STEP_S
 from sim.plant.rotation import Nine
 
-# paper V: K1 = diag(7, 7, 0.5)e4, K2 = diag(2, 2, 0.2)e4; the roll and pitch gains are the firmware's
-# defaults, the firmware's yaw gains stand in ``sim.firmware.mellinger``
+# Paper V: K1 = diag(7, 7, 0.5)e4, K2 = diag(2, 2, 0.2)e4. The roll and pitch gains are the firmware's
+# defaults; ``sim.firmware.mellinger`` has the firmware's yaw gains.
 K_R_XY = 70000.0  # counts per unit of eR
 K_R_Z = 5000.0
 K_W_XY = 20000.0  # counts per rad/s
@@ -28,11 +28,11 @@ K_I_Z = 500.0  # counts per (unit of eR) s; firmware default: ki_m_z
 I_RANGE_Z = 1500.0  # firmware default: i_range_m_z
 MOMENT_MAX = 32000.0  # counts
 
-Counts = tuple[int, int, int]  # moments about body x, y, z
+Counts = tuple[int, int, int]  # moments about body x, y, z, counts
 
 
 class AttitudeRecord(Record):
-    wx: float  # last rates, rad/s; NaN before the first
+    wx: float  # roll rate at the last call, rad/s; NaN before the first call
     wy: float
     integral_z: float
     k_r_z: float  # yaw gains, counts per unit of eR and per rad/s
@@ -41,7 +41,7 @@ class AttitudeRecord(Record):
 
 @jitted
 def attitude_moments(a: AttitudeRecord, axes: Nine, desired: Nine, wx: float, wy: float, wz: float) -> Counts:
-    """The moments in counts, at 500 Hz; ``axes`` are estimated, ``wx`` to ``wz`` rates of the gyro, rad/s."""
+    """Return the moments at 500 Hz; ``axes``: estimated; ``wx``, ``wy``, ``wz``: gyro rates, rad/s."""
     xx, xy, xz, yx, yy, yz, zx, zy, zz = axes
     dxx, dxy, dxz, dyx, dyy, dyz, dzx, dzy, dzz = desired
     ex = dzx * yx + dzy * yy + dzz * yz - (zx * dyx + zy * dyy + zz * dyz)

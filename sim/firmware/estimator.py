@@ -1,20 +1,20 @@
-"""On-board state estimate: IMU at 500 Hz, corrected by position and yaw from the motion capture.
+"""On-board state estimator: IMU at 500 Hz, corrected by position and yaw from motion capture.
 
-It represents the Crazyflie's Kalman filter with external pose: same noise figures, same weakness (the age of
-samples is ignored, so that a moving estimate lags by the capture's delay), but with the filter's stationary
-gains instead of a covariance. Per axis the states are position, velocity and an
-acceleration error; horizontally the latter is a tilt of the attitude estimate (a tilt d makes g d of
-acceleration), vertically it is the accelerometer's bias.
+It models the Crazyflie's Kalman filter with external pose. It has the same noise figures and the same
+weakness: it ignores the age of samples, so the estimate of a moving vehicle lags by the latency of motion
+capture. It uses the filter's stationary gains instead of a covariance. The states of each axis are position,
+velocity and acceleration error. The horizontal acceleration error is a tilt of the attitude estimate (a tilt
+d causes the acceleration g d), the vertical one is the accelerometer's bias.
 
-There are two forms. By default all three accelerometer axes are used, so that wind and drag do not look like
-tilt, and a pose has no roll and pitch. With ``known_drag_1_s`` it is the firmware's form: in flight only body
-z is used, drag along body x and y is that of ``kalman.dragB_x`` and ``_y`` (along z the accelerometer
-measures it), a pose has a whole attitude, and no bias is estimated. Unknown drag makes the velocity too high:
-16 % at 0.46 1/s.
+There are two forms. The default form uses all three accelerometer axes, so wind and drag do not look like
+tilt; a pose has no roll and pitch. With ``known_drag_1_s`` the estimator has the firmware's form: in flight
+it uses only body z of the accelerometer, the drag along body x and y is ``kalman.dragB_x`` and ``_y`` (along
+z the accelerometer measures it), a pose has a full attitude, and no bias is estimated. Unmodelled drag makes
+the estimated velocity too high: 16 % at 0.46 1/s.
 
-Gains: steady state of the discrete Kalman filter at the capture's rate. Noise from firmware
-kalman_core_params_defaults.h and kalman_core.c, which add (sigma dt)^2 every 1 ms: procNoiseAcc 0.5 and 1.0
-m/s^2, gyro 0.1 rad/s; crtp_localization_service.c: position 0.01 m, quaternion 4.5e-3.
+The gains are the steady state of the discrete Kalman filter at the capture's rate. Noise figures are from
+firmware kalman_core_params_defaults.h and kalman_core.c, which add (sigma dt)^2 every 1 ms: procNoiseAcc 0.5
+and 1.0 m/s^2, gyro 0.1 rad/s; crtp_localization_service.c: position 0.01 m, quaternion 4.5e-3.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ INNOVATION_AGE_MAX_S = 0.5  # time without a sample after which the estimate is 
 
 @cache
 def axis_gains(period_s: float, accel_std: float, gravity: float) -> tuple[float, float, float]:
-    """Stationary gains on (position, velocity, acceleration error) for one metre of innovation.
+    """Return stationary gains on (position, velocity, acceleration error) for one metre of innovation.
 
-    ``period_s``: between position samples; ``accel_std``: the firmware's acceleration noise of this axis,
-    m/s^2 per 1 ms step; ``gravity``: m/s^2, which turns gyro noise into a random walk of the acceleration
+    ``period_s``: time between position samples; ``accel_std``: the firmware's acceleration noise on this
+    axis, m/s^2 per 1 ms step; ``gravity``: m/s^2; it turns gyro noise into a random walk of the acceleration
     error.
     """
     t = period_s
@@ -72,16 +72,16 @@ def axis_gains(period_s: float, accel_std: float, gravity: float) -> tuple[float
 def pose_gains(
     period_s: float, gravity: float
 ) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Stationary gains on (position, velocity, tilt) of a pose: first its position, then its attitude.
+    """Return stationary gains on (position, velocity, tilt) for a pose: for its position, then its attitude.
 
-    Returns gains for one metre and for one radian of innovation.
+    The first gains are for one metre of innovation, the second ones for one radian.
     """
     t, g = FIRMWARE_STEP_S, gravity
     f = np.array([[1.0, t, 0.5 * g * t * t], [0.0, 1.0, g * t], [0.0, 0.0, 1.0]])
     q = np.diag([(ACCEL_XY_M_S2 * t * t) ** 2, (ACCEL_XY_M_S2 * t) ** 2, (GYRO_RAD_S * t) ** 2])
     p = np.eye(3) * POSITION_STD_M**2
     gains: list[tuple[float, float, float]] = []
-    for _ in range(round(10.0 / period_s)):  # the slowest mode settles within a second
+    for _ in range(round(10.0 / period_s)):  # the slowest mode converges within a second
         gains.clear()
         for _ in range(round(period_s / t)):
             p = f @ p @ f.T + q
@@ -93,7 +93,7 @@ def pose_gains(
 
 
 def yaw_gain(period_s: float) -> float:
-    """Stationary gain on yaw for one radian of innovation (scalar Riccati equation)."""
+    """Return the stationary gain on yaw for one radian of innovation (scalar Riccati equation)."""
     q = GYRO_RAD_S**2 * FIRMWARE_STEP_S * period_s
     r = YAW_STD_RAD**2
     p = 0.5 * (q + math.sqrt(q * q + 4.0 * q * r))  # predicted variance
@@ -101,31 +101,31 @@ def yaw_gain(period_s: float) -> float:
 
 
 class EstimatorRecord(Record):
-    """Estimate, gains of the corrections, and constants."""
+    """State estimate, gains of the corrections, and constants."""
 
     sensed: SensedState
     bias_z: float  # bias of the vertical accelerometer, negative, m/s^2
     since_sample_s: float
-    kp: float  # horizontal: position
-    kv: float  # velocity, 1/s
-    kt: float  # tilt, rad per m
-    kp_z: float  # vertical
+    kp: float  # horizontal gain on the position
+    kv: float  # horizontal gain on the velocity, 1/s
+    kt: float  # gain on the tilt, rad per m
+    kp_z: float  # vertical gain on the position
     kv_z: float
-    kz: float  # bias, 1/s^2
+    kz: float  # gain on the bias, 1/s^2
     kyaw: float
-    by_pose: bool  # the firmware's form
-    body_z: bool  # the firmware's form in flight: only body z is used
+    by_pose: bool  # use the firmware's form
+    body_z: bool  # firmware's form in flight: use only body z of the accelerometer
     known_drag: Vector  # kalman.dragB_*, body axes, 1/s
-    kp_tilt: float  # by the attitude of a pose: position, m per rad
-    kv_tilt: float  # velocity, m/s per rad
-    kt_tilt: float  # tilt
-    step: float  # s
+    kp_tilt: float  # gain of a pose's attitude on the position, m per rad
+    kv_tilt: float  # gain on the velocity, m/s per rad
+    kt_tilt: float  # gain on the tilt
+    step: float  # time step, s
     gravity: float
 
 
 @jitted
 def predict(e: EstimatorRecord, gyro: F64, accel: F64) -> None:
-    """Advance by one step with the IMU's measurement (rad/s and m/s^2, body)."""
+    """Advance by one step with the IMU's measurement (rad/s and m/s^2, body frame)."""
     s = e.sensed
     half = 0.5 * e.step
     ax, ay, az = gyro[0] * half, gyro[1] * half, gyro[2] * half
@@ -137,10 +137,10 @@ def predict(e: EstimatorRecord, gyro: F64, accel: F64) -> None:
         y + ay * w + ax * z - az * x,
         z + az * w + ay * x - ax * y,
     )
-    scale = 1.5 - 0.5 * (w * w + x * x + y * y + z * z)  # one Newton step of 1 / sqrt
+    scale = 1.5 - 0.5 * (w * w + x * x + y * y + z * z)  # one Newton step of 1 / sqrt(norm^2)
     w, x, y, z = w * scale, x * scale, y * scale, z * scale
     q[0], q[1], q[2], q[3] = w, x, y, z
-    # not rotation_axes: its order of products rounds differently and would change recorded runs
+    # not rotation_axes, whose order of products rounds differently: recorded runs would change
     x2, y2, z2 = x + x, y + y, z + z
     xx, yy, zz, xy, xz, yz = x * x2, y * y2, z * z2, x * y2, x * z2, y * z2
     wx, wy, wz = w * x2, w * y2, w * z2
@@ -165,7 +165,7 @@ def predict(e: EstimatorRecord, gyro: F64, accel: F64) -> None:
 
 @jitted
 def correct(e: EstimatorRecord, x: float, y: float, z: float, yaw: float) -> None:
-    """Correct by a motion-capture sample, without regard to its age."""
+    """Correct the estimate with a motion-capture sample; the sample's age is ignored."""
     p, v = e.sensed.position, e.sensed.velocity
     rx, ry, rz = x - p[0], y - p[1], z - p[2]
     p[0], p[1], p[2] = p[0] + e.kp * rx, p[1] + e.kp * ry, p[2] + e.kp_z * rz
@@ -173,19 +173,19 @@ def correct(e: EstimatorRecord, x: float, y: float, z: float, yaw: float) -> Non
     e.bias_z += e.kz * rz
     error = yaw - math.atan2(e.sensed.axes[1], e.sensed.axes[0])
     turn = e.kyaw * math.atan2(math.sin(error), math.cos(error))
-    turn_estimate(e.sensed, -e.kt * ry, e.kt * rx, turn)  # tilt d makes the acceleration g (d_y, -d_x)
+    turn_estimate(e.sensed, -e.kt * ry, e.kt * rx, turn)  # a tilt d causes the acceleration g (d_y, -d_x)
     e.since_sample_s = 0.0
 
 
 @jitted
 def correct_tilt(e: EstimatorRecord, quaternion: F64) -> None:
-    """Correct the attitude by roll and pitch of a pose; call it after ``correct``."""
+    """Correct the attitude with roll and pitch of a pose; call it after ``correct``."""
     s = e.sensed
     w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
     mx, my, mz = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
     w, x, y, z = s.quaternion[0], s.quaternion[1], s.quaternion[2], s.quaternion[3]
     bx, by, bz = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
-    # rotates the estimated body z to the measured one
+    # rotation from the estimated to the measured body z
     about_x, about_y = by * mz - bz * my, bz * mx - bx * mz
     s.position[0] += e.kp_tilt * about_y
     s.position[1] -= e.kp_tilt * about_x
@@ -196,10 +196,10 @@ def correct_tilt(e: EstimatorRecord, quaternion: F64) -> None:
 
 @jitted
 def replace_estimate(e: EstimatorRecord, state: F64, quaternion: F64, turn: F64) -> None:
-    """Replace the estimate; the axes follow in the next ``predict``.
+    """Replace the estimate; the next ``predict`` updates the axes.
 
     ``state``: position (m) and velocity (m/s), ENU; ``quaternion``: true attitude; ``turn``: small rotation
-    vector of the estimated attitude against the true one, body, rad.
+    vector from true to estimated attitude, body frame, rad.
     """
     s = e.sensed
     for i in range(3):
@@ -216,7 +216,7 @@ def replace_estimate(e: EstimatorRecord, state: F64, quaternion: F64, turn: F64)
 
 @jitted
 def turn_estimate(s: SensedState, dx: float, dy: float, dz: float) -> None:
-    """Turn the attitude estimate by a small rotation vector in the world frame."""
+    """Rotate the attitude estimate by a small rotation vector in the world frame, rad."""
     dx, dy, dz = 0.5 * dx, 0.5 * dy, 0.5 * dz
     q = s.quaternion
     w, x, y, z = q[0], q[1], q[2], q[3]
@@ -241,10 +241,10 @@ def _correct_tilt(estimator: Cell[EstimatorRecord], quaternion: F64) -> None:
 
 
 class Estimator:
-    """The estimator of one vehicle; ``sensed`` is the result.
+    """State estimator of one vehicle; ``sensed`` is the result.
 
-    ``mocap_period_s``: between motion-capture samples; ``step_s``: between calls of ``predict``; ``record``:
-    its memory; ``known_drag_1_s``: ``kalman.dragB_*``, for the firmware's form; None: the other form.
+    ``mocap_period_s``: time between motion-capture samples; ``step_s``: time between calls of ``predict``;
+    ``record``: memory; ``known_drag_1_s``: ``kalman.dragB_*`` for the firmware's form; None: default form.
     """
 
     def __init__(
@@ -280,10 +280,10 @@ class Estimator:
         quaternion: tuple[float, float, float, float],
         accel_bias: list[float],
     ) -> None:
-        """Start in the state in which the corrections balance the accelerometer's bias."""
+        """Start in the steady state in which the corrections balance the accelerometer's bias."""
         sensed, gravity = self.sensed, float(self.record.gravity)
         sensed.position[:], sensed.velocity[:], sensed.quaternion[:] = position, velocity, quaternion
-        if self.record.by_pose:  # without an estimated bias that could compensate it
+        if self.record.by_pose:  # this form has no bias estimate that could compensate the bias
             return
         a, b, c = accel_bias
         bx, by, bz = (axes[i] * a + axes[3 + i] * b + axes[6 + i] * c for i in range(3))
@@ -291,22 +291,22 @@ class Estimator:
         turn_estimate(sensed, by / gravity, -bx / gravity, 0.0)
 
     def correct(self, x: float, y: float, z: float, yaw: float) -> None:
-        """Correct by a motion-capture sample, without regard to its age."""
+        """Correct the estimate with a motion-capture sample; the sample's age is ignored."""
         _correct(self._cell, x, y, z, yaw)
 
     def take_pose(self, position: Vec3, quaternion: tuple[float, float, float, float]) -> None:
-        """Correct by a whole external pose, in the firmware's form."""
+        """Correct the estimate with a full external pose, in the firmware's form."""
         w, x, y, z = quaternion
         self.correct(*position, math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z)))
         _correct_tilt(self._cell, np.array(quaternion))
 
     def know_drag(self, drag_1_s: Vec3) -> None:
-        """Write ``kalman.dragB_*``."""
+        """Write the parameters ``kalman.dragB_*``."""
         self.record.known_drag[:] = drag_1_s
 
     def believed(self) -> Estimate:
-        """Newest estimate; valid while samples arrive."""
-        s = self._read()  # in the order of SensedState
+        """Newest estimate; it is valid while samples arrive."""
+        s = self._read()  # values in the order of SensedState's fields
         return Estimate(s[:3], s[3:6], s[6:10], s[10:], self._age_s[0] < INNOVATION_AGE_MAX_S)
 
     @property

@@ -2,10 +2,11 @@
 
     F = m a + kp e + kd de/dt + ki int(e),   e = set-point minus estimate, thrust = F along body z
 
-After firmware controller_mellinger.c of release 2025.12 (attitude: ``sim.firmware.attitude``). It follows
-positions only. As in the firmware: the integrals are bounded (a vehicle heavier than ``MASS_KG`` is below its
-set-point), and grow while the set-point is out of reach; zero thrust means no moments and a reset of the
-integrals. Levelled out it keeps the height of the newest set-point.
+It follows firmware controller_mellinger.c of release 2025.12 (attitude: ``sim.firmware.attitude``) and
+accepts only position set-points. As in the firmware, the integrals are bounded (a vehicle heavier than
+``MASS_KG`` stays below its set-point) and grow while the set-point is out of reach. Zero thrust sets the
+moments to zero and resets the integrals. When the supervisor levels out, the height of the newest set-point
+is held.
 """
 
 from __future__ import annotations
@@ -20,13 +21,13 @@ from sim.firmware.setpoint import SensedState, SetpointRecord
 from sim.plant.params import CONTROL_STEP_S
 from sim.plant.rotation import nine
 
-MASS_KG = 0.029  # platform_defaults_cf2.h: CF_MASS; agrees with the hover of recorded flights
+MASS_KG = 0.029  # platform_defaults_cf2.h: CF_MASS; agrees with the hover thrust of recorded flights
 MASS_THRUST = 132000.0  # counts per N: massThrust
 GRAVITY_M_S2 = 9.81  # physicalConstants.h
 KP_XY, KD_XY, KI_XY = 0.4, 0.2, 0.05  # N/m, N s/m, N/(m s)
 KP_Z, KD_Z, KI_Z = 1.25, 0.4, 0.05
 I_RANGE_XY, I_RANGE_Z = 2.0, 0.4  # m s
-K_R_Z, K_W_Z = 60000.0, 12000.0  # yaw: kR_z, kw_z; roll and pitch as in ``sim.firmware.attitude``
+K_R_Z, K_W_Z = 60000.0, 12000.0  # yaw gains kR_z, kw_z; roll and pitch gains: ``sim.firmware.attitude``
 
 
 class MellingerRecord(Record):
@@ -38,7 +39,7 @@ class MellingerRecord(Record):
 def mellinger_update(
     m: MellingerRecord, sensed: SensedState, setpoint: SetpointRecord, level: bool
 ) -> tuple[float, Counts]:
-    """``(thrust counts per motor, moment counts)``; ``level``: roll and pitch zero."""
+    """Return ``(thrust counts per motor, moment counts)``; ``level``: command zero roll and pitch."""
     p, v, i = sensed.position, sensed.velocity, m.integral
     ex, ey, ez = setpoint.x - p[0], setpoint.y - p[1], setpoint.z - p[2]
     i[0] = max(-I_RANGE_XY, min(I_RANGE_XY, i[0] + ex * CONTROL_STEP_S))

@@ -1,9 +1,9 @@
 """Legacy power distribution and the thrust map: counts to rotor speed commands.
 
-After firmware power_distribution_quadrotor.c and motors.c: the excess of a motor above full duty is
-subtracted from all four; counts are linear in thrust (65535 = THRUST_MAX) by the firmware's map; below
-THRUST_MIN a motor stops. With a map to volts (``Rotor.volt_map``) counts are converted to volts and capped at
-the battery's voltage; without one they are capped at 65535.
+It follows firmware power_distribution_quadrotor.c and motors.c: the excess of a motor above full duty is
+subtracted from all four. In the firmware's map, counts are linear in thrust (65535 = THRUST_MAX). Below
+THRUST_MIN a motor stops. With a map to volts (``Rotor.volt_map``) counts are converted to volts and limited
+to the battery voltage; without one they are limited to 65535.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from sim.plant.params import Battery, Params, Rotor
 from sim.plant.rotors import Four
 
 COUNTS_MAX = 65535.0
-VOLTS_FIRST = 3.0  # start of Newton's method
-NEWTON_STEPS = 6  # from 3 V to between 0.5 and 6 V: exact to 1e-9 V
+VOLTS_FIRST = 3.0  # initial value of Newton's method, V
+NEWTON_STEPS = 6  # from 3 V to any result between 0.5 and 6 V; error below 1e-9 V
 OFF: Four = (0.0, 0.0, 0.0, 0.0)
 
 
 @jitted
 def spread(thrust: float, moments: tuple[int, int, int]) -> Four:
-    """Counts of M1..M4 from thrust counts and moment counts about body x, y, z (FLU), without limits."""
+    """Return counts of M1..M4, without limits, from thrust and moment counts about body x, y, z (FLU)."""
     mx, my, mz = moments
-    r, p = int(mx / 2), int(my / 2)  # int16 halves, truncated
+    r, p = int(mx / 2), int(my / 2)  # halves as int16, truncated
     return (thrust - r - p - mz, thrust - r + p + mz, thrust + r + p - mz, thrust + r - p + mz)
 
 
 @jitted
 def cap(motors: Four, most: float) -> Four:
-    """Subtract the excess of a motor above ``most`` from all four; none falls below 0."""
+    """Subtract the excess of a motor above ``most`` from all four; no result is below 0."""
     m1, m2, m3, m4 = motors
     if m1 > most or m2 > most or m3 > most or m4 > most:
         excess = max(m1, m2, m3, m4) - most
@@ -44,31 +44,31 @@ def cap(motors: Four, most: float) -> Four:
 
 @jitted
 def mix(thrust: float, moments: tuple[int, int, int]) -> Four:
-    """Counts of M1..M4 from thrust counts and moment counts about body x, y, z (FLU), capped to 0..65535."""
+    """Return counts of M1..M4 from thrust and moment counts about body x, y, z (FLU), limited to 0..65535."""
     return cap(spread(thrust, moments), COUNTS_MAX)
 
 
 class MapRecord(Record):
     """Inverse of the thrust map: rpm = (b + sqrt(b^2 + four_a counts)) inverse.
 
-    With ``in_volts``, counts are ``volt_map`` of a voltage, whose share of the battery's is the duty cycle;
-    rpm = no_duty_rpm + duty (rpm_max - no_duty_rpm).
+    With ``in_volts``, ``volt_map`` maps a voltage to counts, and the duty cycle is this voltage divided by
+    the battery voltage: rpm = no_duty_rpm + duty (rpm_max - no_duty_rpm).
     """
 
     in_volts: bool
     volt_map: Motors
     at_zero_rpm: float
     per_volt_rpm: float
-    no_duty_rpm: float  # sim.plant.rotors.speed_at_no_duty
+    no_duty_rpm: float  # result of sim.plant.rotors.speed_at_no_duty
     b: float
     four_a: float
     inverse: float
-    off_below: float  # counts
+    off_below: float  # counts below which a motor stops
 
 
 @jitted
 def motor_speed(m: MapRecord, counts: float, rpm_max: float) -> float:
-    """Commanded speed, rpm, at most ``rpm_max`` by the battery."""
+    """Return the commanded speed, rpm; the battery limits it to ``rpm_max``."""
     if counts < m.off_below:
         return 0.0
     return min((m.b + math.sqrt(m.b * m.b + m.four_a * counts)) * m.inverse, rpm_max)
@@ -76,7 +76,7 @@ def motor_speed(m: MapRecord, counts: float, rpm_max: float) -> float:
 
 @jitted
 def motor_volts(m: MapRecord, counts: float) -> float:
-    """Commanded voltage; 0 where the motor stops."""
+    """Return the commanded voltage; 0 where the motor stops."""
     if counts < m.off_below:
         return 0.0
     k, share, volts = m.volt_map, counts / COUNTS_MAX, VOLTS_FIRST
@@ -88,7 +88,7 @@ def motor_volts(m: MapRecord, counts: float) -> float:
 
 @jitted
 def motor_speeds(m: MapRecord, thrust: float, moments: tuple[int, int, int], rpm_max: float) -> Four:
-    """Commanded speeds of M1..M4, rpm; ``rpm_max``: speed at full duty."""
+    """Return the commanded speeds of M1..M4, rpm; ``rpm_max``: speed at full duty cycle."""
     if m.in_volts:
         m1, m2, m3, m4 = spread(thrust, moments)
         each = (motor_volts(m, m1), motor_volts(m, m2), motor_volts(m, m3), motor_volts(m, m4))
@@ -111,7 +111,7 @@ def motor_speeds(m: MapRecord, thrust: float, moments: tuple[int, int, int], rpm
 
 
 def set_up_map(m: MapRecord, rotor: Rotor, battery: Battery) -> MapRecord:
-    """Fill in a record for the nominal static map and the thrust limits of a rotor."""
+    """Fill in the record for the nominal static map and the thrust limits of a rotor."""
     m.at_zero_rpm, m.per_volt_rpm = battery.speed_at_zero_v_rpm, battery.speed_per_volt_rpm
     if rotor.volt_map is not None:
         m.in_volts, m.volt_map[:] = True, rotor.volt_map
@@ -124,7 +124,7 @@ def set_up_map(m: MapRecord, rotor: Rotor, battery: Battery) -> MapRecord:
 
 
 def counts_per_n(params: Params, thrust_n: float, battery_v: float | None = None) -> float:
-    """Counts per newton of the four nominal motors near hover; ``battery_v`` None: a half-empty battery."""
+    """Return counts per newton of four nominal motors near hover; ``battery_v`` None: half-empty battery."""
     rotor, battery = params.rotor, params.battery
     if rotor.volt_map is None:
         return COUNTS_MAX / (4.0 * rotor.thrust_max_n)
@@ -136,7 +136,7 @@ def counts_per_n(params: Params, thrust_n: float, battery_v: float | None = None
 
 
 def moments_of(counts: Sequence[float]) -> tuple[int, int, int]:
-    """Moment counts about body x, y, z for which ``mix`` gives these differences between M1..M4."""
+    """Return moment counts about body x, y, z for which ``mix`` gives these differences between M1..M4."""
     m1, m2, m3, m4 = counts
     return (
         round((m3 + m4 - m1 - m2) / 2.0),

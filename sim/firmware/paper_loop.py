@@ -1,11 +1,11 @@
 """The paper's velocity controller, eq. 8: tau_p = -K_v (v - u*) + m G, and geometric attitude control.
 
-The stock Mellinger controller rejects velocity set-points, so the paper must have used this law in addition.
-It uses the nominal mass and thrust scale instead of this vehicle's. At the paper's K_v = 0.5 N s/m on 32 g
-the velocity gain is 16 1/s against about 8 1/s of attitude bandwidth: the loop is under-damped by design.
+The stock Mellinger controller rejects velocity set-points, so the paper must have added this control law. It
+uses the nominal mass and thrust scale instead of this vehicle's. With the paper's K_v = 0.5 N s/m on 32 g the
+velocity gain is 16 1/s, but the attitude bandwidth is only about 8 1/s: the loop is under-damped by design.
 
-Not in the paper: the desired force keeps an upward share and a tilt limit. Without them a downward step of
-0.63 m/s commands zero thrust and a larger one an inverted attitude.
+One limit is not in the paper: the desired force keeps an upward share and a tilt limit. Without it a downward
+step of 0.63 m/s commands zero thrust and a larger one an inverted attitude.
 """
 
 from __future__ import annotations
@@ -22,15 +22,13 @@ from sim.plant.params import Params
 from sim.plant.rotation import Nine, nine
 
 K_V_N_S_M = 0.5  # paper V: K_v = 0.5 I
-UP_SHARE_MIN = 0.2  # least upward force, as share of the weight
-TAN_TILT_MAX = math.tan(
-    math.radians(40.0)
-)  # the thrust still carries the weight up to acos(1 / 1.53) = 49 degrees
+UP_SHARE_MIN = 0.2  # smallest upward force, as share of the weight
+TAN_TILT_MAX = math.tan(math.radians(40.0))  # the thrust carries the weight up to acos(1 / 1.53) = 49 degrees
 
 
 @jitted
 def axes_from_force(fx: float, fy: float, fz: float, cos_yaw: float, sin_yaw: float) -> Nine:
-    """Body axes with z along the force and x towards the yaw (controller_mellinger.c)."""
+    """Return body axes with z along the force and x towards the yaw (controller_mellinger.c)."""
     scale = 1.0 / math.sqrt(fx * fx + fy * fy + fz * fz)
     zx, zy, zz = fx * scale, fy * scale, fz * scale
     yx, yy, yz = -zz * sin_yaw, zz * cos_yaw, zx * sin_yaw - zy * cos_yaw
@@ -40,9 +38,9 @@ def axes_from_force(fx: float, fy: float, fz: float, cos_yaw: float, sin_yaw: fl
 
 
 class PaperRecord(Record):
-    """The loop's constants and its attitude controller."""
+    """Constants of the loop and its attitude controller."""
 
-    weight: float  # N, nominal
+    weight: float  # nominal weight, N
     counts_per_n: float
     attitude: AttitudeRecord
 
@@ -51,7 +49,7 @@ class PaperRecord(Record):
 def paper_update(
     p: PaperRecord, sensed: SensedState, setpoint: SetpointRecord, level: bool
 ) -> tuple[float, Counts]:
-    """``(thrust counts per motor, moment counts)``; ``level``: roll and pitch zero."""
+    """Return ``(thrust counts per motor, moment counts)``; ``level``: command zero roll and pitch."""
     vx, vy, vz = sensed.velocity[0], sensed.velocity[1], sensed.velocity[2]
     fx = fy = 0.0
     fz = max(UP_SHARE_MIN * p.weight, K_V_N_S_M * (setpoint.vz - vz) + p.weight)
@@ -65,7 +63,7 @@ def paper_update(
     desired = axes_from_force(fx, fy, fz, setpoint.cos_yaw, setpoint.sin_yaw)
     rates = sensed.rates
     moments = attitude_moments(p.attitude, axes, desired, rates[0], rates[1], rates[2])
-    if counts <= 0.0:  # controller_mellinger.c: no thrust, no moments, integrals gone
+    if counts <= 0.0:  # controller_mellinger.c: no moments, reset the integrals
         paper_reset(p)
         return 0.0, (0, 0, 0)
     return counts, moments
@@ -88,9 +86,9 @@ class PaperLoop:
         paper_reset(self.record)
 
     def trim(self, force: Vec3, counts_per_n: float, moments: Counts = (0, 0, 0)) -> Vec3:
-        """The set-point at which the loop, at rest, commands ``force`` (world, N).
+        """Return the set-point at which the loop, at rest, commands ``force`` (world, N).
 
-        ``counts_per_n``: thrust counts per newton; the loop uses the nominal value; ``moments`` have no
+        ``counts_per_n``: thrust counts per newton; the loop uses the nominal value; ``moments``: without
         effect here.
         """
         del moments

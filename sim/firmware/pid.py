@@ -1,13 +1,12 @@
 """The Crazyflie's PID cascade: position and velocity at 100 Hz, attitude and rate at 500 Hz.
 
-After firmware position_controller_pid.c, attitude_pid_controller.c, controller_pid.c and pid.c, gains of
-platform_defaults_cf2.h. Angles in degrees inside, as there. FLU throughout: the firmware's inverted pitch
-cancels.
-Position set-points use the position loop, velocity set-points do not; a velocity beside a position is
-ignored. A set-point of another kind is a change of mode. As in the firmware: an integral limit of 5000 in the
-velocity loop (so it winds up), thrust of at least 20000 counts in flight, derivative of the measurement,
-reset of all integrals after a change of mode or zero thrust; the rate loops then also reset the last rate, so
-that their derivative has one peak.
+It follows firmware position_controller_pid.c, attitude_pid_controller.c, controller_pid.c and pid.c, with
+gains of platform_defaults_cf2.h. Angles are in degrees, as in the firmware. All axes are FLU: the firmware's
+inverted pitch cancels. Position set-points use the position loop, velocity set-points do not; the velocity of
+a position set-point is ignored. A set-point of the other kind changes the mode. As in the firmware, the
+velocity loop has an integral limit of 5000 (so it winds up), thrust in flight is at least 20000 counts, and
+the D-term uses the measurement. A change of mode or zero thrust resets all integrals, and the last rate of
+the rate loops, so their derivative has one peak.
 """
 
 from __future__ import annotations
@@ -24,10 +23,8 @@ from sim.plant.params import CONTROL_STEP_S, Params
 
 POSITION_EVERY = 5  # firmware stabilizer_types.h: POSITION_RATE 100 Hz
 POSITION_STEP_S = POSITION_EVERY * CONTROL_STEP_S
-LATE_MAX = 60  # set-points in the dead time of a loop, 0.6 s
-SPEED_MAX_M_S = (
-    1.1 * 1.0
-)  # limits of the position loop: velMaxOverhead * PID_POS_VEL_X_MAX, and the same for y and z
+LATE_MAX = 60  # maximum number of set-points within the dead time of a loop, 0.6 s
+SPEED_MAX_M_S = 1.1 * 1.0  # limit of the position loop: velMaxOverhead * PID_POS_VEL_X_MAX (y, z: the same)
 TILT_MAX_DEG = 20.0  # PID_VEL_ROLL_MAX, PID_VEL_PITCH_MAX
 THRUST_BASE = 36000.0  # counts, PID_VEL_THRUST_BASE
 THRUST_MIN = 20000.0  # counts, PID_VEL_THRUST_MIN
@@ -44,15 +41,15 @@ class PidRecord(Record):
     ki: float
     kd: float
     i_limit: float
-    dt: float  # s
+    dt: float  # time step, s
     limit: float  # limit of the output
     integral: float
-    previous: float  # last measurement; NaN before the first
+    previous: float  # last measurement; NaN before the first one
 
 
 @jitted
 def pid_output(p: PidRecord, error: float, measured: float) -> float:
-    """Return the output for an error; ``measured`` feeds the derivative."""
+    """Return the output for an error; the D-term uses ``measured``."""
     p.integral = max(-p.i_limit, min(p.i_limit, p.integral + error * p.dt))
     out = p.kp * error + p.ki * p.integral
     if p.kd != 0.0:
@@ -77,27 +74,27 @@ def pid_record(
 class CascadeRecord(Record):
     """The twelve PIDs and their common state."""
 
-    x: PidRecord  # positions to velocities; x and y in the yawed frame
+    x: PidRecord  # position to velocity; x and y in the frame turned by yaw
     y: PidRecord
     z: PidRecord
-    vx: PidRecord  # body velocities to tilt, degrees
+    vx: PidRecord  # body velocity to tilt, degrees
     vy: PidRecord
-    vz: PidRecord  # to thrust
-    roll: PidRecord  # angles to rates, degrees
+    vz: PidRecord  # velocity to thrust
+    roll: PidRecord  # angle to rate, degrees
     pitch: PidRecord
     yaw: PidRecord
-    roll_rate: PidRecord  # to counts
+    roll_rate: PidRecord  # rate to counts
     pitch_rate: PidRecord
     yaw_rate: PidRecord
-    calls: int  # since the last reset
+    calls: int  # calls since the last reset
     mode: int  # LEVEL, FREE, TO_POSITION or UNKNOWN
-    late: Annotated[F64, 2 * LATE_MAX]  # horizontal set-points of the last calls of the velocity loop, a ring
+    late: Annotated[F64, 2 * LATE_MAX]  # ring buffer of horizontal set-points, one for each call of the loop
     late_calls: int  # calls between a set-point and its effect
-    response: float  # target velocity of the loop, as share of the set-point
-    tilt_share: float  # gain of the low-pass of the tilt command; 1: none
-    roll_wanted: float  # degrees
-    pitch_wanted: float
-    thrust_wanted: float  # counts
+    response: float  # ratio of the loop's target velocity to the set-point
+    tilt_share: float  # gain of the low-pass on the tilt command; 1: no low-pass
+    roll_wanted: float  # commanded roll, degrees
+    pitch_wanted: float  # commanded pitch, degrees
+    thrust_wanted: float  # commanded thrust, counts
 
 
 UNKNOWN, FREE, LEVEL, TO_POSITION = -1, 0, 1, 2
@@ -127,13 +124,13 @@ def cascade_reset(c: CascadeRecord) -> None:
 
 @jitted
 def clamp(value: float, limit: float) -> float:
-    """Limit to +-limit."""
+    """Limit to the range -``limit`` to ``limit``."""
     return max(-limit, min(limit, value))
 
 
 @jitted
 def continued(before: float, angle: float) -> float:
-    """Angle in degrees, without its jump at 180, next to ``before`` (NaN: none)."""
+    """Shift an angle by multiples of 360 degrees next to ``before`` (NaN: no shift)."""
     if math.isnan(before):
         return angle
     turn = angle - before + 180.0
@@ -144,7 +141,7 @@ def continued(before: float, angle: float) -> float:
 def velocity_pids(
     c: CascadeRecord, position: F64, velocity: F64, setpoint: SetpointRecord, yaw: float
 ) -> None:
-    """Tilt and thrust commands (100 Hz)."""
+    """Compute tilt and thrust commands (100 Hz)."""
     cos, sin = math.cos(yaw), math.sin(yaw)
     vx, vy = c.response * setpoint.vx, c.response * setpoint.vy
     if c.late_calls > 0:
@@ -172,7 +169,7 @@ def velocity_pids(
 def cascade_update(
     c: CascadeRecord, sensed: SensedState, setpoint: SetpointRecord, level: bool
 ) -> tuple[float, Counts]:
-    """``(thrust counts per motor, moment counts)``; ``level``: roll and pitch zero."""
+    """Return ``(thrust counts per motor, moment counts)``; ``level``: command zero roll and pitch."""
     mode = LEVEL if level else TO_POSITION if setpoint.by_position else FREE
     if c.mode != mode:  # controller_pid.c: a change of mode resets all PIDs
         cascade_reset(c)

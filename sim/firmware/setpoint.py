@@ -1,4 +1,4 @@
-"""Inputs of the controllers: the newest arrived set-point and the sensed state."""
+"""Inputs of the controllers: the newest arrived set-point, and the estimator's output."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Axes, Quaternion, Record, Vector, cell, scalars
 from flightstack.core.types import Vec3
 
-ROOM = 256  # set-points on their way: twice the number at 0.1 s of delay and 1 kHz
-WIDTH = 12  # numbers of a row: time of arrival, then the fields of a set-point
+ROOM = 256  # maximum set-points in transit: twice the number at 0.1 s of delay and 1 kHz
+WIDTH = 12  # numbers of a row: arrival time, then the fields of a set-point
 _ROW = struct.Struct(f"={WIDTH}d")
 
 
 class Setpoint(NamedTuple):
-    """A velocity or a position in the world (ENU, m/s, m) with a yaw; ``stop`` means motors off.
+    """A velocity or position set-point in the world (ENU, m/s, m) with a yaw; ``stop``: motors off.
 
-    With a position the velocity is fed forward, which only the Mellinger controller uses. ``stop`` is the
-    firmware's null set-point.
+    With a position, the velocity is a feed-forward term, which only the Mellinger controller uses. ``stop``
+    is the firmware's null set-point.
     """
 
     vx: float = 0.0
@@ -32,7 +32,7 @@ class Setpoint(NamedTuple):
     def fields(
         self,
     ) -> tuple[float, float, float, float, bool, float, float, bool, float, float, float]:
-        """All fields in the form of ``SetpointRecord``."""
+        """Return all fields in the form of ``SetpointRecord``."""
         vx, vy, vz, yaw_rad, stop, position = self
         x, y, z = position or (0.0, 0.0, 0.0)
         return (
@@ -44,7 +44,7 @@ STOP = Setpoint(stop=True)
 
 
 class SetpointRecord(Record):
-    """A ``Setpoint`` for compiled code, with the heading's cosine and sine."""
+    """A ``Setpoint`` for compiled code, with cosine and sine of the yaw."""
 
     vx: float
     vy: float
@@ -53,34 +53,34 @@ class SetpointRecord(Record):
     stop: bool
     cos_yaw: float
     sin_yaw: float
-    by_position: bool  # whether the position counts
+    by_position: bool  # whether it is a position set-point
     x: float
     y: float
     z: float
 
 
 class SensedState(Record):
-    """The estimator's output at 500 Hz; ENU, FLU, SI."""
+    """Output of the estimator at 500 Hz; ENU, FLU, SI units."""
 
     position: Vector
     velocity: Vector
     quaternion: Quaternion
     axes: Axes
-    rates: Vector  # gyro
+    rates: Vector  # angular velocity of the gyro
 
 
 class InboxRecord(Record):
-    """A ring of rows."""
+    """Ring buffer of set-points in transit."""
 
-    rows: Annotated[F64, ROOM * WIDTH]  # times are integer milliseconds, exact in doubles
+    rows: Annotated[F64, ROOM * WIDTH]  # times are integer milliseconds, which doubles represent exactly
     first: int  # number of the oldest row that has not arrived
     end: int  # number of the next row
-    taken_ms: int  # arrival of the current set-point
+    taken_ms: int  # arrival time of the current set-point
 
 
 @jitted
 def receive(inbox: InboxRecord, s: SetpointRecord, now_ms: int) -> None:
-    """Use the set-points that have arrived."""
+    """Make the newest arrived set-point the current one."""
     while inbox.first < inbox.end:
         at = WIDTH * (inbox.first % ROOM)
         row = inbox.rows[at : at + WIDTH]
@@ -94,7 +94,7 @@ def receive(inbox: InboxRecord, s: SetpointRecord, now_ms: int) -> None:
 
 
 class Inbox:
-    """The sender's end; ``record``: the ring; ``setpoint``: the current one."""
+    """Sends set-points into the ring buffer ``record``; ``setpoint``: the current one."""
 
     def __init__(self, record: InboxRecord, setpoint: SetpointRecord) -> None:
         self._rows = record.rows.data
@@ -102,7 +102,7 @@ class Inbox:
         self._setpoint = cell(setpoint)
 
     def send(self, setpoint: Setpoint, arrives_ms: int) -> None:
-        """Send a set-point; without room it replaces the last one."""
+        """Send a set-point; if the buffer is full, it replaces the last one."""
         end = self._end[0]
         if end - self._first[0] >= ROOM:
             end -= 1
@@ -110,7 +110,7 @@ class Inbox:
         self._end[0] = end + 1
 
     def set(self, setpoint: Setpoint, since_ms: int) -> None:
-        """Apply a set-point now and drop those on their way."""
+        """Apply a set-point now and drop those in transit."""
         self._first[0] = self._end[0]
         self._taken_ms[0] = since_ms
         self._setpoint[0] = setpoint.fields()

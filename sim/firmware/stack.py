@@ -26,20 +26,20 @@ from sim.plant.rotors import Four
 from sim.scenarios.scenario import VehicleSpec, VelocityLoop
 
 BATTERY_MIN_V = 3.2  # platform_defaults_cf2.h: DEFAULT_BAT_LOW_VOLTAGE
-TILT_MAX_COS = 0.5  # greatest tilt for arming, 60 degrees
+TILT_MAX_COS = 0.5  # cosine of the largest tilt for arming, 60 degrees
 
 PAPER, PID, MELLINGER = 0, 1, 2
 
 
 class FirmwareRecord(Record):
-    """State of the Crazyflie, and set-points on their way."""
+    """State of the Crazyflie's firmware, and set-points in transit."""
 
     estimator: EstimatorRecord
     inbox: InboxRecord
     setpoint: SetpointRecord
     supervisor: SupervisorRecord
     gravity: float
-    loop: int  # PAPER, PID or MELLINGER
+    loop: int  # velocity loop: PAPER, PID or MELLINGER
     paper: PaperRecord
     pid: CascadeRecord
     mellinger: MellingerRecord
@@ -49,19 +49,19 @@ class FirmwareRecord(Record):
 
 @jitted
 def running(commands: F64) -> bool:
-    """Whether any motor has a speed command."""
+    """Return whether any motor has a speed command."""
     return bool(commands[0] != 0.0 or commands[1] != 0.0 or commands[2] != 0.0 or commands[3] != 0.0)
 
 
 @jitted
 def listen(f: FirmwareRecord, now_ms: int) -> None:
-    """Use the set-points that have arrived."""
+    """Receive the set-points that have arrived."""
     receive(f.inbox, f.setpoint, now_ms)
 
 
 @jitted
 def oversee(f: FirmwareRecord, now_ms: int, accel: F64) -> None:
-    """Run the supervisor; call every ``PERIOD_MS``, between estimate and control."""
+    """Run the supervisor; call it every ``PERIOD_MS``, between estimator and controller."""
     g, age_ms = f.gravity, now_ms - f.inbox.taken_ms
     supervise(f.supervisor, now_ms, age_ms, running(f.commands), accel[0] / g, accel[1] / g, accel[2] / g)
     f.estimator.body_z = f.estimator.by_pose and flies(f.supervisor)
@@ -69,7 +69,7 @@ def oversee(f: FirmwareRecord, now_ms: int, accel: F64) -> None:
 
 @jitted
 def forget(f: FirmwareRecord) -> None:
-    """Reset the velocity loop and the last rates, which are not continuous with the next flight."""
+    """Reset the velocity loop and the last rates, because the next flight does not continue this one."""
     if f.loop == PAPER:
         paper_reset(f.paper)
         f.paper.attitude.wx = math.nan
@@ -82,7 +82,7 @@ def forget(f: FirmwareRecord) -> None:
 
 @jitted
 def control(f: FirmwareRecord, rpm_max: float) -> None:
-    """Run the velocity loop and the mixer once (500 Hz); motors off without set-point or permission."""
+    """Run the velocity loop and the mixer once (500 Hz); motors stop without set-point or permission."""
     if f.setpoint.stop or not f.supervisor.motors_allowed:
         if running(f.commands):
             forget(f)
@@ -99,7 +99,7 @@ def control(f: FirmwareRecord, rpm_max: float) -> None:
 
 
 class Firmware:
-    """Estimator, controllers, mixer and supervisor."""
+    """Estimator, controllers, mixer and supervisor of one vehicle."""
 
     def __init__(self, spec: VehicleSpec, params: Params, record: FirmwareRecord) -> None:
         self.record = record
@@ -127,10 +127,10 @@ class Firmware:
         self._commands[:] = commands
 
     def trim(self, force: Vec3, motors: Four, battery_v: float) -> Vec3:
-        """Trim the controller for hover at yaw 0; returns the velocity set-point of the hover.
+        """Trim the controller for hover at yaw 0; return the velocity set-point of the hover.
 
-        ``force``: of nominal motors, world frame, N; ``motors``: thrust of each over the mean; ``battery_v``:
-        under the load of the hover.
+        ``force``: force of nominal motors, world frame, N; ``motors``: ratio of each thrust to the mean;
+        ``battery_v``: voltage under the load of hover.
         """
         thrust_n = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
         each = [
@@ -140,7 +140,7 @@ class Firmware:
         return self.controller.trim(force, per_n, moments_of(each))
 
     def choose_mellinger(self) -> None:
-        """Use the Mellinger controller from now on (firmware parameter stabilizer.controller)."""
+        """Select the Mellinger controller (firmware parameter stabilizer.controller)."""
         self.record.loop = MELLINGER
         self._mellinger.reset()
 
@@ -154,7 +154,7 @@ class Firmware:
         self._inbox.send(setpoint, now_ms + self._delay_ms)
 
     def arm(self, now_ms: int, battery_v: float) -> str | None:
-        """Arm; None if accepted, else the reason."""
+        """Arm. Return None if accepted, else the reason of the rejection."""
         if not self.estimator.valid:
             return "no motion-capture samples"
         if self.estimator.sensed.axes[8] < TILT_MAX_COS:
@@ -163,13 +163,13 @@ class Firmware:
             return f"battery at {battery_v:.2f} V, at least {BATTERY_MIN_V} V are needed"
         fresh = not self.supervisor.motors_allowed
         refused = self.supervisor.arm(now_ms)
-        if refused is None and fresh:  # earlier set-points are dropped
+        if refused is None and fresh:  # drop earlier set-points
             self._inbox.set(STOP, now_ms)
             self.controller.reset()
             self._mellinger.reset()
         return refused
 
     def disarm(self, now_ms: int) -> None:
-        """Disarm, motors off at once."""
+        """Disarm and stop the motors at once."""
         self.supervisor.disarm(now_ms)
         self.commands = OFF

@@ -1,11 +1,11 @@
-"""Supervisor: arming, set-point watchdog, tumble detection; transitions as data.
+"""Supervisor: arming, set-point watchdog, tumble detection; a table holds the transitions.
 
-After firmware supervisor.c and supervisor_state_machine.c (2026.08), evaluated at 25 Hz, of a build that
-requires arming. Omitted: the checks before arming and the spin-up (part of DISARMED), emergency stop and deck
-faults, and the intermediate states before DISARMED and LOCKED. A disarm acts at once and also ends CRASHED,
-for which the firmware has a request of its own.
+It follows firmware supervisor.c and supervisor_state_machine.c (2026.08), evaluated at 25 Hz, for a build
+that requires arming. It omits the checks before arming and the spin-up (part of DISARMED), emergency stop and
+deck faults, and the intermediate states before DISARMED and LOCKED. A disarm command acts at once and also
+ends CRASHED; the firmware has a separate request for that.
 
-Compiled code evaluates it in flight; there a state is its index in ``STATES``, and the table has numbers.
+Compiled code evaluates it in flight with a table of numbers, where a state is its index in ``STATES``.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ READY_TIMEOUT_MS = 30_000  # platform_defaults.h: preflight timeout
 LANDED_TIMEOUT_MS = 3000  # platform_defaults.h: landing timeout
 TUMBLE_TILTED_G, TUMBLE_TILTED_MS = 0.5, 1000  # platform_defaults.h
 TUMBLE_UPSIDE_DOWN_G, TUMBLE_UPSIDE_DOWN_MS = -0.2, 100
-FREE_FALL_G = 0.1  # supervisor.c: the clock restarts in free fall
+FREE_FALL_G = 0.1  # supervisor.c: free fall resets the tumble timers
 
 
 class State(Enum):
-    """States; the value is the text in the log."""
+    """States of the supervisor; the value is the text in the log."""
 
     DISARMED = "disarmed"
     READY = "armed, ready to fly"
@@ -51,7 +51,7 @@ class Condition(IntFlag):
     STAYED_LANDED = auto()
 
 
-# the first true condition decides
+# transitions of each state; the first true condition applies
 TRANSITIONS: dict[State, tuple[tuple[Condition, State], ...]] = {
     State.DISARMED: (),
     State.READY: (
@@ -91,7 +91,7 @@ _FLYING, _NOT_FLYING = Condition.FLYING.value, Condition.NOT_FLYING.value
 _WARNING, _FRESH, _TIMEOUT = Condition.WARNING.value, Condition.FRESH.value, Condition.TIMEOUT.value
 _TUMBLED, _STAYED_READY = Condition.TUMBLED.value, Condition.STAYED_READY.value
 _STAYED_LANDED = Condition.STAYED_LANDED.value
-# no time: not tilted
+# value of ``tilted_since_ms`` without a tilt
 _UPRIGHT = -1 << 62
 
 
@@ -103,7 +103,7 @@ class SupervisorRecord(Record):
     motors_last_ms: int
     tilted_since_ms: int
     motors_allowed: bool
-    level: bool  # roll and pitch are zero; the vertical set-point remains (supervisor.c)
+    level: bool  # command zero roll and pitch; the vertical set-point remains active (supervisor.c)
 
 
 @jitted
@@ -114,13 +114,13 @@ def enter(s: SupervisorRecord, state: int, now_ms: int) -> None:
 
 @jitted
 def flies(s: SupervisorRecord) -> bool:
-    """Whether the supervisor considers it flying (supervisor.c: isFlying)."""
+    """Return whether the supervisor considers the vehicle flying (supervisor.c: isFlying)."""
     return s.state == _IN_FLIGHT or s.state == _LEVEL_OUT
 
 
 @jitted
 def tumbled(s: SupervisorRecord, now_ms: int, ax: float, ay: float, az: float) -> bool:
-    """Upside down; the time counts from the first tilt (supervisor.c: isTumbledCheck)."""
+    """Return whether it is upside down or tilted for too long (supervisor.c: isTumbledCheck)."""
     if abs(ax) < FREE_FALL_G and abs(ay) < FREE_FALL_G and abs(az) < FREE_FALL_G:
         s.tilted_since_ms = _UPRIGHT
     if az >= TUMBLE_TILTED_G:
@@ -143,7 +143,7 @@ def supervise(
     ay: float,
     az: float,
 ) -> None:
-    """Evaluate the transitions; call every ``PERIOD_MS`` with the accelerometer's reading in g."""
+    """Evaluate the transitions; call it every ``PERIOD_MS`` with the accelerometer's reading in g."""
     if motors_running:
         s.motors_last_ms = now_ms
     flying = now_ms - s.motors_last_ms < FLYING_HYSTERESIS_MS
@@ -165,7 +165,7 @@ def supervise(
 
 
 class Supervisor:
-    """State machine; times in milliseconds of simulated time; ``record``: its memory."""
+    """State machine of one vehicle; times are in milliseconds of simulated time; ``record``: memory."""
 
     def __init__(self, record: SupervisorRecord | None = None) -> None:
         self.record = new(SupervisorRecord) if record is None else record
@@ -173,7 +173,7 @@ class Supervisor:
         self.restart()
 
     def restart(self) -> None:
-        """State after power-on."""
+        """Set the state after power-on."""
         self._enter(State.DISARMED, 0)
         self.record.motors_last_ms, self.record.tilted_since_ms = -FLYING_HYSTERESIS_MS - 1, _UPRIGHT
 
@@ -194,7 +194,7 @@ class Supervisor:
         self._enter(State.FLYING, 0)
 
     def arm(self, now_ms: int) -> str | None:
-        """Arm; None if armed (already), else why not."""
+        """Arm. Return None if armed (already), else the reason of the rejection."""
         if self.motors_allowed:
             return None
         if self.state is not State.DISARMED:

@@ -1,10 +1,10 @@
 """Checks the values of a recording against the table of columns: units, signs, order, clocks.
 
-Each quantity is compared with another one of the same flight, or with the range of a small quadrotor. Where
-they differ by more than a factor of ``FAR``, the error names the unit that would fit.
+Each quantity is compared with another quantity of the same flight, or with the range of a small quadrotor. If
+they differ by more than a factor of ``FAR``, the error message names the unit that would fit.
 
-The gyro is logged on board, the attitude by motion capture. Both show the same rotation, so their lag is the
-difference of the clocks. Over radio it may wander by a tenth of a second within a flight.
+The gyro is logged on board, the attitude comes from motion capture. Both show the same rotation, so their lag
+is the offset of the two clocks. Over radio this offset may drift by a tenth of a second within a flight.
 """
 
 from __future__ import annotations
@@ -19,23 +19,24 @@ from scipy.spatial.transform import Rotation
 
 from sim.flights.recording import QUANTITIES, Floats, Group, Recording, RecordingError
 
-FAR = 6.0  # allowed factor; all units differ by more
-STEP_S = (0.5e-3, 0.1)  # period of recordings that show a quadrotor's motion
-ROOM_M = 50.0  # greatest width of a flight
-CELL_V = 3.7  # voltage of a LiPo cell
-DUTY = 0.5  # usual duty in flight, within a factor of 2
-TILT_MAX_DEG = 60.0  # greatest median tilt of a flight
+FAR = 6.0  # allowed factor between two quantities; any two units differ by more
+STEP_S = (0.5e-3, 0.1)  # allowed sample period: it must show a quadrotor's motion
+ROOM_M = 50.0  # largest extent of a flight
+CELL_V = 3.7  # typical voltage of a LiPo cell
+DUTY = 0.5  # typical duty cycle in flight, within a factor of 2
+TILT_MAX_DEG = 60.0  # largest median tilt of a flight
 OPPOSITE = -0.5  # correlation below which an axis has the wrong sign
+# smallest motion that is compared, SI units; less is only noise
 MOVES = {
     "attitude": 0.05,
     "position": 0.05,
     "velocity": 0.05,
     "tilt": 0.01,
-}  # least motion that is compared, SI; below it there is only noise
+}
 
 
 class _Scale(NamedTuple):
-    """Size of a quantity over its expected size."""
+    """Ratio of a quantity's size to its expected size."""
 
     name: str
     ratio: float
@@ -43,15 +44,14 @@ class _Scale(NamedTuple):
 
 
 def check(recording: Recording, columns: Mapping[str, Group]) -> None:
-    """Refuse values that contradict ``columns``: RecordingError with each quantity and the unit that fits."""
+    """Raise RecordingError if values contradict ``columns``, with each quantity and the unit that fits."""
     low, high = STEP_S
     if not low <= recording.step_s <= high:
         scale = _Scale("time", recording.step_s / 0.01, f"samples are {recording.step_s:.3g} s apart")
         raise RecordingError(_wrong(scale, columns) + f"; {low:g} to {high:g} s are allowed")
     far = [scale for scale in _scales(recording) if not 1.0 / FAR <= scale.ratio <= FAR]
-    far = [
-        scale for scale in far if _fits(scale, columns)
-    ] or far  # those without a fitting unit are consequences
+    # a quantity without a fitting unit is a consequence of another one's wrong unit
+    far = [scale for scale in far if _fits(scale, columns)] or far
     found = [_wrong(scale, columns) for scale in far] + list(_turned(recording))
     if found:
         raise RecordingError("; ".join(found))
@@ -64,7 +64,7 @@ def _fits(scale: _Scale, columns: Mapping[str, Group]) -> list[str]:
 
 
 def _wrong(scale: _Scale, columns: Mapping[str, Group]) -> str:
-    """Sentence on the value found and the unit that would fit."""
+    """Return a sentence with the value found and the unit that would fit."""
     declared, fits = abs(columns[scale.name].factors[0]), _fits(scale, columns)
     unit = next(u for u, factor in QUANTITIES[scale.name].units.items() if np.isclose(factor, declared))
     hint = f"unit {' or '.join(fits)} would fit" if fits else "no unit fits: are these its columns?"
@@ -72,7 +72,7 @@ def _wrong(scale: _Scale, columns: Mapping[str, Group]) -> str:
 
 
 def _scales(r: Recording) -> Iterator[_Scale]:
-    """Yield the scale of each quantity that the flight shows."""
+    """Yield the ratio for each quantity that the flight shows."""
     moving = np.isfinite(r.duty).all(axis=1) & (r.duty.max(axis=1) > 0.0)
     span_m = max(_spread(r.position_m), 1e-9)
     if span_m > ROOM_M:
@@ -100,13 +100,13 @@ def _scales(r: Recording) -> Iterator[_Scale]:
         if name == "rates":
             values, reference = band(values, r.step_s), band(reference, r.step_s)
         size, true = _spread(values), _spread(reference)
-        rests = size == 0.0 and name.startswith("setpoint")  # a set-point may be constant, a sensor is not
+        rests = size == 0.0 and name.startswith("setpoint")  # unlike a sensor, a set-point can be constant
         if true > least and not rests:
             yield _Scale(name, size / true, f"{size / true:.3g} times the {told}")
 
 
 def _turned(r: Recording) -> Iterator[str]:
-    """Yield a sentence for each group of columns with turned axes or a wrong sign."""
+    """Yield a sentence for each group of columns with rotated axes or a wrong sign."""
     up = _matrix(r)[:, 2, 2]
     tilt_deg = float(np.degrees(np.arccos(np.clip(np.median(up), -1.0, 1.0))))
     if tilt_deg > TILT_MAX_DEG:
@@ -132,7 +132,7 @@ def _signs(name: str, values: Floats, reference: Floats, kind: str) -> Iterator[
 
 
 def _spread(values: Floats) -> float:
-    """Median distance from the median over all axes: robust against damaged parts."""
+    """Return the median distance from the median over all axes, which is robust against damaged samples."""
     good = values[np.isfinite(values).all(axis=1)]
     return float(np.median(np.linalg.norm(good - np.median(good, axis=0), axis=1))) if len(good) else 0.0
 
@@ -146,20 +146,20 @@ def _matrix(r: Recording) -> Floats:
 
 
 def _roll_pitch(r: Recording) -> Floats:
-    """Return (n, 2) roll and pitch by motion capture, NaN where it is missing."""
+    """Return (n, 2) roll and pitch from motion capture; NaN where it is missing."""
     w, x, y, z = r.attitude.T
     roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     return np.stack([roll, np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))], axis=1)
 
 
-BAND_HZ = (0.5, 6.0)  # band of a Crazyflie's attitude; above it the derivative of the attitude is noise
-WINDOW_S = 4.0  # time window of one estimate of the lag
-LAG_MAX_S = 0.25  # greatest lag that is searched
-CORRELATION_MIN = 0.7  # below it the lag is unknown
+BAND_HZ = (0.5, 6.0)  # frequency band of a Crazyflie's attitude; above it the attitude's derivative is noise
+WINDOW_S = 4.0  # time window of one lag estimate
+LAG_MAX_S = 0.25  # largest lag of the search
+CORRELATION_MIN = 0.7  # smallest correlation for a known lag
 
 
 def rates_rad_s(recording: Recording) -> Floats:
-    """Return (n, 3) body rates from the attitude, rad/s; 0 beside values that are missing."""
+    """Return (n, 3) body rates from the attitude, rad/s; 0 next to missing values."""
     r = recording
     good: NDArray[np.bool_] = np.all(np.isfinite(r.attitude), axis=1)
     turned = Rotation.from_quat(np.where(good[:, None], r.attitude, (1.0, 0.0, 0.0, 0.0)), scalar_first=True)
@@ -170,7 +170,7 @@ def rates_rad_s(recording: Recording) -> Floats:
 
 
 def band(rates: Floats, step_s: float) -> Floats:
-    """Return (n, 3) rates in ``BAND_HZ``, without delay; missing values count as 0."""
+    """Return (n, 3) rates, filtered to ``BAND_HZ`` without delay; missing values count as 0."""
     high_hz = min(BAND_HZ[1], 0.4 / step_s)
     sections = butter(2, (BAND_HZ[0], high_hz), "bandpass", fs=1.0 / step_s, output="sos")
     filtered: Floats = sosfiltfilt(sections, np.nan_to_num(rates, posinf=0.0, neginf=0.0), axis=0)
@@ -178,7 +178,7 @@ def band(rates: Floats, step_s: float) -> Floats:
 
 
 def clock_lag_s(recording: Recording) -> Floats:
-    """Return (n,) delay of the log behind motion capture around each sample, s; NaN where unknown."""
+    """Return (n,) delay of the log relative to motion capture around each sample, s; NaN if unknown."""
     r = recording
     true, gyro = (band(rates, r.step_s)[:, :2] for rates in (rates_rad_s(r), r.rates_rad_s))
     longest = round(LAG_MAX_S / r.step_s)
@@ -193,5 +193,5 @@ def clock_lag_s(recording: Recording) -> Floats:
     shared = np.stack([around((true * np.roll(gyro, -lag, axis=0)).sum(axis=1)) for lag in lags])
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = shared / np.sqrt(power)
-    known = correlation.max(axis=0) >= CORRELATION_MIN  # False where NaN
+    known = correlation.max(axis=0) >= CORRELATION_MIN  # False for NaN
     return np.where(known, lags[np.argmax(shared, axis=0)] * r.step_s, np.nan)

@@ -1,6 +1,7 @@
-"""A recorded flight of a real vehicle: reads Parquet or CSV by a table of columns, into SI units.
+"""A recorded flight of a real vehicle, read from Parquet or CSV by a table of columns, in SI units.
 
-World axes are level with z up (ENU where the room's x is called east); the body is FLU.
+World axes have z up; the horizontal axes are those of the room (ENU if its x is called east). The body is
+FLU.
 """
 
 from __future__ import annotations
@@ -22,23 +23,23 @@ from flightstack.common.strict_toml import ConfigError, decoded, read_toml
 Floats = NDArray[np.float64]
 
 SUFFIXES = (".parquet", ".csv")
-PWM_MAX = 65535.0  # Crazyflie firmware motors.c: 16 bit
-SAMPLES_MIN = 200  # 2 s at 100 Hz
+PWM_MAX = 65535.0  # Crazyflie firmware motors.c: 16-bit PWM
+SAMPLES_MIN = 200  # minimum number of samples: 2 s at 100 Hz
 COLUMNS = Path(__file__).with_name("crazyflie_vicon.toml")
 
 
 class RecordingError(ValueError):
-    """A recording that cannot be used, with the value found and the allowed ones."""
+    """A recording that cannot be used; the message has the value found and the allowed values."""
 
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """What a group of columns holds."""
+    """Definition of a group of columns."""
 
     width: int  # number of columns
-    # allowed units, each with the factor that turns it into SI (PWM: into the duty, 0 to 1)
+    # allowed units, each with the factor to SI units (for PWM: to the duty cycle, 0 to 1)
     units: Mapping[str, float]
-    required: bool = False  # whether a recording without it is refused
+    required: bool = False  # whether a recording without these columns is rejected
 
 
 _LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
@@ -74,28 +75,28 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """One flight; n samples. Optional arrays are ``None`` where the file has no such columns."""
+    """One flight of n samples. Optional arrays are ``None`` if the file has no such columns."""
 
     name: str  # name of the file without suffix
-    time_s: Floats  # (n,) from the first sample on
-    position_m: Floats  # (n, 3) by motion capture
-    velocity_m_s: Floats  # (n, 3) by motion capture
-    attitude: Floats  # (n, 4) unit quaternion w, x, y, z, body FLU to world, by motion capture
-    rates_rad_s: Floats  # (n, 3) gyro, body FLU
-    duty: Floats  # (n, 4) commands to the motors M1 to M4, 0 to 1
-    battery_v: Floats  # (n,) under load
-    # estimate_position_m, estimate_velocity_m_s: (n, 3) of the estimator on board
+    time_s: Floats  # (n,) time since the first sample
+    position_m: Floats  # (n, 3) position from motion capture
+    velocity_m_s: Floats  # (n, 3) velocity from motion capture
+    attitude: Floats  # (n, 4) attitude from motion capture, unit quaternion w, x, y, z, body FLU to world
+    rates_rad_s: Floats  # (n, 3) gyro reading, body FLU
+    duty: Floats  # (n, 4) duty cycles of the motors M1 to M4, 0 to 1
+    battery_v: Floats  # (n,) voltage under load
+    # estimate_position_m, estimate_velocity_m_s: (n, 3) output of the on-board estimator
     estimate_position_m: Floats | None = None
     estimate_velocity_m_s: Floats | None = None
     estimate_attitude_rad: Floats | None = None  # (n, 3) roll, pitch, yaw
     setpoint_position_m: Floats | None = None  # (n, 3)
     setpoint_yaw_rad: Floats | None = None  # (n,)
-    thrust_command: Floats | None = None  # (n,) of the PID controller, 0 to 1
+    thrust_command: Floats | None = None  # (n,) thrust command of the PID controller, 0 to 1
     step_s: float = field(default=0.01)
 
     @property
     def by_pid(self) -> bool:
-        """Whether the PID controller flew: with Mellinger its thrust command is always zero."""
+        """Whether the PID controller flew; with Mellinger the thrust command is always zero."""
         return self.thrust_command is None or bool(np.any(self.thrust_command > 0.0))
 
 
@@ -139,9 +140,9 @@ def _list(where: str, table: dict[str, Any], key: str, width: int) -> list[Any]:
 
 
 def find_recordings(folder: Path) -> list[Path]:
-    """List the files of a folder that may hold flights, by name.
+    """Return the files of a folder that may be recordings, sorted by name.
 
-    Raises RecordingError: no such folder, or no such file in it.
+    Raises RecordingError: the folder does not exist or has no such file.
     """
     if not folder.is_dir():
         raise RecordingError(f"{folder}: found no such folder")
@@ -154,7 +155,7 @@ def find_recordings(folder: Path) -> list[Path]:
 def read_recording(path: Path, columns: Mapping[str, Group]) -> Recording:
     """Read one flight.
 
-    Raises RecordingError: unreadable, columns missing or not numbers, too few samples, or no time.
+    Raises RecordingError: unreadable file, columns missing or not numeric, too few samples, or no time.
     """
     try:
         if path.suffix == ".csv":
@@ -188,7 +189,7 @@ def _numbers(table: pa.Table, group: Group) -> Floats:
     except (ValueError, TypeError, pa.ArrowException) as error:
         raise RecordingError(f"columns {', '.join(group.columns)} are not numbers: {error}") from error
     values = made[0] if len(made) == 1 else np.stack(made, axis=1)
-    values[~np.isfinite(values)] = np.nan  # infinite counts as missing
+    values[~np.isfinite(values)] = np.nan  # treat infinite values as missing
     return values
 
 

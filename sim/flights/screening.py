@@ -1,8 +1,8 @@
-"""Selects the usable parts of a recorded flight, with the reasons for the others.
+"""Selects the usable parts of a recorded flight, and states why other parts are left out.
 
-Every check marks samples. A marked sample also excludes ``MARGIN_S`` on both sides, since loggers interpolate
-over damaged values. Pieces of at least ``PIECE_MIN_S`` in the air are used. A flight with more damage than
-``DAMAGED_MAX`` is excluded: its estimator or link were faulty before a limit was crossed.
+Each check marks samples. A marked sample also excludes ``MARGIN_S`` on both sides, because loggers
+interpolate over damaged values. A piece must last at least ``PIECE_MIN_S`` in the air. A flight with more
+damage than ``DAMAGED_MAX`` is excluded, because its estimator or link failed before a limit was exceeded.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from sim.flights.recording import Group, Recording, read_recording
 
 Mask = NDArray[np.bool_]
 
-GAP_FACTOR = 5.0  # periods without a sample that count as a gap
-SPEED_MAX_M_S = 6.0  # between two samples of motion capture: no Crazyflie in a room is faster
-FROZEN_S = 0.05  # motion capture repeats its last pose while the body is hidden
-ESTIMATE_OFF_M = 0.3  # an estimate farther from motion capture has diverged; good flights stay within 0.2 m
-CLOCKS_OFF_S = 0.05  # 5 cm at 1 m/s: as much as the errors that are compared
-CLOCKS_S = 0.5  # minimum duration of a clock difference; shorter ones are chance
-VOLTAGE_V = (2.5, 4.4)  # range of one LiPo cell under load
-ABOVE_GROUND_M = 0.15  # in the air, and away from the ground effect (3 propeller diameters)
-START_S = 0.5  # time after lift-off and before landing with possible contact
-MARGIN_S = 0.1  # excluded time beside a marked sample
-DAMAGED_MAX = 0.05  # damaged share of the time in the air; gaps do not count
+GAP_FACTOR = 5.0  # sample distance that counts as a gap, in periods
+SPEED_MAX_M_S = 6.0  # largest speed between two motion-capture samples; no Crazyflie in a room is faster
+FROZEN_S = 0.05  # duration after which a repeated pose counts as frozen: motion capture lost the body
+ESTIMATE_OFF_M = 0.3  # an estimate this far from motion capture has diverged; good flights stay within 0.2 m
+CLOCKS_OFF_S = 0.05  # allowed clock offset: 5 cm at 1 m/s, as large as the compared errors
+CLOCKS_S = 0.5  # minimum duration of a clock offset; a shorter one is chance
+VOLTAGE_V = (2.5, 4.4)  # voltage range of one LiPo cell under load
+ABOVE_GROUND_M = 0.15  # height of flight without ground effect (3 propeller diameters)
+START_S = 0.5  # time after lift-off and before landing in which contact is possible
+MARGIN_S = 0.1  # excluded time on both sides of a marked sample
+DAMAGED_MAX = 0.05  # largest damaged share of the time in the air, without gaps
 PIECE_MIN_S = 2.0
-FLIGHT_MIN_S = 3.0  # in the air, and usable
+FLIGHT_MIN_S = 3.0  # minimum usable time in the air
 
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """Why a part of a flight, or all of it, is left out."""
+    """Reason why a part of a flight, or all of it, is left out."""
 
     text: str
     seconds: float
@@ -44,11 +44,11 @@ class Reason:
 
 @dataclass(frozen=True, slots=True)
 class Screened:
-    """The usable parts of a flight."""
+    """Usable parts of a flight."""
 
     recording: Recording
     pieces: tuple[slice, ...]  # slices of samples, each without a gap, a damaged value or contact
-    left_out: tuple[Reason, ...]  # the other parts
+    left_out: tuple[Reason, ...]  # reasons for the other parts
 
     @property
     def usable(self) -> bool:
@@ -56,14 +56,14 @@ class Screened:
 
     @property
     def seconds(self) -> float:
-        """Time in the usable pieces, s."""
+        """Total duration of the usable pieces, s."""
         return float(sum(piece.stop - piece.start for piece in self.pieces)) * self.recording.step_s
 
 
 def load(path: Path, columns: Mapping[str, Group]) -> Screened:
     """Read a flight, check units and signs, and screen it.
 
-    Raises RecordingError: it cannot be read, or contradicts the columns.
+    Raises RecordingError: the file cannot be read or contradicts the columns.
     """
     recording = read_recording(path, columns)
     check(recording, columns)
@@ -117,7 +117,7 @@ def _highest_m(r: Recording) -> float:
 
 
 def _damage(r: Recording) -> Iterator[tuple[str, Mask]]:
-    """Yield faults of the vehicle's link or estimator, with the samples that show them."""
+    """Yield failures of the vehicle's link or estimator, each with the samples that show it."""
     with np.errstate(invalid="ignore"):
         yield "motor commands outside 0 to 65535", np.any((r.duty < 0.0) | (r.duty > 1.0 + 1e-6), axis=1)
         low, high = VOLTAGE_V
@@ -130,7 +130,7 @@ def _damage(r: Recording) -> Iterator[tuple[str, Mask]]:
 
 
 def _gaps(r: Recording, flying: Mask) -> Iterator[tuple[str, Mask]]:
-    """Yield gaps of the recording during the flight, with their samples."""
+    """Yield gaps of the recording during the flight, each with its samples."""
     needed = [r.position_m, r.velocity_m_s, r.attitude, r.rates_rad_s, r.duty, r.battery_v[:, None]]
     if r.estimate_position_m is not None:
         needed.append(r.estimate_position_m)
@@ -148,13 +148,13 @@ def _steps(r: Recording) -> NDArray[np.float64]:
 
 
 def _frozen(r: Recording) -> Mask:
-    """Samples of a pose that repeats to the last bit for ``FROZEN_S``."""
+    """Return the samples at which a pose stays exactly equal for ``FROZEN_S``."""
     same = np.concatenate([[False], np.all(np.diff(r.position_m, axis=0) == 0.0, axis=1)])
     return _lasting(same, FROZEN_S, r.step_s)
 
 
 def _lasting(mask: Mask, seconds: float, step_s: float) -> Mask:
-    """Marks that last at least ``seconds``."""
+    """Return the runs of marked samples that last at least ``seconds``."""
     kept = np.zeros_like(mask)
     for run in _runs(mask):
         kept[run] = (run.stop - run.start) * step_s >= seconds
@@ -162,7 +162,7 @@ def _lasting(mask: Mask, seconds: float, step_s: float) -> Mask:
 
 
 def _spread(mask: Mask, margin_s: float, step_s: float) -> Mask:
-    """Samples within ``margin_s`` of a marked sample."""
+    """Return the samples within ``margin_s`` of a marked sample."""
     width = 2 * round(margin_s / step_s) + 1
     return np.convolve(mask, np.ones(width), mode="same") > 0.5
 

@@ -1,7 +1,7 @@
-"""Error tapes: errors of the estimate on board of recorded flights, sample by sample.
+"""Error tapes: errors of the on-board estimate in recorded flights, sample by sample.
 
-The estimate follows the true path with a delay that varies. So an error is split into this delay and a
-remainder; both can be replayed on any other path.
+The estimate follows the true path with a varying delay. So each error is split into this delay and a
+remainder, and both can be replayed on any other path.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ from sim.flights.recording import Floats, Recording, RecordingError, find_record
 from sim.flights.screening import Screened, load
 
 FLIGHTS = "FLIGHTSTACK_FLIGHTS"  # environment variable with the folder of recorded flights
-DELAY_S = (-0.1, 0.2)  # delay of an estimate; a delay beyond means that the clocks differ
+DELAY_S = (-0.1, 0.2)  # range of an estimate's delay; outside it the clocks differ
 SPEED_MIN_M_S = 0.3  # rms speed below which a delay has no visible effect
-SLOW_M_S = 0.1  # well below this speed the delay is the flight's mean, and the rest an offset
-STILL_M_S = (0.16, 0.54)  # error along and across the velocity = share * (speed + this), as flights show
-CUT_S = 0.3  # cut from both ends of a piece, where the truth of another time lies outside
+SLOW_M_S = 0.1  # far below this speed the delay is the flight's mean, and the remaining error is an offset
+STILL_M_S = (0.16, 0.54)  # error along and across the velocity = share * (speed + this speed); fitted
+CUT_S = 0.3  # time cut from both ends of a piece, because there the delayed truth is outside the piece
 
 
 @dataclass(frozen=True, slots=True)
 class Piece:
     """Errors of n successive samples; on the recorded path they reproduce the recorded estimate."""
 
-    delay_s: Floats  # (n,) of the position behind the truth
-    velocity_delay_s: Floats  # (n,) of the velocity
-    position_m: Floats  # (n, 3) remaining error of the position, world axes
-    along: Floats  # (n,) error along the horizontal velocity, as share of the speed plus ``STILL_M_S``
-    across: Floats  # (n,) the same to its left
-    velocity_m_s: Floats  # (n, 3) remaining error of the velocity
-    # (n, 3) rotation vector of the estimated attitude against the true one, body FLU: mean of the flight. Its
-    # variation exceeds that of a gyro: it comes from motion capture and log.
+    delay_s: Floats  # (n,) delay of the position behind the truth
+    velocity_delay_s: Floats  # (n,) delay of the velocity behind the truth
+    position_m: Floats  # (n, 3) remaining position error, world axes
+    along: Floats  # (n,) error along the horizontal velocity, divided by (speed + ``STILL_M_S[0]``)
+    across: Floats  # (n,) error to the left of it, divided by (speed + ``STILL_M_S[1]``)
+    velocity_m_s: Floats  # (n, 3) remaining velocity error, world axes
+    # (n, 3) rotation vector from true to estimated attitude, body FLU: mean of the flight. The measured
+    # variation is larger than a gyro's, so it comes from motion capture and log.
     turn_rad: Floats
     speed_m_s: Floats  # (n,) recorded horizontal speed
 
@@ -48,14 +48,14 @@ class Tape:
     """Errors of one flight, in pieces without a gap."""
 
     name: str
-    step_s: float  # between samples
+    step_s: float  # time between samples
     pieces: tuple[Piece, ...]  # one or more
 
 
 def tape_of(flight: Screened, *, raw: bool = False) -> Tape | None:
-    """Errors of a flight; None where it has no estimate, is too slow or too short.
+    """Return the errors of a flight; None if it has no estimate, is too slow or too short.
 
-    ``raw``: the whole error is an offset of position and velocity, in world axes, without a delay.
+    ``raw``: treat the whole error as an offset of position and velocity in world axes, without a delay.
     """
     r = flight.recording
     if r.estimate_position_m is None or r.estimate_velocity_m_s is None:
@@ -114,7 +114,7 @@ def _split(r: Recording, piece: slice, mean_s: float, velocity_mean_s: float, tu
 
 
 def _delay_s(truth: Floats, estimate: Floats, pieces: list[slice], step_s: float) -> float:
-    """Constant delay that fits best."""
+    """Return the constant delay with the best fit."""
 
     def misfit(delay_s: float) -> float:
         left = [estimate[p] - _earlier(truth, p, np.asarray(delay_s / step_s)) for p in pieces]
@@ -125,7 +125,7 @@ def _delay_s(truth: Floats, estimate: Floats, pieces: list[slice], step_s: float
 
 
 def _earlier(values: Floats, piece: slice, samples: Floats) -> Floats:
-    """Values ``samples`` before each sample of a piece, interpolated linearly."""
+    """Return the values ``samples`` before each sample of a piece, with linear interpolation."""
     at = np.arange(piece.start, piece.stop) - samples
     return np.stack([np.interp(at, np.arange(len(values)), column) for column in values.T], axis=1)
 
@@ -136,7 +136,7 @@ def _speed(r: Recording, piece: slice) -> Floats:
 
 
 def _turn_rad(r: Recording, pieces: list[slice]) -> Floats:
-    """Mean rotation of the estimated attitude against the true one, (3,)."""
+    """Return the mean rotation from true to estimated attitude, (3,)."""
     if r.estimate_attitude_rad is None:
         return np.zeros(3)
     angles = np.concatenate([r.estimate_attitude_rad[p] for p in pieces])
@@ -147,9 +147,9 @@ def _turn_rad(r: Recording, pieces: list[slice]) -> Floats:
 
 @cache
 def read_tape(path: Path, *, raw: bool = False) -> Tape | None:
-    """The tape of a recorded flight, cached in the process; None where there is none.
+    """Return the tape of a recorded flight, cached in the process; None if the flight gives no tape.
 
-    Raises RecordingError: it cannot be read, or has other columns or units.
+    Raises RecordingError: the file cannot be read, or has other columns or units.
     """
     return tape_of(load(path, read_columns()), raw=raw)
 
@@ -157,7 +157,7 @@ def read_tape(path: Path, *, raw: bool = False) -> Tape | None:
 def draw_tape(folder: Path, rng: Chance, *, raw: bool = False) -> Tape:
     """Draw flights until one gives a tape; the others are not read.
 
-    Raises RecordingError: no such folder, or no flight in it gives a tape.
+    Raises RecordingError: the folder does not exist, or no flight in it gives a tape.
     """
     paths = find_recordings(folder)
     why = "none has an estimate and moves"
@@ -173,7 +173,7 @@ def draw_tape(folder: Path, rng: Chance, *, raw: bool = False) -> Tape:
 
 
 def tape_folder(name: str) -> Path:
-    """Folder of a tape: ``name`` where it is one, else the folder that ``FLIGHTSTACK_FLIGHTS`` names.
+    """Return the folder of a tape: ``name`` if it is a folder, else the one in ``FLIGHTSTACK_FLIGHTS``.
 
     Raises RecordingError: neither is a folder.
     """

@@ -1,1 +1,1 @@
-"""PX4 on the simulated vehicle: the simulator side of PX4 software in the loop."""
+"""Simulator for PX4 software in the loop: it replaces the vehicle's firmware model with PX4."""

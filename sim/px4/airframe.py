@@ -1,17 +1,18 @@
-"""PX4's parameters for a simulated vehicle: where its motors are, what it takes to hover, gains. Pure.
+"""PX4's parameters for a simulated vehicle: motor positions, hover thrust, gains. Pure functions.
 
-PX4 scales its allocation so that a roll or pitch command of 1 changes a motor by sqrt(1/2), a yaw command of
-1 by 1, and thrust of 1 is all motors at 1 (ControlAllocationPseudoInverse.cpp). With n = 4 equal motors of
-thrust F at arm l, rate loop (P + D s) and motor lag T this makes, per axis,
+PX4 scales its control allocation so that a roll or pitch command of 1 changes a motor by sqrt(1/2), a yaw
+command of 1 by 1, and a thrust command of 1 sets all motors to 1 (ControlAllocationPseudoInverse.cpp). With n
+= 4 equal motors of thrust F at arm l, rate loop (P + D s) and motor lag T, each axis follows
 
     J dw/dt = k u,  k = 4 sqrt(1/2) F l (roll, pitch)  or  4 F c (yaw, c = torque / thrust)
     T s^2 + (1 + D k/J) s + P k/J = 0
 
-An axis on which no motor has an effectiveness above 0.05 is taken out of the allocation;
-a small vehicle's moments are below it with PX4's own thrust coefficient. All four are equal, so that only
-ratios count, and a larger coefficient is chosen.
+PX4 removes an axis from the allocation if no motor has an effectiveness above 0.05. With PX4's own thrust
+coefficient a small vehicle's moments are below this limit. Only ratios count, because all four coefficients
+are equal; so a larger coefficient is used.
 
-The gains put the natural frequency at 1.3 / T with a damping of 0.8; the attitude loop above is slower by 4.
+The gains set the natural frequency to 1.3 / T with a damping of 0.8; the attitude loop is slower by a factor
+of 4.
 """
 
 from __future__ import annotations
@@ -23,22 +24,21 @@ from sim.plant.params import Params, Rotor
 from sim.plant.rotors import MIX_YAW, POSITION_X, POSITION_Y, Four
 from sim.scenarios.scenario import OdometryLink
 
-PX4_OF_M = (0, 3, 1, 2)  # which of PX4's outputs drives M1..M4
+PX4_OF_M = (0, 3, 1, 2)  # index of the PX4 output that drives M1..M4
 OFF: Four = (0.0, 0.0, 0.0, 0.0)
 
 
 def share(control: float) -> float:
-    """Output within 0 to 1; PX4 sends NaN for a motor that is off, and what is not a number stops it here."""
+    """Return an output limited to 0 to 1; PX4 sends NaN for a stopped motor, and NaN gives 0."""
     return min(1.0, max(0.0, control)) if math.isfinite(control) else 0.0
 
 
 def rotor_speeds(controls: Sequence[float], armed: bool, rotor: Rotor) -> Four:
-    """Speeds wanted of M1..M4, rpm.
+    """Return the commanded speeds of M1..M4, rpm.
 
-    An output is a share of the highest thrust, as PX4's allocation means it with THR_MDL_FAC = 0; below the
-    smallest thrust a motor stops. So the vehicle's own map gives the speed, the same as for the simulated
-    firmware.
-    ``controls`` are at least four, in PX4's order (HIL_ACTUATOR_CONTROLS).
+    With THR_MDL_FAC = 0 an output is a share of the highest thrust, as in PX4's allocation. Below the
+    smallest thrust a motor stops. So the vehicle's thrust map gives the speed, as for the simulated firmware.
+    ``controls``: four or more outputs in PX4's order (HIL_ACTUATOR_CONTROLS).
     """
     if not armed:
         return OFF
@@ -47,42 +47,42 @@ def rotor_speeds(controls: Sequence[float], armed: bool, rotor: Rotor) -> Four:
     return (m1, m2, m3, m4)
 
 
-# Yaw of a Crazyflie: 20 times 0.00705 m is 0.141; with PX4's 6.5 it is 0.046, below the limit of 0.05
+# Yaw effectiveness of a Crazyflie: 20 * 0.00705 m = 0.141. PX4's coefficient 6.5 gives 0.046, below 0.05.
 THRUST_COEFFICIENT = 20.0
-_MOTOR_1 = 101  # PX4's output function Motor1
-_NATURAL = 1.3  # natural frequency of the rate loop times the motor lag
+_MOTOR_1 = 101  # value of PX4's output function Motor1
+_NATURAL = 1.3  # product of the rate loop's natural frequency and the motor lag
 _DAMPING = 0.8
-_SLOWER = 4.0  # attitude loop against that natural frequency
-_INTEGRAL_1_S = 1.3  # I over P, as PX4's defaults 0.2 and 0.15
-_YAW_1_S, _YAW_ATTITUDE_1_S = 6.0, 2.0  # bandwidths about the vertical
-_THRUST: dict[str, float] = {"THR_MDL_FAC": 0.0}  # an output is a share of the thrust
-# values that the check before a flight requires of any PX4 without a radio in a simulation
+_SLOWER = 4.0  # ratio of this natural frequency to the attitude loop's bandwidth
+_INTEGRAL_1_S = 1.3  # ratio of I to P, as in PX4's defaults 0.2 and 0.15
+_YAW_1_S, _YAW_ATTITUDE_1_S = 6.0, 2.0  # bandwidths of yaw rate and yaw
+_THRUST: dict[str, float] = {"THR_MDL_FAC": 0.0}  # an output is a share of the highest thrust
+# values that the pre-flight check requires of every PX4 in a simulation without a radio
 SAFE_PARAMETERS: dict[str, float] = {
-    "COM_RC_IN_MODE": 4,  # no sticks
-    "COM_OBL_RC_ACT": 4,  # land when the set-points stop, as the check before a flight requires
-    "SYS_FAILURE_EN": 0,  # the simulation's default is 1, which the check refuses
+    "COM_RC_IN_MODE": 4,  # no stick input
+    "COM_OBL_RC_ACT": 4,  # land when the set-points stop; the pre-flight check requires this
+    "SYS_FAILURE_EN": 0,  # the simulation's default is 1, which the pre-flight check rejects
 }
 _SATELLITES: dict[str, float] = {
     "EKF2_GPS_P_NOISE": 0.02,  # m; the simulated receiver has an RTK fix
-    "EKF2_HGT_REF": 1,  # the receiver gives the height, too: the barometer's noise is 0.1 m
+    "EKF2_HGT_REF": 1,  # height from the receiver, because the barometer's noise is 0.1 m
 }
 _MOCAP: dict[str, float] = {
-    "EKF2_EV_CTRL": 11,  # horizontal and vertical position, and yaw
-    "EKF2_HGT_REF": 3,  # vision
+    "EKF2_EV_CTRL": 11,  # use horizontal and vertical position, and yaw
+    "EKF2_HGT_REF": 3,  # height from vision
     "EKF2_GPS_CTRL": 0,
-    "EKF2_MAG_TYPE": 5,  # none: the pose contains the yaw
+    "EKF2_MAG_TYPE": 5,  # no magnetometer; the pose contains the yaw
     "SYS_HAS_GPS": 0,
     "COM_ARM_WO_GPS": 1,
 }
 
 
 def hover_share(params: Params) -> float:
-    """Share of the highest thrust that carries the vehicle."""
+    """Return the thrust of hover as share of the highest thrust."""
     return params.body.mass_kg * params.contact.gravity_m_s2 / (4.0 * params.rotor.thrust_max_n)
 
 
 def torque_over_thrust_m(params: Params) -> float:
-    """Drag torque over thrust of a rotor in hover."""
+    """Return the ratio of drag torque to thrust of a rotor in hover, m."""
     rotor = params.rotor
     rpm = rotor.rpm(hover_share(params) * rotor.thrust_max_n)
     torque = (rotor.torque_linear_n_m_rpm + rotor.torque_square_n_m_rpm2 * rpm) * rpm
@@ -90,18 +90,18 @@ def torque_over_thrust_m(params: Params) -> float:
 
 
 def parameters(params: Params, mocap: OdometryLink | None = None) -> dict[str, float]:
-    """PX4 parameters that differ from its defaults, as v1.16 names them; integers where PX4 has integers.
+    """Return the PX4 parameters that differ from its defaults, with v1.16 names; integers where PX4 has them.
 
-    With ``mocap`` poses come from motion capture instead of satellites.
+    With ``mocap`` the position comes from motion capture instead of satellites.
     """
     rotor, (jx, jy, jz) = params.rotor, params.body.inertia_kg_m2
     ratio = torque_over_thrust_m(params)
     found: dict[str, float] = {"CA_AIRFRAME": 0, "CA_ROTOR_COUNT": 4}
     for ours, px4 in sorted(enumerate(PX4_OF_M), key=lambda pair: pair[1]):
         found[f"CA_ROTOR{px4}_PX"] = POSITION_X[ours] * rotor.arm_m
-        found[f"CA_ROTOR{px4}_PY"] = -POSITION_Y[ours] * rotor.arm_m  # FRD: y to the right
+        found[f"CA_ROTOR{px4}_PY"] = -POSITION_Y[ours] * rotor.arm_m  # FRD: y points right
         found[f"CA_ROTOR{px4}_CT"] = THRUST_COEFFICIENT
-        found[f"CA_ROTOR{px4}_KM"] = -MIX_YAW[ours] * ratio  # positive: turns counter-clockwise
+        found[f"CA_ROTOR{px4}_KM"] = -MIX_YAW[ours] * ratio  # positive for a counter-clockwise rotor
     for px4 in range(4):
         found[f"PWM_MAIN_FUNC{px4 + 1}"] = _MOTOR_1 + px4
     found["MPC_THR_HOVER"] = hover_share(params)
@@ -127,8 +127,9 @@ def _rate_gains(axis: str, per_command: float, lag_s: float) -> dict[str, float]
     }
 
 
-# How PX4 takes parameters: from the environment of its start script (rcS), all but those whose value is PX4's
-# own default and not its simulation's (SYS_FAILURE_EN); in an airframe file; or at its console
+# Ways to pass parameters to PX4: environment variables of its start script (rcS), an airframe file, its
+# console. The environment cannot pass PX4's own default where the simulation's default differs
+# (SYS_FAILURE_EN).
 FORMATS = {
     "env": "export PX4_PARAM_{}={}",
     "airframe": "param set-default {} {}",
@@ -137,5 +138,5 @@ FORMATS = {
 
 
 def parameter_text(params: Params, form: str, mocap: OdometryLink | None = None) -> str:
-    """The parameters as lines of one of ``FORMATS``."""
+    """Return the parameters as lines in one of ``FORMATS``."""
     return "\n".join(FORMATS[form].format(*pair) for pair in parameters(params, mocap).items())

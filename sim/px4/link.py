@@ -1,4 +1,4 @@
-"""The TCP side of PX4's simulator: we listen, PX4 connects; one at a time."""
+"""TCP server of PX4's simulator: PX4 connects to it, one connection at a time."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from bridge.mavlink.transport.address import resolve
 from sim.px4.messages import COMPONENT_ID, SYSTEM_ID
 
 _MARKER_V2 = 0xFD
-FRAME_MAX = 280  # bytes; header, payload, checksum and signature
+FRAME_MAX = 280  # maximum bytes of a frame: header, payload, checksum and signature
 
 
 class FrameStream:
-    """Splits received bytes into messages; holds fewer than ``FRAME_MAX`` bytes between calls."""
+    """Splits received bytes into messages; keeps fewer than ``FRAME_MAX`` bytes between calls."""
 
     def __init__(self) -> None:
-        self.garbage_bytes = 0  # that belonged to no frame
-        self.bad = 0  # frames of a good checksum that could not be decoded
+        self.garbage_bytes = 0  # bytes outside of any frame
+        self.bad = 0  # frames with a correct checksum that could not be decoded
         self._rest = b""
         self._version_1 = dialect.MAVLink(None)
 
     def feed(self, data: bytes) -> list[Message]:
-        """Messages that are complete now, in order."""
+        """Return the messages that are complete now, in order."""
         data, counts = self._rest + data, FrameCounters()
         found: list[Message] = []
         used = at = 0
@@ -63,9 +63,9 @@ class FrameStream:
 
 _ENDPOINT = re.compile(r"^([^:/\s]+):(\d{1,5})$")
 _ENDPOINT_HELP = "allowed is HOST:PORT, PORT up to 65535 (0 takes a free one), for example 127.0.0.1:4560"
-_CHUNK = 65536  # bytes taken at a time
-_SEND_MAX_S = 5.0  # s that PX4 may leave its socket full
-SLICE_S = 0.1  # s, longest wait for the socket
+_CHUNK = 65536  # maximum bytes per read
+_SEND_MAX_S = 5.0  # maximum time for which PX4's receive buffer may be full
+SLICE_S = 0.1  # longest wait for the socket
 
 
 class LinkClosedError(ConnectionError):
@@ -73,7 +73,7 @@ class LinkClosedError(ConnectionError):
 
 
 def parse_endpoint(text: str, *, allow_unsigned: bool) -> tuple[str, int]:
-    """Address and port from ``HOST:PORT``."""
+    """Return address and port of ``HOST:PORT``."""
     match = _ENDPOINT.match(text)
     if match is None or int(match.group(2)) > 65535:
         raise ValueError(f"TCP endpoint {text!r} is not understood: {_ENDPOINT_HELP}")
@@ -93,7 +93,7 @@ def _timeval(seconds: float) -> bytes:
 class Px4Link:
     def __init__(self, connected: socket.socket) -> None:
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        # Time-outs of the system, since those of Python need two system calls a message
+        # Time-outs of the operating system: those of Python need two system calls per message.
         connected.settimeout(None)
         connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _timeval(_SEND_MAX_S))
         connected.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _timeval(SLICE_S))
@@ -102,7 +102,7 @@ class Px4Link:
         self.stream = FrameStream()
 
     def send(self, messages: Iterable[Message]) -> None:
-        """Send in one piece."""
+        """Send all messages in one write."""
         data = b""
         for message in messages:
             data += pack(message, self._sequence, SYSTEM_ID, COMPONENT_ID)
@@ -113,12 +113,12 @@ class Px4Link:
             raise LinkClosedError(f"sending to PX4 failed: {error}") from error
 
     def receive(self, timeout_s: float) -> Sequence[Message]:
-        """Messages received within the time, or within ``SLICE_S`` if that is shorter."""
+        """Return the messages received within ``timeout_s``, at most ``SLICE_S``."""
         if timeout_s < SLICE_S and not select.select([self._socket], [], [], max(0.0, timeout_s))[0]:
             return ()
         try:
             data = self._socket.recv(_CHUNK)
-        except BlockingIOError:  # no bytes
+        except BlockingIOError:  # time-out without data
             return ()
         except OSError as error:
             raise LinkClosedError(f"receiving from PX4 failed: {error}") from error
@@ -127,7 +127,7 @@ class Px4Link:
         return self.stream.feed(data)
 
     def close(self) -> None:
-        with contextlib.suppress(OSError):  # PX4 may have closed it first
+        with contextlib.suppress(OSError):  # PX4 may already have closed it
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 
@@ -138,7 +138,7 @@ class Px4Server:
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._socket.bind((host, port))
-            self._socket.listen(1)  # a second PX4 waits until the first has gone
+            self._socket.listen(1)  # a second PX4 waits until the first disconnects
         except OSError as error:
             self._socket.close()
             raise OSError(
@@ -150,7 +150,7 @@ class Px4Server:
         return int(self._socket.getsockname()[1])
 
     def accept(self) -> Px4Link | None:
-        """Next connection; None: no connection within ``SLICE_S``."""
+        """Return the next connection; None if there is none within ``SLICE_S``."""
         if not select.select([self._socket], [], [], SLICE_S)[0]:
             return None
         return Px4Link(self._socket.accept()[0])

@@ -1,4 +1,7 @@
-"""Messages between PX4 and its simulator (PX4 docs, Simulator MAVLink API; SimulatorMavlink.cpp). Pure."""
+"""Messages between PX4 and its simulator (PX4 docs, Simulator MAVLink API; SimulatorMavlink.cpp).
+
+Pure functions, except for the noise of motion capture.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +24,8 @@ from sim.px4.plant import Body
 from sim.px4.sensors import Fix, Readings
 from sim.scenarios.scenario import OdometryLink
 
-RATE_MAX_HZ = 50.0  # as of the bridge for motion capture
-_SIGMA_MIN_M, _SIGMA_MIN_RAD = 1e-4, 1e-3  # a variance of zero would be believed for ever
+RATE_MAX_HZ = 50.0  # the same limit as in the bridge for motion capture
+_SIGMA_MIN_M, _SIGMA_MIN_RAD = 1e-4, 1e-3  # minimum; EKF2 would not correct an estimate of variance zero
 
 
 class Px4Mocap:
@@ -38,9 +41,9 @@ class Px4Mocap:
         self._covariance = tuple(diagonal[i] if i == j else 0.0 for i in range(6) for j in range(6))
 
     def poll(self, body: Body, now_ns: int, now_us: int) -> list[Message]:
-        """Measure when it is due; ODOMETRY of what has arrived.
+        """Measure when a sample is due; return ODOMETRY messages for the samples that have arrived.
 
-        ``now_ns`` is simulated time, ``now_us`` PX4's clock.
+        ``now_ns``: simulated time; ``now_us``: PX4's clock.
         """
         channel = self._channel
         if now_ns >= channel.due_ns:
@@ -51,15 +54,15 @@ class Px4Mocap:
 
     def _odometry(self, values: Sequence[float], now_us: int) -> Message:
         x, y, z, yaw, w, i, j, k = values
-        c, s = math.cos(0.5 * yaw), math.sin(0.5 * yaw)  # a yaw error turns the whole attitude
+        c, s = math.cos(0.5 * yaw), math.sin(0.5 * yaw)  # a yaw error rotates the whole attitude
         attitude = (c * w - s * k, c * i - s * j, c * j + s * i, c * k + s * w)
         pose = Pose(now_us * 1000, "", (x, y, z), attitude, self._covariance)
         return odometry(Passed(pose, now_us * 1e-6, 0), now_us)
 
 
-SYSTEM_ID, COMPONENT_ID = 1, 200  # of the simulator; PX4 looks at neither
+SYSTEM_ID, COMPONENT_ID = 1, 200  # ids of the simulator; PX4 ignores both
 
-# Bits of HIL_SENSOR.fields_updated that PX4 requires together (SimulatorMavlink.hpp, SensorSource)
+# bits of HIL_SENSOR.fields_updated; PX4 requires each group as a whole (SimulatorMavlink.hpp, SensorSource)
 ACCEL, GYRO, MAG, BARO = 0b111, 0b111000, 0b111000000, 0b1101000000000
 
 HIL_STATE_QUATERNION = 115
@@ -68,16 +71,16 @@ _LOCKSTEP = 1  # bit of HIL_ACTUATOR_CONTROLS.flags
 _EPH_CM, _EPV_CM, _SATELLITES = 2, 4, 20
 _INT16 = 32767
 _COG_UNKNOWN = 65535
-_COG_MIN_M_S = 0.2  # below it the direction of motion is noise
+_COG_MIN_M_S = 0.2  # speed below which the course over ground is noise
 
 
 class Answer(NamedTuple):
-    """One HIL_ACTUATOR_CONTROLS."""
+    """Content of one HIL_ACTUATOR_CONTROLS message."""
 
     time_us: int  # PX4's clock
     controls: tuple[float, ...]  # outputs 1 to 16
     armed: bool
-    lockstep: bool  # PX4's clock is the simulator's
+    lockstep: bool  # PX4's clock is the simulator's clock
 
 
 def answer_of(message: Message) -> Answer:
@@ -86,7 +89,7 @@ def answer_of(message: Message) -> Answer:
 
 
 def hil_sensor(time_us: int, readings: Readings) -> Message:
-    """HIL_SENSOR with what is new."""
+    """Return HIL_SENSOR with the new readings."""
     slow = readings.slow
     mag, hpa, altitude, celsius = (0.0, 0.0, 0.0), 0.0, 0.0, 0.0
     if slow is not None:
@@ -111,7 +114,7 @@ def hil_gps(time_us: int, fix: Fix) -> Message:
 
 
 def hil_state(time_us: int, body: Body, accel_frd_m_s2: Vec3, gravity_m_s2: float) -> Message:
-    """HIL_STATE_QUATERNION: the truth, which PX4 only logs."""
+    """Return HIL_STATE_QUATERNION, the true state; PX4 only logs it."""
     speed_cm_s = min(65535, round(math.hypot(*body.velocity_enu_m_s) * 100.0))
     x, y, z = body.position_enu_m
     return dialect.MAVLink_hil_state_quaternion_message(

@@ -1,8 +1,7 @@
-"""The simulated vehicle without its firmware: rotor speeds in, true state out, in steps of 1 ms.
+"""The simulated vehicle without firmware: rotor speeds in, true state out, in steps of 1 ms.
 
-The same world, rotors, battery, wind, ground effect and deck as ``VehicleSim``, with the functions of its
-loop; only what the firmware does there is left to another autopilot. Deterministic in (scenario, seed,
-commands).
+World, rotors, battery, wind, ground effect and deck are the same as in ``VehicleSim``, with the same
+functions; PX4 replaces the firmware. The result depends only on scenario, seed and commands.
 """
 
 from __future__ import annotations
@@ -22,21 +21,21 @@ from sim.scenarios.scenario import Scenario, StartKind
 from sim.vehicle.loop import CONTROL_EVERY_MS, VehicleRecord, apply_ground_effect, move, push, surround
 from sim.vehicle.physics import Physics
 
-SUPPLY_MS = 1000  # the wind takes a number every 5 ms and is given at least 340 of them
+SUPPLY_MS = 1000  # time for which random numbers are drawn: one every 5 ms, at least 340 are available
 
 
 class Body(NamedTuple):
-    """True state of the vehicle's centre of mass."""
+    """True state of the vehicle; its position is that of the centre of mass."""
 
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3
-    quaternion: tuple[float, float, float, float]  # w, x, y, z; FLU body in ENU world
+    quaternion: tuple[float, float, float, float]  # attitude (w, x, y, z) of body FLU in world ENU
     angular_velocity_flu_rad_s: Vec3
 
 
 @jitted
 def fly_commanded(vehicle: Cell[VehicleRecord], wanted: F64, begin_ms: int, end_ms: int) -> None:
-    """Run steps of 1 ms with these rotor speeds wanted (rpm, M1..M4); the battery limits them."""
+    """Run steps of 1 ms with these commanded rotor speeds (rpm, M1..M4); the battery limits them."""
     v = vehicle[0]
     for now_ms in range(begin_ms, end_ms):
         if now_ms % CONTROL_EVERY_MS == 0:
@@ -50,7 +49,7 @@ def fly_commanded(vehicle: Cell[VehicleRecord], wanted: F64, begin_ms: int, end_
 
 
 def start_position(scenario: Scenario, params: Params, pad_enu_m: Vec3) -> Vec3:
-    """Where the vehicle stands: at its start on the ground, or on the floor below a given hover start."""
+    """Return the start position: the scenario's start on the ground, or the floor below its hover start."""
     z = -params.geometry.foot_bottom_m - 1e-5
     if scenario.start.kind is StartKind.GROUND:
         return (*scenario.start.ground_position_m, z)
@@ -63,7 +62,7 @@ def start_position(scenario: Scenario, params: Params, pad_enu_m: Vec3) -> Vec3:
 
 
 class Px4Plant:
-    """One vehicle, standing on the floor, and its deck; set ``wanted`` before ``advance``."""
+    """One vehicle at rest on the floor, and its deck; set ``wanted`` before ``advance``."""
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
         if scenario.fault:
@@ -76,14 +75,14 @@ class Px4Plant:
         self._vehicle = physics.vehicle
         physics.record.motor_share[:] = 1.0
         physics.ground_ms[0] = physics.since_ms[0] = 0
-        self.wanted = np.zeros(4)  # rotor speeds to aim at, rpm, M1..M4
+        self.wanted = np.zeros(4)  # commanded rotor speeds of M1..M4, rpm
         self._ms = self._supplied_ms = 0
         self._world.set_vehicle(start_position(scenario, self.params, self._world.deck_position))
 
     def set_deck(
         self, position_enu_m: Vec3, yaw_rad: float, velocity_enu_m_s: Vec3, yaw_rate_rad_s: float
     ) -> None:
-        """True pose and twist of the pad centre now; it moves on an arc until the next call."""
+        """Set the true pose and velocity of the pad centre; it moves on an arc until the next call."""
         self._world.set_deck(position_enu_m, yaw_rad, velocity_enu_m_s, yaw_rate_rad_s)
 
     def advance(self, steps: int) -> None:
@@ -103,5 +102,5 @@ class Px4Plant:
         return Body(b[:3], b[3:6], b[6:10], b[10:13])
 
     def truth(self) -> Truth:
-        """Return the true state now and the extremes and contacts since the last call; those start anew."""
+        """Return the current true state, and extremes and contacts since the last call, then reset these."""
         return self._physics.truth(self._ms, bool(self.wanted.any()))

@@ -1,4 +1,4 @@
-"""The process that is PX4's simulator: TCP to PX4 on one side, the robot's true pose on the other."""
+"""The process that simulates sensors and physics for PX4: TCP to PX4, Zenoh to the robot's true pose."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from sim.runners.log import VehicleLog
 from sim.scenarios.scenario import Scenario
 
 SPEED_MAX = 100.0
-_LOG_EVERY = 3  # steps between two true states in the log: 83 Hz
-_BEHIND_MAX_NS = 50_000_000  # the log's times of the truth and of the onboard process differ by this at most
+_LOG_EVERY = 3  # steps between two logged true states: 83 Hz
+_BEHIND_MAX_NS = 50_000_000  # largest offset between the log times of the truth and of the onboard process
 _NS_PER_STEP = STEP_MS * 1_000_000
 
 
 class Px4Node:
-    """Moves the deck with the robot, and logs the truth."""
+    """Moves the deck with the robot, and logs the true state."""
 
     def __init__(
         self, deck: RealTimeDeck | None, log: VehicleLog, clock: FastClock | SimulationClock, stop: Stop
@@ -40,7 +40,7 @@ class Px4Node:
         self.log = log
         self._clock, self._stop = clock, stop
         self._deck = deck
-        self._deck_s = 0.0  # simulated time of all flights so far: the deck's clock never goes back
+        self._deck_s = 0.0  # simulated time of all flights so far; the deck's clock must not jump back
         self._touched = False
 
     def begin(self) -> None:
@@ -48,11 +48,11 @@ class Px4Node:
         self.log.epoch_ns = self._clock.unix_ns()
 
     def end(self, flown_s: float) -> None:
-        """End a flight of this simulated time."""
+        """End a flight that lasted this simulated time."""
         self._deck_s += flown_s
 
     def before_step(self, flight: Px4Session) -> None:
-        """Publish the simulated time; at 83 Hz log the truth and move the deck."""
+        """Publish the simulated time; at 83 Hz log the true state and move the deck."""
         if isinstance(self._clock, SimulationClock):
             passed_ns = round(self._deck_s * NS_PER_S) + flight.steps * _NS_PER_STEP
             self._clock.advance(passed_ns, lambda: self._stop.is_set)
@@ -61,7 +61,7 @@ class Px4Node:
         now_ns = flight.steps * _NS_PER_STEP
         behind_ns = self._clock.unix_ns() - self.log.epoch_ns - now_ns
         if self._deck is not None and abs(behind_ns) > _BEHIND_MAX_NS:
-            self.log.epoch_ns += behind_ns  # PX4's start, or a busy machine: the other clocks have advanced
+            self.log.epoch_ns += behind_ns  # PX4's start, or a busy machine, delayed this process
         truth = flight.plant.truth()
         self.log.truth(flight.steps // _LOG_EVERY, now_ns, truth)
         if self._deck is not None:
@@ -93,7 +93,7 @@ def _say(text: str) -> None:
     print(text, flush=True)
 
 
-# A vehicle in flight gets priority over other programs; a simulation that cannot keep up gives it up.
+# A flying vehicle has priority over other programs; a simulation that is too slow gives up the priority.
 _PRIORITY: Mapping[Event, Callable[[], object]] = {
     Event.ARMED: ask_for_priority,
     Event.DISARMED: give_up_priority,
@@ -108,10 +108,11 @@ def _tell(event: Event, *, paced: bool) -> None:
 
 
 def px4_sim_main(scenario: Scenario, options: Px4SimOptions) -> int:
-    """Serve PX4 until SIGTERM, SIGINT or ``duration_s``; prints ``ready tcp:HOST:PORT`` when it may connect.
+    """Serve PX4 until SIGTERM, SIGINT or ``duration_s``; print ``ready tcp:HOST:PORT`` when it can connect.
 
-    Every PX4 that connects finds the vehicle at its start: PX4 does not reconnect, a new one is a new flight.
-    Exit status: 0 in order, 1 when PX4 or another part did not reply, 2 for wrong input.
+    Each PX4 that connects starts with the vehicle at its start position; PX4 does not reconnect, so a new
+    connection is a new flight. Exit status: 0 if ended in order, 1 when PX4 or another process did not reply,
+    2 for bad input.
     """
     speed = options.speed
     stop = Stop()
@@ -120,7 +121,7 @@ def px4_sim_main(scenario: Scenario, options: Px4SimOptions) -> int:
             host, port = parse_endpoint(options.tcp, allow_unsigned=options.allow_unsigned)
             with_robot = bool(options.connect or options.listen or options.zenoh_config is not None)
             _check_speed(speed, with_robot and options.clock is None)
-            Px4Plant(scenario, options.seed).advance(STEP_MS)  # refuses wrong scenarios, and compiles
+            Px4Plant(scenario, options.seed).advance(STEP_MS)  # checks the scenario and compiles
             session = None
             if with_robot:
                 session = zenoh_link.open_session(
@@ -132,7 +133,7 @@ def px4_sim_main(scenario: Scenario, options: Px4SimOptions) -> int:
             feed = Feed.connect(options.recorder, "vehicle", lossless=False)
             stack.callback(feed.close)
             deck = RealTimeDeck(session, options.namespace) if session is not None else None
-            # without a robot and as fast as it can, no other clock counts
+            # without a robot and at full speed no other process needs the simulated time
             paced = SimulationClock(options.clock) if options.clock is not None else FastClock(speed or 1.0)
             node = Px4Node(deck, VehicleLog(feed, paced.unix_ns(), options.namespace), paced, stop)
             stop.install()
@@ -170,7 +171,7 @@ def _check_speed(speed: float, with_robot: bool) -> None:
 
 
 def _serve(flight: Px4Session, link: Px4Link, node: Px4Node, stop: Stop, duration_s: float | None) -> bool:
-    """Fly with one PX4; whether the time is over."""
+    """Run one PX4 until it disconnects; return whether ``duration_s`` is over."""
     try:
         flight.greet()
         node.begin()

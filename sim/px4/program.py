@@ -1,4 +1,4 @@
-"""PX4's own software in the loop as a child process; every wait is bounded."""
+"""PX4's software in the loop as a child process; every wait has a time-out."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ from typing import NamedTuple
 from flightstack.common.processes import LaunchError, ended, tied
 from sim.autopilot.ground import ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG
 
-INSTANCES = range(10)  # from 10 on PX4 sends the MAVLink of all instances to one port (px4-rc.mavlink)
-BOOT_MAX_S = 90.0  # s of wall time for wait_ready, unless said otherwise
-CONSOLE_MAX_S = 10.0  # s for one command at PX4's console
-END_MAX_S = 5.0  # s until PX4 has ended in order
-# Degrees, degrees, m above sea level: the floor of px4-sim, from which HIL_GPS and the barometer count
+INSTANCES = range(10)  # above 9 PX4 sends the MAVLink of all instances to one port (px4-rc.mavlink)
+BOOT_MAX_S = 90.0  # default time-out of wait_ready, wall time
+CONSOLE_MAX_S = 10.0  # time-out of one command at PX4's console
+END_MAX_S = 5.0  # time-out of PX4's orderly end
+# latitude and longitude, degrees, altitude, m: the floor of px4-sim, origin of HIL_GPS and barometer
 ROOM_WGS84 = (ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG, 0.0)
 _BOOTED = "Startup script returned successfully"
-_POSITIONED = "Ready for takeoff!"  # all of its estimators have a position in the room
+_POSITIONED = "Ready for takeoff!"  # PX4 prints this when all its estimators have a position in the room
 _CHECKED = "Preflight check: OK"
-_LOOK_S = 0.05  # s between two looks at its output
-_ASK_S = 0.2  # s between two questions at its console
+_LOOK_S = 0.05  # period of reading the output
+_ASK_S = 0.2  # period of repeated console commands
 _LAST_LINES = 12
-_SAME_PLACE_DEG = 1e-5  # 1 m: PX4 prints its reference with six digits
+_SAME_PLACE_DEG = 1e-5  # 1 m; PX4 prints its reference with six decimals
 _REFERENCE = re.compile(r"^\s*(ref_lat|ref_lon): (\S+)", re.MULTILINE)
 _ALIAS = re.compile(r"^alias \w+='(px4-\w+) ", re.MULTILINE)
-# rcS multiplies these with the speed, for clients that stay in real time; ours are as fast as the simulation.
-# PX4 1.18 has no COM_OBC_LOSS_T: there it is always 5 s.
+# rcS multiplies these by the speed, for clients that run in real time; our clients run at the simulation's
+# speed. PX4 1.18 has no COM_OBC_LOSS_T: its value there is always 5 s.
 _SCALED_WITH_SPEED = ("COM_DL_LOSS_T", "COM_RC_LOSS_T", "COM_OF_LOSS_T", "COM_OBC_LOSS_T")
-# Waits for the program. SIGHUP, sent when our process is killed, ends the whole group at once: during its
-# start script PX4 does not react to SIGTERM, and the script's commands would wait for a killed PX4 for ever.
+# Waits for the program. SIGHUP, sent when this process is killed, kills the whole group at once: during its
+# start script PX4 ignores SIGTERM, and the script's commands would wait for a killed PX4 without end.
 _END_TOGETHER = """
 trap 'kill -KILL 0' HUP
 trap : TERM INT
@@ -48,9 +48,9 @@ exit $status
 
 
 class Px4Model(Enum):
-    """Who computes the physics; the value is PX4_SIM_MODEL."""
+    """Source of the physics; the value is PX4_SIM_MODEL."""
 
-    NONE_IRIS = "none_iris"  # a simulator that PX4 connects to: flightstack px4-sim
+    NONE_IRIS = "none_iris"  # an external simulator that PX4 connects to: flightstack px4-sim
     SIHSIM_QUADX = "sihsim_quadx"  # PX4's own simulator-in-hardware, 1 kg
 
 
@@ -58,15 +58,15 @@ _AUTOSTART = {Px4Model.NONE_IRIS: "10016", Px4Model.SIHSIM_QUADX: "10040"}
 
 
 class Px4Error(LaunchError):
-    """PX4 did not start, ended, or refused; the text holds its last lines."""
+    """PX4 did not start, ended, or rejected a command; the message contains its last lines."""
 
 
 class Px4Files(NamedTuple):
-    """What of a PX4 build is needed."""
+    """Required files of a PX4 build."""
 
     binary: Path
-    etc: Path  # its start-up file system
-    alias: Path  # px4-alias.sh, which names its modules
+    etc: Path  # start-up file system
+    alias: Path  # px4-alias.sh, which defines the names of PX4's modules
 
 
 def find_px4(place: Path) -> Px4Files:
@@ -90,7 +90,7 @@ def find_px4(place: Path) -> Px4Files:
 
 
 class InstanceClaim:
-    """The lowest free instance number, reserved until ``close``. PX4's system id is one more (rcS)."""
+    """Reserves the lowest free instance number until ``close``. PX4's system id is this number + 1 (rcS)."""
 
     def __init__(self, numbers: Sequence[int] = INSTANCES) -> None:
         for number in numbers:
@@ -111,12 +111,12 @@ class InstanceClaim:
         raise Px4Error(f"all PX4 instances, {numbers[0]} to {numbers[-1]}, are in use here; end one")
 
     def close(self) -> None:
-        """Give the number back."""
+        """Release the number."""
         os.close(self._file)
 
 
 def _instance_runs(number: int) -> bool:
-    """Whether any PX4 of this number runs already: it holds a lock file."""
+    """Return whether a PX4 with this instance number runs; it has a lock file."""
     lock = Path(f"/tmp/px4_lock-{number}")  # src: PX4 platforms/posix/src/px4/common/main.cpp
     if not lock.exists():
         return False
@@ -129,12 +129,12 @@ def _instance_runs(number: int) -> bool:
 class Px4Program:
     """One PX4 SITL process; a launcher manages it as a ``Running``.
 
-    ``parameters`` are PX4's by name, with integers for PX4's integers. ``speed`` is that of ``SIHSIM_QUADX``
-    against real time; with ``NONE_IRIS`` the simulator sets the speed. ``origin_wgs84`` is the room's,
-    degrees, degrees, m; None leaves PX4's.
+    ``parameters``: PX4's parameters by name, with integers for PX4's integers; ``speed``: ratio of simulated
+    to real time for ``SIHSIM_QUADX`` (with ``NONE_IRIS`` the simulator sets it); ``origin_wgs84``: origin of
+    the room, degrees, degrees, m; None keeps PX4's origin.
     """
 
-    name = "px4"  # of the process, among those of a run
+    name = "px4"  # name of the process in a run
 
     def __init__(
         self,
@@ -150,15 +150,15 @@ class Px4Program:
         if instance not in INSTANCES:
             raise ValueError(f"PX4 instance {instance}: allowed are 0 to {INSTANCES.stop - 1}")
         files = find_px4(binary)
-        self.folder = folder.absolute()  # working folder: parameters, its log (log/), output (px4.txt)
-        self.instance = instance  # offset of all ports
-        self.simulator_port = 4560 + instance  # TCP, of the simulator that it connects to (NONE_IRIS)
-        # UDP ports: destination and source of the MAVLink to a companion; port for ground stations
+        self.folder = folder.absolute()  # working folder: parameters, PX4's log (log/), output (px4.txt)
+        self.instance = instance  # added to all port numbers
+        self.simulator_port = 4560 + instance  # TCP port of the simulator that PX4 connects to (NONE_IRIS)
+        # UDP ports: destination and source of the MAVLink to a companion, and the port for ground stations
         self.onboard_port, self.onboard_local_port = 14540 + instance, 14580 + instance
         self.ground_port = 18570 + instance
         self._parameters = dict(parameters or {})
         self._speed, self._model, self._origin = speed, model, origin_wgs84
-        self.absent: list[str] = []  # wanted parameters that this release does not have, once it is ready
+        self.absent: list[str] = []  # requested parameters that this PX4 release lacks; set by wait_ready
         self._bin = self.folder / "bin"
         self.output = self.folder / "px4.txt"
         self._lay_out(files)
@@ -176,11 +176,11 @@ class Px4Program:
                 tied(["sh", "-c", _END_TOGETHER, "sh", *program], signal.SIGHUP),
                 cwd=self.folder, env=self._environment(),
                 stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
-                start_new_session=True,  # its start script's children are ended with it
+                start_new_session=True,  # so that the children of its start script end with it
             )  # fmt: skip
 
     def _lay_out(self, files: Px4Files) -> None:
-        """Link the program by the names of its modules, and delete the parameters of an earlier run."""
+        """Link the program under the names of its modules, and delete the parameters of an earlier run."""
         self._bin.mkdir(parents=True, exist_ok=True)
         for name in ("parameters.bson", "parameters_backup.bson"):
             (self.folder / name).unlink(missing_ok=True)
@@ -203,11 +203,11 @@ class Px4Program:
         return ours
 
     def wait_ready(self, timeout_s: float = BOOT_MAX_S) -> None:
-        """Wait until it would arm, with the wanted parameters and the room's origin.
+        """Wait until PX4 can arm, with the requested parameters and the room's origin.
 
-        The simulator has to run: PX4 waits for it. The origin is set after PX4 has a position, since with
-        satellites its first fix would set another. In HOLD it arms only with an origin; with motion capture
-        its checks fail for some seconds after it was set.
+        The simulator must run, because PX4 waits for it. The origin is set after PX4 has a position, because
+        the first satellite fix sets an origin, too. In HOLD PX4 arms only with an origin; with motion capture
+        its checks fail for some seconds after the origin is set.
         """
         until_s = time.monotonic() + timeout_s
         self._wait_for(_BOOTED, until_s)
@@ -229,10 +229,10 @@ class Px4Program:
             time.sleep(_LOOK_S)
 
     def _settle_parameters(self) -> None:
-        """Set one by one what the environment did not, as far as this release has it.
+        """Set each parameter that the environment did not set, if this release has it.
 
-        PX4 keeps no value that equals its own default, so there the start script's default for simulations
-        wins (SYS_FAILURE_EN of v1.16).
+        PX4 does not store a value that equals its own default. The start script's default for simulations
+        then applies instead (SYS_FAILURE_EN of v1.16).
         """
         if self._model is Px4Model.SIHSIM_QUADX and self._speed != 1.0:
             for name in _SCALED_WITH_SPEED:
@@ -261,7 +261,7 @@ class Px4Program:
         )
 
     def console(self, module: str, *words: str, timeout_s: float = CONSOLE_MAX_S) -> str:
-        """Reply of a module at PX4's console, e.g. ``console("param", "show", "MAV_SYS_ID")``."""
+        """Return the reply of a module at PX4's console, e.g. ``console("param", "show", "MAV_SYS_ID")``."""
         done = self._client(module, words, timeout_s)
         if done.returncode != 0:
             command = " ".join((module, *words))
@@ -302,9 +302,9 @@ class Px4Program:
         return self.process.poll() is None
 
     def end(self, within_s: float = END_MAX_S) -> int:
-        """Terminate it, after this time kill it with all that it started; its exit status."""
+        """Terminate PX4; after ``within_s`` kill it and its children. Return the exit status."""
         if self.alive():
-            self._signal(signal.SIGCONT)  # a stopped process gets no SIGTERM
+            self._signal(signal.SIGCONT)  # a stopped process does not receive SIGTERM
             self._signal(signal.SIGTERM)
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.wait(within_s)

@@ -1,7 +1,7 @@
-"""True state to what PX4's sensors would read: body FRD, world NED, noise from the seed. Pure but for noise.
+"""Readings of PX4's sensors from the true state: body FRD, world NED, noise from the seed.
 
-The IMU is read every 4 ms (250 Hz, IMU_INTEG_RATE of px4-rc.simulator): it gives the mean acceleration since
-the last reading and the present rates, both unfiltered, since PX4 filters them.
+The IMU is read every 4 ms (250 Hz, IMU_INTEG_RATE of px4-rc.simulator). A reading has the mean acceleration
+since the last reading and the current rates, both unfiltered, because PX4 filters them.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from sim.plant.sensors import NoiseRows
 from sim.px4.plant import Body
 
 STEP_MS = 4  # ms between two IMU readings
-SLOW_EVERY = 5  # IMU readings between two of magnetometer and barometer: 50 Hz
-GPS_EVERY = 25  # IMU readings between two fixes: 10 Hz
+SLOW_EVERY = 5  # IMU readings between two readings of magnetometer and barometer: 50 Hz
+GPS_EVERY = 25  # IMU readings between two satellite fixes: 10 Hz
 
-# World magnetic model 2020 at the origin of the room, 47.397742 N 8.545594 E, interpolated as PX4 does from
-# its tables (geo_magnetic_tables.hpp, 2023.6); EKF2 compares its magnetometer with these.
+# World magnetic model 2020 at the room's origin, 47.397742 N 8.545594 E, interpolated from PX4's tables
+# (geo_magnetic_tables.hpp, 2023.6), with which EKF2 compares the magnetometer.
 DECLINATION_RAD = 0.05713
 INCLINATION_RAD = 1.10208
 STRENGTH_GAUSS = 0.48197
@@ -33,17 +33,17 @@ SEA_LEVEL_HPA, SEA_LEVEL_K, LAPSE_K_M, EXPONENT = 1013.25, 288.15, 0.0065, 5.255
 ZERO_CELSIUS_K = 273.15
 BARO_NOISE_HPA = 0.012  # Bosch BMP388 data sheet: 1.2 Pa rms
 
-# A receiver with a base station (RTK fix): nothing less meets a pad of 0.1 m (assumptions, one sigma)
+# receiver with a base station (RTK fix), which a pad of 0.1 m requires; assumed standard deviations
 GPS_NOISE_M = (0.010, 0.010, 0.020)
 GPS_NOISE_M_S = (0.03, 0.03, 0.05)
 
-ACCEL_MAX_M_S2 = 156.8  # range of 16 g, which PX4 keeps as a 16 bit number (SimulatorMavlink.cpp)
-GYRO_MAX_RAD_S = math.radians(1999.9)  # range of 2000 deg/s, likewise
+ACCEL_MAX_M_S2 = 156.8  # range of 16 g, stored as a 16 bit number in PX4 (SimulatorMavlink.cpp)
+GYRO_MAX_RAD_S = math.radians(1999.9)  # range of 2000 deg/s, stored as a 16 bit number in PX4
 
 
 @dataclass(frozen=True, slots=True)
 class Slow:
-    """Magnetometer and barometer."""
+    """Readings of magnetometer and barometer."""
 
     mag_frd_gauss: Vec3
     pressure_hpa: float
@@ -70,7 +70,7 @@ class Readings:
 
 
 def field_ned_gauss() -> Vec3:
-    """Magnetic field of the earth in the room."""
+    """Return the earth's magnetic field in the room, NED."""
     level = STRENGTH_GAUSS * math.cos(INCLINATION_RAD)
     return (
         level * math.cos(DECLINATION_RAD),
@@ -84,17 +84,17 @@ _FIELD_ENU: Vec3 = (_EAST, _NORTH, -_DOWN)
 
 
 def temperature_k(altitude_m: float) -> float:
-    """Of the standard atmosphere below 11 km."""
+    """Return the temperature of the standard atmosphere below 11 km."""
     return SEA_LEVEL_K - LAPSE_K_M * altitude_m
 
 
 def pressure_hpa(altitude_m: float) -> float:
-    """Of the standard atmosphere below 11 km."""
+    """Return the pressure of the standard atmosphere below 11 km."""
     return float(SEA_LEVEL_HPA * (temperature_k(altitude_m) / SEA_LEVEL_K) ** EXPONENT)
 
 
 def pressure_altitude_m(hpa: float) -> float:
-    """Inverse of ``pressure_hpa``."""
+    """Return the altitude for a pressure (inverse of ``pressure_hpa``)."""
     return float(SEA_LEVEL_K / LAPSE_K_M * (1.0 - (hpa / SEA_LEVEL_HPA) ** (1.0 / EXPONENT)))
 
 
@@ -104,7 +104,7 @@ def _within(v: Vec3, limit: float) -> Vec3:
 
 
 class Px4Sensors:
-    """All sensors of one vehicle; call ``read`` every ``STEP_MS``. At the beginning the body is at rest."""
+    """All sensors of one vehicle, which starts at rest; call ``read`` every ``STEP_MS``."""
 
     def __init__(self, params: Params, body: Body, seed: int) -> None:
         raw = replace(params.imu, gyro_filter_hz=math.inf, accel_filter_hz=math.inf)
@@ -117,7 +117,7 @@ class Px4Sensors:
         self._count = 0
 
     def read(self, body: Body) -> Readings:
-        """Read what is due now."""
+        """Return the readings that are due now."""
         count = self._count
         self._count += 1
         self._imu.measure(

@@ -1,6 +1,6 @@
 """One PX4 from its first message to its last, in lockstep with the simulated vehicle.
 
-Every 4 ms of simulated time: sensors out, motor outputs in, vehicle on by 4 ms.
+Each step is 4 ms of simulated time: send the sensor readings, receive the motor outputs, advance the vehicle.
 """
 
 from __future__ import annotations
@@ -20,40 +20,40 @@ from sim.px4.messages import HIL_STATE_QUATERNION, Answer, Px4Mocap, answer_of, 
 from sim.px4.plant import Px4Plant
 from sim.px4.sensors import STEP_MS, Px4Sensors
 
-FIRST_US = 1_000_000  # time of the first HIL_SENSOR; not zero, which PX4 takes for "not set"
+FIRST_US = 1_000_000  # time of the first HIL_SENSOR; PX4 treats zero as "not set"
 
 
 class NoLockstepError(RuntimeError):
-    """PX4 was built without lockstep; its clock is the wall's."""
+    """PX4 was built without lockstep; its clock is the wall clock."""
 
 
 class Lockstep:
-    """Call ``sent`` with every HIL_SENSOR, ``take`` with every answer."""
+    """Matches answers to steps: call ``sent`` with every HIL_SENSOR, ``take`` with every answer."""
 
     def __init__(self) -> None:
-        self.started = False  # PX4 has begun to answer
-        self.old = 0  # answers that did not belong to the last HIL_SENSOR, ignored
-        self.newest_us = -1  # time in the newest answer; -1 before the first
+        self.started = False  # PX4 has sent an answer
+        self.old = 0  # ignored answers to an earlier HIL_SENSOR
+        self.newest_us = -1  # time in the newest answer; -1 before the first one
         self._sent_us: int | None = None
-        self._before_us = -1  # newest answer when the last HIL_SENSOR went out
-        self._behind_us = [0]  # by how much PX4's clock may be behind ours: not at all, or by the first time
-        self._seen_us: int | None = None  # by how much it was behind at the last ``adopt``
+        self._before_us = -1  # ``newest_us`` when the last HIL_SENSOR was sent
+        self._behind_us = [0]  # accepted delays of PX4's clock: zero, or the time of the first HIL_SENSOR
+        self._seen_us: int | None = None  # delay of PX4's clock at the last ``adopt``
 
     @property
     def expected_us(self) -> list[int]:
-        """Times that the answer to the last HIL_SENSOR may carry."""
+        """Times that the answer to the last HIL_SENSOR may contain."""
         sent_us = self._sent_us
         return [] if sent_us is None else [sent_us - behind_us for behind_us in self._behind_us]
 
     def sent(self, time_us: int) -> None:
-        """A HIL_SENSOR of this time has gone out."""
+        """Record that a HIL_SENSOR with this time was sent."""
         if self._sent_us is None:
             self._behind_us.append(time_us)
         self._sent_us = time_us
         self._before_us = self.newest_us
 
     def take(self, answer: Answer) -> bool:
-        """Whether this answers the last HIL_SENSOR, so that the simulation may step."""
+        """Return whether this answers the last HIL_SENSOR, so that the simulation may step."""
         if not answer.lockstep:
             raise NoLockstepError(
                 "PX4's HIL_ACTUATOR_CONTROLS has no lockstep flag: it was built without lockstep; "
@@ -70,9 +70,9 @@ class Lockstep:
         return False
 
     def adopt(self) -> None:
-        """After a long wait without an answer accept another clock of PX4, the second time that it is seen.
+        """After a long wait without an answer, accept another delay of PX4's clock on its second occurrence.
 
-        The first time may have been a late answer to an earlier HIL_SENSOR.
+        The first occurrence may be a late answer to an earlier HIL_SENSOR.
         """
         behind_us = None
         if self._sent_us is not None and self.newest_us > self._before_us:
@@ -84,33 +84,33 @@ class Lockstep:
 
 STEP_US = STEP_MS * 1000
 STEP_S = STEP_MS * 1e-3
-HELLO_MAX_S = 10.0  # s of wall time for its first message, which it sends as soon as it is connected
-BOOT_MAX_S = 60.0  # s of wall time until its first motor outputs
-NUDGE_S = 1.0  # s of wall time; then one step continues without an answer: PX4 may wait for a sensor, too
-STATE_MAX_US = 1_000_000  # us; a longer interval switches the truth off
-_BEHIND_MAX_S = 0.1  # s; after a longer pause of the machine time is put back instead of caught up
+HELLO_MAX_S = 10.0  # time-out of PX4's first message, wall time; PX4 sends it on connection
+BOOT_MAX_S = 60.0  # time-out of its first motor outputs, wall time
+NUDGE_S = 1.0  # wall time after which one step runs without an answer: PX4 may wait for a sensor
+STATE_MAX_US = 1_000_000  # longest interval of HIL_STATE_QUATERNION; a longer one turns it off
+_BEHIND_MAX_S = 0.1  # delay after which simulated time does not catch up with wall time
 
 
 class NotPx4Error(RuntimeError):
-    """The client is not PX4; the text names it."""
+    """The client is not PX4; the message names it."""
 
 
 class Event(Enum):
-    """Reported to the launcher."""
+    """Events that are reported to the launcher."""
 
     CONNECTED = "connected"
     LOCKSTEP = "lockstep"
     ARMED = "armed"
     DISARMED = "disarmed"
-    PAUSED = "the machine paused: simulation too"  # the first time in a flight
+    PAUSED = "the machine paused: simulation too"  # only at the first pause in a flight
 
 
 class Px4Session:
-    """Vehicle, sensors and one PX4.
+    """Vehicle, sensors and the connection to one PX4.
 
-    ``stop`` ends every wait. ``speed`` is simulated time over wall time; 0: as fast as PX4 replies.
-    ``silent_max_s`` is the wall time without an answer after which PX4 counts as dead. ``tell`` is called at
-    every event. ``mocap`` gives poses instead of satellites.
+    ``stop`` ends every wait. ``speed``: ratio of simulated to wall time; 0: as fast as PX4 replies.
+    ``silent_max_s``: wall time without an answer after which PX4 counts as dead. ``tell``: called at every
+    event. ``mocap``: source of poses, used instead of satellites.
     """
 
     def __init__(
@@ -133,16 +133,16 @@ class Px4Session:
         self.steps = 0
         self.nudges = 0  # steps without an answer
         self._armed = self._paused = False
-        self._state_every_us = 0  # 0: not requested
+        self._state_every_us = 0  # 0: PX4 has not requested it
         self._state_due_us = 0
         self._start_s = self._connected_s = self._answered_s = time.monotonic()
 
     @property
-    def time_us(self) -> int:  # PX4's clock
+    def time_us(self) -> int:  # PX4's clock, us
         return FIRST_US + self.steps * STEP_US
 
     def greet(self) -> None:
-        """Wait for the first message; PX4 sends its heartbeat at once."""
+        """Wait for the first message; PX4 sends a heartbeat on connection."""
         until_s = time.monotonic() + HELLO_MAX_S
         while not self._stop.is_set:
             left_s = until_s - time.monotonic()
@@ -179,12 +179,12 @@ class Px4Session:
             self._state_due_us = max(now_us, self._state_due_us + self._state_every_us)
             gravity = self.plant.params.contact.gravity_m_s2
             out.append(hil_state(now_us, body, readings.accel_frd_m_s2, gravity))
-        out.append(hil_sensor(now_us, readings))  # the last: it lets PX4's clock go on
+        out.append(hil_sensor(now_us, readings))  # sent last, because it advances PX4's clock
         self._link.send(out)
         self.lockstep.sent(now_us)
 
     def _look(self) -> Answer | None:
-        """PX4 starts, which takes real time: an answer if it comes before this step should end."""
+        """While PX4 starts in real time, return an answer that arrives before this step ends, or None."""
         until_s = self._start_s + (self.steps + 1) * STEP_S
         while not self._stop.is_set:
             left_s = until_s - time.monotonic()
@@ -204,7 +204,7 @@ class Px4Session:
         return None
 
     def _wait(self) -> Answer | None:
-        """Wait for the answer to this step's HIL_SENSOR; None: do this step without."""
+        """Wait for the answer to this step's HIL_SENSOR; None: run this step without an answer."""
         began_s = time.monotonic()
         while not self._stop.is_set:
             answer = self._note(self._link.receive(SLICE_S))
@@ -230,7 +230,7 @@ class Px4Session:
         )
 
     def _note(self, messages: Iterable[Message]) -> Answer | None:
-        """Take messages; the newest answer to the last HIL_SENSOR, if there is one."""
+        """Process messages; return the newest answer to the last HIL_SENSOR, or None."""
         newest = None
         for message in messages:
             kind = message.get_type()
@@ -248,7 +248,7 @@ class Px4Session:
         return newest
 
     def _command(self, message: Message) -> None:
-        """PX4 requests the truth by SET_MESSAGE_INTERVAL; other commands are ignored."""
+        """Handle SET_MESSAGE_INTERVAL, by which PX4 requests the true state; ignore other commands."""
         if message.command != dialect.MAV_CMD_SET_MESSAGE_INTERVAL or message.param1 != HIL_STATE_QUATERNION:
             return
         wanted_us = message.param2

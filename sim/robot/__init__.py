@@ -1,1 +1,1 @@
-"""The moving target."""
+"""The ground robot that carries the moving landing target."""

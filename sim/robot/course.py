@@ -1,4 +1,4 @@
-"""Paths of the robot that depend on its pose: waypoints, and a function of the user."""
+"""Robot paths that depend on its pose: waypoints, and a function written by the user."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.core.parameters.filters import referred
 from sim.scenarios.scenario import PathKind, TargetSpec
 
-# time driven (s), position of the axle (m, ENU) and heading (rad) -> speed (m/s) and turn rate (rad/s)
+# function from driven time (s), axle position (m, ENU) and heading (rad) to speed (m/s) and turn rate (rad/s)
 Course = Callable[[float, float, float, float], tuple[float, float]]
-GAIN_1_S = 2.0  # turn rate for each rad between heading and waypoint (assumption)
-REACHED_M = 0.05  # distance at which the next waypoint counts
+GAIN_1_S = 2.0  # turn rate per heading error to the waypoint, 1/s (assumption)
+REACHED_M = 0.05  # distance at which a waypoint counts as reached
 
 
 class Waypoints:
-    """Drives to each point in order, then to the first again; it turns on the spot for a point behind it."""
+    """Drives to each point in order, then to the first again; turns on the spot if the point is behind."""
 
     def __init__(
         self, points_m: Sequence[tuple[float, float]], speed_m_s: float, turn_rate_rad_s: float
@@ -37,7 +37,7 @@ class Waypoints:
 
 
 class Function:
-    """The user's function; its result is limited to the speed and the turn rate of the scenario."""
+    """The user's function; its result is limited to the scenario's speed and turn rate."""
 
     def __init__(self, name: str, speed_m_s: float, turn_rate_rad_s: float) -> None:
         self._name, self._speed, self._turn = name, speed_m_s, turn_rate_rad_s
@@ -60,9 +60,9 @@ _NEEDED = "it takes t_s, x_m, y_m, yaw_rad and must return speed in m/s and turn
 
 
 def course(spec: TargetSpec, speed_m_s: float, turn_rate_rad_s: float) -> Course | None:
-    """Steering of the robot by its pose; None for a path that depends on time alone.
+    """Return the steering that depends on the robot's pose; None for a path that depends only on time.
 
-    ``speed_m_s``, ``turn_rate_rad_s``: limits, as drawn from the seed.
+    ``speed_m_s``, ``turn_rate_rad_s``: limits, drawn from the seed.
     Raises ConfigError: the function cannot be imported.
     """
     if spec.path is PathKind.WAYPOINTS:
@@ -73,6 +73,6 @@ def course(spec: TargetSpec, speed_m_s: float, turn_rate_rad_s: float) -> Course
 
 
 def try_out(spec: TargetSpec) -> None:
-    """Call the function of a path once, at its beginning. Raises ConfigError: it cannot be used."""
+    """Call the function of a path once, at its start. Raises ConfigError: the function cannot be used."""
     if (steers := course(spec, spec.speed_m_s, spec.turn_rate_rad_s)) is not None:
         steers(0.0, *spec.position_m, spec.heading_rad)

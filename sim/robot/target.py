@@ -1,7 +1,8 @@
 """The ground robot: a unicycle with speed and acceleration limits on a path, and its odometry.
 
-Between steps the twist is constant and the pose moves on the exact arc; a step ends by choosing the twist of
-the next interval. Whoever integrates pose and twist over the same interval ends on the same pose.
+Between steps the twist (speed and turn rate) is constant and the pose moves on the exact arc. Each step ends
+with the choice of the next twist. Any process that integrates pose and twist over the same interval gets the
+same pose.
 """
 
 from __future__ import annotations
@@ -22,18 +23,18 @@ from sim.plant.state_error import DELAY, TURN, WIDTH, PastRecord, mismeasured, s
 from sim.robot.course import course
 from sim.scenarios.scenario import PathKind, StateError, TargetLink, TargetSpec
 
-DRIVE_LAG_S = 0.1  # first-order lag of the drive; not documented by ROBOTIS, 0.05 to 0.15 s (assumption)
+DRIVE_LAG_S = 0.1  # first-order lag of the drive; ROBOTIS does not document it; assumed from 0.05 to 0.15 s
 
 
 class PadPose(NamedTuple):
-    """Pose of the pad centre (top surface), ENU."""
+    """Pose of the pad centre (top side), ENU."""
 
     position_enu_m: Vec3
     yaw_rad: float
 
 
 class TargetMeasurement(NamedTuple):
-    """One odometry sample; twist in the body frame (x forward, y left)."""
+    """One odometry sample; velocities in the body frame (x forward, y left)."""
 
     time_s: float  # time of the measurement
     position_enu_m: Vec3
@@ -42,7 +43,7 @@ class TargetMeasurement(NamedTuple):
     yaw_rate_rad_s: float
 
 
-# Shares of speed and turn rate that a path demands until it changes, then until it changes back.
+# shares of full speed and turn rate: first for the path's first section, then for its second section
 DEMANDS: dict[PathKind, tuple[float, float, float, float]] = {
     PathKind.STILL: (0.0, 0.0, 0.0, 0.0),
     PathKind.STRAIGHT: (1.0, 0.0, 1.0, 0.0),
@@ -57,18 +58,18 @@ class PadRecord(Record):
     """Motion of the pad centre."""
 
     time_ns: int
-    position: Vector  # ENU, m
+    position: Vector  # position in ENU, m
     yaw: float
-    body_velocity: Vector  # m/s
-    velocity: Vector  # the same, ENU
-    rate: float  # rad/s
+    body_velocity: Vector  # velocity in the body frame, m/s
+    velocity: Vector  # velocity in ENU, m/s
+    rate: float  # yaw rate, rad/s
 
 
 class MotionRecord(Record):
     """Commands of the robot, the state of its axle, and the resulting motion of the pad."""
 
     demand: Annotated[F64, 4]
-    speed: float  # m/s
+    speed: float  # maximum commanded speed, m/s
     turn_rate: float
     phase_s: float
     period_s: float
@@ -76,23 +77,23 @@ class MotionRecord(Record):
     turn_rate_max: float
     accel_max: float
     turn_accel_max: float
-    behind: float  # pad behind the axle, m
+    behind: float  # distance of the pad behind the axle, m
     height: float  # height of the pad, m
-    heave: float  # amplitude, m
+    heave: float  # amplitude of the heave, m
     heave_rad_s: float
     heave_phase: float
     driven_s: float
-    x: float  # axle, ENU, m
+    x: float  # position of the axle, ENU, m
     y: float
     yaw: float
-    v: float  # m/s
-    w: float  # rad/s
+    v: float  # speed of the axle, m/s
+    w: float  # yaw rate, rad/s
     pad: PadRecord
 
 
 @jitted
 def arc(length_m: float, turn_rad: float) -> tuple[float, float]:
-    """Displacement (forward, left) after driving ``length_m`` while turning by ``turn_rad``, exact."""
+    """Return the exact displacement (forward, left) of a drive of ``length_m`` that turns by ``turn_rad``."""
     if abs(turn_rad) < 1e-9:
         return length_m, 0.5 * length_m * turn_rad
     return length_m * math.sin(turn_rad) / turn_rad, length_m * (1.0 - math.cos(turn_rad)) / turn_rad
@@ -100,7 +101,7 @@ def arc(length_m: float, turn_rad: float) -> tuple[float, float]:
 
 @jitted
 def wrap(angle_rad: float) -> float:
-    """Angle in (-pi, pi]."""
+    """Return the angle in the interval (-pi, pi]."""
     return math.pi - (math.pi - angle_rad) % (2.0 * math.pi)
 
 
@@ -116,7 +117,7 @@ def _height(m: MotionRecord, time_s: float) -> float:
 
 @jitted
 def publish(motion: Cell[MotionRecord], dt_s: float) -> None:
-    """Turn the axle's state into the pad's; the pad stands behind the axle and swings with the yaw."""
+    """Compute the pad's motion from the axle's state; the pad is behind the axle and swings in turns."""
     m = motion[0]
     pad, c, s = m.pad, math.cos(m.yaw), math.sin(m.yaw)
     time_s = pad.time_ns / NS
@@ -130,7 +131,7 @@ def publish(motion: Cell[MotionRecord], dt_s: float) -> None:
 
 @jitted
 def drive(motion: Cell[MotionRecord], dt_s: float, driving: bool) -> None:
-    """Move by ``dt_s`` with the twist chosen before, then choose the next; brake if not ``driving``."""
+    """Advance by ``dt_s`` with the current twist, then choose the next; brake if not ``driving``."""
     m = motion[0]
     forward, left = arc(m.v * dt_s, m.w * dt_s)
     c, s = math.cos(m.yaw), math.sin(m.yaw)
@@ -153,9 +154,9 @@ def drive(motion: Cell[MotionRecord], dt_s: float, driving: bool) -> None:
 
 @jitted
 def drive_on(motion: Cell[MotionRecord], dt_s: float, driving: bool, pads: F64) -> None:
-    """``drive`` once for each row, which is filled with the numbers of the pad's motion after it.
+    """Call ``drive`` for each row, and fill the row with the pad's motion after it.
 
-    ``dt_s``: of each step; ``driving``: or braking, in all of them; ``pads``: (n, 12), filled.
+    ``dt_s``: duration of each step; ``driving``: False brakes in all steps; ``pads``: (n, 12), filled here.
     """
     pad = motion[0].pad
     for row in pads:
@@ -168,13 +169,13 @@ def drive_on(motion: Cell[MotionRecord], dt_s: float, driving: bool, pads: F64) 
 class TargetModel:
     """True motion of the target.
 
-    ``pose``, ``velocity_enu_m_s``, ``velocity_body_m_s`` and ``yaw_rate_rad_s`` are of the pad centre at
-    ``time_s``, and so are the numbers of ``pad``; the body-frame twist holds until the next step. Heave
-    continues all the time, driving or not, as by waves.
+    ``pose``, ``velocity_enu_m_s``, ``velocity_body_m_s``, ``yaw_rate_rad_s`` and the numbers of ``pad``
+    describe the pad centre at ``time_s``; the twist in the body frame is constant until the next step. Heave
+    continues also while the robot does not drive, like waves.
 
-    ``spec``: path, speeds, limits, pad; ``seed``: draws speed, turn rate and heading where the spec asks for
-    it, the time until the first change of stop-and-go and reversing, and the phase of the heave; ``step_s``:
-    expected time between steps (used to choose the heave velocity of the first interval).
+    ``spec``: path, speeds, limits, pad; ``seed``: for speed, turn rate and heading where the spec leaves them
+    open, the time until the first change of stop-and-go and reversing, and the phase of the heave;
+    ``step_s``: expected time between steps (for the heave velocity in the first interval).
     """
 
     def __init__(self, spec: TargetSpec, seed: int, *, step_s: float = 0.01) -> None:
@@ -190,7 +191,7 @@ class TargetModel:
         if spec.path is PathKind.FIGURE_OF_EIGHT and self.turn_rate_rad_s:
             m.phase_s, m.period_s = 0.0, 2.0 * math.pi / abs(self.turn_rate_rad_s)
         self._course = course(spec, self.speed_m_s, self.turn_rate_rad_s)
-        if self._course is not None:  # it gives speed and turn rate themselves
+        if self._course is not None:  # the course commands speed and turn rate directly
             m.speed = m.turn_rate = 1.0
         m.speed_max, m.turn_rate_max = spec.speed_max_m_s, spec.turn_rate_max_rad_s
         m.accel_max = spec.acceleration_max_m_s2
@@ -203,19 +204,19 @@ class TargetModel:
         self._cell, self._read = cell_of_numbers(m), reader(m.pad)
         publish(self._cell, step_s)
         self._show()
-        # compiled, or loaded, before time begins to count
+        # compile or load the code before the simulated time starts
         drive_on(cell_of_numbers(new(MotionRecord)), step_s, False, np.empty((1, len(self.pad))))
 
     def stop(self) -> None:
-        """Stand from now on, as with locked wheels; the next step shows it."""
+        """Stop at once, as with locked wheels; visible after the next step."""
         self._record.v = self._record.w = 0.0
 
     def step(self, dt_s: float, driving: bool) -> None:
-        """Move on by ``dt_s``, see ``drive``."""
+        """Advance by ``dt_s``; see ``drive``."""
         self.run(1, dt_s, driving)
 
     def run(self, steps: int, dt_s: float, driving: bool) -> F64:
-        """Step so often; returns the pad's motion after each, (steps, 12) numbers of a PadRecord."""
+        """Run ``steps`` steps; return the pad's motion after each, (steps, 12) numbers of a PadRecord."""
         pads = np.empty((steps, len(self.pad)))
         if self._course is None or not driving:
             drive_on(self._cell, dt_s, driving, pads)
@@ -238,9 +239,9 @@ class TargetModel:
 
 
 class TargetError:
-    """Error of motion capture on the true state; one call a sample, in order.
+    """Errors of motion capture on the true state; call ``apply`` once for each sample, in order.
 
-    ``spec``: errors; ``rate_hz``: of the samples.
+    ``spec``: errors; ``rate_hz``: rate of the samples.
     """
 
     def __init__(self, spec: StateError, seed: int, rate_hz: float) -> None:
@@ -251,7 +252,7 @@ class TargetError:
         self._cell, self._late = cell(self._past), self._past.late
 
     def apply(self, pad: Sequence[float]) -> tuple[Sequence[float], float, Sequence[float]]:
-        """Position (ENU, m), heading (rad) and velocity in the body frame (m/s) as measured.
+        """Return the measured position (ENU, m), heading (rad) and velocity in the body frame (m/s).
 
         ``pad``: true motion, numbers of a PadRecord.
         """
@@ -265,16 +266,17 @@ class TargetError:
         return (x, y, z), yaw, (c * vx + s * vy, c * vy - s * vx, vz)
 
 
-_MEASURED = [1, 2, 3, 4, 5, 6, 7, 11]  # numbers of a PadRecord: place, heading, velocity, turn rate
+_MEASURED = [1, 2, 3, 4, 5, 6, 7, 11]  # indices in a PadRecord: position, heading, velocity, turn rate
 
 
 class TargetOdometry:
-    """Odometry of the target through its link.
+    """Odometry of the target with the noise, loss and delay of its link.
 
     Call ``step`` at time zero and after every step of the model: it measures when a sample is due and returns
-    the samples released by now, oldest first. One sample a call at most, so step at least at the link's rate.
-    Yaw-rate noise is that of two wheels with the given speed noise: velocity noise over half the track.
-    With ``link.error`` a sample has the errors of a recorded flight first, then noise, loss and delay.
+    the samples released by now, oldest first. A call measures at most one sample, so call it at least at the
+    link's rate. The noise of the yaw rate follows from speed noise of two wheels: velocity noise over half
+    the track width. With ``link.error`` a sample first gets the errors of a recorded flight, then noise, loss
+    and delay.
     """
 
     def __init__(self, link: TargetLink, seed: int) -> None:
@@ -284,7 +286,7 @@ class TargetOdometry:
         self._error = None if link.error is None else TargetError(link.error, seed, link.rate_hz)
 
     def step(self, model: TargetModel) -> list[TargetMeasurement]:
-        """Measure if due and return what has arrived."""
+        """Measure if a sample is due, and return the samples that have arrived."""
         channel, pad = self.channel, model.pad
         now_ns = pad[0]
         if now_ns >= channel.due_ns:
@@ -295,10 +297,10 @@ class TargetOdometry:
         return [measurement((t_ns / NS, *v[:3], wrap(v[3]), *v[4:])) for t_ns, v in released]
 
     def run(self, pads: F64) -> tuple[list[int], F64]:
-        """The same for several steps.
+        """Run ``step`` for several steps.
 
         ``pads``: (n, 12) true motion after each step, numbers of a PadRecord.
-        Returns index of the step in which each sample arrived; and (m, 9) the numbers of a TargetMeasurement.
+        Returns the index of the step in which each sample arrived, and (m, 9) numbers of TargetMeasurement.
         """
         values = pads[:, _MEASURED]
 
@@ -319,19 +321,19 @@ class TargetOdometry:
 
 @jitted
 def _finish(samples: F64) -> None:
-    """Nanoseconds to seconds, and the heading into one turn."""
+    """Convert nanoseconds to seconds, and wrap the heading."""
     for sample in samples:
         sample[0] /= NS
         sample[4] = wrap(sample[4])
 
 
 def measurement(row: Sequence[float]) -> TargetMeasurement:
-    """From its nine numbers."""
+    """Return the measurement made from its nine numbers."""
     time_s, x, y, z, yaw, vx, vy, vz, rate = row
     return TargetMeasurement(time_s, (x, y, z), yaw, (vx, vy, vz), rate)
 
 
 def numbers(samples: Iterable[TargetMeasurement]) -> F64:
-    """(m, 9) numbers of samples."""
+    """Return the (m, 9) numbers of samples."""
     rows = [(s.time_s, *s.position_enu_m, s.yaw_rad, *s.velocity_body_m_s, s.yaw_rate_rad_s) for s in samples]
     return np.array(rows, dtype=np.float64).reshape(len(rows), 9)

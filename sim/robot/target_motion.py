@@ -27,9 +27,9 @@ SHAPE: Shape[TargetMeasurement] = Shape(_move, lambda first, now: first._replace
 
 
 class TargetFaults:
-    """Schedule and effects of faults; a delayed sample is returned with a later sample or call.
+    """Schedule and effects of the robot's faults; a delayed sample is returned by a later call.
 
-    ``faults``: those of the scenario; faults of the vehicle are ignored.
+    ``faults``: faults of the scenario; those of the vehicle are ignored.
     """
 
     def __init__(self, faults: Iterable[Fault], seed: int) -> None:
@@ -37,7 +37,7 @@ class TargetFaults:
         self._schedule.add(fault for fault in faults if fault.of_the_robot)
         self._samples = SampleFaults(SHAPE)
         self._texts: list[FaultText] = []
-        self.locked = 0  # number of faults that lock the robot's wheels
+        self.locked = 0  # number of active faults that lock the robot's wheels
 
     @property
     def waits_for_landing(self) -> bool:
@@ -45,7 +45,7 @@ class TargetFaults:
         return self._schedule.waits_for(After.LANDING)
 
     def quiet_until(self, until_ns: int) -> bool:
-        """Whether no fault is on, and none begins by then."""
+        """Return whether no fault is active and none starts until ``until_ns``."""
         return not self.locked and not self._samples.active and until_ns < self._schedule.next_ns
 
     def landing_began(self, now_ns: int) -> None:
@@ -53,11 +53,11 @@ class TargetFaults:
         self._schedule.refer(After.LANDING, now_ns)
 
     def fail(self, faults: Iterable[Fault], now_ns: int) -> None:
-        """Add faults, effective from the next sample; those after ``time`` not before their start."""
+        """Add faults, effective from the next sample; those relative to ``time`` wait for their start."""
         self._schedule.add(faults, now_ns)
 
     def deliver(self, now_ns: int, samples: list[TargetMeasurement]) -> list[TargetMeasurement]:
-        """Samples that the robot sends now; without faults these are ``samples``."""
+        """Return the samples that the robot sends now; without faults these are ``samples``."""
         if now_ns >= self._schedule.next_ns:
             for running, begins in self._schedule.due(now_ns):
                 if running.fault.what is What.ROBOT:
@@ -70,29 +70,29 @@ class TargetFaults:
         return self._samples.deliver(now_ns, samples) if self._samples.active else samples
 
     def take_texts(self) -> list[FaultText]:
-        """Faults that have started and ended since the last call."""
+        """Return messages about faults that started or ended since the last call."""
         texts, self._texts = self._texts, []
         return texts
 
 
 class TargetMotion:
-    """Model and odometry on a grid of ticks."""
+    """Model and odometry of the robot on a grid of ticks."""
 
     def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:
         self.tick = 0  # current tick
-        self.model = TargetModel(scenario.target, seed, step_s=grid.period_s)  # true motion at that tick
+        self.model = TargetModel(scenario.target, seed, step_s=grid.period_s)  # true motion at this tick
         self.faults = TargetFaults(scenario.fault, seed)  # faults of robot and odometry
-        # whether the robot drives before the landing begins
+        # whether the robot drives before the landing starts
         self.drives_at_once = not scenario.target.wait_for_landing
         self._odometry = TargetOdometry(scenario.odometry, seed)
-        # The odometry takes one sample a step at most.
+        # substeps per tick; the odometry measures at most one sample per substep
         self._substeps = -(-round(scenario.odometry.rate_hz) // grid.rate_hz)
         self._step_s = grid.period_s / self._substeps
         self._texts: list[tuple[int, FaultText]] = []
-        self.due = self._measure()  # samples released and not yet taken
+        self.due = self._measure()  # samples that were released but not yet taken
 
     def step(self, driving: bool) -> None:
-        """Go on to the next tick."""
+        """Advance to the next tick."""
         self.tick += 1
         for _ in range(self._substeps):
             if self.faults.locked:
@@ -101,10 +101,10 @@ class TargetMotion:
             self.due += self._measure()
 
     def run(self, ticks: int, driving: bool) -> tuple[F64, list[int], F64]:
-        """Go on by some ticks, in compiled calls while no fault is on.
+        """Advance by several ticks, in compiled calls while no fault is active.
 
-        Returns the pad's motion at each, (ticks, 12) numbers of a PadRecord; index of the tick at which each
-        sample was released; and (m, 9) the numbers of these. ``due`` is left empty.
+        Returns the pad's motion at each tick, (ticks, 12) numbers of a PadRecord; the index of the tick at
+        which each sample was released; and (m, 9) numbers of the samples. ``due`` is left empty.
         """
         steps = ticks * self._substeps
         if not self.due and self.faults.quiet_until(self.model.pad[0] + steps * round(self._step_s * NS)):
@@ -128,6 +128,6 @@ class TargetMotion:
         return delivered
 
     def take_texts(self) -> list[tuple[int, FaultText]]:
-        """Faults that have started and ended since the last call, with the tick."""
+        """Return messages about faults that started or ended since the last call, each with its tick."""
         texts, self._texts = self._texts, []
         return texts
