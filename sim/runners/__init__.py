@@ -1,1 +1,1 @@
-"""Processes of the simulator, and a landing in one process."""
+"""Processes of the simulator, and landings that run in one process."""

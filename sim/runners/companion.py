@@ -1,7 +1,7 @@
-"""The onboard process, vehicle, autopilot, robot and wires in one process.
+"""The onboard process, vehicle, autopilot, robot and their connections in one process.
 
-Only the wires are replaced: messages are passed directly, with the same rounding. All other
-code is that of the processes.
+Only the connections are replaced: messages are passed directly, with the same rounding. All other code is the
+same as in the separate processes.
 """
 
 from __future__ import annotations
@@ -36,12 +36,11 @@ OnStep = Callable[[Tick, Outputs], None]
 
 
 class Companion:
-    """The onboard process, called by the vehicle's loop whenever that waits for its answer.
+    """The onboard process, called by the vehicle's loop whenever it waits for an answer.
 
-    ``controller``: flown in place of one that is made of the scenario; ``on_step``: called after every
-    controller step; ``system_id``: MAVLink system id of the vehicle, its
-    number in a team; ``target_seed``: seed of the robot, None: ``seed``; ``alone``: no other vehicle is near,
-    so that many ticks at once are allowed.
+    ``controller``: flown instead of the scenario's controller; ``on_step``: called after every controller
+    step; ``system_id``: MAVLink system id of the vehicle, its number in a team; ``target_seed``: seed of the
+    robot, None: ``seed``; ``alone``: no other vehicle is near, so batches of ticks are allowed.
     """
 
     def __init__(
@@ -55,11 +54,11 @@ class Companion:
         self._on_step = on_step
         self._stop = Stop()
         self._over = False
-        self.tick = 0  # current tick of the vehicles of its fleet
+        self.tick = 0  # current tick of the fleet's vehicles
         grid = TickGrid(rate_hz)
         ticks_max = grid.count(scenario.duration_max_s + config.retreat.abort_time_max_s + 10.0)
-        assert ticks_max is not None  # there is a duration
-        self.ticks_max = ticks_max  # most ticks of a flight
+        assert ticks_max is not None  # there is a time limit
+        self.ticks_max = ticks_max  # maximum number of ticks of a flight
         target = DirectTarget(scenario, seed if target_seed is None else target_seed, grid)
         here, there = wires((system_id, COMPONENT_ID), (system_id, COMPANION_ID))
         self._link = VehicleLink(
@@ -75,7 +74,7 @@ class Companion:
         self.vehicle = vehicle = VehicleSim(scenario, seed)  # the simulated vehicle
         trim = vehicle.trim_velocity_enu_m_s
         autopilot = Autopilot(vehicle, rate_hz, system_id=system_id, trim_enu_m_s=trim)
-        # outputs of the newest tick; None before the first and after the last
+        # outputs of the newest tick; None before the first tick and after the last
         self.outputs: Outputs | None = None
         self._neighbours: tuple[Neighbour, ...] = ()  # messages of other vehicles since the last tick
         self._notes = Notes(config, scenario.target.pad_radius_m)
@@ -83,13 +82,13 @@ class Companion:
             system_id, self.name, vehicle, autopilot, here, VehicleNotes(self._notes, self.name)
         )
         here.answer = self._answer
-        self._link.poll(0.0)  # says hello, as the process does before the first tick
+        self._link.poll(0.0)  # sends the first heartbeat, as the process does before the first tick
         radio_s = scenario.vehicle.setpoint_delay_s
         self.loop = LockstepVehicle(node, target, grid, self._stop, radio_s, None if alone else self)
         linked = LinkedVehicle(self._link, lockstep=True)
         leaving = Leaving(scenario.duration_max_s)
         ticks = VehicleTicks(linked, rate_hz)
-        # batch of ticks; None where not possible, or with ``on_step``
+        # runs batches of ticks; None where this is not possible, or with ``on_step``
         self.stretch = None
         if alone and on_step is None and suited(self.controller, node):
             self.stretch = Stretch(
@@ -101,7 +100,7 @@ class Companion:
         )
 
     def fly(self) -> None:
-        """Fly alone, many ticks at once where that is possible."""
+        """Fly alone, with batches of ticks where possible."""
         self.loop.begin()
         tick = 0
         while not self._stop.is_set and tick != self.ticks_max:
@@ -121,24 +120,24 @@ class Companion:
         return self.outputs
 
     def hear(self, words: tuple[Neighbour, ...]) -> None:
-        """Take the messages of the next tick."""
+        """Receive the messages of the next tick."""
         self._neighbours = words
 
     def seen(self) -> Seen:
-        """Return what a log of the flight would hold. Raises RuntimeError: it did not come to its end."""
+        """Return the data that a flight log would contain. Raises RuntimeError: the landing did not end."""
         if not self._over:
             raise RuntimeError(f"the landing was not over after {self.ticks_max} ticks")
         return self._notes.seen()
 
     def _answer(self) -> None:
-        if self._over:  # one true state after the last step, then the vehicle's process is ended, too
+        if self._over:  # after the last step comes one more true state; then the vehicle's process ends
             self._stop.ask()
             self.outputs = None
         else:
             self._over = self._runner.tick() is not None
 
     def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
-        """Note a tick."""
+        """Record a tick."""
         del taken, exec_s
         self.outputs = out
         self._notes.step(tick, out)

@@ -1,4 +1,4 @@
-"""The deck of the vehicle process: true poses of the robot, as they come over Zenoh, move it."""
+"""Moves the deck of the vehicle process by the robot's true poses, which arrive over Zenoh."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from bridge.zenoh import zenoh_link
 from flightstack.core.types import ZERO, Vec3
 from sim.plant.vehicle_types import Truth
 
-STALE_S = 0.5  # s without a true pose until the deck is stopped
-_PULL_1_S = 5.0  # 1/s; velocity for each metre of error, since a jump would throw the vehicle off the deck
-_SNAP_M = 0.3  # m; an error too large to be pulled out is no timing error
+STALE_S = 0.5  # age of the newest true pose after which the deck stops
+_PULL_1_S = 5.0  # velocity per position error; a jump would throw the vehicle off the deck
+_SNAP_M = 0.3  # larger errors are corrected by a jump: timing cannot cause them
 
 
 class DeckState(NamedTuple):
-    """Pose and twist of the pad centre, ENU, and the message they came in."""
+    """Pose and velocity of the pad centre, ENU, and the message that carried them."""
 
     position_enu_m: Vec3
     yaw_rad: float
@@ -30,7 +30,7 @@ class DeckState(NamedTuple):
 
 
 def deck_state(payload: bytes) -> DeckState:
-    """Decode a true pose. Raises OdometryError: malformed, or a number is not finite."""
+    """Decode a true pose. Raises OdometryError: malformed message, or a number is not finite."""
     found = decode_odometry(payload)
     position, q, velocity, rate = (
         found.position_m, found.orientation_wxyz, found.linear_m_s, found.angular_rad_s[2]
@@ -41,20 +41,20 @@ def deck_state(payload: bytes) -> DeckState:
 
 
 class RealTimeDeck:
-    """Follows true poses that come when they come: dead reckoning with the last twist, gently corrected."""
+    """Follows true poses that arrive at any time: dead reckoning with the last twist, smoothly corrected."""
 
     def __init__(self, session: zenoh_link.Session, namespace: str) -> None:
         self._subscriber = OdometrySubscriber(session, truth_key(namespace))
         self._last: DeckState | None = None
         self._last_s = 0.0
-        self._stopped = False  # whether the warning was given
+        self._stopped = False  # whether the warning was sent
 
     def move(
         self, now_s: float, truth: Truth, log: Callable[[bytes], None], warn: Callable[[str], None]
     ) -> DeckState | None:
-        """Take what has come; return what the deck should do next, None before the first pose.
+        """Read new poses and return the next state of the deck; None before the first pose.
 
-        ``truth``: where the simulated deck is now; ``log``: for the messages.
+        ``truth``: true state with the deck's current pose; ``log``: called with each message.
         """
         payloads = [raw.payload for raw in self._subscriber.poll()]
         for payload in payloads:
@@ -75,9 +75,9 @@ class RealTimeDeck:
 
 
 def follow(last: DeckState, age_s: float, position_enu_m: Vec3, yaw_rad: float) -> DeckState:
-    """State to give the deck so that it meets where the robot is now, without a jump if it is near.
+    """Return the deck state that corrects its position error smoothly, or by a jump if the error is large.
 
-    ``last``: the newest true pose; ``position_enu_m``: where the simulated deck is; ``yaw_rad``: its heading.
+    ``last``: the newest true pose; ``position_enu_m``, ``yaw_rad``: pose of the simulated deck.
     """
     there = reckon(last, age_s)
     x, y, z = position_enu_m
@@ -91,11 +91,11 @@ def follow(last: DeckState, age_s: float, position_enu_m: Vec3, yaw_rad: float) 
 
 
 def reckon(last: DeckState, age_s: float) -> DeckState:
-    """Dead reckoning on the arc of a constant twist."""
+    """Return the state after ``age_s`` of dead reckoning on an arc of constant twist."""
     turn = last.yaw_rate_rad_s * age_s
     vx, vy, vz = last.velocity_enu_m_s
     x, y, z = last.position_enu_m
-    # The chord of the arc is turned half as far as the velocity, and very nearly as long as the arc.
+    # The chord of the arc turns by half the angle of the velocity; its length is almost the arc's.
     c, s = math.cos(0.5 * turn), math.sin(0.5 * turn)
     there = (x + (c * vx - s * vy) * age_s, y + (s * vx + c * vy) * age_s, z + vz * age_s)
     c, s = math.cos(turn), math.sin(turn)
@@ -104,5 +104,5 @@ def reckon(last: DeckState, age_s: float) -> DeckState:
 
 
 def truth_key(namespace: str) -> str:
-    """Zenoh key of the robot's true pose."""
+    """Return the Zenoh key of the robot's true pose."""
     return f"{namespace}/sim/target/truth"

@@ -1,12 +1,13 @@
-"""Seeded landings in one process, noted and judged, without sockets: ``land`` and ``land_team``.
+"""Seeded landings in one process without sockets, recorded and judged: ``land`` and ``land_team``.
 
-The same code as over the wires flies: the vehicle's lockstep loop with its autopilot and faults, the robot,
-the companion's link and its runner of ticks. Only the wires are handed over directly, with their rounding;
-so a landing equals ``flightstack sitl --lockstep`` of the same scenario and seed to the last bit.
+The code is the same as with separate processes: the vehicle's lockstep loop with its autopilot and faults,
+the robot, the companion's link and its runner of ticks. Only the messages are passed directly, with the
+rounding of the wire. So a landing equals ``flightstack sitl --lockstep`` of the same scenario and seed to the
+last bit.
 
-Vehicles that share a room fly tick by tick. They act on each other with a delay of one tick, so that their
-order does not matter: by the jets of the rotors, collisions, and what the companions send each other
-(``Exchange``). One vehicle alone flies many ticks at once where that is possible.
+Vehicles that share a room fly tick by tick. They act on each other one tick later, so their order does not
+matter: by rotor jets, collisions, and messages between the companions (``Exchange``). A single vehicle flies
+batches of ticks where possible.
 """
 
 from __future__ import annotations
@@ -37,11 +38,11 @@ class Landing:
     """Result of one vehicle's flight."""
 
     seed: int  # seed of all random draws
-    verdict: Verdict  # verdict by true states, as for a flight log
-    seen: Seen  # records of a log that a verdict needs
-    simulated_s: float  # length of the flight
-    wall_s: float  # wall time of the flight; in a team, that of the whole team
-    retries: int  # number of times that the landing started again
+    verdict: Verdict  # verdict from true states, as for a flight log
+    seen: Seen  # recorded data that the verdict needs
+    simulated_s: float  # duration of the flight, simulated time
+    wall_s: float  # duration of the flight, wall time; in a team, of the whole team
+    retries: int  # number of restarts of the landing
 
 
 @dataclass(frozen=True)
@@ -49,15 +50,15 @@ class TeamLanding:
     """Result of a team's flight."""
 
     seed: int  # seed of the team
-    landings: tuple[Landing, ...]  # cf1 first; a verdict covers collisions until that flight was over
+    landings: tuple[Landing, ...]  # cf1 first; a verdict covers collisions until that member's flight ended
     pairs: tuple[Pair, ...]  # all pairs of members, (1, 2) first
     waits_s: tuple[float, ...]  # longest time that each member waited for its right of way
-    simulated_s: float  # until the last flight was over
+    simulated_s: float  # time until the last flight ended
     wall_s: float
 
 
 class _Waits:
-    """Ticks in a row in which each member would land and has no right of way; the most of them."""
+    """For each member: longest number of consecutive ticks in which it waits for its right of way."""
 
     def __init__(self, members: int) -> None:
         self.most, self._now = [0] * members, [0] * members
@@ -75,12 +76,12 @@ def land(scenario: Scenario, seed: int, *, on_step: OnStep | None = None) -> Lan
     """Fly one landing and judge it.
 
     Args:
-        scenario: everything that is not chance; its ``onboard`` part is flown.
-        seed: chance.
+        scenario: the whole scenario; its ``onboard`` part configures the flown controller.
+        seed: seed of all random draws.
         on_step: called after every controller step.
 
     Raises:
-        RuntimeError: the simulation did not come to its end.
+        RuntimeError: the simulation did not end.
     """
     return land_team(alone(scenario), seed, on_step=on_step).landings[0]
 
@@ -88,15 +89,15 @@ def land(scenario: Scenario, seed: int, *, on_step: OnStep | None = None) -> Lan
 def land_team(
     team: TeamScenario, seed: int, *, exchange: Exchange | None = None, on_step: OnStep | None = None
 ) -> TeamLanding:
-    """Fly the landings of a team and judge each.
+    """Fly the landings of a team and judge each of them.
 
-    A member that no other approaches flies the same bits as ``land`` with its own scenario and seed
+    A member that no other member approaches flies exactly as ``land`` does with its own scenario and seed
     (``TeamScenario.singles``).
 
-    ``exchange``: messages between the companions, made of the outputs of all controllers, None where the
-    flight is over; None: their controllers' own, as late and as lossy as the scenario says; ``on_step``:
-    called after every controller step of a vehicle that is alone. Raises ValueError: two vehicles begin
-    inside each other; RuntimeError: the simulation did not come to its end.
+    ``exchange``: computes the messages between companions from the outputs of all controllers (None after the
+    end of a flight); None: the controllers' messages, with the scenario's delay and loss; ``on_step``: called
+    after every controller step of a vehicle that is alone. Raises ValueError: two vehicles overlap at the
+    start; RuntimeError: the simulation did not end.
     """
     began_s = time.perf_counter()
     singles = list(team.singles(seed))
@@ -122,7 +123,7 @@ def land_team(
 def _fly(
     team: TeamScenario, members: Sequence[Companion], exchange: Exchange, waits: _Waits
 ) -> tuple[Pair, ...]:
-    """Fly until all flights are over; return how near each two came."""
+    """Fly until all flights are over; return the smallest distances of all pairs."""
     if team.is_alone:
         members[0].fly()
         return ()
@@ -139,7 +140,7 @@ def _fly(
 
 
 def warm_up(team: TeamScenario) -> None:
-    """Compile everything that a flight calls, or load it from the cache, before the first begins."""
+    """Compile all code of a flight, or load it from the cache, before the first flight starts."""
     first = team.member[0]
     warm_up_room(team)
     with telling("the loop of a campaign, about 20 s"):
@@ -148,5 +149,5 @@ def warm_up(team: TeamScenario) -> None:
             stretch.warm_up()
 
 
-if __name__ == "__main__":  # so that no run waits for it
+if __name__ == "__main__":  # so that no campaign has to wait for it
     warm_up(alone(load("lab")))

@@ -1,8 +1,8 @@
-"""The MAVLink wire of a landing in one process: messages handed over as they would arrive, without bytes.
+"""MAVLink connection of a landing in one process: messages are passed as they would arrive, without bytes.
 
-A float of a message has 32 bits on the wire. Only this rounding is done here, since packing, checksums and
-sockets change no number. Strings, doubles, and frames that a fault of the link has changed are packed and
-decoded in full.
+A float field has 32 bits on the wire. Only this rounding is applied here, because packing, checksums and
+sockets change no number. Messages with strings or doubles, and frames changed by a link fault, are packed and
+decoded completely.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ PEER: Peer = ("in-process", 0)
 
 
 _Round = Callable[[Message], None]
-_Plan = _Round | bool  # True: whole numbers alone, which pass as they are; False: goes by bytes
+_Plan = _Round | bool  # True: only integers, passed unchanged; False: packed to bytes
 
 
 def _plan(cls: Any) -> _Plan:
-    """How messages of a class pass."""
-    # an array of one, which arrives as a number
+    """Return how messages of a class are passed."""
+    # an array of length one arrives as a number
     if {"char", "double"} & set(cls.fieldtypes) or 1 in cls.array_lengths:
         return False
     length_of = dict(zip(cls.ordered_fieldnames, cls.array_lengths, strict=True))
@@ -38,10 +38,10 @@ def _plan(cls: Any) -> _Plan:
 
 
 def _rounding(floats: list[str], lengths: dict[str, int]) -> _Round:
-    """Function that rounds attributes; written out, it takes half as long as a loop over names.
+    """Return a function that rounds attributes; generated code takes half as long as a loop over names.
 
-    ``floats``: names of those that have 32 bits; ``lengths``: of those that are arrays, by name; they arrive
-    as lists.
+    ``floats``: names of the 32-bit attributes; ``lengths``: lengths of arrays by name; arrays arrive as
+    lists.
     """
     single = [name for name in floats if name not in lengths]
     wire = struct.Struct(f"<{len(single)}f")
@@ -63,14 +63,14 @@ _PLANS: dict[int, _Plan] = {id_: _plan(cls) for id_, cls in dialect.mavlink_map.
 
 
 class Inlet(Endpoint):
-    """One end of the wire, in place of a socket."""
+    """One end of the connection; it replaces a socket."""
 
     def __init__(self, system_id: int, component_id: int) -> None:
         self.tap = None
         self.counters = EndpointCounters()
         self.warnings = ()
         self.other: Inlet = self  # receiving end
-        # called when this end waits: the other side runs
+        # called when this end waits: runs the other side
         self.answer: Callable[[], None] | None = None
         self._ids = (system_id, component_id)
         self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
@@ -78,16 +78,16 @@ class Inlet(Endpoint):
 
     @property
     def peers(self) -> tuple[Peer, ...]:
-        """The other end."""
+        """Return the other end."""
         return (PEER,)
 
     def receive(self) -> list[Received]:
-        """Take what has arrived, in order."""
+        """Return the messages that have arrived, in order."""
         arrived, self._arrived = self._arrived, []
         return arrived
 
     def send(self, messages: Sequence[Message], peer: Peer | None = None) -> None:
-        """Hand messages over; they may be changed."""
+        """Pass messages to the other end; they may be changed."""
         del peer
         arrived = self.other._arrived
         for message in messages:
@@ -102,24 +102,24 @@ class Inlet(Endpoint):
             arrived.append(Received(message, b"", PEER))
 
     def repeat(self, frame: bytes, peer: Peer | None = None) -> None:
-        """Hand over a frame; a damaged one never arrives."""
+        """Pass a frame to the other end; a damaged frame is lost."""
         del peer
         for good in split_frames(frame):
             self.other._arrived.append(Received(decode(good), good, PEER))
 
     def wait(self, timeout_s: float) -> bool:
-        """Let the other side answer now."""
+        """Run the other side now."""
         del timeout_s
         if self.answer is not None:
             self.answer()
         return bool(self._arrived)
 
     def close(self) -> None:
-        """Nothing to close."""
+        """Do nothing; there is no socket."""
 
 
 def wires(vehicle: tuple[int, int], companion: tuple[int, int]) -> tuple[Inlet, Inlet]:
-    """Both ends of a wire, each given as system and component id."""
+    """Return both ends of a connection, each for a system id and component id."""
     here, there = Inlet(*vehicle), Inlet(*companion)
     here.other, there.other = there, here
     return here, there

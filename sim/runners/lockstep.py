@@ -1,13 +1,13 @@
-"""Vehicles in lockstep: simulated time continues when all companions have answered for a tick.
+"""Vehicles in lockstep: simulated time advances when all companions have answered for a tick.
 
-Tick k is at t = k / rate. A vehicle sends what is due and TIMESYNC(tc1=0, ts1=t in ns) in one datagram; the
-companion acts on it and answers with TIMESYNC(tc1 != 0, ts1=t). Everything that came before that answer is
-handled at t, then the physics continues to the next tick. A companion that stops answering does not stop the
-world: after 20 s of wall time the simulation runs on, so that fail-safes act, until it answers again.
-Faults of the wire concern everything but this handshake.
+Tick k is at t = k / rate. A vehicle sends the due messages and TIMESYNC(tc1=0, ts1=t in ns) in one datagram.
+The companion acts on them and answers with TIMESYNC(tc1 != 0, ts1=t). All messages that arrived before this
+answer are handled at t, then the physics advances to the next tick. If a companion stops answering, the
+simulation continues after 20 s of wall time, so that fail-safes act, until the companion answers again. Link
+faults affect all messages except this handshake.
 
-All companions are asked before any answer is awaited, so that they compute at the same time. The messages of
-a fleet of tick k arrive with tick k + 1 at the earliest, with the delay and loss of the team's exchange,
+All requests are sent before the first answer is awaited, so the companions compute in parallel. Fleet
+messages of tick k arrive with tick k + 1 at the earliest, with the delay and loss of the team's exchange,
 independent of wall time. So each member flies as in ``land_team`` with the same seed.
 """
 
@@ -29,40 +29,40 @@ from sim.runners.robot import Robot
 from sim.runners.room import Room
 from sim.runners.vehicle_node import VehicleNode
 
-_WAIT_S = 0.05  # s of wall time between two looks at the signals
-_REPEAT_S = 0.5  # s of wall time until a request is repeated
-_REPEAT_UNHEARD_S = 0.05  # s, the same before the first message of a companion
-_FLUSH_EVERY = 10  # ticks; the recorder is not woken for every single one
+_WAIT_S = 0.05  # wall time between two checks for signals
+_REPEAT_S = 0.5  # wall time after which a request is repeated
+_REPEAT_UNHEARD_S = 0.05  # the same before the first message of a companion
+_FLUSH_EVERY = 10  # period of the log flush, ticks; it limits how often the recorder wakes up
 _TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
 _HEARTBEAT: int = dialect.MAVLINK_MSG_ID_HEARTBEAT
 
 
 class FleetEnd(Protocol):
-    """End of the messages between a companion and others of its fleet."""
+    """The simulator's end of the messages between a companion and the other members of its fleet."""
 
     tick: int  # current tick of the vehicles
 
     @property
     def left(self) -> bool:
-        """Whether the companion has ended before this tick."""
+        """Return whether the companion has ended before this tick."""
 
     def take(self, silence: Silence, stop: Stop) -> Any:
-        """Return the companion's message of this tick; None: no message."""
+        """Return the companion's message of this tick, or None."""
 
     def hear(self, words: Any) -> None:
         """Send the messages that the companion receives with the next tick."""
 
 
-# takes the number of a tick that all vehicles have flown, and the message of each companion; returns what
-# each receives with the next tick
+# function from the number of a tick that all vehicles have flown and the companions' messages, to the
+# messages that each companion receives with the next tick
 Exchange = Callable[[int, Sequence[Any]], Sequence[Any]]
 
 
 class LockstepVehicle:
     """One vehicle, with its companion and its robot.
 
-    ``robot``: None: the deck stands; ``radio_s``: delay of set-points to the vehicle;
-    ``words``: messages of the companion to others of its fleet; None: no fleet.
+    ``robot``: None for a deck that does not move; ``radio_s``: delay of set-points to the vehicle; ``words``:
+    messages between the companion and other members of its fleet; None: no fleet.
     """
 
     def __init__(
@@ -105,9 +105,9 @@ class LockstepVehicle:
         return self._companion is not None and self._answers and not waits
 
     def begin(self) -> None:
-        """Wait for a companion, and for the readers of its robot: tick 0 must be complete.
+        """Wait for a companion and for the subscribers of its robot, so that tick 0 is complete.
 
-        Raises NoAnswerError: they never came.
+        Raises NoAnswerError: time-out.
         """
         endpoint = self._node.endpoint
 
@@ -123,18 +123,18 @@ class LockstepVehicle:
             self._robot.begin()
 
     def tick(self, tick: int) -> None:
-        """Simulate the next tick alone.
+        """Simulate the next tick of a single vehicle.
 
-        Raises NoAnswerError: the companion never came.
+        Raises NoAnswerError: time-out of the companion.
         """
         self.ask(tick)
         self.act(tick, Silence())
 
     def ask(self, tick: int) -> None:
-        """Begin a tick: send due messages, request the answer, and simulate the part that precedes it.
+        """Begin a tick: send due messages, request the answer, and simulate up to the earliest effect of it.
 
-        A vehicle whose flight is over flies the whole tick here: its autopilot still controls it, and nothing
-        is sent or logged.
+        A vehicle whose flight is over simulates the whole tick here: its autopilot still controls it, but
+        nothing is sent or logged.
         """
         node, grid = self._node, self._grid
         now_ns = grid.ns(tick)
@@ -152,22 +152,22 @@ class LockstepVehicle:
             node.vehicle.advance(steps)
             return
         self._send(now_ns, now_s)
-        # The state of this tick is written while the companion works on it.
+        # Write the state of this tick while the companion computes.
         node.write_log(tick, now_ns)
         if tick % _FLUSH_EVERY == 0:
             node.log.feed.flush()
         if self._robot is not None:
             self._robot.run_ahead(tick)
-        # The radio delays any answer, so this much can be simulated before the answer is known.
+        # The radio delays every answer by this time, so it can be simulated before the answer arrives.
         ahead = min(steps, self._radio_ms)
         node.vehicle.advance(ahead)
         node.vehicle.sent_before_ms = ahead
 
     def act(self, tick: int, silence: Silence) -> None:
-        """End a tick: await the companion's answer, act on it, and simulate the rest.
+        """End a tick: wait for the companion's answer, act on it, and simulate the rest.
 
-        ``silence``: that of the companions of all vehicles in this tick.
-        Raises NoAnswerError: the companion never came.
+        ``silence``: wait for the companions of all vehicles in this tick.
+        Raises NoAnswerError: time-out.
         """
         if self.over:
             return
@@ -180,7 +180,7 @@ class LockstepVehicle:
         node.over = self.words is not None and self.words.left
 
     def _await_answer(self, now_ns: int, now_s: float, silence: Silence) -> None:
-        """Handle everything up to the companion's answer for this tick."""
+        """Handle all messages up to the companion's answer for this tick."""
         for received in self._node.wire.late(now_ns):
             self._answer(received, now_ns, now_s)
         late, self._late = self._late, []
@@ -193,7 +193,7 @@ class LockstepVehicle:
         while not (answered or self._stop.is_set or (self.words is not None and self.words.left)):
             endpoint.wait(_WAIT_S if self._companion else _REPEAT_UNHEARD_S)
             answered = self._take(endpoint.receive(), now_ns, now_s)
-            if answered:  # mostly at the first look, which needs no clock
+            if answered:  # usually at the first check, which needs no clock
                 break
             repeat_s = repeat_s or time.monotonic()
             if silence.look() > (COMPANION_SILENT_S if self._companion else STARTUP_S):
@@ -203,7 +203,7 @@ class LockstepVehicle:
             if wall_s - repeat_s > (_REPEAT_S if endpoint.counters.received else _REPEAT_UNHEARD_S):
                 repeat_s = wall_s
                 self._repeat()
-        # frames received before the companion left
+        # frames that the companion sent before it ended
         self.answered = answered or self._take(endpoint.receive(), now_ns, now_s)
 
     def _send(self, now_ns: int, now_s: float) -> None:
@@ -227,11 +227,11 @@ class LockstepVehicle:
     def _repeat(self) -> None:
         peers = self._node.endpoint.peers if self._companion is None else (self._companion,)
         for peer in peers:
-            # The same bytes, or the number of repeats, a matter of wall time, would show in the log.
+            # Repeat the same bytes: a new sequence number would log the repeats, which depend on wall time.
             self._node.endpoint.repeat(bytes(self._request.get_msgbuf()), peer)
 
     def _take(self, frames: list[Received], now_ns: int, now_s: float) -> bool:
-        """Handle frames up to the answer for this tick; True when it was there."""
+        """Handle frames up to the answer for this tick; return True if it has arrived."""
         for i, received in enumerate(frames):
             message = received.message
             id_ = message.get_msgId()
@@ -241,7 +241,7 @@ class LockstepVehicle:
                     return True
                 continue
             if self._companion is None and id_ == _HEARTBEAT:
-                # Not through the simulated loss: how many heartbeats come first depends on wall time.
+                # Without simulated loss: the number of heartbeats before the answer depends on wall time.
                 self._answer(received, now_ns, now_s)
                 continue
             for arrived in self._node.wire.receive(received, now_ns):
@@ -249,7 +249,7 @@ class LockstepVehicle:
         return False
 
     def _answer(self, received: Received, now_ns: int, now_s: float) -> None:
-        """Let the autopilot act; its replies to the companion are sent with the next tick."""
+        """Pass a message to the autopilot; its replies to the companion are sent with the next tick."""
         replies = self._node.answer(received, now_s)
         if not replies:
             return
@@ -261,7 +261,7 @@ class LockstepVehicle:
             self._node.wire.send(replies, (received.peer,), now_ns)
 
     def _is_answer(self, received: Received, now_ns: int) -> bool:
-        """Whether the companion has answered for this tick; an older answer shows that it is alive."""
+        """Return whether this answers the current tick; an older answer shows that the companion is alive."""
         this_tick: bool = received.message.ts1 == now_ns
         if self._companion is None and this_tick:
             self._companion = received.peer
@@ -283,7 +283,7 @@ class LockstepVehicle:
         self._node.autopilot.flight.texts.say(dialect.MAV_SEVERITY_CRITICAL, text)
 
     def _run_free(self, now_ns: int, now_s: float) -> None:
-        """Without the companion: as fast as it goes while flying, in real time once it has landed."""
+        """Continue without the companion: at full speed in flight, in real time after the landing."""
         endpoint = self._node.endpoint
         if self.words is None and not self._node.vehicle.armed:
             endpoint.wait(self._grid.period_s)
@@ -291,9 +291,9 @@ class LockstepVehicle:
 
 
 class LockstepWorld:
-    """Runs the ticks of all vehicles; a fleet's end when all its flights are over.
+    """Runs the ticks of all vehicles; with a fleet it ends when all flights are over.
 
-    ``exchange``: passes the messages of a fleet on; None: no fleet; ``epoch_ns``: Unix time of tick 0.
+    ``exchange``: transmits the messages of a fleet; None: no fleet; ``epoch_ns``: Unix time of tick 0.
     """
 
     def __init__(
@@ -308,10 +308,10 @@ class LockstepWorld:
         self._stop, self._epoch_ns = stop, epoch_ns
 
     def run(self, ticks: int | None) -> None:
-        """Simulate.
+        """Run the simulation.
 
         ``ticks``: number of ticks; None: no end.
-        Raises NoAnswerError: a companion never came.
+        Raises NoAnswerError: time-out of a companion.
         """
         for vehicle in self._vehicles:
             vehicle.begin()
@@ -323,7 +323,7 @@ class LockstepWorld:
             self._room.write(tick - 1, self._epoch_ns)
 
     def _ended(self) -> bool:
-        """Whether to end: on request, but an answer that came in time has a true state after it."""
+        """Return whether to end. After a stop request, each answered tick still gets its true state."""
         if self._stop.is_set:
             return all(each.over or not each.answered for each in self._vehicles)
         return self._exchange is not None and all(each.rests for each in self._vehicles)

@@ -1,4 +1,4 @@
-"""What the simulator writes into the log: events, and of the vehicle true states and the deck's."""
+"""Log entries of the simulator: events, true states of the vehicle and of the deck."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ _CONTACTS = {
     ContactBit.TUMBLED.value: (Severity.ERROR, "tumbled"),
     ContactBit.VEHICLE.value: (Severity.ERROR, "collision with another vehicle"),
 }
-_CONTACT_GAP_S = 0.5  # s without contact until the next one is news
+_CONTACT_GAP_S = 0.5  # time without contact after which the next contact is a new event
 
 
 class EventLog:
-    """``/rosout`` of one process."""
+    """Writes ``/rosout`` of one process."""
 
     def __init__(self, feed: Feed, name: str, epoch_ns: int) -> None:
         self.feed = feed
@@ -43,14 +43,14 @@ class EventLog:
         self._sequence = 0
 
     def event(self, now_ns: int, level: int, text: str) -> None:
-        """Write one event; ``now_ns`` counts from the epoch."""
+        """Write one event; ``now_ns``: time since the epoch."""
         stamp_ns = self.epoch_ns + now_ns
         self._sequence += 1
         payload = pack_log(stamp_ns, level, self._name, text)
         self.feed.write(self._channel, stamp_ns, stamp_ns, self._sequence, payload)
 
     def statustext(self, now_ns: int, severity: int, text: str) -> None:
-        """Write what the autopilot said."""
+        """Write a status text of the autopilot."""
         self.event(now_ns, _LEVELS.get(severity, Severity.INFO), text)
 
 
@@ -65,7 +65,7 @@ class VehicleLog(EventLog):
         self._targets = 0
 
     def truth(self, tick: int, now_ns: int, truth: Truth) -> None:
-        """Write the true state, and contacts that are news as events."""
+        """Write the true state, and new contacts as events."""
         stamp_ns = self.epoch_ns + now_ns
         w, x, y, z = truth.quaternion
         row = TrueStateRow(
@@ -81,7 +81,7 @@ class VehicleLog(EventLog):
             self._contacts(now_ns, truth.contacts)
 
     def target(self, now_ns: int, payload: bytes) -> None:
-        """Write the deck's true state as it came."""
+        """Write the deck's true state, unchanged."""
         stamp_ns = self.epoch_ns + now_ns
         self._targets += 1
         self.feed.write(self._target, stamp_ns, stamp_ns, self._targets, payload)

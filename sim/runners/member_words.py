@@ -1,4 +1,4 @@
-"""The messages of a fleet's member in lockstep, at the end of the simulator."""
+"""Messages of a fleet member in lockstep, on the simulator's side."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from flightstack.onboard.lockstep import HEARD, OVER, TOLD, joined
 from sim.clock import STARTUP_S, NoAnswerError, wait_until
 
 _NOTHING = b""
-_YIELDS = 20  # polls that only yield the processor: usually the message arrives by then
-_PAUSE_S = 50e-6  # s between two looks after that
-_MATCH_PAUSE_S = 0.002  # s between two looks for subscribers
+_YIELDS = 20  # polls that only yield the processor; the message usually arrives within them
+_PAUSE_S = 50e-6  # time between later polls, s
+_MATCH_PAUSE_S = 0.002  # time between two checks for subscribers
 
 
 class MemberWords:
-    """Messages that one member sends and receives, passed on unread.
+    """Transmits the messages of one member without decoding them.
 
     ``flightstack.onboard.lockstep.LockstepWords`` is the other end.
     """
 
     def __init__(self, session: zenoh_link.Session, namespace: str) -> None:
-        self.namespace, self.tick = namespace, 0  # namespace: of the member; tick: at which the vehicles are
+        self.namespace, self.tick = namespace, 0  # namespace of the member; current tick of the vehicles
         self._told = zenoh_link.fifo_subscriber(session, f"{namespace}/{TOLD}")
         self._heard = zenoh_link.blocking_publisher(session, f"{namespace}/{HEARD}")
         self._tick, self._payload = -1, _NOTHING
-        self._last: int | None = None  # tick after which the process has left
+        self._last: int | None = None  # tick after which the member's process ended
         self._silent = False
 
     @property
@@ -37,11 +37,11 @@ class MemberWords:
         return self._last is not None and self._last < self.tick
 
     def take(self, silence: Silence, stop: Stop) -> bytes | None:
-        """Wait for the member's message of this tick, and return it; None: no message.
+        """Wait for the member's message of this tick and return it; None: no message.
 
-        A member that answers its vehicle and sends no message is waited for once.
+        A member that answers its vehicle but sends no message is waited for only once.
 
-        ``silence``: that of all members in this tick.
+        ``silence``: wait for all members in this tick.
         """
         looks = 0
         while not self._told_now() and not self._silent and not stop.is_set:
@@ -56,9 +56,9 @@ class MemberWords:
         self._heard.put(joined(words), attachment=PAIR.pack(self.tick + 1, len(words)))
 
     def await_listener(self, stop: Stop) -> None:
-        """Wait until the member has subscribed: earlier messages are lost and are not repeated.
+        """Wait until the member has subscribed, because earlier messages are lost and not repeated.
 
-        Raises NoAnswerError: it does not.
+        Raises NoAnswerError: time-out.
         """
 
         def matched() -> bool:

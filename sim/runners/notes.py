@@ -1,6 +1,6 @@
-"""Record of a landing in one process, instead of a log: the steps, true states and events.
+"""Record of a landing in one process, which replaces a log: steps, true states and events.
 
-Its content equals the log of the same flight over the wires, so that the same judge reads both.
+Its content equals the log of the same flight with separate processes, so the same judge reads both.
 """
 
 from __future__ import annotations
@@ -23,30 +23,30 @@ from logs.recorder.feed import Feed
 from sim.plant import vehicle_types
 from sim.runners.log import VehicleLog
 
-# numbers of each field of a true state
+# size of each field of a true state
 _WIDTHS = dict.fromkeys(vehicle_types.Truth._fields, 1) | {
     "position_enu_m": 3, "velocity_enu_m_s": 3, "quaternion": 4, "angular_velocity_flu_rad_s": 3,
     "rotor_rpm": 4,
     "pad_position_enu_m": 3, "pad_velocity_enu_m_s": 3, "first_touch_relative_position_enu_m": 3,
     "first_touch_relative_velocity_enu_m_s": 3, "wind_enu_m_s": 3,
 }  # fmt: skip
-# names that the vehicle's true state shares with the log's
+# fields that the vehicle's true state and the log's have in common
 _SHARED = tuple(f.name for f in fields(Truth) if f.type == "Floats" and f.name in vehicle_types.Truth._fields)
 
 
 @dataclass(frozen=True)
 class SeenSteps:
-    """Controller steps, n of them."""
+    """Data of n controller steps."""
 
     t_s: Floats  # (n,) time
     phase: Ints  # (n,) ``Phase``
-    own_age_s: Floats  # (n,) age of the own state, NaN without one
-    target_age_s: Floats  # (n,) age of the target's, NaN without one
+    own_age_s: Floats  # (n,) age of the vehicle's state estimate, NaN without one
+    target_age_s: Floats  # (n,) age of the target's state estimate, NaN without one
 
 
 @dataclass(frozen=True)
 class Seen:
-    """A flight as the judge looks at it (``logs.verdict.types.Judged``); always whole."""
+    """Data of a complete flight for the judge (``logs.verdict.types.Judged``)."""
 
     steps: SeenSteps
     truth: Truth
@@ -64,18 +64,18 @@ class Seen:
 
 
 class Notes:
-    """Collects while it flies."""
+    """Collects the data of a flight while it runs."""
 
     def __init__(self, config: FlightConfig, pad_radius_m: float) -> None:
         self._config, self._pad_radius_m = config, pad_radius_m
         self._steps: list[tuple[int, int, float, float]] = []
         self._truth_ticks: list[tuple[int, int]] = []
-        self._truth: list[vehicle_types.Truth] = []  # since the newest block
-        self._blocks: list[Floats] = []  # true states, one a row
+        self._truth: list[vehicle_types.Truth] = []  # true states since the newest block
+        self._blocks: list[Floats] = []  # blocks of true states, one row each
         self._events: list[Event] = []
 
     def step(self, tick: Tick, out: Outputs) -> None:
-        """Note a controller step."""
+        """Record a controller step."""
         seen = out.snapshot
         own, target = seen.inputs.own, seen.target
         own_age_s = tick.now_s - own.arrival_s if own is not None else math.nan
@@ -85,17 +85,17 @@ class Notes:
             self.event(tick.now_s, event.level, "controller", event.text)
 
     def truth(self, tick: int, now_ns: int, truth: vehicle_types.Truth) -> None:
-        """Note a true state."""
+        """Record a true state."""
         self._truth_ticks.append((tick, now_ns))
         self._truth.append(truth)
 
     def stretch(
         self, first: int, times_ns: Sequence[int], phase: Phase, ages_s: Floats, truths: Floats
     ) -> None:
-        """Note the controller steps and true states of consecutive ticks, with an own state of each.
+        """Record the steps and true states of consecutive ticks, each with a vehicle state estimate.
 
-        ``first``: number of the first tick; ``times_ns``: of all, n of them; ``phase``: in all; ``ages_s``:
-        (n,) of the target's state; ``truths``: (n, 41) numbers of the true states.
+        ``first``: number of the first tick; ``times_ns``: times of the n ticks; ``phase``: phase of all
+        ticks; ``ages_s``: (n,) age of the target state; ``truths``: (n, 41) numbers of the true states.
         """
         number = int(phase)
         self._steps += [(t, number, 0.0, age_s) for t, age_s in zip(times_ns, ages_s.tolist(), strict=True)]
@@ -110,11 +110,11 @@ class Notes:
             self._truth = []
 
     def event(self, t_s: float, level: int, source: str, text: str) -> None:
-        """Store an event."""
+        """Record an event."""
         self._events.append(Event(t_s, level, source, text))
 
     def seen(self) -> Seen:
-        """All of it."""
+        """Return all recorded data."""
         times_ns, phases, own_age_s, target_age_s = zip(*self._steps, strict=True)
         return Seen(
             SeenSteps(_seconds(times_ns), np.array(phases), np.array(own_age_s), np.array(target_age_s)),
@@ -147,31 +147,31 @@ class Notes:
 
 
 class VehicleNotes(VehicleLog):
-    """Stands in for the log of the vehicle's process."""
+    """Replaces the log of the vehicle's process."""
 
     def __init__(self, notes: Notes, namespace: str = "cf1") -> None:
         super().__init__(Feed.connect(None, "vehicle", lossless=False), EPOCH_NS, namespace)
         self._notes = notes
 
     def truth(self, tick: int, now_ns: int, truth: vehicle_types.Truth) -> None:
-        """Keep the true state."""
+        """Record the true state."""
         self._notes.truth(tick, now_ns, truth)
 
     def target(self, now_ns: int, payload: bytes) -> None:
-        """Not needed: the true state holds the deck's."""
+        """Do nothing: the true state contains the deck's state."""
 
     def event(self, now_ns: int, level: int, text: str) -> None:
-        """Store an event of the vehicle."""
+        """Record an event of the vehicle."""
         self._notes.event(now_ns * 1e-9, level, "vehicle", text)
 
 
 def _seconds(times_ns: Sequence[int]) -> Floats:
-    """Seconds since the first tick, as in a log."""
+    """Return seconds since the first tick, as in a log."""
     return np.asarray(np.array(times_ns, dtype=np.int64) * 1e-9, dtype=np.float64)
 
 
 def _rows(values: Sequence[Any]) -> Floats:
-    """Array of numbers, or of tuples of the same length; four times as fast as ``np.array`` with these."""
+    """Return an array from numbers, or from tuples of equal length; four times as fast as ``np.array``."""
     if isinstance(values[0], tuple):
         width = len(values[0])
         flat = np.fromiter(chain.from_iterable(values), np.float64, len(values) * width)

@@ -2,11 +2,11 @@
 
 Keys under the namespace of each robot (``cf1`` by default):
 
-- ``target/odom``: measured odometry as the tracker would send it, ``nav_msgs/msg/Odometry`` in CDR.
-- ``sim/target/tick``: in lockstep, after everything of a tick: (tick, samples put so far) as two int64.
-- ``sim/credit`` (read): in lockstep, how far the reader is and from which tick on to drive (-1: not yet).
-- ``sim/target/truth``: in real time, for a vehicle that is simulated in another process: true pose and twist.
-- ``controller/step`` (read): in real time, its phase shows when the landing begins.
+ - ``target/odom``: measured odometry as a tracker sends it, ``nav_msgs/msg/Odometry`` in CDR.
+- ``sim/target/tick``: in lockstep, after all samples of a tick: (tick, number of samples so far), two int64.
+- ``sim/credit`` (read): in lockstep, the reader's tick and the tick from which to drive (-1: unknown).
+- ``sim/target/truth``: in real time, true pose and twist for a vehicle simulated in another process.
+- ``controller/step`` (read): in real time, its phase shows the start of the landing.
 """
 
 from __future__ import annotations
@@ -42,16 +42,16 @@ from sim.scenarios.team import TeamScenario
 
 NODE = "flightstack_target"  # name of the ROS 2 node
 _LANDING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN, Phase.LANDED})
-_LEFT_MIN = RUN_AHEAD_TICKS // 2  # ticks that are driven already; with fewer it drives on
-_CREDIT_YIELDS = 20  # looks for credit that only yield the processor: it is there, or due any moment
-_MATCH_PAUSE_S = 0.002  # s between two looks for subscribers
+_LEFT_MIN = RUN_AHEAD_TICKS // 2  # remaining ticks below which the robot drives ahead again
+_CREDIT_YIELDS = 20  # polls for credit that only yield the processor; it usually arrives within them
+_MATCH_PAUSE_S = 0.002  # time between two checks for subscribers
 
 
 class PublishedRobot(Robot):
-    """Publishes what it measures as it drives, and hands its true poses over tick by tick.
+    """Publishes its odometry, and returns its true pose tick by tick.
 
-    ``session``: stays open; ``stop``: ends each wait; ``namespace``: first part of its keys; ``log``: for its
-    events.
+    ``session``: not closed here; ``stop``: ends every wait; ``namespace``: prefix of its keys; ``log``: log
+    of its events.
     """
 
     lockstep: ClassVar[bool]
@@ -70,8 +70,8 @@ class PublishedRobot(Robot):
         self._session, self._stop, self.namespace, self.log = session, stop, namespace, log
         self.shown: Ros2Publisher | None = None  # publisher of the odometry to ROS 2
         self._odom = OdometryPublisher(session, f"{namespace}/target/odom", lossless=self.lockstep)
-        self._driven, self._samples = 0, 0  # ticks driven, samples put
-        self._waiting: deque[tuple[list[float], list[float]]] = deque()  # pad and deck of the ticks to come
+        self._driven, self._samples = 0, 0  # number of driven ticks, number of published samples
+        self._waiting: deque[tuple[list[float], list[float]]] = deque()  # pad and deck states of future ticks
         self._open()
 
     @abstractmethod
@@ -83,7 +83,7 @@ class PublishedRobot(Robot):
         self._keep_first()
 
     def take(self, tick: int, *, wait: bool = True) -> DeckState:
-        """Go on to the next tick; the true pose there."""
+        """Advance to the next tick; return the true pose there."""
         del wait
         self._drive(tick)
         pad, (x, y, z, yaw, vx, vy, vz, rate) = self._waiting.popleft()
@@ -95,7 +95,7 @@ class PublishedRobot(Robot):
         return DeckState((x, y, z), yaw, (vx, vy, vz), rate, payload)
 
     def _keep(self, pads: F64, due: Sequence[int], new: F64) -> None:
-        """Publish the samples of the next n ticks; log which faults began and ended."""
+        """Publish the samples of the next n ticks; log starts and ends of faults."""
         samples, at = new.tolist(), 0
         for n in range(len(pads)):
             while at < len(due) and due[at] == n:
@@ -126,10 +126,10 @@ class PublishedRobot(Robot):
         self._samples += 1
 
     def _end(self, tick: int) -> None:
-        """All samples of a tick were published."""
+        """Called after all samples of a tick were published."""
 
     def _drives_off(self, tick: int) -> None:
-        """Log from which tick it drives."""
+        """Log the tick from which the robot drives."""
         self.log.event(self._grid.ns(tick), Severity.INFO, f"the robot drives from tick {tick} on")
 
 
@@ -137,7 +137,7 @@ R = TypeVar("R", bound=PublishedRobot)
 
 
 class LockstepRobot(PublishedRobot):
-    """Drives ahead of its vehicle, as far as the credit of its reader allows."""
+    """Drives ahead of its vehicle, as far as its reader's credit allows."""
 
     lockstep = True
 
@@ -147,12 +147,12 @@ class LockstepRobot(PublishedRobot):
         self._token = zenoh_link.liveliness_token(session, f"{namespace}/{ALIVE}")
         self._credits = zenoh_link.fifo_subscriber(session, f"{namespace}/sim/credit")
         self._credit = 0  # newest tick of the reader
-        self._silent = False  # no credit came in time
+        self._silent = False  # the credit timed out
 
     def begin(self) -> None:
-        """Publish tick 0 when there are subscribers: earlier samples are lost and are not repeated.
+        """Publish tick 0 when there are subscribers, because earlier samples are lost and not repeated.
 
-        Raises NoAnswerError: there are none.
+        Raises NoAnswerError: time-out.
         """
         for key, matched in (
             ("target/odom", lambda: self._odom.matched),
@@ -167,9 +167,10 @@ class LockstepRobot(PublishedRobot):
         super().begin()
 
     def take(self, tick: int, *, wait: bool = True) -> DeckState:
-        """Go on to the next tick; the true pose there.
+        """Advance to the next tick; return the true pose there.
 
-        Without credit for the tick the landing may have begun. A companion that is there is waited for, once.
+        Without credit the landing may have started before this tick. So wait for a companion's credit, but
+        only once.
         """
         if tick >= self._driven and not self._covers(tick) and wait and not self._silent:
             self._silent = not wait_until(
@@ -182,20 +183,20 @@ class LockstepRobot(PublishedRobot):
         return super().take(tick)
 
     def run_ahead(self, tick: int) -> None:
-        """Drive on from the current tick while the companion computes, so that it need not wait for it."""
+        """Drive ahead of the current tick while the companion computes, so that it need not wait later."""
         if self._driven > tick + _LEFT_MIN:
             return
         until = tick + RUN_AHEAD_TICKS
         self._drive(until if self._covers(until) else min(until, self._credit + RUN_AHEAD_TICKS))
 
     def _covers(self, tick: int) -> bool:
-        """Whether it is known if the robot drives at a tick."""
+        """Return whether it is known if the robot drives at this tick."""
         for sample in zenoh_link.drain(self._credits):
             data = sample.payload.to_bytes()
             if len(data) == PAIR.size:
                 reached, go_tick = PAIR.unpack(data)
                 self._credit, self._silent = max(self._credit, reached), False
-                if self._go_tick == NO_GO and go_tick >= 0:  # the first one stands
+                if self._go_tick == NO_GO and go_tick >= 0:  # the first one applies
                     self._go_tick = go_tick
         return not self.waits or self._go_tick > NO_GO or tick <= self._credit + RUN_AHEAD_TICKS
 
@@ -204,7 +205,7 @@ class LockstepRobot(PublishedRobot):
 
 
 class RealTimeRobot(PublishedRobot):
-    """Sees in the controller's steps when the landing begins."""
+    """Detects the start of the landing in the controller's steps."""
 
     lockstep = False
 
@@ -214,15 +215,15 @@ class RealTimeRobot(PublishedRobot):
 
     @property
     def followed(self) -> bool:
-        """Whether a vehicle that is simulated in another process follows it."""
+        """Whether it publishes true poses for a vehicle that is simulated in another process."""
         return self._truth is not None
 
     def be_followed(self) -> None:
-        """Publish the true pose, too."""
+        """Also publish the true pose."""
         self._truth = OdometryPublisher(self._session, truth_key(self.namespace))
 
     def take(self, tick: int, *, wait: bool = True) -> DeckState:
-        """Go on to the next tick; the true pose there."""
+        """Advance to the next tick; return the true pose there."""
         del wait
         deck = super().take(tick)
         if self._truth is not None:
@@ -242,10 +243,10 @@ def robots_of(
     make: Callable[[Scenario, int, str, EventLog], R],
     stack: ExitStack,
 ) -> dict[int, R]:
-    """Make the robots of a team, by their number; one that is alone is shown to ROS 2, if that is wanted.
+    """Create the robots of a team, by their number; a single robot is also published to ROS 2 on request.
 
-    ``make``: class of the robots, with what they share; ``stack``: ends the ROS 2 node.
-    Raises ValueError: ``--ros2`` with several.
+    ``make``: class of the robots with their common arguments; ``stack``: ends the ROS 2 node.
+    Raises ValueError: ``--ros2`` with several robots.
     """
     shared, robots = team.target_seed(options.seed), {}
     for number, (scenario, seed) in enumerate(team.singles(options.seed), 1):
@@ -267,7 +268,7 @@ def robots_of(
 
 
 def phase_of(payload: bytes) -> int | None:
-    """Phase in a serialised ControllerStep, None if it is something else."""
+    """Return the phase in a serialised ControllerStep; None for another payload."""
     try:
         return ControllerStepRow.unpack(payload).phase
     except ValueError:

@@ -1,4 +1,4 @@
-"""Vehicles and robots in real time: each acts on what comes when it comes, and sends at its ticks."""
+"""Vehicles and robots in real time: they handle messages on arrival, and send at each tick."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from sim.runners.published_robot import RealTimeRobot
 from sim.runners.room import Room
 from sim.runners.vehicle_node import VehicleNode
 
-_BEHIND_MAX_S = 0.1  # s; after a longer pause of the machine, simulated time is put back instead of caught up
+_BEHIND_MAX_S = 0.1  # delay after which simulated time does not catch up with wall time
 _MS = 1e-3
 _NS_PER_MS = 1_000_000
 
 
 class RealTimeVehicle:
-    """One vehicle.
+    """One vehicle in real time.
 
-    ``robot``: robot of this process, or the true poses of one of another process; None: the deck stands.
+    ``robot``: a robot of this process, or true poses from another process; None: the deck does not move.
     """
 
     def __init__(self, node: VehicleNode, robot: RealTimeRobot | RealTimeDeck | None, grid: TickGrid) -> None:
         self.node, self._robot, self._grid = node, robot, grid
-        self._ms = 0  # simulated so far
+        self._ms = 0  # simulated time
 
     def tick(self, tick: int) -> None:
-        """Send messages and write the log for a tick. The vehicle has been simulated up to it."""
+        """Send messages and write the log for a tick; the vehicle has been simulated up to it."""
         node, now_ns = self.node, self._grid.ns(tick)
         now_s = now_ns / 1e9
         self.receive()
@@ -55,7 +55,7 @@ class RealTimeVehicle:
         node.log.feed.flush()
 
     def receive(self) -> None:
-        """Act on what has come, now."""
+        """Handle the messages that have arrived."""
         node, now_s = self.node, self._ms * _MS
         now_ns = self._ms * _NS_PER_MS
         frames = node.wire.late(now_ns)
@@ -71,13 +71,13 @@ class RealTimeVehicle:
             node.control(now_s)
 
     def advance_to(self, ms: int) -> None:
-        """Simulate up to a time."""
+        """Simulate up to this time."""
         if ms > self._ms:
             self.node.vehicle.advance(ms - self._ms)
             self._ms = ms
 
     def warn(self, text: str) -> None:
-        """Send a warning to the clients, as a text of the autopilot."""
+        """Send a warning to the clients as a status text of the autopilot."""
         self.node.autopilot.flight.texts.say(dialect.MAV_SEVERITY_WARNING, text)
 
 
@@ -101,12 +101,12 @@ class RealTimeWorld:
         self._start_s, self._epoch_ns = 0.0, 0
 
     def run(self, ticks: int | None) -> None:
-        """Simulate. ``ticks``: number of ticks; None: no end."""
+        """Run the simulation. ``ticks``: number of ticks; None: no end."""
         vehicles, grid, room = self._vehicles, self._grid, self._room
         followed = [robot for robot in self._robots if robot.followed]
         run_promptly()  # like a real vehicle, the physics must not wait for other programs
         self._start_s = time.monotonic()
-        self._set_epoch(time.time_ns())  # making the vehicle took a while
+        self._set_epoch(time.time_ns())  # the creation of the vehicles took time
         for robot in self._robots:
             robot.begin()
         tick = 0
@@ -132,7 +132,7 @@ class RealTimeWorld:
             room.write(tick - 2, self._epoch_ns)
 
     def _heard(self, within_s: float) -> Sequence[RealTimeVehicle]:
-        """Vehicles with received frames; empty if none arrived in this time."""
+        """Return the vehicles with received frames; none if no frame arrives in this time."""
         if len(self._vehicles) == 1:
             return self._vehicles if self._vehicles[0].node.endpoint.wait(within_s) else ()
         by_number = {vehicle.node.endpoint.fileno(): vehicle for vehicle in self._vehicles}
@@ -145,7 +145,7 @@ class RealTimeWorld:
             log.epoch_ns = epoch_ns
 
     def _resync_clock(self, late_s: float) -> None:
-        """After a long pause go on from here: simulated time stood still, the log's clock moves."""
+        """After a long pause, shift the log's clock instead of catching up: simulated time stood still."""
         if late_s > _BEHIND_MAX_S:
             give_up_priority()
             self._start_s += late_s

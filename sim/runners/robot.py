@@ -1,6 +1,6 @@
-"""The ground robot beside its vehicle: true poses for the deck, samples for a controller in the same process.
+"""The ground robot next to its vehicle: true poses for the deck, samples for a controller in the process.
 
-Numbers pass as over Zenoh: CDR carries doubles, so only the turning of frames at both ends is left to do.
+Numbers pass as over Zenoh: CDR carries doubles, so only the frame rotations at both ends remain to be done.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from sim.robot.target_motion import TargetMotion
 from sim.runners.deck import DeckState
 from sim.scenarios.scenario import Scenario
 
-DRIVES_TICKS = 64  # ticks ahead of the vehicle; half of them are unused when the landing ends
-WorldSample = tuple[float, str, str, Vec3, Vec3, float, float]  # a target sample but for when it arrives
+DRIVES_TICKS = 64  # maximum ticks ahead of the vehicle; half of them are unused when the landing ends
+WorldSample = tuple[float, str, str, Vec3, Vec3, float, float]  # a target sample without its arrival time
 
-# the very formulas of both ends, compiled
+# compiled forms of the formulas at both ends
 _quaternion = cast("Callable[[float], Quat]", jitted(frames.quaternion_from_yaw))
 _yaw = cast("Callable[[Quat], float]", jitted(frames.yaw_from_quaternion))
 _turn = cast("Callable[[Quat, Vec3], Vec3]", jitted(frames.world_from_body))
@@ -36,7 +36,7 @@ _turn = cast("Callable[[Quat, Vec3], Vec3]", jitted(frames.world_from_body))
 
 @jitted
 def _turn_samples(samples: F64, rows: F64) -> None:
-    """Heading, velocity and turn rate of samples as they arrive, their quaternions scaled to one there."""
+    """Compute heading, velocity and turn rate of samples as received, with normalised quaternions."""
     for n in range(len(samples)):
         sample, row = samples[n], rows[n]
         w, x, y, z = _quaternion(sample[4])
@@ -50,7 +50,7 @@ def _turn_samples(samples: F64, rows: F64) -> None:
 
 @jitted
 def _decks(pads: F64, decks: F64) -> None:
-    """True poses as they arrive, one a row."""
+    """Compute true poses as received, one in each row."""
     for n in range(len(pads)):
         pad, deck, q = pads[n], decks[n], _quaternion(pads[n, 4])
         velocity = _turn(q, (pad[5], pad[6], pad[7]))
@@ -60,41 +60,41 @@ def _decks(pads: F64, decks: F64) -> None:
 
 
 def deck_rows(pads: F64) -> F64:
-    """Position, heading, velocity and turn rate of the pad, (n, 8), from its motion, (n, 12)."""
+    """Return position, heading, velocity and turn rate of the pad, (n, 8), from its motion, (n, 12)."""
     decks = np.empty((len(pads), 8))
     _decks(pads, decks)
     return decks
 
 
 class Robot(ABC):
-    """Drives tick by tick or some ticks ahead; it may drive off when the landing begins.
+    """Drives tick by tick or several ticks ahead; it may start to drive when the landing starts.
 
-    Its lead is limited so that the tick at which it drives off is known in time. Ticks in a batch take a
-    fifth of the time of single ticks.
+    Its lead is limited, so that the tick at which it starts to drive is known in time. A tick in a batch
+    takes a fifth of the time of a single tick.
     """
 
     def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:
-        self._go_tick = NO_GO  # tick from which it drives
+        self._go_tick = NO_GO  # tick from which the robot drives
         self._grid = grid
         self._motion = motion = TargetMotion(scenario, seed, grid)
         self._driving = motion.drives_at_once
 
     def begin(self) -> None:  # noqa: B027
-        """Wait for what tick 0 needs. Raises NoAnswerError: it never came."""
+        """Wait for the conditions of tick 0. Raises NoAnswerError: time-out."""
 
     def _keep_first(self) -> None:
-        """Take tick 0."""
+        """Store tick 0."""
         motion = self._motion
         due, motion.due = motion.due, []
         self._keep(np.array([motion.model.pad], dtype=np.float64), [0] * len(due), numbers(due))
 
     @property
     def waits(self) -> bool:
-        """Whether the landing can still change its path or its faults."""
+        """Whether the start of the landing can still change its path or its faults."""
         return not self._driving or self._motion.faults.waits_for_landing
 
     def _drive(self, until_tick: int) -> None:
-        """Drive on to a tick, or stay."""
+        """Drive, or stand, up to a tick."""
         motion = self._motion
         while motion.tick < until_tick:
             end, goes_at = until_tick, self._go_tick
@@ -104,19 +104,19 @@ class Robot(ABC):
                     self._driving = True
                     self._drives_off(motion.tick + 1)
             elif goes_at > NO_GO:
-                end = min(end, goes_at - 1)  # faults that start with the landing start at that tick
+                end = min(end, goes_at - 1)  # faults relative to the landing start at that tick
             self._keep(*motion.run(end - motion.tick, self._driving))
 
     @abstractmethod
     def _keep(self, pads: F64, due: Sequence[int], new: F64) -> None:
-        """Take the motion of the next n ticks, ``TargetMotion.run``."""
+        """Store the motion of the next n ticks (``TargetMotion.run``)."""
 
     @abstractmethod
     def take(self, tick: int, *, wait: bool = True) -> DeckState:
-        """Go on to the next tick; the true pose there. ``wait``: the companion is there to be waited for."""
+        """Advance to the next tick; return the true pose. ``wait``: whether to wait for the companion."""
 
     def run_ahead(self, tick: int) -> None:  # noqa: B027
-        """Drive on from the current tick while the companion computes, if that saves time."""
+        """Drive ahead of the current tick while the companion computes, if that saves time."""
 
     def _drives_off(self, tick: int) -> None:  # noqa: B027
         """Called with the tick from which the robot drives."""
@@ -128,23 +128,23 @@ class Ahead(NamedTuple):
     decks: F64  # (n, 8) position, heading, velocity and turn rate of the pad
     samples: F64  # (m, 9) time, position, velocity, heading and turn rate of the target
     come_before: int  # number of samples before the first tick
-    come: I64  # (n,) number of samples until each tick
+    come: I64  # (n,) number of samples up to each tick
 
 
 class DirectTarget(Robot):
-    """Hands out true poses and samples, tick by tick."""
+    """Returns true poses and samples, tick by tick."""
 
     def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:
-        self._samples: list[WorldSample] = []  # samples that the onboard process has not taken yet
-        # data of the driven ticks, and the number of ticks taken
+        self._samples: list[WorldSample] = []  # samples that the onboard process has not read yet
+        # data of the driven ticks, and number of ticks already returned
         self._ahead, self._at = Ahead(np.empty((0, 8)), np.empty((0, 9)), 0, np.empty(0, np.int64)), 0
-        self._decks: list[list[float]] = []  # ``decks`` as lists, faster tick by tick
+        self._decks: list[list[float]] = []  # ``decks`` as lists, which are faster tick by tick
         self._come: list[int] = []
         super().__init__(scenario, seed, grid)
         self._keep_first()
 
     def take(self, tick: int, *, wait: bool = True) -> DeckState:
-        """Go on to this tick; true pose there."""
+        """Advance to this tick; return the true pose there."""
         del wait
         if self._at == len(self._come):
             self._drive(tick + self._ahead_ticks - 1)
@@ -156,28 +156,28 @@ class DirectTarget(Robot):
         return DeckState((x, y, z), yaw, (vx, vy, vz), rate, b"")
 
     def ahead(self, tick: int, count: int) -> Ahead:
-        """States and samples of the robot from this tick, the next one, on; at most ``count`` ticks."""
+        """Return states and samples of the robot from this tick, the next one, on; up to ``count`` ticks."""
         if len(self._come) - self._at < count:
             self._drive(tick + self._ahead_ticks - 1)
         these, (decks, samples, _, come) = slice(self._at, self._at + count), self._ahead
         return Ahead(decks[these], samples, self._come_before, come[these])
 
     def skip(self, count: int) -> None:
-        """Account for ticks that were flown as a batch."""
+        """Skip ticks that were flown as a batch."""
         self._at += count
 
     @property
     def _ahead_ticks(self) -> int:
-        """Number of ticks that it may drive ahead: once it drives, no later input changes its path."""
+        """Number of ticks to drive ahead; larger once no later input can change the path."""
         return RUN_AHEAD_TICKS if self.waits else DRIVES_TICKS
 
     @property
     def _come_before(self) -> int:
-        """Samples of the ticks that were taken."""
+        """Number of samples up to the last returned tick."""
         return self._come[self._at - 1] if self._at else 0
 
     def _keep(self, pads: F64, due: Sequence[int], new: F64) -> None:
-        """Append states and samples of some ticks; drop those that were taken."""
+        """Append states and samples of new ticks; drop those already returned."""
         decks = deck_rows(pads)
         before, left = self._come_before, self._ahead
         samples = left.samples[before:]
@@ -191,24 +191,24 @@ class DirectTarget(Robot):
         self._decks, self._come = decks.tolist(), come.tolist()
 
     def samples(self, now_s: float) -> Arrived:
-        """Odometry released since the last call."""
+        """Return the odometry released since the last call."""
         if not self._samples:
             return NOTHING
         due, self._samples = self._samples, []
         return Arrived(tuple([TargetSample(now_s, *sample) for sample in due]))
 
     def landing_began(self, tick: int) -> None:
-        """Drive off after the last tick that may have been computed already."""
+        """Start to drive after the last tick that may have been computed already."""
         self._go_tick = tick + RUN_AHEAD_TICKS + 1
 
 
 def in_world(sample: TargetMeasurement) -> WorldSample:
-    """Equal to ``bridge.target.odometry.sample_from_cdr`` of the encoded sample, which a test holds."""
+    """Return the sample as ``bridge.target.odometry.sample_from_cdr`` decodes it; a test compares both."""
     return _world_sample(sample_rows(numbers([sample]))[0].tolist())
 
 
 def sample_rows(samples: F64) -> F64:
-    """The numbers of ``in_world``, (m, 9), of those of samples, (m, 9)."""
+    """Return the numbers of ``in_world`` for several samples, (m, 9) to (m, 9)."""
     rows = np.empty_like(samples)
     rows[:, 0] = (EPOCH_NS + np.rint(samples[:, 0] * 1e9).astype(np.int64)) / 1e9
     _turn_samples(samples, rows)

@@ -1,4 +1,4 @@
-"""What happens between the vehicles of a room: jets, collisions, distances, and messages."""
+"""Interactions between the vehicles of a room: jets, collisions, distances and messages."""
 
 from __future__ import annotations
 
@@ -31,29 +31,29 @@ from sim.vehicle.vehicle import warm_up as warm_up_vehicle
 T = TypeVar("T")
 
 TOPIC = "/fleet/pairs"
-NEVER = -1  # value of FleetPair.msg without a collision
+NEVER = -1  # value in FleetPair.msg if there was no collision
 _LOG_HZ = 10
 _MS_PER_S = 1000.0
-_BLOCK = 256  # random numbers drawn at once
+_BLOCK = 256  # random numbers per draw
 
 
 @dataclass(slots=True)
 class Pair:
-    """How near two members came."""
+    """Smallest distances of two members."""
 
     one: int  # number of the first vehicle, from 1
-    other: int  # number of the second, a higher one
-    distance_min_m: float = math.inf  # smallest distance of their centres of mass at any time
-    flying_distance_min_m: float = math.inf  # smallest distance while both flew; infinite: never both
-    # smallest distance in the ellipsoid's measure while both flew; below 1: inside
+    other: int  # number of the second vehicle, always higher
+    distance_min_m: float = math.inf  # smallest distance of their centres of mass
+    flying_distance_min_m: float = math.inf  # smallest distance while both flew; infinite if they never did
+    # smallest norm of the ellipsoid while both flew; below 1: inside
     ellipsoid_min: float = math.inf
-    violations: int = 0  # number of times that they came inside
-    inside_ms: int = 0  # length of the ticks in which they were inside
-    collided_ms: int | None = None  # time of the first overlap of their shapes; None: never
+    violations: int = 0  # number of times that one entered the other's ellipsoid
+    inside_ms: int = 0  # total duration of the ticks inside the ellipsoid
+    collided_ms: int | None = None  # time of the first overlap of their shapes; None: no overlap
 
 
 class Pairs:
-    """Watches all pairs; vehicles that collide break their propellers at the end of that tick.
+    """Tracks all pairs; the propellers of colliding vehicles break at the end of that tick.
 
     Raises ValueError: two vehicles overlap at the start.
     """
@@ -61,7 +61,7 @@ class Pairs:
     def __init__(self, members: Sequence[VehicleNode], grid: TickGrid) -> None:
         self._members, self._grid = members, grid
         shapes = [Shape.of(member.vehicle.physics.params) for member in members]
-        # the pairs, (1, 2) first; their least distances are there after ``found``
+        # all pairs, (1, 2) first; ``found`` fills in their smallest distances
         self.all = [Pair(i, j) for i, j in combinations(range(1, len(members) + 1), 2)]
         self._team, self._inside = Team(shapes), [False] * len(self.all)
         self._before, self._flew = self._states(), self._flying()
@@ -73,7 +73,7 @@ class Pairs:
             )
 
     def end(self, tick: int) -> None:
-        """Judge a tick that all have flown, since the end of the last one. ``tick``: its number."""
+        """Evaluate the last tick, which all vehicles have flown. ``tick``: its number."""
         if not self.all:
             return
         grid, before, flew = self._grid, self._before, self._flew
@@ -85,7 +85,7 @@ class Pairs:
             self._inside = [False] * len(self.all)
 
     def found(self) -> tuple[Pair, ...]:
-        """Return the pairs with their least distances."""
+        """Return the pairs with their smallest distances."""
         for pair, least in zip(self.all, self._team.least.tolist(), strict=True):
             pair.distance_min_m, pair.flying_distance_min_m, pair.ellipsoid_min = least
         return tuple(self.all)
@@ -113,11 +113,11 @@ class Pairs:
             self._members[number - 1].vehicle.collide()
 
     def _states(self) -> F64:
-        """Position (m) and velocity (m/s) of all, (N, 6), ENU."""
+        """Return position (m) and velocity (m/s) of all vehicles, (N, 6), ENU."""
         return np.array([member.vehicle.body()[:6] for member in self._members])
 
     def _flying(self) -> I64:
-        """Whether each flies, (N,): motors turning, off the ground and off a pad."""
+        """Return whether each vehicle flies, (N,): motors running, off the ground and off a pad."""
         vehicles = [member.vehicle for member in self._members]
         return np.array(
             [each.motors_running and not (each.on_pad or each.on_ground) for each in vehicles], "i8"
@@ -125,11 +125,11 @@ class Pairs:
 
 
 class Room:
-    """Joins the vehicles tick by tick: ``begin``, each flies the tick, ``end``.
+    """Connects the vehicles tick by tick: call ``begin``, simulate the tick of each vehicle, call ``end``.
 
     Vehicles act on each other with a delay of one tick.
 
-    Raises ValueError: two vehicles begin inside each other.
+    Raises ValueError: two vehicles overlap at the start.
     """
 
     def __init__(self, members: Sequence[VehicleNode], grid: TickGrid, feed: Feed) -> None:
@@ -140,11 +140,11 @@ class Room:
         self._every, self._written = max(1, round(grid.rate_hz / _LOG_HZ)), 0
 
     def begin(self) -> None:
-        """Before a tick: jets act as they are now."""
+        """Update the jets before a tick."""
         self._air.blow()
 
     def end(self, tick: int, epoch_ns: int) -> None:
-        """Judge a tick that all have flown; write about ten times a second.
+        """Evaluate a tick that all vehicles have flown; write the distances about ten times a second.
 
         ``tick``: its number; ``epoch_ns``: Unix time of tick 0.
         """
@@ -153,11 +153,11 @@ class Room:
             self.write(tick, epoch_ns)
 
     def found(self) -> tuple[Pair, ...]:
-        """Return how near each two have come."""
+        """Return the smallest distances of all pairs."""
         return self._pairs.found()
 
     def write(self, tick: int, epoch_ns: int) -> None:
-        """Write how near each two have come until the end of a tick; arguments as of ``end``."""
+        """Write the smallest distances of all pairs up to a tick's end; arguments as in ``end``."""
         stamp_ns = epoch_ns + self._grid.ns(tick + 1)
         for pair in self.found():
             self._written += 1
@@ -170,10 +170,10 @@ class Room:
 
 
 class Words:
-    """Passes messages on, with the delay and loss of ``TeamScenario.exchange``.
+    """Transmits fleet messages with the delay and loss of ``TeamScenario.exchange``.
 
-    A message sent at tick k arrives at tick k + 1 at the earliest. Whether one is lost depends on the seed,
-    the sender and the receiver, so that it does not change when members are added.
+    A message sent at tick k arrives at tick k + 1 at the earliest. Its loss depends only on the seed, the
+    sender and the receiver, so it does not change when members are added.
     """
 
     def __init__(self, team: TeamScenario, seed: int) -> None:
@@ -192,9 +192,9 @@ class Words:
         self._under_way: deque[list[list[Any]]] = deque([[] for _ in numbers] for _ in range(self._ticks - 1))
 
     def __call__(self, tick: int, outputs: Sequence[Outputs | None]) -> list[tuple[Neighbour, ...]]:
-        """Take the outputs of a tick; return the messages that each member receives with the next one.
+        """Receive the outputs of a tick; return the messages that each member receives with the next tick.
 
-        ``outputs``: those of all controllers at this tick; None where the flight is over.
+        ``outputs``: outputs of all controllers at this tick; None after the end of a flight.
         """
         arrive_s = self._grid.ns(tick + self._ticks) / NS_PER_S
         told = [None if each is None else each.own_word for each in outputs]
@@ -202,9 +202,9 @@ class Words:
         return [tuple(words) for words in self.pass_on(tick, on_time)]
 
     def pass_on(self, tick: int, told: Sequence[T | None]) -> list[list[T]]:
-        """Take the messages of a tick, in any form; return those that each member receives with the next one.
+        """Receive the messages of a tick, in any form; return those that each member receives next.
 
-        ``told``: message of each member; None: none.
+        ``told``: message of each member, or None.
         """
         self._under_way.append(
             [
@@ -220,7 +220,7 @@ class Words:
 
 
 class _Way:
-    """The link from one sender to one receiver; it loses messages by chance, and all from a tick on."""
+    """Link from one sender to one receiver, with random losses, and broken from a given tick on."""
 
     def __init__(self, seed: int, teller: int, hearer: int, loss: float, broken_tick: float) -> None:
         self._loss, self._broken_tick = loss, broken_tick
@@ -228,9 +228,9 @@ class _Way:
         self._drawn: list[float] = []
 
     def loses(self, tick: int) -> bool:
-        """Whether a message of a tick is lost.
+        """Return whether the message of a tick is lost.
 
-        Called in each tick, so that the draws do not depend on messages.
+        It is called in each tick, so that the draws do not depend on the messages.
         """
         if self._loss > 0.0 and self._draw() < self._loss:
             return True
@@ -243,7 +243,7 @@ class _Way:
 
 
 def warm_up_room(team: TeamScenario) -> None:
-    """Compile what the vehicles call, or load it from the cache."""
+    """Compile the code of the room, or load it from the cache."""
     warm_up_vehicle(team.member[0])
     if team.is_alone:
         return

@@ -1,4 +1,4 @@
-"""The robots of a scenario without its vehicles, in real time: for vehicles from elsewhere."""
+"""The robots of a scenario without its vehicles, in real time, for vehicles of other processes."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from sim.scenarios.team import TeamScenario
 
 
 def target_main(team: TeamScenario, options: TargetOptions) -> int:
-    """Run the robots until SIGTERM, SIGINT or ``duration_s``; prints ``ready`` when they can be reached.
+    """Run the robots until SIGTERM, SIGINT or ``duration_s``; print ``ready`` when they can be reached.
 
-    Returns exit status: 0 in order, 1 when something it needs did not come, 2 for wrong input.
+    Returns the exit status: 0 if ended in order, 1 after a time-out, 2 for bad input.
     """
     stop = Stop()
     try:
@@ -46,7 +46,7 @@ def _drive(team: TeamScenario, options: TargetOptions, stop: Stop, stack: ExitSt
     stack.callback(feed.close)
     make = partial(RealTimeRobot, grid, session, stop)
     robots = list(robots_of(team, options, feed, make, stack).values())
-    epoch_ns = clock.unix_ns()  # once all that takes time is done
+    epoch_ns = clock.unix_ns()  # now, because the set-up has taken time
     for robot in robots:
         robot.be_followed()
         robot.log.epoch_ns = epoch_ns
@@ -54,11 +54,11 @@ def _drive(team: TeamScenario, options: TargetOptions, stop: Stop, stack: ExitSt
     stop.install()
     print("ready", flush=True)
     quiet_garbage_collector()
-    run_promptly()  # a pose that comes late counts as lost
+    run_promptly()  # a late pose counts as lost
     ticks, tick = grid.count(options.duration_s), 0
     pacer = RealTimePacer(grid.rate_hz, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns)
     while not stop.is_set and tick != ticks:
-        due = round(pacer.wait().now_s * grid.rate_hz)  # after a pause they are where they would have been
+        due = round(pacer.wait().now_s * grid.rate_hz)  # after a pause the robots jump ahead
         while tick <= due and tick != ticks:
             for robot in robots:
                 robot.take(tick)

@@ -1,4 +1,4 @@
-"""The vehicle on the wire, with any clock: vehicle, autopilot, endpoint, faults of the link, log."""
+"""The vehicle on MAVLink, with any clock: vehicle, autopilot, endpoint, link faults, log."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ from sim.vehicle.vehicle import VehicleSim
 
 T = TypeVar("T")
 
-HELD_MAX = 4096  # messages held back in each direction; more are lost
+HELD_MAX = 4096  # maximum delayed messages in each direction; further ones are lost
 _HEADER_BYTES = 10  # header of a MAVLink 2 frame
 
 
 class Held(Generic[T]):
-    """Items that wait for their time, or for the end of a stall."""
+    """Items that wait for a time or for the end of a stalled link."""
 
     def __init__(self) -> None:
         self._timed: list[tuple[int, int, T]] = []
         self._stalled: dict[Running, list[T]] = {}
         self._count = 0
         self.size = 0  # number of waiting items
-        self.overflows = 0  # items dropped because too many waited
+        self.overflows = 0  # number of items dropped because the queue was full
 
     def hold(self, item: T, due_ns: int, stall: Running | None) -> None:
-        """Keep an item until ``due_ns``, or until the stall is over."""
+        """Store an item until ``due_ns``, or until the stall ends."""
         if self.size >= HELD_MAX:
             self.overflows += 1
             return
@@ -61,14 +61,14 @@ class Held(Generic[T]):
 
 
 class _Frame(NamedTuple):
-    """A frame to send."""
+    """A frame to send, and its receivers."""
 
     raw: bytes
     peers: tuple[Peer, ...]
 
 
 class Wire:
-    """Sends, and hands over what was received, as faults let it."""
+    """Sends and receives messages through the active link faults."""
 
     def __init__(self, endpoint: Endpoint, faults: LinkFaults) -> None:
         self._endpoint, self._faults = endpoint, faults
@@ -81,7 +81,7 @@ class Wire:
         return not self._leaving.size and not self._faults.active(Way.OUT)
 
     def send(self, messages: Sequence[Message], peers: Sequence[Peer], now_ns: int) -> None:
-        """Send those of these and earlier messages that are due, each in a separate datagram.
+        """Send all due messages, of these and earlier ones, each in a separate datagram.
 
         ``messages`` may be changed.
         """
@@ -89,7 +89,7 @@ class Wire:
             self._ship(frame)
         for message in messages:
             fate = self._faults.fate(Way.OUT, message, now_ns)
-            raw = self._endpoint.pack(message)  # a lost frame has a sequence number, too, as on a real wire
+            raw = self._endpoint.pack(message)  # a lost frame also uses a sequence number, as on a real link
             frame = _Frame(_damaged(raw) if fate.damaged else raw, tuple(peers))
             for due_ns in fate.due_ns:
                 if fate.stall is not None or due_ns > now_ns:
@@ -98,7 +98,7 @@ class Wire:
                     self._ship(frame)
 
     def receive(self, received: Received, now_ns: int) -> list[Received]:
-        """Copies of an arrived message that the autopilot receives now: none, one or two."""
+        """Return the copies of an arrived message that the autopilot receives now: none, one or two."""
         if not self._faults.active(Way.IN):
             return [received]
         fate = self._faults.fate(Way.IN, received.message, now_ns)
@@ -111,7 +111,7 @@ class Wire:
         return out
 
     def late(self, now_ns: int) -> list[Received]:
-        """Delayed messages that the autopilot receives now."""
+        """Return delayed messages that the autopilot receives now."""
         return self._coming.due(now_ns) if self._coming.size else []
 
     def _ship(self, frame: _Frame) -> None:
@@ -120,7 +120,7 @@ class Wire:
 
 
 def _damaged(raw: bytes) -> bytes:
-    """Turn a byte of the payload, so that the checksum does not fit."""
+    """Change a byte of the payload, so that the checksum is wrong."""
     at = _HEADER_BYTES + (len(raw) - _HEADER_BYTES) // 2
     return raw[:at] + bytes((raw[at] ^ 0xFF,)) + raw[at + 1 :]
 
@@ -131,7 +131,7 @@ def _untold(armed: bool) -> None:
 
 @dataclass(slots=True)
 class VehicleNode:
-    """One simulated vehicle on the wire. ``number``: in its team, from 1; ``name``: also its namespace."""
+    """One simulated vehicle on MAVLink. ``number``: its number in the team; ``name``: its namespace."""
 
     number: int
     name: str
@@ -139,8 +139,8 @@ class VehicleNode:
     autopilot: Autopilot
     endpoint: Endpoint
     log: VehicleLog
-    tell: Callable[[bool], None] = _untold  # called when the vehicle has been armed or disarmed
-    over: bool = False  # whether its flight is over: then nothing is logged
+    tell: Callable[[bool], None] = _untold  # called when the vehicle is armed or disarmed
+    over: bool = False  # whether its flight is over; then nothing is logged
     wire: Wire = field(init=False)
     _armed: bool = field(default=False, init=False)
     _judged: bool = field(default=False, init=False)
@@ -150,13 +150,13 @@ class VehicleNode:
         self.wire = Wire(self.endpoint, self.vehicle.faults.link)
 
     def answer(self, received: Received, now_s: float) -> list[Message]:
-        """Let the autopilot act on a frame; returns the replies to its sender."""
+        """Pass a frame to the autopilot; return the replies to its sender."""
         message = received.message
         header = message.get_header()
         return self.autopilot.handle(message, (header.srcSystem, header.srcComponent, received.peer), now_s)
 
     def control(self, now_s: float) -> None:
-        """Let the autopilot fly; its first flight by the companion's set-points begins the judging."""
+        """Run the autopilot; judging starts with its first flight by the companion's set-points."""
         vehicle = self.vehicle
         self.autopilot.control(now_s)
         if self.over:
@@ -172,7 +172,7 @@ class VehicleNode:
 
     @property
     def watches_nothing(self) -> bool:
-        """Whether the judging has begun, and each change of arming and firmware state has been reported."""
+        """Whether judging has started, and all changes of arming and firmware state are reported."""
         vehicle = self.vehicle
         return self._judged and vehicle.armed is self._armed and vehicle.state_text == self._state_text
 
@@ -182,11 +182,11 @@ class VehicleNode:
             self.log.event(round(t_s * NS_PER_S), level, text)
 
     def move_deck(self, deck: DeckState) -> None:
-        """Give the deck a pose and a twist."""
+        """Set the pose and twist of the deck."""
         self.vehicle.set_deck(deck.position_enu_m, deck.yaw_rad, deck.velocity_enu_m_s, deck.yaw_rate_rad_s)
 
     def write_log(self, tick: int, now_ns: int) -> Truth:
-        """Log the true state, the texts of the autopilot and the state of the firmware's supervisor."""
+        """Log the true state, the autopilot's status texts and the state of the firmware's supervisor."""
         truth = self.vehicle.truth()
         self.log.truth(tick, now_ns, truth)
         for text in self.autopilot.take_texts():
@@ -199,7 +199,7 @@ class VehicleNode:
         return truth
 
     def _tell_change(self) -> None:
-        """Report a change of arming after its state is logged: the receiver may end this process."""
+        """Report a change of arming after its state is logged, because the receiver may end this process."""
         armed = self.vehicle.armed
         if armed is not self._armed:
             self._armed = armed

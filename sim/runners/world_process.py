@@ -1,8 +1,8 @@
 """The world process: the simulated vehicles of a scenario and their robots, in lockstep or in real time.
 
-A vehicle has a MAVLink endpoint, a robot its keys on Zenoh. All share a process since what happens between
-them is physical: decks, jets and collisions need all states at once. ``vehicle`` is a world without robots:
-in real time its decks follow the true poses of robots of another process.
+Each vehicle has a MAVLink endpoint, each robot its keys on Zenoh. All share one process, because their
+interaction is physical: decks, jets and collisions need all states at once. ``vehicle`` is a world without
+robots: in real time its decks follow the true poses of robots in another process.
 """
 
 from __future__ import annotations
@@ -35,18 +35,19 @@ from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.team import TeamScenario
 from sim.vehicle.vehicle import VehicleSim
 
-_PAUSE_S = 0.1  # s between two looks at the signals when all flights are over
+_PAUSE_S = 0.1  # wall time between two checks for signals when all flights are over
 
 
 def world_main(team: TeamScenario, options: VehicleOptions) -> int:
-    """Run the vehicles until SIGTERM, SIGINT or ``duration_s``; prints ``ready URL ...``, cf1's first.
+    """Run the vehicles until SIGTERM, SIGINT or ``duration_s``; print ``ready URL ...``, cf1's first.
 
-    Prints ``armed`` and ``disarmed``, too, whenever that changes; of several vehicles with the name.
+    It also prints ``armed`` and ``disarmed`` on each change, with the name if there are several vehicles.
 
-    ``team``: everything that is not chance; ``options``: ``WorldOptions`` runs the robots, too; a port that
-    is not 0 is that of cf1, and the others follow; system id and namespace are those of a vehicle that is
-    alone, members of a team have their own.
-    Returns exit status: 0 in order, 1 when something it needs did not come, 2 for wrong input.
+    ``team``: the scenario; ``options``: with ``WorldOptions`` the robots run, too. A port other than 0 is
+    that of cf1; the other vehicles use the next ports. System id and namespace apply to a single vehicle;
+    members of a team have their own.
+
+    Returns the exit status: 0 if ended in order, 1 after a time-out, 2 for bad input.
     """
     stop, verb = Stop(), "world" if isinstance(options, WorldOptions) else "vehicle"
     try:
@@ -113,7 +114,7 @@ def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitSta
 
 
 def _here(team: TeamScenario, options: VehicleOptions) -> list[int]:
-    """Numbers of the vehicles that are simulated here."""
+    """Return the numbers of the vehicles that are simulated here."""
     if options.leave_out and team.is_alone:
         raise ValueError("--leave-out is for a scenario of several vehicles: this one has no members")
     if options.leave_out and options.lockstep:
@@ -133,12 +134,12 @@ def _ready(endpoints: Sequence[tuple[Endpoint, str]], stop: Stop) -> None:
 
 
 def opened(options: VehicleOptions, number: int, system_id: int, stack: ExitStack) -> tuple[Endpoint, str]:
-    """Open the MAVLink endpoint of a vehicle; returns it, and the URL with the port that it has.
+    """Open the MAVLink endpoint of a vehicle; return it, and its URL with the actual port.
 
-    ``options``: its URL is that of the first vehicle; ``number``: of the vehicle, from 1; ``stack``: closes
-    it.
-    Raises ValueError: options that exclude each other, or an URL that is not understood; OSError: the address
-    cannot be bound.
+    ``options``: its URL is that of the first vehicle; ``number``: number of the vehicle, from 1; ``stack``:
+    closes the endpoint.
+    Raises ValueError: options that exclude each other, or an invalid URL; OSError: the address cannot be
+    bound.
     """
     kind, host, port = parse_udp_url(options.url, "the simulated vehicle")
     port += number - 1 if port else 0
@@ -151,7 +152,7 @@ def opened(options: VehicleOptions, number: int, system_id: int, stack: ExitStac
 
 
 def _session(team: TeamScenario, options: VehicleOptions, stack: ExitStack) -> zenoh_link.Session | None:
-    """Open the Zenoh session of robots and onboard processes; None: one vehicle alone, without endpoints."""
+    """Open the Zenoh session of robots and onboard processes; None: a single vehicle without endpoints."""
     with_robots = isinstance(options, WorldOptions)
     if not (options.connect or options.listen or options.zenoh_config is not None):
         if team.is_alone and not with_robots:
@@ -173,7 +174,7 @@ def _session(team: TeamScenario, options: VehicleOptions, stack: ExitStack) -> z
 
 
 def autopilot_of(vehicle: VehicleSim, options: VehicleOptions, system_id: int, epoch_ns: int) -> Autopilot:
-    """Make the autopilot of a vehicle, with its parameters; ``epoch_ns`` is the Unix time of tick 0."""
+    """Create the autopilot of a vehicle, with its parameters; ``epoch_ns``: Unix time of tick 0."""
     autopilot = Autopilot(
         vehicle,
         options.rate_hz,
@@ -187,7 +188,7 @@ def autopilot_of(vehicle: VehicleSim, options: VehicleOptions, system_id: int, e
 
 
 def _teller(name: str) -> Callable[[bool], None]:
-    """Prints whether a vehicle is armed, for the process that started this one and may end it."""
+    """Return a function that prints arming changes for the process that started this one and may end it."""
 
     def tell(armed: bool) -> None:
         print(f"{'armed' if armed else 'disarmed'} {name}".strip(), flush=True)

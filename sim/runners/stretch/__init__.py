@@ -1,1 +1,1 @@
-"""Stretches: ticks of a landing that run in one compiled call, because nothing rare happens in them."""
+"""Batches of ticks ("stretches") of a landing that run in one compiled call, while nothing rare happens."""

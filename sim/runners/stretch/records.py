@@ -1,4 +1,4 @@
-"""What does not change in a stretch besides the controller's state, as a record for compiled code."""
+"""Constants of a batch of ticks, besides the controller's state, as a record for compiled code."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from sim.autopilot.watches import WatchRecord
 
 
 class RulesRecord(Record):
-    """Times are on the controller's clock."""
+    """Constants of a batch of ticks; times are on the controller's clock."""
 
-    flies: bool  # set-points go out
+    flies: bool  # set-points are sent
     lasting: int  # flags of the mission
-    status_s: float  # arrival of the heartbeat
+    status_s: float  # arrival of the newest heartbeat
     status_age_max_s: float
-    ends_s: float  # when the flight is too long
-    # the vehicle's autopilot
-    yaw_told_rad: float  # heading as it arrives there
+    ends_s: float  # time limit of the flight
+    # inputs of the vehicle's autopilot
+    yaw_told_rad: float  # commanded heading as received
     cos_yaw: float
     sin_yaw: float
-    speeds: Vector  # m/s, over ground, up, down
-    delay_ms: int  # of the radio
+    speeds: Vector  # speed limits, m/s: horizontal, up, down
+    delay_ms: int  # delay of the radio
     armed: bool
     standing: bool
     supervisor: int  # state of the firmware's supervisor
-    stream_until_s: float  # the autopilot waits for set-points until then; without them
+    stream_until_s: float  # end of the autopilot's wait for set-points; used while none are sent
     watch: WatchRecord

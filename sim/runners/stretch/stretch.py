@@ -1,4 +1,4 @@
-"""Flies ordinary ticks of a landing as a batch; the state afterwards is the same as tick by tick."""
+"""Flies ordinary ticks of a landing as a batch; the final state is the same as tick by tick."""
 
 from __future__ import annotations
 
@@ -40,22 +40,22 @@ from sim.runners.stretch.ticks import BEFORE, MIDDLE, TRUTH, fly_ticks, look, na
 from sim.runners.stretch.watch import WatchBook
 from sim.runners.vehicle_node import VehicleNode
 
-TICKS = 20  # most ticks in one call; the robot drives ahead as far
-SPAN_S = 0.25  # s; longest time of one call: a set-point stream with a longer gap would start again
-_SOON_S = 1e-6  # s before a message is due from which the ticks run in Python
-SPEED_MAX_M_S = 2.5  # on each axis; above it the autopilot's own limit of set-points may apply
-ASKING = (Phase.APPROACH, Phase.LAND)  # in which an agent chooses the nominal velocity
-_BACK_OFF = 4  # most ticks without a new try after failed tries
+TICKS = 20  # maximum ticks in one call; the robot drives ahead by as many
+SPAN_S = 0.25  # maximum duration of one call; a longer gap would restart the stream of set-points
+_SOON_S = 1e-6  # margin before a due message, s; within it ticks run in Python
+SPEED_MAX_M_S = 2.5  # limit on each axis; above it the autopilot may clip set-points
+ASKING = (Phase.APPROACH, Phase.LAND)  # phases in which an agent chooses the nominal velocity
+_BACK_OFF = 4  # maximum number of ticks in Python after failed attempts
 
 
 def suited(controller: Controller, node: VehicleNode) -> bool:
-    """Whether a landing can be flown in stretches: compiled, without faults, its configuration known."""
+    """Return whether a landing can fly in batches: compiled, without faults, supported configuration."""
     possible = not is_off() and node.vehicle.faults.quiet and suits(controller.config)
     return possible and hypot_is_known() and isinstance(controller.program, CompiledFilter)
 
 
 def suits(config: FlightConfig) -> bool:
-    """Whether kernel and simulated link support everything that this configuration requires."""
+    """Return whether kernel and simulated link support everything that this configuration requires."""
     return (
         core.suits(config)
         and max(config.limits.velocity_max_m_s) <= SPEED_MAX_M_S
@@ -64,10 +64,10 @@ def suits(config: FlightConfig) -> bool:
 
 
 class Stretch:
-    """Flies stretches of one landing.
+    """Flies batches of ticks of one landing.
 
-    ``link``: of the companion; ``ticks``: of the companion; ``target``: the robot; ``node``: the vehicle;
-    ``grid``: of the ticks; ``ends_s``: when the flight is too long; ``radio_s``: delay of set-points.
+    ``link``, ``ticks``: link and runner of the companion; ``target``: the robot; ``node``: the vehicle;
+    ``grid``: grid of the ticks; ``ends_s``: time limit of the flight; ``radio_s``: delay of set-points.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class Stretch:
         self._plan = np.array((0, 0, grid.rate_hz, self._rules.delay_ms, 0, 0), dtype=np.int64)
         self._ages, self._told = np.zeros(TICKS), np.zeros(11)
         self._asked = -1  # newest tick for which an agent was asked
-        self._next, self._wait = 0, 1  # tick of the next try; how many are left out when one fails
+        self._next, self._wait = 0, 1  # tick of the next attempt; ticks to wait after a failure
         self._flies, self._yaw_told_rad, self._delay_ms = False, 0.0, round(radio_s * 1000.0)
         self._stream_until_s, self._status_s = scalars(self._rules, "stream_until_s", "status_s")
         self._watches, self._watch_book = node.autopilot.flight.watches, WatchBook(self._rules.watch)
@@ -109,7 +109,7 @@ class Stretch:
         self._sender = (node.autopilot.system_id, COMPANION_ID, PEER)
 
     def warm_up(self) -> None:
-        """Compile what flies, or load it from the cache."""
+        """Compile the code, or load it from the cache."""
         self._plan[1] = 0
         decks, samples, _, come = self._target.ahead(0, 0)
         flown: Any = fly_ticks
@@ -119,7 +119,7 @@ class Stretch:
         )  # fmt: skip
 
     def fly(self, tick: int) -> int:
-        """Fly from this tick, the next one, as far as possible; returns the number of ticks flown."""
+        """Fly from this tick, the next one, as far as possible; return the number of ticks flown."""
         if tick != self._asked:
             self._strategy.answer = None
         if tick < self._next:
@@ -147,7 +147,7 @@ class Stretch:
         return done
 
     def _quiet_until_s(self, tick: int) -> float | None:
-        """Time until which only vehicle states and set-points are sent; None: other messages are due now."""
+        """Return the time until which only vehicle states and set-points are sent; None: others are due."""
         request = Request.EXTERNAL if self._controller.memory.phase in FLYING else Request.NONE
         now_s = self._grid.ns(tick) / 1e9
         until_s = self._link.silent_until_s(request) - _SOON_S
@@ -157,10 +157,10 @@ class Stretch:
         return until_s if now_s < until_s else None
 
     def _speak(self, tick: int) -> bool:
-        """Exchange the messages due at the next tick; False if the tick has to run in Python.
+        """Exchange the messages due at the next tick; return False if the tick has to run in Python.
 
-        Such messages are heartbeats and the slow telemetry of the vehicle. They arrive before the step of the
-        controller, or have no effect on the autopilot, as in a tick in Python.
+        These messages are heartbeats and the slow telemetry of the vehicle. They arrive before the
+        controller's step, or have no effect on the autopilot, as in a tick in Python.
         """
         node, now_s = self._node, self._grid.ns(tick) / 1e9
         if self._controller.memory.phase not in RULES or not self._loop.undisturbed:
@@ -168,7 +168,7 @@ class Stretch:
         messages = node.autopilot.brief(now_s, self._heeded)
         if messages is None:
             return False
-        if self._reserve is not None:  # the attitude of this tick, which it tells with its power
+        if self._reserve is not None:  # attitude of this tick; power reports need it
             roll_rad, pitch_rad, _ = euler_from_quaternion(
                 ned_frd_from_enu_flu(node.vehicle.estimate().quaternion)
             )
@@ -185,7 +185,7 @@ class Stretch:
         return self._controller.ordinary(status)
 
     def _prepare(self) -> bool:
-        """Store phase and vehicle status; returns whether a batch of ticks can run with them."""
+        """Store phase and vehicle status; return whether a batch of ticks can run with them."""
         c, rules, status = self._controller, self._rules, self._link.state.status
         memory, flight, vehicle = c.memory, self._node.autopilot.flight, self._node.vehicle
         if status is None or not c.ordinary(status) or memory.yaw_rad is None:
@@ -214,7 +214,7 @@ class Stretch:
         return True
 
     def _weigh(self) -> bool:
-        """Store the reported battery and motors; False if only Python can handle them."""
+        """Store the reported battery and motors; return False if only Python can handle them."""
         estimate, power = self._reserve, self._link.state.power
         if estimate is None:
             return True
@@ -224,7 +224,7 @@ class Stretch:
         return True
 
     def _call(self, tick: int, until_s: float) -> tuple[int, int]:
-        """Fly ticks in one call; returns how many, and how it ended."""
+        """Fly ticks in one call; return their number, and how the call ended."""
         node, grid, flight = self._node, self._grid, self._node.autopilot.flight
         asks = self._strategy.ask is not None and self._controller.memory.phase in ASKING
         most = 1 if asks else self._most
@@ -283,7 +283,7 @@ class Stretch:
         return done, how if self._goes_on(flies) else BEFORE
 
     def _ask(self, tick: int, samples: F64, come: I64) -> bool:
-        """Let the agent choose its velocity of the next tick; False if Python has to run this tick."""
+        """Request the agent's velocity for the next tick; return False if Python has to run this tick."""
         objects, strategy, looked = self._objects, self._strategy, cast("Any", look)
         try:
             at, command, own = looked(
@@ -300,7 +300,7 @@ class Stretch:
         return True
 
     def _goes_on(self, flies: bool) -> bool:
-        """Whether mode, arming and contact with the ground are still those of the batch."""
+        """Return whether mode, arming and ground contact are the same as in the batch."""
         flight, vehicle = self._node.autopilot.flight, self._node.vehicle
         mode = flight.mode is FlightMode.OFFBOARD or not flies
         return mode and vehicle.armed == flies and flight.standing != flies and flight.ground.settled

@@ -1,8 +1,8 @@
 """Ticks of a landing in one compiled call: deck, telemetry, controller, set-point, physics, true states.
 
-A tick does the same as that of ``LockstepVehicle`` with all its calls. Python takes it over before its start
-if the landing kernel or the telemetry requires it; and in its middle, after the controller's answer and the
-radio's delay, if the autopilot has to do more than to pass the set-point on.
+A tick has the same effect as one of ``LockstepVehicle`` with all its calls. Python runs a tick from its start
+if the landing kernel or the telemetry requires it. Python runs only the rest of a tick, after the
+controller's answer and the radio's delay, if the autopilot has to do more than forward the set-point.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from sim.vehicle.loop import VehicleRecord, fly
 from sim.vehicle.physics import TUMBLED
 from sim.world.bodies import arc_of_step
 
-END, BEFORE, MIDDLE = 0, 1, 2  # all ticks done; Python runs the next one, or the rest of the last one
+END, BEFORE, MIDDLE = 0, 1, 2  # end of a call: all ticks done; Python runs the next tick, or the rest
 TRUTH = 41  # numbers of a true state
-_LARGEST = 1e6  # m, m/s: beyond it a message counts as damaged (bridge.mavlink.client.vehicle_state)
-_POLE = 0.999  # sine of a pitch so near to straight up that Python looks at it
+_LARGEST = 1e6  # m, m/s: larger values mean a damaged message (bridge.mavlink.client.vehicle_state)
+_POLE = 0.999  # sine of the pitch limit, near vertical; beyond it Python runs the tick
 
 
 @numeric
@@ -50,14 +50,14 @@ _yaw_enu = twin(frames.yaw_enu_from_ned, jitted)
 
 @jitted
 def three(v: F64) -> Vec3:
-    """Three numbers of an array as a tuple."""
+    """Return an array of three numbers as a tuple."""
     return (v[0], v[1], v[2])
 
 
 @jitted
 def narrow(x: float) -> float:
-    """A double as a message with floats of 32 bits carries it."""
-    return float(np.float64(np.float32(x)))  # for numba float() of 32 bits is one of 32 bits
+    """Round a double to a 32-bit float, as in a message."""
+    return float(np.float64(np.float32(x)))  # numba's float() would keep 32 bits
 
 
 @jitted
@@ -72,7 +72,7 @@ def _usable(v: Vec3) -> bool:
 
 @jitted
 def _place_deck(v: VehicleRecord, deck: F64) -> None:
-    """``World.set_deck``."""
+    """Compiled form of ``World.set_deck``."""
     d = v.world.deck
     for i in range(3):
         d.position[i], d.velocity[i] = deck[i], deck[4 + i]
@@ -82,7 +82,7 @@ def _place_deck(v: VehicleRecord, deck: F64) -> None:
 
 @jitted
 def _write_truth(v: VehicleRecord, now_ms: int, row: F64) -> None:
-    """``Physics.truth``, its numbers in a row."""
+    """Compiled form of ``Physics.truth``; its numbers are written to ``row``."""
     body, deck, j, c = v.world.body, v.world.deck, v.judge, v.contact
     p, d = body.position, deck.position
     h = _h(j.alpha_1_m, j.beta_m, (p[0] - d[0], p[1] - d[1], p[2] - d[2]))
@@ -112,7 +112,7 @@ def _write_truth(v: VehicleRecord, now_ms: int, row: F64) -> None:
 
 @jitted
 def _send(p: RulesRecord, inbox: InboxRecord, setpoint: Vec3, now_ms: int) -> None:
-    """``VehicleSim.set_velocity``; it arrives after the radio's delay."""
+    """Compiled form of ``VehicleSim.set_velocity``; it takes effect after the radio's delay."""
     at = WIDTH * (inbox.end % ROOM)
     row = inbox.rows[at : at + WIDTH]
     row[:] = 0.0
@@ -123,14 +123,14 @@ def _send(p: RulesRecord, inbox: InboxRecord, setpoint: Vec3, now_ms: int) -> No
 
 @jitted
 def _flyable(p: RulesRecord, v: Vec3) -> bool:
-    """Whether the autopilot hands a velocity on as it is."""
+    """Return whether the autopilot forwards this velocity unchanged."""
     xy, up, down = p.speeds[0], p.speeds[1], p.speeds[2]
     return bool(v[0] * v[0] + v[1] * v[1] <= xy * xy and -down <= v[2] <= up)
 
 
 @jitted
 def _needs_autopilot(p: RulesRecord, v: VehicleRecord, now_ms: int, now_s: float) -> bool:
-    """Whether the autopilot has anything to do but to hand the set-point on."""
+    """Return whether the autopilot has to do more than forward the set-point."""
     c, f = v.contact, v.firmware
     touches = now_ms - c.pad_ms <= GAP_MS or now_ms - c.ground_ms <= GAP_MS
     return (
@@ -146,7 +146,7 @@ def _decided(
     v: VehicleRecord, p: RulesRecord, kernel: LandingKernel, phase_rules: I64, samples: F64, since: int,
     until: int, now_s: float,
 ) -> tuple[OwnState, Landing]:  # fmt: skip
-    """Tell the controller the state of its vehicle and these samples of the target; run its tick."""
+    """Pass the vehicle state and these target samples to the controller; run its step."""
     f, e = v.firmware, v.firmware.estimator
     if (
         bool(f.supervisor.motors_allowed) != bool(p.armed)
@@ -165,7 +165,7 @@ def _decided(
     if not abs(2.0 * (attitude[0] * attitude[2] - attitude[3] * attitude[1])) < _POLE:
         raise NotOrdinary
     source_s, yaw_rad = round(now_s * 1000) * 1e-3, _yaw_enu(narrow(_euler(attitude)[2]))
-    kernel.track.memory.settled = True  # as step has it from the take-off on
+    kernel.track.memory.settled = True  # the same as in the Python step after the take-off
     for i in range(since, until):
         take(kernel, samples[i], now_s)
     own = OwnState(now_s, source_s, position, velocity, yaw_rad)
@@ -177,10 +177,10 @@ def look(
     vehicle: Cell[VehicleRecord], rules: Cell[RulesRecord], kernel: LandingKernel, phase_rules: I64,
     state: F64, spare: F64, plan: I64, samples: F64, come: I64,
 ) -> tuple[Relative, Vec3, Vec3]:  # fmt: skip
-    """What an agent sees in the next tick: the relative state, the last command, the own nominal velocity.
+    """Return the inputs of an agent at the next tick: relative state, last command, nominal velocity.
 
-    The caller restores ``state`` from ``spare``. Arguments as those of ``fly_ticks``.
-    Raises NotOrdinary: Python has to do the tick.
+    The caller restores ``state`` from ``spare``. The arguments are those of ``fly_ticks``.
+    Raises NotOrdinary: Python has to run the tick.
     """
     spare[:] = state
     before, now_s = kernel.memory.command, plan[0] * NS_PER_S // plan[2] / 1e9
@@ -206,17 +206,19 @@ def fly_ticks(
 ) -> int:
     """Fly ticks until all are done or something rare happens.
 
-    ``rules``: what holds for all ticks; ``kernel``: the controller; its state is changed in place;
-    ``phase_rules``: (n, 2) of the mission, ``LandingKernel.land``; ``state``: memory of the controller's
-    state; ``spare``: filled with that of before the newest tick; ``plan``: first tick, how many, rate of the
-    ticks, ms that the radio delays, samples that had come before; set by this: ticks done; one whose rest is
-    left counts as done; ``decks``: (n, 8) of each tick: position, yaw, velocity, yaw rate of the pad;
-    ``samples``: (m, 9) of the target: stamp, position, velocity, yaw, yaw rate; ``come``: (n,) how many of
-    them have come until then; ``truths``: (n, TRUTH), filled; ``ages``: (n,) of the target, s, filled;
-    ``told``: own state of the last tick as told, filled: position, velocity, yaw, boot clock; then the
-    set-point of that tick as it arrives.
+    ``rules``: constants of the batch; ``kernel``: the controller, whose state is changed in place;
+    ``phase_rules``: (n, 2), rules of the mission for ``LandingKernel.land``; ``state``: memory of the
+    controller's state; ``spare``: receives the state before the newest tick; ``plan``: first tick, number of
+    ticks, rate of the ticks, delay of the radio in ms, number of samples that arrived before; its last number
+    receives the number of ticks done, where a partly done tick counts; ``decks``: (n, 8) for each tick:
+    position, yaw, velocity, yaw rate of the pad; ``samples``: (m, 9) target samples: time stamp, position,
+    velocity, yaw, yaw rate; ``come``: (n,) number of samples that arrive up to each tick; ``truths``: (n,
+    TRUTH), receives true states; ``ages``: (n,), receives ages of the target state, s; ``told``: receives the
+    vehicle state of the last tick as sent (position, velocity, yaw, boot clock), then the set-point of that
+    tick as received.
+
     Returns how it ended.
-    Raises NotOrdinary: Python has to do the next tick, with the state in ``spare``.
+    Raises NotOrdinary: Python has to run the next tick, with the state in ``spare``.
     """
     v, p = vehicle[0], rules[0]
     tick, count, rate, radio_ms = plan[0], plan[1], plan[2], plan[3]

@@ -1,4 +1,4 @@
-"""``Watches.step`` of the autopilot in a stretch, up to the loss of a ground station."""
+"""``Watches.step`` of the autopilot in a batch of ticks, until a ground station is lost."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _smoothed = twin(watches.smoothed, jitted)
 
 @jitted
 def looks(w: WatchRecord, v: VehicleRecord, now_s: float) -> bool:
-    """Run the checks if they are due; False, with nothing done, if one may have a result."""
+    """Run the checks if they are due; if one may have a result, do nothing and return False."""
     if now_s < w.due_s:
         return True
     if now_s >= w.until_s:
@@ -31,18 +31,18 @@ def looks(w: WatchRecord, v: VehicleRecord, now_s: float) -> bool:
 
 
 class WatchBook:
-    """Writes the inputs of the watches into a record, and their results back."""
+    """Copies the state of the watches to a record and back."""
 
     def __init__(self, record: WatchRecord) -> None:
         self._write = writer(record)
         self._seen = scalars(record, "last_s", "voltage_v", "throttle")
 
     def write(self, of: Watches) -> None:
-        """Watches to record."""
+        """Copy the watches to the record."""
         self._write(*of.calm())
 
     def read(self, of: Watches) -> None:
-        """Record to watches, if they have looked."""
+        """Copy the record to the watches, if the checks have run."""
         last_s, voltage_v, throttle = (view[0] for view in self._seen)
         if last_s + PERIOD_S > of.due_s:
             of.passed(last_s, voltage_v, throttle)
