@@ -82,24 +82,27 @@ SEED = 1
 FLEET_HEAD = f"""
 ## A fleet
 
-Three vehicles of `fleet_3` with seed {SEED}; the second one fails, for good, at
-{", ".join(f"{at_s:g} s ({moment})" for moment, at_s in MOMENTS_S.items())}.
-In every cell no vehicles may collide, no two vehicles come inside the ellipsoid around each other, and the
-other two land on their pads. If a process is killed,
-the fail-safe of its autopilot lands the vehicle where it is, by chance on its robot. If a sent position
-jumps, the ellipsoid around it grows by the jump, so that the previous position is also kept clear; a
-vehicle whose pad is inside may abort its landing. A position that is wrong from the start does not jump and
-cannot be detected. A robot that stops at once is detected by its own vehicle, in the robot's odometry.
+Each row is a flight of the three vehicles of `fleet_3` with seed {SEED}. The second vehicle fails
+permanently at {", ".join(f"{at_s:g} s ({moment})" for moment, at_s in MOMENTS_S.items())}.
+Requirements: no two vehicles collide, none comes inside the [ellipsoid](../how_it_works/fleet.md) around
+another one, and the other two land on their pads.
 
-| fault | in | ends of the members | nearest in the ellipsoid's measure | nearest, m |
+- If a process is killed, the fail-safe of its autopilot lands the vehicle at once, by chance on its robot.
+- If a sent position jumps, the ellipsoid around it grows by the jump. So the other vehicles keep clear of
+  the previous position, too. A vehicle whose pad is inside the ellipsoid may abort its landing.
+- A position that is wrong from the start does not jump and cannot be detected.
+- The vehicle of a robot that stops at once detects this in the robot's odometry.
+
+| fault of the second member | moment | outcomes of the members \
+| least distance in the measure of the ellipsoid | least distance, m |
 |---|---|---|--:|--:|
 """
 
 
 WIRE_TEST = "tests/unit/onboard/test_fleet_wire.py"
 NAMESAKES = (
-    f"| two processes with one id | start, flight | the second is refused: `{WIRE_TEST}` "
-    "(between processes; messages of a team in one process have no senders) | - | - |"
+    f"| two processes with one id | start, flight | the second process is refused, see `{WIRE_TEST}` "
+    "(in a team within one process, messages have no senders) | - | - |"
 )
 
 

@@ -84,73 +84,89 @@ def _need(*ends: End, why: str, **more: object) -> Need:
 _CRASHED = frozenset({End.CRASHED})
 LANDED, ABORTED, VEHICLE_LANDS = End.LANDED, End.ABORTED, End.VEHICLE_LANDS
 
-_HARMLESS = _need(LANDED, why="still recent enough", within_s=None)
+_HARMLESS = _need(LANDED, why="the data stay below their age limit", within_s=None)
 _ON_THE_PAD = _need(
-    LANDED, why="centimetres above the pad: it descends with the last set-point", within_s=None
+    LANDED, why="centimetres above the pad, the vehicle descends with the last set-point", within_s=None
 )
-_NO_TARGET = _need(ABORTED, why="no valid target: hold, climb, wait, fly clear, land")
+_NO_TARGET = _need(ABORTED, why="no valid target: the vehicle holds, climbs, waits, flies clear and lands")
 _PAUSES = _need(
-    LANDED, ABORTED, why="holds at each pause, then continues; aborts after too many: chance", within_s=None
+    LANDED,
+    ABORTED,
+    why="the vehicle holds in each pause, then continues; after too many pauses it aborts (chance)",
+    within_s=None,
 )
 _NO_OWN = _need(
     ABORTED,
     VEHICLE_LANDS,
-    why="no valid vehicle state: no set-points, and the autopilot lands where it is",
+    why="without a valid vehicle state no set-point is sent, and the autopilot lands at once",
 )
 _NO_OWN_OVER = _need(
-    ABORTED, VEHICLE_LANDS, LANDED, why="the same, with the robot below: chance",
-    falls_short="lands where it is and hits the edge of a robot that drives off slowly: without a "
-    "vehicle state no set-point is sent, not even one that leads away", short_ends=_CRASHED,
+    ABORTED, VEHICLE_LANDS, LANDED,
+    why="without a valid vehicle state the autopilot lands at once; whether on the pad is chance",
+    falls_short="the vehicle may hit the edge of a robot that drives off slowly, because without a vehicle "
+    "state no set-point can lead it away", short_ends=_CRASHED,
 )  # fmt: skip
 _NO_ESTIMATE = _need(
-    VEHICLE_LANDS, ABORTED, why="the autopilot has no state either and lands by itself in 1 s"
+    VEHICLE_LANDS,
+    ABORTED,
+    why="the autopilot has no vehicle state either, and its fail-safe lands within 1 s",
 )
 _NO_ESTIMATE_OVER = _need(
-    VEHICLE_LANDS, ABORTED, LANDED, why="the same, with the robot below: chance",
-    falls_short="the autopilot lands where it is 1 s later: by chance on the edge of the robot, where it "
-    "tips over", short_ends=_CRASHED,
+    VEHICLE_LANDS, ABORTED, LANDED,
+    why="the fail-safe of the autopilot lands within 1 s; whether on the pad is chance",
+    falls_short="the vehicle may land on the edge of the robot and tip over", short_ends=_CRASHED,
 )  # fmt: skip
 _LATE_LOOP = _need(
-    LANDED, ABORTED, why="0.2 s of dead time make the loop oscillate: it reaches the pad in time by chance",
+    LANDED, ABORTED,
+    why="a dead time of 0.2 s makes the loop oscillate; whether it reaches the pad in time is chance",
     within_s=None, h_min_m=-0.05, undetectable=True,
-    falls_short="a growing oscillation counts as not following its set-points; then the autopilot lands "
-    "where it is: by chance on the robot", short_ends=_CRASHED,
+    falls_short="with a growing oscillation the vehicle counts as not following its set-points; the "
+    "autopilot then lands at once, by chance on the robot", short_ends=_CRASHED,
 )  # fmt: skip
-_LATE_OVER = _need(LANDED, why="the same, but too short to oscillate", within_s=None, undetectable=True)
-_NO_HEARTBEAT = _need(ABORTED, why="sent at 1 Hz and two may be lost: 3 s", within_s=3.5)
+_LATE_OVER = _need(
+    LANDED, why="the time to contact is too short for an oscillation", within_s=None, undetectable=True
+)
+_NO_HEARTBEAT = _need(
+    ABORTED, why="heartbeats are sent at 1 Hz, and two may be lost: abort after 3 s", within_s=3.5
+)
 _HEARTBEAT_OR_DOWN = _need(
-    LANDED, ABORTED, why="aborts after 3 s, or lands before that: chance", within_s=None
+    LANDED, ABORTED, why="the vehicle aborts after 3 s, or has landed before (chance)", within_s=None
 )
 _STALE_MODE = _need(
-    LANDED, why="contains nothing new before the motors stop, and they stop by command", within_s=None,
+    LANDED, why="no heartbeat changes before the motors stop, and they stop by command", within_s=None,
     undetectable=True,
 )  # fmt: skip
 _CONTRADICTS = _need(
     ABORTED,
     VEHICLE_LANDS,
-    why="reports disarmed or another mode in the air: another sender flies, or it is wrong",
+    why="the heartbeat reports disarmed or another mode in the air: another sender flies, or it is wrong",
 )
 _CONTRADICTS_OVER = _need(
-    LANDED, ABORTED, VEHICLE_LANDS, why="the same, with the robot below: chance",
-    falls_short="lands at once where it is: by chance on the edge of a robot that drives off",
+    LANDED, ABORTED, VEHICLE_LANDS,
+    why="the heartbeat reports disarmed or another mode in the air; whether the vehicle lands on the pad is "
+    "chance", falls_short="the vehicle lands at once, by chance on the edge of a robot that drives off",
     short_ends=_CRASHED,
 )  # fmt: skip
-_STREAM_LOST = _need(VEHICLE_LANDS, why="the autopilot receives no set-points for 0.5 s and lands")
+_STREAM_LOST = _need(VEHICLE_LANDS, why="the autopilot lands after 0.5 s without set-points")
 _STREAM_LOST_OVER = _need(
-    LANDED, VEHICLE_LANDS, ABORTED, why="the same, with the robot below: chance", within_s=WITHIN_S
+    LANDED, VEHICLE_LANDS, ABORTED, within_s=WITHIN_S,
+    why="the autopilot lands after 0.5 s without set-points; whether on the pad is chance",
+)  # fmt: skip
+_NOT_FLOWN = _need(
+    ABORTED, why="the vehicle does not follow its set-points, so the autopilot lands without them"
 )
-_NOT_FLOWN = _need(ABORTED, why="does not follow its set-points: the autopilot's own landing needs none")
 _NOT_FLOWN_OVER = _need(
-    ABORTED, LANDED, why="the same, or down before it is detected: chance; until then it flies elsewhere",
-    h_min_m=-0.2, falls_short="by chance it strikes the robot before the fault is detected: from 0.2 m "
-    "above that takes half a second", short_ends=_CRASHED,
+    ABORTED, LANDED, h_min_m=-0.2,
+    why="the vehicle does not follow its set-points; whether it is down before this is detected is chance",
+    falls_short="the vehicle may strike the robot before the fault is detected: from a height of 0.2 m this "
+    "takes half a second", short_ends=_CRASHED,
 )  # fmt: skip
 _NOT_FLOWN_YET = _need(
     ABORTED,
     why="the rate of climb is not checked in the first 7 s of a take-off",
     within_s=8.0,
 )
-_STAMPS = _need(LANDED, why="ages count from arrival: stamps only give the order", within_s=None)
+_STAMPS = _need(LANDED, why="ages count from the arrival; stamps only give the order", within_s=None)
 
 # in the order of Moment
 _Row = tuple[Need, Need, Need, Need]
@@ -228,13 +244,15 @@ _ROWS: Mapping[Part, Mapping[Way, _Row]] = MappingProxyType(
             Way.INTERMITTENT: _OFTEN,
         },
         Part.DISK: {
-            Way.OFF: _disk("full: the log ends there and reports it"),
-            Way.STUCK: _disk("hangs: data that do not fit into memory are dropped and counted"),
-            Way.GARBAGE: _disk("writes wrong bytes: checksums show it"),
-            Way.WRONG: _disk("not writable: the log ends there and reports it"),
-            Way.SLOW: _disk("nothing is lost"),
-            Way.DELAYED: _disk("nothing is lost"),
-            Way.INTERMITTENT: _disk("fails now and then: the log ends at the first failure and reports it"),
+            Way.OFF: _disk("the disk is full: the log ends there, and this is reported"),
+            Way.STUCK: _disk("the disk hangs: data that do not fit into memory are dropped and counted"),
+            Way.GARBAGE: _disk("the disk writes wrong bytes: checksums detect them"),
+            Way.WRONG: _disk("the disk is read-only: the log ends there, and this is reported"),
+            Way.SLOW: _disk("the disk takes 1 MB/s: no data are lost"),
+            Way.DELAYED: _disk("the disk is 0.2 s late: no data are lost"),
+            Way.INTERMITTENT: _disk(
+                "the disk fails repeatedly: the log ends at the first failure, and this is reported"
+            ),
         },
     }
 )
