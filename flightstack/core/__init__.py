@@ -1,1 +1,1 @@
-"""The controller: pure, one step per tick; imports nothing else of the project but ``common``."""
+"""Pure flight controller with one step per tick; it imports only ``common`` from the rest of the project."""

@@ -1,9 +1,9 @@
-"""One tick of the flight stack: ``step(inputs, now) -> outputs``; no I/O, no clock, no randomness.
+"""One tick of the flight stack: ``step(inputs, now) -> outputs`` without I/O, clock or randomness.
 
 newest inputs -> mission machine -> position loop (u') -> CBF program (u*) -> lag correction -> gate
 
-Live flight, lockstep simulation and log replay all call this. A campaign replaces ordinary ticks by the
-compiled ``LandingKernel.land``, equal to the last bit.
+Live flight, lockstep simulation and log replay all call ``step``. A simulated campaign computes ordinary
+ticks with the compiled ``LandingKernel.land``; its results are equal to the last bit.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from flightstack.core.types import (
 
 
 class Event(NamedTuple):
-    """A text for the operator. ``level`` as in rcl_interfaces/msg/Log."""
+    """Message to the operator; ``level`` has the values of rcl_interfaces/msg/Log."""
 
     level: int
     text: str
@@ -51,22 +51,22 @@ INFO, WARN, ERROR = 20, 30, 40
 
 
 class Outputs(NamedTuple):
-    """The decisions of a tick, and all that they were made from."""
+    """Results of one tick, with the inputs and intermediate values that led to them."""
 
-    phase: Phase  # after this tick
-    request: Request  # mode requested of the vehicle
-    setpoint: ApprovedSetpoint | None  # to be sent; None: none
-    gate: GateVerdict  # why the set-point may or may not be sent
-    snapshot: Snapshot  # the inputs, judged
-    barrier: Barriers | None  # None unless vehicle and target are known
-    wanted: Vec3 | None  # velocity wanted, m/s ENU, before the correction for the vehicle's lag
-    transition: Transition | None  # change of phase in this tick
-    events: tuple[Event, ...]  # messages to the operator, the change of phase among them
+    phase: Phase  # phase after this tick
+    request: Request  # mode that the stack requests from the vehicle
+    setpoint: ApprovedSetpoint | None  # set-point to send; None: no set-point
+    gate: GateVerdict  # result of the gate: why the set-point is sent or rejected
+    snapshot: Snapshot  # inputs of this tick, with the results of their checks
+    barrier: Barriers | None  # barrier values; None unless the states of vehicle and target are known
+    wanted: Vec3 | None  # velocity command before the lag correction, m/s ENU; None: no command
+    transition: Transition | None  # phase transition in this tick; None: no transition
+    events: tuple[Event, ...]  # messages to the operator, including that of the transition
     finished: bool  # the flight is over
     target_accepted: int  # number of accepted target samples
     target_rejected: int  # number of rejected target samples
-    reserve: float = math.nan  # largest thrust over weight; NaN while unknown, or without a table [reserve]
-    own_word: Neighbour | None = None  # message to the fleet; None without [fleet] or without a position
+    reserve: float = math.nan  # maximum thrust over weight; NaN if unknown or without a table [reserve]
+    own_word: Neighbour | None = None  # message to the fleet; None without a table [fleet] or a position
 
 
 def _level(transition: Transition) -> int:
@@ -76,7 +76,7 @@ def _level(transition: Transition) -> int:
 
 
 def state_class(config: FlightConfig) -> type[State]:
-    """Class of the state of this configuration."""
+    """Return the class of the controller state that this configuration needs."""
     kind = _packaged(config)
     if config.filter in FILTERS:
         return kind
@@ -86,7 +86,7 @@ def state_class(config: FlightConfig) -> type[State]:
 
 @lru_cache(maxsize=16)
 def _with_filter(kind: type[State], own: type[Any] | None) -> type[State]:
-    """The same with the state of a filter of one's own."""
+    """Extend a state class by the state of a user's filter."""
     parts = [("filter", FilterMemory), *([("filter_state", own)] if own is not None else [])]
     made: type[State] = make_dataclass("FilterState", parts, bases=(kind,), slots=True)
     return made
@@ -101,11 +101,11 @@ def _packaged(config: FlightConfig) -> type[State]:
 
 
 class Controller(LandingKernel):
-    """The pure core. ``state`` is all that a step depends on besides its inputs and the configuration."""
+    """Pure flight controller. A step depends only on ``state``, its inputs and the configuration."""
 
     @property
     def state(self) -> State:
-        """What it remembers; still in use, so to be written down before the next step."""
+        """Controller state. The next step changes these objects, so log or copy them before it."""
         strategy = self.strategy
         known = (self.memory, self.track.memory, strategy.motion, strategy.tracking, self.plausibility.memory)
         kind = state_class(self.config)
@@ -121,7 +121,7 @@ class Controller(LandingKernel):
         return kind(*known, *more)
 
     def restore(self, state: State) -> None:
-        """Go on from a state that was written down."""
+        """Restore a recorded state."""
         mine = self.state
         for part in fields(mine):
             into, written = getattr(mine, part.name), getattr(state, part.name)
@@ -131,7 +131,7 @@ class Controller(LandingKernel):
     def step(self, inputs: Inputs, now_s: float, *, command_failed: bool = False) -> Outputs:
         """Run one tick."""
         memory, strategy, plausibility = self.memory, self.strategy, self.plausibility
-        if inputs.own is not None and not inputs.own.is_finite:  # it would stay in every memory
+        if inputs.own is not None and not inputs.own.is_finite:  # a NaN would remain in all estimator states
             inputs = inputs._replace(own=None)
         self.track.memory.settled = memory.phase is not Phase.WAIT
         events = self._take_samples(inputs)
@@ -196,13 +196,13 @@ class Controller(LandingKernel):
         )
 
     def _finished(self, status: VehicleStatus | None, now_s: float) -> bool:
-        """Whether the flight is over; a fleet member sends its position until all others are down."""
+        """Return whether the flight is over; a fleet member sends its position until all others are down."""
         fleet = self._fleet
         over = self._mission.finished(status, now_s)
         return over and (fleet is None or fleet.over(now_s - self.memory.phase_since_s, now_s))
 
     def _weigh(self, estimate: ReserveEstimate, inputs: Inputs, now_s: float) -> Charge:
-        """Estimate the thrust reserve, and limit the accelerations of this tick to those that it allows."""
+        """Estimate the thrust reserve, and limit the accelerations of this tick to those it allows."""
         own = inputs.own
         rise_m_s = own.velocity_enu_m_s[2] if own is not None else 0.0
         flies = own is not None and self.in_free_flight
@@ -218,7 +218,7 @@ class Controller(LandingKernel):
                 if self.track.stepped_s:
                     by = f"{self.track.stepped_s:+.2f} s"
                     events.append(Event(WARN, f"target: its sender's clock was set by {by}, or began anew"))
-            elif not count & (count - 1):  # it doubled: a stream would fill the log
+            elif not count & (count - 1):  # report when the count doubles, not for every sample
                 so_far = f" ({count} refused so far)" if count > 1 else ""
                 events.append(Event(WARN, f"target sample refused: {verdict.text}{so_far}"))
         return events
@@ -226,7 +226,7 @@ class Controller(LandingKernel):
     def _command(
         self, asked: NominalCommand, snapshot: Snapshot
     ) -> tuple[Barriers | None, Vec3 | None, GateVerdict, ApprovedSetpoint | None]:
-        """Values of the barrier, velocity wanted, and what the gate makes of it."""
+        """Return barrier values, velocity command, the gate's verdict and the approved set-point."""
         memory, own, at = self.memory, snapshot.inputs.own, snapshot.relative
         if asked.velocity is None:
             memory.commanding = memory.lifting = False

@@ -1,7 +1,7 @@
-"""The landing kernel: code of almost every tick, as plain Python and compiled from the same source.
+"""Landing kernel: the code that runs in almost every tick, as plain Python or compiled from the same source.
 
-``Controller.step`` calls these methods tick by tick. Campaigns call ``land``, which combines them for an
-ordinary tick, in compiled form (``flightstack/compiled/objects.py``).
+``Controller.step`` calls these methods in every tick. Simulated campaigns call ``land``, which combines the
+methods for an ordinary tick, in compiled form (``flightstack/compiled/objects.py``).
 """
 
 from __future__ import annotations
@@ -41,38 +41,38 @@ from flightstack.core.types import (
     VehicleStatus,
 )
 
-# s of a take-off in which the autopilot alone decides how fast it rises: mode and arming, COM_SPOOLUP_TIME
-# of 1 s and MPC_TKO_RAMP_T of 3 s; PX4 v1.16 in SITL lifts off after 4.7 to 5.7 s
+# start of a take-off in which the autopilot alone sets the climb rate, s: arming, COM_SPOOLUP_TIME (1 s) and
+# MPC_TKO_RAMP_T (3 s); PX4 v1.16 in SITL lifts off after 4.7 to 5.7 s
 RISE_FREE_S = 7.0
 
 FLYING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN})
 
-Rules = NDArray[np.int64]  # (n, 2): flags that each rule of a phase requires, and flags that block it
+Rules = NDArray[np.int64]  # (n, 2) bit masks: flags that a rule of a phase requires, and flags that block it
 
 
 class Barriers(NamedTuple):
-    """The landing barrier in this tick, and the filter's result."""
+    """Values of the landing barrier function in this tick, and the result of the safety filter."""
 
-    h_m: float  # the barrier, paper eq. 9, m
-    gradient: Vec3  # gradient of the active barrier, margin included
-    dh_dt_m_s: float  # rate of the active barrier by time alone, m/s
-    nominal: Vec3  # u', m/s ENU
-    result: FilterResult  # u*
+    h_m: float  # value of the barrier function (paper eq. 9), m
+    gradient: Vec3  # gradient of the active barrier function, which includes the margin
+    dh_dt_m_s: float  # partial time derivative of the active barrier function, m/s
+    nominal: Vec3  # nominal velocity u', m/s ENU
+    result: FilterResult  # filtered velocity u* with the solver's status
 
 
 class Command(NamedTuple):
-    """Velocity of a tick in which vehicle and target are known, before the gate."""
+    """Velocity command of a tick before the gate; the states of vehicle and target are known."""
 
     barriers: Barriers
-    wanted: Vec3  # velocity wanted, m/s ENU, before the correction for the vehicle's lag
-    setpoint: Vec3  # m/s ENU
+    wanted: Vec3  # velocity command before the lag correction, m/s ENU
+    setpoint: Vec3  # velocity set-point for the autopilot, m/s ENU
     check: BarrierCheck  # data for the gate's check of a filtered velocity
 
 
 class Landing(NamedTuple):
     """Result of an ordinary tick of a landing."""
 
-    sends: bool  # a set-point
+    sends: bool  # whether the tick sends a set-point
     at: Relative
     barriers: Barriers
     wanted: Vec3
@@ -80,7 +80,7 @@ class Landing(NamedTuple):
 
 
 class LandingKernel:
-    """The parts of a controller, and the steps that compiled code computes as well."""
+    """Parts of the controller, and the steps that also run in compiled form."""
 
     config: FlightConfig
     barrier: Barrier
@@ -88,12 +88,12 @@ class LandingKernel:
     track: TargetTrack
     plausibility: Plausibility
     strategy: Filter
-    program: Program  # program of the landing, plain or compiled
+    program: Program  # quadratic program of the landing, plain or compiled
     reserve_estimate: ReserveEstimate | None
     slew_step: Vec3
-    up_step_m_s: float  # additional step upwards
-    crowded: bool  # neighbours, or a missing right of way, count in this tick
-    _weighs: bool  # there is a reserve_estimate
+    up_step_m_s: float  # largest upward velocity change per tick that the thrust reserve allows
+    crowded: bool  # whether neighbours or a missing right of way limit the velocity in this tick
+    _weighs: bool  # whether ``reserve_estimate`` is set
     _mission: Mission
     _gate: Gate
     _period_s: float
@@ -121,22 +121,22 @@ class LandingKernel:
         self.up_step_m_s, self.crowded = math.inf, False
         fleet, lag_s = config.fleet, max(config.velocity_loop.lag_z_s, self._period_s)
         self._fleet = FleetMember(fleet, config.own.position_noise_m) if fleet is not None else None
-        self._rows: Rows = NO_ROWS  # of this tick
+        self._rows: Rows = NO_ROWS  # constraints by the neighbours in this tick
         self._cone = Cone(self.strategy.rate_1_s, self.barrier.slope_max, lag_s, self._period_s)
 
     @property
     def in_free_flight(self) -> bool:
-        """It flies our velocities, without support by the pad or the ground effect above it."""
+        """Whether the vehicle follows velocity commands away from the support and ground effect of a pad."""
         return self.memory.commanding and self.memory.phase is not Phase.TOUCHDOWN
 
     def _accelerate(self, most_m_s2: Vec3) -> None:
-        """Limit the accelerations of this tick."""
+        """Set the acceleration limits of this tick."""
         (x, y, z), t = most_m_s2, self._period_s
         self.strategy.acceleration_max_m_s2 = most_m_s2
         self.slew_step, self.up_step_m_s = (x * t, y * t, self.slew_step[2]), z * t
 
     def take(self, sample: TargetSample) -> Verdict:
-        """Judge a sample of the target, and estimate by it."""
+        """Check a target sample, and update the target estimate if the sample is accepted."""
         verdict = self.track.accept(sample)
         if verdict is Verdict.ACCEPTED:
             if self.track.stepped_s != 0.0:
@@ -146,11 +146,11 @@ class LandingKernel:
 
     @rare
     def _begin_anew(self) -> None:
-        """Forget the estimate, which is on the clock of before."""
+        """Reset the target estimate, because the sender's clock has changed."""
         self.strategy.motion.time_s = math.nan
 
     def estimate_own(self, own: OwnState, flies: bool, now_s: float) -> OwnState:
-        """Check the vehicle state, compare it with the commanded velocity, and estimate it for now."""
+        """Check the vehicle state, compare its velocity with the command, and predict the state for now."""
         memory, plausibility, velocity = self.memory, self.plausibility, own.velocity_enu_m_s
         plausibility.take(own, memory.commanding and not memory.contact)
         believed = plausibility.believes(now_s)
@@ -158,30 +158,30 @@ class LandingKernel:
             plausibility.follow(memory.command, velocity)
         elif believed and memory.lifting and flies:
             plausibility.follow(self._lifting(velocity[2], now_s), velocity)
-        else:  # the vehicle follows none of our set-points, or stands
+        else:  # the vehicle follows no set-points of this stack, or stands
             plausibility.forget()
         now = self.strategy.vehicle(own)
         self.strategy.observe(now.velocity_enu_m_s, memory.commanding and believed)
         return now
 
     def _lifting(self, rises_m_s: float, now_s: float) -> Vec3:
-        """Velocity expected of the vehicle in the climb from the ground.
+        """Return the velocity that the vehicle should have in the climb from the ground, m/s ENU.
 
-        The autopilot decides how fast it rises (it spools up and ramps), but not how it moves sideways; after
-        ``RISE_FREE_S`` it has to rise at least as fast as commanded.
+        The autopilot sets the climb rate (spool-up and ramp), but not the horizontal velocity; after
+        ``RISE_FREE_S`` the vehicle must climb at least as fast as commanded.
         """
         x, y, up_m_s = self.memory.command
         free = now_s - self.memory.phase_since_s <= RISE_FREE_S
         return (x, y, rises_m_s if free else max(up_m_s, rises_m_s))
 
     def base(self, velocity_enu_m_s: Vec3) -> Vec3:
-        """Where the slew limit starts: the last command, or the present velocity when none was in force."""
+        """Return the start of the slew limit: the last command, or without one the measured velocity."""
         if self.memory.commanding or self.memory.lifting:
             return self.memory.command
         return limit(velocity_enu_m_s, self.config.limits.velocity_max_m_s)
 
     def box(self, base: Vec3) -> tuple[Vec3, Vec3]:
-        """Admissible velocities of this tick: the box of eq. 11 cut by what the slew limit can reach."""
+        """Return the box of admissible velocities: the limits of paper eq. 11, cut by the slew limit."""
         (bx, by, bz), (sx, sy, sz) = base, self.slew_step
         mx, my, mz = self.config.limits.velocity_max_m_s
         x, y, z = bx - sx, by - sy, bz - sz
@@ -190,7 +190,7 @@ class LandingKernel:
         return lower, (x if x < mx else mx, y if y < my else my, z if z < mz else mz)
 
     def bounds(self, at: Relative, active_m: float, gradient: Vec3, base: Vec3) -> tuple[Vec3, Vec3]:
-        """The box, with the least vertical velocity that the filter requires in addition to its program."""
+        """Return the box, with the minimum vertical velocity that the filter requires beside its program."""
         lower, upper = self.box(base)
         climb_m_s = self.strategy.climb_m_s(active_m, gradient, base, at)
         if climb_m_s > lower[2]:
@@ -198,16 +198,16 @@ class LandingKernel:
         return lower, upper
 
     def least_z_m_s(self, target_m_s: Vec3) -> float:
-        """Lowest vertical velocity that a set-point may lead to if it remains the last one.
+        """Return the lowest vertical velocity that a set-point may cause if it is the last one sent, m/s.
 
-        So near to the pad only the pad stops a vehicle whose companion process has ended.
+        If the companion process ends this near to the pad, only the pad stops the vehicle.
         """
         if self.memory.phase is not Phase.TOUCHDOWN:
             return -math.inf
         return target_m_s[2] - self.strategy.contact_speed_max_m_s
 
     def unsent(self, at: Relative) -> Barriers:
-        """Values of the barrier in a tick that sends no velocity."""
+        """Return the barrier values of a tick that sends no velocity."""
         _, gradient, dh_dt = self.strategy.barrier(at).evaluate(at.e_m, at.target.velocity_enu_m_s)
         idle = FilterResult(ZERO, math.nan, False, FilterStatus.NOT_RUN, math.nan, 0, 0.0)
         return Barriers(self.barrier.h(at.e_m), gradient, dh_dt, ZERO, idle)
@@ -235,7 +235,7 @@ class LandingKernel:
         return Command(barriers, wanted, setpoint, BarrierCheck(active, at.e_m, moves_m_s, result.status))
 
     def slewed(self, base: Vec3, nominal: Vec3) -> Vec3:
-        """A velocity that the landing barrier does not filter, within box and slew limit."""
+        """Limit a velocity by box and slew limit, without the landing barrier."""
         most = self.config.limits.velocity_max_m_s
         wanted = slew(base, limit(nominal, most), self.slew_step, self.up_step_m_s)
         return self._clear_of_neighbours(wanted, base) if self.crowded else wanted
@@ -269,7 +269,7 @@ class LandingKernel:
         self, at: Relative, active_m: float, gradient: Vec3, dh_dt_m_s: float, nominal: Vec3, base: Vec3,
         lower: Vec3, upper: Vec3,
     ) -> FilterResult:  # fmt: skip
-        """Filter a velocity with the rows of neighbours, in a box that is cut near the pad."""
+        """Filter a velocity with the constraints of neighbours, in a box that is smaller near the pad."""
         assert self._fleet is not None
         if self.strategy.replaces_program:
             own = self._filtered_by_class(at, active_m, gradient, dh_dt_m_s, nominal, lower, upper)
@@ -284,13 +284,13 @@ class LandingKernel:
 
     @rare
     def _clear_of_neighbours(self, wanted: Vec3, base: Vec3) -> Vec3:
-        """Filter a velocity by the rows of neighbours alone, which hold in every phase."""
+        """Filter a velocity with the constraints of neighbours only, which apply in every phase."""
         if self._fleet is None or not self._rows.rows:
             return wanted
         return self._fleet.solve(wanted, (), self._rows, *self.box(base)).velocity_enu_m_s
 
     def ordinary(self, status: VehicleStatus) -> bool:
-        """Whether ``land`` may run the next tick: the inputs are trusted, and the vehicle is commanded."""
+        """Whether ``land`` may run the next tick: inputs are trusted, and the vehicle follows set-points."""
         memory, track = self.memory, self.track.memory
         if track.run_since_s < math.inf or track.distrusted or self.plausibility.memory.distrusted:
             return False
@@ -302,10 +302,10 @@ class LandingKernel:
         return memory.phase in FLYING and status.flies_by_setpoints and commanded
 
     def land(self, own: OwnState, lasting: int, rules: Rules, now_s: float) -> Landing:
-        """Run an ordinary tick of APPROACH, LAND, TOUCHDOWN or LANDED, for compiled code.
+        """Run an ordinary tick of APPROACH, LAND, TOUCHDOWN or LANDED; compiled code calls this method.
 
-        The samples of the target have been taken, the vehicle is alone, its heartbeat is young, and it flies
-        by set-points or, landed, stands.
+        Preconditions: the target samples are processed, there is no fleet, the heartbeat is recent, and the
+        vehicle follows set-points or, in LANDED, stands.
         """
         memory, strategy, plausibility, mission = self.memory, self.strategy, self.plausibility, self._mission
         target = strategy.target(self.track, now_s)

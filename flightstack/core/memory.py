@@ -1,7 +1,7 @@
-"""State of the controller between ticks; everything else is computed in each tick.
+"""State that the controller keeps between ticks; everything else is computed in each tick.
 
-Plain values only, of the types ``state_text`` can write: that is how the state gets into the log and back.
-The names of classes and fields are part of the log: a log with other names is not replayed.
+All fields are plain values that ``state_text`` can write to a log and read back. A log contains the names of
+these classes and fields, so a log with other names cannot be replayed.
 """
 
 from __future__ import annotations
@@ -16,60 +16,60 @@ from flightstack.core.types import ZERO, Neighbour, OwnState, Phase, TargetSampl
 
 
 class AbortWay(IntEnum):
-    """How an abort ends the flight: the phases within phase ABORT."""
+    """Way in which phase ABORT ends the flight."""
 
     NONE = 0
-    MOTORS_OFF = 1  # emergency stop
-    HANDS_OFF = 2  # another client controls the vehicle, or it never flew
-    LAND_HERE = 3  # the position of vehicle or target is not known: the autopilot's own landing
+    MOTORS_OFF = 1  # motors off at once: emergency stop
+    HANDS_OFF = 2  # no commands: another client controls the vehicle, or it never flew
+    LAND_HERE = 3  # landing by the autopilot: the position of vehicle or target is unknown
     FLY_CLEAR = 4  # climb, fly clear of the target, then land
 
 
 @dataclass(slots=True)
 class Memory:
-    """State of mission machine and commands."""
+    """State of the mission's state machine and of the velocity commands."""
 
     phase: Phase = Phase.WAIT
     phase_since_s: float = 0.0
-    started_s: float = inf  # when the landing began
-    bad_since_s: float = inf  # not used; logs name it in the layout of the state
-    good_since_s: float = inf  # since when all inputs have been good
+    started_s: float = inf  # time at which the landing started, s
+    bad_since_s: float = inf  # unused; the state layout in logs contains this field
+    good_since_s: float = inf  # time since which all inputs are usable, s
     contact_since_s: float = inf
-    stopped_since_s: float = inf  # commanded to sink and not sinking
-    contact: bool = False  # stands on the pad
-    own_ok_s: float = -inf  # last time with a usable vehicle state
+    stopped_since_s: float = inf  # time since which the vehicle does not follow a descent command, s
+    contact: bool = False  # the vehicle stands on the pad
+    own_ok_s: float = -inf  # time of the last usable vehicle state, s
     was_armed: bool = False
     was_external: bool = False
     climbed: bool = False  # the take-off climb is over
-    clear: bool = False  # flown clear after an abort
+    clear: bool = False  # the vehicle has flown clear of the pad
     retries: int = 0
-    swings: int = 0  # how often it has left the cone over the pad since the last touchdown
-    ground_z_m: float = inf  # height at which it stood
-    yaw_rad: float | None = None  # heading held in the whole flight
-    command: Vec3 = ZERO  # last commanded velocity, before the correction for the lag; base of the slew limit
-    commanding: bool = False  # a command went out in the last tick, and is flown
-    lifting: bool = False  # a climb command of the take-off went out; it is flown after lift-off
-    target_position_enu_m: Vec3 | None = None  # last known
-    target_velocity_enu_m_s: Vec3 | None = None  # at that time
+    swings: int = 0  # number of departures from the cone over the pad since the last touchdown
+    ground_z_m: float = inf  # height at which the vehicle stood, m
+    yaw_rad: float | None = None  # heading that the vehicle keeps in the whole flight, rad
+    command: Vec3 = ZERO  # last velocity command before the lag correction; start of the slew limit
+    commanding: bool = False  # the last tick sent a velocity command, and the vehicle follows it
+    lifting: bool = False  # the last tick sent a take-off climb, which takes effect after lift-off
+    target_position_enu_m: Vec3 | None = None  # last known position of the target
+    target_velocity_enu_m_s: Vec3 | None = None  # velocity of the target at that time
     abort_way: AbortWay = AbortWay.NONE
     reason: Annotated[str, UNSEEN] = ""
 
 
 @dataclass(slots=True)
 class ClockMemory:
-    """State of a sender's clock; ``way`` is arrival minus stamp: difference of the clocks plus delay."""
+    """State of a sender's clock; ``way`` is arrival minus stamp, the clock difference plus the delay."""
 
-    offset_s: float = inf  # smallest arrival minus stamp, with fast forgetting
-    floor_s: float = inf  # smallest arrival minus stamp, with slow forgetting
-    held_s: float = 0.0  # time since the smallest value was last met
-    stamp_s: float = -inf  # newest accepted stamp
-    taken_s: float = -inf  # its arrival
-    began_s: float = inf  # arrival of the first, or of the first after a step
-    run_since_s: float = inf  # first arrival of refused messages that agree with each other; inf: none
-    run_arrival_s: float = 0.0  # newest of them
-    run_stamp_s: float = 0.0  # the same
-    run_way_s: float = 0.0  # their least way
-    run_sure: bool = False  # no delay explains them
+    offset_s: float = inf  # minimum of arrival minus stamp, s; rises quickly if no message reaches it
+    floor_s: float = inf  # minimum of arrival minus stamp, s; rises slowly if no message reaches it
+    held_s: float = 0.0  # time since a message last reached ``offset_s``, s
+    stamp_s: float = -inf  # newest accepted stamp, s on the sender's clock
+    taken_s: float = -inf  # arrival time of the message with this stamp, s
+    began_s: float = inf  # arrival time of the first message, or of the first after a clock step, s
+    run_since_s: float = inf  # first arrival in a run of rejected messages that agree; inf: no run
+    run_arrival_s: float = 0.0  # newest arrival in this run, s
+    run_stamp_s: float = 0.0  # newest stamp in this run, s
+    run_way_s: float = 0.0  # minimum of arrival minus stamp in this run, s
+    run_sure: bool = False  # no delay can explain this run: the sender's clock has changed
 
 
 @dataclass(slots=True)
@@ -78,21 +78,21 @@ class TrackMemory(ClockMemory):
 
     last: TargetSample | None = None  # newest accepted sample
     elsewhere: Annotated[TargetSample | None, ABSENT] = (
-        None  # newest of samples that jumped but agree with each other
+        None  # newest sample of a run that jumped, but whose samples agree with each other
     )
     elsewhere_since_s: float = 0.0
-    drift_m: Vec3 = ZERO  # change of the position that the velocity does not explain
-    drift_smooth_m: Vec3 = ZERO  # the same without the noise of single samples
+    drift_m: Vec3 = ZERO  # position change that the reported velocity does not explain
+    drift_smooth_m: Vec3 = ZERO  # ``drift_m`` without the noise of single samples
     distrusted: bool = False  # positions and velocity contradict each other
-    distrusts: int = 0  # how often they have in this flight
-    parted_m: float = 0.0  # largest distance since they do
-    settled: bool = False  # the flight has started: samples from elsewhere are not accepted any more
+    distrusts: int = 0  # number of these contradictions in this flight
+    parted_m: float = 0.0  # largest distance since the contradiction began, m
+    settled: bool = False  # the flight has started: the target may no longer jump to another place
     accepted: int = 0
     rejected: int = 0
-    refusal: str = ""  # why the newest sample was refused; empty: it was not
+    refusal: str = ""  # why the newest sample was rejected; empty if it was accepted
 
 
-Covariance = tuple[float, float, float, float, float, float]  # pp, pv, pa, vv, va, aa
+Covariance = tuple[float, float, float, float, float, float]  # p position, v velocity, a acceleration
 
 
 @dataclass(slots=True)
@@ -100,13 +100,13 @@ class MotionMemory:
     """State of the target's estimator."""
 
     time_s: float = nan  # stamp of the newest sample, on the sender's clock; NaN before the first
-    position_enu_m: Vec3 = ZERO  # at that time, as all fields below
+    position_enu_m: Vec3 = ZERO  # position at ``time_s``; all fields below belong to this time
     velocity_enu_m_s: Vec3 = ZERO
     acceleration_enu_m_s2: Vec3 = ZERO
-    yaw_rad: float | None = None  # newest measured heading; None: unknown
+    yaw_rad: float | None = None  # newest measured heading, rad; None: unknown
     turn_rate_rad_s: float = 0.0  # turn rate of the velocity and acceleration vectors
-    surprise: float = 1.0  # normalised innovation squared of x and y; 1 on average
-    covariance_xy: Covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # equal for x and y
+    surprise: float = 1.0  # normalised innovation squared of x and y; its mean is 1
+    covariance_xy: Covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # covariance of x, which equals that of y
     covariance_z: Covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -114,20 +114,20 @@ class MotionMemory:
 class TrackingMemory:
     """State of the corrections for the vehicle's velocity loop."""
 
-    slope_m_s2: Vec3 = ZERO  # smoothed derivative of the velocity wanted
+    slope_m_s2: Vec3 = ZERO  # smoothed derivative of the velocity command
     setpoint_m_s: Vec3 = ZERO  # last set-point sent
-    model_m_s: Vec3 = ZERO  # velocity that the model of the loop predicts
-    model_m_s2: Vec3 = ZERO  # its derivative
-    disturbance_m_s: Vec3 = ZERO  # velocity error of the model: wind, drag, wrong weight
+    model_m_s: Vec3 = ZERO  # velocity that the model of the velocity loop predicts
+    model_m_s2: Vec3 = ZERO  # derivative of ``model_m_s``
+    disturbance_m_s: Vec3 = ZERO  # velocity error of the model due to wind, drag or wrong weight
 
 
 @dataclass(slots=True)
 class PlausibilityMemory:
-    """State of the checks of vehicle state and set-points."""
+    """State of the plausibility checks of vehicle state and set-points."""
 
-    last: OwnState | None = None  # newest new measurement
-    moved_s: float = 0.0  # arrival of the newest state that moved, or was not flying
-    drift_m: Vec3 = ZERO  # position change that the velocity does not explain
+    last: OwnState | None = None  # newest vehicle state that is a new measurement
+    moved_s: float = 0.0  # arrival time of the newest state that moved, or was not flying, s
+    drift_m: Vec3 = ZERO  # position change that the reported velocity does not explain
     distrusted: bool = False
     missed_m: Vec3 = ZERO  # distance by which the vehicle lags behind the commanded velocity
 
@@ -136,13 +136,13 @@ class PlausibilityMemory:
 class ReserveMemory:
     """State of the estimate of the thrust reserve."""
 
-    effort: float = nan  # smoothed (throttle / highest)^p, upward part; NaN before the first
-    rise_m_s: float = 0.0  # vertical velocity with the same smoothing; the difference is acceleration
+    effort: float = nan  # smoothed vertical part of (throttle / maximum)^p; NaN before the first sample
+    rise_m_s: float = 0.0  # vertical velocity with the same smoothing; its change gives the acceleration
     tired: bool = False  # the reserve fell below its minimum; remains set in flight
 
 
-# position m, velocity m/s, acceleration by the vehicle's loop m/s^2, error of the reported velocity m/s, and
-# acceleration by gusts and turning moments m/s^2
+# position, m; velocity, m/s; acceleration by the velocity loop, m/s^2; error of the reported velocity, m/s;
+# acceleration by gusts and turning moments, m/s^2
 AxisState = tuple[float, float, float, float, float]
 AT_REST: AxisState = (0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -152,18 +152,18 @@ class OwnMemory:
     """State of the estimator of the vehicle state."""
 
     time_s: float = nan  # time of the newest sample; NaN before the first
-    x: AxisState = AT_REST  # at that time, as all fields below
+    x: AxisState = AT_REST  # state of the x axis at ``time_s``; all fields below belong to this time
     y: AxisState = AT_REST
     z_m: float = 0.0
     z_error_m_s: float = 0.0  # error of the reported vertical velocity
-    x_now: AxisState = AT_REST  # carried on over the delay
+    x_now: AxisState = AT_REST  # state of the x axis, predicted over the delay to now
     y_now: AxisState = AT_REST
-    sent_m_s: Vec3 = ZERO  # newest set-point
-    # set-points of the last ticks, oldest first: the newest sample does not show all of them yet
+    sent_m_s: Vec3 = ZERO  # newest set-point that was sent
+    # set-points of the last ticks, oldest first; the newest sample does not reflect all of them
     pending: tuple[Vec3, Vec3, Vec3, Vec3] = (ZERO, ZERO, ZERO, ZERO)
 
 
-Level = tuple[float, float]  # on x and y
+Level = tuple[float, float]  # horizontal velocity on x and y, m/s
 
 
 @dataclass(slots=True)
@@ -177,16 +177,16 @@ class LateMemory:
 class FilterMemory:
     """State of a user's filter."""
 
-    refusal: str = ""  # why its newest result is not a valid velocity; empty: it is
+    refusal: str = ""  # why the filter's newest result is not a valid velocity; empty if valid
 
 
 @dataclass(slots=True)
 class AgentMemory:
-    """Velocity that an agent chooses in place of the approach; it is no part of a recorded state."""
+    """Velocity that a learning agent chooses instead of the approach; not part of a recorded state."""
 
-    flies: bool = False  # there is an agent
-    own: Vec3 = ZERO  # m/s ENU; nominal velocity of the stack in this tick
-    chosen: Vec3 = ZERO  # m/s ENU
+    flies: bool = False  # whether an agent chooses the velocity
+    own: Vec3 = ZERO  # nominal velocity of the stack in this tick, m/s ENU
+    chosen: Vec3 = ZERO  # velocity that the agent chooses, m/s ENU
 
 
 @dataclass(slots=True)
@@ -202,7 +202,7 @@ class State:
 
 @dataclass(slots=True)
 class WholeState(State):
-    """``State`` with parts that only some configurations use; logs of the others keep their layout."""
+    """``State`` with parts that only some configurations use; other logs keep their layout."""
 
     reserve: ReserveMemory
     own: OwnMemory
@@ -219,16 +219,16 @@ class LateState(WholeState):
 class Heard:
     """State of one neighbour."""
 
-    word: Neighbour | None = None  # newest message; None before the first
-    yields: bool = False  # this vehicle yields to it, as announced
-    claim_s: float = nan  # claim of the neighbour to which this yielding belongs
-    yielded_s: float = -inf  # time of the last announcement of yielding
-    on_pad: bool = False  # it stood on this vehicle's pad in its newest message
-    faster_m_s2: Vec3 = ZERO  # smoothed acceleration of its commanded velocity
-    jumped_m: Vec3 = ZERO  # distance of reported positions beyond the reachable ones
+    word: Neighbour | None = None  # newest message of the neighbour; None before the first
+    yields: bool = False  # this vehicle has announced that it yields to the neighbour
+    claim_s: float = nan  # time of the neighbour's claim to which this vehicle yields, s
+    yielded_s: float = -inf  # time of the last announcement of yielding, s
+    on_pad: bool = False  # the neighbour stood on this vehicle's pad in its newest message
+    faster_m_s2: Vec3 = ZERO  # smoothed acceleration of the neighbour's velocity command
+    jumped_m: Vec3 = ZERO  # sum of the position jumps beyond the reachable set
 
 
-# one slot for each other member, in the order of the ids; a smaller fleet leaves the last ones unused
+# one slot for each other member, in the order of their ids; a smaller fleet leaves the last slots unused
 Slots = tuple[Heard, Heard, Heard, Heard, Heard, Heard, Heard, Heard]
 
 
@@ -241,19 +241,19 @@ class FleetMemory:
     """State of the neighbours, and of this vehicle's right of way."""
 
     slots: Slots = field(default_factory=_nobody_heard)
-    claim_s: float = nan  # time of the claim for the right of way
+    claim_s: float = nan  # time at which this vehicle claimed the right of way, s; NaN: no claim
     granted: bool = False
-    waits_since_s: float = inf  # for it
-    committed_s: float = inf  # time since which COMMITTED is announced
-    crowded: bool = False  # the report that the rows of neighbours are relaxed was sent
-    crowded_s: float = -inf  # when they did last
-    left: bool = False  # it has left its pad for another vehicle, or has tried to
-    stays: bool = False  # the report that it does not leave its pad was sent
-    place_enu_m: Vec3 | None = None  # where it lands then
+    waits_since_s: float = inf  # time since which the vehicle waits for the right of way, s
+    committed_s: float = inf  # time since which COMMITTED is announced, s
+    crowded: bool = False  # the event that the constraints of neighbours are relaxed was sent
+    crowded_s: float = -inf  # time at which these constraints were last relaxed, s
+    left: bool = False  # the vehicle has left its pad for another vehicle, or has tried to
+    stays: bool = False  # the event that the vehicle does not leave its pad was sent
+    place_enu_m: Vec3 | None = None  # place where the vehicle lands after leaving its pad
 
 
 @dataclass(slots=True)
 class FleetState(WholeState):
-    """The same of a vehicle in a fleet."""
+    """``WholeState`` of a vehicle in a fleet."""
 
     fleet: FleetMemory

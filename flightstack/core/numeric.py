@@ -1,8 +1,8 @@
-"""Functions of numbers in the core that a simulator may compile: one source, equal to the last bit.
+"""Numeric functions of the core that a simulator may compile: one source, equal to the last bit.
 
-Such a function takes and returns numbers and tuples of them, and calls nothing but others of them, ``exp``,
-``expm1`` and ``sqrt`` of ``math``, and ``hypot`` and ``wrapped`` of this module. Compiled code agrees with
-Python to the last bit on these and on + - * /; it need not on ``math.hypot``, ``math.remainder`` and ``**``.
+Such a function takes and returns numbers and tuples of numbers. It calls only other such functions, ``exp``,
+``expm1`` and ``sqrt`` of ``math``, and ``hypot`` and ``wrapped`` of this module. On these and on + - * /
+compiled code equals Python to the last bit; on ``math.hypot``, ``math.remainder`` and ``**`` it may differ.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Vec3 = tuple[float, float, float]
 
 MARKED: set[Callable[..., Any]] = set()
 RARE: set[Callable[..., Any]] = set()
-# functions of ``math`` that differ in the last bits in machine code
+# functions of ``math`` whose machine code differs in the last bits
 _INEXACT = {"hypot", "dist", "remainder", "fsum", "pow"}
 _SPLIT = 134217729.0  # 2^27 + 1: splits a double into two halves (Veltkamp)
 
@@ -31,7 +31,7 @@ def numeric(function: F) -> F:
 
 
 def rare(function: F) -> F:
-    """Mark a function that compiled code leaves to Python: there a call raises ``NotOrdinary``."""
+    """Mark a function that only Python runs: in compiled code, a call of it raises ``NotOrdinary``."""
     RARE.add(function)
     return function
 
@@ -41,19 +41,19 @@ ABSENT, UNSEEN = "absent", "unseen"
 
 
 class NotOrdinary(Exception):  # noqa: N818
-    """Compiled code returns a tick to Python, and the state has to be restored."""
+    """Compiled code cannot compute this tick: restore the state, and run the tick in Python."""
 
 
 @cache
 def twin(function: F, compiler: Callable[[Any], Any]) -> F:
-    """Return the compiled form of a marked function and of the functions it calls; the plain ones stay."""
+    """Return the compiled form of a marked function and of those it calls; the plain ones are unchanged."""
     if function not in MARKED:
         raise ValueError(f"{function.__module__}.{function.__qualname__} is not marked @numeric")
     return cast(F, compiler(scope_of(function, compiler)))
 
 
 def scope_of(function: Callable[..., Any], compiler: Callable[[Any], Any]) -> FunctionType:
-    """Copy a function, with the compiled form of each marked function that it calls."""
+    """Copy a function, and replace each marked function that it calls by its compiled form."""
     own = cast("FunctionType", function)
     scope = dict(own.__globals__)
     used = (each for each in get_instructions(own) if each.opname in ("LOAD_ATTR", "LOAD_METHOD"))
@@ -78,13 +78,13 @@ def norm(v: Vec3) -> float:
 
 
 def wrapped(angle_rad: float) -> float:
-    """Turn an angle into [-pi, pi]; compiled only one of at most one and a half turns."""
+    """Wrap an angle to [-pi, pi]; the compiled form accepts at most one and a half turns."""
     return math.remainder(angle_rad, math.tau)
 
 
 @numeric
 def _length(v: tuple[float, ...]) -> float:
-    """``math.hypot`` of finite numbers as CPython 3.11 computes it (mathmodule.c, vector_norm)."""
+    """Compute ``math.hypot`` of finite numbers as CPython 3.11 does (mathmodule.c, vector_norm)."""
     most = 0.0
     for x in v:
         most = max(most, abs(x))
@@ -139,7 +139,7 @@ def _norm(v: Vec3) -> float:
 
 @numeric
 def _wrapped(angle_rad: float) -> float:
-    """``wrapped`` of at most one and a half turns, where the subtraction is exact; NaN beyond that."""
+    """Wrap an angle of at most one and a half turns, where the subtraction is exact; NaN beyond that."""
     if abs(angle_rad) <= math.pi:
         return angle_rad
     if not abs(angle_rad) <= 1.5 * math.tau:
@@ -149,12 +149,12 @@ def _wrapped(angle_rad: float) -> float:
 
 @cache
 def hypot_is_known() -> bool:
-    """Whether this Python computes ``math.hypot`` as ``_hypot`` does, of some thousand numbers."""
+    """Whether ``math.hypot`` of this Python equals ``_hypot`` on some thousand numbers."""
     numbers = [math.ldexp(math.sin(k), k % 37 - 30) for k in range(1, 80)]
     return all(_hypot(x, y) == math.hypot(x, y) for x in numbers for y in numbers)
 
 
-# what compiled code calls in place of functions that compilers do not have, or have with other last bits
+# replacements in compiled code for functions that compilers lack, or compute with other last bits
 STAND_INS: dict[Callable[..., Any], Callable[..., Any]] = {
     math.hypot: _hypot,
     norm: _norm,

@@ -1,18 +1,18 @@
-"""Time stamps of another process: plausibility, and the delay of a message.
+"""Check of the time stamps of another process, and the delay of its messages.
 
-Arrival minus stamp is the difference of the two clocks plus the delay of the message. Its least value belongs
-to a message without delay; the excess of any other message is its lateness. Old values are forgotten, and no
-single message decides:
+Arrival minus stamp is the difference of the two clocks plus the delay of the message. The minimum belongs to
+a message without delay; the excess of any other message over it is the lateness of that message. The minimum
+follows the messages by these rules:
 
-* a least value that is not met for ``HOLDS_S`` is forgotten at the rate ``FORGETS``: drifting clocks are
-  followed, and a queue that grows faster counts as lateness;
-* a stamp ahead of all that is known, or older than the newest, is refused. When refused messages agree with
-  each other for ``proof_s`` and none was accepted meanwhile, the sender's clock was set or restarted: they
-  are followed;
-* messages that are only late may come from a queue, which looks like a clock that was set back while nothing
-  was sent. No queue keeps its length for long: they have to agree for ``patience_s``.
+* a minimum that no message reaches for ``HOLDS_S`` rises at the rate ``FORGETS``: it follows drifting clocks,
+  and a queue that grows faster counts as lateness;
+* a stamp that is too far ahead, or older than the newest, is rejected. If rejected messages agree with each
+  other for ``proof_s`` and none was accepted meanwhile, the sender's clock was set or restarted: the minimum
+  of these messages is adopted;
+* messages that are only late may come from a queue, which looks like a clock that was set back in a pause. No
+  queue keeps its length for long, so late messages must agree for ``patience_s``.
 
-One-way stamps cannot tell a delay that grows slower than ``FORGETS`` from a slow clock.
+One-way stamps cannot distinguish a delay that grows slower than ``FORGETS`` from a slow clock.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from flightstack.core.memory import ClockMemory
 from flightstack.core.numeric import rare
 from flightstack.core.types import TextEnum
 
-FORGETS = 0.04  # s/s; firmware and simulators may run 3 % slow; a delay of 0.25 s counts as age for 7 s
-HOLDS_S = 1.0  # at least one message within this time has a short delay
-FORGETS_SLOWLY = 0.002  # s/s; four times what Linux slews a clock at most (adjtimex(2), 500 ppm)
-ELAPSED_MAX_S = 1.0  # largest counted silence, which proves no drift
-FLOOR_MAX_S = 0.2  # a busy network hides the least delay by no more; beyond, the clocks have drifted
-GRAIN_S = 1e-6  # above the rounding of Unix times to doubles, 2.4e-7 s: that is no drift
-AHEAD_S = 0.03  # a message may be faster than all before by this plus a tick
-AGREE_S = 0.1  # largest difference of the delays of messages of one clock
-GAP_MAX_S = 0.5  # longest gap between two such messages
-PATIENCE_S = 10.0  # queues of some seconds grow or drain meanwhile
-QUEUE_MAX_S = 10.0  # a longer queue (256 samples at 20 Hz) needs time to fill
-STAMP_MAX_S = 2.0**32  # the year 2106; ROS 2 and Unix times end before
+FORGETS = 0.04  # rate at which the minimum rises, s/s: firmware and simulators may run 3 % slow
+HOLDS_S = 1.0  # time in which at least one message has a short delay, s
+FORGETS_SLOWLY = 0.002  # rate of the slow minimum, s/s: four times the fastest slew of a Linux clock
+ELAPSED_MAX_S = 1.0  # longest pause that counts as time for this rise, s
+FLOOR_MAX_S = 0.2  # largest distance of the slow minimum below the fast one, s; beyond it, clocks drift
+GRAIN_S = 1e-6  # tolerance for the rounding of Unix times to doubles (2.4e-7 s), s
+AHEAD_S = 0.03  # largest reduction of the delay below all earlier ones, s, in addition to one tick
+AGREE_S = 0.1  # largest difference of arrival minus stamp between messages of one clock, s
+GAP_MAX_S = 0.5  # longest pause between two such messages, s
+PATIENCE_S = 10.0  # time for which late messages must agree, s; queues of some seconds change meanwhile
+QUEUE_MAX_S = 10.0  # longest delay by a queue after a pause, s; a longer queue needs time to fill
+STAMP_MAX_S = 2.0**32  # largest valid stamp, s: the year 2106; ROS 2 and Unix times end before it
 
 
 class Reading(TextEnum):
@@ -55,13 +55,13 @@ class Reading(TextEnum):
 
 
 class SenderClock:
-    """Estimate of the clock of one sender; ``memory`` is its whole state."""
+    """Estimate of a sender's clock; ``memory`` is its complete state."""
 
     memory: ClockMemory
     ahead_max_s: float
-    _late_max_s: float  # lateness from which a message is refused
-    _proof_s: float  # time for which refused messages have to agree, until their clock is followed
-    # fall-back of a clock after a silence from which it is followed at once: no healthy stream is disturbed
+    _late_max_s: float  # lateness above which a message is rejected
+    _proof_s: float  # time for which rejected messages must agree until their clock is adopted
+    # a clock that falls back by more than this after a pause, s, is adopted at once: the sender has restarted
     _reboot_s: float
 
     def __init__(
@@ -77,19 +77,19 @@ class SenderClock:
         self._late_max_s, self._proof_s, self._reboot_s = late_max_s, proof_s, reboot_s
 
     def accept(self, stamp_s: float, arrival_s: float, patience_s: float = PATIENCE_S) -> Reading:
-        """Judge a time stamp, and learn from one that is good."""
+        """Check a time stamp, and update the clock estimate if the stamp is good."""
         reading = self.judge(stamp_s, arrival_s, patience_s)
         if reading.good:
             self.take(stamp_s, arrival_s)
         return reading
 
     def judge(self, stamp_s: float, arrival_s: float, patience_s: float = PATIENCE_S) -> Reading:
-        """Judge a time stamp; only ``take`` learns from it."""
+        """Check a time stamp; only ``take`` updates the clock estimate."""
         memory, way_s = self.memory, arrival_s - stamp_s
         if not 0.0 <= stamp_s <= STAMP_MAX_S:  # also NaN
             return Reading.UNUSABLE
         if stamp_s > memory.stamp_s:
-            known = arrival_s - memory.began_s >= self._proof_s  # before, a queue from the start may drain
+            known = arrival_s - memory.began_s >= self._proof_s  # before that, a queue may drain
             if known and way_s < memory.floor_s - self.ahead_max_s:
                 reading = Reading.AHEAD
             elif way_s - memory.offset_s > self._late_max_s or self._goes_on_late(way_s, arrival_s):
@@ -102,12 +102,12 @@ class SenderClock:
 
     @rare
     def _refused(self, reading: Reading, stamp_s: float, arrival_s: float, patience_s: float) -> Reading:
-        """The same, or ``STEPPED`` where refused messages have agreed for long enough."""
+        """Return the reading, or ``STEPPED`` if rejected messages have agreed for long enough."""
         needed_s = self._proof_s if self._noted(reading, stamp_s, arrival_s) else patience_s
         return Reading.STEPPED if arrival_s - self.memory.run_since_s >= needed_s else reading
 
     def take(self, stamp_s: float, arrival_s: float) -> bool:
-        """Learn from an accepted stamp; returns whether the sender's clock was set or restarted."""
+        """Update the estimate with an accepted stamp; return whether the sender's clock has changed."""
         memory, way_s = self.memory, arrival_s - stamp_s
         newest = memory.run_stamp_s == stamp_s and memory.run_arrival_s == arrival_s
         stepped = newest and memory.run_since_s < math.inf
@@ -130,11 +130,11 @@ class SenderClock:
         return stepped
 
     def lateness_s(self, stamp_s: float, now_s: float) -> float:
-        """Age of a message with this stamp, at a time of our clock."""
+        """Return the lateness of a message with this stamp, at a time of this process's clock, s."""
         return max(0.0, now_s - stamp_s - self.memory.offset_s)
 
     def _goes_on_late(self, way_s: float, arrival_s: float) -> bool:
-        """Whether messages of a clock that was set back a little have caught up with the newest stamp."""
+        """Whether messages of a clock that was set back slightly have caught up with the newest stamp."""
         m = self.memory
         return way_s - m.offset_s > AGREE_S and m.run_sure and self._agrees(way_s, arrival_s)
 
@@ -145,14 +145,14 @@ class SenderClock:
 
     @rare
     def _noted(self, reading: Reading, stamp_s: float, arrival_s: float) -> bool:
-        """Store a refused message; returns whether no delay explains the messages that agree with it."""
+        """Store a rejected message; return whether no delay can explain the messages that agree with it."""
         m, way_s = self.memory, arrival_s - stamp_s
         if stamp_s > m.run_stamp_s and self._agrees(way_s, arrival_s):
             m.run_way_s = min(m.run_way_s, way_s)
         else:
             before_s = m.run_arrival_s if m.run_since_s < math.inf else m.taken_s
             silent = arrival_s - before_s > GAP_MAX_S
-            began = silent and way_s - m.offset_s > QUEUE_MAX_S  # and it did not grow to that
+            began = silent and way_s - m.offset_s > QUEUE_MAX_S  # a queue cannot grow this long in a pause
             sure = began or reading in (Reading.AHEAD, Reading.OUT_OF_ORDER)
             m.run_since_s, m.run_way_s, m.run_sure = arrival_s, way_s, sure
             if silent and m.stamp_s - stamp_s > self._reboot_s:

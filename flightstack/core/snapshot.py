@@ -1,4 +1,4 @@
-"""Snapshot of one tick: the newest inputs, checked for their age, and vehicle relative to target."""
+"""Snapshot of one tick: the newest inputs, checks of their age, and the vehicle relative to the target."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.target.track import TargetState
 from flightstack.core.types import Charge, Inputs, OwnState, Vec3
 
-FUTURE_MAX_S = 0.05  # s a state may be ahead of our clock: one sample; more is as wrong as an old state
+FUTURE_MAX_S = 0.05  # largest time by which a state may be ahead of this clock, s: one sample
 
 
 @numeric
 class Relative(NamedTuple):
-    """Vehicle and target, both known.
+    """Vehicle relative to the target; both states are known.
 
     Attributes:
         own: state of the vehicle.
@@ -39,18 +39,18 @@ class Relative(NamedTuple):
 
 @dataclass(slots=True)
 class Snapshot:
-    """Inputs of one tick, judged by age."""
+    """Inputs of one tick, with the results of the checks of their age."""
 
-    inputs: Inputs  # inputs as received; the vehicle's state as the filter estimates it for now
-    target: TargetState | None  # state of the target for now; ``None`` before the first sample
-    own_ok: bool  # the vehicle's state is plausible and young enough
-    target_ok: bool  # the target's state is plausible and young enough
-    link_ok: bool  # the heartbeat is young enough
+    inputs: Inputs  # inputs as received, but with the vehicle state predicted for now
+    target: TargetState | None  # target state predicted for now; ``None`` before the first sample
+    own_ok: bool  # the vehicle state is plausible and recent
+    target_ok: bool  # the target state is plausible and recent
+    link_ok: bool  # the heartbeat is recent
     e_m: Vec3 | None  # position of the vehicle minus landing spot, ENU, m; ``None`` unless both are known
-    follows: bool = True  # the vehicle flies the commanded velocity
+    follows: bool = True  # the vehicle follows the commanded velocity
     charge: Charge = Charge.FIT  # state of the battery; FIT without a table [reserve]
-    way: Way = ALONE  # permissions by the other vehicles; without a table [fleet] all
-    # the target is young enough, but its velocity is not trusted: ``target`` has that of its positions
+    way: Way = ALONE  # permissions with respect to other vehicles; all granted without a table [fleet]
+    # the target is recent, but its reported velocity is not trusted: ``target`` has that of its positions
     target_placed: bool = False
     good: bool = field(init=False)  # all inputs are usable
     # vehicle relative to target; ``None`` unless both are known
@@ -77,7 +77,7 @@ def snapshot_of(
     way: Way = ALONE,
     target_believed: bool = True,
 ) -> Snapshot:
-    """Judge the ages of this tick's inputs."""
+    """Check the ages of this tick's inputs."""
     checks, own, status = config.checks, inputs.own, inputs.status
     own_ok = believed and own is not None and -FUTURE_MAX_S <= now_s - own.arrival_s <= checks.own_age_max_s
     target_fresh = target is not None and target.age_s <= checks.target_age_max_s

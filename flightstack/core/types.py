@@ -16,12 +16,12 @@ ZERO: Vec3 = (0.0, 0.0, 0.0)
 
 
 class TextEnum(IntEnum):
-    """Numbered members that are declared by their texts."""
+    """Enumeration that declares each member by a text and numbers the members."""
 
     text: str
 
     def __new__(cls, text: str) -> Self:
-        """Number them in their order."""
+        """Number the members in the order of their declaration."""
         member = int.__new__(cls, len(cls.__members__))
         member._value_, member.text = len(cls.__members__), text
         return member
@@ -30,45 +30,45 @@ class TextEnum(IntEnum):
 class Phase(IntEnum):
     """Phases of a flight; the transitions are tables in ``mission/phases.py``."""
 
-    WAIT = 0  # for inputs, on the ground or found in the air
-    TAKEOFF = 1  # to where the landing begins
-    APPROACH = 2  # to the target, filtered
-    LAND = 3  # the same inside the descending cone over the pad; not the autopilot's landing
-    TOUCHDOWN = 4  # straight down to contact, then motors off
+    WAIT = 0  # wait for inputs, on the ground or already in the air
+    TAKEOFF = 1  # fly to the place where the landing starts
+    APPROACH = 2  # fly to the target; the safety filter is active
+    LAND = 3  # descend in the cone over the pad, filtered; not the autopilot's landing
+    TOUCHDOWN = 4  # descend straight to contact, then switch the motors off
     LANDED = 5  # the heartbeat reports that the motors are off after a touchdown
-    HOLD = 6  # an input is lost
-    CLIMB = 7  # above the target, which remains lost
-    ABORT = 8  # ends the flight as ``AbortWay`` defines
-    LEAVE = 9  # frees the pad for another vehicle: takes off again, flies clear, lands beside the target
+    HOLD = 6  # stop, because an input is lost
+    CLIMB = 7  # climb above the target, because the input remains lost
+    ABORT = 8  # end the flight as ``AbortWay`` defines
+    LEAVE = 9  # free the pad for another vehicle: take off again, fly clear, land beside the target
 
 
 class FilterStatus(IntEnum):
-    """How the filtered velocity came about."""
+    """Origin of the filtered velocity."""
 
     NOT_RUN = 0
     SOLVED = 1
-    CLOSED_FORM = 2  # solver failed, or its result did not pass the check: the exact projection is the result
+    CLOSED_FORM = 2  # the solver failed, or its result was rejected: the exact projection is used
     INFEASIBLE = 3  # no velocity in the box meets the barrier; the one that raises h fastest is used
-    REJECTED = 4  # inputs of the program are not finite: there is no result
-    CROWDED = 5  # the neighbours' rows are relaxed by the least common slack; barrier and box are met
-    OWN = 6  # result of a class with its own ``filter``: checked for the limits, not the barrier
+    REJECTED = 4  # an input of the program is not finite: there is no result
+    CROWDED = 5  # neighbours' constraints are relaxed by the least common slack; barrier and box are met
+    OWN = 6  # a user's class with its own ``filter``: limits are checked, the barrier is not
 
 
 class Request(IntEnum):
-    """Mode that the stack requests of the vehicle, held as a level until the heartbeat shows it.
+    """Mode that the stack requests from the vehicle in every tick until the heartbeat reports it.
 
-    The bridge turns a level into commands with bounded retries; the controller never sees MAVLink.
+    The bridge converts a request into MAVLink commands with a limited number of retries.
     """
 
     NONE = 0
-    TAKEOFF = 1  # armed and climbing to the take-off height under the autopilot's own control
-    EXTERNAL = 2  # armed and following our velocity set-points
-    LAND = 3  # the autopilot's own landing, at its present place
+    TAKEOFF = 1  # armed, and climbing to the take-off height under control of the autopilot
+    EXTERNAL = 2  # armed, and following the velocity set-points of this stack
+    LAND = 3  # landing by the autopilot at the current position
     MOTORS_OFF = 4  # forced disarm
 
 
 class Mode(IntEnum):
-    """Flight mode that the vehicle reports, reduced to what the stack needs to know."""
+    """Flight mode that the vehicle reports, reduced to the modes that the stack distinguishes."""
 
     UNKNOWN = 0
     EXTERNAL = 1
@@ -79,7 +79,7 @@ class Mode(IntEnum):
 
 
 class Landed(IntEnum):
-    """Landed state that the vehicle reports (MAV_LANDED_STATE); the verdict of a log judges by more."""
+    """Landed state that the vehicle reports (MAV_LANDED_STATE)."""
 
     UNKNOWN = 0
     ON_GROUND = 1
@@ -89,40 +89,40 @@ class Landed(IntEnum):
 
 
 class Charge(IntEnum):
-    """State of the battery, by its voltage and the thrust reserve."""
+    """State of the battery, from its voltage and the thrust reserve."""
 
     FIT = 0
-    UNKNOWN = 1  # no voltage and no throttle was received recently
-    TIRED = 2  # too low to begin a landing, or, in flight, to continue it
+    UNKNOWN = 1  # no voltage or throttle was received recently
+    TIRED = 2  # too low to start a landing or, in flight, to continue it
 
 
 class Operator(IntEnum):
-    """Commands of a person, above every phase."""
+    """Commands of the operator, which take precedence over every phase."""
 
     NONE = 0
     ABORT = 1
     EMERGENCY_STOP = 2
-    LAND = 3  # abort by the autopilot's own landing: the stack is about to end
+    LAND = 3  # abort with a landing by the autopilot, because the stack is about to exit
 
 
 class OwnState(NamedTuple):
-    """The vehicle's own state estimate, as the link delivered it."""
+    """Vehicle state estimate, as received over the link."""
 
     arrival_s: float
-    source_time_s: float  # vehicle boot clock
+    source_time_s: float  # time on the vehicle's boot clock
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3
     yaw_rad: float  # heading of the nose, counter-clockwise from east
 
     @property
     def is_finite(self) -> bool:
-        """Whether every number of it is one; a sum of numbers beyond any sense is none either."""
+        """Whether all numbers are finite; a sum that overflows counts as not finite."""
         (x, y, z), (vx, vy, vz) = self.position_enu_m, self.velocity_enu_m_s
         return math.isfinite(x + y + z + vx + vy + vz + self.yaw_rad + self.arrival_s)
 
 
 class TargetSample(NamedTuple):
-    """One odometry sample of the target; velocities already turned into the world frame."""
+    """One odometry sample of the target, with velocities rotated into the world frame."""
 
     arrival_s: float
     source_time_s: float  # header stamp of the sender, Unix time or simulated time
@@ -132,13 +132,13 @@ class TargetSample(NamedTuple):
     velocity_enu_m_s: Vec3
     yaw_rad: float
     yaw_rate_rad_s: float
-    position_sigma_m: float = 0.0  # standard deviation of x and y as the sender has it, the larger; 0: unsaid
-    velocity_sigma_m_s: float = 0.0  # the same
+    position_sigma_m: float = 0.0  # larger reported standard deviation of x and y; 0: not reported
+    velocity_sigma_m_s: float = 0.0  # larger reported standard deviation of vx and vy; 0: not reported
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleStatus:
-    """Content of heartbeat and landed state."""
+    """Content of the vehicle's heartbeat and landed state."""
 
     arrival_s: float
     armed: bool
@@ -154,41 +154,41 @@ class VehicleStatus:
 
 @dataclass(frozen=True, slots=True)
 class Power:
-    """Reported state of battery and motors; NaN for each number that is not reported."""
+    """Reported state of battery and motors; a number that is not reported is NaN."""
 
-    arrival_s: float  # arrival of the newest message with one of them
+    arrival_s: float  # arrival time of the newest message with one of these numbers
     voltage_v: float  # voltage of the battery under the current load
-    throttle: float  # mean of the motors' commands, 0 to 1
+    throttle: float  # mean of the motor commands, 0 to 1
     cos_tilt: float  # cosine of the angle between the body's z axis and up
 
 
 class Intent(IntEnum):
     """Intention of a fleet member, as announced to its neighbours."""
 
-    STANDING = 0  # on the ground, or in the climb of its take-off: it does not yield
-    WAITING = 1  # flies, without a right of way
-    LANDING = 2  # flies to its pad with its right of way
-    COMMITTED = 3  # over its pad: it does not yield, or will not soon
-    CLEARING = 4  # holds, climbs or flies clear: others get out of its way
-    DOWN = 5  # landed, or lands by its autopilot: it follows no set-points any more
+    STANDING = 0  # on the ground, or in the take-off climb: the member does not yield
+    WAITING = 1  # flies without a right of way
+    LANDING = 2  # flies to its pad with the right of way
+    COMMITTED = 3  # over its pad: the member no longer yields, or will soon stop to
+    CLEARING = 4  # holds, climbs or flies clear: other members avoid it
+    DOWN = 5  # landed, or landing by its autopilot: the member follows no set-points
 
 
 class Neighbour(NamedTuple):
-    """Message of a fleet member; times are on the receiver's stack clock."""
+    """Message of a fleet member; all times are on the receiver's stack clock."""
 
     id: int  # number of the vehicle, 1 to 250
     stamp_s: float  # time of the message, corrected for the difference of the clocks
-    arrival_s: float  # its arrival
+    arrival_s: float  # arrival time of the message
     position_enu_m: Vec3  # position at the stamp
-    velocity_enu_m_s: Vec3  # measured
-    wanted_enu_m_s: Vec3  # velocity that it is about to fly
+    velocity_enu_m_s: Vec3  # measured velocity
+    wanted_enu_m_s: Vec3  # commanded velocity
     position_sigma_m: float = 0.0  # standard deviation of the position on each axis
     clock_bound_s: float = 0.0  # largest error of the stamp
     intent: Intent = Intent.STANDING  # announced intention
-    claim_s: float = math.nan  # time of its claim of the right of way; NaN: it has no claim
-    pad_position_enu_m: Vec3 | None = None  # landing spot; ``None``: not known yet
-    pad_velocity_enu_m_s: Vec3 | None = None  # its velocity
-    yields_to: tuple[int, ...] = ()  # vehicles to which it yields
+    claim_s: float = math.nan  # time at which the member claimed the right of way; NaN: no claim
+    pad_position_enu_m: Vec3 | None = None  # landing spot; ``None``: unknown
+    pad_velocity_enu_m_s: Vec3 | None = None  # velocity of the landing spot; ``None``: unknown
+    yields_to: tuple[int, ...] = ()  # ids of the members to which this member yields
 
 
 class Inputs(NamedTuple):
@@ -198,5 +198,5 @@ class Inputs(NamedTuple):
     status: VehicleStatus | None = None
     target_samples: tuple[TargetSample, ...] = ()
     operator: Operator = Operator.NONE
-    power: Power | None = None  # requested only by a configuration with a table [reserve]
-    neighbours: tuple[Neighbour, ...] = ()  # received since the last tick; only with a table [fleet]
+    power: Power | None = None  # received only with a table [reserve] in the configuration
+    neighbours: tuple[Neighbour, ...] = ()  # messages since the last tick; only with a table [fleet]

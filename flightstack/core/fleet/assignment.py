@@ -1,7 +1,7 @@
-"""Assignment of pads to vehicles by the least sum of horizontal distances, once before the flight.
+"""Assignment of pads to vehicles with the minimum sum of horizontal distances, once before the flight.
 
-Two crossing straight lines are longer in sum than the two lines without a crossing, so straight approaches of
-the result never cross in the plan view.
+Two straight paths that cross are longer in sum than the two paths without a crossing. Straight approaches of
+this assignment therefore never cross in the horizontal plane.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from typing import Any
 
 from flightstack.core.types import Vec3
 
-UNIT_M = 1e-6  # unit of integer distances: sums do not depend on their order
-FAR_M = 1e6  # above it sums would not be exact
+UNIT_M = 1e-6  # unit of the integer distances, m; integer sums do not depend on the order
+FAR_M = 1e6  # largest coordinate, m; sums of larger ones would not be exact
 
 
 def assign(starts_enu_m: Sequence[Vec3], pads_enu_m: Sequence[Vec3]) -> tuple[int, ...]:
-    """Pad of each vehicle.
+    """Return the index of the pad of each vehicle.
 
-    Of assignments with the same sum each vehicle in turn prefers the pad with its own index, then the lowest.
+    Among equal sums, each vehicle in turn prefers the pad with its own index, then the lowest index.
     """
     count, pads = len(starts_enu_m), len(pads_enu_m)
     if pads < count:
@@ -43,7 +43,7 @@ def assign(starts_enu_m: Sequence[Vec3], pads_enu_m: Sequence[Vec3]) -> tuple[in
 
 
 def _least(cost: Sequence[Sequence[int]]) -> int:
-    """Least sum of one integer from each line, each from another column."""
+    """Return the minimum sum of one integer from each row, each from a different column."""
     if not cost:
         return 0
     # imported here, since only an assignment needs scipy

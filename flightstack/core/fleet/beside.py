@@ -9,20 +9,20 @@ from flightstack.core.fleet.precedence import ON_GROUND, Pad
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.types import ZERO, Neighbour, Vec3
 
-DIRECTIONS = 16  # directions of the candidate places around the pad
-RINGS = (1.4, 2.0, 2.6)  # their distances from it over ``wait_distance_m``
-APART = 3.0  # distance from a vehicle on the ground over ``radius_xy_m``
-KEPT_M = 0.2  # reduction of the required distances for a place that is already chosen
+DIRECTIONS = 16  # number of directions of the candidate places around the pad
+RINGS = (1.4, 2.0, 2.6)  # distances of the candidate places from the pad, in units of ``wait_distance_m``
+APART = 3.0  # required distance from a vehicle on the ground, in units of ``radius_xy_m``
+KEPT_M = 0.2  # reduction of the required distances for a place that is already chosen, m
 
 
 def place_beside(
     kept: Vec3 | None, own_enu_m: Vec3, pad: Pad, words: Sequence[Neighbour], fleet: Fleet
 ) -> Vec3:
-    """Return the place on the ground that was chosen, or a new one if robots or vehicles come too near it.
+    """Return the chosen place on the ground, or a new one if pads or vehicles come too near to it.
 
-    A pad's way is straight: from where it may have been ``wait_max_s`` ago to where it may be after as long.
-    Of the places that are free the nearest one counts; of none, the one with the most room. A place is kept
-    while it is free of the way of ``descent_s``: errors of a pad's velocity turn the long one.
+    The path of a pad is straight: from its position ``wait_max_s`` ago to its position in ``wait_max_s``. The
+    nearest free place is chosen; if no place is free, the one with the most room. A chosen place is kept
+    while it is free of the path of ``descent_s``: errors of a pad's velocity rotate the longer path too much.
     """
     pads = [pad]
     for word in words:
@@ -49,7 +49,7 @@ def place_beside(
 
 
 def _from_way_m(pad: Pad, place: Vec3, ahead_s: float) -> float:
-    """Horizontal distance of a place from the path of a pad, ``ahead_s`` back and ahead."""
+    """Return the horizontal distance of a place from the path of a pad, ``ahead_s`` back and ahead."""
     (x, y, _), (vx, vy, _) = pad.position_enu_m, pad.velocity_enu_m_s
     ex, ey, speed2 = place[0] - x, place[1] - y, vx * vx + vy * vy
     at_s = min(max(-ahead_s, (ex * vx + ey * vy) / speed2), ahead_s) if speed2 > 0.0 else 0.0

@@ -1,12 +1,12 @@
-"""The program with several rows by a fast dual active-set method in plain floats.
+"""Solution of the quadratic program with several rows by a fast dual active-set method in plain floats.
 
     min |u - u'|^2   subject to   lower <= u <= upper,   g_k . u >= b_k
 
-It starts at the clipped u', where sides of the box bind, and adds the constraint with the largest violation
-until there is none (Goldfarb and Idnani, Mathematical Programming 27, 1983). A constraint whose multiplier
-would become negative is removed. The result is used only if it meets the conditions of Karush, Kuhn and
-Tucker, which are checked here; else ``exact.py`` tries all active sets. It depends only on the numbers of
-this tick.
+The method starts at the clipped u', where sides of the box are active, and adds the constraint with the
+largest violation until no constraint is violated (Goldfarb and Idnani, Mathematical Programming 27, 1983). It
+removes a constraint whose multiplier would become negative. The result is used only if it meets the
+Karush-Kuhn-Tucker conditions, which are checked here; else ``exact.py`` tries all active sets. The result
+depends only on the numbers of this tick.
 """
 
 from __future__ import annotations
@@ -19,29 +19,29 @@ from flightstack.core.fleet.exact import Row
 from flightstack.core.safety.position_loop import clip_to_box
 from flightstack.core.types import ZERO, Vec3
 
-TOLERANCE_M_S = 1e-9  # allowed violation of a constraint
-STEPS_MAX = 60  # greatest number of added constraints; above it the result is not confirmed
-_CONFIRMED_M_S = 2e-9  # allowed violation of a condition
-_DEPENDS = 1e-12  # squared length of the orthogonal rest below which a unit vector depends on others
-_LEAST_LENGTH = 1e-9  # least length of a gradient with a direction
+TOLERANCE_M_S = 1e-9  # allowed violation of a constraint, m/s
+STEPS_MAX = 60  # greatest number of added constraints; with more, there is no result
+_CONFIRMED_M_S = 2e-9  # allowed violation of an optimality condition, m/s
+_DEPENDS = 1e-12  # squared length of the orthogonal part below which a unit vector depends on others
+_LEAST_LENGTH = 1e-9  # least length of a gradient that has a direction
 _SIDES: tuple[Vec3, ...] = (
-    (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0),  # lower
-    (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0),  # upper
+    (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0),  # lower sides of the box
+    (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0),  # upper sides of the box
 )  # fmt: skip
 
 
 class Found(NamedTuple):
-    """The minimiser, or the reason why there is none."""
+    """The minimiser, or constraints that no velocity meets together."""
 
-    point: Vec3 | None  # m/s; ``None``: no point meets all constraints
-    # multipliers of the rows, in the order of the input; if point is None: of constraints that no velocity
-    # meets together, whose gradients times these multipliers add up to 0
+    point: Vec3 | None  # minimiser, m/s; ``None``: no point meets all constraints
+    # multipliers of the rows, in the order of the input; if point is None: multipliers of contradictory
+    # constraints, whose gradients times these multipliers sum to 0
     multipliers: tuple[float, ...]
-    lacking_m_s: float = 0.0  # violation of these constraints, m/s, if point is None
+    lacking_m_s: float = 0.0  # violation of the contradictory constraints if point is None
 
 
 def solve(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Found | None:
-    """Minimiser of the program; ``None`` if the result cannot be confirmed."""
+    """Return the minimiser of the program, or ``None`` if the result cannot be confirmed."""
     count = len(rows)
     normals, bounds, lengths = [], [], []
     for (gx, gy, gz), bound in rows:
@@ -95,7 +95,7 @@ def solve(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Found
 
 
 def _split(n: Vec3, others: Sequence[Vec3]) -> tuple[tuple[float, ...], Vec3]:
-    """Parts of a unit vector along up to three independent ones, and the orthogonal rest."""
+    """Return the components of a unit vector along up to three independent ones, and the orthogonal part."""
     if not others:
         return (), n
     (nx, ny, nz), (ax, ay, az) = n, others[0]
@@ -129,7 +129,7 @@ def _confirmed(
     nominal: Vec3, point: Vec3, active: Sequence[int], factors: Sequence[float], normals: Sequence[Vec3],
     bounds: Sequence[float], lengths: Sequence[float],
 ) -> Found | None:  # fmt: skip
-    """The minimiser with its multipliers, if all constraints are met and those with a multiplier bind."""
+    """Return the minimiser if all constraints are met and those with a multiplier are active."""
     x, y, z = nominal
     multipliers = [0.0] * len(lengths)
     scale = _CONFIRMED_M_S
@@ -150,7 +150,7 @@ def _impossible(
     worst: int, active: Sequence[int], parts: Sequence[float], bounds: Sequence[float],
     lengths: Sequence[float],
 ) -> Found:  # fmt: skip
-    """A constraint that contradicts a sum of others: no velocity meets all of them."""
+    """Return the result for a constraint that contradicts a sum of others: no velocity meets all of them."""
     multipliers, lacking_m_s = [0.0] * len(lengths), bounds[worst]
     if worst < len(lengths):
         multipliers[worst] = 1.0 / lengths[worst]
@@ -164,10 +164,10 @@ def _impossible(
 def least_slack(
     firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3
 ) -> tuple[float, Vec3] | None:
-    """Least common slack of the soft rows, as ``exact.least_slack``; ``None`` if it cannot be confirmed.
+    """Return the least common slack of the soft rows and its velocity, or ``None`` if not confirmed.
 
-    Each sum of constraints that no velocity meets gives a lower bound of the slack. With this slack the next
-    such sum is searched, until there is none: then the slack is sufficient and least.
+    Each set of contradictory constraints gives a lower bound of the slack. The search is repeated with this
+    slack until no such set is left: then the slack is sufficient and least.
     """
     slack_m_s, middle, free = 0.0, clip_to_box(ZERO, lower, upper), len(firm)
     for _ in range(STEPS_MAX):

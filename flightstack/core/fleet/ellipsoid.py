@@ -1,9 +1,9 @@
-"""The barrier between two vehicles; it grows with the uncertainty of the other vehicle's position.
+"""Barrier function between two vehicles; it grows with the uncertainty of the other vehicle's position.
 
     h(p) = r_xy (rho - 1),   rho = sqrt((dx^2 + dy^2) / r_xy^2 + dz^2 / r_z^2)
 
-``p`` is this vehicle minus the other one. h is convex in p, and the length of its gradient is at most 1 where
-r_xy is the smaller semi-axis: a motion never loses more of h than in the linear prediction.
+``p`` is the position of this vehicle minus that of the other one. h is convex in p, and its gradient has at
+most length 1 if r_xy is the smaller semi-axis: a motion never reduces h more than the linear prediction.
 """
 
 from __future__ import annotations
@@ -14,31 +14,31 @@ from typing import NamedTuple
 from flightstack.core.parameters.fleet import CARRIED_AGES, Fleet
 from flightstack.core.types import ZERO, Intent, Neighbour, Vec3
 
-LEAST_M = 1e-6  # least distance from the middle for which the gradient has a direction
-# After a failure of its companion a vehicle flies with its last set-point until its autopilot lands it.
-LEAD_S = 0.2  # lead of a set-point before the velocity command, per acceleration
-SMOOTH_S = 0.03  # time constant of the smoothed acceleration
-DRIFT_M_S, DRIFT_MAX_M = 0.35, 0.45  # drift from this course; after 2 s less in 31 of 32 flights
-SINK_M_S = 0.5  # largest sink rate of an autopilot's landing
-RIDES_S = 3.0  # time for which a silent vehicle on a moving pad is assumed to move with it
+LEAST_M = 1e-6  # least distance from the centre at which the gradient has a direction, m
+# If its companion fails, a vehicle follows its last set-point until its autopilot lands it.
+LEAD_S = 0.2  # lead of a set-point over the velocity command, s: multiplied by the acceleration
+SMOOTH_S = 0.03  # time constant of the smoothed acceleration, s
+DRIFT_M_S, DRIFT_MAX_M = 0.35, 0.45  # drift rate and largest drift from this path; larger in 1 of 32 flights
+SINK_M_S = 0.5  # largest sink rate of an autopilot's landing, m/s
+RIDES_S = 3.0  # time for which a silent vehicle on a moving pad is assumed to move with the pad, s
 
 
 class Estimate(NamedTuple):
-    """Current estimate of another vehicle."""
+    """Current estimate of the position and velocity of another vehicle."""
 
-    age_s: float  # age of its message, with the error of the clock
-    # position extrapolated from the stamp; with late messages the upper end of its possible positions
+    age_s: float  # age of its newest message plus the clock error
+    # position extrapolated from the stamp; if messages are late, the highest of the possible positions
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3  # reported or commanded velocity; 0 after the extrapolation ends
-    grown_m: float  # growth of both semi-axes
+    grown_m: float  # growth of both semi-axes of the ellipsoid
     growth_m_s: float  # rate of that growth
     late: bool  # its message is older than ``latency_max_s``, and did not announce that it is down
-    anywhere_m: float  # ``grown_m`` plus the distance that it can have flown since
-    depth_m: float = 0.0  # possible descent below this position while its autopilot lands it
+    anywhere_m: float  # ``grown_m`` plus the distance that the vehicle can have flown since its message
+    depth_m: float = 0.0  # possible descent below this position while the autopilot lands the vehicle
     sink_m_s: float = 0.0  # rate of this descent
 
     def beside(self, place_enu_m: Vec3) -> tuple[Vec3, Vec3]:
-        """A place minus the nearest one between the position and the depth below it; the velocity of that."""
+        """Return a place minus the nearest possible position of the vehicle, and that position's velocity."""
         (x, y, z), (px, py, top_m), (vx, vy, vz) = place_enu_m, self.position_enu_m, self.velocity_enu_m_s
         low_m = top_m - self.depth_m
         if z < low_m:
@@ -47,19 +47,19 @@ class Estimate(NamedTuple):
 
 
 def barrier(p_m: Vec3, radius_xy_m: float, radius_z_m: float, *, first: bool = True) -> tuple[float, Vec3]:
-    """Value and gradient of the barrier."""
+    """Return value and gradient of the barrier function."""
     x, y, z = p_m
     flat = radius_xy_m / radius_z_m
-    far_m = math.sqrt(x * x + y * y + flat * flat * z * z)  # rho in metres
+    far_m = math.sqrt(x * x + y * y + flat * flat * z * z)  # rho times r_xy
     if far_m < LEAST_M:
         return -radius_xy_m, (1.0 if first else -1.0, 0.0, 0.0)
     return far_m - radius_xy_m, (x / far_m, y / far_m, flat * flat * z / far_m)
 
 
 def growth(age_s: float, speed_m_s: float, fleet: Fleet) -> tuple[float, float]:
-    """Possible distance of a vehicle from its extrapolated position, and the growth of this distance.
+    """Return the possible distance of a vehicle from its extrapolated position, and the rate of it.
 
-    It accelerates away from the extrapolation up to a difference of both speeds.
+    The vehicle accelerates away from that position until its relative speed is the sum of both speeds.
     """
     most_m_s, a = max(fleet.speed_max_m_s, speed_m_s) + speed_m_s, fleet.acceleration_max_m_s2
     speeds_up_s = most_m_s / a
@@ -69,16 +69,16 @@ def growth(age_s: float, speed_m_s: float, fleet: Fleet) -> tuple[float, float]:
 
 
 def jump(before: Neighbour, word: Neighbour, fleet: Fleet) -> Vec3:
-    """Distance of a reported position from the extrapolated last one; zero if it can have flown there.
+    """Return how far a reported position lies from the reachable ones' centre; zero if it is reachable.
 
-    Its velocity may have changed since as fast as the fleet counts with; both words may err by the standard
-    deviations and the errors of clocks that they tell, and by the margin that the ellipsoid has: a landing
-    ends a velocity at once.
+    The velocity may have changed with the fleet's maximum acceleration. Both messages may err by their
+    reported standard deviations and clock errors, and by the margin of the ellipsoid, because a landing stops
+    a vehicle at once.
     """
     gone_s = word.stamp_s - before.stamp_s
     (x, y, z), (px, py, pz), v = word.position_enu_m, before.position_enu_m, before.velocity_enu_m_s
     away = x, y, z = x - px - v[0] * gone_s, y - py - v[1] * gone_s, z - pz - v[2] * gone_s
-    if abs(x) + abs(y) + abs(z) < fleet.margin_m:  # the usual case
+    if abs(x) + abs(y) + abs(z) < fleet.margin_m:  # most messages
         return ZERO
     speed_m_s = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     clocks_s = before.clock_bound_s + word.clock_bound_s
@@ -89,7 +89,7 @@ def jump(before: Neighbour, word: Neighbour, fleet: Fleet) -> Vec3:
 
 
 def faster(before_m_s2: Vec3, before: Neighbour, word: Neighbour) -> Vec3:
-    """Smoothed acceleration of another vehicle's commanded velocity."""
+    """Return the smoothed acceleration of another vehicle's commanded velocity."""
     t = word.stamp_s - before.stamp_s
     share = 1.0 / (t + SMOOTH_S)
     (x, y, z), (ox, oy, oz), (ax, ay, az) = word.wanted_enu_m_s, before.wanted_enu_m_s, before_m_s2
@@ -103,12 +103,12 @@ def faster(before_m_s2: Vec3, before: Neighbour, word: Neighbour) -> Vec3:
 def estimate(
     word: Neighbour, now_s: float, own_sigma_m: float, fleet: Fleet, faster_m_s2: Vec3 = ZERO
 ) -> Estimate:
-    """Estimate where another vehicle is now, and how far from there it may be.
+    """Estimate the current position of another vehicle, and the possible distance from this estimate.
 
     A vehicle whose messages are late is extrapolated for ``CARRIED_AGES`` with its last possible set-point,
-    about as long as an autopilot continues without its companion; it drifts from this course and may sink to
-    the ground. Its region grows until ``silent_flight_s``: by then its own fail-safe has ended the flight.
-    A vehicle that is down stands still, or moves with a pad that may have stopped since.
+    about as long as an autopilot continues without its companion. It may drift from this path and sink to the
+    ground. Its region grows until ``silent_flight_s``, when its own fail-safe has ended the flight. A vehicle
+    that is down stands still, or moves with a pad that may have stopped since.
     """
     v, p = word.velocity_enu_m_s, word.position_enu_m
     speed_m_s = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
@@ -148,7 +148,7 @@ def _late(
     velocity = (wx, wy, wz if sinks_on else 0.0) if moves else ZERO
     flies, flies_s = age_s <= fleet.silent_flight_s, min(age_s, fleet.silent_flight_s)
     grown_m, late_s = base_m + growth(latency_s, speed_m_s, fleet)[0], flies_s - latency_s
-    straight_s = min(age_s, carried_max_s)  # around its position at constant velocity
+    straight_s = min(age_s, carried_max_s)  # position extrapolated at constant velocity
     straight = (x + vx * straight_s, y + vy * straight_s, z + vz * straight_s)
     anywhere_m = (
         base_m + math.dist(place, straight) + growth(min(flies_s, carried_max_s), speed_m_s, fleet)[0]

@@ -1,12 +1,12 @@
-"""Exact solution of the program with several rows, by its active sets.
+"""Exact solution of the quadratic program with several rows, by its active sets.
 
     min |u - u'|^2   subject to   lower <= u <= upper,   g_k . u >= b_k
 
-In three dimensions at most three constraints bind at the minimiser: the clipped u', then the exact projection
-on the box and one row, then every set of up to three rows and sides is tried. The result is a point that
-meets all constraints with multipliers that are not negative: the conditions of Karush, Kuhn and Tucker, which
-are sufficient here. Where no point meets all rows, the least common slack is the lowest corner of a linear
-program in four variables. No code is shared with the solver.
+In three dimensions at most three constraints are active at the minimiser. The clipped u' is tried first, then
+the exact projection on the box and one row, then every set of up to three rows and sides of the box. The
+result meets all constraints with multipliers that are not negative: these Karush-Kuhn-Tucker conditions are
+sufficient here. If no point meets all rows, the least common slack is the lowest vertex of a linear program
+in four variables. The solver shares no code with this module.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ from flightstack.core.safety.projection import EMPTY, projected
 from flightstack.core.types import Vec3
 
 TOLERANCE_M_S = 1e-9  # allowed violation of a constraint
-_PARALLEL = 1e-10  # determinant of unit vectors below which a set is not independent
+_PARALLEL = 1e-10  # determinant of unit vectors below which the vectors count as dependent
 _MULTIPLIER_LEAST = -1e-9
 _SIDES = np.vstack([np.eye(3), -np.eye(3)])
 
 
 class Row(NamedTuple):
-    """A constraint g . u >= b on the velocity."""
+    """A linear constraint g . u >= b on the velocity u."""
 
-    g: Vec3  # without unit
-    bound_m_s: float  # b
+    g: Vec3  # gradient g, without unit
+    bound_m_s: float  # bound b
 
     def missing_m_s(self, u: Vec3) -> float:
-        """Violation of the row by a velocity; not positive if it is met."""
+        """Return the violation of the row by a velocity, m/s; it is not positive if the row is met."""
         return self.bound_m_s - (self.g[0] * u[0] + self.g[1] * u[1] + self.g[2] * u[2])
 
 
 class Nearest(NamedTuple):
-    point: Vec3  # m/s
-    multipliers: tuple[float, ...]  # one for each row; 0 for those that do not bind
+    point: Vec3  # minimiser, m/s
+    multipliers: tuple[float, ...]  # one multiplier for each row; 0 for inactive rows
 
 
 def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
-    """Minimiser of the program; ``None`` if no point of the box meets all rows."""
+    """Return the minimiser of the program, or ``None`` if no point of the box meets all rows."""
     point = clip_to_box(nominal, lower, upper)
     missed = [k for k, row in enumerate(rows) if row.missing_m_s(point) > 0.0]
     if not missed:
@@ -61,14 +61,14 @@ def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nea
 
 @cache
 def _sets(rows: int, size: int) -> Any:
-    """Sets of ``size`` rows and sides, in the order rows, lower, upper, without two sides of one axis."""
+    """Return the sets of ``size`` rows and sides (rows, lower, upper), without two sides of one axis."""
     sides = [(rows + k, rows + 3 + k) for k in range(3)]
     every = itertools.combinations(range(rows + 6), size)
     return np.array([s for s in every if not any(low in s and high in s for low, high in sides)])
 
 
 def prepare(neighbours: int) -> None:
-    """Make the sets of all programs with at most this number of neighbours before the flight."""
+    """Compute the sets of all programs with at most this number of neighbours before the flight."""
     for rows in range(1, neighbours + 3):
         for size in (1, 2, 3):
             _sets(rows, size)
@@ -89,7 +89,7 @@ def _of_all_sets(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -
         chosen = _sets(count, size)
         a = unit[chosen]
         gram = a @ a.transpose(0, 2, 1)
-        with np.errstate(divide="ignore"):  # zero for dependent sets
+        with np.errstate(divide="ignore"):  # the determinant of a dependent set is zero
             kept = np.linalg.det(gram) > _PARALLEL
         chosen, a, gram = chosen[kept], a[kept], gram[kept]
         lacking = limit[chosen] - a @ start
@@ -113,7 +113,7 @@ def _of_all_sets(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -
 
 
 def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3) -> tuple[float, Vec3]:
-    """Least common slack s >= 0 of the soft rows, g . u + s >= b, and a velocity that meets them."""
+    """Return the least slack s >= 0 of all soft rows, g . u + s >= b, and a velocity that meets them."""
     rows = [*soft, *firm]
     slack = [1.0] * len(soft) + [0.0] * (len(firm) + 6) + [1.0]
     normals = np.vstack([np.array([row.g for row in rows]).reshape(-1, 3), _SIDES, np.zeros((1, 3))])
@@ -134,7 +134,7 @@ def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Ve
 
 @cache
 def _corners(soft: int, firm: int) -> Any:
-    """Sets of four of soft rows, firm rows, sides and s >= 0 that can be a corner, one of which bounds s."""
+    """Return the sets of four constraints that can form a vertex; one of each set bounds the slack s."""
     rows = soft + firm
     last, sides = rows + 6, [(rows + k, rows + 3 + k) for k in range(3)]
     every = itertools.combinations(range(rows + 7), 4)

@@ -1,4 +1,4 @@
-"""This vehicle as a member of a fleet: received messages, its constraints, and its own messages."""
+"""This vehicle as a member of a fleet: its received messages, its constraints, and its own messages."""
 
 from __future__ import annotations
 
@@ -20,36 +20,36 @@ from flightstack.core.safety.qp_filter import FilterResult
 from flightstack.core.target.track import TargetState
 from flightstack.core.types import ZERO, Intent, Landed, Neighbour, OwnState, Phase, Vec3, VehicleStatus
 
-FUTURE_MAX_S = 0.05  # allowed lead of a stamp, in addition to the bound of its clock
-# waits for a right of way that a flight of another member may take: a wait and a landing
+FUTURE_MAX_S = 0.05  # largest lead of a stamp over this clock, in addition to the bound of its clock, s
+# longest flight of another member (a wait and a landing), in units of the longest wait
 FLIGHTS_OF_OTHERS = 2.0
-TOLD_M_S = 0.005  # slack that is reported
-CALM_S = 1.0  # time without slack until this is reported
-HELD_BACK_M_S = 0.3  # largest speed within the reachable set of a silent vehicle
-STAYS_S = 5.0  # time after a landing until a vehicle on a requested pad is reported
+TOLD_M_S = 0.005  # smallest slack that is reported, m/s
+CALM_S = 1.0  # time without slack after which this is reported, s
+HELD_BACK_M_S = 0.3  # largest horizontal speed within the reachable set of a silent vehicle, m/s
+STAYS_S = 5.0  # time after a landing at which a vehicle that has not left a requested pad is reported, s
 _INTENTS = MappingProxyType(
     {
         Phase.WAIT: Intent.WAITING,
         Phase.TAKEOFF: Intent.WAITING,
-        Phase.APPROACH: Intent.WAITING,  # LANDING with the right of way
+        Phase.APPROACH: Intent.WAITING,  # LANDING once it has the right of way
         Phase.LAND: Intent.COMMITTED,
         Phase.TOUCHDOWN: Intent.COMMITTED,
         Phase.LANDED: Intent.DOWN,
         Phase.HOLD: Intent.CLEARING,
         Phase.CLIMB: Intent.CLEARING,
         Phase.ABORT: Intent.DOWN,  # CLEARING while it flies clear
-        Phase.LEAVE: Intent.CLEARING,  # STANDING before that, DOWN once it lands
+        Phase.LEAVE: Intent.CLEARING,  # STANDING before the take-off, DOWN once it lands
     }
 )
 
 
 class Rows(NamedTuple):
-    """Rows of the neighbours in reach, and those neighbours as seen by the side-step."""
+    """Constraints by the neighbours within reach, and the same neighbours for the side-step."""
 
-    rows: tuple[Row, ...]  # rows of the program; the nearest first
-    lax: tuple[Row, ...]  # the same without the reachable sets of silent vehicles
-    near: tuple[Near, ...]  # the same vehicles as the side-step sees them
-    # a silent vehicle may fly near: the speed is limited
+    rows: tuple[Row, ...]  # rows (constraints) of the program; the nearest neighbour first
+    lax: tuple[Row, ...]  # the same rows without the reachable sets of silent vehicles
+    near: tuple[Near, ...]  # the same neighbours, for the side-step
+    # the speed is limited, because a silent vehicle may fly near
     held_back: bool = False
 
 
@@ -57,7 +57,7 @@ NO_ROWS = Rows((), (), ())
 
 
 def intent_of(memory: Memory, *, granted: bool, flies: bool) -> Intent:
-    """Intent that a phase announces to the other members."""
+    """Return the intent that a vehicle in this phase announces to the other members."""
     if memory.phase is Phase.ABORT and memory.abort_way is AbortWay.FLY_CLEAR and not memory.clear:
         return Intent.CLEARING
     if memory.phase is Phase.LEAVE and memory.clear:
@@ -72,7 +72,7 @@ def intent_of(memory: Memory, *, granted: bool, flies: bool) -> Intent:
 
 
 class FleetMember:
-    """The others and this vehicle among them; ``memory`` is all that it remembers."""
+    """This vehicle in its fleet; ``memory`` is its complete state."""
 
     def __init__(self, fleet: Fleet, sigma_m: float) -> None:
         self.memory = FleetMemory()
@@ -82,11 +82,11 @@ class FleetMember:
 
     @property
     def slots(self) -> list[tuple[int, Heard]]:
-        """Id and state of each other member."""
-        return list(zip(self._index, self.memory.slots, strict=False))  # a smaller fleet has fewer
+        """Return id and state of each other member."""
+        return list(zip(self._index, self.memory.slots, strict=False))  # a smaller fleet uses fewer slots
 
     def take(self, words: Sequence[Neighbour], now_s: float) -> list[str]:
-        """Store the newest message of each member; texts on rejected ones and on positions that jump."""
+        """Store the newest message of each member; return texts on rejected messages and jumped positions."""
         texts = []
         for word in words:
             why = self._refusal(word, now_s)
@@ -97,7 +97,7 @@ class FleetMember:
             before = slot.word
             if before is not None:
                 if word.stamp_s <= before.stamp_s:
-                    continue  # an overtaken message is old
+                    continue  # a newer message has overtaken this one
                 slot.faster_m_s2 = faster(slot.faster_m_s2, before, word)
                 by_m = jump(before, word, self._fleet)
                 if by_m != ZERO:
@@ -106,7 +106,7 @@ class FleetMember:
         return texts
 
     def _jumped(self, slot: Heard, who: int, by_m: Vec3) -> str:
-        """Record a position that jumped; returns the text of an event."""
+        """Record a position that jumped; return the text of an event."""
         (x, y, z), (jx, jy, jz) = slot.jumped_m, by_m
         slot.jumped_m = (x + jx, y + jy, z + jz)
         return (
@@ -140,9 +140,9 @@ class FleetMember:
         return all(w.intent is Intent.DOWN or now_s - w.stamp_s > fleet.silent_flight_s for w in words)
 
     def way(self, phase: Phase, target: TargetState | None, now_s: float, own: OwnState | None = None) -> Way:
-        """Permissions of the mission in this tick.
+        """Return the permissions for the mission in this tick.
 
-        Advances claim, right of way and landing place by a tick.
+        The call advances claim, right of way and landing place by one tick.
         """
         pad = Pad(target.position_enu_m, target.velocity_enu_m_s) if target is not None else None
         way = decide(self.memory, self.slots, phase, pad, now_s, self._fleet)
@@ -154,15 +154,15 @@ class FleetMember:
         return way
 
     def stays(self, way: Way, in_phase_s: float, why: str) -> list[str]:
-        """Text of an event, once, if this vehicle has not left a pad that another vehicle waits for."""
+        """Return an event text, once, if this vehicle has not left a pad that another vehicle waits for."""
         if not way.pad_wanted or self.memory.stays or in_phase_s < STAYS_S:
             return []
         self.memory.stays = True
         return [f"it stays on the pad: {why or 'an input is lost'}; {way.text}"]
 
     def rows(self, phase: Phase, own: OwnState, wanted_m_s: Vec3, now_s: float) -> Rows:
-        """Rows of the neighbours in reach for which this vehicle has a share; none in a touchdown."""
-        if phase is Phase.TOUCHDOWN:  # it descends to the ground: the others keep clear of it
+        """Return the rows of the neighbours within reach that this vehicle shares; none in a touchdown."""
+        if phase is Phase.TOUCHDOWN:  # in a touchdown, the other vehicles keep clear of this one
             return NO_ROWS
         fleet, (x, y, z), found, held_back = self._fleet, own.position_enu_m, [], False
         reach_m = fleet.reach_m - fleet.radius_xy_m
@@ -195,24 +195,24 @@ class FleetMember:
             found.append((h_m, n, made, lax, Near(h_m, gradient, away, now.velocity_enu_m_s)))
         if not found:
             return NO_ROWS
-        found.sort()  # by h, then by the number
+        found.sort()  # by h, then by the id
         _, _, rows, every_lax, near = zip(*found, strict=True)
         return Rows(rows, every_lax, near, held_back)
 
     def aside(self, nominal: Vec3, rows: Rows) -> Vec3:
-        """Nominal velocity with the side-step past approaching vehicles, slow near silent ones."""
+        """Return the nominal velocity with the side-step past approaching vehicles, slow near silent ones."""
         if rows.held_back:
             nominal = limit(nominal, (HELD_BACK_M_S, HELD_BACK_M_S, math.inf))
         return sidestep(nominal, rows.near, self._fleet.rate_1_s)
 
     def solve(self, nominal: Vec3, firm: Sequence[Row], rows: Rows, lower: Vec3, upper: Vec3) -> FilterResult:
-        """Filter a nominal velocity; arguments as those of ``FleetProgram.solve``."""
+        """Filter a nominal velocity; the arguments are those of ``FleetProgram.solve``."""
         found = self._program.solve(nominal, firm, rows.rows, lower, upper, rows.lax)
         self._given_m_s = found.given_m_s
         return found.filter
 
     def crowded(self, now_s: float) -> list[str]:
-        """Text of an event when the neighbours' rows start to be relaxed, or are met again for a while."""
+        """Return an event text when the neighbours' rows start to be relaxed, or are met again."""
         memory, given_m_s, self._given_m_s = self.memory, self._given_m_s, 0.0
         if given_m_s > TOLD_M_S:
             before, memory.crowded, memory.crowded_s = memory.crowded, True, now_s
@@ -229,13 +229,13 @@ class FleetMember:
         self, memory: Memory, own: OwnState, status: VehicleStatus | None, wanted_m_s: Vec3,
         target: TargetState | None, now_s: float,
     ) -> Neighbour:  # fmt: skip
-        """Message to the other members after this tick."""
+        """Return the message to the other members after this tick."""
         flies = status is not None and status.armed and status.landed is not Landed.ON_GROUND
         fleet, mine, (x, y, z) = self._fleet, self.memory, own.position_enu_m
         intent = intent_of(memory, granted=mine.granted, flies=flies)
         committed = intent is Intent.COMMITTED
         mine.committed_s = min(mine.committed_s, now_s) if committed else math.inf
-        # it is not possible to give way to a silent member, whose position is unknown
+        # the position of a silent member is unknown, so this vehicle cannot give way to it
         yields = tuple(n for n, slot in self.slots if slot.yields and heard(slot.word, now_s, fleet))
         for n in yields:
             mine.slots[self._index[n]].yielded_s = now_s

@@ -1,10 +1,10 @@
-"""Order of landings on equal pads or on pads that come near each other, by messages without a leader.
+"""Order of landings on pads that are equal or come near each other, agreed by messages without a leader.
 
-A vehicle that starts its landing claims the right of way with a time stamp. It has it when every member whose
-pad is in conflict has sent a message since (claim and latency), and has no claim or yields: so the reply of
-Ricart and Agrawala is the field ``yields_to``. The older claim is first, then the lower id. A member yields
-until the other's claim ends. Clocks may disagree on two claims of the same moment: if both yield, the lower
-id stops yielding; if none does, the higher id yields. A cycle of three or more is opened by a new claim.
+A vehicle that starts its landing claims the right of way with a time stamp. The claim is granted when every
+member with a conflicting pad has sent a message later than claim plus latency, and has no claim or yields.
+The field ``yields_to`` is the reply of Ricart and Agrawala's algorithm. The older claim is first, then the
+lower id. A member yields until the other's claim ends. If clocks disagree on two claims and both members
+yield, the lower id stops yielding; if neither does, the higher id yields. A new claim breaks a longer cycle.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ GOES = frozenset({Intent.LANDING, Intent.COMMITTED})
 
 
 class Way(NamedTuple):
-    """Permissions of the mission with respect to the neighbours."""
+    """Permissions for the mission with respect to the neighbours."""
 
-    may_begin: bool = True  # every member has been heard
-    may_land: bool = True  # it has the right of way
-    may_touch: bool = True  # the announcement that it no longer gives way has reached all neighbours
-    waited: bool = False  # it has waited for its right of way for too long
-    text: str = ""  # vehicles that it waits for
-    pad_wanted: bool = False  # landed on a pad that others wait for, it is to leave it
-    place_enu_m: Vec3 | None = None  # place where it lands after that
-    cut_off: bool = False  # it hears too few of the others to go on
+    may_begin: bool = True  # every member sends messages, or is down
+    may_land: bool = True  # this vehicle has the right of way
+    may_touch: bool = True  # this vehicle's announcement that it no longer gives way has arrived
+    waited: bool = False  # this vehicle has waited too long for the right of way
+    text: str = ""  # names of the members for which this vehicle waits
+    pad_wanted: bool = False  # this vehicle must leave the pad, because others wait for it
+    place_enu_m: Vec3 | None = None  # landing place after this vehicle has left the pad
+    cut_off: bool = False  # this vehicle receives messages of too few members to continue
 
 
 ALONE = Way()
@@ -42,12 +42,12 @@ ALONE = Way()
 class Pad(NamedTuple):
     """Landing place of a vehicle."""
 
-    position_enu_m: Vec3  # landing spot
-    velocity_enu_m_s: Vec3  # its velocity
+    position_enu_m: Vec3  # position of the landing spot
+    velocity_enu_m_s: Vec3  # velocity of the landing spot
 
 
 def nearest_m(pad: Pad, place_enu_m: Vec3, moves_m_s: Vec3, ahead_s: float) -> float:
-    """Least horizontal distance of a pad and a place within a time at constant velocities."""
+    """Return the least horizontal distance of a pad and a place within a time, at constant velocities."""
     (x, y, _), (vx, vy, _) = pad
     x, y, vx, vy = place_enu_m[0] - x, place_enu_m[1] - y, moves_m_s[0] - vx, moves_m_s[1] - vy
     speed2 = vx * vx + vy * vy
@@ -59,7 +59,7 @@ def decide(
     memory: FleetMemory, slots: Sequence[tuple[int, Heard]], phase: Phase, pad: Pad | None, now_s: float,
     fleet: Fleet,
 ) -> Way:  # fmt: skip
-    """Advance claim and right of way by one tick."""
+    """Advance claim and right of way by one tick, and return the permissions."""
     missing = [n for n, slot in slots if not _present(slot.word, now_s, fleet)]
     if phase not in CLAIMING or pad is None:
         if phase not in CLAIMING:
@@ -74,7 +74,7 @@ def decide(
     blockers = [n for n, slot in slots if _blocks(memory, slot, pad, now_s, fleet)]
     if not memory.granted and _in_a_circle(memory, slots, now_s, fleet):
         memory.claim_s = now_s
-    if phase is not Phase.TOUCHDOWN:  # which is not interrupted
+    if phase is not Phase.TOUCHDOWN:  # a touchdown is not interrupted
         taken = memory.granted and any(slot.yields for _, slot in slots)
         memory.granted = (memory.granted or not blockers) and not taken
         memory.waits_since_s = min(memory.waits_since_s, now_s) if not memory.granted else math.inf
@@ -90,9 +90,9 @@ def decide(
 
 
 def _in_a_circle(memory: FleetMemory, slots: Sequence[tuple[int, Heard]], now_s: float, fleet: Fleet) -> bool:
-    """Whether it yields only to members that yield themselves, for longer than those with higher ids.
+    """Whether this vehicle has waited too long in a cycle of members that yield to each other.
 
-    Clocks that disagree can form a cycle of three. A new claim, the youngest of all, opens it.
+    Clocks that disagree can form a cycle of three. A new, youngest claim breaks it; the highest id is first.
     """
     first = [slot.word for _, slot in slots if slot.yields and slot.word is not None]
     if not first or not all(word.yields_to and word.intent not in GOES for word in first):
@@ -102,7 +102,7 @@ def _in_a_circle(memory: FleetMemory, slots: Sequence[tuple[int, Heard]], now_s:
 
 
 def drop(memory: FleetMemory, slots: Sequence[tuple[int, Heard]]) -> None:
-    """Give up claim and right of way; yields to no member."""
+    """Drop claim and right of way; this vehicle then yields to no member."""
     memory.claim_s, memory.granted = math.nan, False
     memory.waits_since_s = memory.committed_s = math.inf
     for _, slot in slots:
@@ -110,15 +110,15 @@ def drop(memory: FleetMemory, slots: Sequence[tuple[int, Heard]]) -> None:
 
 
 def heard(word: Neighbour | None, now_s: float, fleet: Fleet) -> bool:
-    """Whether a member's newest message is fresh."""
+    """Whether the newest message of a member is recent."""
     return word is not None and now_s - word.stamp_s <= fleet.age_max_s
 
 
 def _cut_off(slots: Sequence[tuple[int, Heard]], now_s: float, fleet: Fleet) -> bool:
     """Whether this vehicle is in the part of a divided fleet that has to land.
 
-    If two parts of a fleet do not receive each other's messages, the larger part continues; of two equal
-    parts the one with the lowest id. Members that are down or never sent a message do not count.
+    If two parts of a fleet do not receive each other's messages, the larger part continues, or of two equal
+    parts the one with the lowest id. Members that are down or never sent a message are not counted.
     """
     hears = [n for n, slot in slots if heard(slot.word, now_s, fleet)]
     lost = [n for n, slot in slots if n not in hears and slot.word is not None and not _is_down(slot.word)]
@@ -131,7 +131,7 @@ def _is_down(word: Neighbour | None) -> bool:
 
 
 def _present(word: Neighbour | None, now_s: float, fleet: Fleet) -> bool:
-    """Whether a member sends messages, or is down (a landed member may stop sending)."""
+    """Whether a member sends messages or is down; a landed member may stop sending."""
     return word is not None and (word.intent is Intent.DOWN or now_s - word.stamp_s <= fleet.age_max_s)
 
 
@@ -143,7 +143,7 @@ def _blocks(memory: FleetMemory, slot: Heard, pad: Pad, now_s: float, fleet: Fle
     if word.intent in ON_GROUND:
         slot.yields = False
         near = _distance_m(pad, word) < fleet.radius_xy_m
-        # a silent vehicle on a moving pad is not at its last position
+        # a silent vehicle on a moving pad has left its last reported position
         slot.on_pad = near or (slot.on_pad and now_s - word.stamp_s > fleet.age_max_s)
         if slot.on_pad:
             return True
@@ -151,7 +151,7 @@ def _blocks(memory: FleetMemory, slot: Heard, pad: Pad, now_s: float, fleet: Fle
         slot.yields = slot.on_pad = False
         return True
     if word.intent is not Intent.DOWN and now_s - word.stamp_s > fleet.silent_flight_s:
-        slot.yields = False  # its flight has ended; with the same pad it may stand there
+        slot.yields = False  # the flight of this member has ended; it may stand on the same pad
         return _conflict(word, pad, 0.0, fleet)
     ahead_s = fleet.descent_s * (KEPT_PART if memory.granted else 1.0)
     if not (slot.yields and slot.claim_s == word.claim_s) and not _conflict(word, pad, ahead_s, fleet):
@@ -171,7 +171,7 @@ def _blocks(memory: FleetMemory, slot: Heard, pad: Pad, now_s: float, fleet: Fle
 
 
 def _distance_m(pad: Pad, word: Neighbour) -> float:
-    """Horizontal distance of a vehicle from a pad."""
+    """Return the horizontal distance of a vehicle from a pad."""
     return nearest_m(pad, word.position_enu_m, word.velocity_enu_m_s, 0.0)
 
 
@@ -188,7 +188,7 @@ def _yields(
     answered: bool, gives_way: bool,
 ) -> bool:  # fmt: skip
     goes, lower = word.intent in GOES, fleet.id < word.id
-    if memory.granted:  # revoked only by an older right of way
+    if memory.granted:  # only an older right of way revokes this one
         return goes and (word.claim_s, word.id) < (memory.claim_s, fleet.id) and not gives_way
     if lower and gives_way and not goes:
         return False
@@ -201,10 +201,10 @@ def _yields(
 
 
 def _conflict(word: Neighbour, pad: Pad, ahead_s: float, fleet: Fleet) -> bool:
-    """Whether both pads are too near each other for two landings; a claim for an unknown pad always is.
+    """Whether two pads are too near to each other for two landings; a claim for an unknown pad conflicts.
 
-    With the right of way the horizon is shorter: velocities of pads have errors, and an aborted descent costs
-    more than a delayed one.
+    The horizon is shorter for a vehicle with the right of way: velocities of pads have errors, and an aborted
+    descent costs more than a delayed one.
     """
     place = word.pad_position_enu_m
     if place is None:

@@ -1,12 +1,12 @@
-"""The program with the rows of neighbours: landing barrier, box, and one row for each neighbour in reach.
+"""Quadratic program of a fleet member: landing barrier, box, and one row for each neighbour within reach.
 
-The program of ``safety/qp_filter.py`` with more rows. OSQP starts from the exact solution (``dual.py``; if
-not confirmed, ``exact.py`` by all active sets), and its result is used only if it meets all rows and equals
-that point. If no point meets all rows, the rows of silent vehicles are relaxed first; then all rows of
-neighbours together by the least common slack. Landing barrier and box are never relaxed.
+It is the program of ``safety/qp_filter.py`` with more rows (constraints). OSQP starts from the exact solution
+(``dual.py``; if that is not confirmed, ``exact.py``), and its result is used only if it meets all rows and
+equals that solution. If no point meets all rows, the rows of silent vehicles are relaxed first; then all rows
+of neighbours together by the least common slack. Landing barrier and box are never relaxed.
 
-Over the pad ``Cone`` cuts the box first. A lone vehicle flies inwards, where the boundary falls; one that
-gives way may fly outwards or past the middle, where the boundary may rise faster than it can climb.
+Over the pad, ``Cone`` reduces the box first. A single vehicle flies inwards, where the boundary falls; one
+that gives way may fly outwards or past the centre, where the boundary may rise faster than a climb.
 """
 
 from __future__ import annotations
@@ -27,24 +27,24 @@ from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S, FilterResult, so
 from flightstack.core.safety.solver import compiled_solver, matrix
 from flightstack.core.types import ZERO, FilterStatus, Vec3
 
-FIRM_MAX = 2  # rows that are never relaxed
-AGREES_M_S = 1e-6  # largest distance of the solver's point from the exact one, m/s
+FIRM_MAX = 2  # largest number of rows that are never relaxed
+AGREES_M_S = 1e-6  # largest distance of the solver's result from the exact solution, m/s
 _ROWS = FIRM_MAX + OTHERS_MAX
-INWARD_RATE_1_S = 2.5  # always allowed horizontal velocity per distance from the pad's middle
-OUTWARD_PART = 0.5  # share of the landing barrier's rate for horizontal velocities that lower h
-RELAXED_M_S = 1e-8  # added to the least slack, so that the feasible set is more than one point
+INWARD_RATE_1_S = 2.5  # allowed horizontal velocity per distance from the pad's centre, 1/s
+OUTWARD_PART = 0.5  # share of the landing barrier's rate that horizontal velocities may use
+RELAXED_M_S = 1e-8  # addition to the least slack, m/s, so that the feasible set is more than one point
 
 
 class FleetResult(NamedTuple):
-    """Filtered velocity."""
+    """Filtered velocity of a fleet member."""
 
-    # result as that of ``SafetyFilter``; its slack is that of the landing barrier, NaN without one
+    # result as from ``SafetyFilter``; its slack belongs to the landing barrier, NaN without one
     filter: FilterResult
     given_m_s: float  # slack of the neighbours' rows; 0 unless CROWDED
 
 
 def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
-    """Minimiser of the program; ``None`` if no point of the box meets all rows."""
+    """Return the minimiser of the program, or ``None`` if no point of the box meets all rows."""
     x, y, z = point = clip_to_box(nominal, lower, upper)
     for (gx, gy, gz), bound_m_s in rows:
         if gx * x + gy * y + gz * z < bound_m_s:
@@ -63,7 +63,7 @@ def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Ve
 
 
 class FleetProgram:
-    """The quadratic program, allocated once."""
+    """Quadratic program whose memory is allocated once."""
 
     def __init__(self, neighbours: int = OTHERS_MAX) -> None:
         exact.prepare(neighbours)
@@ -72,8 +72,8 @@ class FleetProgram:
         self._q, self._x, self._y = np.zeros(3), np.zeros(3), np.zeros(size)
         self._lower, self._upper = np.full(size, -self._infinite), np.full(size, self._infinite)
         whole = np.vstack([np.ones((_ROWS, 3)), np.eye(3)])
-        self._ax = np.ones(3 * (_ROWS + 1))  # column-wise: all rows of an axis, then its side of the box
-        # the same numbers as Python floats: a third of the time of numpy's
+        self._ax = np.ones(3 * (_ROWS + 1))  # column by column: all rows of an axis, then its side of the box
+        # views of these arrays with Python floats: access takes a third of the time of numpy's
         self._numbers: list[Any] = [
             each.data for each in (self._q, self._lower, self._upper, self._x, self._y)
         ]
@@ -120,7 +120,7 @@ class FleetProgram:
                 point, status = best.point, FilterStatus.CLOSED_FORM
         else:
             given_m_s, point = least_slack(firm, neighbours, lower, upper)
-            if not math.isfinite(given_m_s):  # only the corner meets the barrier
+            if not math.isfinite(given_m_s):  # only this corner of the box meets the barrier
                 point = corner
             else:
                 less = given_m_s + RELAXED_M_S
@@ -135,13 +135,13 @@ class FleetProgram:
     def _osqp(
         self, nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3, start: Nearest
     ) -> tuple[Vec3, float, int]:
-        """Point clipped to the box, its largest violation before (inf if not solved), iterations."""
+        """Return the OSQP result clipped to the box, its residual (inf if not solved) and the iterations."""
         q, low, high, first, dual = self._numbers
         in_x, in_y, in_z = self._columns
         (x, y, z), (px, py, pz), count, least = nominal, start.point, len(rows), -self._infinite
         q[0], q[1], q[2] = -x, -y, -z
         first[0], first[1], first[2] = px, py, pz
-        x, y, z = x - px, y - py, z - pz  # the part of the sides of the box
+        x, y, z = x - px, y - py, z - pz  # from here on: gradient that the sides of the box balance
         for k, (((gx, gy, gz), bound_m_s), multiplier) in enumerate(
             zip(rows, start.multipliers, strict=True)
         ):
@@ -175,15 +175,15 @@ class FleetProgram:
 class Cone(NamedTuple):
     """Bounds of the velocity over the pad."""
 
-    rate_1_s: float  # rate at which h may be used up
-    slope_max: float  # steepest slope of the boundary
-    lag_s: float  # delay of a climb
+    rate_1_s: float  # rate of the barrier constraint: h may fall by this part of h per second
+    slope_max: float  # steepest slope of the boundary of the safe set
+    lag_s: float  # delay until a climb command takes effect
     period_s: float  # period of a tick
 
     def outward(self, h_m: float, gradient: Vec3, before_m_s: Vec3, target_m_s: Vec3) -> Row:
-        """Row that lets a velocity out of the cone grow no faster than the climb that holds h can follow.
+        """Return the row that limits the growth of an outward velocity to what a climb can follow.
 
-        Flying inwards may always end.
+        An inward motion may always be stopped.
         """
         gx, gy, _ = gradient
         used_m_s = self.period_s * self.rate_1_s * max(0.0, h_m) / self.lag_s
@@ -194,11 +194,11 @@ class Cone(NamedTuple):
     def box(
         self, d_m: float, h_m: float, nominal: Vec3, target_m_s: Vec3, lower: Vec3, upper: Vec3
     ) -> tuple[Vec3, Vec3]:
-        """Box in which avoidance neither adds sink rate nor carries the vehicle fast across the middle.
+        """Return the box in which avoidance adds no sink rate and does not cross the centre fast.
 
-        Beyond the middle an inward velocity becomes an outward one. A climb may always end. The vehicle
-        sinks no faster than h alone allows: on an inward path, where the boundary falls, a neighbour may
-        reverse the vehicle sooner than the climb follows.
+        Beyond the centre an inward velocity becomes an outward one. A climb may always be stopped. The
+        vehicle sinks no faster than h alone allows: on an inward path, where the boundary falls, a neighbour
+        may reverse the motion sooner than the climb can follow.
         """
         most = INWARD_RATE_1_S * d_m + OUTWARD_PART * max(0.0, h_m) / (self.slope_max * self.lag_s)
         (tx, ty, tz), (lx, ly, lz), (ux, uy, uz) = target_m_s, lower, upper

@@ -1,9 +1,9 @@
-"""Share of this vehicle in the avoidance of another one: none, half, or all of it; and the side-step.
+"""Share of the avoidance of another vehicle that this vehicle takes (none, half or all), and the side-step.
 
 The shares of two vehicles always sum to at least 1, also with late or lost messages
-(docs/how_it_works/fleet.md). The order of the rules is the proof: first the announcements of this vehicle,
+(docs/how_it_works/fleet.md). The order of the rules proves this: first the announcements of this vehicle,
 then the reasons why the other one cannot give way, then the latest announcements of the other one. Two
-vehicles that meet head-on would block each other: each steps aside to its right.
+vehicles that meet head-on would block each other, so each steps aside to its right.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from flightstack.core.memory import Heard
 from flightstack.core.parameters.fleet import HOLD_LATENCIES, ZERO_LATENCIES, Fleet
 from flightstack.core.types import ZERO, Intent, Neighbour, Vec3
 
-# members that do not give way, or have a fault
+# intents of members that do not give way, or have a fault
 FIRM = frozenset({Intent.STANDING, Intent.COMMITTED, Intent.CLEARING, Intent.DOWN})
 NONE, HALF, ALL = 0.0, 0.5, 1.0
-_LEAST_M = 1e-6  # least horizontal distance with a direction, m
+_LEAST_M = 1e-6  # least horizontal distance that defines a direction, m
 
 
 def share(slot: Heard, word: Neighbour, now_s: float, fleet: Fleet) -> float:
-    """Share of the avoidance that this vehicle takes: none, half or all of it."""
+    """Return the share of the avoidance that this vehicle takes: none, half or all of it."""
     if slot.yields or now_s - slot.yielded_s <= HOLD_LATENCIES * fleet.latency_max_s:
         return ALL
     age_s = now_s - word.stamp_s + word.clock_bound_s
     if word.intent in FIRM or age_s > fleet.age_max_s:
         return ALL
     if slot.jumped_m != ZERO and math.hypot(*slot.jumped_m) > fleet.margin_m:
-        return ALL  # its own position estimate may be wrong
+        return ALL  # the position estimate of the other vehicle may be wrong
     if fleet.id in word.yields_to and age_s <= ZERO_LATENCIES * fleet.latency_max_s:
         return NONE
     return HALF
@@ -47,11 +47,11 @@ def row(
     now: Estimate,
     fleet: Fleet,
 ) -> Row:
-    """Constraint on this vehicle's velocity.
+    """Return the constraint on this vehicle's velocity.
 
-    With the whole part it goes by the other one's velocity. With half of it, it goes by the mean of both
-    velocities wanted, each as it was told: where both hold theirs, the distance falls no faster than the rate
-    allows. What the other one may have changed since its word counts against this vehicle.
+    With the whole share, the constraint uses the other vehicle's velocity. With half of it, it uses the mean
+    of both announced velocity commands: if both vehicles follow them, the distance falls no faster than the
+    rate allows. Possible changes of the other velocity since its message tighten the constraint.
     """
     if part == ALL:
         c = now.velocity_enu_m_s
@@ -63,11 +63,11 @@ def row(
 
 
 def wider(lax: Row, outer_m: float, now: Estimate, fleet: Fleet) -> Row:
-    """Constraint for a vehicle whose messages are late: it may be anywhere in a larger ellipsoid.
+    """Return the constraint for a vehicle whose messages are late: it may be anywhere in a larger ellipsoid.
 
-    While the other vehicle may fly, this vehicle stays out of the ellipsoid, or, inside it, does not approach
-    its middle. After that the other vehicle lies in the ellipsoid: a vehicle outside remains outside, and one
-    inside has to land, too.
+    While the other vehicle may fly, this vehicle stays out of the ellipsoid or, inside it, does not approach
+    its centre. After that the other vehicle lies in the ellipsoid: a vehicle outside remains outside, and one
+    inside keeps only the row ``lax``, since it has to land, too.
     """
     bound_m_s = -fleet.rate_1_s * outer_m
     if now.age_s <= fleet.silent_flight_s:
@@ -78,18 +78,18 @@ def wider(lax: Row, outer_m: float, now: Estimate, fleet: Fleet) -> Row:
 
 
 class Near(NamedTuple):
-    """A vehicle in reach."""
+    """A neighbour within reach."""
 
-    h_m: float  # value of the barrier
-    gradient: Vec3  # gradient by this vehicle's position
-    away_m: Vec3  # this vehicle minus the other one, ENU
-    velocity_enu_m_s: Vec3  # velocity of the other one
+    h_m: float  # value of the barrier function between the two vehicles, m
+    gradient: Vec3  # its gradient with respect to this vehicle's position
+    away_m: Vec3  # position of this vehicle minus that of the neighbour, ENU
+    velocity_enu_m_s: Vec3  # velocity of the neighbour
 
 
 def sidestep(nominal: Vec3, near: Sequence[Near], rate_1_s: float) -> Vec3:
-    """Nominal velocity plus a side-step to the right of each vehicle that it approaches.
+    """Return the nominal velocity plus a side-step to the right of each vehicle that it approaches.
 
-    The side-step grows from 0, where the row begins to bind, to the closing speed, where h is 0.
+    The side-step grows from 0, where the row becomes active, to the closing speed at h = 0.
     """
     x, y, z = nominal
     for h_m, (gx, gy, gz), (ax, ay, _), (vx, vy, vz) in near:

@@ -1,6 +1,6 @@
-"""Computes the flags of the phase tables from the snapshot of a tick, and the text of a rule's reason.
+"""Flags of the phase tables, computed from the snapshot of a tick, and the reason text of a rule.
 
-Nothing is remembered here.
+The functions of this module keep no state.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import Charge, Landed, Mode, Operator, OwnState, Phase, Vec3, VehicleStatus
 
-OVER_PAD_LEFT = 1.5  # multiple of the radius at which the cone over the pad is entered
-TAKEOFF_DONE = 0.85  # share of the take-off height at which the stack takes over control
-LANDED_SETTLE_S = 2.2  # the judge requires 2 s at rest on the pad
+OVER_PAD_LEFT = 1.5  # factor on the pad's radius within which phase LAND continues
+TAKEOFF_DONE = 0.85  # share of the take-off height above which the take-off climb is over
+LANDED_SETTLE_S = 2.2  # time at rest on the pad until the flight is over, s; the verdict requires 2 s
 DRIFT_CAUSES = (
     "usual causes: a twist in header.frame_id instead of child_frame_id, a heading that is off by 180 "
     "degrees, swapped axes"
@@ -34,12 +34,12 @@ _ASKED: dict[Operator, int] = {
     Operator.EMERGENCY_STOP: C.EMERGENCY,
     Operator.LAND: C.ABORT_ASKED | C.LAND_ASKED,
 }
-# bounds of the time in each phase, s, in the order of the phases
+# longest time in each phase, s, in the order of the phases
 PhaseTimes = tuple[float, float, float, float, float, float, float, float, float, float]
 
 
 def phase_times_s(config: FlightConfig) -> PhaseTimes:
-    """Longest time allowed in each phase."""
+    """Return the longest time allowed in each phase."""
     most_s = dict.fromkeys(Phase, math.inf)
     most_s |= {
         Phase.WAIT: config.checks.wait_time_max_s,
@@ -54,7 +54,7 @@ def phase_times_s(config: FlightConfig) -> PhaseTimes:
 
 
 def start_point(config: FlightConfig, target: TargetState) -> Vec3 | None:
-    """Where the landing begins, ENU; ``None``: at the vehicle's position."""
+    """Return the place where the landing starts, ENU; ``None``: at the vehicle's position."""
     offset = config.takeoff.start_offset_m
     if offset is None:
         return None
@@ -63,7 +63,7 @@ def start_point(config: FlightConfig, target: TargetState) -> Vec3 | None:
 
 
 def high_enough_m(config: FlightConfig, barrier: Barrier, memory: Memory) -> float:
-    """Height above every part of the target, climb margin included."""
+    """Return a height above every part of the target, including the climb margin."""
     base = memory.target_position_enu_m[2] if memory.target_position_enu_m else 0.0
     return base + barrier.peak_height_m + config.retreat.climb_margin_m
 
@@ -75,7 +75,7 @@ def climbed(config: FlightConfig, memory: Memory, own: OwnState) -> bool:
 
 
 def flown_clear(config: FlightConfig, memory: Memory, own: OwnState) -> bool:
-    """Whether an abort has flown clear of the target and remains clear in a landing, or took too long."""
+    """Whether an aborting vehicle is clear of the target and remains clear in a landing, or took too long."""
     target, clearance_m = memory.target_position_enu_m, config.checks.clearance_m
     if target is None:
         return False
@@ -89,21 +89,21 @@ def flown_clear(config: FlightConfig, memory: Memory, own: OwnState) -> bool:
 def _landing_distance_m(
     config: FlightConfig, memory: Memory, own: OwnState, away_m: tuple[float, float]
 ) -> float:
-    """Least horizontal distance from the target in a landing that begins now.
+    """Return the least horizontal distance from the target in a landing that starts now.
 
-    The vehicle comes to rest by its velocity loop, then sinks straight down; the target continues with its
-    last known velocity.
+    The vehicle brakes with its velocity loop, then descends vertically; the target continues with its last
+    known velocity.
     """
     assert memory.target_velocity_enu_m_s is not None  # known whenever the position is known
     lag_s = config.velocity_loop.lag_xy_s
     (vx, vy, _), (tx, ty, _) = own.velocity_enu_m_s, memory.target_velocity_enu_m_s
-    ground_z_m = memory.ground_z_m if memory.ground_z_m < math.inf else 0.0  # in the air from the start: 0
+    ground_z_m = memory.ground_z_m if memory.ground_z_m < math.inf else 0.0  # 0 for a start in the air
     sinks_s = max(0.0, own.position_enu_m[2] - ground_z_m) / config.retreat.landing_speed_m_s
     x, y = away_m[0] + vx * lag_s, away_m[1] + vy * lag_s
     closing_m2_s, speed2_m2_s2 = x * tx + y * ty, tx * tx + ty * ty
     if closing_m2_s <= 0.0:
         return math.hypot(x, y)
-    passed = closing_m2_s < speed2_m2_s2 * sinks_s  # it comes by before the vehicle is down
+    passed = closing_m2_s < speed2_m2_s2 * sinks_s  # the target passes before the vehicle has landed
     nearest_s = closing_m2_s / speed2_m2_s2 if passed else sinks_s
     return math.hypot(x - tx * nearest_s, y - ty * nearest_s)
 
@@ -118,7 +118,7 @@ def condition_flags(
     command_failed: bool,
     now_s: float,
 ) -> int:
-    """Flags of this tick; ``memory`` holds its timers already and is not changed."""
+    """Return the flags of this tick; ``memory`` already contains its timers and is not changed."""
     inputs, own, phase = snapshot.inputs, snapshot.inputs.own, memory.phase
     flags = _ASKED[inputs.operator] | lasting_flags(config.checks, memory, inputs.status)
     if not snapshot.follows:
@@ -165,7 +165,7 @@ def condition_flags(
 
 @numeric
 def time_flags(checks: Checks, times_s: PhaseTimes, memory: Memory, now_s: float) -> int:
-    """Flags of expired times, and of contact as detected by the mission."""
+    """Return the flags of expired times and of detected contact."""
     flags = 0
     if memory.started_s < math.inf:
         flags |= C.STARTED
@@ -177,15 +177,15 @@ def time_flags(checks: Checks, times_s: PhaseTimes, memory: Memory, now_s: float
         flags |= C.ON_PAD
     if (
         memory.phase is Phase.LAND and memory.contact
-    ):  # beside the middle it stands at h < 0, which no rule allows
+    ):  # off the centre a vehicle stands at h < 0, where no touchdown rule applies
         flags |= C.TOUCH
     return flags
 
 
 def _steady(checks: Checks, memory: Memory, snapshot: Snapshot, now_s: float) -> bool:
-    """Whether inputs have come for long enough since all are good, and another heartbeat.
+    """Whether all inputs have been renewed for long enough since all are good, and a heartbeat has arrived.
 
-    One that comes too seldom, or in bursts, is good until it is too old.
+    An input that arrives rarely, or in bursts, counts as good until it is too old.
     """
     own, status, target = snapshot.inputs.own, snapshot.inputs.status, snapshot.target
     if own is None or status is None or target is None:
@@ -195,20 +195,20 @@ def _steady(checks: Checks, memory: Memory, snapshot: Snapshot, now_s: float) ->
 
 
 def _better_beside(barrier: Barrier, memory: Memory, snapshot: Snapshot) -> bool:
-    """Whether a vehicle that has to come down lands beside the target.
+    """Whether a landing beside the target is better than one on the pad.
 
-    Inside the ring of the boundary the pad is the shortest way down: flying clear climbs, and leads out over
-    the ring.
+    Inside the peak ring of the boundary the pad is the shortest way down: to fly clear, the vehicle must
+    climb over the ring.
     """
     at = snapshot.relative if snapshot.good else None
     return memory.phase is not Phase.APPROACH or at is None or at.d_m > barrier.peak_distance_m
 
 
 def lasting_flags(checks: Checks, memory: Memory, status: VehicleStatus | None) -> int:
-    """Flags that change with the heartbeat or the phase only, in a landing without losses.
+    """Return the flags that only the heartbeat or the phase changes in a landing without losses.
 
-    Compiled ticks compute no flags but these, ``time_flags`` and ``landing_flags``: a flag that a rule of
-    APPROACH, LAND, TOUCHDOWN or LANDED asks about has to be in one of the three.
+    Compiled ticks compute only these flags, ``time_flags`` and ``landing_flags``: each flag that a rule of
+    APPROACH, LAND, TOUCHDOWN or LANDED uses must be in one of the three.
     """
     flags = C.TARGET_KNOWN if memory.target_position_enu_m is not None else 0
     if memory.retries < checks.retries_max:
@@ -231,7 +231,7 @@ def lasting_flags(checks: Checks, memory: Memory, status: VehicleStatus | None) 
 
 
 def _at_start(config: FlightConfig, at: Relative) -> bool:
-    """Whether it is where the landing begins, and moves with the target."""
+    """Whether the vehicle is where the landing starts, and moves with the target."""
     takeoff, start = config.takeoff, start_point(config, at.target)
     return start is None or (
         math.dist(at.own.position_enu_m, start) < takeoff.arrival_radius_m
@@ -244,9 +244,9 @@ def landing_flags(
     config: FlightConfig, strategy: Filter, barrier: Barrier, memory: Memory, at: Relative, now_s: float,
     may_land: bool, may_touch: bool,
 ) -> int:  # fmt: skip
-    """Flags of where it is over the pad; all inputs are good."""
+    """Return the flags of the vehicle's position over the pad; all inputs are good."""
     touchdown, flags = config.touchdown, 0
-    # the cone is left at a wider radius than it is entered, so that noise does not make the phases chatter
+    # the vehicle leaves the cone at a wider radius than it enters, so that noise does not toggle the phase
     radius = touchdown.pad_radius_m * (OVER_PAD_LEFT if memory.phase is Phase.LAND else 1.0)
     low = at.e_m[2] < max(barrier.peak_height_m, touchdown.height_m)
     over_pad = at.d_m <= radius and low and may_land
@@ -258,7 +258,7 @@ def landing_flags(
     if descends and (strategy.drifts(at) or _sets_off(config, barrier, memory, at, now_s)):
         flags |= C.DRIFTED
     if memory.phase is Phase.LAND and may_land and may_touch and strategy.watches_swinging:
-        # it leaves the cone over the pad once too often, or its error over the pad does not shrink
+        # the vehicle leaves the cone over the pad too often, or its position error does not shrink
         waited_s = now_s - max(memory.phase_since_s, memory.started_s + touchdown.calm_wait_s)
         leaves = memory.swings >= config.checks.swings_max
         if waited_s > config.checks.over_pad_time_max_s if over_pad else leaves:
@@ -268,7 +268,7 @@ def landing_flags(
 
 @numeric
 def _sets_off(config: FlightConfig, barrier: Barrier, memory: Memory, at: Relative, now_s: float) -> bool:
-    """Whether a target that was calm is fast now, with height left to climb away and wait again."""
+    """Whether a target that was slow is fast now, with enough height left to climb away and wait again."""
     if memory.retries >= config.checks.retries_max or barrier.h(at.e_m) < config.retreat.h_left_m:
         return False
     return waits_for_calm(config, memory, at, now_s)
@@ -276,7 +276,7 @@ def _sets_off(config: FlightConfig, barrier: Barrier, memory: Memory, at: Relati
 
 @numeric
 def waits_for_calm(config: FlightConfig, memory: Memory, at: Relative, now_s: float) -> bool:
-    """Whether the target is fast now and may be slower soon; not for a vehicle that is on the pad."""
+    """Whether the target is fast now and may become slower soon; False for a vehicle on the pad."""
     touchdown, wait_s = config.touchdown, config.touchdown.calm_wait_s
     if wait_s == 0.0 or now_s - memory.started_s >= wait_s:
         return False
@@ -287,21 +287,21 @@ def waits_for_calm(config: FlightConfig, memory: Memory, at: Relative, now_s: fl
 
 
 class Known(NamedTuple):
-    """Data from which the numbers of a reason are read."""
+    """Data for the numbers in a reason text."""
 
     checks: Checks  # limits of the configuration
-    snapshot: Snapshot  # this tick's inputs
-    plausibility: Plausibility  # plausibility of vehicle state and of following
-    track: TargetTrack  # samples of the target
-    now_s: float  # stack clock
-    battery: str = ""  # problem of the battery; empty: none
+    snapshot: Snapshot  # inputs of this tick
+    plausibility: Plausibility  # checks of the vehicle state and of set-point tracking
+    track: TargetTrack  # track of the target's samples
+    now_s: float  # time on the stack clock
+    battery: str = ""  # problem of the battery; empty: no problem
     velocity_max_m_s: float = 0.0  # largest horizontal velocity of the configuration
-    swings: int = 0  # how often the vehicle has left the cone over the pad
+    swings: int = 0  # number of times the vehicle has left the cone over the pad
     refusal: str = ""  # why the result of a user's filter is not a valid velocity
 
 
 def reason(rule: Rule[Phase], flags: int, known: Known) -> str:
-    """Reason text of a rule that fires, with the numbers of its conditions that hold."""
+    """Return the reason text of a rule that fires, with the numbers of its conditions that hold."""
     asked = (rule.when | rule.about) & flags
     told = [say(known) for condition, say in _NUMBERS.items() if asked & condition]
     way = known.snapshot.way

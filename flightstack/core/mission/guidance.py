@@ -1,6 +1,6 @@
-"""What each phase commands: the vehicle's mode, and the velocity before safety filter and gate.
+"""Command of each phase: the vehicle's mode, and the velocity before safety filter and gate.
 
-Pure functions: they read the mission's memory and do not change it.
+The functions are pure: they read the mission's memory and do not change it.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from flightstack.core.snapshot import Relative, Snapshot
 from flightstack.core.strategies.strategy import Filter
 from flightstack.core.types import ZERO, Landed, Operator, Phase, Request, Vec3
 
-CLIMB_OVER = 0.5  # share of the climb margin by which the climb's goal exceeds the height to reach
+CLIMB_OVER = 0.5  # share of the climb margin by which a climb aims above the required height
 CLEAR_BELOW = 0.25  # share of the climb margin by which the vehicle may be too low while it flies clear
 
 
 class NominalCommand(NamedTuple):
-    """What a phase commands."""
+    """Command of a phase."""
 
-    request: Request  # mode of the vehicle
+    request: Request  # requested mode of the vehicle
     velocity: Vec3 | None = None  # nominal velocity, ENU, m/s; ``None``: no set-point
-    filtered: bool = False  # the landing barrier applies, and the target must be fresh
+    filtered: bool = False  # the landing barrier applies, and the target state must be recent
 
 
 class Situation(NamedTuple):
@@ -45,7 +45,7 @@ class Situation(NamedTuple):
 def _wait(s: Situation) -> NominalCommand:
     status = s.snapshot.inputs.status
     if status is not None and status.armed and status.landed is not Landed.ON_GROUND and s.snapshot.target_ok:
-        # in the air from the start: take over and hover, never below the barrier of an approaching pad
+        # a vehicle that starts in the air hovers; the filter keeps it clear of an approaching pad
         return NominalCommand(Request.EXTERNAL, ZERO, filtered=s.strategy.waits_filtered)
     return NominalCommand(Request.NONE)
 
@@ -54,7 +54,7 @@ def _takeoff(s: Situation) -> NominalCommand:
     own, target, memory = s.snapshot.inputs.own, s.snapshot.target, s.memory
     if own is None or target is None:
         return NominalCommand(Request.TAKEOFF)
-    if not memory.climbed:  # followed by autopilots that take off by set-points
+    if not memory.climbed:  # autopilots that take off by set-points follow this climb
         climbed_m = own.position_enu_m[2] - memory.ground_z_m
         up = (s.config.takeoff.height_m - climbed_m) * s.config.position_loop.gain_1_s[2]
         climb = limit((0.0, 0.0, max(0.0, up)), s.config.limits.velocity_max_m_s)
@@ -89,7 +89,7 @@ def _land(s: Situation) -> NominalCommand:
 
 @numeric
 def towards_pad(config: FlightConfig, memory: Memory, strategy: Filter, at: Relative) -> Vec3:
-    """Nominal velocity of APPROACH and LAND, above a target that is fast now and may be slower soon, too."""
+    """Return the nominal velocity of APPROACH and LAND; the vehicle may wait above a target that is fast."""
     x, y, z = strategy.choose(at, strategy.approach_m_s(at, memory.phase is Phase.LAND))
     if waits_for_calm(config, memory, at, at.own.arrival_s):
         below_m = config.touchdown.calm_height_m - at.e_m[2]
@@ -98,7 +98,7 @@ def towards_pad(config: FlightConfig, memory: Memory, strategy: Filter, at: Rela
 
 
 def _outside(at: Relative, fleet: Fleet, config: FlightConfig) -> Vec3:
-    """To a place outside the cone, on the side where it is: there it waits for its right of way."""
+    """Return the velocity to the waiting place outside the cone, on the side where the vehicle is."""
     (x, y, z), d = at.e_m, at.d_m
     side = (x / d, y / d) if d > 1e-6 else (1.0, 0.0)
     e = (x - side[0] * fleet.wait_distance_m, y - side[1] * fleet.wait_distance_m, z - fleet.wait_height_m)
@@ -106,7 +106,7 @@ def _outside(at: Relative, fleet: Fleet, config: FlightConfig) -> Vec3:
 
 
 def _touchdown(s: Situation) -> NominalCommand:
-    """Motors off by the filter's rule; until then a straight descent above the pad's middle.
+    """Stop the motors by the filter's rule; until then descend straight above the pad's centre.
 
     Within the pad's radius the cone is narrower than the pad and no longer protects the landing.
     """
@@ -121,13 +121,13 @@ def _touchdown(s: Situation) -> NominalCommand:
 
 
 def _landed(s: Situation) -> NominalCommand:
-    """No request, except for an emergency stop, in case the heartbeat was wrong."""
+    """Request nothing, except for an emergency stop, because the heartbeat may be wrong."""
     emergency = s.snapshot.inputs.operator is Operator.EMERGENCY_STOP
     return NominalCommand(Request.MOTORS_OFF if emergency else Request.NONE)
 
 
 def _leave(s: Situation) -> NominalCommand:
-    """Climb above the pad to a height above all of the target, then fly to the landing place."""
+    """Climb above the pad to a height above every part of the target, then fly to the landing place."""
     memory, at, status = s.memory, s.snapshot.relative, s.snapshot.inputs.status
     if memory.clear:
         return NominalCommand(Request.LAND)
@@ -148,7 +148,7 @@ def _leave(s: Situation) -> NominalCommand:
 
 
 def _hold(s: Situation) -> NominalCommand:
-    """As the filter holds; before the landing, or without a target, stand still."""
+    """Return the filter's hold velocity; zero before the landing or without a target."""
     target = s.snapshot.target
     if target is None or s.memory.started_s == math.inf:
         return NominalCommand(Request.EXTERNAL, ZERO)
@@ -159,7 +159,7 @@ def _climb(s: Situation) -> NominalCommand:
     own = s.snapshot.inputs.own
     if own is None:
         return NominalCommand(Request.EXTERNAL)
-    # beyond the height it holds there until the target is back or the time is over
+    # at this height the vehicle waits until the target is back or the time is over
     aim_m = high_enough_m(s.config, s.barrier, s.memory) + CLIMB_OVER * s.config.retreat.climb_margin_m
     missing_m = aim_m - own.position_enu_m[2]
     up = max(0.0, min(s.config.limits.velocity_max_m_s[2], missing_m * s.config.position_loop.gain_1_s[2]))
@@ -206,5 +206,5 @@ _PHASES: dict[Phase, Callable[[Situation], NominalCommand]] = {
 
 
 def nominal_command(situation: Situation) -> NominalCommand:
-    """What the present phase commands."""
+    """Return the command of the current phase."""
     return _PHASES[situation.memory.phase](situation)

@@ -1,8 +1,7 @@
-"""The mission machine: timers, condition flags, change of phase, way of aborting, end.
+"""State machine of the mission: timers, condition flags, transitions, kind of abort, end of the flight.
 
-A change of phase is a ``Transition``; its text in the log is read back by ``parse``.
-``Mission`` alone writes the phase and what belongs to it. The rules are tables (``phases.py``); what a phase
-commands is the part of ``guidance.py``.
+A ``Transition`` is a change of phase; ``parse`` reads its text back from a log. Only ``Mission`` writes the
+phase and its data. The rules are tables (``phases.py``); ``guidance.py`` computes the command of a phase.
 """
 
 from __future__ import annotations
@@ -40,33 +39,33 @@ _PHASES, _WAYS = "|".join(Phase.__members__), "|".join(w.name.lower().replace("_
 _TIME = r"(?: *[0-9.]+ s  )?"
 _CHANGE = rf"(?P<before>{_PHASES})(?: -> (?P<after>{_PHASES}))?"
 _TEXT = re.compile(rf"{_TIME}{_CHANGE}: (?P<reason>.*?)(?: \((?P<way>{_WAYS})\))?", re.DOTALL)
-STANDING_S = 4.0  # time on the pad in LAND; most vehicles are pushed to the middle, where h >= 0, in 3 s
-SLIDING_TIME_S = 0.15  # a delayed vehicle state shows contact 0.1 s late, and the motors need 0.05 s
-ABORT_SETTLE_S = 1.0  # minimum time in an abort: a heartbeat reports its end, s
-PLACE_RADIUS_M = 0.1  # horizontal distance to the place beside the target below which it lands ...
-PLACE_SPEED_M_S = 0.15  # ... at less than this speed
+STANDING_S = 4.0  # contact time in LAND that is accepted, s; most vehicles move to the centre (h >= 0) in 3 s
+SLIDING_TIME_S = 0.15  # horizon of a slide, s: contact is detected 0.1 s late, and motors stop in 0.05 s
+ABORT_SETTLE_S = 1.0  # minimum time in an abort, s: a heartbeat reports its end
+PLACE_RADIUS_M = 0.1  # horizontal distance to the place beside the target for landing, m
+PLACE_SPEED_M_S = 0.15  # largest horizontal speed for this landing, m/s
 RETRY_FROM = frozenset({Phase.HOLD, Phase.CLIMB, Phase.TOUCHDOWN})
 RETRY_TO = frozenset({Phase.APPROACH, Phase.TAKEOFF})
 _NOT_FLYING = frozenset({Landed.ON_GROUND, Landed.UNKNOWN})
 
 
 class Transition(NamedTuple):
-    """One change of phase."""
+    """A phase transition."""
 
-    before: Phase  # phase until now
-    after: Phase  # next phase; the same when an abort changes its mode
-    reason: str  # why, with the numbers behind it
-    way: AbortWay = AbortWay.NONE  # how an abort ends the flight; ``NONE`` for all other phases
+    before: Phase  # phase before the transition
+    after: Phase  # phase after the transition; an abort that changes its kind keeps its phase
+    reason: str  # reason, with the numbers of its conditions
+    way: AbortWay = AbortWay.NONE  # kind of abort; ``NONE`` for all other phases
 
     @property
     def text(self) -> str:
-        """As it stands in the log."""
+        """Text of the transition in the log."""
         change = self.before.name if self.after is self.before else f"{self.before.name} -> {self.after.name}"
         way = f" ({self.way.name.lower().replace('_', ' ')})" if self.way is not AbortWay.NONE else ""
         return f"{change}: {self.reason}{way}"
 
     def told(self, now_s: float) -> str:
-        """As it stands on the terminal, with the time on the stack's clock."""
+        """Return the text for the terminal, with the time on the stack's clock."""
         return f"{now_s:8.2f} s  {self.text}"
 
 
@@ -76,7 +75,7 @@ def parse(text: str) -> Transition | None:
     if found is None:
         return None
     before, after, way = Phase[found["before"]], found["after"], found["way"]
-    if after is None and way is None:  # only an abort changes within a phase
+    if after is None and way is None:  # only an abort may keep its phase
         return None
     return Transition(
         before,
@@ -87,12 +86,12 @@ def parse(text: str) -> Transition | None:
 
 
 class Mission:
-    """Phase of a flight; ``memory`` is all of its state."""
+    """State machine of the phases of a flight; ``memory`` is its complete state."""
 
     memory: Memory
     _config: FlightConfig  # configuration of the flight
-    _barrier: Barrier  # the paper's
-    _strategy: Filter  # the safety filter
+    _barrier: Barrier  # the paper's barrier
+    _strategy: Filter  # safety filter
     _times_s: PhaseTimes
 
     def __init__(
@@ -110,7 +109,7 @@ class Mission:
         self._track, self._plausibility, self._reserve = track, plausibility, reserve
 
     def step(self, snapshot: Snapshot, *, command_failed: bool, now_s: float) -> Transition | None:
-        """Advance by one tick."""
+        """Advance by one tick; return the transition, if there is one."""
         memory, flags = self.memory, self.flags(snapshot, command_failed=command_failed, now_s=now_s)
         transition = (
             self._abort(flags) if memory.phase is Phase.ABORT else self._change(snapshot, flags, now_s)
@@ -119,7 +118,7 @@ class Mission:
         return transition
 
     def flags(self, snapshot: Snapshot, *, command_failed: bool, now_s: float) -> int:
-        """Run the timers, then compute the condition flags of this tick; arguments as those of ``step``."""
+        """Run the timers, then return the condition flags of this tick; arguments as in ``step``."""
         self._remember(snapshot, now_s)
         memory, status, at = self.memory, snapshot.inputs.status, snapshot.relative
         standing = status is not None and status.landed is Landed.ON_GROUND
@@ -127,7 +126,7 @@ class Mission:
             self.watch_contact(at, standing, now_s)
         elif memory.phase is Phase.TOUCHDOWN and not memory.contact:
             own_ok, target_ok = snapshot.own_ok, snapshot.target_ok
-            # a lost target is taken at its last samples: its height does not change meanwhile
+            # a lost target keeps its last height meanwhile
             stopped = own_ok and not target_ok and at is not None and self._stopped(at, now_s)
             memory.contact = stopped or (standing and not (own_ok and target_ok))
         config, times_s = self._config, self._times_s
@@ -136,7 +135,7 @@ class Mission:
         )
 
     def watch_contact(self, at: Relative, standing: bool, now_s: float) -> None:
-        """Note whether the vehicle stands on the pad, or has stood there; all inputs are good."""
+        """Detect whether the vehicle stands on the pad, or has stood there; all inputs are good."""
         memory = self.memory
         if memory.phase is Phase.LAND:
             self._stands(at, standing, now_s)
@@ -150,13 +149,13 @@ class Mission:
             )
 
     def flags_at(self, at: Relative, now_s: float) -> int:
-        """Flags of this tick that may change from tick to tick while all inputs are good and it is alone."""
+        """Return the flags that may change in every tick while all inputs are good, without neighbours."""
         memory, config = self.memory, self._config
         flags = time_flags(config.checks, self._times_s, memory, now_s)
         return flags | landing_flags(config, self._strategy, self._barrier, memory, at, now_s, True, True)
 
     def finished(self, status: VehicleStatus | None, now_s: float) -> bool:
-        """Whether the flight is over: motors off for some time, or an abort that lasts too long."""
+        """Whether the flight is over: the motors are off for some time, or an abort lasts too long."""
         memory = self.memory
         in_phase_s = now_s - memory.phase_since_s
         if memory.phase is Phase.LANDED:
@@ -172,7 +171,7 @@ class Mission:
         return status.landed in _NOT_FLYING and not (status.armed and fresh)
 
     def _remember(self, snapshot: Snapshot, now_s: float) -> None:
-        """Store the newest target, heading and past vehicle states, and since when the inputs are good."""
+        """Store the newest target, heading and vehicle states, and the time since which inputs are good."""
         memory, target, own, status = (
             self.memory,
             snapshot.target,
@@ -192,11 +191,11 @@ class Mission:
             memory.good_since_s = now_s
         if status is not None and status.armed:
             memory.was_armed = True
-            if status.mode is Mode.EXTERNAL:  # not when disarmed: PX4 remains in this mode after a landing
+            if status.mode is Mode.EXTERNAL:  # only while armed: PX4 remains in this mode after a landing
                 memory.was_external = True
 
     def _stopped(self, at: Relative, now_s: float) -> bool:
-        """Whether it has stopped low over the pad for ``stopped_time_s``: two noisy heights prove nothing."""
+        """Whether the vehicle has stopped low over the pad for ``stopped_time_s``; heights are noisy."""
         memory = self.memory
         if not self._strategy.stopped(at, memory.command):
             memory.stopped_since_s = math.inf
@@ -206,11 +205,11 @@ class Mission:
         return held and at.e_m[2] < self._strategy.stopped_below_m
 
     def _above(self, at: Relative) -> bool:
-        """Within the pad's edge, and errors of two positions."""
+        """Whether the vehicle is over the pad, with a tolerance for the errors of two positions."""
         return at.d_m <= self._config.touchdown.pad_radius_m + self._config.contact.beyond_m
 
     def _stands(self, at: Relative, standing: bool, now_s: float) -> bool:
-        """The vehicle reports that it stands, or it is on the pad and does not sink though it should."""
+        """Whether the vehicle reports ground contact, or is on the pad and does not sink any more."""
         memory, config = self.memory, self._config
         near = self._above(at) and at.e_m[2] - config.touchdown.feet_below_reference_m < config.contact.gap_m
         sinking_m_s = at.target.velocity_enu_m_s[2] - at.own.velocity_enu_m_s[2]
@@ -221,15 +220,15 @@ class Mission:
         return standing or now_s - memory.contact_since_s >= config.contact.time_s
 
     def _slides(self, at: Relative) -> bool:
-        """Low over the pad, and going to slide off it before the motors stand."""
+        """Whether the vehicle is low over the pad and will slide off it before the motors stop."""
         contact, gap_m = self._config.contact, at.e_m[2] - self._config.touchdown.feet_below_reference_m
-        if contact.sliding_gap_m <= max(0.0, gap_m):  # 0 disables it, even if the feet seem to be lower
+        if contact.sliding_gap_m <= max(0.0, gap_m):  # 0 disables this check, even for feet below the pad
             return False
         vx, vy = at.slip_m_s
         return at.d_m + SLIDING_TIME_S * hypot(vx, vy) > contact.sliding_radius_m
 
     def _change(self, snapshot: Snapshot, flags: int, now_s: float) -> Transition | None:
-        """Change the phase by its table."""
+        """Apply the first matching rule of the phase's table."""
         memory = self.memory
         rule = next_phase(memory.phase, flags)
         if rule is None:
@@ -251,7 +250,7 @@ class Mission:
         if after is Phase.TOUCHDOWN:  # clear the contact timers of an earlier descent
             memory.contact_since_s = memory.stopped_since_s = math.inf
             memory.swings = 0
-        if after is Phase.LEAVE:  # another flight
+        if after is Phase.LEAVE:  # a new flight starts
             memory.was_armed = memory.was_external = memory.climbed = False
         memory.phase, memory.phase_since_s, memory.reason = after, now_s, why
         if after is Phase.ABORT:
@@ -259,7 +258,7 @@ class Mission:
         return Transition(before, after, why, memory.abort_way)
 
     def _abort(self, flags: int) -> Transition | None:
-        """Choose how the abort ends the flight; the operator may still command a stronger one."""
+        """Choose how the abort ends the flight; a stronger command of the operator may replace the choice."""
         memory = self.memory
         rule = next_way(memory.abort_way, flags)
         if rule is None:
@@ -268,7 +267,7 @@ class Mission:
         return Transition(Phase.ABORT, Phase.ABORT, rule.reason, rule.to)
 
     def progress(self, snapshot: Snapshot) -> None:
-        """Note the end of a climb from the ground or from the pad, and that the vehicle has flown clear."""
+        """Detect the end of a climb from ground or pad, and that the vehicle has flown clear."""
         memory, own = self.memory, snapshot.inputs.own
         if own is None:
             return

@@ -1,10 +1,10 @@
-"""The mission as tables: in each phase the first rule whose conditions hold names the next phase.
+"""Mission as tables: in each phase, the first rule whose conditions hold gives the next phase.
 
-``Condition`` flags are computed in each tick; a rule fires when all of ``when`` and none of ``unless`` are
-set. Nothing else changes a phase; ``conditions`` and the strategy set the flags. The ways of an abort are
-phases within phase ABORT, with a table of their own: the rules of ``AbortWay.NONE`` choose the way when an
-abort begins. No rule leaves ABORT, and LANDED is left once at most, to free the pad for another vehicle of a
-fleet: starting again takes a new process, which is an operator's decision.
+``Condition`` flags are computed in each tick; a rule fires when all flags of ``when`` and none of ``unless``
+are set. Nothing else changes a phase. The kinds of abort (``AbortWay``) are parts of phase ABORT with their
+own table: the rules of ``AbortWay.NONE`` choose the kind when an abort starts. No rule leaves ABORT. LANDED
+is left at most once, to free the pad for another fleet member: another flight needs a new process, which the
+operator starts.
 """
 
 from __future__ import annotations
@@ -20,42 +20,42 @@ To = TypeVar("To", Phase, AbortWay)
 
 
 class Condition(IntEnum):
-    """What the tables may ask about: one bit each. The flags of a tick are a plain int, for speed."""
+    """Conditions that the tables use, one bit each. The flags of a tick are a plain int, for speed."""
 
-    EMERGENCY = 1 << 0  # operator's emergency stop
-    ABORT_ASKED = 1 << 1  # operator's abort
-    OWN_LOST = 1 << 2  # vehicle state missing or too old
-    LINK_LOST = 1 << 3  # heartbeat missing or too old
-    TARGET_LOST = 1 << 4  # target missing or too old
-    READY = 1 << 5  # all inputs fresh; vehicle ready to arm or already flying
+    EMERGENCY = 1 << 0  # emergency stop by the operator
+    ABORT_ASKED = 1 << 1  # abort by the operator
+    OWN_LOST = 1 << 2  # the vehicle state is missing or too old
+    LINK_LOST = 1 << 3  # the heartbeat is missing or too old
+    TARGET_LOST = 1 << 4  # the target state is missing or too old
+    READY = 1 << 5  # all inputs are recent; the vehicle is ready to arm, or already flies
     ARMED = 1 << 6
-    WAS_ARMED = 1 << 7  # seen armed earlier in this flight
-    EXTERNAL = 1 << 8  # follows our set-points
-    WAS_EXTERNAL = 1 << 9  # did so earlier in this flight
+    WAS_ARMED = 1 << 7  # the vehicle was armed earlier in this flight
+    EXTERNAL = 1 << 8  # the vehicle follows set-points of this stack
+    WAS_EXTERNAL = 1 << 9  # the vehicle followed set-points earlier in this flight
     STANDING = 1 << 10  # the vehicle reports ground contact
-    AT_START = 1 << 11  # where the landing begins
+    AT_START = 1 << 11  # the vehicle is where the landing starts
     STARTED = 1 << 12  # the landing has started
-    OVER_PAD = 1 << 13  # inside the descending cone
+    OVER_PAD = 1 << 13  # the vehicle is inside the descending cone
     TOUCH = 1 << 14  # the touchdown rule is met
-    RECOVERED = 1 << 15  # inputs were good for long enough; in WAIT each of them was renewed in that time
+    RECOVERED = 1 << 15  # inputs were good for long enough; in WAIT, each of them was renewed in that time
     RETRIES_LEFT = 1 << 16
-    HIGH_ENOUGH = 1 << 17  # above everything of the target
-    PHASE_TIME_OVER = 1 << 18  # the longest time allowed in this phase
+    HIGH_ENOUGH = 1 << 17  # the vehicle is above every part of the target
+    PHASE_TIME_OVER = 1 << 18  # the longest time allowed in this phase is over
     LANDING_TIME_OVER = 1 << 19
-    COMMAND_FAILED = 1 << 20  # the vehicle refused a command for good
-    # about to leave the corridor above the pad while still above the cone (Filter.drifts), or the target
-    # has become fast again with height left to climb away
+    COMMAND_FAILED = 1 << 20  # the vehicle has finally refused a command
+    # the vehicle is about to leave the corridor above the pad while above the cone (Filter.drifts), or the
+    # target has become fast again with height left to climb away
     DRIFTED = 1 << 21
-    NOT_FOLLOWING = 1 << 22  # the vehicle does not fly the commanded velocity
-    TIRED = 1 << 23  # the battery is too low: no start of a landing, no further go-around
-    LAND_ASKED = 1 << 24  # operator's abort by the vehicle's own landing
-    TARGET_KNOWN = 1 << 25  # some position of the target, however old
-    ON_PAD = 1 << 26  # contact in the touchdown
-    PAD_WANTED = 1 << 27  # landed and at rest: another vehicle waits for this pad, and it may take off again
-    CLEAR = 1 << 28  # flown clear of the target: it lands beside it
+    NOT_FOLLOWING = 1 << 22  # the vehicle does not follow the commanded velocity
+    TIRED = 1 << 23  # the battery is too low to start a landing or to go around
+    LAND_ASKED = 1 << 24  # abort by the operator with the autopilot's own landing
+    TARGET_KNOWN = 1 << 25  # some position of the target is known, however old
+    ON_PAD = 1 << 26  # contact was detected in the touchdown
+    PAD_WANTED = 1 << 27  # another vehicle waits for this pad, and the landed vehicle may take off again
+    CLEAR = 1 << 28  # the vehicle has flown clear of the target, and lands beside it
     CUT_OFF = 1 << 29  # too few fleet members send messages, and the pad is not the shortest way down
-    SWINGS = 1 << 30  # leaves the cone over the pad repeatedly, or remains in it without a touchdown
-    NO_RESULT = 1 << 31  # the class of the filter returned no velocity in the last tick
+    SWINGS = 1 << 30  # the vehicle leaves the cone over the pad too often, or stays in it for too long
+    NO_RESULT = 1 << 31  # the user's filter returned no velocity in the last tick
 
 
 C = Condition
@@ -64,9 +64,9 @@ NONE = 0
 
 @dataclass(frozen=True, slots=True)
 class Rule(Generic[To]):
-    """One row: go ``to`` when all of ``when`` and none of ``unless`` hold, because of ``reason``.
+    """Rule of a table: go to ``to`` when all of ``when`` and none of ``unless`` hold, with ``reason``.
 
-    ``about``: conditions in addition to ``when`` whose numbers are shown with the reason.
+    ``about`` are additional conditions whose numbers are shown with the reason.
     """
 
     when: int
@@ -82,7 +82,7 @@ _OPERATOR = (
     Rule(C.EMERGENCY, Phase.ABORT, "emergency stop"),
     Rule(C.ABORT_ASKED, Phase.ABORT, "abort requested by the operator"),
 )
-# caused by the autopilot or another client; the autopilot's messages give the reason
+# causes: the autopilot or another client; the autopilot's messages give the reason
 DISARMED, MODE_CHANGED = (
     "vehicle disarmed without a command from this stack",
     "mode changed without a command from this stack",
@@ -107,7 +107,7 @@ START_LATE = Rule(C.PHASE_TIME_OVER, Phase.ABORT, "start not reached in time")
 _NOT_OFF = C.ARMED | C.LINK_LOST
 _STANDS = C.COMMAND_FAILED | C.STANDING
 _ASKED = C.EMERGENCY | C.ABORT_ASKED
-# beside the target the vehicle's landing continues after any loss
+# beside the target, a landing continues after any loss of an input
 _UNLESS_CLEAR = tuple(
     replace(rule, to=Phase.ABORT, unless=rule.unless | C.CLEAR)
     for rule in (*_IN_FLIGHT[len(_OPERATOR) :], *_INPUTS)
@@ -220,12 +220,12 @@ ABORT_TABLE: dict[AbortWay, tuple[Rule[AbortWay], ...]] = {
 
 
 def next_phase(phase: Phase, conditions: int) -> Rule[Phase] | None:
-    """First matching rule of the phase; ``None`` if the phase remains."""
+    """Return the first matching rule of the phase; ``None`` if the phase remains."""
     return _first(TABLE[phase], conditions)
 
 
 def next_way(way: AbortWay, conditions: int) -> Rule[AbortWay] | None:
-    """First matching rule of a mode of aborting; ``None`` if it remains."""
+    """Return the first matching rule of a kind of abort; ``None`` if the kind remains."""
     return _first(ABORT_TABLE[way], conditions)
 
 

@@ -1,1 +1,1 @@
-"""What may be configured: dataclasses with unit and allowed range of each number."""
+"""Parameters of the configuration: dataclasses with the unit and allowed range of each number."""

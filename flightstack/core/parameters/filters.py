@@ -1,7 +1,7 @@
-"""Names of the safety filters: one line for each that comes with the package, ``MODULE:NAME`` for others.
+"""Names of the safety filters: one line for each filter of the package, ``MODULE:NAME`` for others.
 
 A filter is a class with the interface of ``strategies/strategy.py``. A filter from outside the package is
-imported where it flies or is checked, never by reading a configuration or a log.
+imported where it flies or is checked, but not when a configuration or a log is read.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ FILTERS: Mapping[str, str] = MappingProxyType(
     }
 )
 ALLOWED = f"{', '.join(FILTERS)}, or MODULE:NAME of a filter from outside the package"
-_GIVEN: dict[str, Any] = {}  # classes of this process, by name
+_GIVEN: dict[str, Any] = {}  # classes that this process has registered, by name
 _REFERENCE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", re.ASCII)
 
 
 def check_name(name: str) -> None:
-    """Refuse what cannot be the name of a filter; nothing is imported."""
+    """Reject a text that cannot be the name of a filter; nothing is imported."""
     if name not in FILTERS and not _REFERENCE.fullmatch(name):
         raise ConfigError(f"filter: found {name!r}, allowed: {ALLOWED}")
 
 
 def look_here(name: str) -> None:
-    """Let a filter from outside the package be found in the working folder, after all installed modules.
+    """Add the working folder to the places where a filter from outside the package is searched, as the last.
 
-    For names that the user gave, on the command line or in a file of his own; not for names out of a log.
+    Call it for names that the user gave on the command line or in a file, not for names from a log.
     """
     here = str(Path.cwd())
     if name not in FILTERS and here not in sys.path:
@@ -45,12 +45,12 @@ def look_here(name: str) -> None:
 
 
 def short_name(name: str) -> str:
-    """The name without its module, for names of files."""
+    """Return the name without its module, for file names."""
     return name.rpartition(":")[2]
 
 
 def give(found: Any) -> str:
-    """Name for a class of this process, which need not be importable (a notebook's, a function's)."""
+    """Register a class of this process, which need not be importable (a notebook's); return its name."""
     place = f"{getattr(found, '__module__', '')}:{getattr(found, '__name__', found)}"
     name = next((short for short, long in FILTERS.items() if long == place), place)
     if name not in FILTERS:
@@ -61,13 +61,13 @@ def give(found: Any) -> str:
 
 
 def given(name: str) -> Any:
-    """Class of this process with this name; None: it is found by importing its module."""
+    """Return the class that this process registered under this name; None: import it from its module."""
     return _GIVEN.get(name)
 
 
 @lru_cache(maxsize=16)
 def named(name: str) -> Any:
-    """Import what a name stands for."""
+    """Import the object with this name."""
     check_name(name)
     if name in _GIVEN:
         return _GIVEN[name]
@@ -75,7 +75,7 @@ def named(name: str) -> Any:
 
 
 def referred(reference: str, key: str = "filter") -> Any:
-    """Import ``MODULE:NAME``, the value of this key."""
+    """Import ``MODULE:NAME``, the value of the key ``key``."""
     module, _, attribute = reference.partition(":")
     try:
         found = importlib.import_module(module)

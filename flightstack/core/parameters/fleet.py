@@ -1,7 +1,7 @@
-"""A fleet: its members, the ellipsoid between two vehicles, and bounds of the members' motion.
+"""Parameters of a fleet: members, the ellipsoid between two vehicles, and bounds of the members' motion.
 
 The ellipsoid of two Crazyflies has the semi-axes 0.25 and 0.75 m: each has a radius of 0.125 and 0.375 m, as
-Crazyswarm sets them for the firmware's collision avoidance. It is higher than wide for downwash.
+Crazyswarm sets them for the firmware's collision avoidance. Downwash makes it higher than wide.
 """
 
 from __future__ import annotations
@@ -12,46 +12,46 @@ from typing import Annotated
 from flightstack.common.strict_toml import ConfigError, span
 
 ID_MAX = 250
-OTHERS_MAX = 8  # greatest number of other members: each may need a row of the program
-PART_OF_LAG = 0.25  # rate times lag of a first-order loop below which the distance has no overshoot
-# latencies for which a yielding vehicle keeps its whole share after its last announcement
+OTHERS_MAX = 8  # largest number of other members: each may need a row of the program
+PART_OF_LAG = 0.25  # largest rate times lag of a first-order loop without overshoot of the distance
+# time for which a yielding vehicle keeps its whole share after its last announcement, in latencies
 HOLD_LATENCIES = 3.0
-ZERO_LATENCIES = 2.0  # latencies for which another one relies on it; the difference covers ticks and delays
-DECIDE_LATENCIES = 4.0  # latencies after two claims until the higher id yields if both assume to be first
-CARRIED_AGES = 2.2  # extrapolation time of a silent vehicle over ``age_max_s``
-KEPT_PART = 0.2  # horizon with the right of way, as share of ``descent_s``
-CIRCLE_LATENCIES = 8.0  # latencies, times one plus the members with higher ids, until a cycle is opened
+ZERO_LATENCIES = 2.0  # time for which a neighbour relies on it, in latencies; shorter, to cover delays
+DECIDE_LATENCIES = 4.0  # time until the higher id yields if two members both assume to be first, in latencies
+CARRIED_AGES = 2.2  # extrapolation time of a silent vehicle, in units of ``age_max_s``
+KEPT_PART = 0.2  # horizon of a vehicle with the right of way, in units of ``descent_s``
+CIRCLE_LATENCIES = 8.0  # latencies, times one plus the number of higher ids, until a cycle is broken
 
 
 @dataclass(frozen=True, slots=True)
 class Fleet:
-    """This vehicle and the others; a configuration without this table flies alone."""
+    """This vehicle and the other members; without this table the vehicle flies alone."""
 
     id: Annotated[int, span(1, ID_MAX)]
-    members: tuple[Annotated[int, span(1, ID_MAX)], ...]  # ids of all members, with this one
-    radius_xy_m: Annotated[float, span(0.05, 10.0)] = 0.25  # semi-axes of the ellipsoid of two positions
+    members: tuple[Annotated[int, span(1, ID_MAX)], ...]  # ids of all members, including this one
+    radius_xy_m: Annotated[float, span(0.05, 10.0)] = 0.25  # horizontal semi-axis of the ellipsoid
     radius_z_m: Annotated[float, span(0.05, 10.0)] = 0.75
     rate_1_s: Annotated[float, span(0.05, 10.0)] = 0.8  # allowed decay rate of the distance
     margin_m: Annotated[float, span(0.0, 5.0)] = 0.08  # margin for velocity errors of both vehicles
-    sigma_factor: Annotated[float, span(0.0, 6.0)] = 3.0  # covered standard deviations of positions
-    speed_max_m_s: Annotated[float, span(0.05, 20.0)] = 1.0  # speed of another vehicle in any direction
-    # acceleration of another vehicle, and of its velocity command
+    sigma_factor: Annotated[float, span(0.0, 6.0)] = 3.0  # standard deviations of positions that are covered
+    speed_max_m_s: Annotated[float, span(0.05, 20.0)] = 1.0  # largest speed of another vehicle
+    # largest acceleration of another vehicle, and of its velocity command
     acceleration_max_m_s2: Annotated[float, span(0.05, 20.0)] = 3.0
-    # acceleration of this vehicle's velocity command, both axes together: a Crazyflie follows 2.1
+    # largest acceleration of this vehicle's velocity command, both axes together: a Crazyflie follows 2.1
     slew_xy_max_m_s2: Annotated[float, span(0.05, 20.0)] = 2.0
-    reach_m: Annotated[float, span(0.2, 200.0)] = 3.0  # distance within which other members have a row
-    age_max_s: Annotated[float, span(0.05, 5.0)] = 0.5  # age of a message after which its vehicle is silent
-    latency_max_s: Annotated[float, span(0.01, 1.0)] = 0.15  # latency of a received message
+    reach_m: Annotated[float, span(0.2, 200.0)] = 3.0  # distance within which other members have a constraint
+    age_max_s: Annotated[float, span(0.05, 5.0)] = 0.5  # message age above which a vehicle is silent
+    latency_max_s: Annotated[float, span(0.01, 1.0)] = 0.15  # largest latency of a message
     silent_flight_s: Annotated[float, span(0.1, 60.0)] = 6.0  # time after which a silent vehicle has landed
     # maximum wait for the right of way before an abort
     wait_max_s: Annotated[float, span(1.0, 3600.0)] = 30.0
     # distance of pads below which only one vehicle lands at a time
     pad_distance_m: Annotated[float, span(0.1, 50.0)] = 0.8
-    descent_s: Annotated[float, span(0.0, 60.0)] = 5.0  # horizon for the approach of two pads
+    descent_s: Annotated[float, span(0.0, 60.0)] = 5.0  # horizon in which two pads may approach
     # horizontal distance of the waiting place from the pad
     wait_distance_m: Annotated[float, span(0.1, 50.0)] = 1.2
     wait_height_m: Annotated[float, span(0.1, 50.0)] = 1.0  # height of the waiting place above the pad
-    # after landing: takes off again if another member waits for this pad, and lands beside the target
+    # a landed vehicle takes off again if another member waits for its pad, and lands beside the target
     frees_pad: bool = False
 
     def __post_init__(self) -> None:
@@ -87,11 +87,11 @@ class Fleet:
 
     @property
     def others(self) -> tuple[int, ...]:
-        """Ids of the other members, in order."""
+        """Ids of the other members, in ascending order."""
         return tuple(sorted(set(self.members) - {self.id}))
 
     def check_loop(self, lag_s: float, period_s: float) -> None:
-        """Refuse a rate too fast for the vehicle's velocity loop, and a latency shorter than a tick."""
+        """Reject a rate that is too fast for the velocity loop, and a latency shorter than a tick."""
         if self.rate_1_s * lag_s > PART_OF_LAG:
             raise ConfigError(
                 f"fleet.rate_1_s: found {self.rate_1_s:g}; with a lag of {lag_s:g} s at most "

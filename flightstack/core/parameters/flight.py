@@ -1,6 +1,6 @@
 """Typed configuration of the onboard process, checked before a flight.
 
-Classes are tables of the file, fields are keys and carry their unit. ``flightstack.config.files`` reads it.
+Each class is a table of the file; each field is a key with its unit. ``flightstack.config.files`` reads it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from flightstack.core.parameters.robust import (
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Vec3
 
-_NAME_MAX = 16  # characters of a MAVLink parameter's name
+_NAME_MAX = 16  # largest number of characters of a MAVLink parameter's name
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,17 +39,17 @@ class Loop:
 class BarrierShape:
     """Shape of the barrier: alpha and beta, or the peak's height with its distance or cone angle (eq. 7)."""
 
-    # shape: the peak stands 1/alpha from the landing spot
+    # shape parameter: the peak is 1/alpha from the landing spot
     alpha_1_m: Annotated[float, span(0.05, 20.0)] | None = None
-    beta_m: Annotated[float, span(0.05, 20.0)] | None = None  # shape: the peak is beta/e high
+    beta_m: Annotated[float, span(0.05, 20.0)] | None = None  # shape parameter: the peak is beta/e high
     # height of the peak, instead of alpha and beta
     peak_height_m: Annotated[float, span(0.05, 10.0)] | None = None
     # distance of the peak from the landing spot
     peak_distance_m: Annotated[float, span(0.05, 20.0)] | None = None
     # angle at the landing spot between the vertical and the peak
     cone_half_angle_rad: Annotated[float, span(0.05, 1.5)] | None = None
-    omega_1_s: Annotated[float, span(0.01, 20.0)] = 0.7  # paper's filter: relative rate at which h may fall
-    # radius within which the gradient fades to vertical
+    omega_1_s: Annotated[float, span(0.01, 20.0)] = 0.7  # paper filter: relative rate at which h may fall
+    # radius around the landing spot within which the gradient fades to vertical
     apex_smoothing_m: Annotated[float, span(0.001, 0.02)] = 0.005
 
     def __post_init__(self) -> None:
@@ -69,7 +69,7 @@ class BarrierShape:
             )
 
     def _as_numbers(self, given: set[str]) -> str:
-        """What to write where a base file gives alpha and beta, and the file itself the peak."""
+        """Return a text that gives alpha and beta for a peak, if a base file gives alpha and beta."""
         if given < {"alpha_1_m", "beta_m"} or not given & {"alpha_1_m", "beta_m"}:
             return ""
         shape = {name: getattr(self, name) for name in given - {"alpha_1_m", "beta_m"}}
@@ -83,7 +83,7 @@ class BarrierShape:
         )
 
     def build(self) -> Barrier:
-        """Make the barrier these numbers describe."""
+        """Return the barrier with these parameters."""
         if self.alpha_1_m is not None and self.beta_m is not None:
             return Barrier(self.alpha_1_m, self.beta_m, self.apex_smoothing_m)
         assert self.peak_height_m is not None
@@ -102,54 +102,54 @@ class PositionLoop:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Admissible velocities (paper: v_m) and how fast a command may change."""
+    """Admissible velocities (paper: v_m), and limits on the change of a command."""
 
     velocity_max_m_s: Each[Annotated[float, span(0.05, 5.0)]] = (0.2, 0.2, 0.5)  # largest commanded velocity
-    # paper's filter: largest change of the command
+    # paper filter: largest rate of change of the command
     slew_max_m_s2: Each[Annotated[float, span(0.2, 50.0)]] = (4.0, 4.0, 4.0)
     altitude_max_m: Annotated[float, span(0.5, 100.0)] = 3.0  # highest flight above the pad
 
 
 @dataclass(frozen=True, slots=True)
 class Checks:
-    """Limits on what the links deliver, and how long to bear with it."""
+    """Limits of the received data, and waiting times after a loss."""
 
     own_age_max_s: Annotated[float, span(0.02, 0.4)] = 0.2  # oldest vehicle state that is used
     target_age_max_s: Annotated[float, span(0.02, 1.0)] = 0.25  # oldest target state that is used
-    # difference of position and integrated velocity
+    # largest difference of position and integrated velocity
     own_drift_max_m: Annotated[float, span(0.05, 2.0)] = 0.15
     own_drift_memory_s: Annotated[float, span(0.2, 20.0)] = 2.0  # decay time of this difference
-    # delay behind set-points, at the highest velocity
+    # largest delay behind set-points, at the highest velocity
     follow_lag_max_s: Annotated[float, span(0.1, 5.0)] = 0.45
-    follow_memory_s: Annotated[float, span(0.1, 20.0)] = 1.0  # decay time of the tracking lag, above the lag
-    status_age_max_s: Annotated[float, span(1.0, 10.0)] = 3.0  # heartbeat at 1 Hz, two may be lost
-    target_speed_max_m_s: Annotated[float, span(0.1, 10.0)] = 1.5  # fastest target that is believed
-    target_jump_max_m: Annotated[float, span(0.02, 5.0)] = 0.2  # largest jump of the target that is believed
-    # difference of positions and integrated velocity
+    follow_memory_s: Annotated[float, span(0.1, 20.0)] = 1.0  # decay time of the tracking lag
+    status_age_max_s: Annotated[float, span(1.0, 10.0)] = 3.0  # oldest heartbeat at 1 Hz: two may be lost
+    target_speed_max_m_s: Annotated[float, span(0.1, 10.0)] = 1.5  # fastest target that is accepted
+    target_jump_max_m: Annotated[float, span(0.02, 5.0)] = 0.2  # largest jump of the target that is accepted
+    # largest difference of the target's positions and integrated velocity
     target_drift_max_m: Annotated[float, span(0.02, 2.0)] = 0.1
     target_drift_memory_s: Annotated[float, span(0.2, 20.0)] = 2.0  # decay time of this difference
-    target_frame: str = "map"  # frame of the odometry
-    target_child_frame: str = "target"  # child frame of the odometry
-    hold_time_s: Annotated[float, span(0.1, 10.0)] = 1.0  # time in HOLD before it climbs
-    climb_time_max_s: Annotated[float, span(0.5, 60.0)] = 10.0  # time in CLIMB before it aborts
-    recovery_time_s: Annotated[float, span(0.05, 5.0)] = 0.3  # time with fresh inputs before it continues
-    retries_max: Annotated[int, span(0, 20)] = 3  # go-arounds before it aborts
-    # oscillation over the pad: allowed exits from the cone, and time in it without a touchdown
+    target_frame: str = "map"  # frame_id of the target's odometry
+    target_child_frame: str = "target"  # child_frame_id of the target's odometry
+    hold_time_s: Annotated[float, span(0.1, 10.0)] = 1.0  # time in HOLD before the climb
+    climb_time_max_s: Annotated[float, span(0.5, 60.0)] = 10.0  # time in CLIMB before an abort
+    recovery_time_s: Annotated[float, span(0.05, 5.0)] = 0.3  # time with recent inputs before a retry
+    retries_max: Annotated[int, span(0, 20)] = 3  # largest number of go-arounds before an abort
+    # oscillation over the pad: largest number of exits from the cone, and time in it without a touchdown
     swings_max: Annotated[int, span(1, 100)] = 3
     over_pad_time_max_s: Annotated[float, span(2.0, 600.0)] = 15.0
-    landing_time_max_s: Annotated[float, span(5.0, 600.0)] = 120.0  # longest landing
+    landing_time_max_s: Annotated[float, span(5.0, 600.0)] = 120.0  # longest duration of a landing
     wait_time_max_s: Annotated[float, span(1.0, 3600.0)] = 60.0  # longest wait for inputs before the landing
     clearance_m: Annotated[float, span(0.3, 20.0)] = 1.0  # horizontal distance that is clear of the target
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleSide:
-    """The vehicle's autopilot: settings that a person has looked at, and where its coordinates begin."""
+    """Autopilot settings that the user has accepted, and the origin of the autopilot's coordinates."""
 
-    # parameters that do not block arming in the pre-flight check at any value
+    # parameters whose values never block arming in the pre-flight check
     accepted_parameters: tuple[str, ...] = ()
-    # latitude and longitude in degrees, m above sea level (WGS84) and not 0: for an autopilot without
-    # satellites
+    # origin for an autopilot without satellites: latitude and longitude in degrees, height above sea level
+    # (WGS84) in m, which must not be 0
     origin_wgs84: Vec3 | None = None
 
     def __post_init__(self) -> None:
@@ -168,7 +168,7 @@ class FlightConfig:
     """Complete configuration of the onboard process."""
 
     barrier: BarrierShape
-    filter: str = "robust"  # `paper`, `robust`, or MODULE:NAME of a class
+    filter: str = "robust"  # name: `paper`, `robust`, or MODULE:NAME of a class
     loop: Loop = field(default_factory=Loop)
     position_loop: PositionLoop = field(default_factory=PositionLoop)
     limits: Limits = field(default_factory=Limits)
@@ -177,23 +177,23 @@ class FlightConfig:
     contact: Contact = field(default_factory=Contact)
     retreat: Retreat = field(default_factory=Retreat)
     checks: Checks = field(default_factory=Checks)
-    # assumptions of the robust filter; unused by the paper's
+    # assumptions of the robust filter; the paper filter ignores them
     robust: Robust = field(default_factory=Robust)
     velocity_loop: VelocityLoop = field(default_factory=VelocityLoop)
     velocity_feedback: VelocityFeedback = field(default_factory=VelocityFeedback)
     own: OwnStateLink = field(default_factory=OwnStateLink)
     target: TargetLink = field(default_factory=TargetLink)
-    envelope: Envelope = field(default_factory=Envelope)  # envelope of the proof by `check`
+    envelope: Envelope = field(default_factory=Envelope)  # range that the certificate of `check` covers
     vehicle: VehicleSide = field(default_factory=VehicleSide)
-    reserve: Reserve | None = None  # None: no limits by the battery, and its state is not requested
+    reserve: Reserve | None = None  # None: the battery sets no limits, and its state is not requested
     fleet: Fleet | None = None  # None: no other members
 
     @property
     def slew_max_m_s2(self) -> Vec3:
         """Acceleration limit of the robust filter's velocity on each axis.
 
-        In a fleet ``fleet.slew_xy_max_m_s2`` limits both horizontal axes together: each gets the side of the
-        square in that circle, since delayed motion reduces the distance to near neighbours.
+        In a fleet ``fleet.slew_xy_max_m_s2`` limits both horizontal axes together: each axis gets the side of
+        the square in that circle, since delayed motion reduces the distance to near neighbours.
         """
         x, y, z = self.robust.acceleration_max_m_s2
         if self.fleet is None:
@@ -203,12 +203,12 @@ class FlightConfig:
 
     @property
     def descending(self) -> FlightConfig:
-        """The same with one gain over the pad: that after the commit."""
+        """Configuration whose gain over the pad is that of the final descent."""
         return replace(self, robust=replace(self.robust, gain_over_pad_1_s=self.robust.to_contact_1_s))
 
     @property
     def far(self) -> FlightConfig:
-        """The same with feedback and gain of far away; itself where the feedback is everywhere the same."""
+        """Configuration with feedback and gain far from the pad; unchanged if there are no far values."""
         if not self.velocity_feedback.far_m:
             return self
         robust = replace(self.robust, gain_over_pad_1_s=self.robust.gain_1_s)
@@ -231,7 +231,7 @@ class FlightConfig:
                     f"{self.checks.clearance_m:g} m"
                 )
         check_name(self.filter)
-        # an external filter checks at its use: reading a log does not run its code
+        # a filter from outside checks its configuration when it flies: reading a log does not run its code
         if self.filter in FILTERS:
             named(self.filter).check_config(self)
 
@@ -239,8 +239,8 @@ class FlightConfig:
 def check_origin(name: str, origin_wgs84: Vec3) -> None:
     """Reject an origin of local coordinates that an autopilot would reject or misinterpret.
 
-    A height of 0 counts as "not known" in ArduPilot (``AP_Baro::update_field_elevation``, 4.6), which has it
-    in centimetres: on the ground it resets its height datum once a second.
+    ArduPilot treats a height of 0 as "not known" (``AP_Baro::update_field_elevation``, 4.6) and stores it in
+    centimetres: on the ground it then resets its height datum once a second.
     """
     latitude_deg, longitude_deg, height_m = origin_wgs84
     if not (abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0 and -500.0 <= height_m <= 9000.0):
@@ -248,7 +248,7 @@ def check_origin(name: str, origin_wgs84: Vec3) -> None:
             f"{name}: found {list(origin_wgs84)}; allowed are a latitude of -90 to 90 and "
             "a longitude of -180 to 180 degrees, and -500 to 9000 m"
         )
-    if abs(round(height_m * 1000.0)) < 10:  # mm on the wire; less is 0 in its centimetres
+    if abs(round(height_m * 1000.0)) < 10:  # mm in the message; less is 0 in ArduPilot's centimetres
         raise ConfigError(
             f"{name}: found a height of {height_m:g} m; ArduPilot takes 0 for an unknown height and resets "
             "its height datum every second on the ground; give the height above sea level, or 10 where it is "

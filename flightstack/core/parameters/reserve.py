@@ -1,18 +1,18 @@
-"""How much thrust the vehicle has left above its weight, by its battery's voltage, and how it is shared.
+"""Thrust reserve of the vehicle above its weight, from its battery's voltage, and the use of this reserve.
 
-The reserve is the largest thrust divided by the weight. Thrust grows with (throttle x voltage)^p, so that the
+The reserve is the largest thrust divided by the weight. Thrust grows with (throttle x voltage)^p, so the
 throttle of level flight grows as the voltage falls. At the voltage of level flight the largest thrust is
 
     r = (throttle_max / hover throttle)^p,    hover throttle = hover_throttle hover_voltage_v / voltage
 
-times the weight. But the current grows with the thrust to the power 1.5, and lowers the voltage: by sag_v
-from rest to level flight. To first order the share 1 / (1 + 1.5 p sag_v / voltage) of r - 1 remains.
+times the weight. But the current grows with the thrust to the power 1.5 and lowers the voltage, by sag_v from
+rest to level flight. To first order the share 1 / (1 + 1.5 p sag_v / voltage) of r - 1 remains.
 
-A firmware that compensates the battery limits its thrust command at a fixed motor voltage, so that a full
-battery gives no more thrust: the largest throttle is motor_voltage_max_v / voltage, if that is less.
+A firmware that compensates the battery limits its thrust command at a fixed motor voltage, so a full battery
+gives no more thrust: the largest throttle is then motor_voltage_max_v / voltage, if that is less.
 
 Recorded Crazyflies 2.1 with markers hover at 0.78 of full PWM at 3.7 V and at 0.90 at 3.1 V, with p = 1.5;
-their motors differ by 9 %, so that the first one saturates at a mean of about 0.95.
+their motors differ by 9 %, so the first motor saturates at a mean of about 0.95.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ from flightstack.common.strict_toml import ConfigError, span
 from flightstack.core.numeric import numeric
 
 GRAVITY_M_S2 = 9.81
-LEAST_M_S2 = 0.1  # acceleration that is always granted, m/s^2: without any a velocity could not change
+LEAST_M_S2 = 0.1  # acceleration that is always allowed, m/s^2: without it a velocity could not change
 
 
 @dataclass(frozen=True, slots=True)
 class Reserve:
-    """The battery and the thrust that it allows; a configuration without this table has no such limits."""
+    """Battery, and the thrust that it allows; without this table the battery sets no limits."""
 
-    hover_throttle: Annotated[float, span(0.05, 1.0)]  # mean of the motors in level flight ...
-    hover_voltage_v: Annotated[float, span(1.0, 100.0)]  # ... at this voltage, in flight
-    lowest_voltage_v: Annotated[float, span(1.0, 100.0)]  # in flight; the certificate holds down to it
+    hover_throttle: Annotated[float, span(0.05, 1.0)]  # mean throttle of the motors in level flight
+    hover_voltage_v: Annotated[float, span(1.0, 100.0)]  # voltage in level flight at this throttle
+    lowest_voltage_v: Annotated[float, span(1.0, 100.0)]  # lowest voltage in flight that is certified
     sag_v: Annotated[float, span(0.0, 20.0)] = 0.0  # voltage drop from rest to hover
-    start_margin_v: Annotated[float, span(0.0, 20.0)] = 0.05  # required above lowest_voltage_v for a landing
-    throttle_max: Annotated[float, span(0.1, 1.0)] = 0.95  # highest mean: beyond it single motors are at 1
+    start_margin_v: Annotated[float, span(0.0, 20.0)] = 0.05  # voltage above lowest_voltage_v for a landing
+    throttle_max: Annotated[float, span(0.1, 1.0)] = 0.95  # highest mean throttle: single motors saturate
     # mean motor voltage at the highest thrust command, if the firmware compensates the battery
     motor_voltage_max_v: Annotated[float, span(0.1, 100.0)] | None = None
-    thrust_exponent: Annotated[float, span(0.5, 3.0)] = 1.5  # p above
-    share: Annotated[float, span(0.1, 1.0)] = 0.5  # for velocity commands; the rest is for wind and attitude
+    thrust_exponent: Annotated[float, span(0.5, 3.0)] = 1.5  # exponent p of the thrust
+    share: Annotated[float, span(0.1, 1.0)] = 0.5  # share for velocity commands; the rest is for wind
     smoothing_s: Annotated[float, span(0.2, 20.0)] = 1.0  # time constant of the estimate in flight
 
     def __post_init__(self) -> None:
@@ -55,59 +55,59 @@ class Reserve:
             )
 
     def at(self, voltage_v: float) -> float:
-        """Reserve at a voltage in flight, by the two declared numbers of level flight."""
+        """Return the reserve at a voltage in flight, from the two declared numbers of level flight."""
         return self.left(self.effort(self.hover_throttle * self.hover_voltage_v / voltage_v), voltage_v)
 
     def effort(self, throttle: float) -> float:
-        """Thrust at a throttle as a share of that at ``throttle_max`` and the same voltage."""
+        """Return the thrust at a throttle as a share of that at ``throttle_max`` and the same voltage."""
         return math.pow(throttle / self.throttle_max, self.thrust_exponent)
 
     def left(self, effort: float, voltage_v: float) -> float:
-        """Reserve for an effort of level flight at this voltage, which falls when the thrust rises."""
+        """Return the reserve for an effort of level flight at a voltage that falls when the thrust rises."""
         return left(effort, self.sags(voltage_v), self.most(voltage_v))
 
     def sags(self, voltage_v: float) -> float:
-        """Loss term of the voltage sag, 1.5 p sag_v / voltage, see above."""
+        """Return the loss term of the voltage sag, 1.5 p sag_v / voltage (see the module's docstring)."""
         return 1.5 * self.thrust_exponent * self.sag_v / voltage_v
 
     def most(self, voltage_v: float) -> float:
-        """Effort at which the thrust command saturates at this voltage; inf: only at full throttle."""
+        """Return the effort at which the thrust command saturates at a voltage; inf: at full throttle."""
         if self.motor_voltage_max_v is None:
             return math.inf
         return self.effort(self.motor_voltage_max_v / voltage_v)
 
     def voltage_v(self, reserve: float) -> float:
-        """Lowest voltage in flight that gives this reserve; inf: no voltage does."""
+        """Return the lowest voltage in flight that gives this reserve; inf: no voltage does."""
         hover_v, most_v = self.hover_throttle * self.hover_voltage_v, self.motor_voltage_max_v
         if most_v is not None and math.pow(most_v / hover_v, self.thrust_exponent) < reserve:
             return math.inf
         least_v = hover_v / self.throttle_max
         voltage_v = least_v
-        for _ in range(30):  # a contraction: a step of the voltage changes the sag by a fraction of it
+        for _ in range(30):  # a contraction: a voltage step changes the sag by a fraction of the step
             sags = self.sags(voltage_v)
             voltage_v = least_v * math.pow(1.0 + (reserve - 1.0) * (1.0 + sags), 1.0 / self.thrust_exponent)
         return voltage_v
 
     @property
     def start_voltage_v(self) -> float:
-        """Voltage in flight from which a landing may begin."""
+        """Lowest voltage in flight at which a landing may start."""
         return self.lowest_voltage_v + self.start_margin_v
 
 
 @numeric
 def left(effort: float, sags: float, most: float) -> float:
-    """Reserve for an effort of level flight, see ``Reserve``."""
+    """Return the reserve for an effort of level flight, see ``Reserve``."""
     return min(1.0 + (1.0 / effort - 1.0) / (1.0 + sags), most / effort)
 
 
 @numeric
 def up_m_s2(reserve: float, share: float) -> float:
-    """Limit of the commanded upward acceleration."""
+    """Return the limit of the commanded upward acceleration."""
     return max(LEAST_M_S2, share * (reserve - 1.0) * GRAVITY_M_S2)
 
 
 @numeric
 def level_m_s2(reserve: float, share: float) -> float:
-    """Limit of the commanded acceleration on x and on y: the remaining thrust is used for tilt."""
+    """Return the limit of the commanded acceleration on x and on y, from the thrust that remains for tilt."""
     lift = reserve / (1.0 + share * (reserve - 1.0)) if reserve > 1.0 else 1.0
     return max(LEAST_M_S2, GRAVITY_M_S2 * math.sqrt(0.5 * (lift * lift - 1.0)))

@@ -1,7 +1,6 @@
-"""What the robust filter assumes of vehicle, target and links; every assumption is a number with a unit.
+"""Assumptions of the robust filter about vehicle, target and links; each of them is a number with a unit.
 
-docs/how_it_works/robust_filter.md derives the margin from them.
-The vehicle's numbers are identified from a log.
+docs/how_it_works/robust_filter.md derives the margin from these numbers. A log identifies the vehicle's.
 """
 
 from __future__ import annotations
@@ -18,12 +17,12 @@ from flightstack.core.numeric import hypot
 class VelocityLoop:
     """Response of the vehicle to a velocity set-point, and gains of its correction.
 
-    Defaults: Crazyflie firmware's PID loops on the simulated Crazyflie 2.0, by step responses.
+    The defaults come from step responses of the Crazyflie firmware's PID loops on a simulated Crazyflie 2.0.
     """
 
     lag_xy_s: Annotated[float, span(0.0, 2.0)] = 0.27  # group delay of the closed loop at low frequency
     lag_z_s: Annotated[float, span(0.0, 2.0)] = 0.17
-    # part of lag_xy_s in which a horizontal set-point has no effect yet: delay of links, shaping of attitudes
+    # part of lag_xy_s in which a horizontal set-point has no effect yet: delays of links and attitude
     dead_time_s: Annotated[float, span(0.0, 0.5)] = 0.0
     rate_xy_1_s: Annotated[float, span(0.5, 50.0)] = 5.2  # natural frequency of the second-order model
     rate_z_1_s: Annotated[float, span(0.5, 50.0)] = 8.0
@@ -31,18 +30,18 @@ class VelocityLoop:
     gain_xy: Annotated[float, span(0.0, 2.0)] = 0.6  # share of the tracking error added to the set-point
     gain_z: Annotated[float, span(0.0, 2.0)] = 0.5
     error_max_m_s: Annotated[float, span(0.05, 10.0)] = (
-        0.6  # horizontal set-point against velocity: bounds tilt
+        0.6  # largest difference of horizontal set-point and velocity: it bounds the tilt
     )
-    slope_time_s: Annotated[float, span(0.01, 1.0)] = 0.05  # smoothing of the wanted acceleration
-    disturbance_time_s: Annotated[float, span(0.1, 10.0)] = 0.6  # low-pass of wind, drag, weight error
-    disturbance_max_m_s: Annotated[float, span(0.0, 5.0)] = 0.6  # 2 m/s of wind on a Crazyflie makes 0.25
+    slope_time_s: Annotated[float, span(0.01, 1.0)] = 0.05  # time constant of the smoothed acceleration
+    disturbance_time_s: Annotated[float, span(0.1, 10.0)] = 0.6  # time constant of wind, drag, weight error
+    disturbance_max_m_s: Annotated[float, span(0.0, 5.0)] = 0.6  # largest disturbance; 2 m/s of wind is 0.25
 
     def late_ticks(self, period_s: float) -> int:
-        """Ticks from a horizontal set-point to its first effect."""
+        """Return the number of ticks from a horizontal set-point to its first effect."""
         return round(self.dead_time_s / period_s)
 
     def rate_max_1_s(self, period_s: float) -> float:
-        """Natural frequency below which the model, stepped with this period, is stable.
+        """Return the natural frequency below which the model, stepped with this period, is stable.
 
         One step (velocity_tracking.py) has the trace 2 - (wT)^2 - 2 z wT and the determinant 1 - 2 z wT: by
         Jury's criterion it is stable for (wT)^2 + 4 z wT < 4.
@@ -52,16 +51,16 @@ class VelocityLoop:
 
 @dataclass(frozen=True, slots=True)
 class VelocityFeedback:
-    """Horizontal feedback of the whole vehicle state, not the lead: core/strategies/velocity_tracking.py.
+    """Horizontal feedback of the whole vehicle state instead of the lead (strategies/velocity_tracking.py).
 
-    It rejects gusts. It needs an identified velocity loop, and a reserve of tilt beyond what the wind takes.
+    The feedback rejects gusts. It needs an identified velocity loop, and more tilt than the wind requires.
     """
 
     horizontal: bool = False
     error_rate_1_s: Annotated[float, span(0.5, 20.0)] = 5.0  # rate at which a velocity error is corrected
-    tilt_rate_1_s: Annotated[float, span(1.0, 50.0)] = 13.0  # rate at which this acceleration is reached
+    tilt_rate_1_s: Annotated[float, span(1.0, 50.0)] = 13.0  # rate at which the tilt reaches its command
     observer_rate_1_s: Annotated[float, span(1.0, 50.0)] = 25.0  # rate of the disturbance estimate
-    acceleration_max_m_s2: Annotated[float, span(0.2, 20.0)] = 3.0  # commanded; 3.5 is 20 degrees of tilt
+    acceleration_max_m_s2: Annotated[float, span(0.2, 20.0)] = 3.0  # largest command; 3.5 is 20 degrees tilt
     # distance from the landing spot beyond which the far rates apply: fast tilting takes thrust; 0: never
     far_m: Annotated[float, span(0.0, 100.0)] = 0.0
     far_error_rate_1_s: Annotated[float, span(0.5, 20.0)] = 4.0
@@ -79,11 +78,11 @@ class VelocityFeedback:
 class OwnStateLink:
     """Delay and errors of the received vehicle state."""
 
-    delay_s: Annotated[float, span(0.0, 0.2)] = 0.01  # age of a position when it arrives
+    delay_s: Annotated[float, span(0.0, 0.2)] = 0.01  # age of a position on arrival
     position_noise_m: Annotated[float, span(0.0, 0.2)] = 0.002  # standard deviation on each axis
     # standard deviation of the estimated velocity error on each axis; 0: no velocity error
     velocity_error_m_s: Annotated[float, span(0.0, 0.5)] = 0.0
-    # correlation time T of that error, exp(-t/T); without velocity feedback: time in which it is estimated
+    # correlation time T of the velocity error, exp(-t/T); without velocity feedback: estimation time
     velocity_error_time_s: Annotated[float, span(0.05, 20.0)] = 0.5
     velocity_error_max_m_s: Annotated[float, span(0.0, 1.0)] = 0.2  # largest estimated velocity error
 
@@ -97,62 +96,62 @@ class OwnStateLink:
 class TargetLink:
     """Motion of the target, and delay and noise of its odometry."""
 
-    delay_s: Annotated[float, span(0.0, 0.5)] = 0.02  # shortest age of a sample when it arrives
+    delay_s: Annotated[float, span(0.0, 0.5)] = 0.02  # shortest age of a sample on arrival
     position_noise_m: Annotated[float, span(1e-4, 0.5)] = 0.005  # standard deviation on each axis
     velocity_noise_m_s: Annotated[float, span(1e-4, 1.0)] = 0.02
-    jerk_xy_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.6  # about 0.5 m/s^2 changing every second
-    jerk_z_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.02  # it drives on a floor; 0.6 on a ship
+    jerk_xy_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.6  # jerk density: about 0.5 m/s^2 each second
+    jerk_z_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.02  # jerk density on a floor; 0.6 on a ship
     # largest factor on the jerk of x and y while innovations are larger than expected; 1: constant jerk
     jerk_growth_max: Annotated[float, span(1.0, 100.0)] = 1.0
-    acceleration_xy_m_s2: Annotated[float, span(0.001, 10.0)] = 0.3  # before anything is known
-    acceleration_time_s: Annotated[float, span(0.05, 1000.0)] = 0.5  # time constant of its decay on x and y
-    turns_with_yaw: bool = True  # false: a robot that can move sideways
+    acceleration_xy_m_s2: Annotated[float, span(0.001, 10.0)] = 0.3  # standard deviation before any sample
+    acceleration_time_s: Annotated[float, span(0.05, 1000.0)] = 0.5  # time constant of the decay on x and y
+    turns_with_yaw: bool = True  # false: the robot can move sideways
     acceleration_z_m_s2: Annotated[float, span(0.001, 10.0)] = 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
-    """Range that the certificate covers, with ``touchdown.target_speed_max_m_s``; unused in flight."""
+    """Range of conditions that the certificate covers, with ``touchdown.target_speed_max_m_s``."""
 
-    target_climb_max_m_s: Annotated[float, span(0.0, 2.0)] = 0.0  # heave of the pad
+    target_climb_max_m_s: Annotated[float, span(0.0, 2.0)] = 0.0  # largest vertical speed of the pad
     target_acceleration_max_m_s2: Annotated[float, span(0.0, 10.0)] = 0.5  # braking, reversing, turning
-    target_rate_hz: Annotated[float, span(1.0, 500.0)] = 50.0  # rate of its odometry
+    target_rate_hz: Annotated[float, span(1.0, 500.0)] = 50.0  # rate of the target's odometry
     lag_spread: Annotated[float, span(0.0, 0.9)] = 0.3  # relative tolerance of the vehicle's lag, up and down
 
 
 @dataclass(frozen=True, slots=True)
 class Robust:
-    """The filter itself."""
+    """Parameters of the robust filter."""
 
     rate_1_s: Annotated[float, span(0.1, 10.0)] = 1.5  # largest decay rate of h; below the velocity loop's
     tracking_error_m_s: Annotated[float, span(0.0, 1.0)] = 0.04  # vertical tracking error of the velocity
     sigma_factor: Annotated[float, span(0.0, 6.0)] = 2.0  # standard deviations of position that are covered
-    fade_radius_m: Annotated[float, span(0.01, 1.0)] = 0.06  # the margin fades within it, for the touchdown
+    fade_radius_m: Annotated[float, span(0.01, 1.0)] = 0.06  # the margin fades in this radius for touchdown
     acceleration_max_m_s2: Each[Annotated[float, span(0.2, 20.0)]] = (
         2.0,
         2.0,
         2.5,
     )  # limit of the commanded acceleration
-    gain_1_s: Annotated[float, span(0.1, 5.0)] = 1.2  # position loop on the way to the pad
+    gain_1_s: Annotated[float, span(0.1, 5.0)] = 1.2  # gain of the position loop on the approach
     gain_over_pad_1_s: Annotated[float, span(0.1, 5.0)] = 2.0  # horizontal gain over the pad
-    gain_descent_1_s: Annotated[float, span(0.0, 5.0)] = 0.0  # the same after the commit; 0: as over the pad
+    gain_descent_1_s: Annotated[float, span(0.0, 5.0)] = 0.0  # gain in the final descent; 0: as over the pad
     descent_min_m_s: Annotated[float, span(0.01, 1.0)] = 0.1  # slowest descent above the waiting height
     descent_max_m_s: Annotated[float, span(0.05, 10.0)] = 1.0  # fastest descent, relative to the pad
-    wait_height_m: Annotated[float, span(0.03, 3.0)] = 0.1  # height above the pad until it may descend
-    commit_height_m: Annotated[float, span(0.05, 3.0)] = 0.22  # below it the vehicle descends without a stop
-    commit_radius_m: Annotated[float, span(0.005, 1.0)] = 0.04  # if it is within this distance of the middle
-    commit_speed_m_s: Annotated[float, span(0.01, 1.0)] = 0.12  # and below this speed relative to the target
-    corridor_m: Annotated[float, span(0.01, 2.0)] = 0.085  # about to leave this radius: go around
+    wait_height_m: Annotated[float, span(0.03, 3.0)] = 0.1  # height of the wait before the final descent
+    commit_height_m: Annotated[float, span(0.05, 3.0)] = 0.22  # height to start the final descent
+    commit_radius_m: Annotated[float, span(0.005, 1.0)] = 0.04  # off-centre distance for final descent
+    commit_speed_m_s: Annotated[float, span(0.01, 1.0)] = 0.12  # relative speed for the final descent
+    corridor_m: Annotated[float, span(0.01, 2.0)] = 0.085  # radius of the corridor that must not be left
     descent_m_s: Annotated[float, span(0.05, 1.0)] = 0.22  # final descent relative to the pad, until contact
-    descent_lead_max_m_s: Annotated[float, span(0.0, 1.0)] = 0.15  # set-point faster than that, for the lag
-    touch_height_m: Annotated[float, span(0.005, 0.5)] = 0.05  # below it a stopped descent is contact
+    descent_lead_max_m_s: Annotated[float, span(0.0, 1.0)] = 0.15  # lead of the set-point, for the lag
+    touch_height_m: Annotated[float, span(0.005, 0.5)] = 0.05  # height below which a stop means contact
 
     @property
     def to_contact_1_s(self) -> float:
-        """Gain of the horizontal position loop after the commit."""
+        """Gain of the horizontal position loop in the final descent."""
         return self.gain_descent_1_s or self.gain_over_pad_1_s
 
     def margin_m(self, slope: float, sigma_xy_m: float, sigma_z_m: float) -> float:
-        """Margin on h that covers tracking and position errors."""
+        """Return the margin on h that covers tracking and position errors."""
         position_m = self.sigma_factor * hypot(slope * sigma_xy_m, sigma_z_m)
         return self.tracking_error_m_s / self.rate_1_s + position_m

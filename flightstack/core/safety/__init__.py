@@ -1,1 +1,1 @@
-"""Barrier, filter program, exact projection, position loop, and the gate that every set-point passes."""
+"""Barrier function, filter program, exact projection, position loop, and the gate that checks set-points."""

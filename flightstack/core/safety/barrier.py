@@ -1,15 +1,14 @@
-"""The landing barrier: h, its gradient and its time derivative (paper eq. 5, 7, 9, 10).
+"""Landing barrier function h, its gradient and its time derivative (paper eq. 5, 7, 9, 10).
 
     h(e) = e_z - b(d),   b(d) = beta * alpha * d * exp(-alpha * d)
 
-``e`` is vehicle minus landing spot, ``d`` its horizontal length. Safe is h >= 0.
+``e`` is the vehicle's position minus the landing spot, ``d`` its horizontal length. Safe states have h >= 0.
 
-The apex: at d = 0 the gradient has no direction. The slope is multiplied by the smoothing factor
-``d / sqrt(d^2 + smoothing^2)``, which only shortens the gradient. Within a few ``smoothing`` of the axis
-the filter therefore sees less slope than the cone has; h itself is never smoothed.
-See docs/how_it_works/method.md.
+At the apex, d = 0, the gradient has no direction. The slope is multiplied by the smoothing factor ``d /
+sqrt(d^2 + smoothing^2)``, which only shortens the gradient. Within a few ``smoothing`` of the axis the filter
+therefore uses less slope than the cone has; h itself is never smoothed. See docs/how_it_works/method.md.
 
-Shape from geometry (eq. 7): the boundary peaks at distance ``d* = 1/alpha`` with height ``e* = beta/e``.
+The geometry gives the shape (eq. 7): the boundary peaks at distance ``d* = 1/alpha``, height ``e* = beta/e``.
 """
 
 from __future__ import annotations
@@ -22,28 +21,28 @@ from flightstack.core.numeric import numeric
 from flightstack.core.types import Vec3
 
 E = math.e
-_BEND_MOST = math.exp(-3.0)  # maximum of (x - 2) exp(-x), at x = 3
+_BEND_MOST = math.exp(-3.0)  # maximum of (x - 2) exp(-x), which is at x = 3
 
 
 class ActiveBarrier(Protocol):
-    """The barrier that a filter holds; positions are vehicle minus landing spot, ENU, m."""
+    """Barrier function that a filter enforces; positions are vehicle minus landing spot, ENU, m."""
 
     def h(self, e_m: Vec3) -> float:
-        """Value in metres at a relative position."""
+        """Return the value at a relative position, m."""
 
     def linearisation_bound_m(self, e_m: Vec3, moved_m: float) -> float:
-        """Most that h may lie below its linear prediction after a horizontal motion of this length."""
+        """Return how far h may fall below its linear prediction in a horizontal motion of this length, m."""
 
     def evaluate(self, e_m: Vec3, target_velocity_enu_m_s: Vec3) -> tuple[float, Vec3, float]:
-        """Value, gradient by the vehicle's position, and time derivative."""
+        """Return value, gradient with respect to the vehicle's position, and time derivative."""
 
 
 @dataclass(frozen=True, slots=True)
 class Barrier:
-    """Parameters of the boundary.
+    """Landing barrier with the parameters of its boundary.
 
     Attributes:
-        alpha_1_m: horizontal shape, 1/m; the peak stands at 1/alpha from the landing spot (paper eq. 7).
+        alpha_1_m: horizontal shape, 1/m; the peak is 1/alpha from the landing spot (paper eq. 7).
         beta_m: vertical shape, m; the peak is beta/e high (paper eq. 5 and 7).
         smoothing_m: radius of the apex within which the gradient fades to vertical.
     """
@@ -54,29 +53,29 @@ class Barrier:
 
     @classmethod
     def from_peak(cls, peak_height_m: float, peak_distance_m: float, smoothing_m: float = 0.005) -> Barrier:
-        """Barrier whose boundary peaks at this height and horizontal distance (eq. 7: b'(1/alpha) = 0)."""
+        """Return the barrier whose boundary peaks at this height and horizontal distance (eq. 7)."""
         return cls(1.0 / peak_distance_m, E * peak_height_m, smoothing_m)
 
     @classmethod
     def from_cone(
         cls, peak_height_m: float, cone_half_angle_rad: float, smoothing_m: float = 0.005
     ) -> Barrier:
-        """Barrier from the peak's height and the angle at the landing spot between the vertical and the peak.
+        """Return the barrier for a peak height and the angle at the landing spot from vertical to peak.
 
-        The paper prints ``alpha = e* tan(theta)``, a length; what has the unit 1/m is its inverse,
-        ``alpha = 1 / (e* tan(theta))``. At the paper's 0.55 m and 60 degrees these are 0.95 and 1.05: both
-        round to its 1.0, which is how the slip could stay unseen.
+        The paper prints ``alpha = e* tan(theta)``, which is a length. The inverse, ``alpha = 1 / (e*
+        tan(theta))``, has the unit 1/m. At the paper's 0.55 m and 60 degrees these are 0.95 and 1.05; both
+        round to the printed 1.0.
         """
         return cls.from_peak(peak_height_m, peak_height_m * math.tan(cone_half_angle_rad), smoothing_m)
 
     @property
     def peak_height_m(self) -> float:
-        """Height of the boundary's highest ring."""
+        """Height of the boundary's highest ring, m."""
         return self.beta_m / E
 
     @property
     def peak_distance_m(self) -> float:
-        """Radius of the boundary's highest ring."""
+        """Radius of the boundary's highest ring, m."""
         return 1.0 / self.alpha_1_m
 
     @property
@@ -85,29 +84,29 @@ class Barrier:
         return self.alpha_1_m * self.beta_m
 
     def height(self, d_m: float) -> float:
-        """Boundary height b(d) in metres at horizontal distance ``d_m`` (eq. 5)."""
+        """Return the boundary height b(d) in metres at horizontal distance ``d_m`` (eq. 5)."""
         return boundary_height(self.alpha_1_m, self.beta_m, d_m)
 
     def slope(self, d_m: float) -> float:
-        """Slope b'(d) of the boundary at horizontal distance ``d_m``."""
+        """Return the slope b'(d) of the boundary at horizontal distance ``d_m``."""
         ad = self.alpha_1_m * d_m
         return self.beta_m * self.alpha_1_m * (1.0 - ad) * math.exp(-ad)
 
     def h(self, e_m: Vec3) -> float:
-        """Barrier value in metres at the relative position ``e_m`` (eq. 9)."""
+        """Return the barrier value in metres at the relative position ``e_m`` (eq. 9)."""
         return barrier_h(self.alpha_1_m, self.beta_m, e_m)
 
     def linearisation_bound_m(self, e_m: Vec3, moved_m: float) -> float:
-        """Most that h may lie below its linear prediction after a horizontal motion from ``e_m``.
+        """Return how far h may fall below its linear prediction in a horizontal motion from ``e_m``, m.
 
-        The prediction is that of ``evaluate``, whose gradient is short by c = d / r, r the smoothed length.
-        A motion that changes d by D and goes R outwards misses by ``b'(d) (D - c R) + b'' D^2 / 2`` at most.
-        D - c R is largest where the motion ends at the distance r, if it reaches that; b'' at 3 / alpha
+        The prediction uses the gradient of ``evaluate``, which is too short by c = d / r; r is the smoothed
+        length. A motion that changes d by D and moves R outwards has an error of at most ``b'(d) (D - c R) +
+        b'' D^2 / 2``. D - c R is largest if the motion ends at the distance r; b'' is largest at 3 / alpha
         (docs/how_it_works/robust_filter.md).
 
         Args:
-            e_m: relative position the motion begins at.
-            moved_m: its horizontal length, in any direction.
+            e_m: relative position at which the motion starts.
+            moved_m: horizontal length of the motion, in any direction.
         """
         d2 = e_m[0] * e_m[0] + e_m[1] * e_m[1]
         d, r = math.sqrt(d2), math.sqrt(d2 + self.smoothing_m * self.smoothing_m)
@@ -122,18 +121,18 @@ class Barrier:
         return abs(self.slope(d)) * turned + 0.5 * bend_1_m * moved_m * moved_m
 
     def evaluate(self, e_m: Vec3, target_velocity_enu_m_s: Vec3) -> tuple[float, Vec3, float]:
-        """Barrier value, gradient with respect to the vehicle's position, and time derivative (eq. 9, 10).
+        """Return barrier value, gradient with respect to the vehicle's position, time derivative (eq. 9, 10).
 
         Returns:
-            ``(h_m, gradient, dh_dt_m_s)``. The barrier moves with the target, so that the time derivative is
-            minus the gradient times the target's velocity, heave included (the paper sets heave to zero).
+            ``(h_m, gradient, dh_dt_m_s)``. The barrier moves with the target, so the time derivative is minus
+            the gradient times the target's velocity, including heave (the paper sets heave to zero).
         """
         ex, ey, ez = e_m
         d2 = ex * ex + ey * ey
         d = math.sqrt(d2)
         ad = self.alpha_1_m * d
         decay = self.beta_m * self.alpha_1_m * math.exp(-ad)
-        # decay * (1 - ad) is b'(d); dividing by the smoothed length makes e a direction, 0 at d = 0
+        # decay * (1 - ad) is b'(d); the smoothed length makes e a direction that is 0 at d = 0
         factor = -decay * (1.0 - ad) / math.sqrt(d2 + self.smoothing_m * self.smoothing_m)
         gx, gy = factor * ex, factor * ey
         vx, vy, vz = target_velocity_enu_m_s
@@ -142,12 +141,12 @@ class Barrier:
 
 @numeric
 def boundary_height(alpha_1_m: float, beta_m: float, d_m: float) -> float:
-    """``Barrier.height``."""
+    """Return the boundary height; numeric form of ``Barrier.height``."""
     ad = alpha_1_m * d_m
     return beta_m * ad * math.exp(-ad)
 
 
 @numeric
 def barrier_h(alpha_1_m: float, beta_m: float, e_m: Vec3) -> float:
-    """``Barrier.h``."""
+    """Return the barrier value; numeric form of ``Barrier.h``."""
     return e_m[2] - boundary_height(alpha_1_m, beta_m, math.sqrt(e_m[0] * e_m[0] + e_m[1] * e_m[1]))

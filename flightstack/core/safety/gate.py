@@ -1,7 +1,7 @@
-"""The last check before the wire, and the only maker of an ``ApprovedSetpoint``.
+"""Last check before a set-point is sent; only this check makes an ``ApprovedSetpoint``.
 
-Default deny. The bridge sends only velocities of this type, and only ``Gate`` can build one, a new one each
-tick: no stored set-point could be sent twice.
+The default is to deny. The bridge sends only velocities of this type, and only ``Gate`` can build one. It
+builds a new one in each tick, so that no stored set-point is sent twice.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from flightstack.core.types import FilterStatus, Vec3
 
 _KEY = object()
 BOX_TOLERANCE_M_S = 1e-9
-SOLVER_TOLERANCE_M_S = 2.0 * RESIDUAL_MAX_M_S  # largest violation by a result of the filter; rounding
+SOLVER_TOLERANCE_M_S = 2.0 * RESIDUAL_MAX_M_S  # largest violation by a filter result, including rounding
 
 
 class GateVerdict(IntEnum):
-    """Why a set-point may or may not go out."""
+    """Result of the gate: the reason why a set-point is sent or rejected."""
 
     APPROVED = 0
-    NOT_IN_CONTROL = 1  # this phase sends none
+    NOT_IN_CONTROL = 1  # this phase sends no set-point
     OWN_STALE = 2
     TARGET_STALE = 3
     NOT_FINITE = 4
     OUTSIDE_BOX = 5
-    BARRIER = 6  # the next sample would lie lower than the filter promised
+    BARRIER = 6  # h in the next tick would be lower than the filter guarantees
     TOO_HIGH = 7
 
 
 class ApprovedSetpoint:
-    """A velocity that passed the gate in this tick; immutable."""
+    """Velocity that passed the gate in this tick; immutable."""
 
     __slots__ = ("velocity_enu_m_s", "yaw_rad")
     velocity_enu_m_s: Vec3
@@ -58,7 +58,7 @@ _fill = object.__setattr__
 
 
 class BarrierCheck(NamedTuple):
-    """Data with which the gate checks the active barrier again, and the status of the filter's result."""
+    """Data for the gate's check of the active barrier, and the status of the filter's result."""
 
     barrier: ActiveBarrier
     e_m: Vec3
@@ -68,7 +68,7 @@ class BarrierCheck(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """Limits of every set-point that is sent."""
+    """Limits that every sent set-point meets."""
 
     omega_1_s: float
     velocity_max_m_s: Vec3
@@ -86,7 +86,7 @@ class Gate:
         altitude_m: float,
         barrier_check: BarrierCheck | None,
     ) -> tuple[GateVerdict, ApprovedSetpoint | None]:
-        """Approve a velocity, or return the reason why not."""
+        """Approve a velocity, or return the reason for its rejection."""
         verdict = self.verdict(velocity, yaw_rad, own_fresh, target_fresh, altitude_m)
         kept = barrier_check is None or self.keeps_promise(velocity, barrier_check)
         if verdict is GateVerdict.APPROVED and not kept:
@@ -98,7 +98,7 @@ class Gate:
         return verdict, None
 
     def stop(self, yaw_rad: float, *, own_fresh: bool) -> ApprovedSetpoint | None:
-        """Zero velocity in place of a refused command; no set-point without a fresh vehicle state."""
+        """Return zero velocity in place of a rejected command; ``None`` without a recent vehicle state."""
         if not own_fresh or not math.isfinite(yaw_rad):
             return None
         return ApprovedSetpoint(_KEY, (0.0, 0.0, 0.0), yaw_rad)
@@ -106,7 +106,7 @@ class Gate:
     def verdict(
         self, velocity: Vec3, yaw_rad: float, own_fresh: bool, target_fresh: bool, altitude_m: float
     ) -> GateVerdict:
-        """Judge a velocity except for the barrier; arguments as those of ``check``."""
+        """Check a velocity except for the barrier; the arguments are those of ``check``."""
         if not own_fresh:
             return GateVerdict.OWN_STALE
         if not target_fresh:
@@ -126,10 +126,10 @@ class Gate:
         return GateVerdict.APPROVED
 
     def keeps_promise(self, velocity: Vec3, check: BarrierCheck) -> bool:
-        """Whether the next h, by the kinematic model, meets the bound of eq. 11, without derivatives.
+        """Whether the next h of the kinematic model meets the bound of eq. 11, computed without derivatives.
 
-        The bound is linear; a filter result that meets it may miss h by the boundary's curvature and by the
-        slope that the gradient neglects at the apex, and by no more (docs/how_it_works/robust_filter.md).
+        The bound is linear; a valid filter result may miss it by the boundary's curvature and by the slope
+        that the gradient neglects at the apex, and by no more (docs/how_it_works/robust_filter.md).
         """
         status, hopeless = check.status, check.status is FilterStatus.INFEASIBLE
         solved = status is FilterStatus.SOLVED or status is FilterStatus.CLOSED_FORM
@@ -143,9 +143,9 @@ class Gate:
         if not math.isfinite(now + then):
             return False
         if hopeless or own:
-            return True  # hopeless: nothing better is in the box
+            return True  # if infeasible, the box contains no better velocity
         missing_m = now * (1.0 - self.omega_1_s * t) - then - SOLVER_TOLERANCE_M_S * t
-        # mostly there is nothing to allow for
+        # usually the bound is met without this tolerance
         return missing_m <= 0.0 or missing_m <= check.barrier.linearisation_bound_m(
             check.e_m, hypot(vx - tx, vy - ty) * t
         )

@@ -1,4 +1,4 @@
-"""Nominal velocity: proportional position control with the target's velocity fed forward (paper IV-A)."""
+"""Nominal velocity: proportional position control with feed-forward of the target's velocity (paper IV-A)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from flightstack.core.types import Vec3
 
 @numeric
 def nominal_velocity(e_m: Vec3, gain_1_s: Vec3, target_velocity_enu_m_s: Vec3) -> Vec3:
-    """u' = -K_p e + dp_d/dt, metres per second, ENU."""
+    """Return the nominal velocity u' = -K_p e + dp_d/dt, m/s ENU."""
     return (
         target_velocity_enu_m_s[0] - gain_1_s[0] * e_m[0],
         target_velocity_enu_m_s[1] - gain_1_s[1] * e_m[1],
@@ -20,13 +20,13 @@ def nominal_velocity(e_m: Vec3, gain_1_s: Vec3, target_velocity_enu_m_s: Vec3) -
 
 @numeric
 def clip(value: float, low: float, high: float) -> float:
-    """``max(low, min(high, value))``, in a third of its time."""
+    """Return ``max(low, min(high, value))``; this form takes a third of the time."""
     value = value if value < high else high
     return value if value > low else low
 
 
 def clip_to_box(point: Vec3, lower: Vec3, upper: Vec3) -> Vec3:
-    """Nearest point of the box between two corners."""
+    """Return the nearest point of the box between two corners."""
     (x, y, z), (lx, ly, lz), (hx, hy, hz) = point, lower, upper
     return (clip(x, lx, hx), clip(y, ly, hy), clip(z, lz, hz))
 
@@ -41,9 +41,9 @@ def limit(velocity: Vec3, velocity_max_m_s: Vec3) -> Vec3:
 
 @numeric
 def slew(previous: Vec3, wanted: Vec3, step_max_m_s: Vec3, up_max_m_s: float = math.inf) -> Vec3:
-    """Move from the previous command towards the wanted one by at most ``step_max_m_s`` on each axis.
+    """Change the previous command towards the wanted one by at most ``step_max_m_s`` on each axis.
 
-    Upwards by at most ``up_max_m_s``, too: a tired battery has less to climb with than to sink with.
+    Upwards the change is also limited to ``up_max_m_s``: a weak battery limits the climb acceleration.
     """
     return (
         previous[0] + clip(wanted[0] - previous[0], -step_max_m_s[0], step_max_m_s[0]),

@@ -3,9 +3,9 @@
     min |u - u'|^2   subject to   lower <= u <= upper,   g . u >= b
 
 The minimiser is ``clip(u' + lambda g)`` with the smallest multiplier lambda >= 0 that satisfies the
-half-space: g . clip(u' + lambda g) never falls with lambda and is linear between the values at which an axis
-meets its bound, so a walk over these values finds lambda exactly. It shares no code with the solver, which
-starts in flight from this result and confirms it, or finds a better one.
+half-space. g . clip(u' + lambda g) never falls with lambda and is linear between the values at which an axis
+meets its bound, so a walk over these values finds lambda exactly. The solver shares no code with this module;
+in flight it starts from this result and confirms or improves it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from flightstack.core.types import Vec3
 
 @numeric
 def best_corner(g: Vec3, lower: Vec3, upper: Vec3) -> Vec3:
-    """Point of the box with the largest ``g . u``, on an axis without gradient nearest to zero."""
+    """Return the point of the box with the largest ``g . u``; an axis without gradient is closest to zero."""
     return (
         upper[0] if g[0] > 0.0 else lower[0] if g[0] < 0.0 else min(max(0.0, lower[0]), upper[0]),
         upper[1] if g[1] > 0.0 else lower[1] if g[1] < 0.0 else min(max(0.0, lower[1]), upper[1]),
@@ -26,7 +26,7 @@ def best_corner(g: Vec3, lower: Vec3, upper: Vec3) -> Vec3:
     )
 
 
-EMPTY = -1.0  # multiplier where no point of the box meets the half-space
+EMPTY = -1.0  # multiplier if no point of the box meets the half-space
 
 
 def project(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3) -> Vec3 | None:
@@ -37,9 +37,9 @@ def project(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3) -> Vec3 
 
 @numeric
 def projected(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3) -> tuple[Vec3, float]:
-    """The minimiser and the multiplier lambda of the half-space.
+    """Return the minimiser and the multiplier lambda of the half-space.
 
-    Lambda is 0 if the half-space does not bind, infinite if no finite one meets it, and ``EMPTY`` (with the
+    Lambda is 0 if the half-space is inactive, infinite if no finite value meets it, and ``EMPTY`` (with the
     best corner) if no point of the box meets it.
     """
     (nx, ny, nz), (lx, ly, lz), (hx, hy, hz) = nominal, lower, upper
@@ -59,7 +59,7 @@ def projected(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3) -> tup
 
 @numeric
 def _multiplier(nominal: Vec3, g: Vec3, b: float, lower: Vec3, upper: Vec3, value: float) -> float:
-    """Lambda at which the half-space is met; ``value`` is that of ``g . u`` at lambda = 0, below ``b``."""
+    """Return the lambda that meets the half-space; ``value`` is ``g . u`` at lambda = 0, below ``b``."""
     # lambdas at which an axis starts to move (leaves its near bound) and stops (meets its far bound)
     events: list[tuple[float, float]] = []
     slope = 0.0

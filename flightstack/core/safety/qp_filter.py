@@ -1,14 +1,14 @@
-"""The CBF quadratic program (paper eq. 11), solved by OSQP and checked every time.
+"""Quadratic program of the control barrier function (paper eq. 11): OSQP solves it, each result is checked.
 
     min |u - u'|^2   subject to   lower <= u <= upper,   g . u >= -omega h - dh/dt
 
-One barrier row and three box rows; the solver is set up once and updated each tick. It starts from the exact
-projection of this tick (``projection.py``), point and multipliers, which its optimality test confirms at
-once; otherwise it iterates. So a result depends only on the numbers of this tick, a log can be replayed from
-any tick, and the time is bounded. (From zero the program takes hundreds of iterations where the barrier's
-gradient is nearly the normal of a side of the box and both bind.) A result is used only with the status
-solved and if the point meets box and barrier; otherwise the exact projection is used. If no point of the box
-meets the barrier, the command is the corner of the box that raises h fastest, with a status of its own.
+The program has one barrier row and three box rows; the solver is set up once and updated each tick. It starts
+from the exact projection of this tick (``projection.py``), point and multipliers, which its optimality test
+confirms at once; otherwise it iterates. So a result depends only on the numbers of this tick, a log can be
+replayed from any tick, and the time is bounded. (From zero the solver takes hundreds of iterations where the
+barrier's gradient is nearly the normal of a side of the box and both are active.) A result is used only if it
+has the status solved and meets box and barrier; otherwise the exact projection is used. If no point of the
+box meets the barrier, the command is the corner of the box that raises h fastest, with its own status.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ from flightstack.core.safety.projection import EMPTY, best_corner, projected
 from flightstack.core.safety.solver import compiled_solver, matrix
 from flightstack.core.types import FilterStatus, Vec3
 
-# All of 100,000 random programs of this size were confirmed in the first iteration.
+# The first iteration confirmed all of 100,000 random programs of this size.
 EPS = 1e-9  # absolute and relative tolerance of the solver's test, m/s
 RHO = 1.0
 RELAXATION = 1.5
-ITERATIONS_MAX = 200  # about 50 us; after that the exact projection is the result
-_NUMBERS = struct.Struct("=24d")  # changing data of the program, and its start
+ITERATIONS_MAX = 200  # about 50 us; after that the exact projection is used
+_NUMBERS = struct.Struct("=24d")  # changing data of the program, and start values of the solver
 RESIDUAL_MAX_M_S = 1e-6  # largest violation of box or barrier by an accepted result
 
 
 class FilterResult(NamedTuple):
-    """Filtered velocity and everything needed to judge it.
+    """Filtered velocity, and the data to check it.
 
     Attributes:
-        velocity_enu_m_s: the command, always inside the box.
+        velocity_enu_m_s: filtered velocity, always inside the box.
         slack_m_s: g . u + omega h + dh/dt at the command; negative only if INFEASIBLE.
-        active: the barrier changed the command.
-        status: how the result was found.
+        active: whether the barrier changed the command.
+        status: origin of the result.
         residual_m_s: the solver's largest violation before clipping.
         iterations: number of the solver's iterations.
         solve_s: wall time of projection and solver.
@@ -57,16 +57,16 @@ class FilterResult(NamedTuple):
 
 
 class Program(Protocol):
-    """Computes the filtered velocity from the nominal one."""
+    """Program that computes the filtered velocity from the nominal one."""
 
     def solve(
         self, nominal: Vec3, h_m: float, gradient: Vec3, dh_dt_m_s: float, lower: Vec3, upper: Vec3
     ) -> FilterResult:
-        """Filter one nominal velocity; arguments as those of ``SafetyFilter.solve``."""
+        """Filter one nominal velocity; the arguments are those of ``SafetyFilter.solve``."""
 
 
 def solver_settings(osqp: Any) -> Any:
-    """Solver settings that make a result depend only on the numbers of its tick."""
+    """Return solver settings that make a result depend only on the numbers of its tick."""
     settings = osqp.OSQPSettings()
     osqp.osqp_set_default_settings(settings)
     settings.verbose = 0
@@ -80,10 +80,10 @@ def solver_settings(osqp: Any) -> Any:
 
 
 class SafetyFilter:
-    """The quadratic program, allocated once."""
+    """Quadratic program whose memory is allocated once."""
 
     omega_1_s: float
-    enforces: bool  # False: the velocity is only held to the box
+    enforces: bool  # False: the velocity is only limited to the box
 
     def __init__(self, omega_1_s: float) -> None:
         osqp = compiled_solver()
@@ -120,7 +120,7 @@ class SafetyFilter:
             return FilterResult(corner, slack, True, FilterStatus.INFEASIBLE, 0.0, 0, 0.0)
         started_s = self._time_s()
         exact, multiplier = projected(nominal, gradient, bound, lower, upper)
-        if multiplier == EMPTY:  # by rounding
+        if multiplier == EMPTY:  # rounding made the feasible set empty
             multiplier = math.inf
         point, residual, iterations = self._osqp(nominal, gradient, bound, lower, upper, exact, multiplier)
         solve_s = self._time_s() - started_s
@@ -137,12 +137,12 @@ class SafetyFilter:
         self, nominal: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3, start: Vec3,
         multiplier: float,
     ) -> tuple[Vec3, float, int]:  # fmt: skip
-        """Point clipped to the box, its largest violation before that (inf if not solved), iterations.
+        """Run OSQP; return the point clipped to the box, its residual (inf if not solved), and iterations.
 
-        The solver starts from a point and the multiplier of the barrier there.
+        The solver starts from the point ``start`` and the multiplier of the barrier there.
         """
         solver = self._solver
-        # one copy: numpy needs the same time for three of them
+        # one copy, since numpy needs the same time for each of three
         numbers = data_and_start(nominal, gradient, bound, lower, upper, self._infinity, start, multiplier)
         _NUMBERS.pack_into(self._memory, 0, *numbers)
         solver.update_data_vec(q=self._q, l=self._lower, u=self._upper)
@@ -168,9 +168,9 @@ def data_and_start(
     point: Vec3,
     multiplier: float,
 ) -> tuple[float, ...]:
-    """Numbers of the program that change, and the point and multipliers from which the solver starts.
+    """Return the changing numbers of the program, and the point and multipliers where the solver starts.
 
-    The start is optimal where u - u' - multiplier g + y = 0, with y of the sides of the box that bind.
+    The start is optimal if u - u' - multiplier g + y = 0; y are the multipliers of the active box sides.
     """
     multiplier = multiplier if math.isfinite(multiplier) else 0.0
     (nx, ny, nz), (gx, gy, gz), (lx, ly, lz), (hx, hy, hz) = nominal, gradient, lower, upper
@@ -183,7 +183,7 @@ def data_and_start(
 
 @numeric
 def clipped(point: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3) -> tuple[Vec3, float]:
-    """A solution clipped to the box, and by how much it misses box or barrier at most."""
+    """Return a solution clipped to the box, and its largest violation of box or barrier."""
     (x, y, z), (gx, gy, gz), (lx, ly, lz), (hx, hy, hz) = point, gradient, lower, upper
     cx, cy, cz = min(max(x, lx), hx), min(max(y, ly), hy), min(max(z, lz), hz)
     barrier_miss = bound - (gx * cx + gy * cy + gz * cz)
@@ -194,7 +194,7 @@ def clipped(point: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3)
 def judged(
     point: Vec3, nominal: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3
 ) -> tuple[float, bool]:
-    """Slack of the barrier's row at a point, and whether the row keeps the nominal velocity from being it."""
+    """Return the slack of the barrier's row at a point, and whether the row rejects the nominal velocity."""
     (x, y, z), (nx, ny, nz), (gx, gy, gz) = point, nominal, gradient
     (lx, ly, lz), (hx, hy, hz) = lower, upper
     free = gx * min(max(nx, lx), hx) + gy * min(max(ny, ly), hy) + gz * min(max(nz, lz), hz)

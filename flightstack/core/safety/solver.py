@@ -1,6 +1,6 @@
-"""OSQP's solver without its Python interface and scipy.sparse, which only store a matrix for it.
+"""Access to OSQP's solver without its Python interface and scipy.sparse, which only store a matrix for it.
 
-Their import takes a tenth of a second in each process with a solver.
+The import of these two takes a tenth of a second in each process with a solver.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _SCIPY, _SPARSE = "scipy", "scipy.sparse"
 
 
 class Columns(NamedTuple):
-    """A sparse matrix by its columns, with the names of ``scipy.sparse.csc_matrix``, which OSQP reads."""
+    """Sparse matrix stored by columns, with the names of ``scipy.sparse.csc_matrix``, which OSQP reads."""
 
     shape: tuple[int, ...]
     indptr: NDArray[np.int32]
@@ -30,7 +30,7 @@ class Columns(NamedTuple):
 
 
 def columns(dense: NDArray[np.float64]) -> Columns:
-    """Return a matrix by its columns; its zeros are left out."""
+    """Return a matrix stored by columns, without its zeros."""
     column, row = np.nonzero(dense.T)
     ends = np.concatenate(([0], np.cumsum(np.count_nonzero(dense, axis=0))))
     return Columns(
@@ -40,7 +40,7 @@ def columns(dense: NDArray[np.float64]) -> Columns:
 
 @cache
 def compiled_solver() -> Any:
-    """Return the module ``osqp.ext_builtin``; a later import of ``osqp`` finds the same one."""
+    """Return the module ``osqp.ext_builtin``; a later import of ``osqp`` finds the same module."""
     if _NAME in sys.modules:
         return sys.modules[_NAME]
     package = find_spec("osqp")
@@ -54,11 +54,11 @@ def compiled_solver() -> Any:
 
 
 def matrix(dense: NDArray[np.float64]) -> Any:
-    """Return a matrix as the solver takes it."""
+    """Return a matrix in the form that the solver reads."""
     solver = compiled_solver()
     if _SPARSE in sys.modules:
         return solver.CSC(sys.modules[_SPARSE].csc_matrix(dense))
-    # The solver imports this module only to check whether a matrix is stored by columns.
+    # The solver imports scipy only to check whether a matrix is stored by columns.
     absent = [name for name in (_SCIPY, _SPARSE) if name not in sys.modules]
     sys.modules.update((name, _ByColumns(name)) for name in absent)
     try:
@@ -69,7 +69,7 @@ def matrix(dense: NDArray[np.float64]) -> Any:
 
 
 class _ByColumns(ModuleType):
-    """Recognises a matrix by columns as ``scipy.sparse`` does."""
+    """Stand-in for ``scipy.sparse`` that recognises a matrix stored by columns."""
 
     @staticmethod
     def isspmatrix_csc(matrix: object) -> bool:

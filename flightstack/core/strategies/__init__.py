@@ -1,1 +1,1 @@
-"""The safety filters: the paper's and the robust one, with the tracking of the velocity loop."""
+"""Safety filters (the paper's and the robust one), and the tracking of velocity commands."""

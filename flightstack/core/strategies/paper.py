@@ -1,4 +1,4 @@
-"""The paper's filter, eq. 11 as printed, as the base class implements it."""
+"""The paper's filter, eq. 11 as printed; the base class implements it."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from flightstack.core.strategies.strategy import Filter
 
 
 class PaperFilter(Filter):
-    """Eq. 11 as printed: the velocity loop is taken to be perfect, and nothing is estimated."""
+    """Filter of eq. 11 as printed: it assumes a perfect velocity loop, and estimates nothing."""
 
     certificate = "flightstack.verify.certificate:paper_checks"
-    watches_swinging = False  # as printed: it has no model of the velocity loop
+    watches_swinging = False  # the paper's filter has no model of the velocity loop
     waits_filtered = False
-    motion: Annotated[MotionMemory, UNSEEN]  # it estimates nothing
+    motion: Annotated[MotionMemory, UNSEEN]  # unused, since this filter estimates nothing

@@ -1,8 +1,8 @@
-"""The robust filter: eq. 11 with what the paper leaves out (docs/how_it_works/robust_filter.md).
+"""Robust filter: eq. 11 with the effects that the paper neglects (docs/how_it_works/robust_filter.md).
 
-It estimates target and vehicle for now, holds the barrier with a margin for what is uncertain, takes the
-horizontal velocity as measured, and corrects the set-point for the vehicle's lag. It waits low above the pad
-until it may go down in one go, and goes around when it is going to miss the pad.
+The filter estimates target and vehicle for now, adds a margin for uncertainty to the barrier, uses the
+measured horizontal velocity, and corrects the set-point for the vehicle's lag. The vehicle waits low above
+the pad until it may descend without a stop, and goes around if it is about to miss the pad.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from flightstack.core.target.own_estimator import OwnEstimator
 from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import OwnState, TargetSample, Vec3
 
-COMMANDED_SHARE = 0.6  # share of the descent speed: a vehicle commanded to sink faster than that ...
-STOPPED_SHARE = 0.4  # ... and sinking slower than that has stopped
+COMMANDED_SHARE = 0.6  # share of the descent speed above which a command counts as a descent
+STOPPED_SHARE = 0.4  # share of the descent speed below which the vehicle has stopped
 DRIFT_SHARE = 0.6  # share of the corridor's radius within which no drift is detected
-BRAKING = 0.5  # share of the wanted acceleration that brakes: the velocity lags, and the target may speed up
+BRAKING = 0.5  # share of the acceleration for braking: the velocity lags, and the target may speed up
 
 
 class RobustFilter(Filter):
-    """Eq. 11 with estimates, margin, lag correction, and a landing that goes around."""
+    """Filter of eq. 11 with estimates, a margin, a lag correction, and go-arounds."""
 
     certificate = "flightstack.verify.certificate:robust_checks"
     ignores = MappingProxyType(
@@ -45,13 +45,13 @@ class RobustFilter(Filter):
 
     brakes_m_s2: float
     slope: float  # steepest slope of the barrier outside the pad
-    full: float  # share of the margin at the pad's edge, which is scaled so that it is complete there
+    full: float  # share of the margin that is left at the pad's edge; the margin is divided by it
     estimator: TargetEstimator
     own_estimator: OwnEstimator
     _tracking: VelocityTracking
     _most: Vec3
-    _learns: bool  # estimates errors of the reported velocity
-    _weighs: bool  # estimates the thrust reserve
+    _learns: bool  # whether errors of the reported velocity are estimated
+    _weighs: bool  # whether the thrust reserve is estimated
     _lag_z_s: float
 
     def __init__(self, config: FlightConfig, barrier: Barrier) -> None:
@@ -68,7 +68,7 @@ class RobustFilter(Filter):
         self.estimator = TargetEstimator(config.target)
         fed_back = config.velocity_feedback.horizontal
         self.own_estimator = OwnEstimator(config.own, loop, period_s, by_loop=fed_back)
-        delay_s = 0.0 if self._learns and fed_back else config.own.delay_s  # 0: estimator predicts over it
+        delay_s = 0.0 if self._learns and fed_back else config.own.delay_s  # 0: the estimator predicts
         self._tracking = VelocityTracking(loop, period_s, config.velocity_feedback, delay_s)
         self.motion, self.tracking = self.estimator.memory, self._tracking.memory
         self.own, self.late = self.own_estimator.memory, self._tracking.late
@@ -79,12 +79,12 @@ class RobustFilter(Filter):
 
     @staticmethod
     def check_config(config: FlightConfig) -> None:
-        """Refuse values that contradict each other, or for which there is no proof."""
+        """Reject values that contradict each other, or for which there is no proof."""
         _refuse_loop(config)
         _refuse_checks(config)
 
     def take(self, sample: TargetSample) -> None:
-        """Update the Kalman filter of the target."""
+        """Update the Kalman filter of the target with a sample."""
         self.estimator.update(
             sample.source_time_s,
             sample.position_enu_m,
@@ -95,9 +95,9 @@ class RobustFilter(Filter):
         )
 
     def target(self, track: TargetTrack, now_s: float) -> TargetState:
-        """Estimate extrapolated to now; the shortest delay, which no clock shows, is a parameter.
+        """Return the target estimate for now; a parameter gives the shortest delay, which no clock shows.
 
-        It ends at the age limit: beyond it the target is lost, and only a bounded estimate is useful.
+        The prediction ends at the age limit: beyond it the target is lost, and an estimate must be bounded.
         """
         last = track.newest
         delay_s = self._config.target.delay_s
@@ -113,7 +113,7 @@ class RobustFilter(Filter):
         )
 
     def vehicle(self, own: OwnState) -> OwnState:
-        """Vehicle state extrapolated by its delay, or estimated where its reported velocity has errors."""
+        """Return the vehicle state extrapolated by its delay, or estimated if its velocity has errors."""
         if self._learns:
             return self.own_estimator.step(own)
         t, (x, y, z), (vx, vy, vz) = self._config.own.delay_s, own.position_enu_m, own.velocity_enu_m_s
@@ -121,7 +121,7 @@ class RobustFilter(Filter):
         return OwnState(own.arrival_s, own.source_time_s, position, own.velocity_enu_m_s, own.yaw_rad)
 
     def observe(self, velocity_enu_m_s: Vec3, commanding: bool) -> None:
-        """Estimate the disturbance."""
+        """Update the estimate of the disturbance."""
         self._tracking.observe(velocity_enu_m_s, commanding)
         if not self._learns:
             return
@@ -136,25 +136,25 @@ class RobustFilter(Filter):
             )
             memory.model_m_s = (x[1], y[1], memory.model_m_s[2])
             memory.model_m_s2 = (x[2], y[2], memory.model_m_s2[2])
-            # what the push adds to the velocity in the end
+            # steady-state change of the velocity by the disturbance
             memory.disturbance_m_s = (x[4] / push_1_s, y[4] / push_1_s, memory.disturbance_m_s[2])
 
     def barrier(self, at: Relative) -> RobustBarrier:
-        """The barrier with a margin for the present uncertainty."""
+        """Return the barrier with a margin for the current uncertainty."""
         margin_m = self.margin_m(at.target.position_sigma_m, at.target.position_sigma_z_m)
         return RobustBarrier(self._barrier, margin_m, self._config.robust.fade_radius_m)
 
     def margin_m(self, sigma_xy_m: float, sigma_z_m: float) -> float:
-        """Margin for these standard deviations of the target's position, where it has not faded."""
+        """Return the margin for these standard deviations of the target's position, where it is complete."""
         robust, own_m = self._config.robust, self._config.own.position_noise_m
         margin_m = robust.margin_m(self.slope, hypot(sigma_xy_m, own_m), hypot(sigma_z_m, own_m))
         return margin_m / self.full
 
     def climb_m_s(self, h_m: float, gradient: Vec3, before_m_s: Vec3, at: Relative) -> float:
-        """Vertical velocity that holds the barrier for the horizontal velocity that is measured.
+        """Return the vertical velocity that keeps the barrier at the measured horizontal velocity.
 
-        Horizontal velocity follows late, vertical velocity sooner: so the horizontal velocity is taken as
-        measured. Of h counts what is left when the vertical loop has caught up with the velocity wanted.
+        The horizontal velocity responds later than the vertical one, so it is taken as measured. Of h, only
+        the part counts that is left when the vertical loop has reached its command.
         """
         v, t = at.own.velocity_enu_m_s, at.target.velocity_enu_m_s
         left_m = h_m + self._lag_z_s * min(0.0, v[2] - before_m_s[2])
@@ -162,17 +162,17 @@ class RobustFilter(Filter):
         return t[2] - sinks_m_s - (gradient[0] * (v[0] - t[0]) + gradient[1] * (v[1] - t[1]))
 
     def _braked_m_s(self, left_m: float) -> float:
-        """Fastest descent that the upward acceleration left ends within a height; inf with all of it.
+        """Return the fastest descent that the upward acceleration stops in a height; inf: no reserve table.
 
-        The acceleration is what the thrust reserve allows in this tick; the configured one is quick enough
-        for the rates of the filter, which the certificate shows.
+        The acceleration is what the thrust reserve allows in this tick; the certificate shows that the
+        configured one is sufficient for the rates of the filter.
         """
         if not self._weighs:
             return math.inf
         return math.sqrt(2.0 * BRAKING * self.acceleration_max_m_s2[2] * max(0.0, left_m))
 
     def approach_m_s(self, at: Relative, over_pad: bool) -> Vec3:
-        """To a place low above the pad's middle, where it waits until it may go down in one go."""
+        """Return the velocity to a place low above the pad's centre, where the vehicle waits to descend."""
         robust, t, e, slip = self._config.robust, at.target.velocity_enu_m_s, at.e_m, at.slip_m_s
         if self._tracking.late_ticks:
             e, slip = self._then(at)
@@ -187,28 +187,28 @@ class RobustFilter(Filter):
 
     @rare
     def _then(self, at: Relative) -> tuple[Vec3, tuple[float, float]]:
-        """Place above the target, and horizontal velocity relative to it, when a set-point has its effect."""
+        """Return position and horizontal velocity relative to the target when a set-point takes effect."""
         late_s = self._config.velocity_loop.dead_time_s
         (ex, ey, ez), (tx, ty, _) = at.e_m, at.target.velocity_enu_m_s
         (x, y), (vx, vy, _) = self._tracking.carried(at.own.velocity_enu_m_s)
         return (ex + x - late_s * tx, ey + y - late_s * ty, ez), (vx - tx, vy - ty)
 
     def _ahead_m(self, e_m: Vec3, slip_m_s: tuple[float, float]) -> float:
-        """Height of the boundary ahead that the velocities in the box may be too slow to climb over.
+        """Return the height of the boundary ahead that the vehicle may be too slow to climb over.
 
-        Far out this is the ring of its peak, which the path crosses. Near the middle it is the height where
-        the vehicle comes to rest, if that is on the other side: the barrier shows an overshoot only there.
+        Far from the pad this is the peak ring of the boundary, which the path crosses. Near the centre it is
+        the height at which the vehicle stops beyond the centre: the barrier shows an overshoot only there.
         """
         (ex, ey, _), (vx, vy), barrier = e_m, slip_m_s, self._barrier
         if hypot(ex, ey) > 1.0 / barrier.alpha_1_m:
             return barrier.peak_height_m
-        rest_s = hypot(vx, vy) / (2.0 * self.brakes_m_s2)  # braking distance over the present velocity
+        rest_s = hypot(vx, vy) / (2.0 * self.brakes_m_s2)  # braking distance over the current velocity
         if rest_s * (vx * vx + vy * vy) <= -(ex * vx + ey * vy):
-            return 0.0  # on this side
+            return 0.0  # the vehicle stops before the centre
         return barrier.height(hypot(ex + rest_s * vx, ey + rest_s * vy))
 
     def descent_m_s(self, at: Relative) -> Vec3:
-        """Straight down over the pad's middle."""
+        """Return the velocity straight down over the pad's centre."""
         robust, t, e = self._config.robust, at.target.velocity_enu_m_s, at.e_m
         if self._tracking.late_ticks:
             e, _ = self._then(at)
@@ -217,20 +217,20 @@ class RobustFilter(Filter):
         return (x, y, t[2] - robust.descent_m_s)
 
     def motors_off(self, at: Relative) -> bool:
-        """By the paper's rule below its height."""
+        """Whether the paper's rule stops the motors, below its height."""
         return self._by_rule and at.e_m[2] < self._config.touchdown.height_m
 
     def hold_m_s(self, target: TargetState) -> Vec3:
-        """Up, and on with a target that was followed until a moment ago.
+        """Return a climb velocity that moves with the target, which was observed until a moment ago.
 
-        Standing still in the cone of a target that drives on is leaving the cone sideways.
+        A vehicle that stands still in the cone of a moving target leaves the cone sideways.
         """
         x, y, z = target.velocity_enu_m_s
         up = min(self._most[2], max(0.0, z) + self._config.retreat.hold_climb_m_s)
         return limit((x, y, up), self._most)
 
     def may_touch(self, at: Relative) -> bool:
-        """Low, in the middle and moving with the target; or on the pad already, pressed down by a gust."""
+        """Whether the vehicle is low, over the centre and moves with the target, or stands on the pad."""
         robust, touchdown, z, d_m = self._config.robust, self._config.touchdown, at.e_m[2], at.d_m
         standing_m = touchdown.feet_below_reference_m + self._config.contact.gap_m
         if d_m <= touchdown.pad_radius_m and z < standing_m:
@@ -242,13 +242,13 @@ class RobustFilter(Filter):
         return d_m < robust.commit_radius_m and d_m + uncertain_m < robust.corridor_m
 
     def stopped(self, at: Relative, command_m_s: Vec3) -> bool:
-        """Whether it is commanded to sink and does not: the velocity shows this sooner than the height."""
+        """Whether the vehicle does not follow a descent command; velocity shows this sooner than height."""
         pad_m_s, descent_m_s = at.target.velocity_enu_m_s[2], self._config.robust.descent_m_s
         commanded_m_s, sinking_m_s = pad_m_s - command_m_s[2], pad_m_s - at.own.velocity_enu_m_s[2]
         return commanded_m_s > COMMANDED_SHARE * descent_m_s and sinking_m_s < STOPPED_SHARE * descent_m_s
 
     def drifts(self, at: Relative) -> bool:
-        """Whether it will leave the corridor above the pad, while high enough to climb away."""
+        """Whether the vehicle will leave the corridor above the pad while it is high enough to climb away."""
         corridor_m, retreat, (vx, vy) = self._config.robust.corridor_m, self._config.retreat, at.slip_m_s
         if self._barrier.h(at.e_m) < retreat.h_left_m or at.d_m < DRIFT_SHARE * corridor_m:
             return False
@@ -258,14 +258,14 @@ class RobustFilter(Filter):
     def setpoint(
         self, before_m_s: Vec3, wanted_m_s: Vec3, velocity_m_s: Vec3, d_m: float, least_z_m_s: float
     ) -> Vec3:
-        """Set-point, corrected for lag and disturbance."""
+        """Return the set-point, corrected for lag and disturbance."""
         far = d_m > self._config.velocity_feedback.far_m
         setpoint = self._tracking.command(before_m_s, wanted_m_s, velocity_m_s, self._most, least_z_m_s, far)
         return self.own_estimator.told(setpoint, self._most) if self._learns else setpoint
 
 
 def _refuse_checks(config: FlightConfig) -> None:
-    """Refuse ages, heights and radii that contradict each other."""
+    """Reject ages, heights and radii that contradict each other."""
     checks, link, period_s = config.checks, config.target, 1.0 / config.loop.rate_hz
     sample_s, lag_s = link.delay_s + 1.0 / config.envelope.target_rate_hz, config.velocity_loop.lag_xy_s
     for key, found_s, least_s, others, why in (
@@ -298,7 +298,7 @@ def _refuse_checks(config: FlightConfig) -> None:
 
 
 def _refuse_loop(config: FlightConfig) -> None:
-    """Refuse an unstable model of the velocity loop, or a dead time that some part does not support."""
+    """Reject an unstable model of the velocity loop, or a dead time that some part does not support."""
     loop, rate_hz = config.velocity_loop, config.loop.rate_hz
     most_1_s = loop.rate_max_1_s(1.0 / rate_hz)
     for key, found_1_s in (("rate_xy_1_s", loop.rate_xy_1_s), ("rate_z_1_s", loop.rate_z_1_s)):

@@ -1,8 +1,8 @@
-"""The interface of a safety filter: everything in which one filter differs from another.
+"""Interface of a safety filter: everything in which one filter differs from another.
 
-The base class is whole: the paper's barrier and program, the position loop as approach, a straight descent.
-A filter overrides what it does otherwise; one method, ``filter``, is enough. With the class attribute
-``certificate`` it can be proven. ``MODULE:NAME`` selects a class (``examples/own_filter.py``);
+The base class is complete: the paper's barrier and program, the position loop as approach, a straight
+descent. A filter overrides what it does differently; one method, ``filter``, is enough. The class attribute
+``certificate`` names the proof. ``MODULE:NAME`` selects a class (``examples/own_filter.py``);
 ``parameters/filters.py`` has a line for each filter of the package.
 """
 
@@ -38,26 +38,26 @@ from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import ZERO, FilterStatus, OwnState, TargetSample, Vec3
 
 Vector = NDArray[np.float64]
-Ask = Callable[[Relative, Vec3], Vec3]  # vehicle relative to target, own nominal velocity -> the agent's
+Ask = Callable[[Relative, Vec3], Vec3]  # vehicle relative to target, nominal velocity -> agent's velocity
 
 
 class At(NamedTuple):
-    """What ``Filter.filter`` sees of a tick; vectors are arrays (3,) in ENU.
+    """Data of a tick for ``Filter.filter``; vectors are arrays (3,) in ENU.
 
     Attributes:
         t_s: time of the vehicle state, on the stack's clock.
-        position_enu_m: of the vehicle, as the filter estimates it for now.
-        velocity_enu_m_s: of the vehicle.
-        target_position_enu_m: of the landing spot.
-        target_velocity_enu_m_s: of the landing spot.
+        position_enu_m: position of the vehicle, as the filter estimates it for now.
+        velocity_enu_m_s: velocity of the vehicle.
+        target_position_enu_m: position of the landing spot.
+        target_velocity_enu_m_s: velocity of the landing spot.
         e_m: position of the vehicle minus landing spot.
         d_m: horizontal length of ``e_m``.
-        h_m: value of the barrier; below 0 is unsafe.
-        gradient: of the barrier, by the vehicle's position.
-        dh_dt_m_s: rate of the barrier by time alone: the target moves.
+        h_m: value of the barrier; a negative value is unsafe.
+        gradient: gradient of the barrier with respect to the vehicle's position.
+        dh_dt_m_s: partial time derivative of the barrier, because the target moves.
         rate_1_s: largest relative rate at which h may fall.
         lower_m_s: lowest velocity that may be commanded in this tick, by limits and slew.
-        upper_m_s: highest.
+        upper_m_s: highest velocity that may be commanded in this tick.
     """
 
     t_s: float
@@ -76,11 +76,11 @@ class At(NamedTuple):
 
     @property
     def bound_m_s(self) -> float:
-        """The barrier is kept by velocities with gradient . velocity >= this, m/s (eq. 11)."""
+        """Bound of eq. 11, m/s: a velocity keeps the barrier if gradient . velocity is not below it."""
         return -self.rate_1_s * self.h_m - self.dh_dt_m_s
 
     def enforced(self, velocity_m_s: ArrayLike) -> Vector:
-        """Nearest velocity within the limits that keeps the barrier; without one, the one that raises h most.
+        """Return the nearest velocity in the limits that keeps the barrier, or the one that raises h most.
 
         Args:
             velocity_m_s: (3,) ENU.
@@ -92,7 +92,7 @@ class At(NamedTuple):
 
 
 def _chosen(one: Filter, _at: Relative, own: Vec3) -> Vec3:
-    """``Filter.choose`` in compiled code, to which the answer is given before."""
+    """Compiled form of ``Filter.choose``: the agent's answer is given before the tick."""
     agent = one.agent
     if not agent.flies:
         return own
@@ -101,10 +101,10 @@ def _chosen(one: Filter, _at: Relative, own: Vec3) -> Vec3:
 
 
 class Filter:
-    """One safety filter.
+    """A safety filter.
 
-    Velocities are ENU, m/s; positions ENU, m. ``motion``, ``tracking``, ``own`` and ``late`` are all that a
-    filter may store from tick to tick: they are written into the log, and a replay restores them.
+    Velocities are ENU, m/s; positions ENU, m. A filter may store data from tick to tick only in ``motion``,
+    ``tracking``, ``own`` and ``late``: they are written into the log, and a replay restores them.
 
     Args:
         config: configuration of the flight.
@@ -112,17 +112,17 @@ class Filter:
 
     Attributes:
         State: class of ``state``, a dataclass whose fields have defaults and are numbers, texts, tuples or
-            dataclasses: what ``filter`` stores from tick to tick. Logs hold it, and a replay restores it.
+        dataclasses. ``filter`` may store data in it between ticks; a log contains it, a replay restores it.
         certificate: ``MODULE:NAME`` of the function that returns the checks of a configuration
-            (``FlightConfig -> list[Check]``, flightstack/verify). It is about what this class flies: a
-            subclass does not inherit it, and has none until it names its own.
-        watches_swinging: a vehicle that swings over the pad aborts (``checks.swings_max``).
-        ignores: keys of the configuration that it does not read, and the key that it reads in their place.
-        waits_filtered: a vehicle found in the air keeps clear of the barrier while it waits.
-        rate_1_s: relative rate at which h may fall.
-        acceleration_max_m_s2: largest change of the commanded velocity, on each axis.
+        (``FlightConfig -> list[Check]``, flightstack/verify). It covers this class only: a subclass does not
+        inherit it, and has no certificate until it names its own.
+        watches_swinging: whether a vehicle that oscillates over the pad aborts (``checks.swings_max``).
+        ignores: keys of the configuration that the filter does not read, with the key that it reads instead.
+        waits_filtered: whether a vehicle found in the air keeps clear of the barrier while it waits.
+        rate_1_s: largest relative rate at which h may fall.
+        acceleration_max_m_s2: largest rate of change of the commanded velocity, on each axis.
         contact_speed_max_m_s: largest speed relative to the pad that a set-point of the touchdown may cause.
-        stopped_below_m: height above the pad below which a stopped descent is contact; 0: nowhere.
+        stopped_below_m: height above the pad below which a stopped descent counts as contact; 0: never.
         motion: state of the estimator of the target.
         tracking: state of the corrections of the set-point.
         own: state of the estimator of the vehicle state.
@@ -145,7 +145,7 @@ class Filter:
     late: LateMemory
     agent: AgentMemory
     replaces_program: bool  # the class has its own method ``filter``
-    _by_rule: bool  # paper's touchdown rule is configured
+    _by_rule: bool  # the paper's touchdown rule is configured
     _config: FlightConfig
     _barrier: Barrier
 
@@ -160,24 +160,24 @@ class Filter:
         self.stopped_below_m = 0.0
         self.motion, self.tracking, self.own = MotionMemory(), TrackingMemory(), OwnMemory()
         self.late, self.agent = LateMemory(), AgentMemory()
-        self.ask: Ask | None = None  # of an agent (flightstack/api/env.py)
-        self.answer: Vec3 | None = None  # of the agent, in a tick that compiled code began
+        self.ask: Ask | None = None  # function of an agent (flightstack/api/env.py)
+        self.answer: Vec3 | None = None  # velocity of the agent, in a tick that compiled code started
         self._by_rule = config.touchdown.rule is TouchdownRule.PAPER
 
     @staticmethod
     def check_config(config: FlightConfig) -> None:
-        """Refuse combinations of values that cannot work; the certificate proves the rest.
+        """Reject combinations of values that cannot work; the certificate proves the rest.
 
         Raises:
-            ConfigError: which value, what is allowed.
+            ConfigError: a value is not allowed; the text names the value and what is allowed.
         """
 
     def filter(self, nominal: Vector, at: At) -> ArrayLike:
-        """Velocity to fly in APPROACH and LAND, m/s ENU, (3,).
+        """Return the velocity for APPROACH and LAND, m/s ENU, (3,).
 
-        It replaces the program of eq. 11: the gate holds the result to limits and slew, not to the barrier.
-        ``at.enforced(velocity)`` is the nearest velocity that keeps the barrier. A result that is not three
-        finite numbers, and an exception, end the flight in an abort that names the class.
+        The method replaces the program of eq. 11: the gate checks limits and slew of the result, not the
+        barrier. ``at.enforced(velocity)`` is the nearest velocity that keeps the barrier. A result that is
+        not three finite numbers, or an exception, aborts the flight with a text that names the class.
 
         Args:
             nominal: nominal velocity, m/s ENU, (3,).
@@ -186,7 +186,7 @@ class Filter:
         return at.enforced(nominal)
 
     def result(self, nominal: Vec3, at: At) -> FilterResult:
-        """Result of ``filter``; REJECTED, and written down, if it is no velocity."""
+        """Return the result of ``filter``; REJECTED, with a recorded reason, if it is no valid velocity."""
         try:
             found = np.asarray(self.filter(np.array(nominal), at), dtype=np.float64)
             problem = "" if found.shape == (3,) else f"returned an array of shape {found.shape}"
@@ -204,13 +204,13 @@ class Filter:
         return FilterResult((x, y, z), slack_m_s, (x, y, z) != nominal, FilterStatus.OWN, 0.0, 0, 0.0)
 
     def barrier(self, at: Relative) -> ActiveBarrier:
-        """Barrier that is enforced in this tick; default: the paper's."""
+        """Return the barrier that is enforced in this tick; default: the paper's."""
         return self._barrier
 
     def approach_m_s(self, at: Relative, over_pad: bool) -> Vec3:
-        """Nominal velocity on the way to the pad.
+        """Return the nominal velocity on the way to the pad.
 
-        Default: position loop with the target's velocity fed forward (paper IV-A).
+        Default: position loop with feed-forward of the target's velocity (paper IV-A).
 
         Args:
             at: vehicle relative to target.
@@ -219,20 +219,20 @@ class Filter:
         return nominal_velocity(at.e_m, self._config.position_loop.gain_1_s, at.target.velocity_enu_m_s)
 
     def choose(self, at: Relative, own: Vec3) -> Vec3:
-        """The agent's nominal velocity in place of the approach's, if there is an agent."""
+        """Return the agent's nominal velocity instead of the approach velocity, if there is an agent."""
         if self.ask is None:
             return own
         answer, self.answer = self.answer, None
         return self.ask(at, own) if answer is None else answer
 
     def descent_m_s(self, at: Relative) -> Vec3:
-        """Velocity of the touchdown; it is not filtered. Default: straight down over the pad's middle."""
+        """Return the unfiltered velocity of the touchdown. Default: straight down over the pad's centre."""
         t = at.target.velocity_enu_m_s
         x, y, _ = nominal_velocity(at.e_m, self._config.position_loop.gain_1_s, t)
         return (x, y, t[2] - self._config.touchdown.descent_m_s)
 
     def may_touch(self, at: Relative) -> bool:
-        """Whether the touchdown may begin at this position and velocity.
+        """Whether the touchdown may start at this position and velocity.
 
         Default: below the touchdown height in the descending cone (paper V).
         """
@@ -241,49 +241,49 @@ class Filter:
         return low and self._barrier.h(at.e_m) >= 0.0
 
     def motors_off(self, at: Relative) -> bool:
-        """Whether the motors stop before contact in the touchdown; with the paper's rule at once."""
+        """Whether the motors stop in the touchdown before contact; the paper's rule stops them at once."""
         return self._by_rule
 
     def program(self) -> Program:
-        """Make the program that filters the nominal velocity; it is allocated once."""
+        """Return the program that filters the nominal velocity; its memory is allocated once."""
         return SafetyFilter(self.rate_1_s)
 
     def take(self, sample: TargetSample) -> None:
-        """Update the estimate of the target with an accepted sample."""
+        """Update the target estimate with an accepted sample."""
 
     def target(self, track: TargetTrack, now_s: float) -> TargetState:
-        """Estimate the present state of the target; at least one sample was received."""
+        """Estimate the current state of the target; at least one sample was accepted."""
         return track.at(now_s)
 
     def vehicle(self, own: OwnState) -> OwnState:
-        """Estimate the present vehicle state from the newest one received."""
+        """Estimate the current vehicle state from the newest one received."""
         return own
 
     def observe(self, velocity_enu_m_s: Vec3, commanding: bool) -> None:
         """Update the estimates of the vehicle with its measured velocity.
 
         Args:
-            velocity_enu_m_s: measured now.
-            commanding: the vehicle followed the last set-point.
+            velocity_enu_m_s: velocity measured now.
+            commanding: whether the vehicle followed the last set-point.
         """
 
     def climb_m_s(self, h_m: float, gradient: Vec3, before_m_s: Vec3, at: Relative) -> float:
-        """Lower bound of the vertical velocity, in addition to the program; -inf for none.
+        """Return a lower bound of the vertical velocity in addition to the program; -inf for no bound.
 
         Args:
             h_m: value of the active barrier.
-            gradient: its gradient by position.
+            gradient: gradient of this barrier with respect to position.
             before_m_s: commanded velocity of the last tick.
             at: vehicle relative to target.
         """
         return -math.inf
 
     def hold_m_s(self, target: TargetState) -> Vec3:
-        """Velocity while an input is lost after the start of the landing; ``target`` may be the lost one."""
+        """Return the velocity while an input, such as ``target``, is lost after the start of the landing."""
         return ZERO
 
     def stopped(self, at: Relative, command_m_s: Vec3) -> bool:
-        """Whether the vehicle is commanded to descend and does not; for some time, this counts as contact.
+        """Whether the vehicle does not follow a descent command; for some time, this counts as contact.
 
         Args:
             at: vehicle relative to target.
@@ -298,20 +298,20 @@ class Filter:
     def setpoint(
         self, before_m_s: Vec3, wanted_m_s: Vec3, velocity_m_s: Vec3, d_m: float, least_z_m_s: float
     ) -> Vec3:
-        """Set-point that makes the vehicle fly the commanded velocity.
+        """Return the set-point with which the vehicle follows the commanded velocity.
 
         Args:
             before_m_s: last command, or the measured velocity if there was none.
             wanted_m_s: commanded velocity of this tick.
             velocity_m_s: velocity of the vehicle.
             d_m: horizontal distance from the landing spot; NaN: unknown.
-            least_z_m_s: lowest vertical velocity to which the set-point may lead if it is the last one.
+            least_z_m_s: lowest vertical velocity that the set-point may cause if it is the last one.
         """
         return wanted_m_s
 
 
 def strategy_class(name: str) -> type[Filter]:
-    """Class of a filter by its name. Raises ConfigError: there is no such filter, or it is none."""
+    """Return the class of a filter by its name. Raise ConfigError if there is no such filter class."""
     found = named(name)
     if not (isinstance(found, type) and issubclass(found, Filter)):
         raise ConfigError(f"filter: found {name!r}, which is no subclass of flightstack.Filter")
@@ -322,7 +322,7 @@ def strategy_class(name: str) -> type[Filter]:
 
 
 def ignored(config: FlightConfig) -> list[str]:
-    """Keys that were changed, though the filter does not read them: a sentence each."""
+    """Return a sentence for each key that was changed although the filter does not read it."""
     found = []
     for key, read in strategy_class(config.filter).ignores.items():
         table, _, name = key.partition(".")
@@ -334,9 +334,9 @@ def ignored(config: FlightConfig) -> list[str]:
 
 
 def strategy_of(config: FlightConfig) -> Filter:
-    """Make the filter of a configuration.
+    """Return the filter of a configuration.
 
-    Raises ConfigError: there is no such filter, or it refuses the configuration.
+    Raises ConfigError: there is no such filter, or it rejects the configuration.
     """
     found = strategy_class(config.filter)
     found.check_config(config)
@@ -344,5 +344,5 @@ def strategy_of(config: FlightConfig) -> Filter:
 
 
 def packaged_strategy_of(config: FlightConfig) -> Filter | None:
-    """Filter for a reader of logs; ``None`` for a filter from outside: no log decides which code runs."""
+    """Return the filter for a reader of logs; ``None`` from outside the package: a log starts no code."""
     return strategy_of(config) if config.filter in FILTERS else None

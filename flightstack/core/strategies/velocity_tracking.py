@@ -1,29 +1,27 @@
-"""From the velocity wanted to the set-point that makes a lagging velocity loop fly it.
+"""Set-point with which a vehicle whose velocity loop lags follows a velocity command.
 
-The loop on board answers a set-point like a second-order low-pass, with a delay that the paper neglects.
-Wind, drag and a wrong mass disturb it. Two corrections for one axis take it for a second-order low-pass M
-with a disturbance, v = M(u) + d; with the acceleration a that the loop itself gives, and f = w d / (2 z) that
-the disturbance adds:
+The velocity loop on board answers a set-point like a second-order low-pass M, with a delay that the paper
+neglects. Wind, drag and a wrong mass disturb it. Two corrections for one axis use the model v = M(u) + d with
+a disturbance d. a is the acceleration of the loop itself, f = w d / (2 z) that of the disturbance:
 
     v' = a + f,      a' = w^2 (u - v) - 2 z w a
 
-The lead adds corrections to the velocity wanted, r (internal model control, with a lead instead of the
-inverse model). It feeds back little of the vehicle's state except k (r - v), so it tolerates a wrong
-model:
+The lead adds corrections to the velocity command r (internal model control, with a lead instead of the
+inverse model). Its only feedback of the vehicle's state is k (r - v) and slow, so it tolerates a wrong model:
 
     u = r + lag * r' + k (r - v) - d,      d = low-pass of (v - M(u))
 
 The feedback uses the whole state; an observer estimates what is not measured. It rejects gusts sooner and
 does not oscillate, but needs the model of the vehicle's loop. The acceleration a* corrects the velocity at
-the rate l, and is reached at the rate m:
+the rate l, and the loop reaches it at the rate m:
 
     a* = r' + l (r - v) - f,      a' = m (a* - a),      u = v + (2 z w a + m (a* - a)) / w^2
 
-The disturbance is clamped, as no model is perfect.
+The disturbance is limited, because no model is perfect.
 
-With a dead time T the model responds to the set-point sent T ago. The present set-point has its effect after
-T: by then the set-points in between have moved the vehicle, which the model predicts (a Smith predictor: only
-the predicted change is used). The v of the lead is the predicted velocity.
+With a dead time T the model responds to the set-point sent T ago. The current set-point takes effect after T.
+By then the earlier set-points have moved the vehicle; the model predicts this change (a Smith predictor). The
+v of the lead is the predicted velocity.
 """
 
 from __future__ import annotations
@@ -49,9 +47,9 @@ Feedback = tuple[float, float, float, float, float, float, float, float, float, 
 def lead_observed(
     lead: Lead, v: float, u: float, m: float, dm: float, d: float
 ) -> tuple[float, float, float]:
-    """Velocity by the model, its derivative, and the disturbance, a tick later.
+    """Return velocity by the model, its derivative, and the disturbance, one tick later.
 
-    The model uses the set-point alone; its difference from the velocity is low-passed.
+    The model uses only the set-point; its difference from the velocity is low-pass filtered.
     """
     t, _, w, _, _, damping, most_m_s, _, share = lead
     dm += t * (w * w * (u - m) - 2.0 * damping * w * dm)
@@ -64,7 +62,7 @@ def lead_observed(
 def lead_commanded(
     lead: Lead, b: float, r: float, v: float, s: float, d: float, most: float
 ) -> tuple[float, float]:
-    """Smoothed derivative of the velocity wanted, and set-point."""
+    """Return the smoothed derivative of the velocity command, and the set-point."""
     t, lag_s, _, gain, error_max_m_s, _, _, share, _ = lead
     s += share * ((r - b) / t - s)
     u = r + lag_s * s + gain * (r - v) - d
@@ -72,7 +70,7 @@ def lead_commanded(
 
 
 def lead_carried(lead: Lead, v: float, m: float, dm: float, sent: Sequence[float]) -> tuple[float, float]:
-    """Distance and velocity after all set-points that have no effect yet, one a tick."""
+    """Return distance and velocity after all set-points that have no effect yet, one per tick."""
     t, way_m, now = lead[0], 0.0, m
     for u in sent:
         m, dm, _ = lead_observed(lead, m, u, m, dm, 0.0)
@@ -84,7 +82,7 @@ def lead_carried(lead: Lead, v: float, m: float, dm: float, sent: Sequence[float
 def feedback_observed(
     feedback: Feedback, v: float, u: float, m: float, dm: float, d: float
 ) -> tuple[float, float, float]:
-    """As ``lead_observed``; the model uses the velocity, and the innovation corrects it."""
+    """Return the results of ``lead_observed``; the model uses the velocity, the innovation corrects it."""
     t, delay_s, w, drag_1_s, push_1_s, most_m_s, _, _, to_velocity, to_disturbance, _, _, _ = feedback
     f = push_1_s * d
     now = v + delay_s * (dm + f)
@@ -99,7 +97,7 @@ def feedback_observed(
 def feedback_commanded(
     feedback: Feedback, b: float, r: float, s: float, m: float, dm: float, d: float, most: float
 ) -> tuple[float, float]:
-    """As ``lead_commanded``, with the state of the model in place of the velocity."""
+    """Return the results of ``lead_commanded``, from the state of the model instead of the velocity."""
     t, delay_s, w, drag_1_s, push_1_s, _, error_max_m_s, share, _, _, error_1_s, tilt_1_s, tilts = feedback
     f = push_1_s * d
     s += share * ((r - b) / t - s)
@@ -113,7 +111,7 @@ def feedback_commanded(
 def lead_of(
     loop: VelocityLoop, lag_s: float, rate_1_s: float, gain: float, error_max_m_s: float, period_s: float
 ) -> Lead:
-    """Numbers of the lead on an axis."""
+    """Return the numbers of the lead on an axis."""
     slope_share = min(1.0, period_s / loop.slope_time_s)
     disturbance_share = min(1.0, period_s / loop.disturbance_time_s)
     return (
@@ -123,9 +121,9 @@ def lead_of(
 
 
 def feedback_of(loop: VelocityLoop, feedback: VelocityFeedback, delay_s: float, period_s: float) -> Feedback:
-    """Numbers of the feedback; the velocity is extrapolated over its age ``delay_s``."""
+    """Return the numbers of the feedback; the velocity is extrapolated over its age ``delay_s``."""
     rate_1_s, push_1_s = loop.rate_xy_1_s, loop.rate_xy_1_s / (2.0 * loop.damping)  # f / d
-    # gains of the observer on velocity and disturbance place both poles at the observer's rate
+    # the observer's gains on velocity and disturbance place both poles at its rate
     rate = feedback.observer_rate_1_s
     return (
         period_s, delay_s, rate_1_s, 2.0 * loop.damping * loop.rate_xy_1_s, push_1_s,
@@ -136,11 +134,11 @@ def feedback_of(loop: VelocityLoop, feedback: VelocityFeedback, delay_s: float, 
 
 
 class VelocityTracking:
-    """The corrections; call ``observe`` once a tick and ``command`` when a set-point goes out."""
+    """Corrections of set-points. Call ``observe`` once a tick and ``command`` for each set-point."""
 
     memory: TrackingMemory
     late: LateMemory
-    by_feedback: bool  # horizontally; upwards always the lead, for there is no tilt in between
+    by_feedback: bool  # whether x and y use the feedback; z always uses the lead
     lead_xy: Lead
     lead_z: Lead
     feedback: Feedback  # numbers of the feedback
@@ -192,7 +190,7 @@ class VelocityTracking:
 
     @rare
     def _forget(self, velocity_enu_m_s: Vec3) -> None:
-        """Assume that the vehicle was commanded its measured velocity."""
+        """Set the queued set-points to the measured velocity, since no set-points were flown."""
         self.late.sent_m_s = (velocity_enu_m_s[:2],) * self.late_ticks
 
     @rare
@@ -204,12 +202,12 @@ class VelocityTracking:
 
     @rare
     def carried(self, velocity_m_s: Vec3) -> tuple[tuple[float, float], Vec3]:
-        """Horizontal distance until a set-point sent now has its effect, m, and the velocity then."""
+        """Return the horizontal distance until a new set-point takes effect, m, and the velocity then."""
         memory, sent, lead = self.memory, self.late.sent_m_s, self.lead_xy
         if not sent or self.by_feedback:
             return (0.0, 0.0), velocity_m_s
         given = (velocity_m_s, memory.model_m_s, memory.model_m_s2, sent)
-        if given == self._carried[0]:  # called twice a tick
+        if given == self._carried[0]:  # the method is called twice a tick
             return self._carried[1]
         (vx, vy, vz), (mx, my, _), (dmx, dmy, _) = given[:3]
         x_m, vx = lead_carried(lead, vx, mx, dmx, [x for x, _ in sent])
@@ -226,7 +224,7 @@ class VelocityTracking:
         least_z_m_s: float = -math.inf,
         far: bool = False,
     ) -> Vec3:
-        """Set-point that makes the vehicle fly the reference."""
+        """Return the set-point with which the vehicle follows the reference velocity."""
         memory, b, r, v = self.memory, before_m_s, reference_m_s, velocity_m_s
         if self.late_ticks:
             v = self.carried(v)[1]

@@ -1,1 +1,1 @@
-"""Estimators: target, plausibility of the vehicle state, thrust reserve."""
+"""Estimators of target, vehicle state and thrust reserve, and plausibility checks."""

@@ -1,18 +1,18 @@
-"""Where the target is now, how fast and with what acceleration: a Kalman filter over its late samples.
+"""Kalman filter that estimates the target's position, velocity and acceleration from delayed samples.
 
 Each axis is a triple integrator driven by white jerk; samples measure position and velocity at their own
-stamp, and the state is carried from there to now. x and y have the same noise. Lost samples make the
-uncertainty grow, late ones are taken at the time they were measured.
+stamp, and the filter predicts the state from there to now. x and y have the same noise. Lost samples let the
+uncertainty grow; late samples count for the time of their measurement.
 
-The velocity of a wheeled robot turns only with its heading: so the horizontal velocity turns at the rate of
-the measured yaw (coordinated turn). The remaining acceleration comes from starting and braking, and is short:
-it decays (R. A. Singer, Estimating Optimal Tracking Filter Performance for
-Manned Maneuvering Targets, IEEE Transactions on Aerospace and Electronic Systems 6(4), 1970). Extrapolated
-over a gap, a constant acceleration would make the target faster than any robot. The vertical one does not
-decay: a deck heaves for seconds. The covariances of x and y are equal, so turning leaves them as they are.
+The velocity of a wheeled robot turns only with its heading, so the horizontal velocity turns at the measured
+yaw rate (coordinated turn). The remaining acceleration comes from starting and braking, and is short, so it
+decays (R. A. Singer, Estimating Optimal Tracking Filter Performance for Manned Maneuvering Targets, IEEE
+Transactions on Aerospace and Electronic Systems 6(4), 1970). A constant acceleration, extrapolated over a
+gap, would exceed the speed of any robot. The vertical acceleration does not decay: a deck heaves for seconds.
+The covariances of x and y are equal, so a turn does not change them.
 
 While the innovations of the samples are larger than expected, the jerk on x and y is raised, up to a factor:
-a braking robot is followed at once, and one at constant speed is estimated better than with any fixed jerk.
+the estimate follows a braking robot at once, and is more exact at constant speed than with a fixed jerk.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from flightstack.core.numeric import numeric, rare, wrapped
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.types import ZERO, Vec3
 
-RESTART_S = 1.0  # s between two samples; checks.target_age_max_s is not longer, so the target was lost before
+RESTART_S = 1.0  # longest gap between samples without a restart, s; the target is lost before
 
-TURN_TIME_S = 0.3  # low-pass of the yaw rate: differences of two measured yaws are noisy
-TURN_RATE_MAX_RAD_S = 3.0  # a TurtleBot3 turns at up to 2.84 (ROBOTIS, specifications)
-INNOVATION_TIME_S = 0.15  # low-pass of the normalised innovation squared; three samples at 20 Hz
-TURN_MAX_RAD = 0.5  # greatest turn in a step; the series of _turned are exact to 1e-5 there
+TURN_TIME_S = 0.3  # time constant of the yaw rate, s: differences of two measured yaws are noisy
+TURN_RATE_MAX_RAD_S = 3.0  # largest yaw rate; a TurtleBot3 reaches 2.84 (ROBOTIS, specifications)
+INNOVATION_TIME_S = 0.15  # time constant of the normalised innovation squared, s; three samples at 20 Hz
+TURN_MAX_RAD = 0.5  # largest turn in a step, rad; up to there the series of _turned are exact to 1e-5
 
 
 class TargetMotion(NamedTuple):
-    """Estimate at one time."""
+    """Estimate of the target's motion at one time."""
 
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3
@@ -44,7 +44,7 @@ class TargetMotion(NamedTuple):
     velocity_sigma_m_s: float
 
 
-# a time in s, what an acceleration adds to position in s^2 and to velocity in s over it, and its share left
+# time, s; effect of an acceleration in it on position, s^2, and velocity, s; share of it that is left
 _Time = tuple[float, float, float, float]
 _NOW: _Time = (0.0, 0.0, 0.0, 1.0)
 _State = tuple[Vec3, Vec3, Vec3]  # position, velocity, acceleration
@@ -60,7 +60,7 @@ class _Noise(NamedTuple):
 
 
 class TargetEstimator:
-    """The filter; ``memory`` is all of its state."""
+    """Kalman filter of the target; ``memory`` is its complete state."""
 
     memory: MotionMemory
     growth2_max: float
@@ -88,7 +88,7 @@ class TargetEstimator:
         position_sigma_m: float = 0.0,
         velocity_sigma_m_s: float = 0.0,
     ) -> None:
-        """Take a sample; the filter restarts with one that is older than the last, or follows a long gap."""
+        """Update the filter with a sample; an older sample, or one after a long gap, restarts the filter."""
         memory, xy, z = self.memory, self.noise_xy, self.noise_z
         dt_s, before_rad = time_s - memory.time_s, memory.yaw_rad
         memory.time_s = time_s
@@ -98,7 +98,7 @@ class TargetEstimator:
             self._lose_yaw()
         if position_sigma_m > 0.0 or velocity_sigma_m_s > 0.0:
             xy = self._noise_at_least(position_sigma_m, velocity_sigma_m_s)
-        if not 0.0 < dt_s <= RESTART_S:  # also the very first, where it is NaN
+        if not 0.0 < dt_s <= RESTART_S:  # NaN for the first sample
             self._begin(xy, position_enu_m, velocity_enu_m_s)
             return
         if self._turns:
@@ -123,7 +123,7 @@ class TargetEstimator:
 
     @rare
     def _noise_at_least(self, position_sigma_m: float, velocity_sigma_m_s: float) -> _Noise:
-        """Noise of x and y with measurements no better than these."""
+        """Return the noise of x and y, not less than these standard deviations."""
         xy = self.noise_xy
         return xy._replace(
             position2=max(xy.position2, position_sigma_m**2),
@@ -138,14 +138,14 @@ class TargetEstimator:
         memory.covariance_xy, memory.covariance_z = _start(xy), _start(self.noise_z)
 
     def _jerk2_xy(self) -> float:
-        """Square of the jerk on x and y, now: the jerk goes with the squared low-pass of the innovations.
+        """Return the squared jerk on x and y, now: the jerk grows with the square of the mean innovation.
 
-        A value of 2, which chance seldom makes, is four times the jerk already.
+        A mean of 2, which is rare by chance, already gives four times the jerk.
         """
         return raised_jerk2(self.noise_xy.jerk2, self.growth2_max, self.memory.surprise)
 
     def at(self, time_s: float) -> TargetMotion:
-        """Carry the newest estimate to another time, on the sender's clock."""
+        """Predict the newest estimate to another time, on the sender's clock."""
         memory = self.memory
         dt_s = time_s - memory.time_s
         if math.isnan(dt_s):
@@ -161,23 +161,23 @@ class TargetEstimator:
 
 @numeric
 def raised_jerk2(jerk2: float, growth2_max: float, surprise: float) -> float:
-    """Square of the jerk on x and y for a low-passed innovation squared."""
+    """Return the squared jerk on x and y for a low-pass filtered innovation squared."""
     return jerk2 * max(1.0, min(growth2_max, surprise * surprise * surprise * surprise))
 
 
 @numeric
 def turn(rate_rad_s: float, dt_s: float) -> float:
-    """Angle by which the velocity turns."""
+    """Return the angle by which the velocity turns, rad."""
     return max(-TURN_MAX_RAD, min(TURN_MAX_RAD, rate_rad_s * dt_s))
 
 
 @numeric
 def fading(dt_s: float, fade_s: float) -> _Time:
-    """Integrals over a time of an acceleration that fades."""
+    """Return the integrals over a time of an acceleration that decays."""
     share = dt_s / fade_s
     gone = -math.expm1(-share)
     to_velocity_s = fade_s * gone
-    if abs(share) < 0.01:  # the difference below loses digits: its series, to 1e-10
+    if abs(share) < 0.01:  # the difference below loses digits, so its series is used, exact to 1e-10
         bent = 0.5 - share / 6.0 * (1.0 - share / 4.0 * (1.0 - share / 5.0))
         return (dt_s, dt_s * dt_s * bent, to_velocity_s, 1.0 - gone)
     return (dt_s, fade_s * (dt_s - to_velocity_s), to_velocity_s, 1.0 - gone)
@@ -185,14 +185,14 @@ def fading(dt_s: float, fade_s: float) -> _Time:
 
 @numeric
 def turn_rate(before_rad: float, after_rad: float, dt_s: float) -> float:
-    """Turn rate between two measured yaws."""
+    """Return the turn rate between two measured yaws, rad/s."""
     rate_rad_s = wrapped(after_rad - before_rad) / dt_s
     return max(-TURN_RATE_MAX_RAD_S, min(TURN_RATE_MAX_RAD_S, rate_rad_s))
 
 
 @numeric
 def lasting(dt_s: float) -> _Time:
-    """Integrals over a time of a constant acceleration."""
+    """Return the integrals over a time of a constant acceleration."""
     return (dt_s, 0.5 * dt_s * dt_s, dt_s, 1.0)
 
 
@@ -202,9 +202,9 @@ def _start(noise: _Noise) -> Covariance:
 
 @numeric
 def _turned(angle_rad: float) -> tuple[float, float, float, float, float, float]:
-    """Cosine and sine of an angle, of the mean on the way there, and of two thirds of it.
+    """Return cosine and sine of an angle, of the mean over the turn, and of two thirds of the angle.
 
-    Series, since the mean is needed at zero: sin x / x and (1 - cos x) / x.
+    The function uses series, because it needs the means sin x / x and (1 - cos x) / x at zero, too.
     """
     x2 = angle_rad * angle_rad
     along = 1.0 - x2 / 6.0 * (1.0 - x2 / 20.0)
@@ -223,10 +223,10 @@ def _turned(angle_rad: float) -> tuple[float, float, float, float, float, float]
 
 @numeric
 def _moved(state: _State, turned_rad: float, fading: _Time, lasting: _Time) -> _State:
-    """Position, velocity and acceleration later: x and y turn and fade.
+    """Return position, velocity and acceleration later: x and y turn, and their acceleration decays.
 
-    With R(s) the turn after s, v(s) = R(s) (v + a * to_velocity(s)); that is the acceleration turning, too.
-    Its part of the position turns by two thirds of the angle, the mean weighted with what it adds.
+    With R(s) the turn after s, v(s) = R(s) (v + a * to_velocity(s)); the acceleration turns, too. Its part of
+    the position turns by two thirds of the angle, which is the weighted mean.
     """
     (x, y, z), (vx, vy, vz), (ax, ay, az) = state
     t, p, v, left = fading
@@ -246,7 +246,7 @@ def _moved(state: _State, turned_rad: float, fading: _Time, lasting: _Time) -> _
 
 @numeric
 def _propagate(covariance: Covariance, time: _Time, jerk2: float) -> Covariance:
-    """Propagated covariance with white jerk of density ``jerk2``, whose part does not decay: conservative."""
+    """Return the propagated covariance; the part of the white jerk does not decay, which is conservative."""
     pp, pv, pa, vv, va, aa = covariance
     t, p, v, left = time
     t2 = t * t
@@ -263,7 +263,7 @@ def _propagate(covariance: Covariance, time: _Time, jerk2: float) -> Covariance:
 
 @numeric
 def _position_variance(covariance: Covariance, time: _Time, jerk2: float) -> float:
-    """Variance of the position: first number of ``_propagate``."""
+    """Return the variance of the position, the first number of ``_propagate``."""
     pp, pv, pa, vv, va, aa = covariance
     t, p, _, _ = time
     t2 = t * t
@@ -274,20 +274,20 @@ def _position_variance(covariance: Covariance, time: _Time, jerk2: float) -> flo
 
 @numeric
 def _velocity_variance(covariance: Covariance, time: _Time, jerk2: float) -> float:
-    """Variance of the velocity: fourth number of ``_propagate``."""
+    """Return the variance of the velocity, the fourth number of ``_propagate``."""
     _, _, _, vv, va, aa = covariance
     t, _, v, _ = time
     return vv + 2.0 * v * va + v * v * aa + jerk2 * t * t * t / 3.0
 
 
-_Gains = tuple[float, float, float, float, float, float]  # gains on p, v, a: from position, then velocity
+_Gains = tuple[float, float, float, float, float, float]  # gains on p, v, a: for position, then for velocity
 
 
 @numeric
 def _correct(
     covariance: Covariance, position2: float, velocity2: float
 ) -> tuple[Covariance, _Gains, tuple[float, float]]:
-    """Position and velocity are measured with independent noise: one scalar update after the other."""
+    """Update with measured position and velocity, whose noise is independent, by two scalar updates."""
     pp, pv, pa, vv, va, aa = covariance
     s = 1.0 / (pp + position2)
     kp, kv, ka = pp * s, pv * s, pa * s
@@ -306,7 +306,7 @@ def _correct(
 def _corrected(
     gains: _Gains, p: float, v: float, a: float, measured_p: float, measured_v: float
 ) -> tuple[float, float, float, float, float]:
-    """Corrected position, velocity and acceleration of one axis, and the squared innovations."""
+    """Return corrected position, velocity and acceleration of one axis, and the squared innovations."""
     kp, kv, ka, lp, lv, la = gains
     missed_p = measured_p - p
     p, v, a = p + kp * missed_p, v + kv * missed_p, a + ka * missed_p
@@ -324,9 +324,9 @@ def carried(
     jerk2_xy: float,
     jerk2_z: float,
 ) -> tuple[Vec3, Vec3, Vec3, float, float, float]:
-    """State at another time, and standard deviations: position on x and y, on z, velocity on x and y."""
+    """Return the state at another time, and the deviations of position on x and y, on z, and of velocity."""
     position, velocity, acceleration = _moved(state, turned_rad, fading, lasting)
-    if fading[0] < 0.0:  # it was no less certain then
+    if fading[0] < 0.0:  # an earlier state was no less certain
         fading = lasting = _NOW
     return (
         position,
@@ -350,7 +350,7 @@ def updated(
     measured_m: Vec3,
     measured_m_s: Vec3,
 ) -> tuple[_State, Covariance, Covariance, float]:
-    """State and covariances after a sample, and the mean of the normalised innovations squared on x and y."""
+    """Return state and covariances after a sample, and the mean normalised innovation squared on x and y."""
     (p, q, r), (u, v, w), (a, b, c) = _moved(state, turned_rad, fading, lasting)
     covariance_xy, gains_xy, weights = _correct(
         _propagate(covariances[0], fading, noise_xy[2]), noise_xy[0], noise_xy[1]
@@ -361,7 +361,7 @@ def updated(
     x = _corrected(gains_xy, p, u, a, measured_m[0], measured_m_s[0])
     y = _corrected(gains_xy, q, v, b, measured_m[1], measured_m_s[1])
     z = _corrected(gains_z, r, w, c, measured_m[2], measured_m_s[2])
-    # the mean of four: position and velocity on x and on y, each 1 on average
+    # mean of four normalised innovations: position and velocity on x and on y
     innovation2 = 0.25 * (weights[0] * (x[3] + y[3]) + weights[1] * (x[4] + y[4]))
     corrected = ((x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2]))
     return corrected, covariance_xy, covariance_z, innovation2

@@ -1,16 +1,16 @@
-"""Estimates the vehicle state from delayed positions and wrong velocities.
+"""Estimate of the vehicle state from delayed positions and velocities with errors.
 
-An onboard estimate from late positions reports velocities with two errors: one changes within a part of a
+An onboard estimate from late positions reports velocities with two errors: one changes within a fraction of a
 second, the other is a share of the speed for a whole flight (docs/how_it_works/own_state.md). The vehicle's
-velocity loop controls the reported velocity. Horizontally each axis has the position p, the velocity v, the
-acceleration a that the loop gives, the error e of the reported velocity, and the acceleration f of gusts and
-turning moments.
-With velocity feedback, which needs the same model:
+velocity loop controls the reported velocity. Each horizontal axis has the position p, the velocity v, the
+acceleration a of the loop, the error e of the reported velocity, and the acceleration f of gusts and turning
+moments.
+With velocity feedback, which needs the same model, the equations are:
 
     p' = v,   v' = a + f,   a' = w^2 (u - v - e) - 2 z w a,   e' = -e / T + noise,   f' = -f / T_f + noise
 
-with p and v + e measured. A steady Kalman filter estimates all five for the time of the measurement, and
-the same model carries them on over the delay with the set-points u that are on their way. Without velocity
+p and v + e are measured. A steady Kalman filter estimates all five for the time of the measurement, and the
+same model predicts them over the delay with the set-points u that have no effect yet. Without velocity
 feedback the loop may differ from the declared one, and the model would take its faster response for errors.
 Then, and always vertically, where the thrust saturates first and the model fails, only p and e are estimated:
 
@@ -29,20 +29,20 @@ from flightstack.core.parameters.robust import OwnStateLink, VelocityLoop
 from flightstack.core.safety.position_loop import clip
 from flightstack.core.types import OwnState, Vec3
 
-KNOWN = 4  # stored set-points: those of 30 ms at 100 Hz, and the one before them
-GAP_MAX_S = 0.2  # s without a sample after which it restarts
-TELLS_M_S = 0.01  # noise of a reported velocity, from sample to sample
+KNOWN = 4  # number of stored set-points: those of 30 ms at 100 Hz, and the one before them
+GAP_MAX_S = 0.2  # gap between samples after which the estimator restarts, s
+TELLS_M_S = 0.01  # noise of a reported velocity between samples, m/s
 
-PUSH_M_S2 = 0.15  # rms of f: recorded turning moments, a tilt of the estimate by 0.015 rad, gusts of 0.3 m/s
-PUSH_TIME_S = 1.0  # between the time of the moments, 0.1 s, and of a tilt, the whole flight
+PUSH_M_S2 = 0.15  # rms of f: recorded turning moments, a tilt error of 0.015 rad, gusts of 0.3 m/s
+PUSH_TIME_S = 1.0  # correlation time of f, s: between that of moments, 0.1 s, and of a tilt error
 PERIODS = 600  # steps of the Riccati recursion: 6 s at 100 Hz, many times the slowest time constant
 
 Matrix = list[list[float]]
-Model = tuple[float, float, float, float, float]  # of an axis, see ``OwnEstimator``
+Model = tuple[float, float, float, float, float]  # model of an axis, see ``OwnEstimator``
 
 
 class Gains(NamedTuple):
-    """Corrections of the five states per innovation of position and of velocity."""
+    """Kalman gains of the five states for the innovations of position and velocity."""
 
     position: tuple[float, float, float, float, float]
     velocity: tuple[float, float, float, float, float]
@@ -53,7 +53,7 @@ NO_GAINS = Gains((0.0,) * 5, (0.0,) * 5)  # no correction
 
 @lru_cache(maxsize=16)
 def steady_gains(loop: VelocityLoop, link: OwnStateLink, period_s: float) -> Gains:
-    """Gains of the steady Kalman filter; plain floats, so that every machine finds the same bits."""
+    """Return the gains of the steady Kalman filter; plain floats give the same bits on every machine."""
     t, w, two_zw = period_s, loop.rate_xy_1_s, 2.0 * loop.damping * loop.rate_xy_1_s
     step = [
         [1.0, t, 0.0, 0.0, 0.0],
@@ -94,19 +94,19 @@ def steady_gains(loop: VelocityLoop, link: OwnStateLink, period_s: float) -> Gai
 
 
 class OwnEstimator:
-    """Call ``step`` once a tick, and ``told`` for each set-point; ``memory`` is its whole state."""
+    """Estimator of the vehicle state: call ``step`` once a tick, and ``told`` for each set-point."""
 
     memory: OwnMemory
     gains: Gains  # gains of the Kalman filter
-    # model of an axis: period of a tick, s, square of its rate, drag, and what a tick leaves of e and f
+    # model of an axis: period of a tick, s; squared rate; drag; shares of e and f that are left after a tick
     model: Model
     period_s: float  # period of a tick
-    by_loop: bool  # estimates with the model of the velocity loop
+    by_loop: bool  # whether the model of the velocity loop is used
     delay_s: float
-    push_1_s: float  # push over the disturbance of the velocity
+    push_1_s: float  # acceleration f over the disturbance of the velocity
     rate_1_s: float  # rate of the error estimate without the model
     most_m_s: float
-    ahead: int  # ticks from the newest sample to now
+    ahead: int  # number of ticks from the newest sample to now
     gap_max: int
 
     def __init__(self, link: OwnStateLink, loop: VelocityLoop, period_s: float, *, by_loop: bool) -> None:
@@ -122,7 +122,7 @@ class OwnEstimator:
         self.gap_max = round(GAP_MAX_S / period_s)
 
     def step(self, own: OwnState) -> OwnState:
-        """Return the state of now from the newest one received."""
+        """Return the current state, estimated from the newest one received."""
         memory, (_, second, third, fourth) = self.memory, self.memory.pending
         memory.pending = (second, third, fourth, memory.sent_m_s)
         elapsed_s = own.source_time_s - memory.time_s
@@ -149,14 +149,14 @@ class OwnEstimator:
         )
 
     def told(self, velocity_m_s: Vec3, most_m_s: Vec3) -> Vec3:
-        """Set-point to send: the velocity that the vehicle reports when it flies this one."""
+        """Return the set-point to send: the velocity that the vehicle reports when it flies the given one."""
         memory = self.memory
         errors_m_s = (memory.x_now[3], memory.y_now[3], memory.z_error_m_s)
         memory.sent_m_s = to_be_told(velocity_m_s, errors_m_s, most_m_s)
         return memory.sent_m_s
 
     def forget(self) -> None:
-        """Restart with the next sample: the flown set-points are unknown."""
+        """Restart with the next sample, because the flown set-points are unknown."""
         self.memory.time_s = math.nan
 
     def _begin(self, own: OwnState) -> None:
@@ -187,7 +187,7 @@ class OwnEstimator:
 
 @numeric
 def on_its_way(ahead: int, k: int) -> int:
-    """Index of the stored set-point flown k ticks after the newest sample (k = -1: the one it shows).
+    """Return the index of the stored set-point flown k ticks after the newest sample (k = -1: at it).
 
     If the delay is longer than the stored time, the oldest set-point is used for all earlier ones.
     """
@@ -196,7 +196,7 @@ def on_its_way(ahead: int, k: int) -> int:
 
 @numeric
 def moved(axis: AxisState, u_m_s: float, model: Model) -> AxisState:
-    """A tick later, with this set-point."""
+    """Return the state of an axis one tick later, with this set-point."""
     (p, v, a, e, f), (t, rate_2_s2, drag_1_s, fades, push_fades) = axis, model
     return (
         p + t * v,
@@ -212,7 +212,7 @@ def learned(
     axis: AxisState, u_m_s: float, ticks: int, model: Model, p_m: float, v_m_s: float, gains: Gains,
     most_m_s: float,
 ) -> AxisState:  # fmt: skip
-    """Some ticks later, with a position and a velocity as they were told; its error is this large at most."""
+    """Return the state some ticks later, corrected by a reported position and velocity; e is limited."""
     for _ in range(ticks):
         axis = moved(axis, u_m_s, model)
     (p, v, a, e, f), ((kp, kv, ka, ke, kf), (lp, lv, la, le, lf)) = axis, gains
@@ -223,7 +223,7 @@ def learned(
 
 @numeric
 def straight_on(axis: AxisState, t_s: float) -> AxisState:
-    """Later, at the same velocity."""
+    """Return the state of an axis after a time at constant velocity."""
     p, v, a, e, f = axis
     return p + t_s * v, v, a, e, f
 
@@ -247,6 +247,6 @@ def drifted_apart(
 
 @numeric
 def to_be_told(velocity_m_s: Vec3, errors_m_s: Vec3, most_m_s: Vec3) -> Vec3:
-    """Velocity that a vehicle with these errors reports when it flies this velocity."""
+    """Return the velocity that a vehicle with these errors reports when it flies this velocity."""
     (x, y, z), (ex, ey, ez), (mx, my, mz) = velocity_m_s, errors_m_s, most_m_s
     return (clip(x + ex, -mx, mx), clip(y + ey, -my, my), clip(z + ez, -mz, mz))

@@ -1,18 +1,17 @@
 """Plausibility of the vehicle state, and whether the vehicle follows the commanded velocity.
 
-``drifted`` and ``smoothed`` judge the target's samples, too (``track.py``).
+``track.py`` uses ``drifted`` and ``smoothed`` for the target's samples, too.
 
-A link that delivers fresh time stamps can still deliver nonsense. Three things are known without a second
+A link that delivers recent time stamps can still deliver wrong data. Three facts are known without a second
 sensor:
 
-* numbers that repeat to the last bit while they report motion, or for ``STILL_MAX_S`` while the vehicle
-  flies set-points, are no new measurement: such a state ages. A vehicle at rest repeats its numbers;
-* the position changes by the integrated velocity: the difference, summed with forgetting, is noise of both;
-* the vehicle follows its set-points within its lag: velocity minus the velocity wanted, summed with a memory,
-  is a distance it lags behind, at most its lag at full speed (``checks`` holds memories and bounds).
+* a state that repeats to the last bit while it reports motion, or for ``STILL_MAX_S`` while the vehicle
+  follows set-points, is no new measurement, and its age grows. A vehicle at rest repeats its numbers;
+* the integrated velocity gives the change of position: the difference, summed with decay, is only noise;
+* the vehicle follows its set-points within its lag: velocity minus commanded velocity, summed with decay, is
+  the distance by which it lags, at most its lag at full speed (``checks`` has decay times and bounds).
 
-An error that is the same in position and velocity, such as an offset from the start, is not detected by any
-of them.
+None of these detects an error that is the same in position and velocity, such as an offset from the start.
 """
 
 from __future__ import annotations
@@ -24,22 +23,22 @@ from flightstack.core.numeric import norm, numeric
 from flightstack.core.parameters.flight import Checks, FlightConfig
 from flightstack.core.types import ZERO, OwnState, Vec3
 
-SMOOTHING_S = 0.2  # time constant, s: noise of 2 cm in each of 20 samples a second becomes 1 cm
-TRUSTED_AGAIN = 0.5  # share of the bound; an offset of 0.3 m is rejected for some seconds
-# Slower, equal numbers may be a vehicle at rest: firmware truncates to millimetres and shows the bias of its
-# accelerometer as a velocity, 9 mm/s on a Crazyflie.
+SMOOTHING_S = 0.2  # time constant, s: it reduces a noise of 2 cm at 20 samples a second to 1 cm
+TRUSTED_AGAIN = 0.5  # share of the bound below which a state is trusted again
+# Speed below which equal positions may be a vehicle at rest, m/s: firmware truncates to millimetres and shows
+# the bias of its accelerometer as a velocity, 9 mm/s on a Crazyflie.
 STANDING_M_S = 0.05
-STILL_MAX_S = 0.5  # no vehicle hovers still to the millimetre for longer
+STILL_MAX_S = 0.5  # longest time for which a hovering vehicle reports equal positions, s
 
 
 @numeric
 def repeats(before: Vec3, after: Vec3, velocity_m_s: Vec3, standing_m_s: float = STANDING_M_S) -> bool:
-    """Whether a position is the last one to the bit, though it reports to move."""
+    """Whether a position equals the last one to the bit, although the velocity reports motion."""
     return before == after and norm(velocity_m_s) > standing_m_s
 
 
 class Plausibility:
-    """Checks vehicle state and set-points; ``memory`` is all of its state."""
+    """Checks of vehicle state and set-points; ``memory`` is their complete state."""
 
     memory: PlausibilityMemory
     # bound of ``tracking_lag_m``: ``checks.follow_lag_max_s`` at the highest horizontal velocity
@@ -58,16 +57,16 @@ class Plausibility:
 
     @property
     def drift_m(self) -> float:
-        """Change of the position that the velocity does not explain."""
+        """Length of the position change that the velocity does not explain, m."""
         return norm(self.memory.drift_m)
 
     @property
     def tracking_lag_m(self) -> float:
-        """Distance by which the vehicle lags behind the commanded velocity."""
+        """Distance by which the vehicle lags behind the commanded velocity, m."""
         return norm(self.memory.missed_m)
 
     def take(self, own: OwnState, flies: bool = False) -> None:
-        """Check the newest vehicle state; a repeated one is ignored."""
+        """Check the newest vehicle state; a state that was already checked is ignored."""
         memory, last = self.memory, self.memory.last
         if last is not None and own.arrival_s == last.arrival_s:
             return
@@ -100,18 +99,18 @@ class Plausibility:
         )  # fmt: skip
 
     def forget(self) -> None:
-        """Restart the sum of ``follow``: the vehicle flew none of our set-points."""
+        """Restart the sum of ``follow``, because the vehicle followed no set-points of this stack."""
         self.memory.missed_m = ZERO
 
     @property
     def follows(self) -> bool:
-        """Whether the vehicle flies the commanded velocity."""
+        """Whether the vehicle follows the commanded velocity."""
         return self.tracking_lag_m <= self.tracking_lag_max_m
 
     def _drift(self, last: OwnState, own: OwnState) -> None:
         dt_s = own.arrival_s - last.arrival_s
         if not 0.0 < dt_s <= self._checks.own_age_max_s:
-            return  # lost in between: so old a state does not limit the present position
+            return  # after a gap, so old a state does not limit the current position
         self.memory.drift_m = drifted(
             self.memory.drift_m, last.position_enu_m, own.position_enu_m,
             last.velocity_enu_m_s, own.velocity_enu_m_s, dt_s, self._checks.own_drift_memory_s,
@@ -120,7 +119,7 @@ class Plausibility:
 
 @numeric
 def drifted(d: Vec3, p0: Vec3, p: Vec3, v0: Vec3, v: Vec3, dt_s: float, memory_s: float) -> Vec3:
-    """Change of the position that no velocity explains, after another state."""
+    """Return the position change that the velocity does not explain, updated with another state."""
     kept, half = math.exp(-dt_s / memory_s), 0.5 * dt_s
     return (
         kept * (d[0] + (p[0] - p0[0]) - half * (v[0] + v0[0])),
@@ -131,7 +130,7 @@ def drifted(d: Vec3, p0: Vec3, p: Vec3, v0: Vec3, v: Vec3, dt_s: float, memory_s
 
 @numeric
 def smoothed(before: Vec3, now: Vec3, dt_s: float) -> Vec3:
-    """Low-pass of a drift, after a sample."""
+    """Return the low-pass filtered drift after a sample."""
     share = dt_s / (dt_s + SMOOTHING_S)
     (x0, y0, z0), (x, y, z) = before, now
     return (x0 + share * (x - x0), y0 + share * (y - y0), z0 + share * (z - z0))

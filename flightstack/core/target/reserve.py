@@ -1,10 +1,10 @@
-"""Estimates the thrust reserve in flight, and what it allows: accelerations, and whether to land at all.
+"""Estimate of the thrust reserve in flight; it limits accelerations and decides whether to land.
 
-In flight the throttle is used: the upward part of throttle^p is the thrust as a share of the largest thrust.
-Its average over a few seconds is the weight plus the mean acceleration. The same low-pass of the vertical
-velocity gives this mean exactly, without a derivative: it is (v - smoothed v) / smoothing time. Before the
-flight, and without a reported throttle, the voltage is used. Without data the lowest reserve
-counts, for which the certificate holds.
+In flight the estimate uses the throttle: the upward part of throttle^p is the thrust as a share of the
+largest thrust. Its average over a few seconds is the weight plus the mean acceleration. The same low-pass of
+the vertical velocity gives this mean without a derivative: it is (v - smoothed v) / smoothing time. Before
+the flight, and without a reported throttle, the estimate uses the voltage. Without data the lowest reserve is
+used, for which the certificate holds.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from flightstack.core.numeric import numeric
 from flightstack.core.parameters.reserve import GRAVITY_M_S2, Reserve, left, level_m_s2, up_m_s2
 from flightstack.core.types import Charge, Landed, Power, Vec3, VehicleStatus
 
-# averaged lift as a share of the weight; below it the vehicle falls, which shows no reserve
+# least averaged lift as a share of the weight; below it the vehicle falls, which shows no reserve
 LEAST_LIFT = 0.1
-AGE_MAX_S = 3.0  # s; the voltage arrives once a second, two messages may be lost
+AGE_MAX_S = 3.0  # longest age of power data, s; the voltage arrives once a second, two messages may be lost
 
 
 @dataclass(slots=True)
@@ -28,7 +28,7 @@ class Told:
 
     arrival_s: float = math.nan
     standing: bool = False
-    low: bool = False  # the voltage at rest is too low to begin a landing
+    low: bool = False  # the voltage at rest is too low to start a landing
     flying: float = math.nan  # effort in flight: from the throttle, else from the voltage
     resting: float = math.nan  # effort from the voltage
     sags: float = math.nan  # loss term of the voltage sag (``Reserve.sags``)
@@ -36,17 +36,17 @@ class Told:
 
 
 class ReserveEstimate:
-    """Call ``step`` once a tick; ``memory`` is its whole state."""
+    """Estimate of the thrust reserve. Call ``step`` once a tick; ``memory`` is the complete state."""
 
     memory: ReserveMemory
     told: Told
     most_m_s2: Vec3  # limit of the commanded acceleration with full reserve
     share: float  # weight of a tick in the average
-    lasting_m_s: float  # velocity that the acceleration of gravity gives in the time of the average
+    lasting_m_s: float  # velocity that gravity causes in the averaging time
     least: float  # lowest reserve that allows a landing
-    reserve: float  # largest thrust over weight; NaN while it is not known
+    reserve: float  # largest thrust over weight; NaN while unknown
     charge: Charge  # state of the battery
-    acceleration_max_m_s2: Vec3  # limit of the velocity wanted, ENU; upwards on z
+    acceleration_max_m_s2: Vec3  # limit of the commanded acceleration, ENU; z limits the upward one
     _part: float  # usable fraction of the reserve (``Reserve.share``)
 
     def __init__(self, table: Reserve, most_m_s2: Vec3, period_s: float) -> None:
@@ -67,11 +67,11 @@ class ReserveEstimate:
         fresh = power is not None and now_s - power.arrival_s <= AGE_MAX_S
         standing = status is None or not status.armed
         self.hear(power if fresh else None, standing)
-        # spinning up: no information
+        # on the ground, motors that spin up give no information
         self.weigh(rise_m_s, flies, status is not None and status.landed is not Landed.ON_GROUND)
 
     def hear(self, power: Power | None, standing: bool) -> bool:
-        """Convert the reported state of battery and motors to efforts; returns whether it is new."""
+        """Convert the reported state of battery and motors to efforts; return whether the state is new."""
         self._power = power
         if self._known == (power, standing):
             return False
@@ -93,7 +93,7 @@ class ReserveEstimate:
         return True
 
     def weigh(self, rise_m_s: float, flies: bool, in_air: bool) -> None:
-        """Estimate the reserve from the reported efforts, and judge it; arguments as those of ``step``."""
+        """Estimate the reserve from the reported efforts, and set the charge; arguments as in ``step``."""
         memory, told = self.memory, self.told
         if told.standing:
             memory.effort, memory.tired = math.nan, False
@@ -105,7 +105,7 @@ class ReserveEstimate:
                 memory.effort, memory.rise_m_s = effort, rise_m_s
             memory.effort += self.share * (effort - memory.effort)
             memory.rise_m_s += (self.share if flies else 1.0) * (rise_m_s - memory.rise_m_s)
-            # share of gravity that was acceleration meanwhile
+            # mean acceleration in the averaging time, as a share of gravity
             gained = (rise_m_s - memory.rise_m_s) / self.lasting_m_s
             self.reserve = left(memory.effort / max(LEAST_LIFT, 1.0 + gained), told.sags, told.most)
         if math.isnan(self.reserve):
@@ -121,7 +121,7 @@ class ReserveEstimate:
 
     @property
     def text(self) -> str:
-        """Why the battery does not allow a landing, and what to do; empty: it does."""
+        """Reason why the battery does not allow a landing, and what to do; empty: a landing is allowed."""
         table, power = self._table, self._power
         if self.charge is Charge.FIT:
             return ""
@@ -136,7 +136,7 @@ class ReserveEstimate:
 
 
 def too_low(table: Reserve, voltage_v: float) -> str:
-    """Why a battery with this voltage at rest does not allow a landing; empty: it does."""
+    """Return why a battery with this voltage at rest allows no landing; empty: a landing is allowed."""
     least_v = table.start_voltage_v + table.sag_v
     if voltage_v >= least_v:
         return ""
@@ -148,6 +148,6 @@ def too_low(table: Reserve, voltage_v: float) -> str:
 
 @numeric
 def allowed(most_m_s2: Vec3, reserve: float, share: float) -> Vec3:
-    """Acceleration of the velocity wanted with this reserve."""
+    """Return the limits of the commanded acceleration with this reserve."""
     (x, y, z), level = most_m_s2, level_m_s2(reserve, share)
     return (min(x, level), min(y, level), min(z, up_m_s2(reserve, share)))

@@ -1,12 +1,12 @@
 """Plausibility of target samples, and the current state of the target.
 
-Default deny: a sample counts only if it is finite, of the right robot, newer than the last, in time, and
-reachable from the last one. Refused samples are counted by reason.
+The default is to deny: a sample is accepted only if it is finite, of the configured robot, newer than the
+last, in time, and reachable from the last one. Rejected samples are counted.
 
-A velocity that contradicts the positions is detected over some samples, such as a twist in the wrong frame or
-a heading that is off by half a turn. Position minus integrated velocity, summed with forgetting, is noise of
-both; beyond ``checks.target_drift_max_m`` the target is distrusted, until half of that. A standing target
-agrees with any twist: after the second contradiction of a flight it remains distrusted.
+A velocity that contradicts the positions, such as a twist in the wrong frame or a heading that is wrong by
+half a turn, is detected over some samples. Position minus integrated velocity, summed with decay, is only
+noise; above ``checks.target_drift_max_m`` the target is distrusted, until half of that. A target at rest
+agrees with any twist, so after the second contradiction of a flight the target remains distrusted.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from flightstack.core.sender_clock import PATIENCE_S, Reading, SenderClock
 from flightstack.core.target.plausibility import SMOOTHING_S, TRUSTED_AGAIN, drifted, repeats, smoothed
 from flightstack.core.types import TargetSample, TextEnum, Vec3
 
-STANDING_M_S = 1e-3  # a target that reports more moves; one at rest may repeat its position to the bit
-DISTRUSTS_MAX = 2  # contradictions of positions and velocity in a flight, the last one for good
+STANDING_M_S = 1e-3  # speed above which a target moves, m/s; at rest it may repeat its position to the bit
+DISTRUSTS_MAX = 2  # number of contradictions in a flight after which the target remains distrusted
 
 
 class Verdict(TextEnum):
@@ -57,15 +57,15 @@ class TargetState(NamedTuple):
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3
     yaw_rad: float
-    position_sigma_m: float = 0.0  # standard deviation of x and of y; 0 where it is not estimated
+    position_sigma_m: float = 0.0  # standard deviation of x and of y; 0: not estimated
     position_sigma_z_m: float = 0.0
 
 
 class TargetTrack:
-    """Newest accepted sample, and the counts of the others; ``memory`` is all of its state."""
+    """Newest accepted sample, and numbers of samples; ``memory`` is the complete state."""
 
     memory: TrackMemory
-    # step of the sender's clock with the newest sample, s, forward positive; 0: it was not set
+    # step of the sender's clock at the newest sample, s, positive forwards; 0: no step
     stepped_s: float
     _checks: Checks  # limits of the configuration
     _clock: SenderClock
@@ -78,13 +78,13 @@ class TargetTrack:
 
     @property
     def newest(self) -> TargetSample:
-        """Newest believed sample; there is one."""
+        """Newest accepted sample; there must be one."""
         last = self.memory.last
         assert last is not None
         return last
 
     def accept(self, sample: TargetSample) -> Verdict:
-        """Take or refuse one sample."""
+        """Accept or reject one sample."""
         verdict, memory = self._judge(sample), self.memory
         self.stepped_s = 0.0
         if verdict is Verdict.ACCEPTED:
@@ -122,7 +122,7 @@ class TargetTrack:
     def _drift(self, last: TargetSample, sample: TargetSample) -> None:
         checks, memory, dt_s = self._checks, self.memory, sample.source_time_s - last.source_time_s
         if not 0.0 < dt_s <= checks.target_age_max_s:
-            return  # lost in between: so old a sample does not limit the present position
+            return  # after a gap, so old a sample does not limit the current position
         memory.drift_m = drifted(
             memory.drift_m, last.position_enu_m, sample.position_enu_m,
             last.velocity_enu_m_s, sample.velocity_enu_m_s, dt_s, checks.target_drift_memory_s,
@@ -170,16 +170,16 @@ class TargetTrack:
     def _judge_anew(
         self, last: TargetSample, sample: TargetSample, gap_s: float, lost: bool, stepped: bool
     ) -> Verdict:
-        """Judge the place of a sample that is not near the last one, or after the target was lost."""
+        """Check the position of a sample that is not near the last one, or follows a loss of the target."""
         checks, memory = self._checks, self.memory
-        # a simultaneous restart of clock and position is a restarted odometry, not a lost robot
+        # a simultaneous restart of clock and position is a restarted odometry, not another robot
         reach_m = checks.target_jump_max_m + checks.target_speed_max_m_s * gap_s
         free = not stepped or math.dist(last.position_enu_m, sample.position_enu_m) <= reach_m
         if lost and free and memory.elsewhere is None:
-            return Verdict.ACCEPTED  # so old a sample does not limit the present position
+            return Verdict.ACCEPTED  # so old a sample does not limit the current position
         step_s = gap_s if stepped else sample.source_time_s - last.source_time_s
-        # after a loss the present velocity may explain a wrong place by chance, and after some seconds the
-        # last velocity may, too; samples that continue from elsewhere show a target that is still there
+        # after a loss, the current or the last velocity may explain a wrong position by chance; samples that
+        # continue from elsewhere show that the target is still there
         away = memory.elsewhere if lost else None
         stays = away is not None and self._near(
             away, sample, sample, sample.source_time_s - away.source_time_s
@@ -191,7 +191,7 @@ class TargetTrack:
         return Verdict.JUMP
 
     def _near(self, before: TargetSample, after: TargetSample, at_last: TargetSample, step_s: float) -> bool:
-        """Whether the target could have gone from one sample to the other, at the mean of two velocities.
+        """Whether the target can have moved from one sample to the other at the mean of two velocities.
 
         The mean is exact under constant acceleration.
         """
@@ -204,23 +204,23 @@ class TargetTrack:
         return dx * dx + dy * dy + dz * dz <= most_m * most_m
 
     def _proved(self, sample: TargetSample, lost: bool) -> bool:
-        """Whether samples elsewhere have agreed with each other for long enough, the old track being lost."""
+        """Whether samples elsewhere have agreed with each other for long enough after a loss."""
         memory, before = self.memory, self.memory.elsewhere
         step_s = sample.source_time_s - before.source_time_s if before is not None else 0.0
         if before is None or not self._near(before, sample, sample, step_s):
             memory.elsewhere, memory.elsewhere_since_s = sample, sample.arrival_s
             return False
         memory.elsewhere = sample
-        # longer than the age limit, so that the vehicle holds in between
+        # longer than the age limit, so that phase HOLD starts in between
         proof_s = self._checks.target_age_max_s + self._checks.recovery_time_s
         return lost and not memory.settled and sample.arrival_s - memory.elsewhere_since_s >= proof_s
 
     def age_s(self, sample: TargetSample, now_s: float) -> float:
-        """Age from the measurement, less the shortest delay (clocks of two machines differ)."""
+        """Return the age of a sample without the shortest delay, which is unknown (the clocks differ)."""
         return self._clock.lateness_s(sample.source_time_s, now_s)
 
     def at(self, now_s: float) -> TargetState:
-        """Target moved on to now with its last velocity; a sample has come before."""
+        """Return the target state, extrapolated to now with its last velocity, after an accepted sample."""
         last = self.newest
         age_s = self.age_s(last, now_s)
         ahead_s = min(age_s, self._checks.target_age_max_s)
