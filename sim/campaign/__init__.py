@@ -1,1 +1,1 @@
-"""Many seeded landings of one scenario: flown by ``run``, kept as ``rows``, summed up by ``summary``."""
+"""Many seeded landings of one scenario: ``run`` flies, ``rows`` stores, ``summary`` condenses them."""

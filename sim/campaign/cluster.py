@@ -1,4 +1,4 @@
-"""The same campaign on a Dask cluster: the scheduler hands seeds to its workers, and anew if one dies."""
+"""A campaign on a Dask cluster: the scheduler sends seeds to workers, and again if a worker dies."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from flightstack.common.processes import LaunchError
 from sim.campaign.rows import Row, error_row
 from sim.campaign.workers import code_fingerprint, fly_seed_as
 
-CONNECT_S = 10.0  # s of wall time until scheduler and a worker have answered
-AHEAD = 4  # seeds submitted for each thread of the cluster; the others wait here
+CONNECT_S = 10.0  # time-out for the scheduler and the first worker, wall time
+AHEAD = 4  # seeds submitted per thread of the cluster; further seeds wait in this process
 
 
 class ClusterError(LaunchError):
@@ -18,9 +18,9 @@ class ClusterError(LaunchError):
 
 
 class Cluster:
-    """A connection to a scheduler.
+    """Connection to a Dask scheduler.
 
-    Raises ClusterError: Dask is not installed, no scheduler answers, or a worker has other code.
+    Raises ClusterError: Dask is not installed, no scheduler answers, or a worker has another code version.
     """
 
     def __init__(self, address: str, scenario_toml: str) -> None:
@@ -54,7 +54,7 @@ class Cluster:
         ours = self._code
         try:
             theirs = self._client.run(code_fingerprint)
-        except Exception as error:  # any exception of a worker means that it has other code
+        except Exception as error:  # any exception of a worker means that its code differs
             raise ClusterError(
                 f"--cluster {address}: a worker cannot fly ({error}); install the same version there"
             ) from error
@@ -98,6 +98,6 @@ class Cluster:
     def _row(future: Any, seed: int) -> Row:
         try:
             row: Row = future.result()
-        except Exception as error:  # the workers died; every other error is a row already
+        except Exception as error:  # the workers died; fly_seed_as turns every other error into a row
             return error_row(seed, f"{type(error).__name__}: {error}")
         return row

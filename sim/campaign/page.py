@@ -1,4 +1,4 @@
-"""The page of a campaign: distributions, the map of h, the worst seeds; one HTML file, no network needed."""
+"""The page of a campaign: distributions, map of h, worst seeds; one HTML file that needs no network."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def _histograms(rows: Sequence[Row]) -> list[Panel]:
 
 
 def histogram(values: Sequence[float], axis: str, limit: float | None) -> go.Figure:
-    """Counts of a value, with its limit as a line."""
+    """Return the histogram of a value, with its limit as a line."""
     import plotly.graph_objects as go
 
     from logs.report.style import BOUNDARY, TRUE, layout
@@ -105,7 +105,7 @@ def histogram(values: Sequence[float], axis: str, limit: float | None) -> go.Fig
 
 
 def h_map(wanted: Plan, rows: Sequence[Row]) -> go.Figure:
-    """Map of the lowest h with the boundary."""
+    """Return the map of the lowest h, with the boundary."""
     import plotly.graph_objects as go
 
     from logs.report.style import BOUNDARY, layout

@@ -1,4 +1,4 @@
-"""The progress bar of long computations, with counts of the results so far."""
+"""Progress bar of long computations, with counts of the results so far."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 if TYPE_CHECKING:
     from sim.campaign.rows import Row
 
-_REFRESH_S = 0.1  # s of wall time between two times that it is drawn, at least
+_REFRESH_S = 0.1  # shortest wall time between two updates of the bar
 
 
 class Bar:
-    """Progress of a number of results; nothing is shown where the output is not a terminal.
+    """Progress of a number of results; it shows nothing if the output is not a terminal.
 
-    It is drawn with each result and needs no thread: a process with threads cannot fork its workers.
+    It updates with each result and needs no thread, because a process with threads cannot fork its workers.
     """
 
     def __init__(self, console: Console, title: str, total: int | None) -> None:
@@ -43,7 +43,7 @@ class Bar:
         self.done(row.outcome, *(["violations"] if row.violation else []))
 
     def done(self, *kinds: str) -> None:
-        """Count one thing, under each of these kinds."""
+        """Count one result, under each of these kinds."""
         self._counts.update(kinds)
         counts = "  ".join(f"{number} {name}" for name, number in sorted(self._counts.items()))
         self._progress.update(self._task, advance=1, counts=counts)

@@ -1,13 +1,14 @@
-"""The rate of a rare failure of a scenario, by subset simulation over landings; a folder like a campaign's.
+"""Rate of a rare failure of a scenario, from subset simulation over landings; a folder like a campaign's.
 
-Each landing's row is kept under its seed, so that an interrupted estimate can continue: what is drawn
-depends on the estimate's own seed and on the rows alone.
+Each landing's row is stored under its seed, so an interrupted estimate can continue: the random draws depend
+only on the estimate's seed and on the rows.
 
-Subset simulation (Au and Beck 2001, doi:10.1016/S0266-8920(01)00019-4) estimates rates that are too small to
-be counted. A landing has a score that falls towards the failure and is 0 or less there. The landings of the
-first level are drawn freely. Those with the lowest scores start chains of moves (``sim.chance``) that do not
-exceed these scores: the landings of the chains are the next level. The rate is the product of the levels'
-shares. The weight of the moves follows the share of accepted ones (Papaioannou et al. 2015).
+Subset simulation (Au and Beck 2001, doi:10.1016/S0266-8920(01)00019-4) estimates rates that are too small for
+counting. Each landing has a score that decreases towards the failure; a failure has a score of 0 or less. The
+landings of the first level are independent draws. Those with the lowest scores start chains of moves
+(``sim.chance``) that do not exceed these scores: the landings of the chains are the next level. The rate is
+the product of the levels' shares. The weight of the moves is adapted to the share of accepted ones
+(Papaioannou et al. 2015).
 """
 
 from __future__ import annotations
@@ -31,51 +32,51 @@ from sim.campaign.workers import Workers, WorkersError
 from sim.chance import MOVE_SEED_MAX, fresh, moved
 from sim.runners.landing import warm_up
 
-FAILURES = "failures"  # folder of files with seeds
+FAILURES = "failures"  # folder of files with the seeds of failures
 FAILURES_KEPT = 20
-_LEAST = 1e-9  # smallest score of a landing without the failure
+_LEAST = 1e-9  # smallest score of a landing that did not fail
 
 OnRow = Callable[[Row], None]
-SHARE = 0.1  # fraction of a level's landings that start the next one's chains (Au and Beck: 0.1 to 0.3)
-LEVELS_MAX = 9  # a rate below 1e-9 is not looked for
-ACCEPTED = 0.44  # share of moves that the weight is led to (Papaioannou et al. 2015, section 3.4)
+SHARE = 0.1  # share of a level's landings that start the next level's chains (Au and Beck: 0.1 to 0.3)
+LEVELS_MAX = 9  # maximum number of levels; rates below 1e-9 are not resolved
+ACCEPTED = 0.44  # target share of accepted moves (Papaioannou et al. 2015, section 3.4)
 WEIGHT = 0.6  # weight of the first move
-_CERTAIN = 1.96  # standard deviations of an interval of 95 %
+_CERTAIN = 1.96  # half-width of a 95 % interval in standard deviations
 
 Scores = Callable[[Sequence[int]], Sequence[float]]
 
 
 @dataclass(frozen=True)
 class Level:
-    """One level."""
+    """Result of one level."""
 
-    begins_at: float  # largest score of its landings; infinite for the first level
+    begins_at: float  # largest score of the level's landings; infinite for the first level
     ends_at: float  # largest score of the next level's landings; 0 for the last level
-    share: float  # fraction of its landings at or below ``ends_at``
-    variation: float  # coefficient of variation of that share, correlation within the chains included
+    share: float  # share of its landings at or below ``ends_at``
+    variation: float  # coefficient of variation of this share, including correlation within the chains
     accepted: float  # share of accepted moves; 1 for the first level
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What was found."""
+    """Estimated rate of failures."""
 
     rate: float  # rate of failures; 0 if the last level had none
     low: float  # lower end of the 95 % interval, of a log-normal distribution
-    high: float  # upper end; if no failure was found, the upper bound of the rate
+    high: float  # upper end of the interval; without a failure, the upper bound of the rate
     levels: tuple[Level, ...]  # one or more
     landings: int  # number of flown landings
-    # seeds of the last level's failures, drawn with the probabilities that failures have
+    # seeds of the last level's failures, sampled from the distribution of failures
     failures: tuple[int, ...]
 
 
 def estimate(scores: Scores, number: int, seed: int) -> Estimate:
     """Estimate the rate of failures.
 
-    ``scores``: function that flies a batch of landings and returns their scores; ``number``: landings in a
+    ``scores``: function that flies a batch of landings and returns their scores; ``number``: landings per
     level, a multiple of 1 / ``SHARE``; ``seed``: seed of this estimate; another seed gives an independent
     estimate.
-    Raises ValueError: the number is no such multiple, or below 100.
+    Raises ValueError: the number is not such a multiple, or is below 100.
     """
     length = round(1.0 / SHARE)
     if number < 100 or number % length:
@@ -116,7 +117,7 @@ def _chains(
     weight: float,
     draw: np.random.Generator,
 ) -> tuple[np.ndarray, list[list[int]], float, float]:
-    """Chains from each start, all a step at a time: scores, seeds, share accepted, weight at the end."""
+    """Extend chains from each start, all together; return scores, seeds, accepted share and final weight."""
     states, state_scores = list(starts), list(start_scores)
     columns, names, accepted = [list(state_scores)], [[one] for one in states], 0
     for step in range(1, length):
@@ -138,7 +139,7 @@ def _move_seeds(draw: np.random.Generator, number: int) -> list[int]:
 
 
 def _variation(within: np.ndarray) -> float:
-    """Coefficient of variation of the share that is within (Au and Beck 2001, eq. 29)."""
+    """Return the coefficient of variation of the share inside (Au and Beck 2001, eq. 29)."""
     chains, length = within.shape
     share = float(np.mean(within))
     if not 0.0 < share < 1.0:
@@ -154,7 +155,7 @@ def _variation(within: np.ndarray) -> float:
 
 def _estimate(levels: list[Level], landings: int, failures: tuple[int, ...], number: int) -> Estimate:
     rate = math.prod(level.share for level in levels)
-    if rate == 0.0:  # no failure in the last level: 95 % bound by the rule of three
+    if rate == 0.0:  # no failure in the last level: 95 % bound from the rule of three
         bound = math.prod(level.share for level in levels[:-1]) * 3.0 / number
         return Estimate(0.0, 0.0, bound, tuple(levels), landings, failures)
     spread = math.sqrt(math.log1p(math.fsum(level.variation**2 for level in levels)))
@@ -163,19 +164,19 @@ def _estimate(levels: list[Level], landings: int, failures: tuple[int, ...], num
 
 
 class Event(Enum):
-    """The failure whose rate is wanted."""
+    """The failure whose rate is estimated."""
 
     VIOLATION = "violation"
     MISS = "miss"
 
 
 def score(event: Event, row: Row, pad_radius_m: float) -> float:
-    """Distance of a landing from the failure, m; 0 if it is a failure, or may be one.
+    """Return the distance of a landing from the failure, m; 0 for a failure or an unknown result.
 
-    ``violation``: lowest h outside the pad above the limit of a violation. ``miss``: the distance of the
-    touch from the pad's edge; 0 for a touch beyond it, a crash, or an undeclared miss.
+    ``violation``: lowest h outside the pad minus the limit of a violation. ``miss``: distance of the touch
+    from the pad's edge; 0 for a touch beyond it, a crash, or an undeclared miss.
 
-    ``event``: the failure; ``row``: of the landing.
+    ``event``: the failure; ``row``: row of the landing.
     Raises WorkersError: the landing could not be flown.
     """
     if row.outcome not in tuple(Outcome):
@@ -192,9 +193,9 @@ def score(event: Event, row: Row, pad_radius_m: float) -> float:
 
 @dataclass(frozen=True)
 class Rare:
-    """What to estimate. Raises ConfigError: a team."""
+    """Definition of an estimate. Raises ConfigError: the scenario is a team."""
 
-    # scenario with its filter; ``runs`` are the landings of a level, ``first_seed`` the estimate's
+    # scenario with its filter; ``runs``: landings per level; ``first_seed``: seed of the estimate
     plan: Plan
     event: Event  # the failure
 
@@ -207,12 +208,11 @@ class Rare:
 
 
 def fly(wanted: Rare, folder: Path, *, workers: int, on_row: OnRow) -> dict[str, Any]:
-    """Fly what is missing; return the result, which is also in the folder.
+    """Fly the missing landings; return the result, which is also written to the folder.
 
-    ``on_row``: called with each row, those of earlier calls included.
-    Raises RowsError: the folder holds something else, or is in use; ValueError: a number of landings that
-    levels cannot have; WorkersError: no worker can be kept running; RuntimeError: a landing could not be
-    flown.
+    ``on_row``: called with each row, including rows of earlier calls.
+    Raises RowsError: the folder has other content, or is in use; ValueError: a number of landings that levels
+    cannot have; WorkersError: no worker can be kept running; RuntimeError: a landing could not be flown.
     """
     plan, scenario = wanted.plan, wanted.plan.first
     folder.mkdir(parents=True, exist_ok=True)
@@ -241,7 +241,7 @@ def fly(wanted: Rare, folder: Path, *, workers: int, on_row: OnRow) -> dict[str,
 
 
 def _told(found: Estimate, folder: Path, plan: Plan, known: dict[int, Row]) -> dict[str, Any]:
-    """What ``--json`` prints; the failures become files with their seeds."""
+    """Return the ``--json`` output, and write the seeds of failures to files."""
     place = folder / FAILURES
     place.mkdir(exist_ok=True)
     failures = []

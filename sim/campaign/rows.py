@@ -1,6 +1,6 @@
-"""One row for each landing of a campaign, of one vehicle or of a team, and their file, appended durably.
+"""One row for each landing of a campaign (vehicle or team), and their file with durable appends.
 
-Floats are written so that they read back the same to the last bit; an empty field is "not known", never zero.
+Floats are written so that they are read back bit for bit; an empty field means "not known", never zero.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from logs.verdict.types import Outcome
 from logs.verdict.verdict import FleetVerdict, any_known, fleet_verdict, least
 from sim.runners.landing import Landing, TeamLanding
 
-ERROR = "error"  # outcome of a landing that could not be flown to its end
+ERROR = "error"  # outcome of a landing that could not be simulated to its end
 CELL_M = 0.1  # width and height of a cell of the map of h
-E_Z_LOW_M = -0.3  # lower edge of its lowest cells; below is counted there
-D_CELLS, E_Z_CELLS = 30, 30  # farther and higher is counted in the last ones
-# columns with the time in a phase
+E_Z_LOW_M = -0.3  # lower edge of the map's lowest cells, which include all lower values
+D_CELLS, E_Z_CELLS = 30, 30  # size of the map; its last cells include all larger values
+# columns with the duration of a phase
 _TIMED = {
     "approach_s": Phase.APPROACH, "land_s": Phase.LAND, "touchdown_s": Phase.TOUCHDOWN,
     "hold_s": Phase.HOLD, "climb_s": Phase.CLIMB, "abort_s": Phase.ABORT,
@@ -46,7 +46,7 @@ class RowsError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What a campaign keeps of one landing; ``None`` where a value does not apply or is not known."""
+    """Stored values of one landing; ``None`` where a value does not apply or is not known."""
 
     seed: int  # seed of all random draws
     outcome: str  # ``Outcome``, or "error"
@@ -55,47 +55,47 @@ class Row:
     started_safe: bool | None = None  # ``Verdict.started_safe``
     h_min_m: float | None = None  # lowest true h
     h_min_outside_pad_m: float | None = None  # lowest true h where d > pad radius
-    h_min_d_m: float | None = None  # d at the tick that shows it
-    h_min_e_z_m: float | None = None  # e_z at that tick
-    touchdown_error_m: float | None = None  # d at first contact
+    h_min_d_m: float | None = None  # horizontal distance d at the tick of this value
+    h_min_e_z_m: float | None = None  # height e_z at the tick of this value
+    touchdown_error_m: float | None = None  # horizontal distance d at first contact
     touchdown_speed_vertical_m_s: float | None = None  # relative to the pad, positive downwards
     touchdown_speed_horizontal_m_s: float | None = None  # relative to the pad
-    time_to_land_s: float | None = None  # begin of the landing to first contact, if landed
-    retries: int | None = None  # times it went back to the approach
-    # time in each phase, s
+    time_to_land_s: float | None = None  # time from the start of the landing to first contact, if landed
+    retries: int | None = None  # number of returns to the approach
+    # duration of each phase, s
     approach_s: float | None = None
     land_s: float | None = None
     touchdown_s: float | None = None
     hold_s: float | None = None
     climb_s: float | None = None
     abort_s: float | None = None
-    own_age_max_s: float | None = None  # greatest age of the own state since the landing began
-    target_age_max_s: float | None = None  # greatest age of the target's state since then
-    simulated_s: float | None = None  # length of the run
+    own_age_max_s: float | None = None  # largest age of the vehicle state since the landing started
+    target_age_max_s: float | None = None  # largest age of the target state since the landing started
+    simulated_s: float | None = None  # duration of the run, simulated time
     wall_s: float | None = None  # wall time; the only value that the seed does not determine
-    cells: str = ""  # map of h: "i j mm" for each cell of (d, e_z) that was visited, with the lowest h there
-    outcomes: str = ""  # outcomes of a team's members, cf1 first; of one vehicle this and all below are empty
+    cells: str = ""  # map of h: "i j mm" for each visited cell of (d, e_z), with the lowest h in it
+    outcomes: str = ""  # outcomes of a team's members, cf1 first; empty, as all below, for one vehicle
     collisions: int | None = None  # pairs of vehicles that collided
-    # times that two came inside the ellipsoid about each other, both in flight
+    # number of times that two vehicles in flight entered the ellipsoid around each other
     ellipsoid_violations: int | None = None
-    ellipsoid_min: float | None = None  # smallest distance of two in flight in its measure; below 1: inside
+    ellipsoid_min: float | None = None  # smallest ellipsoid norm between two in flight; below 1: inside
     distance_min_m: float | None = None  # smallest distance of two vehicles
     wait_max_s: float | None = None  # longest time that a vehicle waited for its right of way
-    # where the scenario leaves the envelope of its configuration's proof; of both kinds of rows
+    # keys with which the scenario exceeds its configuration's proof; for vehicles and teams
     outside_envelope: str = ""
 
     @property
     def landed(self) -> bool:
-        """Whether it landed."""
+        """Whether the vehicle landed."""
         return self.outcome == Outcome.LANDED
 
     def untimed(self) -> Row:
-        """The row without its wall time: equal for equal seeds."""
+        """Return the row without its wall time: equal for equal seeds."""
         return replace(self, wall_s=None)
 
 
 def vehicle_row(landing: Landing) -> Row:
-    """Make the row of a vehicle's landing."""
+    """Return the row of a vehicle's landing."""
     verdict, seen = landing.verdict, landing.seen
     steps, truth, start_s = seen.steps, seen.truth, seen.landing_start_s
     begin = len(truth.t_s) if start_s is None else int(np.searchsorted(truth.t_s, start_s))
@@ -134,7 +134,7 @@ def judge_team(flown: TeamLanding) -> FleetVerdict:
 
 
 def row_of(flown: TeamLanding) -> Row:
-    """Make the row of a team: sums of retries and phase times; every other value is that of the worst member.
+    """Return the row of a team: sums of retries and phase durations; other values are the worst member's.
 
     The row of a single vehicle has no team values.
     """
@@ -186,13 +186,13 @@ def _visited(rows: Iterable[Row]) -> Iterator[tuple[int, int, int]]:
 
 
 def _all(values: Iterable[bool | None]) -> bool | None:
-    """Whether all are true; None if one is unknown and none is false."""
+    """Return whether all are true; None if one is unknown and none is false."""
     found = set(values)
     return False if False in found else None if None in found else True
 
 
 def _joined(rows: Sequence[Row]) -> str:
-    """The members' maps of h in one, with the lowest h of each cell."""
+    """Return the members' maps of h as one map, with the lowest h of each cell."""
     lowest: dict[tuple[int, int], int] = {}
     for i, j, h_mm in _visited(rows):
         lowest[j, i] = min(h_mm, lowest.get((j, i), h_mm))
@@ -200,12 +200,12 @@ def _joined(rows: Sequence[Row]) -> str:
 
 
 def error_row(seed: int, reason: str) -> Row:
-    """Row of a landing that could not be flown: a failure."""
+    """Return the row of a landing that could not be flown; it counts as a failure."""
     return Row(seed, ERROR, " ".join(reason.split()))
 
 
 def cell_map(rows: Iterable[Row]) -> tuple[Any, Any]:
-    """Lowest h (m, NaN: no landing) and number of landings in each cell, (E_Z_CELLS, D_CELLS) each."""
+    """Return lowest h (m, NaN: no landing) and number of landings in each cell, (E_Z_CELLS, D_CELLS) each."""
     lowest = np.full((E_Z_CELLS, D_CELLS), np.inf)
     visits = np.zeros((E_Z_CELLS, D_CELLS), dtype=np.int64)
     for i, j, h_mm in _visited(rows):
@@ -218,7 +218,7 @@ def _cells(d_m: Any, e_z_m: Any, h_m: Any) -> str:
     i = np.clip((d_m / CELL_M).astype(np.int64), 0, D_CELLS - 1)
     j = np.clip(((e_z_m - E_Z_LOW_M) / CELL_M).astype(np.int64), 0, E_Z_CELLS - 1)
     cell = j * D_CELLS + i
-    order = np.lexsort((h_m, cell))  # the lowest of each cell comes first
+    order = np.lexsort((h_m, cell))  # the lowest h of each cell comes first
     visited, first = np.unique(cell[order], return_index=True)
     h_mm = np.floor(h_m[order][first] * 1e3).astype(np.int64)
     return ";".join(f"{c % D_CELLS} {c // D_CELLS} {h}" for c, h in zip(visited, h_mm, strict=True))
@@ -247,7 +247,7 @@ def _text(row: Row) -> str:
 def _value(name: str, text: str) -> Any:
     kind = _KINDS[name]
     if kind == "str":
-        return sys.intern(text)  # a million landings have few reasons
+        return sys.intern(text)  # a million landings have few different reasons
     if text == "":
         return None
     if kind == "bool":
@@ -256,9 +256,9 @@ def _value(name: str, text: str) -> Any:
 
 
 def read_rows(path: Path) -> list[Row]:
-    """Read a file of rows; a last line that was cut off is left out.
+    """Read a file of rows; skip a truncated last line.
 
-    Raises RowsError: it is not such a file, or a line in it is damaged.
+    Raises RowsError: the file has another format, or a damaged line.
     """
     rows: list[Row] = []
     with path.open(newline="", encoding="utf-8") as file:
@@ -288,9 +288,9 @@ def write_rows(path: Path, rows: Iterable[Row]) -> None:
 
 
 def write_parquet(path: Path, *, long_seeds: bool = False) -> Path | None:
-    """Write the rows of a file beside it in Parquet, a piece at a time; the new file, None without pyarrow.
+    """Write a file's rows in pieces to a Parquet file next to it; return its path, None without pyarrow.
 
-    ``path``: of the rows; ``long_seeds``: seeds may have more than 63 bits, and are texts.
+    ``path``: file of the rows; ``long_seeds``: seeds may have more than 63 bits, and are written as text.
     """
     try:
         from pyarrow import bool_, float64, int64, parquet, string
@@ -314,10 +314,10 @@ def write_parquet(path: Path, *, long_seeds: bool = False) -> Path | None:
 
 
 class RowsFile:
-    """Appends rows; rows survive any crash after ``add`` has returned."""
+    """Appends rows; they survive any crash after ``add`` has returned."""
 
     def __init__(self, path: Path) -> None:
-        """Open, cutting off a line that was not finished."""
+        """Open the file, and remove a truncated last line."""
         known = path.read_bytes() if path.exists() else b""
         whole = known.rfind(b"\n") + 1
         self._file = path.open("r+b" if path.exists() else "w+b")
@@ -342,6 +342,6 @@ class RowsFile:
 
 
 def missing(rows: Iterable[Row], first_seed: int, runs: int) -> Iterator[int]:
-    """Seeds without a row, in order."""
+    """Return the seeds without a row, in order."""
     have = {row.seed for row in rows}
     return (seed for seed in range(first_seed, first_seed + runs) if seed not in have)

@@ -1,8 +1,8 @@
 """Many seeded landings of one scenario: rows, a summary with confidence bounds, a page.
 
-A campaign is a folder. Rows are appended to it as they come, so that it can be interrupted, killed or
-extended at any time: the same call continues. What was flown is written beside the rows; a folder
-of another scenario, other seeds or other code is refused.
+A campaign is a folder. Rows are appended to it as they arrive, so it can be interrupted, killed or extended
+at any time: the same call continues. A file next to the rows identifies scenario, seeds and code; a folder
+with another identity is rejected.
 """
 
 from __future__ import annotations
@@ -49,31 +49,31 @@ OnRow = Callable[[Row], None]
 
 @dataclass(frozen=True)
 class Plan:
-    """The campaign to fly."""
+    """Definition of a campaign."""
 
-    scenario_name: str  # name or file as given; used in the commands
+    scenario_name: str  # name or file as given; used in printed commands
     scenario: TeamScenario  # scenario with the filter to fly
     runs: int  # number of landings
     first_seed: int  # first of consecutive seeds
 
     @property
     def scenario_toml(self) -> str:
-        """The scenario as text."""
+        """Return the scenario as text."""
         return text(self.scenario)
 
     @property
     def command(self) -> str:
-        """Command that repeats one seed, with ``{seed}``."""
+        """Command that repeats one seed, with ``{seed}`` as placeholder."""
         return repeat_command(self.scenario_name, self.filter_name, team=not self.scenario.is_alone)
 
     @property
     def first(self) -> Scenario:
-        """The scenario of the first, or only, vehicle."""
+        """Scenario of the first, or only, vehicle."""
         return self.scenario.member[0]
 
     @property
     def judged_apart(self) -> str:
-        """The barrier of the verdict and the flown one, if they differ."""
+        """Text with the verdict's barrier and the flown one, if they differ."""
         judge, flown = (
             (shape.alpha_1_m, shape.beta_m)
             for shape in (self.first.judged_by, self.first.onboard.barrier.build())
@@ -82,17 +82,17 @@ class Plan:
 
     @property
     def filter_name(self) -> str:
-        """Name of the safety filter, in a team of the first vehicle."""
+        """Name of the safety filter; in a team, of the first vehicle."""
         return self.first.onboard.filter
 
     @property
     def duration_max_s(self) -> float:
-        """Longest landing, simulated; a team's vehicles cost one after the other."""
+        """Longest landing, simulated time; a team counts the sum over its vehicles."""
         return sum(each.duration_max_s for each in self.scenario.member)
 
 
 def plan(scenario_name: str, runs: int, first_seed: int, filter_name: str | None) -> Plan:
-    """Load and check a scenario. Raises ConfigError: it must not fly."""
+    """Load and check a scenario. Raises ConfigError: a check rejects it."""
     scenario = load(scenario_name)
     for member in scenario.member:
         try_out(member.target)
@@ -106,18 +106,18 @@ def plan(scenario_name: str, runs: int, first_seed: int, filter_name: str | None
 
 @dataclass(frozen=True)
 class Flown:
-    """Result of a call."""
+    """Result of a call of ``fly``."""
 
-    rows: list[Row]  # all rows of the folder, by seed
+    rows: list[Row]  # all rows of the folder, ordered by seed
     missing: int  # number of landings without a row
-    summary: dict[str, Any] | None  # None without any row
+    summary: dict[str, Any] | None  # None without rows
 
 
 def known_rows(now: dict[str, Any], folder: Path) -> list[Row]:
-    """Rows that a folder holds already.
+    """Return the rows that a folder already has.
 
-    ``now``: what all rows must share (``identity``).
-    Raises RowsError: they are of something else, or damaged.
+    ``now``: data that all rows must share (``identity``).
+    Raises RowsError: rows of another campaign, or damaged ones.
     """
     path, about = folder / ROWS, folder / ABOUT
     if not path.exists() and not about.exists():
@@ -135,7 +135,7 @@ def known_rows(now: dict[str, Any], folder: Path) -> list[Row]:
 
 
 def _seeds_wanted(wanted: Plan, folder: Path, rows: list[Row]) -> list[Row]:
-    """The rows, if all of them are asked for."""
+    """Return the rows, if the plan includes all of them."""
     last = wanted.first_seed + wanted.runs - 1
     beyond = sum(not wanted.first_seed <= row.seed <= last for row in rows)
     if beyond:
@@ -147,11 +147,11 @@ def _seeds_wanted(wanted: Plan, folder: Path, rows: list[Row]) -> list[Row]:
 
 
 def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row: OnRow) -> Flown:
-    """Fly the missing landings and write the summary; an interrupt keeps the rows flown so far.
+    """Fly the missing landings and write the summary; after an interrupt the rows so far are kept.
 
     ``workers``: number of processes, unused on a cluster; ``cluster``: address of a Dask scheduler, None:
-    this machine; ``on_row``: called with each row, those of earlier calls included. Raises RowsError: the
-    folder holds something else, or another campaign runs there; WorkersError: no worker can be kept running;
+    this machine; ``on_row``: called with each row, including rows of earlier calls. Raises RowsError: the
+    folder has other content, or another campaign runs there; WorkersError: no worker can be kept running;
     ClusterError: the cluster cannot be used.
     """
     began_s = time.monotonic()
@@ -175,7 +175,7 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
                             break
         except KeyboardInterrupt:
             pass  # reported as the number of missing rows
-        if todo:  # the file counts: the interrupt may have come between file and list
+        if todo:  # read the file again: the interrupt may have come between file and list
             rows.clear()
             rows = sorted(read_rows(folder / ROWS), key=lambda row: row.seed)
         write_rows(folder / ROWS, rows)
@@ -200,7 +200,7 @@ def _rows(wanted: Plan, todo: list[int], workers: int, cluster: str | None) -> I
         with Cluster(cluster, wanted.scenario_toml) as there:
             yield from there.fly(todo)
         return
-    warm_up(wanted.scenario)  # compiled once, for all workers
+    warm_up(wanted.scenario)  # compiled once for all workers
     with Workers(wanted.scenario_toml, workers, wanted.duration_max_s) as here:
         yield from here.fly(todo)
 
@@ -219,7 +219,7 @@ def identity(wanted: Plan) -> dict[str, Any]:
 
 
 def _filter(name: str) -> dict[str, str]:
-    """Name of the filter, and a hash of its source where it is not part of the package's code."""
+    """Return the name of the filter, and a hash of its source if it is not part of the package."""
     if name in FILTERS:
         return {"filter": name}
     source = Path(inspect.getfile(named(name))).read_bytes()
@@ -228,7 +228,7 @@ def _filter(name: str) -> dict[str, str]:
 
 @contextmanager
 def _interrupts() -> Iterator[list[int]]:
-    """Let Ctrl-C interrupt at once, or after the next row if a library swallowed the exception."""
+    """Handle Ctrl-C at once, or after the next row if a library suppressed the exception."""
     came: list[int] = []
 
     def interrupt(number: int, frame: FrameType | None) -> None:
@@ -236,7 +236,7 @@ def _interrupts() -> Iterator[list[int]]:
         came.append(number)
         raise KeyboardInterrupt
 
-    if threading.current_thread() is not threading.main_thread():  # signals are not for others
+    if threading.current_thread() is not threading.main_thread():  # only the main thread can handle signals
         yield came
         return
     previous = signal.signal(signal.SIGINT, interrupt)
@@ -248,10 +248,10 @@ def _interrupts() -> Iterator[list[int]]:
 
 @contextmanager
 def alone(folder: Path) -> Iterator[None]:
-    """Keep other campaigns out of a folder. Raises RowsError: there is one."""
+    """Lock a folder against other campaigns. Raises RowsError: another campaign holds the lock."""
     with (folder / LOCK).open("w") as lock:
         try:
-            fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the workers do not hold it, too
+            fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # worker processes do not inherit this lock
         except BlockingIOError:
             raise RowsError(
                 f"{folder}: another campaign runs there; wait for it, or give another --out"

@@ -1,6 +1,6 @@
 """Summary of a campaign: counts, confidence bounds, quantiles, worst seeds; and the limits of each tier.
 
-An unknown result counts as a failure: a row of outcome "error" is an undeclared miss, and a violation that
+An unknown result counts as a failure: a row with outcome "error" is an undeclared miss, and a violation that
 cannot be excluded is a violation.
 """
 
@@ -57,14 +57,14 @@ def count(rows: Sequence[Row]) -> Counts:
 
 
 def upper_bound(events: int, runs: int, confidence: float = CONFIDENCE) -> float:
-    """One-sided upper Clopper-Pearson bound of a rate: the p for which P(X <= events) is 1 - confidence."""
+    """Return the one-sided upper Clopper-Pearson bound of a rate: p with P(X <= events) = 1 - confidence."""
     if not 0 <= events <= runs or runs < 1:
         raise ValueError(f"{events} events in {runs} runs: a number of runs and no more events are needed")
     return 1.0 if events == runs else float(betaincinv(events + 1, runs - events, confidence))
 
 
 def quantile(rows: Sequence[Row], column: str, share: float) -> float | None:
-    """Quantile of a column over the landings that landed; None without any."""
+    """Return a quantile of a column over the landings with outcome landed; None if there are none."""
     known = [v for row in rows if row.landed and (v := getattr(row, column)) is not None]
     return float(np.quantile(known, share)) if known else None
 
@@ -72,10 +72,10 @@ def quantile(rows: Sequence[Row], column: str, share: float) -> float | None:
 def summary(
     rows: Sequence[Row], command: str, *, wall_s: float, flown_s: float, judged_apart: str = ""
 ) -> dict[str, Any]:
-    """Return what ``--json`` prints.
+    """Return the object that ``--json`` prints.
 
-    ``rows``: at least one; ``command``: that flies one of the seeds alone, with ``{seed}``; ``wall_s``: time
-    of this call; ``flown_s``: simulated time flown in it; ``judged_apart``: barrier of the verdict and the
+    ``rows``: one or more; ``command``: command that repeats one seed, with ``{seed}``; ``wall_s``: wall time
+    of this call; ``flown_s``: simulated time of this call; ``judged_apart``: the verdict's barrier and the
     flown one, if they differ.
     """
     counts = count(rows)
@@ -106,7 +106,7 @@ def summary(
 
 
 def _of_teams(rows: Sequence[Row]) -> dict[str, Any]:
-    """Values that only teams have; empty for single vehicles."""
+    """Return the values that only teams have; empty for single vehicles."""
     teams = [row for row in rows if row.outcomes]
     if not teams:
         return {}
@@ -125,7 +125,7 @@ def _of_teams(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def worst(rows: Sequence[Row], most: int = WORST_MAX) -> list[Row]:
-    """Return the worst rows: failures first, then by how far from the pad's centre they touched."""
+    """Return the worst rows: failures first, then by the distance of the touch from the pad's centre."""
     return sorted(rows, key=_badness)[:most]
 
 
@@ -138,7 +138,7 @@ def _badness(row: Row) -> tuple[float, float, float, int]:
 
 
 def why(row: Row) -> str:
-    """Return in one line why a row is among the worst."""
+    """Return the reason, in one line, why a row is among the worst."""
     if row.landed and row.violation is False:
         return f"landed {100.0 * (row.touchdown_error_m or 0.0):.1f} cm from the centre"
     told = f"{row.outcome}: {row.reason}"
@@ -149,7 +149,7 @@ def why(row: Row) -> str:
     return f"{told}; violation {found}"
 
 
-# key, part of its object, name in words, unit, factor
+# key, key within its object, name as text, unit, factor
 _LINES: tuple[tuple[str, str, str, str, float], ...] = (
     ("runs", "", "landings flown", "", 1.0),
     ("landed", "", "landed", "", 1.0),
@@ -177,13 +177,13 @@ _LINES: tuple[tuple[str, str, str, str, float], ...] = (
 
 
 def apart(told: dict[str, Any]) -> list[str]:
-    """Lines of a summary about landings outside the proven envelope, or judged by another barrier."""
+    """Return the lines about landings outside the proven envelope or with another verdict barrier."""
     outside = told["outside_envelope"] and f"outside the proven envelope: {told['outside_envelope']}"
     return [line for line in (outside, told["judged_apart"]) if line]
 
 
 def lines(told: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Lines of a summary in words: name, value, unit."""
+    """Return the lines of a summary: name, value, unit."""
     found = []
     for key, part, name, unit, factor in _LINES:
         if key in told:
@@ -196,10 +196,10 @@ def lines(told: dict[str, Any]) -> list[tuple[str, str, str]]:
 
 
 def repeat_command(scenario: str, filter_name: str, *, team: bool = False) -> str:
-    """Command that flies one seed alone, with ``{seed}`` for the seed.
+    """Return the command that repeats one seed, with ``{seed}`` as placeholder.
 
-    ``scenario``: name or file; ``filter_name``: of the safety filter; ``team``: several vehicles, which fly
-    in one process only; one alone flies over the real wires.
+    ``scenario``: name or file; ``filter_name``: name of the safety filter; ``team``: whether there are
+    several vehicles, which fly in one process; a single vehicle flies with separate processes.
     """
     name = shlex.quote(scenario).replace("{", "{{").replace("}", "}}")
     if team:
@@ -208,7 +208,7 @@ def repeat_command(scenario: str, filter_name: str, *, team: bool = False) -> st
 
 
 class Tier(Enum):
-    """Names of the scenarios that have limits."""
+    """Names of the scenarios with limits."""
 
     LAB = "lab"
     ROOM = "room"
@@ -219,14 +219,14 @@ class Tier(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits of a campaign. Crashes and undeclared misses are never allowed."""
+    """Limits of a campaign; crashes and undeclared misses are never allowed."""
 
-    landed_min: float  # share
-    violations_max: float  # share
+    landed_min: float  # share of all landings
+    violations_max: float  # share of all landings
     error_m: tuple[float, float]  # touchdown error, median and 95 %
-    vertical_m_s: float  # touchdown speed relative to the pad, 95 %
-    horizontal_m_s: float  # the same, horizontal
-    slower_max: float | None  # median time to land over that of the paper's filter; None: not asked
+    vertical_m_s: float  # vertical touchdown speed relative to the pad, 95 %
+    horizontal_m_s: float  # horizontal touchdown speed relative to the pad, 95 %
+    slower_max: float | None  # ratio of the median time to land to that of the paper's filter; None: no limit
 
 
 LIMITS: dict[Tier, Limits] = {
@@ -239,10 +239,10 @@ LIMITS: dict[Tier, Limits] = {
 
 
 def misses(tier: Tier, rows: Sequence[Row], paper: Sequence[Row] | None) -> list[str]:
-    """Return the limits that a campaign does not meet, in words; empty when it meets all.
+    """Return the limits that a campaign does not meet, as text; empty if it meets all.
 
-    ``tier``: whose limits; ``rows``: at least one; ``paper``: rows of the paper's filter on the same
-    scenario; without them a limit on the time is missed.
+    ``tier``: tier of the limits; ``rows``: one or more; ``paper``: rows of the paper's filter on the same
+    scenario; without them a limit on the time counts as not met.
     """
     limits, counts = LIMITS[tier], count(rows)
     n = counts.runs

@@ -1,11 +1,11 @@
-"""One landing of a campaign as a row, and the worker processes that fly the seeds of a whole one.
+"""Worker processes of a campaign, and the function that flies one landing and returns its row.
 
-A cluster's workers call ``fly_seed_as``; here, processes get seeds and return rows.
+A cluster's workers call ``fly_seed_as``; on this machine, processes receive seeds and return rows.
 
-Each worker has a pipe of its own: a killed worker could leave a shared queue locked. Workers are forked and
-use the modules and code that this process has loaded and compiled; if it has other threads, they are spawned.
-A worker has one seed at a time, so that the queue is bounded and the seed of a dead worker is known. Another
-worker flies the seed again; if that one dies, too, the seed's row has the outcome "error".
+Each worker has its own pipe, because a killed worker could leave a shared queue locked. Workers are forked
+and use the modules and code that this process has loaded and compiled; if it has other threads, they are
+spawned. A worker has one seed at a time, so the queue is bounded and the seed of a dead worker is known.
+Another worker flies this seed again; if that one also dies, the seed's row has the outcome "error".
 """
 
 from __future__ import annotations
@@ -39,19 +39,19 @@ from sim.runners.landing import land_team, warm_up
 from sim.scenarios.team import TeamScenario, from_text
 from sim.vehicle.declared import outside
 
-_ALONE = threading.Lock()  # a cluster's worker may have threads; more than one would only wait for each other
+_ALONE = threading.Lock()  # serialises landings: threads of a cluster's worker would only wait for each other
 _PACKAGES = ("flightstack", "bridge", "sim", "logs")
-DEATHS_MAX = 2  # deaths of workers with the same seed until it is given up
-STARTS_MAX = 3  # workers in a row that end before they are ready
-SLOWEST = 0.05  # share of real time below which a landing is given up
-START_S = 1800.0  # s of wall time until a worker is ready, compiling on a slow computer included
-_LOOK_S = 1.0  # s of wall time between two looks at the clock
-_END_S = 5.0  # s of wall time a worker has to end
+DEATHS_MAX = 2  # maximum deaths of workers with the same seed
+STARTS_MAX = 3  # maximum consecutive workers that end before they are ready
+SLOWEST = 0.05  # landings slower than this share of real time are aborted
+START_S = 1800.0  # time-out of a worker's start, including compilation on a slow computer
+_LOOK_S = 1.0  # wall time between two checks of the time-outs
+_END_S = 5.0  # time-out of a worker's end, wall time
 
 
 @lru_cache(maxsize=4)
 def loaded(scenario_toml: str) -> TeamScenario:
-    """Scenario from its text, with all code compiled."""
+    """Return the scenario of a text, with all code compiled."""
     scenario = from_text(scenario_toml)
     warm_up(scenario)
     return scenario
@@ -59,14 +59,14 @@ def loaded(scenario_toml: str) -> TeamScenario:
 
 @lru_cache(maxsize=4)
 def prepared(scenario_toml: str) -> TeamScenario:
-    """Scenario from its text, with all code compiled; the garbage collector then skips present objects."""
+    """Return the scenario of a text, compile all code, and freeze present objects (garbage collection)."""
     scenario = loaded(scenario_toml)
     quiet_garbage_collector()
     return scenario
 
 
 def fly_seed(scenario_toml: str, seed: int) -> Row:
-    """Fly one landing; an exception becomes a row, so that the other seeds still fly."""
+    """Fly one landing; an exception becomes a row, so that the other seeds are still flown."""
     with _ALONE:
         scenario = prepared(scenario_toml)
         try:
@@ -74,11 +74,11 @@ def fly_seed(scenario_toml: str, seed: int) -> Row:
         except Exception as error:
             return error_row(seed, f"{type(error).__name__}: {error}")
         finally:
-            gc.collect()  # never within a landing
+            gc.collect()  # never during a landing
 
 
 def fly_seed_as(code: str, scenario_toml: str, seed: int) -> Row:
-    """Fly one landing on another machine; refuse if its code differs. Raises RuntimeError: it is not."""
+    """Fly one landing on another machine. Raises RuntimeError: its code version differs."""
     here = code_fingerprint()
     if here != code:
         raise RuntimeError(f"other code on this worker: {here}, not {code}; install the same version")
@@ -87,7 +87,7 @@ def fly_seed_as(code: str, scenario_toml: str, seed: int) -> Row:
 
 @lru_cache(maxsize=1)
 def code_fingerprint() -> str:
-    """Return the hash of the code that flies; rows of different versions must not be mixed."""
+    """Return the hash of the simulated code; rows of different versions must not be mixed."""
     digest = hashlib.sha256()
     for package in _PACKAGES:
         folder = Path(str(files(package)))
@@ -102,7 +102,7 @@ class WorkersError(LaunchError):
 
 
 class _Worker:
-    """One process and its pipe; ``seed`` is what it flies, None before it is ready."""
+    """One worker process and its pipe; ``seed``: the seed that it flies, None before it is ready."""
 
     def __init__(self, scenario_toml: str, others: Sequence[Connection], given: bytes) -> None:
         forks = may_fork()
@@ -124,7 +124,7 @@ class _Worker:
 
     def give(self, seed: int) -> None:
         self.seed, self.since_s = seed, time.monotonic()
-        with contextlib.suppress(OSError):  # it has just died, as its pipe will show
+        with contextlib.suppress(OSError):  # it has just died; its pipe will show this
             self.pipe.send(seed)
 
     def end(self) -> None:
@@ -138,7 +138,7 @@ class _Worker:
 
 @contextlib.contextmanager
 def _without_main() -> Iterator[None]:
-    """Start processes that do not run the program again: a script need not guard its calls."""
+    """Start processes without running the main script again, so that the script need not guard its calls."""
     main = sys.modules["__main__"]
     file, main.__spec__, spec = vars(main).pop("__file__", None), None, main.__spec__
     try:
@@ -152,11 +152,11 @@ def _without_main() -> Iterator[None]:
 def _work(
     pipe: Connection, scenario_toml: str, not_its_own: Sequence[Connection], given: bytes = b""
 ) -> None:
-    """Fly seeds until the pipe is closed; Ctrl-C is for the parent.
+    """Fly seeds until the pipe is closed; Ctrl-C is handled by the parent.
 
-    ``pipe``: seeds come and rows go; ``scenario_toml``: what is flown; ``not_its_own``: ends of the parent
-    that a fork inherits: a pipe closes only when no process holds its other end; ``given``: pickled class of
-    a filter that no module has.
+    ``pipe``: receives seeds, sends rows; ``scenario_toml``: the scenario; ``not_its_own``: the parent's ends
+    of pipes that a fork inherits, closed here because a pipe closes only when no process holds its other end;
+    ``given``: pickled class of a filter that is in no module.
     """
     if given:
         give(pickle.loads(given))
@@ -174,10 +174,11 @@ def _work(
 
 
 class Workers:
-    """A fixed number of them, kept running; ends them all on leaving.
+    """A fixed number of running workers; all end with the context.
 
-    ``scenario_toml``: the scenario as text; ``number``: how many; ``duration_max_s``: of a landing,
-    simulated; ``given``: pickled class of a filter that no module has, for workers that are not forked.
+    ``scenario_toml``: the scenario as text; ``number``: number of workers; ``duration_max_s``: longest
+    landing, simulated time; ``given``: pickled class of a filter that is in no module, for workers that are
+    not forked.
     """
 
     def __init__(self, scenario_toml: str, number: int, duration_max_s: float, *, given: bytes = b"") -> None:
@@ -196,7 +197,7 @@ class Workers:
         self._workers.clear()
 
     def fly(self, seeds: Iterable[int]) -> Iterator[Row]:
-        """Yield the rows of these seeds as they come, in any order.
+        """Yield the rows of these seeds as they arrive, in any order.
 
         Raises WorkersError: workers end before they fly anything.
         """
@@ -221,7 +222,7 @@ class Workers:
         return sum(worker.seed is not None for worker in self._workers)
 
     def _heard(self, worker: _Worker, waiting: deque[int]) -> Row | None:
-        """Receive from a worker, or handle its death: no other process holds its end of the pipe."""
+        """Receive from a worker, or handle its death; no other process holds its end of the pipe."""
         try:
             row: Row | None = worker.pipe.recv()
         except (EOFError, OSError):
@@ -236,7 +237,7 @@ class Workers:
         return not idle and time.monotonic() - worker.since_s > limit_s
 
     def _bury(self, worker: _Worker, waiting: deque[int]) -> Row | None:
-        """Remove a dead or hung worker; its seed is flown again, or given up."""
+        """Remove a dead or hung worker; another worker flies its seed, up to ``DEATHS_MAX`` times."""
         hung, seed = worker.process.is_alive(), worker.seed
         worker.end()
         self._workers.remove(worker)

@@ -2,7 +2,7 @@
 
 Keys under the namespace of each robot (``cf1`` by default):
 
- - ``target/odom``: measured odometry as a tracker sends it, ``nav_msgs/msg/Odometry`` in CDR.
+- ``target/odom``: measured odometry as a tracker sends it, ``nav_msgs/msg/Odometry`` in CDR.
 - ``sim/target/tick``: in lockstep, after all samples of a tick: (tick, number of samples so far), two int64.
 - ``sim/credit`` (read): in lockstep, the reader's tick and the tick from which to drive (-1: unknown).
 - ``sim/target/truth``: in real time, true pose and twist for a vehicle simulated in another process.

@@ -1,1 +1,1 @@
-"""One TOML file a scenario."""
+"""Scenarios of one vehicle, one TOML file each."""

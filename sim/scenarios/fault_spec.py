@@ -1,8 +1,8 @@
-"""The faults of a scenario, ``[[fault]]``: what fails, how, from when to when.
+"""The faults of a scenario, ``[[fault]]``: what fails, how, and when.
 
-One table holds all faults with their values, units and ranges. They are carried out by ``sim.faults.drive``
-(motors, battery), ``sim.faults.samples`` (motion capture, own state, target odometry), ``sim.faults.link``
-(everything on the MAVLink wire) and ``sim.robot.target_motion`` (the robot).
+One table holds all faults with their values, units and ranges. These modules implement them:
+``sim.faults.drive`` (motors, battery), ``sim.faults.samples`` (motion capture, vehicle state, target
+odometry), ``sim.faults.link`` (all MAVLink messages) and ``sim.robot.target_motion`` (the robot).
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from flightstack.core.types import ZERO, Vec3
 
 
 class What(Enum):
-    """The part that fails."""
+    """The component that fails."""
 
     MOTOR = "motor"
     BATTERY = "battery"
-    MOCAP = "mocap"  # motion capture on its way into the on-board estimator
-    OWN_STATE = "own_state"  # the estimate on its way from the firmware to its autopilot
+    MOCAP = "mocap"  # samples of motion capture, before the on-board estimator
+    OWN_STATE = "own_state"  # state estimate, between firmware and autopilot
     TARGET_ODOMETRY = "target_odometry"
     ROBOT = "robot"  # drive of the robot
-    LINK_OUT = "link_out"  # MAVLink, vehicle to companion
-    LINK_IN = "link_in"  # MAVLink, companion to vehicle
+    LINK_OUT = "link_out"  # all MAVLink messages from vehicle to companion
+    LINK_IN = "link_in"  # all MAVLink messages from companion to vehicle
     HEARTBEAT = "heartbeat"  # heartbeat of the vehicle
-    SETPOINTS = "setpoints"  # the companion's, on their way into the autopilot
+    SETPOINTS = "setpoints"  # set-points of the companion, before the autopilot
     CLOCK = "clock"  # time stamps of the vehicle's telemetry
 
 
 class Kind(Enum):
-    """How it fails."""
+    """The way in which a component fails."""
 
     WEAK = "weak"
     DEAD = "dead"
@@ -55,7 +55,7 @@ class Kind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A number of a fault: what it means, its unit, its range, and what holds when it is not given."""
+    """A number of a fault: meaning, unit, range and default."""
 
     meaning: str
     unit: str
@@ -66,13 +66,13 @@ class Number:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One possible fault."""
+    """One possible combination of component and kind."""
 
     effect: str
     value: Number | None = None
     period: Number | None = None  # meaning and range of ``period_s``
-    offset: bool = False  # takes ``offset_m`` and ``yaw_rad``
-    healable: bool = True  # has an end
+    offset: bool = False  # whether it has ``offset_m`` and ``yaw_rad``
+    healable: bool = True  # whether it can end
 
 
 _REST = Number("time from the start of one pause to the next", "s", 0.02, 60.0, 1.0)
@@ -172,14 +172,14 @@ TABLE: Mapping[What, Mapping[Kind, Cell]] = MappingProxyType(
 
 
 class After(Enum):
-    """What ``start_s`` counts from."""
+    """The event to which ``start_s`` is relative."""
 
-    TIME = "time"  # the beginning of the run
-    TAKEOFF = "takeoff"  # the vehicle's first flight; at once for a start in hover
-    LANDING = "landing"  # the phase of the onboard process in which the landing begins
+    TIME = "time"  # the start of the run
+    TAKEOFF = "takeoff"  # the first take-off; time zero for a start in hover
+    LANDING = "landing"  # the start of the landing in the onboard process
 
 
-# the vehicle does not know the phases of the onboard process, nor the robot when the vehicle takes off
+# The vehicle does not know the phases of the onboard process, and the robot does not know the take-off.
 ALLOWED_AFTER: dict[bool, tuple[After, ...]] = {
     True: (After.TIME, After.LANDING),  # faults of the robot
     False: (After.TIME, After.TAKEOFF),  # faults of the vehicle
@@ -188,9 +188,9 @@ ALLOWED_AFTER: dict[bool, tuple[After, ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """What fails, how, from when to when; the numbers that may be given depend on what and how.
+    """One fault of a scenario; its component and kind determine which numbers can be given.
 
-    Raises ConfigError: a combination that does not exist, a number that is missing, not taken or out of
+    Raises ConfigError: a combination that does not exist, or a number that is missing, not allowed or out of
     range.
     """
 
@@ -198,9 +198,9 @@ class Fault:
     kind: Kind
     start_s: Annotated[float, span(0.0, 3600.0)] = 0.0
     after: After = After.TIME
-    duration_s: Annotated[float, span(0.001, 3600.0)] | None = None  # None: to the end of the run
-    motor: Annotated[int, span(1, 4)] | None = None  # 1 to 4 as the firmware counts
-    value: float | None = None  # unit and range by what and kind
+    duration_s: Annotated[float, span(0.001, 3600.0)] | None = None  # None: until the end of the run
+    motor: Annotated[int, span(1, 4)] | None = None  # number of the motor, as in the firmware
+    value: float | None = None  # unit and range depend on component and kind
     period_s: float | None = None
     offset_m: Each[Annotated[float, span(-100.0, 100.0)]] | None = None  # ENU
     yaw_rad: Annotated[float, span(-3.15, 3.15)] | None = None
@@ -234,17 +234,17 @@ class Fault:
 
     @property
     def of_the_robot(self) -> bool:
-        """Whether the ground robot carries it out, not the vehicle."""
+        """Whether the ground robot, not the vehicle, simulates it."""
         return self.what in (What.TARGET_ODOMETRY, What.ROBOT)
 
     @property
     def cell(self) -> Cell:
-        """Its row of the table."""
+        """The table entry of this component and kind."""
         return TABLE[self.what][self.kind]
 
     @property
     def amount(self) -> float:
-        """``value``, or its default; 0 where there is none."""
+        """``value``, or its default; 0 if it has none."""
         return _or_default(self.value, self.cell.value)
 
     @property
@@ -254,18 +254,18 @@ class Fault:
 
     @property
     def offset(self) -> Vec3:
-        """``offset_m``, ENU, m; zero where none was given."""
+        """``offset_m``, ENU, m; zero if not given."""
         return self.offset_m or ZERO
 
     @property
     def name(self) -> str:
-        """What and how, in words."""
+        """Component and kind as text."""
         which = f" {self.motor}" if self.what is What.MOTOR and self.motor is not None else ""
         return f"{self.what.value}{which} {self.kind.value}".replace("_", " ")
 
     @property
     def text(self) -> str:
-        """What, how and how much, in words."""
+        """Component, kind and numbers as text."""
         parts = [self.name]
         if self.cell.value is not None:
             parts.append(f"{self.amount:g} {self.cell.value.unit}".removesuffix(" 1"))

@@ -1,7 +1,7 @@
-"""Every key of a scenario with unit, default, range and meaning, read from the declarations.
+"""Table of all keys of a scenario with unit, default, range and meaning, read from the declarations.
 
 ``python -m sim.scenarios.keys`` writes the table of docs/reference/scenario_keys.md; ``flightstack new
-scenario`` writes a file with the same texts. The meaning of a key is the comment at its field.
+scenario`` writes a file with the same texts. The comment at a field is the meaning of its key.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from flightstack.common.strict_toml import ConfigError, allowed, stem, to_table,
 from sim.scenarios.scenario import FILES, Scenario
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "scenario_keys.md"
-_ABOUT = ("name", "description")  # of the scenario itself
-_TABLES = {"Fault": "see [faults](faults.md)"}  # arrays of tables, which have pages of their own
+_ABOUT = ("name", "description")  # keys of the scenario itself
+_TABLES = {"Fault": "see [faults](faults.md)"}  # arrays of tables with their own pages
 
 
 class Key(NamedTuple):
     """A key of a scenario."""
 
-    table: str  # empty: at the top
+    table: str  # empty: a top-level key
     name: str
     unit: str
-    default: str  # as TOML; empty: none, the key is needed
+    default: str  # default in TOML; empty: the key is required
     allowed: str
     meaning: str
 
@@ -56,7 +56,7 @@ def keys(cls: type[Any] = Scenario, table: str = "") -> Iterator[Key]:
 
 
 def page() -> str:
-    """The page of all keys."""
+    """Return the documentation page of all keys."""
     lines = [_INTRODUCTION]
     table = None
     for key in sorted(keys(), key=lambda each: each.table.startswith("onboard")):
@@ -87,9 +87,9 @@ _HEAD = "| key | unit | default | allowed | meaning |\n|---|---|---|---|---|"
 
 
 def commented(name: str, base: str = "lab") -> str:
-    """A scenario over ``base`` in which every key stands as a comment, with the base's value.
+    """Return a scenario based on ``base`` with every key as a comment with the base's value.
 
-    Raises ConfigError: there is no such base, or the name is no word.
+    Raises ConfigError: the base does not exist, or the name is not a valid identifier.
     """
     if not re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII):
         raise ConfigError(f"scenario {name!r}: letters, digits and _ are allowed, a letter first")
@@ -125,7 +125,7 @@ def _at(values: dict[str, Any], path: str, default: str) -> str:
 
 
 def _single(kind: types.Type) -> types.Type:
-    """The type of an optional value, without None."""
+    """Return the type of an optional value, without None."""
     if isinstance(kind, types.UnionType):
         some = [each for each in kind.types if not isinstance(each, types.NoneType)]
         return some[0] if len(some) == 1 else kind
@@ -156,19 +156,19 @@ def _toml(value: Any) -> str:
 
 
 def _written(unit: str) -> str:
-    """A unit as in print: the key's ``m_s2`` is m/s²."""
+    """Return a unit as printed: ``m_s2`` becomes m/s²."""
     known = {"m_s": "m/s", "m_s2": "m/s²", "m_s3": "m/s³", "rad_s": "rad/s", "rad_s2": "rad/s²", "1_s": "1/s",
              "1_m": "1/m", "hz": "Hz", "v": "V", "n": "N"}  # fmt: skip
     return known.get(unit, unit)
 
 
 def _meanings(cls: type[Any]) -> dict[str, str]:
-    """The comment at each field, of those that it inherits, too."""
+    """Return the comment at each field, including inherited fields."""
     return {name: text for each in reversed(cls.__mro__[:-1]) for name, text in _comments(each).items()}
 
 
 def _comments(cls: type[Any]) -> dict[str, str]:
-    """The comment at each field: behind it, else in the lines before it."""
+    """Return the comment at each field: at the end of its line, else in the lines before it."""
     found: dict[str, str] = {}
     before: list[str] = []
     name, depth = "", 0

@@ -1,7 +1,8 @@
-"""A scenario: everything about a simulated run that is not the seed.
+"""A scenario: everything that determines a simulated run, except the seed.
 
-One TOML file a scenario in ``sim/scenarios``; loaded by name or by path, unknown keys refused. ``spread``
-values are half-widths of uniform draws from the seed. Lengths of time and space in s and m, frames ENU.
+``sim/scenarios`` has one TOML file for each scenario. A scenario is loaded by name or path; unknown keys are
+rejected. ``spread`` values are half-widths of uniform distributions, drawn from the seed. Units are s and m,
+frames ENU.
 """
 
 from __future__ import annotations
@@ -18,17 +19,17 @@ from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Vec3
 from sim.scenarios.fault_spec import Fault
 
-BELOW_PAD_MIN_M = 0.03  # m between floor and the top of a pad at its lowest: plate, and robot below it
+BELOW_PAD_MIN_M = 0.03  # smallest height of the pad's top above the floor, m: pad plate and robot below it
 Share = Annotated[float, span(0.0, 1.0)]
 Drag = Annotated[float, span(0.0, 10.0)]
 VEHICLE_FILES = Files(dict, "sim.vehicles", "vehicle.airframe")  # read by ``sim.plant.params``
 
 
 class StartKind(Enum):
-    """How the vehicle begins."""
+    """State of the vehicle at the start."""
 
-    GROUND = "ground"  # stands on the floor, disarmed
-    HOVER = "hover"  # armed and trimmed in the wind at start.offset_m
+    GROUND = "ground"  # on the floor, disarmed
+    HOVER = "hover"  # in the air at start.offset_m, armed and trimmed for the wind
 
 
 class PathKind(Enum):
@@ -39,9 +40,9 @@ class PathKind(Enum):
     CIRCLE = "circle"  # constant speed and turn rate
     STOP_AND_GO = "stop_and_go"
     REVERSING = "reversing"
-    FIGURE_OF_EIGHT = "figure_of_eight"  # a circle to the left, then one to the right
-    WAYPOINTS = "waypoints"  # waypoints_m in order, again and again
-    FUNCTION = "function"  # function, MODULE:NAME
+    FIGURE_OF_EIGHT = "figure_of_eight"  # a circle to the left, then a circle to the right
+    WAYPOINTS = "waypoints"  # waypoints_m in order, repeated
+    FUNCTION = "function"  # a function MODULE:NAME
 
 
 class VelocityLoop(Enum):
@@ -53,15 +54,14 @@ class VelocityLoop(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Where the vehicle begins. ``offset_m`` is relative to the landing spot at time zero, ENU."""
+    """Start position of the vehicle. ``offset_m`` is relative to the landing spot at time zero, ENU."""
 
     kind: StartKind = StartKind.GROUND  # `ground`: on the floor, disarmed; `hover`: in the air, armed
     ground_position_m: tuple[float, float] = (0.0, 0.0)  # start position for kind = ground
-    offset_m: Vec3 | None = (
-        None  # for kind = hover, from the landing spot; none: drawn from distance_m, h_m and any bearing
-    )
-    distance_m: tuple[float, float] = (0.3, 2.5)  # horizontal distance from the landing spot, drawn
-    h_m: tuple[float, float] = (0.03, 1.2)  # barrier value at the start, drawn
+    # position relative to the landing spot for kind = hover; none: drawn from distance_m, h_m and any bearing
+    offset_m: Vec3 | None = None
+    distance_m: tuple[float, float] = (0.3, 2.5)  # drawn horizontal distance from the landing spot
+    h_m: tuple[float, float] = (0.03, 1.2)  # drawn barrier value at the start
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +71,8 @@ class TargetSpec:
     path: PathKind = PathKind.STILL  # path of the robot
     speed_m_s: Annotated[float, span(0.0, 3.0)] = 0.0  # speed on the path
     turn_rate_rad_s: Annotated[float, span(-3.0, 3.0)] = 0.0  # turn rate on the path
-    waypoints_m: tuple[tuple[float, float], ...] = ()  # for path = waypoints: east and north
-    # for path = function: MODULE:NAME, found from the working folder; it returns speed and turn rate
+    waypoints_m: tuple[tuple[float, float], ...] = ()  # waypoints for path = waypoints: east and north
+    # for path = function: MODULE:NAME, imported from the working folder; it returns speed and turn rate
     function: str = ""
     random_speed: bool = (
         False  # draw speed in [0, speed_m_s] and turn rate in +-turn_rate_rad_s from the seed
@@ -80,16 +80,16 @@ class TargetSpec:
     position_m: tuple[float, float] = (0.0, 0.0)  # position of the axle at time zero
     heading_rad: float = 0.0  # heading at time zero, from east to north
     random_heading: bool = False  # draw the heading from the seed
-    wait_for_landing: bool = True  # the robot stands until the landing begins
-    stop_period_s: Annotated[float, span(0.5, 60.0)] = 4.0  # stop_and_go and reversing: time between changes
+    wait_for_landing: bool = True  # the robot does not move until the landing starts
+    stop_period_s: Annotated[float, span(0.5, 60.0)] = 4.0  # stop_and_go, reversing: time between changes
     acceleration_max_m_s2: Annotated[float, span(0.05, 10.0)] = 1.0  # largest acceleration of the wheels
     speed_max_m_s: Annotated[float, span(0.01, 5.0)] = 0.2108  # OpenCR turtlebot3_burger.h: 61 rpm wheels
     turn_rate_max_rad_s: Annotated[float, span(0.01, 10.0)] = 2.635  # OpenCR turtlebot3_burger.h
-    heave_amplitude_m: Annotated[float, span(0.0, 0.5)] = 0.0  # half of the height by which the pad heaves
-    heave_rate_hz: Annotated[float, span(0.0, 2.0)] = 0.0  # oscillations of the heave in a second
+    heave_amplitude_m: Annotated[float, span(0.0, 0.5)] = 0.0  # amplitude of the pad's heave
+    heave_rate_hz: Annotated[float, span(0.0, 2.0)] = 0.0  # frequency of the heave
     pad_height_m: Annotated[float, span(0.05, 2.0)] = 0.20  # LDS top at 0.192 m plus the pad
     pad_radius_m: Annotated[float, span(0.05, 2.0)] = 0.10
-    pad_behind_axle_m: Annotated[float, span(-0.2, 0.2)] = 0.0  # 0.032 would be the body's centre
+    pad_behind_axle_m: Annotated[float, span(-0.2, 0.2)] = 0.0  # the body's centre is at 0.032
 
     def __post_init__(self) -> None:
         turns = self.path in (PathKind.FIGURE_OF_EIGHT, PathKind.WAYPOINTS)
@@ -113,9 +113,9 @@ class TargetSpec:
 
 @dataclass(frozen=True, slots=True)
 class OdometryLink:
-    """How measurements reach their reader: rate, noise, delay, loss."""
+    """Transmission of measurements: rate, noise, delay, loss."""
 
-    rate_hz: Annotated[float, span(1.0, 500.0)] = 100.0  # samples in a second
+    rate_hz: Annotated[float, span(1.0, 500.0)] = 100.0  # samples per second
     position_noise_m: Annotated[float, span(0.0, 0.2)] = 0.0  # standard deviation on each axis
     velocity_noise_m_s: Annotated[float, span(0.0, 0.5)] = 0.0  # standard deviation on each axis
     yaw_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.0  # standard deviation
@@ -126,82 +126,88 @@ class OdometryLink:
 
 
 class TapeKind(Enum):
-    """What a recorded error is played back as."""
+    """Way in which a recorded error is replayed."""
 
-    DELAY = "delay"  # time by which the recorded state was late, and what is left
-    RAW = "raw"  # offset of the recorded position and velocity, in the recorded axes
+    DELAY = "delay"  # the recorded delay, and the remaining error
+    RAW = "raw"  # the recorded offset of position and velocity, in the recorded axes
 
 
 @dataclass(frozen=True, slots=True)
 class StateError:
-    """Error of a measured state as in recorded flights: a varying delay above all, and correlated errors.
+    """Error of a measured state as in recorded flights: mainly a varying delay, and correlated errors.
 
     Defaults: ``tests.benchmarks.vehicle.state_error_fit`` on 43 flights of a Crazyflie 2.1 in a Vicon room
-    (NanoBench, arXiv 2603.09908), see docs/how_it_works/own_state.md. Standard deviations, unless another
-    quantity is named.
+    (NanoBench, arXiv 2603.09908), see docs/how_it_works/own_state.md. Values are standard deviations unless
+    stated otherwise.
     """
 
-    tape: str | None = None  # folder of recorded flights; their error instead of the model below
-    tape_kind: TapeKind = TapeKind.DELAY  # `delay` or `raw`: what of the recording is played back
-    delay_s: Annotated[float, span(-0.1, 0.2)] = 0.02  # delay of the position: mean of all flights
+    tape: str | None = None  # folder of recorded flights; their error replaces the model below
+    tape_kind: TapeKind = TapeKind.DELAY  # `delay` or `raw`: which part of the recorded error is replayed
+    delay_s: Annotated[float, span(-0.1, 0.2)] = 0.02  # delay of the position, mean of all flights
     delay_spread_s: Annotated[float, span(0.0, 0.1)] = 0.015  # spread between flights
     delay_shared: bool = False  # vehicle and target have the same mean delay, or tapes of the same flight
-    delay_fast_s: Annotated[float, span(0.0, 0.1)] = 0.025  # variation in flight: median flight
-    delay_fast_time_s: Annotated[float, span(0.01, 10.0)] = 0.072  # correlation (1 + t/T) exp(-t/T)
-    delay_fast_varies: Annotated[float, span(0.0, 2.0)] = 0.0  # spread of its logarithm between flights
+    delay_fast_s: Annotated[float, span(0.0, 0.1)] = 0.025  # fast variation of the delay, median flight
+    delay_fast_time_s: Annotated[float, span(0.01, 10.0)] = 0.072  # time constant T in (1 + t/T) exp(-t/T)
+    # spread of the fast variation's logarithm between flights
+    delay_fast_varies: Annotated[float, span(0.0, 2.0)] = 0.0
     delay_slow_s: Annotated[float, span(0.0, 0.1)] = 0.011  # slow variation of the delay in flight
-    delay_slow_time_s: Annotated[float, span(0.01, 60.0)] = 0.4  # its correlation
-    delay_slow_varies: Annotated[float, span(0.0, 2.0)] = 0.7  # spread of its logarithm between flights
-    velocity_lead_s: Annotated[float, span(-0.1, 0.1)] = 0.018  # delay of position less delay of velocity
+    delay_slow_time_s: Annotated[float, span(0.01, 60.0)] = 0.4  # time constant of its correlation
+    # spread of the slow variation's logarithm between flights
+    delay_slow_varies: Annotated[float, span(0.0, 2.0)] = 0.7
+    velocity_lead_s: Annotated[float, span(-0.1, 0.1)] = 0.018  # delay of position minus delay of velocity
     velocity_lead_spread_s: Annotated[float, span(0.0, 0.1)] = 0.012  # spread between flights
-    position_error_m: Annotated[float, span(0.0, 0.2)] = 0.0009  # each axis
-    velocity_error_m_s: Annotated[float, span(0.0, 0.5)] = 0.02  # horizontal axes, at any speed
-    velocity_z_m_s: Annotated[float, span(0.0, 0.5)] = 0.019  # vertical
-    velocity_scale: Annotated[float, span(0.0, 1.0)] = 0.056  # share of the speed, constant in a flight
-    velocity_along: Annotated[float, span(0.0, 1.0)] = (
-        0.064  # share of the horizontal speed that varies, along it
-    )
-    velocity_across: Annotated[float, span(0.0, 1.0)] = 0.016  # and across it
-    tilt_rad: Annotated[float, span(0.0, 0.2)] = 0.015  # misalignment of a flight, about body x and y
-    yaw_rad: Annotated[float, span(0.0, 0.2)] = 0.0013  # about body z
-    tilt_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.0055  # variation in flight; of an estimator fed so
+    position_error_m: Annotated[float, span(0.0, 0.2)] = 0.0009  # position error on each axis
+    velocity_error_m_s: Annotated[float, span(0.0, 0.5)] = 0.02  # error on horizontal axes, at any speed
+    velocity_z_m_s: Annotated[float, span(0.0, 0.5)] = 0.019  # error on the vertical axis
+    # velocity error as share of the speed, constant in a flight
+    velocity_scale: Annotated[float, span(0.0, 1.0)] = 0.056
+    # varying velocity error along the horizontal velocity, as share of the speed
+    velocity_along: Annotated[float, span(0.0, 1.0)] = 0.064
+    # varying velocity error across the horizontal velocity, as share of the speed
+    velocity_across: Annotated[float, span(0.0, 1.0)] = 0.016
+    tilt_rad: Annotated[float, span(0.0, 0.2)] = 0.015  # misalignment about body x and y, fixed in a flight
+    yaw_rad: Annotated[float, span(0.0, 0.2)] = 0.0013  # misalignment about body z, fixed in a flight
+    # variation in flight of an estimator with such measurements
+    tilt_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.0055
     yaw_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.0006
-    error_time_s: Annotated[float, span(0.01, 10.0)] = 0.23  # correlation exp(-t/T) of all but the delay
+    # correlation time T in exp(-t/T) of all errors except the delay
+    error_time_s: Annotated[float, span(0.01, 10.0)] = 0.23
 
 
 @dataclass(frozen=True, slots=True)
 class TargetLink(OdometryLink):
-    """Odometry of the target; with ``error`` it comes from a motion capture like that of the vehicle."""
+    """Odometry of the target; with ``error`` it has the errors of recorded motion capture."""
 
     error: StateError | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleSpec:
-    """The simulated vehicle: its file, velocity loop, spreads of its plant, mocap of its estimator.
+    """The simulated vehicle: its file, velocity loop, plant spreads, motion capture of its estimator.
 
-    With ``own`` the estimate on board has the errors of recorded flights. Rate and losses of ``mocap`` hold,
-    its noise and delay do not count. With ``known_drag_1_s`` the estimate is the firmware's in flight: of the
-    accelerometer by body z alone, and by these ``kalman.dragB_*``.
+    With ``own`` the on-board estimate has the errors of recorded flights; ``mocap`` then gives only rate and
+    losses, its noise and delay are unused. With ``known_drag_1_s`` the estimator has the firmware's form in
+    flight: it uses only body z of the accelerometer, and these ``kalman.dragB_*``.
     """
 
-    airframe: str = "crazyflie20"  # name of a file in sim/vehicles, or the path of another
-    velocity_loop: VelocityLoop = VelocityLoop.PAPER  # `paper`: eq. 8; `pid`: that of the firmware
-    mass_spread: Annotated[float, span(0.0, 0.5)] = 0.0  # half-width of the drawn mass, as a share
-    # half-width of the drawn time constant of the motors, as a share
+    airframe: str = "crazyflie20"  # name of a file in sim/vehicles, or path of a file
+    velocity_loop: VelocityLoop = VelocityLoop.PAPER  # `paper`: eq. 8; `pid`: the firmware's loop
+    mass_spread: Annotated[float, span(0.0, 0.5)] = 0.0  # half-width of the random mass error, as share
+    # half-width of the random error of the motors' time constant, as share
     motor_lag_spread: Annotated[float, span(0.0, 0.9)] = 0.0
-    thrust_spread: Annotated[float, span(0.0, 0.5)] = 0.0  # half-width of the drawn thrust, as a share
-    motor_spread: Annotated[float, span(0.0, 0.3)] = 0.0  # each motor's thrust about the mean of the four
-    battery_charge: tuple[Share, Share] = (1.0, 1.0)  # share of a full cell at the start, lowest and highest
-    # least thrust over weight of the weakest motor; with less it begins with a fuller battery
+    thrust_spread: Annotated[float, span(0.0, 0.5)] = 0.0  # half-width of the random thrust error, as share
+    # half-width of each motor's random thrust error around their mean, as share
+    motor_spread: Annotated[float, span(0.0, 0.3)] = 0.0
+    battery_charge: tuple[Share, Share] = (1.0, 1.0)  # state of charge at the start, drawn between these
+    # smallest thrust-to-weight ratio of the weakest motor at the start; a lower one raises the charge
     hover_reserve: Annotated[float, span(0.0, 1.5)] = 0.0
-    slow_motors: bool = False  # 0.136 s up, 0.108 s down instead of 0.07 s
+    slow_motors: bool = False  # slow motor lag: 0.136 s up, 0.108 s down instead of 0.07 s
     ground_effect_gain: Annotated[float, span(0.0, 6.0)] = 1.0  # factor on the measured ground effect
     # motion capture of the on-board estimator
     mocap: OdometryLink = field(default_factory=lambda: OdometryLink(100.0, 0.001, 0.0, 0.005, 0.010))
     own: StateError | None = None
-    known_drag_1_s: tuple[Drag, Drag, Drag] | None = None  # body axes
-    setpoint_delay_s: Annotated[float, span(0.0, 0.1)] = 0.002  # radio, one way (Crazyradio: 2 to 7 ms)
+    known_drag_1_s: tuple[Drag, Drag, Drag] | None = None  # known drag over mass, body axes
+    setpoint_delay_s: Annotated[float, span(0.0, 0.1)] = 0.002  # one-way radio delay (Crazyradio: 2 to 7 ms)
 
     def __post_init__(self) -> None:
         VEHICLE_FILES.path_of(self.airframe)
@@ -212,36 +218,36 @@ class VehicleSpec:
 
 @dataclass(frozen=True, slots=True)
 class Wind:
-    """Mean wind (direction drawn from the seed unless given) and gusts."""
+    """Mean wind and gusts."""
 
-    mean_m_s: Annotated[float, span(0.0, 10.0)] = 0.0  # mean wind
+    mean_m_s: Annotated[float, span(0.0, 10.0)] = 0.0  # speed of the mean wind
     gust_rms_m_s: Annotated[float, span(0.0, 5.0)] = 0.0  # standard deviation of the gusts on each axis
-    direction_rad: float | None = None  # where the wind blows to, from east to north; none: drawn
+    direction_rad: float | None = None  # direction to which the wind blows, from east to north; none: drawn
 
 
 @dataclass(frozen=True, slots=True)
 class Judge:
-    """Another barrier for the verdict than the one that is flown; each result then names both."""
+    """Barrier of the verdict, if it differs from the flown one; each result then names both."""
 
-    alpha_1_m: Annotated[float, span(0.05, 20.0)]  # as onboard.barrier.alpha_1_m
-    beta_m: Annotated[float, span(0.05, 20.0)]  # as onboard.barrier.beta_m
+    alpha_1_m: Annotated[float, span(0.05, 20.0)]  # as in onboard.barrier.alpha_1_m
+    beta_m: Annotated[float, span(0.05, 20.0)]  # as in onboard.barrier.beta_m
 
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """A whole scenario."""
+    """A complete scenario."""
 
     name: str  # name of the scenario
-    description: str  # what it is for, in a sentence
+    description: str  # purpose of the scenario, one sentence
     onboard: FlightConfig
-    # a run that lasts longer has the outcome timeout
+    # time limit of a run, after which its outcome is timeout
     duration_max_s: Annotated[float, span(1.0, 3600.0)] = 120.0
     start: Start = field(default_factory=Start)
     target: TargetSpec = field(default_factory=TargetSpec)
     odometry: TargetLink = field(default_factory=TargetLink)
     vehicle: VehicleSpec = field(default_factory=VehicleSpec)
     wind: Wind = field(default_factory=Wind)
-    judge: Judge | None = None  # None: the verdict uses the barrier that is flown
+    judge: Judge | None = None  # None: the verdict uses the flown barrier
     fault: tuple[Fault, ...] = ()  # [[fault]], in any order
 
     def __post_init__(self) -> None:
@@ -274,13 +280,13 @@ class Scenario:
     def with_filter(self, name: str) -> Scenario:
         """Return the same scenario flown with another safety filter.
 
-        Raises ConfigError: no name of a filter, or the filter refuses the configuration.
+        Raises ConfigError: no such filter, or the filter rejects the configuration.
         """
         return replace(self, onboard=replace(self.onboard, filter=name))
 
 
 def one_pad(table: dict[str, Any]) -> dict[str, Any]:
-    """A scenario's table with the radius of its pad in the configuration, unless that gives one itself."""
+    """Return a scenario's table with its pad radius in the configuration, unless the latter sets one."""
     match table:
         case {"target": {"pad_radius_m": radius_m}, "onboard": dict()}:
             return over({"onboard": {"touchdown": {"pad_radius_m": radius_m}}}, table)
@@ -289,7 +295,7 @@ def one_pad(table: dict[str, Any]) -> dict[str, Any]:
 
 class _Files(Files[Scenario]):
     def table(self, path: Path) -> dict[str, Any]:
-        """Parse a file as ``Files.table`` does; there is one radius of the pad."""
+        """Parse a file as ``Files.table`` does, and copy the pad's radius to the configuration."""
         return one_pad(super().table(path))
 
 
@@ -307,7 +313,7 @@ def load(name_or_file: str | Path) -> Scenario:
 
 
 def in_place(scenario: Scenario, beside: Path) -> Scenario:
-    """The same with its filter found and the full paths of its tapes.
+    """Return the same scenario with its filter imported and the full paths of its tapes.
 
     ``scenario``: as read; ``beside``: folder of its file, where tapes may be.
     """
@@ -322,7 +328,7 @@ def in_place(scenario: Scenario, beside: Path) -> Scenario:
 
 
 def _placed(error: StateError | None, folder: Path) -> StateError | None:
-    """The same with the full path of its tape, if that is in the folder."""
+    """Return the same error with the full path of its tape, if the tape is in this folder."""
     if error is None or error.tape is None or not (folder / error.tape).is_dir():
         return error
     return replace(error, tape=str((folder / error.tape).resolve()))

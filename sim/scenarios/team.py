@@ -1,8 +1,8 @@
-"""Scenarios of teams: vehicles in one room, each with its robot, or all with one. One vehicle is a team too.
+"""Scenarios of teams: vehicles in one room, each with its robot, or all with one robot.
 
-A file names the scenario that all members share (``base``), then what the team has instead, in the tables of
-a scenario, and then what each member has instead, in tables ``[[member]]``. So every key of a scenario can be
-set for all members or for one. Files that come with the package are in ``sim/scenarios/teams``.
+A single vehicle is a team, too. A file names the scenario that all members share (``base``). The tables of a
+scenario then override it for the team, and tables ``[[member]]`` for one member. So every key of a scenario
+can be set for all members or for one. ``sim/scenarios/teams`` has the files of the package.
 """
 
 from __future__ import annotations
@@ -35,42 +35,41 @@ from sim.chance import stream
 from sim.scenarios import scenario as scenarios
 from sim.scenarios.scenario import PathKind, Scenario, StartKind, TargetSpec
 
-_PARALLEL = 1e-9  # sine of the angle of two lines
-MEMBERS_MAX = 250  # each has a MAVLink system id of its own
-_OF_THE_TEAM = ("name", "description", "exchange", "assignment", "one_target")  # others: of a scenario
+_PARALLEL = 1e-9  # sine of the angle below which two lines count as parallel
+MEMBERS_MAX = 250  # each member has its own MAVLink system id
+_OF_THE_TEAM = ("name", "description", "exchange", "assignment", "one_target")  # keys of the team only
 
 
 @dataclass(frozen=True, slots=True)
 class ExchangeLink:
-    """Link of the messages that the companions send each other every tick: at least one tick late."""
+    """Link of the messages that companions send to each other every tick; the delay is at least one tick."""
 
     delay_s: Annotated[float, span(0.0, 1.0)] = 0.0
-    loss: Annotated[float, span(0.0, 1.0)] = 0.0  # probability for each message and receiver
-    # numbers of members whose messages are lost ...
+    loss: Annotated[float, span(0.0, 1.0)] = 0.0  # probability of loss for each message and receiver
+    # numbers of members whose messages are lost from broken_from_s on
     silent: tuple[Annotated[int, span(1, MEMBERS_MAX)], ...] = ()
-    apart: tuple[
-        Annotated[int, span(1, MEMBERS_MAX)], ...
-    ] = ()  # ... or that exchange messages among themselves only ...
-    broken_from_s: Annotated[float, span(0.0, 3600.0)] = 0.0  # ... from this time of the flight on
+    # numbers of members that exchange messages only among themselves from broken_from_s on
+    apart: tuple[Annotated[int, span(1, MEMBERS_MAX)], ...] = ()
+    broken_from_s: Annotated[float, span(0.0, 3600.0)] = 0.0  # time from which these links are broken
 
 
 class Assignment(Enum):
-    """Who lands on which robot."""
+    """Assignment of vehicles to robots."""
 
-    FIXED = "fixed"  # each on that of its own table
-    START = "start"  # least sum of the horizontal distances from the start positions
+    FIXED = "fixed"  # each vehicle lands on the robot of its own table
+    START = "start"  # smallest sum of the horizontal distances from the start positions
 
 
 @dataclass(frozen=True, slots=True)
 class TeamScenario:
-    """Vehicles that fly at once; number n, counted from 1, is called cf<n> and has system id n."""
+    """Vehicles that fly together; vehicle n, counted from 1, has the name cf<n> and system id n."""
 
     name: str
     description: str
     member: tuple[Scenario, ...]
     exchange: ExchangeLink = field(default_factory=ExchangeLink)
-    assignment: Assignment = Assignment.FIXED  # ``load`` assigns, so that what it returns is fixed
-    one_target: bool = False  # all land on one robot: theirs have one seed, and so are the same bits
+    assignment: Assignment = Assignment.FIXED  # ``load`` assigns robots and returns FIXED
+    one_target: bool = False  # all land on one robot: its copies have one seed, so they move alike
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.member) <= MEMBERS_MAX:
@@ -89,9 +88,9 @@ class TeamScenario:
             self._check_target()
 
     def _check_target(self) -> None:
-        """Refuse a robot of all members that is not the same for each of them, at each time.
+        """Check that a common robot is the same for all members at each time.
 
-        Raises ConfigError: which key, and what is allowed.
+        Raises ConfigError: names the key and the allowed value.
         """
         first = self.member[0]
         for number, each in enumerate(self.member, 1):
@@ -112,27 +111,27 @@ class TeamScenario:
 
     @property
     def is_alone(self) -> bool:
-        """Whether there is one vehicle."""
+        """Whether the team has only one vehicle."""
         return len(self.member) == 1
 
     def names(self, number: int) -> Names:
-        """Names in the log of a vehicle: without its own where it is alone."""
+        """Return the names in the log of a vehicle; a single vehicle has no prefix."""
         return OWN if self.is_alone else Names(member_name(number), number)
 
     @property
     def rate_hz(self) -> int:
-        """Ticks in a second, of all members."""
+        """Ticks per second, the same for all members."""
         return self.member[0].onboard.loop.rate_hz
 
     def with_filter(self, name: str) -> TeamScenario:
         """Return the same team, all members with another safety filter.
 
-        Raises ConfigError: no name of a filter, or the filter refuses the configuration.
+        Raises ConfigError: no such filter, or the filter rejects the configuration.
         """
         return replace(self, member=tuple(each.with_filter(name) for each in self.member))
 
     def starts_enu_m(self) -> list[Vec3]:
-        """Where members begin in the air, of those whose place is given, m."""
+        """Return the start positions of members that start in the air at a given position, ENU, m."""
         found = []
         for number, each in enumerate(self.member, 1):
             start, target = each.start, each.target
@@ -142,19 +141,19 @@ class TeamScenario:
         return found
 
     def pads_apart_m(self) -> float:
-        """Least distance that two pads can come to: of places and straight lines; 0 where paths may meet."""
+        """Return the smallest possible distance of two pads: of points and lines; 0 where paths may meet."""
         lines = [_line(each.target) for each in self.member]
         return min((_apart_m(*two) for two in combinations(lines, 2)), default=math.inf)
 
     def target_seed(self, seed: int) -> int | None:
-        """Seed of the one robot of all members, that of the first one; None: each robot has its member's."""
+        """Return the seed of the common robot, the first member's; None: each robot has its own seed."""
         return seed_of(seed, 1) if self.one_target else None
 
     def singles(self, seed: int) -> Iterator[tuple[Scenario, int]]:
-        """Yield scenario and seed of each member; a member that no other comes near flies as with them alone.
+        """Yield scenario and seed of each member; a member that no other approaches flies as in these alone.
 
-        A room has one mean wind; its direction is drawn from the team's seed where a member gives none.
-        Gusts are each member's own.
+        A room has one mean wind; its direction is drawn from the team's seed if a member gives none. Gusts
+        differ for each member.
         """
         if self.is_alone:
             yield self.member[0], seed
@@ -166,9 +165,9 @@ class TeamScenario:
             yield each, seed_of(seed, number)
 
     def one(self, seed: int, number: int | None) -> tuple[Scenario, int]:
-        """Scenario and seed of one vehicle.
+        """Return scenario and seed of one vehicle.
 
-        ``seed``: of the team; ``number``: of the vehicle; None: there is only one.
+        ``seed``: seed of the team; ``number``: number of the vehicle; None: the only one.
         Raises ConfigError, with found and allowed value.
         """
         members = list(self.singles(seed))
@@ -185,12 +184,12 @@ names = _FILES.names
 
 
 def alone(scenario: Scenario) -> TeamScenario:
-    """The scenario of one vehicle as a team of one."""
+    """Return the scenario of one vehicle as a team of one."""
     return TeamScenario(scenario.name, scenario.description, (scenario,))
 
 
 def path_of(name_or_file: str | Path) -> Path:
-    """File of a scenario, of one vehicle or of several, by name or path.
+    """Return the file of a scenario, of one vehicle or of a team, by name or path.
 
     Raises ConfigError: neither a known name nor a file.
     """
@@ -203,7 +202,7 @@ def path_of(name_or_file: str | Path) -> Path:
 
 
 def load(name_or_file: str | Path) -> TeamScenario:
-    """Load a scenario by name or path; that of one vehicle is a team of one.
+    """Load a scenario by name or path; a scenario of one vehicle becomes a team of one.
 
     Raises ConfigError, with file, key, found and allowed value.
     """
@@ -220,7 +219,7 @@ def load(name_or_file: str | Path) -> TeamScenario:
 
 
 def from_text(toml: str) -> TeamScenario:
-    """Scenario from text in which nothing is left to a base.
+    """Return the scenario of a text without a base.
 
     Raises ConfigError, with key, found and allowed value.
     """
@@ -229,22 +228,22 @@ def from_text(toml: str) -> TeamScenario:
 
 
 def text(team: TeamScenario) -> str:
-    """Return a scenario as a file in which nothing is left to a base."""
+    """Return a scenario as the text of a complete file, without a base."""
     if team.is_alone:
         return dumps(team.member[0])
     table = to_table(team)
     for member in table["member"]:
-        for key in ("name", "description"):  # they follow from the team's
+        for key in ("name", "description"):  # these are the team's
             del member[key]
     return dumps(table)
 
 
 def assigned(team: TeamScenario) -> TeamScenario:
-    """The same team with its robots assigned, and nothing left to be assigned.
+    """Return the same team with its robots assigned, and assignment FIXED.
 
-    Each vehicle keeps its start; robot and odometry of another member's tables become its own.
+    Each vehicle keeps its start; the robot and odometry tables of another member become its own.
 
-    Raises ConfigError: a start or a pad has no place before chance is drawn.
+    Raises ConfigError: a start or a pad has no known position, because it is drawn from the seed.
     """
     if team.assignment is Assignment.FIXED:
         return team
@@ -261,7 +260,7 @@ def assigned(team: TeamScenario) -> TeamScenario:
 
 
 def _pad_m(target: TargetSpec, where: str) -> Vec3:
-    """Middle of a robot's pad at time zero, ENU, m; without heave."""
+    """Return the centre of a robot's pad at time zero, ENU, m; without heave."""
     (x, y), behind_m = target.position_m, target.pad_behind_axle_m
     if behind_m and target.random_heading:
         raise ConfigError(
@@ -272,12 +271,12 @@ def _pad_m(target: TargetSpec, where: str) -> Vec3:
     return (x - behind_m * c, y - behind_m * s, target.pad_height_m)
 
 
-# a place on the floor, and the direction of the line through it that a pad stays on; (0, 0): it stands
+# point on the floor and direction of the line on which a pad moves; direction (0, 0): it does not move
 _Line = tuple[tuple[float, float], tuple[float, float]]
 
 
 def _line(target: TargetSpec) -> _Line | None:
-    """Line that a robot's pad stays on; None: it may be anywhere."""
+    """Return the line on which a robot's pad moves; None: it may be anywhere."""
     stands = target.path is PathKind.STILL or target.speed_m_s == 0.0 == target.turn_rate_rad_s
     behind = bool(target.pad_behind_axle_m)
     if (target.random_heading and (behind or not stands)) or (target.turn_rate_rad_s and not stands):
@@ -287,7 +286,7 @@ def _line(target: TargetSpec) -> _Line | None:
 
 
 def _apart_m(one: _Line | None, other: _Line | None) -> float:
-    """Least distance of two lines or places."""
+    """Return the smallest distance of two lines or points."""
     if one is None or other is None:
         return 0.0
     (ax, ay), (ux, uy), (bx, by), (vx, vy) = *one, *other
@@ -299,7 +298,7 @@ def _apart_m(one: _Line | None, other: _Line | None) -> float:
 
 
 def _start_m(scenario: Scenario, pad_m: Vec3, number: int) -> Vec3:
-    """Where a vehicle begins, ENU, m."""
+    """Return the start position of a vehicle, ENU, m."""
     start = scenario.start
     if start.kind is StartKind.GROUND:
         return (*start.ground_position_m, 0.0)
@@ -330,9 +329,9 @@ def _team(path: Path, table: dict[str, Any]) -> TeamScenario:
 
 
 def _configured(path: Path, shared: dict[str, Any], own: dict[str, Any], number: int) -> dict[str, Any]:
-    """What a member shares; with ``config`` that configuration takes the place of the onboard processes' one.
+    """Return the tables that a member shares; its ``config`` replaces the shared onboard configuration.
 
-    Table [fleet], tick, and the place where landings begin stay those of the team.
+    The team's values of [fleet], the tick rate and the start of landings remain.
     """
     if "config" not in own:
         return shared
@@ -345,7 +344,7 @@ def _configured(path: Path, shared: dict[str, Any], own: dict[str, Any], number:
 
 
 def _checked(table: dict[str, Any], where: str) -> dict[str, Any]:
-    """The same table, if it is that of a scenario; or else the error says of which member."""
+    """Return the table if it is a valid scenario; else raise an error that names the member."""
     try:
         from_table(Scenario, table)
     except ConfigError as error:
