@@ -1,1 +1,1 @@
-"""Functions that numba compiles, and the records that they work on."""
+"""Functions that numba compiles, and the records that these functions use."""

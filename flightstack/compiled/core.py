@@ -1,4 +1,4 @@
-"""Which code computes a control step: plain Python, or compiled code where a configuration allows it."""
+"""Choice of the code for a control step: plain Python, or compiled code if the configuration allows it."""
 
 from __future__ import annotations
 
@@ -14,39 +14,39 @@ from flightstack.core.safety.qp_filter import SafetyFilter
 
 
 class Core(Enum):
-    """Which code computes a control step; the value is that of ``--core``."""
+    """Code that computes a control step; the value is that of the option ``--core``."""
 
-    AUTO = "auto"  # compiled in real time where the machine code is there
+    AUTO = "auto"  # compiled in real time if the machine code is on disk
     PLAIN = "plain"
     COMPILED = "compiled"
 
 
 def is_possible() -> bool:
-    """Whether numba is installed, and not switched off."""
+    """Whether numba is installed and not switched off."""
     return not is_off() and find_spec("numba") is not None
 
 
 def suits(config: FlightConfig) -> bool:
-    """Whether the landing kernel compiles everything that a configuration asks for."""
+    """Whether the compiled landing kernel supports everything that a configuration uses."""
     return (
         config.filter in ("robust", "paper")
         and config.fleet is None
-        and config.velocity_loop.dead_time_s == 0.0  # compiled code has no place for set-points under way
+        and config.velocity_loop.dead_time_s == 0.0  # compiled code stores no queue of set-points
         and config.touchdown.rule is TouchdownRule.CONTACT
     )
 
 
 def _stamp(config: FlightConfig) -> str:
-    """File in the folder of machine code: all that this configuration needs is there."""
+    """Return the name of a file that marks the machine code of this configuration as complete."""
     return f"core-{config.filter}" if suits(config) else "core"
 
 
 def chosen_core(core: Core, config: FlightConfig, *, lockstep: bool) -> Core:
-    """What is flown: ``PLAIN`` or ``COMPILED``.
+    """Return the code to use: ``PLAIN`` or ``COMPILED``.
 
-    In lockstep, loading takes longer than is won in a flight.
+    In lockstep, loading takes more time than a flight saves.
 
-    Raises ValueError: compiled code is asked for and not possible.
+    Raises ValueError: compiled code is requested but not possible.
     """
     if core is Core.COMPILED and not is_possible():
         raise ValueError(
@@ -60,7 +60,7 @@ def chosen_core(core: Core, config: FlightConfig, *, lockstep: bool) -> Core:
 
 
 def compiled(config: FlightConfig) -> Controller:
-    """Make a controller with compiled ticks, or only a compiled program where its ticks are Python's."""
+    """Return a controller with compiled ticks, or, if these are not possible, with a compiled program."""
     with telling("the controller, about 10 s"):
         made = with_compiled_program(Controller(config))
         if type(made.program) is not SafetyFilter and suits(config) and hypot_is_known():
@@ -72,7 +72,7 @@ def compiled(config: FlightConfig) -> Controller:
 
 
 def with_compiled_program(controller: Controller) -> Controller:
-    """Give a controller the compiled form of its program, if there is one; return it."""
+    """Replace the program of a controller by its compiled form, if there is one; return the controller."""
     program = controller.program
     if type(program) is SafetyFilter and not is_off():
         from flightstack.compiled.program import CompiledFilter, layout_is_known

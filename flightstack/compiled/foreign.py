@@ -1,6 +1,6 @@
-"""C functions and their numbers by address: compiled code calls them without Python in between.
+"""Access to C functions and numbers by address: compiled code calls them without Python in between.
 
-Plain Python (``NUMBA_DISABLE_JIT=1``) does the same by ctypes. An address holds as long as its owner lives.
+Plain Python (``NUMBA_DISABLE_JIT=1``) uses ctypes. An address is valid as long as its owner exists.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from flightstack.compiled.records import layout
 
 
 class Doubles(Protocol):
-    """Numbers that C reads and writes; there is no check of the index."""
+    """Numbers in C memory that can be read and written; the index is not checked."""
 
     def __getitem__(self, index: int) -> float: ...
     def __setitem__(self, index: int, value: float) -> None: ...
@@ -27,16 +27,16 @@ if TYPE_CHECKING or is_off():
     _NUMBERS = ctypes.POINTER(ctypes.c_double)
 
     def doubles(address: int) -> Doubles:
-        """Numbers that begin at an address."""
+        """Return the numbers at an address."""
         return ctypes.cast(int(address), _NUMBERS)
 
     def record_at(declaration: Any) -> Callable[[int], Any]:
-        """Function that returns the record at an address."""
+        """Return a function that returns the record at an address."""
         kind = np.ctypeslib.as_ctypes_type(cast(Any, np.dtype(layout(declaration).descr)))
         return lambda address: kind.from_address(address)
 
     def whole(address: int) -> int:
-        """C int at an address."""
+        """Return the C int at an address."""
         return ctypes.c_int.from_address(int(address)).value
 
     def call(function: int, first: int, second: int) -> None:
@@ -57,7 +57,7 @@ else:
 
     @intrinsic
     def doubles(_typing: Any, _address: Any) -> Any:
-        """Numbers that begin at an address."""
+        """Return the numbers at an address."""
 
         def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
@@ -65,7 +65,7 @@ else:
         return types.CPointer(types.float64)(types.intp), code
 
     def record_at(declaration: Any) -> Any:
-        """Function that returns the record at an address, for compiled code alone."""
+        """Return a function that returns the record at an address, for compiled code only."""
         kind = from_dtype(layout(declaration))
 
         @intrinsic
@@ -79,7 +79,7 @@ else:
 
     @intrinsic
     def whole(_typing: Any, _address: Any) -> Any:
-        """C int at an address."""
+        """Return the C int at an address."""
 
         def code(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
             return builder.load(builder.inttoptr(arguments[0], ir.IntType(32).as_pointer()))

@@ -1,4 +1,4 @@
-"""Types of compiled code for objects of the core: their fields by address, and their methods, compiled."""
+"""Types of core objects in compiled code: fields by their address, and compiled methods."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Handle(NamedTuple):
 if TYPE_CHECKING or is_off():
 
     def kind_of(one: object) -> Any:
-        """Type of an object for compiled code."""
+        """Return the type of an object for compiled code."""
         return type(one)
 
 else:
@@ -44,7 +44,7 @@ else:
     )
 
     class Held(types.Type):
-        """An object by its address."""
+        """Type of an object that compiled code accesses by its address."""
 
         def __init__(self, cls: type, others: tuple[tuple[str, Any], ...]) -> None:
             self.cls, self.others = cls, dict(others)
@@ -54,7 +54,7 @@ else:
             return _held, (self.cls, tuple(self.others.items()))
 
         def type_of(self, name: str) -> Any:
-            """Type of a field; None if no field has this name."""
+            """Return the type of a field; None if no field has this name."""
             if name in self.others:
                 return self.others[name]
             found = fields_of(self.cls).get(name)
@@ -81,7 +81,7 @@ else:
 
     @cache
     def _class_of(cls: type) -> type[Held]:
-        """Class of the types of one class's objects, with its methods."""
+        """Return the class of the types of one class's objects, with its methods."""
         made = type(cls.__name__, (Held,), {})
         register_default(made)(_Address)
         _register(made, cls)
@@ -112,7 +112,7 @@ else:
         return choose
 
     def _raising(function: Any) -> Any:
-        """Compiled form of a rare function: it returns the tick to Python."""
+        """Return the compiled form of a rare function: it returns the tick to Python."""
         hint = get_type_hints(function).get("return")
         kind = None if hint in (None, type(None)) else kind_of_hint(hint)
         zero = _zero(types.none if kind is None else _numba_type(kind))
@@ -153,7 +153,7 @@ else:
     _DOUBLE, _WHOLE = ir.DoubleType(), ir.IntType(64)
 
     def _load(context: Any, builder: Any, kind: Any, place: Any) -> tuple[Any, int]:
-        """Value of a type, and the numbers that it takes."""
+        """Return a value of a type, and the number of words that it occupies."""
         if isinstance(kind, types.BaseTuple):
             items, at = [], 0
             for each in kind:
@@ -214,7 +214,7 @@ else:
     _known: set[Any] = set()
 
     def _register_named() -> None:
-        """Let compiled code use the methods of named tuples that are marked."""
+        """Let compiled code use the marked methods of named tuples."""
         for cls in [each for each in MARKED if isinstance(each, type) and each not in _known]:
             _known.add(cls)
             for name, one in vars(cls).items():
@@ -231,7 +231,7 @@ else:
         return choose
 
     def kind_of(one: object) -> Any:
-        """Type of an object for compiled code."""
+        """Return the type of an object for compiled code."""
         _register_named()
         fields = fields_of(type(one))
         others = [(n, getattr(one, n)) for n, (kind, _) in fields.items() if kind.is_object]

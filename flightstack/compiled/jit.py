@@ -1,10 +1,10 @@
-"""Compiles functions with numba, and stores the machine code on disk.
+"""Compilation of functions with numba, and storage of the machine code on disk.
 
-With ``NUMBA_DISABLE_JIT=1`` the same functions run as plain Python, and numba is not even loaded. No
-fast-math: operations keep the order in which they are written, so that a run is the same bits every time.
+With ``NUMBA_DISABLE_JIT=1`` the same functions run as plain Python, and numba is not loaded. Fast-math is not
+used: operations keep their written order, so that each run gives the same bits.
 
-numba looks only at the file of a compiled function to see whether its cached machine code is good, not at
-what that function calls. The cache directory therefore carries a hash of all the sources.
+numba checks only the file of a compiled function to decide whether its stored machine code is valid, but not
+the functions that it calls. The cache directory therefore has a hash of all sources in its name.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from typing import Any, TypeVar, cast
 F = TypeVar("F", bound=Callable[..., object])
 
 HERE = Path(__file__).parent
-# sources whose functions are compiled, beside this one
+# sources whose functions are compiled, in addition to this folder
 SOURCES = (
     "flightstack/core/**/*.py",
     "bridge/frames.py",
@@ -34,17 +34,17 @@ SOURCES = (
         for room in ("plant", "world", "firmware", "vehicle", "robot", "validation", "runners/stretch")
     ),
 )
-OFF = "NUMBA_DISABLE_JIT"  # numba's own switch
+OFF = "NUMBA_DISABLE_JIT"  # numba's own environment variable
 _NEEDLESS = ("scipy.linalg", "coverage")
 
 
 def is_off() -> bool:
-    """Whether this process runs everything as plain Python."""
+    """Whether this process runs all functions as plain Python."""
     return os.environ.get(OFF, "0") not in ("", "0")
 
 
 def _fingerprint() -> str:
-    """Hash of every source that compiled code can come from."""
+    """Return a hash of every source that compiled code can come from."""
     digest, top = hashlib.sha256(), Path(__file__).parents[2]
     for path in [*sorted(HERE.glob("*.py")), *(each for one in SOURCES for each in sorted(top.glob(one)))]:
         digest.update(path.read_bytes())
@@ -52,7 +52,7 @@ def _fingerprint() -> str:
 
 
 def _usable(directory: Path) -> bool:
-    if str(directory).startswith("~"):  # there is no home
+    if str(directory).startswith("~"):  # there is no home directory
         return False
     try:
         directory.mkdir(parents=True, exist_ok=True)
@@ -63,11 +63,11 @@ def _usable(directory: Path) -> bool:
 
 @cache
 def cache_directory() -> Path | None:
-    """Directory for machine code; None if none can be written.
+    """Return the directory for machine code; None if no directory is writable.
 
-    It is that of NUMBA_CACHE_DIR, beside the sources, in the user's cache, or a folder of this user alone
-    among the temporary ones: the first that can be written. Machine code beside sources that cannot be
-    written, as of an installation for all users, is copied from there.
+    The first writable one is used: NUMBA_CACHE_DIR, a folder beside the sources, the user's cache, or a
+    folder of this user among the temporary files. Machine code beside sources that are not writable, such as
+    in an installation for all users, is copied from there.
     """
     name, beside, chosen = f"jit-{_fingerprint()}", HERE / "__pycache__", os.environ.get("NUMBA_CACHE_DIR")
     roots = [Path(chosen)] if chosen else []
@@ -82,7 +82,7 @@ def cache_directory() -> Path | None:
 
 
 def _own_folder() -> Path:
-    """Folder among the temporary ones; what others could write there would be run as code."""
+    """Return a temporary folder that only this user can write, because its content is run as code."""
     folder = Path(tempfile.gettempdir()) / f"flightstack-{os.getuid()}"
     with contextlib.suppress(OSError):
         folder.mkdir(mode=0o700, exist_ok=True)
@@ -93,8 +93,8 @@ def _own_folder() -> Path:
 
 
 def _take_over(shipped: Path, found: Path) -> None:
-    """Copy machine code into an empty directory, at once for other processes."""
-    with contextlib.suppress(OSError):  # then it is compiled again
+    """Copy machine code into an empty directory; other processes see all of it at once."""
+    with contextlib.suppress(OSError):  # after an error, the functions are compiled again
         if any(found.iterdir()):
             return
         with tempfile.TemporaryDirectory(dir=found.parent) as folder:
@@ -106,7 +106,7 @@ def _take_over(shipped: Path, found: Path) -> None:
 
 
 def jitted(function: F) -> F:
-    """Compile ``function`` when it is first called; the machine code is cached on disk if possible."""
+    """Compile ``function`` at its first call; the machine code is stored on disk if possible."""
     if is_off():
         return function
     numba, directory = load_numba(), cache_directory()
@@ -117,7 +117,7 @@ def jitted(function: F) -> F:
     return cast(F, numba.njit(cache=True)(function))
 
 
-_made: list[str] = []  # functions that are compiled when they are called
+_made: list[str] = []  # names of functions that are compiled at their first call
 
 
 def is_kept(what: str) -> bool:
@@ -127,19 +127,19 @@ def is_kept(what: str) -> bool:
 
 
 def keep(what: str) -> None:
-    """Note that all machine code of a part is on disk now."""
+    """Record that all machine code of a part is on disk."""
     folder = cache_directory()
     if folder is not None and not is_off():
-        with contextlib.suppress(OSError):  # a disk that is full
+        with contextlib.suppress(OSError):  # the disk is full
             (folder / what).touch()
 
 
 @contextlib.contextmanager
 def telling(what: str = "the simulator, about 25 s") -> Iterator[None]:
-    """Print the progress of compiling in the block to standard error.
+    """Print the progress of compilation in this block to standard error.
 
-    ``what``: what is compiled, and its processor time, which is longer on a slow computer; once for each
-    version. The share counts the functions known by then, some of which may not be needed.
+    ``what``: description and processor time of the compiled part; a slow computer takes longer. Each version
+    compiles once. The printed share counts the functions known so far, some of which may not be needed.
     """
     if is_off() or _told:
         yield
@@ -164,11 +164,11 @@ def telling(what: str = "the simulator, about 25 s") -> Iterator[None]:
             _told.clear()
 
 
-_told: dict[int, int] = {}  # functions whose compiling has started
+_told: dict[int, int] = {}  # functions whose compilation has started
 
 
 def _tell(begun: int, what: str) -> None:
-    """Report each tenth once."""
+    """Report each tenth of the progress once."""
     tenth = min(9, 10 * begun // max(1, len(_made)))
     if not begun or tenth > min(9, 10 * (begun - 1) // max(1, len(_made))):
         _say(f"compiling {what}, once: {10 * tenth} %")
@@ -186,16 +186,16 @@ def _first(numbers: Any) -> float:
 
 @cache
 def make_ready() -> None:
-    """Initialise numba, as the first call of any compiled code does: 0.2 s."""
+    """Initialise numba, which takes 0.2 s at the first call of any compiled code."""
     import numpy as np
 
     jitted(_first)(np.zeros(1))
 
 
 def forbid_compiling(machine: Callable[..., Any]) -> None:
-    """From now on a compiled function raises TypeError where it would compile, which takes seconds.
+    """Make a compiled function raise TypeError instead of compiling again, which takes seconds.
 
-    ``machine``: made by ``jitted``, and called once with numbers of each kind.
+    ``machine``: function made by ``jitted`` and called once with numbers of each kind.
     """
     if not is_off():
         cast("Any", machine).disable_compile()
@@ -203,16 +203,16 @@ def forbid_compiling(machine: Callable[..., Any]) -> None:
 
 @cache
 def load_numba() -> Any:
-    """Return numba, loaded without optional imports that nothing here uses.
+    """Return numba, loaded without optional imports that this package does not use.
 
-    That is a sixth of the time in which it loads: half a second, and as much again with the first machine
-    code. Without scipy.linalg compiled code multiplies no matrices.
+    The load is faster by half a second, a sixth, and the first machine code by as much. Without scipy.linalg,
+    compiled code cannot multiply matrices.
     """
     absent = [name for name in _NEEDLESS if name not in sys.modules]
-    sys.modules.update(dict.fromkeys(absent))  # type: ignore[arg-type]  # None: not to be found
+    sys.modules.update(dict.fromkeys(absent))  # type: ignore[arg-type]  # None: the import fails
     try:
         import numba
-        import numba.np.arraymath  # looks for scipy.linalg
+        import numba.np.arraymath  # tries to import scipy.linalg
 
         return numba
     finally:

@@ -1,4 +1,4 @@
-"""How objects of the core lie in memory that compiled code can use, by the annotations of their classes."""
+"""Memory layout of core objects for compiled code, from the annotations of their classes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hi
 
 from flightstack.core.numeric import ABSENT, UNSEEN
 
-WORD = 8  # bytes of each number: doubles and whole numbers of 64 bits
+WORD = 8  # bytes of each number: doubles and whole numbers have 64 bits
 _texts: list[str] = [""]
 
 
@@ -29,21 +29,21 @@ def _code(text: str) -> int:
 
 
 class Kind(NamedTuple):
-    """How a declared type lies in memory: a scalar, a tuple of others, or the address of an object."""
+    """Memory layout of a declared type: a scalar, a tuple of other kinds, or the address of an object."""
 
     hint: Any
     parts: tuple[Kind, ...] = ()
 
     @property
     def is_object(self) -> bool:
-        """Whether it is the address of an object."""
+        """Whether the value is the address of an object."""
         if self.hint is None:
             return False
         return not self.parts and self.hint not in (float, int, bool, str) and not is_enum(self.hint)
 
     @property
     def format(self) -> str:
-        """As ``struct`` writes it."""
+        """Format string for ``struct``."""
         if self.hint is None:
             return ""
         if self.parts:
@@ -51,7 +51,7 @@ class Kind(NamedTuple):
         return "d" if self.hint is float else "q"
 
     def taken(self, path: str) -> str:
-        """Python's expression for the numbers of a value."""
+        """Return a Python expression for the numbers of a value."""
         if not self.parts:
             if self.hint is None:
                 return f"*none({path})"
@@ -63,7 +63,7 @@ class Kind(NamedTuple):
         return ", ".join(part.taken(f"{path}[{n}]") for n, part in enumerate(self.parts))
 
     def made(self, at: int, scope: dict[str, Any]) -> str:
-        """Python's expression for a value of the numbers ``v`` from an index on."""
+        """Return a Python expression for the value whose numbers start at ``v[at]``."""
         if self.parts:
             if get_origin(self.hint) is tuple and set(self.format) == {"d"} and not self.parts[0].parts:
                 return f"v[{at}:{at + len(self.parts)}]"
@@ -86,12 +86,12 @@ class Kind(NamedTuple):
 
 
 def is_enum(hint: Any) -> bool:
-    """Whether a declared type is one of numbered members."""
+    """Whether a declared type is an ``IntEnum``."""
     return isinstance(hint, type) and issubclass(hint, IntEnum)
 
 
 def kind_of_hint(hint: Any) -> Kind | None:
-    """``None`` for what compiled code cannot hold."""
+    """Return the layout of a declared type; ``None`` if compiled code cannot hold it."""
     if get_origin(hint) is Annotated:
         if UNSEEN in get_args(hint):
             return None
@@ -114,19 +114,19 @@ def kind_of_hint(hint: Any) -> Kind | None:
 
 
 def is_state(cls: type) -> bool:
-    """Whether objects of a class change: dataclasses that are not frozen do."""
+    """Whether objects of a class are state, which changes: dataclasses that are not frozen."""
     return dataclasses.is_dataclass(cls) and not cls.__dataclass_params__.frozen  # type: ignore[attr-defined]
 
 
 @cache
 def fields_of(cls: Any) -> dict[str, tuple[Kind, int]]:
-    """Fields of a class that compiled code can hold, and the place of each in numbers."""
+    """Return the fields of a class that compiled code can hold, each with its position in numbers."""
     found, at = {}, 0
     for name, hint in get_type_hints(cls, include_extras=True).items():
         if get_origin(hint) is typing.ClassVar or (kind := kind_of_hint(hint)) is None:
             continue
         may_lack = get_origin(hint) in (typing.Union, python_types.UnionType)
-        if not may_lack or kind.is_object or is_state(cls):  # a constant that may be None cannot be typed
+        if not may_lack or kind.is_object or is_state(cls):  # a constant that may be None has no type
             found[name] = (kind, at)
             at += len(kind.format)
     return found
@@ -134,7 +134,7 @@ def fields_of(cls: Any) -> dict[str, tuple[Kind, int]]:
 
 @cache
 def reader_of(cls: Any) -> Callable[[Any, tuple[Any, ...]], None]:
-    """Function that sets the fields of an object to numbers; it keeps those that hold other objects."""
+    """Return a function that sets the fields of an object from numbers, except fields that hold objects."""
     scope: dict[str, Any] = {"texts": _texts}
     lines = [f"    o.{n} = {k.made(at, scope)}" for n, (k, at) in fields_of(cls).items() if not k.is_object]
     exec("def read(o, v):\n" + "\n".join([*lines, "    return"]), scope)
@@ -143,7 +143,7 @@ def reader_of(cls: Any) -> Callable[[Any, tuple[Any, ...]], None]:
 
 @cache
 def taker_of(cls: Any) -> Callable[[Any, dict[int, int]], tuple[Any, ...]]:
-    """Function that returns the numbers of an object."""
+    """Return a function that returns the numbers of an object."""
     parts = "".join(f"{kind.taken(f'o.{name}')}, " for name, (kind, _) in fields_of(cls).items())
     scope: dict[str, Any] = {"code": _code, "none": _none}
     exec(f"def take(o, at):\n    return ({parts})", scope)
@@ -151,7 +151,7 @@ def taker_of(cls: Any) -> Callable[[Any, dict[int, int]], tuple[Any, ...]]:
 
 
 def class_of(one: object) -> Any:
-    """Class of an object, for the functions here."""
+    """Return the class of an object, as an argument of the functions of this module."""
     return type(one)
 
 

@@ -1,10 +1,10 @@
-"""Objects of the core in compiled code: one source for both, generated from the annotations of their classes.
+"""Objects of the core in compiled code, generated from the annotations of their classes.
 
-Compiled code gets an object by address, and reads and writes its annotated fields there: numbers, tuples of
-them, named tuples, texts (as numbers that stand for them), and other objects. It calls the methods of the
-object's class, compiled. Fields of any other kind do not exist for compiled code; one that may be ``None`` is
-never ``None`` there. Dataclasses that are not frozen are state: ``Objects.write`` copies it from Python's
-objects and ``Objects.read`` copies it back. All else is copied once.
+Compiled code gets the address of an object, and reads and writes its annotated fields there: numbers, tuples
+of numbers, named tuples, texts (as numbers), and other objects. It calls compiled forms of the methods of the
+object's class. Fields of any other kind do not exist for compiled code; a field that may be ``None`` is never
+``None`` there. Dataclasses that are not frozen are state: ``Objects.write`` copies it from Python's objects
+and ``Objects.read`` copies it back. Everything else is copied once.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from flightstack.compiled.layout import WORD, class_of, fields_of, format_of, is
 
 
 class Objects:
-    """An object, and all that its fields lead to, in memory that compiled code can use."""
+    """An object, and all objects that its fields refer to, in memory that compiled code can use."""
 
     def __init__(self, root: object) -> None:
         found = list(_reached(root, {}))
@@ -52,11 +52,11 @@ class Objects:
 
     @property
     def handle(self) -> Handle:
-        """The object itself; it is the same for the life of this one."""
+        """The object as an argument of compiled code; it does not change."""
         return Handle(None if is_off() else kind_of(self._root), self._at[id(self._root)])
 
     def write(self) -> bool:
-        """Copy the state from Python's objects; False where one of its fields is ``None``."""
+        """Copy the state from Python's objects; return False if one of the fields is ``None``."""
         numbers: list[Any] = []
         try:
             for one, take in self._takers:
@@ -67,20 +67,20 @@ class Objects:
         return True
 
     def write_one(self, one: object) -> None:
-        """Copy a part of the state."""
+        """Copy the state of one object from Python."""
         at = (self._at[id(one)] - self.state.ctypes.data) // WORD
         numbers = taker_of(class_of(one))(one, self._at)
         struct.pack_into(f"={format_of(class_of(one))}", self.state.data, at * WORD, *numbers)
 
     def read(self) -> None:
-        """Copy the state back."""
+        """Copy the state back to Python's objects."""
         numbers = self._struct.unpack_from(self.state.data)
         for one, read, part in self._readers:
             read(one, numbers[part])
 
 
 def _reached(one: Any, known: dict[int, Any]) -> Iterator[Any]:
-    """All objects that fields lead to, each once."""
+    """Yield all objects to which fields refer, each once."""
     if id(one) in known:
         return
     known[id(one)] = one

@@ -1,4 +1,4 @@
-"""OSQP's solver, called by compiled code: the program of ``SafetyFilter``, set up alike."""
+"""Program of ``SafetyFilter`` for compiled code, which calls OSQP's solver directly."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from flightstack.core.safety.qp_filter import FilterResult, SafetyFilter, solver
 from flightstack.core.safety.solver import Columns, columns, compiled_solver
 from flightstack.core.types import FilterStatus, Vec3
 
-NUMBERS = 24  # length of ``data_and_start``
-_STATUS_AT, _ITERATIONS_AT = 32, 80  # bytes in OSQPInfo (osqp_api_types.h)
-_DOUBLE = 8  # bytes
+NUMBERS = 24  # number of values of ``data_and_start``
+_STATUS_AT, _ITERATIONS_AT = 32, 80  # byte offsets in OSQPInfo (osqp_api_types.h)
+_DOUBLE = 8  # bytes of a double
 
 _data_and_start, _clipped = twin(qp_filter.data_and_start, jitted), twin(qp_filter.clipped, jitted)
 
 
 class ProgramRecord(Record):
-    """Addresses of OSQP's functions and of its numbers, and what is handed to it."""
+    """Addresses of OSQP's functions and numbers, and the data that the solver receives."""
 
     update_vectors: int
     update_matrix: int
     warm_start: int
     solve: int
     solver: int
-    numbers_at: int  # their address
+    numbers_at: int  # address of ``numbers``
     solution: int
     status: int
     iterations: int
@@ -45,7 +45,7 @@ class ProgramRecord(Record):
 
 
 class _Csc(ctypes.Structure):
-    """OSQPCscMatrix."""
+    """C struct OSQPCscMatrix."""
 
     _fields_ = (
         ("m", ctypes.c_int), ("n", ctypes.c_int), ("p", ctypes.c_void_p), ("i", ctypes.c_void_p),
@@ -54,7 +54,7 @@ class _Csc(ctypes.Structure):
 
 
 class OwnProgram:
-    """Owns the solver that a record points to."""
+    """Owner of the solver to which a record points."""
 
     def __init__(self, record: ProgramRecord) -> None:
         osqp, self._record = compiled_solver(), record
@@ -65,7 +65,7 @@ class OwnProgram:
         numbers[:] = 1.0
         numbers[3:7], numbers[7:11], record.infinity = -1.0, osqp.OSQP_INFTY, osqp.OSQP_INFTY
         record.numbers_at = at = numbers.ctypes.data
-        self._kept = (settings, hessian, constraint)  # as long as the solver uses their memory
+        self._kept = (settings, hessian, constraint)  # the solver uses their memory
         p, a, solver = _csc(hessian), _csc(constraint), ctypes.c_void_p()
         failed = library.osqp_setup(
             ctypes.byref(solver), ctypes.byref(p), ctypes.c_void_p(at), ctypes.byref(a),
@@ -92,7 +92,7 @@ class OwnProgram:
 
 
 def _held(one: Any) -> int:
-    """Address of the C++ object that an object of pybind11 holds: it follows Python's object header."""
+    """Return the address of the C++ object in an object of pybind11: it follows Python's object header."""
     return int(ctypes.c_void_p.from_address(id(one) + object.__basicsize__).value or 0)
 
 
@@ -103,7 +103,7 @@ def _csc(m: Columns) -> _Csc:
 
 @jitted
 def _solved(p: ProgramRecord) -> Vec3:
-    """Solve the program with the stored numbers; NaN if the solver failed."""
+    """Solve the program with the stored numbers; return NaN if the solver failed."""
     at = p.numbers_at
     ask(p.update_vectors, (p.solver, at, at + 3 * _DOUBLE, at + 7 * _DOUBLE))
     ask(p.update_matrix, (p.solver, 0, 0, 0, at + 11 * _DOUBLE, 0, 6))
@@ -122,7 +122,7 @@ def _osqp(
     one: CompiledFilter, nominal: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3, start: Vec3,
     multiplier: float,
 ) -> tuple[Vec3, float, int]:  # fmt: skip
-    """``SafetyFilter._osqp`` in compiled code."""
+    """Compiled form of ``SafetyFilter._osqp``."""
     p = _record(one.address)
     given = _data_and_start(nominal, gradient, bound, lower, upper, p.infinity, start, multiplier)
     for i in range(NUMBERS):
@@ -145,9 +145,9 @@ def _answered(one: SafetyFilter, *given: Any) -> FilterResult:
 
 
 class CompiledFilter(SafetyFilter):
-    """``SafetyFilter`` in one call of compiled code, which is compiled or loaded when one is made.
+    """``SafetyFilter`` as one call of compiled code, which is compiled or loaded when an instance is made.
 
-    Compiled code takes ``solve`` from ``SafetyFilter``, and calls OSQP by its addresses.
+    Compiled code uses ``solve`` of ``SafetyFilter``, and calls OSQP by the addresses of its functions.
     """
 
     compiled: ClassVar = {"solve": SafetyFilter.solve, "_osqp": _osqp, "_time_s": _no_time_s}
@@ -167,11 +167,11 @@ class CompiledFilter(SafetyFilter):
     def solve(
         self, nominal: Vec3, h_m: float, gradient: Vec3, dh_dt_m_s: float, lower: Vec3, upper: Vec3
     ) -> FilterResult:
-        """Filter one nominal velocity; arguments as those of ``SafetyFilter.solve``."""
+        """Filter one nominal velocity; the arguments are those of ``SafetyFilter.solve``."""
         given, started_s = (nominal, h_m, gradient, dh_dt_m_s, lower, upper), time.perf_counter()
         try:
             result: FilterResult = self._answered(self._handle, *given)
-        except TypeError:  # numbers of a kind that it is not compiled for
+        except TypeError:  # numbers of a type for which nothing is compiled
             return self._plain.solve(*given)
         if result.iterations:
             result = result._replace(solve_s=time.perf_counter() - started_s)
@@ -180,7 +180,7 @@ class CompiledFilter(SafetyFilter):
 
 @cache
 def layout_is_known() -> bool:
-    """Whether this OSQP lays out its memory as assumed here: it then gives the bits of ``SafetyFilter``."""
+    """Whether the memory layout of this OSQP is as assumed: results then equal those of ``SafetyFilter``."""
     plain = SafetyFilter(1.0)
     made = CompiledFilter(plain)
     for k in range(1, 9):

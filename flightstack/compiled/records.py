@@ -1,9 +1,9 @@
-"""Flat, typed records: one block of memory that compiled and plain Python code both read and write.
+"""Flat, typed records: blocks of memory that compiled code and plain Python both read and write.
 
-A record is declared as a class with annotations, which is all that the type checker needs; ``new`` makes a
-zeroed numpy record of the same fields. Fields are ``float``, ``int``, ``bool``, other records, and arrays,
-written ``Annotated[F64, length]`` for doubles and ``Annotated[I64, length]`` for whole numbers. A nested
-record is a view: what it holds stands in the outer one.
+A record is declared as a class with annotations for the type checker; ``new`` makes a zeroed numpy record
+with the same fields. Fields are ``float``, ``int``, ``bool``, other records, and arrays, written
+``Annotated[F64, length]`` for doubles and ``Annotated[I64, length]`` for whole numbers. A nested record is a
+view into the memory of the outer one.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ I64 = npt.NDArray[np.int64]
 Vector = Annotated[F64, 3]
 Quaternion = Annotated[F64, 4]  # w, x, y, z
 Motors = Annotated[F64, 4]  # M1..M4
-Axes = Annotated[F64, 9]  # body x, y and z axis in the world
+Axes = Annotated[F64, 9]  # x, y and z axis of the body in the world
 
-SCALARS: dict[object, str] = {float: "f8", int: "i8", bool: "i8"}  # all of 8 bytes: no gaps
+SCALARS: dict[object, str] = {float: "f8", int: "i8", bool: "i8"}  # all have 8 bytes, so there are no gaps
 
 
 class Record:
-    """Base of the declarations; never made itself."""
+    """Base class of the declarations; it has no instances."""
 
 
 R = TypeVar("R", bound=Record)
@@ -51,8 +51,8 @@ def _field(hint: Any) -> object:
 def layout(declaration: type[Record]) -> np.dtype[np.void]:
     """Memory layout of a declared record.
 
-    Raises TypeError: a field of a kind that records cannot hold; AttributeError: a field that has the name of
-    a method of numpy's records.
+    Raises TypeError: records cannot hold a field of this kind; AttributeError: a field has the name of a
+    method of numpy's records.
     """
     hints = get_type_hints(declaration, include_extras=True)
     fields: list[Any] = []
@@ -65,7 +65,7 @@ def layout(declaration: type[Record]) -> np.dtype[np.void]:
 
 
 def new(declaration: type[R], values: tuple[object, ...] | None = None) -> R:
-    """Make a record, zeroed or with ``values`` in the order of its fields."""
+    """Return a new record, zeroed or with ``values`` in the order of its fields."""
     array = np.zeros(1, layout(cast("Hashable", declaration)))
     if values is not None:
         array[0] = values
@@ -73,7 +73,7 @@ def new(declaration: type[R], values: tuple[object, ...] | None = None) -> R:
 
 
 class Cell(Protocol[R_co]):
-    """A record as an array of one element, as compiled code takes it."""
+    """A record as an array of one element, the form that compiled code takes."""
 
     @overload
     def __getitem__(self, key: int) -> R_co: ...
@@ -84,17 +84,17 @@ class Cell(Protocol[R_co]):
 
 
 def cell(record: R) -> Cell[R]:
-    """View of a record for hot code: numba takes it in 0.3 us, the record itself in up to 20 us.
+    """Return a view of a record for fast calls: numba takes it in 0.3 us, the record itself in up to 20 us.
 
-    ``cell(record)["name"]`` is a view of the field with one element more in front.
+    ``cell(record)["name"]`` is a view of the field with an additional first dimension of one element.
     """
     return cast("Cell[R]", np.asarray(cast(np.record, record)).reshape(1))
 
 
 def cell_of_numbers(record: R) -> Cell[R]:
-    """``cell`` for code that takes single numbers out and no slices: as quick when it is not compiled.
+    """Return a cell for code that reads single numbers and no slices: it is as fast in plain Python.
 
-    Plain Python then gets the fields by ctypes, in the same memory: 0.1 us each, where numpy's take 3.
+    Plain Python then reads the fields of the same memory by ctypes: 0.1 us each instead of numpy's 3 us.
     """
     one = cell(record)
     if not is_off():
@@ -104,29 +104,29 @@ def cell_of_numbers(record: R) -> Cell[R]:
 
 
 def _bare(kind: np.dtype[Any]) -> np.dtype[Any]:
-    """The same layout without numpy's record type, which ctypes does not know."""
+    """Return the same layout without numpy's record type, which ctypes does not support."""
     if kind.names is None:
         return kind
     formats = [_bare(kind[name]) for name in kind.names]
     return np.dtype({"names": kind.names, "formats": formats})
 
 
-Scalar = Any  # a memoryview of one number, which is Python's own when it is taken out
+Scalar = Any  # a memoryview of one number; reading it returns a Python number
 Values = tuple[Any, ...]
 
 
 def scalars(record: Record, *names: str) -> list[Scalar]:
-    """Views of scalar fields: ``view[0]`` reads and writes one, at a third of the cost of numpy's."""
+    """Return views of scalar fields: ``view[0]`` reads and writes one, at a third of the cost of numpy's."""
     view = cell(record)
     return [view[name].data for name in names]
 
 
 def reader(source: Record | F64, skipping: str = "") -> Callable[[], Values]:
-    """Function that returns all numbers of a record, or array, in one flat tuple.
+    """Return a function that returns all numbers of a record, or array, in one flat tuple.
 
-    A slice of it is a tuple too: so a record is read at a fifth of what its fields one by one would cost.
+    A slice of this tuple is a tuple, too: this takes a fifth of the time of reading the fields one by one.
 
-    ``source``: what is read; ``skipping``: field of the record that is left out.
+    ``source``: record or array to read; ``skipping``: field of the record that is omitted.
     """
     array = np.asarray(cast(np.record, source)).reshape(-1)
     if array.dtype.names is None:
@@ -136,7 +136,7 @@ def reader(source: Record | F64, skipping: str = "") -> Callable[[], Values]:
 
 
 def writer(record: Record) -> Callable[..., None]:
-    """Function that sets all numbers of a record, given one by one: a quarter of numpy's cost."""
+    """Return a function that sets all numbers of a record, one argument each; it is four times as fast."""
     array = np.asarray(cast(np.record, record)).reshape(1)
     return partial(struct.Struct("=" + _format(array.dtype)).pack_into, array.view(np.uint8).data, 0)
 

@@ -1,6 +1,6 @@
-"""The controller whose ordinary ticks of a landing are compiled: ``LandingKernel.land``, from one source.
+"""Controller whose ordinary landing ticks are compiled from the source of ``LandingKernel.land``.
 
-Its set-points, states and rows of the log are those of plain Python to the last bit; a replay in plain Python
+Its set-points, states and log rows equal those of plain Python to the last bit; a replay in plain Python
 verifies this for each flight. All other ticks run in Python. Nothing is compiled in flight.
 """
 
@@ -43,17 +43,17 @@ RULES: dict[Phase, I64] = {
     phase: np.array([(rule.when, rule.unless) for rule in TABLE[phase]], dtype=np.int64)
     for phase in (Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN, Phase.LANDED)
 }
-_SAMPLES = 4  # maximum number of target samples in a compiled tick
+_SAMPLES = 4  # largest number of target samples in a compiled tick
 _OWN, _SAMPLE = struct.Struct("=12d"), struct.Struct("=10d")
-_NONE = -1.0  # number of samples in a call that only compiles
+_NONE = -1.0  # number of samples that marks a call that only compiles
 
 
 @jitted
 def take(kernel: LandingKernel, row: F64, arrival_s: float) -> None:
-    """Hand a sample of the target to the kernel.
+    """Pass a sample of the target to the kernel.
 
-    ``row``: stamp, position, velocity, yaw, yaw rate.
-    Raises NotOrdinary: it is not accepted, or the clock of its sender was set.
+    ``row``: stamp, position, velocity, yaw, yaw rate of the sample.
+    Raises NotOrdinary: the sample is not accepted, or the clock of its sender was set.
     """
     checks = kernel.config.checks
     sample = TargetSample(
@@ -66,10 +66,10 @@ def take(kernel: LandingKernel, row: F64, arrival_s: float) -> None:
 
 @jitted
 def _landed(kernel: LandingKernel, given: F64, rules: I64) -> tuple[Landing, float]:
-    """Take the samples, run a tick; returns its result and the thrust reserve."""
+    """Take the samples and run a tick; return its result and the thrust reserve."""
     if given[0] == _NONE:
         raise NotOrdinary
-    kernel.track.memory.settled = True  # as step has it from the take-off on
+    kernel.track.memory.settled = True  # ``step`` sets this from the take-off on
     for n in range(int(given[0])):
         row = given[12 + 10 * n : 22 + 10 * n]
         take(kernel, row, row[9])
@@ -82,15 +82,15 @@ def _landed(kernel: LandingKernel, given: F64, rules: I64) -> tuple[Landing, flo
 
 
 class CompiledController(Controller):
-    """A controller that computes ordinary ticks of a landing in one compiled call; see ``compiled``.
+    """Controller that computes an ordinary landing tick in one compiled call; see ``compiled``.
 
-    The state is copied back at the next access to ``memory`` or ``state``: after the set-point was sent.
+    The next access to ``memory`` or ``state`` copies the state back: that is after the set-point was sent.
     """
 
-    compiled: ClassVar = {"memory": None}  # for compiled code a field
+    compiled: ClassVar = {"memory": None}  # a field in compiled code
 
     def __init__(self, config: FlightConfig, program: Program) -> None:
-        # whether compiled memory has the newest state, and whether Python's objects are older
+        # whether compiled memory holds the newest state, and whether Python's objects are older than that
         self._held = self._behind = False
         super().__init__(config)
         self.program = program
@@ -105,7 +105,7 @@ class CompiledController(Controller):
 
     @property
     def memory(self) -> Memory:
-        """State of mission and commands."""
+        """State of the mission and of the commands."""
         if self._behind:
             self._objects.read()
             self._behind = False
@@ -129,7 +129,7 @@ class CompiledController(Controller):
         return out
 
     def _ordinary_tick(self, inputs: Inputs, now_s: float) -> Outputs | None:
-        """Outputs of a tick by the kernel; None, with nothing changed, if the kernel cannot compute it."""
+        """Return the outputs of a tick by the kernel; None, with nothing changed, if that is not possible."""
         own, status, samples = inputs.own, inputs.status, inputs.target_samples
         if own is None or status is None or not self._holds(status):
             return None
@@ -169,7 +169,7 @@ class CompiledController(Controller):
         return self._outputs(inputs, landing, reserve, took_s)
 
     def _holds(self, status: VehicleStatus) -> bool:
-        """Whether the compiled memory has the state, and the tick may be ordinary with this status."""
+        """Whether compiled memory holds the state, and the tick may be ordinary with this status."""
         known = status.armed, status.mode, status.landed
         if self._held and known == self._status:
             return True
@@ -182,7 +182,7 @@ class CompiledController(Controller):
         return self._held
 
     def _outputs(self, inputs: Inputs, landing: Landing, reserve: float, took_s: float) -> Outputs:
-        """Outputs as ``Controller.step`` returns them; the gate checks the velocity again."""
+        """Return the outputs as ``Controller.step`` does; the gate checks the velocity again."""
         (_, at, barriers, wanted, setpoint), memory = landing, self._memory
         result = barriers.result
         if result.iterations:

@@ -1,1 +1,1 @@
-"""The certificate: proves the guarantees of the filter for a configuration, and its feasibility."""
+"""The certificate: a proof of the filter's guarantees, and of its feasibility, for a configuration."""

@@ -1,8 +1,8 @@
-"""Proven bounds: the largest value of a function over a whole box, and the ranges of a barrier's derivatives.
+"""Proven bounds: the largest value of a function over a box, and the ranges of a barrier's derivatives.
 
-Samples can miss the worst point. Here a function has an upper bound over any cell, from the exact ranges of
-its monotone pieces (``Shape``: of slope and curvature). The cell with the largest bound is halved until no
-bound exceeds the largest computed value by more than ``TOLERANCE``. Cells may reach to infinity.
+Samples can miss the worst point. This module bounds a function over any cell from above, with the exact
+ranges of its monotone pieces (``Shape``: slope and curvature). The cell with the largest bound is halved
+until no bound exceeds the largest computed value by more than ``TOLERANCE``. Cells may reach to infinity.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from typing import NamedTuple
 
 from flightstack.core.safety.barrier import Barrier
 
-TOLERANCE = 1e-4  # in the unit of the value: m/s, m/s^2 or mm
-CELLS_MAX = 20_000  # a hundred times the usual number; the bound remains valid at this limit
-EQUAL = 1e-9  # values this close are the same
-ROUNDING = 1e-12  # relative; a dozen operations err by less than 3e-15
+TOLERANCE = 1e-4  # allowed excess of a bound, in the unit of the value: m/s, m/s^2 or mm
+CELLS_MAX = 20_000  # largest number of cells, 100 times the usual one; the bound remains valid there
+EQUAL = 1e-9  # difference below which two values count as equal
+ROUNDING = 1e-12  # relative rounding error that is assumed; a dozen operations err by less than 3e-15
 
 
 class Span(NamedTuple):
@@ -28,23 +28,23 @@ class Span(NamedTuple):
     high: float
 
     def middle(self) -> float:
-        """Point at which to cut; an unbounded interval is cut at a multiple of its lower end."""
+        """Return the point at which to cut; an unbounded interval is cut at a multiple of its lower end."""
         if math.isinf(self.high):
             return 2.0 * self.low + 1.0
         return 0.5 * (self.low + self.high)
 
     def width(self) -> float:
-        """Length, infinite for an unbounded interval."""
+        """Return the length, which is infinite for an unbounded interval."""
         return self.high - self.low
 
 
 def wider(span: Span) -> Span:
-    """Return the span, widened by the rounding errors of the numbers it was computed from."""
+    """Return the span, widened by the rounding errors of the numbers from which it was computed."""
     return Span(span.low - ROUNDING * (1.0 + abs(span.low)), span.high + ROUNDING * (1.0 + abs(span.high)))
 
 
 class Most(NamedTuple):
-    """Result of ``most``: the value is at most ``bound`` anywhere, and ``found`` at the point ``at``."""
+    """Result of ``most``: the value is nowhere above ``bound``, and equals ``found`` at the point ``at``."""
 
     bound: float
     found: float
@@ -60,8 +60,8 @@ def most(
     """Bound a function from above over a box.
 
     ``upper``: upper bound of the function in a cell; ``value``: the function at a point with finite
-    coordinates; ``domain``: the box, one span a coordinate; ``likely``: points to evaluate first; of equal
-    points the first is returned.
+    coordinates; ``domain``: the box, one span per coordinate; ``likely``: points to evaluate first. Of points
+    with equal values the first is returned.
     Raises ValueError: the function is not a number somewhere.
     """
 
@@ -103,7 +103,7 @@ def _weight(span: Span, whole: Span) -> float:
 
 
 def _corners(domain: Cell) -> list[tuple[float, ...]]:
-    """Corners with finite coordinates."""
+    """Return the corners with finite coordinates."""
     points: list[tuple[float, ...]] = [()]
     for span in domain:
         ends = (span.low, span.high) if math.isfinite(span.high) else (span.low,)
@@ -113,24 +113,24 @@ def _corners(domain: Cell) -> list[tuple[float, ...]]:
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """The boundary with any margin of a range."""
+    """Boundary of the safe set, with any margin of a range."""
 
     barrier: Barrier  # the paper's boundary
     margin_m: Span  # smallest and largest margin m
-    fade_radius_m: float  # w above
+    fade_radius_m: float  # radius w within which the margin fades
 
     def slope(self, d: Span) -> Span:
-        """Range of the boundary's slope over distances ``d``, m."""
+        """Return the range of the boundary's slope over distances ``d``, m."""
         return _sum(_range(self.barrier.slope, d, 2.0 / self.barrier.alpha_1_m), self._fade_slope(d))
 
     def curvature_1_m(self, d: Span) -> Span:
-        """Range of the slope's derivative, 1/m: the curvature for a radial motion."""
+        """Return the range of the slope's derivative, 1/m: the curvature for a radial motion."""
         return _sum(_range(self._bend_1_m, d, 3.0 / self.barrier.alpha_1_m), self._fade_curvature_1_m(d))
 
     def turn_1_m(self, d: Span) -> float:
-        """Largest slope/d, 1/m, at least 0: the curvature for a tangential motion.
+        """Return the largest slope/d, 1/m, at least 0: the curvature for a tangential motion.
 
-        Where they are positive, b'/d and f'/d fall with d, so the near end has the largest.
+        If b'/d and f'/d are positive, they fall with d, so they are largest at the near end.
         """
         near = d.low
         if near <= 0.0:
@@ -161,7 +161,7 @@ def _fade_slope(d_m: float, w_m: float) -> float:
 
 
 def _range(function: Callable[[float], float], d: Span, extreme: float) -> Span:
-    """Range of a function with one extreme on d >= 0 that goes to 0 at infinity."""
+    """Return the range of a function with one extreme on d >= 0 that goes to 0 at infinity."""
     values = [function(d.low), 0.0 if math.isinf(d.high) else function(d.high)]
     if d.low < extreme < d.high:
         values.append(function(extreme))

@@ -1,9 +1,9 @@
-"""Proves before take-off that a configuration is safe over its whole declared envelope.
+"""Proof, before take-off, that a configuration is safe over its whole declared envelope.
 
 ``checks`` proves or refutes each claim of docs/how_it_works/robust_filter.md at its worst point.
 ``problems`` are the refuted claims that are necessary for a landing: the onboard process rejects such a
-configuration. Each class of filter has its own function of checks: the proof of a class does not cover its
-subclasses. The paper's filter has only the paper's checks: it guarantees nothing for a vehicle with lag.
+configuration. Each filter class has its own function of checks: the proof of a class does not cover its
+subclasses. The paper's filter has only the paper's checks, which guarantee nothing for a vehicle with lag.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from flightstack.verify.types import Check, Need
 
 
 def problems(config: FlightConfig) -> list[str]:
-    """Reasons for which this configuration must not fly; empty if it may."""
+    """Return the reasons why this configuration must not fly; empty if it may."""
     return [check.text for check in checks(config) if check.need is Need.FLIGHT and not check.proven]
 
 
 def certificate_of(config: FlightConfig) -> str:
-    """Function of the checks that the class of the filter names itself; empty: it has no certificate."""
+    """Return the name of the checks that the filter's class itself declares; empty: no certificate."""
     return str(vars(strategy_class(config.filter)).get("certificate", ""))
 
 
 def checks(config: FlightConfig) -> list[Check]:
-    """Every check of the configuration's filter, and of its table [fleet] if it has one.
+    """Return every check of the configuration's filter, and of its table [fleet] if it has one.
 
-    Raises ConfigError: there is no such filter, or it refuses the configuration; ValueError: a parameter
-    makes a bound that is not a number.
+    Raises ConfigError: there is no such filter, or it rejects the configuration; ValueError: a parameter
+    leads to a bound that is not a number.
     """
     strategy = strategy_class(config.filter)
     strategy.check_config(config)

@@ -1,12 +1,12 @@
-"""Distances at which landing barrier, box and the rows of neighbours have a common point.
+"""Distances at which landing barrier, box and the rows of neighbours have a common feasible velocity.
 
-With h the value of a neighbour's barrier and g its gradient, its row is at worst
+h is the value of a neighbour's barrier and g its gradient. The worst row (constraint) of a neighbour is
 
     g . u >= |g| w + a t - rate h,
 
-w the neighbour's speed, a t the growth of its ellipsoid at the largest latency: this vehicle has the whole
-share, and the neighbour approaches directly. g is a unit vector whose vertical part is multiplied by
-k = radius_xy / radius_z. Of the box the horizontal disc is used, without slew limit.
+where w is the neighbour's speed and a t the growth of its ellipsoid at the largest latency; this vehicle has
+the whole share, and the neighbour approaches directly. g is a unit vector whose vertical part is multiplied
+by k = radius_xy / radius_z. The box is reduced to its horizontal disc, without slew limit.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from flightstack.verify.types import Check, Need
 
 
 class Crowd(NamedTuple):
-    """Numbers that decide whether a common point exists."""
+    """Numbers that decide whether a common feasible velocity exists."""
 
     steepest: float  # steepest slope of the boundary outside the pad
-    climb_m_s: float  # climb of the pad
+    climb_m_s: float  # vertical speed of the pad
     speed_m_s: float  # speed of a neighbour
-    flat: float  # k above
-    longest: float  # length of the longest g
-    growth_m_s: float  # a t above
+    flat: float  # factor k of the module's docstring
+    longest: float  # length of the longest gradient g
+    growth_m_s: float  # growth a t of the module's docstring
 
 
 def crowd(config: FlightConfig, fleet: Fleet, shape: Shape, climb_m_s: float) -> Crowd:
-    """Numbers of a configuration with a table [fleet].
+    """Return the numbers of a configuration with a table [fleet].
 
     ``shape``: boundary; ``climb_m_s``: fastest climb of the pad.
     """
@@ -43,10 +43,10 @@ def crowd(config: FlightConfig, fleet: Fleet, shape: Shape, climb_m_s: float) ->
 
 
 def anywhere_m(config: FlightConfig, fleet: Fleet, c: Crowd) -> float:
-    """The h above which any number of neighbours has a common point.
+    """Return the h above which the rows of any number of neighbours have a common point.
 
-    The point is the pad's horizontal velocity with any climb, which meets a landing barrier that is not
-    negative.
+    The point is the pad's horizontal velocity with any climb, which meets the landing barrier wherever h is
+    not negative.
     """
     at_most = math.hypot(config.touchdown.target_speed_max_m_s, c.flat * config.limits.velocity_max_m_s[2])
     return (c.longest * c.speed_m_s + at_most + c.growth_m_s) / fleet.rate_1_s
@@ -67,9 +67,9 @@ def begins(config: FlightConfig, fleet: Fleet, c: Crowd) -> Check:
 
 
 def up_the_slope_m_s(config: FlightConfig, c: Crowd) -> float:
-    """The remaining horizontal speed up the steepest slope.
+    """Return the horizontal speed that remains up the steepest slope.
 
-    The landing barrier at 0 requires (speed + w_pad) slope + the pad's climb, the whole climb of the box.
+    The landing barrier at h = 0 needs (speed + w_pad) slope + the pad's climb, up to the climb of the box.
     """
     vx, vy, vz = config.limits.velocity_max_m_s
     if c.steepest <= 0.0:
@@ -78,10 +78,10 @@ def up_the_slope_m_s(config: FlightConfig, c: Crowd) -> float:
 
 
 def one_short_m_s(config: FlightConfig, c: Crowd, aside_m_s: float, lowest: float) -> tuple[float, float]:
-    """The largest violation of one neighbour's row at h = 0, and the elevation of its g (rad).
+    """Return the largest violation of one neighbour's row at h = 0, and the elevation of its g (rad).
 
-    ``aside_m_s``: greatest horizontal speed of evasion; ``lowest``: least elevation of g; -pi / 2: from
-    directly above, while the vehicle has to climb.
+    ``aside_m_s``: largest horizontal speed of evasion; ``lowest``: least elevation of g; -pi / 2 is a
+    neighbour directly above a vehicle that has to climb.
     """
     vz = config.limits.velocity_max_m_s[2]
 
@@ -92,7 +92,7 @@ def one_short_m_s(config: FlightConfig, c: Crowd, aside_m_s: float, lowest: floa
         away = aside_m_s * math.cos(at[0]) + c.flat * vz * math.sin(at[0])
         return c.speed_m_s * length(at[0]) + c.growth_m_s - away
 
-    def upper(cell: Cell) -> float:  # each part is monotone on both sides of the horizontal
+    def upper(cell: Cell) -> float:  # each part is monotone on both sides of the horizontal plane
         low, high = cell[0]
         at = (low, high, 0.0) if low < 0.0 < high else (low, high)
         pushed, aside = max(map(length, at)), max(-aside_m_s * math.cos(each) for each in at)
@@ -121,7 +121,7 @@ def one(config: FlightConfig, fleet: Fleet, c: Crowd) -> Check:
 
 
 def several(config: FlightConfig, fleet: Fleet, c: Crowd) -> Check:
-    """Check the same of two neighbours from opposite sides, away from the landing barrier."""
+    """Check the rows of two neighbours from opposite sides, away from the landing barrier."""
     short_m_s = c.longest * c.speed_m_s + c.growth_m_s
     return Check(
         "several neighbours",

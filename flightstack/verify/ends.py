@@ -1,4 +1,4 @@
-"""Checks for any filter: contact can be distinguished from a descent, missing motion is detected."""
+"""Checks for any filter: contact differs from a descent, and missing motion is detected."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.parameters.reserve import GRAVITY_M_S2
 from flightstack.verify.types import Check, Need
 
-STEADY_ERROR = 0.25  # share of the full speed by which a velocity may be wrong, gusts included
-NOISE_SIGMAS = 7.0  # jump in standard deviations of one position: 5 of the difference of two
-FALL_MAX_M_S = 1.0  # twice the speed of a landing, within the strength of the landing gear
+STEADY_ERROR = 0.25  # velocity error that must be tolerated, gusts included, as a share of full speed
+NOISE_SIGMAS = 7.0  # covered jump, in standard deviations of one position: 5 of a difference of two
+FALL_MAX_M_S = 1.0  # allowed speed of a fall, m/s: twice that of a landing; landing gears withstand it
 
 
 def contact(config: FlightConfig, descent_m_s: float, key: str) -> Check:
-    """Check that the descent set by this key, m/s, is faster than what counts as standing."""
+    """Check that the descent speed of this key, m/s, is above the speed limit of a standing vehicle."""
     found = config.contact.speed_m_s
     return Check(
         "contact.speed_m_s",
@@ -27,7 +27,7 @@ def contact(config: FlightConfig, descent_m_s: float, key: str) -> Check:
 
 
 def reaches_touchdown(config: FlightConfig) -> Check:
-    """Check that the vehicle begins the touchdown above the height at which it stands."""
+    """Check that the vehicle starts the touchdown above the height at which it stands."""
     found, stands_m = config.touchdown.height_m, config.touchdown.feet_below_reference_m
     return Check(
         "touchdown.height_m",
@@ -42,7 +42,7 @@ def reaches_touchdown(config: FlightConfig) -> Check:
 def notices(config: FlightConfig) -> Check:
     """Check that the tracking lag of a vehicle that does not move reaches its limit.
 
-    Its tracking lag converges to the commanded speed times the memory.
+    The tracking lag converges to the commanded speed times the decay time.
     """
     found, most_s = config.checks.follow_lag_max_s, config.checks.follow_memory_s
     return Check(
@@ -56,10 +56,10 @@ def notices(config: FlightConfig) -> Check:
 
 
 def forgets(config: FlightConfig) -> Check:
-    """Check that a steady error of the velocity does not add up to a vehicle that does not follow.
+    """Check that a steady velocity error is not detected as a vehicle that does not follow.
 
-    The tracking lag of a velocity that is wrong by e converges to e times the memory. Such a vehicle lands
-    where it is, below the barrier if that is beside the pad.
+    The tracking lag of a velocity error e converges to e times the decay time. A vehicle that does not follow
+    lands where it is, below the barrier if that is beside the pad.
     """
     lag_s, memory_s = config.checks.follow_lag_max_s, config.checks.follow_memory_s
     return Check(

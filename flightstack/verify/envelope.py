@@ -1,4 +1,4 @@
-"""The envelope of the certificate: the worst target, vehicle and estimates that a configuration declares."""
+"""Envelope of the certificate: the worst target, vehicle and estimates that a configuration declares."""
 
 from __future__ import annotations
 
@@ -14,33 +14,33 @@ from flightstack.core.target.estimator import TargetEstimator, TargetMotion
 from flightstack.core.types import ZERO
 from flightstack.verify.bound import Shape, Span
 
-SETTLE_SAMPLES = 2000  # samples after which the estimator's covariance is constant
+SETTLE_SAMPLES = 2000  # number of samples after which the estimator's covariance is constant
 
 
 @dataclass(frozen=True, slots=True)
 class Extremes:
     """Worst values of the declared envelope, for the robust filter."""
 
-    barrier: Barrier  # the paper's
-    shape: Shape  # boundary; margins from that of ``usual`` to that at the target's age limit
+    barrier: Barrier  # the paper's barrier
+    shape: Shape  # boundary; margins from that of ``usual`` to that at the age limit of the target
     usual: Shape  # boundary with the margin while all samples arrive
-    pad_radius_m: float  # radius outside of which the barrier must hold
-    box_speed_m_s: float  # fastest closing on the target that velocity box and target allow together
-    target_speed_m_s: float  # horizontal speed of the target; also relative, of a vehicle at rest over it
-    target_climb_m_s: float  # heave of the pad
-    target_acceleration_m_s2: float  # horizontal
-    heave_acceleration_m_s2: float  # vertical; 0 for a target that does not heave
-    slip_m_s: float  # horizontal speed against the target while it is followed
-    position_error_m: float  # sigma_factor times the horizontal standard deviation of vehicle minus target
-    height_error_m: float  # the same, vertical
+    pad_radius_m: float  # radius outside which the barrier must hold
+    box_speed_m_s: float  # fastest approach to the target that velocity box and target allow together
+    target_speed_m_s: float  # horizontal speed of the target, also relative to a hovering vehicle
+    target_climb_m_s: float  # vertical speed of the pad
+    target_acceleration_m_s2: float  # horizontal acceleration of the target
+    heave_acceleration_m_s2: float  # vertical acceleration of the target; 0 without heave
+    slip_m_s: float  # horizontal speed relative to the target while the vehicle follows it
+    position_error_m: float  # horizontal error of vehicle minus target: sigma_factor standard deviations
+    height_error_m: float  # vertical error of vehicle minus target: sigma_factor standard deviations
     growth_m: float  # growth of the margin between two samples of the target
-    velocity_error_m_s: float  # error of the target's estimated velocity on an axis, likewise
-    lag_xy_s: float  # lag_xy_s, lag_z_s: slowest vehicle of the spread
+    velocity_error_m_s: float  # error of the target's estimated velocity per axis, sigma_factor deviations
+    lag_xy_s: float  # horizontal and vertical lag of the slowest vehicle
     lag_z_s: float
 
 
 def extremes(config: FlightConfig) -> Extremes:
-    """Compute the worst values of the declared envelope."""
+    """Return the worst values of the declared envelope."""
     barrier, robust, loop = config.barrier.build(), config.robust, config.velocity_loop
     strategy = RobustFilter(config, barrier)
     envelope, pad_radius_m = config.envelope, config.touchdown.pad_radius_m
@@ -63,7 +63,7 @@ def extremes(config: FlightConfig) -> Extremes:
         target_climb_m_s=envelope.target_climb_max_m_s,
         target_acceleration_m_s2=acceleration,
         heave_acceleration_m_s2=acceleration if envelope.target_climb_max_m_s > 0.0 else 0.0,
-        # the set-point's lead compensates the declared lag; the difference of the vehicle remains
+        # the lead of the set-point compensates the declared lag, but not the vehicle's deviation from it
         slip_m_s=(envelope.lag_spread * loop.lag_xy_s + loop.dead_time_s) * acceleration + velocity_error,
         position_error_m=robust.sigma_factor * math.hypot(usual.position_sigma_m, own_m),
         height_error_m=robust.sigma_factor * math.hypot(usual.position_sigma_z_m, own_m),
@@ -75,9 +75,9 @@ def extremes(config: FlightConfig) -> Extremes:
 
 
 def own_velocity_sigma_m_s(config: FlightConfig) -> float:
-    """Return the noise of the own velocity where its error is learned without the velocity loop's model.
+    """Return the noise of the vehicle's velocity if its error is estimated without the velocity loop's model.
 
-    White noise of the positions through s w^2 / (s + w)^2, w = 1 / T: variance noise^2 period w^3 / 4.
+    White noise of the positions passes s w^2 / (s + w)^2, w = 1 / T: the variance is noise^2 period w^3 / 4.
     """
     own = config.own
     if not own.learns or config.velocity_feedback.horizontal:
@@ -87,23 +87,23 @@ def own_velocity_sigma_m_s(config: FlightConfig) -> float:
 
 
 def _margin_m(strategy: RobustFilter, motion: TargetMotion) -> float:
-    """Return the margin of the filter at this uncertainty, computed by the filter itself."""
+    """Return the margin of the filter at this uncertainty; the filter itself computes it."""
     return strategy.margin_m(motion.position_sigma_m, motion.position_sigma_z_m)
 
 
 class Errors(NamedTuple):
-    """Standard deviations of the target's estimate, at three ages of its newest sample."""
+    """Standard deviations of the target's estimate at three ages of its newest sample."""
 
-    fresh: TargetMotion  # at the age of the delay: a new sample
-    usual: TargetMotion  # at delay and period: before the next sample
-    lost: TargetMotion  # at the age limit
+    fresh: TargetMotion  # estimate at the age of the delay, from a new sample
+    usual: TargetMotion  # estimate at delay plus period, just before the next sample
+    lost: TargetMotion  # estimate at the age limit
 
 
 def estimate_errors(link: TargetLink, rate_hz: float, age_max_s: float) -> Errors:
-    """Standard deviations of the target's estimate at several ages of its newest sample.
+    """Return standard deviations of the target's estimate at several ages of its newest sample.
 
-    The estimator's covariance is independent of the measured values, so running it on zeros is exact. At the
-    age limit it is the worse one of the first sample and a later one, on each axis.
+    The estimator's covariance is independent of the measured values, so running it on zeros is exact. The
+    estimate at the age limit is the worse one of the first and a later sample, on each axis.
     """
     estimator, period_s = TargetEstimator(link), 1.0 / rate_hz
     first: TargetMotion | None = None

@@ -1,11 +1,11 @@
-"""Checks that the loop with fed-back velocity and disturbance is stable for every declared vehicle.
+"""Check that the loop with velocity and disturbance feedback is stable for every declared vehicle.
 
-``linear`` is the loop x' = A x, with the vehicle's own loop as in velocity_tracking.py, the position
-loop over the pad around it, and the delay as a first-order Padé element. A depends on the vehicle linearly
-through W = w^2 and D = 2 z w. So over a small piece of the spread, with (W, D) in a rectangle, a quadratic
-Lyapunov function that decays at the rectangle's four corners decays in all of it (a convex hull of matrices).
-Pieces for which this fails are halved. With an estimated vehicle state (``own.velocity_error_m_s``) the
-estimator's states replace those of the observer.
+``linear`` is the loop x' = A x: the vehicle's own loop as in velocity_tracking.py, the position loop over the
+pad around it, and the delay as a first-order Padé element. A depends linearly on the vehicle through W = w^2
+and D = 2 z w. Over a small piece of the spread, with (W, D) in a rectangle, a quadratic Lyapunov function
+that decays at the four corners therefore decays in the whole rectangle (a convex hull of matrices). Pieces
+for which this fails are halved. With an estimated vehicle state (``own.velocity_error_m_s``) the states of
+the estimator replace those of the observer.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from flightstack.core.target.own_estimator import PUSH_TIME_S, steady_gains
 from flightstack.verify.types import Check, Need
 
 F64 = npt.NDArray[np.float64]
-TICKS_LATE = 1.5  # a set-point is held for a tick, and follows its inputs by a tick
-SHARE = 0.5  # required decay of a piece, as share of that at its middle
-PIECE_MIN = 1e-6  # least size of a piece, in the spread's factor; failing there, the loop is unstable
+TICKS_LATE = 1.5  # delay of a set-point in ticks: a mean of half a tick, and one tick after its inputs
+SHARE = 0.5  # required decay rate of a piece, as a share of the rate at its middle
+PIECE_MIN = 1e-6  # least size of a piece, in the spread's factor; if it fails, the loop is unstable
 PIECES_MAX = 10_000
-MIN_DECAY_1_S = 0.1  # required proven decay: half of an error in seven seconds
+MIN_DECAY_1_S = 0.1  # required proven decay rate: half of an error in seven seconds
 
 
 def linear(config: FlightConfig, faster: float, damped: float | None = None) -> F64:
     """Return the loop's matrix for a vehicle whose velocity loop is ``faster`` than the declared one.
 
-    Its D is ``damped`` times the declared one's, by default as its w.
+    Its D is ``damped`` times the declared one; the default is the factor of w.
 
-    States: position against the target, velocity, acceleration; what the delay holds; velocity, acceleration
-    and disturbance of the observer; smoothed derivative of the velocity wanted.
+    States: position relative to the target, velocity, acceleration; state of the delay; velocity,
+    acceleration and disturbance of the observer; smoothed derivative of the velocity command.
     """
     damped = faster if damped is None else damped
     if config.own.learns:
@@ -67,21 +67,21 @@ def linear(config: FlightConfig, faster: float, damped: float | None = None) -> 
 
 
 def _estimated(config: FlightConfig, faster: float, damped: float) -> F64:
-    """Return the same with the estimator of the vehicle state, whose gains act once a tick.
+    """Return the matrix of ``linear`` with the estimator of the vehicle state, whose gains act once a tick.
 
-    States: position against the target, velocity, acceleration; what the delay holds of position and of
-    velocity; the estimator's five, of the time of the measurement; smoothed derivative of the velocity
-    wanted.
+    States: position relative to the target, velocity, acceleration; states of the delay for position and
+    velocity; the five states of the estimator, at the time of the measurement; smoothed derivative of the
+    velocity command.
     """
     loop, feedback, period_s = config.velocity_loop, config.velocity_feedback, 1.0 / config.loop.rate_hz
     gain, told_s = config.robust.gain_over_pad_1_s, config.own.delay_s
     w, drag = loop.rate_xy_1_s, 2.0 * loop.damping * loop.rate_xy_1_s
     late_s = told_s + TICKS_LATE * period_s
     p, v, a, held_p, held_v, q, m, dm, e, f, s = np.eye(11)
-    position, velocity = held_p - p - q, held_v - v - m - e  # errors of the measurements
+    position, velocity = held_p - p - q, held_v - v - m - e  # innovations of the measurements
     now_p, now_m = q + told_s * m, m + told_s * (dm + f)
     aim = s + feedback.error_rate_1_s * (-gain * now_p - now_m) - f
-    u = now_m + e + (drag * dm + feedback.tilt_rate_1_s * (aim - dm)) / (w * w)  # the set-point
+    u = now_m + e + (drag * dm + feedback.tilt_rate_1_s * (aim - dm)) / (w * w)  # set-point
     gains = steady_gains(loop, config.own, period_s)
     added = [(k * position + j * velocity) / period_s for k, j in zip(*gains, strict=True)]
     fades_1_s, push_fades_1_s = 1.0 / config.own.velocity_error_time_s, 1.0 / PUSH_TIME_S
@@ -103,7 +103,7 @@ def _estimated(config: FlightConfig, faster: float, damped: float) -> F64:
 
 
 def decay_1_s(config: FlightConfig, slower: float, faster: float) -> tuple[float, float]:
-    """The proven decay rate of all loops between these factors (1/s; not positive: none), and its factor."""
+    """Return the proven decay rate of all loops between two factors, 1/s, and its factor."""
     least, where = math.inf, 1.0
     pieces = [(slower, faster)]
     for _ in range(PIECES_MAX):
@@ -127,7 +127,7 @@ def decay_1_s(config: FlightConfig, slower: float, faster: float) -> tuple[float
 
 def _decays(config: FlightConfig, centre: F64, rate_1_s: float, low: float, high: float) -> bool:
     """Return whether one quadratic function decays at this rate in the whole rectangle of (W, D)."""
-    # Lyapunov function: sum of squares of the modes at the middle
+    # Lyapunov function: the sum of squares of the modes at the middle
     modes = np.linalg.inv(np.linalg.eig(centre).eigenvectors)
     shape: F64 = (modes.conj().T @ modes).real
     if not float(np.linalg.eigvalsh(shape)[0]) > 0.0:
@@ -145,7 +145,7 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
         "lower velocity_feedback.error_rate_1_s, far_error_rate_1_s or observer_rate_1_s, or "
         "robust.gain_over_pad_1_s and gain_descent_1_s, or raise loop.rate_hz"
     )
-    # one setting, unless gains differ after the commit or far away
+    # one setting, unless the gains in the final descent or far away differ
     flown = {config, config.descending, config.far}
     told = min(decay_1_s(one, 1.0, 1.0)[0] for one in flown)
     least, where = min(decay_1_s(one, 1.0 / (1.0 + spread), 1.0 / (1.0 - spread)) for one in flown)

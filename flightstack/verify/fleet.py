@@ -1,7 +1,7 @@
 """Checks of a configuration with a table [fleet]: separation of two vehicles, and its limits.
 
-docs/how_it_works/fleet.md derives every line; ``crowd`` has those about common points of several rows,
-``team`` those of all members together.
+docs/how_it_works/fleet.md derives each check. ``crowd`` checks common points of several rows, ``team`` the
+members as a whole.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ LATE_TICKS = 1.0  # missed ticks in a row, in addition to the tick of a command
 
 
 def fleet_checks(config: FlightConfig) -> list[Check]:
-    """Every check of the table [fleet]; none without one."""
+    """Return every check of the table [fleet]; none without this table."""
     fleet = config.fleet
     if fleet is None:
         return []
     robust = issubclass(strategy_class(config.filter), RobustFilter)
     spread, loop = config.envelope.lag_spread, config.velocity_loop
-    # the set-point's lead compensates the declared lag; the difference of the vehicle remains
+    # the lead of the set-point compensates the declared lag, but not the vehicle's deviation from it
     lag_s = (spread if robust else 1.0 + spread) * max(loop.lag_xy_s, loop.lag_z_s)
     if robust:
         x = extremes(config)
@@ -59,9 +59,9 @@ def fleet_checks(config: FlightConfig) -> list[Check]:
 def apart(fleet: Fleet, lag_s: float) -> Check:
     """Check that two vehicles whose rows are met stop before their distance is zero.
 
-    With the distance y = h, velocities that follow the commands by a first-order lag T, and both rows met,
-    T y'' + y' + rate y >= 0: h is convex, so its curvature adds to y''. For rate T <= 1/4 the roots are real,
-    and y stays positive from wherever y' >= -L y, L the larger root.
+    With the distance y = h, velocities that follow the commands by a first-order lag T, and both rows met, T
+    y'' + y' + rate y >= 0: h is convex, so its curvature adds to y''. For rate T <= 1/4 the roots are real,
+    and y remains positive if y' >= -L y, where L is the larger root.
     """
     left = 1.0 - fleet.rate_1_s * lag_s / PART_OF_LAG
     root_1_s = (1.0 + math.sqrt(max(0.0, left))) / (2.0 * lag_s) if lag_s > 0.0 else math.inf
@@ -79,17 +79,17 @@ def apart(fleet: Fleet, lag_s: float) -> Check:
 
 
 def errors_m(config: FlightConfig, fleet: Fleet) -> float:
-    """Return how much of h the errors of two vehicles' velocities towards each other can cost.
+    """Return how far velocity errors of two vehicles towards each other can reduce h, m.
 
-    h' >= -rate h - e takes h no lower than -e / rate. ``robust.tracking_error_m_s`` is declared of the
-    vertical velocity; here it counts in each direction.
+    h' >= -rate h - e keeps h above -e / rate. ``robust.tracking_error_m_s`` is declared for the vertical
+    velocity; this check applies it in each direction.
     """
     longest = max(1.0, fleet.radius_xy_m / fleet.radius_z_m)
     return 2.0 * longest * config.robust.tracking_error_m_s / fleet.rate_1_s
 
 
 def margin(config: FlightConfig, fleet: Fleet) -> Check:
-    """Check that the ellipsoid is larger by what errors of velocities cost."""
+    """Check that the margin of the ellipsoid covers the errors of the velocities."""
     lost_m = errors_m(config, fleet)
     return Check(
         "fleet.margin_m",
@@ -104,9 +104,9 @@ def margin(config: FlightConfig, fleet: Fleet) -> Check:
 
 
 def shares(fleet: Fleet, period_s: float) -> Check:
-    """Check that a vehicle keeps its share until no other one relies on it.
+    """Check that a vehicle keeps its share until no other vehicle relies on it.
 
-    A receiver relies on a message in ticks until ZERO_LATENCIES after it, for the period of that tick and of
+    A receiver relies on a message in ticks until ZERO_LATENCIES after it, plus the period of that tick and of
     late ones; the sender keeps the whole share in all ticks until HOLD_LATENCIES.
     """
     spare_s = (HOLD_LATENCIES - ZERO_LATENCIES) * fleet.latency_max_s
@@ -124,7 +124,7 @@ def shares(fleet: Fleet, period_s: float) -> Check:
 
 
 def _fastest_m_s(config: FlightConfig, fleet: Fleet) -> float:
-    """Largest rate at which this vehicle can reduce the distance, along any gradient."""
+    """Return the largest rate at which this vehicle can reduce the distance, along any gradient."""
     vx, vy, vz = config.limits.velocity_max_m_s
     return math.sqrt(vx * vx + vy * vy + (fleet.radius_xy_m / fleet.radius_z_m * vz) ** 2)
 
@@ -143,7 +143,7 @@ def speed(config: FlightConfig, fleet: Fleet) -> Check:
 
 
 def acceleration(fleet: Fleet, slew_m_s2: Vec3) -> Check:
-    """Check that the ellipsoid grows by the largest change of a velocity since its message."""
+    """Check that the ellipsoid grows by the largest change of a velocity since its message was sent."""
     found = math.hypot(*slew_m_s2)
     lost_m_s = max(0.0, found - fleet.acceleration_max_m_s2) * fleet.latency_max_s
     return Check(
@@ -159,7 +159,7 @@ def acceleration(fleet: Fleet, slew_m_s2: Vec3) -> Check:
 
 
 def jump(config: FlightConfig, fleet: Fleet) -> Check:
-    """Check that a row does not bind at the time its vehicle enters the reach."""
+    """Check that a row is inactive when its vehicle comes within reach."""
     allowed_m_s = fleet.rate_1_s * (fleet.reach_m - fleet.radius_xy_m)
     closing_m_s = _fastest_m_s(config, fleet) + fleet.speed_max_m_s
     return Check(
@@ -175,9 +175,9 @@ def jump(config: FlightConfig, fleet: Fleet) -> Check:
 
 
 def slew(config: FlightConfig, fleet: Fleet, slew_m_s2: Vec3, *, whole: bool) -> Check:
-    """Check that the slew limit follows a row that binds.
+    """Check that the slew limit allows a velocity to follow an active row.
 
-    Where it binds, g . (u - c) = -rate h: g . u has to grow by rate times the closing speed plus the
+    For an active row g . (u - c) = -rate h: g . u has to grow by rate times the closing speed plus the
     acceleration of the other vehicle; the curvature of h reduces this. With half of the share it is half of
     this. The remaining room is homogeneous in g and concave, so it is least along an axis.
     """
@@ -199,9 +199,9 @@ def slew(config: FlightConfig, fleet: Fleet, slew_m_s2: Vec3, *, whole: bool) ->
 
 
 def touchdowns(config: FlightConfig, fleet: Fleet, descent_s: float) -> Check:
-    # horizon of the conflict search: until the touchdown, from messages of this age
+    # horizon of the conflict search, until the touchdown, from messages of this age
     ahead_s = fleet.age_max_s + descent_s
-    unseen_s = max(0.0, ahead_s - KEPT_PART * fleet.descent_s)  # time of further approach at the current rate
+    unseen_s = max(0.0, ahead_s - KEPT_PART * fleet.descent_s)  # time of further approach
     accelerated = 0.5 * config.envelope.target_acceleration_max_m_s2 * ahead_s * ahead_s
     moved_m = min(
         accelerated + config.touchdown.target_speed_max_m_s * unseen_s,
@@ -221,7 +221,7 @@ def touchdowns(config: FlightConfig, fleet: Fleet, descent_s: float) -> Check:
 
 
 def first_attempt_s(config: FlightConfig, fleet: Fleet, descent_s: float) -> float:
-    """Return the duration of a landing after the wait, without going around."""
+    """Return the duration of a landing after the wait, without a go-around, s."""
     robust = issubclass(strategy_class(config.filter), RobustFilter)
     if robust:
         near_m, gain_1_s, down_m_s = (

@@ -1,14 +1,14 @@
-"""Bounds the distance from the middle of a vehicle with fed-back velocity that follows its target.
+"""Bound of the distance from the pad's centre for a vehicle with velocity feedback that follows its target.
 
-The loop x' = A x + B i of ``feedback.linear``, seen from the target, has two inputs, of any sign at any
-time: the target's acceleration, and the error q of the commanded velocity, which contains the error of the
-estimated velocity and the gain times that of the position. The absolute value of an output is at most the
-inputs' bounds times the integrals over the absolute impulse responses. The command is assumed to stay within
-the feedback's limits.
+The loop x' = A x + B i of ``feedback.linear``, relative to the target, has two inputs of any sign at any
+time: the target's acceleration, and the error q of the commanded velocity (error of the estimated velocity
+plus the gain times that of the position). The absolute value of an output is at most the bounds of the inputs
+times the integrals of the absolute impulse responses. The command is assumed to stay within the limits of the
+feedback.
 
 The vehicles between two factors are compared with the one in the middle. The difference is a third input of
-the middle's loop, (W - W0) (u - v) - (D - D0) a. Its bound follows from the bounds of u - v and a, which
-contain it (small gain theorem). A piece of the spread with a large or no bound is halved.
+the middle's loop, (W - W0) (u - v) - (D - D0) a. The bounds of u - v and a bound it, and contain it (small
+gain theorem). A piece of the spread with a large or no bound is halved.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ from flightstack.verify.envelope import Extremes
 from flightstack.verify.feedback import linear
 
 F64 = npt.NDArray[np.float64]
-STEP_S = 3e-3  # step of the impulse responses; their values between two steps are bounded
-DOUBLINGS = (11, 14)  # responses of 6 s, or up to 49 s; the rest is bounded
-SLACK = 0.03  # greatest share of a piece's result by vehicles beside its middle
-PIECE_MIN = 1e-4  # least size of a piece in the spread's factor
+STEP_S = 3e-3  # step of the impulse responses, s; their values between two steps are bounded
+DOUBLINGS = (11, 14)  # numbers of doublings: responses of 6 s, or up to 49 s; the rest is bounded
+SLACK = 0.03  # largest share of a piece's result that the vehicles beside its middle cause
+PIECE_MIN = 1e-4  # least size of a piece, in units of the spread's factor
 _POSITION, _VELOCITY, _PULL, _HELD, _MODEL, _MODEL_PULL, _, _SLOPE = range(8)  # states of ``linear``
-_TARGET, _ERROR, _OTHER = range(3)  # inputs
+_TARGET, _ERROR, _OTHER = range(3)  # inputs of the loop
 
 
 def follow_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
-    """The largest distance from the middle while the target is followed, and its vehicle.
+    """Return the largest distance from the centre while the target is followed, and its vehicle.
 
-    Returns the distance in m, infinite if none is proven, and the factor of that vehicle's velocity loop to
-    the declared one. With an estimated vehicle state no bound is known: infinite.
+    The distance is in m, infinite if no bound is proven; the vehicle is the factor of its velocity loop to
+    the declared one. No bound is known for an estimated vehicle state: the distance is infinite.
     """
     if config.own.learns:
         return math.inf, 1.0
     spread = config.envelope.lag_spread
     low, high = 1.0 / (1.0 + spread), 1.0 / (1.0 - spread)
     pieces = [(*_reach_m(config, x, low, high), low, high)]
-    while True:  # the piece with the largest bound first
+    while True:  # the piece with the largest bound is first
         least, own_m, low, high = heapq.heappop(pieces)
         if -least <= (1.0 + SLACK) * own_m or high - low < PIECE_MIN:
             return -least, 0.5 * (low + high)
@@ -59,7 +59,7 @@ def _reach_m(config: FlightConfig, x: Extremes, low: float, high: float) -> tupl
 
 
 def _piece_m(config: FlightConfig, x: Extremes, low: float, high: float) -> tuple[float, float]:
-    """Bounds of the vehicle in the middle of a piece, and the additional distance of the others in it."""
+    """Return the bound of the vehicle in the middle of a piece, and the additional distance of the others."""
     middle, loop = 0.5 * (low + high), config.velocity_loop
     inputs, outputs, through = _ports(config, middle)
     gains = _gains(linear(config, middle), inputs, outputs)
@@ -82,15 +82,15 @@ def _piece_m(config: FlightConfig, x: Extremes, low: float, high: float) -> tupl
 
 
 def _ports(config: FlightConfig, factor: float) -> tuple[F64, F64, F64]:
-    """Return columns of the inputs, rows of the outputs, and the direct feed-through of inputs to outputs.
+    """Return input columns, output rows, and the direct feed-through from inputs to outputs.
 
-    The smoothed derivative s' = (r' - s) / T holds q', which has no bound: the state is s - q / T.
+    The smoothed derivative s' = (r' - s) / T contains q', which has no bound: the state is s - q / T.
     """
     loop, feedback = config.velocity_loop, config.velocity_feedback
     w, drag = loop.rate_xy_1_s, 2.0 * loop.damping * loop.rate_xy_1_s
     smoothing_s = max(loop.slope_time_s, 1.0 / config.loop.rate_hz)
     inputs, outputs, through = np.zeros((8, 3)), np.zeros((3, 8)), np.zeros((3, 3))
-    # relative to the target all velocities change sign, twice in the delay's state
+    # relative to the target, all velocities change sign, twice in the state of the delay
     inputs[[_VELOCITY, _HELD, _MODEL, _SLOPE], _TARGET] = -1.0, -2.0, -1.0, 1.0 / smoothing_s
     push = feedback.tilt_rate_1_s * (feedback.error_rate_1_s + 1.0 / smoothing_s)
     inputs[[_PULL, _MODEL_PULL, _SLOPE], _ERROR] = factor * factor * push, push, -1.0 / smoothing_s**2
@@ -104,10 +104,10 @@ def _ports(config: FlightConfig, factor: float) -> tuple[F64, F64, F64]:
 
 
 def _gains(loop: F64, inputs: F64, outputs: F64) -> F64 | None:
-    """Return integrals over the absolute impulse responses, outputs x inputs; None for an unstable loop.
+    """Return the integrals of absolute impulse responses, outputs x inputs; None for an unstable loop.
 
     Between two steps a response differs from the straight line by at most h^3 / 12 of its second derivative,
-    in the integral. After the last step it starts again from the remaining state.
+    in the integral. After the last step, the remaining state starts the response again.
     """
     step, grown = matrix_exp(loop * STEP_S), matrix_exp(np.abs(loop) * STEP_S)
     bend = np.abs(outputs @ loop @ loop) @ grown
@@ -118,7 +118,7 @@ def _gains(loop: F64, inputs: F64, outputs: F64) -> F64 | None:
             powers = np.concatenate([powers, powers @ factor])
             factor = factor @ factor
         if not np.isfinite(factor).all():
-            return None  # unstable beyond the range of floats
+            return None  # unstable, beyond the range of floats
         left = np.abs(factor)
         if doubling < DOUBLINGS[0] or not float(np.abs(np.linalg.eigvals(left)).max()) < 0.5:
             continue
@@ -137,7 +137,7 @@ def _gains(loop: F64, inputs: F64, outputs: F64) -> F64 | None:
 
 
 def matrix_exp(matrix: F64) -> F64:
-    """Return the exponential of a small matrix by its series; the remainder is below double precision."""
+    """Return the exponential of a small matrix by a series whose remainder is below double precision."""
     total = term = np.eye(len(matrix))
     for order in range(1, 30):
         term = term @ matrix / order

@@ -1,10 +1,10 @@
-"""Checks that errors in the loop of position, lead and vehicle decay, for each vehicle of the spread.
+"""Check that errors in the loop of position, lead and vehicle decay, for each vehicle of the spread.
 
-One axis, tick by tick: the vehicle's second-order loop with its dead time, the age of the vehicle state, and
-the filter's functions (``velocity_tracking.py``), which are linear within their bounds. So a tick is a
-matrix: each column is the state one tick after a unit vector; its largest eigenvalue is the decay of errors.
-Delays are rounded to whole ticks. Only vehicles on a grid are checked: the decay rate is continuous in
-their parameters, and the required rate leaves room for those in between.
+One axis is simulated tick by tick: the vehicle's second-order loop with its dead time, the age of the vehicle
+state, and the filter's functions (``velocity_tracking.py``), which are linear within their bounds. A tick is
+therefore a matrix: each column is the state one tick after a unit vector; its largest eigenvalue gives the
+decay of errors. Delays are rounded to whole ticks. Only vehicles on a grid are checked: the decay rate is
+continuous in their parameters, and the required rate leaves room for vehicles in between.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from flightstack.verify.feedback import F64
 from flightstack.verify.follow import matrix_exp
 from flightstack.verify.types import Check, Need
 
-LATE_TICKS = 1  # a set-point follows its inputs by a tick
-MIN_DECAY_1_S = 0.1  # half of an error in seven seconds; with a slower position loop half its gain
-SLOWER = (-1.0, -0.5, 0.0, 0.5, 1.0)  # shares of the spread
-RESPONSES = (1.0, 1.15, 1.3)  # steady velocity as share of the set-point: identified ones reach 1.3
-# at which a loop with a dead time still must not swing up: its phase turns without end, so that the gain
-# alone keeps it from that, and an identified gain is the mean of large and small commands
+LATE_TICKS = 1  # number of ticks between the inputs and their set-point
+MIN_DECAY_1_S = 0.1  # required decay rate, half of an error in 7 s; half the gain of a slow position loop
+SLOWER = (-1.0, -0.5, 0.0, 0.5, 1.0)  # lags of the checked vehicles, as shares of the spread
+RESPONSES = (1.0, 1.15, 1.3)  # steady velocity over set-point; identified vehicles reach 1.3
+# Steady velocity over set-point at which a loop with a dead time must still be stable: its phase has no
+# bound, so only the gain limits oscillation, and an identified gain is a mean of large and small commands.
 RESPONSE_LATE = 1.35 * RESPONSES[-1]
-# states of the matrix: position against the target, velocity, acceleration; velocity and derivative of the
-# model, disturbance, slope, velocity wanted; velocity of the target, and error of the velocity wanted; then
-# set-points and own states on their way
+# Number of states before the queues: position relative to the target, velocity, acceleration; velocity and
+# derivative of the model, disturbance, slope, velocity command; velocity of the target, and error of the
+# velocity command. The queues contain set-points and vehicle states that are still delayed.
 STATES = 10
 _TARGET, _ERROR = 8, 9
 
@@ -44,8 +44,8 @@ _TARGET, _ERROR = 8, 9
 def tick_matrix(config: FlightConfig, gain_1_s: float, slower: float, response: float) -> F64:
     """Return the matrix of one tick.
 
-    ``gain_1_s``: of the position loop; ``slower``: lag and dead time over the declared ones; ``response``:
-    steady velocity as share of the set-point.
+    ``gain_1_s``: gain of the position loop; ``slower``: lag and dead time over the declared ones;
+    ``response``: steady velocity over set-point.
     """
     loop, period_s = config.velocity_loop, 1.0 / config.loop.rate_hz
     free = replace(loop, error_max_m_s=1e9, disturbance_max_m_s=1e9)
@@ -63,7 +63,7 @@ def tick_matrix(config: FlightConfig, gain_1_s: float, slower: float, response: 
         ]
     )
     step = matrix_exp(rates * period_s)[:3].tolist()
-    sent = max(late, acts) + 1  # stored set-points, newest last
+    sent = max(late, acts) + 1  # stored set-points, the newest last
     size = STATES + sent + 2 * aged
 
     def tick(x: Sequence[float]) -> list[float]:
@@ -85,17 +85,17 @@ def tick_matrix(config: FlightConfig, gain_1_s: float, slower: float, response: 
 
 
 def decay_1_s(config: FlightConfig, gain_1_s: float, slower: float, response: float) -> float:
-    """Decay rate of an error; negative for an unstable loop."""
+    """Return the decay rate of an error; negative for an unstable loop."""
     whole = tick_matrix(config, gain_1_s, slower, response)
     own = np.delete(np.delete(whole, _TARGET, 0), _TARGET, 1)  # the target's velocity is constant
     return -math.log(float(np.abs(np.linalg.eigvals(own)).max())) * config.loop.rate_hz
 
 
 def drift_m(config: FlightConfig, x: Extremes, time_s: float, slower: float, response: float) -> float:
-    """Return the largest distance from the middle within a time after the commit.
+    """Return the largest distance from the pad's centre within a time after the final descent starts.
 
-    The free motion from the largest distance and speed of a commit, and the sums over the absolute impulse
-    responses to the target's acceleration and to the error of the velocity wanted, times their bounds.
+    It is the free motion from the largest distance and speed at that time, plus the sums of absolute impulse
+    responses to the target's acceleration and the velocity command's error, times their bounds.
     """
     robust, period_s = config.robust, 1.0 / config.loop.rate_hz
     gain = robust.gain_over_pad_1_s
@@ -160,7 +160,7 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
 
 
 def drift_of_spread_m(config: FlightConfig, x: Extremes, time_s: float) -> tuple[float, float]:
-    """The largest ``drift_m`` of all vehicles, and the ratio of its lag to the declared one."""
+    """Return the largest ``drift_m`` of all vehicles, and the lag of that vehicle over the declared one."""
     spread = config.envelope.lag_spread
     slower = [1.0 + share * spread for share in SLOWER]
     return max((drift_m(config, x, time_s, lag, each), lag) for lag in slower for each in RESPONSES)

@@ -1,8 +1,8 @@
-"""Checks of eq. 11 that any filter needs: some velocity in the box is always enough.
+"""Checks of eq. 11 that any filter needs: some velocity in the box always meets the barrier.
 
 At the slope s, with the horizontal unit vector n away from the target, the best velocity in the box gives
-``v_z + |s| (|n_x| v_x + |n_y| v_y)``; the worst target takes ``|s| w + w_z``. What is left must not be
-negative, for every distance and direction. Near the apex the filter's gradient is shortened, from s towards
+``v_z + |s| (|n_x| v_x + |n_y| v_y)``; the worst target takes ``|s| w + w_z``. The difference must not be
+negative at any distance and in any direction. Near the apex the filter's gradient is shorter, between s and
 0; the rest is linear in |s|, and s = 0 occurs at the peak, too, so the bound covers it.
 """
 
@@ -15,21 +15,21 @@ from flightstack.core.types import Vec3
 from flightstack.verify.bound import Cell, Most, Shape, Span, most
 from flightstack.verify.types import Check, Need
 
-TICK_S = 0.05  # s; greatest tick with less lag
-QUICKER = 1.25  # gain of the position loop over omega
-FASTER = 1.4  # vehicle over target
-QUARTER = Span(0.0, math.pi / 2.0)  # directions: box and target are symmetric
-ANYWHERE = Span(0.0, math.inf)  # distances
+TICK_S = 0.05  # longest tick for a vehicle whose lag is shorter, s
+QUICKER = 1.25  # required ratio of the position loop's gain to omega
+FASTER = 1.4  # required ratio of the vehicle's speed to the target's
+QUARTER = Span(0.0, math.pi / 2.0)  # checked directions: box and target are symmetric
+ANYWHERE = Span(0.0, math.inf)  # checked distances
 
 
 def shortfall(
     shape: Shape, box_m_s: Vec3, target_speed_m_s: float, target_climb_m_s: float, d: Span = ANYWHERE
 ) -> Most:
-    """Return the largest rate at which h falls with the best velocity of the box, m/s; (distance, angle)."""
+    """Return the fastest fall of h with the best velocity of the box, m/s, and its (distance, angle)."""
     vx, vy, vz = box_m_s
 
     def lost(slope: Span, angle: Span) -> float:
-        # sine rises and cosine falls over the quarter
+        # over the quarter, the sine rises and the cosine falls
         lateral = math.cos(angle.high) * vx + math.sin(angle.low) * vy
         steep = max(abs(slope.low), abs(slope.high))
         flat = 0.0 if slope.low <= 0.0 <= slope.high else min(abs(slope.low), abs(slope.high))
@@ -103,7 +103,7 @@ def gains(config: FlightConfig, gain_1_s: Vec3, key: str) -> Check:
 
 
 def slews(config: FlightConfig, slew_m_s2: Vec3, key: str) -> Check:
-    """Check that the slew limit has an effect: it is below the change that the box allows in a tick."""
+    """Check that the slew limit is lower than the change that the box allows in a tick."""
     most_m_s2 = [2.0 * limit * config.loop.rate_hz for limit in config.limits.velocity_max_m_s]
     axis = min(range(3), key=lambda i: most_m_s2[i] - slew_m_s2[i])
     return Check(
@@ -117,10 +117,10 @@ def slews(config: FlightConfig, slew_m_s2: Vec3, key: str) -> Check:
 
 
 def lags(config: FlightConfig) -> Check:
-    """Check that a lagging vehicle comes to rest within the pad, outside of which the barrier must hold.
+    """Check that a vehicle with lag comes to rest within the pad, outside which the barrier must hold.
 
-    The paper assumes a vehicle without lag. One with lag continues for its lag: at full speed towards the
-    cone, v tau farther than in the filter.
+    The paper assumes a vehicle without lag. A vehicle with the lag tau continues at full speed v towards the
+    cone, v tau farther than the filter assumes.
     """
     loop, pad_m = config.velocity_loop, config.touchdown.pad_radius_m
     lag_s = (1.0 + config.envelope.lag_spread) * loop.lag_xy_s
@@ -139,11 +139,11 @@ def lags(config: FlightConfig) -> Check:
 def answers(config: FlightConfig) -> list[Check]:
     """Check that position loop, filter, slew limit and tick fit a vehicle with lag, which the paper omits.
 
-    The position loop around a lag has a damping of 1 / sqrt(2) for a product of 1/2. A filter that lets h
-    fall more than twice as fast as the vehicle approaches the middle, or faster than its vertical velocity
-    settles, brings it down in the narrow part of the cone, where it remains while the robot moves on. So does
-    a vehicle that hardly overtakes a robot that turns back. With these factors 60 landings in ``reversing``
-    stayed above the barrier.
+    The position loop around a lag has a damping of 1 / sqrt(2) if gain times lag is 1/2. If h may fall more
+    than twice as fast as the vehicle approaches the centre, or faster than its vertical velocity settles, the
+    vehicle descends into the narrow part of the cone and remains there while the robot moves on. So does a
+    vehicle that is hardly faster than a robot that turns back. With these factors 60 landings in
+    ``reversing`` stayed above the barrier.
     """
     loop, slower, tick_s = config.velocity_loop, 1.0 + config.envelope.lag_spread, 1.0 / config.loop.rate_hz
     (kx, ky, kz), (ax, ay, _) = config.position_loop.gain_1_s, config.limits.slew_max_m_s2

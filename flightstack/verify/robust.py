@@ -1,10 +1,10 @@
-"""Checks of the robust filter outside the pad: a vehicle with lag and errors holds the barrier.
+"""Checks of the robust filter outside the pad: a vehicle with lag and errors keeps the barrier.
 
-docs/how_it_works/robust_filter.md derives every line.
-Speeds that lower h, by the side of the boundary's peak:
+docs/how_it_works/robust_filter.md derives each check. These speeds lower h, depending on the side of the
+boundary's peak:
 
-- outside, where the boundary rises inwards: closing on the target as fast as box and target allow;
-- inside, where it rises outwards: leaving the middle, no faster than the target can drive away.
+- outside, where the boundary rises inwards: the fastest approach that box and target allow;
+- inside, where the boundary rises outwards: the vehicle leaves the centre at most at the target's speed.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from flightstack.verify.envelope import Extremes
 from flightstack.verify.paper import shortfall
 from flightstack.verify.types import Check, Need
 
-HELD_M = 0.005  # m below the boundary outside the pad that no verdict counts as a violation
+HELD_M = 0.005  # largest depth below the boundary outside the pad that no verdict counts as a violation, m
 
 
 def rate(config: FlightConfig, x: Extremes) -> Check:
@@ -50,15 +50,15 @@ def recovers(config: FlightConfig, x: Extremes) -> Check:
 
 
 def demand(x: Extremes, slope: Span) -> float:
-    """Return the largest vertical velocity needed to keep h at a slope, for any horizontal velocity, m/s."""
+    """Return the largest vertical velocity that keeps h at a slope, for any horizontal velocity, m/s."""
     return max(0.0, -slope.low) * x.box_speed_m_s + max(0.0, slope.high) * x.target_speed_m_s
 
 
 def demand_change(config: FlightConfig, x: Extremes, shape: Shape, d: Span, sign: float = 1.0) -> float:
-    """How fast that velocity rises (sign 1) or falls (sign -1) by motion over the boundary, m/s^2."""
+    """Return how fast ``demand`` rises (sign 1) or falls (sign -1) by motion over the boundary, m/s^2."""
     slope, bend = shape.slope(d), shape.curvature_1_m(d)
     ax, ay, _ = config.slew_max_m_s2
-    # an inward speed may be high, which reduces the demand
+    # a high inward speed is possible, and reduces the demand
     inside = x.slip_m_s if sign > 0.0 else x.box_speed_m_s
     speed = x.box_speed_m_s if slope.low < 0.0 else inside
     pushed = math.hypot(ax, ay) + x.target_acceleration_m_s2
@@ -72,7 +72,7 @@ def demand_change(config: FlightConfig, x: Extremes, shape: Shape, d: Span, sign
 
 
 def outside(x: Extremes, function: Callable[[Span], float]) -> Most:
-    """Return the largest value of a function of the distance outside the pad."""
+    """Return the largest value of a function of the distance, outside the pad."""
 
     def upper(cell: Cell) -> float:
         return function(cell[0])
@@ -96,7 +96,7 @@ def climb(config: FlightConfig, x: Extremes) -> Check:
 
 
 def demand_growth(config: FlightConfig, x: Extremes) -> Most:
-    """Return how fast the needed vertical velocity rises at most while the target is followed, m/s^2."""
+    """Return the largest rate at which the needed vertical velocity rises during following, m/s^2."""
     rate_1_s = config.robust.rate_1_s
 
     def growth(d: Span) -> float:
@@ -144,10 +144,10 @@ def reserve(config: FlightConfig, table: Reserve, x: Extremes) -> Check:
 
 
 def between_ticks_m(config: FlightConfig, x: Extremes) -> float:
-    """The largest loss of h because the condition holds at ticks only.
+    """Return the largest loss of h that results because the condition holds only at ticks, m.
 
-    A demand that grows with g costs g T^2 / 2 a tick, and the rate r restores it: g T / (2 r) for permanent
-    growth. The demand is bounded, so it grows and falls in turn, at worst as a saw-tooth with these slopes;
+    A demand that grows with g costs g T^2 / 2 per tick, and the rate r restores it: g T / (2 r) for permanent
+    growth. The demand is bounded, so its worst course is a saw-tooth of growth and fall with these slopes;
     then the loss is g T / (2 r) (1 - exp(-r t_up)) / (1 - exp(-r (t_up + t_down))).
     """
     rate_1_s, period_s = config.robust.rate_1_s, 1.0 / config.loop.rate_hz
@@ -162,10 +162,10 @@ def between_ticks_m(config: FlightConfig, x: Extremes) -> float:
 
 
 def depth_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
-    """Return the lowest h outside the pad, and its distance.
+    """Return how far h may fall below 0 outside the pad, m, and the distance at which it does.
 
-    Missing margin there (it fades towards the pad, and is sized for the slope at the pad's edge), plus the
-    losses between two ticks and between two samples of the target.
+    The depth is the missing margin there (the margin fades towards the pad, and is sized for the slope at the
+    pad's edge), plus the losses between two ticks and between two samples of the target.
     """
     robust, held_m = config.robust, x.usual.margin_m.low
     kept_m = robust.tracking_error_m_s / robust.rate_1_s
@@ -177,7 +177,7 @@ def depth_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
         error_m = math.hypot(steep * x.position_error_m, x.height_error_m)
         return 1000.0 * (kept_m + error_m - held_m * (1.0 - fade))
 
-    lack = outside(x, lacking)  # mm
+    lack = outside(x, lacking)  # result in mm
     return 1e-3 * max(0.0, lack.bound) + between_ticks_m(config, x) + x.growth_m, lack.at[0]
 
 
@@ -197,7 +197,7 @@ def holds(config: FlightConfig, x: Extremes) -> Check:
 
 def estimator(config: FlightConfig, x: Extremes) -> Check:
     link, factor = config.target, config.robust.sigma_factor
-    # white jerk of density j gives a standard deviation j sqrt(t) of the acceleration; t is a second
+    # white jerk of density j gives the acceleration a standard deviation of j sqrt(t); t is 1 s
     rooms = (
         factor * link.jerk_growth_max * link.jerk_xy_m_s3_sqrthz - x.target_acceleration_m_s2,
         factor * link.jerk_z_m_s3_sqrthz - x.heave_acceleration_m_s2,
@@ -215,10 +215,10 @@ def estimator(config: FlightConfig, x: Extremes) -> Check:
 
 
 def own_estimator(config: FlightConfig) -> Check:
-    """Check that an error of the own velocity is learned faster than the position loop acts on it.
+    """Check that an error of the vehicle's velocity is estimated faster than the position loop acts on it.
 
-    Without the velocity loop's model: the position estimate is wrong by at most the error times its time over
-    e, and the velocity by the error, for that time. Half the time constant of the position loop is the bound.
+    Without the velocity loop's model, the position estimate is wrong by at most the error times T / e, and
+    the velocity by the error, for the time T. The bound of T is half the time constant of the position loop.
     """
     gain = max(config.robust.gain_1_s, config.robust.gain_over_pad_1_s, config.robust.to_contact_1_s)
     time_s = config.own.velocity_error_time_s

@@ -1,4 +1,4 @@
-"""Checks of all members of a fleet together."""
+"""Checks of a fleet as a whole."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from flightstack.verify.types import Check, Need
 def team_checks(
     configs: Sequence[FlightConfig], starts_enu_m: Sequence[Vec3], touch_m: Vec3, pads_apart_m: float
 ) -> list[Check]:
-    """Checks of all members together.
+    """Return the checks that involve all members.
 
-    ``configs``: of the members, each with a table [fleet]; ``starts_enu_m``: known start places in the air;
-    ``touch_m``: outermost offset of one vehicle from another at which they overlap; ``pads_apart_m``: least
-    distance of any two pads.
+    ``configs``: configurations of the members, each with a table [fleet]; ``starts_enu_m``: known start
+    places in the air; ``touch_m``: largest offset of two vehicles at which they overlap; ``pads_apart_m``:
+    least distance of any two pads.
     """
     fleets = [config.fleet for config in configs if config.fleet is not None]
     return [

@@ -1,13 +1,13 @@
-"""Checks of the end of a robust landing: the vehicle descends, in time, onto the pad.
+"""Checks of the end of a robust landing: the vehicle descends onto the pad in time.
 
-Horizontal motion over the pad, by a comparison system (docs/how_it_works/robust_filter.md): with y the
-distance from the middle and z the difference between the velocity and the commanded velocity,
+A comparison system bounds the horizontal motion over the pad (docs/how_it_works/robust_filter.md): with the
+distance y from the centre and the difference z between velocity and commanded velocity,
 
     y' <= -K y + z + q,      z' <= -z / tau + rho (a + K (K y + z + q)),
 
-K the descent's gain, tau the vehicle's lag, rho the relative error of the set-point's lead, a the target's
-acceleration, q the error of its estimated velocity plus K times that of its position. Off-diagonal terms are
-positive, so the system with equality is an upper bound of all motions.
+where K is the descent's gain, tau the vehicle's lag, rho the relative error of the set-point's lead, a the
+target's acceleration, and q the error of its estimated velocity plus K times that of its position.
+Off-diagonal terms are positive, so the system with equality is an upper bound of all motions.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from flightstack.verify.envelope import Extremes
 from flightstack.verify.follow import follow_m, matrix_exp
 from flightstack.verify.types import Check, Need
 
-STEP_S = 2e-3  # step of the comparison system
-PIECES = 20  # pieces of the range of lags
-AGREE = 1.6  # factor between the declared lag and the model's
+STEP_S = 2e-3  # step of the comparison system, s
+PIECES = 20  # number of pieces of the range of lags
+AGREE = 1.6  # largest factor between the declared lag and the model's
 DAMPING_MIN = 0.5  # least damping of the position loop around the lagging velocity loop
 
 
@@ -44,7 +44,7 @@ def follows(config: FlightConfig, x: Extremes) -> list[Check]:
             "m/s",
             f"horizontally the box has {min(vx, vy):g} m/s, the target {x.target_speed_m_s:g}",
             "raise limits.velocity_max_m_s or lower touchdown.target_speed_max_m_s",
-            Need.PROOF,  # it may still reach a slower one
+            Need.PROOF,  # a slower target can still be reached
         ),
         Check(
             "descent on a heaving pad",
@@ -69,7 +69,7 @@ def reach(config: FlightConfig, x: Extremes) -> list[Check]:
     robust = config.robust
     d = robust.commit_radius_m
     fade = 1.0 - math.exp(-((d / robust.fade_radius_m) ** 2))
-    # the boundary rises up to its peak, the margin everywhere
+    # the boundary rises only up to its peak, the margin everywhere
     ring = min(d, x.barrier.peak_distance_m)
     floor = x.barrier.height(ring) + x.usual.margin_m.high * fade
     hover = floor + config.velocity_loop.lag_z_s * robust.tracking_error_m_s + x.height_error_m
@@ -110,7 +110,7 @@ def reach(config: FlightConfig, x: Extremes) -> list[Check]:
 
 
 def stops(config: FlightConfig, x: Extremes) -> Check:
-    """Check that the slowest descent ends between the waiting height and the pad: v tau + v^2 / (2 a)."""
+    """Check that the slowest descent stops between waiting height and pad, after v tau + v^2 / (2 a)."""
     robust, speed = config.robust, config.robust.descent_min_m_s
     way_m = speed * x.lag_z_s + 0.5 * speed * speed / config.slew_max_m_s2[2]
     room_m = robust.wait_height_m - config.touchdown.feet_below_reference_m - x.height_error_m
@@ -126,7 +126,7 @@ def stops(config: FlightConfig, x: Extremes) -> Check:
 
 
 def descent_time_s(config: FlightConfig, x: Extremes) -> float:
-    """Return the longest time from the commit to contact."""
+    """Return the longest time of the final descent until contact, s."""
     robust = config.robust
     way = robust.commit_height_m - config.touchdown.feet_below_reference_m + x.height_error_m
     speed = robust.descent_m_s - robust.tracking_error_m_s
@@ -163,12 +163,12 @@ def damping(config: FlightConfig, x: Extremes) -> Check:
 
 
 def tilts(config: FlightConfig, x: Extremes) -> Check:
-    """Check that the bound of the set-point leaves the required acceleration.
+    """Check that the bound of the set-point allows the required acceleration.
 
-    A second-order loop whose set-point is e ahead of its velocity accelerates with w e / (2 z): e over its
-    lag without the dead time. The nominal command relies on its braking. From rest to the full speed v such a
-    vehicle lags by v / (2 A), minus v / (2 a) of the command's ramp, in addition to its lag: above
-    ``checks.follow_lag_max_s`` of flight it counts as a vehicle that does not follow, and lands beside the
+    A second-order loop whose set-point is e ahead of its velocity accelerates with w e / (2 z), which is e
+    over its lag without the dead time. The nominal command relies on this for braking. From rest to the full
+    speed v such a vehicle lags by v / (2 A), minus v / (2 a) of the command's ramp, in addition to its lag.
+    Above ``checks.follow_lag_max_s`` the vehicle counts as one that does not follow, and lands beside the
     robot.
     """
     loop, (ax, ay, _) = config.velocity_loop, config.slew_max_m_s2
@@ -194,8 +194,8 @@ def tilts(config: FlightConfig, x: Extremes) -> Check:
 def modelled(config: FlightConfig) -> Check:
     """Check that rate and damping of the model agree with the declared lag.
 
-    The corrections use the lag of one and the disturbance of the other: a large difference looks like a
-    disturbance. The identified loops of the shipped configurations agree within a factor of 1.5.
+    One correction uses the lag, the other one the model: a large difference looks like a disturbance. The
+    identified loops of the shipped configurations agree within a factor of 1.5.
     """
     loop = config.velocity_loop
     axes = (
@@ -219,9 +219,9 @@ def modelled(config: FlightConfig) -> Check:
 
 
 def drift_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
-    """Return the largest distance from the middle in the last descent, m, and its time, s, over all lags.
+    """Return the largest distance from the centre in the final descent, m, and its time, s, over all lags.
 
-    The spread is cut into pieces; a piece takes the slowest decay and the largest rho in it.
+    The spread is cut into pieces; each piece uses its slowest decay and its largest rho.
     """
     told_s, spread = config.velocity_loop.lag_xy_s, config.envelope.lag_spread
     if told_s <= 0.0 or spread <= 0.0:
@@ -234,14 +234,14 @@ def drift_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
 
 
 def _drift_of_m(config: FlightConfig, x: Extremes, lag_s: float, rho: float) -> tuple[float, float]:
-    """The same for one tau and rho.
+    """Return the result of ``drift_m`` for one tau and rho.
 
-    The linear comparison system is solved exactly from step to step, plus the possible growth between two
-    steps.
+    The linear comparison system is solved exactly from step to step; the possible growth between two steps is
+    added.
     """
     gain, decay_1_s = config.robust.gain_over_pad_1_s, 1.0 / max(lag_s, STEP_S)
     error = x.velocity_error_m_s + gain * x.position_error_m
-    # states: y, z, 1
+    # states: y, z, and the constant 1
     rates = np.array(
         [
             [-gain, 1.0, error],

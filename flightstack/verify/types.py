@@ -1,4 +1,4 @@
-"""One item of the certificate: the claim, the room left at its worst point, and the remedy."""
+"""One check of the certificate: the claim, the distance to its limit at the worst point, and the remedy."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from enum import Enum
 
 
 class Need(Enum):
-    """What a check is needed for."""
+    """Purpose for which a check is needed."""
 
     FLIGHT = "flight"  # necessary for a flight: the onboard process rejects the configuration
     PROOF = "proof"  # necessary for the guarantee in the worst case; a flight is possible
@@ -16,14 +16,14 @@ class Need(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """Outcome of one check.
+    """Result of one check.
 
     Attributes:
-        name: short, unique.
-        claim: true in the whole envelope if ``room`` is not negative.
+        name: short, unique name.
+        claim: statement that is true in the whole envelope if ``room`` is not negative.
         room: distance to the limit at the worst point.
-        unit: of the room.
-        worst: the worst point, as text.
+        unit: unit of ``room``.
+        worst: text that describes the worst point.
         remedy: change of the configuration if the room is negative.
         need: consequence of a negative room.
     """
@@ -38,10 +38,10 @@ class Check:
 
     @property
     def proven(self) -> bool:
-        """Whether the claim holds; a room that is NaN proves nothing."""
+        """Whether the claim holds; a NaN in ``room`` proves nothing."""
         return not math.isnan(self.room) and self.room >= 0.0
 
     @property
     def text(self) -> str:
-        """The check as one line of an error."""
+        """The check as one line of an error message."""
         return f"{self.name}: {self.worst}; short by {-self.room:.3g} {self.unit}: {self.remedy}"
