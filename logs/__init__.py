@@ -1,1 +1,1 @@
-"""The flight log: recording, reading, judging, reporting."""
+"""Flight logs: recorder, reader, verdict and report."""

@@ -1,11 +1,11 @@
-"""What is derived for viewers: standard ROS messages of controller steps, and all that a recorder derives.
+"""Derives the messages for viewers: standard ROS messages of controller steps, and all others.
 
-The messages of a :class:`Deriver` let any viewer show the flight in 3-D. They hold nothing that the steps and
-the run's metadata do not hold. What is made, and when, depends on the log time of the steps alone: two runs
-with equal steps give equal messages. Frames: ``map`` is the ENU world,
-``map_ned`` the same place in NED axes, ``<ns>/base_link`` the vehicle (heading only), ``target`` the pad with
-its heading, ``target_pad`` the pad without heading, in which the barrier stands still; ``<ns>/target`` and
-``<ns>/target_pad`` in the log of a fleet.
+The messages of a :class:`Deriver` let any viewer show the flight in 3-D. They contain only data of the steps
+and of the run's metadata. The log time of the steps alone determines which messages are derived: two runs
+with equal steps give equal messages. Frames: ``map`` is the ENU world, ``map_ned`` the same origin with NED
+axes, ``<ns>/base_link`` the vehicle (heading only), ``target`` the pad with its heading, ``target_pad`` the
+pad without heading, in which the barrier does not move; in the log of a fleet ``<ns>/target`` and
+``<ns>/target_pad``.
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ from logs.schema.schemas import (
     packer,
 )
 
-PERIOD_NS = 20_000_000  # 50 Hz: as fast as a screen shows it
-MARKER_PERIOD_NS = 200_000_000  # 5 Hz: pictures are large
-STATIC_PERIOD_NS = 5_000_000_000  # repeated, so that a viewer that jumps into the log finds it
+PERIOD_NS = 20_000_000  # period of 50 Hz, the refresh rate of a screen
+MARKER_PERIOD_NS = 200_000_000  # period of 5 Hz, since marker messages are large
+STATIC_PERIOD_NS = 5_000_000_000  # period of static transforms; a viewer needs them after a jump in the log
 STEP_SUFFIX, TIMING_SUFFIX = "/controller/step", "/loop/timing"
-SOURCE_SUFFIX = "/mavlink_source"  # frames from the vehicle; the others are to it
+SOURCE_SUFFIX = "/mavlink_source"  # end of the topic of frames from the vehicle, not to it
 
 Derived = tuple[str, str, bytes]  # topic, schema, CDR
-Derive = Callable[[int, bytes], list[Derived]]  # log time in ns, CDR -> messages
+Derive = Callable[[int, bytes], list[Derived]]  # (log time in ns, CDR) -> messages
 
 _NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
-# The NED axes seen from ENU: half a turn about the horizontal line between east and north.
+# Attitude of NED axes in ENU: a half turn about the horizontal line between east and north.
 _NED_IN_ENU = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
 
 
@@ -62,18 +62,18 @@ class Deriver:
         self._target = f"{name}/target" if shares_log else "target"
         self._run_text = b""
         self._health = health
-        # made here, since the first of a type takes milliseconds
+        # created early, since the first packer of a type takes milliseconds
         self._pack = {kind: packer(kind) for kind in (TF_MESSAGE, ODOMETRY, POSE_STAMPED, TWIST_STAMPED)}
         self._scene = Scene(self._base, self._target, FLEET_REACH if shares_log else REACH)
         self._slots: dict[int, int] = {}
 
     def configure(self, run: Mapping[str, str], shape: Mapping[str, str] = MappingProxyType({})) -> None:
-        """Take barrier and pad from the metadata of the run, and its text to show."""
+        """Set barrier, pad and the displayed text from the metadata of the run."""
         self._scene.configure({**shape, **run})
         self._run_text = pack_string("\n".join(f"{key} = {value}" for key, value in run.items()))
 
     def step(self, log_time_ns: int, row: ControllerStepRow) -> list[Derived]:
-        """Return what one controller step shows; empty between the periods."""
+        """Return the messages of one controller step; none between two periods."""
         if self._health is not None:
             self._health.step(row)
         if not self._due(PERIOD_NS, log_time_ns):
@@ -98,7 +98,7 @@ class Deriver:
             add("/tf", TF_MESSAGE, (frames,))
         if row.own_valid:
             add(f"{space}/pose", POSE_STAMPED, (stamp_ns, own))
-            # The turn rates are not part of a controller step.
+            # A controller step has no turn rates.
             twist = (_body_velocity(row), ZERO)
             odometry = (stamp_ns, self._base, (own, NO_COVARIANCE), (twist, NO_COVARIANCE))
             add(f"{space}/odom", ODOMETRY, odometry)
@@ -126,7 +126,7 @@ def _heading(yaw_rad: float) -> tuple[float, float, float, float]:
 
 
 def _body_velocity(row: ControllerStepRow) -> Vec3:
-    """World velocity in the heading frame of the vehicle: ROS gives twists in the child's frame."""
+    """Rotate the world velocity into the vehicle's heading frame: a ROS twist is in the child's frame."""
     x, y, z = row.own_velocity_enu_m_s
     cos_yaw, sin_yaw = math.cos(row.own_yaw_rad), math.sin(row.own_yaw_rad)
     return (cos_yaw * x + sin_yaw * y, cos_yaw * y - sin_yaw * x, z)
@@ -137,14 +137,14 @@ class _Told:
     """Metadata and attachments of one flight."""
 
     run: dict[str, str] = field(default_factory=dict)  # metadata of the run
-    shape: dict[str, str] = field(default_factory=dict)  # barrier and pad by the configuration
+    shape: dict[str, str] = field(default_factory=dict)  # barrier and pad from the configuration
     onboard: dict[str, str] = field(default_factory=dict)  # metadata of the onboard process
 
 
 class Derivers:
-    """Derivations of all clients of one recorder, by topic: a client that reconnects continues.
+    """Derivations for all clients of one recorder, by topic: a client that reconnects continues.
 
-    In the log of a fleet each member has metadata of its own, with its namespace in front.
+    In the log of a fleet each member has its own metadata, with its namespace in front.
     """
 
     def __init__(self) -> None:
@@ -154,7 +154,7 @@ class Derivers:
         self._health: dict[str, Health] = {}
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Use the metadata of a run and of an onboard process."""
+        """Handle the metadata of a run or of an onboard process."""
         member, name = split(name)
         if name == "run":
             self._of(member).run.update(values)
@@ -168,12 +168,12 @@ class Derivers:
         member, name = split(name)
         if name != ATTACHMENT:
             return
-        with contextlib.suppress(ConfigError):  # of another version: no barrier, no pad
+        with contextlib.suppress(ConfigError):  # another version's configuration gives no barrier and pad
             self._of(member).shape = shape(read_config(data))
         self._configure_steps()
 
     def declare(self, topic: str, schema: str) -> Derive | None:
-        """Return the function that derives messages from a channel; None: nothing is derived."""
+        """Return the function that derives messages from a channel; None: no messages are derived."""
         if schema == CONTROLLER_STEP:
             if topic not in self._steps:
                 space = topic.removesuffix(STEP_SUFFIX)

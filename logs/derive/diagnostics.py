@@ -1,7 +1,7 @@
-"""Once a second: how loop, inputs, safety filter and link did, as ``diagnostic_msgs/DiagnosticArray``.
+"""Diagnostics of loop, inputs, safety filter and link, once a second: ``diagnostic_msgs/DiagnosticArray``.
 
-Made from the controller steps, loop timings and raw MAVLink frames of one onboard process. Loop timings are
-wall-clock measurements, so two runs of one seed differ here.
+They use the controller steps, loop timings and raw MAVLink frames of one onboard process. Loop timings are
+measured in wall time, so they differ between two runs of one seed.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from logs.schema.schemas import DIAGNOSTIC_ARRAY, packer
 
 TOPIC = "/diagnostics"
 PERIOD_NS = 1_000_000_000
-FILTER_BAD = 3  # ControllerStep: FILTER_INFEASIBLE and worse states
-LATE_S = 0.002  # delay of a tick after its deadline that gives a warning: a fifth of 10 ms
-LOST_MAX = 0.02  # share of the vehicle's frames that are missing by their numbers
+FILTER_BAD = 3  # smallest filter_status of ControllerStep that is a problem: FILTER_INFEASIBLE
+LATE_S = 0.002  # delay of a tick after its deadline that causes a warning: a fifth of 10 ms
+LOST_MAX = 0.02  # share of the vehicle's frames that may be missing by their sequence numbers
 
 
 class Level(IntEnum):
@@ -39,7 +39,7 @@ class Status(NamedTuple):
 
 
 class Health:
-    """Diagnostics of one onboard process, second by second."""
+    """Diagnostics of one onboard process, once a second."""
 
     def __init__(self, namespace: str) -> None:
         self._name = namespace.strip("/")
@@ -52,12 +52,12 @@ class Health:
 
     def step(self, row: ControllerStepRow) -> None:
         self._steps.append(row)
-        del self._steps[:-1000]  # without timings they are never taken
+        del self._steps[:-1000]  # without timings the list is never emptied
 
     def timing(self, log_time_ns: int, row: LoopTimingRow) -> list[tuple[str, str, bytes]]:
-        """Take the timing of a tick; when a second is over, return its diagnostics.
+        """Add the timing of a tick; at the end of a second, return its diagnostics.
 
-        Returns (topic, schema, CDR), at most one.
+        The result is (topic, schema, CDR), at most one.
         """
         slot = log_time_ns // PERIOD_NS
         if self._slot is None:
@@ -149,11 +149,11 @@ def _safety(name: str, rows: Sequence[ControllerStepRow]) -> Status:
 
 
 def _worst(values: Any) -> float:
-    """The largest age; NaN, for an input that never arrived, is the worst."""
+    """Return the largest age; NaN, for an input that never arrived, counts as largest."""
     ages = list(values)
     return math.nan if any(math.isnan(a) for a in ages) else max(ages)
 
 
 def _texts(values: dict[str, float]) -> tuple[tuple[str, str], ...]:
-    """Keys and values; values that are no counts have six digits."""
+    """Return keys and values as text; floats have six digits."""
     return tuple((key, f"{v:.6g}" if isinstance(v, float) else str(v)) for key, v in values.items())

@@ -1,6 +1,6 @@
-"""Recorded MAVLink frames, decoded into messages of named fields, and counted.
+"""Decodes recorded MAVLink frames into messages with named fields, and counts the frames.
 
-Both look at the bytes of the raw record (``logs.schema.mavlink``) directly: frames are most of a log.
+Both read the bytes of the raw record (``logs.schema.mavlink``) directly: frames are most of a log.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ from typing import NamedTuple
 
 from logs.schema.mavlink import PEER_CHARACTERS, FrameError, Type, of
 
-TOPICS_MAX = 512  # bound on topics, since a sender can invent system ids
-_HALF = 128  # half of the 256 sequence numbers: a number at least so far ahead counts as late
-SENDERS_MAX = 256  # senders whose sequence numbers are followed
-_HEADER_BYTES = 20  # encapsulation, stamp, frame_id of three characters: the fields begin aligned to 8
-_NOBODY = struct.pack("<I", PEER_CHARACTERS + 1) + b"p--\x00"  # frame_id of a frame whose peer is not known
+TOPICS_MAX = 512  # greatest number of topics, since a sender can invent system ids
+_HALF = 128  # half of the 256 sequence numbers: a number at least this far ahead counts as late
+SENDERS_MAX = 256  # greatest number of senders whose sequence numbers are checked
+_HEADER_BYTES = 20  # encapsulation, stamp, frame_id of three characters: the fields start aligned to 8
+_NOBODY = struct.pack("<I", PEER_CHARACTERS + 1) + b"p--\x00"  # frame_id of a frame with unknown peer
 # Offsets in the raw record.
 _NAME_LENGTH_AT = 12
-_FIXED_AT, _FIXED_NOBODY_AT = 20, 17  # of framing_status, with and without the name of a peer
-_LENGTH, _SEQUENCE, _SENDER = 2, 5, 6  # after that: payload length; sequence number; system and component
-_ID_AT = 28  # message id
+_FIXED_AT, _FIXED_NOBODY_AT = 20, 17  # offset of framing_status with a peer name, and without one
+_LENGTH, _SEQUENCE, _SENDER = 2, 5, 6  # offsets from there: payload length, sequence number, system+component
+_ID_AT = 28  # offset of the message id
 _WORDS_END, _PAYLOAD_AT = 40, 44
 
 
@@ -29,7 +29,7 @@ def _fixed_at(payload: bytes) -> int:
 
 
 class FrameCounter:
-    """Frames of one direction, and the gaps in their sequence numbers."""
+    """Counts the frames of one direction, and the gaps in their sequence numbers."""
 
     def __init__(self) -> None:
         self._last: dict[int, int] = {}
@@ -43,7 +43,7 @@ class FrameCounter:
         last = self._last.get(sender)
         ahead = (sequence - last) & 0xFF if last is not None else 1
         if ahead >= _HALF:
-            self.lost = max(0, self.lost - 1)  # a late one was counted as lost
+            self.lost = max(0, self.lost - 1)  # a late frame was counted as lost
         elif last is not None or len(self._last) < SENDERS_MAX:
             self.lost += max(0, ahead - 1)
             self._last[sender] = sequence
@@ -62,23 +62,23 @@ class Decoded(NamedTuple):
 
 
 class FrameDecoder:
-    """Turns records of raw frames into messages of named fields."""
+    """Converts records of raw frames into messages with named fields."""
 
     def __init__(self, topic: str) -> None:
-        """Take the topic of the raw frames; its first part is the name space until the run gives one."""
+        """Set the topic of the raw frames; its first part is the name space until the run sets one."""
         self.topic = topic  # topic of the raw frames
-        self.counter = FrameCounter()  # counts frames; replaced by that of the vehicle's diagnostics
+        self.counter = FrameCounter()  # counter of frames; replaced by that of the vehicle's diagnostics
         self._space = "/" + topic.strip("/").partition("/")[0]
         self._known: dict[bytes, Decoded | None] = {}
 
     def configure(self, onboard: Mapping[str, str]) -> None:
-        """Take the name space from the metadata of the onboard process."""
+        """Set the name space from the metadata of the onboard process."""
         if "namespace" in onboard:
             self._space = "/" + onboard["namespace"].strip("/")
             self._known.clear()
 
     def step(self, log_time_ns: int, payload: bytes) -> list[tuple[str, str, bytes]]:
-        """Return (topic, schema, CDR) of one record of :func:`logs.schema.mavlink.pack_mavlink`."""
+        """Return (topic, schema, CDR) for one record of :func:`logs.schema.mavlink.pack_mavlink`."""
         del log_time_ns
         if len(payload) < _WORDS_END:
             raise FrameError(f"frame record of {len(payload)} bytes is cut short")
@@ -95,7 +95,7 @@ class FrameDecoder:
         return [(known.topic, kind.schema, head + (body if kind.verbatim else repacked(kind, body)))]
 
     def _meet(self, key: bytes) -> Decoded | None:
-        """Return the topic of a new sender or message; None for one that the dialect lacks."""
+        """Return the topic of a new sender or message; None: the dialect does not have the message."""
         system, component, number = struct.unpack("<BBI", key)
         kind = of(number)
         found = None
@@ -108,7 +108,7 @@ class FrameDecoder:
 
 
 def repacked(kind: Type, payload: bytes) -> bytes:
-    """Return a payload, with text or with another alignment in CDR, as the body after a header."""
+    """Return a MAVLink payload as the body of a CDR message, with strings and CDR's alignment."""
     out = bytearray()
     at = 0
     for field in kind.fields:
@@ -119,5 +119,5 @@ def repacked(kind: Type, payload: bytes) -> bytes:
             text = raw.partition(b"\x00")[0].decode("utf-8", "replace").encode() + b"\x00"
             out += bytes(-len(out) % 4) + struct.pack("<I", len(text)) + text
         else:
-            out += bytes(-len(out) % field.size) + raw  # both sides are little-endian
+            out += bytes(-len(out) % field.size) + raw  # both encodings are little-endian
     return bytes(out)

@@ -1,4 +1,4 @@
-"""Pictures for 3-D viewers: barrier surface, pad, both paths, nominal and filtered velocity."""
+"""Markers for 3-D viewers: barrier surface, pad, both paths, nominal and filtered velocity."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from logs.schema.rows import ControllerStepRow
 from logs.schema.schemas import MARKER_ARRAY, packer
 
 ARROW, CUBE, SPHERE, CYLINDER, LINE_STRIP, TRIANGLE_LIST = 0, 1, 2, 3, 4, 11  # visualization_msgs/msg/Marker
-LIFETIME_S = 0.5  # two and a half periods of 5 Hz: a marker that is not repeated disappears
+LIFETIME_S = 0.5  # lifetime of 2.5 periods of 5 Hz: a marker that is not sent again disappears
 PATH_POINTS = 200  # points of one path; when it is full, every second point is removed
-PATH_PERIOD_NS = 100_000_000  # 10 Hz at first
-REACH = 2.5  # radius of the barrier surface, in distances of its peak
+PATH_PERIOD_NS = 100_000_000  # initial period, 10 Hz
+REACH = 2.5  # radius of the barrier surface, in units of the distance of its peak
 FLEET_REACH = 1.0  # this radius in a fleet
 SECTORS, RINGS = 24, 8  # grid of the barrier surface: 24 x 8 x 2 triangles
-_GRID_1_M = 1024.0  # surface points on whole 1/1024 m: sub-millimetre, and they compress well
-_ARROW_SIZE_M = (0.012, 0.03, 0.04)  # shaft and head diameter, head length
-BODY_SIZE_M = (0.092, 0.092, 0.029)  # m, Bitcraze, Crazyflie 2.1 data sheet: 92 x 92 x 29 mm
-_ARROW_S = 1.0  # s: arrow lengths are velocity times this
+_GRID_1_M = 1024.0  # grid of surface points, 1/1024 m: finer than a millimetre, and compresses well
+_ARROW_SIZE_M = (0.012, 0.03, 0.04)  # shaft diameter, head diameter, head length
+BODY_SIZE_M = (0.092, 0.092, 0.029)  # Bitcraze, Crazyflie 2.1 data sheet: 92 x 92 x 29 mm
+_ARROW_S = 1.0  # arrow length divided by velocity, s
 
 Color = tuple[float, float, float, float]  # red, green, blue, opacity
 BARRIER_COLOR: Color = (0.84, 0.15, 0.16, 0.35)
@@ -36,10 +36,10 @@ FILTERED_COLOR: Color = (0.17, 0.63, 0.17, 1.0)
 COMMAND_COLOR: Color = (0.58, 0.40, 0.74, 1.0)
 
 _NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
-_ADD = 0  # action
+_ADD = 0  # Marker.action
 _LIFETIME_NS = round(LIFETIME_S * 1e9)
-# colors, texture_resource, texture (header, format, data), uv_coordinates, text, mesh_resource,
-# mesh_file (name, data), mesh_use_embedded_materials
+# colors, texture_resource, texture (header, format, data), uv_coordinates, text, mesh_resource, mesh_file
+# (name, data), mesh_use_embedded_materials
 _NO_COLORS_TEXTURE_AND_MESH = (b"", "", ((0, ""), "", b""), b"", "", "", ("", b""), False)
 _NO_VELOCITY: Vec3 = (math.nan, math.nan, math.nan)
 
@@ -51,12 +51,12 @@ class Marker(NamedTuple):
     kind: int
     scale: Vec3
     color: Color
-    points: bytes = b""  # three doubles each
+    points: bytes = b""  # three doubles per point
     position: Vec3 = (0.0, 0.0, 0.0)
 
 
 class Path:
-    """A bounded picture of a whole path: finer while short, coarser as it grows."""
+    """Path with a limited number of points: fine while it is short, coarser as it grows."""
 
     def __init__(self) -> None:
         self._points: list[bytes] = []
@@ -95,7 +95,7 @@ class Scene:
         self._pack = packer(MARKER_ARRAY, frame_id=None)
 
     def configure(self, run: Mapping[str, str]) -> None:
-        """Take barrier, pad and ellipsoid from the metadata of the run; what is not there is not drawn."""
+        """Set barrier, pad and ellipsoid from the metadata of the run; missing ones are not drawn."""
         frame = self._target_frame
         self._pad = _pad(frame, float(run.get("pad_radius_m", PAD_RADIUS_M)))
         if "barrier_alpha_1_m" in run and "barrier_beta_m" in run:
@@ -107,7 +107,7 @@ class Scene:
                     f"{frame}_pad", "barrier", 0, TRIANGLE_LIST, scale, BARRIER_COLOR, mesh
                 )
 
-        if "ellipsoid_xy_m" in run and "ellipsoid_z_m" in run:  # half as large: two touch at their limit
+        if "ellipsoid_xy_m" in run and "ellipsoid_z_m" in run:  # half size: two touch at the distance limit
             beside_m, above_m = float(run["ellipsoid_xy_m"]), float(run["ellipsoid_z_m"])
             scale = (beside_m, beside_m, above_m)
             self._ellipsoid = Marker(self._own_frame, "ellipsoid", 0, SPHERE, scale, ELLIPSOID_COLOR)
@@ -119,7 +119,7 @@ class Scene:
             self._target_path.add(log_time_ns, row.target_position_enu_m)
 
     def pack(self, row: ControllerStepRow) -> bytes:
-        """Return the pictures at one step as a MarkerArray in CDR."""
+        """Return the markers of one step as a MarkerArray in CDR."""
         markers = [self._own_path.marker(0, OWN_COLOR), self._target_path.marker(1, TARGET_COLOR)]
         if row.target_valid:
             markers += (self._surface, self._pad)
@@ -137,15 +137,15 @@ class Scene:
 
 
 def surface(barrier: Barrier, reach: float = REACH) -> bytes:
-    """Return the boundary h = 0 around the landing spot as triangles, three doubles a point.
+    """Return the boundary h = 0 around the landing spot as triangles, three doubles per point.
 
-    It reaches to two and a half times the distance of its peak, where it has fallen to about half of it;
-    further out it would only hide the flight. In a fleet, where surfaces overlap, it ends at the peak.
+    Its radius is two and a half times the distance of its peak, where its height has fallen to half of the
+    peak; a larger surface would hide the flight. In a fleet, where surfaces overlap, it ends at the peak.
     """
     reach_m = reach * barrier.peak_distance_m
 
     def point(ring: int, sector: int) -> Vec3:
-        d_m = reach_m * (ring / RINGS) ** 2  # finer at the apex, where the vehicle goes
+        d_m = reach_m * (ring / RINGS) ** 2  # finer at the apex, which the vehicle approaches
         angle = 2.0 * math.pi * sector / SECTORS
         height_m = barrier.height(d_m)
         x, y, z = (
@@ -159,7 +159,7 @@ def surface(barrier: Barrier, reach: float = REACH) -> bytes:
             a, b = point(ring, sector), point(ring + 1, sector)
             c, d = point(ring + 1, sector + 1), point(ring, sector + 1)
             corners += (*a, *b, *c)
-            if ring:  # at the apex the two inner corners are one
+            if ring:  # at the apex the two inner corners coincide
                 corners += (*a, *c, *d)
     return struct.pack(f"<{len(corners)}d", *corners)
 
@@ -168,7 +168,7 @@ def _values(stamp_ns: int, marker: Marker) -> tuple[object, ...]:
     return (
         (stamp_ns, marker.frame_id), marker.ns, marker.number, marker.kind, _ADD,
         (marker.position, _NO_ROTATION), marker.scale, marker.color, _LIFETIME_NS,
-        True,  # frame_locked: the viewer moves the marker with its frame between two of our messages
+        True,  # frame_locked: between two messages the viewer moves the marker with its frame
         marker.points, *_NO_COLORS_TEXTURE_AND_MESH,
     )  # fmt: skip
 

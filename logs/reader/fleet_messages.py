@@ -1,4 +1,4 @@
-"""Messages between the members of a fleet, read from its log: who waited for whom, which were lost.
+"""Messages between the members of a fleet, read from its log: waiting times and lost messages.
 
 Times are seconds since the origin of the fleet (``Fleet.origin_ns``), by the log time of the tick.
 """
@@ -19,17 +19,17 @@ from logs.schema.rows import FleetWordRow
 from logs.schema.schemas import CONTROLLER_NEIGHBOURS, FLEET_WORD
 
 AGE_MAX_S = 0.5  # default of the configuration
-_Sent = tuple[float, Intent, tuple[str, ...]]  # time, intent, members it gives way to
+_Sent = tuple[float, Intent, tuple[str, ...]]  # time, intent, members to which the sender gives way
 
 
 @dataclass(frozen=True, slots=True)
 class Span:
     """A time in which a member's messages had the same content."""
 
-    begin_s: float  # first message, s
-    end_s: float  # first message with other content, else the last one, s
+    begin_s: float  # time of the first message, s
+    end_s: float  # time of the first message with other content, else of the last one, s
     intent: Intent  # announced intent
-    gives_way_to: tuple[str, ...]  # names of members
+    gives_way_to: tuple[str, ...]  # names of the members to which it gives way
 
     @property
     def waits(self) -> bool:
@@ -43,14 +43,14 @@ class Link:
 
     sender: str  # sending member
     receiver: str  # receiving member
-    sent: int  # messages sent before the receiver's last tick
-    # messages that a tick of the receiver used; the others were lost, or a newer one replaced them
+    sent: int  # number of messages sent before the receiver's last tick
+    # number of messages that the receiver used; others were lost or replaced by newer ones
     used: int
     late_max_s: float | None  # maximum message age on arrival, s; None: none arrived
     gap_max_s: (
         float  # longest time between two messages, or from the last to the end, while the sender flew, s
     )
-    # (begin, end) of each time in which the newest message was older than the receiver accepts, s
+    # (begin, end), s, of each time in which the newest message was older than the receiver accepts
     silent: tuple[tuple[float, float], ...]
 
 
@@ -59,7 +59,7 @@ class FleetMessages:
     """Messages of a fleet, sent and received."""
 
     spans: dict[str, tuple[Span, ...]]  # by member, in time order
-    links: tuple[Link, ...]  # one for each ordered pair of members
+    links: tuple[Link, ...]  # one per ordered pair of members
     problems: tuple[str, ...]  # unreadable messages, as text
 
 
@@ -123,7 +123,7 @@ def _link(
     begin_s, end_s = ticks_s[0], ticks_s[-1]
     sent = sum(begin_s <= t_s < end_s for t_s in sent_s)
     times_s = [t_s for t_s, _, _ in received]
-    over = bool(received) and received[-1][2] is Intent.DOWN  # then it may stop sending
+    over = bool(received) and received[-1][2] is Intent.DOWN  # a landed sender may stop sending
     edges = np.array([begin_s, *times_s] if over else [begin_s, *times_s, end_s])
     gaps_s: Floats = np.diff(edges)
     silent = tuple(
@@ -135,5 +135,5 @@ def _link(
 
 
 def waited_s(spans: tuple[Span, ...]) -> float:
-    """Time in which a member flew and gave way to neighbours."""
+    """Return the time in which a member flew and gave way to neighbours, s."""
     return sum(span.end_s - span.begin_s for span in spans if span.waits)

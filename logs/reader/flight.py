@@ -1,7 +1,7 @@
-"""Read a flight log into numpy arrays.
+"""Reads a flight log into numpy arrays.
 
-Three thousand steps with everything around them take a fraction of a second. A damaged log gives
-what can be read of it, and names the damage.
+Reading three thousand steps with all other messages takes a fraction of a second. Of a damaged log the
+readable part is returned, with a description of the damage.
 """
 
 from __future__ import annotations
@@ -47,28 +47,28 @@ __all__ = [
     "load_flight",
 ]
 
-TARGET_TOPIC_END = "/target/odom"  # below any namespace
+TARGET_TOPIC_END = "/target/odom"  # end of the topic in any namespace
 
 _DTYPES = {"Floats": np.float64, "Ints": np.int64, "Bools": np.bool_}
 _Columns = TypeVar("_Columns", Steps, Timing, Truth)
 
 
 def load_flight(path: Path | str, member: str | None = None) -> Flight:
-    """Read a log, whole or cut short.
+    """Read a log, complete or truncated.
 
     Args:
-        path: of the log.
-        member: of a fleet, whose flight it shall be; None in the log of one flight.
+        path: log file.
+        member: name of the fleet member to read; None for the log of one flight.
 
     Raises:
         LogError: not a log, or it holds neither controller steps nor true states, no such member, or a fleet
-            where no member is named.
+        without a member given.
     """
     return _read(LogFile(path, member).single()).flights[""]
 
 
 def load_fleet(path: Path | str, member: str | None = None) -> Fleet:
-    """Read all flights of a log in one pass; the name of a single flight, and of a member alone, is empty."""
+    """Read all flights of a log in one pass; the name of a single flight, or of a member alone, is empty."""
     return _read(LogFile(path, member))
 
 
@@ -101,7 +101,7 @@ def _read(whole: LogFile) -> Fleet:
         flights=flights,
         pairs=pairs,
         ids=parts.ids,
-        events=_events(said, origin_ns, []),  # what cannot be read is among the problems of the flights
+        events=_events(said, origin_ns, []),  # unreadable events are among the problems of the flights
         metadata={name: values for name, values in whole.metadata().items() if parts.split(name)[0] is None},
         attachments={a.name: a.data for a in whole.attachments() if parts.split(a.name)[0] is None},
     )
@@ -154,7 +154,7 @@ def _flight(log: LogFile, by_kind: Mapping[str, list[Message]], problem: str) ->
 
 
 def _kind(message: Message) -> str:
-    """Schema if the message is one we read, else empty."""
+    """Return the schema if this reader uses the message, else empty."""
     if message.schema in (CONTROLLER_STEP, LOOP_TIMING, TRUE_STATE, LOG):
         return message.schema
     return ODOMETRY if message.schema == ODOMETRY and message.topic.endswith(TARGET_TOPIC_END) else ""
@@ -163,7 +163,7 @@ def _kind(message: Message) -> str:
 def _unpacked(
     schema: str, messages: Sequence[Message], unpack: Callable[[bytes], Any], damage: list[str]
 ) -> tuple[list[Any], Ints]:
-    """Return the messages that can be read, and their log times in ns, (n,)."""
+    """Return the readable messages, and their log times in ns, (n,)."""
     rows, times_ns, refused = [], [], []
     for message in messages:
         try:
@@ -206,7 +206,7 @@ def since(times_ns: Ints, origin_ns: int) -> Floats:
 
 
 def _target(messages: Sequence[Message], origin_ns: int, damage: list[str]) -> TargetOdometry | None:
-    """Samples of external senders; unreadable ones are counted and skipped."""
+    """Return the samples of external senders; unreadable ones are counted and skipped."""
     if not messages:
         return None
     _, unpack = codec(ODOMETRY, frame_id=None)
@@ -239,7 +239,7 @@ def _events(messages: Sequence[Message], origin_ns: int, damage: list[str]) -> t
 
 
 def _config(attachments: dict[str, bytes]) -> tuple[FlightConfig | None, tuple[str, ...]]:
-    """Return the configuration that flew, if the log holds it, and why it cannot be read."""
+    """Return the flight's configuration if the log holds it, and the reason why it cannot be read."""
     data = attachments.get(ATTACHMENT)
     if data is None:
         return None, ()
@@ -250,7 +250,7 @@ def _config(attachments: dict[str, bytes]) -> tuple[FlightConfig | None, tuple[s
 
 
 def _barrier(run: dict[str, str], config: FlightConfig | None) -> Barrier | None:
-    """Barrier of the scenario's judge, else the one the controller flew with."""
+    """Return the barrier of the scenario's verdict, else the controller's barrier."""
     for alpha, beta in (("judge_alpha_1_m", "judge_beta_m"), ("barrier_alpha_1_m", "barrier_beta_m")):
         alpha_1_m, beta_m = _number(run, alpha), _number(run, beta)
         if alpha_1_m is not None and beta_m is not None:
@@ -259,7 +259,7 @@ def _barrier(run: dict[str, str], config: FlightConfig | None) -> Barrier | None
 
 
 def _pad_radius(run: dict[str, str], config: FlightConfig | None) -> float:
-    """Of the scenario, else of the configuration, which is all that a real flight has."""
+    """Return the pad radius of the scenario, else of the configuration, which real flights always have."""
     told_m = _number(run, "pad_radius_m")
     if told_m is not None:
         return told_m

@@ -1,8 +1,8 @@
 """A flight as numpy arrays: decisions of the controller, true states, received samples and events.
 
-Time is seconds since the first recorded step or true state (``t_s``), taken from the log time, which all
-processes of a run share. Frames are ENU, metres, radians. What the log does not hold is ``None``, and a
-number that was not known at a tick is NaN; nothing is ever filled with zeros.
+Times are seconds since the first recorded step or true state (``t_s``), from the log time, which all
+processes of a run share. Frames are ENU, units metres and radians. Missing data are ``None``, and a number
+that is unknown at a tick is NaN; no value is ever replaced by zero.
 """
 
 from __future__ import annotations
@@ -23,54 +23,54 @@ from logs.schema.rows import ControllerStepColumns, FleetPairRow, LoopTimingColu
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-PAD_RADIUS_M = 0.10  # m, a Crazyflie's pad, where the log holds neither a run nor a configuration
+PAD_RADIUS_M = 0.10  # default, m: a Crazyflie's pad, if the log holds neither a run nor a configuration
 ATTACHMENT = "onboard.toml"  # name in the log
 
 
 class Steps(ControllerStepColumns):
-    """Controller steps, n of them; vectors are (n, 3). Fields as in ``ControllerStep.msg``."""
+    """The n controller steps; vectors are (n, 3). The fields are those of ``ControllerStep.msg``."""
 
     @cached_property
     def both_valid(self) -> Bools:
-        """(n,) whether own and target state were present, fresh and finite."""
+        """Whether vehicle and target state were present, fresh and finite, (n,)."""
         finite = np.isfinite(self.own_position_enu_m).all(1) & np.isfinite(self.target_position_enu_m).all(1)
         return self.own_valid & self.target_valid & finite
 
     @cached_property
     def e_m(self) -> Floats:
-        """(n, 3) estimated position relative to the landing spot, m; NaN where not both were valid."""
+        """Estimated position relative to the landing spot, m, (n, 3); NaN unless both states were valid."""
         return np.where(
             self.both_valid[:, None], self.own_position_enu_m - self.target_position_enu_m, np.nan
         )
 
     @cached_property
     def d_m(self) -> Floats:
-        """(n,) estimated horizontal distance to the landing spot, m; NaN where not both were valid."""
+        """Estimated horizontal distance to the landing spot, m, (n,); NaN unless both states were valid."""
         return np.hypot(self.e_m[:, 0], self.e_m[:, 1])
 
     @cached_property
     def relative_velocity_m_s(self) -> Floats:
-        """(n, 3) estimated velocity relative to the landing spot, m/s; NaN where not both were valid."""
+        """Estimated velocity relative to the landing spot, m/s, (n, 3); NaN unless both states were valid."""
         velocity_m_s = self.own_velocity_enu_m_s - self.target_velocity_enu_m_s
         return np.where(self.both_valid[:, None], velocity_m_s, np.nan)
 
 
 class Truth(TrueStateColumns):
-    """The simulator's true states, n of them; vectors are (n, 3). Fields as in ``TrueState.msg``."""
+    """The simulator's n true states; vectors are (n, 3). The fields are those of ``TrueState.msg``."""
 
     @cached_property
     def e_m(self) -> Floats:
-        """(n, 3) true position relative to the landing spot, m."""
+        """True position relative to the landing spot, m, (n, 3)."""
         return self.position_enu_m - self.pad_position_enu_m
 
     @cached_property
     def d_m(self) -> Floats:
-        """(n,) true horizontal distance to the landing spot, m."""
+        """True horizontal distance to the landing spot, m, (n,)."""
         return np.hypot(self.e_m[:, 0], self.e_m[:, 1])
 
     @cached_property
     def relative_velocity_m_s(self) -> Floats:
-        """(n, 3) velocity relative to the pad's surface below the vehicle, its turning included, m/s."""
+        """Velocity relative to the pad's surface below the vehicle, with the pad's rotation, m/s, (n, 3)."""
         turn_rad_s = _rate(np.unwrap(self.pad_yaw_rad), self.t_s)
         carried = np.column_stack(
             (-turn_rad_s * self.e_m[:, 1], turn_rad_s * self.e_m[:, 0], np.zeros(len(self.t_s)))
@@ -79,17 +79,17 @@ class Truth(TrueStateColumns):
 
 
 class Timing(LoopTimingColumns):
-    """Wall-clock behaviour of the loop, n ticks. Fields as in ``LoopTiming.msg``, seconds."""
+    """Wall-clock timing of the loop in n ticks, s. The fields are those of ``LoopTiming.msg``."""
 
 
 @dataclass(frozen=True)
 class TargetOdometry:
     """Target odometry as it was received, n samples, accepted by the controller or not."""
 
-    t_s: Floats  # (n,) arrival times
-    stamp_ns: Ints  # (n,) measurement time, sender's clock
-    position_enu_m: Floats  # (n, 3) centre of the pad's top
-    velocity_child_m_s: Floats  # (n, 3) in the frame of the robot, as sent
+    t_s: Floats  # arrival times, (n,)
+    stamp_ns: Ints  # measurement times on the sender's clock, (n,)
+    position_enu_m: Floats  # centre of the pad's top, (n, 3)
+    velocity_child_m_s: Floats  # velocity in the robot's frame, as sent, (n, 3)
     frame_id: list[str]  # n names, usually "map"
 
 
@@ -103,25 +103,25 @@ class Event:
 
 @dataclass(frozen=True)
 class Flight:
-    """Everything one log holds about one flight.
+    """All data of one flight in a log.
 
     Attributes:
-        path: the log.
-        member: of the fleet whose log it is, None in the log of one flight.
+        path: log file.
+        member: name of the fleet member; None for the log of one flight.
         complete: whether the recorder closed the file and every byte could be read.
-        damage: parts of the log that could not be read, as text; empty for a good one.
-        problems: the same, and a configuration of another version.
+        damage: unreadable parts of the log, as text; empty for a good one.
+        problems: damage, and a configuration of another version.
         origin_ns: log time of ``t_s = 0``.
-        duration_s: from the first to the last step or true state.
-        steps, timing, truth, target: ``None`` where the log has no such messages.
-        events: /rosout in order.
+        duration_s: time from the first to the last step or true state.
+        steps, timing, truth, target: ``None`` if the log has no such messages.
+        events: events of /rosout in order.
         metadata: metadata records by name.
-        attachments: files kept in the log by name.
-        config: configuration the onboard process flew with, ``None`` if the log does not hold it.
-        barrier: the one to judge by, ``None`` if the log does not say.
-        velocity_max_m_s: box of the filter, m/s, ``None`` if the log does not say.
-        pad_radius_m: of the landing pad.
-        pad_carries: whether the vehicle's physics has a pad that it can stand on; the log says where not.
+        attachments: files stored in the log by name.
+        config: configuration of the onboard process; ``None`` if the log does not hold it.
+        barrier: barrier of the verdict; ``None`` if the log does not hold it.
+        velocity_max_m_s: velocity box of the filter, m/s; ``None`` if the log does not hold it.
+        pad_radius_m: radius of the landing pad.
+        pad_carries: whether the vehicle can stand on the pad; False only if the log says so.
     """
 
     path: Path
@@ -146,14 +146,14 @@ class Flight:
 
     @cached_property
     def landing_start_s(self) -> float | None:
-        """Time of the first controller step in phase APPROACH: the landing and its judging begin."""
+        """Time of the first controller step in phase APPROACH: the landing and its verdict start there."""
         if self.steps is None:
             return None
         begun = np.flatnonzero(self.steps.phase == Phase.APPROACH)
         return float(self.steps.t_s[begun[0]]) if len(begun) else None
 
     def phase_spans(self) -> list[tuple[Phase | int, float, float]]:
-        """Phases in order, each with its first time and the time the next one began, seconds."""
+        """Return the phases in order, each with its first time and the first time of the next one, s."""
         if self.steps is None:
             return []
         phase, t_s = self.steps.phase, self.steps.t_s
@@ -168,14 +168,14 @@ class Flight:
 class Fleet:
     """The flights of a fleet, from one log."""
 
-    path: Path  # the log
-    flights: dict[str, Flight]  # by member; each on its own time, which begins at its ``origin_ns``
+    path: Path  # log file
+    flights: dict[str, Flight]  # by member; the times of each flight start at its ``origin_ns``
     pairs: dict[tuple[int, int], FleetPairRow]  # newest simulator record of each pair of ids
-    ids: dict[int, str]  # members by the ids of their vehicles, which are their MAVLink system ids
-    # /rosout in order, times since ``origin_ns``; sources have the member's namespace in front
+    ids: dict[int, str]  # members by vehicle id, which is also the MAVLink system id
+    # events of /rosout in order, times since ``origin_ns``; sources have the member's namespace in front
     events: tuple[Event, ...]
-    metadata: dict[str, dict[str, str]]  # metadata records that belong to no single member, by name
-    attachments: dict[str, bytes]  # attachments that belong to no single member, by name
+    metadata: dict[str, dict[str, str]]  # metadata records of no single member, by name
+    attachments: dict[str, bytes]  # attachments of no single member, by name
 
     @property
     def origin_ns(self) -> int:
@@ -183,22 +183,22 @@ class Fleet:
         return min(flight.origin_ns for flight in self.flights.values())
 
     def shift_s(self, flight: Flight) -> float:
-        """Offset that converts the times of a member to the origin of the fleet, s."""
+        """Return the offset that converts the times of a member to the origin of the fleet, s."""
         return (flight.origin_ns - self.origin_ns) * 1e-9
 
 
 def phase_name(phase: int) -> str:
-    """Name of a phase; a phase that this version does not know is shown as a number."""
+    """Return the name of a phase; a phase unknown to this version is shown as a number."""
     return Phase(phase).name if phase in Phase._value2member_map_ else f"phase {phase}"
 
 
 def _phase(number: int) -> Phase | int:
-    """The phase, or its number if a newer stack wrote an unknown one."""
+    """Return the phase, or its number if this version does not know it."""
     return Phase(number) if number in Phase._value2member_map_ else number
 
 
 def _rate(values: Floats, t_s: Floats) -> Floats:
-    """Time derivative; NaN where there are too few or repeated times."""
+    """Return the time derivative; NaN if there are too few or repeated times."""
     if len(t_s) < 2:
         return np.full(len(t_s), np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -206,14 +206,14 @@ def _rate(values: Floats, t_s: Floats) -> Floats:
 
 
 def read_config(data: bytes) -> FlightConfig:
-    """Read the attachment."""
+    """Read the configuration from its attachment."""
     return from_table(FlightConfig, parse_toml(data))
 
 
 def shape(config: FlightConfig) -> dict[str, str]:
-    """Barrier and pad under the names that the metadata of a simulated run have, m and 1/m.
+    """Return barrier and pad under the names of a simulated run's metadata, m and 1/m.
 
-    Of a fleet also the semi-axes of the ellipsoid of two vehicles.
+    A fleet also has the semi-axes of the ellipsoid around a vehicle pair.
     """
     barrier, fleet = config.barrier.build(), config.fleet
     found = {

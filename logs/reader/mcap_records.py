@@ -1,8 +1,8 @@
-"""The records of an MCAP file in any state: what can be read is read, and what cannot is named by its place.
+"""Reads the records of a damaged or complete MCAP file, and reports the place of each unreadable part.
 
-A record is understood when its frame lies in the file, its kind is known, its fields fill it to the last
-byte and its checksum is right. One that is not is left out. Where a frame itself is wrong, reading continues
-at the next record that the index of the file leads to; a file without an index ends there.
+A record is readable if it ends within the file, its kind is known, its fields fill it to the last byte and
+its checksum is correct. An unreadable record is omitted. If the length of a record is wrong, reading
+continues at the next record that the index of the file contains; without an index it ends there.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from mcap.stream_reader import get_chunk_data_stream
 
 MAGIC = bytes((0x89, 0x4D, 0x43, 0x41, 0x50, 0x30, 0x0D, 0x0A))  # MCAP specification, "Magic"
 _HEAD = struct.Struct("<BQ")  # head of a record: its kind and the length of its content
-_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence number, log time, publish time; then the payload
-_INDEX = struct.Struct("<HI")  # channel, bytes of the entries that follow
-_TIME_MAX_NS = 2**63 - 1  # of ROS 2, whose times are signed
+_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence number, log time, publish time; the payload follows
+_INDEX = struct.Struct("<HI")  # channel, number of bytes of the entries that follow
+_TIME_MAX_NS = 2**63 - 1  # maximum time in ROS 2, whose times are signed
 _ENTRY_BYTES = 16  # size of an entry of a message index: log time and offset
 _FOOTER_BYTES = _HEAD.size + 20
 _NO_CRC = bytes(4)
@@ -52,7 +52,7 @@ _KINDS: dict[int, Any] = {
     Opcode.CHUNK_INDEX: ChunkIndex, Opcode.ATTACHMENT_INDEX: AttachmentIndex,
     Opcode.METADATA_INDEX: MetadataIndex, Opcode.SUMMARY_OFFSET: SummaryOffset, **_DECLARED,
 }  # fmt: skip
-_PLACES = {  # records of the index that give start and length of another record
+_PLACES = {  # records of the index that contain start and length of another record
     ChunkIndex: (Opcode.CHUNK, "chunk_start_offset", "chunk_length"),
     AttachmentIndex: (Opcode.ATTACHMENT, "offset", "length"),
     MetadataIndex: (Opcode.METADATA, "offset", "length"),
@@ -78,24 +78,24 @@ class Records:
     """One pass over the records of a file."""
 
     def __init__(self, stream: BinaryIO, *, messages: bool) -> None:
-        """Begin a pass over an open file; without ``messages`` they are checked and not yielded."""
+        """Start a pass over an open file; without ``messages`` they are checked but not yielded."""
         self._stream, self._messages = stream, messages
         self._size = os.fstat(stream.fileno()).st_size
         self._index = _Index(stream, self._size)
         self._declared: dict[tuple[type, int], Any] = {}  # by kind and id
         self._first, self._places = "", 0
-        # first byte that could not be read; the size of the file if there is none
+        # first unreadable byte; the size of the file if there is none
         self.broken_at = self._size
-        self.ended = False  # whether the footer is there
+        self.ended = False  # the footer was read
 
     @property
     def problem(self) -> str:
-        """What could not be read, and where; empty while everything could."""
+        """First unreadable part and its place; empty while everything could be read."""
         more = self._places - 1
         return self._first + (f"; so in {more} more place{'s' * (more > 1)}" if more > 0 else "")
 
     def __iter__(self) -> Iterator[Any]:
-        """Yield the records that can be read, those in chunks included, in the order they were written."""
+        """Yield the readable records, including those in chunks, in the order in which they were written."""
         at = len(MAGIC)
         crc: int | None = zlib.crc32(
             MAGIC
@@ -119,7 +119,7 @@ class Records:
                 yield from self._taken(kind, body, at)
                 if kind in (Opcode.DATA_END, Opcode.FOOTER):
                     _check_crc(crc if kind == Opcode.DATA_END or crc is None else zlib.crc32(head, crc), body)
-            except Exception as error:  # a library raises whatever it likes about damaged bytes
+            except Exception as error:  # a library may raise any exception for damaged bytes
                 self._damaged(at, self._span(at, end), _reason(error))
             if crc is not None:
                 crc = 0 if kind == Opcode.DATA_END else zlib.crc32(body, zlib.crc32(head, crc))
@@ -136,7 +136,7 @@ class Records:
         self._places += 1
 
     def _taken(self, kind: int, body: bytes, at: int) -> list[Any]:
-        """Return what a record of the file gives: itself, or what is in a chunk."""
+        """Return the records of a file record: itself, or the records in a chunk."""
         if kind == Opcode.MESSAGE or kind in _DECLARED:
             return self._in_chunk(_HEAD.pack(kind, len(body)) + body, at)
         record = _understood(kind, body)
@@ -146,7 +146,7 @@ class Records:
         return [] if record is None else [record]
 
     def _in_chunk(self, data: bytes, place: int) -> list[Any]:
-        """Return the records in the data of a chunk, a tenth of the time that the package takes for it."""
+        """Return the records in the data of a chunk, in a tenth of the package's time."""
         found: list[Any] = []
         unknown: Counter[int] = Counter()  # messages by channel
         at, size = 0, len(data)
@@ -171,7 +171,7 @@ class Records:
             else:
                 try:
                     self._declare(_understood(kind, data[begin:end], _DECLARED), found)
-                except Exception as error:  # see above
+                except Exception as error:  # as above
                     self._damaged(place, f"a record at byte {place} cannot be read", _reason(error))
             at = end
         for channel, count in unknown.items():
@@ -180,7 +180,7 @@ class Records:
         return found
 
     def _declare(self, record: Any, found: list[Any]) -> None:
-        """Take a declaration; a channel needs its schema, and neither changes."""
+        """Store a declaration; a channel needs its schema, and neither may change."""
         key = (type(record), record.id)
         if self._declared.setdefault(key, record) != record:
             raise DamageError(f"{key[0].__name__} {record.id} is declared a second time, and differs")
@@ -204,7 +204,7 @@ class Records:
 
 
 class _Index:
-    """The summary at the end of a file; empty without one, or with a damaged one."""
+    """The summary at the end of a file; empty if it is missing or damaged."""
 
     def __init__(self, stream: BinaryIO, size: int) -> None:
         self.declared: dict[tuple[type, int], Any] = {}
@@ -222,7 +222,7 @@ class _Index:
             body, at = data[at + _HEAD.size : at + _HEAD.size + length], at + _HEAD.size + length
             try:
                 record = _understood(kind, body)
-            except Exception:  # the pass names it
+            except Exception:  # the pass over the records reports it
                 continue
             if isinstance(record, Schema | Channel):
                 self.declared.setdefault((type(record), record.id), record)
@@ -242,7 +242,7 @@ class _Index:
 
 
 def _understood(kind: int, body: bytes, kinds: dict[int, Any] = _KINDS) -> Any:
-    """Return a record that is whole; None for an index of messages, which is not used."""
+    """Return a complete record; None for a message index, which is not used."""
     if kind == Opcode.MESSAGE_INDEX and kinds is _KINDS:
         if len(body) < _INDEX.size or (len(body) - _INDEX.size) % _ENTRY_BYTES:
             raise DamageError("an index of messages that is not whole")
@@ -262,13 +262,13 @@ def _understood(kind: int, body: bytes, kinds: dict[int, Any] = _KINDS) -> Any:
 
 
 def _check_crc(crc: int | None, body: bytes) -> None:
-    """Compare the checksum that ends the data or the summary."""
+    """Compare the checksum at the end of the data or of the summary."""
     if crc is not None and body[-4:] not in (_NO_CRC, zlib.crc32(body[:-4], crc).to_bytes(4, "little")):
         raise DamageError("the checksum of what is before is wrong")
 
 
 def _unpacked(chunk: Chunk) -> bytes:
-    """Return the data of a chunk, by its checksum."""
+    """Return the uncompressed data of a chunk after checking its checksum."""
     if chunk.compression not in _COMPRESSIONS:
         raise DamageError(f"compression {chunk.compression!r}, known are lz4, zstd and none")
     stream, size = get_chunk_data_stream(chunk, validate_crc=True)

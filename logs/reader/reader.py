@@ -1,13 +1,13 @@
-"""Read a flight log, whole or broken; of a fleet's log all of it, or the part of one member.
+"""Reads a flight log, complete or damaged; of a fleet's log all data, or the part of one member.
 
-A recorder that was killed leaves a file without its index, cut at any byte; a disk or a transfer damages
-bytes anywhere. All readable data are read, and unreadable parts are reported.
+A killed recorder leaves a file without its index, truncated at any byte; a disk or a transfer may damage any
+byte. All readable data are read, and unreadable parts are reported.
 
-The log of a fleet has a metadata record ``fleet`` with its members. What belongs to one of them has its
-namespace in front: ``/cf2/controller/step``, the logger ``cf2.onboard`` on /rosout, the metadata ``cf2/run``,
-the attachment ``cf2/onboard.toml``. MAVLink frames are on ``/uas<system id>/...``, with the system id in the
-metadata ``cf2/onboard``. Events, metadata and attachments without a member's name in front belong to all, but
-for ``fleet`` and ``team.toml``; these and the topics of no member belong to the fleet alone.
+The log of a fleet has a metadata record ``fleet`` with its members. The data of a member have its namespace
+in front: ``/cf2/controller/step``, the logger ``cf2.onboard`` on /rosout, the metadata ``cf2/run``, the
+attachment ``cf2/onboard.toml``. MAVLink frames are on ``/uas<system id>/...``, with the system id in the
+metadata ``cf2/onboard``. Events, metadata and attachments without a member's name belong to all members,
+except for ``fleet`` and ``team.toml``; these, and topics of no member, belong only to the fleet.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from logs.schema.schemas import LOG, same_fields, store_for
 
 ROSOUT = "/rosout"
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
-_SYSTEM = "uas"  # first part of the topics of MAVLink frames, with the system id behind it
-_FRAMES = "/uas1"  # the same in the log of one flight, whatever its system id
+_SYSTEM = "uas"  # first part of the topics of MAVLink frames; the system id follows
+_FRAMES = "/uas1"  # first part in the log of one flight, whatever its system id
 
 
 class Members:
@@ -52,7 +52,7 @@ class Members:
         self._owners |= {f"{_SYSTEM}{system_id}": name for system_id, name in self.ids.items()}
 
     def owner(self, topic: str) -> str | None:
-        """Return the member that a topic belongs to; None: no member."""
+        """Return the member that owns a topic; None: no member."""
         return self._owners.get(topic.removeprefix("/").partition("/")[0])
 
     def split(self, name: str, separator: str = "/") -> tuple[str | None, str]:
@@ -62,19 +62,19 @@ class Members:
 
 
 def _system_id(metadata: Mapping[str, Mapping[str, str]], number: int, name: str) -> int:
-    """System id by the metadata of the onboard process; without it members are counted from 1."""
+    """Return the system id from the onboard process's metadata; by default members are counted from 1."""
     told = metadata.get(f"{name}/onboard", {}).get("system_id", "")
     return int(told) if told.isdigit() else number
 
 
 class MemberView:
-    """A member's part of the log, under the names of a log of one flight."""
+    """A member's part of the log, with the names of a log of one flight."""
 
     def __init__(self, members: Members, member: str) -> None:
         self._members, self._member = members, member
 
     def topic(self, topic: str) -> str | None:
-        """Return the name of a topic; None for one of another member. /rosout is shared."""
+        """Return the name of a topic; None for a topic of another member. /rosout is shared."""
         if topic == ROSOUT:
             return topic
         if self._members.owner(topic) != self._member:
@@ -95,7 +95,7 @@ class MemberView:
         return {whose[who][1]: text for who, text in values.items() if whose[who][0] in (None, self._member)}
 
     def event(self, data: bytes) -> bytes | None:
-        """Return an event of /rosout with its logger's name; None for another member's.
+        """Return an event of /rosout with its logger's name; None for another member's event.
 
         An unreadable event belongs to all members, unchanged.
         """
@@ -113,7 +113,7 @@ class MemberView:
         return self.event(data) if schema == LOG else data
 
 
-# what is opened in place of an MCAP file: how it begins, what it is, what to do
+# files that are often opened in place of an MCAP file: first bytes, kind, remedy
 _OTHERS = (
     (b"version https://git-lfs", "a pointer of Git LFS; fetch the file itself with `git lfs pull`"),
     (b"\x28\xb5\x2f\xfd", "compressed by zstd; unpack it with `zstd -d`"),
@@ -143,10 +143,10 @@ class Message(NamedTuple):
     data: bytes  # CDR with its four-byte header
 
     def decode(self) -> Any:
-        """Return the message as an object with the fields of its definition (slow path, by ``rosbags``)."""
+        """Return the message as an object with the fields of its definition (slow, uses ``rosbags``)."""
         try:
             return store_for(self.schema).deserialize_cdr(self.data, self.schema)
-        except Exception as error:  # a library raises whatever it likes about damaged bytes
+        except Exception as error:  # a library may raise any exception for damaged bytes
             where = f"{self.topic}, sequence {self.sequence}: not a {self.schema}"
             raise LogError(f"{where} ({type(error).__name__}: {error})") from error
 
@@ -159,26 +159,26 @@ class Attachment(NamedTuple):
 
 
 class _Outline(NamedTuple):
-    """Result of a pass besides the messages."""
+    """Result of a pass, without the messages."""
 
     metadata: dict[str, dict[str, str]]
     attachments: list[Attachment]
     problem: str
     library: str  # program that wrote the file
-    foreign: frozenset[str]  # our message types whose definitions in the file have other fields
+    foreign: frozenset[str]  # this stack's message types whose definitions in the file have other fields
 
 
 class LogFile:
-    """A flight log on disk, or what it holds of one member of a fleet as the log of a single flight."""
+    """A flight log on disk, or the part of one fleet member as the log of a single flight."""
 
     def __init__(self, path: Path | str, member: str | None = None) -> None:
-        """Check the head of the file.
+        """Check the start of the file.
 
-        With the namespace of a member only its topics, events, metadata and attachments are read, under the
-        names of a log of one flight, and what belongs to all.
+        With the namespace of a member only its topics, events, metadata and attachments, and those of all
+        members, are read, under the names of a log of one flight.
         """
         self.path = Path(path)  # the log file
-        self.member = member  # fleet member whose part is read; None: everything
+        self.member = member  # fleet member whose part is read; None: the whole log
         self._last: Records | None = None
         self._refused, self._first_refused = 0, ""
         try:
@@ -200,11 +200,11 @@ class LogFile:
 
     @property
     def members(self) -> tuple[str, ...]:
-        """Namespaces of the members of a fleet; () for one flight, as for the part of one member."""
+        """Namespaces of the members of a fleet; () for one flight, and for the part of one member."""
         return self.parts.names if self.member is None else ()
 
     def single(self) -> LogFile:
-        """Return this log where it is one flight."""
+        """Return this log if it holds one flight."""
         if self.members:
             raise LogError(
                 f"{self.path} holds a fleet of {', '.join(self.members)}; say whose flight, for example with "
@@ -213,7 +213,7 @@ class LogFile:
         return self
 
     def part(self, member: str) -> LogFile:
-        """Return what a log of a fleet holds of a member; the file is not read once more for it."""
+        """Return a member's part of a fleet's log; the file is not read again."""
         found = copy(self)
         found.member = member
         found.__dict__.pop("view", None)
@@ -221,12 +221,12 @@ class LogFile:
 
     @property
     def problem(self) -> str:
-        """Unreadable part that the last pass found so far, and its place; empty: none."""
+        """First unreadable part that the last pass has found, and its place; empty: none."""
         return self._last.problem if self._last is not None else ""
 
     @property
     def broken_at(self) -> int:
-        """First byte that the last pass could not read; the size of a whole file."""
+        """First byte that the last pass could not read; the file size if all bytes were read."""
         return self._last.broken_at if self._last is not None else 0
 
     @property
@@ -242,7 +242,7 @@ class LogFile:
         return "; ".join(filter(None, (self._outline.problem, refused)))
 
     def need(self, *schemas: str) -> None:
-        """Raise LogError if the log holds one of these types with other fields than this version has."""
+        """Raise LogError if one of these types has other fields in the log than in this version."""
         foreign = [name.rpartition("/")[2] for name in schemas if name in self._outline.foreign]
         if foreign:
             raise LogError(
@@ -254,7 +254,7 @@ class LogFile:
 
     @property
     def made_by(self) -> str:
-        """Version of this stack that recorded the log, as far as the log says."""
+        """Version of this stack that recorded the log, if the log contains it."""
         made = self._outline.metadata.get("made", {})
         revision = f" (git {made['git_revision']})" if made.get("git_revision") else ""
         return f"version {made['version']}{revision}" if "version" in made else repr(self._outline.library)
@@ -266,7 +266,7 @@ class LogFile:
         self._first_refused = self._first_refused or f"{what} ({type(error).__name__}: {error})"
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """Yield the messages that can be read, in the order they were written."""
+        """Yield the readable messages in the order in which they were written."""
         channels: dict[int, Channel] = {}
         schemas: dict[int, str] = {}
         for record in self.records():
@@ -283,16 +283,16 @@ class LogFile:
                 channels[record.id] = record
 
     def part_of(self, message: Message) -> Message | None:
-        """Return a message of the whole log as this member sees it; None for one of another member."""
+        """Return a message of the whole log under this member's names; None for one of another member."""
         if self.view is None or self.view.topic(message.topic) is None:
             return None
         data = self.view.data(message.schema, message.data)
         return None if data is None else message._replace(data=data)
 
     def records(self) -> Iterator[Any]:
-        """Yield the MCAP records that can be read, those in chunks included, in the order they were written.
+        """Yield the readable MCAP records, including those in chunks, in the order of writing.
 
-        A message never comes before its channel. Schemas and channels come again from the summary.
+        A message never precedes its channel. The summary repeats the schemas and channels.
         """
         records = self._records()
         return records if self.view is None else _seen(records, self.view)
@@ -309,14 +309,14 @@ class LogFile:
         }
 
     def attachments(self) -> list[Attachment]:
-        """Return the files kept inside the log, in the order they were written."""
+        """Return the files stored in the log, in the order in which they were written."""
         view, found = self.view, self._outline.attachments
         if view is None:
             return found
         return [each._replace(name=seen) for each in found if (seen := view.name(each.name)) is not None]
 
     def attachment(self, name: str) -> bytes | None:
-        """Return the last file of this name, ``None`` if there is none."""
+        """Return the last file with this name; ``None`` if there is none."""
         return next((each.data for each in reversed(self.attachments()) if each.name == name), None)
 
     @cached_property
@@ -332,10 +332,10 @@ class LogFile:
     def _outline(self) -> _Outline:
         for _ in self._records(messages=False):
             pass
-        return self.__dict__["_outline"]  # type: ignore[no-any-return]  # of the pass that has ended
+        return self.__dict__["_outline"]  # result of the pass that has ended
 
     def _records(self, *, messages: bool = True) -> Iterator[Any]:
-        """Yield the MCAP records that can be read, and remember where and why one could not."""
+        """Yield the readable MCAP records, and store the place and reason of unreadable ones."""
         metadata: dict[str, dict[str, str]] = {}
         attachments: list[Attachment] = []
         library, foreign = "", set()
@@ -360,7 +360,7 @@ class LogFile:
 def _seen(records: Iterable[Any], view: MemberView) -> Iterator[Any]:
     """Yield a member's records, under the names of a log of one flight."""
     schemas: dict[int, str] = {}
-    channels: dict[int, str] = {}  # schema of each channel that is seen
+    channels: dict[int, str] = {}  # schema of each channel of the member
     for record in records:
         if isinstance(record, MessageRecord):
             schema = channels.get(record.channel_id)

@@ -1,10 +1,10 @@
-"""The socket between the processes of a run and the flight recorder, and a process' side of it.
+"""The socket between the processes of a run and the flight recorder, and the client of a process.
 
-A stream of records, each a fixed header and a payload. The header carries the times and the sequence
-number, so the recorder never parses the payload of a message. A process writes cheaply during a tick and
-sends once at its end. The recorder is another process, so a full disk or a slow compressor never stops the
-loop. In real time nothing here ever blocks: what does not fit in the bounded buffer is dropped whole and
-counted in the log. In lockstep the simulation waits instead, so that a log is never short of a message.
+The socket carries a stream of records, each a fixed header and a payload. The header holds the times and the
+sequence number, so the recorder never parses the payload of a message. A process buffers its records during a
+tick and sends them at its end. The recorder is a separate process, so a full disk or a slow compressor never
+stops the loop. In real time no call blocks: a record that does not fit into the bounded buffer is dropped and
+counted in the log. In lockstep the simulation waits instead, so no message is lost.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from pathlib import Path
 from typing import NamedTuple
 
 HEADER = struct.Struct("<IHHqqI")  # payload length, kind, channel, log time ns, publish time ns, sequence
-SOCKET_PATH_MAX = 107  # bytes (unix(7))
-MAX_PAYLOAD = 16 * 2**20  # bytes; a longer one is a broken stream, not a message
+SOCKET_PATH_MAX = 107  # limit, bytes (unix(7))
+MAX_PAYLOAD = 16 * 2**20  # limit, bytes; a longer payload shows a corrupted stream
 
 
 class Kind(IntEnum):
     """Kind of a record's payload."""
 
-    DECLARE = 0  # JSON {"topic", "schema"}; the channel number is the sender's
+    DECLARE = 0  # JSON {"topic", "schema"}; the sender chooses the channel number
     MESSAGE = 1  # CDR with its four-byte header
     METADATA = 2  # JSON {"name", "values": {str: str}}
     ATTACHMENT = 3  # one line of JSON {"name", "media_type"}, then the data
-    LOSSES = 4  # JSON {"client", "dropped"}: records the sender had to drop so far; also its introduction
+    LOSSES = 4  # JSON {"client", "dropped"}: number of dropped records so far; also the client's first record
     GOODBYE = 5  # orderly end
 
 
@@ -45,7 +45,7 @@ class Record(NamedTuple):
 
 
 class WireError(ValueError):
-    """A stream that is not made of records; the rest of that client's data cannot be read."""
+    """A stream that is not made of records; the remaining data of that client cannot be read."""
 
 
 def encode(
@@ -59,7 +59,7 @@ def encode_json(kind: Kind, channel: int, log_time_ns: int, content: object) -> 
 
 
 class Splitter:
-    """Cuts the byte stream of one client into records."""
+    """Splits the byte stream of one client into records."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
@@ -69,7 +69,7 @@ class Splitter:
         return len(self._buffer)
 
     def feed(self, data: bytes) -> list[Record]:
-        """Add bytes and return the records that are whole now, in order."""
+        """Add bytes and return the records that are complete now, in order."""
         buffer = self._buffer
         buffer += data
         records: list[Record] = []
@@ -89,10 +89,10 @@ class Splitter:
         return records
 
 
-BUFFER_LIMIT = 4 * 2**20  # bytes kept for a slow recorder, several seconds of one vehicle's flight
-PATIENCE_S = 8.0  # wall time a lossless sender, or a closing one, waits for the recorder
+BUFFER_LIMIT = 4 * 2**20  # bytes buffered for a slow recorder, several seconds of one vehicle's flight
+PATIENCE_S = 8.0  # wall time for which a lossless or closing sender waits for the recorder, s
 _MESSAGE = int(Kind.MESSAGE)
-_SOCKET_BUFFER = 2**20  # bytes requested from the kernel, which may grant less
+_SOCKET_BUFFER = 2**20  # bytes requested from the kernel, which may grant fewer
 
 
 class FeedError(ConnectionError):
@@ -103,7 +103,7 @@ class Feed:
     """Connection of one process to the recorder."""
 
     def __init__(self, sock: socket.socket | None, client: str, *, lossless: bool, vehicles: int = 1) -> None:
-        """Take over a connected socket; None: no recorder. Use :meth:`connect`."""
+        """Use a connected socket; None: no recorder. Call :meth:`connect` instead."""
         self._sock = sock
         self._client = client
         self._lossless = lossless
@@ -111,9 +111,9 @@ class Feed:
         self._channels: dict[tuple[str, str], int] = {}
         self._log_time_ns = 0
         self._reported = 0
-        # whether the recorder still accepts records; writing to a dead feed does nothing
+        # whether the recorder still accepts records; without it, records are ignored
         self.alive = sock is not None
-        self.dropped = 0  # records dropped so far: the recorder was too slow, or gone
+        self.dropped = 0  # records dropped so far: the recorder was too slow, or has ended
         if sock is not None:
             sock.setblocking(False)
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SOCKET_BUFFER)
@@ -121,9 +121,9 @@ class Feed:
 
     @staticmethod
     def connect(path: str | Path | None, client: str, *, lossless: bool, vehicles: int = 1) -> Feed:
-        """Return a feed to the recorder listening at ``path``; None: a feed without a recorder.
+        """Return a feed to the recorder that listens at ``path``; None: a feed without a recorder.
 
-        A lossless feed waits for the recorder (lockstep), another one never blocks (real time). The buffer
+        A lossless feed waits for the recorder (lockstep); any other feed never blocks (real time). The buffer
         grows with the number of vehicles.
         """
         if path is None:
@@ -140,7 +140,7 @@ class Feed:
         return Feed(sock, client, lossless=lossless, vehicles=vehicles)
 
     def channel(self, topic: str, schema: str) -> int:
-        """Return the number of a channel, declaring it the first time."""
+        """Return the number of a channel; the first call declares the channel."""
         number = self._channels.get((topic, schema))
         if number is None:
             number = self._channels[topic, schema] = len(self._channels) + 1
@@ -167,7 +167,7 @@ class Feed:
         self._append_always(encode_json(Kind.METADATA, 0, self._log_time_ns, content))
 
     def attachment(self, name: str, media_type: str, data: bytes) -> None:
-        """Put a whole file into the log."""
+        """Add a complete file to the log."""
         head = json.dumps({"name": name, "media_type": media_type}).encode() + b"\n"
         if len(head) + len(data) > MAX_PAYLOAD:
             raise ValueError(f"attachment {name} has {len(data)} bytes; at most {MAX_PAYLOAD} are allowed")
@@ -175,7 +175,7 @@ class Feed:
         self._append_always(encode(Kind.ATTACHMENT, 0, now, now, 0, head + data))
 
     def flush(self) -> None:
-        """Send what is buffered: once a tick. Never raises; a dead recorder clears :attr:`alive`."""
+        """Send the buffer, once per tick. Never raises; :attr:`alive` becomes False without a recorder."""
         if not self.alive:
             return
         if self.dropped != self._reported and len(self._buffer) < self._limit // 2:
@@ -199,7 +199,7 @@ class Feed:
         self._sock = None
 
     def _append_always(self, record: bytes) -> None:
-        """Add a record that the rest of the log needs; there are few of them, so no bound applies."""
+        """Add a record that the rest of the log needs; such records are few and may exceed the limit."""
         if self.alive:
             self._buffer += record
 
@@ -217,7 +217,7 @@ class Feed:
         self._reported = self.dropped
 
     def _send(self) -> None:
-        """One non-blocking send of as much as the socket takes."""
+        """Send as much as the socket accepts, in one call that does not block."""
         if self._sock is None or not self._buffer:
             return
         try:
@@ -230,7 +230,7 @@ class Feed:
         del self._buffer[:sent]
 
     def _drain(self, patience_s: float) -> None:
-        """Send everything, waiting for the recorder up to a bound; a recorder slower than that is dead."""
+        """Send the whole buffer within a time limit; a recorder that needs longer counts as ended."""
         deadline_s = time.monotonic() + patience_s
         while self._buffer and self.alive and self._sock is not None:
             left_s = deadline_s - time.monotonic()
@@ -248,7 +248,7 @@ class Feed:
 
 
 class NullFeed(Feed):
-    """A feed without a recorder: nothing is written or counted."""
+    """A feed without a recorder: records are neither written nor counted."""
 
     def __init__(self) -> None:
         super().__init__(None, "", lossless=False)

@@ -1,10 +1,10 @@
-"""The MCAP file of one flight: ROS 2 profile, one channel per topic, readable after any end.
+"""The MCAP file of one flight: ROS 2 profile, one channel per topic, readable after any kind of end.
 
-Every channel is CDR with a ros2msg schema and the file has the profile "ros2", which is what rosbag2,
-Foxglove, Rerun and PlotJuggler open without further information (MCAP format registry, profile "ros2").
+Every channel is CDR with a ros2msg schema and the file has the profile "ros2", which rosbag2, Foxglove, Rerun
+and PlotJuggler open without further information (MCAP format registry, profile "ros2").
 
-The writer is that of the ``mcap`` package. It builds a message from a dataclass and seven small pieces, which
-is two thirds of the recorder's time, and keeps the index of ten hours as 10^5 objects. Here a message is one
+The writer extends the ``mcap`` package's, which builds a message from a dataclass and seven small pieces (two
+thirds of the recorder's time) and stores the index of ten hours as 10^5 objects. Here a message is one
 ``struct`` call, and the index is compressed.
 """
 
@@ -32,11 +32,11 @@ _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log ti
 _MESSAGE_OVERHEAD = 22  # bytes of a message record besides its data
 _MESSAGE_OPCODE = int(Opcode.MESSAGE)
 _INDEX = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
-_BLOCK_BYTES = 2**18  # of index records compressed at a time
+_BLOCK_BYTES = 2**18  # number of index bytes that are compressed together
 
 
 class _Encoded(NamedTuple):
-    """Records of the summary as they stand in the file."""
+    """Records of the summary in their encoded form."""
 
     data: bytes
 
@@ -54,7 +54,7 @@ class _ChunkIndexes:
 
     @property
     def size(self) -> int:
-        """Bytes in the file."""
+        """Size in the file, bytes."""
         return self._closed_bytes + int(self._open.count)
 
     def append(self, index: ChunkIndex) -> None:
@@ -109,7 +109,7 @@ class ChunkedWriter(Writer):  # type: ignore[misc]
     def __init__(self, output: SafeStream | BinaryIO, chunk_bytes: int) -> None:
         """Write to ``output``; a chunk is closed when it holds more than ``chunk_bytes`` uncompressed."""
         super().__init__(output, chunk_bytes, CompressionType.LZ4, enable_data_crcs=True)
-        # the package keeps them under these names; its version is pinned
+        # the package uses these names; its version is pinned
         self._Writer__chunk_builder = self._chunk = _Chunk(self._Writer__statistics)
         self._Writer__chunk_indices = self._indexes = _ChunkIndexes()
         self._chunk_bytes = chunk_bytes
@@ -137,17 +137,17 @@ class ChunkedWriter(Writer):  # type: ignore[misc]
 
 
 CHUNK_BYTES = 256 * 1024  # a killed recorder loses at most the open chunk
-# Kept free for the end of the file: the pending chunk, schemas and the index, and more as the index grows.
+# Disk space reserved for the end of the file: the open chunk, schemas and the growing index.
 RESERVE_BYTES = 2 * 2**20
-_RESERVE_STEP = 2**20  # step of its growth: about every ten minutes instead of at every flush
-_QOS = "[]"  # as rosbags writes it: nothing is known about the sender's quality of service
+_RESERVE_STEP = 2**20  # step of its growth, so that it grows every ten minutes instead of at every flush
+_QOS = "[]"  # empty, as in rosbags: the sender's quality of service is unknown
 
 
 class SafeStream:
-    """Unbuffered output that ends at a whole record even if the disk fails.
+    """Unbuffered output that ends at a complete record even if the disk fails.
 
-    The MCAP writer hands over whole records. One that does not fit is cut off again, so the file stays
-    readable up to the last whole one. ``tell`` still counts after that, since the writer needs it.
+    The MCAP writer writes complete records. A record that does not fit is removed again, so the file remains
+    readable up to the last complete one. ``tell`` still counts afterwards, since the writer needs it.
     """
 
     def __init__(self, raw: BinaryIO, reserve: BinaryIO | None = None) -> None:
@@ -165,7 +165,7 @@ class SafeStream:
         """Write all bytes or none; after a permanent failure, none."""
         if not self._stopped and not self._try(data):
             if self._reserve is not None:
-                self._reserve.close()  # the record that failed, and the end of the file, go where this was
+                self._reserve.close()  # frees space for the failed record and the end of the file
                 self._reserve = None
                 self._stopped = not self._try(data)
             else:
@@ -180,7 +180,7 @@ class SafeStream:
         return self._raw.fileno()
 
     def reserve(self, size: int) -> None:
-        """Keep so many bytes free; in steps, and less where the disk has no more."""
+        """Reserve this many bytes of disk space; it grows in steps, and less if the disk is full."""
         if self._reserve is None or size <= self._reserved:
             return
         self._reserved = size + _RESERVE_STEP
@@ -188,7 +188,7 @@ class SafeStream:
             os.posix_fallocate(self._reserve.fileno(), 0, self._reserved)
 
     def close(self) -> None:
-        """Close the file and give the reserve back."""
+        """Close the file and release the reserved space."""
         if self._reserve is not None:
             self._reserve.close()
         with contextlib.suppress(OSError):
@@ -227,7 +227,7 @@ class McapFile:
         return self._stream.failure
 
     def fail(self, why: str) -> None:
-        """Stop writing: the disk has not kept earlier data."""
+        """Stop writing: the disk has lost earlier data."""
         self._stream.failure = self._stream.failure or why
 
     def descriptor(self) -> int:
@@ -267,7 +267,7 @@ class McapFile:
             self._writer.add_attachment(log_time_ns, log_time_ns, name, media_type, data)
 
     def flush(self) -> None:
-        """Close the open chunk, so that a crash loses nothing written so far."""
+        """Close the open chunk, so that a crash cannot lose data written so far."""
         if not self._stream.failure:
             self._writer.flush()
             self._stream.reserve(RESERVE_BYTES + self._writer.index_bytes)
@@ -278,19 +278,19 @@ class McapFile:
 
 
 def _encodable(record: McapRecord) -> None:
-    """Raise an error before the writer has kept half of a record that cannot be encoded."""
+    """Raise an error before the writer has stored a part of a record that cannot be encoded."""
     record.write(RecordBuilder())
 
 
 def _reserved_space(directory: Path) -> BinaryIO | None:
-    """Return an open nameless file that holds space on the same disk; it vanishes with the process."""
+    """Return an open nameless file that occupies space on the same disk; it vanishes with the process."""
     try:
         reserve = tempfile.TemporaryFile(dir=directory)  # noqa: SIM115
     except OSError:
         return None
     try:
         os.posix_fallocate(reserve.fileno(), 0, RESERVE_BYTES)
-    except OSError:  # a disk nearly full, or one that cannot reserve: recording is still worth a try
+    except OSError:  # a full disk, or one that cannot reserve space: recording may still work
         reserve.close()
         return None
     return reserve

@@ -1,7 +1,7 @@
-"""Recording straight from Zenoh, for a log without the rest of the stack.
+"""Records samples directly from Zenoh, for a log without the rest of the stack.
 
-A sample is recorded if its type is known: from the encoding ``application/cdr;TYPE``, or from a key in the
-form of rmw_zenoh, ``DOMAIN/TOPIC/PACKAGE::msg::dds_::NAME_/HASH``. Others are counted.
+A sample is recorded if its type is known, from the encoding ``application/cdr;TYPE`` or from a key in the
+form of rmw_zenoh, ``DOMAIN/TOPIC/PACKAGE::msg::dds_::NAME_/HASH``. Other samples are counted.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from pathlib import Path
 from bridge.zenoh.zenoh_link import ZenohLinkError, drain, open_session, parse_attachment, ring_subscriber
 from logs.recorder.recording import Recorder, RecorderError
 
-CDR_ENCODING = "application/cdr;"  # as Zenoh writes an encoding that carries a schema
+CDR_ENCODING = "application/cdr;"  # Zenoh's form of an encoding with a schema
 _RMW_KEY = re.compile(r"\d+/(?P<topic>.+)/(?P<package>\w+)::msg::dds_::(?P<name>\w+)_/[^/]+")
-_CAPACITY = 4096  # samples between two looks a few milliseconds apart; a recorder never holds up a sender
+_CAPACITY = 4096  # samples between two polls a few milliseconds apart; the recorder never blocks a sender
 
 
 class ZenohSource:
-    """Every sample on some keys, handed to a recorder."""
+    """Receives the samples of the given keys for a recorder."""
 
     def __init__(self, connect: Sequence[str], keys: Sequence[str], config_file: Path | None = None) -> None:
         """Open a session and subscribe."""
@@ -35,7 +35,7 @@ class ZenohSource:
             raise RecorderError(str(error)) from error
 
     def poll(self, recorder: Recorder) -> None:
-        """Record the samples received; the log time is now, the publish time that of the sender."""
+        """Record the received samples; the log time is now, the publish time is the sender's."""
         for subscriber in self._subscribers:
             for sample in drain(subscriber):
                 key, encoding, attachment = str(sample.key_expr), str(sample.encoding), sample.attachment
@@ -47,7 +47,7 @@ class ZenohSource:
 
 
 def topic_and_schema(key: str, encoding: str) -> tuple[str, str] | None:
-    """Return ROS topic and type of a sample; None if neither key nor encoding names the type."""
+    """Return ROS topic and type of a sample; None if neither key nor encoding contains the type."""
     if match := _RMW_KEY.fullmatch(key):
         return f"/{match['topic']}", f"{match['package']}/msg/{match['name']}"
     if encoding.startswith(CDR_ENCODING):

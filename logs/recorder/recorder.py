@@ -1,9 +1,9 @@
 """The flight recorder: one process, many clients on a local socket, one MCAP file.
 
-It is a process of its own, so it outlives a crash of the others, closes the file then, and its disk and
-compressor never stand in the way of the control loop. A write is safe from a crash of the recorder at once,
-but the kernel may keep it for half a minute. A thread brings the file to the disk, since that may take long
-on a memory card: the loop reads meanwhile.
+A separate process survives a crash of the others and then closes the file, and its disk and compressor never
+delay the control loop. Written data survive a crash of the recorder at once, but the kernel may hold them for
+half a minute. A thread syncs the file to the disk, since this may take long on a memory card; the loop
+continues to read meanwhile.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from logs.schema.schemas import typestore
 if TYPE_CHECKING:
     from logs.recorder.record_zenoh import ZenohSource
 
-# Wall time; `recording` flushes by log time. A killed recorder loses this, what waits in sockets and what
-# the clients gather (0.1 s in lockstep); a power cut also the time the disk takes: half a second in all.
+# Wall time, s; `recording` flushes by log time. A killed recorder loses the data of this time, of the sockets
+# and of the clients' buffers (0.1 s in lockstep); a power cut also those of the disk's delay: 0.5 s in all.
 FLUSH_PERIOD_S = 0.25
-READ_PERIOD_S = 0.004  # wall time; clients flush every tick, reading them in batches saves the processor
-GRACE_S = 3.0  # s of wall time for clients to finish after a stop
+READ_PERIOD_S = 0.004  # wall time, s; clients flush every tick, and reading in batches saves processor time
+GRACE_S = 3.0  # wall time for clients to finish after a stop, s
 _RECEIVE_BYTES = 2**18
 
 
@@ -53,7 +53,7 @@ class RecorderProcess:
         try:
             file = McapFile(out)
             self._syncer = Syncer(file.descriptor(), out)
-            if file.failure:  # not even the head of the file fits
+            if file.failure:  # not even the start of the file fits
                 out.unlink()
                 raise OSError(0, file.failure)
         except OSError as error:
@@ -71,14 +71,14 @@ class RecorderProcess:
         self._gone = 0
 
     def stop(self) -> None:
-        """Ask the loop to end once the clients are done; the second time, at once. For signal handlers."""
+        """Request the end once the clients are done; a second call ends at once. For signal handlers."""
         with contextlib.suppress(OSError):
             self._wake_out.send(b"\x00")
 
     def run(self, until_clients: int | None = None) -> Statistics:
         """Record until a stop, a full disk, or the end of this many clients.
 
-        Returns what was recorded. The file is closed.
+        Return the counts. The file is closed.
         """
         flushed_s = time.monotonic()
         deadline_s = float("inf")
@@ -92,7 +92,7 @@ class RecorderProcess:
             if self._syncer.failure:
                 self._recorder.fail(self._syncer.failure)
             if self._recorder.failure:
-                break  # the clients see their sockets close, and fly on
+                break  # the clients notice closed sockets and continue their flight
             if self._stops and deadline_s == float("inf"):
                 deadline_s = now_s + GRACE_S
             enough = until_clients is not None and self._gone >= until_clients
@@ -120,7 +120,7 @@ class RecorderProcess:
             self._pause()
 
     def _pause(self) -> None:
-        """Let records gather for a moment; a stop ends it."""
+        """Wait a moment, so that records gather; a stop ends the wait."""
         with selectors.SelectSelector() as selector:
             selector.register(self._wake_in, selectors.EVENT_READ)
             selector.select(READ_PERIOD_S)
@@ -137,7 +137,7 @@ class RecorderProcess:
             self._selector.register(client, selectors.EVENT_READ)
 
     def _receive(self, client: socket.socket) -> bool:
-        """Read what one client has sent; False if nothing."""
+        """Read the data that one client has sent; return False if there are none."""
         splitter = self._splitters[client]
         try:
             data = client.recv(_RECEIVE_BYTES)
@@ -215,7 +215,7 @@ def _listen(path: Path) -> socket.socket:
 
 
 def _remove_stale(path: Path) -> None:
-    """Remove a socket that a killed recorder left; one that answers stays and makes the bind fail."""
+    """Remove the socket of a killed recorder; a socket that replies remains and makes the bind fail."""
     if not path.exists() or not stat.S_ISSOCK(path.stat().st_mode):
         return
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
@@ -229,7 +229,7 @@ class Syncer:
     """Calls ``fdatasync`` on one open file on request, one call at a time."""
 
     def __init__(self, descriptor: int, path: Path) -> None:
-        """Start the thread; the directory entry of the file is written to the disk at once."""
+        """Start the thread; sync the directory entry of the file to the disk at once."""
         _sync_directory(path.parent)
         self._descriptor = os.dup(descriptor)  # the file may be closed before the last wait
         self._wanted = threading.Event()
@@ -245,7 +245,7 @@ class Syncer:
         self._wanted.set()
 
     def close(self) -> None:
-        """Sync all data written so far a last time, and end the thread."""
+        """Sync all data written so far for the last time, and end the thread."""
         self._closing = True
         self._wanted.set()
         self._thread.join()
@@ -256,7 +256,7 @@ class Syncer:
         while not closing:
             self._wanted.wait()
             self._wanted.clear()
-            closing = self._closing  # read before the call, so that the last call comes after close()
+            closing = self._closing  # read before the call, so that the last call follows close()
             begun_s = time.monotonic()
             try:
                 os.fdatasync(self._descriptor)
@@ -287,9 +287,9 @@ def record_main(
     keys: Sequence[str] = (),
     config_file: Path | None = None,
 ) -> int:
-    """Run the recorder as the main program of a process; prints "ready" once it listens.
+    """Run the recorder as the main program of a process; print "ready" once it listens.
 
-    Returns exit status: 0 everything is in the file, 1 something is not, 2 it could not start.
+    Return the exit status: 0 all data are in the file, 1 some are not, 2 it could not start.
     """
     if socket_path is None and not keys:
         print("record: nothing to record; give a socket or Zenoh keys", file=sys.stderr)
@@ -314,7 +314,7 @@ def record_main(
         signal.signal(number, stop)
     on_hangup(stop)
     begun()
-    typestore()  # the first call takes half a second: done here, before the flight
+    typestore()  # the first call takes half a second, so it is made before the flight
     print("ready", flush=True)
     counts = process.run(until_clients)
     for problem in problems(counts):
@@ -323,7 +323,7 @@ def record_main(
 
 
 def problems(counts: Statistics) -> list[str]:
-    """Return one line for each way in which the file is not the whole flight."""
+    """Return one line for each reason why the file is incomplete."""
     found: list[str] = []
     if counts.failure:
         found.append(f"writing failed ({counts.failure}); at least {counts.refused} messages are missing")

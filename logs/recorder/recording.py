@@ -1,4 +1,4 @@
-"""How the flight recorder handles each record, apart from sockets and signals."""
+"""Handles the records of the flight recorder, without sockets and signals."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from logs.schema.events import Severity, pack_log
 from logs.schema.names import LOSSES
 from logs.schema.schemas import LOG, UnknownSchemaError
 
-# A chunk holds no more log time than this: in lockstep that runs faster than the wall clock.
+# Greatest log time of a chunk, ns; it matters in lockstep, which runs faster than the wall clock.
 FLUSH_LOG_TIME_NS = 250_000_000
-RECORDER_NAME = "flight_recorder"  # its own events on /rosout; they depend on wall-clock time
-RECORDER = "recorder"  # metadata: what the recorder went through
+RECORDER_NAME = "flight_recorder"  # source of the recorder's own events on /rosout; they depend on wall time
+RECORDER = "recorder"  # metadata: counts and failures of the recorder
 _TOLD = ("clients", "invalid", "refused", "skipped", "unfinished_bytes", "crashed", "syncs", "sync_worst_s",
          "failure")  # fmt: skip
-# What records with wrong content raise; a recorder that dies of one would take the others' log with it.
+# Errors of records with invalid content; the recorder must survive them to keep the other records.
 _NONSENSE = (ValueError, KeyError, TypeError, AttributeError, RecursionError, struct.error)
 
 
@@ -30,30 +30,30 @@ class RecorderError(Exception):
 
 @dataclass
 class Statistics:
-    messages: int = 0  # in the file, derived ones included
+    messages: int = 0  # messages in the file, including derived ones
     derived: int = 0
     clients: int = 0
     invalid: int = 0  # records that could not be interpreted
     refused: int = 0  # messages after the disk was full
     skipped: int = 0  # samples of unknown encoding
-    unfinished_bytes: int = 0  # of records cut by a crash of their sender
+    unfinished_bytes: int = 0  # bytes of records that their sender's crash cut off
     crashed: int = 0  # clients that ended without a goodbye
     dropped: dict[str, int] = field(default_factory=dict)  # by client, as the client reports it
     syncs: int = 0  # number of fdatasync calls on the file
-    sync_worst_s: float = 0.0  # wall time of the longest one
+    sync_worst_s: float = 0.0  # wall time of the longest call, s
     failure: str = ""  # reason why the disk stopped accepting data
 
 
 @dataclass
 class _Client:
     name: str
-    channels: dict[int, int] = field(default_factory=dict)  # its channel number -> channel in the file
+    channels: dict[int, int] = field(default_factory=dict)  # client's channel number -> channel in the file
     derivers: dict[int, Derive] = field(default_factory=dict)
     goodbye: bool = False
 
 
 class Recorder:
-    """Turns records of any number of clients into one file."""
+    """Writes the records of any number of clients into one file."""
 
     def __init__(self, file: McapFile) -> None:
         self._file = file
@@ -89,7 +89,7 @@ class Recorder:
             self._invalid(state, f"record of kind {record.kind}: {error}")
 
     def gone(self, client: int, unfinished_bytes: int) -> None:
-        """Note the end of a connection; ``unfinished_bytes`` of its last record never became whole."""
+        """Record the end of a connection; ``unfinished_bytes``: received part of its incomplete record."""
         state = self._clients.pop(client, None)
         self.statistics.unfinished_bytes += unfinished_bytes
         if state is not None and not state.goodbye and not self._file.failure:
@@ -100,7 +100,7 @@ class Recorder:
     def message(
         self, topic: str, schema: str, log_time_ns: int, publish_time_ns: int, sequence: int, payload: bytes
     ) -> None:
-        """Write one message that did not come through a feed."""
+        """Write one message that was not sent through a feed."""
         if log_time_ns < 0 or publish_time_ns < 0:
             raise ValueError(f"times {log_time_ns} and {publish_time_ns}; they begin at 0 (1970)")
         self._log_time_ns = max(self._log_time_ns, log_time_ns)
@@ -117,16 +117,16 @@ class Recorder:
         return self._file.failure
 
     def fail(self, why: str) -> None:
-        """Stop recording: the disk has not kept earlier data."""
+        """Stop recording: the disk has lost earlier data."""
         self._file.fail(why)
 
     def flush(self) -> None:
-        """Hand everything written so far to the kernel, safe from a crash of this process."""
+        """Pass all data written so far to the kernel, where they survive a crash of this process."""
         self._file.flush()
         self._flushed_log_time_ns = self._log_time_ns
 
     def finish(self) -> Statistics:
-        """Write the counts and the index, close the file, and return what was recorded."""
+        """Write the counts and the index, close the file, and return the counts."""
         counts = self.statistics
         counts.failure = self._file.failure
         self._file.metadata(LOSSES, {name: str(n) for name, n in sorted(counts.dropped.items())})
@@ -207,5 +207,5 @@ class Recorder:
 
     def _invalid(self, client: _Client, text: str) -> None:
         self.statistics.invalid += 1
-        if self.statistics.invalid <= 20:  # enough to understand it; the rest is counted
+        if self.statistics.invalid <= 20:  # enough to find the cause; all are counted
             self.event(Severity.ERROR, f"{client.name}: {text}")

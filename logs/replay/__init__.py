@@ -1,1 +1,1 @@
-"""Replays a log through the code that flew, and compares."""
+"""Replays the inputs of a log through the controller, and compares the outputs."""

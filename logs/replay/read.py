@@ -1,7 +1,7 @@
-"""The ticks of a flight log, one after the other, each with everything the onboard process wrote at it.
+"""Reads a flight log tick by tick, each tick with all records of the onboard process.
 
-One process writes them in the order it worked, and stamps all of a tick with the tick's time; so the file is
-read once, from its start to its end or its break, and only one tick is held in memory.
+One process writes the records of a tick in the order of its work, and stamps all of them with the tick's
+time; so the file is read once, to its end or its break, and only one tick is in memory.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class TickRecord:
     step: bytes | None = None  # recorded decisions; None if the log breaks before them
     # recorded battery, motors and thrust reserve; None in a flight without them
     power: bytes | None = None
-    told: bool = False  # whether it holds messages of other members; they are in ``given``
+    told: bool = False  # whether it has messages of other members, which are in ``given``
     state: ControllerStateRow | None = None  # snapshot after the tick; None in most ticks
     events: list[LogRow] = field(default_factory=list)  # recorded events of the controller
     said: list[LogRow] = field(default_factory=list)  # other events of the onboard process
@@ -67,11 +67,11 @@ class FlightInputs:
             )
         except LogError as error:
             raise ReplayError(str(error)) from error
-        # metadata of the onboard process; empty in a log that has none
+        # metadata of the onboard process; empty if the log has none
         self.onboard = self.log.metadata().get("onboard", {})
         self.preflight = self.log.metadata().get(
             "preflight", {}
-        )  # metadata of the preflight check; empty in a log that has none
+        )  # metadata of the preflight check; empty if the log has none
         self.space = self._space()  # first part of the topics, for example ``/cf1``
         data = self.log.attachment(ATTACHMENT)
         if data is None:
@@ -84,7 +84,7 @@ class FlightInputs:
             raise ReplayError(f"{path}: the attachment {ATTACHMENT} is {error}") from error
 
     def _space(self) -> str:
-        """Namespace of the inputs; a log of one flight has one."""
+        """Return the namespace of the inputs; a log of one flight has one."""
         named = self.onboard.get("namespace")
         if named is not None:
             return f"/{named}"
@@ -97,7 +97,7 @@ class FlightInputs:
         )
 
     def config(self) -> FlightConfig:
-        """Return the configuration that flew."""
+        """Return the configuration of the flight."""
         try:
             return from_table(FlightConfig, self.table)
         except ConfigError as error:
@@ -110,7 +110,7 @@ class FlightInputs:
         return f"{self.space}/{name}"
 
     def ticks(self) -> Iterator[TickRecord]:
-        """Yield the ticks in order, the last one perhaps not whole."""
+        """Yield the ticks in order; the last one may be incomplete."""
         given, step = self.topic("controller/input"), self.topic("controller/step")
         state, odometry = self.topic("controller/state"), self.topic("target/odom")
         power, neighbours = self.topic("controller/power"), self.topic("controller/neighbours")
@@ -135,7 +135,7 @@ class FlightInputs:
                 elif topic == step:
                     tick.step = data
                 elif topic in (power, neighbours) and tick.given is None:
-                    pass  # they follow the other inputs; without those the tick is not whole
+                    pass  # these messages follow the other inputs; without those the tick is incomplete
                 elif topic == power and tick.given is not None:
                     inputs = tick.given.inputs._replace(power=unpack_power(data))
                     tick.given, tick.power = tick.given._replace(inputs=inputs), data
@@ -144,7 +144,7 @@ class FlightInputs:
                     tick.given, tick.told = tick.given._replace(inputs=inputs), True
                 elif topic == state:
                     snapshot = ControllerStateRow.unpack(data)
-                    if snapshot.stamp_ns == tick.unix_ns:  # else it is older: the log has a gap
+                    if snapshot.stamp_ns == tick.unix_ns:  # an older snapshot shows a gap in the log
                         tick.state = snapshot
                 elif topic == odometry:
                     tick.odometry.append(data)
@@ -163,7 +163,7 @@ class FlightInputs:
 
 
 def changed(table: dict[str, Any], settings: Sequence[str]) -> FlightConfig:
-    """Return the configuration of ``table`` with ``section.key=value`` set; what is no TOML is text."""
+    """Return the configuration of ``table`` with ``section.key=value`` set; a non-TOML value is a string."""
     table = copy.deepcopy(table)
     for setting in settings:
         key, equals, text = setting.partition("=")

@@ -1,7 +1,7 @@
-"""A flight log as a regression test: its inputs through today's controller must give its outputs, bit by bit.
+"""Replays a flight log as a regression test: today's controller must reproduce its outputs bit by bit.
 
-From tick 0 with a fresh controller; in a log that lacks it, from the first snapshot of the controller's
-state. With another configuration the same run shows what would have been commanded, the world unchanged.
+The replay starts at tick 0 with a new controller, or, if the log lacks tick 0, at the first snapshot of the
+controller's state. With another configuration it shows the changed commands for unchanged inputs.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from logs.tools.compare import Tally, TickDifference, messages_of, values_of
 __all__ = ["FlightInputs", "PhaseChange", "ReplayError", "Result", "TickDifference", "replay"]
 
 _ACTING = (Phase.APPROACH, Phase.LAND)
-_CHANGES_MAX = 200  # phase changes kept of either side
+_CHANGES_MAX = 200  # greatest number of stored phase changes per side
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,17 +46,17 @@ class PhaseChange:
 class Result:
     """Result of a replay."""
 
-    path: Path  # the log
+    path: Path  # log file
     start: str = ""  # start of the replay, as text
     first_tick: int = -1  # first compared tick
     last_tick: int = -1  # last compared tick
     compared: int = 0  # number of compared ticks
     outputs: Tally = field(default_factory=Tally)  # differences of decisions and events
     states: Tally = field(default_factory=Tally)  # differences of snapshots
-    # differences of inputs and frames made from the recorded wire; None if not replayed
+    # differences of the inputs and frames from the replayed MAVLink link; None if not replayed
     wire: Tally | None = None
-    notes: list[str] = field(default_factory=list)  # parts left out, and why
-    command_ticks: int = 0  # ticks in which the set-point differs
+    notes: list[str] = field(default_factory=list)  # omitted parts, with reasons
+    command_ticks: int = 0  # number of ticks in which the set-point differs
     command_first: int | None = None  # first such tick; None without one
     command_most_m_s: float = 0.0  # largest difference of the set-points of one tick, m/s
     phases_recorded: list[PhaseChange] = field(default_factory=list)
@@ -83,7 +83,7 @@ def replay(path: Path | str, config: FlightConfig | None = None, member: str | N
 
 
 class _RecordedTick:
-    """A tick of the log in place of clock, vehicle and target; its wire, if there is one, is compared."""
+    """A recorded tick that replaces clock, vehicle and target; recorded frames, if any, are compared."""
 
     def __init__(self) -> None:
         self.record: TickRecord
@@ -107,7 +107,7 @@ class _RecordedTick:
     def landing_began(self, tick: int) -> None: ...
 
     def read(self) -> VehicleInputs:
-        """Return the recorded state, whatever today's bridge makes of the wire."""
+        """Return the recorded state, independent of today's bridge."""
         inputs = self.given.inputs
         if self.wire is not None:
             self.wire_found += self.wire.take(self.record, self.given)
@@ -141,7 +141,7 @@ class _Run:
         self.state_refused = ""
 
     def whole(self, ticks: Iterator[TickRecord]) -> Iterator[TickRecord]:
-        """Yield the ticks that are whole; between them all have to be."""
+        """Yield the complete ticks; there must be no gap between them."""
         last: int | None = None
         cut: TickRecord | None = None
         for record in ticks:
@@ -156,7 +156,7 @@ class _Run:
             tick = record.given.tick
             if last is not None and tick != last + 1:
                 if damaged:
-                    break  # behind the damage the state is unknown
+                    break  # after the damage the state is unknown
                 raise self._missing(last, tick)
             last, cut = tick, None
             yield record
@@ -198,7 +198,7 @@ class _Run:
         self.runner.tick()
 
     def _begin(self, record: TickRecord, given: TickInputs) -> bool:
-        """Whether this tick can be replayed; after a snapshot the next one can."""
+        """Return whether this tick can be replayed; after a snapshot the next one can."""
         if given.tick == 0:
             self.result.start = "tick 0"
             self.running = True
@@ -214,7 +214,7 @@ class _Run:
         if "system_id" not in onboard or "lockstep" not in onboard:
             self.result.notes.append("the log does not say how the vehicle was connected: wire not replayed")
             return
-        autopilot = onboard.get("autopilot", PX4.name)  # older logs: there was no choice
+        autopilot = onboard.get("autopilot", PX4.name)  # older logs have no entry: only PX4 was supported
         recognised = self.flight.preflight.get("profile", AUTO)
         if autopilot == AUTO and recognised in PROFILES:
             autopilot = recognised
@@ -276,7 +276,7 @@ class _Run:
         else:
             try:
                 recorded = ControllerStepRow.unpack(record.step)
-            except ValueError:  # named above; it cannot be looked into
+            except ValueError:  # the difference is already counted; no detail is available
                 return
             self._command_change(tick, recorded.command_enu_m_s, row.command_enu_m_s)
         self.acted = self.acted or (recorded.setpoint_sent and recorded.phase in _ACTING)
@@ -309,7 +309,7 @@ class _Run:
         if result.command_first is None:
             result.command_first = tick
         change = math.dist(recorded, replayed)
-        if not change <= result.command_most_m_s:  # a NaN counts as largest
+        if not change <= result.command_most_m_s:  # NaN counts as the largest change
             result.command_most_m_s = change
 
     def finish(self) -> None:

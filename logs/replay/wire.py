@@ -1,8 +1,8 @@
-"""The wire of a recorded flight through today's bridge: do the same frames still mean the same?
+"""Replays the recorded MAVLink frames of a flight through today's bridge and compares the results.
 
-The recorded MAVLink frames and target samples go through the code that flies, only without a socket
-(``flightstack.onboard.runner``, ``bridge.mavlink.client.link``). What comes out must be the recorded
-inputs; and the frames that answer the replayed decisions must be the recorded ones, but for their sequence
+The recorded MAVLink frames and target samples run through the flight code without a socket
+(``flightstack.onboard.runner``, ``bridge.mavlink.client.link``). The results must equal the recorded inputs;
+and the frames sent for the replayed decisions must equal the recorded ones, except for their sequence
 numbers.
 """
 
@@ -31,12 +31,12 @@ from logs.replay.read import ROSOUT, SINK, SOURCE, TickRecord
 from logs.schema.controller_rows import TickInputs
 from logs.tools.compare import TickDifference, values_of
 
-_SAID_BY_THE_WIRE = ("target sample refused: ", "vehicle: ")  # the other lines are about the socket
+_SAID_BY_THE_WIRE = ("target sample refused: ", "vehicle: ")  # other lines concern the socket
 _ID_AND_PAYLOAD = slice(7, -2)  # part of an unsigned frame without head, sequence number and checksum
 
 
 class RecordedEndpoint(Endpoint):
-    """An endpoint without a socket: hands out recorded frames and keeps what is sent."""
+    """An endpoint without a socket: returns recorded frames and stores the sent ones."""
 
     def __init__(self, system_id: int) -> None:
         self.tap = None
@@ -48,7 +48,7 @@ class RecordedEndpoint(Endpoint):
         self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=COMPONENT_ID)
 
     def receive(self) -> list[Received]:
-        known = [each for each in self.incoming if message_id(each[0]) in MESSAGES]  # others were kept raw
+        known = [each for each in self.incoming if message_id(each[0]) in MESSAGES]  # others are raw records
         received = [Received(decode(frame), frame, (peer, 0)) for frame, peer in known]
         self.incoming.clear()
         return received
@@ -58,7 +58,7 @@ class RecordedEndpoint(Endpoint):
         self.sent += [self.pack(message) for message in messages]
 
     def repeat(self, frame: bytes, peer: Peer | None = None) -> None:
-        """Do nothing: a log contains no repeats."""
+        """Do nothing: a log contains no repeated frames."""
 
     def take_notices(self) -> list[str]:
         return []
@@ -67,7 +67,7 @@ class RecordedEndpoint(Endpoint):
 
 
 class WireReplay:
-    """One flight's wire; for each tick ``take``, then ``answer``."""
+    """MAVLink link of one recorded flight; for each tick call ``take``, then ``answer``."""
 
     def __init__(
         self,
@@ -77,7 +77,7 @@ class WireReplay:
         autopilot: str = PX4.name,
         line: LinePlan | None = None,
     ) -> None:
-        """Begin at tick 0."""
+        """Start at tick 0."""
         origin = config.vehicle.origin_wgs84
         self._endpoint = RecordedEndpoint(system_id)
         self._heard, self._refusals = False, Refusals()
@@ -101,12 +101,12 @@ class WireReplay:
         self._endpoint.incoming += record.frames_in
         try:
             self._link.poll(given.now_s)
-        except Exception as error:  # a frame that today's dialect cannot decode is a finding, not a crash
+        except Exception as error:  # a frame that today's dialect cannot decode is a difference, not an error
             self._endpoint.incoming.clear()
             return [TickDifference(SOURCE, given.tick, "frame", "a decodable frame", repr(error))]
         arrived = decoded([RawSample(payload) for payload in record.odometry], given.now_s)
         own, status, command_failed, power = self._vehicle.read()
-        neighbours = given.inputs.neighbours  # how words became these is not in the log
+        neighbours = given.inputs.neighbours  # the log does not contain how messages became neighbours
         inputs = Inputs(own, status, arrived.samples, given.inputs.operator, power, neighbours)
         found = list(values_of(given.inputs, inputs))
         found += values_of(given.command_failed, command_failed, "command_failed")
@@ -122,7 +122,7 @@ class WireReplay:
     def answer(self, record: TickRecord, given: TickInputs, out: Outputs) -> list[TickDifference]:
         self._vehicle.answer(out, given.now_s)
         if not self._heard:
-            return []  # until the first message of the vehicle, heartbeats are sent by wall time
+            return []  # before the vehicle's first message, heartbeats are sent by wall time
         recorded = [frame[_ID_AND_PAYLOAD].hex() for frame in record.frames_out]
         replayed = [frame[_ID_AND_PAYLOAD].hex() for frame in self._endpoint.sent]
         if recorded == replayed:

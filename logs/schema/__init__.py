@@ -1,1 +1,1 @@
-"""Schemas of the log, and the coding of its messages."""
+"""Schemas of the log, and the encoding of its messages."""

@@ -1,7 +1,7 @@
 """Inputs and decisions of a tick as rows of the log, and the messages between the vehicles of a fleet.
 
-Live flight and replay both fill them here. Every number of the inputs goes in and comes out bit by bit, so
-that a replay decides what the flight decided.
+Live flight and replay both fill the rows here. Every input number is stored and restored bit by bit, so that
+a replay makes the decisions of the flight.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _NO_OWN = (0.0, 0.0, ZERO, ZERO, 0.0)
 
 
 class TickInputs(NamedTuple):
-    """One tick's inputs as ``Controller.step`` takes them."""
+    """Inputs of one tick, as ``Controller.step`` receives them."""
 
     stamp_ns: int
     tick: int
@@ -89,7 +89,7 @@ def _sample(values: Iterable[Any]) -> TargetSample:
 
 
 def power_row(tick: Tick, power: Power | None, reserve: float) -> ControllerPowerRow:
-    """Return battery and motors as a tick received them, and its estimate of the thrust reserve."""
+    """Return battery and motors as received in a tick, and its estimate of the thrust reserve."""
     told = (
         (power.arrival_s, power.voltage_v, power.throttle, power.cos_tilt) if power is not None else _NO_POWER
     )
@@ -103,7 +103,7 @@ def unpack_power(data: bytes) -> Power | None:
 
 
 def step_row(tick: Tick, out: Outputs) -> ControllerStepRow:
-    """Values that are not there are NaN; zero would be a claim."""
+    """Return the decisions of a tick; missing values are NaN, since zero would be a valid value."""
     own, target, barrier, seen = out.snapshot.inputs.own, out.snapshot.target, out.barrier, out.snapshot
     nan = math.nan
     none = (nan, nan, nan)
@@ -174,7 +174,7 @@ def _neighbour(values: tuple[Any, ...]) -> Neighbour:
 
 
 class Echo(NamedTuple):
-    """Clock information about another member; fields as in ``FleetEcho.msg``."""
+    """Clock information about another member; the fields are those of ``FleetEcho.msg``."""
 
     id: int
     process: int
@@ -206,7 +206,7 @@ def word_row(word: Neighbour, epoch_ns: int, process: int, echoes: Sequence[Echo
 def neighbour_of(
     row: FleetWordRow, stamp_s: float, arrival_s: float, claim_s: float, clock_bound_s: float
 ) -> Neighbour:
-    """Return another vehicle's message with its times on our stack clock; a claim of NaN is none."""
+    """Return another vehicle's message with times on the local stack clock; a claim of NaN means no claim."""
     return Neighbour(
         row.id,
         stamp_s,

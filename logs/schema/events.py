@@ -1,4 +1,4 @@
-"""Events of ``/rosout``, ``rcl_interfaces/msg/Log``, plain texts, and the contacts of a true state."""
+"""Events of ``/rosout``, ``rcl_interfaces/msg/Log``, plain texts, and the contact bits of a true state."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class ContactBit(IntFlag):
 
 
 def pack_log(stamp_ns: int, level: int, name: str, text: str) -> bytes:
-    """Return an event as CDR; ``name`` is the part of the stack that it comes from."""
+    """Return an event as CDR; ``name`` is its source within the stack."""
     return LogRow(stamp_ns, level, name, text, "", "", 0).pack()
 
 

@@ -1,18 +1,18 @@
-"""MAVLink in the log: raw frames as ``mavros_msgs/msg/Mavlink``, decoded messages as types of ROS.
+"""MAVLink in the log: raw frames as ``mavros_msgs/msg/Mavlink``, decoded messages as ROS types.
 
-``LOCAL_POSITION_NED`` becomes ``mavlink_msgs/msg/LocalPositionNed``: a header and the message's fields in the
-order of the wire, in the units of MAVLink. Names become lower case, as ROS requires; text of fixed length
-becomes a string. In the order of the wire (sorted by size, MAVLink serialization guide) most payloads are
-valid CDR as they are.
+``LOCAL_POSITION_NED`` becomes ``mavlink_msgs/msg/LocalPositionNed``: a header and the message's fields in
+wire order, in the units of MAVLink. Names become lower case, as ROS requires; text of fixed length becomes a
+string. In wire order (sorted by size, MAVLink serialization guide) most payloads are valid CDR without a
+change.
 
-Raw frames come back without losing a bit. Version 2: 0xFD, length, incompatibility flags, compatibility
+Raw frames are restored without losing a bit. Version 2: 0xFD, length, incompatibility flags, compatibility
 flags, sequence, system, component, message id (3 bytes), payload, checksum (2), signature (13) if flag 1 is
-set. Version 1: 0xFE, length, sequence, system, component, message id, payload, checksum. Packed by hand:
-a packer made from the definition takes twice as long, and frames are most of what a log holds.
+set. Version 1: 0xFE, length, sequence, system, component, message id, payload, checksum. They are packed by
+hand: a packer made from the definition takes twice as long, and most records of a log are frames.
 
-Every record names the peer of the frame in its ``frame_id``: short names, which a metadata record explains.
-They count the peers in the order in which they appeared, so that two runs of one seed give them the same
-names although their ports differ.
+The ``frame_id`` of every record is a short name of the frame's peer, which a metadata record explains. Names
+number the peers in order of appearance, so that two runs of one seed use the same names although their ports
+differ.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ _ROS = {
 
 
 class Field(NamedTuple):
-    """One field of a message, in the order of the wire."""
+    """One field of a message, in wire order."""
 
-    name: str  # as in ROS
+    name: str  # name in ROS
     kind: str  # ROS primitive type; "string" for text
-    code: str  # of ``struct``
+    code: str  # ``struct`` code
     size: int  # bytes of one element
-    array: int  # elements; 0: no array
+    array: int  # number of elements; 0: no array
     comment: str  # unit or enumeration
 
 
@@ -58,7 +58,7 @@ class Type(NamedTuple):
     schema: str  # mavlink_msgs/msg/LocalPositionNed
     fields: tuple[Field, ...]
     size: int  # bytes of the whole payload
-    verbatim: bool  # the payload, with its cut zeros, is the body of the CDR
+    verbatim: bool  # the payload, with its omitted zeros, is the body of the CDR
 
 
 def numbers() -> list[int]:
@@ -90,7 +90,7 @@ def definition(schema: str) -> str:
 
 @cache
 def _dialect() -> dict[int, Any]:
-    """Classes of all known messages by number; imported when first needed, since that takes a while."""
+    """Return the classes of all known messages by number; imported when first needed, since it is slow."""
     from bridge.mavlink.codec.wide_messages import MESSAGES
 
     return MESSAGES
@@ -108,7 +108,7 @@ def _schema(message: str) -> str:
 def _type(cls: Any) -> Type:
     """Read one of pymavlink's message classes."""
     kinds = dict(zip(cls.fieldnames, cls.fieldtypes, strict=True))
-    # A scalar has length 1 and array length 0; both lists are in the order of the wire.
+    # A scalar has length 1 and array length 0; both lists are in wire order.
     counts = zip(cls.ordered_fieldnames, cls.lengths, cls.array_lengths, strict=True)
     fields, verbatim, at = [], True, 0
     for name, length, array in counts:
@@ -124,32 +124,32 @@ def _type(cls: Any) -> Type:
 
 
 MAVLINK_PEERS = "mavlink_peers"  # metadata: name -> HOST:PORT
-NAMED_MAX = 99  # peers that get a name of their own, since any sender can reach an open port
+NAMED_MAX = 99  # greatest number of named peers, since any sender can reach an open port
 OTHERS = b"p99"  # the name that all further peers share
 
-_NS = 1_000_000_000  # nanoseconds in a second
+_NS = 1_000_000_000  # nanoseconds per second
 _V1, _V2 = 0xFE, 0xFD
-_V1_OVERHEAD, _V2_OVERHEAD, _SIGNATURE = 8, 12, 13  # bytes around the payload; signature
+_V1_OVERHEAD, _V2_OVERHEAD, _SIGNATURE = 8, 12, 13  # bytes around the payload; bytes of the signature
 _SIGNED = 1  # MAVLINK_IFLAG_SIGNED
 _FRAMING_OK = 1  # every recorded frame has passed its checksum
 
 # Encapsulation, stamp, frame_id, framing_status .. compid, message id, checksum, number of words, and four
-# bytes of padding before the first word. A frame_id is empty or three characters: the fields up to compid
-# move into its padding then, and everything behind stays where it is.
+# bytes of padding before the first word. A frame_id is empty or has three characters: without them the fields
+# up to compid start earlier, in its padding, and the later fields keep their places.
 _HEAD = struct.Struct("<4siII4s8BIH2xI4x")
 _HEAD_EMPTY = struct.Struct("<4siII4s8BIH2xI")  # no words: no padding for them
 _HEAD_NOBODY = struct.Struct("<4siIIB8B3xIH2xI4x")
 _HEAD_NOBODY_EMPTY = struct.Struct("<4siIIB8B3xIH2xI")
 PEER_CHARACTERS = 3
 _U32 = struct.Struct("<I")
-_NAMED = bytes((PEER_CHARACTERS + 1,))  # first byte of the length of a frame_id that is there
+_NAMED = bytes((PEER_CHARACTERS + 1,))  # first byte of the length of a frame_id that is not empty
 _WORDS_AT = _HEAD.size
 _UNSIGNED = _U32.pack(0)
 _SIGNED_LENGTH = _U32.pack(_SIGNATURE)
 
 
 class FrameError(ValueError):
-    """Bytes that are not one whole MAVLink frame, or a record that does not hold one."""
+    """Bytes that are not one complete MAVLink frame, or a record without one."""
 
 
 def pack_mavlink(stamp_ns: int, frame: bytes, peer: bytes = b"") -> bytes:
@@ -221,7 +221,7 @@ def unpack_mavlink(data: bytes) -> tuple[int, bytes]:
 
 
 def peer_of(data: bytes) -> str:
-    """Return the peer in a CDR payload of :func:`pack_mavlink`; empty: not known."""
+    """Return the peer in a CDR payload of :func:`pack_mavlink`; empty: unknown."""
     return bytes(data[16:19]).decode("ascii", "replace") if data[12:13] == _NAMED else ""
 
 
@@ -232,7 +232,7 @@ def _not_a_frame(frame: bytes) -> FrameError:
 
 
 class PeerNames:
-    """Names peers as they appear: ``p00``, ``p01``, ..."""
+    """Names peers in order of appearance: ``p00``, ``p01``, ..."""
 
     def __init__(self, metadata: Callable[[str, dict[str, str]], None], record: str = MAVLINK_PEERS) -> None:
         """Write each new name with ``metadata``, into the record of this name."""
@@ -240,7 +240,7 @@ class PeerNames:
         self._names: dict[tuple[str, int], bytes] = {}
 
     def __call__(self, peer: tuple[str, int]) -> bytes:
-        """Return the name of a peer (host, port), three characters; a new one is written down."""
+        """Return the three-character name of a peer (host, port); a new name is recorded."""
         name = self._names.get(peer)
         if name is None:
             if len(self._names) >= NAMED_MAX:

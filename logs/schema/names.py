@@ -1,8 +1,8 @@
 """Names of a flight's records in a log: plain in a log of one flight, else with its namespace.
 
 A log of several flights has metadata ``cf2/run``, attachments ``cf2/onboard.toml``, the logger
-``cf2.onboard`` on /rosout, and MAVLink frames on ``/uas2``. Topics of a flight begin with its namespace in
-every log.
+``cf2.onboard`` on /rosout, and MAVLink frames on ``/uas2``. In every log the topics of a flight start with
+its namespace.
 """
 
 from __future__ import annotations
@@ -10,22 +10,22 @@ from __future__ import annotations
 from typing import NamedTuple
 
 FLEET = "fleet"  # metadata: the members
-LOSSES = "losses"  # metadata: records that each process could not hand to the recorder
-NO_PAD = "absent"  # metadata "run", key "pad": the vehicle's physics has a floor and no pad
-TEAM = "team.toml"  # attachment: the scenario of all
+LOSSES = "losses"  # metadata: records that each process could not pass to the recorder
+NO_PAD = "absent"  # metadata "run", key "pad": the vehicle's physics has a floor but no pad
+TEAM = "team.toml"  # attachment: the scenario of all members
 
 
 class Names(NamedTuple):
     """Names of the records of a flight."""
 
-    member: str = ""  # namespace of the flight; empty: the log is its own
+    member: str = ""  # namespace of the flight; empty: the log holds only this flight
     system_id: int = 1  # MAVLink system id, part of the topics of its frames
 
     def record(self, name: str) -> str:
         return f"{self.member}/{name}" if self.member else name
 
     def logger(self, name: str) -> str:
-        """Name of a process, and of a source of events."""
+        """Return the name of a process, which is also a source of events."""
         return f"{self.member}.{name}" if self.member else name
 
     def frames(self, name: str) -> str:
@@ -33,11 +33,11 @@ class Names(NamedTuple):
 
 
 def member_name(system_id: int) -> str:
-    """Namespace of a vehicle of a fleet, from its MAVLink system id: cf1, cf2 and so on."""
+    """Return the namespace of a fleet vehicle from its MAVLink system id: cf1, cf2 and so on."""
     return f"cf{system_id}"
 
 
-OWN = Names()  # of a log that holds one flight
+OWN = Names()  # names in a log that holds one flight
 
 
 def split(name: str) -> tuple[str, str]:

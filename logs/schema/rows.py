@@ -1,12 +1,12 @@
 """Rows of the log: a named tuple for each message type, made from its definition.
 
-A row has the fields of its ``.msg`` file, whose comments give units and frames; the header is its stamp,
+A row has the fields of its ``.msg`` file, whose comments state units and frames; the header becomes
 ``stamp_ns``, integer nanoseconds (Unix time, or simulated time from 2020-01-01 on in lockstep).
-``row.pack()`` gives the message as CDR, ``Row.unpack(data)`` the row. The columns are the same fields for
+``row.pack()`` returns the message as CDR, ``Row.unpack(data)`` the row. The columns are the same fields for
 numpy: arrays of shape (n,), or (n, 3) for a vector and (n, 4) for a quaternion.
 
-The types for mypy stand in ``rows.pyi``. After a change of a definition
-``python -m tests.unit.logs.row_stubs`` makes it anew; a test fails as long as it differs.
+``rows.pyi`` has the types for mypy. After a change of a definition ``python -m tests.unit.logs.row_stubs``
+makes it anew; a test fails as long as it differs.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ COLUMNS = (CONTROLLER_STEP, LOOP_TIMING, TRUE_STATE)
 
 
 def class_name(schema: str, end: str) -> str:
-    """Name of the class of a message type, for example ``ControllerStepRow``."""
+    """Return the class name of a message type, for example ``ControllerStepRow``."""
     return schema.rpartition("/")[2] + end
 
 
@@ -52,13 +52,13 @@ def value_name(field: Field) -> str:
 
 
 def column_type(field: Field) -> str:
-    """Name of the type of a field's array."""
+    """Return the type name of a field's array."""
     code = CODES.get(field.kind, "d")
     return {"?": "Bools", "d": "Floats", "f": "Floats"}.get(code, "Ints")
 
 
 def column_fields(schema: str) -> list[tuple[str, str]]:
-    """Names and types of the arrays of a message type; ``t_s``, the log time, takes the header's place."""
+    """Return names and types of a message type's arrays; ``t_s``, the log time, replaces the header."""
     numbers = [field for field in fields_of(schema) if field.kind != HEADER_TYPE]
     return [("t_s", "Floats"), *((field.name, column_type(field)) for field in numbers)]
 

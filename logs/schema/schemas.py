@@ -1,8 +1,8 @@
-"""Message definitions of everything the flight log holds: texts, hashes, and a generic codec.
+"""Definitions of all message types in the flight log: texts, hashes, and a generic codec.
 
-Standard types come from the ROS 2 Jazzy store of ``rosbags``; ours and MAVROS' raw frame are the ``.msg``
-files next to this module, and decoded MAVLink messages are made from the dialect when they are first asked
-for. One store serves writer, reader and comparison.
+Standard types come from the ROS 2 Jazzy store of ``rosbags``; this stack's types and MAVROS' raw frame are
+the ``.msg`` files next to this module, and decoded MAVLink messages are made from the dialect when first
+needed. Writer, reader and comparison share one store.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from bridge.ros2.codec import MAP, Field, Pack, Unpack, fields_of_text, standard
 from bridge.ros2.codec import codec as cdr_codec
 from logs.schema import mavlink
 
-if TYPE_CHECKING:  # a process that packs rows needs none of it: a fortieth of a second of each start
+if TYPE_CHECKING:  # packing rows does not need the import, which takes 25 ms at each start
     from rosbags.interfaces import Nodetype
     from rosbags.typesys.store import Typestore
 
@@ -51,12 +51,12 @@ _SEPARATOR = "=" * 80
 
 
 class UnknownSchemaError(ValueError):
-    """A message type that is neither a ROS 2 standard type nor one of ours."""
+    """A message type that is neither a ROS 2 standard type nor one of this stack."""
 
 
 @cache
 def typestore() -> Typestore:
-    """Return the one store that knows every type but those :func:`store_for` adds."""
+    """Return the store of all types, except for those that :func:`store_for` adds."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS2_JAZZY)
@@ -77,7 +77,7 @@ def fields_of(name: str) -> tuple[Field, ...]:
 
 
 def same_fields(name: str, text: str) -> bool:
-    """Whether a definition in a log has the fields of this version, with our other types that it uses."""
+    """Whether a definition in a log has the fields of this version, also in the types that it uses."""
     first, *used = text.split(_SEPARATOR)
     texts = {name: first}
     for part in used:
@@ -89,7 +89,7 @@ def same_fields(name: str, text: str) -> bool:
 def codec(
     schema: str, frame_id: str | None = MAP, make: Callable[[tuple[Any, ...]], Any] = tuple
 ) -> tuple[Pack, Unpack]:
-    """Return the packer and unpacker of any type of the log; as ``bridge.ros2.codec.codec``."""
+    """Return the packer and unpacker of any type of the log, as ``bridge.ros2.codec.codec`` does."""
     return cdr_codec(schema, frame_id, make, fields_of)
 
 
@@ -99,7 +99,7 @@ def packer(schema: str, frame_id: str | None = MAP) -> Pack:
 
 
 def _field(name: str, node: Nodetype, detail: Any) -> Field:
-    """A field as ``rosbags`` describes it."""
+    """Convert a field from the form of ``rosbags``."""
     from rosbags.interfaces import Nodetype
 
     if node is Nodetype.NAME:
@@ -127,7 +127,7 @@ def store_for(name: str) -> Typestore:
 def schema_text(name: str) -> str:
     """Return the full ros2msg definition of a type: its text, then every type it uses.
 
-    Our own types keep their comments, since viewers show them.
+    This stack's types keep their comments, since viewers show them.
     """
     generated: str = _known(name).generate_msgdef(name, ros_version=2)[0]
     if name not in _OURS and not name.startswith(mavlink.PACKAGE):
