@@ -1,1 +1,1 @@
-"""The report page."""
+"""HTML reports of logs."""

@@ -1,4 +1,4 @@
-"""Values derived from recorded ones: margin of the filter, errors of the estimates, tilt, faults, traffic."""
+"""Derived values of the report: filter margin, estimation errors, tilt, faults, traffic."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ _RAN = (
     FilterStatus.CROWDED,
     FilterStatus.OWN,
 )
-_NEAR_S = 0.02  # a true state farther in time than two ticks is not that of the step
+_NEAR_S = 0.02  # greatest time, s, between a step and its true state: two ticks
 BEGINS, ENDS = "Fault: ", "Fault over: "
 _RELAYED = "vehicle: "  # prefix of the vehicle's messages in events of the onboard process
-_ENOUGH = 200  # a page with more is not read
+_ENOUGH = 200  # greatest number of shown entries; nobody reads a longer page
 
 
 def held_margin_m(flight: Flight) -> Floats | None:
-    """(n,) margin on h that the filter enforced at each step, m; NaN where it did not run.
+    """Return the margin on h, m, that the filter enforced at each step, (n,); NaN if it did not run.
 
-    The step holds the slack s of the constraint at u*: s = g u* + rate * h_held + dh/dt. So h_held follows,
-    and the margin is h - h_held. ``None`` without steps, without configuration,
-    and for a filter that is not part of the package.
+    A step contains the slack s of the constraint at u*: s = g u* + rate * h_held + dh/dt. This gives h_held,
+    and the margin is h - h_held. The result is ``None`` without steps, without configuration, and for a
+    filter that is not part of the package.
     """
     steps, config = flight.steps, flight.config
     if steps is None or config is None:
@@ -57,7 +57,7 @@ def held_margin_m(flight: Flight) -> Floats | None:
 
 @dataclass(frozen=True)
 class Errors:
-    """What the controller used minus what was true, at its n steps; vectors (n, 3), NaN where not known."""
+    """Estimated minus true values at the controller's n steps; vectors are (n, 3), unknown values NaN."""
 
     t_s: Floats
     own_m: Floats
@@ -67,7 +67,7 @@ class Errors:
 
 
 def estimate_errors(flight: Flight) -> Errors | None:
-    """Errors against the true states, which are put between their ticks linearly; ``None`` without them."""
+    """Return the errors against linearly interpolated true states; ``None`` without true states."""
     steps, truth = flight.steps, flight.truth
     if steps is None or truth is None or len(truth.t_s) < 2:
         return None
@@ -92,13 +92,13 @@ def estimate_errors(flight: Flight) -> Errors | None:
 
 
 def root_mean_square(values: Floats) -> float | None:
-    """Root mean square of the finite values; ``None`` without any."""
+    """Return the root mean square of the finite values; ``None`` without any."""
     known = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(known * known))) if len(known) else None
 
 
 def tilt_deg(flight: Flight) -> Floats | None:
-    """(n,) angle between the true body's up and the vertical, degrees; ``None`` without true states."""
+    """Return the angle between the true body's up and the vertical, degrees, (n,); ``None`` without truth."""
     if flight.truth is None:
         return None
     x, y = flight.truth.orientation[:, 0], flight.truth.orientation[:, 1]
@@ -112,7 +112,7 @@ def _nearest(times: Floats, wanted: Floats) -> np.ndarray[tuple[int], np.dtype[n
 
 
 class FaultSpan(NamedTuple):
-    """One fault; times as in the flight, ``over`` is False for one that lasted to the end of the log."""
+    """One fault; times as in the flight; ``over`` is False if it lasted until the end of the log."""
 
     text: str
     begin_s: float
@@ -121,7 +121,7 @@ class FaultSpan(NamedTuple):
 
 
 def fault_spans(flight: Flight) -> list[FaultSpan]:
-    """Faults in order of their start; one reported by two processes counts once."""
+    """Return the faults in order of their start; a fault that two processes report counts once."""
     begun: dict[str, float] = {}
     found: list[FaultSpan] = []
     for event in flight.events:
@@ -154,8 +154,8 @@ class Stream:
     """One kind of message on one link."""
 
     name: str
-    t_s: Floats  # (n,) arrival times, as in the flight
-    # messages missing from the sender's numbering; ``None`` where it does not number this kind
+    t_s: Floats  # arrival times, as in the flight, (n,)
+    # number of messages missing by sequence number; ``None`` if the sender does not number this kind
     lost: int | None
 
     @property
@@ -169,7 +169,7 @@ class Stream:
 
 
 def load_streams(path: Path, origin_ns: int, member: str | None = None) -> list[Stream]:
-    """Read the traffic of a log, up to its break; frames that are damaged are left out."""
+    """Read the message traffic of a log, up to its break; damaged frames are skipped."""
     times: dict[str, list[int]] = defaultdict(list)
     frames = {side: FrameCounter() for side in _ALL}
     target: list[int] = []
@@ -199,7 +199,7 @@ def load_streams(path: Path, origin_ns: int, member: str | None = None) -> list[
 
 
 def missing(numbers: Sequence[int]) -> int | None:
-    """Numbers between the first and the last that never arrived; ``None`` if the sender does not count."""
+    """Return the number of missing numbers between first and last; ``None`` if the sender does not count."""
     if not numbers or max(numbers) == 0:
         return None
     return max(numbers) - min(numbers) + 1 - len(set(numbers))
@@ -208,26 +208,26 @@ def missing(numbers: Sequence[int]) -> int | None:
 class Side(NamedTuple):
     """A flight on a page."""
 
-    name: str  # empty alone; A and B of two that are compared; the member of a fleet
+    name: str  # A and B of two compared flights; member of a fleet; else empty
     flight: Flight
     verdict: Verdict
     streams: list[Stream]  # empty for the member of a fleet
-    offset_s: float  # what to add to the times of the flight, to count from the zero of the page
+    offset_s: float  # offset from the flight's times to the page's times
 
     @property
     def of(self) -> str:
-        """The name in front of another one; empty alone."""
+        """Name as a prefix of another name; empty for a single flight."""
         return f"{self.name} " if self.name else ""
 
 
 def side_of(name: str, flight: Flight, verdict: Verdict) -> Side:
-    """Return a flight with its traffic, on the time since its landing began."""
+    """Return a flight with its traffic; its times count from the start of the landing."""
     streams = load_streams(flight.path, flight.origin_ns, flight.member)
     return Side(name, flight, verdict, streams, -(flight.landing_start_s or 0.0))
 
 
 def touch_index(flight: Flight) -> int | None:
-    """Index of the first true state with contact to the pad since the landing began."""
+    """Return the index of the first true state with contact to the pad after the landing began."""
     truth, start_s = flight.truth, flight.landing_start_s
     if truth is None or start_s is None:
         return None

@@ -46,7 +46,7 @@ _BARRIER = "Barrier value over time"
 
 
 def panels(side: Side) -> list[Panel]:
-    """Figures of one flight; the first is its picture."""
+    """Return the figures of one flight; the first is the main picture."""
     flight, axis = side.flight, axis_of([side.flight])
     both = "Solid: true states of the simulator. Dashed: the vehicle's own estimate."
     source = both if flight.truth is not None else "The vehicle's own estimate; the log holds no true states."
@@ -86,7 +86,7 @@ def panels(side: Side) -> list[Panel]:
 
 
 def compared_panels(sides: Sequence[Side]) -> list[Panel]:
-    """Figures of two flights; the first is their picture."""
+    """Return the figures of two flights; the first is the main picture."""
     axis = axis_of([side.flight for side in sides])
     both = "A is blue, B is orange; each on the time since its own landing began."
     best = f"{both} From true states where the log has them, else by the vehicle's estimate."
@@ -110,7 +110,7 @@ def compared_panels(sides: Sequence[Side]) -> list[Panel]:
 def fleet_panels(
     fleet: Fleet, sides: Sequence[Side], messages: FleetMessages, pairs: Sequence[PairSeries]
 ) -> list[Panel]:
-    """Figures of a fleet; the first is its picture."""
+    """Return the figures of a fleet; the first is the main picture."""
     axis = fleet_axis(fleet)
     h = series(sides, axis, best_h, "h [m]", hovermode="closest")
     return [
@@ -175,7 +175,7 @@ def _timing_note(flight: Flight) -> str:
     timing = flight.timing
     if timing is None or len(timing.period_s) < 3:
         return "No loop timing."
-    period_s = timing.period_s[2:]  # the first period is none, the second one may carry the start
+    period_s = timing.period_s[2:]  # the first period does not exist, the second one may include the start
     period_s = period_s[np.isfinite(period_s)]
     exec_us = timing.exec_s[np.isfinite(timing.exec_s)] * 1e6
     p50, p99 = (float(v) for v in np.percentile(exec_us, (50, 99)))

@@ -1,7 +1,7 @@
-"""HTML pages of flights, campaigns and validations: a page is a list of panels, and needs no network.
+"""HTML pages of flights, campaigns and validations: a page is a list of panels and needs no network.
 
-``render(Page(...))`` makes a page of any figures and tables. Texts are escaped; what the functions here
-return is HTML already.
+``render(Page(...))`` makes a page of any figures and tables. It escapes texts; the functions of this module
+return HTML, which is not escaped again.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
-_LEVEL = 9  # of gzip; the library is packed once a process
+_LEVEL = 9  # gzip level; the library is compressed once per process
 
 
 class ReportError(RuntimeError):
@@ -22,24 +22,24 @@ class ReportError(RuntimeError):
 
 
 class Panel(NamedTuple):
-    """A figure or a table with its words."""
+    """A figure or a table with its title and note."""
 
     key: str  # name in links: ``page.html#key``
     title: str
     note: str
-    content: Any  # plotly figure, HTML, or text; None: the data has nothing to draw
-    paper: str = ""  # the paper's figure that shows the same
+    content: Any  # plotly figure, HTML, or text; None: there are no data
+    paper: str = ""  # the paper's figure with the same content
     style: str = "wide"
 
 
 class Page(NamedTuple):
-    """A page: its first screen, and the panels below."""
+    """A page: its first screen, and the panels below it."""
 
     title: str
     badge: tuple[str, str]  # outcome, and its style: good, fair or bad
     sub: str  # line below the title
     numbers: Sequence[tuple[str, str, str]]  # name, value and unit of the most important numbers
-    # in order; those in a sequence stand side by side, a string is HTML
+    # panels in order; a sequence stands side by side, a string is HTML
     panels: Sequence[Panel | Sequence[Panel] | str]
     warnings: Sequence[str] = ()
 
@@ -73,7 +73,7 @@ def _drawn(part: Panel | Sequence[Panel] | str) -> str:
 
 
 def details(title: str, text: str, name: str = "") -> str:
-    """Long text that opens on demand; with a file ``name`` it can be saved."""
+    """Return a long text that opens on demand; with a file ``name`` it can be saved."""
     return _part("details", title, text, name, base64.b64encode(text.encode()).decode("ascii"))
 
 
@@ -84,30 +84,30 @@ def table(
     row_class: int | None = None,
     empty: str = "",
 ) -> str:
-    """Rows of text, or the text ``empty`` if there are none.
+    """Return the rows as a table, or the text ``empty`` if there are none.
 
-    Columns ``numbers`` are set to the right, column ``row_class`` is the style of a row.
+    Columns ``numbers`` are right-aligned; column ``row_class`` is the style of its row.
     """
     return _part("table", head, rows, numbers, row_class) if rows else paragraph(empty)
 
 
 def time_bar(*, events: bool) -> str:
-    """Buttons for the range of all time axes; with a hint if there are links to events."""
+    """Return the buttons for the range of all time axes; with a hint if there are links to events."""
     return _part("bar", events)
 
 
 def time_link(t_s: float, text: str) -> str:
-    """A time that links to itself in the figures."""
+    """Return a time as a link to itself in the figures."""
     return _part("at_link", f"{t_s:.2f}", text)
 
 
 def repeat_box(**values: Any) -> str:
-    """Commands that repeat a flight; the names are those of the macro ``repeat``."""
+    """Return the commands that repeat a flight; the names are those of the macro ``repeat``."""
     return _part("repeat", **values)
 
 
 def html(text: str) -> str:
-    """Text that is HTML already and is not escaped."""
+    """Mark a text as HTML, which is not escaped."""
     from markupsafe import Markup
 
     return Markup(text)
@@ -133,7 +133,7 @@ def need_libraries() -> None:
 
 @cache
 def plotly_source() -> str:
-    """The drawing library, packed: gzip in base64, a third of its size; the page unpacks it."""
+    """Return the plotting library as gzip in base64, a third of its size; the page decompresses it."""
     packed = gzip.compress((files("plotly") / "package_data" / "plotly.min.js").read_bytes(), _LEVEL, mtime=0)
     return base64.b64encode(packed).decode("ascii")
 

@@ -1,4 +1,4 @@
-"""The report of a log as HTML pages that need nothing else: of a flight, of two compared, of a fleet."""
+"""Reports of a log as self-contained HTML pages: of one flight, of two compared flights, of a fleet."""
 
 from __future__ import annotations
 
@@ -59,14 +59,14 @@ from logs.verdict.verdict import (
 
 __all__ = ["ReportError", "write_comparison", "write_page", "write_report"]
 
-_H_TOLERANCE_M = 1e-6  # largest difference between the drawn barrier and that of the simulator's verdict
+_H_TOLERANCE_M = 1e-6  # largest difference between the drawn barrier and the simulator's barrier
 _SCENARIO = "scenario.toml"
 _FILES = ((ATTACHMENT, "Configuration of the onboard process"), (_SCENARIO, "Scenario, whole"))
 _FAULTS = "Injected by the scenario; in the figures a red strip on top."
 _NEAR = "Measured in every physics step while both flew."
 _EVENTS = "wide events"  # style of the tables of events
-_TICK_S = 0.011  # true states are this far apart; the ellipsoid is judged every millisecond
-_SPEED_M_S = 4.0  # largest closing speed of two vehicles between two true states
+_TICK_S = 0.011  # greatest time between true states, s; the ellipsoid is checked every millisecond
+_SPEED_M_S = 4.0  # largest closing speed of two vehicles between two true states, m/s
 _EQUAL = 1e-3  # tolerance of the measure: the log has no true states between two ticks
 _WAITS = "Times in which a member flew and gave way to neighbours, by its own messages."
 _WAYS = (
@@ -76,7 +76,7 @@ _WAYS = (
 
 
 def write_report(fleet: Fleet, verdict: FleetVerdict, out: Path | None = None) -> dict[str, Path]:
-    """Write the pages of a judged log, by default beside it; by name of the member, the main page by "".
+    """Write the pages of a log with its verdict, by default beside it; return them by member, "": main page.
 
     Raises ReportError: the plotting library is not installed.
     """
@@ -91,7 +91,7 @@ def write_report(fleet: Fleet, verdict: FleetVerdict, out: Path | None = None) -
 
 
 def write_page(flight: Flight, verdict: Verdict, out: Path | None = None, of: str | None = None) -> Path:
-    """Write the page of a judged flight, by default beside its log; ``of`` is the page of its fleet."""
+    """Write the page of a flight with its verdict, by default beside its log; ``of``: its fleet's page."""
     need_libraries()
     name = flight.path.stem if flight.member is None else f"{flight.path.stem}_{flight.member}"
     target = out if out is not None else flight.path.with_name(f"{name}.html")
@@ -99,7 +99,7 @@ def write_page(flight: Flight, verdict: Verdict, out: Path | None = None, of: st
 
 
 def write_comparison(log_a: Path, log_b: Path, out: Path | None = None, member: str | None = None) -> Path:
-    """Write the page that compares two logs, by default ``comparison.html`` beside the second."""
+    """Write the page that compares two logs, by default ``comparison.html`` beside the second one."""
     need_libraries()
     target = log_b.with_name("comparison.html") if out is None else out
     return write(target, _comparison(_side("A", log_a, member), _side("B", log_b, member)))
@@ -218,14 +218,14 @@ def _comparison(a: Side, b: Side) -> Page:
 
 
 def _side(name: str, log: Path, member: str | None) -> Side:
-    member = member if LogFile(log).members else None  # the other log may be that of a single flight
+    member = member if LogFile(log).members else None  # the other log may hold a single flight
     LogFile(log, member).single()
     fleet, verdict = judged(log, member)
     return side_of(name, fleet.flights[""], verdict.members[""])
 
 
 def _flown(run: Mapping[str, str]) -> list[str]:
-    """Seed, filter and mode of a run, as far as the log names them."""
+    """Return seed, filter and mode of a run, if the log contains them."""
     named = [f"{key} {run[key]}" for key in ("seed", "filter") if key in run]
     return named + ([run["mode"]] if "mode" in run else [])
 
@@ -237,7 +237,7 @@ def _events(side: Side, key: str, title: str, note: str) -> Panel:
 def _configuration(
     title: str, files: Sequence[tuple[str, bytes | None, str]], log: Path
 ) -> tuple[Panel, str]:
-    """Attachments as text to open, and the end of the page."""
+    """Return a panel with the attachments as text to open, and the end of the page."""
     texts = [
         details(what, data.decode(errors="replace"), name) for what, data, name in files if data is not None
     ]
@@ -318,7 +318,7 @@ _VEHICLES = ("px4", "px4-sih", "ardupilot")
 
 
 def command(run: Mapping[str, str], scenario: str) -> str:
-    """Command that flies a run again, from its metadata and the name or file of its scenario."""
+    """Return the command that repeats a flight, from its metadata and its scenario's name or file."""
     parts = ["flightstack", "sitl", "--scenario", scenario, "--seed", run["seed"]]
     if "filter" in run:
         parts += ["--filter", run["filter"]]
@@ -330,7 +330,7 @@ def command(run: Mapping[str, str], scenario: str) -> str:
 
 
 def repeat_section(flight: Flight) -> str:
-    """The section with the commands that repeat a flight, or the reason why none can."""
+    """Return the section with the commands that repeat a flight, or the reason why there are none."""
     whole, run = flight.attachments.get(_SCENARIO), flight.metadata.get("run", {})
     return _repeat(flight.path, run, flight.metadata, whole, _SCENARIO, flight.member)
 
@@ -344,7 +344,7 @@ def _repeat(
     member: str | None = None,
 ) -> str:
     again = ["flightstack", "replay", log.name, "--check"]
-    if member is not None:  # it flies again with its fleet alone
+    if member is not None:  # a member cannot fly again without its fleet
         return repeat_box(replay=shlex.join([*again, "--member", member]), alone=False)
     if whole is None or "seed" not in run:
         return repeat_box(replay=shlex.join(again))

@@ -39,7 +39,7 @@ from logs.report.style import (
 )
 from logs.verdict.types import VIOLATION_LIMIT_M, Verdict
 
-_MARGIN_SEEN_M = 1e-4  # m; a filter without a margin has none up to rounding
+_MARGIN_SEEN_M = 1e-4  # smallest drawn margin, m; without a margin only rounding remains
 AXES = ("x, east", "y, north", "z, up")
 _ODD = {
     FilterStatus.CLOSED_FORM: ("exact projection used", "circle"),
@@ -50,7 +50,7 @@ _ODD = {
 
 
 def barrier_over_time(flight: Flight, verdict: Verdict) -> go.Figure | None:
-    """h over time with h = 0, the violation limit, and the lowest h outside the pad."""
+    """Draw h over time with h = 0, the violation limit, and the lowest h outside the pad."""
     zero, figure = zero_s(flight), go.Figure()
     shown: list[tuple[Floats, Floats]] = []
     if flight.steps is not None:
@@ -95,11 +95,11 @@ def _mark_lowest(figure: go.Figure, t: Floats, h: Floats, where: str, symbol: st
 
 
 _Drawn = tuple[str, Floats, str, str, float]  # name, velocity (n, 3), colour, dash, width
-_Extra = Callable[[go.Figure, int, list[float]], list[float]]  # draws on an axis, widens its range
+_Extra = Callable[[go.Figure, int, list[float]], list[float]]  # draws on an axis and widens its range
 
 
 def velocities(flight: Flight) -> go.Figure | None:
-    """Nominal, filtered and sent velocity of each axis with the admissible box."""
+    """Draw nominal, filtered and sent velocity on each axis with the admissible box."""
     steps = flight.steps
     if steps is None or not np.isfinite(steps.nominal_enu_m_s).any():
         return None
@@ -130,7 +130,7 @@ def velocities(flight: Flight) -> go.Figure | None:
 
 
 def tracking(flight: Flight) -> go.Figure | None:
-    """Velocity wanted, set-point after corrections, and velocity flown, of each axis."""
+    """Draw wanted velocity, set-point after corrections, and flown velocity on each axis."""
     steps = flight.steps
     if steps is None or not np.isfinite(steps.wanted_enu_m_s).any():
         return None
@@ -152,7 +152,7 @@ def _axes(
     flight: Flight, t: Floats, drawn: Sequence[_Drawn], true: tuple[str, str, dict[str, Any]],
     height_px: int, extra: _Extra,
 ) -> go.Figure:  # fmt: skip
-    """Velocities in a row for each axis; the true one, where it is known, by name, colour and style."""
+    """Draw the velocities of each axis in a row; the true one, if known, by name, colour and style."""
     figure = rows_of(3, 0.045)
     for axis in range(3):
         row, legend = axis + 1, axis == 0
@@ -182,7 +182,7 @@ def _limits(figure: go.Figure, flight: Flight, limit_m_s: float, row: int, legen
 
 
 def filter_activity(flight: Flight) -> go.Figure | None:
-    """Change of the velocity by the barrier, slack of its constraint, and unusual results as marks."""
+    """Draw the change of velocity by the barrier and the slack of its constraint; mark unusual results."""
     steps = flight.steps
     if steps is None or not np.isfinite(steps.slack_m_s).any():
         return None
@@ -209,7 +209,7 @@ def filter_activity(flight: Flight) -> go.Figure | None:
 
 
 def estimate_error(flight: Flight) -> go.Figure | None:
-    """Estimate minus truth: own position, target position, and h; needs true states."""
+    """Draw estimate minus truth of vehicle position, target position and h; needs true states."""
     errors = estimate_errors(flight)
     if errors is None or not (np.isfinite(errors.own_m).any() or np.isfinite(errors.target_m).any()):
         return None
@@ -231,7 +231,7 @@ def estimate_error(flight: Flight) -> go.Figure | None:
 
 
 def vehicle_state(flight: Flight) -> go.Figure | None:
-    """Tilt and battery of the true vehicle; needs true states."""
+    """Draw tilt and battery of the true vehicle; needs true states."""
     truth, tilt = flight.truth, tilt_deg(flight)
     if truth is None or tilt is None or not len(tilt):
         return None
@@ -248,16 +248,16 @@ def vehicle_state(flight: Flight) -> go.Figure | None:
 
 
 def share_active(steps: Steps) -> float | None:
-    """Share of the ticks with a filter in which the barrier changed the velocity; ``None`` without any."""
+    """Return the share of filtered ticks in which the barrier changed the velocity; ``None`` without any."""
     ran = np.isfinite(steps.slack_m_s)
     return float(steps.barrier_active[ran].mean()) if ran.any() else None
 
 
 _BINS = 80
-_EDGE_SHARE = 0.05  # of the median, left and right of a histogram
-_LOG_FLOOR = -0.3  # a single count stands above the axis
+_EDGE_SHARE = 0.05  # margin at both sides of a histogram, as a share of the median
+_LOG_FLOOR = -0.3  # lower end of the axis; a single count stands above it
 _WALL_US = [m * 10**n for n in range(6) for m in (1, 2, 5)]  # labels of the axis of wall times
-_INTERVAL_MAX_MS = 100.0  # longer pauses are counted in the last bar
+_INTERVAL_MAX_MS = 100.0  # longest separate interval; longer ones are in the last bar
 
 
 def loop_timing(flight: Flight) -> go.Figure | None:
@@ -288,7 +288,7 @@ def loop_timing(flight: Flight) -> go.Figure | None:
 
 
 def histograms(flight: Flight, streams: Sequence[Stream]) -> go.Figure | None:
-    """Histograms of loop periods and of intervals between messages; counts are logarithmic."""
+    """Draw histograms of loop periods and of intervals between messages; counts are logarithmic."""
     shown: list[tuple[str, str, Floats]] = []
     if flight.timing is not None:
         shown.append(("loop period [ms]", TRUE, flight.timing.period_s[2:] * 1e3))
@@ -307,7 +307,7 @@ def histograms(flight: Flight, streams: Sequence[Stream]) -> go.Figure | None:
         rows=len(shown), cols=1, vertical_spacing=0.5 / len(shown) if len(shown) > 1 else 0
     )
     for row, (title, color, values) in enumerate(shown, 1):
-        edge_ms = _EDGE_SHARE * float(np.median(values))  # equal values still make a bar that can be seen
+        edge_ms = _EDGE_SHARE * float(np.median(values))  # keeps the bar of equal values visible
         low, high = float(values.min()) - edge_ms, float(values.max()) + edge_ms
         counts, edges = np.histogram(values, bins=_BINS, range=(low, high))
         bars = go.Bar(
@@ -324,7 +324,7 @@ def histograms(flight: Flight, streams: Sequence[Stream]) -> go.Figure | None:
 
 
 def data_age(flight: Flight) -> go.Figure | None:
-    """Age of the target state and of the own state at each tick, with the limits of the configuration."""
+    """Draw the age of target and vehicle state at each tick, with the limits of the configuration."""
     steps = flight.steps
     if steps is None or not np.isfinite(steps.target_age_s).any():
         return None

@@ -1,4 +1,4 @@
-"""Figures with several flights in them: two that are compared, or the members of a fleet."""
+"""Figures with several flights: two compared flights, or the members of a fleet."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ from logs.verdict.verdict import PairSeries
 
 _DASHES = ("solid", "dash", "dot")  # line styles, if there are more pairs than colours
 _MEASURE_SHOWN = 6.0  # minimum upper end of the axis, in the ellipsoid's measure
-_LIMITS_SHOWN = 3  # maximum pairs for which the limit along their connecting line is drawn
-_PAIRS_SHOWN = 8  # nearest pairs, shown at first; the others are hidden
-_LISTED, _LISTED_PX = 8, 22  # names of pairs in a line of the legend; height of a line
+_LIMITS_SHOWN = 3  # greatest number of pairs whose limit along their connecting line is drawn
+_PAIRS_SHOWN = 8  # number of nearest pairs that are visible at first; the others are hidden
+_LISTED, _LISTED_PX = 8, 22  # pair names per line of the legend; height of a line
 
 Values = Callable[[Flight], tuple[Floats, Floats] | None]  # times and values of a flight
 
 
 def best_h(flight: Flight) -> tuple[Floats, Floats] | None:
-    """True h, else the controller's, since the landing began."""
+    """Return true h, else the controller's h, since the landing began."""
     truth, steps, start_s = flight.truth, flight.steps, flight.landing_start_s or 0.0
     if truth is not None:
         t_s, h_m = truth.t_s, truth.h_min_m
@@ -79,7 +79,7 @@ def velocity_flown(flight: Flight) -> tuple[Floats, Floats] | None:
 def series(
     sides: Sequence[Side], axis: Axis, values: Values, title: str, hovermode: str = "x unified"
 ) -> go.Figure | None:
-    """One line of each flight over time; of h with the boundary and the limit of a violation."""
+    """Draw one line per flight over time; a figure of h also has the boundary and the violation limit."""
     figure, shown = go.Figure(), []
     for number, side in enumerate(sides):
         found = values(side.flight)
@@ -100,7 +100,7 @@ def series(
 
 
 def vectors(sides: Sequence[Side], axis: Axis, values: Values) -> go.Figure | None:
-    """Three components of a velocity, one line of each flight."""
+    """Draw three components of a velocity, one line per flight."""
     figure = rows_of(3, 0.045)
     for number, side in enumerate(sides):
         found = values(side.flight)
@@ -121,7 +121,7 @@ def vectors(sides: Sequence[Side], axis: Axis, values: Values) -> go.Figure | No
 
 
 def _paths(flight: Flight) -> list[tuple[str, str, Floats]]:
-    """Name, dash and positions (n, 3) of vehicle and pad: true ones, else estimated."""
+    """Return name, dash and positions (n, 3) of vehicle and pad: true ones, else estimated."""
     truth, steps = flight.truth, flight.steps
     if truth is not None:
         return [("", "solid", truth.position_enu_m), (" pad", "dot", truth.pad_position_enu_m)]
@@ -133,13 +133,13 @@ def _paths(flight: Flight) -> list[tuple[str, str, Floats]]:
 
 
 def _ends(points_m: Floats) -> Floats:
-    """First and last known position, (2, 3); empty without any."""
+    """Return the first and last known position, (2, 3); empty without any."""
     known = points_m[np.isfinite(points_m).all(1)]
     return known[[0, -1]] if len(known) else known
 
 
 def room_3d(sides: Sequence[Side]) -> go.Figure:
-    """All paths in the room, with heights and distances to the same scale."""
+    """Draw all paths in 3-D, with heights and distances at the same scale."""
     figure = go.Figure()
     for number, side in enumerate(sides):
         color = COLORS[number % len(COLORS)]
@@ -171,7 +171,7 @@ def room_3d(sides: Sequence[Side]) -> go.Figure:
 
 
 def plan(sides: Sequence[Side]) -> go.Figure:
-    """All paths from above: circles at the start, squares at the end, the pads at the end of the log."""
+    """Draw all paths from above: circles at the start, squares at the end, pads at the end of the log."""
     figure = go.Figure()
     for number, side in enumerate(sides):
         color = COLORS[number % len(COLORS)]
@@ -194,9 +194,9 @@ def plan(sides: Sequence[Side]) -> go.Figure:
 
 
 def distances(pairs: Sequence[PairSeries], axis: Axis) -> go.Figure | None:
-    """Distance of each pair over time, in the ellipsoid's measure and in metres; ``None`` without a pair.
+    """Draw the distance of each pair over time, in the ellipsoid's measure and in m; ``None`` without pairs.
 
-    Of many pairs those that came nearest are shown at first.
+    Of many pairs only the nearest are visible at first.
     """
     if not pairs:
         return None

@@ -1,4 +1,4 @@
-"""Figures in space: the landing relative to the pad (paper Fig. 7, 8, 10, 11) and from above (Fig. 12)."""
+"""Spatial figures: the landing relative to the pad (paper Fig. 7, 8, 10, 11) and from above (Fig. 12)."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from logs.report.style import (
 )
 
 _SURFACE_RINGS, _SURFACE_SPOKES = 48, 73
-_SURFACE_COLORS = [[0.0, "#fff3c4"], [0.5, "#f7b267"], [1.0, "#d55e00"]]  # low to high, as printed
-_DISTANCE_MIN_M = 0.6  # m; smallest range of the distance axis, so that the cone is visible
+_SURFACE_COLORS = [[0.0, "#fff3c4"], [0.5, "#f7b267"], [1.0, "#d55e00"]]  # low to high, as in the paper
+_DISTANCE_MIN_M = 0.6  # smallest range of the distance axis, m, so that the cone is visible
 _BEFORE = "#9aa5b1"
 _SYMBOLS_3D = {"circle": "circle", "square-open": "square", "triangle-up": "diamond"}
 
@@ -46,7 +46,7 @@ class Track:
 
 
 def relative_tracks(flight: Flight) -> list[Track]:
-    """Vehicle relative to the landing spot since the landing began: estimated and, if known, true."""
+    """Return the path relative to the landing spot since the landing began: estimated and, if known, true."""
     start_s = flight.landing_start_s or 0.0
     tracks = []
     if flight.steps is not None:
@@ -63,7 +63,7 @@ def _distance_max_m(tracks: list[Track]) -> float:
 
 
 def trajectory_3d(flight: Flight) -> go.Figure | None:
-    """Relative trajectory over the barrier's surface."""
+    """Draw the relative trajectory over the barrier's surface."""
     tracks = relative_tracks(flight)
     if not tracks:
         return None
@@ -95,13 +95,13 @@ def trajectory_3d(flight: Flight) -> go.Figure | None:
 
 
 def _camera(start_m: Floats) -> dict[str, float]:
-    """Look from beside the approach, so that the path stands before the surface and not behind it."""
+    """Place the camera beside the approach, so that the path is in front of the surface."""
     bearing = float(np.arctan2(start_m[1], start_m[0])) - 0.9
     return {"x": 1.8 * float(np.cos(bearing)), "y": 1.8 * float(np.sin(bearing)), "z": 0.9}
 
 
 def _surface(flight: Flight, distance_max_m: float) -> go.Surface:
-    # rings stand closer near the apex, where the boundary bends
+    # rings are closer together near the apex, where the boundary bends
     d = distance_max_m * np.linspace(0.0, 1.0, _SURFACE_RINGS) ** 1.4
     angle = np.linspace(0.0, 2.0 * np.pi, _SURFACE_SPOKES)
     height = np.repeat(boundary_height_m(flight, d)[:, None], len(angle), axis=1)
@@ -130,7 +130,7 @@ def _marker_3d(figure: go.Figure, at_m: Floats, name: str, symbol: str) -> None:
 
 
 def altitude_over_distance(sides: Sequence[Side]) -> go.Figure | None:
-    """e_z over d with the boundary, below which it is unsafe; of several flights the best known path each."""
+    """Draw e_z over d with the boundary, unsafe below; of several flights only the best known path each."""
     drawn = [(side, relative_tracks(side.flight)) for side in sides]
     every = [track for _, tracks in drawn for track in tracks]
     if not every:
@@ -153,7 +153,7 @@ def altitude_over_distance(sides: Sequence[Side]) -> go.Figure | None:
         )
     for number, (side, tracks) in enumerate(drawn):
         color = COLORS[number % len(COLORS)]
-        for track in tracks if alone else tracks[-1:]:  # the most accurate track is the last one
+        for track in tracks if alone else tracks[-1:]:  # the last track is the most accurate one
             distance = np.hypot(track.points_m[:, 0], track.points_m[:, 1])
             name = f"vehicle ({track.name})" if alone else f"{side.name}, {track.name}"
             look = {"dash": track.dash, "width": 2.4 if track.dash == "solid" else 1.6}
@@ -174,7 +174,7 @@ def altitude_over_distance(sides: Sequence[Side]) -> go.Figure | None:
 
 
 def _places(flight: Flight, path_m: Floats) -> list[tuple[str, Floats, str]]:
-    """Name, position and symbol of start, first contact and end of a path; a path has a known position."""
+    """Return name, position and symbol of a path's start, first contact and end; needs a known position."""
     known, touch = path_m[np.isfinite(path_m).all(1)], touch_index(flight)
     found = [("start", known[0], "circle"), ("end", known[-1], "square-open")]
     if touch is not None and flight.truth is not None:
@@ -183,7 +183,7 @@ def _places(flight: Flight, path_m: Floats) -> list[tuple[str, Floats, str]]:
 
 
 def plan_view(flight: Flight) -> go.Figure | None:
-    """Both paths from above: circles at the start, triangles at touchdown, squares at the end."""
+    """Draw both paths from above: circles at the start, triangles at touchdown, squares at the end."""
     paths = _ground_paths(flight)
     if not paths:
         return None
@@ -216,7 +216,7 @@ def plan_view(flight: Flight) -> go.Figure | None:
 
 
 def _ground_paths(flight: Flight) -> list[tuple[str, str, str, Floats, Floats]]:
-    """Name, colour, dash, times and positions of what moved; the best known of each is solid."""
+    """Return name, colour, dash, times and positions of moving bodies; the best known path is solid."""
     steps, truth = flight.steps, flight.truth
     paths = []
     if truth is not None:

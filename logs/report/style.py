@@ -1,7 +1,7 @@
-"""How every figure of the report looks: colours, layout, phase bands, thinning.
+"""Common style of the report's figures: colours, layout, phase bands, thinning.
 
-Colours are those of Okabe and Ito (2008), which stay apart for colour-blind readers and in grey print; a
-colour means the same in every figure, and true and estimated values also differ by dash.
+The colours are from Okabe and Ito (2008): colour-blind readers and grey prints can distinguish them. A colour
+has the same meaning in every figure; true and estimated values also differ by dash.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ LIMIT = "#666666"
 GRID = "#e4e7eb"
 INK = "#1f2933"
 FAULT = "#b00020"
-FLOWN = "#882255"  # wine: what the vehicle really does
+FLOWN = "#882255"  # wine: velocity that the vehicle really flies
 MARGIN = "#E69F00"
 
 # phases: red, green, blue, and opacity of the band behind curves
@@ -47,17 +47,17 @@ _PHASES: dict[Phase | int, tuple[int, int, int, float]] = {
     Phase.ABORT: (213, 94, 0, 0.22),
     Phase.LEAVE: (86, 180, 233, 0.22),
 }
-_SPACE_PX = 640  # height of a figure in space
+_SPACE_PX = 640  # height of a spatial figure
 _TOP_PX, _BOTTOM_PX, _LEGEND_PX = 40, 96, 54  # margins, and the legend's distance below the axis
-POINTS_MAX = 4000  # of one line; more cannot be seen, and the page has to stay light
-_EVEN_S = 1e-3  # s; times this close to evenly spaced are written as start and step
-_FAULT_STRIP = 0.965  # of a row's height: from here to the top a fault is marked
-LABEL_SHARE = 0.05  # a band narrower than this share of the axis carries no name
-BEFORE_S, AFTER_S = 1.0, 3.0  # shown around the landing; zooming out shows all
+POINTS_MAX = 4000  # greatest number of points per line; more are not visible and make the page large
+_EVEN_S = 1e-3  # tolerance, s; more evenly spaced times are written as start and step
+_FAULT_STRIP = 0.965  # share of a row's height above which a fault is marked
+LABEL_SHARE = 0.05  # smallest share of the axis for a band with a name
+BEFORE_S, AFTER_S = 1.0, 3.0  # time shown before and after the landing, s; zooming out shows all
 
 
 def layout(figure: go.Figure, height_px: int, legend_px: int = 0) -> go.Figure:
-    """Give a figure the common look; the legend stands below the title of the time axis."""
+    """Apply the common layout to a figure; the legend is below the title of the time axis."""
     plot_px = height_px - _TOP_PX - _BOTTOM_PX - legend_px
     figure.update_layout(
         template="plotly_white",
@@ -81,7 +81,7 @@ def layout(figure: go.Figure, height_px: int, legend_px: int = 0) -> go.Figure:
 
 
 def layout_3d(figure: go.Figure, titles: tuple[str, str, str], **scene: Any) -> go.Figure:
-    """Give a figure in space the common look."""
+    """Apply the common layout to a spatial figure."""
     layout(figure, _SPACE_PX)
     axis = {"gridcolor": GRID, "backgroundcolor": "white", "zerolinecolor": GRID}
     axes = {
@@ -94,12 +94,12 @@ def layout_3d(figure: go.Figure, titles: tuple[str, str, str], **scene: Any) -> 
 
 
 def zero_s(flight: Flight) -> float:
-    """Time zero of the figures: the start of the landing, or of the log without a landing."""
+    """Return time zero of the figures: the start of the landing, or of the log without a landing."""
     return flight.landing_start_s or 0.0
 
 
 def shown_range(flight: Flight) -> list[float]:
-    """Range of the time axis at first: the landing with some seconds around it."""
+    """Return the initial range of the time axis: the landing with some seconds around it."""
     start = flight.landing_start_s
     spans = flight.phase_spans()
     last = flight.duration_s
@@ -111,7 +111,7 @@ def shown_range(flight: Flight) -> list[float]:
 
 
 def phase_color(phase: Phase | int, *, bar: bool = False) -> str:
-    """Colour of a phase: of the band behind curves, or stronger for a bar."""
+    """Return the colour of a phase for the band behind curves, or, stronger, for a bar."""
     red, green, blue, opacity = _PHASES.get(phase, (102, 102, 102, 0.05))
     return f"rgba({red}, {green}, {blue}, {0.2 + 1.5 * opacity if bar else opacity:.3g})"
 
@@ -120,7 +120,7 @@ def add_phases(figure: go.Figure, flight: Flight, *, rows: int = 1) -> None:
     """Shade the phases over the whole height of each row, name them on top, mark faults by a strip."""
     low, high = shown_range(flight)
     zero = zero_s(flight)
-    shapes: list[dict[str, Any]] = []  # added at once: plotly looks at all that are there each time
+    shapes: list[dict[str, Any]] = []  # added together: plotly would otherwise check all shapes each time
     names: list[dict[str, Any]] = []
     for phase, begin_s, end_s in flight.phase_spans():
         begin, end = begin_s - zero, end_s - zero
@@ -138,7 +138,7 @@ def add_phases(figure: go.Figure, flight: Flight, *, rows: int = 1) -> None:
 
 
 def _bands(rows: int, begin_s: float, end_s: float, bottom: float, color: str) -> list[dict[str, Any]]:
-    """A band in each row, from a share of its height to the top."""
+    """Return a band in each row, from a share of its height to the top."""
     axes = ["" if row == 1 else str(row) for row in range(1, rows + 1)]
     return [
         {
@@ -150,16 +150,16 @@ def _bands(rows: int, begin_s: float, end_s: float, bottom: float, color: str) -
 
 
 class Axis(NamedTuple):
-    """A time axis; the page moves all figures with the same one together."""
+    """A time axis; the page moves all figures with the same axis together."""
 
     title: str
     landing: list[float]  # range of the page's button "Landing"
     whole: list[float]  # range of the page's button "Whole flight"
-    first: list[float]  # range at first
+    first: list[float]  # initial range
 
 
 def axis_of(flights: Sequence[Flight]) -> Axis:
-    """Axis of flights, each on the time since its own landing began."""
+    """Return the axis of flights whose times count from the start of their landing."""
     began = any(flight.landing_start_s is not None for flight in flights)
     shown = [shown_range(flight) for flight in flights]
     landing = [min(low for low, _ in shown), max(high for _, high in shown)]
@@ -169,7 +169,7 @@ def axis_of(flights: Sequence[Flight]) -> Axis:
 
 
 def fleet_axis(fleet: Fleet) -> Axis:
-    """Axis of all members together, from the beginning of the log."""
+    """Return the axis of all members together, from the beginning of the log."""
     members = [(flight, fleet.shift_s(flight)) for flight in fleet.flights.values()]
     end_s = max(flight.duration_s + shift_s for flight, shift_s in members)
     begins = [f.landing_start_s + shift_s for f, shift_s in members if f.landing_start_s is not None]
@@ -202,14 +202,14 @@ def add_line(figure: go.Figure, row: int, x: Floats, y: Floats, name: str, color
 
 
 def line(x: Floats, y: Floats, name: str, color: str, **more: Any) -> go.Scatter:
-    """One line, thinned; keyword arguments go to the line (``dash``, ``width``) or the trace."""
+    """Return one thinned line; keyword arguments set the line (``dash``, ``width``) or the trace."""
     keep = thin(len(x))
     style = {"color": color, "width": more.pop("width", 1.8), "dash": more.pop("dash", "solid")}
     return go.Scatter(**_places(x[keep]), y=light(y[keep]), name=name, mode="lines", line=style, **more)
 
 
 def _places(x: Floats) -> dict[str, Any]:
-    """Evenly spaced coordinates as start and step, which halves the page; otherwise all of them."""
+    """Return evenly spaced coordinates as start and step, which halves the page; else all of them."""
     if len(x) > 2 and np.isfinite(x).all():
         step = float(x[-1] - x[0]) / (len(x) - 1)
         if step > 0.0 and np.abs(x - (x[0] + step * np.arange(len(x)))).max() < _EVEN_S:
@@ -218,12 +218,12 @@ def _places(x: Floats) -> dict[str, Any]:
 
 
 def thin(n: int) -> slice:
-    """Every k-th of n points, so that few enough are left."""
+    """Return a slice that selects every k-th of n points, so that at most ``POINTS_MAX`` remain."""
     return slice(None, None, max(1, -(-n // POINTS_MAX)))
 
 
 def value_range(first: Flight | Axis, shown: list[tuple[Floats, Floats]]) -> list[float]:
-    """Range of the values within the first range of the time axis, zero included, with some air."""
+    """Return the range of values within the initial time range, including zero and a margin."""
     low_s, high_s = first.first if isinstance(first, Axis) else shown_range(first)
     inside = np.concatenate(
         [h[(t >= low_s) & (t <= high_s) & np.isfinite(h)] for t, h in shown] + [np.zeros(1)]
@@ -234,19 +234,19 @@ def value_range(first: Flight | Axis, shown: list[tuple[Floats, Floats]]) -> lis
 
 
 def low_envelope(x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Thin by keeping the smallest of each block, so that no dip is lost."""
+    """Thin a curve by keeping the smallest value of each block, so that no minimum is lost."""
     step = max(1, -(-len(x) // POINTS_MAX))
     starts = np.arange(0, len(x), step)
     return x[starts], np.fmin.reduceat(y, starts) if len(x) else y
 
 
 def light(values: Floats) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
-    """Four-byte numbers: seven digits are plenty on a screen and halve the page."""
+    """Convert to four-byte floats: seven digits suffice on a screen and halve the page."""
     return np.asarray(values, dtype=np.float32)
 
 
 def boundary_height_m(flight: Flight, d_m: Floats) -> Floats:
-    """Boundary b(d) in metres (paper eq. 5) for an array of horizontal distances; needs a barrier."""
+    """Return the boundary b(d) in m (paper eq. 5) at horizontal distances; needs a barrier."""
     assert flight.barrier is not None
     ad = flight.barrier.alpha_1_m * d_m
     return np.asarray(flight.barrier.beta_m * ad * np.exp(-ad))

@@ -1,4 +1,4 @@
-"""Tables of the report as HTML: of a flight, of two compared, of a fleet."""
+"""Tables of the report as HTML: of one flight, of two compared flights, of a fleet."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from logs.schema.events import Severity
 from logs.verdict.types import BELOW_ON_PAD, ESTIMATE, Outcome, Verdict
 from logs.verdict.verdict import FleetVerdict
 
-_SAME_TICK_S = 0.011  # s; an event within this time belongs to the tick in which a phase began
-EVENTS_MAX = 500  # a page with more is not read
+_SAME_TICK_S = 0.011  # greatest time, s, between an event and the tick in which a phase began
+EVENTS_MAX = 500  # greatest number of shown events
 HEADLINES = {
     Outcome.LANDED: ("Landed", "good"),
     Outcome.ABORTED: ("Aborted, declared", "fair"),
@@ -82,14 +82,14 @@ def run_table(flight: Flight) -> str:
 
 
 def versions_table(metadata: Mapping[str, Mapping[str, str]]) -> str:
-    """Versions recorded in the metadata of a log."""
+    """Return the versions in the metadata of a log as a table."""
     rows = [(key.replace("_", " "), value or "–") for key, value in metadata.get("made", {}).items()]
     rows += [(f"records lost by {who}", n) for who, n in metadata.get("losses", {}).items()]
     return table(("made with", "value"), rows, empty="The log does not name versions.")
 
 
 def events_table(events: Sequence[Event], zero_s: float | None = None) -> str:
-    """Events in order, each with a link to its time: since ``zero_s``, else since the log began."""
+    """Return the events in order, each with a link to its time since ``zero_s``, else since the log began."""
     rows = [
         (time_link(e.t_s, f"{e.t_s:.2f}") if zero_s is None else _at(e.t_s - zero_s), severity(e.level),
          e.source, e.text)
@@ -102,12 +102,12 @@ def events_table(events: Sequence[Event], zero_s: float | None = None) -> str:
 
 
 def _at(t_s: float) -> str:
-    """A time since the landing began as a link into the figures."""
+    """Return a time since the landing began as a link into the figures."""
     return time_link(t_s, number(t_s, 2) if t_s < 0.0 else f"+{t_s:.2f}")
 
 
 def phases_table(flight: Flight) -> str:
-    """Phases in order with their length and the reason that the controller gave."""
+    """Return the phases in order with their length and the controller's reason."""
     zero, rows = flight.landing_start_s or 0.0, []
     for phase, begin_s, end_s in flight.phase_spans():
         name = phase_name(phase)
@@ -140,7 +140,7 @@ def links_table(streams: Sequence[Stream]) -> str:
 
 
 def ages_table(flight: Flight) -> str:
-    """Age of what the controller used, since the landing began."""
+    """Return the ages of the states that the controller used, since the landing began."""
     steps, start_s = flight.steps, flight.landing_start_s or 0.0
     if steps is None:
         return ""
@@ -163,13 +163,13 @@ def _age_row(name: str, age_s: Floats, limit_s: float | None, bad: Bools) -> tup
 
 
 def definitions() -> str:
-    """Definitions of the verdict's terms, to open on demand."""
+    """Return the definitions of the verdict's terms, to open on demand."""
     shown = table(("word", "meaning"), _DEFINITIONS)
     return html("<details><summary>Definitions</summary>{}</details>").format(shown)
 
 
 def severity(level: int) -> str:
-    """Name of a level, which is also the style of its row."""
+    """Return the name of a level, which is also the style of its row."""
     return Severity(level).name.lower() if level in Severity._value2member_map_ else str(level)
 
 
@@ -220,13 +220,13 @@ _NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None], str]
 
 
 def _found(side: Side, name: str, digits: int | None = None) -> str:
-    """One of the numbers of a flight, as text."""
+    """Return one of a flight's numbers as text."""
     _, _, usual, factor, value, _ = next(row for row in _NUMBERS if row[0] == name)
     return number(value(side), usual if digits is None else digits, factor)
 
 
 def key_numbers(*sides: Side) -> list[tuple[str, str, str]]:
-    """Name, value and unit of the four numbers of a landing, or of two."""
+    """Return name, value and unit of the four key numbers of one landing, or of two."""
     of = ", A · B" if len(sides) > 1 else ""
     return [
         (f"{name}{of}", " · ".join(_found(side, name) for side in sides), unit)
@@ -236,7 +236,7 @@ def key_numbers(*sides: Side) -> list[tuple[str, str, str]]:
 
 
 def result_table(*sides: Side) -> str:
-    """The verdicts with units; of two flights with the difference of each number."""
+    """Return the verdicts with units; for two flights with the difference of each number."""
     both = len(sides) > 1
     words: list[tuple[str, Callable[[Side], str], str]] = [
         ("outcome", lambda s: s.verdict.outcome.value, "" if both else sides[0].verdict.reason),
@@ -284,7 +284,7 @@ def _flatten(prefix: str, values: object, found: dict[str, str]) -> None:
         found[prefix] = str(values)
 
 
-_DASH = "\N{WORD JOINER}–\N{WORD JOINER}"  # no line breaks at it
+_DASH = "\N{WORD JOINER}–\N{WORD JOINER}"  # a dash at which no line breaks
 
 
 _OF_MEMBERS = {"lowest h outside the pad": 0, "touchdown error": 0, "touchdown speed, vertical": 2,

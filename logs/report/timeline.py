@@ -1,4 +1,4 @@
-"""Swim lanes over time: phases, faults, what was valid and sent, right of way, events."""
+"""Timeline figure with lanes: phases, faults, valid and sent data, right of way, events."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from logs.report.style import (
 from logs.schema.events import Severity
 
 _EVENTS_MAX = 500
-_SILENT_MAX = 16  # lanes of silent members; more are not read
+_SILENT_MAX = 16  # greatest number of lanes for members without messages
 _ROW_PX = 26
-_LETTER_SHARE = 0.009  # share of the axis for one letter of a label; a shorter bar has no label
+_LETTER_SHARE = 0.009  # share of the axis per letter of a label; a shorter bar has no label
 _INTENT_COLORS = {
     Intent.STANDING: "#d5d9de",
     Intent.WAITING: "#f5e3b3",
@@ -49,7 +49,7 @@ class _Lanes:
         self._figure, self._axis, self._names = go.Figure(), axis, dict[str, None]()
 
     def bar(self, lane: str, ends: Sequence[float], color: str, text: str, label: str = "") -> None:
-        """Add a bar; ``text`` shows where it is pointed at, ``label`` where there is space for it."""
+        """Add a bar; the pointer shows ``text``, the bar shows ``label`` if there is space."""
         self._names[lane] = None
         self._figure.add_trace(
             go.Scatter(
@@ -70,7 +70,7 @@ class _Lanes:
             self.bar(lane, (begin_s + side.offset_s, end_s + side.offset_s), color, f"{side.of}{name}", name)
 
     def mask(self, lane: str, t: Floats, mask: Bools, color: str) -> None:
-        """Add bars where the mask is true, as one line with breaks."""
+        """Add bars while the mask is true, as one line with breaks."""
         self._names[lane] = None
         edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
         begins, ends = edges[::2], np.minimum(edges[1::2], len(t) - 1)
@@ -102,7 +102,7 @@ class _Lanes:
         )  # fmt: skip
 
     def figure(self, range_s: Sequence[float] | None = None) -> go.Figure | None:
-        """Return the figure, at first with this range of the axis; ``None`` without a lane."""
+        """Return the figure with this initial range of the axis; ``None`` without a lane."""
         figure, names = self._figure, list(self._names)
         if not names:
             return None
@@ -122,9 +122,9 @@ def timeline(
     zero_s: float = 0.0,
     messages: FleetMessages | None = None,
 ) -> go.Figure | None:
-    """Phases, faults and right of way of flights, and events; of one alone also what it sent and missed.
+    """Draw phases, faults, right of way and events; for one flight also sent and missing data.
 
-    ``zero_s``: zero of the page on the time of the events. ``None`` without any lane.
+    ``zero_s``: zero of the page in the times of the events. ``None`` without any lane.
     """
     lanes = _Lanes(axis)
     for side in sides:
@@ -150,7 +150,7 @@ def timeline(
 
 
 def _ticks(lanes: _Lanes, side: Side) -> None:
-    """Add lanes of the ticks in which something was sent, active, refused or missing."""
+    """Add lanes of the ticks in which data were sent, active, refused or missing."""
     steps = side.flight.steps
     if steps is None:
         return

@@ -1,1 +1,1 @@
-"""Information, cuts, exports and comparison of logs."""
+"""Information, repair, exports and comparison of logs."""

@@ -1,8 +1,8 @@
-"""Are two flight logs, or a log and its replay, the same? Value by value, with declared exceptions.
+"""Compares two flight logs, or a log and its replay, value by value, with declared exceptions.
 
-Two runs of one seed in lockstep must give equal logs. What depends on the wall clock by nature is named in
-the tables below and nowhere else. Messages of different processes reach the recorder in any order, so each
-topic is compared on its own, ordered by log time and sequence number.
+Two runs of one seed in lockstep must give equal logs. Data that depend on the wall clock are listed in the
+tables below, and nowhere else. Messages of different processes reach the recorder in any order, so each topic
+is compared separately, ordered by log time and sequence number.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from logs.tools.recover import LOG_TOOL
 
 WALL_CLOCK_SCHEMAS = frozenset({LOOP_TIMING, DIAGNOSTIC_ARRAY})
 WALL_CLOCK_EVENTS = frozenset({RECORDER_NAME})  # names on /rosout
-WALL_CLOCK_METADATA = frozenset({LOSSES, RECORDER, MAVLINK_PEERS})  # whole records; ports are free ones
+WALL_CLOCK_METADATA = frozenset({LOSSES, RECORDER, MAVLINK_PEERS})  # complete records; ports are random
 PROVENANCE_METADATA = frozenset({LOG_TOOL})  # origin of the file, not its content
 WALL_CLOCK_METADATA_KEYS = frozenset(
     {"started", "started_unix_s", "ended", "wall_time_s", "realtime_factor", "host", "out", "log", "pid"}
 )
-MAX_DIFFERENCES = 100  # more are not reported
+MAX_DIFFERENCES = 100  # greatest number of reported differences
 
 ABSENT = "absent"
 _F64 = struct.Struct("<d")
@@ -123,7 +123,7 @@ def _data(topic: str, index: int, x: Message, y: Message) -> Iterator[MessageDif
 
 
 def messages_of(schema: str, a: bytes, b: bytes) -> Iterator[tuple[str, str, str]]:
-    """Yield (field, a, b) for each field that differs in two CDR messages; if no value differs, the bytes."""
+    """Yield (field, a, b) for each different field of two CDR messages; if all are equal, the bytes."""
     if a == b:
         return
     found: list[tuple[str, str, str]] = []
@@ -134,7 +134,7 @@ def messages_of(schema: str, a: bytes, b: bytes) -> Iterator[tuple[str, str, str
 
 
 def values_of(a: Any, b: Any, name: str = "") -> Iterator[tuple[str, str, str]]:
-    """Yield (field, a, b) of each difference, bit by bit: NaN equals a NaN of the same bits, 0.0 not -0.0."""
+    """Yield (field, a, b) of each difference, bit by bit: NaNs of equal bits are equal, 0.0 and -0.0 not."""
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
         a, b = a.tolist(), b.tolist()
     if type(a) is not type(b):
@@ -188,7 +188,7 @@ def _attachments(first: LogFile, second: LogFile) -> Iterator[MessageDifference]
             yield MessageDifference(f"attachment {name}", -1, "content", *sizes)
 
 
-SHOWN_MAX = 10  # differences kept; the others are counted
+SHOWN_MAX = 10  # greatest number of stored differences; the others are counted
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,7 +212,7 @@ class Tally:
     """Differences of one kind: their number, and the first ones."""
 
     count: int = 0
-    ticks: int = 0  # that hold one
+    ticks: int = 0  # number of ticks with a difference
     first: list[TickDifference] = dataclasses.field(default_factory=list)
 
     def add(self, found: Iterable[TickDifference]) -> None:

@@ -1,9 +1,9 @@
-"""Logs for other programs: a topic as CSV or Parquet (extra ``export``).
+"""Exports a topic of a log for other programs, as CSV or Parquet (extra ``export``).
 
-A table has one column a number, named as in the message definition: ``own_position_enu_m.x`` is a nested
-field, ``rotor_rpm[2]`` an element of an array of fixed length. A list whose length varies stays one column of
+A table has one column per number, named as in the message definition: ``own_position_enu_m.x`` is a nested
+field, ``rotor_rpm[2]`` an element of an array of fixed length. A list of variable length is one column of
 JSON text, so that the columns never depend on the data. The columns come from the definitions inside the log,
-so logs of other programs and of older versions are read as they were written.
+so logs of other programs and of older versions can be read, too.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from logs.tools.file import new_file
 
 JSON_TEXT = "json"  # kind of a column that holds a list
 HEAD = (("log_time_ns", "uint64"), ("publish_time_ns", "uint64"), ("sequence", "uint32"))
-ROWS_AT_ONCE = 10_000  # of Parquet: bounded memory for flights of any length
+ROWS_AT_ONCE = 10_000  # rows written together: memory is bounded for flights of any length
 _NOT_ARROW = {JSON_TEXT: "string", "float32": "float32", "float64": "float64", "bool": "bool_",
               "byte": "uint8", "char": "uint8", "octet": "uint8", "wstring": "string"}  # fmt: skip
 
@@ -64,17 +64,17 @@ class Table:
             self._store.register(get_types_from_msg(schema.data.decode(), schema.name))
             # columns after those of ``HEAD``
             self.columns = list(_columns(self._store, (Nodetype.NAME, schema.name), "", ()))
-        except Exception as error:  # a library raises whatever it likes about a damaged definition
+        except Exception as error:  # a library may raise any exception for a damaged definition
             what = f"{log.path}: the definition of {schema.name} cannot be read"
             raise ValueError(f"{what} ({type(error).__name__}: {error})") from error
 
     def rows(self) -> Iterator[list[Any]]:
-        """Yield one row a message that can be decoded, in the order of the file."""
+        """Yield one row per message that can be decoded, in the order of the file."""
         for message in self._log.messages([self._topic]):
             try:
                 decoded = self._store.deserialize_cdr(message.data, self._type)
                 values = [column.value(decoded) for column in self.columns]
-            except Exception as error:  # or about a damaged message
+            except Exception as error:  # or for a damaged message
                 self._log.refuse(message, error)
                 continue
             yield [message.log_time_ns, message.publish_time_ns, message.sequence, *values]
@@ -120,7 +120,7 @@ def _columns(
 
 
 def _plain(value: Any) -> Any:
-    """Return a decoded value as types of JSON; NaN and infinity become text."""
+    """Convert a decoded value into JSON types; NaN and infinity become text."""
     if isinstance(value, np.ndarray | list | tuple):
         return [_plain(item) for item in value]
     if isinstance(value, np.generic):
@@ -138,7 +138,7 @@ class MissingExtraError(ValueError):
 
 
 def export_csv(log: LogFile, topic: str, out: Path, *, force: bool = False) -> int:
-    """Write a topic as CSV with a head line; return the number of rows. Floats are exact (shortest form)."""
+    """Write a topic as CSV with a header line; return the number of rows. Floats are written exactly."""
     table, rows = Table(log, topic), 0
     with new_file(out, force=force) as part, part.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")

@@ -1,4 +1,4 @@
-"""Output files of the log tools: whole or not there at all."""
+"""Output files of the log tools: a file is complete, or it does not exist."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 
 @contextmanager
 def new_file(path: Path, *, force: bool) -> Iterator[Path]:
-    """Yield a temporary name next to ``path``; it gets the real name when the block ends well."""
+    """Yield a temporary name next to ``path``; after success the file gets its final name."""
     _refuse(path, force)
     number, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
     os.close(number)
@@ -21,7 +21,7 @@ def new_file(path: Path, *, force: bool) -> Iterator[Path]:
         with part.open("rb") as stream:
             os.fsync(stream.fileno())
         part.chmod(0o666 & ~_umask())
-        _refuse(path, force)  # another process may have made it meanwhile
+        _refuse(path, force)  # another process may have created it meanwhile
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""What flight logs show of a vehicle and its links: the numbers that the robust filter assumes."""
+"""Identifies the parameters of the robust filter from flight logs: vehicle, target and links."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from flightstack.identify import identify as fit
 from logs.reader.flight_data import Flight, Floats, Steps
 
 T = TypeVar("T")
-FLYING = (Phase.TAKEOFF, Phase.APPROACH, Phase.LAND, Phase.HOLD, Phase.CLIMB)  # no contact, our set-points
+FLYING = (Phase.TAKEOFF, Phase.APPROACH, Phase.LAND, Phase.HOLD, Phase.CLIMB)  # no contact, own set-points
 _NS = 1e-9  # s
 
 
@@ -23,7 +23,7 @@ class Found(NamedTuple):
 
     horizontal: Loop
     vertical: Loop
-    spread: float  # of the lags between logs, and twice their standard errors
+    spread: float  # spread of the lags between logs, and twice their standard errors
     tracking_error_m_s: float | None
     own_noise_m: float | None
     link: Link | None
@@ -31,13 +31,13 @@ class Found(NamedTuple):
     missing: tuple[str, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """The object that ``identify --json`` prints."""
+        """Return the object that ``identify --json`` prints."""
         named = self._asdict()
         return {name: each._asdict() if hasattr(each, "_asdict") else each for name, each in named.items()}
 
 
 def gather(flights: list[Flight]) -> Found:
-    """Identify everything. Raises ValueError: the flights do not show the velocity loop."""
+    """Identify all numbers. Raises ValueError: the flights do not show the velocity loop."""
     steps = [flight.steps for flight in flights if flight.steps is not None]
     if not steps:
         raise ValueError(f"{flights[0].path}: no controller steps; record a flight of the onboard process")
@@ -69,7 +69,7 @@ def _try(what: str, missing: list[str], find: Callable[[], T]) -> T | None:
 
 
 def _segments(steps: Steps) -> tuple[list[Segment], list[Segment], list[Segment]]:
-    """Return, for each axis, the spans without gaps in which the vehicle follows our set-points."""
+    """Return, for each axis, the spans without gaps in which the vehicle follows the set-points."""
     good = steps.setpoint_sent & steps.own_valid & np.isin(steps.phase, FLYING)
     good &= np.isfinite(steps.own_velocity_enu_m_s).all(1) & np.isfinite(steps.command_enu_m_s).all(1)
     new = np.concatenate(([True], (np.diff(steps.tick) != 1) | (good[1:] != good[:-1])))
@@ -93,7 +93,7 @@ def _own_noise_m(steps: list[Steps]) -> float:
 
 
 def _fresh(steps: Steps, phases: tuple[Phase, ...]) -> Any:
-    """Return (n,) whether the vehicle state is valid and new in a tick; a slow link repeats it."""
+    """Return (n,) whether the vehicle state is valid and new in a tick; a slow link repeats states."""
     known = steps.own_valid & np.isin(steps.phase, phases) & np.isfinite(steps.own_position_enu_m).all(1)
     moved = np.any(np.diff(steps.own_position_enu_m, axis=0) != 0.0, axis=1)
     return known & np.concatenate(([True], moved))
@@ -145,7 +145,7 @@ def toml(found: Found, count: int) -> str:
     weights = (1.0 / max(h.errors[2], 1e-6) ** 2, 1.0 / max(v.errors[2], 1e-6) ** 2)
     damping, rate_z_1_s = (weights[0] * h.damping + weights[1] * v.damping) / sum(weights), v.model_rate_1_s
     late, model = h.model_dead_time_s, "of the model without dead time that lags as much"
-    if late:  # the model's swing is then the horizontal loop's; upwards it lags as much
+    if late:  # the damping is then that of the horizontal loop; the vertical lag is unchanged
         damping, rate_z_1_s, model = h.damping, 2.0 * h.damping / v.lag_s, "of the model"
     lines = [
         f"# identified from {count} log{'s' * (count > 1)}; +- one standard error",

@@ -1,4 +1,4 @@
-"""What is in a log: one pass over the records, in bounded memory."""
+"""Summarises the content of a log in one pass, with bounded memory."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mcap.records import Message as MessageRecord
 from flightstack.common.text import one_line
 from logs.reader.reader import LogFile
 
-_NS = 1e9  # nanoseconds in a second
+_NS = 1e9  # nanoseconds per second
 
 
 @dataclass
@@ -26,7 +26,7 @@ class Topic:
 
     @property
     def rate_hz(self) -> float | None:
-        """Mean rate between the first and the last message; None with fewer than two, or no time between."""
+        """Mean rate between the first and the last message; None: fewer than two, or no time between them."""
         span_s = (self.last_ns - self.first_ns) / _NS
         return (self.messages - 1) / span_s if span_s > 0.0 else None
 
@@ -36,8 +36,8 @@ class Info:
     path: str
     size_bytes: int
     complete: bool
-    problem: str  # what could not be read; empty of a whole log
-    readable_bytes: int  # from the start up to the first damage; the size of a whole file
+    problem: str  # unreadable part; empty for a complete log
+    readable_bytes: int  # bytes from the start to the first damage; the size of a complete file
     profile: str = ""
     library: str = ""
     start_ns: int = 0  # log time of the first message, Unix
@@ -53,7 +53,7 @@ class Info:
         return (self.end_ns - self.start_ns) / _NS
 
     def as_json(self) -> dict[str, Any]:
-        """Return it as plain values; times in seconds and as text besides."""
+        """Return the content as plain values; times in seconds and as text."""
         topics = [
             {"topic": t.topic, "schema": t.schema, "encoding": t.encoding, "messages": t.messages,
              "rate_hz": t.rate_hz}
@@ -120,7 +120,7 @@ def lines(info: Info) -> list[str]:
 
 
 def broken(info: Info) -> str:
-    """Return in words where a log is broken."""
+    """Return a text about the place where a log is broken."""
     return f"{info.problem}; last message {info.duration_s:.3f} s after the first"
 
 

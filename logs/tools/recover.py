@@ -1,7 +1,7 @@
-"""A whole log out of a broken one.
+"""Makes a complete log from a damaged one.
 
-What can be read is copied to the byte: payloads, schemas, channel properties, metadata, attachments. Index
-and statistics are made anew. A metadata record ``log_tool`` names the command and the source.
+Readable data are copied byte by byte: payloads, schemas, channel properties, metadata, attachments. Index and
+statistics are made anew. A metadata record ``log_tool`` has the name of the command and the source.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from logs.reader.reader import LogFile
 from logs.recorder.mcap_file import CHUNK_BYTES, ChunkedWriter
 from logs.tools.file import new_file
 
-LOG_TOOL = "log_tool"  # metadata: which command made this file, from what
+LOG_TOOL = "log_tool"  # metadata: command that made this file, and its source
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,11 +27,11 @@ class Recovered:
     """The new file."""
 
     messages: int
-    problem: str  # what of the old file could not be read; empty when it was whole
+    problem: str  # unreadable part of the old file; empty if it was complete
 
 
 def recover(log: LogFile, out: Path, *, force: bool = False) -> Recovered:
-    """Write a whole file with every message that can be read.
+    """Write a complete file with every readable message.
 
     Raises OSError: ``out`` exists, or cannot be written.
     """
@@ -63,7 +63,7 @@ def _copy(writer: ChunkedWriter, records: Iterable[Any]) -> int:
             messages += 1
         elif isinstance(record, Schema):
             declared[record.id] = record
-        elif isinstance(record, Channel) and record.id not in channels:  # else repeated in the summary
+        elif isinstance(record, Channel) and record.id not in channels:  # the summary repeats channels
             number, schema = record.schema_id, declared.get(record.schema_id)
             if number not in schemas and schema is not None:
                 schemas[number] = writer.register_schema(schema.name, schema.encoding, schema.data)

@@ -1,1 +1,1 @@
-"""Judges a landing."""
+"""Judges a landing from its log."""

@@ -1,15 +1,15 @@
-"""Judging by the vehicle's own estimate, for logs without true states. Definitions: ``verdict.py``.
+"""Judges a flight by the vehicle's own estimate, if the log has no true states. Definitions: ``verdict.py``.
 
-An estimate holds no contacts. The first contact is taken from the descent: low over the pad, the sink rate
-relative to the pad collapses within some hundredths of a second, by more than a vehicle in flight can brake
-in that time. Position and velocity at the contact come from the steps before it, by a straight line through
-them: the steps after it already hold the impact. Phase LANDED stands for the motors that stopped, and a crash
-that the stack did not notice looks like a timeout; the reason says so. The numbers are as good as the
-estimates of vehicle and target: a constant error of either does not show.
+An estimate has no contacts. The first contact is found from the descent: low over the pad, the sink rate
+relative to the pad falls to almost zero within a few hundredths of a second, faster than a vehicle in flight
+can brake. Position and velocity at the contact come from a straight line through the steps before it: later
+steps already include the impact. Phase LANDED means that the motors have stopped; a crash that the stack did
+not notice looks like a timeout, which the reason states. The numbers are as accurate as the estimates of
+vehicle and target: a constant error of either is not visible.
 
-An autopilot with physics of its own may know a floor and no pad (``Flight.pad_carries``): the vehicle then
-lands on the floor at the pad's height and stays there while the target drives on. Such a flight is judged
-until the contact, and must rest in the world instead of on the pad.
+An autopilot with its own physics may have a floor but no pad (``Flight.pad_carries``): the vehicle then lands
+on the floor at the pad's height and remains there while the target moves on. Such a flight is judged until
+the contact, and must rest in the world instead of on the pad.
 """
 
 from __future__ import annotations
@@ -38,25 +38,25 @@ from logs.verdict.types import (
     violated,
 )
 
-REST_SPEED_MAX_M_S = 0.10  # relative to the pad; a resting vehicle's estimate still carries noise
+REST_SPEED_MAX_M_S = 0.10  # limit relative to the pad; the estimate of a resting vehicle is still noisy
 REST_HEIGHT_MAX_M = 0.05  # largest distance of feet and pad beyond the configured gap: two estimates drift
 REST_SEEN_S = (
-    0.5  # s from there for a valid state: one in millimetres repeats itself at rest, and looks stuck
+    0.5  # time after it in which a valid state is searched, s: at rest a state in mm repeats and looks stuck
 )
-_SAME_S = 1e-6  # below the resolution of a tick
-BEFORE_S = 0.3  # s before phase TOUCHDOWN: a gust may press the vehicle onto the pad while it still waits
-AFTER_S = 1.0  # s after it: with the paper's rule the vehicle falls the last centimetres
-MEMORY_S = 0.15  # s before a contact that are used for the sink rate
+_SAME_S = 1e-6  # less than the resolution of a tick
+BEFORE_S = 0.3  # time before phase TOUCHDOWN, s: a gust may press the vehicle onto the pad before that phase
+AFTER_S = 1.0  # time after it, s: with the paper's rule the vehicle falls the last centimetres
+MEMORY_S = 0.15  # time before a contact from which the sink rate is computed, s
 STOPPED_SHARE = 0.5  # share of the median sink rate before; below it the descent has stopped
-STAYS_S = 0.05  # s for which the mean remains below it; a single noisy sample does not count
-SINK_MIN_M_S = 0.05  # m/s; for a slower descent the end cannot be detected
-# share of the highest sink rate then: the last step above it was before the contact. A lower share takes in
-# steps of a state that lags (0.03 s at 50 Hz: 0.10 m/s too slow with 0.85, 0.03 m/s with 0.95)
+STAYS_S = 0.05  # time that the mean remains below it, s; a single noisy sample does not count
+SINK_MIN_M_S = 0.05  # slowest descent whose end can be detected, m/s
+# share of the highest sink rate then: the last step above it was before the contact. A smaller share includes
+# steps of a lagging state (0.03 s at 50 Hz: 0.10 m/s too slow with 0.85, 0.03 m/s with 0.95)
 BEGINS_SHARE = 0.95
 BEND_OF_NOISE = 1.65  # median size of the second difference of normal noise, in standard deviations
-FALL_S = 0.06  # s; duration of the fall of the sink rate to that share
-FIT_S = 0.05  # s before the contact through which the line is laid
-HEIGHT_ERROR_MAX_M = 0.05  # m: of both estimates together, beyond the gap that the configuration allows for
+FALL_S = 0.06  # time in which the sink rate falls to that share, s
+FIT_S = 0.05  # time before the contact that the straight line covers, s
+HEIGHT_ERROR_MAX_M = 0.05  # error of both estimates together, beyond the gap that the configuration allows
 _NO_CONTACTS = "an estimate shows no contacts"
 
 
@@ -73,7 +73,7 @@ def judge_estimate(flight: Flight) -> Verdict:
     end = judged_until(flight, steps.t_s, steps.d_m)
     counts = slice(begin, end if flight.pad_carries or touch is None else min(end, touch.index + 1))
     d_m, h_m = steps.d_m[counts], np.where(steps.both_valid, steps.h_m, np.nan)[counts]
-    # After touchdown the filter no longer runs, and h outside the pad is all that counts.
+    # After touchdown the filter no longer runs, and only h outside the pad counts.
     needed = h_m if touch is None else h_m[: touch.index - begin]
     known = bool(np.isfinite(needed).all()) and (flight.complete or outcome is Outcome.LANDED)
     started_safe = bool(h_m[0] >= 0.0) if math.isfinite(h_m[0]) else None
@@ -133,13 +133,13 @@ def _outcome(flight: Flight, steps: Steps, touch: EstimatedTouchdown | None) -> 
 
 @dataclass(frozen=True, slots=True)
 class EstimatedTouchdown:
-    """First contact with the pad, by the estimate."""
+    """First contact with the pad, from the estimate."""
 
     t_s: float  # time of the contact, s
-    index: int  # index of the first step that is not before it
-    e_m: Floats  # (3,) position relative to the pad's centre, ENU, m
-    # (3,) velocity relative to the pad's, ENU, m/s; NaN where the contact itself does not show and only the
-    # stopped motors show that it stood
+    index: int  # index of the first step at or after the contact
+    e_m: Floats  # position relative to the pad's centre, ENU, m, (3,)
+    # velocity relative to the pad, ENU, m/s, (3,); NaN if no contact is visible and only the stopped motors
+    # show that the vehicle stood
     velocity_m_s: Floats
 
     @property
@@ -149,9 +149,9 @@ class EstimatedTouchdown:
 
 
 def find_touchdown(steps: Steps, config: FlightConfig | None, begin: int) -> EstimatedTouchdown | None:
-    """Find the first contact with the pad, from step ``begin`` on; without a configuration a Crazyflie's.
+    """Find the first contact with the pad from step ``begin`` on; ``config`` None: a Crazyflie's sizes.
 
-    Returns ``None`` if the estimate shows none and the controller saw none.
+    Returns ``None`` if the estimate shows no contact and the controller noticed none.
     """
     height_max_m = _height_max_m(config)
     for first, last in _runs(steps.phase, begin):
@@ -171,9 +171,9 @@ def find_touchdown(steps: Steps, config: FlightConfig | None, begin: int) -> Est
 
 
 def feet_and_gap_m(config: FlightConfig | None) -> tuple[float, float]:
-    """Height of the reference point above the feet, and the gap below the feet that still is contact, m.
+    """Return the height of the reference point above the feet, and the largest gap that counts as contact, m.
 
-    ``None`` takes the defaults, a Crazyflie's.
+    ``None`` selects the defaults of a Crazyflie.
     """
     touchdown = config.touchdown if config is not None else Touchdown()
     contact = config.contact if config is not None else Contact()
@@ -181,21 +181,21 @@ def feet_and_gap_m(config: FlightConfig | None) -> tuple[float, float]:
 
 
 def _height_max_m(config: FlightConfig | None) -> float:
-    """Height of the reference above the pad below which a contact may be; higher it is braking in flight."""
+    """Return the greatest height above the pad for a contact, m; a stop higher up is braking in flight."""
     height_m = sum(feet_and_gap_m(config)) + HEIGHT_ERROR_MAX_M
     strategy = packaged_strategy_of(config) if config is not None else None
     return max(height_m, strategy.stopped_below_m) if strategy is not None else height_m
 
 
 def _runs(phase: Ints, begin: int) -> list[tuple[int, int]]:
-    """First and last index of each stretch in phase TOUCHDOWN."""
+    """Return the first and last index of each interval in phase TOUCHDOWN."""
     inside = np.concatenate(([False], phase[begin:] == Phase.TOUCHDOWN, [False]))
     edges = np.flatnonzero(np.diff(inside.astype(int)))
     return [(begin + int(a), begin + int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def _stopped(steps: Steps, span: slice, height_max_m: float) -> int | None:
-    """Index of the last step before the pad stopped the descent; ``None`` if nothing did."""
+    """Return the index of the last step before the pad stopped the descent; ``None`` if it did not stop."""
     t_s, sink_m_s = steps.t_s[span], -steps.relative_velocity_m_s[span, 2]
     for at in np.flatnonzero(steps.e_m[span, 2] <= height_max_m):
         before = _within(t_s, sink_m_s, t_s[at] - MEMORY_S, t_s[at])
@@ -209,20 +209,20 @@ def _stopped(steps: Steps, span: slice, height_max_m: float) -> int | None:
         last = int(np.searchsorted(t_s, t_s[at] - FALL_S))
         fall = sink_m_s[last:at]
         peak_m_s, bend_m_s = float(np.nanmax(fall, initial=0.0)), np.abs(np.diff(before, 2))
-        noise_m_s = float(np.median(bend_m_s)) / BEND_OF_NOISE  # a steady fall has no bend
+        noise_m_s = float(np.median(bend_m_s)) / BEND_OF_NOISE  # a steady descent has no second difference
         quick = np.flatnonzero(fall >= peak_m_s - max((1.0 - BEGINS_SHARE) * peak_m_s, 3.0 * noise_m_s))
         return span.start + last + int(quick[-1]) if len(quick) else None
     return None
 
 
 def _within(t_s: Floats, values: Floats, begin_s: float, end_s: float) -> Floats:
-    """Numbers among the values in [begin, end)."""
+    """Return the finite values in the time interval [begin, end)."""
     part = values[np.searchsorted(t_s, begin_s - _SAME_S) : np.searchsorted(t_s, end_s - _SAME_S)]
     return np.asarray(part[np.isfinite(part)])
 
 
 def _at(steps: Steps, begin: int, last: int) -> EstimatedTouchdown:
-    """Position and velocity at the contact, halfway between the last step before it and the next.
+    """Return position and velocity at the contact, halfway between the last step before it and the next.
 
     An estimated velocity is late by about half a step or more: its line ends at the next step.
     """
@@ -238,7 +238,7 @@ def _at(steps: Steps, begin: int, last: int) -> EstimatedTouchdown:
 
 
 def _at_zero(t_s: Floats, values: Floats) -> Floats:
-    """(k,) the least-squares line through (n, k) values at time 0; NaN with fewer than 3 known rows."""
+    """Return the least-squares line through (n, k) values at time 0, (k,); NaN with fewer than 3 known."""
     known = np.isfinite(values).all(axis=1)
     if known.sum() < 3:
         return np.full(values.shape[1], np.nan)

@@ -1,6 +1,6 @@
-"""Judging by the simulator's true states and contacts. Definitions: ``verdict.py``.
+"""Judges a flight by the simulator's true states and contacts. Definitions: ``verdict.py``.
 
-"Landed" is the verdict's own judgement here: neither the phase nor the landed state of the autopilot counts.
+"Landed" is a result of these states alone: neither the phase nor the autopilot's landed state counts.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from logs.verdict.types import (
     violated,
 )
 
-REST_SPEED_MAX_M_S = 0.05  # relative to the pad's surface; a vehicle that slides or rolls is faster
-LAND_AWAY_SPEED_MAX_M_S = 1.0  # m/s downwards; a declared abort may end in a landing, not in a fall
-_SAME_S = 1e-6  # below the resolution of a tick
+REST_SPEED_MAX_M_S = 0.05  # limit relative to the pad's surface; a sliding or rolling vehicle is faster
+LAND_AWAY_SPEED_MAX_M_S = 1.0  # limit, m/s downwards; a declared abort may end in a landing but not in a fall
+_SAME_S = 1e-6  # less than the resolution of a tick
 
 
 _NAMES = {
@@ -43,7 +43,7 @@ _NAMES = {
 _HITS = ~int(ContactBit.PAD)  # contacts that are not allowed
 _FALLS = int(
     ContactBit.GROUND | ContactBit.ROBOT | ContactBit.TUMBLED | ContactBit.VEHICLE
-)  # after touchdown: contacts that show that it is no longer on the pad
+)  # after touchdown: contacts of a vehicle that has left the pad
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +114,7 @@ def _outcome(flight: Judged, truth: Truth, begin: int, touch: _Touch | None) -> 
 
 
 def _after_touchdown(flight: Judged, truth: Truth, begin: int, touch: _Touch) -> tuple[Outcome, str]:
-    """Whether it rested on the pad 2 s after the motors stopped, before any second take-off."""
+    """Return the outcome after a touchdown: landed if at rest on the pad 2 s after the motors stop."""
     end = int(np.searchsorted(truth.t_s, left_s(flight) + _SAME_S))
     running = np.flatnonzero(truth.motors_running[begin:end]) + begin
     off = int(running[-1]) + 1 if len(running) else begin
@@ -146,7 +146,7 @@ def _after_touchdown(flight: Judged, truth: Truth, begin: int, touch: _Touch) ->
 
 
 def _hit_after(truth: Truth, begin: int) -> str:
-    """Contacts after a second take-off, except a gentle landing on the ground; empty: none."""
+    """Return the contacts after a second take-off, except a gentle landing on the ground; empty: none."""
     hits = np.flatnonzero(truth.contacts[begin:] & _HITS) + begin
     if not len(hits):
         return ""
@@ -162,7 +162,7 @@ def _first_contact(truth: Truth, begin: int) -> _Touch | None:
 
 
 def _contact_at(truth: Truth, index: int) -> _Touch:
-    """A contact with what the simulator noted just before it, else with the true state just before it."""
+    """Return a contact with the simulator's record just before it, else with the true state before it."""
     before = max(index - 1, 0)
     first_s = float(truth.first_touch_time_s[index])
     noted = math.isfinite(first_s) and first_s != truth.first_touch_time_s[before]
@@ -179,7 +179,7 @@ def _contact_at(truth: Truth, index: int) -> _Touch:
 
 
 def _log_time(truth: Truth, index: int, simulated_s: float) -> float:
-    """Log time of a simulated time between two ticks; simulated time is tick number times period."""
+    """Return the log time of a simulated time between two ticks, which is tick number times period."""
     late_s, before_s = float(truth.t_s[index]), float(truth.t_s[max(index - 1, 0)])
     ticks = truth.tick[-1] - truth.tick[0]
     if ticks <= 0:
@@ -208,7 +208,7 @@ def _covered(truth: Truth, start_s: float, begin: int) -> bool:
 
 
 def _missing(flight: Judged, truth: Truth, start_s: float, begin: int, until: int, outcome: Outcome) -> str:
-    """Data that is missing to exclude other events; empty if complete."""
+    """Return the data that are missing to exclude other events; empty if complete."""
     if not _covered(truth, start_s, begin):
         return f"true states have a gap of more than {GAP_MAX_S:g} s"
     lost = int(flight.metadata.get("losses", {}).get("vehicle", "0"))

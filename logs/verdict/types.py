@@ -1,4 +1,4 @@
-"""Outcomes, limits, and the verdict itself."""
+"""Outcomes, limits, and the verdict of a flight."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from flightstack.core.types import Phase
 from logs.reader.flight_data import Event, Floats, Ints
 from logs.schema.events import CAUSE
 
-VIOLATION_LIMIT_M = -0.005  # m, h below this outside the pad is a violation
-# radii of a vehicle, m; those of a pair add up: Crazyswarm's examples; the firmware has 0.3 and 0.9
+VIOLATION_LIMIT_M = -0.005  # limit, m; a lower h outside the pad is a violation
+# radii of a vehicle, m; a pair has their sum: Crazyswarm's examples; the firmware has 0.3 and 0.9
 RADIUS_BESIDE_M = 0.125
 RADIUS_ABOVE_M = 0.375
-REST_TIME_S = 2.0  # s after the motors stop
-GAP_MAX_S = 0.2  # s without data beyond which nothing is known about what happened in between
+REST_TIME_S = 2.0  # time at rest after the motors stop, s
+GAP_MAX_S = 0.2  # longest time without data, s; events in a longer gap are unknown
 TRUTH = "truth"
 ESTIMATE = "estimate"
-SOURCES = {TRUTH: "true states", ESTIMATE: "the vehicle's own estimate"}  # in words, by ``judged_from``
+SOURCES = {TRUTH: "true states", ESTIMATE: "the vehicle's own estimate"}  # texts for ``judged_from``
 BELOW_ON_PAD = (
     "lowest h may be below 0 over the pad, where it does not count: beside the landing spot the boundary is "
     "higher than the reference point of a vehicle that stands on the pad"
 )
-_SAID_WITHIN_S = 0.1  # s; an event within this time belongs to the tick; margin for another clock included
+_SAID_WITHIN_S = 0.1  # greatest time, s, between an event and its tick, including a margin for another clock
 
 
 class JudgedSteps(Protocol):
@@ -41,7 +41,7 @@ class JudgedSteps(Protocol):
 
 
 class Judged(Protocol):
-    """The fields of a flight that a verdict by true states needs, of a log or a landing in a campaign."""
+    """The fields of a flight that a verdict by true states needs; also of a landing in a campaign."""
 
     @property
     def landing_start_s(self) -> float | None: ...
@@ -66,9 +66,9 @@ class Judged(Protocol):
 
 
 class Outcome(StrEnum):
-    """How a flight ended, as a verdict judges it afterwards.
+    """Outcome of a flight, as judged afterwards.
 
-    LANDED is more than phase LANDED of the controller (motors off) and the landed state of the autopilot.
+    LANDED requires more than phase LANDED of the controller (motors off) or the autopilot's landed state.
     """
 
     LANDED = "landed"
@@ -80,47 +80,47 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Verdict on a flight; ``None`` where a value does not apply or is not known."""
+    """Verdict on a flight; ``None`` for a value that does not apply or is unknown."""
 
-    outcome: Outcome  # how it ended
-    # h < -5 mm outside the pad in a run that began with h >= 0; ``None`` if data is missing
+    outcome: Outcome  # outcome of the flight
+    # h < -5 mm outside the pad in a run that began with h >= 0; ``None`` if data are missing
     violation: bool | None
-    h_min_m: float | None  # lowest h anywhere since the landing began
-    h_min_outside_pad_m: float | None  # the same where d > pad radius
+    h_min_m: float | None  # lowest h since the landing began
+    h_min_outside_pad_m: float | None  # lowest h where d > pad radius
     touchdown_error_m: float | None  # d at first contact, if with the pad
-    # relative to the pad's surface at first contact, positive downwards
+    # vertical speed relative to the pad's surface at first contact, positive downwards
     touchdown_speed_vertical_m_s: float | None
-    touchdown_speed_horizontal_m_s: float | None  # the same, horizontal
-    time_to_land_s: float | None  # from the start of the landing to first contact, if landed
+    touchdown_speed_horizontal_m_s: float | None  # horizontal speed relative to the pad's surface
+    time_to_land_s: float | None  # time from the start of the landing to first contact, if landed
     reason: str  # reason of the outcome, as text
-    started_safe: bool | None  # h >= 0 when the landing began; ``None`` if not known
+    started_safe: bool | None  # h >= 0 when the landing began; ``None`` if unknown
     judged_from: str  # ``TRUTH`` or ``ESTIMATE``
 
     @staticmethod
     def unknown(outcome: Outcome, reason: str, judged_from: str) -> Verdict:
-        """Return a verdict without numbers: nothing was judged but how it ended."""
+        """Return a verdict with an outcome but without numbers."""
         return Verdict(outcome, None, None, None, None, None, None, None, reason, None, judged_from)
 
     def to_json_dict(self) -> dict[str, Any]:
-        """Return plain values; what is not a finite number becomes ``None``."""
+        """Return plain values; a number that is not finite becomes ``None``."""
         values = asdict(self)
         values["outcome"] = self.outcome.value
         return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}
 
 
 def finite(value: float) -> float | None:
-    """Return the number, or ``None`` if there is none."""
+    """Return the number, or ``None`` if it is not finite."""
     return float(value) if math.isfinite(value) else None
 
 
 def lowest(values: Floats) -> float | None:
-    """Return the smallest number; ``None`` if there is none (+inf stands for "no step outside the pad")."""
+    """Return the smallest number; ``None`` without a finite one (+inf: no step outside the pad)."""
     known = values[np.isfinite(values)]
     return float(known.min()) if len(known) else None
 
 
 def violated(h_min_outside_pad_m: float | None, started_safe: bool | None, *, complete: bool) -> bool | None:
-    """Return whether the barrier was violated; ``None`` if missing data could hide a violation."""
+    """Whether the barrier was violated; ``None`` if missing data could hide a violation."""
     if started_safe is False:
         return False
     if h_min_outside_pad_m is not None and h_min_outside_pad_m < VIOLATION_LIMIT_M:
@@ -135,7 +135,7 @@ class Abort:
 
 
 def abort_declared(flight: Judged) -> Abort | None:
-    """Return the first step in phase ABORT with the event that gives the reason, or ``None``."""
+    """Return the first step in phase ABORT with the event that states the reason, or ``None``."""
     if flight.steps is None:
         return None
     steps = np.flatnonzero(flight.steps.phase == Phase.ABORT)
@@ -158,7 +158,7 @@ def never_began(flight: Judged, judged_from: str) -> Verdict:
 
 
 def left_s(flight: Judged) -> float:
-    """Time of the take-off that frees the pad for another vehicle; inf: none."""
+    """Return the time of the take-off that frees the pad for another vehicle; inf: there is none."""
     if flight.steps is None:
         return math.inf
     steps = np.flatnonzero(flight.steps.phase == Phase.LEAVE)
@@ -166,11 +166,11 @@ def left_s(flight: Judged) -> float:
 
 
 def judged_until(flight: Judged, t_s: Floats, d_m: Floats) -> int:
-    """Index of the first state whose h no longer counts: after an abort or a leaving that has flown clear.
+    """Return the index of the first state whose h no longer counts, after an abort or a take-off that clears.
 
-    Who lands beside the robot ends below its pad, where h < 0 by geometry. The state that first shows the
-    vehicle outside the clearance distance still counts, with the physics steps before it. Without the
-    configuration nothing is known of a clearance distance, and all counts.
+    A vehicle that lands beside the robot ends below its pad, where h < 0 by geometry. The first state beyond
+    the clearance distance still counts, with the physics steps before it. Without the configuration the
+    clearance distance is unknown, and all states count.
     """
     abort = abort_declared(flight)
     since_s = min(abort.t_s if abort is not None else math.inf, left_s(flight))

@@ -1,30 +1,29 @@
-"""The verdict on a flight, and on a fleet: the list of its members' verdicts.
+"""Verdict on a flight, and on a fleet from the verdicts of its members.
 
-Judging begins with the first controller step in phase APPROACH and looks at the simulator's true states,
-not at the controller's estimate:
+The judged time starts with the first controller step in phase APPROACH; the verdict uses the simulator's true
+states, not the controller's estimate:
 
 * landed: first contact is with the pad within its radius, and 2 s after the motors stop the vehicle rests on
   the pad while the target still drives;
 * crashed: contact before touchdown with ground, robot body or pad edge, or a tumble;
-* aborted: the phase machine gave up by itself and said so (phase ABORT);
-* timeout: everything else, also a miss without a declared abort and a log that ends too early;
+* aborted: the phase machine ended the landing by itself and reported it (phase ABORT);
+* timeout: all other cases, also a miss without a declared abort and a log that ends too early;
 * unknown: as timeout, but the recorder lost records of the vehicle or of its onboard process;
 * violation: h < -5 mm while d exceeds the pad's radius, in a run that began with h >= 0.
 
-A declared abort that has flown clear ends the judging of h: after the first true state behind it that is
-farther from the target than the configured clearance distance (``checks.clearance_m``), h no longer counts,
-since landing beside the robot has h < 0 by geometry; until then it counts in full. After a declared abort a
-gentle landing on the ground is no crash. The same holds for a vehicle of a fleet that has landed and takes
-off again to free the pad (phase LEAVE): it has landed if it had rested before that, and if it then touches
-nothing but the ground, gently.
+After a declared abort h counts until the first true state that is farther from the target than the configured
+clearance distance (``checks.clearance_m``): landing beside the robot has h < 0 by geometry. A gentle landing
+on the ground after a declared abort is no crash. The same holds for a vehicle of a fleet that has landed and
+takes off again to free the pad (phase LEAVE): it has landed if it rested on the pad before, and if its later
+contacts are only with the ground, and gentle.
 
-Data that is missing is never taken for safe: without it a flight has not landed, and an absent violation is
-"not known" (``None``) instead of False. A log without true states, as of real hardware, is judged by the
-vehicle's own estimate; ``judged_from`` says which.
+Missing data are never taken for safe: without them a flight has not landed, and an absent violation is "not
+known" (``None``) instead of False. A log without true states, such as one of real hardware, is judged by the
+vehicle's own estimate; ``judged_from`` names the source.
 
-A fleet has landed when all members have; else its outcome is that of the worst member. A vehicle that
-collides with another one has crashed, also after its own landing. Where the simulator did not follow a pair
-to the end, an absent collision or ellipsoid violation is "not known".
+A fleet has landed when all members have; else it has the outcome of the worst member. A vehicle that collides
+with another one has crashed, also after its own landing. If the simulator did not observe a pair to the end,
+an absent collision or ellipsoid violation is "not known".
 """
 
 from __future__ import annotations
@@ -63,18 +62,18 @@ def judge(flight: Flight) -> Verdict:
 
 
 def records_lost(flight: Flight) -> dict[str, int]:
-    """Records that the vehicle and its onboard process could not hand to the recorder, by process."""
+    """Return the number of records that could not be passed to the recorder, by process."""
     told = flight.metadata.get(LOSSES, {})
     return {who: int(told.get(who, "0")) for who in ("vehicle", "onboard")}
 
 
 def outside_envelope(flight: Flight) -> str | None:
-    """Where the scenario leaves the envelope of its configuration's proof; None: the log does not say."""
+    """Return the part of the scenario outside the proven envelope; None: the log does not contain it."""
     return flight.metadata.get("run", {}).get("outside_envelope")
 
 
 def judged_apart(flight: Flight) -> str:
-    """The barrier of the verdict, if it is not the one that was flown; else an empty text."""
+    """Return a text if the barriers of verdict and flight differ; else an empty text."""
     run = flight.metadata.get("run", {})
     judge, flown = (
         tuple(run.get(f"{whose}_{key}") for key in ("alpha_1_m", "beta_m")) for whose in ("judge", "barrier")
@@ -83,12 +82,12 @@ def judged_apart(flight: Flight) -> str:
 
 
 def two_barriers(judge: Sequence[object], flown: Sequence[object]) -> str:
-    """Names the barrier of the verdict and the one that was flown: alpha in 1/m and beta in m of each."""
+    """Return a text with the barriers of verdict and flight: alpha in 1/m and beta in m."""
     return "judged by alpha {} 1/m, beta {} m; flown with alpha {} 1/m, beta {} m".format(*judge, *flown)
 
 
 def flown_by(told: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what was flown, the first keys of ``--json``, by the metadata of a log."""
+    """Return the first keys of ``--json``, which describe the flight, from the metadata of a log."""
     seed = told.get("seed", "")
     return {
         "scenario": told.get("scenario"),
@@ -130,7 +129,7 @@ class Near(Protocol):
     def other(self) -> int: ...
 
     @property
-    def distance_min_m(self) -> float: ...  # of the centres of mass; infinite: none yet
+    def distance_min_m(self) -> float: ...  # distance of the centres of mass; infinite: none yet
 
     @property
     def ellipsoid_min(self) -> float: ...  # in the ellipsoid's measure while both flew; infinite: never
@@ -148,14 +147,14 @@ class FleetVerdict:
 
     outcome: Outcome  # worst outcome of the members
     reason: str  # reason, as text
-    violation: bool | None  # whether a member violated the barrier over its pad; None: not known
+    violation: bool | None  # whether a member violated the barrier over its pad; None: unknown
     members: dict[str, Verdict]  # verdicts by member; one that collided with another vehicle has crashed
-    collisions: int | None  # pairs whose shapes overlapped; None: data is missing
-    # times that two in flight came inside the ellipsoid about each other; None: data is missing
+    collisions: int | None  # pairs whose shapes overlapped; None: data are missing
+    # number of times that two flying vehicles came inside their ellipsoid; None: data are missing
     ellipsoid_violations: int | None
-    # smallest distance of two in flight in its measure; None: no two at once, or not known
+    # smallest distance of two flying vehicles in its measure; None: never two at once, or unknown
     ellipsoid_min: float | None
-    # smallest distance of two centres of mass; None: not known, or a single member
+    # smallest distance of two centres of mass; None: unknown, or a single member
     distance_min_m: float | None
 
     @property
@@ -170,7 +169,7 @@ def fleet_verdict(
     *,
     complete: bool = True,
 ) -> FleetVerdict:
-    """Judge a fleet by its members' verdicts and by how near they came to each other."""
+    """Judge a fleet by its members' verdicts and by the distances between the members."""
     struck = [pair for pair in pairs if pair.collided_ms is not None and pair.collided_ms >= 0]
     ends = [each for pair in struck for each in ((pair.one, pair.other), (pair.other, pair.one))]
     hits = {names[one]: names[other] for one, other in ends}
@@ -212,8 +211,8 @@ def judge_fleet(fleet: Fleet) -> FleetVerdict:
 
 
 def judged(log: Path, member: str | None = None) -> tuple[Fleet, FleetVerdict]:
-    """Read and judge a log; a member alone has the verdict that it has in its fleet."""
-    LogFile(log, member)  # refuses a name that is none
+    """Read and judge a log; a single member has the same verdict as in its fleet."""
+    LogFile(log, member)  # raises if the member does not exist
     fleet = load_fleet(log)
     verdict = judge_fleet(fleet)
     if member is None:
@@ -223,7 +222,7 @@ def judged(log: Path, member: str | None = None) -> tuple[Fleet, FleetVerdict]:
 
 
 def pairs_known(fleet: Fleet) -> bool:
-    """Whether every pair of a fleet was followed up to the end of the true states, in a whole log."""
+    """Whether every pair of a fleet was observed until the end of the true states, in a complete log."""
     number = len(fleet.flights)
     ends_ns = [f.origin_ns + f.truth.t_s[-1] * 1e9 for f in fleet.flights.values() if f.truth is not None]
     if not all(flight.complete for flight in fleet.flights.values()):
@@ -242,8 +241,8 @@ def fleet_result(
 ) -> dict[str, Any]:
     """Return the result of a log as plain values for JSON: the keys of ``flightstack sitl --json``.
 
-    ``pages`` are the reports of the members by name, and the main one by ""; ``about`` says what was flown,
-    by default what the log says.
+    ``pages`` are the reports by member, the main page by ""; ``about`` describes the flight, by default from
+    the log.
     """
     pages = pages or {}
     vehicles = {
@@ -275,7 +274,7 @@ def fleet_result(
 
 
 def any_known(values: Iterable[bool | None]) -> bool | None:
-    """Return whether one is true; None if none is true and one is unknown."""
+    """Return whether any value is True; None if no value is True and one is unknown."""
     found = set(values)
     return True if True in found else None if None in found else False
 
@@ -286,19 +285,19 @@ def least(values: Iterable[float | None]) -> float | None:
 
 
 class PairSeries(NamedTuple):
-    """Two members over time, by their true states; (n,) each."""
+    """Two members over time, from their true states; (n,) each."""
 
     name: str  # both members, for example cf1–cf2
     t_s: Floats  # seconds since the origin of the fleet
-    one_m: Floats  # (n, 3) position of the first
-    other_m: Floats  # (n, 3) position of the second
+    one_m: Floats  # position of the first, (n, 3)
+    other_m: Floats  # position of the second, (n, 3)
     distance_m: Floats  # distance of the centres of mass
     measure: Floats  # distance in the ellipsoid's measure, 1 on its surface
     flying: Bools  # whether both flew
 
 
 def pair_series(fleet: Fleet) -> list[PairSeries]:
-    """Distances of all pairs with true states, at the times that both members have."""
+    """Return the distances of all pairs with true states, at the times that both members have."""
     found = []
     for (a, one), (b, other) in combinations(fleet.flights.items(), 2):
         if one.truth is None or other.truth is None:

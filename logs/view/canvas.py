@@ -1,4 +1,4 @@
-"""A Rerun recording and its layout; it takes a whole log, or rows piece by piece in flight."""
+"""A Rerun recording and its layout; it accepts a complete log, or rows piece by piece in flight."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from logs.reader.flight_data import Flight, Floats, Ints, shape
 FLIGHT = "flight"  # timeline: seconds since the first step
 LOG_TIME = "log_time"  # timeline: date and time of the log
 EVENTS, RUN, WORLD, PHASE = "/events", "/run", "/world", "/phase"
-PAIRS = "/pairs"  # of a fleet
+PAIRS = "/pairs"  # entity of a fleet
 AXES = ("x", "y", "z")
 Corner = Literal["LeftTop", "RightTop", "RightBottom"]
 
@@ -65,7 +65,7 @@ def blueprint(
 
 
 def _tabs(member: str) -> Iterator[Any]:
-    """Curves of one flight."""
+    """Yield the curves of one flight."""
 
     def plot(origin: str, name: str, legend: Corner = "RightTop") -> Any:
         return _plot(of_member(origin, member), name, legend)
@@ -95,7 +95,7 @@ def _tabs(member: str) -> Iterator[Any]:
 
 
 def _fleet(members: Sequence[str], *, pairs: bool) -> Any:
-    """Distances of all pairs, and the phases of all members."""
+    """Return the distances of all pairs, and the phases of all members."""
     near = [
         _plot(f"{PAIRS}/measure", "Pairs in the ellipsoid's measure [1], too near below 1"),
         _plot(f"{PAIRS}/distance", "Distance of each pair [m]"),
@@ -110,7 +110,7 @@ def _plot(origin: str, name: str, legend: Corner = "RightTop") -> Any:
 
 
 def of_member(entity: str, member: str) -> str:
-    """Return the name of an entity that each member has: in the common world, else below its name."""
+    """Return the name of an entity of a member: in the common world, else below the member's name."""
     if not member or entity == WORLD:
         return entity
     return (
@@ -132,7 +132,7 @@ class Canvas:
         self._slots: dict[str, int] = {}
 
     def style(self, entity: str, archetype: rr.AsComponents) -> None:
-        """Send what does not change with time; the first time only."""
+        """Send data that do not change with time; only the first call sends them."""
         if entity not in self._styled:
             self._styled.add(entity)
             self.stream.log(of_member(entity, self.member), archetype, static=True)
@@ -149,7 +149,7 @@ class Canvas:
         )
 
     def due(self, name: str, period_ns: int, at_ns: int) -> bool:
-        """Whether this is the first time in a period, by name."""
+        """Whether this is the first call of a period, by name."""
         slot = at_ns // period_ns
         if self._slots.get(name) == slot:
             return False
@@ -158,18 +158,18 @@ class Canvas:
 
 
 def times(origin_ns: int, t_s: Floats) -> Ints:
-    """Log times in ns, (n,), of times since the origin."""
+    """Convert times since the origin into log times in ns, (n,)."""
     return origin_ns + np.round(t_s * 1e9).astype(np.int64)
 
 
 def every(at_ns: Ints, period_ns: int) -> Ints:
-    """Indices of the first time of each period: a screen cannot show all recorded samples."""
+    """Return the index of the first time in each period: a screen cannot show all recorded samples."""
     slots = at_ns // period_ns
     return np.flatnonzero(np.diff(slots, prepend=slots[:1] - 1))
 
 
 def rgba(color: Color | str) -> tuple[int, int, int, int]:
-    """A color in 0 to 255, as Rerun takes it; of parts, or in hexadecimal."""
+    """Return a colour with parts from 0 to 255, as Rerun expects it; from parts, or from hexadecimal."""
     if isinstance(color, str):
         red, green, blue = bytes.fromhex(color.removeprefix("#"))
         return red, green, blue, 255
@@ -178,6 +178,6 @@ def rgba(color: Color | str) -> tuple[int, int, int, int]:
 
 
 def run_of(flight: Flight) -> dict[str, str]:
-    """Metadata of the run; for a real flight barrier and pad of the configuration."""
+    """Return the metadata of the run; for a real flight, barrier and pad of the configuration."""
     known = {} if flight.config is None else shape(flight.config)
     return known | flight.metadata.get("run", {})

@@ -1,4 +1,4 @@
-"""Layouts made for landings, as files for Foxglove and PlotJuggler; needs no viewer's package."""
+"""Layouts for landings, as files for Foxglove and PlotJuggler; needs no viewer's package."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from logs.tools.file import new_file
 
 FOXGLOVE = "foxglove.json"
 NAMES = (FOXGLOVE, "plotjuggler.xml")
-_OF_TARGET = frozenset({"frame:target", "frame:target_pad"})  # of a fleet each member has its own
-SHIPPED_NAMESPACE = "cf1"  # of the files in this package
+_OF_TARGET = frozenset({"frame:target", "frame:target_pad"})  # in a fleet each member has its own
+SHIPPED_NAMESPACE = "cf1"  # namespace of the files in this package
 
 
 def layout(name: str, namespace: str = SHIPPED_NAMESPACE) -> str:
-    """Return the text of one of ``NAMES`` for a vehicle of another name space."""
+    """Return the text of one of ``NAMES`` for a vehicle with another name space."""
     text = (files("logs.view") / "layouts" / name).read_text(encoding="utf-8")
     return text.replace(f"/{SHIPPED_NAMESPACE}/", f"/{namespace}/")
 
@@ -47,7 +47,7 @@ def fleet_layout(name: str, namespace: str, members: Sequence[str]) -> str:
 
 
 def write_layouts(log: Path, folder: Path, member: str | None = None, *, force: bool = False) -> list[Path]:
-    """Write all layouts for a log; for a fleet one a member, with all in the scene."""
+    """Write all layouts for a log; for a fleet one per member, each with all members in the scene."""
     opened, members = LogFile(log, member), LogFile(log).members
     folder.mkdir(parents=True, exist_ok=True)
     texts: dict[str, str] = {}

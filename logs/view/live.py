@@ -1,4 +1,4 @@
-"""A flight in Rerun while it flies: what ``view`` draws of a log, from the rows that come over the wire."""
+"""Shows a flight in Rerun while it flies: the figures of ``view``, made from the received rows."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from logs.view.view import draw, viewer_program
 
 NATIVE, WEB = "native", "web"
 ENDING = ".rrd"
-SIZE_M = 3.0  # m: extent of the scene at which the camera looks, before any path is known
-VIEWER_TIME_MAX_S = 2.0  # s; then the flight begins without a viewer
-FLUSH_TIME_MAX_S = 2.0  # s for a viewer to take the last rows; a stuck one does not get them
+SIZE_M = 3.0  # initial extent of the scene, m, before any path is known
+VIEWER_TIME_MAX_S = 2.0  # longest wait for the viewer, s; then the flight starts without it
+FLUSH_TIME_MAX_S = 2.0  # time for a viewer to receive the last rows, s; a blocked one misses them
 MEMORY_LIMIT = "512MB"  # limit of viewer and server each; the oldest data are dropped first
 
 
@@ -41,7 +41,7 @@ class LiveRecording:
         self._canvas: Canvas | None = None
         self._phase: int | None = None
         self._viewer: subprocess.Popen[bytes] | None = None
-        self._stays = where == NATIVE  # a window is closed by who looks at it
+        self._stays = where == NATIVE  # the user closes the window
         self.address = where  # address of the page to open, or the file
         if where == NATIVE:
             self._start("--hide-welcome-screen")
@@ -80,16 +80,16 @@ class LiveRecording:
         draw(self._canvas, piece)
 
     def close(self) -> None:
-        """End the recording, and the server of the web viewer; bounded."""
-        with contextlib.suppress(RuntimeError):  # the viewer does not take them
+        """End the recording and the server of the web viewer, in bounded time."""
+        with contextlib.suppress(RuntimeError):  # the viewer does not receive the rows
             self._stream.flush(timeout_sec=FLUSH_TIME_MAX_S)
         self._stream.disconnect()
         if self._viewer is not None and not self._stays:
             ended(self._viewer)
 
     def _start(self, *words: str) -> str:
-        """Start Rerun and send it the recording; where it listens, on this machine alone."""
-        port = Port()  # Rerun itself would listen to every network, at a port that another may have
+        """Start Rerun and send it the recording; return its address, which only this machine can reach."""
+        port = Port()  # Rerun itself would listen on every network, at a port that may be in use
         self._viewer = subprocess.Popen(
             [
                 viewer_program(), "--bind", "127.0.0.1", "--port", str(port.number), *words,
@@ -106,7 +106,7 @@ class LiveRecording:
         return at
 
     def _entered(self, origin_ns: int, steps: Sequence[ControllerStepRow], reason: str) -> list[Event]:
-        """Phases that began; the reason is that of the last."""
+        """Return the phases that began; the reason belongs to the last one."""
         events = []
         for row in steps:
             if row.phase != self._phase:
@@ -121,7 +121,7 @@ class LiveRecording:
 
 
 def _wait_for(port: int) -> None:
-    """Wait until the viewer takes connections, to show the flight from its beginning; 2 s at most."""
+    """Wait until the viewer accepts connections, to show the flight from its start; 2 s at most."""
     until_s = time.monotonic() + VIEWER_TIME_MAX_S
     while time.monotonic() < until_s:
         with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=0.5):
@@ -142,7 +142,7 @@ def _new(path: Path) -> Path:
 
 
 def _center(step: ControllerStepRow) -> tuple[float, float, float]:
-    """Between vehicle and target, as far as they are known."""
+    """Return the point between vehicle and target, if they are known."""
     known = [
         point
         for point, valid in (

@@ -27,8 +27,8 @@ from logs.reader.flight_data import PAD_RADIUS_M, Flight, Floats
 from logs.verdict.verdict import PairSeries
 from logs.view.canvas import PAIRS, WORLD, Canvas, every, rgba, run_of, times
 
-SCENE_PERIOD_NS = 20_000_000  # 50 Hz
-PATH_PERIOD_NS = 200_000_000  # 5 Hz: each row is a whole path
+SCENE_PERIOD_NS = 20_000_000  # period of 50 Hz
+PATH_PERIOD_NS = 200_000_000  # period of 5 Hz: each row is a complete path
 BODY_HALF_M = tuple(0.5 * size for size in BODY_SIZE_M)
 ARROW_RADIUS_M, LINE_RADIUS_M, ELLIPSOID_LINE_M = 0.006, 0.004, 0.001
 SPOT = f"{WORLD}/target_spot"
@@ -41,9 +41,9 @@ VELOCITIES = (
     ("flown", "own_velocity_enu_m_s", FLOWN_COLOR),
 )
 
-LINE_PERIOD_S = 0.1  # between two pictures of the lines between vehicles
-NEAR = 3.0  # in the ellipsoid's measure; a line joins two nearer vehicles in flight
-WARN = 1.5  # in the ellipsoid's measure; below it the line is orange, red inside the ellipsoid
+LINE_PERIOD_S = 0.1  # time between two updates of the lines between vehicles
+NEAR = 3.0  # limit in the ellipsoid's measure; a line connects two nearer vehicles in flight
+WARN = 1.5  # limit in the ellipsoid's measure; below it the line is orange, inside the ellipsoid red
 PAIR_LINE_RADIUS_M = 0.003
 FAR_COLOR: Color = (0.6, 0.6, 0.6, 1.0)
 WARN_COLOR: Color = (0.9, 0.6, 0.0, 1.0)
@@ -51,7 +51,7 @@ INSIDE_COLOR: Color = (0.84, 0.15, 0.16, 1.0)
 
 
 def scene(canvas: Canvas, flight: Flight) -> None:
-    """Send what the controller knew: vehicle, target with its pad and barrier, both paths."""
+    """Send the controller's data: vehicle, target with its pad and barrier, both paths."""
     canvas.style(WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
     steps, run = flight.steps, run_of(flight)
     if steps is None:
@@ -68,7 +68,7 @@ def scene(canvas: Canvas, flight: Flight) -> None:
         turn = np.stack([nothing, nothing, np.sin(half_rad), np.cos(half_rad)], axis=1)
         moved = rr.Transform3D.columns(translation=place_m, quaternion=turn)
         canvas.columns(f"{WORLD}/{name}", at_ns[good], moved)
-        if name == "target":  # the barrier goes with the target but does not turn with it
+        if name == "target":  # the barrier moves with the target but does not rotate with it
             canvas.columns(SPOT, at_ns[good], rr.Transform3D.columns(translation=place_m))
     canvas.style(
         f"{WORLD}/vehicle/body",
@@ -129,7 +129,7 @@ def _barrier(canvas: Canvas, run: Mapping[str, str]) -> None:
 
 
 def _normals(corners: Floats) -> Floats:
-    """Unit normals of triangles, one a corner and all upwards: light shows the shape."""
+    """Return unit normals of triangles, one per corner and all upwards, so that shading shows the shape."""
     a, b, c = corners[0::3], corners[1::3], corners[2::3]
     normal = np.cross(b - a, c - a)
     normal *= np.where(normal[:, 2:] < 0.0, -1.0, 1.0) / np.linalg.norm(normal, axis=1, keepdims=True)
@@ -165,7 +165,7 @@ def _paths(canvas: Canvas, flight: Flight) -> None:
 
 
 def velocities(canvas: Canvas, flight: Flight) -> None:
-    """Send arrows at the vehicle, one metre a metre a second; none where there is no such velocity."""
+    """Send velocity arrows at the vehicle, one metre per m/s; none for an unknown velocity."""
     steps = flight.steps
     if steps is None:
         return
@@ -183,7 +183,7 @@ def velocities(canvas: Canvas, flight: Flight) -> None:
 
 
 def pairs(canvas: Canvas, series: Sequence[PairSeries], origin_ns: int) -> None:
-    """Send the distances of all pairs and the lines between those that are near."""
+    """Send the distances of all pairs and the lines between near vehicles."""
     for number, pair in enumerate(series):
         name = pair.name.replace("–", "_")
         at_ns = times(origin_ns, pair.t_s)

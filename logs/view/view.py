@@ -1,6 +1,6 @@
-"""A flight log as a Rerun recording: scene, curves and events, with a layout made for landings.
+"""Converts a flight log into a Rerun recording: scene, curves and events, with a layout for landings.
 
-Rerun opens the MCAP file itself, too, but draws neither markers nor odometry and lays nothing out.
+Rerun can open the MCAP file directly, too, but draws neither markers nor odometry and has no layout.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Recording:
         self._stream.disconnect()
 
     def _blueprint(self) -> Any:
-        """Look at the middle of what the vehicles and the targets did."""
+        """Place the camera at the centre of the paths of vehicles and targets."""
         flights = self._fleet.flights
         shown: list[Floats] = []
         for flight in flights.values():
@@ -91,16 +91,16 @@ class Recording:
 
 
 def open_viewer(recording: Path, *, web: bool) -> int:
-    """Show an ``.rrd`` file in Rerun until it is closed; its exit status."""
+    """Show an ``.rrd`` file in Rerun until it is closed; return the exit status."""
     program = viewer_program()
-    # Rerun itself would listen to every network; what flew is for this machine.
+    # Rerun itself would listen on every network; the flight is shown only on this machine.
     serving = ["--serve-web", "--port", "auto", "--web-viewer-port", "0"] if web else []  # free ports
     return subprocess.run([program, str(recording), "--bind", "127.0.0.1", *serving], check=False).returncode
 
 
 def viewer_program() -> str:
-    """Rerun's program."""
-    beside = Path(sys.executable).with_name("rerun")  # of this environment, active or not
+    """Return the path of Rerun's program."""
+    beside = Path(sys.executable).with_name("rerun")  # program of this environment, active or not
     program = str(beside) if beside.exists() else shutil.which("rerun")
     if program is None:
         raise FileNotFoundError(f"no program `rerun` at {beside} or in PATH; pip install rerun-sdk again")
@@ -108,7 +108,7 @@ def viewer_program() -> str:
 
 
 def draw(canvas: Canvas, flight: Flight) -> None:
-    """Send a whole flight, or its next part, to the viewer."""
+    """Send a complete flight, or its next part, to the viewer."""
     for part in (scene, velocities, truth, _curves):
         part(canvas, flight)
     canvas.style(RUN, rr.TextDocument(_run_text(flight), media_type="text/markdown"))
@@ -159,7 +159,7 @@ def events(canvas: Canvas, origin_ns: int, said: Sequence[Event]) -> None:
 
 
 def _curve(canvas: Canvas, entity: str, at_ns: Ints, values: Floats, color: Color) -> None:
-    """Send one curve; a gap where there is no number."""
+    """Send one curve, with a gap for each unknown number."""
     canvas.style(entity, rr.SeriesLines(colors=[rgba(color)], names=[entity.rpartition("/")[2]]))
     canvas.columns(entity, at_ns, rr.Scalars.columns(scalars=values))
 
@@ -172,5 +172,5 @@ def _run_text(flight: Flight) -> str:
 
 
 def _words(text: str) -> str:
-    """Text as words in Markdown."""
+    """Escape a text for Markdown."""
     return re.sub(r"([\\`*_{}\[\]()<>#+!|~-])", r"\\\1", one_line(text))
