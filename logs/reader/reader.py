@@ -332,7 +332,7 @@ class LogFile:
     def _outline(self) -> _Outline:
         for _ in self._records(messages=False):
             pass
-        return self.__dict__["_outline"]  # result of the pass that has ended
+        return self.__dict__["_outline"]  # type: ignore[no-any-return]  # result of the pass that has ended
 
     def _records(self, *, messages: bool = True) -> Iterator[Any]:
         """Yield the readable MCAP records, and store the place and reason of unreadable ones."""
