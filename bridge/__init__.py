@@ -1,1 +1,1 @@
-"""Every wire: MAVLink, Zenoh, ROS 2 formats, and the only place with NED frames."""
+"""Links to other programs: MAVLink, Zenoh, ROS 2 formats; the only package that uses NED frames."""

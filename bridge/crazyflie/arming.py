@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from bridge.crazyflie.types import ArmReply, CrazyflieState, Info, Order, Packet
 
-REPEAT_S = 0.05  # time between two repeats of a request, s; two state packets arrive in it
+REPEAT_S = 0.05  # time between two repeats of a request, s: the period of two state packets
 ARM_MAX_S = 0.6  # time-out of an arming request without an answer, s
 KILL_UNSEEN_S = 0.2  # time without effect after which a forced disarm becomes an emergency stop, s
 OFF_MAX_S = 1.0  # longest time that motors-off is repeated, s

@@ -30,7 +30,7 @@ _POSITION_DECKS = {
 _UP: Vec3 = (0.0, 0.0, 1.0)
 _GAP_MAX_S = Limits().gap_max_s  # time without a pose after which a problem is reported, s
 _SHARE = 0.1  # weight of a new difference in the mean; at 10 Hz the time constant is 1 s
-_AT_REST_G = 0.1  # limit in g; if the measured length differs more from 1 g, it is not gravity alone
+_AT_REST_G = 0.1  # greatest difference of the measured length from 1 g; a larger one includes motion
 
 
 class Condition:
@@ -101,7 +101,7 @@ class Condition:
         """Store the firmware's time of the newest external pose, and the measured gravity."""
         before, self._outside = self._outside, outside
         if before is None:
-            self._leaning = None  # gravity was not measured before this packet
+            self._leaning = None  # this packet is the first that contains gravity
         elif before.tick != outside.tick:
             self._tick_s = outside.at_s
         self._compare_level(outside.acceleration_flu_g)
@@ -130,7 +130,7 @@ class Condition:
             return
         attitude = self._pose_quaternion
         if attitude is None and self._tick_s is not None:
-            attitude = self.state.quaternion  # this attitude follows the poses of another program
+            attitude = self.state.quaternion  # attitude that follows the poses of another program
         if attitude is None:
             return
         gravity = acceleration_flu_g or body_from_world(self.state.quaternion, _UP)

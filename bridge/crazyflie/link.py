@@ -42,20 +42,20 @@ from bridge.crazyflie.types import (
     Velocity,
 )
 
-PARAMS = (  # checked before arming
+PARAMS = (  # parameters that are checked before arming
     "stabilizer.estimator", "stabilizer.controller", "deck.bcFlow2", "deck.bcLighthouse4", "deck.bcLoco",
     *DRAG,
 )  # fmt: skip
 EVENTS_MAX = 512  # five seconds of packets; older ones are useless
 SILENT_S = 2.0  # time without any answer after which an attempt to connect is given up, s
-UNANSWERED_S = 0.5  # time-out of the first answer in a blind landing, s: cflib requests it only once
+UNANSWERED_S = 0.5  # time-out of the first answer in a blind landing, s: cflib requests the answer only once
 CONNECT_MAX_S = 120.0  # time-out of one attempt, s; 1,235 requests, one in five lost, take 40 s
-RESEND_S = 0.05  # time-out before cflib repeats a request over UDP, s; its default of 0.2 s suits a radio
+RESEND_S = 0.05  # time-out before cflib repeats a request over UDP, s; cflib's default of 0.2 s suits a radio
 RETRY_S = 0.5  # time between two attempts, s
 REOPEN_S = 0.1  # time between two attempts in a blind landing, s: without set-points the motors stop at 2 s
 FLOWN_S = 0.5  # time after the last set-point when the vehicle no longer counts as flying, s
 _ANSWERS = (CRTPPort.PARAM, CRTPPort.MEM, CRTPPort.LOGGING, CRTPPort.PLATFORM, CRTPPort.LINKCTRL)
-_LOG_DATA = (CRTPPort.LOGGING, 2)  # port, channel
+_LOG_DATA = (CRTPPort.LOGGING, 2)  # port and channel of log packets
 LOGS_MAX_S = 10.0  # time-out of the first packet of each log block, s
 _Senders = dict[Any, Callable[[Any], None]]
 _ARM_REPLY = 0x81  # answer to command 1 on channel 1 of the supervisor's port (cflib supervisor.py)
@@ -252,7 +252,7 @@ class CrazyflieLink:
             for _ in range(3):  # repeated because a packet may be lost
                 crazyflie.commander.send_notify_setpoint_stop()
         crazyflie.commander.send_setpoint = lambda *_: None
-        self._current = None  # ignores later events of its threads
+        self._current = None  # ignores later events of the closed link's threads
         closer = threading.Thread(
             target=_close_quietly, args=(crazyflie,), name="crazyflie-close", daemon=True
         )

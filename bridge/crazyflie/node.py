@@ -86,8 +86,8 @@ class Node(Server[Vehicle]):
     """MAVLink server of a Crazyflie: call ``take`` and ``handle`` on arrival, then ``step``."""
 
     def __init__(self, rules: Rules, system_id: int = SYSTEM_ID) -> None:
-        self.late = 0  # number of states dropped because they arrived too late
-        self.clock = BootClock()  # firmware clock
+        self.late = 0  # number of states that arrived too late and were dropped
+        self.clock = BootClock()  # clock of the firmware
         self._streamed: list[Message] = []  # messages made from new states and not sent yet
         self._readiness_due_s, self._readiness = READINESS_S, ""
         self._shown_armed = False

@@ -25,7 +25,7 @@ UNPLACED_M_S = 0.4
 STOPPED_SHARE = 0.3  # share of the descent rate; a slower vehicle stands on something
 LANDING_MIN_S = 1.0  # time of a landing before a stop counts, s: a climb must end first
 STOPPED_TIME_S = 0.4  # time that the stop must last, s; longer than the descent takes to begin
-SINKING_M_S = -0.1  # limit of a descent command, m/s; a set-point above it may be a control error
+SINKING_M_S = -0.1  # limit of a descent command, m/s; a set-point between it and 0 may be a control error
 YAW_GAIN_1_S = 2.0  # yaw gain, 1/s; CRTP velocity set-points have a yaw rate but no yaw
 YAW_RATE_MAX_RAD_S = 1.5  # greatest yaw rate, rad/s
 
@@ -70,7 +70,7 @@ class Pilot:
     def begin(self, now_s: float) -> None:
         self.since_s = now_s  # start time of the present mode
         self._anchor: tuple[Vec3, float] | None = None  # point and heading to hold, set with the first state
-        self._clear_z_m = -math.inf  # height above which a take-off holds its point
+        self._clear_z_m = -math.inf  # height above which a take-off keeps its horizontal position
         self._stopped = Stopped()
 
     def step(

@@ -29,7 +29,7 @@ from flightstack.common.pacing import run_promptly
 from flightstack.core.types import Vec3
 
 if TYPE_CHECKING:
-    from bridge.crazyflie.link import CrazyflieLink  # needs cflib
+    from bridge.crazyflie.link import CrazyflieLink  # imported here because it needs cflib
     from bridge.mocap.process import CheckedPoses
 
 INITIAL = "kalman.initial"
@@ -192,7 +192,7 @@ def run(
             "crazyflie", options.url, options.system_id, COMPONENT_ID, options, options.peers
         )
         stack.callback(endpoint.close)
-        run_promptly()  # set the priority before the link: cflib's threads inherit it
+        run_promptly()  # set the priority first: cflib's threads inherit the priority
         link = CrazyflieLink(options.uri, options.cache)
         stack.callback(link.close)
         stop = Stop().install()

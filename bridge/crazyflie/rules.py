@@ -11,7 +11,7 @@ from flightstack.common.options import Option
 from flightstack.config import options as shared
 from flightstack.core.types import Vec3
 
-SILENT_S = 0.5  # time without a state until this is reported, s; the flight stack's limit is 0.2 s
+SILENT_S = 0.5  # time without a state until this silence is reported, s; the flight stack's limit is 0.2 s
 LOST_S = 1.0  # time without a state after which no heartbeat is sent, s
 RECONNECT_S = 3.0  # time without a state until the link is reopened, s; the firmware has stopped by then
 BLIND_SPARE_S, BLIND_SHARE = 1.0, 1.2  # longest blind landing: 1.0 s plus 1.2 times height / descent rate
@@ -24,7 +24,7 @@ OWN_PERIOD_S = 0.02  # time between two set-points of the bridge's own modes, s
 STANDING_S = 1.0  # time without following a descent command after which the vehicle counts as standing, s
 SPEED_MAX_M_S = 1.0  # greatest speed of a forwarded set-point, m/s
 HEIGHT_RANGE_M = (0.1, 3.0)  # allowed take-off height above home, m
-IDLE_S = 10.0  # time armed on the ground after which it is disarmed, s; PX4's COM_DISARM_PRFLT
+IDLE_S = 10.0  # time armed on the ground after which the vehicle is disarmed, s; PX4's COM_DISARM_PRFLT
 KILL_KEPT_S = 10.0  # longest time that a kill without a link remains pending, s
 TAKEOFF_MAX_S = 15.0  # time-out of a take-off, s; 3 m take 8 s
 TAKEOFF_M = 0.5  # default take-off height above home, m
@@ -33,7 +33,7 @@ TAKEOFF_M = 0.5  # default take-off height above home, m
 @dataclass(frozen=True, slots=True)
 class Rules:
     speed_max_m_s: float = SPEED_MAX_M_S
-    land_on_silence: bool = False  # land when set-points stop, instead of leaving this to the firmware
+    land_on_silence: bool = False  # land when set-points stop; False: the firmware reacts
     mocap: bool = False  # poses come from an external system
     drag_1_s: Vec3 | None = None  # rotor drag for the firmware's filter, body axes; None: unchanged
     restore: bool = False  # restore the firmware's parameters when the bridge ends

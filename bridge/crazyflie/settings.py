@@ -14,7 +14,7 @@ from bridge.crazyflie.condition import ESTIMATOR, KALMAN
 from bridge.crazyflie.types import SetParam
 from flightstack.core.types import Vec3
 
-DRAG = ("kalman.dragB_x", "kalman.dragB_y", "kalman.dragB_z")  # body axes, 1/s
+DRAG = ("kalman.dragB_x", "kalman.dragB_y", "kalman.dragB_z")  # rotor drag along the body axes, 1/s
 UNKNOWN_DRAG = "Firmware has no kalman.dragB_x: its velocity is too high in flight"
 ECHO_MAX_S = 1.0  # time without an echo after which a restored parameter counts as lost, s
 _SAME = 1e-6  # relative tolerance; the firmware's floats have 24 bits

@@ -40,9 +40,9 @@ _PWM_MAX = 65535.0
 LATE_MAX_S = 0.2  # maximum delay of a packet, s; a later one is ignored
 _WRAP_MS = 1 << 24
 _REBOOT_MS = 1000  # limit, ms: a greater step back is a restart, a smaller one a packet out of order
-_DRIFT = 0.1  # maximum drift of a simulated firmware's clock; CrazySim's ran at 0.97
+_DRIFT = 0.1  # greatest drift of a simulated firmware's clock; the clock of CrazySim ran at 0.97
 _SPAN_S, _SPAN_PACKETS = 0.25, 10  # minimum length of a span, s and packets; longer than a delayed burst
-_MAGNITUDE = (1 << 9) - 1  # largest magnitude of a quaternion's element; the sign is a bit (quatcompress.h)
+_MAGNITUDE = (1 << 9) - 1  # greatest magnitude of an element; the sign is a separate bit (quatcompress.h)
 
 
 class BootClock:
@@ -53,7 +53,7 @@ class BootClock:
     """
 
     def __init__(self) -> None:
-        self.restarts = 0  # number of firmware restarts, or steps back of its clock
+        self.restarts = 0  # number of firmware restarts and of backward steps of its clock
         self._last_ms: int | None = None
         self._last_at_s = 0.0
         self.begin()
@@ -109,7 +109,7 @@ class BootClock:
 
 
 def decode_state(block: StateBlock, boot_ms: int, at_s: float) -> CrazyflieState:
-    """Decode a state packet.
+    """Decode a state packet into a state.
 
     The packet holds every variable of ``STATE_VARIABLES``; ``boot_ms`` is the continuous firmware time,
     ``at_s`` the arrival time.

@@ -76,7 +76,7 @@ class Connected(NamedTuple):
     """The link is open and the start-up requests are answered."""
 
     protocol: int
-    params: dict[str, str]  # values of ``crazyflie_link.PARAMS``, without those that the firmware lacks
+    params: dict[str, str]  # values of ``crazyflie_link.PARAMS``; those unknown to the firmware are missing
 
 
 class Lost(NamedTuple):
@@ -88,7 +88,7 @@ class Lost(NamedTuple):
 class StateBlock(NamedTuple):
     """One log packet of the state, not decoded."""
 
-    time_ms: int  # firmware clock, 24 bits
+    time_ms: int  # time on the firmware's clock, 24 bits
     values: dict[str, int]
 
 
@@ -113,7 +113,7 @@ class ArmReply(NamedTuple):
 
 class ParamValue(NamedTuple):
     name: str
-    value: str | None  # None: the firmware has no such parameter
+    value: str | None  # value as text; None: the firmware has no such parameter
 
 
 Event = Connected | Lost | StateBlock | HealthBlock | OutsideBlock | ArmReply | ParamValue
@@ -130,8 +130,8 @@ class Arrived(NamedTuple):
 class CrazyflieState:
     """State of one log packet; all values have the same time."""
 
-    at_s: float  # bridge clock
-    boot_ms: int  # continuous firmware clock
+    at_s: float  # time on the bridge's clock
+    boot_ms: int  # time on the firmware's clock, continuous
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3
     quaternion: Quat  # order w, x, y, z; attitude of FLU in ENU

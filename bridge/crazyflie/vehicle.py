@@ -106,7 +106,7 @@ class Vehicle(Condition, Commander):
         self._kill_s = -math.inf
         self.texts.say(INFO, f"Crazyflie connected, CRTP {event.protocol}")
         packets, warning = self.settings.connected(event.params)
-        self._packets += packets  # their echoes arrive as ``ParamValue``
+        self._packets += packets  # the firmware's echoes arrive as ``ParamValue``
         if warning is not None:
             self.texts.say(WARNING, warning)
 
@@ -209,7 +209,7 @@ class Vehicle(Condition, Commander):
         """Whether a landing without a position has lasted longer than the last known height requires."""
         return now_s - max(self._placed_s, self._pilot.since_s) > self._sink_s
 
-    # Changes
+    # Changes of the mode and of the armed state
 
     def _enter(
         self, mode: FlightMode, now_s: float, *, failsafe: bool = False, restart: bool = False
@@ -255,7 +255,7 @@ class Vehicle(Condition, Commander):
     def _ended(self) -> None:
         self._moved = self.failsafe = False
         self._owner = None
-        self.mode = FlightMode.HOLD  # in OFFBOARD the next client could not get control
+        self.mode = FlightMode.HOLD  # in OFFBOARD the next client could not get control of the vehicle
 
     # Commands of clients; each returns the reason if it refuses
 
@@ -346,7 +346,7 @@ class Vehicle(Condition, Commander):
         if self.armed:
             (self._fly_offboard if self.mode is FlightMode.OFFBOARD else self._fly_own)(now_s)
 
-    # Flying
+    # Control of the flight
 
     def _command(self, velocity: Velocity) -> None:
         self._moved = True

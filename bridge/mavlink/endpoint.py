@@ -217,7 +217,7 @@ class Endpoint:
         """Send a heartbeat to a peer whose clock is late: a signed frame advances an autopilot's clock."""
         heartbeat = self._answers.due(peer)
         if heartbeat is not None and self._signer is not None:
-            mav = self._mav  # keeps its number and is not recorded: it depends on wall time
+            mav = self._mav  # the reply has no new number and is not recorded: it depends on wall time
             frame = pack(heartbeat, mav.seq, mav.srcSystem, mav.srcComponent)
             self._transport.send((self._signer.sign(frame),), peer)
             self.counters.stale_answered += 1
@@ -304,7 +304,7 @@ class Endpoint:
             signed = self._signer.sign(frame) if self._signer is not None else frame
             size += len(signed)
             if allowance_bytes is not None and size > allowance_bytes:
-                self._mav.seq = number  # the frame is not sent: the next one has this number
+                self._mav.seq = number  # the frame is not sent, so the next frame has this number
                 self.counters.withheld += len(messages) - len(frames)
                 break
             frames.append(frame)

@@ -58,7 +58,7 @@ class Step:
     params: Callable[[float], Params]  # function of the take-off altitude in the profile's convention, m
     done: Callable[[VehicleStatus], bool]
     prestream: bool = False  # the command requires streaming set-points
-    blind: bool = False  # also sent to a vehicle without status, and after any reply
+    blind: bool = False  # the command is also sent to a vehicle without status, and after any reply
     period_s: float = 0.5  # time between two tries, s
     tries: int = 10
 
@@ -78,15 +78,15 @@ class Profile:
     prestream_s: float  # time of continuous set-points before the mode change, s
     unset: float  # value of a command parameter that is not given
     encoding: Encoding
-    needs_origin: bool  # without satellites the position needs SET_GPS_GLOBAL_ORIGIN
+    needs_origin: bool  # the position needs SET_GPS_GLOBAL_ORIGIN if there are no satellites
     stream_lost: str  # text about the reaction to missing set-points
     time_sync: str  # text about the use of TIMESYNC
     prepare: tuple[Step, ...] = ()  # steps on the ground before the first request
-    asked_hz: Mapping[int, float] = field(default_factory=dict)  # besides position, attitude, landed state
+    asked_hz: Mapping[int, float] = field(default_factory=dict)  # extra rates by message id
     # MAV_DATA_STREAM by message id, for versions without SET_MESSAGE_INTERVAL
     data_streams: Mapping[int, int] = field(default_factory=dict)
     setpoint_mask: int = VELOCITY_AND_YAW
-    frame: int = 1  # MAV_FRAME_LOCAL_NED
+    frame: int = 1  # MAV_FRAME_LOCAL_NED of the set-points
 
     def mode(self, custom_mode: int) -> Mode:
         return self.modes.get(custom_mode, Mode.OTHER)

@@ -58,7 +58,7 @@ def load_key(path: Path) -> SigningKey:
     except OSError as error:
         raise OSError(error.errno, f"signing key {path}: {error.strerror}; {_HELP}") from error
     try:
-        mode = os.fstat(descriptor).st_mode  # mode of the open file; its path may have changed
+        mode = os.fstat(descriptor).st_mode  # mode of the open file; another file may have the path by now
         if not stat.S_ISREG(mode):
             raise ValueError(f"signing key {path} is no ordinary file; {_HELP}")
         if mode & 0o077:
@@ -225,9 +225,9 @@ class Signer:
         return body + self._tag(body)
 
     def refusal(self, frame: bytes) -> Refusal | None:
-        """Check a signed frame; None: the frame is accepted and its timestamp stored."""
+        """Return the reason to reject a signed frame; None: it is accepted and its timestamp stored."""
         if frame[5:7] == self._own:
-            return Refusal.REFLECTED  # its signature is correct from any address
+            return Refusal.REFLECTED  # a reflected frame has a correct signature from any address
         if not hmac.compare_digest(self._tag(frame[:-_TAG]), frame[-_TAG:]):
             return Refusal.BAD_SIGNATURE
         stamp = int.from_bytes(frame[-_STAMP:-_TAG], "little")
@@ -244,7 +244,7 @@ class Signer:
         elif stamp <= last:
             return Refusal.REPLAYED
         else:
-            del streams[stream]  # keeps the least recent stream first
+            del streams[stream]  # the least recent stream must remain first
         streams[stream] = stamp
         return None
 
@@ -307,8 +307,8 @@ def _state_path(key: SigningKey, system_id: int, component_id: int) -> Path | No
 
 ANSWERED = frozenset({Refusal.STALE, Refusal.REPLAYED})  # correct signature, wrong timestamp
 ANSWER_S = 1.0  # time between two replies to one address, s
-_PEERS_MAX = 4  # greatest number of addresses with replies; it limits the replies to replayed frames
-_HEARTBEAT = 0  # message id
+_PEERS_MAX = 4  # greatest number of addresses with replies, a limit for replies to replayed frames
+_HEARTBEAT = 0  # message id of HEARTBEAT
 
 
 class StaleAnswers:

@@ -58,7 +58,7 @@ class Sample(NamedTuple):
 
 
 class Passed(NamedTuple):
-    """A pose to forward."""
+    """A pose that passed all checks."""
 
     pose: Pose
     measured_s: float  # time of measurement on the local clock, s: arrival minus delay

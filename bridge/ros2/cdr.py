@@ -41,7 +41,7 @@ class OdometryError(ValueError):
 
 
 class Odometry(NamedTuple):
-    """One ``nav_msgs/msg/Odometry``.
+    """Fields of one ``nav_msgs/msg/Odometry``.
 
     The pose is in ``frame_id``, the twist in ``child_frame_id`` (ROS convention). Metres, radians, seconds;
     quaternion in the order w, x, y, z; covariances 6 x 6, row by row, in the order x y z roll pitch yaw.

@@ -88,7 +88,7 @@ def standard(schema: str) -> tuple[Field, ...] | None:
 
 
 def _full(kind: str) -> str:
-    """Convert ``std_msgs/Header`` into ``std_msgs/msg/Header``."""
+    """Convert a short type name into the full one: ``std_msgs/Header`` into ``std_msgs/msg/Header``."""
     package, separator, name = kind.partition("/")
     return f"{package}/msg/{name}" if separator else kind
 
@@ -152,7 +152,7 @@ class _Compiler:
         self.pack: list[str] = []
         self.unpack: list[str] = []
         self.constants: dict[str, Any] = {}
-        self.large = False  # it has sequences of numbers, which a bytearray appends faster than bytes
+        self.large = False  # the message has sequences of numbers, which a bytearray appends faster
         self._frame = None if frame_id is None else frame_id.encode() + b"\x00"
         self._indent = "    "
         self._at: int | None = 0  # bytes from the start of the payload; None: known only at run time

@@ -19,7 +19,7 @@ from bridge.zenoh import zenoh_link
 from flightstack.config.options import Ros2
 
 DOMAIN_MAX = 232  # ROS 2 documentation, "The ROS_DOMAIN_ID": limit of the DDS ports
-TOPIC_LENGTH_MAX = 247  # rmw validate_full_topic_name.h
+TOPIC_LENGTH_MAX = 247  # limit of rmw validate_full_topic_name.h
 NO_HASH = "TypeHashNotSupported"  # placeholder of ROS 2 Humble, which has no type hashes
 QOS_KEEP_10 = "::,10:,:,:,,"  # reliable, volatile, keep last 10; empty means rmw_zenoh's default (qos.cpp)
 _ADMIN = "@ros2_lv"
@@ -32,8 +32,8 @@ _HASH = re.compile(r"RIHS01_[0-9a-f]{64}")
 
 class TopicKey(NamedTuple):
     domain: int
-    topic: str  # name with its leading slash
-    type_name: str  # package/msg/Name
+    topic: str  # name of the topic with its leading slash
+    type_name: str  # type in the form package/msg/Name
     type_hash: str
 
 

@@ -24,7 +24,7 @@ class Ros2Node:
     def __init__(
         self, session: zenoh_link.Session, name: str, *, domain: int = 0, namespace: str = "/"
     ) -> None:
-        """Announce the node.
+        """Announce the node to ROS 2.
 
         ``domain`` is the ROS_DOMAIN_ID of the other nodes; topics have full names, whatever the namespace.
 

@@ -29,7 +29,7 @@ ENCODING = "application/cdr;nav_msgs/msg/Odometry"
 _UNIT_TOLERANCE = 0.01
 _LARGEST = 1e9  # limit in m, m/s and rad/s: larger numbers are damaged data
 WARN_FACTOR = 1.5  # ratio of reported to configured noise above which a warning is sent
-_UNUSED_M2 = 1e3  # diff_drive_controller and others write 1e6 for unmeasured values
+_UNUSED_M2 = 1e3  # greatest used variance; diff_drive_controller and others write 1e6 for unmeasured values
 
 
 class RawSample(NamedTuple):
@@ -151,7 +151,7 @@ class OdometryPublisher:
         *,
         lossless: bool = False,
     ) -> None:
-        """Declare the publisher.
+        """Declare the publisher of a key.
 
         Args:
             session: an open Zenoh session, owned by the caller.
@@ -222,7 +222,7 @@ class OdometrySubscriber:
     def __init__(
         self, session: zenoh_link.Session, key: str, *, lossless: bool = False, capacity: int = 256
     ) -> None:
-        """Declare the subscriber.
+        """Declare the subscriber of a key.
 
         With ``lossless`` a full queue blocks the sender (lockstep) instead of dropping the oldest samples.
 

@@ -87,4 +87,4 @@ class PoseTrack:
     def _is_outlier(self, pose: Pose, time_s: float) -> bool:
         expected = self._estimator.at(time_s)
         allowed_m = GATE_SIGMAS * math.hypot(expected.position_sigma_m, self._noise_m)
-        return not math.dist(pose.position_m, expected.position_enu_m) <= allowed_m  # also an outlier for NaN
+        return not math.dist(pose.position_m, expected.position_enu_m) <= allowed_m  # NaN is an outlier, too

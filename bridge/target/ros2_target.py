@@ -87,7 +87,7 @@ ROS_TYPES = {
 class TargetSpec:
     text: str  # argument of the command
     dialect: Dialect
-    name: str  # key, or topic with its leading slash
+    name: str  # key, or topic with the leading slash
     type: TargetType = TargetType.ODOMETRY
     domain: int = 0
     offset_m: Vec3 = ZERO  # offset of the landing spot in the axes of the tracked frame

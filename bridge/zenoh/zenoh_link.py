@@ -27,12 +27,12 @@ Publisher = Any
 Subscriber = Any
 Sample = Any
 
-LOOPBACK = "tcp/127.0.0.1:0"  # any free port, this machine only
+LOOPBACK = "tcp/127.0.0.1:0"  # any free port; only this machine can connect
 LOOPBACK_ROUTER = "tcp/127.0.0.1:7447"  # default address of a router for clients and ROS 2 nodes
 _LEASE_MS = 2000  # time without messages before a peer is disconnected, then connected again
 # a process in lockstep may pause for longer without losing a message; a killed one disconnects at once
 _LOCKSTEP_WAIT_MS = 60_000
-_ALIVE_TIMEOUT_S = 1.0  # the reply comes from tables of this process
+_ALIVE_TIMEOUT_S = 1.0  # time-out, s; the reply comes from tables of this process
 _CLIENT_WAIT_MS = 10_000  # wait for a router that has not started
 _RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 1.5}
 
@@ -49,7 +49,7 @@ _DEFAULTS: dict[str, Any] = {
     "connect/retry": _RETRY,
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
-    "scouting/delay": 0,  # otherwise open() blocks for 500 ms without a peer
+    "scouting/delay": 0,  # without this value open() blocks for 500 ms if there is no peer
     "transport/link/tx/lease": _LEASE_MS,
     # shared memory needs /dev/shm and has no benefit for this stack's small messages
     "transport/shared_memory/enabled": False,

@@ -43,7 +43,7 @@ PERIOD_NS = 20_000_000  # period of 50 Hz, the refresh rate of a screen
 MARKER_PERIOD_NS = 200_000_000  # period of 5 Hz, since marker messages are large
 STATIC_PERIOD_NS = 5_000_000_000  # period of static transforms; a viewer needs them after a jump in the log
 STEP_SUFFIX, TIMING_SUFFIX = "/controller/step", "/loop/timing"
-SOURCE_SUFFIX = "/mavlink_source"  # end of the topic of frames from the vehicle, not to it
+SOURCE_SUFFIX = "/mavlink_source"  # end of the topic of frames that the vehicle sent
 
 Derived = tuple[str, str, bytes]  # topic, schema, CDR
 Derive = Callable[[int, bytes], list[Derived]]  # (log time in ns, CDR) -> messages
@@ -148,7 +148,7 @@ class Derivers:
     """
 
     def __init__(self) -> None:
-        self._told: dict[str, _Told] = {}  # by member; empty: the only flight
+        self._told: dict[str, _Told] = {}  # metadata by member; empty key: the only flight
         self._steps: dict[str, Deriver] = {}
         self._frames: dict[str, FrameDecoder] = {}
         self._health: dict[str, Health] = {}

@@ -18,12 +18,12 @@ from logs.schema.schemas import DIAGNOSTIC_ARRAY, packer
 TOPIC = "/diagnostics"
 PERIOD_NS = 1_000_000_000
 FILTER_BAD = 3  # smallest filter_status of ControllerStep that is a problem: FILTER_INFEASIBLE
-LATE_S = 0.002  # delay of a tick after its deadline that causes a warning: a fifth of 10 ms
+LATE_S = 0.002  # greatest normal delay of a tick after its deadline, s: a fifth of 10 ms
 LOST_MAX = 0.02  # share of the vehicle's frames that may be missing by their sequence numbers
 
 
 class Level(IntEnum):
-    """Levels of ``diagnostic_msgs/msg/DiagnosticStatus``."""
+    """Levels of ``diagnostic_msgs/msg/DiagnosticStatus`` in ROS."""
 
     OK = 0
     WARN = 1
@@ -52,7 +52,7 @@ class Health:
 
     def step(self, row: ControllerStepRow) -> None:
         self._steps.append(row)
-        del self._steps[:-1000]  # without timings the list is never emptied
+        del self._steps[:-1000]  # without timings no call empties the list
 
     def timing(self, log_time_ns: int, row: LoopTimingRow) -> list[tuple[str, str, bytes]]:
         """Add the timing of a tick; at the end of a second, return its diagnostics.

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from logs.schema.mavlink import PEER_CHARACTERS, FrameError, Type, of
 
 TOPICS_MAX = 512  # greatest number of topics, since a sender can invent system ids
-_HALF = 128  # half of the 256 sequence numbers: a number at least this far ahead counts as late
+_HALF = 128  # half of the 256 sequence numbers; a number that is this far ahead or further counts as late
 SENDERS_MAX = 256  # greatest number of senders whose sequence numbers are checked
 _HEADER_BYTES = 20  # encapsulation, stamp, frame_id of three characters: the fields start aligned to 8
 _NOBODY = struct.pack("<I", PEER_CHARACTERS + 1) + b"p--\x00"  # frame_id of a frame with unknown peer
@@ -67,7 +67,7 @@ class FrameDecoder:
     def __init__(self, topic: str) -> None:
         """Set the topic of the raw frames; its first part is the name space until the run sets one."""
         self.topic = topic  # topic of the raw frames
-        self.counter = FrameCounter()  # counter of frames; replaced by that of the vehicle's diagnostics
+        self.counter = FrameCounter()  # counter of frames; the vehicle's diagnostics replace it
         self._space = "/" + topic.strip("/").partition("/")[0]
         self._known: dict[bytes, Decoded | None] = {}
 

@@ -15,10 +15,10 @@ from logs.schema.schemas import MARKER_ARRAY, packer
 
 ARROW, CUBE, SPHERE, CYLINDER, LINE_STRIP, TRIANGLE_LIST = 0, 1, 2, 3, 4, 11  # visualization_msgs/msg/Marker
 LIFETIME_S = 0.5  # lifetime of 2.5 periods of 5 Hz: a marker that is not sent again disappears
-PATH_POINTS = 200  # points of one path; when it is full, every second point is removed
+PATH_POINTS = 200  # greatest number of points of a path; a full path loses every second point
 PATH_PERIOD_NS = 100_000_000  # initial period, 10 Hz
-REACH = 2.5  # radius of the barrier surface, in units of the distance of its peak
-FLEET_REACH = 1.0  # this radius in a fleet
+REACH = 2.5  # radius of the barrier surface, in units of the distance of the barrier's peak
+FLEET_REACH = 1.0  # radius of the barrier surface in a fleet, in the same unit
 SECTORS, RINGS = 24, 8  # grid of the barrier surface: 24 x 8 x 2 triangles
 _GRID_1_M = 1024.0  # grid of surface points, 1/1024 m: finer than a millimetre, and compresses well
 _ARROW_SIZE_M = (0.012, 0.03, 0.04)  # shaft diameter, head diameter, head length
@@ -36,7 +36,7 @@ FILTERED_COLOR: Color = (0.17, 0.63, 0.17, 1.0)
 COMMAND_COLOR: Color = (0.58, 0.40, 0.74, 1.0)
 
 _NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
-_ADD = 0  # Marker.action
+_ADD = 0  # value of Marker.action
 _LIFETIME_NS = round(LIFETIME_S * 1e9)
 # colors, texture_resource, texture (header, format, data), uv_coordinates, text, mesh_resource, mesh_file
 # (name, data), mesh_use_embedded_materials
@@ -174,7 +174,7 @@ def _values(stamp_ns: int, marker: Marker) -> tuple[object, ...]:
 
 
 def _pad(frame: str, radius_m: float) -> Marker:
-    thickness_m = 0.01  # for display only; the top is at the origin of the target frame
+    thickness_m = 0.01  # drawn thickness; the top is at the origin of the target frame
     scale = (2.0 * radius_m, 2.0 * radius_m, thickness_m)
     return Marker(frame, "pad", 0, CYLINDER, scale, PAD_COLOR, position=(0.0, 0.0, -0.5 * thickness_m))
 

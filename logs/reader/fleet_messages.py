@@ -18,7 +18,7 @@ from logs.schema.controller_rows import unpack_neighbours
 from logs.schema.rows import FleetWordRow
 from logs.schema.schemas import CONTROLLER_NEIGHBOURS, FLEET_WORD
 
-AGE_MAX_S = 0.5  # default of the configuration
+AGE_MAX_S = 0.5  # maximum message age by default, s
 _Sent = tuple[float, Intent, tuple[str, ...]]  # time, intent, members to which the sender gives way
 
 
@@ -28,7 +28,7 @@ class Span:
 
     begin_s: float  # time of the first message, s
     end_s: float  # time of the first message with other content, else of the last one, s
-    intent: Intent  # announced intent
+    intent: Intent  # intent that the member announced
     gives_way_to: tuple[str, ...]  # names of the members to which it gives way
 
     @property
@@ -58,8 +58,8 @@ class Link:
 class FleetMessages:
     """Messages of a fleet, sent and received."""
 
-    spans: dict[str, tuple[Span, ...]]  # by member, in time order
-    links: tuple[Link, ...]  # one per ordered pair of members
+    spans: dict[str, tuple[Span, ...]]  # spans by member, in time order
+    links: tuple[Link, ...]  # one link per ordered pair of members
     problems: tuple[str, ...]  # unreadable messages, as text
 
 

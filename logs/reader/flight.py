@@ -194,7 +194,7 @@ def _columns(
 
 
 def columns(cls: type[_Columns], rows: Sequence[Any], t_s: Floats) -> _Columns:
-    """Return rows of a log as arrays, at times (n,)."""
+    """Convert rows of a log into arrays; ``t_s`` has the times of the n rows, s."""
     by_name = dict(zip(rows[0]._fields, zip(*rows, strict=True), strict=True))
     wanted = {f.name: _DTYPES[str(f.type)] for f in fields(cls) if f.name != "t_s"}
     arrays: dict[str, Any] = {name: np.array(by_name[name]).astype(dtype) for name, dtype in wanted.items()}

@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 PAD_RADIUS_M = 0.10  # default, m: a Crazyflie's pad, if the log holds neither a run nor a configuration
-ATTACHMENT = "onboard.toml"  # name in the log
+ATTACHMENT = "onboard.toml"  # name of the configuration in the log
 
 
 class Steps(ControllerStepColumns):
@@ -86,7 +86,7 @@ class Timing(LoopTimingColumns):
 class TargetOdometry:
     """Target odometry as it was received, n samples, accepted by the controller or not."""
 
-    t_s: Floats  # arrival times, (n,)
+    t_s: Floats  # arrival times, s, (n,)
     stamp_ns: Ints  # measurement times on the sender's clock, (n,)
     position_enu_m: Floats  # centre of the pad's top, (n, 3)
     velocity_child_m_s: Floats  # velocity in the robot's frame, as sent, (n, 3)
@@ -169,7 +169,7 @@ class Fleet:
     """The flights of a fleet, from one log."""
 
     path: Path  # log file
-    flights: dict[str, Flight]  # by member; the times of each flight start at its ``origin_ns``
+    flights: dict[str, Flight]  # flights by member; the times of each flight start at its ``origin_ns``
     pairs: dict[tuple[int, int], FleetPairRow]  # newest simulator record of each pair of ids
     ids: dict[int, str]  # members by vehicle id, which is also the MAVLink system id
     # events of /rosout in order, times since ``origin_ns``; sources have the member's namespace in front

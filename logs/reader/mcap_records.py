@@ -37,7 +37,7 @@ from mcap.records import (
 from mcap.stream_reader import get_chunk_data_stream
 
 MAGIC = bytes((0x89, 0x4D, 0x43, 0x41, 0x50, 0x30, 0x0D, 0x0A))  # MCAP specification, "Magic"
-_HEAD = struct.Struct("<BQ")  # head of a record: its kind and the length of its content
+_HEAD = struct.Struct("<BQ")  # kind of a record, and the length of its content
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence number, log time, publish time; the payload follows
 _INDEX = struct.Struct("<HI")  # channel, number of bytes of the entries that follow
 _TIME_MAX_NS = 2**63 - 1  # maximum time in ROS 2, whose times are signed
@@ -82,7 +82,7 @@ class Records:
         self._stream, self._messages = stream, messages
         self._size = os.fstat(stream.fileno()).st_size
         self._index = _Index(stream, self._size)
-        self._declared: dict[tuple[type, int], Any] = {}  # by kind and id
+        self._declared: dict[tuple[type, int], Any] = {}  # declarations by kind and id
         self._first, self._places = "", 0
         # first unreadable byte; the size of the file if there is none
         self.broken_at = self._size
@@ -148,7 +148,7 @@ class Records:
     def _in_chunk(self, data: bytes, place: int) -> list[Any]:
         """Return the records in the data of a chunk, in a tenth of the package's time."""
         found: list[Any] = []
-        unknown: Counter[int] = Counter()  # messages by channel
+        unknown: Counter[int] = Counter()  # number of messages by channel
         at, size = 0, len(data)
         while at < size:
             kind, length = _HEAD.unpack_from(data, at) if size - at >= _HEAD.size else (0, size)
@@ -171,7 +171,7 @@ class Records:
             else:
                 try:
                     self._declare(_understood(kind, data[begin:end], _DECLARED), found)
-                except Exception as error:  # as above
+                except Exception as error:  # a library may raise any exception for damaged bytes
                     self._damaged(place, f"a record at byte {place} cannot be read", _reason(error))
             at = end
         for channel, count in unknown.items():
@@ -222,14 +222,14 @@ class _Index:
             body, at = data[at + _HEAD.size : at + _HEAD.size + length], at + _HEAD.size + length
             try:
                 record = _understood(kind, body)
-            except Exception:  # the pass over the records reports it
+            except Exception:  # the pass over the records reports the error
                 continue
             if isinstance(record, Schema | Channel):
                 self.declared.setdefault((type(record), record.id), record)
             elif type(record) in _PLACES:
                 opcode, offset, length_of = _PLACES[type(record)]
                 begins.append((opcode, getattr(record, offset), getattr(record, length_of)))
-        for opcode, begin, whole in begins:  # used only if the file has this record there
+        for opcode, begin, whole in begins:  # an entry is used only if the file has the record there
             if len(MAGIC) <= begin < start:
                 stream.seek(begin)
                 if stream.read(_HEAD.size) == _HEAD.pack(opcode, max(whole - _HEAD.size, 0)):

@@ -33,7 +33,7 @@ from logs.schema.schemas import LOG, same_fields, store_for
 ROSOUT = "/rosout"
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _SYSTEM = "uas"  # first part of the topics of MAVLink frames; the system id follows
-_FRAMES = "/uas1"  # first part in the log of one flight, whatever its system id
+_FRAMES = "/uas1"  # first part of these topics in the log of one flight, whatever its system id
 
 
 class Members:
@@ -43,7 +43,7 @@ class Members:
         told = metadata.get(FLEET, {}).get("members", "")
         # namespaces of the members, in the order of the log; empty for a log of one flight
         self.names = tuple(name for part in told.split(",") if (name := part.strip()))
-        for name in self.names:  # they become names of files and entities
+        for name in self.names:  # the names are used for files and entities
             if not _NAME.fullmatch(name):
                 raise ValueError(f"metadata {FLEET!r}: found a member {name!r}; allowed are A-Z a-z 0-9 _ -")
         # namespaces by MAVLink system id, which is the vehicle's id
@@ -140,7 +140,7 @@ class Message(NamedTuple):
     log_time_ns: int  # Unix time; simulated time from 2020-01-01 on in lockstep
     publish_time_ns: int
     sequence: int
-    data: bytes  # CDR with its four-byte header
+    data: bytes  # CDR payload with its four-byte header
 
     def decode(self) -> Any:
         """Return the message as an object with the fields of its definition (slow, uses ``rosbags``)."""
@@ -165,7 +165,7 @@ class _Outline(NamedTuple):
     attachments: list[Attachment]
     problem: str
     library: str  # program that wrote the file
-    foreign: frozenset[str]  # this stack's message types whose definitions in the file have other fields
+    foreign: frozenset[str]  # message types of this stack whose definitions in the file have other fields
 
 
 class LogFile:

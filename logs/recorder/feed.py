@@ -28,11 +28,11 @@ class Kind(IntEnum):
     """Kind of a record's payload."""
 
     DECLARE = 0  # JSON {"topic", "schema"}; the sender chooses the channel number
-    MESSAGE = 1  # CDR with its four-byte header
+    MESSAGE = 1  # CDR payload with its four-byte header
     METADATA = 2  # JSON {"name", "values": {str: str}}
     ATTACHMENT = 3  # one line of JSON {"name", "media_type"}, then the data
     LOSSES = 4  # JSON {"client", "dropped"}: number of dropped records so far; also the client's first record
-    GOODBYE = 5  # orderly end
+    GOODBYE = 5  # orderly end of the client
 
 
 class Record(NamedTuple):

@@ -54,7 +54,7 @@ class _ChunkIndexes:
 
     @property
     def size(self) -> int:
-        """Size in the file, bytes."""
+        """Size of the indexes in the file, bytes."""
         return self._closed_bytes + int(self._open.count)
 
     def append(self, index: ChunkIndex) -> None:
@@ -139,7 +139,7 @@ class ChunkedWriter(Writer):  # type: ignore[misc]
 CHUNK_BYTES = 256 * 1024  # a killed recorder loses at most the open chunk
 # Disk space reserved for the end of the file: the open chunk, schemas and the growing index.
 RESERVE_BYTES = 2 * 2**20
-_RESERVE_STEP = 2**20  # step of its growth, so that it grows every ten minutes instead of at every flush
+_RESERVE_STEP = 2**20  # step of the reserve's growth: it grows every ten minutes instead of at every flush
 _QOS = "[]"  # empty, as in rosbags: the sender's quality of service is unknown
 
 
@@ -156,7 +156,7 @@ class SafeStream:
         self._position = 0
         self._reserved = RESERVE_BYTES
         self._stopped = False
-        self.failure = ""  # reason why writing stopped; empty while it works
+        self.failure = ""  # reason why writing stopped; empty while writing works
 
     def tell(self) -> int:
         return self._position
@@ -209,7 +209,7 @@ class SafeStream:
 
 
 class McapFile:
-    """One open flight log."""
+    """The open log file of one flight or fleet."""
 
     def __init__(self, path: Path, *, stream: SafeStream | None = None) -> None:
         """Create the file; ``stream`` replaces the disk in tests."""

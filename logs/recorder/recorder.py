@@ -53,7 +53,7 @@ class RecorderProcess:
         try:
             file = McapFile(out)
             self._syncer = Syncer(file.descriptor(), out)
-            if file.failure:  # not even the start of the file fits
+            if file.failure:  # the disk cannot even store the start of the file
                 out.unlink()
                 raise OSError(0, file.failure)
         except OSError as error:
@@ -104,7 +104,7 @@ class RecorderProcess:
 
     def _pass(self, patience_s: float) -> None:
         """Wait for input, then read all of it."""
-        if self._source:  # it has no descriptor to wait for
+        if self._source:  # Zenoh has no descriptor for the selector
             patience_s = min(patience_s, READ_PERIOD_S)
         ready = [key.fileobj for key, _ in self._selector.select(patience_s)]
         for fileobj in ready:
@@ -314,7 +314,7 @@ def record_main(
         signal.signal(number, stop)
     on_hangup(stop)
     begun()
-    typestore()  # the first call takes half a second, so it is made before the flight
+    typestore()  # call it before the flight, since the first call takes half a second
     print("ready", flush=True)
     counts = process.run(until_clients)
     for problem in problems(counts):

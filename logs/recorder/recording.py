@@ -16,7 +16,7 @@ from logs.schema.schemas import LOG, UnknownSchemaError
 
 # Greatest log time of a chunk, ns; it matters in lockstep, which runs faster than the wall clock.
 FLUSH_LOG_TIME_NS = 250_000_000
-RECORDER_NAME = "flight_recorder"  # source of the recorder's own events on /rosout; they depend on wall time
+RECORDER_NAME = "flight_recorder"  # source of the recorder's events on /rosout; these depend on wall time
 RECORDER = "recorder"  # metadata: counts and failures of the recorder
 _TOLD = ("clients", "invalid", "refused", "skipped", "unfinished_bytes", "crashed", "syncs", "sync_worst_s",
          "failure")  # fmt: skip
@@ -25,7 +25,7 @@ _NONSENSE = (ValueError, KeyError, TypeError, AttributeError, RecursionError, st
 
 
 class RecorderError(Exception):
-    """The recorder cannot start."""
+    """The recorder cannot start; the text has the reason."""
 
 
 @dataclass
@@ -38,7 +38,7 @@ class Statistics:
     skipped: int = 0  # samples of unknown encoding
     unfinished_bytes: int = 0  # bytes of records that their sender's crash cut off
     crashed: int = 0  # clients that ended without a goodbye
-    dropped: dict[str, int] = field(default_factory=dict)  # by client, as the client reports it
+    dropped: dict[str, int] = field(default_factory=dict)  # dropped records by client, reported by the client
     syncs: int = 0  # number of fdatasync calls on the file
     sync_worst_s: float = 0.0  # wall time of the longest call, s
     failure: str = ""  # reason why the disk stopped accepting data
@@ -72,7 +72,7 @@ class Recorder:
         }
 
     def handle(self, client: int, record: Record) -> None:
-        """Write one record."""
+        """Write one record of a client into the file."""
         state = self._clients.get(client)
         if state is None:
             state = self._clients[client] = _Client(f"client {client}")

@@ -38,14 +38,14 @@ class ReplayError(ValueError):
 
 @dataclass(slots=True)
 class TickRecord:
-    """Records of one tick."""
+    """Records of one tick of the onboard process."""
 
     unix_ns: int  # time of the tick in the log
     given: TickInputs | None = None  # inputs; None if the log breaks before them
     step: bytes | None = None  # recorded decisions; None if the log breaks before them
     # recorded battery, motors and thrust reserve; None in a flight without them
     power: bytes | None = None
-    told: bool = False  # whether it has messages of other members, which are in ``given``
+    told: bool = False  # whether the tick has messages of other members; ``given`` holds them
     state: ControllerStateRow | None = None  # snapshot after the tick; None in most ticks
     events: list[LogRow] = field(default_factory=list)  # recorded events of the controller
     said: list[LogRow] = field(default_factory=list)  # other events of the onboard process
@@ -59,7 +59,7 @@ class FlightInputs:
     """A log opened for replay."""
 
     def __init__(self, path: Path | str, member: str | None = None) -> None:
-        """Find inputs and configuration."""
+        """Find the inputs and the configuration in the log."""
         try:
             self.log = LogFile(path, member).single()
             self.log.need(

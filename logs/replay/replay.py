@@ -44,9 +44,9 @@ class PhaseChange:
 
 @dataclass
 class Result:
-    """Result of a replay."""
+    """Differences found by a replay, and its extent."""
 
-    path: Path  # log file
+    path: Path  # path of the log file
     start: str = ""  # start of the replay, as text
     first_tick: int = -1  # first compared tick
     last_tick: int = -1  # last compared tick

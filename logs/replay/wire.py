@@ -43,7 +43,7 @@ class RecordedEndpoint(Endpoint):
         self.counters = EndpointCounters()
         self.warnings = ()
         self.local_port, self.baud = 0, None
-        self.incoming: deque[tuple[bytes, str]] = deque()  # with the name of the peer
+        self.incoming: deque[tuple[bytes, str]] = deque()  # recorded frames with the name of their peer
         self.sent: list[bytes] = []
         self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=COMPONENT_ID)
 
@@ -77,7 +77,7 @@ class WireReplay:
         autopilot: str = PX4.name,
         line: LinePlan | None = None,
     ) -> None:
-        """Start at tick 0."""
+        """Create the replayed link at tick 0."""
         origin = config.vehicle.origin_wgs84
         self._endpoint = RecordedEndpoint(system_id)
         self._heard, self._refusals = False, Refusals()

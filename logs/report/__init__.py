@@ -1,1 +1,1 @@
-"""HTML reports of logs."""
+"""Makes HTML reports of logs."""

@@ -30,7 +30,7 @@ _RAN = (
     FilterStatus.CROWDED,
     FilterStatus.OWN,
 )
-_NEAR_S = 0.02  # greatest time, s, between a step and its true state: two ticks
+_NEAR_S = 0.02  # greatest time between a step and its true state, s: two ticks
 BEGINS, ENDS = "Fault: ", "Fault over: "
 _RELAYED = "vehicle: "  # prefix of the vehicle's messages in events of the onboard process
 _ENOUGH = 200  # greatest number of shown entries; nobody reads a longer page
@@ -206,9 +206,9 @@ def missing(numbers: Sequence[int]) -> int | None:
 
 
 class Side(NamedTuple):
-    """A flight on a page."""
+    """A flight with its data on a page."""
 
-    name: str  # A and B of two compared flights; member of a fleet; else empty
+    name: str  # "A" or "B" in a comparison, the member's name in a fleet, else empty
     flight: Flight
     verdict: Verdict
     streams: list[Stream]  # empty for the member of a fleet

@@ -36,7 +36,7 @@ class Page(NamedTuple):
     """A page: its first screen, and the panels below it."""
 
     title: str
-    badge: tuple[str, str]  # outcome, and its style: good, fair or bad
+    badge: tuple[str, str]  # outcome and style (good, fair or bad)
     sub: str  # line below the title
     numbers: Sequence[tuple[str, str, str]]  # name, value and unit of the most important numbers
     # panels in order; a sequence stands side by side, a string is HTML
@@ -118,7 +118,7 @@ def paragraph(text: str) -> str:
 
 
 def need_libraries() -> None:
-    """Check that pages can be made."""
+    """Check that the libraries for pages are installed."""
     try:
         import jinja2  # noqa: F401
         import plotly.graph_objects  # noqa: F401

@@ -218,7 +218,7 @@ def _comparison(a: Side, b: Side) -> Page:
 
 
 def _side(name: str, log: Path, member: str | None) -> Side:
-    member = member if LogFile(log).members else None  # the other log may hold a single flight
+    member = member if LogFile(log).members else None  # the other log may hold one flight without members
     LogFile(log, member).single()
     fleet, verdict = judged(log, member)
     return side_of(name, fleet.flights[""], verdict.members[""])
@@ -344,7 +344,7 @@ def _repeat(
     member: str | None = None,
 ) -> str:
     again = ["flightstack", "replay", log.name, "--check"]
-    if member is not None:  # a member cannot fly again without its fleet
+    if member is not None:  # a member can only be repeated with its fleet
         return repeat_box(replay=shlex.join([*again, "--member", member]), alone=False)
     if whole is None or "seed" not in run:
         return repeat_box(replay=shlex.join(again))

@@ -95,7 +95,7 @@ def _mark_lowest(figure: go.Figure, t: Floats, h: Floats, where: str, symbol: st
 
 
 _Drawn = tuple[str, Floats, str, str, float]  # name, velocity (n, 3), colour, dash, width
-_Extra = Callable[[go.Figure, int, list[float]], list[float]]  # draws on an axis and widens its range
+_Extra = Callable[[go.Figure, int, list[float]], list[float]]  # draws on an axis, returns a wider range
 
 
 def velocities(flight: Flight) -> go.Figure | None:
@@ -255,7 +255,7 @@ def share_active(steps: Steps) -> float | None:
 
 _BINS = 80
 _EDGE_SHARE = 0.05  # margin at both sides of a histogram, as a share of the median
-_LOG_FLOOR = -0.3  # lower end of the axis; a single count stands above it
+_LOG_FLOOR = -0.3  # lower end of the logarithmic axis, so that a single count is visible
 _WALL_US = [m * 10**n for n in range(6) for m in (1, 2, 5)]  # labels of the axis of wall times
 _INTERVAL_MAX_MS = 100.0  # longest separate interval; longer ones are in the last bar
 
@@ -307,7 +307,7 @@ def histograms(flight: Flight, streams: Sequence[Stream]) -> go.Figure | None:
         rows=len(shown), cols=1, vertical_spacing=0.5 / len(shown) if len(shown) > 1 else 0
     )
     for row, (title, color, values) in enumerate(shown, 1):
-        edge_ms = _EDGE_SHARE * float(np.median(values))  # keeps the bar of equal values visible
+        edge_ms = _EDGE_SHARE * float(np.median(values))  # margin that keeps the bar of equal values visible
         low, high = float(values.min()) - edge_ms, float(values.max()) + edge_ms
         counts, edges = np.histogram(values, bins=_BINS, range=(low, high))
         bars = go.Bar(

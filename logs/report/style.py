@@ -155,7 +155,7 @@ class Axis(NamedTuple):
     title: str
     landing: list[float]  # range of the page's button "Landing"
     whole: list[float]  # range of the page's button "Whole flight"
-    first: list[float]  # initial range
+    first: list[float]  # initial range of the axis
 
 
 def axis_of(flights: Sequence[Flight]) -> Axis:

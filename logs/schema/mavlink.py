@@ -43,9 +43,9 @@ _ROS = {
 class Field(NamedTuple):
     """One field of a message, in wire order."""
 
-    name: str  # name in ROS
+    name: str  # name of the field in ROS
     kind: str  # ROS primitive type; "string" for text
-    code: str  # ``struct`` code
+    code: str  # code of the ``struct`` module
     size: int  # bytes of one element
     array: int  # number of elements; 0: no array
     comment: str  # unit or enumeration
@@ -54,8 +54,8 @@ class Field(NamedTuple):
 class Type(NamedTuple):
     """One MAVLink message as a ROS type."""
 
-    message: str  # LOCAL_POSITION_NED
-    schema: str  # mavlink_msgs/msg/LocalPositionNed
+    message: str  # MAVLink name, such as LOCAL_POSITION_NED
+    schema: str  # ROS type, such as mavlink_msgs/msg/LocalPositionNed
     fields: tuple[Field, ...]
     size: int  # bytes of the whole payload
     verbatim: bool  # the payload, with its omitted zeros, is the body of the CDR
@@ -130,14 +130,14 @@ OTHERS = b"p99"  # the name that all further peers share
 _NS = 1_000_000_000  # nanoseconds per second
 _V1, _V2 = 0xFE, 0xFD
 _V1_OVERHEAD, _V2_OVERHEAD, _SIGNATURE = 8, 12, 13  # bytes around the payload; bytes of the signature
-_SIGNED = 1  # MAVLINK_IFLAG_SIGNED
+_SIGNED = 1  # flag MAVLINK_IFLAG_SIGNED
 _FRAMING_OK = 1  # every recorded frame has passed its checksum
 
 # Encapsulation, stamp, frame_id, framing_status .. compid, message id, checksum, number of words, and four
 # bytes of padding before the first word. A frame_id is empty or has three characters: without them the fields
 # up to compid start earlier, in its padding, and the later fields keep their places.
 _HEAD = struct.Struct("<4siII4s8BIH2xI4x")
-_HEAD_EMPTY = struct.Struct("<4siII4s8BIH2xI")  # no words: no padding for them
+_HEAD_EMPTY = struct.Struct("<4siII4s8BIH2xI")  # no padding follows if there are no words
 _HEAD_NOBODY = struct.Struct("<4siIIB8B3xIH2xI4x")
 _HEAD_NOBODY_EMPTY = struct.Struct("<4siIIB8B3xIH2xI")
 PEER_CHARACTERS = 3

@@ -28,9 +28,9 @@ from logs.schema.schemas import CONTROLLER_STEP, DIAGNOSTIC_ARRAY, LOG, LOOP_TIM
 from logs.tools.recover import LOG_TOOL
 
 WALL_CLOCK_SCHEMAS = frozenset({LOOP_TIMING, DIAGNOSTIC_ARRAY})
-WALL_CLOCK_EVENTS = frozenset({RECORDER_NAME})  # names on /rosout
+WALL_CLOCK_EVENTS = frozenset({RECORDER_NAME})  # sources of events on /rosout
 WALL_CLOCK_METADATA = frozenset({LOSSES, RECORDER, MAVLINK_PEERS})  # complete records; ports are random
-PROVENANCE_METADATA = frozenset({LOG_TOOL})  # origin of the file, not its content
+PROVENANCE_METADATA = frozenset({LOG_TOOL})  # records on the origin of the file, not its content
 WALL_CLOCK_METADATA_KEYS = frozenset(
     {"started", "started_unix_s", "ended", "wall_time_s", "realtime_factor", "host", "out", "log", "pid"}
 )
@@ -42,7 +42,7 @@ _F64 = struct.Struct("<d")
 
 @dataclass(frozen=True, slots=True)
 class MessageDifference:
-    """One difference of two logs."""
+    """A difference between two logs."""
 
     topic: str  # topic, or ``metadata NAME`` / ``attachment NAME``
     index: int  # number of the message in its topic, by log time and sequence; -1 without one
@@ -193,7 +193,7 @@ SHOWN_MAX = 10  # greatest number of stored differences; the others are counted
 
 @dataclass(frozen=True, slots=True)
 class TickDifference:
-    """One value that differs."""
+    """A value that differs between log and replay."""
 
     topic: str  # topic of the recorded value
     tick: int  # tick number

@@ -37,7 +37,7 @@ _Description = Any  # rosbags: (Nodetype, arguments)
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column."""
+    """A column of the exported table."""
 
     name: str  # dotted name of the field
     kind: str  # ROS primitive type, for example ``float64``; or ``JSON_TEXT``

@@ -15,7 +15,7 @@ from logs.reader.flight_data import Flight, Floats, Steps
 
 T = TypeVar("T")
 FLYING = (Phase.TAKEOFF, Phase.APPROACH, Phase.LAND, Phase.HOLD, Phase.CLIMB)  # no contact, own set-points
-_NS = 1e-9  # s
+_NS = 1e-9  # seconds per nanosecond
 
 
 class Found(NamedTuple):
@@ -145,7 +145,7 @@ def toml(found: Found, count: int) -> str:
     weights = (1.0 / max(h.errors[2], 1e-6) ** 2, 1.0 / max(v.errors[2], 1e-6) ** 2)
     damping, rate_z_1_s = (weights[0] * h.damping + weights[1] * v.damping) / sum(weights), v.model_rate_1_s
     late, model = h.model_dead_time_s, "of the model without dead time that lags as much"
-    if late:  # the damping is then that of the horizontal loop; the vertical lag is unchanged
+    if late:  # then the damping is the horizontal loop's; the vertical lag is unchanged
         damping, rate_z_1_s, model = h.damping, 2.0 * h.damping / v.lag_s, "of the model"
     lines = [
         f"# identified from {count} log{'s' * (count > 1)}; +- one standard error",

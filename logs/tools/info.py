@@ -21,7 +21,7 @@ class Topic:
     schema: str
     encoding: str
     messages: int = 0
-    first_ns: int = 0  # log time
+    first_ns: int = 0  # log time of the first message, ns
     last_ns: int = 0
 
     @property

@@ -19,12 +19,12 @@ from logs.reader.reader import LogFile
 from logs.recorder.mcap_file import CHUNK_BYTES, ChunkedWriter
 from logs.tools.file import new_file
 
-LOG_TOOL = "log_tool"  # metadata: command that made this file, and its source
+LOG_TOOL = "log_tool"  # metadata record with the command that made this file, and its source
 
 
 @dataclass(frozen=True, slots=True)
 class Recovered:
-    """The new file."""
+    """Summary of the new file."""
 
     messages: int
     problem: str  # unreadable part of the old file; empty if it was complete

@@ -41,14 +41,14 @@ from logs.verdict.types import (
 REST_SPEED_MAX_M_S = 0.10  # limit relative to the pad; the estimate of a resting vehicle is still noisy
 REST_HEIGHT_MAX_M = 0.05  # largest distance of feet and pad beyond the configured gap: two estimates drift
 REST_SEEN_S = (
-    0.5  # time after it in which a valid state is searched, s: at rest a state in mm repeats and looks stuck
+    0.5  # greatest distance in time of a valid state, s: at rest a state in mm repeats and looks stuck
 )
 _SAME_S = 1e-6  # less than the resolution of a tick
 BEFORE_S = 0.3  # time before phase TOUCHDOWN, s: a gust may press the vehicle onto the pad before that phase
-AFTER_S = 1.0  # time after it, s: with the paper's rule the vehicle falls the last centimetres
+AFTER_S = 1.0  # time after phase TOUCHDOWN, s: with the paper's rule the vehicle falls the last centimetres
 MEMORY_S = 0.15  # time before a contact from which the sink rate is computed, s
-STOPPED_SHARE = 0.5  # share of the median sink rate before; below it the descent has stopped
-STAYS_S = 0.05  # time that the mean remains below it, s; a single noisy sample does not count
+STOPPED_SHARE = 0.5  # share of the earlier median sink rate; below it the descent has stopped
+STAYS_S = 0.05  # time that the mean must remain below this share, s; a single noisy sample does not count
 SINK_MIN_M_S = 0.05  # slowest descent whose end can be detected, m/s
 # share of the highest sink rate then: the last step above it was before the contact. A smaller share includes
 # steps of a lagging state (0.03 s at 50 Hz: 0.10 m/s too slow with 0.85, 0.03 m/s with 0.95)

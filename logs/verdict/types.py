@@ -27,7 +27,7 @@ BELOW_ON_PAD = (
     "lowest h may be below 0 over the pad, where it does not count: beside the landing spot the boundary is "
     "higher than the reference point of a vehicle that stands on the pad"
 )
-_SAID_WITHIN_S = 0.1  # greatest time, s, between an event and its tick, including a margin for another clock
+_SAID_WITHIN_S = 0.1  # greatest time between an event and its tick, s, including a margin for another clock
 
 
 class JudgedSteps(Protocol):

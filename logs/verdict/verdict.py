@@ -132,18 +132,18 @@ class Near(Protocol):
     def distance_min_m(self) -> float: ...  # distance of the centres of mass; infinite: none yet
 
     @property
-    def ellipsoid_min(self) -> float: ...  # in the ellipsoid's measure while both flew; infinite: never
+    def ellipsoid_min(self) -> float: ...  # smallest distance in the ellipsoid's measure; infinite: never
 
     @property
-    def violations(self) -> int: ...  # times inside the ellipsoid
+    def violations(self) -> int: ...  # number of times inside the ellipsoid
 
     @property
-    def collided_ms(self) -> int | None: ...  # first overlap of their shapes; None or negative: never
+    def collided_ms(self) -> int | None: ...  # first overlap of their shapes; None or negative: no overlap
 
 
 @dataclass(frozen=True, slots=True)
 class FleetVerdict:
-    """Verdict on a fleet."""
+    """Verdict on a fleet from the verdicts of its members."""
 
     outcome: Outcome  # worst outcome of the members
     reason: str  # reason, as text

@@ -23,7 +23,7 @@ Corner = Literal["LeftTop", "RightTop", "RightBottom"]
 def blueprint(
     center_m: tuple[float, float, float], size_m: float, members: Sequence[str] = (), *, pairs: bool = False
 ) -> Any:
-    """Return the layout."""
+    """Return the layout of the viewer."""
     away_m = max(1.0, size_m)
     x, y, z = center_m
     eye = rrb.EyeControls3D(

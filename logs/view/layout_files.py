@@ -13,7 +13,7 @@ from logs.tools.file import new_file
 
 FOXGLOVE = "foxglove.json"
 NAMES = (FOXGLOVE, "plotjuggler.xml")
-_OF_TARGET = frozenset({"frame:target", "frame:target_pad"})  # in a fleet each member has its own
+_OF_TARGET = frozenset({"frame:target", "frame:target_pad"})  # frames of each member in a fleet
 SHIPPED_NAMESPACE = "cf1"  # namespace of the files in this package
 
 
@@ -58,7 +58,7 @@ def write_layouts(log: Path, folder: Path, member: str | None = None, *, force: 
                 texts[f"{stem}_{each}{dot}{ending}"] = fleet_layout(name, each, members)
     else:
         space = opened.metadata().get("onboard", {}).get("namespace", SHIPPED_NAMESPACE).strip("/")
-        if not re.fullmatch(r"[A-Za-z0-9_./-]+", space):  # it becomes a part of XML and JSON
+        if not re.fullmatch(r"[A-Za-z0-9_./-]+", space):  # the name becomes a part of XML and JSON
             raise ValueError(f"{log}: found a namespace {space!r}; allowed are A-Z a-z 0-9 _ . / -")
         texts = {name: layout(name, space) for name in NAMES}
     written = []

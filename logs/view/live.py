@@ -26,8 +26,8 @@ from logs.view.view import draw, viewer_program
 NATIVE, WEB = "native", "web"
 ENDING = ".rrd"
 SIZE_M = 3.0  # initial extent of the scene, m, before any path is known
-VIEWER_TIME_MAX_S = 2.0  # longest wait for the viewer, s; then the flight starts without it
-FLUSH_TIME_MAX_S = 2.0  # time for a viewer to receive the last rows, s; a blocked one misses them
+VIEWER_TIME_MAX_S = 2.0  # longest wait for the viewer, s; then the flight starts without a viewer
+FLUSH_TIME_MAX_S = 2.0  # time for a viewer to receive the last rows, s; a blocked viewer misses them
 MEMORY_LIMIT = "512MB"  # limit of viewer and server each; the oldest data are dropped first
 
 
@@ -61,7 +61,7 @@ class LiveRecording:
     def add(
         self, steps: Sequence[ControllerStepRow], timings: Sequence[LoopTimingRow], reason: str = ""
     ) -> None:
-        """Draw the next rows."""
+        """Draw the next rows of the flight."""
         if not steps:
             return
         if self._canvas is None:

@@ -43,7 +43,7 @@ VELOCITIES = (
 
 LINE_PERIOD_S = 0.1  # time between two updates of the lines between vehicles
 NEAR = 3.0  # limit in the ellipsoid's measure; a line connects two nearer vehicles in flight
-WARN = 1.5  # limit in the ellipsoid's measure; below it the line is orange, inside the ellipsoid red
+WARN = 1.5  # limit in the ellipsoid's measure; a line below it is orange, inside the ellipsoid red
 PAIR_LINE_RADIUS_M = 0.003
 FAR_COLOR: Color = (0.6, 0.6, 0.6, 1.0)
 WARN_COLOR: Color = (0.9, 0.6, 0.0, 1.0)
@@ -77,7 +77,7 @@ def scene(canvas: Canvas, flight: Flight) -> None:
             labels=[canvas.member] if canvas.member else None,
         ),
     )  # fmt: skip
-    if "ellipsoid_xy_m" in run and "ellipsoid_z_m" in run:  # two of them touch at the limit
+    if "ellipsoid_xy_m" in run and "ellipsoid_z_m" in run:  # two such ellipsoids touch at the distance limit
         beside_m, above_m = 0.5 * float(run["ellipsoid_xy_m"]), 0.5 * float(run["ellipsoid_z_m"])
         canvas.style(
             f"{WORLD}/vehicle/ellipsoid",

@@ -94,7 +94,7 @@ def open_viewer(recording: Path, *, web: bool) -> int:
     """Show an ``.rrd`` file in Rerun until it is closed; return the exit status."""
     program = viewer_program()
     # Rerun itself would listen on every network; the flight is shown only on this machine.
-    serving = ["--serve-web", "--port", "auto", "--web-viewer-port", "0"] if web else []  # free ports
+    serving = ["--serve-web", "--port", "auto", "--web-viewer-port", "0"] if web else []  # with free ports
     return subprocess.run([program, str(recording), "--bind", "127.0.0.1", *serving], check=False).returncode
 
 

@@ -23,7 +23,7 @@ from bridge.mavlink.signing import SigningKey
 from flightstack.core.safety.gate import ApprovedSetpoint
 from flightstack.core.types import Landed, OwnState, Request
 
-COMPONENT_ID = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
+COMPONENT_ID = 191  # component id MAV_COMP_ID_ONBOARD_COMPUTER
 _HEARTBEAT_S = 1.0  # period, s; every autopilot monitors a link by heartbeats of 1 Hz
 _HELLO_S = 0.2  # wall time between heartbeats before the first message of the vehicle, s
 _LANDED_STATE_HZ = 5.0  # requested rate; the default of PX4
@@ -60,7 +60,7 @@ class VehicleLink:
         line: LinePlan | None = None,
         power: bool = False,
     ) -> None:
-        """Open the link.
+        """Open the link to the vehicle.
 
         ``takeoff_height_m``: climb of ``Request.TAKEOFF``; ``rate_hz``: rate of the loop, requested for
         position and attitude; ``profile`` None: the first heartbeat selects it; ``defer_timesync``: lockstep,
@@ -162,7 +162,7 @@ class VehicleLink:
     def command(self, request: Request, now_s: float) -> None:
         """Send the commands of a request; called every tick with the current one."""
         if self._requests is None:
-            if request is Request.MOTORS_OFF:  # equal for all autopilots, so it is sent without a profile
+            if request is Request.MOTORS_OFF:  # the command is equal for all autopilots and needs no profile
                 self._outgoing += self._kill.step(request, None, now_s)
             return
         sequencer, _, origin = self._requests
@@ -300,7 +300,7 @@ class VehicleLink:
         del self._held[:surplus]
 
     def _handle(self, message: Message, arrival_s: float) -> None:
-        message_id: int = message.get_msgId()  # in STATUSTEXT, .id is a field
+        message_id: int = message.get_msgId()  # STATUSTEXT has a field named id, so .id cannot be used
         if self._requests is not None:
             self._requests.streams.seen(message_id)
         elif message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT:
@@ -332,7 +332,7 @@ class VehicleLink:
 
     def _on_timesync(self, message: Message, arrival_s: float) -> None:
         if message.tc1 != 0:
-            return  # this is a reply, not a request
+            return  # the message is a reply, not a request
         if self.defer_timesync:
             self._timesync_ns = message.ts1
         else:

@@ -28,8 +28,8 @@ _OTHERS_MAX = 8  # greatest number of other addresses; the oldest is replaced
 
 
 class Kind(NamedTuple):
-    type: int  # MAV_TYPE
-    autopilot: int  # MAV_AUTOPILOT
+    type: int  # MAV_TYPE number
+    autopilot: int  # MAV_AUTOPILOT number
 
     def __str__(self) -> str:
         return f"type {named('MAV_TYPE', self.type)}, autopilot {named('MAV_AUTOPILOT', self.autopilot)}"
@@ -61,8 +61,8 @@ class Senders:
     )
     _sequence: int = 0  # sequence number of the newest frame of the known sender
     _steady: int = 0  # frames of the known sender in a row without a gap
-    _number: int = -1  # sequence number of its newest frame that was not repeated
-    _newest: dict[tuple[int, int, int], None] = field(default_factory=dict)  # its newest frames, in order
+    _number: int = -1  # sequence number of the known sender's newest frame that was not repeated
+    _newest: dict[tuple[int, int, int], None] = field(default_factory=dict)  # newest frames, in order
     _others: dict[Peer, _Other] = field(default_factory=dict)
     _due: int = 1  # count of ignored frames at which the next notice is due
     _notices: list[str] = field(default_factory=list)

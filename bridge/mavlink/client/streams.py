@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.messages import Message
 
-_SET_MESSAGE_INTERVAL = 511  # MAV_CMD number
+_SET_MESSAGE_INTERVAL = 511  # MAV_CMD number of SET_MESSAGE_INTERVAL
 _CHECK_S = 1.0  # time over which a rate is measured, s
 _ENOUGH = 0.7  # sufficient share of the requested rate; loss and the autopilot's ticks reduce it
 _ROUNDING_S = 1e-6  # margin above the rounding error of a time, s
@@ -83,7 +83,7 @@ class StreamRequests:
         if stream.tries and elapsed_s < _CHECK_S:
             return False
         if stream.tries and stream.seen >= _ENOUGH * stream.rate_hz * elapsed_s:
-            stream.tries = 1  # the stream arrives; if it stops, it is requested again
+            stream.tries = 1  # the stream arrives; if it stops, requests start again
             stream.seen, stream.since_s = 0, now_s
             return False
         if stream.tries < (2 * _TRIES if stream.message_id in self._data_streams else _TRIES):
@@ -96,7 +96,7 @@ class StreamRequests:
     def _ask(self, stream: _Stream, now_s: float) -> Message:
         stream.tries += 1
         stream.seen, stream.since_s = 0, now_s
-        by_group = (stream.tries - 1) // _TRIES % 2 == 1  # alternate after _TRIES
+        by_group = (stream.tries - 1) // _TRIES % 2 == 1  # alternate the kind of request after _TRIES
         if by_group and stream.message_id in self._data_streams:
             group, rate_hz = self._data_streams[stream.message_id], round(stream.rate_hz)
             return dialect.MAVLink_request_data_stream_message(*self._target, group, rate_hz, 1)

@@ -67,7 +67,7 @@ _ESCAPED = re.compile(r"\\(.)")
 
 
 class _Enum(NamedTuple):
-    kind: str  # integer type
+    kind: str  # integer type of the enumeration
     is_bitfield: bool
     entries: dict[int, str]
 

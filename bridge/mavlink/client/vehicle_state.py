@@ -22,8 +22,8 @@ _REBOOT_S = 1.0  # limit, s; a boot clock that steps back further after a silenc
 # time for which rejected messages must agree, s: longer than the default of checks.own_age_max_s, so that the
 # vehicle state counts as lost in between
 _PROOF_S = 0.3
-_TICK_S = 0.1  # period of the slowest loop, s; messages are handled at its ticks
-_YAW_AGE_MAX_S = 0.5  # greatest time between a position and the attitude with its heading, s
+_TICK_S = 0.1  # period of the slowest loop, s; each loop handles messages only at its ticks
+_YAW_AGE_MAX_S = 0.5  # greatest time between a position and the attitude that gives the heading, s
 _LARGEST = 1e6  # limit in m and m/s; a larger number counts as corrupted
 _THROTTLE_AGE_MAX_S = 1.0  # maximum age of the throttle in VFR_HUD, s
 _VOLTAGE_UNKNOWN = 0xFFFF  # value in mV of an unknown voltage, MAVLink SYS_STATUS.voltage_battery
@@ -42,11 +42,11 @@ class Battery(NamedTuple):
 class StateCounters:
     """Numbers of rejected telemetry messages by reason."""
 
-    not_finite: int = 0  # NaN, infinite or implausibly large numbers
-    out_of_order: int = 0  # not newer than the newest message
-    ahead: int = 0  # time stamp in the future
-    without_yaw: int = 0  # position without a recent attitude
-    other_autopilot: int = 0  # heartbeat of an autopilot that is not configured, or of no multirotor
+    not_finite: int = 0  # messages with NaN, infinite or implausibly large numbers
+    out_of_order: int = 0  # messages that are not newer than the newest one
+    ahead: int = 0  # messages with a time stamp in the future
+    without_yaw: int = 0  # positions without a recent attitude
+    other_autopilot: int = 0  # heartbeats of an autopilot that is not configured, or of no multirotor
 
 
 class VehicleState:
@@ -125,7 +125,7 @@ class VehicleState:
 
     def update(self, message: Message, arrival_s: float) -> None:
         """Handle a message of the vehicle; ``arrival_s`` is on the stack's clock."""
-        handler = self._handlers.get(message.get_msgId())  # in STATUSTEXT, .id is a field
+        handler = self._handlers.get(message.get_msgId())  # a STATUSTEXT has a field named id
         if handler is not None:
             handler(message, arrival_s)
 
@@ -173,7 +173,7 @@ class VehicleState:
         self._beat_s = arrival_s
         self.autopilot, self.type, profile = m.autopilot, m.type, self.profile
         if profile is None or refusal(m.autopilot, m.type, profile) is not None:
-            self.counters.other_autopilot += 1  # its mode numbers have another meaning
+            self.counters.other_autopilot += 1  # the mode numbers of another autopilot have another meaning
             return
         armed = bool(m.base_mode & _ARMED)
         if not armed and not profile.stream_in_takeoff:
@@ -182,7 +182,7 @@ class VehicleState:
         self.status = VehicleStatus(arrival_s, armed, self._mode(), self._landed, self._ready)
 
     def _restart(self, arrival_s: float) -> None:
-        """Record a restart, or a silence long enough for one."""
+        """Handle a restart, or a silence that is long enough for a restart."""
         self.restarted_s, self.origin_known = arrival_s, False
 
     def _mode(self) -> Mode:

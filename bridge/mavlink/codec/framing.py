@@ -46,7 +46,7 @@ class FrameCounters:
     bad_crc: int = 0  # possible frames of a known message with a wrong checksum
     unknown_id: int = 0  # possible frames of an unknown message without confirmation
     unknown_frames: int = 0  # frames of unknown messages: recorded raw, not checked, not decoded
-    version_1: int = 0  # valid MAVLink 1 frames, rejected: they cannot be signed
+    version_1: int = 0  # valid MAVLink 1 frames; they are rejected because MAVLink 1 has no signatures
     undecodable: int = 0  # frames with a correct checksum and an invalid payload
 
 

@@ -67,7 +67,7 @@ def decode(frame: bytes) -> Message:
     else:
         message = layout.make(*[_field(values, first, stop) for first, stop in layout.fields])
     message._msgbuf = bytearray(frame)
-    message._payload = message._msgbuf[6:end]  # as in pymavlink, whose offset is that of a version 1 header
+    message._payload = message._msgbuf[6:end]  # as in pymavlink, whose offset fits a version 1 header
     message._crc = frame[end] | frame[end + 1] << 8
     message._header = dialect.MAVLink_header(id_, incompat, compat, length, sequence, system, component)
     return message
@@ -105,7 +105,7 @@ def _wire_kinds(cls: Any) -> list[str]:
 _LAYOUTS: dict[int, _Layout] = {id_: _layout(cls) for id_, cls in MESSAGES.items()}
 
 _MARKER = b"\xfd"
-_HEAD = struct.Struct("6B").pack  # length, flags, sequence, sender
+_HEAD = struct.Struct("6B").pack  # length, two flag bytes, sequence number, system id, component id
 _ZERO = b"\x00"
 
 Payload = Callable[[Message], bytes]
@@ -118,7 +118,7 @@ def pack(message: Message, sequence: int, system_id: int, component_id: int) -> 
     """
     id_bytes, extra, payload_of = _PACKERS[message._header.msgId]
     payload = payload_of(message)
-    if payload[-1] == 0:  # trailing zeros are omitted, except for the first byte
+    if payload[-1] == 0:  # trailing zeros are omitted, but the first byte is always sent
         payload = payload.rstrip(_ZERO) or _ZERO
     body = _HEAD(len(payload), 0, 0, sequence, system_id, component_id) + id_bytes + payload
     frame: bytes = _MARKER + body + checksum(body + extra).to_bytes(2, "little")

@@ -43,7 +43,7 @@ _READ_MAX_S = 30.0  # time limit of the check after the first message of the veh
 _AT_ONCE = 5  # number of pending requests; a radio has a small buffer
 _READ_PERIOD_S = 0.4  # time between two tries, s; PX4 and ArduPilot reply within 0.05 s on a wire
 _READ_TRIES = 5
-_READ_TRIES_LOSSY = 15  # number of tries after a lost reply: a busy line of 57,600 baud loses most of them
+_READ_TRIES_LOSSY = 15  # number of tries after a lost reply: a busy line of 57,600 baud loses most replies
 _FLOAT = struct.Struct("<f")
 # Layout of the float field that carries an integer bytewise.
 _BYTES: Mapping[int, struct.Struct] = {

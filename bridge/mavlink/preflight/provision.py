@@ -17,7 +17,7 @@ from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.signing import EPOCH_NS, KEY_BYTES, TICK_NS, SigningKey
 from bridge.mavlink.transport.address import Peer, is_local, parse_url, resolve
 
-_COMPONENT_ID = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
+_COMPONENT_ID = 191  # component id MAV_COMP_ID_ONBOARD_COMPUTER
 _PERIOD_S = 0.5  # time between two tries, s
 _TRIES = 12
 _SLICE_S = 0.02  # time between two polls, s
@@ -46,7 +46,7 @@ def provision(url: str, system_id: int, key: SigningKey, *, remove: bool, wait_s
 class _Provision:
     def __init__(self, endpoint: Endpoint, system_id: int, *, remove: bool) -> None:
         self._endpoint, self._target, self._remove = endpoint, (system_id, 1), remove
-        self._heartbeat: tuple[Peer, bool] | None = None  # sender; armed
+        self._heartbeat: tuple[Peer, bool] | None = None  # sender; whether the vehicle is armed
         self._said_s = -math.inf
 
     def run(self, key: SigningKey, wait_s: float) -> str | None:

@@ -50,7 +50,7 @@ class Severity(Enum):
     UNSAFE = "unsafe"  # the vehicle is not armed, unless the operator accepts the name
     NOTE = "note"  # information for the operator
     INFO = "info"  # the vehicle could perform better
-    IGNORED = "ignored"  # for a missing value that not every vehicle has
+    IGNORED = "ignored"  # the missing value is ignored, since not every vehicle has it
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,15 +84,15 @@ class Rule:
     Numbers have the rule's unit: a parameter's value times the ``scale`` of its name.
     """
 
-    means: str  # this project's name of the setting, equal for all releases
+    means: str  # this project's name of the setting in all releases
     names: tuple[Name, ...]
     text: str  # consequence of another value
     severity: Severity = Severity.UNSAFE
     missing: Severity | None = None  # severity of a missing value; None: severity of the rule
-    profiles: tuple[str, ...] = ()  # profiles of the file that have this rule; empty: all
+    profiles: tuple[str, ...] = ()  # profiles of the file that have this rule; empty: all profiles
     stops: tuple[str, ...] = ()  # values that stop the motors in the air and are always unsafe
     wanted: str = ""  # allowed values as text; {}: the number; empty: derived from the condition
-    # conditions
+    # conditions, of which exactly one is given
     low: float | Need | None = None  # smallest and greatest allowed value
     high: float | Need | None = None
     values: tuple[str, ...] = ()  # allowed whole numbers with their meaning, such as "4 (land)"
@@ -253,7 +253,7 @@ class Finding:
     wanted: str
     why: str
     means: str  # name of the setting over all releases
-    elsewhere: str  # name in other releases, with the value if it can be converted
+    elsewhere: str  # names in other releases, with the value where it can be converted
 
     @property
     def shown(self) -> str:

@@ -32,13 +32,13 @@ GROUND_STATIONS = frozenset({255, 245})
 class Right(Enum):
     """Senders that may send a command while one sender has control."""
 
-    ANYBODY = "anybody"  # for queries, telemetry, landing: they change nothing or increase safety
-    OWNER = "owner"  # for commands that change the motion of the vehicle
-    OWNER_OR_GROUND = "owner or ground station"  # for motors off in an emergency
+    ANYBODY = "anybody"  # right to queries, telemetry and landing, which change nothing or increase safety
+    OWNER = "owner"  # right to commands that change the motion of the vehicle
+    OWNER_OR_GROUND = "owner or ground station"  # right to stop the motors in an emergency
 
 
 class Battery(NamedTuple):
-    """Battery with one cell."""
+    """Voltage and charge of a battery with one cell."""
 
     voltage_v: float
     percent: int  # remaining charge; -1: unknown
@@ -56,7 +56,7 @@ class Commander(ABC):
         self.home_enu_m: Vec3 = ZERO
         self.takeoff_z_m = 0.0  # local height of the next or present take-off
         self._owner: Sender | None = (
-            None  # sender that has control; it loses control when its set-points stop
+            None  # sender in control; it loses control when its set-points stop
         )
         self._setpoint_s = -math.inf  # time of the newest set-point of the sender in control
 
@@ -127,7 +127,7 @@ class Commander(ABC):
 
     @property
     def landed_state(self) -> int:
-        """MAV_LANDED_STATE."""
+        """MAV_LANDED_STATE of the vehicle."""
         return int(dialect.MAV_LANDED_STATE_ON_GROUND) if self.standing else AIRBORNE_STATE[self.mode]
 
     def forbids(self, sender: Sender, right: Right, now_s: float) -> str | None:

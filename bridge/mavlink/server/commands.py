@@ -66,7 +66,7 @@ class Answer(NamedTuple):
     result: int = ACCEPTED  # MAV_RESULT number
     reason: str | None = None  # reason of a refusal
     messages: tuple[Message, ...] = ()  # messages for the sender after the acknowledgement
-    later: bool = False  # the result is not known yet; ``Commands.finish`` sends it
+    later: bool = False  # the result is not known yet; ``Commands.finish`` sends the acknowledgement
 
 
 class Reply(NamedTuple):
@@ -84,7 +84,7 @@ def answer(reason: str | None, result: int = REJECTED) -> Answer:
 class Entry(NamedTuple):
     run: Callable[[Command], Answer]
     right: Right  # senders that may send it while one of them has control
-    place: bool = False  # it has a position or height, so the frame of COMMAND_INT matters
+    place: bool = False  # the command has a position or height, so the frame of COMMAND_INT matters
     right_of: Callable[[Command], Right] | None = None  # used if the right depends on the parameters
 
 
@@ -274,4 +274,4 @@ def _right_to_arm(command: Command) -> Right:
 
 
 def _no_stream(message_id: int | None) -> Answer:
-    return Answer(FAILED, f"Message {message_id} has no rate to set")  # as in PX4, including HEARTBEAT
+    return Answer(FAILED, f"Message {message_id} has no rate to set")  # as in PX4, also for HEARTBEAT

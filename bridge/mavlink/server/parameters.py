@@ -26,7 +26,7 @@ NOT_NOW = dialect.MAV_PARAM_ERROR_PERMISSION_DENIED
 class Parameter:
     """One parameter: default, allowed range (including both ends), and whether it may change in flight."""
 
-    name: str  # at most 16 characters
+    name: str  # name of at most 16 characters
     type: int  # MAV_PARAM_TYPE; PX4 has only INT32 and REAL32
     default: float
     low: float
@@ -41,7 +41,7 @@ class Parameter:
         return f"{self.low:g} to {self.high:g}" if self.low < self.high else f"{self.low:g}"
 
     def accepts(self, value: float) -> bool:
-        # In single precision the ends of a range need a tolerance.
+        # Single precision rounds the ends of a range, so a tolerance is needed.
         slack = 1e-6 * max(1.0, abs(self.low), abs(self.high))
         if not (math.isfinite(value) and self.low - slack <= value <= self.high + slack):
             return False
@@ -66,7 +66,7 @@ def fixed(name: str, value: float, type_: int = INT32) -> Parameter:
 
 
 class Refused(NamedTuple):
-    """A rejected write."""
+    """Reason and error number of a write that was rejected."""
 
     error: int  # MAV_PARAM_ERROR number
     reason: str

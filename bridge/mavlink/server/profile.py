@@ -42,7 +42,7 @@ _AUTO = 1 | 4 | 8 | 16  # custom, auto, guided, stabilised (PX4 streams/HEARTBEA
 _EXTERNAL = 1 | 16  # custom, stabilised: PX4's offboard is not an auto mode
 
 PX4_CODES: Mapping[FlightMode, Code] = {
-    FlightMode.HOLD: Code(4, 3, _AUTO),  # AUTO.LOITER
+    FlightMode.HOLD: Code(4, 3, _AUTO),  # PX4's name: AUTO.LOITER
     FlightMode.TAKEOFF: Code(4, 2, _AUTO),
     FlightMode.LAND: Code(4, 6, _AUTO),
     FlightMode.OFFBOARD: Code(6, 0, _EXTERNAL),

@@ -52,7 +52,7 @@ class Server(ABC, Generic[V]):
             dialect.MAVLINK_MSG_ID_HEARTBEAT: heartbeat,
             dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION: autopilot_version,
         }
-        self.messages = frozenset(requestable)  # message ids
+        self.messages = frozenset(requestable)  # ids of the messages that clients may request
         self.commands = Commands(vehicle, self.streams, requestable, self.snapshot, self.own_commands())
         self._handlers: dict[int, Handler] = {
             dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: self.on_setpoint,
@@ -70,7 +70,7 @@ class Server(ABC, Generic[V]):
         self._texts_to_log: list[Text] = []
         self._wire = TextWire()
 
-    # For subclasses
+    # Methods that subclasses implement or extend
 
     @abstractmethod
     def snapshot(self, now_s: float) -> Snapshot[V] | None:
@@ -100,7 +100,7 @@ class Server(ABC, Generic[V]):
     def boot_ns(self, now_s: float) -> int | None:
         return round(now_s * 1e9)
 
-    # Called by the process
+    # Methods that the process calls
 
     def handle(self, message: Message, sender: Sender, now_s: float) -> list[Message]:
         """Handle a message with a valid checksum; its content may be wrong. Return the replies."""
@@ -198,7 +198,7 @@ class Server(ABC, Generic[V]):
         return []
 
     def on_command(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        """Handle COMMAND_LONG and COMMAND_INT."""
+        """Handle COMMAND_LONG and COMMAND_INT messages."""
         if message.target_system == 0 and message.command not in _BROADCAST:
             return []
         return self.commands.run(message, sender, now_s)

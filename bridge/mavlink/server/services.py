@@ -108,7 +108,7 @@ def _parameter_error(name: bytes, index: int, error: int, sender: Sender) -> Mes
 
 def _ping(message: Any, sender: Sender, _now_s: float) -> list[Message]:
     if message.target_system != 0 or message.target_component != 0:
-        return []  # this message is a reply
+        return []  # the message is a reply, not a request
     return [dialect.MAVLink_ping_message(message.time_usec, message.seq, *sender[:2])]
 
 

@@ -11,8 +11,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.frames import enu_from_ned, flu_from_frd, quaternion_from_yaw, world_from_body, yaw_enu_from_ned
 from flightstack.core.types import Vec3
 
-SPEED_MAX_M_S = 5.0  # limit, m/s; far above the commands of any controller of this stack
-YAW_RATE_MAX_RAD_S = 6.0  # limit, rad/s
+SPEED_MAX_M_S = 5.0  # greatest accepted speed, m/s; far above the commands of any controller of this stack
+YAW_RATE_MAX_RAD_S = 6.0  # greatest accepted yaw rate, rad/s
 
 # POSITION_TARGET_TYPEMASK: a set bit means "ignore". Bit 9 concerns the acceleration, which is unused.
 _POSITION = 0b000000111
@@ -60,7 +60,7 @@ def read_setpoint(message: Any, yaw_rad: Callable[[], float | None]) -> Setpoint
             return "Set-point dropped: yaw not finite"
         return Setpoint(velocity, yaw_enu_from_ned(message.yaw), 0.0)
     if not mask & _YAW_RATE:
-        if not abs(message.yaw_rate) <= YAW_RATE_MAX_RAD_S:  # also rejects NaN
+        if not abs(message.yaw_rate) <= YAW_RATE_MAX_RAD_S:  # this form also rejects NaN
             return f"Set-point dropped: yaw rate above {YAW_RATE_MAX_RAD_S:g} rad/s"
         return Setpoint(velocity, None, -message.yaw_rate)
     return Setpoint(velocity, None, 0.0)

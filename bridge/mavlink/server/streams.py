@@ -11,7 +11,7 @@ from bridge.mavlink.server.profile import EVERY_TICK, ServerProfile
 from bridge.mavlink.server.telemetry import Builder, Snapshot, V
 
 _OFF = float("inf")
-_INTERVAL_MAX_S = 2000.0  # limit, s; MESSAGE_INTERVAL counts microseconds in 32 bits, up to 2147 s
+_INTERVAL_MAX_S = 2000.0  # longest interval, s; MESSAGE_INTERVAL counts microseconds in 32 bits, up to 2147 s
 
 
 @dataclass(slots=True)
@@ -20,7 +20,7 @@ class _Stream(Generic[V]):
     build: Builder[V]
     interval_s: float  # period; infinite: off
     due_s: float
-    passed_s: float = -_OFF  # time when it was sent last; at most once per tick
+    passed_s: float = -_OFF  # time when the message was sent last; it is sent at most once per tick
 
     def passes(self, now_s: float, limit_s: float) -> bool:
         """Whether it is due until ``limit_s``; if so, schedule it again one interval later."""
@@ -37,7 +37,7 @@ class Streams(Generic[V]):
     """Intervals of all messages, and the messages that are due."""
 
     def __init__(self, rate_hz: float, profile: ServerProfile) -> None:
-        """Set the default rates.
+        """Set the default rates of all messages.
 
         No request can raise a rate above ``rate_hz``. A datagram starts with attitude and position.
         """
@@ -132,7 +132,7 @@ class Streams(Generic[V]):
 
     def _passed(self, now_s: float) -> list[_Stream[V]]:
         """Return the due streams without those of every tick, and schedule them one interval later."""
-        limit_s = now_s + 0.5 * self._period_s  # nearer to this tick than to the next one
+        limit_s = now_s + 0.5 * self._period_s  # streams are sent at the tick nearest to their due time
         if self._lazy_due_s > limit_s:
             return []
         passed = [stream for stream in self._lazy if stream.passes(now_s, limit_s)]

@@ -28,7 +28,7 @@ class Texts:
     """Texts that wait to be sent: at most 64 events, and refusals at a limited rate."""
 
     def __init__(self) -> None:
-        self.waiting: list[Text] = []  # pending texts
+        self.waiting: list[Text] = []  # texts that wait to be sent
         self._said_s: dict[str, float] = {}
         self._credit = float(_BURST)
         self._credit_s = -math.inf

@@ -121,7 +121,7 @@ class ByteStream:
                 return True
             if writable:
                 self._write()
-                if self._waiting_bytes:  # the slow line accepts bytes; this avoids a busy loop
+                if self._waiting_bytes:  # wait while the slow line accepts bytes, to avoid a busy loop
                     time.sleep(min(left_s, 0.001))
             if time.monotonic() >= until_s:
                 return False

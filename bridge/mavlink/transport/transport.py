@@ -24,10 +24,10 @@ _PASSED = ("received", "sent", "bytes_in", "bytes_out", "unknown_frames", "stale
 class EndpointCounters(FrameCounters):
     """Counters of one endpoint, one for each reason to drop data."""
 
-    received: int = 0  # decoded frames
-    sent: int = 0  # frames passed to the socket, once per peer
-    bytes_in: int = 0  # received bytes
-    bytes_out: int = 0  # sent bytes
+    received: int = 0  # number of decoded frames
+    sent: int = 0  # number of frames passed to the socket, once per peer
+    bytes_in: int = 0  # number of received bytes
+    bytes_out: int = 0  # number of sent bytes
     send_errors: int = 0  # datagrams rejected by the system, and frames without a connection
     outgoing_full: int = 0  # serial and TCP: frames dropped because the buffer is full
     connections_lost: int = 0  # serial and TCP: lost connections
@@ -127,7 +127,7 @@ class DatagramTransport:
             try:
                 self._counters.bytes_out += self._socket.sendto(datagram, peer)
             except ConnectionRefusedError:
-                continue  # an earlier datagram had no receiver; this one was not sent
+                continue  # the error belongs to an earlier datagram without a receiver; send this one again
             except OSError:  # full buffer or no route: a newer frame follows in the next tick
                 self._counters.send_errors += 1
             return
