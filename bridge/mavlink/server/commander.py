@@ -55,9 +55,7 @@ class Commander(ABC):
         self.texts = Texts()
         self.home_enu_m: Vec3 = ZERO
         self.takeoff_z_m = 0.0  # local height of the next or present take-off
-        self._owner: Sender | None = (
-            None  # sender in control; it loses control when its set-points stop
-        )
+        self._owner: Sender | None = None  # sender in control; it loses control when its set-points stop
         self._setpoint_s = -math.inf  # time of the newest set-point of the sender in control
 
     @property
