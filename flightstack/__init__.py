@@ -1,6 +1,6 @@
 """A flight stack that lands a quadrotor on a moving target: ``import flightstack as fs``.
 
-What is listed here is public (docs/reference/python.md). Nothing is imported before it is used.
+The names below are the public interface (docs/reference/python.md). Each one is imported at its first use.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _HOME = {
 }
 __all__ = sorted(_HOME)
 
-# extra of the package that has a module
+# extra of the package that provides a module
 _EXTRAS = {
     "mujoco": "sim",
     "numba": "sim",
@@ -54,7 +54,7 @@ _EXTRAS = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name when it is first used."""
+    """Import a public name at its first use."""
     if name not in _HOME:
         raise AttributeError(f"module 'flightstack' has no attribute {name!r}; it has {', '.join(__all__)}")
     try:
@@ -78,5 +78,5 @@ def __dir__() -> list[str]:
 
 if (
     "gymnasium" in sys.modules
-):  # so that gymnasium.make knows the name; else ``flightstack.api.env`` registers
+):  # then gymnasium.make finds the name; else ``flightstack.api.env`` registers it
     sys.modules["gymnasium"].register("flightstack/Landing-v0", "flightstack.api.env:LandingEnv")

@@ -1,1 +1,1 @@
-"""The library behind ``import flightstack as fs``."""
+"""Library that ``import flightstack as fs`` provides."""

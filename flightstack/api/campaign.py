@@ -1,4 +1,4 @@
-"""Many seeded landings on all cores, of one scenario or of a grid of its keys; results as tables."""
+"""Campaigns of many seeded landings on all cores, of one scenario or a grid of its keys, as tables."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from sim.vehicle.declared import not_proven
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-_HIDDEN = ("cells",)  # columns of a row that are no result
+_HIDDEN = ("cells",)  # columns of a row that are not shown
 _RATES = ("landed", "violations")
 
 
@@ -42,9 +42,9 @@ class Campaign:
     """Landings of one scenario.
 
     Attributes:
-        rows: a row for each seed, by seed: outcome, violation, lowest h, touchdown error, times.
-        scenario: what was flown.
-        wall_s: wall time.
+        rows: one row for each seed, in their order: outcome, violation, lowest h, touchdown error, times.
+        scenario: scenario that was flown.
+        wall_s: wall time of the campaign.
     """
 
     rows: tuple[Row, ...]
@@ -53,12 +53,12 @@ class Campaign:
 
     @cached_property
     def table(self) -> Any:
-        """A DataFrame with a line for each seed, see ``frame``; lengths in m, times in s."""
+        """DataFrame with a line for each seed, see ``frame``; lengths in m, times in s."""
         return frame({f.name: [getattr(row, f.name) for row in self.rows] for f in _shown()})
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """Counts, bounds of the rates with 95 % confidence, quantiles, worst seeds."""
+        """Counts, 95 % confidence bounds of the rates, quantiles, worst seeds."""
         flown_s = sum(row.simulated_s or 0.0 for row in self.rows)
         return summary(self.rows, "fs.land(..., seed={seed})", wall_s=self.wall_s, flown_s=flown_s)
 
@@ -81,7 +81,7 @@ class Sweep:
 
     Attributes:
         keys: swept keys.
-        points: values of the keys, and the landings there.
+        points: values of the keys, with the landings at these values.
     """
 
     keys: tuple[str, ...]
@@ -89,13 +89,13 @@ class Sweep:
 
     @cached_property
     def table(self) -> Any:
-        """A DataFrame with a line for each point and seed: the swept keys, then as ``Campaign.table``."""
+        """DataFrame with a line for each point and seed: the swept keys, then those of ``Campaign.table``."""
         lines = [(values, row) for values, campaign in self.points for row in campaign.rows]
         swept = {key: [values[k] for values, _ in lines] for k, key in enumerate(self.keys)}
         return frame(swept | {f.name: [getattr(row, f.name) for _, row in lines] for f in _shown()})
 
     def rates(self) -> list[dict[str, Any]]:
-        """Values of the keys at each point, number of runs, share that landed, share with a violation."""
+        """Return keys, number of runs, landed share and violated share of each point."""
         found = []
         for values, campaign in self.points:
             rows, runs = campaign.rows, len(campaign.rows)
@@ -114,9 +114,9 @@ class Sweep:
         return "\n".join(("Sweep(", *lines, ")"))
 
     def plot(self) -> go.Figure:
-        """Figure of the shares that landed and that violated the barrier, over the first key.
+        """Return a figure of the shares of landings and of barrier violations over the first key.
 
-        The other keys give a line each.
+        Each combination of the other keys has its own line.
 
         Raises:
             ModuleNotFoundError: plotly is not installed.
@@ -143,21 +143,21 @@ def campaign(
     name: str | Path | Scenario = "lab", seeds: Iterable[int] = range(100), *, filter: FilterLike = None,
     changes: Changes | None = None, workers: int | None = None,
 ) -> Campaign:  # fmt: skip
-    """Fly many seeds of a scenario, of one vehicle or of several, with a progress bar.
+    """Fly many seeds of a scenario with one or several vehicles, with a progress bar.
 
-    A class of a notebook or of a function reaches workers by fork; where that is not safe (other threads, no
-    Linux) by cloudpickle, and where that is not installed its seeds are flown in this process.
+    Workers receive a class of a notebook or function by fork; if that is not safe (other threads, no Linux),
+    by cloudpickle; if that is not installed, this process flies the seeds.
 
     Args:
-        name: scenario by name, file or object.
+        name: name, file or object of the scenario.
         seeds: seeds to fly.
-        filter: ``"paper"``, ``"robust"``, ``MODULE:NAME``, or a class; None: the scenario's.
-        changes: keys of the scenario to change, see ``scenario``; of one vehicle only.
+        filter: ``"paper"``, ``"robust"``, ``MODULE:NAME``, or a class; None: that of the scenario.
+        changes: keys of the scenario to change, see ``scenario``; only for one vehicle.
         workers: number of processes; None: one for each core.
 
     Raises:
-        ConfigError: wrong scenario, key, value or filter, or one that must not fly.
-        WorkersError: no worker can be kept running.
+        ConfigError: a scenario, key, value or filter is wrong, or the configuration must not fly.
+        WorkersError: no worker keeps running.
     """
     team = _team(name, changes, filter)
     return _flown([((), team)], list(seeds), workers)[0][1]
@@ -169,20 +169,20 @@ def sweep(
 ) -> Sweep:  # fmt: skip
     """Fly the same seeds at each point of a grid of keys.
 
-    A landing is judged by the barrier that it flew, also where the grid changes its shape, unless a key of
+    Each landing is judged by the barrier that it flew, also if the grid changes its shape, unless a key of
     ``judge`` is changed, too.
 
     Args:
-        name: scenario of one vehicle.
+        name: name of a scenario of one vehicle.
         grid: values of each key, e.g. ``{"wind.mean_m_s": [0, 1]}``; all combinations are flown.
-        seeds: seeds, the same at each point.
-        filter: as of ``campaign``.
-        changes: keys that are changed at all points.
+        seeds: seeds to fly, the same at each point.
+        filter: as for ``campaign``.
+        changes: keys that have the same change at all points.
         workers: number of processes; None: one for each core.
 
     Raises:
-        ConfigError: wrong scenario, key, value or filter, or a point that must not fly.
-        WorkersError: no worker can be kept running.
+        ConfigError: a scenario, key, value or filter is wrong, or a point must not fly.
+        WorkersError: no worker keeps running.
     """
     if not grid or not all(len(values) for values in grid.values()):
         raise ConfigError(f"sweep: found {dict(grid)!r}; a key and values for it are needed")
@@ -198,7 +198,7 @@ def _shown() -> list[Any]:
 
 
 def _team(name: str | Path | Scenario, changes: Changes | None, filter: FilterLike) -> TeamScenario:
-    """Scenario of one vehicle or of several, which may fly."""
+    """Return a checked scenario of one vehicle or of several."""
     if name in names() or (isinstance(name, str | Path) and not changes and not load(name).is_alone):
         if changes:
             raise ConfigError(f"{name}: has several vehicles; changes are for scenarios of one vehicle")

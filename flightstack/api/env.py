@@ -1,8 +1,8 @@
-"""A Gymnasium environment: the agent chooses the nominal velocity of the landing, tick by tick.
+"""Gymnasium environment: the agent chooses the nominal velocity of the landing in each tick.
 
-The flight is that of ``fs.land``: the same simulator, autopilot, wires, phase machine, gate and verdict. It
-runs in a greenlet that stops where the stack asks for the nominal velocity, and continues with the agent's
-action.
+The flight is that of ``fs.land``: the same simulator, autopilot, connections, phase machine, gate and
+verdict. It runs in a greenlet that stops where the stack requests the nominal velocity, and continues with
+the agent's action.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from sim.runners.landing import warm_up
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.team import alone
 
-STEP_REWARD = -0.01  # of each tick
-# at the end, by outcome, and for a violation of the barrier
+STEP_REWARD = -0.01  # reward of each tick
+# rewards at the end, by outcome, and for a violation of the barrier
 END_REWARD = {Outcome.LANDED: 10.0, Outcome.CRASHED: -10.0}
 OTHER_END_REWARD, VIOLATION_REWARD = -5.0, -10.0
-_SPEED_FAR_M = 1e3  # bound of the observations, m and m/s
+_SPEED_FAR_M = 1e3  # bound of the observations, in m and m/s
 
 ENV_ID = "flightstack/Landing-v0"
 
@@ -43,30 +43,30 @@ _FILTERS = {None: "paper", "paper": "paper", "robust": "robust"}  # filter that 
 
 
 class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  # gymnasium is an extra
-    """A landing; a step is a tick of the controller (0.01 s) in the phases APPROACH and LAND.
+    """One landing; a step is a tick of the controller (0.01 s) in the phases APPROACH and LAND.
 
-    Take-off before, touchdown, go-around and aborts are flown by the stack between two steps, or in the last.
+    The stack flies take-off, touchdown, go-around and aborts itself, between two steps or in the last one.
 
     Observation, (13,), SI, ENU: position of the vehicle minus landing spot (3), velocity of the vehicle minus
     that of the landing spot (3), velocity of the landing spot (3), value of the paper's barrier (1), velocity
-    commanded in the last tick (3); positions in m, velocities in m/s, as the controller estimates them.
+    command of the last tick (3); positions in m, velocities in m/s, as the controller estimates them.
 
-    Action, (3,): nominal velocity of the vehicle, m/s ENU, within ``limits.velocity_max_m_s``. It is held to
-    limits and slew, with a ``filter`` also to the barrier.
+    Action, (3,): nominal velocity of the vehicle, m/s ENU, within ``limits.velocity_max_m_s``. The stack
+    limits it to box and slew rate and, with a ``filter``, to the barrier.
 
-    Reward: -0.01 each step, plus the decrease of the distance to the landing spot in m; at the end 10 for a
-    landing, -10 for a crash, -5 otherwise, and -10 if the barrier was violated.
+    Reward: -0.01 for each step, plus the decrease of the distance to the landing spot in m; at the end 10 for
+    a landing, -10 for a crash, -5 otherwise, and -10 if the barrier was violated.
 
     ``terminated``: the flight is over; ``truncated``: it took too long. The last ``info`` has ``verdict``,
-    ``outcome``, ``violation`` (None: not known), ``h_min_outside_pad_m`` and ``is_success``.
+    ``outcome``, ``violation`` (None: unknown), ``h_min_outside_pad_m`` and ``is_success``.
 
     Args:
-        scenario: scenario of one vehicle, by name, file or object.
-        filter: ``None``: none; ``"paper"``, ``"robust"``.
+        scenario: name, file or object of a scenario of one vehicle.
+        filter: ``None`` for no filter; ``"paper"`` or ``"robust"``.
         changes: keys of the scenario to change, see ``fs.scenario``.
 
     Raises:
-        ConfigError: wrong scenario, key or filter.
+        ConfigError: a scenario, key or filter is wrong.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
@@ -95,14 +95,14 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin the flight of a seed, and fly until the stack asks for a velocity.
+        """Start the flight of a seed, and fly until the stack requests a velocity.
 
         Args:
-            seed: of the flight, the same as of ``fs.land``; None: drawn.
-            options: not used.
+            seed: seed of the flight, as for ``fs.land``; None: a random seed.
+            options: unused.
 
         Raises:
-            RuntimeError: the flight ended before the landing began.
+            RuntimeError: the flight ended before the landing started.
         """
         super().reset(seed=seed, options=options)
         self.close()
@@ -119,14 +119,14 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         return self._observed(at), {"seed": flown}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Fly with this velocity until the stack asks for the next one, or the flight is over.
+        """Fly with this velocity until the stack requests the next one, or the flight is over.
 
         Args:
-            action: (3,) m/s ENU.
+            action: nominal velocity, (3,), m/s ENU.
 
         Raises:
             RuntimeError: ``reset`` was not called, or the flight is over.
-            ValueError: not three finite numbers.
+            ValueError: the action is not three finite numbers.
         """
         flight, companion = self._flight, self._companion
         if flight is None or companion is None:
@@ -148,15 +148,15 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         return self._seen, STEP_REWARD + reward, not late, late, _info(verdict)
 
     def builtin_action(self) -> np.ndarray:
-        """The nominal velocity that the stack itself would choose in this tick, m/s ENU, (3,).
+        """Return the nominal velocity that the stack itself would choose in this tick, m/s ENU, (3,).
 
-        It may exceed the action space; flown in each step it gives the flight of ``fs.land``, bit by bit.
+        It may exceed the action space. Flown in each step, it gives the flight of ``fs.land``, bit by bit.
         """
         return np.array(self._builtin)
 
     @property
     def truth(self) -> Truth:
-        """True states of the flight that is over, as ``Landing.truth``.
+        """True states of the flight that is over, as in ``Landing.truth``.
 
         Raises:
             RuntimeError: no flight is over.
@@ -172,7 +172,7 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
             flight.throw()  # GreenletExit
 
     def _ask(self, at: Relative, own: Vec3) -> Vec3:
-        """Stop the flight until the agent has chosen."""
+        """Stop the flight until the agent has chosen a velocity."""
         self._builtin = own
         flight = self._flight
         assert flight is not None
@@ -193,15 +193,15 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
 def make_env(
     name: str | Path | Scenario = "lab", filter: str | None = None, changes: Changes | None = None
 ) -> LandingEnv:
-    """Environment of a scenario; arguments and spaces as of ``LandingEnv``.
+    """Return the environment of a scenario; arguments and spaces are those of ``LandingEnv``.
 
     Args:
-        name: scenario of one vehicle, by name, file or object.
-        filter: ``None``: none; ``"paper"``, ``"robust"``.
+        name: name, file or object of a scenario of one vehicle.
+        filter: ``None`` for no filter; ``"paper"`` or ``"robust"``.
         changes: keys of the scenario to change, see ``scenario``.
 
     Raises:
-        ConfigError: wrong scenario, key or filter.
+        ConfigError: a scenario, key or filter is wrong.
     """
     return LandingEnv(name, filter, changes)
 
@@ -216,5 +216,5 @@ def _info(verdict: Verdict) -> dict[str, Any]:
     }
 
 
-if ENV_ID not in gymnasium.registry:  # ``import flightstack`` registers where Gymnasium was imported before
+if ENV_ID not in gymnasium.registry:  # ``import flightstack`` registers it if Gymnasium was imported before
     gymnasium.register(ENV_ID, "flightstack.api.env:LandingEnv")

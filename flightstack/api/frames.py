@@ -1,4 +1,4 @@
-"""Tables of columns: a pandas DataFrame, else polars', else a pyarrow Table, else a dict of arrays."""
+"""Conversion to tables: a pandas DataFrame, else one of polars, a pyarrow Table, or a dict of arrays."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ _AXES = {3: "xyz", 4: "xyzw"}
 
 
 def frame(columns: Any) -> Any:
-    """Table with a column for each array; an array (n, 3) becomes the columns ``_x``, ``_y``, ``_z``.
+    """Return a table with a column per array; an array (n, 3) becomes the columns ``_x``, ``_y``, ``_z``.
 
     Args:
         columns: arrays of a landing (``landing.log``, ``landing.truth``), a dict of arrays, or a list of
             dataclasses, each of which becomes a row.
 
     Returns:
-        A pandas DataFrame; without pandas one of polars, without it a ``pyarrow.Table``, else a dict.
+        A pandas DataFrame; without pandas one of polars; without both a ``pyarrow.Table``; else a dict.
 
     Raises:
-        TypeError: none of these.
+        TypeError: ``columns`` is none of these.
     """
     if isinstance(columns, list | tuple) and all(is_dataclass(row) for row in columns) and columns:
         columns = {f.name: [getattr(row, f.name) for row in columns] for f in fields(columns[0])}
@@ -49,7 +49,7 @@ def _made(flat: dict[str, Any]) -> Any:
         return pandas.DataFrame(flat)
     flat = {name: _plain(values) for name, values in flat.items()}
     if find_spec("polars") is not None:
-        return import_module("polars").DataFrame(flat)  # no extra of this package
+        return import_module("polars").DataFrame(flat)  # polars is no dependency of an extra
     if find_spec("pyarrow") is not None:
         import pyarrow
 
@@ -58,7 +58,7 @@ def _made(flat: dict[str, Any]) -> Any:
 
 
 def _plain(values: Any) -> Any:
-    """Values without enums, which arrow does not know."""
+    """Replace enums in a list by their values, since arrow has no enums."""
     if isinstance(values, list):
         return [each.value if isinstance(each, Enum) else each for each in values]
     return values

@@ -1,4 +1,4 @@
-"""A landing flown in this process, or read from a log: verdict, arrays, figure."""
+"""A landing that was flown in this process or read from a log: verdict, arrays, figure."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Landing:
-    """A landing.
+    """One landing.
 
     Attributes:
-        verdict: outcome (``landed``, ``crashed``, ``aborted``, ``timeout``), reason, lowest h, touchdown; by
-            the true states where they are known.
-        flight: everything that a log holds, as arrays.
-        seed: of all random draws; None for a log.
+        verdict: outcome (``landed``, ``crashed``, ``aborted``, ``timeout``), reason, lowest h, touchdown;
+        from the true states if they are known.
+        flight: all data of a log, as arrays.
+        seed: seed of all random draws; None for a log.
     """
 
     verdict: Verdict
@@ -43,7 +43,7 @@ class Landing:
     def log(self) -> Steps:
         """Controller steps, n of them: ``t_s``, ``h_m`` (n,), ``command_enu_m_s`` (n, 3), and more.
 
-        Raises:
+        ValueError: the log contains no steps.
             ValueError: the log holds none.
         """
         if self.flight.steps is None:
@@ -56,11 +56,11 @@ class Landing:
         return self.flight.truth
 
     def plot(self) -> go.Figure:
-        """Figure of the path relative to the landing spot, over the barrier.
+        """Return a figure of the path relative to the landing spot, over the barrier.
 
         Raises:
             ReportError: plotly is not installed.
-            ValueError: no tick knows both vehicle and target.
+            ValueError: no tick has the positions of both vehicle and target.
         """
         from logs.report.page import need_libraries
 
@@ -77,11 +77,11 @@ def read_log(path: Path | str, member: str | None = None) -> Landing:
     """Read and judge a flight log.
 
     Args:
-        path: of the log, ``flight.mcap``.
-        member: of a fleet; None in the log of one flight.
+        path: path of the log, ``flight.mcap``.
+        member: name of a fleet member; None for the log of one flight.
 
     Raises:
-        LogError: not a log, or no such member.
+        LogError: the file is no log, or there is no such member.
     """
     flight = load_flight(path, member)
     return Landing(judge(flight), flight)
@@ -94,14 +94,14 @@ def land(
     """Fly one landing in simulation, in this process, as ``flightstack sitl --lockstep`` does.
 
     Args:
-        name: scenario by name, file or object.
-        seed: of all random draws; the same seed gives the same landing to the last bit.
-        filter: ``"paper"``, ``"robust"``, ``MODULE:NAME``, or a class; None: the scenario's.
+        name: name, file or object of the scenario.
+        seed: seed of all random draws; the same seed gives the same landing to the last bit.
+        filter: ``"paper"``, ``"robust"``, ``MODULE:NAME``, or a class; None: that of the scenario.
         changes: keys of the scenario to change, see ``scenario``.
 
     Raises:
-        ConfigError: wrong scenario, key, value or filter.
-        RuntimeError: the simulation did not come to its end.
+        ConfigError: a scenario, key, value or filter is wrong.
+        RuntimeError: the simulation did not reach its end.
     """
     flown = scenario(name, changes, filter=filter)
     rows: list[ControllerStepRow] = []

@@ -1,4 +1,4 @@
-"""Scenarios for the library: by name, by file, or as an object, with single keys changed."""
+"""Scenarios for the library: by name, by file, or as an object, with changes of single keys."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ _PAD = ("onboard", "touchdown", "pad_radius_m")
 def scenario(
     name: str | Path | Scenario = "lab", changes: Changes | None = None, *, filter: FilterLike = None
 ) -> Scenario:
-    """Scenario of one vehicle, with some keys changed.
+    """Return a scenario of one vehicle, with changes of some keys.
 
     Args:
-        name: name of a scenario of the package, file, or scenario.
-        changes: values by key, e.g. ``{"wind.mean_m_s": 1.0, "barrier.omega_1_s": 0.7}``; keys of the
-            configuration that flies need no ``onboard.`` unless the scenario has a table of that name.
-        filter: ``"paper"``, ``"robust"``, ``MODULE:NAME`` or a class; None: the scenario's.
+        name: name of a packaged scenario, path of a file, or scenario object.
+        changes: values by key, e.g. ``{"wind.mean_m_s": 1.0, "barrier.omega_1_s": 0.7}``; keys of the flown
+        configuration need no ``onboard.`` unless the scenario has a table of that name.
+        filter: ``"paper"``, ``"robust"``, ``MODULE:NAME`` or a class; None: that of the scenario.
 
     Raises:
         ConfigError: unknown scenario or key, wrong unit or type, value out of range.
@@ -47,13 +47,13 @@ def scenario(
         for step in reversed(_path(key)):
             part = {step: part}
         table = over(table, part)
-    if _PAD not in map(_path, changes):  # it follows from the robot's
+    if _PAD not in map(_path, changes):  # the value follows from the robot's pad
         del table["onboard"]["touchdown"]["pad_radius_m"]
     return from_table(Scenario, one_pad(table))
 
 
 def filter_name(filter: str | type[Any]) -> str:
-    """Name of a filter in a configuration. Raises ConfigError: it is no filter."""
+    """Return the name of a filter in a configuration. Raises ConfigError: it is no filter."""
     name = filter if isinstance(filter, str) else give(filter)
     look_here(name)
     strategy_class(name)
@@ -61,7 +61,7 @@ def filter_name(filter: str | type[Any]) -> str:
 
 
 def _path(key: str) -> tuple[str, ...]:
-    """Tables and name of a key, from the scenario's root."""
+    """Return the table names and the key name, from the scenario's root."""
     if not isinstance(key, str):
         raise ConfigError(f"changes: found the key {key!r}, a text such as 'wind.mean_m_s' is needed")
     steps = tuple(key.split("."))
@@ -69,7 +69,7 @@ def _path(key: str) -> tuple[str, ...]:
 
 
 def _plain(value: Any) -> Any:
-    """Value as TOML has it: of numpy, too."""
+    """Return a value in the form that TOML has; numpy arrays become lists."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     return [_plain(each) for each in value] if isinstance(value, tuple | list) else value

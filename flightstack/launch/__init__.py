@@ -1,1 +1,1 @@
-"""Starts and supervises the processes of one flight, and prints its result."""
+"""Start and supervision of the processes of one flight, and its printed result."""

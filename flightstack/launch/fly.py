@@ -1,4 +1,4 @@
-"""One flight of ``fly``: starts recorder, onboard process and live view; vehicle and target run already."""
+"""One flight of ``fly``: start of recorder, onboard process and live view; vehicle and target run already."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def run(options: FlyOptions, console: Console) -> Flown:
             recorder.yield_to_others(10)
             known = {"config": name, "vehicle": options.vehicle_url, "target": options.target_key}
             describe(launcher.socket, Described(config, known))
-        # a client of a router cannot listen: the view would need a connection to that router, too
+        # a client of a router cannot listen, so the live view would need a connection to that router, too
         at = () if is_client(options.zenoh_config) else (launcher.endpoint(),)
         if options.view is not None:
             if not at:

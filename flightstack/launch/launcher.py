@@ -1,4 +1,4 @@
-"""The processes of one flight: started in order, watched with a live view, ended in order."""
+"""Processes of one flight: started in order, watched with a live view, ended in order."""
 
 from __future__ import annotations
 
@@ -35,45 +35,43 @@ from flightstack.watch.state import Watch
 
 NAMESPACE = "cf1"
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT, signal.SIGHUP)
-# s of wall time for the vehicle's own landing after the end of the onboard process, detection included
+# wall time for the autopilot's landing after the onboard process has ended, detection included, s
 LAND_ALONE_MAX_S = COMPANION_SILENT_S + 100.0
-LAND_MAX_S = (
-    30.0  # s for an onboard process that is asked to end in flight: it brings a real vehicle down first
-)
+LAND_MAX_S = 30.0  # time for an onboard process to end in flight: it lands a real vehicle first, s
 
 
 @dataclass(frozen=True)
 class Shown:
-    """The data of the live view."""
+    """Data for the live view."""
 
     endpoints: Sequence[str]  # Zenoh endpoints of the onboard processes
     title: str  # title of the view
-    namespaces: Sequence[str] = (NAMESPACE,)  # first parts of their keys
+    namespaces: Sequence[str] = (NAMESPACE,)  # first parts of the Zenoh keys of these processes
 
 
 @dataclass
 class Followed:
-    """An onboard process that is watched."""
+    """An onboard process that the launcher watches."""
 
     child: Child  # the process
-    name: str = ""  # prefix of its lines where there are several; empty: the only one
+    name: str = ""  # prefix of its lines if there are several processes; empty: only one
     last_line: str = ""  # newest line of the process
-    aborted: bool = False  # whether it aborted, so that the autopilot lands, or failed
+    aborted: bool = False  # whether it aborted or failed, so that the autopilot lands the vehicle
 
 
 class Launcher:
     """Context manager that owns the child processes and ends all of them on exit.
 
-    ``folder``: for the output of the children; ``tells``: whether the lines of the onboard process are shown;
-    ``real``: a real vehicle: Ctrl-C, SIGTERM and a closed terminal go to the onboard process, which lands the
-    vehicle; the run ends with that process.
+    ``folder``: folder for the output of the children; ``tells``: whether the lines of the onboard process are
+    shown; ``real``: real vehicle; Ctrl-C, SIGTERM and a closed terminal go to the onboard process, which
+    lands the vehicle; the run ends with that process.
     """
 
     def __init__(self, folder: Path, console: Console, *, tells: bool, real: bool = False) -> None:
         self.folder, self.console = folder, console
         # running processes of this flight, in the order in which they were started
         self.children: list[Running] = []
-        self.interrupted = False  # whether the operator asked for the end of the run
+        self.interrupted = False  # whether the operator requested the end of the run
         self._tells, self._real = tells, real
         # ports and numbers that are reserved until all children have ended
         self.reserved = contextlib.ExitStack()
@@ -85,7 +83,7 @@ class Launcher:
         return self
 
     def _take_over(self) -> None:
-        """Handle signals; before that they call the run off."""
+        """Handle signals from now on; before this call a signal cancels the run."""
         end = self._hand_on if self._real else self._interrupt
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, end)
@@ -96,7 +94,7 @@ class Launcher:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         del kind, error, trace
-        self._take_over()  # a second one does not leave children behind
+        self._take_over()  # so that a second signal leaves no children behind
         self.end_all()
         for number, handler in self._previous.items():
             signal.signal(number, handler)
@@ -105,21 +103,21 @@ class Launcher:
     def endpoint(self) -> str:
         """Return a Zenoh endpoint on loopback, on a port that is reserved for this flight.
 
-        Raises LaunchError: there is no free port.
+        Raises LaunchError: no port is free.
         """
         return self.reserved.enter_context(contextlib.closing(Port())).endpoint
 
     def udp_port(self) -> int:
         """Return the number of a UDP port of loopback that is reserved for this flight.
 
-        Raises LaunchError: there is no free port.
+        Raises LaunchError: no port is free.
         """
         return self.reserved.enter_context(contextlib.closing(Port(udp=True))).number
 
     def start(self, verb: str, options: object, of: str = "") -> Child:
-        """Start a verb of ``flightstack`` with the options of its process.
+        """Start a command of ``flightstack`` with the options of its process.
 
-        ``options``: dataclass of the verb's options; ``of``: vehicle of the process, where the verb runs
+        ``options``: dataclass of the command's options; ``of``: vehicle of the process, if the command runs
         several times.
         """
         child = Child(f"{verb}-{of}" if of else verb, [verb, *argv(options)], self.folder)
@@ -129,18 +127,18 @@ class Launcher:
     def record(self, log: Path) -> Child:
         """Start the recorder and wait until it listens at ``socket``.
 
-        Raises LaunchError: it did not start.
+        Raises LaunchError: the recorder did not start.
         """
         recorder = start_recorder(self.socket, log)
         self.children.append(recorder)
         return recorder
 
     def view(self, where: str, endpoint: str, config: Path, namespace: str = NAMESPACE) -> None:
-        """Start the view in 3-D and wait until it is ready. It only listens; the flight never waits for it.
+        """Start the 3-D view and wait until it is ready. It only subscribes; the flight never waits for it.
 
-        ``where``: of the option ``--view``; ``endpoint``: Zenoh endpoint of the onboard process; ``config``:
-        file with the configuration of the onboard process; ``namespace``: first part of its Zenoh keys.
-        Raises LaunchError: it did not start.
+        ``where``: value of the option ``--view``; ``endpoint``: Zenoh endpoint of the onboard process;
+        ``config``: configuration file of the onboard process; ``namespace``: first part of its Zenoh keys.
+        Raises LaunchError: the view did not start.
         """
         watch = self.start(
             "watch",
@@ -150,7 +148,7 @@ class Launcher:
         self.console.print(f"view: {shown_at}", style="dim", soft_wrap=True, markup=False)
 
     def end_all(self) -> None:
-        """End every child; the recorder ends last, so that the log holds the end of the others."""
+        """End every child; the recorder is last, so that the log contains the end of the others."""
         for child in reversed(self.children):
             child.end(self._end_max_s(child.name))
         self.children.clear()
@@ -172,7 +170,7 @@ class Launcher:
         """Watch until the onboard processes have ended; return the problem, or None.
 
         ``others``: processes that must outlive the flights; ``limit_s``: wall time after which the run is
-        given up; None: no limit; ``shown``: data of the live view; None: no view; ``teller``: process that
+        given up (None: no limit); ``shown``: data of the live view (None: no view); ``teller``: process that
         reports arming and disarming.
         """
         self._take_over()
@@ -201,7 +199,7 @@ class Launcher:
                     flying.remove(flight)
                     problem = self._ended(flight) or problem
                 for child in [c for c in others if not c.alive()]:
-                    # not needed for a safe end: the onboard process holds, climbs or lands away
+                    # a safe end does not need this process: the onboard process holds, climbs or flies clear
                     others.remove(child)
                     problem = f"{child.name} ended in flight: {child.errors()}"
                     self._print(problem, style="red")
@@ -219,7 +217,7 @@ class Launcher:
         return problem
 
     def _ended(self, flight: Followed) -> str | None:
-        """Handle the last lines of an ended onboard process; return the problem if it failed."""
+        """Handle the last lines of an onboard process that has ended; return the problem if it failed."""
         child = flight.child
         self._say(flight, child.lines(0.0))
         if child.process.returncode in (0, 1):
@@ -228,7 +226,7 @@ class Launcher:
             return None
         problem = f"{child.name} ended in flight: {child.errors()}"
         flight.aborted = True
-        if flight.name:  # the others fly on
+        if flight.name:  # the others continue to fly
             self._print(problem, style="red")
         return problem
 
@@ -237,7 +235,7 @@ class Launcher:
         self.interrupted = True
 
     def _hand_on(self, number: int, frame: FrameType | None) -> None:
-        """Pass a signal on to the onboard process, which handles it according to its phase."""
+        """Send a signal on to the onboard process, which handles it according to its phase."""
         del frame
         for child in self.children:
             if isinstance(child, Child) and child.name.startswith("onboard") and child.alive():
@@ -255,9 +253,9 @@ class Launcher:
         self.console.print(text, style=style, highlight=False, markup=False)
 
     def _let_it_land(self, teller: Child | None, until: float) -> None:
-        """Wait until the vehicles have landed by themselves after the onboard processes ended.
+        """Wait until the vehicles have landed by themselves after the onboard processes have ended.
 
-        Their output so far is unread; it shows at once a vehicle that never armed or stands already.
+        The unread output of ``teller`` shows at once a vehicle that never armed, or already stands.
         """
         until, armed = min(until, time.monotonic() + LAND_ALONE_MAX_S), set[str]()
         while teller is not None and teller.alive() and not self.interrupted and time.monotonic() < until:

@@ -1,4 +1,4 @@
-"""The result of a flight: judges its log, writes the report, prints a table or one JSON object."""
+"""Result of a flight: check of its log, report, and output as a table or one JSON object."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _ROWS = (
 
 
 def result_table(values: Mapping[str, Any], reason: str) -> Group:
-    """Return the values of ``logs.verdict.verdict.fleet_result`` as tables; "-" for what is not known."""
+    """Return the values of ``logs.verdict.verdict.fleet_result`` as tables; "-" is an unknown value."""
     if values.get("vehicles") is not None:
         return _fleet_table(values, reason)
     table = Table("result", Column("value", justify="right"), "unit")
@@ -50,7 +50,7 @@ def result_table(values: Mapping[str, Any], reason: str) -> Group:
 
 
 def _apart(vehicles: Iterable[Mapping[str, Any]]) -> list[Text]:
-    """Lines for flights outside the proven envelope, or judged by another barrier than the flown one."""
+    """Return lines about flights outside the proven envelope, or judged by another barrier than flown."""
     found = [
         each[key] and f"{label}{each[key]}"
         for key, label in (("outside_envelope", "outside the proven envelope: "), ("judged_apart", ""))
@@ -79,7 +79,7 @@ _FLEET_ROWS = (
 
 
 def _fleet_table(values: Mapping[str, Any], reason: str) -> Group:
-    """Of a member: the least h outside the pad, error and speeds at touchdown, time to land."""
+    """Return the tables of a fleet: for each member least h outside the pad, errors, speeds and times."""
     table = Table("vehicle", *(Column(name, justify="right") for name, _, _ in _MEMBER_COLUMNS))
     for member, each in values["vehicles"].items():
         table.add_row(Text(member), *(shown(each[key], factor) for _, key, factor in _MEMBER_COLUMNS))
@@ -97,7 +97,7 @@ def _title(values: Mapping[str, Any]) -> Text:
 
 
 def shown(value: object, factor: float = 1.0) -> str:
-    """Return a value of a result as text of a table."""
+    """Return a value of a result as text for a table."""
     return "-" if value is None else f"{value * factor:.3f}" if isinstance(value, float) else str(value)
 
 
@@ -110,19 +110,19 @@ _FLEET = (
 
 @dataclass(frozen=True)
 class Flown:
-    """What remains of a run: its log and its problems."""
+    """Data of a finished run: its log and its problems."""
 
-    about: Mapping[str, object]  # scenario, seed and filter: the first keys of ``--json``
+    about: Mapping[str, object]  # scenario, seed and filter: the first keys of the JSON output
     folder: Path
-    log: Path | None  # None: nothing was recorded
+    log: Path | None  # None: the run was not recorded
     wall_s: float  # wall time from the first tick to the end
-    flights: Sequence[Followed]  # onboard processes, one of each vehicle
-    problem: str | None  # a process that failed
-    interrupted: bool = False  # whether the operator ended it
+    flights: Sequence[Followed]  # onboard processes, one for each vehicle
+    problem: str | None  # error of a process; None: no error
+    interrupted: bool = False  # whether the operator ended the run
 
 
 def conclude(flown: Flown, console: Console, *, as_json: bool, with_report: bool) -> int:
-    """Judge a run, write its report, print the result; return the exit status: 0 landed, 1 anything else."""
+    """Judge a run, write its report, print the result; return the exit status: 0 landed, 1 any other end."""
     values = concluded(flown, with_report=with_report)
     if as_json:
         print(json.dumps(values))
@@ -138,14 +138,14 @@ def conclude(flown: Flown, console: Console, *, as_json: bool, with_report: bool
 
 
 def concluded(flown: Flown, *, with_report: bool) -> dict[str, Any]:
-    """Judge a run and write its report; the keys of ``--json``, ``None`` for what is not known.
+    """Judge a run and write its report; return the keys of ``--json``, with ``None`` for unknown values.
 
-    Without a log the outcome is the one that the onboard process reported, and nothing is measured.
+    Without a log, the outcome is that of the onboard process, and there are no measured values.
     """
     said = "; ".join(f"{each.name}: {each.last_line}".removeprefix(": ") for each in flown.flights)
     try:
         log = load_fleet(flown.log) if flown.log is not None else None
-    except LogError as error:  # a log that cannot be used
+    except LogError as error:  # the log cannot be used
         print(f"flightstack: no result: {flown.problem or said} {error}", file=sys.stderr)
         log = None
     if log is None:
@@ -163,7 +163,7 @@ def concluded(flown: Flown, *, with_report: bool) -> dict[str, Any]:
     if with_report:
         try:
             pages = write_report(log, verdict, flown.folder / "report.html")
-        except ReportError as error:  # the flight counts all the same
+        except ReportError as error:  # the flight remains valid
             print(f"flightstack: {error}", file=sys.stderr)
     times = [flight.steps.t_s for flight in log.flights.values() if flight.steps is not None]
     longest_s = max((float(t_s[-1] - t_s[0]) for t_s in times), default=None)

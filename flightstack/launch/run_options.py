@@ -1,4 +1,4 @@
-"""The options of ``flightstack sitl`` and ``flightstack fly``."""
+"""Options of ``flightstack sitl`` and ``flightstack fly``."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ _SIMULATED, _REAL = "works with the simulated vehicle only", "works with PX4 and
 
 
 class Flies(Enum):
-    """The autopilot that flies; the value is the option of ``sitl`` that names its program."""
+    """Autopilot that flies; the value is the option of ``sitl`` that names its program."""
 
-    OWN = ""  # the simulated vehicle with its own autopilot
+    OWN = ""  # simulated vehicle with its own autopilot
     PX4 = "--px4"  # PX4 on the simulated vehicle
     PX4_SIH = "--px4-sih"  # PX4 with its own physics
     ARDUPILOT = "--ardupilot"  # ArduCopter with its own physics
 
 
 def _members(given: tuple[str, ...]) -> Mapping[int, str]:
-    """Turn each N=URL into an entry of a table."""
+    """Convert each N=URL to an entry of a table."""
     found = {}
     for text in given:
         number, equals, url = text.partition("=")
@@ -42,7 +42,7 @@ def _program(flies: Flies, help: str) -> Option:
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
-    """One run, or several."""
+    """Options of one run, or of several."""
 
     filter: Annotated[str | None, shared.safety_filter("Safety filter; default: the configuration's")] = None
     config_file: Annotated[Path | None, shared.config(
@@ -90,7 +90,7 @@ class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
 
     @property
     def program(self) -> Path | None:
-        """Program of that autopilot."""
+        """Path of that program; None: no program is needed."""
         return self._programs.get(self.flies)
 
     @property
@@ -99,15 +99,15 @@ class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
         return not self.as_json and self.runs == 1
 
     def described(self) -> dict[str, str]:
-        """Values for the log; the scenario as it was flown has filter and configuration."""
+        """Return values for the log; the logged scenario already contains filter and configuration."""
         vehicle = self.flies.value.removeprefix("--")
         own = {"vehicle": vehicle, "program": self.program, "config": self.config_file}
         return {**{name: str(value) for name, value in own.items() if value}, **super().described()}
 
     def check(self, vehicles: int) -> None:
-        """Refuse options that cannot be combined with each other or with this number of vehicles.
+        """Reject options that cannot be combined with each other or with this number of vehicles.
 
-        Raises ConfigError: which options, and why.
+        Raises ConfigError: the text names the options and the reason.
         """
         if len(self._programs) > 1:
             raise ConfigError(
@@ -153,6 +153,6 @@ class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
 
 @dataclass(frozen=True, kw_only=True)
 class FlyOptions(shared.Result, FlightOptions):
-    """The options of ``flightstack fly``."""
+    """Options of ``flightstack fly``."""
 
     view: shared.View = None

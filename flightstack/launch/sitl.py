@@ -1,6 +1,6 @@
-"""A run of ``sitl``, or several: starts vehicles, robots, onboard processes and recorder, and watches them.
+"""One run of ``sitl``, or several: it starts and watches vehicles, robots, onboard processes and recorder.
 
-The ordinary run has one vehicle and one robot; its log, its files and its lines have no vehicle's name then.
+A run with one vehicle and one robot has no vehicle names in its log, its files and its lines.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ from sim.scenarios.scenario import Scenario
 from sim.scenarios.team import TeamScenario, load, path_of, text
 from sim.vehicle.declared import not_proven, outside
 
-GRACE_S = 60.0  # s of wall time beyond the scenario's duration before a run is given up
+GRACE_S = 60.0  # wall time beyond the scenario's duration after which a run is given up, s
 LOCKSTEP_SLOWEST = 0.05  # share of real time below which a lockstep run is given up
-RECORDER_YIELDS = 10  # steps of nice, shared by the vehicles: each of them is work for it
+RECORDER_YIELDS = 10  # nice value of the recorder, divided by the number of vehicles that send it data
 Row = Mapping[str, object]
 _COLUMNS = (
     ("seed", "seed"),
@@ -62,9 +62,9 @@ _COLUMNS = (
 
 
 def prepare(options: RunOptions) -> TeamScenario:
-    """Load and check the scenario, with the configuration for the chosen autopilot.
+    """Return the checked scenario, with the configuration for the chosen autopilot.
 
-    Raises ConfigError: it must not fly.
+    Raises ConfigError: the scenario must not fly.
     """
     team = load(options.scenario)
     for each in team.member:
@@ -111,8 +111,8 @@ def adapted(options: RunOptions, scenario: Scenario) -> Scenario:
 
 
 def _begun_as(scenario: Scenario, config: FlightConfig) -> FlightConfig:
-    """Use the scenario's start of the landing and its fleet, unless the configuration sets them."""
-    if config.fleet is None:  # the configuration of a member has its own
+    """Add the scenario's start of the landing and its fleet, unless the configuration sets them."""
+    if config.fleet is None:  # the configuration of a fleet member has its own table
         config = replace(config, fleet=scenario.onboard.fleet)
     if config.takeoff.start_offset_m is not None:
         return config
@@ -122,25 +122,25 @@ def _begun_as(scenario: Scenario, config: FlightConfig) -> FlightConfig:
 
 @dataclass(frozen=True)
 class _Vehicle:
-    """A vehicle of the run."""
+    """One vehicle of the run."""
 
     number: int  # number in the team, from 1
     names: Names  # names of its records in the log
     scenario: Scenario
     seed: int
     endpoint: str  # Zenoh endpoint of its onboard process
-    config: Path  # file of its onboard process
+    config: Path  # configuration file of its onboard process
 
     @property
     def space(self) -> str:
-        """Its namespace."""
+        """Namespace of the vehicle."""
         return member_name(self.number)
 
 
 def run(options: RunOptions, console: Console) -> Flown:
-    """Fly a scenario with processes of its own.
+    """Fly a scenario with a process for each part.
 
-    Raises ConfigError: wrong input; LaunchError: a process did not start.
+    Raises ConfigError: an input is wrong; LaunchError: a process did not start.
     """
     team = prepare(options)
     name = short_name(team.member[0].onboard.filter)
@@ -165,7 +165,7 @@ def _vehicles(launcher: Launcher, options: RunOptions, team: TeamScenario) -> li
 
 
 def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path) -> Flown:
-    """Start each process after those it connects to; then watch until all flights have ended."""
+    """Start each process after those to which it connects; then watch until all flights have ended."""
     vehicles = _vehicles(launcher, options, team)
     robots_at = launcher.endpoint()
     recorder = launcher.record(log)
@@ -185,7 +185,7 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
         )  # fmt: skip
         robots.append(launcher.start("target", plugged))
     loading: list[Child] = [*flying.pending, *robots]
-    if not options.lockstep:  # else the onboard process reports that nothing arrives from the vehicle
+    if not options.lockstep:  # in lockstep, the onboard process itself reports a missing vehicle
         for child in loading:
             child.wait_ready()
         loading = []
@@ -193,10 +193,10 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
         _start(launcher, options, each, vehicles, flying, robots_at, {**both, "lockstep": options.lockstep})
         for each in vehicles
     ]
-    for child in (*loading, *onboards):  # they load at once
+    for child in (*loading, *onboards):  # all of them load at the same time
         child.wait_ready()
     if not options.lockstep:
-        recorder.yield_to_others(RECORDER_YIELDS // len(vehicles))  # starved, it would lose records
+        recorder.yield_to_others(RECORDER_YIELDS // len(vehicles))  # without CPU time it would lose records
     for each in vehicles:
         space = f" --namespace {each.names.member}" if each.names.member else ""
         for endpoint in (each.endpoint, *options.listen):
@@ -218,7 +218,7 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
     )  # fmt: skip
     wall_s = time.monotonic() - started
     launcher.end_all()
-    problem = problem or end_recorder(recorder)  # it may end after the flight
+    problem = problem or end_recorder(recorder)  # the recorder may end after the flight
     about = {"scenario": team.name, "seed": options.seed, "filter": filters}
     return Flown(about, launcher.folder, log, wall_s, flights, problem, launcher.interrupted)
 
@@ -236,7 +236,7 @@ def _start(
     robots_at: str,
     both: Mapping[str, Any],
 ) -> Child:
-    """Start the onboard process of a vehicle; in real time each two are connected, by the later one."""
+    """Start the onboard process of a vehicle; in real time, each one connects to all earlier ones."""
     member = vehicle.names.member
     earlier = () if options.lockstep else vehicles[: vehicle.number - 1]
     own = {"system_id": vehicle.number, **flying.options[vehicle.number - 1]}
@@ -253,7 +253,7 @@ def _start(
 
 
 def _describe(recorder: Path, options: RunOptions, team: TeamScenario, vehicles: Sequence[_Vehicle]) -> None:
-    """Write into the log what was flown."""
+    """Write to the log what was flown."""
     source, alone = path_of(options.scenario).read_bytes(), team.is_alone
     flights = [
         Described(
@@ -284,7 +284,7 @@ def _about(options: RunOptions, scenario: Scenario | TeamScenario, seed: int) ->
 
 
 def _run_metadata(options: RunOptions, scenario: Scenario, seed: int) -> dict[str, str]:
-    """Return what the log says of the run of a scenario."""
+    """Return the log's metadata about the run of a scenario."""
     return {
         **_about(options, scenario, seed),
         "judge_alpha_1_m": repr(scenario.judged_by.alpha_1_m),
@@ -296,15 +296,15 @@ def _run_metadata(options: RunOptions, scenario: Scenario, seed: int) -> dict[st
 
 
 def fly_all(options: RunOptions, console: Console) -> int:
-    """Fly with the seeds from ``options.seed`` on, each in a folder of its own; print a table and a summary.
+    """Fly the seeds from ``options.seed`` on, each in its own folder; print a table and a summary.
 
-    A run that does not start counts as not landed, and the next is flown; Ctrl-C ends after the current one.
-    Returns the exit status: 0 all landed, 1 some did not.
+    A run that does not start counts as not landed, and the next one is flown; Ctrl-C ends after the current
+    one. The exit status is returned: 0 if all landed, otherwise 1.
 
-    Raises ConfigError: wrong input.
+    Raises ConfigError: an input is wrong.
     """
     runs = options.runs
-    prepare(options)  # wrong input makes no folder
+    prepare(options)  # a wrong input must not create a folder
     base = options.out or new_folder(f"{Path(options.scenario).stem}-{runs}-runs")
     rows: list[Row] = []
     for seed in range(options.seed, options.seed + runs):
@@ -336,7 +336,7 @@ def fly_all(options: RunOptions, console: Console) -> int:
 def sum_up(rows: Sequence[Row], runs: int) -> dict[str, object]:
     """Return counts and medians of several runs.
 
-    ``rows``: values of each run, with ``landed``; ``runs``: number of requested runs.
+    ``rows``: values of each run, including ``landed``; ``runs``: number of requested runs.
     """
     counts = Counter(row.get("outcome") for row in rows)
     return {

@@ -1,8 +1,8 @@
-"""The vehicles of ``sitl``: the simulated vehicle, PX4 on it, PX4 and ArduPilot with their own physics.
+"""Vehicles of ``sitl``: the simulated vehicle, PX4 on it, PX4 and ArduPilot with their own physics.
 
-Every vehicle starts its processes and names the options by which the onboard process finds it. Vehicles with
-physics of their own know no pad: they land on the floor, on the spot below which the robot drives, and count
-their position from where they start, so the robot is moved instead.
+Every vehicle starts its processes and returns the options with which the onboard process connects to it.
+Vehicles with their own physics have no pad: they land on the floor under the landing spot. Their position
+starts at 0 where they stand, so the robot is moved instead.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from sim.scenarios.scenario import Scenario, StartKind
 from sim.scenarios.team import TeamScenario
 from sim.vehicle.vehicle import compile_first
 
-_EAST_DEG = 90.0  # heading of the nose
+_EAST_DEG = 90.0  # heading of the nose, degrees
 SIMULATOR_PORT = 4560  # port to which PX4 of instance 0 connects
-_ARDUPILOT_TCP = 5760  # SERIAL0 of instance 0; 10 more for each
+_ARDUPILOT_TCP = 5760  # TCP port of SERIAL0 of instance 0; each further instance adds 10
 
 
 @dataclass
@@ -42,7 +42,7 @@ class Flying:
     options: Sequence[Mapping[str, Any]]  # options of the onboard process of each vehicle
     children: list[Running]  # processes that must outlive the flight
     teller: Child | None = None  # process that reports arming and disarming
-    # options by which robot and onboard process follow its clock
+    # options with which robot and onboard process follow the vehicle's clock
     clock: Mapping[str, Any] = field(default_factory=dict)
     pending: Sequence[Child] = ()  # processes that are not ready yet
 
@@ -62,7 +62,7 @@ def _own(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at:
         ),
     )  # fmt: skip
     urls = iter(child.wait_ready().replace("udpin", "udpout").split() if several else [f"udpout:{place}"])
-    # the heartbeat of the simulated vehicle is PX4's
+    # the simulated vehicle sends the heartbeat of PX4
     autopilot = OWN_SITL.name if options.autopilot == AUTO else options.autopilot
     given = [
         {"vehicle_url": elsewhere[number], "autopilot": options.autopilot}
@@ -74,7 +74,7 @@ def _own(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at:
 
 
 class _Px4Start:
-    """PX4 before its start; its instance number is chosen first, since the simulator's port depends on it."""
+    """PX4 before its start; its instance number is chosen first, since it gives the simulator's port."""
 
     def __init__(self, launcher: Launcher, options: RunOptions) -> None:
         self._launcher, self._options, self._binary = launcher, options, _program_of(options)
@@ -84,7 +84,7 @@ class _Px4Start:
         return self._launcher.reserved.enter_context(contextlib.closing(InstanceClaim())).number
 
     def run(self, model: Px4Model, wanted: Mapping[str, float]) -> tuple[Px4Program, dict[str, Any]]:
-        """Start it and wait until it would arm; the process, and the options of the onboard process."""
+        """Start PX4 and wait until it can arm; return the process, and the options of the onboard process."""
         program = Px4Program(
             self._binary, self._launcher.folder / "px4", model,
             instance=self.number, parameters=wanted, speed=self._options.speed,
@@ -114,7 +114,7 @@ def _px4(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at:
         ),
     )  # fmt: skip
     simulator.wait_ready()
-    # they load the compiler, half a second, and only this vehicle needs them
+    # these imports load the compiler, half a second, and only this vehicle needs them
     from sim.plant import params
     from sim.px4.airframe import parameters
 
@@ -157,9 +157,9 @@ def _ardupilot(launcher: Launcher, options: RunOptions, team: TeamScenario, robo
     return Flying([given], [child], clock={"speed": options.speed})
 
 
-# What ArduCopter's simulated quadrotor needs besides its defaults: its frame and battery, calibrations that
-# match its sensors (Tools/autotest/default_params/copter.parm), no radio, what is checked before a flight.
-# Under the names of all known releases: a name in this file that a release does not have is ignored.
+# Parameters that ArduCopter's simulated quadrotor needs beyond its defaults: frame, battery, calibrations of
+# its sensors (Tools/autotest/default_params/copter.parm), no radio, values for the pre-flight check. Names of
+# all known releases are listed, since a release ignores a name that it does not have.
 ARDUPILOT_PARAMETERS: Mapping[str, float] = {
     "FRAME_CLASS": 1,
     "FRAME_TYPE": 0,
@@ -173,18 +173,18 @@ ARDUPILOT_PARAMETERS: Mapping[str, float] = {
     **{f"INS_ACC{n}SCAL_{axis}": 1.001 for n in ("", 2) for axis in "XYZ"},
     "FS_THR_ENABLE": 0,
     "FS_GCS_ENABLE": 5,
-    **dict.fromkeys(("SYSID_MYGCS", "MAV_GCS_SYSID"), 1),  # the onboard process counts as the station
+    **dict.fromkeys(("SYSID_MYGCS", "MAV_GCS_SYSID"), 1),  # the onboard process is the ground station
     "GUID_TIMEOUT": 0.5,
     **{"WPNAV_ACCEL_Z": 150, "WP_ACC_Z": 1.5},  # cm/s^2; m/s^2 from 4.7 on
 }
 
 
 _FIRMWARE = re.compile(rb"ArduCopter V(\d+)\.(\d+)")  # THISFIRMWARE of ArduCopter/version.h
-_DEAD_TIME_SINCE = (4, 7)  # release whose velocity loop has a dead time (ATC_INPUT_TC)
+_DEAD_TIME_SINCE = (4, 7)  # release from which on the velocity loop has a dead time (ATC_INPUT_TC)
 
 
 def _ardupilot_configuration(program: Path | None) -> str:
-    """Return the name of the configuration for the release that the program holds; unknown: the newest."""
+    """Return the configuration's name for the release in the program file; if unknown, the newest one."""
     release = _DEAD_TIME_SINCE
     if program is not None and program.is_file() and program.stat().st_size:
         with program.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as held:
@@ -196,14 +196,14 @@ def _ardupilot_configuration(program: Path | None) -> str:
 class Vehicle(NamedTuple):
     """A kind of vehicle that ``sitl`` can fly."""
 
-    # starts it, and waits until it can be flown where its URL depends on that; the last argument is the Zenoh
-    # endpoint of the robots; LaunchError: it is not ready
+    # function that starts the vehicle, and waits until it can fly if its URL depends on that; the last
+    # argument is the Zenoh endpoint of the robots; it raises LaunchError if the vehicle is not ready
     start: Callable[[Launcher, RunOptions, TeamScenario, str], Flying]
-    configs: Mapping[str, str] = {}  # names of configurations by airframe; else the scenario's own
-    # name of the configuration for all airframes of the program at this place
+    configs: Mapping[str, str] = {}  # names of configurations by airframe; otherwise the scenario's is used
+    # function from program path to configuration name, for all airframes
     config: Callable[[Path | None], str] | None = None
-    with_robots: bool = False  # its process simulates the robots, too
-    at_origin: bool = False  # its position counts from its start, so the robot is moved instead
+    with_robots: bool = False  # whether its process also simulates the robots
+    at_origin: bool = False  # whether its position starts at 0, so that the robot is moved instead
 
     def adapt(self, scenario: Scenario) -> Scenario:
         """Return the scenario with the changes that this vehicle needs."""
@@ -225,18 +225,18 @@ VEHICLES: Mapping[Flies, Vehicle] = {
 
 
 def scenario_file(folder: Path, team: TeamScenario) -> Path:
-    """Return the place of the scenario in the folder of a run."""
+    """Return the path of the scenario file in the folder of a run."""
     return folder / ("scenario.toml" if team.is_alone else TEAM)
 
 
 def common_options(launcher: Launcher, options: RunOptions, team: TeamScenario) -> dict[str, Any]:
-    """Options of every process of the simulator."""
+    """Return the options that every process of the simulator has."""
     file = scenario_file(launcher.folder, team)
     return {"scenario": file, "seed": options.seed, "recorder": launcher.socket}
 
 
 def longest_s(team: TeamScenario) -> float:
-    """Return the longest time of a flight, s: its duration and the time for an abort."""
+    """Return the longest time of a flight, s: its duration plus the time for an abort."""
     return max(each.duration_max_s + each.onboard.retreat.abort_time_max_s for each in team.member)
 
 
@@ -246,7 +246,7 @@ def others_s(team: TeamScenario) -> float:
 
 
 def around_the_start(scenario: Scenario) -> Scenario:
-    """Return the scenario in coordinates whose origin is the place of the vehicle."""
+    """Return the scenario in coordinates whose origin is the start place of the vehicle."""
     start, target = scenario.start, scenario.target
     x_m, y_m = target.position_m
     if start.kind is StartKind.GROUND:
@@ -262,7 +262,7 @@ def around_the_start(scenario: Scenario) -> Scenario:
 def _to_the_floor_m(scenario: Scenario) -> Vec3:
     """Return the offset of the landing spot that puts it on the floor.
 
-    This vehicle's height is zero where it stands, not the height of its reference point over its feet.
+    The height of this vehicle is zero where it stands, not at its reference point above the feet.
     """
     down_m = scenario.target.pad_height_m + scenario.onboard.touchdown.feet_below_reference_m
     return 0.0, 0.0, round(-down_m, 6)

@@ -1,1 +1,1 @@
-"""The onboard process: links, clocks, waiting, recording, publishing."""
+"""The onboard process: its links, clocks, recording and publishing."""

@@ -1,11 +1,11 @@
-"""The wire of a fleet: messages that this vehicle sends to the others in each tick, and theirs.
+"""Fleet messages: this vehicle sends one to the others in each tick, and receives theirs.
 
-Each process publishes ``FleetWord`` on ``NAMESPACE/fleet/word`` and subscribes to ``**/fleet/word``. One
-pattern needs no list of namespaces, and detects two processes with the same vehicle id, and vehicles that are
-no members. The key begins with the namespace as all of a vehicle's keys do, so that rules of access
-can name it.
+Each process publishes ``FleetWord`` on ``NAMESPACE/fleet/word`` and subscribes to ``**/fleet/word``. This one
+pattern needs no list of namespaces, and also detects two processes with the same vehicle id, and vehicles
+that are no members. The key begins with the namespace, as all keys of a vehicle do, so that access rules can
+name it.
 
-No call blocks. Refused messages are counted; a text reports each doubling of the count.
+No call blocks. Rejected messages are counted; a text reports each doubling of the count.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from logs.schema.schemas import FLEET_WORD
 
 KEY = "fleet/word"
 EVERYBODY = f"**/{KEY}"
-CAPACITY = 256  # messages; the oldest are dropped: a tick needs the newest of each member only
-BYTES_MAX = 2048  # longest message
-PROOF_S = 0.3  # time for which messages after a clock step must agree: longer than a late message
-ONE_WAY_S = 2.0  # time of one-way reception until it is reported
+CAPACITY = 256  # queued messages; the oldest are dropped, since only the newest of each member is needed
+BYTES_MAX = 2048  # longest message that is accepted
+PROOF_S = 0.3  # time for which messages after a clock step must agree: longer than a message is late
+ONE_WAY_S = 2.0  # time of one-way reception after which it is reported
 
 
 def namespace_of(config: FlightConfig) -> str:
-    """Return the namespace of a vehicle, if no other is given: each member of a fleet needs its own."""
+    """Return the default namespace of a vehicle: each member of a fleet needs its own."""
     return member_name(config.fleet.id if config.fleet is not None else 1)
 
 
 class NoFleet:
-    """One vehicle: it sends no messages to others and receives none."""
+    """Stand-in for ``FleetWire`` without a fleet: no messages are sent or received."""
 
     doubled = ""
 
@@ -55,12 +55,12 @@ class NoFleet:
 
 
 def _not_begun() -> float:
-    """Stand in for the stack clock before the first tick."""
+    """Stand-in for the stack clock before the first tick."""
     return 0.0
 
 
 class _Counts:
-    """Counts refused messages; adds a text whenever a count has doubled."""
+    """Counts of rejected messages; a text is added whenever a count has doubled."""
 
     def __init__(self) -> None:
         self._counts: dict[str, int] = {}
@@ -78,26 +78,26 @@ class _Member:
     def __init__(self, fleet: Fleet) -> None:
         self.process: int | None = None
         self.clock = OtherClock()
-        self.stamp_ns = 0  # stamp of its newest message
+        self.stamp_ns = 0  # stamp of its newest message, on its clock
         self.stamps = SenderClock(fleet.age_max_s, PROOF_S, fleet.latency_max_s)
-        self.heard_ns = 0  # arrival of that message, own clock
+        self.heard_ns = 0  # arrival of that message, on this clock
         self.claim_ns: int | None = None
         self.claim_s = math.nan
-        self.one_way_ns: int | None = None  # start of one-way reception: it receives nothing from us
+        self.one_way_ns: int | None = None  # start of one-way reception: it receives nothing from here
         self.said_one_way = False
 
 
 class FleetWire:
-    """Sends this vehicle's messages and receives those of the other members.
+    """Sender of this vehicle's messages, and receiver of those of the other members.
 
-    ``session``: an open Zenoh session; it stays the caller's; ``namespace``: first part of the key of this
-    vehicle; ``fleet``: of the configuration.
-    Raises ValueError: the namespace makes no key.
+    ``session``: open Zenoh session, which the caller closes; ``namespace``: first part of the key of this
+    vehicle; ``fleet``: table of the configuration.
+    Raises ValueError: the namespace is not valid in a key.
     """
 
     def __init__(self, session: zenoh_link.Session, namespace: str, fleet: Fleet) -> None:
         self._fleet = fleet
-        self.doubled = ""  # another process with this vehicle's id, as text; empty: none
+        self.doubled = ""  # text about another process with this vehicle's id; empty: none
         self._process = secrets.randbits(64)
         self._members = {n: _Member(fleet) for n in fleet.others}
         self._counts = _Counts()
@@ -109,16 +109,16 @@ class FleetWire:
         self._subscriber = zenoh_link.remote_subscriber(session, EVERYBODY, CAPACITY)
 
     def begin(self, epoch_ns: int, now_s: Callable[[], float]) -> None:
-        """Set the clock of the ticks; before that nothing is sent.
+        """Set the clock of the ticks; before this call nothing is sent.
 
         ``epoch_ns``: Unix time of zero of the stack clock; ``now_s``: reads the stack clock.
         """
         self._epoch_ns, self._now_s = epoch_ns, now_s
 
     def namesake(self) -> str:
-        """Why this process must not begin: another one has the same vehicle id; empty: none.
+        """Return why this process must not start: another one has the same vehicle id; empty: none.
 
-        Messages that arrived before are dropped.
+        The messages that arrived before this call are dropped.
         """
         for row in self._rows():
             if row.id == self._fleet.id and row.process != self._process:
@@ -128,7 +128,7 @@ class FleetWire:
     def words(self) -> tuple[Neighbour, ...]:
         """Return the newest message of each member since the last call; never blocks."""
         rows = self._rows()
-        now_s = self._now_s()  # read after the messages were taken: none is newer
+        now_s = self._now_s()  # read after the messages were taken, so that no message is newer
         now_ns = self._epoch_ns + round(now_s * 1e9)
         newest: dict[int, Neighbour] = {}
         for row in rows:
@@ -139,7 +139,7 @@ class FleetWire:
         return tuple(newest[n] for n in sorted(newest))
 
     def say(self, word: Neighbour | None) -> bytes | None:
-        """Send the controller's message to the others; return it as sent.
+        """Send the controller's message to the others; return the bytes that were sent.
 
         ``word``: ``Outputs.own_word``; None: nothing is sent.
         """
@@ -156,7 +156,7 @@ class FleetWire:
         return payload
 
     def texts(self) -> list[str]:
-        """Texts for the operator since the last call."""
+        """Return the texts for the operator since the last call."""
         texts, self._counts.texts = self._counts.texts, []
         return texts
 
@@ -184,9 +184,9 @@ class FleetWire:
         self.doubled = f"fleet: {what}: end it, or give one of them another id"
 
     def _is_of_member(self, row: FleetWordRow, now_ns: int) -> bool:
-        """Whether a message is from the process of another member; the first sender remains that process."""
+        """Whether a message is from another member's process; the first process of an id remains valid."""
         if row.id == self._fleet.id:
-            if row.process != self._process:  # else the network has returned this process's own message
+            if row.process != self._process:  # otherwise the network has returned this process's own message
                 self._hear_namesake()
             return False
         member = self._members.get(row.id)
@@ -206,9 +206,9 @@ class FleetWire:
         return True
 
     def _taken(self, row: FleetWordRow, now_s: float, now_ns: int) -> Neighbour | None:
-        """A word on our clock; None if it was overtaken, or if its time is not known well enough."""
+        """Convert a message to this clock; None if a newer one came before, or its time is too uncertain."""
         member, fleet = self._members[row.id], self._fleet
-        # a queue is not taken for another clock: the bound of the offset has the delays of both directions
+        # a queue cannot look like another clock: the offset's bound contains the delays of both directions
         reading = member.stamps.accept(row.stamp_ns / 1e9, now_ns / 1e9, PROOF_S)
         if reading is Reading.AHEAD or reading is Reading.UNUSABLE:
             self._counts.add(f"the clock of vehicle {row.id}, or of this one, has jumped")
@@ -234,7 +234,7 @@ class FleetWire:
             return None
         if not row.claims:
             member.claim_ns, member.claim_s = None, math.nan
-        elif row.claim_ns != member.claim_ns:  # once for each claim, whose time then stays equal to the bit
+        elif row.claim_ns != member.claim_ns:  # once for each claim: its time must remain equal to the bit
             member.claim_ns = row.claim_ns
             member.claim_s = (row.claim_ns + offset.ns - self._epoch_ns) / 1e9
         stamp_s = (row.stamp_ns + offset.ns - self._epoch_ns) / 1e9
@@ -245,7 +245,7 @@ class FleetWire:
             return None
 
     def _note_one_way(self, member: _Member, n: int, now_ns: int, *, heard: bool) -> None:
-        """Report once that messages of a member arrive, and that it receives none of this vehicle."""
+        """Report once that messages of a member arrive but that the member receives none of this vehicle."""
         if heard:
             member.one_way_ns, member.said_one_way = None, False
             return

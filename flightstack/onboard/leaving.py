@@ -1,6 +1,6 @@
 """Requests of the operator, and the end of a flight.
 
-``runner.fly`` then leaves the vehicle: never in the air without having requested its landing.
+After the end, ``runner.fly`` leaves the vehicle, but never in the air without a request to land.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from flightstack.core.controller import Outputs
 from flightstack.core.memory import AbortWay, Memory
 from flightstack.core.types import Operator, Phase, VehicleStatus
 
-LAND_SHOWN_MAX_S = 1.0  # maximum time of landing commands until a heartbeat (1 Hz) shows it, s
+LAND_SHOWN_MAX_S = 1.0  # longest time of landing commands until a heartbeat (1 Hz) confirms the landing
 
 
 class Ended(NamedTuple):
-    """Result of the flight: last phase, its reason, and the exit status of the process."""
+    """Result of a flight: last phase, its reason, and the exit status of the process."""
 
     phase: Phase
     reason: str
@@ -26,16 +26,16 @@ class Ended(NamedTuple):
 
 
 class Person:
-    """Requests of the operator to the process; here none."""
+    """Requests of the operator to the process; this base class makes none."""
 
     operator = Operator.NONE  # request to the controller
-    stop = False  # whether the process is to end at once
+    stop = False  # whether the process has to end at once
 
 
 class Signals(Person):
-    r"""Ctrl-C, or a terminal that closes, asks for an abort; Ctrl-\ for the motors to stop at once.
+    r"""Ctrl-C, or a terminal that closes, requests an abort; Ctrl-\ requests that the motors stop at once.
 
-    A second Ctrl-C or SIGTERM ends the process once the vehicle was commanded to land.
+    A second Ctrl-C, or SIGTERM, ends the process after the vehicle was commanded to land.
     """
 
     def __init__(self) -> None:
@@ -63,16 +63,16 @@ class Signals(Person):
 
 
 class Leaving:
-    """One flight's end; ``operator`` before each step, ``ended`` after it.
+    """Decides when a flight ends: call ``operator`` before each step and ``ended`` after it.
 
-    ``duration_s``: on the stack's clock, after which the flight is aborted; None: no such limit.
+    ``duration_s``: time on the stack's clock after which the flight is aborted; None: no limit.
     """
 
     def __init__(self, duration_s: float | None, person: Person | None = None) -> None:
         self._duration_s, self.person = duration_s, person or Person()
-        self.leaves = False  # the process is about to end: it asks for the landing
+        self.leaves = False  # the process is about to end, so it requests a landing
         self.arms = False  # the vehicle was commanded to arm
-        self._theirs = False  # the process waits while another client flies the vehicle
+        self._theirs = False  # the process waits while another client controls the vehicle
 
     def operator(self, status: VehicleStatus | None, now_s: float) -> Operator:
         """Return the operator's request in this tick.
@@ -91,8 +91,8 @@ class Leaving:
     def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
         """Return how the flight ended; None if it has not ended.
 
-        ``out``: of this tick; ``memory``: of the controller; ``status``: newest status of the vehicle;
-        ``now_s``: the stack's clock.
+        ``out``: outputs of this tick; ``memory``: state of the controller; ``status``: newest status of the
+        vehicle; ``now_s``: time on the stack's clock.
         """
         if out.finished:
             told = f"; {self._duration_s:g} s are over" if self._over(now_s) else ""
@@ -111,9 +111,9 @@ class Leaving:
 
 
 def flies(memory: Memory, status: VehicleStatus | None) -> bool:
-    """Whether the vehicle is in the air, as far as is known, and flown by this process only."""
+    """Whether the vehicle is in the air, by its newest status, and only this process controls it."""
     if status is None or not status.armed or memory.abort_way is AbortWay.HANDS_OFF:
         return False
-    if memory.phase is Phase.LANDED:  # its motors were off: it was not armed again by this process
+    if memory.phase is Phase.LANDED:  # its motors stopped, and this process has not armed it again
         return False
     return memory.phase is not Phase.WAIT or memory.was_external

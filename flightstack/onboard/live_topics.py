@@ -1,7 +1,7 @@
-"""What a flight shows while it flies: its health on Zenoh, and the topics of the log to ROS 2.
+"""Data that a flight publishes live: its health on Zenoh, and the topics of the log to ROS 2.
 
-``LiveRos2`` is a node of rmw_zenoh on a session of its own, so nothing on the ROS 2 side touches the wires
-that are flown by.
+``LiveRos2`` is a node of rmw_zenoh with its own session, so the ROS 2 side cannot disturb the connections
+that the flight depends on.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from logs.schema.schemas import (
     type_hash,
 )
 
-BATTERY_AGE_MAX_S = 5.0  # SYS_STATUS comes once a second or more often; an older voltage is none
+BATTERY_AGE_MAX_S = 5.0  # longest age of a voltage: SYS_STATUS arrives at least once a second
 FLOAT64 = "std_msgs/msg/Float64"
-PLAIN_HZ = 20.0  # rate of h, phase and step; the topics for viewers have their own rates
+PLAIN_HZ = 20.0  # rate of the topics h, phase and step; viewer topics have their own rates
 NODE = "flightstack_onboard"
 _DERIVED = {
     "/pose": POSE_STAMPED,
@@ -45,7 +45,7 @@ _DERIVED = {
 
 
 def health_row(tick: Tick, out: Outputs, reason: str, battery: Battery | None, dropped: int) -> HealthRow:
-    """Values that are not there, or too old, are NaN."""
+    """Return the health of a tick; values that are missing or too old are NaN."""
     own, status, target = out.snapshot.inputs.own, out.snapshot.inputs.status, out.snapshot.target
     if battery is not None and tick.now_s - battery.arrival_s > BATTERY_AGE_MAX_S:
         battery = None
@@ -78,10 +78,10 @@ def _known(value: float | None) -> float:
 
 
 class LiveRos2:
-    """Publishes one flight to ROS 2; nothing depends on it.
+    """Publisher of one flight to ROS 2; the flight does not depend on it.
 
-    ``session``: reaches the ROS 2 nodes; it stays the caller's; ``domain``: their ROS_DOMAIN_ID;
-    ``namespace``: first part of the topics; ``rate_hz``: of the ticks.
+    ``session``: session that reaches the ROS 2 nodes; the caller closes it; ``domain``: their ROS_DOMAIN_ID;
+    ``namespace``: first part of the topics; ``rate_hz``: rate of the ticks.
     Raises ValueError: a namespace or domain that ROS 2 does not allow.
     """
 
@@ -99,10 +99,10 @@ class LiveRos2:
         self._every = max(1, round(rate_hz / PLAIN_HZ))
 
     def show(self, tick: Tick, out: Outputs, step: ControllerStepRow, health: bytes | None) -> None:
-        """Publish what is due.
+        """Publish the data that is due in this tick.
 
-        ``out``: what was decided in it; ``step``: the same as a row of the log; ``health``: serialised, when
-        it is due.
+        ``out``: outputs of the tick; ``step``: the same outputs as a row of the log; ``health``: serialised
+        health, if it is due.
         """
         now_ns = tick.unix_ns
         for topic, _, payload in self._derive.step(now_ns, step):
@@ -118,7 +118,7 @@ class LiveRos2:
             self._step.put(step.pack(), now_ns)
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Leave the ROS 2 graph."""
         self._node.close()
 
     def _publisher(self, topic: str, kind: str) -> Ros2Publisher:

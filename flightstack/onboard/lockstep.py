@@ -1,8 +1,8 @@
-"""Lockstep on the side of the onboard process: the vehicle sends the tick, the target counts its samples.
+"""Lockstep in the onboard process: the vehicle triggers each tick, and the target reports its sample count.
 
-No order between MAVLink and Zenoh is assumed: a tick begins when the vehicle has requested it by TIMESYNC,
-the target has reported how many samples belong to it, and in a fleet its messages have arrived
-(docs/how_it_works/lockstep.md).
+No order between MAVLink and Zenoh is assumed. A tick starts when the vehicle has requested it by TIMESYNC,
+the target has reported the number of samples that belong to it, and, in a fleet, the members' messages have
+arrived (docs/how_it_works/lockstep.md).
 """
 
 from __future__ import annotations
@@ -32,22 +32,22 @@ from flightstack.onboard.leaving import LAND_SHOWN_MAX_S, Person
 from flightstack.onboard.runner import Arrived, ClockStoppedError, LinkedVehicle, decoded
 from logs.schema.controller_rows import pack_neighbours, unpack_neighbours, word_row
 
-CREDIT_EVERY = 10  # ticks
-WAIT_SLICE_S = 0.05  # s of wall time between looks at the signals while waiting
-FIRST_WAIT_MAX_S = 600.0  # s of wall time until vehicle and target have sent a message; may include compiling
-SAID_S = 10.0  # s after which this wait is reported
-# s of wall time without the vehicle after which the process ends; the vehicle may wait for the robot
+CREDIT_EVERY = 10  # ticks between two credits for the target
+WAIT_SLICE_S = 0.05  # wall time between checks for signals during a wait, s
+FIRST_WAIT_MAX_S = 600.0  # longest wait for a first message, s of wall time; it includes compilation
+SAID_S = 10.0  # waiting time after which the wait is reported, s
+# wall time without the vehicle after which the process ends, s; the vehicle may wait for the robot
 LOST_RUN_MAX_S = TARGET_SILENT_S + 15.0
-ALIVE = "sim/target/alive"  # liveliness token of the robot's process in lockstep
+ALIVE = "sim/target/alive"  # Zenoh liveliness token of the robot's process in lockstep
 TOLD, HEARD = "sim/fleet/told", "sim/fleet/heard"  # keys in the namespace of a member, in lockstep
-OVER = 1  # second number of a message: the last one
+OVER = 1  # second number of a message that is the last one
 _LENGTH = struct.Struct("<I")
 
 
 class Patience:
-    """Wall time for which a process in lockstep that is to end still waits for the others' ticks.
+    """Limit of the wall time for which an ending process in lockstep waits for further ticks.
 
-    ``person``: operator who may end it.
+    ``person``: operator who may end the process.
     """
 
     def __init__(self, person: Person) -> None:
@@ -55,7 +55,7 @@ class Patience:
         self._since_s: float | None = None
 
     def over(self) -> bool:
-        """Return whether it waits no longer."""
+        """Return whether the wait is over."""
         if not self._person.stop:
             return False
         now_s = time.monotonic()
@@ -65,9 +65,9 @@ class Patience:
 
 
 class VehicleTicks:
-    """Ticks of the vehicle, which requests each by TIMESYNC.
+    """Ticks that the vehicle requests by TIMESYNC.
 
-    ``stopped``: whether to stop waiting; by default there is no wait for a missing request.
+    ``stopped``: returns whether to stop waiting; the default does not wait for a missing request.
     """
 
     def __init__(
@@ -77,11 +77,11 @@ class VehicleTicks:
         self._last_ns = -1
 
     def passed(self, sim_ns: int) -> None:
-        """Account for ticks until now that were run as a batch."""
+        """Record the time of ticks that were run as a batch."""
         self._last_ns = sim_ns
 
     def wait(self) -> Tick:
-        """Wait for the vehicle's request, for a bounded wall time. Raises ClockStoppedError: no request."""
+        """Wait for the vehicle's request, in bounded wall time. Raises ClockStoppedError: no request."""
         link = self._vehicle.link
         first, silence = self._last_ns < 0, None
         most_s, due_s = (FIRST_WAIT_MAX_S, SAID_S) if first else (LOST_RUN_MAX_S, math.inf)
@@ -95,7 +95,7 @@ class VehicleTicks:
                 return self._clock.tick(sim_ns)
             if sim_ns is not None:
                 link.endpoint.repeat(self._vehicle.reply)
-            if silence is None:  # usually the request has arrived already: no clock is needed
+            if silence is None:  # usually the request has arrived already, and no clock is needed
                 silence = Silence()
             waited_s = silence.look()
             if self._stopped() or waited_s > most_s:
@@ -105,7 +105,7 @@ class VehicleTicks:
                 )
             if waited_s > due_s:
                 due_s = math.inf
-                with contextlib.suppress(OSError):  # no reader
+                with contextlib.suppress(OSError):  # standard error has no reader
                     print(
                         "onboard: waits for the vehicle to ask for its first tick",
                         file=sys.stderr,
@@ -115,10 +115,10 @@ class VehicleTicks:
 
 
 class LockstepWires:
-    """Clock and source of target samples: a tick begins when vehicle and target have both reached it.
+    """Clock and source of target samples: a tick starts when vehicle and target have both reached it.
 
-    ``odometry``: samples of the target; ``session``: brings the number of samples of each tick; ``words``:
-    messages of the other vehicles of a fleet; None: no fleet.
+    ``odometry``: samples of the target; ``session``: session that receives the number of samples of each
+    tick; ``words``: messages of the other vehicles of a fleet; None: no fleet.
     """
 
     def __init__(
@@ -138,16 +138,16 @@ class LockstepWires:
         self._credit = zenoh_link.blocking_publisher(session, f"{namespace}/sim/credit")
         self._session, self._alive_key = session, f"{namespace}/{ALIVE}"
         self._marker_tick, self._received = -1, 0
-        self._pool: list[RawSample] = []  # received samples whose tick the target has not yet reported
-        self._released: list[RawSample] = []  # samples of this tick
+        self._pool: list[RawSample] = []  # received samples whose tick is not known yet
+        self._released: list[RawSample] = []  # samples of the current tick
         self._counts: dict[int, int] = {}
         self._go_tick = NO_GO
         self._target_gone = False
 
     def wait(self) -> Tick:
-        """Wait for the vehicle, then for the target and the messages; each for a bounded wall time.
+        """Wait for the vehicle, then for target and fleet messages, each in bounded wall time.
 
-        Raises ClockStoppedError: no request of the vehicle, or the process is to end.
+        Raises ClockStoppedError: the vehicle requests no tick, or the process has to end.
         """
         try:
             tick = self._ticks.wait()
@@ -165,7 +165,7 @@ class LockstepWires:
         return decoded(self._released, now_s)
 
     def landing_began(self, tick: int) -> None:
-        """Send the target the tick from which it may drive: after the last one that it may have computed."""
+        """Send the target the tick from which it may drive: the first that it cannot have computed yet."""
         self._go_tick = tick + RUN_AHEAD_TICKS + 1
         self._give_credit(tick)
 
@@ -173,7 +173,7 @@ class LockstepWires:
         self._credit.put(PAIR.pack(tick, self._go_tick))
 
     def _release(self, tick: int) -> list[RawSample]:
-        """Wait for the samples that the target released up to this tick; those that came if it is gone."""
+        """Wait for the samples that the target released up to this tick; return those that arrived."""
         if tick % CREDIT_EVERY == 0:
             self._give_credit(tick)
         most_s, silence = FIRST_WAIT_MAX_S if self._marker_tick < 0 else TARGET_SILENT_S, Silence()
@@ -194,7 +194,7 @@ class LockstepWires:
         return released
 
     def _complete(self, tick: int) -> bool:
-        """Return whether the marker of this tick has arrived, and all samples that it counts."""
+        """Return whether the marker of this tick and all samples that it counts have arrived."""
         for sample in zenoh_link.drain(self._markers):
             number, count = PAIR.unpack(sample.payload.to_bytes())
             self._counts[number] = count
@@ -204,12 +204,12 @@ class LockstepWires:
 
 
 class LockstepWords:
-    """Messages of a fleet in lockstep: the others receive a message of one tick in a later tick.
+    """Fleet messages in lockstep: the others receive a message of one tick in a later tick.
 
-    The vehicles' process takes the messages of all and distributes them, tick by tick, so that their order
-    does not depend on wall time. It replaces ``FleetWire``, whose clocks and network run in real time.
+    The process of the vehicles receives the messages of all members and distributes them tick by tick, so
+    that their order does not depend on wall time. It replaces ``FleetWire``, which needs real time.
 
-    ``session`` stays open; ``namespace``: first part of the keys of this vehicle.
+    ``session``: the caller closes it; ``namespace``: first part of the keys of this vehicle.
     """
 
     doubled = ""  # the launcher gives each vehicle one process
@@ -223,11 +223,11 @@ class LockstepWords:
         self._texts: list[str] = []
 
     def await_tick(self, tick: Tick, stopped: Callable[[], bool]) -> None:
-        """Wait for the words that belong to a tick, for a bounded wall time.
+        """Wait for the messages that belong to a tick, in bounded wall time.
 
-        Before the first tick there are none; then it waits until the simulator has subscribed to its words.
+        The first tick has no messages; it waits until the simulator has subscribed to those of this vehicle.
 
-        ``stopped``: whether to stop waiting.
+        ``stopped``: returns whether to stop waiting.
         """
         first, self._tick, silence = self._tick is None, tick, Silence()
         come = self._is_heard if first else self._has
@@ -247,7 +247,7 @@ class LockstepWords:
         return tuple(word._replace(arrival_s=tick.now_s) for word in found)
 
     def say(self, word: Neighbour | None) -> bytes | None:
-        """Send the controller's message of this tick to the others; return it as the log has it.
+        """Send the controller's message of this tick to the others; return it in the form for the log.
 
         ``word``: ``Outputs.own_word``; None: an empty message is sent.
         """
@@ -259,16 +259,16 @@ class LockstepWords:
         return word_row(word, EPOCH_NS, 0).pack() if word is not None else None
 
     def namesake(self) -> str:
-        """Nothing: see ``doubled``."""
+        """Return an empty text, because each vehicle has only one process."""
         return self.doubled
 
     def texts(self) -> list[str]:
-        """Texts for the operator since the last call."""
+        """Return the texts for the operator since the last call."""
         texts, self._texts = self._texts, []
         return texts
 
     def close(self) -> None:
-        """Announce the last message, so that no process waits; undeclare publisher and subscriber."""
+        """Send a last message, so that no process waits; undeclare publisher and subscriber."""
         self._told.put(b"", attachment=PAIR.pack(self._tick.number if self._tick is not None else -1, OVER))
         self._heard.undeclare()
         self._told.undeclare()
@@ -286,12 +286,12 @@ class LockstepWords:
 
 
 def joined(payloads: Sequence[bytes]) -> bytes:
-    """Return payloads as one, each after its length."""
+    """Return several payloads as one; the length precedes each of them."""
     return b"".join(part for each in payloads for part in (_LENGTH.pack(len(each)), each))
 
 
 def split(payload: bytes) -> Iterator[bytes]:
-    """Yield the payloads that were joined."""
+    """Yield the payloads that ``joined`` has combined."""
     at = 0
     while at < len(payload):
         (length,) = _LENGTH.unpack_from(payload, at)

@@ -1,4 +1,4 @@
-"""What the onboard process writes into the log and shows to the world: its inputs, steps, timing, events."""
+"""Log of the onboard process: its inputs, steps, timing and events, and the live topics."""
 
 from __future__ import annotations
 
@@ -42,15 +42,15 @@ from logs.schema.schemas import (
 
 STATUS_HZ = 20.0  # rate of the live topics
 HEALTH_HZ = 5.0  # rate of the live health
-STATE_HZ = 1.0  # rate of the snapshots at which a replay can start
-TIMESYNC_ID = 111  # low byte of the message id, which is at offset 7 of a MAVLink 2 frame
+STATE_HZ = 1.0  # rate of the state snapshots at which a replay can start
+TIMESYNC_ID = 111  # low byte of the message id, at offset 7 of a MAVLink 2 frame
 
 
 class OnboardLog:
-    """Turns one tick into log messages, and every so often into live ones.
+    """Writer of the log messages of each tick, and publisher of the live ones at lower rates.
 
-    ``session``: of the live topics; ``reserve``: the thrust reserve is estimated; ``state``: class of the
-    controller's state; ``names``: of the records, which differ where several flights share the log.
+    ``session``: session of the live topics; ``reserve``: whether the thrust reserve is estimated; ``state``:
+    class of the controller's state; ``names``: names of the records, which differ if flights share a log.
     """
 
     def __init__(
@@ -81,12 +81,12 @@ class OnboardLog:
         self._state = feed.channel(f"/{namespace}/controller/state", CONTROLLER_STATE)
         self._timing = feed.channel(f"/{namespace}/loop/timing", LOOP_TIMING)
         self._rosout = feed.channel("/rosout", LOG)
-        self._frames: list[tuple[Direction, bytes, bytes]] = []  # last: name of the peer
+        self._frames: list[tuple[Direction, bytes, bytes]] = []  # direction, frame, name of the peer
         self._peer_names = PeerNames(feed.metadata, names.record(MAVLINK_PEERS))
-        self._packed_step = b""  # row of the last tick
-        self._asked = b""  # last TIMESYNC that came
+        self._packed_step = b""  # packed step of the last tick
+        self._asked = b""  # last TIMESYNC request that arrived
         self._sequence = self._unix_ns = 0
-        self._flush_every = 10 if lockstep else 1  # ticks; fewer wake-ups of the recorder, 0.1 s of flight
+        self._flush_every = 10 if lockstep else 1  # ticks between flushes; fewer wake-ups of the recorder
         self._lockstep = lockstep
         self._every = max(1, round(rate_hz / STATUS_HZ))
         self._state_every = max(1, round(rate_hz / STATE_HZ))
@@ -102,7 +102,7 @@ class OnboardLog:
         self._health_every = max(1, round(rate_hz / HEALTH_HZ))
 
     def tap(self, direction: Direction, frame: bytes, peer: Peer) -> None:
-        """Keep a MAVLink frame until its tick is known; the endpoint's tap."""
+        """Store a MAVLink frame until its tick is known; the endpoint calls this method."""
         if self._lockstep and direction is Direction.IN and frame[7] == TIMESYNC_ID:
             if frame == self._asked:
                 return  # a repeated request, equal to the byte: repeats depend on wall time
@@ -110,7 +110,7 @@ class OnboardLog:
         self._frames.append((direction, frame, self._peer_names(peer)))
 
     def samples(self, samples: Sequence[RawSample], unix_ns: int) -> None:
-        """Write target samples verbatim, accepted or not."""
+        """Write target samples unchanged, accepted or not."""
         for sample in samples:
             source_ns = sample.source_time_ns if sample.source_time_ns is not None else unix_ns
             self._feed.write(
@@ -118,13 +118,13 @@ class OnboardLog:
             )
 
     def event(self, unix_ns: int, level: int, text: str, name: str = ONBOARD) -> None:
-        """Write an event of /rosout."""
+        """Write an event to the topic /rosout."""
         self._feed.write(
             self._rosout, unix_ns, unix_ns, 0, pack_log(unix_ns, level, self._names.logger(name), text)
         )
 
     def frames(self) -> None:
-        """Write the frames that have passed since the last call, with the time of the newest tick."""
+        """Write the frames that were stored since the last call, with the time of the newest tick."""
         frames, self._frames, unix_ns = self._frames, [], self._unix_ns
         for direction, frame, peer in frames:
             self._sequence += 1
@@ -133,15 +133,15 @@ class OnboardLog:
             )
 
     def end(self) -> None:
-        """Write the frames after the newest tick, 1 ns later: the process sent them, not its controller."""
+        """Write the frames after the newest tick, 1 ns later; the process sent them, not its controller."""
         self._unix_ns += 1
         self.frames()
 
     def step(self, tick: Tick, taken: Taken, out: Outputs, state: State) -> ControllerStepRow:
-        """Write the frames, inputs, events and decisions of a tick; return the decisions.
+        """Write frames, inputs, events and outputs of a tick; return the outputs as a row.
 
-        ``taken``: inputs of the controller; ``out``: its outputs; ``state``: its state after the tick,
-        written once a second.
+        ``taken``: inputs of the controller; ``out``: outputs of the controller; ``state``: its state after
+        the tick, which is written once a second.
         """
         unix_ns = self._unix_ns = tick.unix_ns
         self.frames()
@@ -165,14 +165,14 @@ class OnboardLog:
         return row
 
     def word(self, tick: Tick, payload: bytes | None) -> None:
-        """Write the message of this vehicle to its fleet, as it was sent; None: no message."""
+        """Write this vehicle's message to its fleet as it was sent; None: no message was sent."""
         if self._word is not None and payload is not None:
             self._feed.write(self._word, tick.unix_ns, tick.unix_ns, tick.number, payload)
 
     def health(
         self, tick: Tick, out: Outputs, reason: str, battery: Battery | None, dropped: int
     ) -> bytes | None:
-        """Publish the health, which the log does not have, now and then and at the end; return it."""
+        """Publish the health, which is not logged, at ``HEALTH_HZ`` and at the end; return it."""
         if tick.number % self._health_every != 0 and not out.finished:
             return None
         payload = health_row(tick, out, reason, battery, dropped).pack()
@@ -180,7 +180,7 @@ class OnboardLog:
         return payload
 
     def timing(self, tick: Tick, out: Outputs, exec_s: float, dropped: int) -> None:
-        """Write the timing of the tick; publish it and the last step, at ``STATUS_HZ``."""
+        """Write the timing of the tick; publish it and the last step at ``STATUS_HZ``."""
         solve_s = out.barrier.result.solve_s if out.barrier is not None else 0.0
         payload = LoopTimingRow(
             tick.unix_ns, tick.number, tick.period_s, tick.lateness_s, exec_s, solve_s, tick.overruns, dropped

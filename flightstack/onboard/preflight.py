@@ -1,4 +1,4 @@
-"""The pre-flight check of the onboard process: the needs of the flight, and the texts for person and log."""
+"""Pre-flight check of the onboard process: needs of the flight, and texts for the operator and the log."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ def needs_of(config: FlightConfig, system_id: int = 1) -> Needs:
 
 
 def line_plan(baud: int | None, config: FlightConfig, *, signed: bool) -> LinePlan:
-    """Return the rates at which the flight of this configuration fits into a serial line.
+    """Return the message rates with which the flight of this configuration fits into a serial line.
 
-    ``baud``: of a serial line, None of other links; ``config``: what is to be flown; ``signed``: MAVLink is
-    signed.
-    Raises LineTooSlowError: it does not fit.
+    ``baud``: rate of a serial line, None for other links; ``config``: configuration to fly; ``signed``:
+    whether MAVLink is signed.
+    Raises LineTooSlowError: the messages do not fit.
     """
     return plan(baud, config.loop.rate_hz, config.checks.own_age_max_s, signed=signed)
 
@@ -49,13 +49,13 @@ def check(
     say: Callable[[str], None] = lambda _text: None,
     senders: Senders | None = None,
 ) -> Report:
-    """Ask the vehicle for its parameters and judge them.
+    """Request the vehicle's parameters and check them.
 
-    ``endpoint``: to the vehicle; ``config``: what is to be flown; ``autopilot``: name of a profile, or
-    ``auto``; ``wait_s``: longest wait for its first heartbeat; ``accept_release``: judge an unknown release
-    by the nearest rules; ``stopped``: whether to break off; ``say``: takes a sentence every two seconds about
-    what the check waits for; ``senders``: learn the vehicle's address. Raises ValueError: there is no such
-    autopilot.
+    ``endpoint``: connection to the vehicle; ``config``: configuration to fly; ``autopilot``: name of a
+    profile, or ``auto``; ``wait_s``: longest wait for the first heartbeat; ``accept_release``: check an
+    unknown release with the nearest rules; ``stopped``: returns whether to stop; ``say``: receives a sentence
+    every two seconds about what the check waits for; ``senders``: record the vehicle's address. Raises
+    ValueError: there is no such autopilot.
     """
     accepted = config.vehicle.accepted_parameters
     try:
@@ -68,7 +68,7 @@ def check(
         endpoint, system_id, profile(autopilot), needs_of(config, system_id), accepted, wait_s=wait_s,
         accept_release=accept_release, stopped=stopped, say=say, senders=senders,
     )  # fmt: skip
-    table = config.reserve  # a voltage that has not come yet, the controller waits for
+    table = config.reserve  # without a voltage so far, the controller waits for one
     if table is not None and report.rest_v is not None and report.problem is None:
         report = replace(report, problem=too_low(table, report.rest_v) or None)
     if endpoint.baud is None:
@@ -80,7 +80,7 @@ def check(
 
 
 def lines(report: Report) -> Iterator[str]:
-    """Return the text for a person."""
+    """Yield the lines of the report for the operator."""
     if report.profile is not None:
         version = f", release {report.version}" if report.version is not None else ", release not told"
         yield f"preflight: {report.profile.title}{version}"
@@ -97,7 +97,7 @@ def lines(report: Report) -> Iterator[str]:
 
 
 def verdict(report: Report) -> str | None:
-    """Return why the vehicle must not arm, None if it may."""
+    """Return why the vehicle must not arm; None if it may."""
     if report.problem is not None:
         return report.problem
     names = [finding.name for finding in report.blocking]

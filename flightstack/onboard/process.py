@@ -1,4 +1,4 @@
-"""The onboard process: opens its links, checks the vehicle, and runs ticks in real time or in lockstep."""
+"""The onboard process: it opens its links, checks the vehicle, and runs ticks in real time or in lockstep."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ from logs.recorder.feed import Feed
 from logs.schema.events import CAUSE, ONBOARD
 from logs.schema.names import OWN, Names
 
-NAMESAKE_S = 1.0  # time to listen for another process with the same vehicle id before the start
+NAMESAKE_S = 1.0  # time to listen for another process with the same vehicle id before the start, s
 _SEVERITY_LEVEL = {0: ERROR, 1: ERROR, 2: ERROR, 3: ERROR, 4: WARN}  # MAV_SEVERITY to rcl_interfaces level
 
 
 class Onboard:
-    """Owns the links and the controller; takes the rows of the ticks."""
+    """Owner of the links and the controller; it writes the rows of the ticks."""
 
     def __init__(
         self,
@@ -60,7 +60,7 @@ class Onboard:
         say: Callable[[str], None],
         records: ExitStack | None = None,
     ) -> None:
-        """Open the links, and a recorder where the options name none; ``records`` ends it; None: none."""
+        """Open the links, and a recorder if the options name none; ``records`` ends it, if given."""
         self.options, self.config, self.say = options, config, say
         self.namespace = options.namespace or namespace_of(config)
         rate_hz = config.loop.rate_hz
@@ -107,7 +107,7 @@ class Onboard:
         lockstep = options.lockstep  # then no text may depend on wall time
         self.waiting = WaitReport(config, options.system_id, self.link, self.wires, searches=not lockstep)
         self._foreign_due, self.refusals = 1, Refusals()
-        self.cause = ""  # cause of an end by the autopilot, appended to the reason
+        self.cause = ""  # why the autopilot ended the flight; appended to the reason
         self.opened_s = time.monotonic()
 
     def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
@@ -121,7 +121,7 @@ class Onboard:
         for severity, text in link.take_texts():
             self.waiting.note_text(tick.now_s, severity, text)
             self.log.event(tick.unix_ns, _SEVERITY_LEVEL.get(severity, 20), f"vehicle: {text}")
-        if link.counters.foreign >= self._foreign_due:  # reported on doublings: they are many
+        if link.counters.foreign >= self._foreign_due:  # reported on doublings, because there are many
             self.log.event(tick.unix_ns, WARN, f"frames of other systems ignored: {link.counters.foreign}")
             self._foreign_due = 2 * link.counters.foreign
         notices = (*link.endpoint.take_notices(), *link.senders.take_notices())
@@ -146,7 +146,7 @@ class Onboard:
             self.say(f"{tick.now_s:8.2f} s  {report}")
 
     def _describe(self) -> None:
-        """Write into the log what else a replay needs: the configuration, and how we were plugged in."""
+        """Write to the log what a replay needs in addition: the configuration and the connections."""
         options, spec = self.options, self.wires.target
         own_key = f"{self.namespace}/target/odom"
         text, endpoint = dumps(self.config), self.link.endpoint
@@ -161,14 +161,14 @@ class Onboard:
                 "lockstep": str(options.lockstep).lower(),
                 "autopilot": options.autopilot,
                 "core": self.core.value,
-                # the rates of a slow line follow from them
+                # the baud rate determines the message rates of a slow line
                 **({"baud": str(endpoint.baud)} if endpoint.baud is not None else {}),
                 "signed": str(endpoint.signed).lower(),
             },
         )
 
     def _line_use(self) -> str:
-        """Text about the use of the serial line."""
+        """Return a text about the use of the serial line."""
         counters, took_s = self.link.endpoint.counters, time.monotonic() - self.opened_s
         return (
             f"serial line in {took_s:.1f} s: {counters.bytes_in / took_s:.0f} B/s in, "
@@ -188,11 +188,11 @@ class Onboard:
             print(f"onboard: MAVLink not let through: {dropped}", file=sys.stderr)
         if self.link.endpoint.baud is not None:
             print(f"onboard: {self._line_use()}", file=sys.stderr)
-        # the fleet first: in lockstep the others wait for its last message
+        # the fleet is first: in lockstep the others wait for its last message
         for end in (self.fleet.close, self.log.end, self.feed.close, self.link.close, self.wires.close):
             try:
                 end()
-            except Exception as error:  # the others are closed all the same
+            except Exception as error:  # continue with the other links
                 _warn(f"not closed in order: {error!r}")
 
 
@@ -202,12 +202,12 @@ def _warn(text: str) -> None:
 
 
 def run(config: FlightConfig, options: OnboardOptions, say: Callable[[str], None] = print) -> Ended:
-    """Fly until landed, aborted, ended by the operator, or out of time.
+    """Fly until the vehicle has landed, the flight is aborted, the operator ends it, or time is over.
 
-    Raises ConfigError: the configuration must not fly; ValueError: a URL, endpoint or key that is not
-    understood, a network without a key, a speed that a real vehicle or lockstep does not have, or compiled
-    code that is not possible; OSError: an address or file that cannot be opened; LaunchError: its own
-    recorder did not start.
+    Raises ConfigError: the configuration must not fly; ValueError: a URL, endpoint or key is not valid, a
+    network has no key, a speed is not possible with a real vehicle or in lockstep, or compiled code is not
+    possible; OSError: an address or file cannot be opened; LaunchError: the process's own recorder did not
+    start.
     """
     _check_speed(options)
     _check_fleet(config, options)
@@ -221,7 +221,7 @@ def run(config: FlightConfig, options: OnboardOptions, say: Callable[[str], None
             "--unproven flies it"
         )
     with ExitStack() as records:
-        onboard = Onboard(config, options, say, records)  # a signal until here calls the flight off
+        onboard = Onboard(config, options, say, records)  # a signal before this point cancels the flight
         records.callback(onboard.close)
         signals = Signals()
         for warning in onboard.link.endpoint.warnings:
@@ -233,7 +233,7 @@ def run(config: FlightConfig, options: OnboardOptions, say: Callable[[str], None
             say(text)
         say("ready")
         sys.stdout.flush()
-        if not options.lockstep:  # only the simulator runs in lockstep, and its parameters are known
+        if not options.lockstep:  # only the simulator uses lockstep, and its parameters are known
             ended = _preflight(onboard, signals, say)
             if ended is None:
                 ended = _alone_with_its_id(onboard, signals)
@@ -245,7 +245,7 @@ def run(config: FlightConfig, options: OnboardOptions, say: Callable[[str], None
 
 
 def _check_speed(options: OnboardOptions) -> None:
-    """Only a simulator runs at another speed than the world."""
+    """Reject a speed other than real time unless the vehicle is a simulator."""
     if options.speed == 1.0 and options.clock is None:
         return
     kind, host, port = parse_url(options.vehicle_url)
@@ -257,7 +257,7 @@ def _check_speed(options: OnboardOptions) -> None:
 
 
 def _check_fleet(config: FlightConfig, options: OnboardOptions) -> None:
-    """Refuse a fleet whose members cannot connect to each other."""
+    """Reject a fleet whose members cannot connect to each other."""
     if config.fleet is None:
         return
     if not (options.connect or options.listen or options.zenoh_config):
@@ -268,7 +268,7 @@ def _check_fleet(config: FlightConfig, options: OnboardOptions) -> None:
 
 
 def _alone_with_its_id(onboard: Onboard, signals: Signals) -> Ended | None:
-    """Refuse to begin while another process sends with the same vehicle id."""
+    """Return why the process must not start while another one uses the same vehicle id; None: it may."""
     if isinstance(onboard.fleet, NoFleet) or signals.operator is Operator.EMERGENCY_STOP:
         return None
     time.sleep(max(0.0, onboard.opened_s + NAMESAKE_S - time.monotonic()))
@@ -277,7 +277,7 @@ def _alone_with_its_id(onboard: Onboard, signals: Signals) -> Ended | None:
 
 
 def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -> Ended | None:
-    """Look at the autopilot's parameters; its frames are no part of the flight, and not in the log."""
+    """Check the autopilot's parameters before the flight; the frames of this check are not logged."""
     options, endpoint, senders = onboard.options, onboard.link.endpoint, onboard.link.senders
     wait_s = onboard.config.checks.wait_time_max_s
     if options.duration_s is not None:
@@ -310,13 +310,13 @@ def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -
     for line in preflight.lines(report):
         say(line)
     if signals.operator is Operator.EMERGENCY_STOP:
-        return None  # the loop gives it, without this check
+        return None  # the ticks send the emergency stop, without this check
     problem = preflight.verdict(report)
     return Ended(Phase.WAIT, problem, 1) if problem is not None else None
 
 
 class _Leaving(Leaving):
-    """Ends a flight also when the link refuses the vehicle; the reason names what was lacking at the end."""
+    """End of a flight, also if the link rejects the vehicle; the reason names missing inputs."""
 
     def __init__(self, onboard: Onboard, signals: Signals) -> None:
         super().__init__(onboard.options.duration_s, signals)
@@ -340,7 +340,7 @@ class _Leaving(Leaving):
 
 
 def _runner(onboard: Onboard, vehicle: LinkedVehicle, leaving: Leaving, signals: Signals) -> Runner:
-    """The sequence of ticks, in real time or in lockstep."""
+    """Return the sequence of ticks, in real time or in lockstep."""
     options, link, wires = onboard.options, onboard.link, onboard.wires
     rate_hz = onboard.config.loop.rate_hz
     if options.lockstep:

@@ -1,4 +1,4 @@
-"""A flight's folder, its recorder, and the log's metadata about the run: scenario, code, machine."""
+"""Folder of a flight, its recorder, and the log's metadata about scenario, code and machine."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _PACKAGES = ("pymavlink", "osqp", "eclipse-zenoh", "mcap")
 def new_folder(name: str) -> Path:
     """Make a folder in ``runs`` for the files of a flight.
 
-    Raises ConfigError: too many of this name and second.
+    Raises ConfigError: too many folders of this name and second exist.
     """
     base = f"{datetime.now().strftime('%Y%m%d-%H%M%S')}-{name}"
     for number in range(1000):
@@ -41,9 +41,9 @@ def new_folder(name: str) -> Path:
 
 
 def log_in(folder: Path) -> Path:
-    """The log to be written in a folder, which is made where it is missing.
+    """Return the path of a new log in a folder; the folder is made if it is missing.
 
-    Raises ConfigError: there is a log already.
+    Raises ConfigError: the folder contains a log already.
     """
     folder.mkdir(parents=True, exist_ok=True)
     log = folder / LOG
@@ -53,9 +53,9 @@ def log_in(folder: Path) -> Path:
 
 
 def start_recorder(socket: Path, log: Path) -> Child:
-    """Start a recorder and wait until it listens; it says what goes wrong in a file beside the log.
+    """Start a recorder and wait until it listens; it reports errors in a file beside the log.
 
-    Raises LaunchError: it did not start.
+    Raises LaunchError: the recorder did not start.
     """
     recorder = Child("record", ["record", "--socket", str(socket), "--out", str(log)], log.parent)
     recorder.wait_ready()
@@ -63,7 +63,7 @@ def start_recorder(socket: Path, log: Path) -> Child:
 
 
 def end_recorder(recorder: Child) -> str | None:
-    """End a recorder after its clients, in bounded time; return the problem if the log is not complete."""
+    """End a recorder after its clients, in bounded time; return the problem if the log is incomplete."""
     if recorder.end(CLOSE_TIME_MAX_S) == 0:
         return None
     return f"record did not end in order: {recorder.errors()}"
@@ -71,9 +71,9 @@ def end_recorder(recorder: Child) -> str | None:
 
 @contextmanager
 def own_recorder(config: FlightConfig, run: Mapping[str, str]) -> Iterator[tuple[Path, Path]]:
-    """Record into a log in a new folder of ``runs``; yields socket and log, and warns of an incomplete log.
+    """Record a log in a new folder of ``runs``; yield socket and log, and warn of an incomplete log.
 
-    ``config``: of the onboard process; ``run``: what is known of the run, for the log.
+    ``config``: configuration of the onboard process; ``run``: entries about the run for the log.
     Raises LaunchError: the recorder did not start.
     """
     sockets = socket_folder()
@@ -92,10 +92,10 @@ def own_recorder(config: FlightConfig, run: Mapping[str, str]) -> Iterator[tuple
 
 
 class Described(NamedTuple):
-    """Description of a flight, written before it starts."""
+    """Description of a flight; it is written to the log before the flight starts."""
 
     config: FlightConfig  # configuration of the onboard process
-    run: Mapping[str, str]  # entries about the run; they replace those made here
+    run: Mapping[str, str]  # entries about the run; they replace the default entries
     attachments: Mapping[str, bytes] = MappingProxyType({})  # files (TOML) by name
     names: Names = OWN  # names of its records in the log
 
@@ -106,11 +106,11 @@ def describe(
     fleet: Mapping[str, str] = MappingProxyType({}),
     attachments: Mapping[str, bytes] = MappingProxyType({}),
 ) -> None:
-    """Write into the log what is needed to read it and to fly it again; onboard writes its own part.
+    """Write the data to the log that is needed to read and replay it, except that of the onboard process.
 
-    ``recorder``: socket of the recorder; ``fleet``: metadata of all flights, empty: one flight;
-    ``attachments``: files (TOML) of all, by name.
-    Raises FeedError: there is no recorder.
+    ``recorder``: socket of the recorder; ``fleet``: metadata of all flights, empty for one flight;
+    ``attachments``: files (TOML) of all flights, by name.
+    Raises FeedError: no recorder listens.
     """
     feed = Feed.connect(str(recorder), "launcher", lossless=True)
     if fleet:
@@ -154,7 +154,7 @@ def _describe(feed: Feed, flight: Described) -> None:
 
 
 def _revision() -> str:
-    """Git revision of the code, "-dirty" with changes; empty where it is not a checkout."""
+    """Return the git revision of the code, with "-dirty" if changed; empty if it is no checkout."""
     try:
         result = subprocess.run(
             ["git", "describe", "--always", "--dirty"],

@@ -1,7 +1,7 @@
-"""The sequence of one tick: wait, take the inputs, step the controller, answer the vehicle, write the rows.
+"""Sequence of one tick: wait, take the inputs, step the controller, send the outputs, write the log.
 
-Real time, lockstep, a landing in one process and replay all run it. They differ in five parts: the clock, the
-vehicle, the source of target samples, what ends the flight, and the sink of the rows.
+Real time, lockstep, a landing in one process and replay all use this sequence. They differ in five parts: the
+clock, the vehicle, the source of target samples, the end of the flight, and the sink of the rows.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ from flightstack.onboard.leaving import LAND_SHOWN_MAX_S, Ended, Leaving, flies
 
 
 class Arrived(NamedTuple):
-    """Data of the target since the last tick."""
+    """Data of the target that arrived since the last tick."""
 
     samples: tuple[TargetSample, ...] = ()  # samples for the controller
     problems: Sequence[str] = ()  # errors of messages that could not be decoded
-    messages: Sequence[RawSample] = ()  # raw messages for the log; empty where it does not record them
+    messages: Sequence[RawSample] = ()  # raw messages for the log; empty if they are not recorded
 
 
 NOTHING = Arrived()
-STALL_MAX_S = 0.05  # s by which a sample may come later than its tick, a fifth of checks.target_age_max_s
+STALL_MAX_S = 0.05  # largest delay of a tick whose samples are used, s: a fifth of checks.target_age_max_s
 
 
 class Taken(NamedTuple):
-    """The arguments of ``Controller.step``, and the messages that the samples came in."""
+    """Arguments of ``Controller.step``, and the messages that contained the samples."""
 
     inputs: Inputs
     command_failed: bool
@@ -68,17 +68,17 @@ class ClockStoppedError(RuntimeError):
 
 
 class Clock(Protocol):
-    """Begins the ticks."""
+    """Source of the ticks."""
 
     def wait(self) -> Tick:
-        """Wait for the next tick; read the vehicle's messages until then.
+        """Wait for the next tick, and read the vehicle's messages until then.
 
-        Raises ClockStoppedError: there is none.
+        Raises ClockStoppedError: there is no further tick.
         """
 
 
 class Vehicle(Protocol):
-    """The vehicle: its newest inputs, and the outputs of a tick for it."""
+    """The vehicle: its newest inputs, and the receiver of the outputs of a tick."""
 
     def read(self) -> VehicleInputs: ...
 
@@ -89,10 +89,10 @@ class Target(Protocol):
     """The source of target samples."""
 
     def samples(self, now_s: float) -> Arrived:
-        """Return the samples since the last call; ``now_s`` counts as their arrival."""
+        """Return the samples since the last call; ``now_s`` is their arrival time."""
 
     def landing_began(self, tick: int) -> None:
-        """Report that the landing has started, at this tick: a simulated robot then drives."""
+        """Report that the landing has started at this tick, from which a simulated robot may drive."""
 
 
 class Ending(Protocol):
@@ -106,7 +106,7 @@ class Ending(Protocol):
 
 
 class Sink(Protocol):
-    """Writes down a tick; ``exec_s`` is wall time, until the vehicle was answered."""
+    """Writer of ticks; ``exec_s`` is the wall time until the outputs were sent to the vehicle."""
 
     def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None: ...
 
@@ -115,7 +115,7 @@ Words = Callable[[], tuple[Neighbour, ...]]  # messages of other vehicles since 
 
 
 class Runner:
-    """Runs ticks."""
+    """Runner of ticks."""
 
     def __init__(
         self,
@@ -134,11 +134,11 @@ class Runner:
 
     @property
     def memory(self) -> Memory:
-        """Of the controller."""
+        """State of the controller's mission and commands."""
         return self._controller.memory
 
     def tick(self) -> Ended | None:
-        """Run one tick; the vehicle is answered before anything is written down.
+        """Run one tick; the outputs are sent to the vehicle before anything is written.
 
         Raises ClockStoppedError: there is no further tick.
         """
@@ -162,7 +162,7 @@ class Runner:
 
 
 class RealTimeClock:
-    """Deadlines of the wall's clock, or of a simulator's; polls the link at each."""
+    """Clock with deadlines in real time, or in a simulator's time; it polls the link at each deadline."""
 
     def __init__(self, pacer: RealTimePacer, link: VehicleLink) -> None:
         self._pacer, self._link = pacer, link
@@ -175,10 +175,10 @@ class RealTimeClock:
 
 
 class LiveTarget:
-    """A target in real time; it needs no message about the landing.
+    """Target in real time; it needs no message about the landing.
 
-    Samples of a tick in which the process stalled are not used: they may have arrived after the tick began.
-    They would make the shortest delay too short, and later samples would count as too late.
+    Samples of a tick in which the process stalled are not used, because they may have arrived after the tick
+    started. They would reduce the minimum delay too much, and later samples would count as too late.
 
     ``source``: source of the samples; ``clock``: stack clock, s.
     """
@@ -187,7 +187,7 @@ class LiveTarget:
         self._source, self._clock = source, clock
 
     def samples(self, now_s: float) -> Arrived:
-        """Return what has arrived since the last call."""
+        """Return the samples that have arrived since the last call."""
         messages = self._source.poll()
         stall_s = self._clock() - now_s
         if messages and stall_s > STALL_MAX_S:
@@ -196,11 +196,11 @@ class LiveTarget:
         return decoded(messages, now_s)
 
     def landing_began(self, tick: int) -> None:
-        """Nothing to do."""
+        """Do nothing; a real target needs no message."""
 
 
 class LinkedVehicle:
-    """The vehicle behind a MAVLink link, which the clock polls."""
+    """Vehicle behind a MAVLink link, which the clock polls."""
 
     def __init__(self, link: VehicleLink, *, lockstep: bool) -> None:
         self.link, self._lockstep = link, lockstep  # link to the vehicle
@@ -208,25 +208,25 @@ class LinkedVehicle:
 
     @property
     def reply(self) -> bytes:
-        """Lockstep: frame of the last answer, for a vehicle that asks again."""
+        """Frame of the last answer in lockstep, for a vehicle that repeats its request."""
         return bytes(self._reply.get_msgbuf() or b"") if self._reply is not None else b""
 
     def read(self) -> VehicleInputs:
-        """Return what the link has decoded."""
+        """Return the newest data that the link has decoded."""
         link = self.link
         state, status = link.state, link.state.status
         if status is not None and status.ready_to_arm and link.senders.suspects:
-            status = replace(status, ready_to_arm=False)  # it may be a second vehicle
+            status = replace(status, ready_to_arm=False)  # the status may be that of a second vehicle
         return VehicleInputs(state.own, status, link.failed is not None, state.power)
 
     def ask(self, request: Request, now_s: float) -> None:
-        """Read the link and request a mode, without the controller."""
+        """Read the link and request a mode without the controller."""
         self.link.poll(now_s)
         self.link.command(request, now_s)
         self.link.flush()
 
     def answer(self, out: Outputs, now_s: float) -> None:
-        """Send set-point and commands in one datagram, and in lockstep the answer that ends the tick."""
+        """Send set-point and commands in one datagram; in lockstep also the reply that ends the tick."""
         link = self.link
         if out.setpoint is not None:
             link.send_setpoint(out.setpoint, now_s)
@@ -238,18 +238,18 @@ class LinkedVehicle:
         link.flush([reply])
 
 
-_PERIOD_S = 0.02  # s between two looks without ticks
+_PERIOD_S = 0.02  # wall time between two checks without ticks, s
 REFUSED = "target sample refused: "
 
 
 class Refusals:
-    """Counts refusals, and reports them when the count has doubled: a stream would fill the log."""
+    """Counter of rejected samples; it reports when the count has doubled, to keep the log short."""
 
     def __init__(self) -> None:
         self._count, self._due = 0, 1
 
     def told(self, problems: Iterable[str]) -> list[str]:
-        """Return the texts that are due, of these."""
+        """Return those of the texts that are due."""
         found = []
         for text in problems:
             if not text.startswith(REFUSED):
@@ -263,7 +263,7 @@ class Refusals:
 
 
 def decoded(messages: Sequence[RawSample], now_s: float) -> Arrived:
-    """Return the samples of messages that arrive now, and why others are none."""
+    """Return the samples in these messages, which arrive now, and why other messages contain none."""
     if not messages:
         return NOTHING
     samples: list[TargetSample] = []
@@ -277,13 +277,13 @@ def decoded(messages: Sequence[RawSample], now_s: float) -> Arrived:
 
 
 def fly(ticks: Runner, vehicle: LinkedVehicle, leaving: Leaving, failed: Callable[[str], None]) -> Ended:
-    """Fly until the flight is over or something breaks, then leave the vehicle: the one way out of a flight.
+    """Fly until the flight is over or an error occurs, then leave the vehicle; each flight ends here.
 
-    Autopilots differ in what they do when set-points stop: PX4 lands, ArduPilot hovers. A process that ends
-    in flight therefore requests the vehicle's own landing until a heartbeat shows it, for a bounded time: by
-    the controller as long as ticks can be run, after an exception directly.
+    Autopilots differ when set-points stop: PX4 lands, ArduPilot hovers. A process that ends in flight
+    therefore requests the autopilot's landing until a heartbeat confirms it, for a bounded time: through the
+    controller while ticks can run, or directly after an exception.
 
-    ``leaving``: decides when the flight is over; ``failed``: takes the text of an exception.
+    ``leaving``: decides when the flight is over; ``failed``: receives the text of an exception.
     """
     ended: Ended | None = None
     works = True
@@ -300,9 +300,9 @@ def fly(ticks: Runner, vehicle: LinkedVehicle, leaving: Leaving, failed: Callabl
 
 
 def _leave(ended: Ended, ticks: Runner, vehicle: LinkedVehicle, leaving: Leaving, *, works: bool) -> Ended:
-    """Request the landing until the heartbeat shows it; the reason then states whether it did."""
+    """Request the landing until the heartbeat confirms it; the reason states whether it did."""
     memory, began_s, leaving.leaves = ticks.memory, time.monotonic(), True
-    arms = leaving.arms and not memory.was_armed  # perhaps only when this process has ended
+    arms = leaving.arms and not memory.was_armed  # the vehicle may arm only after this process has ended
     works = works and not arms
     status = vehicle.read().status
     while flies(memory, status) or (arms and status is not None and status.mode is not Mode.LAND):
@@ -313,7 +313,7 @@ def _leave(ended: Ended, ticks: Runner, vehicle: LinkedVehicle, leaving: Leaving
         if works:
             try:
                 ticks.tick()
-            except BaseException:  # any exception; then without the controller
+            except BaseException:  # after any exception, continue without the controller
                 works = False
         else:
             with contextlib.suppress(Exception):
@@ -330,5 +330,5 @@ def _leave(ended: Ended, ticks: Runner, vehicle: LinkedVehicle, leaving: Leaving
 
 
 def _off(memory: Memory) -> bool:
-    """Whether an emergency stop was asked for."""
+    """Whether an emergency stop was requested."""
     return memory.abort_way is AbortWay.MOTORS_OFF

@@ -1,7 +1,7 @@
-"""Dataclasses as text and back, by their declared types and without losing a bit.
+"""Conversion of dataclasses to text and back, by their declared types and without loss of a bit.
 
-The codec is made from the types, so a type that cannot be written stops a program at its start and never in
-flight. The ``layout`` names every field and type; text of another layout is refused.
+The codec is built from the types, so an unsupported type stops a program at its start and never in flight.
+The ``layout`` names every field and type; a text with another layout is rejected.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ T = TypeVar("T")
 
 VERSION = 1  # version of the text form
 _WRITER = json.JSONEncoder(separators=(",", ":"), allow_nan=False, check_circular=False)
-_BITS = "f64:"  # a float that JSON has no word for: the 16 digits of its IEEE 754 bits, big-endian
+_BITS = "f64:"  # prefix of a float that JSON cannot represent: 16 hex digits of its IEEE 754 bits, big-endian
 
 
 class StateTextError(ValueError):
-    """Text that is not of this type."""
+    """The text is not of this type."""
 
 
 class _Plan(NamedTuple):
-    """How one declared type is written."""
+    """Encoder and decoder of one declared type."""
 
     layout: str
     encode: Callable[[Any], Any]
@@ -35,10 +35,10 @@ class _Plan(NamedTuple):
 
 
 class StateText(Generic[T]):
-    """Writes and reads one dataclass.
+    """Writer and reader for one dataclass.
 
-    Raises TypeError: a field's declared type is not one of bool, int, float, str, enum, tuple, dataclass,
-    named tuple, or one of these or None.
+    Raises TypeError: the declared type of a field is not bool, int, float, str, enum, tuple, dataclass, named
+    tuple, or a union of one of these with None.
     """
 
     def __init__(self, cls: type[T]) -> None:
@@ -49,7 +49,7 @@ class StateText(Generic[T]):
         return _WRITER.encode(self._plan.encode(value))
 
     def loads(self, layout: str, text: str) -> T:
-        """Return what ``dumps`` wrote. Raises StateTextError: another layout, or not such a text."""
+        """Return the value that ``dumps`` wrote. Raises StateTextError: another layout, or a wrong text."""
         if layout != self.layout:
             raise StateTextError(f"layout {layout!r} found, this version reads {self.layout!r}")
         try:
@@ -65,7 +65,7 @@ def _refuse(word: str) -> None:
 
 
 def _is(value: Any, good: bool, at: str, needed: str) -> Any:
-    """The value if it is good. Raises StateTextError: it is not."""
+    """Return the value if ``good``. Raises StateTextError: it is not."""
     if not good:
         raise StateTextError(f"{at or 'the whole'}: found {value!r}, {needed} is needed")
     return value
@@ -115,7 +115,7 @@ def _decode_float(value: Any, at: str) -> float:
 
 
 def _tuple(hints: tuple[Any, ...], where: str) -> _Plan:
-    """A tuple of values with a type each, or of any number of values of one type (``...``)."""
+    """Plan for a tuple: values with a type each, or any number of values of one type (``...``)."""
     is_row = hints[-1] is Ellipsis
     plans = [_plan(each, where) for each in hints if each is not Ellipsis]
     needed = "a list" if is_row else f"a list of {len(plans)} values"
@@ -134,7 +134,7 @@ def _tuple(hints: tuple[Any, ...], where: str) -> _Plan:
 
 
 def _named(cls: Any) -> _Plan:
-    """A dataclass or named tuple."""
+    """Plan for a dataclass or named tuple."""
     hints = get_type_hints(cls)
     names = cls._fields if hasattr(cls, "_fields") else [f.name for f in dataclasses.fields(cls)]
     plans = {name: _plan(hints[name], f"{cls.__name__}.{name}") for name in names}

@@ -1,7 +1,7 @@
-"""The causes for which a flight waits, as texts for a person, each with the setting that limits it.
+"""Causes for which a flight waits, as texts for the operator, each with the setting that limits the wait.
 
 ``missing`` finds the causes in the state of the links, ``countdown`` gives the limit of a phase; both are
-pure. ``WaitReport`` watches the links and reports both every two seconds.
+pure. ``WaitReport`` observes the links and reports both every two seconds.
 """
 
 from __future__ import annotations
@@ -22,45 +22,45 @@ from flightstack.core.parameters.flight import Checks, FlightConfig
 from flightstack.core.types import Landed, Mode, Phase, VehicleStatus
 from flightstack.onboard.zenoh_wires import ZenohWires
 
-PERIOD_S = 2.0  # s between two reports
+PERIOD_S = 2.0  # time between two reports, s
 _FLYING = frozenset({Landed.IN_AIR, Landed.TAKEOFF, Landed.LANDING})
-_REASON_SEVERITY = 4  # MAV_SEVERITY_WARNING; less urgent texts do not count as reasons
-_REASONS = 3  # texts of the vehicle that are repeated
-_REASON_AGE_MAX_S = 15.0  # s; PX4 and ArduPilot repeat why they do not arm within that time
-_CAUSE_AGE_MAX_S = 5.0  # s; a disarm shows with the next heartbeat, at 1 Hz, of which two may be lost
-_PROBLEMS = 2  # about samples, in one report
+_REASON_SEVERITY = 4  # MAV_SEVERITY_WARNING; texts with a lower severity are not used as reasons
+_REASONS = 3  # number of vehicle texts that are repeated
+_REASON_AGE_MAX_S = 15.0  # longest age of a reason, s; PX4 and ArduPilot repeat it within that time
+_CAUSE_AGE_MAX_S = 5.0  # longest age of a cause, s: heartbeats at 1 Hz report a disarm, two may be lost
+_PROBLEMS = 2  # number of sample errors in one report
 
 
 class VehicleSeen(NamedTuple):
-    """What the vehicle link has received so far."""
+    """Data that the vehicle link has received so far."""
 
     heartbeat_age_s: float | None  # age of the newest heartbeat; None: none received
-    silence: str  # sentence for a missing heartbeat (``bridge.mavlink.client.silence``)
+    silence: str  # sentence about a missing heartbeat (``bridge.mavlink.client.silence``)
     own_age_s: float | None  # age of the newest vehicle state; None: none received
-    own_believed: bool  # whether its position and velocity agree
-    # positions refused since the last report, by cause (fields of ``StateCounters``)
+    own_believed: bool  # whether position and velocity agree
+    # positions rejected since the last report, by cause (fields of ``StateCounters``)
     refused: Mapping[str, int]
-    status: VehicleStatus | None  # newest status
-    readiness_told: bool  # whether SYS_STATUS, with the readiness to arm, was received
+    status: VehicleStatus | None  # newest status of the vehicle
+    readiness_told: bool  # whether SYS_STATUS, which reports readiness to arm, was received
     says: tuple[str, ...]  # newest texts of the vehicle that may be reasons
     heartbeat_every_s: float = 0.0  # longest interval between two heartbeats since the last report
-    own_every_s: float = 0.0  # longest interval between two vehicle states since then
+    own_every_s: float = 0.0  # longest interval between two vehicle states since the last report
 
 
 class TargetSeen(NamedTuple):
-    """What the target's link has received so far."""
+    """Data that the target's link has received so far."""
 
-    name: str  # key or topic, as given
-    age_s: float | None  # age of the newest accepted sample; None: none
-    arrived: int  # samples since the last report, refused ones included
+    name: str  # key or topic, as the user gave it
+    age_s: float | None  # age of the newest accepted sample; None: no sample
+    arrived: int  # samples since the last report, including rejected ones
     problems: tuple[str, ...]  # errors of samples
     keys: tuple[str, ...]  # other keys that might be a target
-    contradicts: bool = False  # whether its positions contradict its velocity
+    contradicts: bool = False  # whether positions contradict the velocity
     every_s: float = 0.0  # longest interval between two accepted samples since the last report
 
 
 def missing(vehicle: VehicleSeen, target: TargetSeen, checks: Checks) -> tuple[str, ...]:
-    """Return the known causes that keep the flight from beginning, one sentence each.
+    """Return the known causes that delay the start of the flight, one sentence each.
 
     ``checks``: limits of the configuration.
     """
@@ -68,7 +68,7 @@ def missing(vehicle: VehicleSeen, target: TargetSeen, checks: Checks) -> tuple[s
 
 
 def _seldom(what: str, every_s: float, age_s: float | None, key: str, most_s: float) -> tuple[str, ...]:
-    """Inputs that come, and too seldom for their age limit."""
+    """Return a text about inputs that arrive, but too rarely for their age limit."""
     if every_s <= most_s or age_s is None or age_s > every_s:
         return ()
     return (f"{what} come every {every_s:.2f} s ({1.0 / every_s:.1f} Hz); checks.{key} allows {most_s:g} s",)
@@ -146,26 +146,26 @@ def _of_target(seen: TargetSeen, checks: Checks) -> tuple[str, ...]:
 
 
 class _Pace:
-    """Longest interval between arrivals since the last report; of few arrivals the newest interval."""
+    """Longest interval between arrivals since the last report; with few arrivals, the newest interval."""
 
     def __init__(self) -> None:
         self._last_s, self._longest_s, self._reported = math.nan, 0.0, True
 
     def note(self, arrival_s: float) -> None:
-        """Take the arrival of the newest one, the same again or not."""
+        """Record the newest arrival time; the same time may be given repeatedly."""
         interval_s, self._last_s = arrival_s - self._last_s, arrival_s
-        if interval_s > 0.0:  # NaN before the second
+        if interval_s > 0.0:  # NaN before the second arrival
             self._longest_s = interval_s if self._reported else max(interval_s, self._longest_s)
             self._reported = False
 
     def report(self) -> float:
-        """Return it, 0 before there were two."""
+        """Return the longest interval; 0 before two arrivals."""
         self._reported = True
         return self._longest_s
 
 
-# Phases that continue without messages of the vehicle: the setting that ends each, and what happens then. Any
-# other phase ends at once.
+# Phases that continue without messages of the vehicle: the setting that limits each, and what happens then.
+# Any other phase ends at once.
 _BOUNDS: Mapping[Phase, tuple[str, str]] = {
     Phase.WAIT: ("checks.wait_time_max_s", "gives up"),
     Phase.HOLD: ("checks.hold_time_s", "aborts"),
@@ -177,7 +177,7 @@ _BOUNDS: Mapping[Phase, tuple[str, str]] = {
 def countdown(config: FlightConfig, phase: Phase, in_phase_s: float) -> str:
     """Return what ends the phase, the latest time, and the setting; empty for a phase without a limit.
 
-    ``in_phase_s``: seconds since the phase began.
+    ``in_phase_s``: time since the phase started, s.
     """
     if phase not in _BOUNDS:
         return ""
@@ -187,27 +187,27 @@ def countdown(config: FlightConfig, phase: Phase, in_phase_s: float) -> str:
 
 
 class WaitReport:
-    """Call ``note_text`` with the vehicle's texts and ``step`` in every tick."""
+    """Reporter of waits: call ``note_text`` with the vehicle's texts, and ``step`` in every tick."""
 
     def __init__(
         self, config: FlightConfig, system_id: int, link: VehicleLink, wires: ZenohWires, *, searches: bool
     ) -> None:
-        """Set up. ``wires``: of the target; ``searches``: look for other keys while no sample comes."""
-        # missing inputs at the last report, while the flight waits and after it was given up
+        """Set up. ``wires``: Zenoh connections; ``searches``: search other keys while no sample arrives."""
+        # missing inputs at the last report, during the wait and after it was given up
         self.lacking: tuple[str, ...] = ()
         self._config, self._system_id, self._link, self._wires = config, system_id, link, wires
         self._searches = searches
         self._due_s = PERIOD_S
         self._arrivals = Arrivals()
         self._refused: dict[str, int] = {}
-        self._arrived = self._refused_before = self._accepted = 0  # samples of the target
+        self._arrived = self._refused_before = self._accepted = 0  # numbers of target samples
         self._heartbeats, self._states, self._samples = _Pace(), _Pace(), _Pace()
         self._texts: deque[tuple[float, str]] = deque(maxlen=_REASONS)
-        self._recent: dict[str, float] = {}  # newest texts of any severity, and when they came last
+        self._recent: dict[str, float] = {}  # newest texts of any severity, with their last arrival time
         self._refusals: deque[str] = deque(maxlen=_PROBLEMS)
 
     def note_text(self, now_s: float, severity: int, text: str) -> None:
-        """Take a text of the vehicle."""
+        """Store a text of the vehicle."""
         self._recent.pop(text, None)
         self._recent[text] = now_s
         if len(self._recent) > _REASONS:
@@ -218,7 +218,7 @@ class WaitReport:
             self._texts = deque(((now_s if t == text else s, t) for s, t in self._texts), maxlen=_REASONS)
 
     def cause(self, now_s: float) -> str:
-        """Why the autopilot did something by itself: its newest messages, or that there was none."""
+        """Return why the autopilot acted by itself: its newest messages, or that no message arrived."""
         says = [text for text, at_s in self._recent.items() if now_s - at_s <= _CAUSE_AGE_MAX_S]
         if says:
             return f"the autopilot says: {' | '.join(says)}"
@@ -229,8 +229,8 @@ class WaitReport:
     ) -> str | None:
         """Return the text for the operator, if one is due.
 
-        ``out``: of this tick; ``memory``: of the controller, after it; ``arrived``: samples of the target in
-        this tick; ``problems``: why some of them could not be decoded; ``now_s``: the stack's clock.
+        ``out``: outputs of this tick; ``memory``: state after it; ``arrived``: number of target samples in
+        it; ``problems``: why some of them could not be decoded; ``now_s``: time on the stack's clock.
         """
         phase = out.phase
         if phase not in (Phase.WAIT, Phase.ABORT):
@@ -239,7 +239,7 @@ class WaitReport:
             self._note_arrivals(out, now_s)
             self._arrived += arrived
             self._refusals.extend(text for text in problems if text not in self._refusals)
-            for event in out.events:  # while it waits the controller warns of refused samples alone
+            for event in out.events:  # during the wait, the controller warns only of rejected samples
                 if event.level == WARN and event.text not in self._refusals:
                     self._refusals.append(event.text)
         else:

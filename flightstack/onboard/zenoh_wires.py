@@ -1,4 +1,4 @@
-"""The Zenoh side of the onboard process: its session, the target's motion, and the flight shown to ROS 2."""
+"""Zenoh connections of the onboard process: its session, the target's samples, and topics for ROS 2."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from logs.schema.rows import ControllerStepRow
 
 
 class ZenohWires:
-    """Owns the sessions.
+    """Owner of the Zenoh sessions.
 
-    Raises ValueError: an endpoint, key, topic, domain or configuration that is not understood;
-    ZenohLinkError: a session that could not be opened.
+    Raises ValueError: an endpoint, key, topic, domain or configuration is not valid; ZenohLinkError: a
+    session cannot be opened.
     """
 
     def __init__(self, config: FlightConfig, options: OnboardOptions, namespace: str) -> None:
@@ -38,7 +38,7 @@ class ZenohWires:
         self._sessions = [self.session]
         self._shown: LiveRos2 | None = None
         rate_hz, checks = config.loop.rate_hz, config.checks
-        if (ros2 := network(options)) is not None:  # without it a target of ROS 2 is on the flight's session
+        if (ros2 := network(options)) is not None:  # without it, a ROS 2 target uses the flight's session
             self._sessions.append(ros2.open())
             self._alarms.append(ConnectionAlarm(self._sessions[-1], [ros2.where], zenoh_link.Role.CLIENT))
             self._shown = LiveRos2(self._sessions[-1], ros2.domain, namespace, rate_hz)
@@ -48,7 +48,7 @@ class ZenohWires:
             where, target, checks.target_frame, checks.target_child_frame, config.target,
             lossless=options.lockstep,
         )  # fmt: skip
-        self.search = KeySearch(where)  # search for other keys of a target; idle until it is requested
+        self.search = KeySearch(where)  # search for other keys of a target; idle until requested
         self._texts = [
             f"Zenoh listens on {endpoint} without rules: every process that reaches this endpoint "
             "can send a target (docs/how_to/zenoh.md)"
@@ -56,7 +56,7 @@ class ZenohWires:
         ]
 
     def texts(self, now_s: float) -> list[str]:
-        """Texts for the operator since the last call; in lockstep none that depends on wall time."""
+        """Return the texts for the operator since the last call; in lockstep, none depends on wall time."""
         texts, self._texts = self._texts + self.odometry.take_problems(), []
         if not self._lockstep:
             for alarm in self._alarms:
@@ -64,12 +64,12 @@ class ZenohWires:
         return texts
 
     def show(self, tick: Tick, out: Outputs, step: ControllerStepRow, health: bytes | None) -> None:
-        """Show a tick to ROS 2, if that is wanted; arguments as of ``LiveRos2.show``."""
+        """Publish a tick to ROS 2 if that is configured; the arguments are those of ``LiveRos2.show``."""
         if self._shown is not None:
             self._shown.show(tick, out, step, health)
 
     def close(self) -> None:
-        """Close everything."""
+        """Close search, publishers and sessions."""
         self.search.stop()
         if self._shown is not None:
             self._shown.close()
