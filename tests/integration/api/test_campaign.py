@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import threading
 
 import pytest
 
@@ -31,18 +30,6 @@ def test_a_campaign_is_a_table_and_equals_single_landings():
     assert len(result) == 2
     assert repr(result).startswith("Campaign(lab: ")
     assert len(repr(result)) < 100
-
-
-def test_a_local_class_reaches_workers_that_cannot_be_forked():
-    ends = threading.Event()
-    other = threading.Thread(target=ends.wait)
-    other.start()
-    try:
-        (row,) = fs.campaign("lab", seeds=[1], filter=local(), workers=1).rows
-    finally:
-        ends.set()
-        other.join()
-    assert row.violation
 
 
 SCRIPT = """

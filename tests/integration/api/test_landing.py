@@ -70,8 +70,3 @@ def test_changed_keys_are_flown_and_judged():
 def test_wrong_keys_are_named(changes, text):
     with pytest.raises(ConfigError, match=text):
         fs.land("lab", changes=changes)
-
-
-def test_a_class_that_is_no_filter_is_named():
-    with pytest.raises(ConfigError, match="builtins:int"):
-        fs.land("lab", filter=int)

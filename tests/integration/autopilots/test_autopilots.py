@@ -22,15 +22,6 @@ from tests.integration.sim_processes import ROOT, verb
 from tests.px4_flight import px4_or_skip
 
 
-@pytest.mark.parametrize(("scenario", "seed"), [("lab", 1), ("large", 0)], ids=["Crazyflie", "1 kg"])
-def test_lockstep_landing_and_its_replay(flown, scenario, seed):
-    landing = flown(scenario, seed)
-    assert (landing.json["outcome"], landing.json["violation"]) == ("landed", False)
-    done = flightstack("replay", landing.log)
-    assert done.code == 0, done.out
-    assert "wire: equal" in done.out
-
-
 @contextmanager
 def vehicle_process(*arguments):
     """``flightstack vehicle``, disarmed on the ground, and where it is found."""

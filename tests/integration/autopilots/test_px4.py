@@ -79,19 +79,6 @@ def test_is_ready_with_the_parameters_wanted_and_counts_from_the_origin_of_the_r
         assert float(place["x:"]) == pytest.approx(north, abs=0.1)
 
 
-def test_an_instance_that_runs_is_not_claimed_and_not_started_twice(tmp_path, instance):
-    first = Px4Program(px4_or_skip(), tmp_path / "first", Px4Model.NONE_IRIS, instance=instance)
-    try:
-        wait_for(lambda: "Waiting for simulator" in first.output.read_text(), "PX4 that waits")
-        second = Px4Program(px4_or_skip(), tmp_path / "second", Px4Model.NONE_IRIS, instance=instance)
-        with pytest.raises(Px4Error, match="already running"):
-            second.wait_ready(PATIENCE_S)
-        assert second.end() != 0
-        assert first.alive()
-    finally:
-        first.end()
-
-
 def test_a_px4_without_a_simulator_is_given_up_with_its_last_lines(tmp_path, instance):
     px4 = Px4Program(px4_or_skip(), tmp_path, Px4Model.NONE_IRIS, instance=instance)
     try:

@@ -13,7 +13,7 @@ from flightstack.cli.main import main
 from flightstack.common.processes import Port
 from logs.reader.flight import load_flight
 from tests.integration.runs import called
-from tests.integration.sim_processes import priority_or_skip, prompt_threads, verb
+from tests.integration.sim_processes import verb
 from tests.unit.px4.px4_fakes import FakePx4, Pilot, parameters_of, true_place
 
 PATIENCE_S = 120.0  # the first run on a machine compiles
@@ -74,23 +74,6 @@ def test_flies_by_motion_capture_in_the_coordinates_of_the_room():
         assert "HIL_GPS" not in fake.counts
         fake.close()
         lines(child)
-
-
-@pytest.mark.xdist_group("real-time")
-@pytest.mark.parametrize("speed", ["1", "0"])
-def test_a_vehicle_in_flight_waits_for_no_other_program_where_time_is_real(speed):
-    priority_or_skip()
-    with simulator("paper_moving_1", speed=speed) as (child, port):
-        fake = FakePx4(port)
-        fake.hello()
-        for armed in (False, True, False):
-            wanted, prompt = armed and speed == "1", []
-            while len(prompt) < 50 or (prompt[-1] is not wanted and len(prompt) < 500):
-                fake.answer(fake.sensor().time_usec, (0.0,) * 4, armed=armed)
-                prompt.append(child.pid in prompt_threads(child.pid))
-            assert prompt[-1] is wanted
-            assert speed == "1" or not any(prompt)
-        fake.close()
 
 
 def test_lands_on_the_pad_and_says_where():

@@ -21,7 +21,7 @@ from sim.campaign.run import plan
 from sim.campaign.summary import LIMITS, Tier, count, misses
 from sim.runners.landing import land
 from sim.scenarios.scenario import load, path_of
-from tests.integration.runs import WALL_MAX_S, Background, called, flightstack, fly, gone, replayed
+from tests.integration.runs import WALL_MAX_S, Background, called, flightstack, gone
 from tests.integration.sim_processes import wait_for
 
 RUNS = 6
@@ -194,19 +194,6 @@ def test_a_changed_campaign_is_refused(whole, arguments, said):
     assert "--out" in done.err
 
 
-def test_wrong_input_is_one_line(tmp_path):
-    file = tmp_path / "file"
-    file.write_text("")
-    for arguments, said in (
-        (("nowhere",), "neither a file nor one of"),
-        (("lab", "--out", file / "below"), "below"),
-        (("lab", "--runs", 1, "--cluster", "tcp://127.0.0.1:9", "--out", tmp_path / "x"), ""),
-    ):
-        done = called("campaign", *arguments)
-        assert done.code in (1, 2)
-        assert said in done.err
-
-
 def test_require_tells_what_is_missed_and_what_is_met(tmp_path):
     words = ("lab", "--runs", 1, "--seed", 4, "--no-report", "--out", tmp_path, "--require", "lab")
     done = campaign(*words, check=False)
@@ -258,16 +245,6 @@ def elsewhere(tmp_path):
     """A working folder that holds the filter as a module of another name."""
     shutil.copy(ROOT / "examples" / "own_boundary.py", tmp_path / "mine.py")
     return tmp_path
-
-
-def test_it_flies_over_the_wires_and_its_log_is_replayed(elsewhere, monkeypatch):
-    monkeypatch.chdir(elsewhere)
-    done = fly(elsewhere / "out", "paper_moving_1", 0, "--filter", "mine:ConeFilter")
-    assert done.code == 0, done.out + done.err
-    assert done.json["outcome"] == "landed"
-    assert done.json["filter"] == "mine:ConeFilter"
-    assert 'filter = "mine:ConeFilter"' in (elsewhere / "out" / "onboard.toml").read_text()
-    replayed(elsewhere / "out" / "flight.mcap", apart=True)  # the filter is loaded from its folder
 
 
 def test_it_flies_a_campaign_by_its_name_in_the_scenario(elsewhere):

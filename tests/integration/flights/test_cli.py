@@ -11,7 +11,6 @@ from click.testing import CliRunner
 
 from flightstack.cli.main import GROUPS, VERBS, main
 from flightstack.common.strict_toml import dumps, from_table, to_table
-from flightstack.config.files import load
 from flightstack.core.parameters.flight import FlightConfig
 from sim.scenarios import scenario
 from sim.vehicle.vehicle import VehicleSim
@@ -97,13 +96,6 @@ def test_a_verb_loads_nothing_of_the_others():
     assert not {"numpy", "rich", "pymavlink", "sim", "logs", "bridge"} & set(done.stdout.split())
 
 
-def test_scenarios_lists_the_papers_runs_and_the_teams():
-    out = flightstack("scenarios").out
-    for name in ("paper_static_1", "paper_static_2", "paper_moving_1", "paper_moving_2", "fleet_3"):
-        assert name in out
-    assert 'base = "field"' in flightstack("scenarios", "fleet_3").out
-
-
 def run(*words):
     return CliRunner().invoke(main, [str(word) for word in words])
 
@@ -157,11 +149,6 @@ def test_the_papers_scenarios_pass_the_papers_checks(name):
     result = run("check", name)
     assert result.exit_code == 0, result.output
     assert "filter paper" in result.output
-
-
-def test_the_documented_configuration_passes():
-    assert load("crazyflie").filter == "robust"
-    assert run("check", "crazyflie").exit_code == 0
 
 
 @pytest.mark.parametrize("name", ["sim", "logs"])

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from flightstack.common import streams
 from logs.reader.flight import load_flight
 from tests.golden.flights import path_of
 from tests.integration.sim_processes import COMMAND
@@ -88,11 +87,3 @@ def test_a_reader_that_does_not_read_is_not_waited_for_in_a_flight():
     finally:
         os.close(reads)
         os.close(writes)
-
-
-def test_streams_of_somebody_else_stay():
-    before = sys.stdout, sys.stderr
-    assert not streams.guard()
-    assert (sys.stdout, sys.stderr) == before
-    assert streams.problem() is None
-    assert not streams.reader_gone()

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
 
 import numpy as np
 import pyarrow as pa
@@ -204,17 +202,3 @@ def test_the_flights_that_were_recorded_pass(tmp_path):
     out = {one["name"] for one in told["left_out"]}
     assert out >= {"B6_linear_ramp_rep1", "B7_oval_slow_rep1"} & {path.stem for path in every}
     assert told["passed"], told["causes"]
-
-
-@pytest.mark.parametrize("words", [["validate"], ["identify", "--flights"]])
-def test_without_pyarrow_it_says_what_to_install(words):
-    arguments = [*words, str(recorded.PIECE.parent)]
-    code = (
-        f"import sys; sys.modules['pyarrow'] = None; from flightstack.cli.main import main; main({arguments})"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60.0, check=False
-    )
-    assert done.returncode == 2
-    told = f"`{' '.join(words)}` needs pyarrow: pip install 'crazyflie-flightstack[sim,export]'"
-    assert told in done.stderr

@@ -1,6 +1,5 @@
 """Flights recorded over the real wires: replayed bit by bit, played back, judged by estimate and truth."""
 
-import json
 import math
 from dataclasses import replace
 
@@ -68,24 +67,3 @@ def test_a_flight_that_is_cut_never_landed(flown, tmp_path, to_s):
     log = onboard_only(flown("large", 0).log, tmp_path / "real.mcap", to_s)
     told = flightstack("log", "verdict", log, "--json")
     assert (told.code, told.json["outcome"]) == (1, "timeout"), told.out
-
-
-def test_what_cannot_be_read_has_exit_status_2(tmp_path):
-    (tmp_path / "text.mcap").write_text("no log")
-    for name in ("text.mcap", "none.mcap"):
-        told = flightstack("log", "verdict", tmp_path / name)
-        assert told.code == 2
-        assert name in told.err
-        assert "Traceback" not in told.err
-
-
-def test_report_says_the_verdict_and_where_its_page_is(flown, tmp_path):
-    pytest.importorskip("plotly", reason="the report needs plotly: install the extra [report]")
-    log, page = flown("large", 0).log, tmp_path / "page.html"
-    told = flightstack("report", log, "--out", page)
-    assert told.code == 0
-    assert "judged from true states" in told.out
-    assert told.out.splitlines()[-1] == str(page)
-    told = flightstack("report", log, "--out", page, "--json")
-    assert json.loads(told.out)["report"] == str(page)
-    assert flightstack("report", log, log, "--json").code == 2

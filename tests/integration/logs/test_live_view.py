@@ -3,16 +3,13 @@
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections import Counter
 
 import pytest
-from click.testing import CliRunner
 from rerun.chunk import RrdReader
 
 from bridge.zenoh import zenoh_link
-from flightstack.cli.main import main
 from flightstack.common.processes import Port
 from logs.view.live import LiveRecording
 from tests.integration.runs import COMMAND, called, flightstack
@@ -136,22 +133,6 @@ def test_wrong_words_are_refused(tmp_path, words, told):
     assert done.code == 2
     assert told in done.err
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_recording_that_exists_is_kept(tmp_path):
-    (tmp_path / "old.rrd").write_text("old")
-    done = called("watch", "--view", tmp_path / "old.rrd")
-    assert (done.code, "exists" in done.err) == (2, True)
-    assert (tmp_path / "old.rrd").read_text() == "old"
-
-
-def test_without_rerun_the_extra_is_named(monkeypatch):
-    for name in [n for n in sys.modules if n.partition(".")[0] == "rerun" or n.startswith("logs.view.")]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "rerun", None)
-    done = CliRunner().invoke(main, ["watch", "--view", "web"])
-    assert done.exit_code == 2
-    assert "crazyflie-flightstack[view]" in done.output
 
 
 def test_sitl_shows_the_flight_and_flies_as_without(tmp_path):

@@ -1,18 +1,16 @@
 """The report of a real log, opened in a real browser."""
 
-import builtins
 import os
 import re
 import shutil
 import subprocess
-import sys
 from collections import Counter
 from html.parser import HTMLParser
 
 import pytest
 
 from logs.reader.flight import load_fleet
-from logs.report.report import ReportError, write_comparison, write_report
+from logs.report.report import write_comparison, write_report
 from logs.verdict.verdict import judged
 from tests.fleet_log import fly_fleet, near
 from tests.synthetic_flight import landing, write_log
@@ -172,14 +170,6 @@ def test_a_comparison_draws_both_flights(tmp_path, browse):
     assert len((tmp_path / "comparison.html").read_text(encoding="utf-8")) < SIZE_MAX
 
 
-def test_a_flight_that_never_began_to_land(tmp_path):
-    rows = landing()
-    rows.cut(0.5)
-    page = Page(report_of(write_log(tmp_path / "flight.mcap", rows)).read_text(encoding="utf-8"))
-    assert "the landing never began" in page.text
-    assert "a barrier violation cannot be excluded" in page.text
-
-
 def test_the_page_is_whole_and_names_every_number_with_its_unit(tmp_path):
     rows = landing()
     out = report_of(write_log(tmp_path / "flight.mcap", rows), tmp_path / "there" / "report.html")
@@ -213,19 +203,3 @@ def test_text_from_the_log_stays_text(tmp_path):
     text = report_of(write_log(tmp_path / "flight.mcap", rows)).read_text(encoding="utf-8")
     assert evil not in text
     assert Page(text).text.count(evil) == 4  # title, headline, run, event
-
-
-def test_without_the_plotting_library_the_reason_is_given(tmp_path, monkeypatch):
-    log = write_log(tmp_path / "flight.mcap", landing())
-    for name in [n for n in sys.modules if n.startswith(("logs.report.", "plotly"))]:
-        monkeypatch.delitem(sys.modules, name)
-    real = builtins.__import__
-
-    def without(name, *rest):
-        if name.split(".")[0] == "plotly":
-            raise ModuleNotFoundError("No module named 'plotly'", name="plotly")
-        return real(name, *rest)
-
-    monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(ReportError, match=r"crazyflie-flightstack\[report\]"):
-        report_of(log)

@@ -2,7 +2,6 @@
 
 import io
 import json
-import math
 import signal
 import subprocess
 import sys
@@ -150,22 +149,6 @@ def test_what_is_not_ours_is_counted_and_shown():
         until(watch, lambda: watch.refused == 2, "not counted")
         assert watch.step is None
         assert "2 samples not understood" in shown(watch)
-
-
-def test_phases_and_numbers_nobody_knows_are_shown_all_the_same():
-    with opened() as (sender, watch, _):
-        none = (math.nan,) * 3
-        odd = step(phase=77, h_m=math.nan, filter_status=99, own_position_enu_m=none)
-        sender.puts["controller/step"].put(odd.pack())
-        sender.puts["health"].put(HEALTHY._replace(mode=50, battery_v=math.nan, target_age_s=math.nan).pack())
-        until(watch, lambda: watch.step and watch.health, "nothing came")
-        text, values = shown(watch), snapshot(watch)
-        assert "77" in text
-        assert "target never" in text
-        assert values["h_m"] is None
-        assert values["e_m"] is None
-        assert values["health"]["mode"] == "50"
-        json.dumps(values, allow_nan=False)
 
 
 def test_the_end_of_a_flight_is_told():

@@ -117,14 +117,6 @@ def test_told_twice_to_end_it_stops_the_motors_at_once():
         stays_unlocked(server)
 
 
-def test_nobody_there_is_said_and_it_ends_when_told(tmp_path):
-    with Server(Firmware()) as server:
-        server.mute = True
-        with bridge(server, "--cache", str(tmp_path / "cache")) as started:
-            wait_for(lambda: started.said("no answer from udp://"), "the reason")
-            assert started.end(signal.SIGINT) == 0
-
-
 def test_log_blocks_of_an_earlier_connection_are_no_answer():
     firmware = Firmware()
     firmware.packet(b"\x5d\x06\x01" + bytes((0x55, 0, 0)), 0.0)

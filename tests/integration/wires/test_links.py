@@ -115,18 +115,6 @@ def test_wrong_wires_of_the_vehicle_are_refused_with_what_to_do(arguments, words
     assert words in done.err
 
 
-def test_a_key_is_never_written_over_nor_read_when_others_can(key_file):
-    before = key_file.read_bytes()
-    again = flightstack("key", key_file)
-    assert again.code == 2
-    assert "not overwritten" in again.err
-    assert key_file.read_bytes() == before
-    key_file.chmod(0o644)
-    refused = flightstack("vehicle", "--scenario", "paper_moving_1", "--signing-key", key_file)
-    assert refused.code == 2
-    assert "chmod 600" in refused.err
-
-
 ROOT = Path(__file__).parents[3]
 FLIGHT_MAX_S = 120.0
 SLOW = 57_600  # baud

@@ -84,12 +84,6 @@ def test_the_robots_poses_wait_for_no_other_program_but_in_lockstep(lockstep: bo
         terminate(child)
 
 
-def test_ends_on_a_signal_while_it_waits() -> None:
-    with target(1, free_port()) as (child, ready):
-        assert ready == "ready"
-        terminate(child)
-
-
 def controller_step(phase: Phase) -> bytes:
     return ControllerStepRow(
         0, 0, int(phase), 0, 0, 0, True, False, True, True, 0.0, 0.0, ZERO, ZERO, 0.0, ZERO, ZERO, 0.0,
