@@ -59,11 +59,9 @@ $(VENV)/.fly: pyproject.toml constraints.txt | $(VENV)/bin/python
 	$(PIP) --editable '.[sim,report]'
 	@touch $@
 
-$(VENV)/.test: pyproject.toml constraints.txt tests/requirements-nodeps.txt tests/node/package-lock.json | $(VENV)/bin/python
+$(VENV)/.test: pyproject.toml constraints.txt tests/requirements-nodeps.txt | $(VENV)/bin/python
 	$(PIP) --editable '.[all,docs]'
 	$(PIP) --no-deps --requirement tests/requirements-nodeps.txt
-	@if command -v npm >/dev/null; then npm ci --silent --no-audit --no-fund --prefix tests/node; \
-	  else echo "no npm: logs are not opened by @mcap/core"; fi
 	@touch $@ $(VENV)/.fly
 
 clean:

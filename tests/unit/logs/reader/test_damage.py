@@ -1,6 +1,5 @@
 """Damaged logs and files that are none: every verb ends with a sentence, and what can be read is read."""
 
-import os
 import random
 import re
 import struct
@@ -250,12 +249,6 @@ def test_what_is_no_log_is_named(tmp_path, begin, said):
     path.mkdir() if begin is None else path.write_bytes(begin)
     with pytest.raises(LogError, match=said):
         LogFile(path)
-
-
-def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
-    os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(LogError, match="pipe"):
-        LogFile(tmp_path / "pipe")
 
 
 def test_our_files_have_a_checksum_of_the_data(logs):

@@ -123,10 +123,6 @@ def test_a_descent_that_nothing_stops_is_no_touchdown(flight):
     assert (verdict.outcome, verdict.touchdown_error_m) == (Outcome.TIMEOUT, None)
 
 
-def test_braking_high_above_the_pad_is_no_touchdown(flight):
-    assert find_touchdown(descent(flight, feet_m=0.6, phase_after=Phase.APPROACH), LARGE, 0) is None
-
-
 def test_motors_off_without_a_contact_that_shows_gives_no_speeds(flight):
     steps = descent(flight, sink_m_s=0.03)  # too slow to see where it ended
     verdict = judged(flight, steps)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from logs.reader.flight import load_fleet, load_flight
-from logs.reader.reader import LogError, LogFile, Members, MemberView
+from logs.reader.reader import LogError, LogFile
 from logs.recorder.mcap_file import McapFile
 from logs.schema import schemas
 from logs.schema.events import pack_log
@@ -74,13 +74,6 @@ def test_what_needs_one_flight_names_the_members(fleet, tmp_path):
     assert LogFile(single).members == ()
     with pytest.raises(LogError, match="no member 'cf1'; it holds one flight"):
         LogFile(single, "cf1")
-
-
-def test_losses_of_a_member_are_its_own_and_those_of_common_processes():
-    told = {"vehicle": "4", "cf1.onboard": "2", "cf2.onboard": "0", "launcher": "0"}
-    view = MemberView(Members({"fleet": {"members": "cf1,cf2"}}), "cf2")
-    assert view.values("losses", told) == {"vehicle": "4", "onboard": "0", "launcher": "0"}
-    assert view.values("run", told) == told
 
 
 def test_one_member_of_whom_records_are_missing_is_the_fleet_s_outcome(fleet):
@@ -171,12 +164,3 @@ def test_what_has_no_members_name_in_front_belongs_to_all(tmp_path):
     assert heard.pop() == b"broken"
     assert [LogRow.unpack(data).name for data in heard] == ["onboard", "flight_recorder", "bigger.onboard"]
     assert {m.topic for m in big.messages()} == {"/rosout", "/uas1/mavlink_source"}  # as in a single flight
-
-
-def test_names_are_split_at_the_first_separator():
-    members = Members({"fleet": {"members": "cf1,cf2"}})
-    assert members.split("cf2/a/b") == ("cf2", "a/b")
-    assert members.split("cf2") == (None, "cf2")
-    assert members.split("cf22/run") == (None, "cf22/run")
-    assert MemberView(members, "cf1").name("cf2/run") is None
-    assert Members({}).owner("/cf1/controller/step") is None

@@ -14,12 +14,9 @@ from flightstack.core.types import Intent
 from logs.reader.fleet_messages import load_messages, waited_s
 from logs.reader.flight import load_fleet
 from logs.report.page import render
-from logs.report.report import fleet_page, write_comparison
-from logs.report.several import distances
-from logs.report.style import fleet_axis
+from logs.report.report import fleet_page
 from logs.verdict.verdict import judge_fleet, pair_series
 from tests.fleet_log import near
-from tests.synthetic_flight import landing, write_log
 
 pytest.importorskip("plotly", reason="the report needs plotly: install the extra [report]")
 pytestmark = pytest.mark.xdist_group("fleet_log")
@@ -68,20 +65,6 @@ def test_who_waited_for_whom_is_what_they_told(read, words):
     down = {name: spans[-1].begin_s for name, spans in words.spans.items()}
     assert goes["cf2"] >= down["cf1"]  # one at a time
     assert goes["cf3"] >= down["cf2"]
-
-
-def test_of_many_pairs_the_nearest_are_shown_at_first(read):
-    pair, axis = pair_series(read)[0], fleet_axis(read)
-    many = [pair._replace(name=f"pair {k}", measure=pair.measure + (k * 5) % 28) for k in range(28)]
-    lines = {line.name: line for line in distances(many, axis).data if line.showlegend}
-    shown = [name for name, line in lines.items() if line.visible is True]
-    assert sorted(shown) == sorted(f"pair {k}" for k in range(28) if (k * 5) % 28 < 8)
-    assert len(lines) == 28  # the others can be switched on
-    few = distances(many[:3], axis).data
-    assert [line.name for line in few if line.name.startswith("limit")] == [
-        f"limit of pair {k}" for k in range(3)
-    ]
-    assert all(line.visible is True for line in few if line.showlegend)
 
 
 def test_lost_words_are_counted(words):
@@ -160,12 +143,6 @@ def test_a_page_says_what_is_missing(read):
     assert "not the one that the simulator judged by" in render(fleet_page(read, verdict, {}))
 
 
-def test_a_violation_is_in_the_headline(read):
-    verdict = replace(judge_fleet(read), ellipsoid_violations=2, violation=True)
-    text = render(fleet_page(read, verdict, {}))
-    assert "All landed, with a barrier violation and an ellipsoid violation" in text
-
-
 def test_the_command_writes_all_or_one(fleet, told):
     done = run("report", fleet.log, "--member", "cf3", "--json")
     assert json.loads(done.stdout)["report"] == str(fleet.log.with_name("flight_cf3.html"))
@@ -176,10 +153,3 @@ def test_the_command_writes_all_or_one(fleet, told):
     assert "all 3 landed" in table.output
     one = json.loads(run("log", "verdict", fleet.log, "--member", "cf3", "--json").stdout)
     assert one == told["vehicles"]["cf3"] | {"report": None}
-
-
-def test_a_member_is_compared_with_a_single_flight(fleet, tmp_path):
-    single = write_log(tmp_path / "flight.mcap", landing())
-    page = write_comparison(fleet.log, single, tmp_path / "both.html", "cf2")
-    assert "fleet_3.cf2 and synthetic, compared" in page.read_text(encoding="utf-8")
-    assert "say whose flight" in run("report", fleet.log, single).output

@@ -10,7 +10,6 @@ from rosbags.highlevel import AnyReader
 from flightstack.cli.main import main
 from logs.reader.flight import load_fleet
 from logs.reader.reader import LogFile
-from logs.schema.rows import LogRow
 from logs.verdict.verdict import pair_series
 
 pytest.importorskip("rerun", reason="needs the extra [view]")
@@ -81,29 +80,6 @@ def test_pairs_are_drawn_as_far_as_they_are_near(fleet, saved):
         assert near == any(chunk.entity_path == f"/world/pairs/{name}" for chunk in chunks(saved))
 
 
-def test_events_of_all_are_one_list(fleet, saved):
-    said = sorted(
-        (m.log_time_ns, f"{row.name}: {row.msg}")
-        for m in LogFile(fleet.log).messages({"/rosout"})
-        if (row := LogRow.unpack(m.data))
-    )
-    assert sorted(values(saved, "/events", "TextLog:text")) == sorted(text for _, text in said)
-
-
-def test_the_blueprint_shows_what_the_recording_holds(saved):
-    entities = {chunk.entity_path for chunk in chunks(saved)}
-    reader = RrdReader(saved)
-    origins = set()
-    for chunk in chunks(saved, store=reader.blueprints()[0]):
-        batch = chunk.to_record_batch()
-        for name in batch.schema.names:
-            if name.endswith(":space_origin"):
-                origins |= {value[0] for value in batch.column(name).to_pylist() if value}
-    assert {"/world", "/events", "/pairs/measure", "/pairs/distance", "/cf2/safety/h", "/cf3/run"} <= origins
-    for origin in origins - {"/"}:
-        assert any(e == origin or e.startswith(origin + "/") for e in entities), origin
-
-
 def test_a_member_alone_is_as_a_single_flight(fleet, tmp_path):
     Recording(fleet.log, "cf2").save(tmp_path / "one.rrd")
     entities = {chunk.entity_path for chunk in chunks(tmp_path / "one.rrd")}
@@ -165,14 +141,6 @@ def test_pictures_of_a_member_are_in_its_own_frames(bag):
             "pad": {f"{member}/target"}, "barrier": {f"{member}/target_pad"},
             "path": {"map"}, "velocity": {"map"},
         }  # fmt: skip
-
-
-def test_run_and_health_are_told_by_member(bag):
-    for member in MEMBERS:
-        assert f"scenario = fleet_3.{member}" in bag[f"/{member}/run"][0][1].data
-    told = {(s.hardware_id, s.name) for _, message in bag["/diagnostics"] for s in message.status}
-    assert {who for who, _ in told} == set(MEMBERS)
-    assert all(name.startswith(f"{who}: ") for who, name in told)
 
 
 def test_layouts_show_the_whole_scene_and_the_curves_of_each(fleet, tmp_path):

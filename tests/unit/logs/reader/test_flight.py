@@ -76,14 +76,6 @@ def test_a_vehicle_carried_by_a_turning_pad_is_at_rest(log):
     assert np.abs(resting).max() < 0.01
 
 
-def test_events_in_order(log):
-    flight = load_flight(write_log(log, landing()))
-    left = [e.text.split(" -> ")[0] for e in flight.events]
-    assert left == ["WAIT", "TAKEOFF", "APPROACH", "LAND", "TOUCHDOWN"]
-    assert flight.events[0].source == "onboard"
-    assert flight.events[0].t_s == pytest.approx(1.0)
-
-
 def test_missing_topics_are_none(log):
     rows = landing()
     rows.truth, rows.timing, rows.odometry = [], [], []
@@ -94,26 +86,11 @@ def test_missing_topics_are_none(log):
     assert flight.steps is not None
 
 
-def test_true_states_alone(log):
-    rows = landing()
-    rows.steps = []
-    flight = load_flight(write_log(log, rows))
-    assert flight.steps is None
-    assert flight.landing_start_s is None
-    assert flight.phase_spans() == []
-
-
 def test_neither_steps_nor_truth_is_an_error(log):
     rows = landing()
     rows.steps, rows.truth = [], []
     with pytest.raises(LogError, match="controller steps"):
         load_flight(write_log(log, rows))
-
-
-def test_any_namespace(log):
-    flight = load_flight(write_log(log, landing(), namespace="fleet/cf9"))
-    assert flight.steps is not None
-    assert flight.target is not None
 
 
 def test_barrier_from_the_configuration_if_the_run_names_none(log):
@@ -129,14 +106,6 @@ def test_barrier_from_the_configuration_if_the_run_names_none(log):
     assert flight.barrier.peak_height_m == pytest.approx(0.5)
     assert flight.barrier.peak_distance_m == pytest.approx(2.0)
     assert flight.velocity_max_m_s == (0.3, 0.3, 0.4)
-
-
-def test_no_barrier_is_made_up(log):
-    rows = landing()
-    rows.run.clear()
-    flight = load_flight(write_log(log, rows))
-    assert flight.barrier is None
-    assert flight.velocity_max_m_s is None
 
 
 def test_one_bad_odometry_sample_is_counted_not_fatal(log):

@@ -111,24 +111,6 @@ def test_info_of_a_broken_log_says_where_it_breaks(tool, whole, broken):
     assert "BROKEN" in out
 
 
-def test_recover_makes_a_whole_file_of_everything_before_the_break(tool, whole, broken, tmp_path):
-    out = tmp_path / "recovered.mcap"
-    code, said, _ = tool("recover", broken, "--out", out)
-    assert code == 0
-    found, messages, names = summary(out)
-    before = rows(broken)
-    assert 0 < len(before) < len(rows(whole))
-    assert f"{len(before)} messages" in said
-    assert sorted(messages) == sorted(before)
-    assert rows(out) == before  # in the order they were written
-    assert LogFile(out).complete
-    assert names == (["s.toml"], ["run", "log_tool"])
-    properties = {c.topic: c.metadata for c in found.channels.values()}
-    assert properties["/cf1/loop/timing"]["topic_type_hash"] == schemas.type_hash(schemas.LOOP_TIMING)
-    with out.open("rb") as stream:
-        assert make_reader(stream).get_header().profile == "ros2"
-
-
 def test_recover_of_a_whole_log_is_the_same_log(tool, whole, tmp_path):
     out = tmp_path / "again.mcap"
     assert tool("recover", whole, "--out", out)[0] == 0

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -49,7 +47,6 @@ def test_our_reader_reads_the_same(recorded):
     assert [(a.name, a.data) for a in log.attachments()] == [("s.toml", b"x = 1")]
 
 
-NODE = Path(__file__).parents[3] / "node"
 RERUN = Path(sys.executable).parent / "rerun"
 PATIENCE_S = 120.0
 
@@ -134,28 +131,3 @@ def test_rerun_finds_nothing_wrong_and_converts_every_message(log, tmp_path):
         if "Odometry" in columns or "Step" in columns:
             rows[entity] = rows.get(entity, 0) + int(number)
     assert rows == {t: expected[t] for t in ("/cf1/odom", "/cf1/controller/step")}
-
-
-@pytest.fixture
-def node():
-    program = shutil.which("node")
-    if program is None or not (NODE / "node_modules").is_dir():
-        pytest.skip(
-            "no node, or its packages are not installed (`npm ci` in tests/node): not opened by @mcap/core"
-        )
-    return program
-
-
-def test_the_javascript_reader_opens_it(log, node):
-    done = subprocess.run(
-        [node, str(NODE / "read_log.mjs"), str(log)],
-        capture_output=True, text=True, timeout=PATIENCE_S, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    found, ours = json.loads(done.stdout), LogFile(log)
-    assert found["messages"] == counts(log)
-    assert found["counted"] == sum(found["messages"].values())
-    assert found["bytes"] == sum(len(m.data) for m in ours.messages())
-    assert found["profile"] == "ros2"
-    assert found["metadata"] == ours.metadata()
-    assert found["attachments"] == [a.name for a in ours.attachments()]

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -28,11 +26,9 @@ from logs.report.derived import (
     missing,
     tilt_deg,
 )
-from logs.report.page import Page, Panel, html, render, table
-from logs.report.report import command, repeat_section, write_comparison
-from logs.report.tables import ages_table, faults_table, links_table, phases_table
+from logs.report.report import command, repeat_section
+from logs.report.tables import ages_table, faults_table, links_table
 from logs.view.canvas import every, times
-from logs.view.layout_files import NAMES, layout
 from tests.synthetic_flight import BARRIER, BOX, landing, write_log
 from tests.unit.logs.helpers import record
 
@@ -100,14 +96,6 @@ def test_errors_are_what_was_put_into_the_estimate(written):
     np.testing.assert_allclose(errors.target_m[known], 0.0, atol=1e-9)
 
 
-def test_a_hole_in_the_true_states_gives_no_errors_there(written):
-    rows = landing()
-    rows.truth = [row for row in rows.truth if not 300 <= row.tick < 400]
-    errors = estimate_errors(written(rows))
-    assert np.isnan(errors.own_m[310:390]).all()
-    assert np.isfinite(errors.own_m[200:290]).all()
-
-
 def test_without_true_states_there_are_no_errors_and_no_tilt(written):
     rows = landing()
     rows.truth = []
@@ -158,18 +146,6 @@ def test_streams_have_rate_and_gap(written, tmp_path):
     assert "ticks not usable" in ages_table(flight)
 
 
-def test_phases_tell_why_they_began(written):
-    text = phases_table(written(landing()))
-    assert text.count("made up") == 5  # every phase but the first
-    assert 'href="#t=0.00"' in text
-
-
-def test_cells_are_text_unless_made_as_html():
-    text = table(("a",), [("<b>",), (html("<i>x</i>"),)])
-    assert "&lt;b&gt;" in text
-    assert "<i>x</i>" in text
-
-
 def test_the_command_repeats_the_run(written):
     run = {"scenario": "my odd name", "seed": "7", "filter": "robust", "mode": "lockstep"}
     told = "flightstack sitl --scenario 'a b.toml' --seed 7 --filter robust --lockstep"
@@ -204,55 +180,6 @@ def test_every_option_that_changes_a_run_is_in_its_log_and_in_the_command():
     )
 
 
-def test_a_log_compared_with_itself_differs_in_nothing(tmp_path):
-    log = write_log(tmp_path / "flight.mcap", landing())
-    text = write_comparison(log, log).read_text(encoding="utf-8")
-    assert "The logs name no setting that differs." in text
-    assert "Not drawn" not in text
-    assert text.count("<h2>Events of") == 2
-
-
-def test_any_page_has_its_title_and_panels():
-    text = render(
-        Page("a < b", ("done", "good"), "", [("x", "1", "m")], [Panel("k", "K", "", html("<i>y</i>"))])
-    )
-    assert "<title>a &lt; b</title>" in text
-    assert '<section id="k"><h2>K</h2><div class="wide"><i>y</i></div></section>' in text
-    assert "{{" not in text
-
-
-def test_the_shipped_files_parse_and_name_every_panel():
-    foxglove = json.loads(layout("foxglove.json"))
-    used = set()
-
-    def walk(node):
-        if isinstance(node, str):
-            used.add(node)
-        else:
-            walk(node["first"])
-            walk(node["second"])
-            assert node["direction"] in ("row", "column")
-
-    walk(foxglove["layout"])
-    for panel, config in foxglove["configById"].items():
-        if panel.startswith("Tab!"):
-            for tab in config["tabs"]:
-                walk(tab["layout"])
-    assert used == set(foxglove["configById"])
-    root = ElementTree.fromstring(layout("plotjuggler.xml"))
-    for splitter in root.iter("DockSplitter"):
-        sizes = [float(s) for s in splitter.get("sizes").split(";")]
-        assert len(sizes) == int(splitter.get("count")) == len(splitter)
-        assert sum(sizes) == pytest.approx(1.0, abs=1e-3)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_another_name_space(name):
-    text = layout(name, "lab/cf7")
-    assert "/cf1/" not in text
-    assert "/lab/cf7/controller/step" in text
-
-
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
     return record(tmp_path_factory.mktemp("flight") / "flight.mcap")
@@ -260,30 +187,6 @@ def log(tmp_path_factory):
 
 def run(*arguments):
     return CliRunner().invoke(main, ["view", *map(str, arguments)])
-
-
-def test_layouts_are_written_once(log, tmp_path):
-    done = run(log, "--layouts", tmp_path / "out")
-    assert done.exit_code == 0, done.output
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted(NAMES)
-    again = run(log, "--layouts", tmp_path / "out")
-    assert again.exit_code == 2
-    assert "--force" in again.output
-    assert run(log, "--layouts", tmp_path / "out", "--force").exit_code == 0
-
-
-def test_wrong_files_are_refused(tmp_path):
-    assert run(tmp_path / "none.mcap", "--save", tmp_path / "x.rrd").exit_code == 2
-    (tmp_path / "text.mcap").write_text("no log")
-    done = run(tmp_path / "text.mcap", "--save", tmp_path / "x.rrd")
-    assert done.exit_code == 2
-    assert "not an MCAP file" in done.output
-    assert not (tmp_path / "x.rrd").exists()
-
-
-def test_a_log_without_a_flight_is_refused(tmp_path):
-    done = run(record(tmp_path / "empty.mcap", ticks=0), "--save", tmp_path / "x.rrd")
-    assert (done.exit_code, "a flight needs controller steps" in done.output) == (2, True)
 
 
 def test_a_screen_shows_the_first_step_of_each_period(log):

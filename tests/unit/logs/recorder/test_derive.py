@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from flightstack.core.safety.barrier import Barrier
 from logs.derive.derive import Deriver, Derivers
 from logs.derive.diagnostics import Health
-from logs.derive.frames import SENDERS_MAX, FrameCounter
+from logs.derive.frames import FrameCounter
 from logs.derive.markers import PATH_POINTS, surface
 from logs.schema import schemas
 from logs.schema.mavlink import pack_mavlink
@@ -116,15 +116,6 @@ def test_rates_follow_the_log_time_only():
     assert counts["/tf_static"] == 2  # again and again, so that a viewer that jumps finds it
 
 
-def test_the_run_is_told_again_and_again():
-    deriver = Deriver("/cf1/controller/step")
-    deriver.configure({"scenario": "paper_static_1", "seed": "3"})
-    told = []
-    for t_ns in range(0, 11_000_000_000, 20_000_000):
-        told += [s.data for topic, s in derive(step(t_ns), deriver).items() if topic == "/cf1/run"]
-    assert told == ["scenario = paper_static_1\nseed = 3"] * 3
-
-
 def markers_of(deriver, row):
     return {(m.ns, m.id): m for m in derive(row, deriver)["/cf1/cbf/markers"].markers}
 
@@ -153,10 +144,6 @@ def test_markers():
         assert marker.action == marker.ADD
         assert marker.color.a > 0
         assert marker.lifetime.sec + marker.lifetime.nanosec * 1e-9 == 0.5
-
-
-def test_no_surface_without_a_barrier_in_the_run():
-    assert ("barrier", 0) not in markers_of(Deriver("/cf1/controller/step"), step())
 
 
 def test_no_arrow_for_a_velocity_that_is_no_number():
@@ -193,17 +180,6 @@ def test_paths_stay_bounded_and_keep_the_start():
                 assert points[0].x == 0.0
                 assert t_ns * 1e-9 - points[-1].x <= 300 / PATH_POINTS * 2 + 0.1
     assert PATH_POINTS * 0.9 < longest <= PATH_POINTS
-
-
-def test_not_a_step_is_an_error():
-    with pytest.raises(ValueError, match="ControllerStep"):
-        Derivers().declare("/cf1/controller/step", schemas.CONTROLLER_STEP)(0, b"x")
-
-
-def test_other_name_spaces():
-    deriver = Deriver("/lab/cf7/controller/step")
-    topics = {t for t, _, _ in deriver.step(0, step())}
-    assert {"/lab/cf7/pose", "/tf"} <= topics
 
 
 DT_NS = 10_000_000
@@ -296,41 +272,9 @@ def test_lost_frames_by_sequence_numbers(numbers, lost):
     assert counter.take() == (0, 0)
 
 
-def test_senders_are_bounded():
-    counter = FrameCounter()
-    for system in range(SENDERS_MAX + 50):
-        counter.add(frame(0, system=system % 256))
-    assert len(counter._last) <= SENDERS_MAX
-
-
 def test_lost_frames_warn():
     assert second(frames=[frame(i) for i in range(0, 20, 2)])["vehicle link"][0] == WARN
     assert second()["vehicle link"][2]["lost_share"] == "nan"  # nothing heard: no share of it
-
-
-def test_steps_without_timings_do_not_pile_up():
-    health = Health("/cf1")
-    for tick in range(3000):
-        health.step(step(tick * DT_NS))
-    assert len(health._steps) == 1000
-
-
-def test_a_recorder_counts_frames_for_the_name_space_of_the_run():
-    derivers = Derivers()
-    steps = derivers.declare("/cf1/controller/step", schemas.CONTROLLER_STEP)
-    frames = derivers.declare("/uas1/mavlink_source", schemas.MAVLINK)
-    derivers.metadata("onboard", {"namespace": "cf1"})
-    timings = derivers.declare("/cf1/loop/timing", schemas.LOOP_TIMING)
-    assert derivers.declare("/rosout", schemas.LOG) is None
-    found = []
-    for tick in range(101):
-        t_ns = EPOCH_NS + tick * DT_NS
-        frames(t_ns, frame(tick))
-        steps(t_ns, step(tick * DT_NS).pack())
-        found += timings(t_ns, LoopTimingRow(t_ns, tick, 0.01, 0.0, 0.0, 0.0, 0, 0).pack())
-    (array,) = [STORE.deserialize_cdr(data, schema) for _, schema, data in found]
-    values = {v.key: v.value for s in array.status if s.name == "cf1: vehicle link" for v in s.values}
-    assert values["frames_in"] == "101"
 
 
 def test_members_of_a_fleet_keep_their_frames_their_pads_and_their_scenes_apart():

@@ -18,8 +18,8 @@ from bridge.zenoh.zenoh_link import blocking_publisher, is_matched, open_session
 from logs.reader.reader import LogFile
 from logs.recorder.feed import Feed
 from logs.recorder.mcap_file import McapFile, SafeStream
-from logs.recorder.record_zenoh import ZenohSource, topic_and_schema
-from logs.recorder.recorder import RecorderError, RecorderProcess, Syncer, problems
+from logs.recorder.record_zenoh import ZenohSource
+from logs.recorder.recorder import RecorderProcess, Syncer, problems
 from logs.schema import schemas
 from tests.processes.bounded import line_of
 from tests.processes.ports import free_endpoint
@@ -93,23 +93,6 @@ def test_a_disk_that_is_full_from_the_start_is_refused(tmp_path):
     assert "File too large" in process.stderr
     assert "Traceback" not in process.stderr
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_file_is_brought_to_the_disk_while_recording(tmp_path):
-    process, path, out = start(tmp_path, until="1")
-    client = Feed.connect(str(path), "onboard", lossless=True)
-    channel = client.channel("/t", schemas.LOOP_TIMING)
-    begun_s, tick = time.monotonic(), 0
-    while time.monotonic() - begun_s < 1.5:
-        client.write(channel, tick, tick, tick, timing(tick))
-        client.flush()
-        tick += 1
-        time.sleep(0.001)  # a flight, not a flood
-    client.close()
-    process.communicate(timeout=DEADLINE_S)
-    record = LogFile(out).metadata()["recorder"]
-    assert 2 <= int(record["syncs"]) <= 7  # every quarter of a second, where the disk is fast enough
-    assert 0.0 < float(record["sync_worst_s"]) < DEADLINE_S
 
 
 def test_a_slow_disk_delays_nobody_and_the_last_call_covers_the_end(tmp_path, monkeypatch):
@@ -217,17 +200,3 @@ def test_recording_straight_from_zenoh(tmp_path):
     assert (first.sequence, first.publish_time_ns) == (17, 123_000)
     assert before_ns <= first.log_time_ns <= time.time_ns()
     assert second.publish_time_ns == second.log_time_ns
-
-
-def test_what_a_zenoh_sample_is():
-    rmw = "0/cf1/target/odom/nav_msgs::msg::dds_::Odometry_/RIHS01_3cc9"
-    assert topic_and_schema(rmw, "zenoh/bytes") == ("/cf1/target/odom", schemas.ODOMETRY)
-    assert topic_and_schema("a/b", f"application/cdr;{schemas.LOG}") == ("/a/b", schemas.LOG)
-    assert topic_and_schema("a/b", "application/json") is None
-
-
-def test_bad_zenoh_endpoint_is_a_clear_error():
-    with pytest.raises(RecorderError, match="allowed is"):
-        ZenohSource(["nowhere"], ["cf1/**"])
-    with pytest.raises(RecorderError, match="not allowed"):
-        ZenohSource([], ["/cf1//x"])

@@ -77,16 +77,3 @@ def test_one_member_that_differs_is_told_and_one_that_proves_nothing_makes_all_u
     assert "cf1: unusable: " in out
     assert "cf2: equal" in out
     assert out.splitlines()[-1] == "unusable: 3 members"
-
-
-def test_another_setting_is_tried_for_each_member(fleet, capsys):
-    code, out, _ = run(capsys, "replay", fleet.log, "--set", "barrier.alpha_1_m=1.2", "--check")
-    assert code == 1
-    for member in MEMBERS:
-        assert f"{member}: with barrier.alpha_1_m=1.2" in out
-
-
-def test_an_unknown_member_is_refused_by_name(fleet, capsys):
-    code, _, err = run(capsys, "replay", fleet.log, "--member", "cf9")
-    assert code == 2
-    assert "no member 'cf9'" in err
