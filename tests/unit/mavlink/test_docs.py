@@ -10,7 +10,6 @@ import pytest
 from click.testing import CliRunner
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from bridge.mavlink.profiles import PROFILES
 from bridge.mavlink.server.parameters import INT32
 from bridge.mavlink.server.profile import EVERY_TICK, FlightMode
 from flightstack.cli.bridge import bridge
@@ -21,7 +20,7 @@ from sim.autopilot.parameters import px4_parameters
 from sim.autopilot.telemetry import PX4
 from sim.autopilot.watches import STATION_LOST
 from sim.plant.params import load
-from sim.px4.airframe import PX4_OF_M, parameters
+from sim.px4.airframe import parameters
 from sim.px4.sensors import DECLINATION_RAD, INCLINATION_RAD, STRENGTH_GAUSS
 from tests.flight_suite.room import LIMITS
 from tests.unit.autopilot.autopilot_fakes import Rig
@@ -48,11 +47,6 @@ def test_the_commands_are_understood(page):
     assert ran >= 1
 
 
-def test_every_option_that_is_described_exists():
-    for name in re.findall(r"^\| `(--[a-z-]+)", MOCAP, re.MULTILINE):
-        assert name in options("mocap") | options("crazyflie"), name
-
-
 HARDWARE = (Path(__file__).parents[3] / "docs" / "how_to" / "hardware.md").read_text()
 LIMIT_COLUMNS = {
     "`--autopilot`": lambda name, _: f"`{name}`",
@@ -74,10 +68,6 @@ def limits_table():
 def test_the_table_of_limits_is_the_codes():
     within = HARDWARE.split("<!-- table: limits -->\n")[1].split("\n<!-- end -->")[0]
     assert within == limits_table()
-
-
-def test_every_profile_has_limits():
-    assert set(LIMITS) == set(PROFILES)
 
 
 MAVLINK = (Path(__file__).parents[3] / "docs" / "reference" / "mavlink.md").read_text(encoding="utf-8")
@@ -178,11 +168,6 @@ def test_the_table_of_configurations_has_their_lags_and_pads():
 @pytest.mark.parametrize("name", ["px4-crazyflie", "px4-1kg", "ardupilot-1kg"])
 def test_the_configurations_for_real_autopilots_are_proven(name):
     assert [result.name for result in checks(load_config(name)) if not result.proven] == []
-
-
-def test_the_table_of_motors_is_the_order_of_the_code():
-    rows = re.findall(r"^\| (\d) \| [a-z ]+ \| [a-z-]+ \| M(\d) \|$", PX4_WIRE, re.MULTILINE)
-    assert {int(ours): int(px4) for px4, ours in rows} == {i + 1: px4 + 1 for i, px4 in enumerate(PX4_OF_M)}
 
 
 def test_the_magnetic_field_is_that_of_px4_s_tables_at_the_origin():

@@ -1,12 +1,10 @@
 """Profiles of the autopilots, and the page about them."""
 
-import math
 from dataclasses import replace
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.client.commands import CommandSequencer
 from bridge.mavlink.client.companion import Origin, OriginSender
 from bridge.mavlink.client.streams import StreamRequests
 from bridge.mavlink.client.vehicle_state import VehicleState
@@ -14,13 +12,8 @@ from bridge.mavlink.profiles import (
     ARDUPILOT,
     AUTO,
     CHOICES,
-    CRAZYFLIE,
-    OWN_SITL,
     PROFILES,
     PX4,
-    Encoding,
-    found,
-    profile,
     refusal,
 )
 from bridge.target.ros2_target import TargetType
@@ -32,7 +25,6 @@ from tests.unit.mavlink.client.vehicle_link_fakes import (
     HEIGHT,
     commands,
     heartbeat,
-    params,
     sequencer,
     status,
 )
@@ -57,16 +49,6 @@ def test_the_command_knows_cores_and_autopilots():
     assert AUTOPILOTS == CHOICES
     assert tuple(each.value for each in Core) == CORES
     assert tuple(each.value for each in TargetType) == TARGET_TYPES
-
-
-def test_names_and_heartbeats_give_profiles():
-    assert profile(AUTO) is None
-    assert profile("ardupilot") is ARDUPILOT
-    assert found(12) is PX4  # the simulator and the bridge are told from it by AUTOPILOT_VERSION
-    assert found(3) is ARDUPILOT
-    assert found(0) is None
-    with pytest.raises(ValueError, match="auto, sitl, crazyflie, px4, ardupilot"):
-        profile("betaflight")
 
 
 @pytest.mark.parametrize(
@@ -172,13 +154,6 @@ def test_ardupilots_take_off_is_over_for_the_sequencer_only_in_the_air():
     assert s.reached
 
 
-def test_data_streams_are_asked_for_after_the_intervals():
-    streams = StreamRequests({32: 50.0}, 1, 1, 0.0, {32: 6})
-    asked = [m for tick in range(1000) for m in streams.step(tick * 0.01)]
-    assert [m.get_type() for m in asked] == ["COMMAND_LONG"] * 5 + ["REQUEST_DATA_STREAM"] * 5
-    assert (asked[-1].req_stream_id, asked[-1].req_message_rate, asked[-1].start_stop) == (6, 50, 1)
-
-
 def asked_s(streams, from_s, until_s):
     """Times at which something is asked for."""
     ticks = range(round(from_s * 100), round(until_s * 100))
@@ -194,17 +169,6 @@ def test_what_never_comes_is_asked_for_every_three_seconds_in_both_ways():
     assert len(later) == 20
 
 
-def test_after_a_restart_what_does_not_come_is_asked_for_at_once():
-    streams = StreamRequests({32: 50.0, 30: 50.0}, 1, 1, 0.0)
-    for tick in range(2000):
-        streams.seen(30)
-        streams.step(tick * 0.01)
-    streams.restart()
-    streams.seen(30)
-    assert [m.param1 for m in streams.step(20.0)] == [32.0]  # 30 comes: it is not asked for again
-    assert asked_s(streams, 20.01, 22.5) == pytest.approx([21.0, 21.0, 22.0, 22.0])  # then neither comes
-
-
 def test_the_origin_is_told_once_a_second_on_the_ground_until_it_is_known():
     sender = OriginSender(Origin(47.0, 8.5, 400.0), 1)
     assert sender.step(None, False, 0.0) == []
@@ -216,17 +180,6 @@ def test_the_origin_is_told_once_a_second_on_the_ground_until_it_is_known():
     assert sender.step(status(armed=True), False, 2.0) == []
     assert sum(len(sender.step(status(), False, 3.0 + tick)) for tick in range(200)) == 58
     assert OriginSender(None, 1).step(status(), False, 0.0) == []
-
-
-def test_only_ardupilot_gets_no_nan_and_casts():
-    for autopilot in PROFILES.values():
-        s = CommandSequencer(autopilot, 1, 1, HEIGHT)
-        (land,) = s.step(Request.LAND, status(0.0, armed=True), 0.0)
-        assert any(map(math.isnan, params(land))) == (autopilot.encoding is Encoding.BYTEWISE)
-    for own in (OWN_SITL, CRAZYFLIE):
-        assert own.modes == PX4.modes
-        assert all(own.sequences[r] == PX4.sequences[r] for r in Request if r is not Request.TAKEOFF)
-    assert OWN_SITL.sequences == PX4.sequences
 
 
 TEXT = PAGE.read_text()

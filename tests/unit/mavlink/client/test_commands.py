@@ -32,14 +32,6 @@ def test_px4_takes_off_in_offboard_where_its_fail_safe_holds():
     assert s.reached
 
 
-def test_a_take_off_without_a_height_asks_for_no_home():
-    s = sequencer()
-    s.home_amsl_m = None
-    s.note_setpoint(0.0)
-    s.note_setpoint(0.3)
-    assert commands(s.step(Request.TAKEOFF, status(0.3), 0.3)) == [176]
-
-
 def test_before_a_second_flight_px4_leaves_offboard():
     s = sequencer()
     assert s.step(Request.NONE, status(0.0), 0.0) == []
@@ -144,21 +136,6 @@ def test_a_new_request_clears_the_failure_and_starts_over():
     assert s.failed is None
 
 
-def test_px4s_first_acknowledgement_proves_nothing():
-    s = sequencer()
-    for tick in range(100):
-        s.note_setpoint(tick * 0.01)
-    assert commands(s.step(Request.EXTERNAL, status(1.0, armed=True), 1.0)) == [176]
-    s.note_ack(176, 0)
-    s.note_ack(176, 1)
-    assert not s.reached
-    for tick in range(101, 151):
-        s.note_setpoint(tick * 0.01)
-    assert commands(s.step(Request.EXTERNAL, status(1.2, armed=True), 1.5)) == [176]
-    assert s.step(Request.EXTERNAL, status(1.6, armed=True, mode=Mode.EXTERNAL), 1.6) == []
-    assert s.reached
-
-
 def test_external_waits_for_the_stream_and_never_arms():
     s = sequencer()
     first = None
@@ -233,19 +210,6 @@ def test_senseless_takeoff_height_is_refused(height):
         CommandSequencer(PX4, 1, 1, height)
 
 
-def test_streams_are_asked_for_again_only_while_they_do_not_come():
-    streams = StreamRequests({32: 100.0, 30: 100.0}, 1, 1, 0.0)
-    asked = {32: 0, 30: 0}
-    for tick in range(2000):
-        for m in streams.step(tick * 0.01):
-            assert (m.command, m.param2) == (511, 10_000.0)
-            asked[int(m.param1)] += 1
-        streams.seen(32)  # at the rate wanted
-        if tick % 4 == 0:
-            streams.seen(30)  # at a quarter of it
-    assert asked == {32: 1, 30: 5}
-
-
 def test_a_stream_that_stops_is_asked_for_again():
     streams = StreamRequests({32: 50.0}, 1, 1, 0.0)
     asked = []
@@ -267,12 +231,3 @@ def test_long_texts_are_put_together():
     ]
     assert add == [[], [(3, text.strip())]]
     assert texts.add(dialect.MAVLink_statustext_message(6, b"short\x1b[2J", 0, 0)) == [(6, "short [2J")]
-
-
-def test_a_text_that_breaks_off_is_shown_with_a_mark():
-    texts = TextAssembler()
-    assert texts.add(dialect.MAVLink_statustext_message(3, b"a" * 50, 7, 0)) == []
-    assert texts.add(dialect.MAVLink_statustext_message(6, b"next", 0, 0)) == [
-        (3, "a" * 50 + " ..."),
-        (6, "next"),
-    ]

@@ -32,12 +32,6 @@ def test_event_of_the_protocol_is_not_told(levels):
     assert event_text(event(0x0190CAF3, levels)) is None
 
 
-def test_unknown_event_is_told_by_its_number():
-    assert event_text(event(0x01000001, 0x04)) == (
-        4, "event 0x01000001 of the autopilot, which this release does not know",
-    )  # fmt: skip
-
-
 def test_every_event_of_the_table_is_told_whatever_its_arguments():
     table = texts._table()
     assert len(table.events) > 300
@@ -48,14 +42,6 @@ def test_every_event_of_the_table_is_told_whatever_its_arguments():
             assert text
             assert text.isprintable()
             assert "{" not in text
-
-
-def test_arguments_are_written_as_the_template_says():
-    filled = texts._filled
-    assert (
-        filled(r"at {1:.1m/s}, {2m_v} \< {3} <param>A_B</param>", [1.25, 7, "x"]) == "at 1.2 m/s, 7 m < x A_B"
-    )
-    assert filled("{2}", [1]) == "{2}"
 
 
 def test_table_is_what_its_command_makes():

@@ -135,13 +135,6 @@ def test_before_arming_another_vehicle_may_take_the_place_of_a_silent_one():
     assert wire.senders.doubled is None
 
 
-def test_a_sender_without_a_heartbeat_gives_way_to_one_with():
-    wire = Wire()
-    assert wire.admits(position(), THERE, 0.0)
-    assert wire.beats(now_s=0.1)
-    assert wire.senders.known == HERE
-
-
 def test_two_live_addresses_are_named_and_nothing_arms_until_that_is_known():
     wire = Wire()
     assert wire.beats()
@@ -195,14 +188,6 @@ def test_a_stream_that_a_router_filters_is_believed_at_once():
     assert wire.beats(now_s=0.5, armed=True, mode=OFFBOARD)
     wire.numbers[HERE] += 12
     assert wire.beats(now_s=1.0, armed=True, mode=LOITER)
-
-
-def test_the_other_clock_of_the_flight_begins_with_the_address_of_the_check():
-    wire = Wire()
-    assert wire.beats(now_s=5_000.0)
-    wire.senders.begin(0.0)
-    assert not wire.beats(peer=THERE, now_s=0.1)
-    assert wire.beats(now_s=0.2)
 
 
 @pytest.fixture

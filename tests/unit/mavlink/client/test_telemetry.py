@@ -6,12 +6,10 @@ import struct
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.client.silence import Arrivals, why_silent
+from bridge.mavlink.client.silence import why_silent
 from bridge.mavlink.client.vehicle_state import VehicleState
-from bridge.mavlink.endpoint import LinkCounters
 from bridge.mavlink.preflight.examine import ParameterReader
 from bridge.mavlink.profiles import PX4, Encoding
-from bridge.mavlink.transport.transport import EndpointCounters
 from flightstack.core.types import Landed, Mode, VehicleStatus
 from tests.unit.mavlink.client.vehicle_link_fakes import (
     LAND,
@@ -236,17 +234,6 @@ def test_an_error_is_missing_at_once(error, word):
     assert r.values == {"HERE": 2.0}
 
 
-def test_answers_to_others_are_ignored_and_the_first_of_ours_counts():
-    r = reader("MINE")
-    r.step(0.0)
-    r.take(value("THEIRS", 3.0))
-    r.take(value("MINE_TOO", 3.0))
-    assert r.values == {}
-    r.take(value("MINE", 4.0))
-    r.take(value("MINE", 5.0))
-    assert r.values == {"MINE": 4.0}
-
-
 @pytest.mark.parametrize(
     ("encoding", "wire", "type_", "expected"),
     [
@@ -273,13 +260,6 @@ def test_what_is_no_number_is_missing(wire, type_):
     r.take(value("P", wire, type_))
     assert r.values == {}
     assert "not a number" in r.missing["P"]
-
-
-def test_names_of_sixteen_characters_and_repeated_names():
-    r = reader("ABCDEFGHIJKLMNOP", "ABCDEFGHIJKLMNOP")
-    assert asked(r.step(0.0)) == ["ABCDEFGHIJKLMNOP"]
-    r.take(value("ABCDEFGHIJKLMNOP", 1.0))
-    assert r.done
 
 
 @pytest.mark.parametrize(
@@ -311,24 +291,6 @@ def test_who_speaks_instead_is_named():
     many = {(system, 1): 1 for system in range(10, 20)}
     assert "10/1, 11/1, 12/1, 13/1, ...;" in why_silent(1, {"received": 7}, many)
     assert "for 12 s: nothing" in why_silent(1, {}, senders, heard_s=12.3)  # they are silent now, too
-
-
-def test_only_what_is_new_counts():
-    counters, arrivals = EndpointCounters(), Arrivals()
-    counters.bad_signature = 5
-    assert arrivals.grown(counters) == {"bad_signature": 5}
-    assert arrivals.grown(counters) == {}
-    counters.add("bad_signature")
-    assert arrivals.grown(counters) == {"bad_signature": 1}
-
-
-def test_senders_are_counted_one_by_one_but_not_without_bound():
-    counters = LinkCounters()
-    for system in range(1, 256):
-        counters.add_foreign((system, 1))
-        counters.add_foreign((1, 1))
-    assert (counters.foreign, len(counters.senders)) == (510, 16)
-    assert counters.senders[1, 1] == 256
 
 
 def test_battery_throttle_and_tilt_are_kept_once_asked_for(state):

@@ -5,7 +5,7 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.client.link import COMPONENT_ID, VehicleLink
+from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.endpoint import Endpoint
 from flightstack.core.types import Mode, Request
 from tests.unit.mavlink.client.vehicle_link_fakes import (
@@ -39,16 +39,6 @@ def link(vehicle):
     opened.close()
 
 
-def test_hello_is_a_companions_heartbeat(vehicle):
-    link = VehicleLink(f"udpout:127.0.0.1:{vehicle.endpoint.local_port}", takeoff_height_m=HEIGHT)
-    link.poll(0.0)
-    (hello,) = vehicle.take("HEARTBEAT")
-    assert (hello.type, hello.autopilot) == (18, 8)
-    assert (hello.get_srcSystem(), hello.get_srcComponent()) == (1, COMPONENT_ID)
-    assert not link.heard
-    link.close()
-
-
 @pytest.mark.parametrize("ids", [(2, 1), (1, 190), (255, 190)])
 def test_others_are_counted_and_ignored(ids):
     link = VehicleLink("udpin:127.0.0.1:0", takeoff_height_m=HEIGHT)
@@ -59,24 +49,6 @@ def test_others_are_counted_and_ignored(ids):
     link.close()
     assert (link.state.own, link.state.status, link.heard) == (None, None, False)
     assert link.counters.foreign == 3
-
-
-def test_telemetry_is_asked_for_once_the_vehicle_is_heard(vehicle, link):
-    vehicle.beat()
-    poll(link, 1.0)
-    link.flush()
-    asked = {m.param1: m.param2 for m in vehicle.take("COMMAND_LONG") if m.get_type() == "COMMAND_LONG"}
-    assert asked == {32.0: 10_000.0, 30.0: 10_000.0, 245.0: 200_000.0}
-
-
-def test_own_heartbeat_goes_out_once_a_second(vehicle, link):
-    count = 0
-    for tick in range(301):
-        vehicle.send(position(tick * 10))
-        poll(link, tick * 0.01)
-        link.flush([dialect.MAVLink_ping_message(0, 0, 0, 0)])
-        count += sum(m.get_type() == "HEARTBEAT" for m in vehicle.take("PING"))
-    assert count == 4
 
 
 def test_setpoint_on_the_wire(vehicle, link):
@@ -94,14 +66,6 @@ def test_setpoint_that_is_not_finite_never_leaves(link, bad):
     assert not link.send_setpoint(Setpoint((0.0, bad, 0.0), 0.0), 0.0)
     assert not link.send_setpoint(Setpoint((0.0, 0.0, 0.0), bad), 0.0)
     assert link.counters.setpoints_refused == 2
-
-
-def test_nothing_is_sent_twice(vehicle, link):
-    link.send_setpoint(Setpoint((0.1, 0.0, 0.0), 0.0), 0.0)
-    link.flush()
-    link.flush([dialect.MAVLink_ping_message(0, 0, 0, 0)])
-    types = [m.get_type() for m in vehicle.take("PING")]
-    assert types == ["SET_POSITION_TARGET_LOCAL_NED", "PING"]
 
 
 def test_everything_of_a_tick_is_one_datagram(vehicle, link):
@@ -225,26 +189,3 @@ def test_lockstep_holds_a_bounded_number_of_messages(vehicle):
         poll(link, 0.0)
     assert link.counters.held_lost == 6000 - 4096
     link.close()
-
-
-def test_listening_link_follows_a_vehicle_that_comes_back_on_another_port():
-    link = VehicleLink("udpin:127.0.0.1:0", takeoff_height_m=HEIGHT)
-    for now_s in (0.0, 3.0):  # the old one has been silent for longer than heartbeats may be late
-        vehicle = FakeAutopilot(f"udpout:127.0.0.1:{link.endpoint.local_port}")
-        vehicle.beat()
-        poll(link, now_s)
-        link.send_setpoint(Setpoint((0.0, 0.0, 0.0), 0.0), now_s)
-        link.flush()
-        assert vehicle.take("SET_POSITION_TARGET_LOCAL_NED")
-        vehicle.endpoint.close()
-    link.close()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [({"url": "usb:/dev/x"}, "udpin"), ({"rate_hz": 0.0}, "loop rate"), ({"system_id": 0}, "1 to 255")],
-)
-def test_bad_arguments_are_refused(arguments, words):
-    values = {"url": "udpin:127.0.0.1:0", "takeoff_height_m": HEIGHT} | arguments
-    with pytest.raises(ValueError, match=words):
-        VehicleLink(values.pop("url"), **values)

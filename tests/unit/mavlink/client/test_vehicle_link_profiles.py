@@ -9,7 +9,7 @@ from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.client.texts import EVENT
 from bridge.mavlink.codec.wide_messages import MESSAGES
-from bridge.mavlink.line_budget import LineTooSlowError, bytes_per_s, plan
+from bridge.mavlink.line_budget import LineTooSlowError, plan
 from bridge.mavlink.profiles import PX4
 from flightstack.core.types import Mode, Request
 from tests.unit.mavlink.client.vehicle_link_fakes import (
@@ -208,19 +208,6 @@ def test_event_of_px4_becomes_a_text(vehicle):
 AGE_S = 0.2  # checks.own_age_max_s by default
 
 
-def longest(message):
-    """Bytes of a frame none of whose bytes is a trailing zero."""
-    return len(message.pack(dialect.MAVLink(None, 1, 1)))
-
-
-def test_bytes_are_those_of_frames():
-    position = dialect.MAVLink_local_position_ned_message(1, *[1.1] * 6)
-    assert bytes_per_s({32: 100.0}) == 100.0 * longest(position)
-    assert bytes_per_s({32: 100.0}, signed=True) == 100.0 * (longest(position) + 13)
-    setpoint = dialect.MAVLink_set_position_target_local_ned_message(1, 1, 1, 1, 2503, *[1.1] * 11)
-    assert bytes_per_s({84: 10.0}) == 10.0 * longest(setpoint)
-
-
 @pytest.mark.parametrize(
     ("baud", "signed", "state_hz", "every"),
     [
@@ -255,15 +242,3 @@ def test_too_slow_a_line_is_refused_with_the_numbers(age_s, baud, enough):
     assert f"carries {baud / 10:.0f} B/s" in text
     assert f"set the line to {enough} baud or more" in text
     plan(enough, 100.0, age_s)  # and that is true
-
-
-def test_loop_slower_than_the_lowest_rate_is_not_made_slower():
-    chosen = plan(57_600, 10.0, AGE_S)
-    assert (chosen.state_hz, chosen.setpoint_every) == (10.0, 1)
-    with pytest.raises(LineTooSlowError, match="at 10 Hz"):
-        plan(1_200, 10.0, AGE_S)
-
-
-def test_no_rate_keeps_a_hopeless_line():
-    with pytest.raises(LineTooSlowError, match="use another link"):
-        plan(921_600, 1e6, 1e-6)

@@ -1,7 +1,6 @@
 """Serial lines (pseudo-terminals) and TCP connections under an endpoint: cut, full, lost and found again."""
 
 import select
-import termios
 import time
 
 import pytest
@@ -141,33 +140,6 @@ def test_pulled_cable_is_told_and_found_again(wire):
     assert len(notices) == 1, "said once, not at every try"
 
 
-def test_wait_ends_in_time_and_sees_what_comes(wire):
-    far, endpoint = wire
-    connected(far, endpoint)
-    endpoint.receive()
-    began_s = time.monotonic()
-    assert not endpoint.wait(0.05)
-    assert 0.04 < time.monotonic() - began_s < AT_ONCE_S
-    far.write(frames_of(1)[0])
-    assert endpoint.wait(PATIENCE_S)
-    assert len(endpoint.receive()) == 1
-
-
-def test_close_can_be_repeated_and_ends_everything(wire):
-    far, endpoint = wire
-    connected(far, endpoint)
-    for _ in range(2):
-        endpoint.close()
-    assert endpoint.receive() == []
-    endpoint.send([position()])
-    assert not endpoint.wait(0.0)
-
-
-def test_serial_port_that_is_not_there_is_a_clear_error(tmp_path):
-    with pytest.raises(OSError, match="no such device"):
-        Endpoint(f"serial:{tmp_path / 'ttyNONE'}:57600", 1, 191)
-
-
 def test_serial_port_in_use_is_a_clear_error(tmp_path):
     far = PtyEnd(tmp_path, 57_600)
     first = Endpoint(far.url, 1, 191)
@@ -177,16 +149,6 @@ def test_serial_port_in_use_is_a_clear_error(tmp_path):
     finally:
         first.close()
         far.close()
-
-
-def test_serial_line_has_the_speed_of_its_url(tmp_path):
-    far = PtyEnd(tmp_path, 57_600)
-    endpoint = Endpoint(far.url, 1, 191)
-    attributes = termios.tcgetattr(endpoint.fileno())
-    assert attributes[4:6] == [termios.B57600, termios.B57600]
-    assert endpoint.baud == 57_600
-    endpoint.close()
-    far.close()
 
 
 def test_vehicle_that_is_not_there_yet_is_called_until_it_is():
@@ -218,16 +180,6 @@ def test_peer_of_tcp_on_the_network_follows_the_policy_of_udpout():
     assert endpoint.receive() == []
     assert time.monotonic() - before_s < AT_ONCE_S
     endpoint.close()
-
-
-def test_serial_line_needs_no_key_and_has_no_other_peers(tmp_path):
-    far = PtyEnd(tmp_path, 57_600)
-    endpoint = Endpoint(far.url, 1, 191)
-    assert endpoint.warnings == ()
-    endpoint.close()
-    with pytest.raises(ValueError, match="no other peer"):
-        Endpoint(far.url, 1, 191, always=[("127.0.0.1", 14550)])
-    far.close()
 
 
 def test_line_that_takes_nothing_is_not_turned_at_full_speed(tmp_path):

@@ -56,13 +56,6 @@ def test_what_only_looks_like_an_unknown_message_is_garbage(datagram):
     assert counters.garbage_bytes > 0
 
 
-def test_unknown_message_never_hides_a_good_frame():
-    good, kept = frames_of(1)[0], []
-    header = bytes([0xFD, len(good) + 3, 0, 0, 0, 1, 1, 255, 255, 255])
-    assert list(split_frames(header + b"abc" + good + b"\x01\x02", None, kept.append)) == [good]
-    assert kept == []
-
-
 def test_signed_frame_is_kept_whole_and_unknown_flags_are_refused():
     payload = bytes(range(9))
     signed = raw_frame(0, payload, flags=1)
@@ -123,15 +116,6 @@ def test_frames_cut_anywhere_come_whole_and_in_order(longest):
     assert counters == FrameCounters()
 
 
-def test_frame_is_given_with_its_last_byte():
-    frame = frames_of(1)[0]
-    framer = StreamFramer(FrameCounters())
-    assert list(framer.push(frame[:-1])) == []
-    assert len(framer._rest) == len(frame) - 1
-    assert list(framer.push(frame[-1:])) == [frame]
-    assert len(framer._rest) == 0
-
-
 def test_hundred_thousand_bytes_of_noise_lose_no_frame():
     """Noise between the frames, half of it start bytes; every good frame comes, in order."""
     rng, counters = random.Random(2), FrameCounters()
@@ -145,22 +129,6 @@ def test_hundred_thousand_bytes_of_noise_lose_no_frame():
     found = push_all(StreamFramer(counters), pieces_of(bytes(stream), rng))
     assert found == frames + frames_of(12, seed=4)
     assert counters.garbage_bytes == noise
-
-
-def test_noise_in_frames_and_lost_bytes_lose_those_they_hit_and_no_other():
-    rng, counters = random.Random(5), FrameCounters()
-    frames = frames_of(4000, seed=6)
-    hit = {i for i in range(len(frames)) if rng.random() < 0.2}
-    damaged = []
-    for i, frame in enumerate(frames):
-        if i in hit:
-            at = rng.randrange(len(frame))
-            changed = bytes([frame[at] ^ 1 << rng.randrange(8)]) + frame[at + 1 :]
-            frame = frame[:at] + (changed if i % 2 else frame[at + rng.randrange(1, 20) :])
-        damaged.append(frame)
-    tail = frames_of(12, seed=7)
-    found = push_all(StreamFramer(counters), pieces_of(b"".join(damaged + tail), rng))
-    assert found == [frame for i, frame in enumerate(frames) if i not in hit] + tail
 
 
 def test_buffer_is_bounded_whatever_comes():

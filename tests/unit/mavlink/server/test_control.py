@@ -99,11 +99,6 @@ def test_parameters_of_a_flown_vehicle_belong_to_its_owner_too(flown) -> None:
     assert flown.texts()[-1] == "MAV_TYPE refused: 1/191 has control"
 
 
-def test_questions_are_free(flown) -> None:
-    for number, params in ((512, (148.0,)), (510, (30.0,)), (512, (242.0,))):
-        assert flown.command(number, *params, sender=STRANGER) == ACCEPTED
-
-
 def test_rates_may_be_raised_by_all_but_lowered_only_by_the_owner(flown) -> None:
     assert flown.command(511, 31.0, 10_000.0, sender=STRANGER) == ACCEPTED
     assert flown.command(511, 30.0, 20_000.0, sender=STRANGER) == REJECTED
@@ -192,12 +187,6 @@ def test_masks_that_clients_use_are_taken(flown, mask: int) -> None:
     flown.handle(setpoint(0.2, mask=mask))
     flown.tick()
     assert flown.velocity_enu_m_s == pytest.approx((0.0, 0.2, 0.0))
-
-
-def test_set_points_for_another_vehicle_are_ignored(flown) -> None:
-    flown.handle(setpoint(0.5, target=(2, 1)))
-    flown.tick()
-    assert flown.velocity_enu_m_s == pytest.approx((0.0, 0.1, 0.0))
 
 
 def test_axes_and_signs() -> None:

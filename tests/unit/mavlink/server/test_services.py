@@ -93,16 +93,6 @@ def test_a_fixed_parameter_is_not_written(served) -> None:
     assert served.texts() == ["MAV_SYS_ID: 2, allowed 1"]
 
 
-def test_a_second_list_while_one_is_on_its_way_misses_nothing(served) -> None:
-    served.handle(mav.MAVLink_param_request_list_message(1, 1))
-    served.run(0.01)
-    before = len(values(served))
-    served.handle(mav.MAVLink_param_request_list_message(1, 1), (255, 190))
-    served.run(0.5)
-    second = values(served)[before:]
-    assert sorted(v.param_index for v in second) == list(range(second[0].param_count))
-
-
 def test_time_and_ping_are_answered(served) -> None:
     served.run(1.0)
     (sync,) = served.handle(mav.MAVLink_timesync_message(0, 77))
@@ -141,16 +131,6 @@ def test_missions_logs_and_files_are_refused_at_once(served) -> None:
     nak = first(mav.MAVLink_file_transfer_protocol_message(0, 1, 1, [7, 0, 3, 4, 0, *[0] * 246]))
     assert list(nak.payload[:6]) == [8, 0, 3, 129, 1, 4]
     assert nak.payload[12] == 1
-
-
-def test_other_set_points_are_refused_with_a_reason(flown) -> None:
-    zeros = [0.0, 0.0, 0.0]
-    flown.handle(mav.MAVLink_set_attitude_target_message(0, 1, 1, 0, [1.0, *zeros], *zeros, 0.5))
-    flown.handle(
-        mav.MAVLink_set_position_target_global_int_message(0, 1, 1, 6, 0, 0, 0, *zeros, *zeros, 0.0, 0.0, 0.0)
-    )
-    kinds = ("attitude", "global position")
-    assert flown.texts() == [f"Set-point dropped: {kind}, only local velocity" for kind in kinds]
 
 
 def test_old_stream_requests_do_not_starve_the_companion(served) -> None:

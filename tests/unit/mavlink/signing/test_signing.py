@@ -280,10 +280,3 @@ def test_key_that_others_can_get_at_is_refused(tmp_path, mode):
     (tmp_path / "key").chmod(mode)
     with pytest.raises(ValueError, match="chmod 600"):
         load_key(tmp_path / "key")
-
-
-def test_missing_key_and_folder_are_clear_errors(tmp_path):
-    with pytest.raises(OSError, match="flightstack key FILE"):
-        load_key(tmp_path / "none")
-    with pytest.raises(ValueError, match="no ordinary file"):
-        load_key(tmp_path)
