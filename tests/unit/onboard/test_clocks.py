@@ -8,7 +8,7 @@ import threading
 import pytest
 
 from flightstack.common import pacing, simulation_clock
-from flightstack.common.pacing import EPOCH_NS, FastClock, LockstepClock, RealTimePacer
+from flightstack.common.pacing import FastClock, RealTimePacer
 from flightstack.common.simulation_clock import FollowedClock, Follower, SimulationClock, chosen_clock
 
 
@@ -79,12 +79,6 @@ def test_a_clock_that_is_twice_as_fast_makes_twice_as_many_ticks_and_their_times
     assert later.wait().lateness_s == pytest.approx(0.012, abs=1e-6)
     assert later.overruns == 1
     assert FastClock().unix_ns() == pacing.time.time_ns()
-
-
-def test_lockstep_time_is_the_simulators():
-    clock = LockstepClock(100)
-    tick = clock.tick(1_230_000_000)
-    assert (tick.number, tick.now_s, tick.unix_ns) == (123, 1.23, EPOCH_NS + 1_230_000_000)
 
 
 def test_ports_kept_for_a_run_are_not_given_to_another():
@@ -193,12 +187,6 @@ def test_time_goes_on_for_the_followers_of_a_simulator_that_was_killed(file, mon
 def test_a_process_that_is_to_end_does_not_wait_for_the_simulator(file):
     SimulationClock(file)
     FollowedClock(file, Follower.ONBOARD, stopped=lambda: True).sleep(0.05)
-
-
-def test_the_clock_is_chosen_by_the_options(file):
-    SimulationClock(file)
-    assert isinstance(chosen_clock(1.0, file, Follower.TARGET), FollowedClock)
-    assert chosen_clock(2.0, None, Follower.TARGET) == FastClock(2.0)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from flightstack.config.options import OnboardOptions
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.types import Intent, Neighbour, Operator, Phase
 from flightstack.onboard import process
-from flightstack.onboard.fleet_wire import FleetWire, namespace_of
+from flightstack.onboard.fleet_wire import FleetWire
 from flightstack.onboard.process import Onboard
 from flightstack.onboard.runner import LinkedVehicle
 from logs.schema import schemas
@@ -127,12 +127,6 @@ def test_both_hear_each_other_and_the_log_has_it(onboard, other, feed):
     assert {row.id for row in said} == {3}
 
 
-def test_what_is_wrong_on_the_wire_is_an_event(onboard, other, feed):
-    other.say(word(7, 0.0)._replace(id=8))
-    runner = running(onboard)
-    until(lambda: runner.tick() or any(b"vehicle 8 is no member" in text for text in feed.of("/rosout")))
-
-
 def test_the_start_is_refused_while_another_process_is_the_same_vehicle(onboard, other):
     until(lambda: zenoh_link.is_matched(other._publisher))
     other.say(word(3, 0.0))
@@ -174,7 +168,3 @@ def test_a_lone_vehicle_has_no_wire(feed):
 def test_a_fleet_is_refused_where_it_cannot_work():
     with pytest.raises(ConfigError, match="nobody can reach this process; --connect, --listen or --zenoh-c"):
         process.run(CONFIG, OnboardOptions(**WHERE))
-
-
-def test_each_member_has_its_own_namespace():
-    assert [namespace_of(config) for config in (LONE, CONFIG)] == ["cf1", "cf3"]

@@ -58,12 +58,6 @@ def test_every_option_of_the_onboard_process_is_handed_on_as_it_was_given(starte
     assert found == replace(given, **own, listen=(*given.listen, found.listen[-1]))
 
 
-def test_recording_is_declined_by_its_option_alone(started, tmp_path):
-    where = ("--vehicle", "udpin:127.0.0.1:14540", "--config", "sitl-1kg", "--out", tmp_path, "--json")
-    assert started(*where).recorder is not None
-    assert started(*where, "--no-record").recorder is None
-
-
 def others(cls, folder):
     """A value of each option that has a default, another one than that."""
     file = folder / "file"
@@ -132,8 +126,3 @@ def test_a_configuration_that_does_not_say_where_to_begin_begins_where_the_scena
     flown = prepare(RunOptions(scenario=scenario, px4=Path("px4"))).member[0].onboard
     assert flown.takeoff.start_offset_m == given
     assert flown.vehicle == load(config).vehicle
-
-
-def test_a_configuration_that_says_where_to_begin_is_flown_as_it_is():
-    flown = prepare(RunOptions(scenario="grid", config_file=path_of("crazyflie"))).member[0].onboard
-    assert flown == load("crazyflie")

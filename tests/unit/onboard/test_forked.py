@@ -2,7 +2,6 @@
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -15,7 +14,6 @@ from flightstack.common.processes import Child
 from tests.processes.bounded import PATIENCE_S, killed, line_of
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="forks on Linux only")
-AUTOGROUP = Path("/proc/self/autogroup")
 BEGIN = """
 import os, signal, sys, threading, time
 from pathlib import Path
@@ -118,22 +116,6 @@ def test_it_ends_with_a_parent_that_is_killed(tmp_path):
         killed(parent)
 
 
-def test_a_wait_that_is_too_long_and_what_comes_after_the_end(tmp_path):
-    program = """
-import subprocess
-child = forked(lambda: time.sleep(600.0))
-try:
-    child.wait(0.01)
-except subprocess.TimeoutExpired:
-    print(child.poll())
-child.terminate()
-print(child.wait())
-child.kill()
-print(child.poll())
-"""
-    assert python(program, tmp_path).split() == ["None", str(-signal.SIGTERM), str(-signal.SIGTERM)]
-
-
 def test_only_the_only_thread_may_fork(tmp_path):
     program = """
 over = threading.Event()
@@ -192,16 +174,6 @@ def test_a_parent_without_streams_has_children_with_streams(tmp_path):
     assert (tmp_path / "errors").read_text() == "err\n"
 
 
-def test_a_verb_that_cannot_be_loaded_here_is_left_to_a_program_which_says_why(tmp_path):
-    program = """
-import flightstack.cli.main as cli
-cli.VERBS["config"] = cli.VERBS["config"]._replace(needs=("not_installed",))
-child = Child("config", ["config", "crazyflie"], folder)
-print(type(child.process).__name__, child.process.wait(60.0))
-"""
-    assert python(program, tmp_path).split() == ["Popen", "0"]
-
-
 def test_lines_that_come_with_the_one_that_is_waited_for_are_kept(tmp_path):
     child = Child("printf", [r"hello\nready at once\nfirst\nsec"], tmp_path, program=["printf"])
     try:
@@ -215,12 +187,3 @@ def test_lines_that_come_with_the_one_that_is_waited_for_are_kept(tmp_path):
 def test_what_a_verb_needs_is_there(name):
     """Else its children would be programs, and nobody would see why they start slowly."""
     assert load(name).name == "main"
-
-
-@pytest.mark.skipif(not AUTOGROUP.exists(), reason="this kernel shares processors among threads alone")
-def test_its_session_has_the_niceness_of_its_parent(tmp_path):
-    program = """
-os.setpriority(os.PRIO_PROCESS, 0, 7)
-print(forked(lambda: print(Path("/proc/self/autogroup").read_text())).stdout.read().decode())
-"""
-    assert python(program, tmp_path).split()[1:] == ["nice", "7"]

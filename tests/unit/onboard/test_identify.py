@@ -66,13 +66,6 @@ def test_its_standard_errors_are_true():
     assert 0.4 * spread < np.mean([one.errors[4] for one in found]) < 2.5 * spread
 
 
-def test_several_flights_and_axes_are_used_together():
-    pieces = [made_up(seed, seconds=4.0, wind=0.03) for seed in range(6)]
-    together, alone = identify(pieces, DT_S, "x"), identify(pieces[:1], DT_S, "x")
-    assert together.errors[4] < alone.errors[4]
-    assert together.lag_s == pytest.approx(2.0 * 0.68 / 5.2, rel=0.08)
-
-
 def test_a_short_flight_is_refused():
     with pytest.raises(TooLittleError, match="fly longer"):
         identify([made_up(1, seconds=1.9)], DT_S, "vertically")

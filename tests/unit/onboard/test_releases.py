@@ -7,7 +7,7 @@ import pytest
 from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.preflight import examine as module
 from bridge.mavlink.preflight.examine import examine
-from bridge.mavlink.preflight.table import Level, Needs, Release, Table, choose, judge, table
+from bridge.mavlink.preflight.table import Level, Needs, Table, judge, table
 from flightstack.common.strict_toml import ConfigError, from_table
 from flightstack.onboard.preflight import lines, record, verdict
 from tests.fake_autopilot import OnUdp
@@ -137,18 +137,6 @@ def test_the_names_of_the_release_before_are_refused(autopilot, release):
     assert report.safe is (autopilot == "px4")  # whose new names are notes
 
 
-def test_conversions_between_releases_are_shown():
-    values = {("ardupilot", "4.7"): {"WP_SPD": 10.0, "MAV_GCS_SYSID": 255}}
-    values["ardupilot", "4.6"] = {"WPNAV_SPEED": 50.0, "ARMING_CHECK": 0}
-    new, old = (judged(*key, given) for key, given in values.items())
-    assert new["WP_SPD"].text == "WP_SPD is 10 m/s (WPNAV_SPEED 1000 cm/s before 4.7)"
-    assert "MAV_GCS_SYSID is 255 (SYSID_MYGCS 255 before 4.7)" in new["MAV_GCS_SYSID"].text
-    assert "WPNAV_SPEED is 50 cm/s (WP_SPD 0.5 m/s from 4.7): clips" in old["WPNAV_SPEED"].text
-    assert "set it to at least 70.72 cm/s" in old["WPNAV_SPEED"].text
-    assert "ARMING_CHECK is 0 (ARMING_SKIPCHK from 4.7)" in old["ARMING_CHECK"].text
-    assert new["WP_SPD"].means == old["WPNAV_SPEED"].means
-
-
 def test_a_name_of_any_release_may_be_accepted():
     asked = table("ardupilot").asked("ardupilot", "4.7")
     values = SAFE["ardupilot", "4.7"] | {"WP_SPD": 0.1}
@@ -198,11 +186,6 @@ def test_a_build_of_a_known_release_that_is_none_is_noted():
     report = talk(OnUdp("ardupilot", packed("4.8", DEV), SAFE["ardupilot", "4.8"]))
     assert report.safe
     assert report.notes == ("ArduCopter 4.8.0 dev is not a release: judged by the rules of 4.8",)
-
-
-def test_between_two_known_releases_the_older_one_is_the_nearest():
-    rules = from_table(Table, {"title": "X", "releases": ["1.2", "1.4"], "rule": []})
-    assert choose(rules, Release(1, 3, 0, ""), "", accept=True).release == "1.2"
 
 
 RULE = {"means": "m", "names": [{"name": "A"}], "text": "t", "low": 1.0}

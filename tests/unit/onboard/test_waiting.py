@@ -6,10 +6,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from bridge.mavlink.client.vehicle_state import Battery, VehicleState
-from bridge.mavlink.profiles import PX4
+from bridge.mavlink.client.vehicle_state import Battery
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import PATIENCE_S
 from flightstack.common.pacing import Tick
@@ -157,18 +155,6 @@ def test_an_old_battery_state_is_none(age_s, known):
     else:
         assert math.isnan(found.battery_v)
         assert math.isnan(found.battery_share)
-
-
-@pytest.mark.parametrize(
-    ("millivolts", "percent", "expected"),
-    [(3870, 90, (3.87, 0.9)), (0xFFFF, -1, (None, None)), (0, 0, (0.0, 0.0))],
-)
-def test_the_battery_as_sys_status_says_it(millivolts, percent, expected):
-    state = VehicleState(PX4)
-    assert state.battery is None
-    message = mav.MAVLink_sys_status_message(0, 0, 0, 0, millivolts, -1, percent, 0, 0, 0, 0, 0, 0)
-    state.update(message, 7.0)
-    assert state.battery == Battery(7.0, *expected)
 
 
 ROOT = Path(__file__).parents[3]
