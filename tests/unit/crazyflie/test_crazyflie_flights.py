@@ -138,18 +138,6 @@ def test_after_any_end_the_next_flight_begins_as_the_first():
         assert stack.bench.times("HEARTBEAT")[-1] > stack.bench.now_s - 1.1
 
 
-def test_an_offboard_mode_without_a_stream_ends_on_the_ground_too():
-    bench = Bench().ready()
-    bench.stream = (0.0, 0.0, 0.0)
-    bench.run(0.1)
-    assert bench.result(176, 1.0, 6.0) == 0
-    bench.stream = None
-    bench.run(0.9)
-    assert bench.vehicle.mode is FlightMode.OFFBOARD
-    bench.run(0.2)
-    assert bench.vehicle.mode is FlightMode.HOLD
-
-
 @pytest.mark.parametrize("deck_m_s", [(0.0, 0.0), (0.3, 0.0), (-0.2, 0.25), (0.0, -1.0), (3.0, 0.0)])
 def test_a_take_off_from_a_deck_that_drives_rises_above_its_place_on_the_deck_then_stops(deck_m_s):
     state = Bench().ready().vehicle.state

@@ -152,33 +152,12 @@ def test_a_silent_radio_is_said_and_nothing_is_said_in_its_name():
     assert bench.times("HEARTBEAT")[-1] > bench.now_s - 0.2
 
 
-def test_a_lost_link_is_said_with_its_reason():
-    bench = Bench().offboard()
-    bench.lose("Too many packets lost")
-    bench.run(0.1)
-    assert any("Radio lost: Too many packets lost" in text for text in bench.texts)
-    beats = len(bench.times("HEARTBEAT"))
-    bench.run(3.0)
-    assert len(bench.times("HEARTBEAT")) == beats
-    assert not bench.velocities() or bench.velocities()[-1][0] < bench.now_s - 2.9
-
-
 def test_fast_set_points_are_cut_in_their_direction():
     bench = Bench(rules=Rules(speed_max_m_s=0.5)).offboard()
     bench.stream = (3.0, 4.0, 0.0)
     bench.run(0.05)
     assert bench.velocities()[-1][1].velocity_enu_m_s == pytest.approx((0.4, 0.3, 0.0))
     assert any("Set-point cut to 0.5 m/s" in text for text in bench.texts)
-
-
-def test_turns_to_the_heading_wanted_and_holds_it():
-    bench = Bench().offboard()
-    bench.stream = None
-    for _ in range(400):
-        bench.setpoint(yaw=0.5)  # clockwise from north
-        bench.step()
-    assert bench.firmware.plant.yaw == pytest.approx(1.5708 - 0.5, abs=0.02)
-    assert bench.last("ATTITUDE").yaw == pytest.approx(0.5, abs=0.02)
 
 
 def test_the_supervisor_may_refuse_or_not_answer():
@@ -236,17 +215,6 @@ def test_a_take_off_that_something_holds_ends_in_a_landing():
     assert "Landed, disarmed" in bench.texts
 
 
-def test_a_take_off_that_ends_on_the_ground_says_why():
-    bench = Bench().armed()
-    bench.firmware.needs_poses = True  # and none come
-    bench.run(3.0)
-    bench.command(22)
-    bench.run(0.5)
-    assert bench.vehicle.mode is FlightMode.HOLD
-    assert bench.vehicle.standing
-    assert "No position estimate: stays on the ground" in bench.texts
-
-
 def test_nothing_takes_it_out_of_the_landing_of_a_bridge_that_ends():
     bench = Bench()
     bench.hover()
@@ -298,15 +266,6 @@ def test_an_old_kill_does_not_stop_the_next_flight():
     bench.connect()
     bench.hover()
     assert not bench.orders(Order.EMERGENCY_STOP)
-
-
-def test_offboard_needs_a_position():
-    firmware = Firmware(needs_poses=True)
-    bench = Bench(firmware).run(1.0)
-    bench.setpoint()
-    assert bench.result(176, 1.0, 6.0) == 1
-    bench.step()
-    assert any("no position estimate" in t for t in bench.texts)
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -73,21 +73,6 @@ def test_packets_out_of_order_are_dropped_late_ones_are_known_and_a_restart_is_o
     assert clock.now_ns(2.0) == pytest.approx(2e9, abs=1e6)
 
 
-def test_states_held_up_are_not_sent():
-    bench = Bench().ready().run(0.5)
-    held = []
-    real, bench._take = bench._take, held.append
-    bench.run(0.5)
-    bench._take = real
-    sent, late = len(bench.times("LOCAL_POSITION_NED")), bench.node.late
-    for event in held:
-        bench._take(event)
-    bench.step()
-    fresh = len(bench.times("LOCAL_POSITION_NED")) - sent
-    assert bench.node.late - late >= 28
-    assert fresh <= 22
-
-
 def test_the_newest_velocity_wins_and_an_old_one_is_not_sent():
     box = Outbox()
     box.put(Velocity((1.0, 0.0, 0.0), 0.0), 0.0)
@@ -181,14 +166,6 @@ def test_the_throttle_is_the_mean_of_the_motors_and_comes_when_it_is_asked_for()
     state = read(bench, power=True)
     assert state.power.throttle == pytest.approx(0.80)  # of 52,500, in whole percents
     assert (state.power.voltage_v, state.power.cos_tilt) == pytest.approx((4.1, 1.0), abs=0.01)
-
-
-def test_messages_it_does_not_have_and_messages_of_a_crazyflie_not_heard_are_refused():
-    bench = Bench().ready()
-    assert bench.result(512, 435.0) == 2
-    bench.mute = True
-    bench.run(1.5)
-    assert bench.result(512, 32.0) == 1
 
 
 COMMANDS = {
@@ -299,13 +276,6 @@ def test_refuses_to_arm_and_says_why(name):
     assert not bench.last("SYS_STATUS").onboard_control_sensors_health & 0x10000000
 
 
-def test_without_any_deck_it_asks_for_motion_capture():
-    firmware = Firmware(needs_poses=True)
-    firmware.params["deck.bcLighthouse4"].value = 0
-    bench = Bench(firmware).run(1.0)
-    assert any("give poses with --mocap" in problem for problem in bench.vehicle.problems(bench.now_s))
-
-
 def test_a_filter_that_does_not_run_is_no_position_estimate():
     firmware = Firmware()
     bench = Bench(firmware).run(0.5)
@@ -314,16 +284,6 @@ def test_a_filter_that_does_not_run_is_no_position_estimate():
     firmware.params["stabilizer.estimator"].value = 1
     bench.run(0.5)
     assert "no position estimate" in bench.vehicle.problems(bench.now_s)[0]
-
-
-def test_prearm_checks_tell_all_reasons_in_order():
-    firmware = Firmware(protocol=9, needs_poses=True)
-    firmware.battery_v = 3.3
-    bench = Bench(firmware).run(1.0)
-    assert bench.result(401) == 0
-    bench.step()
-    said = [text for text in bench.texts if text.startswith("Preflight fail")]
-    assert ["CRTP" in said[0], "battery" in said[1], "no position" in said[2]] == [True] * 3
 
 
 def test_what_keeps_it_from_arming_is_said_when_it_changes_and_not_again():

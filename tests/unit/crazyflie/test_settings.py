@@ -42,12 +42,6 @@ def test_what_it_found_is_restored_once_and_waited_for_within_a_bound():
     assert not settings.busy(now_s)
 
 
-def test_nothing_is_restored_untold():
-    bench = Bench(rules=Rules(drag_1_s=(0.46, 0.46, 0.4))).run(0.1)
-    assert bench.vehicle.settings.leave(bench.now_s) == []
-    assert not bench.vehicle.settings.busy(bench.now_s)
-
-
 def test_a_firmware_that_cannot_be_told_its_drag_is_named():
     firmware = Firmware()
     for name in DRAG:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from flightstack.common.strict_toml import ConfigError
-from flightstack.config.files import load as load_config
 from flightstack.verify.certificate import problems
 from sim.plant.params import Plant, able_to_hover, load
 from sim.scenarios.scenario import VEHICLE_FILES, StartKind, VehicleSpec, VelocityLoop, Wind
@@ -102,19 +101,6 @@ def test_a_vehicle_that_is_asked_to_hover_has_the_charge_for_it():
     assert climbs[0] < 0.0 < 0.1 < climbs[1]
 
 
-def test_motors_are_drawn_by_seed_with_a_mean_of_one():
-    spec = VehicleSpec("crazyflie21_room", motor_spread=0.1, battery_charge=(0.2, 0.4))
-    drawn = [Plant.draw(spec, seed) for seed in range(50)]
-    assert all(sum(plant.motors) == pytest.approx(4.0) for plant in drawn)
-    assert 0.03 < np.std([plant.motors for plant in drawn]) < 0.1
-    charges = [plant.battery_charge for plant in drawn]
-    assert 0.2 <= min(charges) < 0.25
-    assert 0.35 < max(charges) <= 0.4
-    plain = replace(spec, motor_spread=0.0, battery_charge=(1.0, 1.0), thrust_spread=0.1)
-    assert Plant.draw(plain, 7).motors == (1.0, 1.0, 1.0, 1.0)
-    assert Plant.draw(plain, 7).battery_charge == 1.0
-
-
 def test_a_vehicle_file_of_ones_own_and_what_is_said_when_there_is_none(tmp_path):
     own = tmp_path / "mine.toml"
     own.write_text('base = "crazyflie21_room"\n[body]\nmass_kg = 0.035\n')
@@ -130,12 +116,6 @@ def test_a_vehicle_file_of_ones_own_and_what_is_said_when_there_is_none(tmp_path
         load(str(broken))
     with pytest.raises(ConfigError, match="lower share comes first"):
         VehicleSpec(battery_charge=(0.5, 0.2))
-
-
-def test_the_crazyflie_is_the_default_and_keeps_its_gains():
-    assert load() == load("crazyflie20")
-    gains = load().velocity_gains
-    assert (gains.xy_p, gains.xy_i, gains.z_p, gains.z_i) == (25.0, 1.0, 25.0, 15.0)
 
 
 def test_one_kilogram_answers_velocities_as_px4s_simulator_does():
@@ -159,10 +139,6 @@ def test_one_kilogram_answers_velocities_as_arducopter_47_does():
     along = [v[0] for v in velocities(vehicle, (1.0, 0.0, 0.0), 3.0)]
     assert rise_s(along, 0.16) == pytest.approx(0.42, abs=0.05)
     assert rise_s(along, 1.0) == pytest.approx(0.80, rel=0.1)
-
-
-def test_the_configuration_file_is_the_scenarios():
-    assert load_config("sitl-1kg") == load_scenario("large").onboard
 
 
 def test_the_large_configuration_is_proven_and_made_for_its_vehicle():

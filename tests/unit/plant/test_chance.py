@@ -58,18 +58,6 @@ def test_a_move_is_as_far_as_its_weight_says(weight):
     assert np.corrcoef(a, b)[0, 1] == pytest.approx(math.sqrt(1.0 - weight**2), abs=0.02)
 
 
-def test_streams_of_a_seed_and_seeds_of_a_stream_are_independent():
-    one, other = fresh(1), fresh(2)
-    assert (
-        abs(np.corrcoef(stream(one, "x").standard_normal(N), stream(one, "y").standard_normal(N))[0, 1])
-        < 0.02
-    )
-    assert (
-        abs(np.corrcoef(stream(one, "x").standard_normal(N), stream(other, "x").standard_normal(N))[0, 1])
-        < 0.02
-    )
-
-
 @given(st.lists(st.tuples(st.integers(1, MOVE_SEED_MAX), st.integers(1, 255)), max_size=6))
 def test_the_same_number_is_the_same_chance(moves):
     seed = fresh(3)
@@ -86,12 +74,6 @@ def test_the_same_number_is_the_same_chance(moves):
         ).standard_normal(3)
         z = w / 256 * fresh_z + math.sqrt(1.0 - (w / 256) ** 2) * z
     assert numbers == pytest.approx(z, abs=1e-12)
-
-
-def test_numbers_come_one_by_one_as_in_blocks():
-    seed = walk(0.3, 2)
-    blocks, single = stream(seed, "x").standard_normal(6), stream(seed, "x")
-    assert [single.standard_normal() for _ in range(6)] == pytest.approx(blocks.tolist(), abs=1e-15)
 
 
 def test_what_is_not_allowed_is_refused():

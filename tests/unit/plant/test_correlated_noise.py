@@ -38,13 +38,6 @@ def test_each_axis_has_its_size_and_its_time():
     assert abs(np.corrcoef(torque[:, 0], torque[:, 1])[0, 1]) < 0.05
 
 
-def test_it_is_off_unless_a_vehicles_file_asks_for_it():
-    assert load().torque_noise == TorqueNoiseShape()
-    off = TorqueNoiseShape()
-    assert not CorrelatedNoise(off.rms_n_m, off.time_s, 1, "torque.noise", STEP_S).record.on
-    assert ROOM.torque_noise.rms_n_m[0] > 0.0
-
-
 def hovering(params):
     """Rates and differences of the motors in hover."""
     spec = VehicleSpec("crazyflie21_room", VelocityLoop.PID, mocap=QUIET)

@@ -1,12 +1,10 @@
 """The plant against a second model, a conservation law and a closed form."""
 
-import math
-
 import numpy as np
 import pytest
 
 from sim.plant.params import STEP_S, load
-from sim.scenarios.scenario import OdometryLink, VehicleSpec, Wind
+from sim.scenarios.scenario import OdometryLink, VehicleSpec
 from sim.vehicle.loop import push
 from sim.world.step import physics_step
 from tests import independent_plant as other
@@ -71,27 +69,6 @@ class FreePlant:
 BODY = load().body
 G = 9.81
 HOVER_RPM = 18968.0  # by hand from the L250 thrust map, 0.0782 N per rotor
-
-
-def test_falls_sideways_with_the_wind_in_the_end():
-    plant = FreePlant(wind=Wind(2.0, direction_rad=0.5))
-    plant.place()
-    plant.run(20_000)
-    share = -math.expm1(-20.0 * 0.0147 / 0.0319)
-    assert plant.state[3:5] == pytest.approx(share * 2.0 * np.array([math.cos(0.5), math.sin(0.5)]), rel=1e-3)
-
-
-def test_hover_is_where_the_data_sheet_puts_it():
-    plant = FreePlant()
-    plant.no_drag()
-    plant.rotors(HOVER_RPM)
-    plant.run(1)
-    thrust = plant.record.rotors.thrust_n
-    assert thrust == pytest.approx(4 * 0.0782, rel=1e-3)
-    assert 4 * 0.12 / thrust == pytest.approx(1.53, abs=0.01)  # thrust to weight
-    assert thrust / 4 / 0.12 * 65535 == pytest.approx(42_700, abs=50)  # counts
-    plant.run(999)
-    assert abs(plant.state[5]) < 0.005  # 18968 rpm is rounded
 
 
 def angular_momentum(plant):

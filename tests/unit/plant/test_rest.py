@@ -86,14 +86,6 @@ def test_moves_as_with_the_contact_of_mujoco(name):
     assert np.linalg.norm(w.quaternion) == pytest.approx(1.0, abs=1e-12)
 
 
-def test_velocity_and_rates_are_those_of_the_pad_below():
-    w, rows = stand(Deck(circle, 0.5))
-    x, y = np.array(w.position[:2]) - np.array(w.deck_position[:2])
-    u, v, _ = w.record.deck.velocity
-    assert w.velocity == pytest.approx((u - 0.5 * y, v + 0.5 * x, 0.0), abs=1e-12)
-    assert rows[-1][4] == pytest.approx((0.0, 0.0, 0.5), abs=1e-4)
-
-
 def test_does_not_creep_under_a_steady_wind():
     wind = (HOLDS * 0.9 * FRICTION * MASS * G, 0.0, -MASS * G)
     _, resting = stand(Deck(still), force=wind)
@@ -164,11 +156,3 @@ def test_a_force_that_is_not_a_number_holds_nothing(part):
     getattr(r.wrench, part)[2] = math.nan
     assert not carried(r.rest, r.wrench, r.body, r.deck)
     assert r.rest.steps == 0
-
-
-def test_whoever_is_placed_anew_comes_to_rest_anew():
-    w, _ = stand(Deck(still), seconds=0.2)
-    w.set_vehicle((0.0, 0.0, 1.0))
-    w.step(WEIGHT, NO_TORQUE)
-    assert w.position[2] < 1.0
-    assert w.record.rest.steps == 0

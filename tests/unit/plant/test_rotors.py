@@ -18,7 +18,6 @@ from sim.plant.rotors import (
 )
 from sim.plant.wind import WindModel
 from sim.scenarios.scenario import Wind
-from tests.independent_plant import THRUST
 
 PARAMS = load()
 WIND_STEP_S = 0.005
@@ -47,16 +46,6 @@ def test_hover_thrust_carries_the_weight():
     assert abs(HOVER - 18968) < 20  # computed by hand from the L250 map
     assert settled((HOVER,) * 4).thrust_n == pytest.approx(WEIGHT_N, rel=1e-9)
     assert settled((HOVER,) * 4, thrust=0.9).thrust_n == pytest.approx(0.9 * WEIGHT_N, rel=1e-9)
-
-
-@pytest.mark.parametrize("thrust_n", [0.013, 0.05, 0.0782, 0.12])
-def test_thrust_map_and_its_inverse_agree(thrust_n):
-    assert ROTOR.thrust_n(ROTOR.rpm(thrust_n)) == pytest.approx(thrust_n, rel=1e-12)
-
-
-def test_thrust_never_pulls_down():
-    for rpm in (0.0, 100.0, 1000.0, 2189.0):
-        assert settled((rpm,) * 4).thrust_n == 0.0
 
 
 LEVEL = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
@@ -152,27 +141,3 @@ def test_gusts_have_the_first_order_spectrum(gusts):
             band = (frequency >= low) & (frequency < 2.0 * low)
             error = 1.0 / math.sqrt(band.sum())
             assert power[band].mean() == pytest.approx(density[band].mean(), rel=4.0 * error + 0.02)
-
-
-def test_thrust_map_and_the_firmwares_voltage_curve_agree_within_six_percent():
-    """Two identifications of the same motor: the firmware's cubic of volts, and speed and thrust of L250.
-
-    Counts are linear in the thrust of the first; the simulator makes them linear in that of the second.
-    """
-    cubic = np.array([0.0059609239, -0.0184736436, 0.0472446524, -0.0148307449])  # platform_defaults_cf2.h
-    for thrust in np.linspace(0.03, 0.12, 10):
-        volts = next(r.real for r in np.roots(cubic - [0, 0, 0, thrust]) if abs(r.imag) < 1e-9)
-        rpm = PARAMS.battery.speed_at_zero_v_rpm + PARAMS.battery.speed_per_volt_rpm * volts
-        assert np.polyval(THRUST, rpm) == pytest.approx(thrust, rel=0.06)
-
-
-def test_wind_direction_comes_from_the_seed():
-    directions = {WindModel(Wind(1.0), load().wind, seed, 0.01).mean_enu_m_s for seed in range(5)}
-    assert len(directions) == 5
-    assert all(math.hypot(x, y) == pytest.approx(1.0) for x, y, _ in directions)
-
-
-def test_no_wind_is_still():
-    wind = WindModel(Wind(), load().wind, 1, 0.01)
-    wind.step()
-    assert wind.now_enu_m_s == (0.0, 0.0, 0.0)

@@ -20,7 +20,6 @@ from sim.plant.state_error import (
     POSITION,
     STILL_AHEAD,
     STILL_ASIDE,
-    TURN,
     VELOCITY,
     VELOCITY_DELAY,
     WIDTH,
@@ -60,11 +59,6 @@ def test_noise_has_variance_one_and_its_correlation(smooth_s, law):
     assert abs(np.mean(noise[:, 0] * noise[:, 1])) < 0.1
 
 
-def test_noise_is_at_its_full_size_from_the_first_sample_on():
-    first = [Noise(stream(seed, "test"), 50, 2.0, 2.0, 0.01).take(1) for seed in range(40)]
-    assert np.std(first) == pytest.approx(1.0, rel=0.1)
-
-
 @given(parts=st.lists(st.integers(1, 90), min_size=1, max_size=6), seed=st.integers(0, 2**64 - 1))
 def test_rows_do_not_depend_on_how_many_are_taken_at_once(parts, seed):
     rows = state_errors(StateError(), seed, "own", RATE_HZ)
@@ -95,20 +89,6 @@ def test_flights_have_the_delays_of_the_parameters():
     wild = drawn(replace(FINE, delay_s=0.1, delay_fast_s=0.1), count=3000)[:, DELAY]
     assert wild.min() >= DELAY_MIN_S
     assert wild.max() == DELAY_MAX_S
-
-
-def test_a_misalignment_stays_for_a_flight():
-    rows = drawn(replace(FINE, tilt_rad=0.02, yaw_rad=0.01))[:, TURN:]
-    assert np.all(rows == rows[0])
-    assert np.all(rows[0] != 0.0)
-    many = np.array([drawn(replace(FINE, tilt_rad=0.02), s, 1)[0, TURN:] for s in range(400)])
-    assert many.std(axis=0) == pytest.approx([0.02, 0.02, 0.0], rel=0.1)
-
-
-def test_a_flight_has_its_own_scale_of_the_velocity():
-    scales = [drawn(replace(FINE, velocity_scale=0.05), seed, 3)[:, AHEAD] for seed in range(400)]
-    assert all(np.all(row == row[0]) for row in scales)
-    assert np.std([row[0] for row in scales]) == pytest.approx(0.05, rel=0.1)
 
 
 def measured(row, truth, *, samples=60, rate_hz=RATE_HZ):

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from flightstack.compiled.records import new
-from sim.firmware.estimator import ACCEL_XY_M_S2, ACCEL_Z_M_S2, Estimator, axis_gains, predict, yaw_gain
+from sim.firmware.estimator import ACCEL_XY_M_S2, ACCEL_Z_M_S2, Estimator, axis_gains, predict
 from sim.firmware.mixer import MapRecord, mix, motor_speed, set_up_map
-from sim.firmware.paper_loop import PaperLoop, axes_from_force, paper_update
-from sim.firmware.setpoint import SensedState, Setpoint, SetpointRecord
+from sim.firmware.paper_loop import PaperLoop, paper_update
+from sim.firmware.setpoint import SetpointRecord
 from sim.plant.params import CONTROL_STEP_S, STEP_S, Plant, load
 from sim.plant.rotation import rotation_axes
 from sim.plant.rotors import Rotors, turn_rotors
@@ -58,25 +58,8 @@ class TestMixer:
         assert speeds_of((65535.0,) * 4, 20000.0) == [20000.0] * 4
 
 
-def sensed_at(velocity=(0.0, 0.0, 0.0), axes=LEVEL, rates=NO_RATES):
-    sensed = new(SensedState)
-    sensed.velocity, sensed.axes, sensed.rates = velocity, axes, rates
-    return sensed
-
-
 def paper(sensed, setpoint, level):
     return paper_update(PaperLoop(PARAMS).record, sensed, new(SetpointRecord, setpoint.fields()), level)
-
-
-class TestPaperLoop:
-    def test_equation_8(self):
-        """The desired body axis is along -K_v (v - u) + m G; at that attitude all of it is thrust."""
-        v, u = np.array([0.05, -0.02, 0.1]), np.array([0.15, 0.1, -0.1])
-        force = -0.5 * (v - u) + np.array([0.0, 0.0, WEIGHT])
-        axes = axes_from_force(*force.tolist(), 1.0, 0.0)
-        counts, moments = paper(sensed_at(tuple(v), axes), Setpoint(*u), level=False)
-        assert counts * 4 * 0.12 / 65535 == pytest.approx(np.linalg.norm(force), rel=1e-9)
-        assert moments == (0, 0, 0)
 
 
 class TestEstimator:
@@ -95,11 +78,6 @@ class TestEstimator:
         )
         p = scipy_linalg.solve_discrete_are(f.T, np.array([[1.0], [0.0], [0.0]]), q, np.array([[1e-4]]))
         assert k == pytest.approx(p[:, 0] / (p[0, 0] + 1e-4), rel=1e-6)
-
-    def test_yaw_gain_solves_its_riccati_equation(self):
-        k, q, r = yaw_gain(0.01), 1e-2 * 1e-3 * 0.01, (9e-3) ** 2
-        p = k * r / (1.0 - k)
-        assert (1.0 - k) * p + q == pytest.approx(p, rel=1e-9)
 
     def test_integrates_the_gyro_and_the_accelerometer(self):
         estimator = Estimator(0.01, CONTROL_STEP_S, 9.81)

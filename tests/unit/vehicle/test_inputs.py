@@ -8,7 +8,7 @@ from flightstack.compiled.records import new
 from sim.firmware.setpoint import ROOM, STOP, Inbox, InboxRecord, Setpoint, SetpointRecord, receive
 from sim.plant.sensors import NS_PER_MS, MeasurementChannel
 from sim.scenarios.scenario import OdometryLink
-from sim.vehicle.mocap import ROWS, MocapRecord, MocapTape
+from sim.vehicle.mocap import MocapRecord, MocapTape
 from sim.world.bodies import BodyRecord
 
 
@@ -34,15 +34,6 @@ def test_a_set_point_arrives_whole_and_on_time():
     assert bool(radio.present.stop)
     assert radio.at(7) == (0.1, 7)
     assert tuple(radio.present.tolist()) == sent.fields()
-
-
-def test_of_several_that_arrive_at_once_the_newest_counts():
-    radio = Radio()
-    for k in range(1, 4):
-        radio.inbox.send(Setpoint(float(k)), 10 * k)
-    assert radio.at(25) == (2.0, 20)
-    assert radio.at(25) == (2.0, 20)
-    assert radio.at(100) == (3.0, 30)
 
 
 def test_the_ring_goes_round():
@@ -121,8 +112,3 @@ def test_the_same_bits_as_a_channel(name, seed):
     expected = by_channel(LINKS[name], seed)
     assert repr(by_tape(LINKS[name], seed)) == repr(expected)
     assert bool(expected) is (name != "nothing")
-
-
-def test_the_rows_are_enough_for_the_fastest_link_and_its_delay():
-    link = LINKS["longest"]
-    assert 2.0 * link.rate_hz * link.delay_s <= ROWS

@@ -15,7 +15,7 @@ from bridge.ros2.cdr import encode_odometry
 from bridge.target.odometry import sample_from_cdr
 from flightstack.common.pacing import EPOCH_NS
 from flightstack.common.strict_toml import dumps, from_table, to_table
-from flightstack.core.types import Phase, TargetSample
+from flightstack.core.types import TargetSample
 from logs.verdict.verdict import Outcome
 from sim.campaign.rows import vehicle_row
 from sim.robot.target import TargetMeasurement
@@ -23,8 +23,6 @@ from sim.runners.landing import land
 from sim.runners.landing_wire import PEER, wires
 from sim.runners.robot import in_world
 from sim.scenarios.scenario import Scenario, load
-from tests.fault_grid.flight import Flight
-from tests.fault_grid.run import equal
 
 pytestmark = pytest.mark.slow
 
@@ -115,24 +113,3 @@ def test_a_landing_that_is_not_over_in_time_is_aborted():
     landing = land(short("lab", duration_max_s=1.0), 4)
     assert landing.verdict.outcome is Outcome.ABORTED
     assert 1.0 < landing.simulated_s < 61.0
-
-
-def test_every_step_is_shown():
-    ticks = []
-    landing = land(short("lab", duration_max_s=1.0), 4, on_step=lambda tick, _: ticks.append(tick.number))
-    assert ticks == list(range(len(ticks)))
-    assert len(ticks) == len(landing.seen.steps.t_s) > 101
-
-
-@pytest.mark.parametrize("repeats", [1, 5])
-def test_how_often_the_companion_said_hello_before_the_start_changes_nothing(repeats):
-    """It is a matter of wall time, and a radio with chance losses must not draw lots for it."""
-
-    def flown(times):
-        flight = Flight(load("fault_link_burst"), 5, lambda f: f.phase is Phase.LAND, lambda f: None)
-        for _ in range(times):
-            flight.link._hello_at_s = -math.inf  # long ago
-            flight.link.poll(0.0)
-        return flight.fly()
-
-    assert equal(flown(0).truth, flown(repeats).truth)

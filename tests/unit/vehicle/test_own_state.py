@@ -12,7 +12,7 @@ from sim.robot.target_motion import TargetMotion
 from sim.scenarios.fault_spec import Fault, Kind, What
 from sim.scenarios.scenario import OdometryLink, PathKind, StateError, TargetLink, TargetSpec, VehicleSpec
 from tests.unit.plant.test_state_error import FINE
-from tests.unit.vehicle.vehicle_sim_helpers import QUIET, scenario, vehicle, yaw_of
+from tests.unit.vehicle.vehicle_sim_helpers import QUIET, scenario, vehicle
 
 
 def flown(error, *, seconds=4.0, seed=1, mocap=QUIET, fault=(), speed=0.5):
@@ -51,11 +51,6 @@ def test_an_estimate_is_late_by_the_delay(delay_s):
     assert np.abs(truth - belief)[100:, :3].max() > 0.5 * 0.5 * delay_s
 
 
-def test_the_position_is_ahead_where_the_delay_is_negative():
-    truth, belief = arrays(flown(replace(FINE, delay_s=-0.05)))
-    assert np.abs(truth[105:] - belief[100:-5])[:, :3].max() < 5e-3
-
-
 def test_the_attitude_is_off_by_the_misalignment_and_no_more():
     turned = replace(FINE, tilt_rad=0.03, yaw_rad=0.05)
     pairs = flown(turned, seed=3)
@@ -80,18 +75,6 @@ def test_a_fault_of_motion_capture_works_on_the_samples_with_their_errors():
     assert (belief - truth)[250:300, 0].mean() == pytest.approx(0.3, abs=0.06)
     late = truth[330:-5] - belief[335:]
     assert np.abs(late[:, :3]).max() < 3e-3
-
-
-def test_noise_and_delay_of_the_link_do_not_count():
-    noisy = OdometryLink(100.0, 0.1, 0.0, 0.1, 0.3)
-    quiet, loud = (arrays(flown(FINE, mocap=m, seconds=1.0))[1] for m in (QUIET, noisy))
-    assert np.array_equal(quiet, loud)
-
-
-def test_the_heading_of_the_estimate_stays_true_over_a_long_flight():
-    pairs = flown(FINE, seconds=20.0)
-    believed = yaw_of(pairs[-1][1])
-    assert believed == pytest.approx(yaw_of(pairs[-1][0]), abs=0.002)
 
 
 def driven(error, seed=1):

@@ -12,7 +12,6 @@ from sim.firmware.mellinger import MASS_KG, MASS_THRUST, MellingerLoop, mellinge
 from sim.firmware.mixer import (
     COUNTS_MAX,
     MapRecord,
-    counts_per_n,
     motor_speeds,
     motor_volts,
     set_up_map,
@@ -72,10 +71,6 @@ class TestPidPosition:
         )
         assert pitch == pytest.approx(25.01 * (1.1 - 1.0))
 
-    def test_a_velocity_beside_the_position_does_not_count(self):
-        plain, ahead = (Setpoint(*v, position=(0.1, 0.2, 0.3)) for v in ((0.0, 0.0, 0.0), (1.0, -1.0, 1.0)))
-        assert pid(PidLoop(PARAMS), sensed_at(), plain) == pid(PidLoop(PARAMS), sensed_at(), ahead)
-
     def test_another_kind_of_set_point_resets_the_integrals(self):
         loop = PidLoop(PARAMS)
         for _ in range(50):
@@ -129,10 +124,6 @@ class TestMellinger:
             counts, _ = mellinger(loop, sensed_at(), Setpoint(position=(0.0, 0.0, 0.1)))
         assert counts == pytest.approx((WEIGHT + 1.25 * 0.1 + 0.05 * 0.4) * MASS_THRUST)
 
-    def test_levelled_out_it_holds_the_height(self):
-        _, moments = mellinger(MellingerLoop(), sensed_at(), Setpoint(position=(1.0, 1.0, 0.0)), level=True)
-        assert moments == (0, 0, 0)
-
 
 RAMP_M_S = 0.5
 
@@ -184,13 +175,3 @@ class TestVoltMap:
         assert got == pytest.approx([v - 0.2 for v in each])
         fresh = motor_speeds(m, 58000.0, moments, battery.speed_rpm(4.2))
         assert [battery.motor_v(rpm) for rpm in fresh] == pytest.approx(each)
-
-    def test_little_thrust_stops_a_motor(self):
-        assert motor_speeds(room_map(), 100.0, (0, 0, 0), 25000.0) == (0.0, 0.0, 0.0, 0.0)
-
-    def test_counts_per_newton_are_those_that_make_it(self):
-        thrust_n = 0.33
-        battery_v, sag_v = 3.3, ROOM.battery.hover_sag_v
-        duty = motor_volts(room_map(), counts_per_n(ROOM, thrust_n, battery_v) * thrust_n) / battery_v
-        speed_rpm = ROOM.battery.speed_rpm(duty * (battery_v + sag_v) - sag_v)
-        assert 4.0 * ROOM.rotor.thrust_n(speed_rpm) == pytest.approx(thrust_n)

@@ -11,7 +11,7 @@ from bridge.zenoh.zenoh_link import open_session
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import EPOCH_NS, NO_GO, PAIR, RUN_AHEAD_TICKS
 from logs.recorder.feed import Feed
-from sim.clock import NoAnswerError, TickGrid
+from sim.clock import TickGrid
 from sim.runners import published_robot
 from sim.runners.deck import deck_state
 from sim.runners.log import EventLog
@@ -97,13 +97,6 @@ def test_poses_samples_and_ticks_are_those_of_a_landing_in_one_process(ends, nam
         assert repr(arrived) == repr(samples), tick
 
 
-def test_it_logs_from_which_tick_it_drives_and_its_faults(ends):
-    _, texts = fly(ends, "fault_target_dropout", 19)
-    go = 19 + RUN_AHEAD_TICKS + 1
-    assert (GRID.ns(go), f"the robot drives from tick {go} on") in texts
-    assert not fly(ends, "deck", 19)[1]
-
-
 def test_it_drives_ahead_of_the_credit_by_a_fixed_number_of_ticks_and_waits_for_more_once(ends, monkeypatch):
     log = Log()
     robot = robot_of(ends, "reversing", log)
@@ -117,14 +110,3 @@ def test_it_drives_ahead_of_the_credit_by_a_fixed_number_of_ticks_and_waits_for_
         robot.take(tick)
     (text,) = (text for _, text in log.texts)
     assert text == "no credit from the onboard process for 0.05 s: the robot continues without"
-
-
-def test_a_robot_without_readers_does_not_begin(monkeypatch):
-    monkeypatch.setattr(published_robot, "STARTUP_S", 0.0)
-    session = open_session()
-    try:
-        robot = LockstepRobot(GRID, session, Stop(), SCENARIOS["deck"], 3, "cf1", Log())
-        with pytest.raises(NoAnswerError, match="nobody subscribed to cf1/target/odom within 0 s"):
-            robot.begin()
-    finally:
-        session.close()

@@ -4,18 +4,13 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from flightstack.compiled.jit import is_off, jitted
+from flightstack.compiled.jit import is_off
 from flightstack.compiled.program import CompiledFilter, layout_is_known
-from flightstack.core import numeric
 from sim.runners.companion import Companion
 from sim.runners.landing import warm_up
 from sim.scenarios.scenario import Start, load
 from sim.scenarios.team import alone
-
-numbers = st.floats(-1e3, 1e3)
 
 
 def flown(scenario, seed, on_step=None, parameters=()):
@@ -111,26 +106,3 @@ def test_it_is_compiled_before_the_first_landing():
     if stretch is not None:
         stretch.warm_up()
         assert stretch.fly(0) == 0  # nobody has been heard yet
-
-
-@given(numbers, numbers)
-def test_hypot_is_pythons(x, y):
-    assert compiled_hypot()(x, y) == numeric.hypot(x, y)
-
-
-@given(st.floats(-9.4, 9.4))
-def test_an_angle_is_turned_back_as_by_python(angle):
-    assert compiled_wrap()(angle) == numeric.wrapped(angle)
-
-
-def compiled_hypot():
-    return numeric.twin(numeric.STAND_INS[numeric.hypot], jitted)
-
-
-def compiled_wrap():
-    return numeric.twin(numeric.STAND_INS[numeric.wrapped], jitted)
-
-
-def test_what_is_not_marked_has_no_twin():
-    with pytest.raises(ValueError, match=r"wrapped is not marked @numeric"):
-        numeric.twin(numeric.wrapped, jitted)

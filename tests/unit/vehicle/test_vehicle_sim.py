@@ -92,14 +92,6 @@ def test_set_points_that_stop(loop):
     assert sim.truth().contacts & ContactBit.GROUND
 
 
-def test_stop_set_point_stops_the_motors():
-    sim = vehicle(start=Start(StartKind.HOVER, offset_m=(2.0, 0.0, 0.0)))
-    sim.stop_setpoint()
-    sim.advance(10)
-    assert not sim.motors_running
-    assert sim.armed
-
-
 @pytest.mark.parametrize("loop", LOOPS)
 def test_takes_off_from_the_ground_and_lands_on_it(loop):
     start = Start(ground_position_m=(-1.2, 0.3))
@@ -260,24 +252,6 @@ def test_deck_of_the_simulation_and_the_target_agree_between_updates():
         assert sim.truth().pad_position_enu_m == pytest.approx(target.pose.position_enu_m, abs=1e-9)
 
 
-def test_a_drop_from_3_cm_onto_a_driving_pad_stays_and_travels():
-    spec = TargetSpec(path=PathKind.CIRCLE, speed_m_s=0.1, turn_rate_rad_s=0.1)
-    sim, truths = ride(spec, (0.01, 0.02, STANDING + 0.03), 3.5)
-    touched = next(i for i, t in enumerate(truths) if t.contacts)
-    assert {t.contacts for t in truths[touched:]} == {ContactBit.PAD}
-    assert all(t.contacts == 0 for t in truths[:touched])
-    assert sim.on_pad
-    assert sim.landed
-    assert not sim.on_ground
-    last = truths[-1]
-    e = [a - b for a, b in zip(last.position_enu_m, last.pad_position_enu_m, strict=True)]
-    assert math.hypot(*e) < 0.04
-    assert e[2] == pytest.approx(STANDING, abs=1e-4)
-    assert last.velocity_enu_m_s == pytest.approx(last.pad_velocity_enu_m_s, abs=5e-3)
-    travelled = math.dist(last.position_enu_m, truths[touched].position_enu_m)
-    assert travelled == pytest.approx(0.1 * 0.01 * (len(truths) - touched), rel=0.05)
-
-
 def test_first_touch_is_the_state_before_the_impact():
     sim, truths = ride(TargetSpec(path=PathKind.STRAIGHT, speed_m_s=0.2), (0.03, 0.0, STANDING + 0.03), 1.0)
     first = next(t for t in truths if t.contacts)
@@ -294,12 +268,3 @@ def test_first_touch_is_the_state_before_the_impact():
     assert math.isnan(sim.truth().first_touch_time_s)
     sim.advance(1)
     assert sim.truth().first_touch_time_s == pytest.approx(sim.time_s - 0.001)
-
-
-def test_missing_the_pad_touches_other_things():
-    _, truths = ride(TargetSpec(), (0.115, 0.0, STANDING + 0.05), 1.5)
-    seen = 0
-    for t in truths:
-        seen |= t.contacts
-    assert seen & ContactBit.GROUND
-    assert seen & (ContactBit.ROBOT | ContactBit.TUMBLED)
