@@ -9,12 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.common.strict_toml import ConfigError
-from flightstack.core.controller import Controller
-from flightstack.core.memory import WholeState
 from flightstack.core.parameters.reserve import GRAVITY_M_S2, LEAST_M_S2, Reserve, level_m_s2, up_m_s2
 from flightstack.core.target.reserve import AGE_MAX_S, ReserveEstimate, too_low
 from flightstack.core.types import Charge, Inputs, Landed, Mode, Phase, Power, VehicleStatus
-from flightstack.onboard.state_text import StateText
 from tests.point_mass import World
 from tests.unit.core.core_helpers import config
 
@@ -57,13 +54,6 @@ tables = st.builds(
 def test_voltage_and_reserve_are_each_others_inverse_and_rise_together(table, volts):
     assert table.voltage_v(table.at(volts)) == pytest.approx(volts, abs=1e-6)
     assert table.at(volts + 0.01) > table.at(volts)
-
-
-def test_the_recorded_vehicles_reserve():
-    """0.78 of full PWM at 3.7 V leaves 1.46, 0.90 at 3.1 V 1.17, with motors alike and without sag."""
-    assert Reserve(0.78, 3.7, 3.7, throttle_max=1.0).at(3.7) == pytest.approx(1.46, abs=0.01)
-    assert Reserve(0.90, 3.1, 3.1, throttle_max=1.0).at(3.1) == pytest.approx(1.17, abs=0.01)
-    assert Reserve(0.90, 3.1, 3.1, sag_v=0.44).at(3.1) == pytest.approx(1.064, abs=0.005)
 
 
 def test_a_firmware_that_compensates_the_battery_ends_at_its_own_limit():
@@ -254,17 +244,6 @@ def test_no_go_around_is_left_for_a_tired_battery():
 def replace_charge(snapshot, charge):
     snapshot.charge = charge
     return snapshot
-
-
-def test_restored_from_its_text_it_goes_on_to_the_bit():
-    text = StateText(WholeState)
-    world = flown(2.0, **told(3.4, 0.86))
-    again = Controller(CONFIG)
-    again.restore(text.loads(text.layout, text.dumps(world.controller.state)))
-    for _ in range(100):
-        inputs, now_s = world.inputs(), world.t_s
-        assert again.step(inputs, now_s).wanted == world.step().wanted
-        assert again.reserve_estimate.memory == world.controller.reserve_estimate.memory
 
 
 def test_without_the_table_battery_and_throttle_change_nothing():

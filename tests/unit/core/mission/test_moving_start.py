@@ -37,10 +37,3 @@ def test_the_start_beside_a_driving_robot_is_reached(path, turn_rate_rad_s, spee
     phases = take_off(path, speed_m_s, turn_rate_rad_s)
     assert phases[Phase.APPROACH][1] == "start reached"
     assert Phase.LANDED in phases
-
-
-def test_a_robot_that_is_too_fast_is_named():
-    _, reason = take_off(STRAIGHT, 0.6)[Phase.ABORT]
-    assert reason == (
-        "start not reached in time: the target drives at 0.60 m/s; limits.velocity_max_m_s is 0.5"
-    )

@@ -53,15 +53,3 @@ def test_a_loop_slower_than_configured_ends_by_its_own_reason(seed):
     assert landing.verdict.outcome is Outcome.ABORTED
     assert f"LAND -> ABORT: {SWINGING}: left the cone over it 4 times" in landing.verdict.reason
     assert landing.simulated_s < 40.0
-
-
-def test_a_stay_over_the_pad_without_a_touchdown_ends_by_the_same_reason():
-    """It never meets the conditions to go down."""
-    scenario = load("straight")
-    onboard = replace(
-        scenario.onboard,
-        robust=replace(scenario.onboard.robust, commit_height_m=0.06, wait_height_m=0.15),
-        checks=replace(scenario.onboard.checks, over_pad_time_max_s=3.0),
-    )
-    landing = land(replace(scenario, onboard=onboard), 1, on_step=lambda *_: None)
-    assert f"{SWINGING}: no touchdown in checks.over_pad_time_max_s, 3 s" in landing.verdict.reason
