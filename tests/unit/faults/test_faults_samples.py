@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from sim.clock import TickGrid
-from sim.faults.samples import HELD_MAX, EstimateFaults, SampleFaults, Shape, turned
+from sim.faults.samples import HELD_MAX, EstimateFaults, SampleFaults, Shape
 from sim.faults.schedule import Schedule
 from sim.plant.sensors import NEVER_NS, NS
 from sim.plant.vehicle_types import Estimate
@@ -133,14 +133,6 @@ def test_own_state_goes_stale_and_comes_back():
     assert own.report(600 * MS, moved) is moved
 
 
-def test_a_turn_about_the_vertical_adds_to_the_yaw():
-    w, x, y, z = turned((math.cos(0.2), 0.0, 0.0, math.sin(0.2)), 0.6)
-    assert (w, x, y, z) == pytest.approx((math.cos(0.5), 0.0, 0.0, math.sin(0.5)))
-    tilted = (math.cos(0.1), math.sin(0.1), 0.0, 0.0)
-    w, x, y, z = turned(tilted, 1.0)
-    assert 1.0 - 2.0 * (x * x + y * y) == pytest.approx(math.cos(0.2))  # the tilt stays
-
-
 def target(time_s: float) -> TargetMeasurement:
     return TargetMeasurement(time_s, (time_s, 0.0, 0.2), 3.0, (0.1, 0.0, 0.0), 0.0)
 
@@ -181,12 +173,6 @@ def test_a_robot_with_locked_wheels_stands_at_once_and_drives_on():
     assert speeds[-1] == pytest.approx(math.hypot(*one.model.velocity_enu_m_s[:2]), abs=1e-3)
     told = [str(text) for _, text in other.take_texts()]
     assert told == ["Fault: robot stuck", "Fault over: robot stuck"]
-
-
-def test_a_wrong_heading_of_the_target_stays_in_its_range():
-    faults = TargetFaults([fault(What.TARGET_ODOMETRY, Kind.WRONG, offset_m=None, yaw_rad=1.0)], 1)
-    (sample,) = faults.deliver(0, [target(0.0)])
-    assert sample.yaw_rad == pytest.approx(4.0 - 2.0 * math.pi)
 
 
 def test_random_streams_do_not_depend_on_other_faults_being_there():

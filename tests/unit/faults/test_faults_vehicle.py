@@ -114,19 +114,6 @@ def test_an_empty_battery_shows_3_v_at_rest_and_is_full_again_when_healed():
     assert sim.state_text == "flying"
 
 
-def test_lost_charge_lowers_the_voltage_by_its_share_of_the_curve():
-    sim = aloft(fault(What.BATTERY, Kind.LOSS, start_s=0.5, value=0.5))
-    before = hold(sim, 0.45)[-1].battery_v
-    assert before - hold(sim, 0.5)[-1].battery_v == pytest.approx(0.5 * (4.15 - 3.5), abs=0.02)
-
-
-def test_a_low_battery_is_not_armed():
-    on_ground = Start(ground_position_m=(-1.2, 0.3))
-    sim = VehicleSim(scenario(start=on_ground, fault=(fault(What.BATTERY, Kind.OFF),)), 1)
-    sim.advance(10)
-    assert "battery at" in sim.arm()
-
-
 @pytest.mark.parametrize("loop", LOOPS)
 def test_without_motion_capture_the_estimate_is_invalid_after_half_a_second(loop):
     sim = aloft(fault(What.MOCAP, Kind.OFF, start_s=0.5), loop=loop)
@@ -217,14 +204,6 @@ def test_take_off_is_when_the_ground_has_been_left():
     )  # 0.2 s without contact, looked at 25 times a second
 
 
-def test_a_start_in_hover_has_taken_off_at_once():
-    sim = aloft(fault(What.MOCAP, Kind.OFF, start_s=0.5, after=After.TAKEOFF))
-    hold(sim, 0.5)
-    assert sim.faults.take_texts() == []
-    hold(sim, 0.02)
-    assert len(sim.faults.take_texts()) == 1
-
-
 @pytest.mark.parametrize("kind", TABLE[What.MOCAP])
 def test_the_same_seed_fails_in_the_same_way_whatever_the_chunks(kind):
     ends = []
@@ -235,9 +214,3 @@ def test_the_same_seed_fails_in_the_same_way_whatever_the_chunks(kind):
             sim.advance(chunk_ms)
         ends.append((repr(sim.truth()), repr(sim.estimate())))
     assert ends[0] == ends[1] == ends[2]
-
-
-def test_a_fault_that_comes_later_changes_nothing_before():
-    sound, failing = aloft(), aloft(fault(What.MOCAP, Kind.GARBAGE, start_s=1.0))
-    assert repr(hold(sound, 1.0)) == repr(hold(failing, 1.0))
-    assert repr(hold(sound, 0.2)) != repr(hold(failing, 0.2))

@@ -1,6 +1,5 @@
 """Nearness of two vehicles against closed forms; cylinders that overlap, or just do not."""
 
-import math
 from itertools import combinations
 from typing import NamedTuple
 
@@ -9,7 +8,7 @@ import pytest
 
 from logs.schema.events import ContactBit
 from sim.plant.params import load
-from sim.vehicle.encounters import Shape, Team, ellipsoid_distance, overlapping
+from sim.vehicle.encounters import Shape, Team, overlapping
 from sim.vehicle.vehicle import VehicleSim
 from tests.unit.vehicle.vehicle_sim_helpers import fly, scenario
 
@@ -46,19 +45,6 @@ def states(position, velocity, acceleration, seconds):
     p, v, a = (np.array(each, dtype=float) for each in (position, velocity, acceleration))
     after = np.concatenate((p + v * seconds + 0.5 * a * seconds**2, v + a * seconds))
     return np.concatenate((p, v)), after
-
-
-def test_the_shape_is_around_rotors_and_feet():
-    assert SHAPE.radius_m == pytest.approx(0.03253 * math.sqrt(2.0) + 0.0231)
-    assert SHAPE.bottom_m == pytest.approx(-0.0144)
-    assert SHAPE.top_m == pytest.approx(0.013)
-
-
-def test_the_ellipsoid_is_one_on_its_axes():
-    assert ellipsoid_distance(0.25, 0.0, 0.0, 0.25, 0.75) == pytest.approx(1.0)
-    assert ellipsoid_distance(0.0, -0.25, 0.0, 0.25, 0.75) == pytest.approx(1.0)
-    assert ellipsoid_distance(0.0, 0.0, -0.75, 0.25, 0.75) == pytest.approx(1.0)
-    assert ellipsoid_distance(0.15, 0.2, 0.75, 0.25, 0.75) == pytest.approx(math.sqrt(2.0))
 
 
 def test_a_straight_pass_is_judged_between_the_ticks():
@@ -98,11 +84,6 @@ def test_shapes_that_differ_overlap_from_both_sides():
     assert not overlaps(relative + np.array([0.002, 0.0, 0.0, 0.0, 0.0, 0.0]), SMALL, tall)
     assert not overlaps(relative + np.array([0.0, 0.0, 0.002, 0.0, 0.0, 0.0]), SMALL, tall)
     assert not overlaps(-relative, SMALL, tall)
-
-
-def test_the_pair_is_judged_the_same_from_both_sides():
-    before, after = states((0.1, -0.05, 0.02), (-3.0, 2.0, 1.0), (5.0, 5.0, -9.81), 0.01)
-    assert nearest(before, after, 10, SHAPE, SHAPE) == nearest(-before, -after, 10, SHAPE, SHAPE)
 
 
 def test_a_team_is_all_its_pairs_and_keeps_the_least_of_those_that_fly():

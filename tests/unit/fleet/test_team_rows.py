@@ -66,11 +66,6 @@ def test_a_collision_after_a_landing_is_a_crash_of_both(flown):
     assert (verdict.ellipsoid_min, verdict.distance_min_m) == (0.8, 0.1)
 
 
-def test_vehicles_that_never_flew_at_once_have_no_ellipsoid(flown):
-    verdict = judge_team(flown((LANDED, LANDED), Pair(1, 2, 0.5)))
-    assert (verdict.ellipsoid_min, verdict.distance_min_m) == (None, 0.5)
-
-
 def test_the_row_of_a_team_of_one_is_that_of_its_landing(landing, flown):
     alone = replace(landing, verdict=replace(landing.verdict, outcome=LANDED, reason="was landed"))
     assert row_of(flown((LANDED,))) == vehicle_row(alone)
@@ -119,11 +114,3 @@ def test_a_plan_of_a_team_is_checked_for_all_members_and_says_how_to_repeat_a_se
         plan("fleet_4", 2, 0, None)
     with pytest.raises(ConfigError, match="found a team, allowed: the scenario of one vehicle"):
         Rare(wanted, Event.MISS)
-
-
-def test_a_file_of_a_team_is_known_by_its_members(tmp_path):
-    path = tmp_path / "mine.toml"
-    path.write_text('name = "mine"\ndescription = ""\nbase = "lab"\n[[member]]\n')
-    assert len(plan(str(path), 1, 0, None).scenario.member) == 1
-    path.write_text('base = "lab"\nname = "calm"\n')
-    assert plan(str(path), 1, 0, None).scenario.name == "calm"

@@ -26,40 +26,6 @@ def written(tmp_path):
 ABOUT = 'name = "mine"\ndescription = "x"\n'
 
 
-@pytest.mark.parametrize(("name", "count"), [("fleet_3", 3), ("fleet_8", 8)])
-def test_the_fleets_have_the_errors_of_field(name, count):
-    found, field = team.load(name), scenario.load("field")
-    assert found.name == name
-    assert len(found.member) == count
-    for number, each in enumerate(found.member, 1):
-        slew = field.onboard.robust.acceleration_max_m_s2  # what a fleet may have less of
-        assert all(a <= b for a, b in zip(each.onboard.robust.acceleration_max_m_s2, slew, strict=True))
-        error_m_s, descent_m_s = (  # a fleet keeps those that its table of results was flown with
-            field.onboard.robust.tracking_error_m_s, field.onboard.robust.descent_max_m_s,
-        )  # fmt: skip
-        assert each.onboard.robust.tracking_error_m_s < error_m_s
-        assert each.onboard.robust.descent_max_m_s > descent_m_s
-        robust = replace(
-            each.onboard.robust, acceleration_max_m_s2=slew, tracking_error_m_s=error_m_s,
-            descent_max_m_s=descent_m_s,
-        )  # fmt: skip
-        slides = each.onboard.contact.sliding_gap_m  # robots that reverse at full speed: down at once
-        assert (slides > 0.0) == (each.target.path is scenario.PathKind.REVERSING)
-        contact = replace(each.onboard.contact, sliding_gap_m=field.onboard.contact.sliding_gap_m)
-        alone = replace(each.onboard, fleet=None, robust=robust, contact=contact)
-        assert (each.odometry, each.vehicle, each.wind, alone) == (
-            field.odometry, field.vehicle, field.wind, field.onboard,
-        )  # fmt: skip
-        assert (each.onboard.fleet.id, each.onboard.fleet.members) == (number, tuple(range(1, count + 1)))
-    assert len({each.target.position_m for each in found.member}) == count
-    assert from_table(TeamScenario, tomllib.loads(dumps(found))) == found
-
-
-def test_names_are_those_of_the_files():
-    assert team.names() == ["fleet_3", "fleet_8", "turns_4"]
-    assert not set(team.names()) & set(scenario.names())
-
-
 def test_a_member_overrides_the_team_and_the_team_its_base(written):
     found = team.load(
         written(
@@ -70,10 +36,6 @@ def test_a_member_overrides_the_team_and_the_team_its_base(written):
     assert (first.wind.mean_m_s, first.wind.gust_rms_m_s) == (0.0, 0.1)
     assert (second.wind.mean_m_s, second.wind.gust_rms_m_s) == (0.0, 0.6)
     assert [each.name for each in found.member] == ["mine.cf1", "mine.cf2"]
-
-
-def test_all_members_can_have_another_filter():
-    assert {each.onboard.filter for each in team.load("fleet_3").with_filter("paper").member} == {"paper"}
 
 
 @pytest.mark.parametrize(
@@ -158,14 +120,6 @@ def test_one_member_is_taken_with_its_seed_and_one_vehicle_as_it_is():
 def test_a_member_that_there_is_not_is_refused(name, number, error):
     with pytest.raises(ConfigError, match=error):
         team.load(name).one(0, number)
-
-
-def test_an_unknown_team_is_told_with_those_there_are():
-    with pytest.raises(
-        ConfigError,
-        match=r"scenario 'fleet_9': .*; of several vehicles: fleet_3, fleet_8",
-    ):
-        team.load("fleet_9")
 
 
 def test_the_exchange_is_the_team_s(written):
@@ -279,14 +233,6 @@ def test_how_near_pads_can_come(written, robots, apart_m):
 TWO = ABOUT + 'base = "field"\none_target = true\n[[member]]\n[[member]]\n'
 
 
-def test_one_robot_of_all_members_has_one_seed(written):
-    one, own = team.load(written(TWO)), team.load(written(TWO.replace("true", "false")))
-    seeds = [seed for _, seed in one.singles(3)]
-    assert seeds == [seed for _, seed in own.singles(3)]
-    assert (one.target_seed(3), own.target_seed(3)) == (seeds[0], None)
-    assert from_table(TeamScenario, tomllib.loads(dumps(one))) == one
-
-
 @pytest.mark.parametrize(
     ("more", "error"),
     [
@@ -301,8 +247,3 @@ def test_one_robot_of_all_members_has_one_seed(written):
 def test_one_robot_is_the_same_for_all_members(written, more, error):
     with pytest.raises(ConfigError, match=error):
         team.load(written(TWO + more))
-
-
-def test_one_robot_drives_at_once(written):
-    with pytest.raises(ConfigError, match=r"target\.wait_for_landing: found true; .* set it false"):
-        team.load(written(TWO.replace("[[member]]", "target.wait_for_landing = true\n[[member]]", 1)))

@@ -86,13 +86,6 @@ def test_other_units_and_signs_are_noticed_and_named(tmp_path, names, factor, sa
         load(written(tmp_path, columns), COLUMN_TABLE)
 
 
-def test_time_in_milliseconds_is_noticed_alone(tmp_path):
-    columns = wobbling()
-    columns["t"] = 1000.0 * (columns["t"] - columns["t"][0])
-    with pytest.raises(RecordingError, match=r"^time: samples are 10 s apart.* unit ms would fit"):
-        load(written(tmp_path, columns), COLUMN_TABLE)
-
-
 @pytest.mark.parametrize(
     ("order", "says"), [("xwyz", "tilted by 1.. degrees"), ("xyzw", "or mend the attitude")]
 )
@@ -113,23 +106,11 @@ def test_the_unit_that_is_named_makes_the_flight_usable(tmp_path):
     assert load(path, read_columns(table)).usable
 
 
-def test_missing_values_do_not_disturb_the_check_of_units(tmp_path):
-    columns = wobbling()
-    for name in ("qx", "imu_gyro_x", "px", "pwr_pm_vbat", "motor_motor_m1"):
-        columns[name] = np.where(np.arange(len(columns["t"])) % 400 == 7, np.nan, columns[name])
-    found = load(written(tmp_path, columns), COLUMN_TABLE)
-    assert any("values missing" in reason.text for reason in found.left_out)
-
-
 @settings(max_examples=20, deadline=None)
 @given(late_s=st.floats(-0.2, 0.2))
 def test_the_lag_of_the_log_is_found(tmp_path_factory, late_s):
     found = clock_lag_s(read(tmp_path_factory.mktemp("late"), wobbling(late_s=late_s)))
     assert np.nanmedian(found) == pytest.approx(late_s, abs=0.021)
-
-
-def test_what_does_not_turn_has_no_clock(tmp_path):
-    assert np.isnan(clock_lag_s(read(tmp_path, flight()))).all()
 
 
 def test_the_part_of_a_flight_with_another_clock_is_left_out(tmp_path):

@@ -14,7 +14,6 @@ from sim.flights.recording import (
     COLUMNS,
     PWM_MAX,
     RecordingError,
-    find_recordings,
     read_columns,
     read_recording,
 )
@@ -89,36 +88,10 @@ def test_a_flight_that_cannot_be_read_says_why(tmp_path, change, says):
         read(tmp_path, {name: values for name, values in columns.items() if values is not None})
 
 
-def test_ten_samples_are_too_few(tmp_path):
-    with pytest.raises(RecordingError, match="found 10 samples, at least 200 are needed"):
-        read(tmp_path, {name: values[:10] for name, values in flight().items()})
-
-
 def test_a_file_that_is_no_parquet_is_refused(tmp_path):
     (tmp_path / "flight.parquet").write_bytes(b"no parquet at all")
     with pytest.raises(RecordingError, match="can't be read"):
         read_recording(tmp_path / "flight.parquet", COLUMN_TABLE)
-
-
-def test_names_of_columns_that_are_no_text_are_refused(tmp_path):
-    (tmp_path / "flight.csv").write_bytes(b"\xff\xfet,px\n1,2\n")
-    with pytest.raises(RecordingError, match=r"can't be read: not text in the encoding utf-16"):
-        read_recording(tmp_path / "flight.csv", COLUMN_TABLE)
-
-
-def test_an_infinite_value_is_a_missing_one(tmp_path):
-    columns = flight()
-    columns["px"] = columns["px"].copy()
-    columns["px"][800] = np.inf
-    found = screen(read(tmp_path, columns))
-    assert [reason.text for reason in found.left_out] == ["values missing (NaN)"]
-
-
-def test_a_folder_without_flights_is_refused(tmp_path):
-    with pytest.raises(RecordingError, match="found no flights"):
-        find_recordings(tmp_path)
-    with pytest.raises(RecordingError, match="no such folder"):
-        find_recordings(tmp_path / "none")
 
 
 @pytest.mark.parametrize(

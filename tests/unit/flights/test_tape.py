@@ -99,15 +99,6 @@ def test_cuts_are_joined_without_a_jump_at_any_rate(rate_hz):
     assert steps.max() < (0.06 / 0.2 + 0.09) / rate_hz + 1e-3  # in a join, 60 ms may pass in 0.2 s
 
 
-def test_rows_do_not_depend_on_how_many_are_taken_at_once():
-    tape = tape_of(made())
-    one, many = (TapeRows(tape, stream(1, "test"), 100.0) for _ in range(2))
-    parts = np.concatenate([many.take(count) for count in (1, 700, 3, 1500, 796)])
-    assert np.array_equal(one.take(3000), parts)
-    other = TapeRows(tape, stream(2, "test"), 100.0).take(3000)
-    assert not np.array_equal(other, parts)
-
-
 @pytest.fixture
 def folder(tmp_path):
     """Three flights: one that gives a tape, another that does not move, one that is no flight."""
@@ -125,14 +116,6 @@ def test_a_run_draws_a_flight_that_can_be_used(folder):
     assert np.array_equal(rows["own"], state_errors(spec, 3, "own", 100.0).take(2000))
     raw = state_errors(replace(spec, tape_kind=TapeKind.RAW), 3, "own", 100.0).take(2000)
     assert np.all(raw[:, DELAY] == 0.0)
-
-
-def test_a_folder_without_a_flight_says_why(folder, tmp_path):
-    (folder / "b.parquet").unlink()
-    with pytest.raises(RecordingError, match=r"found no flight for a tape among 1 files: a\.csv: "):
-        draw_tape(folder, stream(0, "test"))
-    with pytest.raises(RecordingError, match="found no such folder"):
-        draw_tape(tmp_path / "none", stream(0, "test"))
 
 
 def test_a_tape_is_beside_the_scenario_or_where_the_variable_says(folder, tmp_path, monkeypatch):

@@ -12,7 +12,7 @@ from bridge.mocap.vehicle import POSE_NEEDS
 from flightstack.common.strict_toml import ConfigError
 from sim.plant.params import load
 from sim.plant.rotors import MIX_YAW
-from sim.px4.airframe import FORMATS, OFF, PX4_OF_M, parameter_text, parameters, rotor_speeds
+from sim.px4.airframe import FORMATS, OFF, parameter_text, parameters, rotor_speeds
 from sim.px4.plant import Px4Plant
 from sim.scenarios.scenario import VEHICLE_FILES, OdometryLink, Start, StartKind, Wind
 from sim.scenarios.scenario import load as load_scenario
@@ -75,22 +75,6 @@ def test_more_on_two_motors_turns_the_vehicle_to_the_right_side(more, axis, sign
     assert max(abs(rates[i]) for i in range(3) if i != axis) < 0.2 * abs(rates[axis])
 
 
-def test_the_share_that_carries_the_weight_holds_the_height():
-    plant = flying()
-    up = plant.body().velocity_enu_m_s[2]
-    plant.wanted[:] = rotor_speeds([HOVER] * 4, True, ROTOR)
-    plant.advance(3000)
-    # what is left of the climb, slowed by drag with a time constant of 2.5 s
-    assert 0.0 < plant.body().velocity_enu_m_s[2] < 0.5 * up
-
-
-@given(st.lists(st.floats(0.11, 1.0), min_size=4, max_size=4))
-def test_thrust_is_a_linear_share_of_the_highest_thrust(controls):
-    speeds = rotor_speeds(controls, True, ROTOR)
-    for ours, px4 in enumerate(PX4_OF_M):
-        assert ROTOR.thrust_n(speeds[ours]) == pytest.approx(controls[px4] * ROTOR.thrust_max_n, rel=1e-9)
-
-
 @given(st.lists(st.floats(), min_size=4, max_size=16))
 def test_whatever_comes_the_speeds_are_numbers_within_bounds(controls):
     speeds = rotor_speeds(controls, True, ROTOR)
@@ -102,13 +86,6 @@ def test_whatever_comes_the_speeds_are_numbers_within_bounds(controls):
 def test_a_motor_without_a_sound_output_stands_still(off):
     assert rotor_speeds([off] * 4, True, ROTOR) == OFF
     assert rotor_speeds([0.5, off, 0.5, 0.5], True, ROTOR)[2] == 0.0  # PX4's second is M3
-
-
-def test_battery_limits_the_speed():
-    plant = Px4Plant(scenario(GROUND), 1)
-    plant.wanted[:] = 1e6
-    plant.advance(1000)
-    assert max(plant.truth().rotor_rpm) < 1.02 * (2968.2 + 6647.9 * 4.15)
 
 
 def test_stands_still_until_the_motors_turn_on_floor_and_first_judged_in_the_air():
@@ -136,12 +113,6 @@ def test_the_deck_carries_what_landed_on_it():
     body = plant.body()
     assert body.velocity_enu_m_s == pytest.approx((0.2, 0.1, 0.0), abs=0.01)
     assert plant.truth().pad_position_enu_m == pytest.approx((pad[0] + 0.2, pad[1] + 0.1, pad[2]), abs=1e-6)
-
-
-def test_a_hover_start_becomes_one_on_the_floor_below():
-    plant = Px4Plant(load_scenario("large"), 1)
-    assert load_scenario("large").vehicle.airframe == "quad_1000g"
-    assert plant.body().position_enu_m == pytest.approx((-3.5, 1.5, 0.12), abs=1e-4)
 
 
 @pytest.mark.parametrize(("name", "word"), [("fault_motor_dead", "fault"), ("field", "offset_m")])

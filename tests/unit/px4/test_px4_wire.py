@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mav
 
 from sim.px4.link import FRAME_MAX, FrameStream, parse_endpoint
-from sim.px4.messages import Answer, answer_of, hil_gps, hil_sensor, hil_state
+from sim.px4.messages import Answer, hil_gps, hil_sensor, hil_state
 from sim.px4.plant import Body
 from sim.px4.sensors import Fix, Readings, Slow
 from sim.px4.session import FIRST_US, Lockstep
@@ -68,12 +68,6 @@ def test_noise_moves_no_motor_and_is_not_kept(seed):
         assert "HIL_ACTUATOR_CONTROLS" not in [m.get_type() for m in stream.feed(noise)]
         assert len(stream._rest) < FRAME_MAX
     assert stream.garbage_bytes > 9000
-
-
-def test_answer_holds_time_outputs_armed_and_lockstep():
-    assert answer_of(controls(7)) == Answer(7, tuple(OUTPUTS), armed=True, lockstep=True)
-    assert not answer_of(controls(mode=1)).armed
-    assert not answer_of(controls(flags=0)).lockstep
 
 
 READINGS = Readings((1.0, 2.0, -9.8), (0.1, 0.2, 0.3), None, None)

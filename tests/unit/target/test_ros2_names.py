@@ -73,11 +73,6 @@ def test_the_examples_of_the_design_document():
     assert made == TALKER
 
 
-def test_a_namespace_is_mangled():
-    token = node_token(Node(7, "ab", "talker", namespace="/robot1/arm", number=3))
-    assert token == "@ros2_lv/7/ab/3/3/NN/%/%robot1%arm/talker"
-
-
 @given(st.integers(0, DOMAIN_MAX), topics, types, hashes)
 def test_what_is_built_is_parsed_and_is_one_topic(domain, topic, name, type_hash):
     key = topic_key(domain, topic, name, type_hash)
@@ -123,12 +118,6 @@ def test_an_attachment_is_the_33_bytes_of_the_design_document(sequence, time_ns,
     assert data == bytes(z_serialize((Int64(sequence), Int64(time_ns), gid)))
 
 
-@given(st.binary(max_size=90))
-def test_any_bytes_are_an_attachment_or_none(data):
-    found = parse_attachment(data)
-    assert found is None or len(data) in (33, 77)
-
-
 @pytest.mark.parametrize(
     "topic",
     [
@@ -141,12 +130,6 @@ def test_a_topic_that_ros_does_not_allow_says_what_is(topic):
         check_topic(topic)
     with pytest.raises(ValueError, match="/robot1/odom"):
         bridge_key(topic)
-
-
-def test_the_longest_topic_and_the_bridge():
-    longest = "/" + "a" * (TOPIC_LENGTH_MAX - 1)
-    assert check_topic(longest) == longest
-    assert bridge_key("/cf1/target/odom") == "cf1/target/odom"
 
 
 @pytest.mark.parametrize(
@@ -162,11 +145,6 @@ def test_the_longest_topic_and_the_bridge():
 def test_types_and_hashes_that_are_none(name, type_hash, words):
     with pytest.raises(ValueError, match=words):
         topic_key(0, "/odom", name, type_hash)
-
-
-def test_a_node_name_that_is_none():
-    with pytest.raises(ValueError, match="node name"):
-        node_token(Node(0, "ab", "1talker"))
 
 
 def test_the_hashes_we_listen_for_are_those_of_ros():
@@ -229,18 +207,6 @@ def test_who_joins_late_finds_the_topic():
         finally:
             late.close()
         node.close()
-
-
-def test_numbers_and_ids_of_two_publishers_differ():
-    session = zenoh_link.open_session()
-    try:
-        node = Ros2Node(session, "talker")
-        one, two = (node.publisher(topic, *ODOMETRY) for topic in ("/a", "/b"))
-        assert one._identity != two._identity
-        assert len(graph(session)) == 3
-        node.close()
-    finally:
-        session.close()
 
 
 def test_a_network_is_an_endpoint_or_a_file(tmp_path):

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from bridge.target.odometry import OdometryPublisher, OdometrySubscriber, RawSample, sample_from_cdr
-from bridge.target.ros2_target import KEYS_MAX, KeySearch
+from bridge.target.odometry import OdometryPublisher, OdometrySubscriber, sample_from_cdr
+from bridge.target.ros2_target import KeySearch
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import (
     LOOK_EVERY_S,
@@ -16,7 +16,6 @@ from bridge.zenoh.zenoh_link import (
     ConnectionAlarm,
     Role,
     ZenohLinkError,
-    check_endpoint,
     dialled,
     open_session,
 )
@@ -61,18 +60,6 @@ def test_odometry_arrives_in_order_with_its_attachment(sessions, lossless):
     assert sample_from_cdr(received[7].payload, 0.0).position_enu_m == (7.0, 0.0, 0.2)
     subscriber.close()
     publisher.close()
-
-
-def test_own_attachment_and_no_attachment(sessions):
-    publisher = OdometryPublisher(sessions[0], KEY)
-    plain = zenoh_link.blocking_publisher(sessions[0], KEY, "application/cdr")
-    subscriber = OdometrySubscriber(sessions[1], KEY)
-    until(lambda: publisher.matched and zenoh_link.is_matched(plain))
-    publisher.put(b"one", 5, attachment=b"0123456789abcdef")
-    plain.put(b"two")
-    received = []
-    until(lambda: received.extend(subscriber.poll()) or len(received) == 2)
-    assert received == [RawSample(b"one", b"0123456789abcdef"), RawSample(b"two")]
 
 
 def test_ring_drops_the_oldest_within_one_session():
@@ -147,30 +134,6 @@ def test_malformed_endpoint_is_refused_both_ways(endpoint):
             open_session(**arguments)
 
 
-@pytest.mark.parametrize(
-    "endpoint",
-    [
-        "tcp/127.0.0.1:7447",
-        "tcp/[::1]:7447",
-        "udp/robot.local:1",
-        "tls/a.b:7447",
-        "unixsock-stream//tmp/z.sock",
-    ],
-)
-def test_good_endpoints_pass(endpoint):
-    assert check_endpoint(endpoint) == endpoint
-
-
-def test_port_in_use_is_a_clear_error():
-    endpoint = free_endpoint()
-    session = open_session([endpoint])
-    try:
-        with pytest.raises(ZenohLinkError, match=f"{endpoint}.*taken"):
-            open_session([endpoint])
-    finally:
-        session.close()
-
-
 @pytest.mark.parametrize("key", ["", "/a", "a//b", "a#b"])
 def test_bad_key_is_a_clear_error(key):
     session = open_session()
@@ -227,14 +190,6 @@ def test_likely_keys_are_found_and_others_are_not(pair):
     assert search.keys() == ()  # begun anew
 
 
-def test_no_more_keys_are_kept_than_a_person_reads(pair):
-    there, here = pair
-    search = KeySearch(here)
-    publishers = [zenoh_link.dropping_publisher(there, f"r{n}/odom") for n in range(3 * KEYS_MAX)]
-    assert len(until_found(search, publishers, KEYS_MAX)) == KEYS_MAX
-    search.stop()
-
-
 def setting(file, key, **arguments):
     """A setting of the session that a file would make."""
     role = arguments.pop("role", Role.PEER)
@@ -250,16 +205,6 @@ def file(tmp_path):
         return path
 
     return write
-
-
-def test_without_a_file_nobody_is_looked_for_and_loopback_alone_is_listened_on():
-    for role, listens in (
-        (Role.PEER, ["tcp/127.0.0.1:0"]), (Role.CLIENT, []), (Role.ROUTER, ["tcp/127.0.0.1:7447"]),
-    ):  # fmt: skip
-        assert setting(None, "mode", role=role) == role.value
-        assert setting(None, "listen/endpoints", role=role) == listens
-        assert setting(None, "scouting/multicast/enabled", role=role) is False
-    assert setting(None, "scouting/gossip/enabled") is False
 
 
 def test_what_a_file_sets_is_kept_and_the_rest_is_ours(file):
@@ -360,14 +305,6 @@ def test_a_connection_that_is_not_there_lost_and_back_is_told_once_each():
         until(lambda: zenoh_link.transports(session) == 0, "the end")
         assert alarm.poll(204.0) == []
         assert "no connection" in alarm.poll(208.0)[0]
-    finally:
-        session.close()
-
-
-def test_who_dials_nobody_is_not_alone():
-    session = open_session()
-    try:
-        assert [ConnectionAlarm(session, []).poll(float(t)) for t in range(0, 100, 10)] == [[]] * 10
     finally:
         session.close()
 

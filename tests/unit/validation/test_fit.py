@@ -19,7 +19,7 @@ from sim.flights.screening import load as load_flight
 from sim.flights.screening import screen
 from sim.plant.params import Plant, load
 from sim.validation.fit import Values, fit_flight, fitted, start_values, together
-from sim.validation.identified import Gathered, kind, leave_one_out, toml
+from sim.validation.identified import toml
 from tests.recorded import PIECE, flights
 from tests.unit.validation.test_closed_loop import AIRFRAME, recorded
 
@@ -54,12 +54,6 @@ def test_the_simulators_numbers_are_found_again(plant):
     )
 
 
-def test_fitted_numbers_are_those_of_the_file():
-    assert start_values(fitted(ROOM, TRUE)) == pytest.approx(TRUE)
-    other = TRUE._replace(hover_v=3.0, exponent=1.5, inertia_kg_m2=2e-5, climb_drag_1_s=0.7)
-    assert start_values(fitted(ROOM, other)) == pytest.approx(other)
-
-
 def test_intervals_hold_the_median_and_grow_with_the_spread():
     chance = np.random.default_rng(3)
     one = own_fit(AIRFRAME)
@@ -91,11 +85,6 @@ def test_the_file_that_is_written_can_be_loaded_and_flown(tmp_path):
     second = tmp_path / "second.toml"
     second.write_text(toml(fit, ROOM, str(path)))
     assert load(str(second)) == vehicle
-
-
-def test_kinds_of_paths_come_from_the_names():
-    names = ("B2_circle_fast_rep1", "B6_linear_ramp_rep12", "B9_trefoil_slow_rep2", "own")
-    assert [kind(name) for name in names] == ["B2_circle", "B6_linear_ramp", "B9_trefoil", "own"]
 
 
 def run(*arguments):
@@ -136,12 +125,6 @@ def test_wrong_input_is_named(tmp_path, monkeypatch, arguments, says):
     result = run(*arguments)
     assert result.exit_code != 0
     assert re.search(says, result.output + str(result.exception))
-
-
-def test_one_path_alone_cannot_be_left_out():
-    flight = screen(recorded(AIRFRAME))
-    with pytest.raises(ValueError, match="one path only"):
-        leave_one_out(Gathered(((flight, own_fit(AIRFRAME)),), ()), ROOM)
 
 
 def test_real_flights_agree_with_the_vehicles_file():

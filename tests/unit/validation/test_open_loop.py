@@ -6,12 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from sim.flights.recording import read_columns
 from sim.flights.screening import load as load_flight
 from sim.flights.screening import screen
 from sim.plant.params import load
 from sim.validation.open_loop import HORIZONS_S, commanded_rpm, compare
+from sim.validation.sensing import Trace, analyse
 from tests.recorded import flights
 from tests.unit.validation.test_closed_loop import AIRFRAME, recorded
 
@@ -68,18 +71,6 @@ def test_nothing_is_compared_in_less_than_what_calibration_and_prediction_take()
     assert compare(replace(flight, pieces=()), ROOM) is None
 
 
-def test_gaps_of_the_log_are_filled():
-    flight = screen(recorded(AIRFRAME))
-    r = flight.recording
-    kept = np.ones(len(r.time_s), dtype=bool)
-    kept[300::50] = False
-    fields = ("time_s", "position_m", "velocity_m_s", "attitude", "rates_rad_s", "duty", "battery_v")
-    holed = screen(replace(r, **{name: getattr(r, name)[kept] for name in fields}, setpoint_position_m=None))
-    assert len(holed.pieces) == 1
-    whole, found = compare(flight, ROOM), compare(holed, ROOM)
-    assert found.horizons[1].position_m.model == pytest.approx(whole.horizons[1].position_m.model, rel=0.3)
-
-
 def test_a_compensated_motor_gets_the_thrust_that_is_asked_for_until_the_battery_ends_it():
     params = load("crazyflie20")
     half, full = commanded_rpm(params, np.array([[0.5] * 4, [1.0] * 4]), np.array([3.7, 2.8]))
@@ -98,3 +89,65 @@ def test_real_flights_are_predicted():
             assert np.median([e.model / e.constant_velocity for e in errors]) < limit
             assert all(e.model < e.ideal for e in errors)
     assert all(0.9 < one.thrust_ratio < 1.1 for one in found)
+
+
+STEP_S = 0.01
+
+
+def path(t, speed=0.6):
+    """Return position and velocity on a circle of 1 m radius."""
+    angle = speed * t
+    position = np.stack([np.cos(angle), np.sin(angle), 1.0 + 0.0 * t], axis=1)
+    velocity = speed * np.stack([-np.sin(angle), np.cos(angle), 0.0 * t], axis=1)
+    return position, velocity
+
+
+def trace(seconds, delay_s=0.0, offset=(0.0, 0.0, 0.0), noise=None, speed=0.6):
+    t = np.arange(0.0, seconds, STEP_S)
+    truth, velocity = path(t, speed)
+    late, _ = path(t - delay_s, speed)
+    estimate = late + np.array(offset) + (0.0 if noise is None else noise(t, velocity))
+    return Trace(STEP_S, truth, estimate, np.linalg.norm(velocity[:, :2], axis=1))
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    delay_s=st.floats(-0.08, 0.15),
+    offset=st.tuples(*[st.floats(-0.1, 0.1)] * 3),
+    speed=st.floats(0.3, 1.2),
+)
+def test_delay_and_offset_are_found(delay_s, offset, speed):
+    found = analyse([trace(20.0, delay_s, offset, speed=speed), trace(10.0, delay_s, offset, speed=speed)])
+    assert found.delay_s == pytest.approx(delay_s, abs=2e-3)
+    assert found.offset == pytest.approx(offset, abs=2e-3)
+    assert max(found.rms) < 2e-3
+
+
+def test_a_delay_that_varies_is_an_error_along_the_motion():
+    chance = np.random.default_rng(3)
+
+    def jitter(t, velocity):
+        return -velocity * chance.normal(0.0, 0.02, len(t))[:, None]
+
+    found = analyse([trace(60.0, 0.02, noise=jitter)])
+    assert found.along == pytest.approx(0.6 * 0.02, rel=0.1)
+    assert found.across < 0.1 * found.along
+    assert found.by_speed[1] == pytest.approx(0.012, rel=0.1)
+    assert np.isnan(found.by_speed[3])
+
+
+def test_the_correlation_time_is_that_of_the_noise():
+    chance = np.random.default_rng(5)
+
+    def coloured(t, velocity):
+        del velocity
+        kept, values = np.exp(-STEP_S / 0.2), np.zeros((len(t), 3))
+        for i in range(1, len(t)):
+            values[i] = kept * values[i - 1] + np.sqrt(1.0 - kept**2) * chance.normal(0.0, 0.01, 3)
+        return values
+
+    found = analyse([trace(300.0, noise=coloured)])
+    assert found.correlation_s == pytest.approx(0.2, rel=0.25)
+    assert found.rms == pytest.approx((0.01, 0.01, 0.01), rel=0.15)
+    assert sum(found.spectrum) == pytest.approx(1.0)
+    assert found.spectrum[0] > found.spectrum[-1]

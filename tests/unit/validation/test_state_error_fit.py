@@ -67,18 +67,6 @@ def test_simulated_estimates_are_like_those_that_the_same_model_made():
     assert np.all(pooled(other, "position")[0][:3] > 1.5)
 
 
-def test_without_an_estimate_there_is_nothing_to_compare():
-    flight = made(1, PUT_IN)
-    r = flight.recording
-    bare = Recording(
-        r.name, r.time_s, r.position_m, r.velocity_m_s, r.attitude, r.rates_rad_s, r.duty, r.battery_v
-    )
-    assert compare(Screened(bare, flight.pieces, ()), 1) is None
-    assert compare(Screened(r, (slice(0, 50),), ()), 1) is None
-    with pytest.raises(ValueError, match="found 0 flights with an estimate, at least 3 are needed"):
-        fit([Screened(bare, flight.pieces, ())])
-
-
 def test_the_defaults_are_like_the_recorded_flights():
     """A third of them; the table in docs/how_it_works/own_state.md has all."""
     columns = read_columns()
