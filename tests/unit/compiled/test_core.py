@@ -14,7 +14,6 @@ from flightstack.compiled.core import (
     chosen_core,
     compiled,
     is_possible,
-    with_compiled_program,
 )
 from flightstack.compiled.jit import OFF, is_off
 from flightstack.compiled.program import CompiledFilter
@@ -113,14 +112,6 @@ def test_numbers_of_another_kind_are_computed_by_python_and_nothing_is_compiled_
     box = ([-0.2, -0.2, -0.5], [0.2, 0.2, 0.5])
     found = [each.solve([0.1, 0.0, -0.4], 0.1, [0.3, 0.4, 1.0], 0.0, *box) for each in filters]
     assert found[0]._replace(solve_s=0.0) == found[1]._replace(solve_s=0.0)
-
-
-def test_another_program_stays_as_it_is(filters):
-    controller = Controller(load("lab").onboard)
-    controller.program = other = object()
-    assert with_compiled_program(controller).program is other
-    found = with_compiled_program(Controller(load("lab").onboard)).program
-    assert isinstance(found, SafetyFilter if is_off() else CompiledFilter)
 
 
 def test_which_core_is_flown(monkeypatch):

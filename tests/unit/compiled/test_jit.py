@@ -13,7 +13,7 @@ import pytest
 
 from flightstack.compiled import jit
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import F64, I64, Record, cell, layout, new, reader, scalars, writer
+from flightstack.compiled.records import F64, Record, cell, layout, new
 from flightstack.core.parameters.ends import Takeoff
 from flightstack.core.parameters.flight import BarrierShape, FlightConfig
 from sim.clock import TickGrid
@@ -156,11 +156,6 @@ class Outer(Record):
     x: float
 
 
-def test_layout_has_no_gaps():
-    assert layout(Outer).itemsize == 8 * 5
-    assert layout(Outer).names == ("count", "inner", "x")
-
-
 def test_nested_records_arrays_and_cells_are_views():
     outer = new(Outer)
     inner, values, view = outer.inner, outer.inner.values, cell(outer.inner)
@@ -169,11 +164,6 @@ def test_nested_records_arrays_and_cells_are_views():
     assert view["values"].tolist() == [[0.0, 2.5]]
     view[0] = ((7.0, 8.0), False)
     assert (outer.inner.values.tolist(), bool(outer.inner.on)) == ([7.0, 8.0], False)
-
-
-def test_values_in_the_order_of_the_fields():
-    outer = new(Outer, (3, ((1.0, 2.0), True), 4.0))
-    assert (int(outer.count), outer.inner.values.tolist(), float(outer.x)) == (3, [1.0, 2.0], 4.0)
 
 
 @jitted
@@ -187,36 +177,6 @@ def test_compiled_code_changes_the_same_memory():
     for _ in range(3):
         count(cell(outer))
     assert (int(outer.count), float(outer.inner.values[0])) == (3, 3.0)
-
-
-class Whole(Record):
-    counts: Annotated[I64, 2]
-    inner: Inner
-    last: int
-
-
-def test_whole_numbers_beyond_what_doubles_hold():
-    whole = new(Whole)
-    whole.counts[1] = (1 << 53) + 1
-    assert reader(whole)()[1] == (1 << 53) + 1
-
-
-def test_a_reader_gives_all_numbers_of_now_in_order():
-    whole = new(Whole)
-    read = reader(whole)
-    whole.counts[:], whole.inner.values[:], whole.last = (1, 2), (0.5, -0.0), 7
-    assert repr(read()) == "(1, 2, 0.5, -0.0, 0, 7)"
-    assert repr(reader(whole.inner)()) == "(0.5, -0.0, 0)"
-    assert repr(reader(whole.inner.values)()) == "(0.5, -0.0)"
-
-
-def test_scalars_read_and_write_the_record():
-    whole = new(Whole)
-    last, on = scalars(whole, "last")[0], scalars(whole.inner, "on")[0]
-    last[0], on[0] = 5, True
-    assert (int(whole.last), bool(whole.inner.on)) == (5, True)
-    whole.last = 6
-    assert last[0] == 6
 
 
 class Clash(Record):
@@ -233,9 +193,3 @@ def test_names_and_kinds_that_cannot_be_fields_are_refused():
     with pytest.raises(TypeError, match="str"):
         layout(Text)
     assert np.dtype(layout(Inner)).names == ("values", "on")
-
-
-def test_a_writer_sets_all_numbers_in_order():
-    whole = new(Whole)
-    writer(whole.inner)(0.5, -0.0, 1)
-    assert repr(reader(whole)()) == "(0, 0, 0.5, -0.0, 1, 0)"

@@ -1,7 +1,7 @@
 """Objects in compiled code: the same fields, the same methods, and what is left to Python."""
 
 from copy import deepcopy
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import pytest
 
@@ -9,7 +9,7 @@ from flightstack.compiled.jit import is_off, jitted
 from flightstack.compiled.objects import Objects
 from flightstack.core.controller import Controller
 from flightstack.core.numeric import NotOrdinary
-from flightstack.core.types import Phase, TargetSample
+from flightstack.core.types import TargetSample
 from tests.point_mass import World
 from tests.unit.core.core_helpers import config
 
@@ -71,13 +71,3 @@ def test_compiled_methods_change_the_same_state_and_leave_rare_things_to_python(
     assert repr(flown.state) == repr(other.state)
     with pytest.raises(NotOrdinary):  # it jumps
         jitted(take)(objects.handle, 0.02, 5.0)
-
-
-@pytest.mark.skipif(is_off(), reason="nothing is compiled")
-def test_the_phase_is_the_enums_own_member(flown):
-    objects = Objects(flown)
-    assert objects.write()
-    flown.memory.phase = Phase.WAIT
-    objects.read()
-    assert flown.memory.phase is not Phase.WAIT
-    assert replace(flown.memory).phase in Phase

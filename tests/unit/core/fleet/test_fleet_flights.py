@@ -4,15 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.controller import Controller
-from flightstack.core.memory import FleetState, State, WholeState
 from flightstack.core.types import FilterStatus, Inputs, Intent, Landed, Mode, OwnState, Phase, VehicleStatus
-from flightstack.onboard.state_text import StateText
-from tests.point_mass import World
 from tests.unit.core.core_helpers import config
 from tests.unit.core.fleet.fleet_helpers import (
     DT_S,
@@ -133,43 +128,6 @@ def test_the_landing_barrier_is_held_in_a_crowd():
             assert out.barrier.result.slack_m_s >= -1e-5
             assert out.barrier.h_m > 0.0
     assert flyer.statuses
-
-
-@pytest.mark.slow
-@settings(max_examples=6, deadline=None)
-@given(st.integers(0, 250))
-def test_restored_at_any_tick_a_member_decides_what_the_straight_run_decides(cut):
-    sky = Sky(flyers([(-1.2, 0.0, 1.0), (1.2, 0.1, 1.0)], [parked(1.0, 0.0), parked(-1.0, 0.0)]), LATE)
-    flyer, given_, text = sky.flyers[0], [], StateText(FleetState)
-    straight = flyer.controller.step
-
-    def step(inputs, now_s):
-        out = straight(inputs, now_s)
-        given_.append((inputs, now_s, out, text.dumps(flyer.controller.state)))
-        return out
-
-    flyer.controller.step = step
-    sky.run(270 * DT_S)
-    again = Controller(flyer.config)
-    again.restore(text.loads(text.layout, given_[cut][3]))
-    for inputs, now_s, expected, state in given_[cut + 1 :]:
-        out = again.step(inputs, now_s)
-        # repr, since NaN equals nothing; the wall time of the solver is no decision
-        assert repr(out.own_word) == repr(expected.own_word)
-        assert (out.setpoint and out.setpoint.velocity_enu_m_s) == (
-            expected.setpoint and expected.setpoint.velocity_enu_m_s
-        )
-        assert out.events == expected.events
-        assert text.dumps(again.state) == state
-
-
-def test_without_a_fleet_there_is_no_word_and_the_state_is_as_it_was():
-    world = World(config())
-    outs = [world.step() for _ in range(50)]
-    assert {out.own_word for out in outs} == {None}
-    assert type(world.controller.state) is State
-    assert type(Controller(config(own={"velocity_error_m_s": 0.1})).state) is WholeState
-    assert type(Controller(config(fleet=fleet())).state) is FleetState
 
 
 def test_a_vehicle_that_does_not_know_where_it_is_says_nothing():

@@ -1,13 +1,19 @@
 """Over a fast target the vehicle waits for a slower one, higher and for a limited time."""
 
+from dataclasses import replace
+
 import pytest
 
+from flightstack.config.files import load as load_config
 from flightstack.core.memory import Memory
-from flightstack.core.mission.phases import Condition
+from flightstack.core.mission.phases import SWINGING, Condition
 from flightstack.core.types import Phase
+from logs.verdict.types import Outcome
+from sim.runners.landing import land
+from sim.scenarios.scenario import load
 from tests.point_mass import World
 from tests.unit.core.core_helpers import config
-from tests.unit.core.mission.mission_helpers import tick
+from tests.unit.core.mission.mission_helpers import NOW_S, PAPER, ROBUST, names, tick
 
 CALM = config(
     touchdown={"calm_wait_s": 12.0, "calm_speed_m_s": 0.05, "calm_height_m": 0.3}
@@ -69,3 +75,76 @@ def test_a_target_that_sets_off_during_the_descent_is_gone_around_from_while_the
     assert goes_around(retries=CALM.checks.retries_max - 1)
     assert not goes_around(retries=CALM.checks.retries_max)
     assert not goes_around(started_s=-CALM.touchdown.calm_wait_s)
+
+
+CHECKS, PAD_M = ROBUST.checks, ROBUST.touchdown.pad_radius_m
+IN, OUT = (0.0, 0.0, 0.3), (3.0 * PAD_M, 0.0, 0.3)
+
+
+@pytest.mark.parametrize(
+    ("swings", "in_phase_s", "e", "expected"),
+    [
+        (CHECKS.swings_max, 0.1, OUT, True),
+        (CHECKS.swings_max, 0.1, IN, False),
+        (CHECKS.swings_max - 1, 0.1, OUT, False),
+        (0, CHECKS.over_pad_time_max_s + 0.1, IN, True),
+        (0, CHECKS.over_pad_time_max_s - 0.1, IN, False),
+    ],
+)
+def test_leaving_the_cone_again_and_again_and_staying_in_it_is_swinging(swings, in_phase_s, e, expected):
+    began_s = NOW_S - in_phase_s
+    memory = Memory(phase=Phase.LAND, swings=swings, phase_since_s=began_s, started_s=began_s)
+    assert ("SWINGS" in names(tick(e=e, memory=memory))) is expected
+    assert "SWINGS" not in names(tick(PAPER, e=e, memory=memory))  # as printed: it has no such rule
+    memory.phase = Phase.APPROACH
+    assert "SWINGS" not in names(tick(e=e, memory=memory))
+
+
+def test_the_wait_for_a_calm_robot_does_not_count():
+    settings = replace(ROBUST, touchdown=replace(ROBUST.touchdown, calm_wait_s=10.0))
+    for over_s, expected in ((9.9, False), (10.1, True)):
+        began_s = NOW_S - CHECKS.over_pad_time_max_s - over_s
+        memory = Memory(phase=Phase.LAND, phase_since_s=began_s, started_s=began_s)
+        assert ("SWINGS" in names(tick(settings, e=IN, memory=memory))) is expected
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [2])
+def test_a_loop_slower_than_configured_ends_by_its_own_reason(seed):
+    """ArduCopter 4.7's loop with the configuration for the older one swung for two minutes."""
+    scenario = replace(load("ardupilot_47"), onboard=load_config("ardupilot-1kg"), duration_max_s=40.0)
+    landing = land(scenario, seed, on_step=lambda *_: None)  # tick by tick: nothing else to compile
+    assert landing.verdict.outcome is Outcome.ABORTED
+    assert f"LAND -> ABORT: {SWINGING}: left the cone over it 4 times" in landing.verdict.reason
+    assert landing.simulated_s < 40.0
+
+
+LAB, GROUND = load("lab"), load("paper_moving_1")
+STRAIGHT, CIRCLE = load("straight").target.path, GROUND.target.path
+
+
+def take_off(path, speed_m_s, turn_rate_rad_s=0.0):
+    """Phases of a flight from the ground, with the reason why each began."""
+    target = replace(
+        GROUND.target, path=path, speed_m_s=speed_m_s, speed_max_m_s=speed_m_s, heading_rad=2.0,
+        turn_rate_rad_s=turn_rate_rad_s, wait_for_landing=False,
+    )  # fmt: skip
+    onboard = replace(LAB.onboard, takeoff=replace(GROUND.onboard.takeoff, timeout_s=15.0))
+    phases = {}
+
+    def note(tick, out):
+        if out.transition is not None:
+            phases.setdefault(out.transition.after, (tick.now_s, out.transition.reason))
+
+    scenario = replace(LAB, start=GROUND.start, target=target, onboard=onboard, duration_max_s=40.0)
+    land(scenario, 5, on_step=note)
+    return phases
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("speed_m_s", [0.3])
+@pytest.mark.parametrize(("path", "turn_rate_rad_s"), [(STRAIGHT, 0.0), (CIRCLE, 0.5), (CIRCLE, -0.2)])
+def test_the_start_beside_a_driving_robot_is_reached(path, turn_rate_rad_s, speed_m_s):
+    phases = take_off(path, speed_m_s, turn_rate_rad_s)
+    assert phases[Phase.APPROACH][1] == "start reached"
+    assert Phase.LANDED in phases

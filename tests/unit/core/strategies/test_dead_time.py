@@ -7,19 +7,11 @@ import pytest
 
 from flightstack.common.strict_toml import ConfigError
 from flightstack.config.files import load as load_config
-from flightstack.core.controller import Controller
-from flightstack.core.memory import LateState
 from flightstack.core.parameters.robust import VelocityLoop
 from flightstack.core.strategies.velocity_tracking import VelocityTracking
-from flightstack.onboard.state_text import StateText
 from flightstack.verify.certificate import checks
 from flightstack.verify.envelope import extremes
 from flightstack.verify.late import drift_m, tick_matrix
-from logs.verdict.types import Outcome
-from sim.runners.landing import land
-from sim.runners.stretch.stretch import suits
-from sim.scenarios.scenario import load
-from tests.point_mass import World
 from tests.unit.core.core_helpers import config
 
 LOOP = {"lag_xy_s": 0.75, "dead_time_s": 0.25, "rate_xy_1_s": 2.4, "damping": 0.6}
@@ -27,7 +19,6 @@ LATE = {
     "velocity_loop": {**LOOP, "gain_xy": 0.2},
     "checks": {"follow_lag_max_s": 1.0, "follow_memory_s": 2.0},
 }
-FAR = 1e9
 
 
 def test_the_way_until_a_set_point_acts_is_the_way_that_the_modelled_vehicle_flies():
@@ -52,20 +43,6 @@ def test_without_a_dead_time_nothing_is_under_way():
     tracking = VelocityTracking(VelocityLoop(), 0.01)
     assert tracking.carried((0.1, 0.2, 0.3)) == ((0.0, 0.0), (0.1, 0.2, 0.3))
     assert tracking.late.sent_m_s == ()
-
-
-def test_a_flight_restored_from_its_text_goes_on_to_the_bit():
-    world, text = World(config(**LATE)), StateText(LateState)
-    for _ in range(300):
-        world.step()
-    again = Controller(config(**LATE))
-    again.restore(text.loads(text.layout, text.dumps(world.controller.state)))
-    assert len(set(again.strategy.late.sent_m_s)) > 1
-    for _ in range(60):
-        inputs, now_s = world.inputs(), world.t_s
-        mine, theirs = again.step(inputs, now_s), world.step()
-        assert mine.setpoint.velocity_enu_m_s == theirs.setpoint.velocity_enu_m_s
-        assert again.strategy.late == world.controller.strategy.late
 
 
 @pytest.mark.parametrize(
@@ -128,13 +105,3 @@ def test_a_landing_drifts_farther_with_a_dead_time():
     quick = replace(settings, velocity_loop=replace(settings.velocity_loop, dead_time_s=0.0, lag_xy_s=0.5))
     late_m, quick_m = (drift_m(each, extremes(each), 1.5, 1.0, 1.0) for each in (settings, quick))
     assert quick_m < late_m < settings.touchdown.pad_radius_m
-
-
-def test_it_lands_with_the_loop_of_arducopter_47():
-    scenario = load("ardupilot_47")
-    assert missing(scenario.onboard) == []
-    assert not suits(scenario.onboard)  # flown tick by tick
-    flown = land(scenario, 0).verdict
-    assert flown.outcome is Outcome.LANDED
-    assert not flown.violation
-    assert flown.touchdown_error_m < 0.2

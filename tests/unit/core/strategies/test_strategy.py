@@ -9,7 +9,7 @@ import pytest
 from examples.own_boundary import Cone, ConeFilter
 from flightstack.common.strict_toml import ConfigError
 from flightstack.config.files import load
-from flightstack.core.parameters.filters import FILTERS, look_here, named, short_name
+from flightstack.core.parameters.filters import FILTERS, look_here, named
 from flightstack.core.strategies.strategy import (
     Filter,
     ignored,
@@ -152,10 +152,6 @@ def test_the_working_folder_comes_after_all_that_is_installed(outside):
     look_here("paper")
     look_here("outside:Picky")
     assert sys.path == before
-
-
-def test_a_name_fits_into_a_file_name():
-    assert [short_name(name) for name in ("robust", CONE)] == ["robust", "ConeFilter"]
 
 
 def test_the_base_class_is_safe_and_proves_nothing():

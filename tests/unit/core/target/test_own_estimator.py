@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_are
 
-from flightstack.core.controller import Controller
-from flightstack.core.memory import OwnMemory, WholeState
+from flightstack.core.memory import OwnMemory
 from flightstack.core.parameters.robust import OwnStateLink, VelocityLoop
 from flightstack.core.target.own_estimator import (
     GAP_MAX_S,
@@ -21,7 +20,6 @@ from flightstack.core.target.own_estimator import (
     steady_gains,
 )
 from flightstack.core.types import ZERO, OwnState
-from flightstack.onboard.state_text import StateText
 from flightstack.verify.envelope import own_velocity_sigma_m_s
 from tests.point_mass import World
 from tests.unit.core.core_helpers import config
@@ -187,25 +185,6 @@ def test_the_set_point_never_leaves_the_limits():
     x, y, z = estimator.told((0.7, -0.7, 0.7), MOST)
     assert (x, y) == (0.7, -0.7)
     assert 0.0 < z <= 0.7
-
-
-def test_a_flight_restored_from_its_text_goes_on_to_the_bit():
-    learns = config(
-        own={"velocity_error_m_s": 0.02, "velocity_error_time_s": 0.7}, velocity_feedback={"horizontal": True}
-    )
-    world, text = World(learns), StateText(WholeState)
-    for _ in range(300):
-        world.step()
-    again = Controller(learns)
-    again.restore(text.loads(text.layout, text.dumps(world.controller.state)))
-    moved = False
-    for _ in range(100):
-        inputs, now_s = world.inputs(), world.t_s
-        mine, theirs = again.step(inputs, now_s), world.step()
-        assert mine.setpoint.velocity_enu_m_s == theirs.setpoint.velocity_enu_m_s
-        assert again.strategy.own == world.controller.strategy.own
-        moved = moved or again.strategy.own.x[1] != 0.0
-    assert moved
 
 
 def test_a_believed_velocity_needs_no_estimator():
