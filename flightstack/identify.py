@@ -1,16 +1,16 @@
-"""Finds a vehicle's velocity loop, and noise, rate and motion of measurements, in flights. Pure.
+"""Identification of a vehicle's velocity loop, and of noise, rate and motion of measurements, from flights.
 
-Model of one axis of the velocity loop: gain, second-order low-pass and dead time,
+The model of one axis of the velocity loop has a gain, a second-order low-pass and a dead time:
 
     v(s) = gain exp(-theta s) w^2 / (s^2 + 2 zeta w s + w^2) u(s) + disturbance.
 
-Command and velocity first pass the same high-pass, which removes wind and weight and leaves the loop between
-them unchanged. The initial state of each segment is free. The parameters minimise the squared difference of
-model and flight; their standard errors come from the scores of blocks of a second, since gusts correlate
+Command and velocity first pass the same high-pass, which removes wind and weight and does not change the loop
+between them. The initial state of each segment is free. The parameters minimise the squared difference of
+model and flight. Their standard errors come from the scores of blocks of one second, since gusts correlate
 neighbouring differences.
 
-Noise: a parabola through a short window follows any real motion; the residual is noise. Correlated noise (of
-an estimator, or a slow drift) is not visible: the values are lower bounds.
+Noise is the residual of a parabola in a short window, which follows any real motion. Correlated noise (of an
+estimator, or a slow drift) is not visible, so the values are lower bounds.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from scipy import optimize, signal
 
 Floats = NDArray[np.float64]
 
-HIGH_PASS_S = 2.0  # s; slower changes are disturbance
-BLOCK_S = 1.0  # s over which differences count as correlated
-SEGMENT_MIN_S = 1.5  # s; shorter segments depend mostly on their initial state
-TIME_MIN_S = 3.0  # s in all segments together
-EXCITATION_MIN_M_S = 0.04  # standard deviation of the high-passed command
-EXPLAINED_MIN = 0.6  # share of the velocity's variance that the model must explain
-ERROR_MAX = 0.2  # relative standard error of the lag
-START = (1.0, 6.0, 0.7, 0.02)  # gain, rate, damping, dead time
+HIGH_PASS_S = 2.0  # time constant of the high-pass, s; slower changes count as disturbance
+BLOCK_S = 1.0  # duration for which differences count as correlated, s
+SEGMENT_MIN_S = 1.5  # shortest segment, s; shorter ones depend mostly on their initial state
+TIME_MIN_S = 3.0  # shortest time of all segments together, s
+EXCITATION_MIN_M_S = 0.04  # least standard deviation of the high-passed command, m/s
+EXPLAINED_MIN = 0.6  # least share of the velocity's variance that the model must explain
+ERROR_MAX = 0.2  # largest relative standard error of the lag
+START = (1.0, 6.0, 0.7, 0.02)  # start values: gain, rate, damping, dead time
 LOW, HIGH = (0.2, 0.5, 0.1, 0.0), (2.0, 50.0, 2.0, 0.6)
-# s; a shorter dead time is included in the lag of the second-order model
+# shortest modelled dead time, s; a shorter one is included in the lag of the second-order model
 DEAD_TIME_MIN_S = 0.12
 
 
@@ -42,7 +42,7 @@ class TooLittleError(ValueError):
 
 
 class Segment(NamedTuple):
-    """Uninterrupted commands and velocities (n,) of one axis, m/s, one a tick."""
+    """Uninterrupted commands and velocities (n,) of one axis, m/s, one per tick."""
 
     command_m_s: Floats
     velocity_m_s: Floats
@@ -57,12 +57,12 @@ class Loop(NamedTuple):
     dead_time_s: float
     lag_s: float  # 2 damping / rate + dead time: group delay at low frequency
     errors: tuple[float, float, float, float, float]
-    explained: float  # share of the velocity's variance
-    time_s: float  # compared
+    explained: float  # share of the velocity's variance that the model explains
+    time_s: float  # compared time
 
     @property
     def model_dead_time_s(self) -> float:
-        """Dead time of the stack's model; 0 where a second-order model with the same lag suffices."""
+        """Dead time of the stack's model; 0 if a second-order model with the same lag suffices."""
         return self.dead_time_s if self.dead_time_s >= DEAD_TIME_MIN_S else 0.0
 
     @property
@@ -72,7 +72,7 @@ class Loop(NamedTuple):
 
 
 def identify(segments: Sequence[Segment], period_s: float, axis: str) -> Loop:
-    """Identify the loop of an axis, or of several equal ones; ``axis``: its name in errors.
+    """Identify the loop of an axis, or of several equal ones; ``axis`` is its name in errors.
 
     Raises TooLittleError: too short, too little excitation, or the model does not explain the flight.
     """
@@ -124,7 +124,7 @@ def _high_pass(column: Floats, period_s: float) -> Floats:
 
 
 def _difference(passed: Segment, parameters: Floats, period_s: float) -> Floats:
-    """Measured minus model, without the part explained by the initial state of the segment."""
+    """Return measured minus modelled velocity, without the part that the segment's initial state explains."""
     gain, rate, damping, dead_time = parameters
     plant = ([rate * rate], [1.0, 2.0 * damping * rate, rate * rate])
     numerator, denominator, _ = signal.cont2discrete(plant, period_s, method="zoh")
@@ -136,8 +136,8 @@ def _difference(passed: Segment, parameters: Floats, period_s: float) -> Floats:
     kick[0] = later[1] = 1.0
     past = np.column_stack(
         [
-            signal.lfilter(numerator.ravel(), denominator, np.ones(count)),  # another command before
-            signal.lfilter([1.0], denominator, kick),  # any speed and acceleration at the start
+            signal.lfilter(numerator.ravel(), denominator, np.ones(count)),  # an earlier command
+            signal.lfilter([1.0], denominator, kick),  # effect of initial speed and acceleration
             signal.lfilter([1.0], denominator, later),
         ]
     )
@@ -147,7 +147,7 @@ def _difference(passed: Segment, parameters: Floats, period_s: float) -> Floats:
 
 
 def _covariance(jacobian: Floats, difference: Floats, block: int) -> Floats:
-    """Covariance of least squares whose differences are correlated within blocks."""
+    """Return the covariance of least squares whose differences are correlated within blocks."""
     inverse = np.linalg.pinv(jacobian.T @ jacobian)
     scores = jacobian * difference[:, None]
     starts = np.arange(0, len(scores), block)
@@ -156,37 +156,37 @@ def _covariance(jacobian: Floats, difference: Floats, block: int) -> Floats:
     return np.asarray(few * inverse @ (sums.T @ sums) @ inverse, dtype=np.float64)
 
 
-NOISE_SAMPLES = 9  # samples of a window for noise
-MOTION_S = 0.6  # window for velocity and acceleration
+NOISE_SAMPLES = 9  # number of samples in a window for noise
+MOTION_S = 0.6  # window for velocity and acceleration, s
 SAMPLES_MIN = 100
-OFTEN = 99.0  # percentile used as the largest value: single windows are noise
-MAD_TO_SIGMA = 1.4826  # median of absolute values to standard deviation, of a normal distribution
+OFTEN = 99.0  # percentile that counts as the largest value, since single windows are noise
+MAD_TO_SIGMA = 1.4826  # ratio of standard deviation and median absolute value of a normal distribution
 
 
 class Link(NamedTuple):
-    """Statistics of a link."""
+    """Statistics of a link's samples."""
 
     rate_hz: float
     loss: float  # share of missing samples
-    delay_spread_s: float  # 95 % of the delay above its smallest
-    delay_s: float | None  # smallest delay, if the clocks agree
+    delay_spread_s: float  # 95 % quantile of the delay above its minimum
+    delay_s: float | None  # minimum delay; None if the clocks disagree
     position_noise_m: float  # standard deviation on an axis
     velocity_noise_m_s: float
 
 
 class Motion(NamedTuple):
-    """Largest speeds and acceleration."""
+    """Largest speeds and acceleration of a motion."""
 
-    speed_m_s: float  # horizontal
+    speed_m_s: float  # horizontal speed
     climb_m_s: float
-    acceleration_m_s2: float  # horizontal
+    acceleration_m_s2: float  # horizontal acceleration
 
 
 def noise(time_s: Floats, values: Floats) -> float:
-    """Standard deviation of a column around parabolas of ``NOISE_SAMPLES`` samples; robust to outliers.
+    """Return the standard deviation of a column around parabolas of ``NOISE_SAMPLES`` samples; robust.
 
-    ``time_s``: (n,) increasing; ``values``: (n,) or (n, axes); axes are pooled.
-    Raises ValueError: too few samples.
+    ``time_s``: (n,) increasing; ``values``: (n,) or (n, axes); all axes are combined.
+    Raises ValueError: there are too few samples.
     """
     if len(time_s) < SAMPLES_MIN:
         raise ValueError(f"found {len(time_s)} samples, at least {SAMPLES_MIN} are needed")
@@ -202,10 +202,10 @@ def noise(time_s: Floats, values: Floats) -> float:
 
 
 def motion(time_s: Floats, position_m: Floats) -> Motion:
-    """Largest speeds and acceleration, by parabolas of ``MOTION_S``.
+    """Return the largest speeds and acceleration, from parabolas over ``MOTION_S``.
 
     ``time_s``: (n,) increasing; ``position_m``: (n, 3).
-    Raises ValueError: too few samples.
+    Raises ValueError: there are too few samples.
     """
     if len(time_s) < SAMPLES_MIN:
         raise ValueError(f"found {len(time_s)} samples, at least {SAMPLES_MIN} are needed")
@@ -223,11 +223,11 @@ def motion(time_s: Floats, position_m: Floats) -> Motion:
 
 
 def link(stamp_s: Floats, arrival_s: Floats, position_m: Floats, velocity_m_s: Floats) -> Link:
-    """Statistics of the samples of a link.
+    """Return the statistics of the samples of a link.
 
-    ``stamp_s``: (n,) of the measurement, increasing; ``arrival_s``: (n,) on our clock; ``position_m``: (n,
-    3); ``velocity_m_s``: (n, 3), in any frame that turns slowly.
-    Raises ValueError: too few samples.
+    ``stamp_s``: (n,) times of measurement, increasing; ``arrival_s``: (n,) arrivals on this clock;
+    ``position_m``: (n, 3); ``velocity_m_s``: (n, 3), in any frame that turns slowly.
+    Raises ValueError: there are too few samples.
     """
     position_noise, velocity_noise = noise(stamp_s, position_m), noise(stamp_s, velocity_m_s)
     steps = np.diff(stamp_s)

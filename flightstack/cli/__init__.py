@@ -1,4 +1,4 @@
-"""The command line: each module holds the verbs of one subject."""
+"""The command line: each module contains the commands of one subject."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def _end(number: int, frame: FrameType | None) -> None:
 
 
 if os.path.basename(sys.argv[0]) in ("flightstack", "-m"):  # noqa: PTH119
-    # The command itself: while it loads, nothing has been started, and a signal needs no traceback.
+    # During the start of the command itself no other process runs, so a signal needs no traceback.
     for _number in (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT, signal.SIGHUP):
         if signal.getsignal(_number) is not signal.SIG_IGN:
             signal.signal(_number, _end)

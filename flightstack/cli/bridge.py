@@ -1,4 +1,4 @@
-"""The verbs ``bridge ...``: each connects the stack to another system, in a process of its own."""
+"""Commands ``bridge ...``: each connects the stack to another system in its own process."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
 
 @click.group()
 def bridge() -> None:
-    """Connect a stock Crazyflie as a MAVLink vehicle, or send poses of motion capture to a vehicle."""
+    """Connect a stock Crazyflie as a MAVLink vehicle, or send motion-capture poses to a vehicle."""
 
 
 @bridge.command()
 @takes(CrazyflieOptions)
 def crazyflie(options: CrazyflieOptions) -> None:
-    """Make a stock Crazyflie a MAVLink vehicle with PX4's modes (docs/how_to/crazyflie.md).
+    """Run a stock Crazyflie as a MAVLink vehicle with PX4's modes (docs/how_to/crazyflie.md).
 
     Ctrl-C, or closing the terminal, lands a flying Crazyflie before the bridge ends. A second Ctrl-C ends the
-    bridge at once, and the motors stop.
+    bridge at once, which stops the motors.
     """
     from bridge.crazyflie import process
 
@@ -55,9 +55,9 @@ def crazyflie(options: CrazyflieOptions) -> None:
 
 
 def _drag_1_s(airframe: str) -> Vec3 | None:
-    """Rotor drag over mass, along body axes.
+    """Return rotor drag over mass along the body axes, 1/s.
 
-    Raises ConfigError: no such vehicle file, or a key of it that is wrong.
+    Raises ConfigError: there is no such vehicle file, or one of its keys is wrong.
     """
     if airframe == "none":
         return None
@@ -71,7 +71,7 @@ def _drag_1_s(airframe: str) -> Vec3 | None:
 @bridge.command()
 @takes(MocapOptions)
 def mocap(options: MocapOptions) -> None:
-    """Check poses of motion capture and send them to a PX4 or ArduPilot vehicle (docs/how_to/mocap.md)."""
+    """Check motion-capture poses and send them to a PX4 or ArduPilot vehicle (docs/how_to/mocap.md)."""
     from bridge.mocap import process
 
     sys.exit(process.run(options, say))

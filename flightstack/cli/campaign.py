@@ -1,4 +1,4 @@
-"""The verbs ``campaign`` and ``rare``: many seeds of a scenario, and the rate of its rare failures."""
+"""Commands ``campaign`` and ``rare``: many seeds of a scenario, and the rate of its rare failures."""
 
 from __future__ import annotations
 
@@ -56,9 +56,9 @@ class CampaignOptions(shared.Result):
 @click.command()
 @takes(CampaignOptions)
 def campaign(options: CampaignOptions) -> None:
-    """Fly a SCENARIO with many seeds in simulation alone, as `sitl --lockstep` would fly each, and sum up.
+    """Fly a SCENARIO with many seeds in fast simulation, each as `sitl --lockstep` would fly it, and sum up.
 
-    Ctrl-C keeps what was flown; the same call with the same --out goes on.
+    Ctrl-C keeps the finished landings; the same call with the same --out continues.
 
     Exit status: 0 complete, whatever the result, 1 landings are missing or a --require is not met, 2 wrong
     input.
@@ -87,7 +87,7 @@ def campaign(options: CampaignOptions) -> None:
 def _print(
     console: Terminal, wanted: Plan, folder: Path, flown: Flown, *, as_json: bool, with_report: bool
 ) -> int:
-    """Write the page, print table or JSON; return the exit status."""
+    """Write the page, and print the table or JSON; return the exit status."""
     from sim.campaign.run import PAGE, ROWS
     from sim.campaign.summary import apart
 
@@ -106,7 +106,7 @@ def _print(
             from sim.campaign.page import write_page
 
             write_page(folder / PAGE, wanted, flown)
-        except ReportError as error:  # the numbers count all the same
+        except ReportError as error:  # the numbers remain valid
             click.echo(f"flightstack: {error}", err=True)
             with_report = False
     if as_json:
@@ -134,7 +134,7 @@ def _table(wanted: Plan, found: dict[str, Any]) -> Table:
 
 
 def _check(flown: Flown, require: str, against: Path | None) -> int:
-    """Check a tier's limits; print each limit that is not met."""
+    """Check the limits of a tier; print each limit that is not met."""
     from sim.campaign.rows import read_rows
     from sim.campaign.run import ROWS
     from sim.campaign.summary import Tier, misses
@@ -180,8 +180,8 @@ class RareOptions:
 def rare(options: RareOptions) -> None:
     """Estimate the rate of a rare failure of a SCENARIO by subset simulation, and give seeds that show it.
 
-    The first level's landings are free, each next level's are drawn among those ten times as near to the
-    failure. Ctrl-C keeps what was flown; the same call with the same --out goes on.
+    The landings of the first level are free; those of each further level are drawn among landings ten times
+    as near to the failure. Ctrl-C keeps the finished landings; the same call with the same --out continues.
 
     Exit status: 0 complete, 1 interrupted or a landing could not be flown, 2 wrong input.
     """

@@ -1,4 +1,4 @@
-"""The verb ``check``: proves a configuration before flight."""
+"""Command ``check``: proof of a configuration before a flight."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ class CheckOptions:
 @click.command()
 @takes(CheckOptions)
 def check(options: CheckOptions) -> None:
-    """Prove before flight that the filter's guarantees hold for everything that CONFIG declares.
+    """Prove before a flight that the filter's guarantees hold in the whole range that CONFIG declares.
 
-    CONFIG is a configuration of `onboard` or a scenario, by name or as a file; of a scenario of several
-    vehicles each member is checked, and all of them together. Each line shows a claim, its worst point, and
-    the distance to its limit there (docs/how_it_works/robust_filter.md, docs/how_it_works/fleet.md). Of a
-    scenario also what its configuration declares of barrier, robot, pad and links is compared with the rest.
+    CONFIG is the name or file of an `onboard` configuration or of a scenario; a scenario of several vehicles
+    is checked for each member, and for all of them together. Each line shows a claim, its worst point, and
+    the distance to its limit there (docs/how_it_works/robust_filter.md, docs/how_it_works/fleet.md). For a
+    scenario, the configuration's barrier, robot, pad and links are also compared with the simulated ones.
 
     Exit status: 0 all claims proven, 1 at least one not proven, 2 wrong input.
     """
@@ -62,17 +62,17 @@ def check(options: CheckOptions) -> None:
 
 
 class Part(NamedTuple):
-    """What is checked at once: a configuration, or those of all vehicles together."""
+    """Part of a check: one configuration, or those of all vehicles together."""
 
     filter: str
     checks: Sequence[Check]
-    members: tuple[str, ...] = ()  # vehicles of a team that have it
-    of: str = ""  # these, for a title
+    members: tuple[str, ...] = ()  # vehicles of a team with this configuration
+    of: str = ""  # names of these vehicles, for a title
     ignored: Sequence[str] = ()  # keys that the filter does not read
 
 
 def _parts(name_or_file: str, name: str | None) -> list[Part]:
-    """Check a configuration, or those of a scenario, with the filter of this name or its own."""
+    """Check a configuration, or those of a scenario, with the filter of this name or their own."""
     from flightstack.verify.certificate import checks
 
     config = _configuration(name_or_file)
@@ -100,7 +100,7 @@ def _parts(name_or_file: str, name: str | None) -> list[Part]:
 
 
 def _configuration(name_or_file: str) -> FlightConfig | None:
-    """The configuration of this name or file; None: it is a scenario."""
+    """Return the configuration of this name or file; None: it is a scenario."""
     path = path_of(name_or_file) if name_or_file in names() else Path(name_or_file)
     if not path.is_file():
         return None
@@ -118,7 +118,7 @@ def _configuration(name_or_file: str) -> FlightConfig | None:
 
 
 def _alike(configs: Sequence[FlightConfig]) -> list[tuple[FlightConfig, tuple[str, ...]]]:
-    """Configurations that differ in more than the id, each with the vehicles that have it."""
+    """Return configurations that differ in more than the id, each with its vehicles."""
     alike: dict[FlightConfig, tuple[FlightConfig, list[str]]] = {}
     for number, config in enumerate(configs, 1):
         fleet = config.fleet and replace(config.fleet, id=min(config.fleet.members))

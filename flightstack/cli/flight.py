@@ -1,4 +1,4 @@
-"""The verbs that fly: ``sitl`` in software, ``fly`` a real vehicle, ``onboard`` its process alone."""
+"""Commands that fly: ``sitl`` in simulation, ``fly`` a real vehicle, ``onboard`` only the onboard process."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from flightstack.launch.run_options import FlyOptions, RunOptions
 @click.command()
 @takes(RunOptions)
 def sitl(options: RunOptions) -> None:
-    """Fly a scenario in software: vehicle, target, onboard process and recorder, over the real wires.
+    """Fly a scenario in software: vehicle, target, onboard process and recorder, over MAVLink and Zenoh.
 
-    A scenario of several vehicles (`scenarios` lists them) flies all of them, with an onboard process each.
+    In a scenario of several vehicles (`scenarios` lists them) each vehicle has its own onboard process.
 
     Exit status: 0 landed, 1 flown but not landed, 2 wrong input.
     """
@@ -37,8 +37,8 @@ def sitl(options: RunOptions) -> None:
 def fly(options: FlyOptions) -> None:
     r"""Fly a real vehicle onto a real target: check it, record, show the flight, land, write a report.
 
-    Ctrl-C, or closing the terminal, aborts: the vehicle flies clear and lands. A second Ctrl-C makes it land
-    where it is and ends the onboard process. Ctrl-\ stops the motors.
+    Ctrl-C, or closing the terminal, aborts: the vehicle flies clear and lands. A second Ctrl-C requests a
+    landing at its position and ends the onboard process. Ctrl-\ stops the motors.
 
     Exit status: 0 landed, 1 not landed, 2 wrong input.
     """
@@ -56,8 +56,8 @@ def fly(options: FlyOptions) -> None:
 def onboard(options: OnboardOptions) -> None:
     """Run the onboard process with any vehicle and target; `fly` adds a live view and a report.
 
-    It records to a log in runs/ unless --recorder or --no-record is given. Ctrl-C, or closing the terminal,
-    aborts: the vehicle flies clear and lands. A second Ctrl-C makes it land where it is and ends the process.
+    The log is in runs/ unless --recorder or --no-record is given. Ctrl-C, or closing the terminal, aborts:
+    the vehicle flies clear and lands. A second Ctrl-C requests a landing at once and ends the process.
     """
     from flightstack.common.processes import LaunchError
     from flightstack.config.files import load

@@ -1,4 +1,4 @@
-"""The verb ``identify``: measures the numbers that the robust filter assumes, in flight logs."""
+"""Command ``identify``: measurement of the robust filter's assumptions in flight logs."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ class IdentifyOptions:
 @click.command()
 @takes(IdentifyOptions)
 def identify(options: IdentifyOptions) -> None:
-    """Find how a vehicle answers velocity set-points, and how good its measurements are, in flight LOGs.
+    """Find a vehicle's response to velocity set-points, and the noise of its measurements, in flight LOGs.
 
-    Prints the sections of a configuration; several flights, of several vehicles, give their spread.
-    With --flights, fits thrust, motor lag, drag, inertia and battery to recorded flights and prints the file
-    of a vehicle.
+    The command prints the sections of a configuration; several flights, of several vehicles, give their
+    spread. With --flights, it fits thrust, motor lag, drag, inertia and battery to recorded flights and
+    prints a vehicle file.
 
-    Exit status: 0 found, 2 wrong input or flights that do not show it; the text says what to fly.
+    Exit status: 0 found, 2 wrong input or flights without enough excitation; the text says what to fly.
     """
     if options.flights is not None:
         if options.logs:
@@ -71,7 +71,7 @@ def identify(options: IdentifyOptions) -> None:
 
 
 def _identify_vehicle(options: IdentifyOptions, folder: Path) -> None:
-    """Fit a vehicle's file to recorded flights."""
+    """Fit a vehicle file to recorded flights."""
     try:
         from sim.flights.recording import COLUMNS, find_recordings, read_columns
         from sim.plant.params import load

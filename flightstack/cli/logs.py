@@ -1,4 +1,4 @@
-"""The verbs of flight logs: ``log ...``, ``record``, ``report`` and ``view``."""
+"""Commands for flight logs: ``log ...``, ``record``, ``report`` and ``view``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 DONE, BROKEN = 0, 1
 LANDED, NOT_LANDED = 0, 1
-DIFFERENCES_MAX = 20  # differences printed; the first ones tell the story
+DIFFERENCES_MAX = 20  # largest number of printed differences; the first ones are the most useful
 
 _log = click.argument("log_file", metavar="LOG", type=click.Path(dir_okay=False, path_type=Path))
 _member = click.option("--member", metavar="NAME", help="Only the part of this member of a fleet, e.g. cf2.")
@@ -38,9 +38,9 @@ def _out(command: Callable[..., None]) -> Callable[..., None]:
 
 @click.group()
 def log() -> None:
-    """Inspect, judge, compare, repair and export flight logs. Of a broken LOG is used what can be read.
+    """Inspect, judge, compare, repair and export flight logs. The readable part of a broken LOG is used.
 
-    Exit status: 0 done, 1 the LOG is broken (what can be read was used) or differs, 2 wrong input.
+    Exit status: 0 done, 1 the LOG is broken (its readable part was used) or differs, 2 wrong input.
     """
 
 
@@ -64,11 +64,11 @@ def info(log_file: Path, member: str | None, as_json: bool) -> None:
     "--json", "as_json", is_flag=True, help="Print one JSON object, with the keys of `sitl --json`."
 )
 def verdict(log_file: Path, member: str | None, as_json: bool) -> None:
-    """Judge the flight in a LOG from true states, or a real flight from the vehicle's own estimate.
+    """Judge the flight in a LOG from the true states, or a real flight from the vehicle's own estimate.
 
-    A fleet has landed when all its members have.
+    A fleet has landed when all its members have landed.
 
-    Exit status: 0 landed, 1 anything else that flew, 2 the LOG cannot be read.
+    Exit status: 0 landed, 1 any other end of a flight, 2 the LOG cannot be read.
     """
     from logs.verdict.verdict import fleet_result, judged
 
@@ -94,7 +94,7 @@ def show_verdict(values: dict[str, Any], *, as_json: bool) -> None:
 def diff(log_a: Path, log_b: Path) -> None:
     """Compare two logs message by message; exit status 0 equal, 1 different.
 
-    Wall-clock measurements (loop timing) are left out.
+    Wall-clock measurements (loop timing) are not compared.
     """
     from logs.tools.compare import compare
 
@@ -112,7 +112,7 @@ def diff(log_a: Path, log_b: Path) -> None:
 @_member
 @_out
 def recover(log_file: Path, member: str | None, out: Path, force: bool) -> None:
-    """Repair a broken LOG: write all messages that can be read, and a new index."""
+    """Repair a broken LOG: write all readable messages and a new index."""
     from logs.tools.recover import recover as recovered
 
     new = recovered(_open(log_file, member), out, force=force)
@@ -165,7 +165,7 @@ class RecordOptions:
 @click.command()
 @takes(RecordOptions)
 def record(options: RecordOptions) -> None:
-    """Record what the other processes send, until Ctrl-C; the log is readable at any time."""
+    """Record the data that the other processes send, until Ctrl-C; the log is readable at any time."""
     from logs.recorder.recorder import record_main
 
     sys.exit(
@@ -194,9 +194,9 @@ def record(options: RecordOptions) -> None:
 def report(log: Path, other: Path | None, member: str | None, out: Path | None, as_json: bool) -> None:
     """Write the report of a LOG, or a comparison with an OTHER: one self-contained HTML page.
 
-    Of a fleet: a page of all together, and one of each member beside it.
+    A fleet has one page for all members together, and one page for each member.
 
-    Prints the verdict on a LOG and where its page is. Exit status: 0 written, 2 wrong input.
+    The command prints the verdict on the LOG and the path of the page. Exit status: 0 written, 2 wrong input.
     """
     from logs.report.report import write_comparison, write_report
 
@@ -234,10 +234,10 @@ def view(
 ) -> None:
     """Show a LOG in Rerun: the scene in 3-D, curves and events (docs/how_to/viewing.md).
 
-    Of a fleet: all members in one scene.
+    A fleet is shown in one scene.
 
-    Needs the extra `view`, except for --layouts. Exit status: 0 shown or written, 1 the same of a broken LOG,
-    2 wrong input or no window.
+    The command needs the extra `view`, except for --layouts. Exit status: 0 shown or written, 1 shown or
+    written from a broken LOG, 2 wrong input or no window.
     """
     if layouts is not None:
         from logs.view.layout_files import write_layouts

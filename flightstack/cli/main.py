@@ -1,4 +1,4 @@
-"""The command ``flightstack``: finds the subcommand (verb) and runs it; the other packages do the work."""
+"""The command ``flightstack``: it finds and runs a subcommand; the other packages contain the functions."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from flightstack.common.text import plain
 
 INTERRUPTED, WRONG_INPUT = 1, 2
 
-# Matrices here are small: numpy's threads would cost each process 0.1 s when it starts, and help nothing.
+# Matrices here are small: numpy's threads would only delay each process by 0.1 s at its start.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
 
 
 class Verb(NamedTuple):
-    """A verb: its module and function, loaded only when it is called, and its line in ``--help``."""
+    """A subcommand: module and function, loaded only when it is called, and its line in ``--help``."""
 
     place: str
     help: str
-    # modules that its function loads, and functions that it would call first, ``module:function``; a launcher
-    # calls them once for all its children
+    # modules that its function loads, and functions ``module:function`` that it calls first; a launcher loads
+    # and calls them once for all its children
     needs: tuple[str, ...] = ()
 
 
 _MACHINE_CODE = "flightstack.compiled.jit:make_ready"
-# in the groups of ``--help``
+# subcommands in the groups of ``--help``
 GROUPS = {
     "Fly": {
         "sitl": Verb("flight:sitl", "Fly a scenario in software, with everything it needs."),
@@ -95,7 +95,7 @@ GROUPS = {
         "key": Verb("prepare:key", "Make a MAVLink signing key."),
     },
 }
-# verbs whose exit status is that of the flight, even if their output is lost
+# subcommands whose exit status is that of the flight, even if their output is lost
 FLIES = (
     "sitl",
     "fly",
@@ -119,7 +119,7 @@ def _command(verb: Verb) -> click.Command:
 
 
 def _hidden(error: BaseException) -> str | None:
-    """Sentence for an import that failed because another project's package hides this one's; else None."""
+    """Return a sentence if an import failed because another project's package hides this one's; else None."""
     name = (getattr(error, "name", None) or "").partition(".")[0]
     if not isinstance(error, ImportError) or name not in ("bridge", "logs", "sim"):
         return None
@@ -135,9 +135,9 @@ def _hidden(error: BaseException) -> str | None:
 
 
 def load(name: str) -> click.Command:
-    """Load a verb with all that it needs; return the command that runs it.
+    """Load a subcommand with all its dependencies; return the command that runs it.
 
-    Raises ImportError: something is not installed.
+    Raises ImportError: a dependency is not installed.
     """
     _command(VERBS[name])
     for need in VERBS[name].needs:
@@ -149,13 +149,13 @@ def load(name: str) -> click.Command:
 
 
 class Verbs(click.Group):
-    """Loads a verb when it is called, and turns wrong input into one clear line and exit status 2."""
+    """Group of subcommands: loads one when it is called, and reports wrong input in one line, status 2."""
 
-    verb = ""  # name of the called verb
+    verb = ""  # name of the called subcommand
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         """Run the command: a closed reader of its output does not end it, and no early signal is lost."""
-        if streams.guard():  # not in a test's process
+        if streams.guard():  # False in the process of a test
             hangup.start()
         try:
             return super().main(*args, **kwargs)
@@ -167,12 +167,12 @@ class Verbs(click.Group):
             raise SystemExit(ended.code or (0 if self.verb in FLIES else WRONG_INPUT)) from None
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Names of all verbs, in the order of their groups."""
+        """Return the names of all subcommands, in the order of their groups."""
         del ctx
         return list(VERBS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """The verb of this name, None if there is none."""
+        """Return the subcommand of this name; None if there is none."""
         del ctx
         if cmd_name not in VERBS:
             return None
@@ -180,20 +180,20 @@ class Verbs(click.Group):
         return _command(VERBS[cmd_name])
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the verbs in their groups."""
+        """Write the subcommands in their groups."""
         del ctx
         for title, verbs in GROUPS.items():
             with formatter.section(title):
                 formatter.write_dl([(name, verb.help) for name, verb in verbs.items()])
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the verb."""
+        """Run the subcommand."""
         try:
             return super().invoke(ctx)
         except click.exceptions.Exit:
             raise
         except (hangup.CalledOffError, Exception) as error:
-            called_off = hangup.called_off()  # a library that was being loaded turns it into its own error
+            called_off = hangup.called_off()  # a library that is loading converts the signal to its own error
             hidden = _hidden(error)
             known = isinstance(error, (ConfigError, ValueError, OSError, LaunchError))
             if called_off is None and hidden is None and not known:
@@ -206,7 +206,7 @@ class Verbs(click.Group):
 @click.group(cls=Verbs, context_settings=CONTEXT)
 @click.version_option(package_name="crazyflie-flightstack", message="flightstack %(version)s")
 def main() -> None:
-    """Land a Crazyflie safely on a moving target, over MAVLink and Zenoh, and record everything."""
+    """Land a Crazyflie safely on a moving target, over MAVLink and Zenoh, and record all data."""
 
 
 if __name__ == "__main__":

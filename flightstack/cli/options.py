@@ -1,4 +1,4 @@
-"""Turns the options of a dataclass (``flightstack.common.options``) into those of a click command."""
+"""Conversion of a dataclass's options (``flightstack.common.options``) to those of a click command."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ T = TypeVar("T")
 
 
 class Number(click.FloatRange):
-    """A finite number, in a range or in none: comparisons alone let NaN pass."""
+    """A finite number in an optional range; without this check, NaN would pass the comparisons."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Read it."""
+        """Convert a text to the number."""
         found: float = super().convert(value, param, ctx)
         if not math.isfinite(found):
             self.fail(f"found {value}, a finite number is needed", param, ctx)
@@ -30,7 +30,7 @@ class Number(click.FloatRange):
 
 
 def takes(cls: type[T]) -> Callable[[Callable[[T], None]], Callable[..., None]]:
-    """Give a verb its options, required ones first, and arguments as one object of the dataclass ``cls``."""
+    """Give a command its options (required ones first) and arguments as one object of the class ``cls``."""
     parameters = sorted(declared(cls), key=lambda each: each.default is not MISSING)
 
     def decorate(verb: Callable[[T], None]) -> Callable[..., None]:
@@ -98,18 +98,18 @@ def _callback(read: Callable[[Any], Any]) -> Callable[..., Any]:
 
 
 def without(error: ModuleNotFoundError, text: str, *packages: str) -> Exception:
-    """Return the error to raise when one of these packages is missing; another error is unchanged."""
+    """Return the error to raise if one of these packages is missing; any other error is unchanged."""
     package = (error.name or "").partition(".")[0]
     return ValueError(text.format(package)) if package in packages else error
 
 
 def without_recordings(error: ModuleNotFoundError, what: str) -> Exception:
-    """Return what to raise when the command ``what`` cannot read or simulate recorded flights."""
+    """Return the error to raise if the command ``what`` cannot read or simulate recorded flights."""
     text = f"`{what}` needs {{}}: pip install 'crazyflie-flightstack[sim,export]'"
     return without(error, text, "pyarrow", "mujoco", "numba")
 
 
 def without_rerun(error: ModuleNotFoundError, what: str) -> Exception:
-    """Return what to raise when the command or option ``what`` cannot import a viewer."""
+    """Return the error to raise if the command or option ``what`` cannot import a viewer."""
     text = f"`{what}` needs Rerun: pip install 'crazyflie-flightstack[view]', or `make view` in a checkout; "
     return without(error, text + "or open the log itself in another viewer (docs/how_to/viewing.md)", "rerun")

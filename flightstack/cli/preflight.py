@@ -1,4 +1,4 @@
-"""The verb ``preflight``: checks the vehicle's parameters for a flight. It never changes one."""
+"""Command ``preflight``: checks the vehicle's parameters for a flight, and never changes one."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _STYLE = {
     Level.ACCEPTED: "magenta",
 }  # fmt: skip
 _COMPONENT_ID = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
-_PAPER = FlightConfig(barrier=BarrierShape(alpha_1_m=1.0, beta_m=1.5))  # its command box, without a file
+_PAPER = FlightConfig(barrier=BarrierShape(alpha_1_m=1.0, beta_m=1.5))  # velocity limits without a file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +62,7 @@ class PreflightOptions(shared.Signing):
 def preflight(options: PreflightOptions) -> None:
     """Read the vehicle's safety parameters and print what is unsafe, why, and what to set.
 
-    Nothing is changed on the vehicle, but for its signing key where one of two options asks for that. Exit
+    Nothing is changed on the vehicle except its signing key, if one of the two options requests that. Exit
     status: 0 it may arm, 1 it must not arm, 2 wrong input.
     """
     config = load(options.config_file) if options.config_file is not None else _PAPER
@@ -87,9 +87,9 @@ def preflight(options: PreflightOptions) -> None:
 
 
 def _set_up_signing(options: PreflightOptions) -> None:
-    """Give the vehicle its key, or take it away and end.
+    """Set the vehicle's signing key, or remove it and exit.
 
-    Raises click.UsageError: without a key, or both at once.
+    Raises click.UsageError: no key is given, or both options are given.
     """
     remove = options.remove_signing
     if options.signing_key is None or options.provision_signing == remove:
@@ -111,7 +111,7 @@ def _set_up_signing(options: PreflightOptions) -> None:
 
 
 def to_json(report: Report) -> dict[str, Any]:
-    """The one object that ``--json`` prints."""
+    """Return the object that ``--json`` prints."""
     return {
         "safe": report.safe,
         "autopilot": report.profile.name if report.profile is not None else None,

@@ -1,4 +1,4 @@
-"""The verbs that prepare a machine: configurations, signing keys, a Zenoh router."""
+"""Commands that prepare a machine: configurations, signing keys, a Zenoh router."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from flightstack.config import options as shared
 @click.command()
 @click.argument("name", required=False)
 def config(name: str | None) -> None:
-    """List the configurations of the onboard process that come with the package, or print the one NAMEd."""
+    """List the packaged configurations of the onboard process, or print the one with the given NAME."""
     from flightstack.config import files as known
 
     if name is not None:
@@ -29,14 +29,14 @@ def config(name: str | None) -> None:
 
 
 def _first_line(text: str) -> str:
-    """Return the first comment of a configuration, which says what it is for."""
+    """Return the first comment of a configuration, which gives its purpose."""
     return text.partition("\n")[0].removeprefix("#").strip()
 
 
 @click.command()
 @click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
 def key(file: Path) -> None:
-    """Write a new MAVLink signing key to FILE, readable by its owner only (docs/how_to/security.md)."""
+    """Write a new MAVLink signing key to FILE, readable only by its owner (docs/how_to/security.md)."""
     from bridge.mavlink.signing import make_key
 
     make_key(file)
@@ -60,13 +60,13 @@ class RouterOptions:
 def router(options: RouterOptions) -> None:
     """Run a Zenoh router, to which robot, companion, watchers and ROS 2 nodes connect.
 
-    It replaces zenohd or rmw_zenohd where neither is installed. Ctrl-C or SIGTERM ends it.
+    The router replaces zenohd or rmw_zenohd if neither is installed. Ctrl-C or SIGTERM ends it.
     """
     from bridge.zenoh import zenoh_link
 
     config_file = options.zenoh_config
     ends = {signal.SIGINT, signal.SIGTERM}
-    signal.pthread_sigmask(signal.SIG_BLOCK, ends)  # for Zenoh's threads too, or it would end there
+    signal.pthread_sigmask(signal.SIG_BLOCK, ends)  # for Zenoh's threads, too: a signal would end them
     role = zenoh_link.Role.ROUTER
     try:
         if config_file is not None and zenoh_link.dialled(config_file=config_file, role=role)[0] is not role:

@@ -1,4 +1,4 @@
-"""The verb ``replay``: compares today's decisions with a log, or tries other settings."""
+"""Command ``replay``: compares the decisions of today's controller with a log, or tries other settings."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from logs.tools.compare import Tally
 
 EQUAL, DIFFERENT, UNUSABLE = 0, 1, 2
-_STATUS = {"unusable": UNUSABLE, "different": DIFFERENT, "equal": EQUAL}  # the worst first
+_STATUS = {"unusable": UNUSABLE, "different": DIFFERENT, "equal": EQUAL}  # ordered from worst to best
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,9 +47,9 @@ class ReplayOptions:
 def replay(options: ReplayOptions) -> None:
     """Run the inputs of a LOG through today's controller and compare every decision with the recorded one.
 
-    Of a fleet each member is compared alone, or the one of --member.
+    For a fleet, each member is compared alone, or only the one of --member.
 
-    Exit status: 0 equal (or shown, with --set alone), 1 different, 2 the log proves nothing.
+    Exit status: 0 equal (or shown, with --set alone), 1 different, 2 the log is not usable.
     """
     from logs.replay.replay import ReplayError
 
@@ -78,7 +78,7 @@ def replay(options: ReplayOptions) -> None:
 
 
 def _members(log: Path) -> tuple[str, ...]:
-    """Members of a fleet; () for one flight, and for a log that cannot be read."""
+    """Return the members of a fleet; () for one flight, and for a log that cannot be read."""
     from logs.reader.reader import LogError, LogFile
 
     try:
@@ -88,7 +88,7 @@ def _members(log: Path) -> tuple[str, ...]:
 
 
 def _one(options: ReplayOptions, member: str | None) -> tuple[dict[str, Any], list[str]]:
-    """Replay one flight; the object of ``--json`` and the lines for a person."""
+    """Replay one flight; return the object of ``--json`` and the lines for the operator."""
     from flightstack.verify.certificate import problems
     from logs.replay.read import changed
     from logs.replay.replay import FlightInputs, ReplayError

@@ -1,4 +1,4 @@
-"""The verbs of the simulator: ``world``, ``vehicle``, ``target``, ``px4-sim`` and ``scenarios``."""
+"""Commands of the simulator: ``world``, ``vehicle``, ``target``, ``px4-sim`` and ``scenarios``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from sim.options import Px4SimOptions, TargetOptions, VehicleOptions, WorldOptio
 def world(options: WorldOptions) -> None:
     """Run the simulated vehicles and ground robots of a scenario, as `sitl` does.
 
-    A vehicle is reached over MAVLink; a robot drives the scenario's path and publishes its odometry on Zenoh.
+    A client controls a vehicle over MAVLink; a robot drives the scenario's path and sends odometry on Zenoh.
     """
     _run_world(options)
 
@@ -30,7 +30,7 @@ def world(options: WorldOptions) -> None:
 def vehicle(options: VehicleOptions) -> None:
     """Run the simulated Crazyflie as a MAVLink vehicle; its deck follows the target's true pose on Zenoh.
 
-    With a scenario of several vehicles it runs all of them, each with a port and a namespace of its own, or
+    With a scenario of several vehicles the command runs all of them, each with its own port and namespace, or
     with --member one of them.
     """
     _run_world(options)
@@ -54,11 +54,11 @@ def _run_world(options: VehicleOptions) -> None:
 def target(options: TargetOptions) -> None:
     """Run the simulated ground robot: it drives the scenario's path and publishes its odometry on Zenoh.
 
-    With a scenario of several vehicles it runs the robots of all.
+    With a scenario of several vehicles the command runs the robots of all.
     """
     from flightstack.compiled.jit import OFF
 
-    # The robot needs only a hundred short steps a second: loading numba would take longer than it saves.
+    # The robot computes only a hundred short steps a second: loading numba would take longer than it saves.
     if "numba" not in sys.modules:
         os.environ.setdefault(OFF, "1")
     from sim.runners import target_process
@@ -72,8 +72,8 @@ def target(options: TargetOptions) -> None:
 def px4_sim(options: Px4SimOptions) -> None:
     """Simulate body, rotors, wind and moving deck for PX4, which runs as the autopilot (SITL).
 
-    PX4 connects over TCP, and both run in lockstep. Exit status: 0 normal end, 1 PX4 stopped answering,
-    2 wrong input.
+    PX4 connects over TCP, and both run in lockstep. Exit status: 0 normal end, 1 PX4 no longer replies, 2
+    wrong input.
     """
     from logs.schema.names import member_name
     from sim.plant import params
@@ -117,9 +117,9 @@ def new(what: str, name: str, base: str) -> None:
 @click.command()
 @click.argument("name", required=False)
 def scenarios(name: str | None) -> None:
-    """List the scenarios that come with the simulator, or print the one NAMEd.
+    """List the scenarios of the simulator, or print the one with the given NAME.
 
-    Those of several vehicles are listed last.
+    Scenarios of several vehicles are listed last.
     """
     from sim.scenarios import scenario, team
 

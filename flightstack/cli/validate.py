@@ -1,4 +1,4 @@
-"""The verb ``validate``: compares the simulator with recorded flights of a real vehicle."""
+"""Command ``validate``: comparison of the simulator with recorded flights of a real vehicle."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ PAGE, SUMMARY = "validate.html", "validate.json"
 def validate(options: ValidateOptions) -> None:
     """Compare the simulator with the recorded flights in DIR (Parquet, CSV): plant, closed loop, own state.
 
-    Flights and parts of them that cannot be used are told with the reason (docs/how_to/validate.md).
+    Flights that cannot be used, or only in part, are listed with the reason (docs/how_to/validate.md).
 
-    Exit status: 0 all criteria are met, 1 one is missed or no flight is left, 2 wrong input.
+    Exit status: 0 all criteria are met, 1 a criterion is missed or no flight is usable, 2 wrong input.
     """
     from flightstack.onboard.recording import new_folder
 
@@ -73,7 +73,7 @@ def validate(options: ValidateOptions) -> None:
 
 
 def _page(path: Path, found: dict[str, Any]) -> Path | None:
-    """Write the page; the numbers count without it, too."""
+    """Write the page; the numbers are valid without it, too."""
     from logs.report.page import ReportError, write
     from sim.validation.page import validation_page
 
@@ -86,7 +86,7 @@ def _page(path: Path, found: dict[str, Any]) -> Path | None:
 
 
 def _print(console: Terminal, found: dict[str, Any]) -> None:
-    """Print the table of criteria, and the causes."""
+    """Print the table of criteria and the causes."""
     title = (
         f"{found['used']} of {found['flights']} flights, {found['used_s']:.0f} s, beside {found['vehicle']}"
     )

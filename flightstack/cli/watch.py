@@ -1,4 +1,4 @@
-"""The verb ``watch``: shows a flight of this or another machine, in the terminal, in 3-D or as JSON."""
+"""Command ``watch``: shows a flight on this or another machine in the terminal, in 3-D or as JSON."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ if TYPE_CHECKING:
     from flightstack.watch.state import Watch
 
 FRESH, NOTHING = 0, 1
-LOOK_S = 0.05  # between two looks of --once
-DRAW_S = 0.1  # between two pieces of the view in 3-D
-PRINT_S = 0.5  # between two lines of JSON
-NICER = 10  # niceness of a view in 3-D: the flight's processes go first
+LOOK_S = 0.05  # time between two polls of --once, s
+DRAW_S = 0.1  # time between two updates of the 3-D view, s
+PRINT_S = 0.5  # time between two lines of JSON, s
+NICER = 10  # niceness of a 3-D view: the flight's processes have priority
 
 
 @click.command()
 @takes(WatchOptions)
 def watch(options: WatchOptions) -> None:
-    """Show a flight while it flies: phase, h, set-points, ages, battery, loop timing. Ctrl-C ends it.
+    """Show a running flight: phase, h, set-points, ages, battery, loop timing. Ctrl-C ends it.
 
-    It only listens. Exit status: 0 normal end, 1 no fresh data with --once, 2 wrong input.
+    It only subscribes. Exit status: 0 normal end, 1 no recent data with --once, 2 wrong input.
     """
     from bridge.zenoh import zenoh_link
     from flightstack.watch.state import Watch
@@ -96,10 +96,10 @@ def _live(flight: Watch, namespace: str, endpoint: str, stop: Stop) -> None:
 
 
 def _view(options: WatchOptions, where: str) -> Callable[[Watch, Stop], None]:
-    """Open the view in 3-D, and return the function that draws in it until the user ends it.
+    """Open the 3-D view, and return the function that draws in it until the user ends it.
 
-    Raises ConfigError: the configuration is wrong; ValueError: Rerun is not installed, or the file to write
-    is not allowed.
+    Raises ConfigError: the configuration is wrong; ValueError: Rerun is not installed, or the output file is
+    not allowed.
     """
     from flightstack.config.files import load
     from logs.reader.flight_data import shape
@@ -116,7 +116,7 @@ def _view(options: WatchOptions, where: str) -> Callable[[Watch, Stop], None]:
             "flightstack: without --config there is no barrier, and the pad is drawn in a Crazyflie's size",
             err=True,
         )
-    os.nice(NICER)  # the viewer that Rerun starts inherits it
+    os.nice(NICER)  # the viewer that Rerun starts inherits this niceness
     recording = LiveRecording(where, run, options.namespace)
     click.echo(f"ready {recording.address}")
 

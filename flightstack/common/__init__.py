@@ -1,1 +1,1 @@
-"""Used by all packages: signals, child processes, pacing, strict TOML, the clock of a simulation."""
+"""Modules for all packages: signals, child processes, pacing, strict TOML, the clock of a simulation."""

@@ -1,4 +1,4 @@
-"""Child processes by fork, which share the loaded modules of their parent."""
+"""Child processes by fork, which share the modules that their parent has loaded."""
 
 from __future__ import annotations
 
@@ -20,83 +20,83 @@ from typing import IO
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _PR_SET_NAME = 15
-_NAME_BYTES = 15  # length of a thread's name
-_LAST_STREAM = 2  # standard error
+_NAME_BYTES = 15  # largest number of bytes of a thread's name
+_LAST_STREAM = 2  # number of standard error
 
 
 def may_fork() -> bool:
-    """Whether a fork is safe: on Linux, without other threads, whose locks the child could not release."""
+    """Whether a fork is safe: on Linux, without other threads, whose locks a child could not release."""
     if sys.platform != "linux" or threading.current_thread() is not threading.main_thread():
         return False
     return len(list(Path("/proc/self/task").iterdir())) == 1
 
 
 def end_with(parent: int, name: str) -> None:
-    """Name this process (15 bytes, ``ps -e``); the kernel ends it when its parent ``parent`` is killed."""
+    """Name this process (15 bytes, ``ps -e``); the kernel ends it if the process ``parent`` is killed."""
     if sys.platform != "linux":
         return
     kernel = ctypes.CDLL(None)
     kernel.prctl(_PR_SET_NAME, name.encode()[:_NAME_BYTES])
     kernel.prctl(PR_SET_PDEATHSIG, int(signal.SIGTERM))
-    if os.getppid() != parent:  # the parent was killed before
+    if os.getppid() != parent:  # the parent was killed before this call
         os._exit(1)
 
 
 def hand_on_niceness(pid: int) -> None:
-    """Apply the niceness of this process to the session of a child, or to its own.
+    """Apply the niceness of this process to the session of a child, or to its own session.
 
     Linux schedules sessions before processes (sched(7), autogroup), and a new session has niceness 0: without
     this, ``nice`` would have no effect on other programs.
     """
     steps = os.getpriority(os.PRIO_PROCESS, 0)
     if steps > 0:
-        with contextlib.suppress(OSError):  # no autogroups; or not root, and a second change within 0.1 s
+        with contextlib.suppress(OSError):  # no autogroups; or no root, and a second change within 0.1 s
             Path(f"/proc/{pid}/autogroup").write_text(str(steps))
 
 
 class Forked(ForkProcess):
-    """A forked process with the methods of ``subprocess.Popen`` that are used here.
+    """Forked process with those methods of ``subprocess.Popen`` that this package uses.
 
-    It has a session, signal handlers, standard streams and files of its own.
+    The process has its own session, signal handlers, standard streams and files.
 
-    ``name``: shown by the system; ``run``: its function, which ends as a Python program does, with SystemExit
-    or an exception; ``errors``: file of its standard error.
+    ``name``: name that the system shows; ``run``: function of the process, which ends like a Python program,
+    with SystemExit or an exception; ``errors``: file for its standard error.
     """
 
     def __init__(self, name: str, run: Callable[[], object], errors: IO[bytes]) -> None:
         super().__init__(target=run, name=name)
         output, self._output = os.pipe()
         self._errors = errors.fileno()
-        # blocked until the child has its own handlers
+        # signals are blocked until the child has its own handlers
         self._blocked = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
         try:
             self.start()
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, self._blocked)
         os.close(self._output)
-        # its owner ends it in bounded time; at exit multiprocessing would wait without a limit
+        # the owner ends it in bounded time; multiprocessing would wait at exit without a limit
         process._children.discard(self)  # type: ignore[attr-defined]
-        self.stdout: IO[bytes] | None = os.fdopen(output, "rb")  # its standard output
+        self.stdout: IO[bytes] | None = os.fdopen(output, "rb")  # standard output of the child
 
     def run(self) -> None:
-        """The child's part."""
+        """Run the function in the child."""
         end_with(self._parent_pid, self.name)  # type: ignore[attr-defined]
         leave_parent(self._output, self._errors)
         signal.pthread_sigmask(signal.SIG_SETMASK, self._blocked)
-        gc.freeze()  # memory shared with the parent is not scanned, and so not copied
+        gc.freeze()  # shared memory is then not scanned, and so not copied
         super().run()
 
     @property
     def returncode(self) -> int | None:
-        """Exit status; negative: the signal that ended it; None: it runs."""
+        """Exit status; negative: number of the signal that ended the process; None: it still runs."""
         return self.exitcode
 
     def poll(self) -> int | None:
         return self.exitcode
 
     def wait(self, timeout: float | None = None) -> int:
-        """Wait for its exit status. Raises subprocess.TimeoutExpired: after ``timeout`` seconds."""
-        if self.exitcode is None and self.pid is not None:  # no ``join``: it has closed that one's pipe
+        """Wait for the exit status. Raises subprocess.TimeoutExpired: after ``timeout`` seconds."""
+        if self.exitcode is None and self.pid is not None:  # not ``join``, whose pipe is closed
             end = os.pidfd_open(self.pid)
             select.select((end,), (), (), timeout)
             os.close(end)
@@ -110,7 +110,7 @@ class Forked(ForkProcess):
 
 
 def leave_parent(output: int, errors: int) -> None:
-    """Separate a child from its parent after fork: session, signal handlers, standard streams, files.
+    """Separate a child from its parent after a fork: session, signal handlers, standard streams, files.
 
     ``output``, ``errors``: file numbers that become standard output and error.
     """
@@ -121,7 +121,7 @@ def leave_parent(output: int, errors: int) -> None:
 
 
 def forget_handlers() -> None:
-    """Signal handling of a new Python process; signals ignored by the parent remain ignored."""
+    """Set the signal handling of a new Python process; signals that the parent ignores remain ignored."""
     signal.set_wakeup_fd(-1)
     for number in signal.valid_signals():
         if callable(signal.getsignal(number)):
@@ -131,14 +131,14 @@ def forget_handlers() -> None:
 
 
 def _own_streams(output: int, errors: int) -> None:
-    """Give the child no input, these two outputs, and no other file of the parent."""
+    """Give the child no input, these two outputs, and no other file of its parent."""
     nothing = os.open(os.devnull, os.O_RDONLY)
-    # their numbers may be those of standard streams if the parent had none
+    # these numbers may be those of standard streams if the parent had none
     for place, number in enumerate([_above(each) for each in (nothing, output, errors)]):
         os.dup2(number, place)
     for number in [int(each.name) for each in Path("/proc/self/fd").iterdir()]:
         if number > _LAST_STREAM:
-            with contextlib.suppress(OSError):  # the descriptor of the listing itself
+            with contextlib.suppress(OSError):  # the descriptor of the listing is already closed
                 os.close(number)
     sys.stdin = os.fdopen(0, closefd=False)
     sys.stdout = os.fdopen(1, "w", closefd=False)
@@ -146,5 +146,5 @@ def _own_streams(output: int, errors: int) -> None:
 
 
 def _above(number: int) -> int:
-    """Duplicate a descriptor to a number above those of the streams."""
+    """Duplicate a descriptor to a number above those of the standard streams."""
     return fcntl.fcntl(number, fcntl.F_DUPFD, _LAST_STREAM + 1)

@@ -1,4 +1,4 @@
-"""Signals that end a process: during its start, and after the loss of its terminal in flight."""
+"""Handling of signals that end a process: during its start, and after its terminal is lost in flight."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ ASK = (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT)
 
 
 class CalledOffError(KeyboardInterrupt):
-    """A signal during the start, before the process has its own handlers."""
+    """A signal arrived during the start, before the process has its own handlers."""
 
 
-_COMPILER = "llvmlite"  # in the paths of files whose callbacks drop exceptions
+_COMPILER = "llvmlite"  # part of the paths of files whose callbacks drop exceptions
 _AGAIN_S = 0.01
 _came: list[CalledOffError] = []
 
 
 def start() -> None:
-    """Until the process has its own handlers, a signal raises ``CalledOffError``. Main thread only.
+    """Let a signal raise ``CalledOffError`` until the process has its own handlers. Main thread only.
 
-    A signal is also stored for ``begun``, since some callbacks drop exceptions.
+    A signal is also stored for ``begun``, because some callbacks drop exceptions.
     """
     _came.clear()
     for number in ASK:
@@ -34,18 +34,18 @@ def start() -> None:
 
 
 def called_off() -> CalledOffError | None:
-    """The newest signal during the start, even if its exception was dropped."""
+    """Return the newest signal during the start, even if its exception was dropped."""
     return _came[-1] if _came else None
 
 
 def begun() -> None:
-    """Called when the process has its own handlers. Raises CalledOffError: an earlier one was dropped."""
+    """Report that the process has its own handlers. Raises CalledOffError: an earlier one was dropped."""
     if _came:
         raise _came[-1]
 
 
 def _call_off(number: int, frame: FrameType | None) -> None:
-    """Raise; where the exception would be dropped, try again a little later."""
+    """Raise the exception; if it would be dropped here, try again a little later."""
     if number != signal.SIGALRM:
         _came.append(CalledOffError(f"ended by {signal.Signals(number).name}"))
     while frame is not None:
@@ -58,12 +58,12 @@ def _call_off(number: int, frame: FrameType | None) -> None:
 
 
 class Stop:
-    """First SIGTERM, SIGINT or SIGHUP: an orderly end. A second SIGTERM or SIGINT: an end at once."""
+    """Request to end: a first SIGTERM, SIGINT or SIGHUP ends in order, a second SIGTERM or SIGINT at once."""
 
     __slots__ = ("count",)
 
     def __init__(self) -> None:
-        self.count = 0  # number of signals
+        self.count = 0  # number of received signals
 
     @property
     def is_set(self) -> bool:
@@ -75,7 +75,7 @@ class Stop:
         self.count = max(self.count, 1)
 
     def install(self) -> Stop:
-        """Install the handlers after the slow part of a start; main thread only. Raises as ``begun``."""
+        """Install the handlers after the slow part of a start; main thread only. Raises as ``begun`` does."""
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._set)
         signal.signal(signal.SIGQUIT, signal.SIG_DFL)
@@ -98,6 +98,6 @@ def say(text: str) -> None:
 
 def on_hangup(handler: Callable[[int, FrameType | None], None]) -> None:
     """Call ``handler`` on SIGHUP, unless SIGHUP is ignored (``nohup``). Main thread only."""
-    number = getattr(signal, "SIGHUP", None)  # not on all systems
+    number = getattr(signal, "SIGHUP", None)  # some systems have no SIGHUP
     if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
         signal.signal(number, handler)

@@ -1,7 +1,7 @@
-"""Options: the dataclass that configures a process is its command line.
+"""Command-line options: the dataclass that configures a process declares its command line.
 
-An option is a field annotated with an ``Option`` or ``Argument``; type and default are the field's own:
-``rate_hz: Annotated[int, Option("--rate", "Ticks a second.", span=(10, 500))] = 100``. The command reads the
+An option is a field annotated with an ``Option`` or ``Argument``; the field has its type and default:
+``rate_hz: Annotated[int, Option("--rate", "Ticks a second.", span=(10, 500))] = 100``. A command reads the
 dataclass from a command line (``flightstack.cli.options``), and ``argv`` writes one for a child process.
 """
 
@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 
 class BadOptionError(ValueError):
-    """A value that an option does not take: what was found, and what is needed."""
+    """An option does not accept a value; the text gives the value found and what is needed."""
 
 
 @dataclass(frozen=True)
@@ -24,36 +24,36 @@ class Argument:
     """A positional argument."""
 
     metavar: str | None = None
-    path: str = "any"  # what a path may be: any, file or folder
+    path: str = "any"  # allowed kind of path: any, file or folder
     exists: bool = False  # whether the path has to exist
 
 
 @dataclass(frozen=True)
 class Option:
-    """A named option: ``bool`` is a flag, ``tuple[T, ...]`` and ``Mapping`` are given once for each value."""
+    """A named option: ``bool`` is a flag; ``tuple[T, ...]`` and ``Mapping`` may be given repeatedly."""
 
-    name: str  # --name; --name/--no-name of a flag that is on by default
+    name: str  # --name, or --name/--no-name for a flag that is on by default
     help: str
     metavar: str | None = None
-    span: tuple[float | None, float | None] = (None, None)  # smallest and largest number allowed
-    choices: tuple[str, ...] = ()  # texts allowed; none: any
-    path: str = "any"  # what a path may be: any, file or folder
+    span: tuple[float | None, float | None] = (None, None)  # smallest and largest allowed number
+    choices: tuple[str, ...] = ()  # allowed texts; empty: any text
+    path: str = "any"  # allowed kind of path: any, file or folder
     exists: bool = False  # whether the path has to exist
-    read: Callable[[Any], Any] | None = None  # makes the value of the text, or of all texts of a Mapping
-    also: tuple[str, ...] = ()  # further names
-    bare: str | None = None  # value where the name stands alone
-    variable: str | None = None  # environment variable that is read where the option is not given
+    read: Callable[[Any], Any] | None = None  # function from the text, or all texts of a Mapping, to a value
+    also: tuple[str, ...] = ()  # further names of the option
+    bare: str | None = None  # value if the name is given without a value
+    variable: str | None = None  # environment variable that is read if the option is not given
 
 
 class Declared(NamedTuple):
     """An option or argument of a dataclass."""
 
-    name: str  # of the field
+    name: str  # name of the field
     option: Option | Argument
-    type: type  # of one value
-    many: bool  # whether it may be given several times
-    number: int  # of values in each of them
-    default: Any  # MISSING: it has to be given
+    type: type  # type of one value
+    many: bool  # whether the option may be given several times
+    number: int  # number of values each time
+    default: Any  # default; MISSING: the option is required
 
 
 def declared(cls: type) -> tuple[Declared, ...]:
@@ -74,20 +74,20 @@ def declared(cls: type) -> tuple[Declared, ...]:
                 many, number = False, len(parts)
             hint = parts[0]
         elif many:
-            hint = str  # of a Mapping: KEY=VALUE
+            hint = str  # KEY=VALUE of a Mapping
         default = field.default if field.default_factory is MISSING else field.default_factory()
         found.append(Declared(field.name, option, hint, many, number, default))
     return tuple(found)
 
 
 def shared(source: object, cls: type[T], **others: Any) -> T:
-    """Make a ``cls`` of the fields that ``source`` has as well, and of ``others``."""
+    """Return a ``cls`` from the fields that ``source`` also has, and from ``others``."""
     both = {f.name: getattr(source, f.name) for f in fields(cls) if hasattr(source, f.name)}  # type: ignore[arg-type]
     return cls(**{**both, **others})
 
 
 def argv(options: Any) -> list[str]:
-    """Return the command line that gives a process these options; what has its default value is left out."""
+    """Return the command line for a process with these options; default values are left out."""
     words: list[str] = []
     for name, option, _, many, number, default in declared(type(options)):
         value = getattr(options, name)

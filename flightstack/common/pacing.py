@@ -1,8 +1,8 @@
-"""Times of the ticks: absolute deadlines in real time, the simulator's messages in lockstep.
+"""Times of the ticks: absolute deadlines in real time, messages of the simulator in lockstep.
 
 Stack time is seconds since the start of the process (monotonic clock) or simulated time. ``unix_ns`` converts
-it to the time of the log. In lockstep this is simulated time after a fixed date, so that equal seeds give
-equal logs. Priority, memory and garbage collection, which prevent late ticks, are at the end.
+it to the time in the log. In lockstep this is simulated time after a fixed date, so that equal seeds give
+equal logs. Functions for priority, memory and garbage collection, which prevent late ticks, are at the end.
 """
 
 from __future__ import annotations
@@ -20,61 +20,61 @@ from typing import NamedTuple
 
 from flightstack.common.streams import never_wait
 
-EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01T00:00:00Z, time zero of simulated clocks
-PAIR = struct.Struct("<qq")  # lockstep messages on Zenoh: (tick, number), see docs/how_it_works/lockstep.md
-RUN_AHEAD_TICKS = 20  # greatest lead of the target before the onboard process's credit
-NO_GO = -1  # credit: the target may not drive yet
-# s of wall time in lockstep without a message, after which a running process counts as dead: on a busy
-# computer it may wait for the processor for many seconds
+EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01T00:00:00Z, zero of simulated clocks
+PAIR = struct.Struct("<qq")  # lockstep message on Zenoh: (tick, number), docs/how_it_works/lockstep.md
+RUN_AHEAD_TICKS = 20  # largest lead of the target before the onboard process sends a credit
+NO_GO = -1  # value of a credit with which the target may not drive yet
+# Wall time in lockstep without a message after which a process counts as dead, s: on a busy computer a
+# running process may wait for the processor for many seconds.
 TARGET_SILENT_S = 60.0
-COMPANION_SILENT_S = 20.0  # for the onboard process: UDP does not show whether it still runs
-TARGET_LOOK_S = 0.5  # s without a message after which its connection is checked
-_LOOK_MAX_S = 0.1  # s
-# priority under SCHED_FIFO, 1 to 99: above all ordinary processes, below the kernel's own threads
+COMPANION_SILENT_S = 20.0  # the same for the onboard process, s: UDP does not show whether it runs
+TARGET_LOOK_S = 0.5  # time without a message after which its connection is checked, s
+_LOOK_MAX_S = 0.1  # longest counted time between two calls of ``look``, s
+# priority under SCHED_FIFO, 1 to 99: above all ordinary processes, below the kernel's threads
 PRIORITY = 10
 _DAY_NS = 86_400_000_000_000
-_LOCK_WHAT_IS_USED = 1 | 2 | 4  # MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT of mlockall(2), Linux
+_LOCK_WHAT_IS_USED = 1 | 2 | 4  # MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT of Linux's mlockall(2)
 
 
 @dataclass(frozen=True, slots=True)
 class FastClock:
-    """The wall clock, ``speed`` times as fast, for simulators with that speed.
+    """Wall clock that runs ``speed`` times as fast, for simulators with that speed.
 
-    Processes of a run agree on ``unix_ns``: it counts from the last midnight (UTC), where it was correct.
+    The processes of a run agree on ``unix_ns``, which is correct at the last midnight (UTC).
     """
 
     speed: float = 1.0
 
     def monotonic(self) -> float:
-        """Seconds since some time in the past."""
+        """Return seconds since some time in the past."""
         return time.monotonic() * self.speed
 
     def sleep(self, seconds: float) -> None:
-        """Sleep so many seconds of this clock."""
+        """Sleep for a number of seconds of this clock."""
         time.sleep(seconds / self.speed)
 
     def unix_ns(self) -> int:
-        """Unix time; ahead of the true one unless ``speed`` is 1."""
+        """Return the Unix time; it is ahead of the true time unless ``speed`` is 1."""
         now_ns = time.time_ns()
         ahead = self.speed - 1.0
         return now_ns + round(ahead * (now_ns % _DAY_NS)) if ahead else now_ns
 
 
 class Tick(NamedTuple):
-    """One tick: its time on the stack's clock, and how that was kept."""
+    """One tick: its time on the stack's clock, and the accuracy of that time."""
 
     number: int
     now_s: float
     unix_ns: int
-    period_s: float  # since the start of the last tick, wall time in lockstep; 0 for the first
-    lateness_s: float  # behind the deadline; 0 in lockstep
-    overruns: int = 0  # deadlines missed so far
+    period_s: float  # time since the last tick, wall time in lockstep; 0 for the first tick
+    lateness_s: float  # delay behind the deadline; 0 in lockstep
+    overruns: int = 0  # number of missed deadlines so far
 
 
 class Silence:
     """Time without a message of another process in lockstep, without pauses of the machine.
 
-    Only the time between calls of ``look`` counts, each at most ``_LOOK_MAX_S``.
+    Each time between two calls of ``look`` counts, up to ``_LOOK_MAX_S``.
     """
 
     def __init__(self) -> None:
@@ -82,7 +82,7 @@ class Silence:
         self._silent_s = 0.0
 
     def look(self) -> float:
-        """Seconds without a message; called at least every 0.1 s."""
+        """Return the seconds without a message; call this at least every 0.1 s."""
         now_s = time.monotonic()
         self._silent_s += min(now_s - self._looked_s, _LOOK_MAX_S)
         self._looked_s = now_s
@@ -90,7 +90,7 @@ class Silence:
 
 
 class RealTimePacer:
-    """Absolute deadlines at a fixed rate; a missed one is counted and not repeated."""
+    """Source of absolute deadlines at a fixed rate; a missed deadline is counted and not repeated."""
 
     def __init__(
         self,
@@ -101,20 +101,20 @@ class RealTimePacer:
         unix_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self.period_s = 1.0 / rate_hz
-        self.overruns = 0  # deadlines missed so far
+        self.overruns = 0  # number of missed deadlines so far
         self._monotonic, self._sleep = monotonic, sleep
         self._start_s = monotonic()
         self.unix_start_ns = unix_ns()  # Unix time at zero of the stack clock
-        self._next = 0  # deadline number
+        self._next = 0  # number of the next deadline
         self._ticks = 0
         self._last_s: float | None = None
 
     def now_s(self) -> float:
-        """Read the stack clock."""
+        """Return the time on the stack clock, s."""
         return self._monotonic() - self._start_s
 
     def wait(self) -> Tick:
-        """Sleep until the next deadline."""
+        """Sleep until the next deadline; return its tick."""
         deadline_s = self._start_s + self._next * self.period_s
         while (ahead_s := deadline_s - self._monotonic()) > 0.0:
             self._sleep(ahead_s)
@@ -133,14 +133,14 @@ class RealTimePacer:
 
 
 class LockstepClock:
-    """Ticks by the simulator."""
+    """Ticks at times that the simulator sends."""
 
     def __init__(self, rate_hz: int) -> None:
         self.period_s = 1.0 / rate_hz
         self._last_s: float | None = None
 
     def tick(self, sim_ns: int) -> Tick:
-        """Tick at simulated time ``sim_ns``."""
+        """Return the tick at the simulated time ``sim_ns``."""
         began_s = time.perf_counter()
         period_s = began_s - self._last_s if self._last_s is not None else 0.0
         self._last_s = began_s
@@ -149,10 +149,10 @@ class LockstepClock:
 
 
 def ask_for_priority() -> bool:
-    """Request real-time priority; False where it is not allowed or not available.
+    """Request real-time priority; return False if it is not allowed or not available.
 
     With ordinary scheduling another process keeps its core for some milliseconds (3 to 4 on Linux), which
-    delays ticks. Needs CAP_SYS_NICE or an rtprio limit.
+    delays ticks. The request needs CAP_SYS_NICE or an rtprio limit.
     """
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
@@ -168,10 +168,10 @@ def give_up_priority() -> None:
 
 
 def keep_memory() -> bool:
-    """Lock the memory of this process; False where it is not allowed or not available.
+    """Lock the memory of this process; return False if that is not allowed or not available.
 
     A system with little free memory evicts pages of programs: a tick then waits for the disk (0.8 s
-    measured). Needs root or an unlimited memlock limit; with another limit later allocations could fail.
+    measured). Locking needs root or an unlimited memlock limit; with another limit, allocations could fail.
     """
     try:
         unlimited = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
@@ -182,14 +182,14 @@ def keep_memory() -> bool:
 
 
 def run_promptly() -> None:
-    """Request priority and locked memory, if the system allows them, and do not wait for output."""
+    """Request priority and locked memory, if the system allows them, and never wait for output."""
     never_wait()
     ask_for_priority()
     keep_memory()
 
 
 def quiet_garbage_collector() -> None:
-    """Keep collections out of the loop: existing objects are frozen, and the loop makes no cycles."""
+    """Prevent collections in the loop: existing objects are frozen, and the loop makes no cycles."""
     gc.collect()
     gc.freeze()
     gc.disable()

@@ -1,4 +1,4 @@
-"""Child processes of one run: started, watched, ended in order, each wait bounded."""
+"""Child processes of one run: start, supervision, and end in order; each wait is bounded."""
 
 from __future__ import annotations
 
@@ -20,40 +20,38 @@ from typing import IO, Any, Protocol
 
 from flightstack.common.forked import PR_SET_PDEATHSIG, Forked, end_with, hand_on_niceness, may_fork
 
-# Limits for the start of a child: s of wall time without computing, and s of processor time; a slow computer
-# needs minutes for loading and compiling.
+# Limits for the start of a child, s: wall time without computing, and processor time; a slow computer needs
+# minutes for loading and compiling.
 START_TIME_MAX_S, START_WORK_MAX_S = 120.0, 1800.0
-_WORKING_S = 0.2  # s of processor time by which a process counts as computing
-_STAT_TIMES = slice(
-    11, 13
-)  # of the fields behind the name in /proc/PID/stat (proc(5)): user and system, in ticks
-CLI = "flightstack.cli.main"  # the module of the command
-_WRONG_INPUT = 2  # exit status of every verb
-_PARENT = "FLIGHTSTACK_PARENT"  # environment: parent process id, with which the child exits, and the name
-# A function between fork and exec could wait forever for locks of the parent's threads (Zenoh): so the new
-# process itself calls the kernel before it becomes the program.
+_WORKING_S = 0.2  # processor time above which a process counts as computing, s
+_STAT_TIMES = slice(11, 13)  # fields after the name in /proc/PID/stat (proc(5)): user and system time, ticks
+CLI = "flightstack.cli.main"  # module of the command
+_WRONG_INPUT = 2  # exit status of every command after wrong input
+_PARENT = "FLIGHTSTACK_PARENT"  # environment variable: parent process id and child name
+# A function between fork and exec could wait forever for locks of the parent's threads (Zenoh). The new
+# process therefore calls the kernel itself before it becomes the program.
 _TIE = (
     f"import ctypes, os, sys; ctypes.CDLL(None).prctl({PR_SET_PDEATHSIG}, int(sys.argv[1])); "
     "os.getppid() == int(sys.argv[2]) or sys.exit(1); os.execvp(sys.argv[3], sys.argv[3:])"
 )
-END_TIME_MAX_S = 10.0  # s from SIGTERM to SIGKILL of a child
-CLOSE_TIME_MAX_S = 60.0  # s for the recorder, which may write to a slow disk
+END_TIME_MAX_S = 10.0  # time from SIGTERM to SIGKILL of a child, s
+CLOSE_TIME_MAX_S = 60.0  # time for the recorder to end, which may write to a slow disk, s
 
 
-_SOCKET_PATH_MAX = 107  # bytes of a unix socket's path (unix(7))
+_SOCKET_PATH_MAX = 107  # largest number of bytes in the path of a unix socket (unix(7))
 
 
 class LaunchError(RuntimeError):
-    """A process that did not start, or could not be kept running, with its output."""
+    """A process did not start, or could not be kept running; the text contains its output."""
 
     def __init__(self, text: str, code: int = 1) -> None:
         super().__init__(text)
-        # exit status of the launcher: 2 after wrong input of the child, else 1
+        # exit status of the launcher: 2 after wrong input of the child, otherwise 1
         self.code = 2 if code == _WRONG_INPUT else 1
 
 
 def socket_folder() -> Path:
-    """Make a private folder with a path short enough for sockets, which ``TMPDIR`` may exceed.
+    """Return a new private folder with a path short enough for sockets, which ``TMPDIR`` may exceed.
 
     Raises LaunchError: no folder can be made.
     """
@@ -72,29 +70,29 @@ def socket_folder() -> Path:
 
 
 class Running(Protocol):
-    """A process of a run, for its launcher."""
+    """A running process, as its launcher uses it."""
 
     @property
     def name(self) -> str:
-        """What it is."""
+        """Name of the process."""
 
     def alive(self) -> bool: ...
 
     def errors(self) -> str:
-        """Last lines of its standard error."""
+        """Return the last lines of its standard error."""
 
     def end(self, within_s: float) -> int:
-        """End it by SIGTERM, after some seconds by SIGKILL; returns its exit status."""
+        """End the process by SIGTERM, after ``within_s`` by SIGKILL; return its exit status."""
 
 
 class Child:
     """One process of the run; its standard error is written to a file.
 
-    A verb is forked from this process, which has loaded the modules (``Forked``); where this is not possible,
-    it is started as a program.
+    A command is forked from this process, which has loaded the modules (``Forked``); if a fork is not
+    possible, the command is started as a program.
 
-    ``name``: of the process and its file; ``folder``: of that file; ``program``: words before the arguments;
-    None: ``flightstack``; ``works_in``: its working folder; None: ours.
+    ``name``: name of the process and its file; ``folder``: folder of that file; ``program``: words before the
+    arguments, None for ``flightstack``; ``works_in``: working folder of the process, None for this one's.
     """
 
     def __init__(
@@ -119,7 +117,7 @@ class Child:
         self.pid = self.process.pid
         os.set_blocking(self.process.stdout.fileno(), False)
         self._text = b""
-        self._read: list[str] = []  # lines that arrived with the ``ready`` line
+        self._read: list[str] = []  # lines that arrived together with the ``ready`` line
 
     def _program(
         self,
@@ -131,7 +129,7 @@ class Child:
         if program is None:
             words, told = [sys.executable, "-m", CLI], {_PARENT: f"{os.getpid()} {self.name}"}
         else:
-            words, told = tied(program), {}  # it would inherit the environment
+            words, told = tied(program), {}  # a program would pass an entry on to its children
         process = subprocess.Popen(
             [*words, *arguments],
             cwd=works_in,
@@ -145,8 +143,8 @@ class Child:
         return process
 
     def yield_to_others(self, steps: int) -> None:
-        """Lower its priority, so that it does not delay the flight."""
-        with contextlib.suppress(OSError):  # optional
+        """Lower the priority of the process, so that it does not delay the flight."""
+        with contextlib.suppress(OSError):  # lower priority is optional
             os.setpriority(os.PRIO_PROCESS, self.pid, steps)
 
     def wait_ready(self) -> str:
@@ -163,7 +161,7 @@ class Child:
                     break
                 if (now_s := _processor_s(self.pid)) >= worked_s + _WORKING_S:
                     until, worked_s = time.monotonic() + START_TIME_MAX_S, now_s
-        except BaseException:  # a signal: no other code ends this child yet
+        except BaseException:  # after a signal, no other code ends this child
             self.end()
             raise
         hung, code = self.process.poll() is None, self.end()
@@ -171,7 +169,7 @@ class Child:
         raise LaunchError(f"{self.name} did not start: {why if hung else self.errors()}", code)
 
     def lines(self, timeout_s: float) -> list[str]:
-        """Complete lines of output that arrived within the time."""
+        """Return complete lines of output that arrived within a time."""
         assert self.process.stdout is not None
         read, self._read = self._read, []
         with selectors.DefaultSelector() as selector:
@@ -182,7 +180,7 @@ class Child:
         return read + [line.decode(errors="replace") for line in whole]
 
     def errors(self) -> str:
-        """Last lines of its standard error."""
+        """Return the last lines of its standard error."""
         lines = self.output.read_text(errors="replace").strip().splitlines()[-5:]
         return "\n".join(lines) or "no reason given"
 
@@ -190,7 +188,7 @@ class Child:
         return self.process.poll() is None
 
     def end(self, within_s: float = END_TIME_MAX_S) -> int:
-        """End it by SIGTERM, after some seconds by SIGKILL; returns its exit status."""
+        """End the process by SIGTERM, after ``within_s`` by SIGKILL; return its exit status."""
         code = ended(self.process, within_s)
         if self.process.stdout is not None:
             self.process.stdout.close()
@@ -198,7 +196,7 @@ class Child:
 
 
 def _processor_s(pid: int) -> float:
-    """Processor time of a process; 0 where it is not available."""
+    """Return the processor time of a process, s; 0 if it is not available."""
     try:
         told = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
         return sum(map(int, told[_STAT_TIMES])) / os.sysconf("SC_CLK_TCK")
@@ -207,7 +205,7 @@ def _processor_s(pid: int) -> float:
 
 
 def _loaded(arguments: Sequence[str]) -> Callable[[], object] | None:
-    """Load a verb; None: a dependency is not installed, which the started program explains."""
+    """Load a command; None: a dependency is missing, which the started program then explains."""
     try:
         main = import_module(CLI).load(arguments[0])
     except ImportError:
@@ -216,39 +214,39 @@ def _loaded(arguments: Sequence[str]) -> Callable[[], object] | None:
 
 
 def ended(process: subprocess.Popen[Any] | Forked, within_s: float = END_TIME_MAX_S) -> int:
-    """End a process by SIGTERM, after some seconds by SIGKILL; returns its exit status."""
+    """End a process by SIGTERM, after ``within_s`` by SIGKILL; return its exit status."""
     if process.poll() is None:
         process.terminate()
     for _ in range(2):
         with contextlib.suppress(subprocess.TimeoutExpired):
             return process.wait(within_s)
         process.kill()
-    return -signal.SIGKILL  # blocked in the kernel, for example by a disk without reply
+    return -signal.SIGKILL  # the process is blocked in the kernel, for example by a disk without reply
 
 
 def tied(program: Sequence[str | Path], number: signal.Signals = signal.SIGTERM) -> list[str]:
-    """Words that start a program which gets this signal when our process is killed."""
+    """Return the words that start a program which receives this signal if this process is killed."""
     if sys.platform != "linux":
         return [*map(str, program)]
     return [sys.executable, "-ISc", _TIE, str(int(number)), str(os.getpid()), *map(str, program)]
 
 
 def end_with_parent() -> None:
-    """The kernel ends this process when the one that started it as a ``Child`` is killed."""
+    """Let the kernel end this process if the process that started it as a ``Child`` is killed."""
     parent, _, name = os.environ.pop(_PARENT, "").partition(" ")
     if parent:
         end_with(int(parent), name)
 
 
 class Port:
-    """A port of loopback for a later server, reserved against other runs while this object is open.
+    """Loopback port for a later server, reserved against other runs while this object is open.
 
-    A free port by binding to port 0 is in the range of outgoing connections, and may be used a moment later.
-    These ports are below that range; the same number of the other protocol (TCP or UDP) is the reservation.
-    ``udp``: for a UDP server.
+    A free port from a bind to port 0 is in the range of outgoing connections, and may be used a moment later.
+    The ports here are below that range; the reservation is the same number of the other protocol (TCP or
+    UDP). ``udp``: whether the server uses UDP.
     """
 
-    _RANGE = range(20_000, 32_000)  # Linux draws outgoing ports from 32768 on (ip_local_port_range)
+    _RANGE = range(20_000, 32_000)  # Linux uses outgoing ports from 32768 on (ip_local_port_range)
     _TRIES = 200
 
     def __init__(self, *, udp: bool = False) -> None:
@@ -269,9 +267,9 @@ class Port:
 
     @property
     def endpoint(self) -> str:
-        """As a Zenoh endpoint."""
+        """The port as a Zenoh endpoint."""
         return f"tcp/127.0.0.1:{self.number}"
 
     def close(self) -> None:
-        """Give the port back."""
+        """Release the port."""
         self._reservation.close()

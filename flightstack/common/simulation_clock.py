@@ -1,9 +1,9 @@
-"""The clock of a simulator that paces itself, shared with the processes of its run through a file.
+"""Clock of a simulator that paces itself; a file shares it with the processes of its run.
 
 The simulator writes its time, which the other processes use instead of wall time. Each of them writes the
-time until which it sleeps, and the simulator waits for it there: a busy machine slows down all processes
-alike. The file holds 64-bit integers in nanoseconds: Unix time of the clock's zero, simulated time, and for
-each follower the simulated time until which it sleeps.
+time until which it sleeps, and the simulator waits for it there: a busy machine slows all processes equally.
+The file contains 64-bit integers in nanoseconds: Unix time of the clock's zero, simulated time, and for each
+follower the simulated time until which it sleeps.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from pathlib import Path
 
 from flightstack.common.pacing import FastClock
 
-_ZERO, _NOW, _FIRST = 0, 1, 2  # places in the file
-_ABSENT = -1  # a follower that has not started, or was given up
+_ZERO, _NOW, _FIRST = 0, 1, 2  # positions in the file
+_ABSENT = -1  # value of a follower that has not started, or was given up
 _NS = 1_000_000_000
-_ROUNDING_NS = 1_000  # above the rounding of seconds as float, below any step
-_PAUSE_S = 50e-6  # s between two polls; with the system's timer slack about 0.1 ms
-_FOLLOWER_MAX_S = 0.5  # s of wall time that the simulator waits for a follower, which may have been killed
-_STALL_MAX_S = 2.5  # s of wall time without a step after which followers use wall time
+_ROUNDING_NS = 1_000  # larger than the rounding of seconds as float, smaller than any step
+_PAUSE_S = 50e-6  # time between two polls, s; about 0.1 ms with the timer slack of the system
+_FOLLOWER_MAX_S = 0.5  # longest wait for a follower, which may have been killed, s of wall time
+_STALL_MAX_S = 2.5  # wall time without a step after which followers use wall time, s
 
 
 class Follower(IntEnum):
-    """Followers, with their places in the file."""
+    """Processes that follow the clock, with their positions in the file."""
 
     ONBOARD = 0
     TARGET = 1
@@ -41,7 +41,7 @@ def _opened(path: Path) -> memoryview:
 
 
 class SimulationClock:
-    """The simulator's end: writes the time and waits for the followers. Creates the file."""
+    """The simulator's side of the clock: it creates the file, writes the time and waits for followers."""
 
     def __init__(self, path: Path) -> None:
         path.write_bytes(bytes(_SIZE))
@@ -51,7 +51,7 @@ class SimulationClock:
             self._cells[_FIRST + follower] = _ABSENT
 
     def unix_ns(self) -> int:
-        """Unix time of the run: that of the clock's zero, and simulated time since."""
+        """Return the Unix time of the run: that of the clock's zero plus the simulated time."""
         return self._cells[_ZERO] + self._cells[_NOW]
 
     def advance(self, now_ns: int, stopped: Callable[[], bool]) -> None:
@@ -77,11 +77,11 @@ class SimulationClock:
 
 
 class FollowedClock:
-    """The clock at a follower's end.
+    """A follower's side of the clock.
 
-    Without a step for 2.5 s the simulator has stopped: then time passes as wall time, so that time-outs of
-    the follower still end. The same applies when ``stopped`` says that this process ends. Raises OSError:
-    there is no such file; ValueError: it is not the file of a clock.
+    After 2.5 s without a step the simulator counts as stopped. Time then passes as wall time, so that
+    time-outs of the follower still end. The same applies if ``stopped`` says that this process ends. Raises
+    OSError: there is no such file; ValueError: the file is no clock.
     """
 
     def __init__(self, path: Path, follower: Follower, stopped: Callable[[], bool] = lambda: False) -> None:
@@ -90,12 +90,12 @@ class FollowedClock:
             raise ValueError(f"{path} is not a simulator's clock: it has {size} bytes, a clock has {_SIZE}")
         self._cells, self._place, self._stopped = _opened(path), _FIRST + follower, stopped
         self._seen_ns, self._moved_s = self._cells[_NOW], time.monotonic()
-        self._ahead_s = 0.0  # lead before simulated time by past stalls
-        self._stall_s = 0.0  # the same by the current stall
+        self._ahead_s = 0.0  # lead over simulated time by past stalls
+        self._stall_s = 0.0  # lead over simulated time by the current stall
         self._least_s = 0.0  # end of the last sleep
 
     def monotonic(self) -> float:
-        """Simulated time, s."""
+        """Return the simulated time, s."""
         now_ns, wall_s = self._cells[_NOW], time.monotonic()
         if now_ns != self._seen_ns:
             self._seen_ns, self._moved_s = now_ns, wall_s
@@ -107,7 +107,7 @@ class FollowedClock:
         return max(self._least_s, now_ns / _NS + self._ahead_s + self._stall_s)
 
     def sleep(self, seconds: float) -> None:
-        """Sleep for simulated seconds, while the simulator advances."""
+        """Sleep for a number of simulated seconds."""
         until_s = self.monotonic() + seconds
         # The simulator waits at this time, so it counts as reached despite rounding.
         until_ns = int((until_s - self._ahead_s - self._stall_s) * _NS) - _ROUNDING_NS
@@ -117,7 +117,7 @@ class FollowedClock:
         self._least_s = until_s
 
     def unix_ns(self) -> int:
-        """Unix time of the run, the same for all its processes."""
+        """Return the Unix time of the run, which is the same for all its processes."""
         return self._cells[_ZERO] + round(self.monotonic() * _NS)
 
 
@@ -132,11 +132,11 @@ def chosen_clock(
     *,
     lockstep: bool = False,
 ) -> Clock:
-    """Clock of a process by its options.
+    """Return the clock that the options of a process select.
 
-    ``speed``: of stack time over wall time; ``file``: of a simulator's clock; None: wall time; ``lockstep``:
-    ticks by the simulator.
-    Raises ValueError: options that exclude each other, or an invalid file; OSError: there is no such file.
+    ``speed``: stack time over wall time; ``file``: file of a simulator's clock, None for wall time;
+    ``lockstep``: whether the simulator sends the ticks.
+    Raises ValueError: options exclude each other, or the file is invalid; OSError: there is no such file.
     """
     given = {"--speed": speed != 1.0, "--clock": file is not None, "--lockstep": lockstep}
     names = [name for name, is_given in given.items() if is_given]

@@ -1,8 +1,8 @@
 """Standard output and error that cannot end a flight.
 
 The reader may end (``| head``, a closed terminal) or stop reading, the disk may be full, and the streams may
-be closed at the start. Then output is lost without an exception, which a library could turn into an exit, and
-no other file gets the number of a standard stream.
+be closed at the start. Output is then lost without an exception, which a library could convert to an exit,
+and no other file gets the number of a standard stream.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ import select
 import sys
 from typing import Any
 
-# permanent: the reader is gone; others (ENOSPC) may be temporary
+# errors that are permanent, since the reader is gone; others (ENOSPC) may be temporary
 _GONE = (errno.EPIPE, errno.EIO, errno.EBADF)
 _PART = select.PIPE_BUF  # bytes that a ready pipe accepts without blocking
 _NUMBERS = {"stdout": 1, "stderr": 2}
 
 
 class Stream(io.FileIO):
-    """A standard stream that never raises."""
+    """Standard stream that never raises an exception."""
 
-    waits = True  # for a slow reader; False in a flight
-    lost: OSError | None = None  # error of the first lost output, or None
+    waits = True  # whether to wait for a slow reader; False in a flight
+    lost: OSError | None = None  # error of the first lost output; None: no output was lost
 
     def write(self, data: Any) -> int:
-        """Write or drop bytes; returns their number."""
+        """Write or drop bytes; return their number."""
         size = memoryview(data).nbytes
         part = data if Stream.waits else memoryview(data).cast("B")[:_PART]
         try:
@@ -44,14 +44,14 @@ class Stream(io.FileIO):
 
 
 def guard() -> bool:
-    """Replace the standard streams; called before any file is opened.
+    """Replace the standard streams; call this before any file is opened.
 
-    Replaced streams (in tests) are kept; returns whether standard output was that of the process.
+    Replaced streams (in tests) remain; return whether standard output was that of the process.
     """
     for number in range(3):
         try:
             os.fstat(number)
-        except OSError:  # closed: the next file would get its number, and the output of libraries
+        except OSError:  # if closed, the next file would get this number, and the output of libraries
             os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
     for name, number in _NUMBERS.items():
         old = getattr(sys, name)
@@ -75,12 +75,12 @@ def guard() -> bool:
 
 
 def never_wait() -> None:
-    """Drop output without a reader from now on: a flight does not wait for it."""
+    """Drop output without a reader from now on, so that a flight does not wait for it."""
     Stream.waits = False
 
 
 def problem() -> str | None:
-    """Why standard output is incomplete; None: complete, or the reader ended."""
+    """Return why standard output is incomplete; None: it is complete, or the reader ended."""
     raw = _raw(sys.stdout)
     if not isinstance(raw, Stream):
         return None
@@ -97,7 +97,7 @@ def reader_gone() -> bool:
 
 
 def _raw(stream: object) -> object:
-    """The file of a text stream."""
+    """Return the raw file of a text stream."""
     buffer = getattr(stream, "buffer", None)
     return getattr(buffer, "raw", buffer)
 
@@ -105,12 +105,12 @@ def _raw(stream: object) -> object:
 def _number(stream: io.TextIOBase) -> int | None:
     try:
         return stream.fileno()
-    except (OSError, ValueError):  # it has none, or is closed
+    except (OSError, ValueError):  # the stream has no number, or is closed
         return None
 
 
 def _to_nothing(number: int) -> None:
-    """Redirect a stream to nothing, so that output of libraries and children does not fail."""
+    """Redirect a stream to the null device, so that output of libraries and children does not fail."""
     with contextlib.suppress(OSError):
         nothing = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nothing, number)

@@ -1,7 +1,7 @@
-"""Reads TOML into dataclasses. msgspec checks types and ranges; errors name the allowed values.
+"""Conversion of TOML to dataclasses. msgspec checks types and ranges; errors name the allowed values.
 
-The range of a number is in its annotation, ``Annotated[float, span(0.1, 10.0)]``; its name ends with the
-unit. msgspec ignores unknown keys of a dataclass and accepts NaN: both are rejected here.
+The range of a number is in its annotation, ``Annotated[float, span(0.1, 10.0)]``; the name of a field ends
+with its unit. msgspec ignores unknown keys of a dataclass and accepts NaN; this module rejects both.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ UNITS = (
 
 
 class ConfigError(ValueError):
-    """A configuration that must not fly: place, value found, allowed values."""
+    """A configuration must not fly; the text gives the place, the value found, and the allowed values."""
 
 
 def span(low: float, high: float) -> msgspec.Meta:
-    """Allowed interval of a number, ends included; unit as in the field's name."""
+    """Return the allowed interval of a number, including its ends, in the unit of the field's name."""
     return msgspec.Meta(ge=low, le=high)
 
 
 class Files(Generic[T]):
-    """TOML files of the dataclass ``cls``: by name in ``package``, or by path.
+    """TOML files of the dataclass ``cls``, found by name in ``package``, or by path.
 
     ``kind``: name of the type in errors; ``hint``: end of the error for an unknown name.
     """
@@ -53,12 +53,12 @@ class Files(Generic[T]):
         self._folder = resources.files(package)
 
     def names(self) -> list[str]:
-        """Names of the files in the package."""
+        """Return the names of the files in the package."""
         files = (Path(file.name) for file in self._folder.iterdir())
         return sorted(file.stem for file in files if file.suffix == ".toml")
 
     def path_of(self, name_or_file: str | Path) -> Path:
-        """File of this name or path. Raises ConfigError: neither a known name nor a file."""
+        """Return the file of this name or path. Raises ConfigError: it is neither a known name nor a file."""
         if name_or_file in self.names():
             return Path(str(self._folder / f"{name_or_file}.toml"))
         path = Path(name_or_file)
@@ -70,7 +70,7 @@ class Files(Generic[T]):
         )
 
     def load(self, name_or_file: str | Path) -> T:
-        """Read and check a file. Raises ConfigError: with file, key, what was found and what is allowed."""
+        """Read and check a file. Raises ConfigError: the text gives file, key, value and allowed values."""
         path = self.path_of(name_or_file)
         table = self.table(path)
         try:
@@ -79,9 +79,9 @@ class Files(Generic[T]):
             raise ConfigError(f"{path}: {error}") from None
 
     def table(self, path: Path) -> dict[str, Any]:
-        """Parse a file; omitted keys are those of the file that its key ``base`` names.
+        """Parse a file; missing keys are taken from the file that its key ``base`` names.
 
-        Raises ConfigError: a file is missing or not TOML, or is its own base.
+        Raises ConfigError: a file is missing, is not TOML, or is its own base.
         """
         return self.over_base(path, read_toml(path))
 
@@ -95,9 +95,9 @@ class Files(Generic[T]):
         return over(self.over_base(base, read_toml(base), (*above, path.resolve())), table)
 
     def named(self, path: Path, key: str, name: object) -> Path:
-        """Find the file that a key of a file names: a file beside it, a known name, or a path.
+        """Return the file that a key of a file names: a file beside it, a known name, or a path.
 
-        Raises ConfigError: it names none.
+        Raises ConfigError: there is no such file.
         """
         if not isinstance(name, str):
             raise ConfigError(
@@ -110,7 +110,7 @@ class Files(Generic[T]):
 
 
 def over(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
-    """Merge ``table`` over ``base``: sub-tables are merged, other values replaced. Returns a new table."""
+    """Merge ``table`` over ``base``: sub-tables are merged, other values replaced. Return a new table."""
     joined = dict(base)
     for key, value in table.items():
         below = base.get(key)
@@ -132,12 +132,12 @@ def parse_toml(data: bytes) -> dict[str, Any]:
     """Parse TOML in UTF-8 or by its byte order mark. Raises ConfigError: not TOML or another encoding."""
     try:
         return tomllib.loads(decoded(data))
-    except (ValueError, RecursionError) as error:  # errors of tomllib and of the encoding
+    except (ValueError, RecursionError) as error:  # error of tomllib, or of the encoding
         raise ConfigError(f"not TOML: {error}") from error
 
 
 def decoded(data: bytes) -> str:
-    """Text in UTF-8, or by its byte order mark, as of editors on Windows. Raises ValueError: neither."""
+    """Return text in UTF-8, or in the encoding of its byte order mark. Raises ValueError: it is neither."""
     encoding = next((name for mark, name in _MARKS if data.startswith(mark)), "utf-8")
     try:
         text = data.decode(encoding)
@@ -151,7 +151,7 @@ def decoded(data: bytes) -> str:
 
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
-    (codecs.BOM_UTF32_LE, "utf-32"),  # starts with the mark of UTF-16
+    (codecs.BOM_UTF32_LE, "utf-32"),  # its mark starts with the mark of UTF-16
     (codecs.BOM_UTF32_BE, "utf-32"),
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
@@ -159,7 +159,7 @@ _MARKS = (
 
 
 def from_table(cls: type[T], table: object, where: str = "") -> T:
-    """Build dataclass ``cls`` from a TOML table, checking every key, type and range.
+    """Build the dataclass ``cls`` from a TOML table, with checks of every key, type and range.
 
     Raises ConfigError: unknown or missing key, wrong unit or type, out of range, or from ``__post_init__``.
     """
@@ -169,7 +169,7 @@ def from_table(cls: type[T], table: object, where: str = "") -> T:
     except msgspec.ValidationError as error:
         path = re.search(r" - at `\$\.?(.*)`$", str(error))
         at = ".".join(filter(None, (where, path and path[1])))
-        if error.__cause__ is not None:  # error of a __post_init__
+        if error.__cause__ is not None:  # error of a ``__post_init__``
             raise ConfigError(f"{at}: {error.__cause__}" if at else str(error.__cause__)) from None
         kind, found = places[at]
         raise ConfigError(f"{at or cls.__name__}: found {found!r}, allowed: {allowed(kind, at)}") from None
@@ -179,13 +179,13 @@ type_info = cache(inspect.type_info)
 
 
 def _places(kind: inspect.Type, value: object, at: str) -> Iterator[tuple[str, tuple[inspect.Type, object]]]:
-    """Type and value at each place of a table, such as ``fault[0].start_s``.
+    """Yield type and value at each place of a table, such as ``fault[0].start_s``.
 
-    Raises ConfigError: an unknown or missing key, or a number that is not finite.
+    Raises ConfigError: a key is unknown or missing, or a number is not finite.
     """
     if isinstance(kind, inspect.UnionType):
         kinds = tuple(each for each in kind.types if not isinstance(each, inspect.NoneType))
-        kind = kinds[0] if len(kinds) == 1 else inspect.UnionType(kinds)  # optional, or one of several
+        kind = kinds[0] if len(kinds) == 1 else inspect.UnionType(kinds)  # an optional type, or several types
     if isinstance(value, float) and not math.isfinite(value):
         raise ConfigError(f"{at}: found {value!r}, a finite number is needed")
     yield at, (kind, value)
@@ -239,7 +239,7 @@ def _unknown(key: str, known: Sequence[str], where: str) -> str:
 
 
 def stem(key: str) -> tuple[str, str]:
-    """A key without its unit, and the unit."""
+    """Return a key without its unit, and the unit."""
     for unit in sorted(UNITS, key=len, reverse=True):
         if key.endswith("_" + unit):
             return key[: -len(unit) - 1], unit
@@ -247,7 +247,7 @@ def stem(key: str) -> tuple[str, str]:
 
 
 def to_table(value: Any) -> Any:
-    """Turn a dataclass of ``from_table`` into plain TOML data; ``None`` fields are omitted."""
+    """Convert a dataclass of ``from_table`` to plain TOML data; ``None`` fields are omitted."""
     if is_dataclass(value):
         items = ((f.name, getattr(value, f.name)) for f in fields(value))
         return {name: to_table(v) for name, v in items if v is not None}
@@ -259,7 +259,7 @@ def to_table(value: Any) -> Any:
 
 
 def dumps(value: Any) -> str:
-    """Write a dataclass, or plain nested tables, as text that ``tomllib`` reads."""
+    """Return a dataclass, or plain nested tables, as text that ``tomllib`` reads."""
     return "\n".join(_lines(to_table(value))) + "\n"
 
 
@@ -277,6 +277,6 @@ def _lines(table: dict[str, Any], prefix: str = "") -> Iterator[str]:
 
 
 def _tables(value: Any) -> list[dict[str, Any]]:
-    """Tables of an array of tables; empty for anything else."""
+    """Return the tables of an array of tables; empty for anything else."""
     is_array = isinstance(value, list) and all(isinstance(item, dict) for item in value)
     return value if is_array else []

@@ -1,4 +1,4 @@
-"""The terminal by Rich: tables, bars and styles, without interpreting markup in texts."""
+"""Terminal output with Rich: tables, bars and styles, without markup in texts."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from flightstack.common.text import plain
 
 
 class Terminal(Console):
-    """A console that prints brackets, ``:name:`` and control characters literally."""
+    """Console that prints brackets, ``:name:`` and control characters literally."""
 
     def __init__(self, *, stderr: bool = False) -> None:
         super().__init__(stderr=stderr, highlight=False, markup=False, emoji=False)
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """Render with colours and cursor movements of Rich only."""
+        """Render only colours and cursor movements that Rich itself makes."""
         for segment in super().render(renderable, options):
             if segment.control or (text := plain(segment.text)) == segment.text:
                 yield segment

@@ -1,1 +1,1 @@
-"""Configurations of the onboard process that come with the package, by name."""
+"""Packaged configurations of the onboard process, by name."""

@@ -1,4 +1,4 @@
-"""Configurations of the onboard process: TOML files of this package, found by name, and files of the user."""
+"""Configurations of the onboard process: TOML files of this package by name, and files of the user."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ names, path_of = FILES.names, FILES.path_of
 def load(name_or_file: str | Path) -> FlightConfig:
     """Read and check a configuration by name or path.
 
-    Raises ConfigError: with file, key, what was found and what is allowed.
+    Raises ConfigError: the text gives file, key, value and allowed values.
     """
     config = FILES.load(name_or_file)
     look_here(config.filter)

@@ -1,4 +1,4 @@
-"""Options that several commands share, of the onboard process and of watching it."""
+"""Options that several commands share: for the onboard process, and for watching it."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from flightstack.common.options import BadOptionError, Option, declared
 from flightstack.common.strict_toml import decoded
 from flightstack.core.parameters.filters import ALLOWED, look_here
 
-_SEED_DIGITS_MAX = 4000  # more than the longest that ``rare`` makes; Python reads 4,300
-# written out here, so that a command does not load the rooms that know them; a test compares them
+_SEED_DIGITS_MAX = 4000  # more digits than the longest seed of ``rare``; Python reads 4,300
+# copied here, so that a command need not load the packages that define them; a test compares both
 AUTOPILOTS = ("auto", "sitl", "crazyflie", "px4", "ardupilot")
 TARGET_TYPES = ("odometry", "pose", "pose-covariance", "tf")
 CORES = ("auto", "plain", "compiled")
@@ -21,7 +21,7 @@ WATCHED = "tcp/127.0.0.1:7448"  # endpoint of the onboard process in README and 
 
 
 def _number(text: str) -> float | None:
-    """A finite number; None: it is none."""
+    """Return a finite number; None: the text is none."""
     try:
         found = float(text)
     except ValueError:
@@ -30,7 +30,7 @@ def _number(text: str) -> float | None:
 
 
 def numbers(given: tuple[str, ...]) -> Mapping[str, float]:
-    """Turn each NAME=VALUE into an entry of a table. Raises BadOptionError: a text of another form."""
+    """Convert each NAME=VALUE to an entry of a table. Raises BadOptionError: a text has another form."""
     found = {}
     for text in given:
         name, equals, value = text.partition("=")
@@ -44,7 +44,7 @@ def numbers(given: tuple[str, ...]) -> Mapping[str, float]:
 
 
 def seed(given: str) -> int:
-    """Read a seed: its number, or a file that holds it. Raises BadOptionError: neither."""
+    """Return a seed from its number or from a file with it. Raises BadOptionError: it is neither."""
     text, file = given, Path(given)
     if not given.isdecimal() and file.is_file():
         text = decoded(file.read_bytes()).strip()
@@ -56,7 +56,7 @@ def seed(given: str) -> int:
 
 
 def _filter_name(given: str) -> str:
-    """Name of a safety filter that exists."""
+    """Return the name of a safety filter, which must exist."""
     from flightstack.core.strategies.strategy import strategy_class
 
     look_here(given)
@@ -65,31 +65,31 @@ def _filter_name(given: str) -> str:
 
 
 def _configuration(given: str) -> Path:
-    """File of a configuration by name or path."""
+    """Return the file of a configuration by name or path."""
     from flightstack.config.files import path_of
 
     return path_of(given)
 
 
 def safety_filter(help: str) -> Option:
-    """``--filter``."""
+    """Return the option ``--filter``."""
     return Option("--filter", f"{help}: {ALLOWED}.", metavar="NAME", read=_filter_name)
 
 
 def config(help: str = "Configuration (TOML)") -> Option:
-    """``--config``."""
+    """Return the option ``--config``."""
     return Option(
         "--config", f"{help}: a name (see `config`) or a file.", metavar="NAME_OR_FILE", read=_configuration
     )
 
 
 def json(help: str = "Print one JSON object.") -> Option:
-    """``--json``."""
+    """Return the option ``--json``."""
     return Option("--json", help)
 
 
 def seconds(name: str, help: str, low: float | None = None, high: float | None = None) -> Option:
-    """A time in seconds."""
+    """Return an option for a time in seconds."""
     return Option(name, help, metavar="S", span=(low, high))
 
 
@@ -163,7 +163,7 @@ Workers = Annotated[int | None, Option(
 
 @dataclass(frozen=True, kw_only=True)
 class Simulated:
-    """What is simulated."""
+    """Options of a simulation: scenario and seed."""
 
     scenario: Annotated[str | Path, Option(
         "--scenario", "Scenario: a name (see `scenarios`) or a file.", "NAME_OR_FILE"
@@ -173,7 +173,7 @@ class Simulated:
 
 @dataclass(frozen=True, kw_only=True)
 class Zenoh:
-    """Where a process is plugged into Zenoh."""
+    """Connections of a process to Zenoh."""
 
     connect: Connect = ()
     listen: Annotated[tuple[str, ...], Option(
@@ -184,7 +184,7 @@ class Zenoh:
 
 @dataclass(frozen=True, kw_only=True)
 class Signing:
-    """MAVLink senders that are accepted."""
+    """Options about the MAVLink senders that are accepted."""
 
     signing_key: SigningKey = None
     allow_unsigned: AllowUnsigned = False
@@ -192,7 +192,7 @@ class Signing:
 
 @dataclass(frozen=True, kw_only=True)
 class Ros2:
-    """Where a flight is shown to ROS 2."""
+    """Options to publish a flight to ROS 2."""
 
     ros2_where: Annotated[str | None, Option(
         "--ros2",
@@ -204,7 +204,7 @@ class Ros2:
 
 @dataclass(frozen=True, kw_only=True)
 class Repeated:
-    """Options of ``sitl`` that change bytes or timing: the log has them, and the report repeats them."""
+    """Options of ``sitl`` that change bytes or timing: the log contains them, and the report repeats them."""
 
     autopilot: Autopilot = "auto"
     speed: Speed = 1.0
@@ -214,7 +214,7 @@ class Repeated:
     mocap: Mocap = False
 
     def described(self) -> dict[str, str]:
-        """Values for the log, without defaults."""
+        """Return the values for the log, without defaults."""
         found = {}
         for name, _, _, _, _, default in declared(Repeated):
             if (value := getattr(self, name)) != default:
@@ -224,7 +224,7 @@ class Repeated:
 
 
 def repeated(described: Mapping[str, str]) -> list[str]:
-    """Command line of the options that a log has; flags have no value."""
+    """Return the command-line words of the logged options; a flag has no value."""
     words: list[str] = []
     for name, option, kind, *_ in declared(Repeated):
         if name in described and isinstance(option, Option):
@@ -234,7 +234,7 @@ def repeated(described: Mapping[str, str]) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """Files and output of a flight."""
+    """Options about files and output of a flight."""
 
     out: Annotated[Path | None, Option(
         "--out", "Folder for log and report; default: a new folder in runs/.", path="folder"
@@ -281,7 +281,7 @@ class FlightOptions(Signing, Ros2, Zenoh):
 
 @dataclass(frozen=True, kw_only=True)
 class OnboardOptions(FlightOptions):
-    """All of them."""
+    """All options of the onboard process."""
 
     recorder: Recorder = None
     lockstep: Lockstep = False
@@ -294,7 +294,7 @@ class OnboardOptions(FlightOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class WatchOptions:
-    """Where a flight is watched, and how it is shown."""
+    """Options to watch a flight: its endpoint, and the kind of view."""
 
     connect: Annotated[tuple[str, ...], Option(
         "--connect",

@@ -1,1 +1,1 @@
-"""The terminal view of a running onboard process."""
+"""Terminal view of a running onboard process."""

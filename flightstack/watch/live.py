@@ -1,4 +1,4 @@
-"""The live view in the terminal, of a flight here or on another machine; old data is never shown as new."""
+"""Live view in the terminal of a local or remote flight; old data is never shown as new."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ _STYLE = {
     Phase.ABORT: "bold red",
     Phase.LEAVE: "green",
 }
-_BAR = 40  # characters
-_H_LOW_M, _H_HIGH_M = -0.2, 1.0  # ends of the bar
+_BAR = 40  # length of the bar in characters
+_H_LOW_M, _H_HIGH_M = -0.2, 1.0  # values of h at both ends of the bar
 _LOUD = "bold white on red"
 
 
 class LiveView:
-    """Draws the flight of one vehicle, or a line for each of several; no flight depends on it."""
+    """View of the flight of one vehicle, or of several with a line each; no flight depends on it."""
 
     def __init__(self, watches: Mapping[str, Watch], title: str, console: Console, whom: str = "") -> None:
         self._watches, self._title, self._whom = watches, title, whom
         self.live = Live(self._draw(), console=console, refresh_per_second=REFRESH_HZ, transient=False)
 
     def poll(self) -> None:
-        """Take the new samples and redraw."""
+        """Read the new samples and redraw."""
         for watch in self._watches.values():
             watch.poll()
         self.live.update(self._draw())
@@ -63,7 +63,7 @@ def draw_fleet(watches: Mapping[str, Watch], title: str) -> Panel:
 
 
 def _line(watch: Watch) -> tuple[str | Text, ...]:
-    """Phase, relative height, distance, h, overruns, filter and reason of a vehicle, as far as known."""
+    """Return phase, relative height, distance, h, overruns, filter and reason of a vehicle, if known."""
     step = watch.step
     if step is None:
         return (watch.news.value,)
@@ -95,7 +95,7 @@ def draw(watch: Watch, title: str, whom: str = "") -> Panel:
 
 
 def banner(watch: Watch, whom: str) -> Text:
-    """First line: how old the data is; loud when it is not fresh."""
+    """Return the first line, with the age of the data; it is highlighted when the data is old."""
     refused = f"   {watch.refused} samples not understood" if watch.refused else ""
     if watch.news is News.FRESH:
         tick = watch.step.tick if watch.step is not None else 0
@@ -130,7 +130,7 @@ def _head(step: ControllerStepRow, fresh: bool) -> Table:
 
 
 def _h_bar(h_m: float, fresh: bool) -> Text:
-    """H from -0.2 to 1.0 m; the mark | is h = 0."""
+    """Return a bar of h from -0.2 to 1.0 m; the mark | is h = 0."""
     span = _H_HIGH_M - _H_LOW_M
     zero = round(_BAR * -_H_LOW_M / span)
     at = round(_BAR * (min(max(h_m, _H_LOW_M), _H_HIGH_M) - _H_LOW_M) / span) if h_m == h_m else zero
@@ -159,7 +159,7 @@ def _velocities(step: ControllerStepRow, fresh: bool) -> Table:
 
 
 def _health(health: HealthRow, fresh: bool) -> Table:
-    """Ages and states; those that the onboard process counts as lost are red."""
+    """Return ages and states; those that the onboard process counts as lost are red."""
     grid = Table.grid(padding=(0, 3))
     grid.add_row(
         _age("own state", health.own_age_s, health.own_valid, fresh),

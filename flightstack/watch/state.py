@@ -1,7 +1,7 @@
-"""The newest data of a flight on another machine, and their age by the watcher's own clock.
+"""Newest data of a flight on another machine, and their age on the watcher's clock.
 
-A sample counts as news only if its tick is another one than before: a sender that only repeats a tick
-counts as silent.
+A sample counts as new only if its tick differs from the last one: a sender that only repeats a tick counts as
+silent.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from bridge.zenoh import zenoh_link
 from flightstack.core.types import FilterStatus, Landed, Mode, Phase
 from logs.schema.rows import ControllerStepRow, HealthRow, LoopTimingRow
 
-STALE_S = 1.0  # s; the slowest of the keys comes every 0.2 s
-_TIMINGS = 20  # a second of them, for the mean period
-_NOT_HEALTH = ("stamp_ns", "tick", "finished")  # the step has them
-_RING = 8  # samples kept between two looks
+STALE_S = 1.0  # age above which data is stale, s; the slowest key is published every 0.2 s
+_TIMINGS = 20  # number of timings in a second, for the mean period
+_NOT_HEALTH = ("stamp_ns", "tick", "finished")  # fields that the step already contains
+_RING = 8  # number of samples stored between two polls
 
 
 class News(Enum):
-    """State of the data: whether they are fresh."""
+    """State of the data: never received, fresh or stale."""
 
     NEVER = "no data yet"
     FRESH = "fresh"
@@ -32,7 +32,7 @@ class News(Enum):
 
 
 class Watch:
-    """Subscribes to the live keys of one onboard process; polled, nothing depends on it."""
+    """Subscriber to the live keys of one onboard process; the caller polls it, and flights ignore it."""
 
     def __init__(
         self,
@@ -42,27 +42,27 @@ class Watch:
         clock: Callable[[], float] = time.monotonic,
         role: zenoh_link.Role = zenoh_link.Role.PEER,
     ) -> None:
-        """Subscribe.
+        """Subscribe to the live keys.
 
-        ``session`` stays open; ``namespace``: first part of the keys; ``clock``: monotonic, s; ``role``: what
-        the session is. Raises ValueError: the namespace makes no allowed key.
+        ``session``: the caller closes it; ``namespace``: first part of the keys; ``clock``: monotonic time,
+        s; ``role``: role of the session. Raises ValueError: the namespace is not valid in a key.
         """
         self._session, self._clock, self._role = session, clock, role
         self._subscribers = {
             name: zenoh_link.ring_subscriber(session, f"{namespace}/{name}", _RING)
             for name in ("controller/step", "loop/timing", "health")
         }
-        self.step: ControllerStepRow | None = None  # newest controller step, ``None`` before the first
+        self.step: ControllerStepRow | None = None  # newest controller step; ``None`` before the first
         self.health: HealthRow | None = None  # newest health
-        self.timings: deque[LoopTimingRow] = deque(maxlen=_TIMINGS)  # the last second of loop timing
+        self.timings: deque[LoopTimingRow] = deque(maxlen=_TIMINGS)  # loop timing of the last second
         self.new_steps: list[ControllerStepRow] = []  # steps of the last poll
         self.new_timings: list[LoopTimingRow] = []  # loop timing of the last poll
-        self.refused = 0  # samples that are not of the type of their key
+        self.refused = 0  # number of samples of a wrong type for their key
         self._began_s = clock()
         self._step_s = self._health_s = math.nan
 
     def poll(self) -> None:
-        """Take what has come."""
+        """Read the samples that have arrived."""
         self.new_steps, self.new_timings = [], []
         for payload in self._payloads("controller/step"):
             step = self._decode(ControllerStepRow.unpack, payload)
@@ -81,34 +81,34 @@ class Watch:
 
     @property
     def age_s(self) -> float:
-        """Since the last new step, or since we began to listen."""
+        """Time since the last new step, or since the subscription, s."""
         return self._clock() - (self._began_s if math.isnan(self._step_s) else self._step_s)
 
     @property
     def news(self) -> News:
-        """How good the newest step is."""
+        """State of the newest step: fresh, stale or never received."""
         if self.step is None:
             return News.NEVER
         return News.FRESH if self.age_s <= STALE_S else News.STALE
 
     @property
     def health_fresh(self) -> bool:
-        """Whether the newest health is."""
+        """Whether the newest health is fresh."""
         return self._clock() - self._health_s <= STALE_S  # False for NaN
 
     @property
     def connections(self) -> int:
-        """Number of open Zenoh connections; 0 means that the other end is unreachable or refuses."""
+        """Number of open Zenoh connections; 0: the other end is unreachable or rejects the connection."""
         return zenoh_link.transports(self._session)
 
     @property
     def past_router(self) -> bool:
-        """Whether we are a router's peer: it passes on nothing from its other peers."""
+        """Whether this session is a router's peer: the router does not forward data of its other peers."""
         return self._role is zenoh_link.Role.PEER and zenoh_link.knows_router(self._session)
 
     @property
     def over(self) -> bool:
-        """Whether the onboard process said that the flight is over."""
+        """Whether the onboard process reported that the flight is over."""
         return self.step is not None and self.step.finished
 
     def _payloads(self, name: str) -> list[bytes]:
@@ -117,13 +117,13 @@ class Watch:
     def _decode(self, unpack: Callable[[bytes], Any], payload: bytes) -> Any:
         try:
             return unpack(payload)
-        except ValueError:  # another version, or a foreign publisher on this key: counted and shown
+        except ValueError:  # another version, or a foreign publisher on this key: it is counted and shown
             self.refused += 1
             return None
 
 
 def snapshot(watch: Watch) -> dict[str, Any]:
-    """Newest values for scripts: ``None`` for an unknown value; ``fresh``: whether they are current."""
+    """Return the newest values for scripts: ``None`` if unknown; ``fresh``: whether they are recent."""
     step, health = watch.step, watch.health
     values: dict[str, Any] = {
         "fresh": watch.news is News.FRESH,
@@ -153,7 +153,7 @@ def snapshot(watch: Watch) -> dict[str, Any]:
 
 
 def name_of(kind: type[IntEnum], number: int) -> str:
-    """Name of an enumeration's value; a number that this version does not know stays a number."""
+    """Return the name of an enumeration's value; an unknown number is returned as text."""
     return kind(number).name if number in kind._value2member_map_ else str(number)
 
 
