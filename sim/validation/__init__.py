@@ -1,1 +1,1 @@
-"""Compares the simulator with recorded flights of a real vehicle: plant, closed loop, own-state errors."""
+"""Compares the simulator with recorded flights of a real vehicle: plant, closed loop, state estimate."""

@@ -1,12 +1,13 @@
-"""Flies the recorded set-points with the simulated vehicle and its firmware, and compares the two flights.
+"""Flies the recorded set-points with the simulated vehicle and its firmware, and compares both flights.
 
-The simulated vehicle starts at the recorded place and gets the recorded set-points at the recorded times.
-Quantities that differ between airframes and days are taken from the first seconds of the recording: battery
-voltage, thrust of the motors relative to the vehicle file, and the differences between the motors. All other
-parameters are those of the vehicle file. The estimate on board has drawn errors like recorded flights.
+The simulated vehicle starts at the recorded position and receives the recorded set-points at the recorded
+times. Quantities that differ between airframes and days are identified from the first seconds of the
+recording: battery voltage, ratio of motor thrust to the vehicle file, and differences between the motors. The
+vehicle file has all other parameters. The on-board estimate gets random errors as in recorded flights.
 
-The real vehicles got positions without velocities, except for take-off and landing, which the firmware's
-commander flies with velocities: the Mellinger flights climb and hover as recorded only with these.
+The real vehicles received positions without velocities, except during take-off and landing, where the
+firmware's commander adds velocities: only with these do simulated Mellinger flights climb and hover as
+recorded.
 """
 
 from __future__ import annotations
@@ -34,23 +35,23 @@ from sim.scenarios.scenario import (
 )
 from sim.vehicle.vehicle import VehicleSim
 
-SETTLE_S = 0.2  # time on the ground before the first set-point
-AWAY_M = 100.0  # distance of the ground robot, east
-SATURATED = 1.0 - 1e-6  # duty from which a motor counts as saturated
-SIDEWAYS_M = 0.005  # horizontal set-point change that ends the take-off
-KNOWN_S = 8.0  # compared time that identifies the airframe
+SETTLE_S = 0.2  # time on the floor before the first set-point
+AWAY_M = 100.0  # distance of the ground robot to the east, out of reach
+SATURATED = 1.0 - 1e-6  # duty cycle from which a motor counts as saturated
+SIDEWAYS_M = 0.005  # horizontal change of the set-point that ends the take-off
+KNOWN_S = 8.0  # length of the compared time from which the airframe is identified
 
 
 class Flown(NamedTuple):
-    """Statistics of a flight."""
+    """Statistics of one flight."""
 
-    horizontal_m: float  # rms of the distance between position and set-point, level
-    vertical_m: float  # the same, up and down
-    duty: float  # mean over the motors, 0 to 1
+    horizontal_m: float  # rms of the horizontal distance between position and set-point
+    vertical_m: float  # rms of the vertical distance between position and set-point
+    duty: float  # mean duty cycle of the motors, 0 to 1
     saturated: float  # share of samples with a motor at full duty
-    tilt_rms_rad: float  # tilt of body z against the vertical, rms
+    tilt_rms_rad: float  # rms tilt of body z from the vertical
     tilt_p95_rad: float  # 95th percentile of the tilt
-    sag_v_s: float  # rate at which the voltage falls
+    sag_v_s: float  # rate of the voltage drop
 
     @property
     def tracking_rms_m(self) -> float:
@@ -59,16 +60,16 @@ class Flown(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ClosedLoop:
-    """A flight beside its simulation."""
+    """A recorded flight and its simulation."""
 
     controller: str  # pid or mellinger
-    thrust: float  # thrust of this airframe's motors over that of the vehicle file
+    thrust: float  # ratio of this airframe's motor thrust to that of the vehicle file
     recorded: Flown
     simulated: Flown
 
 
 class Track(NamedTuple):
-    """n samples: position (n, 3), height of the body's z axis (n,), duty (n, 4), voltage under load (n,)."""
+    """n samples: position (n, 3), z of the body's z axis (n,), duty cycle (n, 4), voltage under load (n,)."""
 
     position_m: Floats
     up: Floats
@@ -77,7 +78,7 @@ class Track(NamedTuple):
 
 
 def fly(flight: Screened, params: Params, seed: int) -> ClosedLoop | None:
-    """Fly the set-points of a flight; None where it has none, or they do not begin on the ground.
+    """Fly the set-points of a flight; None if it has none, or if they do not start on the ground.
 
     Only the usable pieces are compared. The noise is drawn from ``seed`` and the name of the flight.
     """
@@ -106,7 +107,7 @@ def fly(flight: Screened, params: Params, seed: int) -> ClosedLoop | None:
 
 
 def _commanded(r: Recording) -> slice | None:
-    """Find the samples from the first set-point to the last; None where the motors run before the first."""
+    """Return the samples from the first set-point to the last; None if the motors run before the first."""
     if r.setpoint_position_m is None:
         return None
     given = np.isfinite(r.setpoint_position_m).all(axis=1) & np.any(r.setpoint_position_m != 0.0, axis=1)
@@ -117,11 +118,11 @@ def _commanded(r: Recording) -> slice | None:
 
 
 def _simulate(r: Recording, span: slice, params: Params, plant: Plant, seed: int) -> Track | None:
-    """Fly the set-points; NaN outside ``span``. None where the firmware refuses to arm."""
+    """Fly the set-points; NaN outside ``span``. None if the firmware rejects arming."""
     start, stop = span.start, span.stop
     assert r.setpoint_position_m is not None
     x, y, ground = r.position_m[start].tolist()
-    up = -params.geometry.foot_bottom_m - ground  # from recorded heights to those above the simulated floor
+    up = -params.geometry.foot_bottom_m - ground  # recorded height + up = height above the simulated floor
     scenario = Scenario(
         "closed_loop",
         "recorded set-points",
@@ -156,32 +157,32 @@ def _simulate(r: Recording, span: slice, params: Params, plant: Plant, seed: int
 
 
 def _airframe(r: Recording, start: int, compared: Mask, params: Params) -> Plant:
-    """Find thrust, motors and battery of this airframe in the first compared seconds."""
+    """Identify thrust, motors and battery of this airframe from the first compared seconds."""
     rotor, battery = params.rotor, params.battery
     first = np.flatnonzero(compared)[: round(KNOWN_S / r.step_s)]
     sag_v = battery.hover_sag_v  # mean motor voltage = duty * (voltage at rest) - sag
     volts = r.duty[first] * (r.battery_v[first, None] + sag_v) - sag_v
     rpm = battery.speed_at_zero_v_rpm + battery.speed_per_volt_rpm * volts
     thrust_n = np.maximum(0.0, (rotor.thrust_linear_n_rpm + rotor.thrust_square_n_rpm2 * rpm) * rpm)
-    share = 1.0 / np.maximum(thrust_n.mean(axis=0), rotor.thrust_min_n)  # a weak motor gets a higher duty
+    share = 1.0 / np.maximum(thrust_n.mean(axis=0), rotor.thrust_min_n)  # weak motors get higher duty cycles
     share /= share.mean()
     gained_m_s = r.velocity_m_s[first[-1], 2] - r.velocity_m_s[first[0], 2]
     lift_m_s2 = params.contact.gravity_m_s2 + gained_m_s / (r.time_s[first[-1]] - r.time_s[first[0]])
     thrust = params.body.mass_kg * lift_m_s2 / float((thrust_n @ share * _up(r)[first]).mean())
     m1, m2, m3, m4 = share.tolist()
     hover_rpm = rotor.rpm(params.body.mass_kg * params.contact.gravity_m_s2 / 4.0 / thrust)
-    power = float((rpm * rpm * rpm).mean()) / hover_rpm**3  # relative to the hover
+    power = float((rpm * rpm * rpm).mean()) / hover_rpm**3  # ratio to the power of hover
     current_a = battery.idle_current_a + battery.hover_current_a * power
     rest_v = float(r.battery_v[first].mean()) + battery.resistance_ohm * current_a
     charge = (rest_v - battery.empty_v) / (battery.full_v - battery.empty_v)
     charge += (
         current_a * (r.time_s[first].mean() - r.time_s[start]) / battery.charge_a_s
-    )  # used in the take-off
+    )  # charge used in the take-off
     return Plant(thrust=thrust, motors=(m1, m2, m3, m4), battery_charge=charge)
 
 
 def _fed_forward(r: Recording, span: slice) -> Floats:
-    """Velocity set-points of the take-off, which ends when the set-point first moves sideways; zero later."""
+    """Return the take-off's velocity set-points; zero after its end, the first horizontal step."""
     assert r.setpoint_position_m is not None
     out = np.zeros_like(r.setpoint_position_m)
     setpoints = r.setpoint_position_m[span]
@@ -193,7 +194,7 @@ def _fed_forward(r: Recording, span: slice) -> Floats:
 
 
 def _up(r: Recording) -> Floats:
-    """Height of the body's z axis, 1 where it is level."""
+    """Return the z component of the body's z axis; 1 where it is level."""
     x, y = r.attitude[:, 1], r.attitude[:, 2]
     up: Floats = 1.0 - 2.0 * (x * x + y * y)
     return up

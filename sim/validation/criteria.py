@@ -1,7 +1,7 @@
-"""Limits on the simulator beside recorded flights, each with its reason, and the verdict on them.
+"""Limits on the simulator compared with recorded flights, each with its reason, and the verdict.
 
-Every number is a statistic over flights with an interval of 95 % by bootstrap over flights: two flights of a
-day are more alike than two samples of a noise, so the samples of one flight do not count as many.
+Every number is a statistic over flights with a 95 % interval from bootstrap over flights: flights of one day
+are correlated, so the samples of a flight do not count as independent.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from sim.validation.sensing import SPEED_EDGES_M_S
 RESAMPLES = 999
 CONFIDENCE = 0.95
 MET, OPEN, MISSED = "met", "open", "missed"
-SHARE_MIN = 0.01  # rarer saturation does not change a flight
-TRACKING_WITHIN = 0.25  # difference of two tracking errors that counts as agreement, as share
+SHARE_MIN = 0.01  # lower limit of a share in a ratio; rarer saturation does not change a flight
+TRACKING_WITHIN = 0.25  # relative difference of two tracking errors that counts as agreement
 
 Statistic = Callable[..., Any]  # function of arrays of the same shape along ``axis``
 
 
 class Estimate(NamedTuple):
-    """A statistic over flights with its interval; the ends are NaN where it is based on one flight."""
+    """A statistic over flights with its interval; the ends are NaN if there is only one flight."""
 
     value: float
     low: float
@@ -38,7 +38,7 @@ class Estimate(NamedTuple):
 
 
 def over_flights(statistic: Statistic, *samples: Sequence[float]) -> Estimate | None:
-    """A statistic of one or several numbers a flight; a flight with NaN is left out. None: no flights."""
+    """Return a statistic of numbers per flight; flights with NaN are ignored. None: no flights."""
     table = np.array(samples, dtype=np.float64)
     table = table[:, np.isfinite(table).all(axis=0)]
     if not table.shape[1]:
@@ -54,7 +54,7 @@ def over_flights(statistic: Statistic, *samples: Sequence[float]) -> Estimate | 
 
 
 def number(flight: Compared, path: str) -> float:
-    """Number of a flight by its path, as ``closed_loop.recorded.duty``; NaN where a part is missing."""
+    """Return the number at a path such as ``closed_loop.recorded.duty``; NaN if a part is missing."""
     found: Any = flight
     for step in path.split("."):
         if found is None:
@@ -64,7 +64,7 @@ def number(flight: Compared, path: str) -> float:
 
 
 def estimate(flights: Sequence[Compared], statistic: Statistic, *paths: str) -> Estimate | None:
-    """A statistic of the numbers at some paths."""
+    """Return a statistic of the numbers at these paths."""
     return over_flights(statistic, *([number(flight, path) for flight in flights] for path in paths))
 
 
@@ -73,7 +73,7 @@ def median_ratio(a: Floats, b: Floats, axis: int) -> Any:
 
 
 def ratio_of_means(a: Floats, b: Floats, axis: int) -> Any:
-    """Mean of a share over the mean of another; a mean below ``SHARE_MIN`` counts as ``SHARE_MIN``."""
+    """Return the ratio of two mean shares; a mean below ``SHARE_MIN`` counts as ``SHARE_MIN``."""
     return np.maximum(a.mean(axis=axis), SHARE_MIN) / np.maximum(b.mean(axis=axis), SHARE_MIN)
 
 
@@ -86,28 +86,28 @@ def difference_of_means(a: Floats, b: Floats, axis: int) -> Any:
 
 
 def median_difference(a: Floats, b: Floats, axis: int) -> Any:
-    """Median over flights of the difference of two numbers, as share of the second."""
+    """Return the median over flights of the relative difference of two numbers."""
     return np.median(np.abs(a / b - 1.0), axis=axis)
 
 
 def share_within(a: Floats, b: Floats, axis: int) -> Any:
-    """Share of flights where two numbers differ by at most ``TRACKING_WITHIN``."""
+    """Return the share of flights in which two numbers differ by at most ``TRACKING_WITHIN``."""
     return (np.abs(a / b - 1.0) <= TRACKING_WITHIN).mean(axis=axis)
 
 
 @dataclass(frozen=True)
 class Criterion:
-    """A limit on a statistic of the simulator's numbers and the recorded ones."""
+    """A limit on a statistic of simulated and recorded numbers."""
 
     part: str  # open loop, closed loop or sensing
-    text: str  # compared quantity; by default rms errors of the simulator over others
-    low: float  # least value allowed
-    high: float  # greatest value allowed
+    text: str  # compared quantity; by default a ratio of the simulator's rms error to another rms error
+    low: float  # smallest allowed value
+    high: float  # largest allowed value
     reason: str  # reason of the limits
     statistic: Statistic
-    paths: tuple[str, ...]  # its numbers in a flight
-    cause: str | None = None  # text of a miss, with the value; None: ``text`` says it
-    by_chance: bool = False  # drawn numbers vary: missed only where the whole interval is outside the limits
+    paths: tuple[str, ...]  # paths of its numbers in a flight
+    cause: str | None = None  # text of a failure, with the value as placeholder; None: ``text``
+    by_chance: bool = False  # random numbers vary: it fails only if the whole interval is outside the limits
     scale: float = 1.0  # factor from the value to the printed number
     unit: str = ""  # unit of the printed number
 
@@ -132,7 +132,7 @@ class Verdict(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The estimate with its interval, as text."""
+        """Text of the estimate with its interval."""
         if self.found is None:
             return "no flight covers it"
         value, low, high = (f"{self.criterion.scale * each:.3g}" for each in self.found)
@@ -141,14 +141,14 @@ class Verdict(NamedTuple):
 
 
 def judge(flights: Sequence[Compared]) -> list[Verdict]:
-    """Compare the flights with all criteria."""
+    """Evaluate all criteria for these flights."""
     found = [(c, estimate(flights, c.statistic, *c.paths)) for c in CRITERIA]
     covered = {criterion.part for criterion, value in found if value is not None}
     return [Verdict(c, value, _word(c, value, c.part in covered)) for c, value in found]
 
 
 def _word(criterion: Criterion, found: Estimate | None, part_covered: bool) -> str:
-    """A criterion without flights is open; missed where no criterion of its part has any."""
+    """Return the result word: without flights it is open, or missed if its whole part has no flights."""
     if found is None:
         return OPEN if part_covered else MISSED
     if criterion.low <= found.value <= criterion.high:
@@ -158,7 +158,7 @@ def _word(criterion: Criterion, found: Estimate | None, part_covered: bool) -> s
 
 
 def causes(verdicts: Sequence[Verdict]) -> list[str]:
-    """Sentences on what differs: named causes first, then the misses of each part."""
+    """Return sentences on the differences: known causes first, then the failures of each part."""
     missed = [v for v in verdicts if not v.met]
     told = [v.criterion.cause.format(v.found.value) for v in missed if v.found and v.criterion.cause]
     for part in dict.fromkeys(v.criterion.part for v in missed):

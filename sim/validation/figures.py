@@ -20,7 +20,7 @@ _SIDES = ("recorded", "simulated")
 def _bars(
     names: Sequence[str], found: Sequence[Summary], color: str, name: str, scale: float, **more: Any
 ) -> Any:
-    """Bars with the interval of each value."""
+    """Return bars with the interval of each value."""
     each = np.array([(f["value"], *f["interval"]) for f in found], dtype=np.float64)  # None becomes NaN
     values, low, high = scale * each.T
     return go.Bar(
@@ -31,14 +31,14 @@ def _bars(
 
 
 def _titled(figure: go.Figure) -> go.Figure:
-    """Make room for the titles of subplots below the buttons, in smaller type."""
+    """Make room for the subplots' titles below the buttons, in a smaller font."""
     figure.update_layout(margin={"t": 64})
     figure.update_annotations(font={"size": 13})
     return figure
 
 
 def open_loop(told: Summary) -> go.Figure | None:
-    """Errors of model, constant velocity and ideal body after each horizon."""
+    """Return the errors of model, constant velocity and ideal body after each horizon."""
     if not any(one["open_loop"] for one in told["by_flight"]):
         return None
     shown = (("position_m", "position [mm]", 1000.0), ("velocity_m_s", "velocity [mm/s]", 1000.0),
@@ -60,7 +60,7 @@ def open_loop(told: Summary) -> go.Figure | None:
 
 
 def ratios(told: Summary) -> go.Figure | None:
-    """Ratio of the model's error of position and velocity to that of constant velocity, by flight."""
+    """Return the ratio of the model's errors of position and velocity to constant velocity, by flight."""
     flights = [one for one in told["by_flight"] if one["open_loop"]]
     if not flights:
         return None
@@ -93,7 +93,7 @@ _FLOWN = (
 
 
 def closed_loop(told: Summary) -> go.Figure | None:
-    """Simulated over recorded values of each flight."""
+    """Return the ratio of simulated to recorded values of each flight."""
     flights = [one for one in told["by_flight"] if one["closed_loop"]]
     if not flights:
         return None
@@ -127,7 +127,7 @@ def closed_loop(told: Summary) -> go.Figure | None:
 
 
 def sensing(told: Summary) -> go.Figure | None:
-    """Error by speed, spectrum, and delay of each flight, for position and velocity."""
+    """Return the error by speed, spectrum, and delay of each flight, for position and velocity."""
     flights = [one for one in told["by_flight"] if one["sensing"]]
     if not flights:
         return None

@@ -1,14 +1,14 @@
 """Fits the numbers of a vehicle's file to recorded flights.
 
-Each flight is fitted alone by least squares (scipy). The result is the median over the flights, with an
-interval from a bootstrap over them: the spread between flights (airframes, batteries, propellers) exceeds the
-uncertainty of one flight. The fit is limited to numbers that flights show: forces over the mass, torques over
-the rotors' thrust. Mass and thrust curve are those of the base.
+Each flight is fitted separately by least squares (scipy). The result is the median over the flights, with an
+interval from bootstrap over flights: the spread between flights (airframes, batteries, propellers) is larger
+than the uncertainty of one flight. Only numbers that flights reveal are fitted: forces per mass, and torques
+per rotor thrust. The base file gives mass and thrust curve.
 
-Three kinds of residuals are minimised together, each over its usual size: the specific force along body z
-(thrust, lag), the one across it (drag, misalignment of the markers), and the next gyro sample minus its
-prediction by an observer of rate and unknown torque. The last is needed for flights under feedback: a
-regression of angular acceleration on torque finds the inverse of the controller instead of the body.
+Three kinds of residuals are minimised together, each divided by its usual size: the specific force along body
+z (thrust, lag), the one across it (drag, misalignment of the markers), and the next gyro sample minus the
+prediction by an observer of rate and unknown torque. The last kind is needed for flights under feedback: a
+regression of angular acceleration on torque would identify the inverse of the controller.
 """
 
 from __future__ import annotations
@@ -30,27 +30,27 @@ from sim.plant.params import Params
 from sim.plant.rotors import POSITION_X, POSITION_Y
 from sim.validation.open_loop import SAMPLE_S, Piece, pieces, rotations
 
-WINDOW = 5  # samples over which the velocity is differentiated
-FINE = 5  # motor steps in a sample: the firmware commands the motors at 500 Hz
-SKIP = 50  # samples at the beginning of a piece in which the lags settle
-SIZES = (0.15, 0.3, 0.024)  # usual residuals: along z and across, m/s^2, and gyro, rad/s
+WINDOW = 5  # number of samples over which the velocity is differentiated
+FINE = 5  # motor steps per sample: the firmware commands the motors at 500 Hz
+SKIP = 50  # samples at the start of a piece in which the lags settle; they are not used
+SIZES = (0.15, 0.3, 0.024)  # usual residuals: along z and across, m/s^2; gyro, rad/s
 LEVEL = 0.95  # confidence of the intervals
-SECONDS_MIN = 3.0  # usable time of a flight
-VOLTAGE_LAG_S = 0.1  # the voltage is logged at 10 Hz
+SECONDS_MIN = 3.0  # smallest usable time of a flight
+VOLTAGE_LAG_S = 0.1  # lag of the voltage, which is logged at 10 Hz
 
 
 class Values(NamedTuple):
-    """Fitted numbers."""
+    """Fitted numbers of a vehicle."""
 
     hover_v: float  # mean voltage at the motors in hover
-    exponent: float  # exponent of the thrust as a power of that voltage, near hover
+    exponent: float  # exponent of the thrust as a power of this voltage, near hover
     lag_s: float  # lag of the motor speed
-    drag_1_s: float  # drag over mass along body x and y
-    climb_drag_1_s: float  # drag over mass along body z
-    inertia_kg_m2: float  # about body x and y, for the base's mass and arm
-    drag_above_com_m: float  # lever arm of the drag
+    drag_1_s: float  # drag along body x and y per mass
+    climb_drag_1_s: float  # drag along body z per mass
+    inertia_kg_m2: float  # inertia about body x and y, for the base's mass and arm
+    drag_above_com_m: float  # height of the drag's point of action above the centre of mass
     rate_damping_1_s: float  # damping of roll and pitch rate
-    delay_s: float  # from a logged command to the gyro, beyond the lag
+    delay_s: float  # delay from a logged command to the gyro, in addition to the lag
     resistance_ohm: float  # resistance of the battery, for the base's currents
 
 
@@ -60,7 +60,7 @@ HIGH = Values(20.0, 4.0, 0.3, 5.0, 5.0, 1.0, 1.0, 60.0, 0.06, 5.0)
 
 @dataclass(frozen=True, slots=True)
 class FlightFit:
-    """Numbers of one flight with their standard errors by the Jacobian."""
+    """Numbers of one flight, with standard errors from the Jacobian."""
 
     name: str
     values: Values
@@ -69,7 +69,7 @@ class FlightFit:
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A fitted number: median over flights, its interval, and the flights' standard deviation."""
+    """A fitted number: median over flights, its interval, and the standard deviation over flights."""
 
     value: float
     low: float
@@ -81,7 +81,7 @@ class Number:
 class Fit:
     """Result over all flights."""
 
-    numbers: Mapping[str, Number]  # by the names of ``Values``
+    numbers: Mapping[str, Number]  # numbers under the names of ``Values``
     flights: tuple[FlightFit, ...]
 
     @property
@@ -90,13 +90,13 @@ class Fit:
 
 
 class _Data(NamedTuple):
-    """A piece in the form of the residuals."""
+    """A piece of a flight, prepared for the residuals."""
 
     duty: F64  # (n, 4)
     battery_v: F64  # (n,)
     rates: F64  # (n, 3)
     velocity: F64  # (n, 3), body frame
-    force: F64  # (w, 3) mean specific force of each window, body frame
+    force: F64  # (w, 3) mean specific force in each window, body frame
 
 
 def _data(piece: Piece) -> _Data:
@@ -113,11 +113,12 @@ def _data(piece: Piece) -> _Data:
 def _innovations(
     torque: F64, aside: F64, rates: F64, moment: float, damping: float, gains: F64, out: F64
 ) -> None:
-    """Gyro samples minus their predictions by an observer, ``out``: (n,) rad/s.
+    """Write the gyro samples minus the observer's predictions to ``out``: (n,) rad/s.
 
     ``torque``: (n,) angular acceleration by the rotors until the next sample, rad/s^2; ``aside``: (n,) body
-    velocity that causes the drag's moment, m/s; ``moment``: angular acceleration per m/s of it; ``gains``: of
-    the rate, of the fading and the constant unknown torque (1/s), and the share that remains after a sample.
+    velocity that causes the drag's moment, m/s; ``moment``: angular acceleration per m/s of this velocity;
+    ``gains``: gain of the rate, gains of the fading and the constant unknown torque (1/s), and the share of
+    the fading torque that remains after a sample.
     """
     rate, fades, stays = rates[0], 0.0, 0.0
     for i in range(len(rates)):
@@ -150,9 +151,9 @@ class _Problem:
         self.steepness = steepness(params)
 
     def speeds(self, d: _Data, hover_v: float, exponent: float, lag_s: float) -> F64:
-        """Settled motor speeds (n, 4) over the hover speed, by the map of ``sim.plant.rotors``."""
+        """Return settled motor speeds (n, 4) over the hover speed, by the map of ``sim.plant.rotors``."""
         slope, sag_v = exponent / self.steepness, np.full(len(d.duty), self.battery.hover_sag_v)
-        for _ in range(2):  # the sag follows the speed, and the speed the sag
+        for _ in range(2):  # fixed-point iteration: the sag depends on the speed, the speed on the sag
             motor_v = d.duty * (d.battery_v + sag_v)[:, None] - sag_v[:, None]
             speeds = np.maximum(0.0, 1.0 + slope * (motor_v / hover_v - 1.0))
             power = _lagged((speeds**3).mean(axis=1), lag_s)
@@ -162,7 +163,7 @@ class _Problem:
         return np.asarray(speeds, dtype=np.float64)
 
     def residuals(self, unknown: F64) -> F64:
-        """All residuals over their usual sizes."""
+        """Return all residuals, divided by their usual sizes."""
         hover_v, exponent, lag_s, drag, climb_drag, inertia, above, damping, delay_s, *rest = unknown.tolist()
         ahead, left, *gains = rest
         parts = []
@@ -196,14 +197,14 @@ class _Problem:
 
 
 def steepness(params: Params) -> float:
-    """Exponent of the rotor speed in the thrust, at the hover's speed."""
+    """Return the exponent of thrust as a power of the rotor speed, at hover."""
     rotor, weight_n = params.rotor, params.body.mass_kg * params.contact.gravity_m_s2
     rpm = rotor.rpm(weight_n / 4.0)
     return (rotor.thrust_linear_n_rpm + 2.0 * rotor.thrust_square_n_rpm2 * rpm) * rpm / (weight_n / 4.0)
 
 
 def start_values(params: Params) -> Values:
-    """The numbers of a vehicle's file."""
+    """Return the numbers of a vehicle's file."""
     body, battery = params.body, params.battery
     rpm = params.rotor.rpm(body.mass_kg * params.contact.gravity_m_s2 / 4.0)
     hover_v = battery.motor_v(rpm)
@@ -215,9 +216,9 @@ def start_values(params: Params) -> Values:
 
 
 def fit_flight(flight: Screened, params: Params) -> FlightFit | None:
-    """Fit one flight; None if less than ``SECONDS_MIN`` of it can be used.
+    """Fit one flight; None if its usable time is below ``SECONDS_MIN``.
 
-    ``params`` is the base: start of the fit, and source of the numbers that a flight cannot show.
+    ``params``: the base, which gives the start of the fit and the numbers that a flight does not reveal.
     """
     usable = [piece for piece in pieces(flight) if len(piece.duty) > 4 * SKIP]
     if sum(len(piece.duty) for piece in usable) * SAMPLE_S < SECONDS_MIN:
@@ -241,7 +242,7 @@ def fit_flight(flight: Screened, params: Params) -> FlightFit | None:
 
 
 def _standard_errors(jacobian: F64, residuals: F64) -> F64:
-    """Standard errors of least squares; infinite for an unknown without effect on the residuals."""
+    """Return standard errors of least squares; infinite for an unknown without effect on residuals."""
     freedom = max(1, len(residuals) - jacobian.shape[1])
     size = np.linalg.norm(jacobian, axis=0)
     if not np.all(size > 0.0):
@@ -252,7 +253,7 @@ def _standard_errors(jacobian: F64, residuals: F64) -> F64:
 
 
 def _resistance(data: Sequence[_Data], problem: _Problem, values: Values) -> tuple[float, float]:
-    """Resistance of the battery and its standard error, by the voltage as a function of the power."""
+    """Return the battery's resistance and its standard error, from the voltage as a function of the power."""
     rows, volts = [], []
     for number, d in enumerate(data):
         speeds = problem.speeds(d, values.hover_v, values.exponent, values.lag_s)
@@ -268,7 +269,7 @@ def _resistance(data: Sequence[_Data], problem: _Problem, values: Values) -> tup
 
 
 def together(flights: Sequence[FlightFit], seed: int = 0) -> Fit:
-    """Medians over flights with intervals; below three flights by the Jacobians. ValueError: no flight."""
+    """Return medians over flights with intervals (from the Jacobians below three). ValueError: no flight."""
     if not flights:
         raise ValueError("found no flight that can be fitted, one at least is needed")
     numbers = {}
@@ -287,7 +288,7 @@ def together(flights: Sequence[FlightFit], seed: int = 0) -> Fit:
 
 
 def fitted(params: Params, values: Values) -> Params:
-    """The base with the fitted numbers."""
+    """Return the base with the fitted numbers."""
     b, rotor = params.body, params.rotor
     rpm = rotor.rpm(b.mass_kg * params.contact.gravity_m_s2 / 4.0)
     slope = values.exponent / steepness(params)

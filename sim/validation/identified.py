@@ -17,15 +17,15 @@ from sim.scenarios.scenario import VEHICLE_FILES
 from sim.validation.fit import LEVEL, Fit, FlightFit, Number, fit_flight, fitted, together
 from sim.validation.open_loop import HORIZONS_S, Compared, compare
 
-FULL_V = 3.7  # voltage under load for which ``thrust_max_n`` is stated
+FULL_V = 3.7  # voltage under load to which ``thrust_max_n`` refers
 
 
 @dataclass(frozen=True, slots=True)
 class Gathered:
-    """Flights of a folder."""
+    """Flights of a folder and their fits."""
 
     flights: tuple[tuple[Screened, FlightFit], ...]  # fitted flights with their fits
-    left_out: tuple[tuple[str, str], ...]  # names of the other flights, with the reason
+    left_out: tuple[tuple[str, str], ...]  # names of the other flights, each with the reason
 
     @property
     def fits(self) -> list[FlightFit]:
@@ -35,7 +35,7 @@ class Gathered:
 def gather(
     folder: Path, columns: Mapping[str, Group], params: Params, done: Callable[[], object] = lambda: None
 ) -> Gathered:
-    """Fit each flight of a folder alone; ``done`` is called after each flight.
+    """Fit each flight of a folder separately; ``done`` is called after each flight.
 
     Raises RecordingError: the folder has no recordings, or none that can be fitted.
     """
@@ -60,17 +60,17 @@ def gather(
 
 
 def kind(name: str) -> str:
-    """Path of a flight by its file's name, without speed and repetition: B2_circle of B2_circle_fast_rep1."""
+    """Return the path in a flight's file name, e.g. B2_circle for B2_circle_fast_rep1."""
     return re.sub(r"(_(slow|medium|fast))?(_rep\d+)?$", "", name)
 
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """Prediction of one kind of path by a fit to the other kinds."""
+    """Prediction error on one kind of path, by a fit to the other kinds."""
 
     kind: str  # kind of path
     flights: int  # number of flights
-    # Errors over those of constant velocity at ``HORIZONS_S``, medians over the flights; ideal: rigid body.
+    # ratios of errors to constant velocity at ``HORIZONS_S``, medians over the flights; ideal: rigid body
     position: list[float]
     ideal_position: list[float]
     velocity: list[float]
@@ -82,7 +82,7 @@ def _ratios(errors: Compared) -> tuple[float, float]:
 
 
 def leave_one_out(gathered: Gathered, params: Params) -> list[LeftOut]:
-    """For each kind of path, predict it by a fit to the others. Raises ValueError: only one kind."""
+    """Predict each kind of path by a fit to the other kinds. Raises ValueError: only one kind."""
     kinds = sorted({kind(fit.name) for fit in gathered.fits})
     if len(kinds) < 2:
         raise ValueError(f"found flights of one path only ({kinds[0]}), to leave one out takes two at least")
@@ -102,7 +102,7 @@ def leave_one_out(gathered: Gathered, params: Params) -> list[LeftOut]:
 
 
 def toml(fit: Fit, params: Params, base: str) -> str:
-    """Vehicle file with the fitted numbers and their sources, on a base that is a name or a file."""
+    """Return a vehicle file with the fitted numbers and their sources; ``base``: a name or a file."""
     vehicle, n = fitted(params, fit.values), fit.numbers
     if base not in VEHICLE_FILES.names():
         base = str(Path(base).resolve())

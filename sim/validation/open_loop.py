@@ -1,13 +1,13 @@
-"""Recorded motor commands and battery voltage, fed into the plant: how far it flies from the recorded flight.
+"""Predicts recorded flights from their motor commands and battery voltage: the error of the plant alone.
 
-Every ``EVERY_S`` the plant starts from the true state: position, velocity and attitude of motion capture,
-rates of the gyro. After the start it gets only the recorded commands and voltages. Before each start three
-quantities are calibrated from the past:
+Every ``EVERY_S`` the plant starts from the true state: position, velocity and attitude from motion capture,
+rates from the gyro. After the start its only inputs are the recorded commands and voltages. Before each start
+three quantities are calibrated from earlier samples:
 
-- thrust: one factor, so that the last ``CALIBRATION_S`` give the recorded change of velocity;
+- thrust: one factor, such that the last ``CALIBRATION_S`` reproduce the recorded change of velocity;
 - marker misalignment: two angles, from the same change of velocity;
-- torque: an observer follows the gyro and finds the torque that is missing in the plant. A slow part of it is
-  constant in the prediction (unequal motors, an offset centre of mass), a fast part fades.
+- torque: an observer follows the gyro and estimates the torque that the plant lacks. Its slow part is
+  constant in the prediction (unequal motors, an offset centre of mass), its fast part decays.
 
 The recorded commands contain the controller's reaction to the missing torque, so the missing torque opposes
 the rates that the commands alone would cause. ``ANSWER_1_S`` models this.
@@ -36,16 +36,16 @@ from sim.world.bodies import move_body
 
 HORIZONS_S = (0.1, 0.25, 0.5)
 EVERY_S = 0.1
-SAMPLE_S = 0.01  # recordings are resampled at this period
-STEPS = 10  # plant steps in a sample
+SAMPLE_S = 0.01  # period to which recordings are resampled
+STEPS = 10  # plant steps per sample
 CALIBRATION_S = 1.0
 BACK = round(CALIBRATION_S / SAMPLE_S)
-COMMAND_DELAY_MS = 8  # from a logged command to its effect on the gyro beyond the motors' lag, fitted
-# Gains of the observer: they give the smallest errors after 0.5 s, with a flat minimum.
-RATE_GAIN = 1.4  # correction of the rate per error of the rate in a sample; above 1 due to the gyro's filter
-FAST_GAIN, SLOW_GAIN = 40.0, 10.0  # gains of the missing angular acceleration, 1/s
-FADES_S = 0.1  # correlation time of its fast part
-ANSWER_1_S = 9.0  # missing angular acceleration per body rate, opposing
+COMMAND_DELAY_MS = 8  # delay from a logged command to the gyro, in addition to the motors' lag; fitted
+# gains of the observer, which minimise the errors after 0.5 s; the minimum is flat
+RATE_GAIN = 1.4  # correction of the rate per rate error in a sample; above 1 because of the gyro's filter
+FAST_GAIN, SLOW_GAIN = 40.0, 10.0  # gains of the missing angular acceleration's fast and slow part, 1/s
+FADES_S = 0.1  # correlation time of the fast part
+ANSWER_1_S = 9.0  # missing angular acceleration per body rate, in the opposite direction
 
 
 class Compared(NamedTuple):
@@ -58,7 +58,7 @@ class Compared(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Horizon:
-    """Errors ``seconds`` after the start."""
+    """Errors at the time ``seconds`` after the start."""
 
     seconds: float
     position_m: Compared
@@ -68,15 +68,15 @@ class Horizon:
 
 @dataclass(frozen=True, slots=True)
 class OpenLoop:
-    """Result of a flight."""
+    """Result for one flight."""
 
     horizons: tuple[Horizon, ...]  # errors at ``HORIZONS_S``
-    thrust_ratio: float  # thrust of the plant over the recorded one, mean over the starts
+    thrust_ratio: float  # ratio of the plant's thrust to the recorded one, mean over the starts
     starts: int  # number of predictions
 
 
 class Piece(NamedTuple):
-    """A usable piece of a flight at ``SAMPLE_S``; n samples."""
+    """A usable piece of a flight with n samples, resampled to ``SAMPLE_S``."""
 
     position: F64  # (n, 3), ENU, m
     velocity: F64  # (n, 3), m/s
@@ -87,7 +87,7 @@ class Piece(NamedTuple):
 
 
 def pieces(flight: Screened) -> Iterator[Piece]:
-    """Yield the usable pieces, resampled, since logs have missing rows."""
+    """Yield the usable pieces, resampled because logs have missing rows."""
     r = flight.recording
     attitude = _continuous(r.attitude)
     for part in flight.pieces:
@@ -104,7 +104,7 @@ def pieces(flight: Screened) -> Iterator[Piece]:
 
 
 def _continuous(quaternion: F64) -> F64:
-    """The same rotations without jumps of sign."""
+    """Return the same rotations without sign changes between samples."""
     with np.errstate(invalid="ignore"):
         flips = np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0.0
     sign = np.concatenate([[1.0], np.where(np.cumsum(flips) % 2 == 1, -1.0, 1.0)])
@@ -113,14 +113,14 @@ def _continuous(quaternion: F64) -> F64:
 
 
 def commanded_rpm(params: Params, duty: F64, battery_v: F64) -> F64:
-    """Settled motor speeds (n, 4) for duty cycles (n, 4) and voltage under load (n,)."""
+    """Return settled motor speeds (n, 4) for duty cycles (n, 4) and voltage under load (n,)."""
     rotor, battery = params.rotor, params.battery
-    if rotor.volt_map is None:  # the duty is a thrust, limited by the battery
+    if rotor.volt_map is None:  # the duty cycle is a thrust, limited by the battery
         a, b = rotor.thrust_square_n_rpm2, rotor.thrust_linear_n_rpm
         rpm = (np.sqrt(b * b + 4.0 * a * rotor.thrust_max_n * duty) - b) / (2.0 * a)
         limit = battery.speed_at_zero_v_rpm + battery.speed_per_volt_rpm * battery_v
         return np.minimum(rpm, limit[:, None])
-    sag_v = battery.hover_sag_v  # sag by pulses: sim.plant.rotors.speed_at_no_duty
+    sag_v = battery.hover_sag_v  # sag from current pulses: sim.plant.rotors.speed_at_no_duty
     motor_v = duty * (battery_v[:, None] + sag_v) - sag_v
     return np.maximum(0.0, battery.speed_at_zero_v_rpm + battery.speed_per_volt_rpm * motor_v)
 
@@ -129,7 +129,7 @@ def commanded_rpm(params: Params, duty: F64, battery_v: F64) -> F64:
 def _follow(
     vehicle: Cell[VehicleRecord], commands: F64, rates: F64, rpm: F64, thrust: F64, torque: F64
 ) -> None:
-    """Turn the rotors along a piece: speeds at each sample, mean thrust and torque until the next."""
+    """Simulate the rotors along a piece: speeds at each sample, mean thrust and torque until the next."""
     r = vehicle[0].rotors
     for k in range(4):
         r.rpm[k] = commands[0, k]
@@ -147,10 +147,11 @@ def _follow(
 
 @jitted
 def _observe(acceleration: F64, rates: F64, fade: float, fast: F64, slow: F64) -> None:
-    """Find the missing angular acceleration at each sample from the past: ``fast`` and ``slow`` part (n, 3).
+    """Estimate the missing angular acceleration at each sample: ``fast`` and ``slow`` part (n, 3).
 
-    ``acceleration``: (n, 3) of the plant with the recorded rates, until the next sample, rad/s^2; ``rates``:
-    (n, 3) of the gyro; ``fade``: share of the fast part that remains after a sample.
+    Only earlier samples are used. ``acceleration``: (n, 3) angular acceleration of the plant at the recorded
+    rates, until the next sample, rad/s^2; ``rates``: (n, 3) gyro rates; ``fade``: share of the fast part that
+    remains after a sample.
     """
     for axis in range(3):
         rate, fades, stays = rates[0, axis], 0.0, 0.0
@@ -168,12 +169,12 @@ def _observe(acceleration: F64, rates: F64, fade: float, fast: F64, slow: F64) -
 def _predict(
     vehicle: Cell[VehicleRecord], commands: F64, starts: I64, states: F64, fade: float, ends: I64, found: F64
 ) -> None:
-    """Fly from each start.
+    """Simulate the plant from each start.
 
     ``commands``: (n, 4) rpm; ``starts``: (m,) samples; ``states``: (m, 24) position, velocity, quaternion,
     rates, rotor speeds, thrust factor, slow and fast missing angular acceleration; ``fade``: share of the
-    last that remains after a step; ``ends``: (h,) samples after the start whose states are stored, in
-    increasing order; ``found``: (m, h, 10) position, velocity, quaternion.
+    fast part that remains after a step; ``ends``: (h,) samples after the start at which states are stored, in
+    increasing order; ``found``: (m, h, 10) receives position, velocity, quaternion.
     """
     v = vehicle[0]
     body, wrench = v.world.body, v.world.wrench
@@ -202,7 +203,7 @@ def _predict(
 
 
 def rotations(quaternion: F64) -> Rotation:
-    """Rotations body to world of unit quaternions (n, 4), w first."""
+    """Return the rotations from body to world of unit quaternions (n, 4), w first."""
     return Rotation.from_quat(quaternion[:, [1, 2, 3, 0]])
 
 
@@ -246,7 +247,7 @@ class Model:
         return found, misaligned, scale
 
     def _force(self, piece: Piece, axes: F64, thrust: F64, starts: I64) -> F64:
-        """Vectors b (m, 3) in the body frame that scale the plant's thrust.
+        """Return vectors b (m, 3) in the body frame that scale the plant's thrust.
 
         Over ``BACK`` samples: change of velocity without weight and drag = sum of (R thrust / mass) b.
         """
@@ -260,7 +261,7 @@ class Model:
         return np.asarray(found[:, :, 0], dtype=np.float64)
 
     def _angular(self, piece: Piece, axes: F64, torque: F64) -> F64:
-        """Angular acceleration (n, 3) with the recorded velocities and rates."""
+        """Return the angular acceleration (n, 3) at the recorded velocities and rates."""
         drag = self._record.drag
         velocity = np.einsum("nji,nj->ni", axes, piece.velocity)
         turning = torque.copy()
@@ -271,7 +272,7 @@ class Model:
 
 
 def ideal(params: Params) -> Params:
-    """The vehicle as a rigid body without drag and motor lag."""
+    """Return the vehicle as a rigid body without drag and motor lag."""
     body = replace(params.body, drag_n_s_m=(0.0, 0.0, 0.0), drag_above_com_m=0.0, rate_damping_n_m_s=0.0)
     return replace(params, body=body, rotor=replace(params.rotor, lag_s=1e-6))
 
@@ -315,7 +316,7 @@ def compare(flight: Screened, params: Params, *, shuffle_seed: int | None = None
 
 
 def _errors(found: F64, piece: Piece, after: I64, misaligned: Rotation) -> F64:
-    """Errors (m, h, 3) of position, velocity and attitude of states (m, h, 10)."""
+    """Return the errors (m, h, 3) of position, velocity and attitude of states (m, h, 10)."""
     position = np.linalg.norm(found[..., :3] - piece.position[after], axis=-1)
     velocity = np.linalg.norm(found[..., 3:6] - piece.velocity[after], axis=-1)
     angle = np.empty_like(position)
@@ -326,7 +327,7 @@ def _errors(found: F64, piece: Piece, after: I64, misaligned: Rotation) -> F64:
 
 
 def _constant(piece: Piece, starts: I64, ends: I64) -> F64:
-    """States (m, h, 10) by constant velocity and rates."""
+    """Return states (m, h, 10) at constant velocity and rates."""
     rows = []
     attitude, v = rotations(piece.quaternion[starts]), piece.velocity[starts]
     for seconds in ends * SAMPLE_S:
@@ -337,7 +338,7 @@ def _constant(piece: Piece, starts: I64, ends: I64) -> F64:
 
 
 def _shuffled(usable: list[Piece], chance: np.random.Generator) -> list[Piece]:
-    """The motor commands of the flight in random order."""
+    """Return the pieces with the flight's motor commands in random order."""
     duty = np.concatenate([p.duty for p in usable])
     chance.shuffle(duty)
     ends = np.cumsum([len(p.duty) for p in usable])[:-1]

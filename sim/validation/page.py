@@ -1,4 +1,4 @@
-"""The page of a comparison: criteria, what was left out, and pictures; one HTML file, no network needed."""
+"""The page of a comparison: criteria, left-out flights, and figures; one HTML file that needs no network."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ _SENSING = (
 
 
 def validation_page(summary: Summary) -> Page:
-    """Make the page of a ``summary``. Raises ReportError: the plotting or template library is missing."""
+    """Return the page of a ``summary``. Raises ReportError: the plotting or template library is missing."""
     need_libraries()
-    from sim.validation import figures  # needs plotly
+    from sim.validation import figures  # a late import: it needs plotly
 
     rows = [
         (one["part"], one["text"], one["limit"], one["found"], one["word"], one["reason"])
@@ -83,7 +83,7 @@ def _left_out(summary: Summary) -> str:
 
 def _flights(summary: Summary) -> str:
     def both(sides: Summary | None, *path: str) -> str:
-        """Recorded / simulated, in mm or ms."""
+        """Return recorded / simulated, in mm or ms."""
         if not sides:
             return " / "
         values = []

@@ -27,17 +27,17 @@ from sim.validation.closed_loop import ClosedLoop
 from sim.validation.open_loop import OpenLoop
 from sim.validation.sensing import Sensing
 
-VEHICLE = "crazyflie21_room"  # the vehicle of the recorded flights that the project was compared with
+VEHICLE = "crazyflie21_room"  # vehicle of the recorded flights with which the project was compared
 
 
 @dataclass(frozen=True)
 class Compared:
-    """One flight beside the simulator."""
+    """Comparison of one flight with the simulator."""
 
     name: str  # name of the file without suffix
-    used_s: float  # time that was compared; 0 if the flight is left out
+    used_s: float  # compared time; 0 if the flight is left out
     left_out: tuple[Reason, ...]  # unused parts, or the whole flight, with the reasons
-    # None where the flight is left out or lacks the columns:
+    # None if the flight is left out or lacks the columns:
     open_loop: OpenLoop | None = None
     closed_loop: ClosedLoop | None = None
     sensing: Sensing | None = None
@@ -73,7 +73,7 @@ def run(
 ) -> list[Compared]:
     """Compare flights in ``workers`` processes; the result is sorted by name.
 
-    ``on_flight`` is called with each flight when it is done, in any order.
+    ``on_flight``: called with each compared flight, in any order.
     Raises RecordingError: the table of columns is wrong; ConfigError: the vehicle's file is wrong;
     LaunchError: a process was killed.
     """
@@ -95,7 +95,7 @@ def _each(work: Callable[[Path], Compared], paths: Sequence[Path], workers: int)
             min(workers, len(paths)), get_context("spawn"), initializer=signal.signal,
             initargs=(signal.SIGINT, signal.SIG_IGN),
         )  # fmt: skip
-    except (OSError, NotImplementedError) as error:  # no semaphores: /dev/shm is missing or cannot be written
+    except (OSError, NotImplementedError) as error:  # no semaphores: /dev/shm is missing or read-only
         print(f"validate: one process instead of {workers}: no shared memory ({error})", file=sys.stderr)
         yield from map(work, paths)
         return

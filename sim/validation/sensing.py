@@ -1,8 +1,8 @@
 """Error of the estimated vehicle state: delay, error by axis and speed, correlation, spectrum.
 
-The error has three parts. A constant delay is found first, by least squares, then a constant offset. What is
-left grows with speed: the delay varies. ``compare`` analyses the recorded estimate of a flight and simulated
-ones along the same true path.
+The error has three parts. Least squares give a constant delay, then a constant offset. The remainder grows
+with speed, because the delay varies. ``compare`` analyses the recorded estimate of a flight and simulated
+estimates along the same true path.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from sim.flights.screening import Screened
 from sim.plant.state_error import PastRecord, mismeasured_path, state_errors
 from sim.scenarios.scenario import StateError
 
-DELAY_S = (-0.1, 0.2)  # searched for the delay; clocks of radio and motion capture may differ by tens of ms
-SPEED_EDGES_M_S = (0.0, 0.35, 0.65, 0.85, 1.5)  # bands around 0.2, 0.5, 0.75 and 1 m/s
-DRAWS = 6  # simulated estimates of a flight, since the errors of the model differ from flight to flight
-SLOWEST = 10.0  # percent of the time that show a constant offset
+DELAY_S = (-0.1, 0.2)  # search range of the delay; clocks of radio and cameras may differ by tens of ms
+SPEED_EDGES_M_S = (0.0, 0.35, 0.65, 0.85, 1.5)  # edges of the speed bands around 0.2, 0.5, 0.75 and 1 m/s
+DRAWS = 6  # number of simulated estimates per flight; the model's errors differ between flights
+SLOWEST = 10.0  # share of the slowest samples that determine the offset, percent
 CORRELATION_S = 1.0  # longest lag of the correlation
-CORRELATED = 1.0 / np.e  # the correlation time is the first lag where the correlation falls below this
+CORRELATED = 1.0 / np.e  # the correlation time is the first lag with a smaller correlation
 BANDS_HZ = ((0.0, 0.5), (0.5, 2.0), (2.0, 8.0), (8.0, 50.0))  # bands of the spectrum
 
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """A piece of estimate and truth at the same instants, n samples, longer than ``DELAY_S`` spans."""
+    """A piece of estimate and truth at the same n times, longer than the range of ``DELAY_S``."""
 
-    step_s: float  # between two samples
+    step_s: float  # time between two samples
     truth: Floats  # (n, 3) position in m or velocity in m/s
-    estimate: Floats  # (n, 3) the same of the estimator
+    estimate: Floats  # (n, 3) estimate of the same quantity
     speed_m_s: Floats  # (n,) true horizontal speed
 
 
@@ -44,15 +44,15 @@ class Trace:
 class Error:
     """Error of an estimate in a flight; m for positions, m/s for velocities."""
 
-    delay_s: float  # best-fitting delay of the estimate behind the truth
+    delay_s: float  # delay of the estimate behind the truth with the best fit
     offset: tuple[float, ...]  # (3,) error at low speed
     rms: tuple[float, ...]  # (3,) error on each axis without delay and offset
     along: float  # rms of the error along the horizontal velocity
-    across: float  # rms of the horizontal error across it
-    median: float  # median of the norm of the error, with delay and offset
-    p95: float  # 95th percentile of the same
-    by_speed: tuple[float, ...]  # rms of the horizontal error by bands of ``SPEED_EDGES_M_S``; NaN: not flown
-    correlation_s: float  # time after which the horizontal error is forgotten
+    across: float  # rms of the horizontal error across the velocity
+    median: float  # median of the error's norm, with delay and offset
+    p95: float  # 95th percentile of the error's norm
+    by_speed: tuple[float, ...]  # rms of the horizontal error by ``SPEED_EDGES_M_S``; NaN: not flown
+    correlation_s: float  # correlation time of the horizontal error
     spectrum: tuple[float, ...]  # share of the horizontal error's power in each band of ``BANDS_HZ``
 
     @property
@@ -64,11 +64,11 @@ _SIZES = ("rms", "along", "across", "by_speed")  # fields of ``Error`` that are 
 
 
 def analyse(traces: list[Trace]) -> Error:
-    """Find the error of an estimate in pieces of one flight. Raises ValueError: no trace."""
+    """Return the error of an estimate in pieces of one flight. Raises ValueError: no trace."""
     if not traces:
         raise ValueError("found no pieces of flight, one at least is needed")
     step_s = traces[0].step_s
-    # Both ends are cut off: there the truth of another time lies outside the piece.
+    # Both ends are cut off, because the delayed truth lies outside the piece there.
     inner = slice(math.ceil(DELAY_S[1] / step_s), math.floor(DELAY_S[0] / step_s))
 
     def errors(delay_s: float) -> list[Floats]:
@@ -81,7 +81,7 @@ def analyse(traces: list[Trace]) -> Error:
     delay_s = float(minimize_scalar(misfit, bounds=DELAY_S, method="bounded", options={"xatol": 1e-4}).x)
     parts = errors(delay_s)
     speed = np.concatenate([t.speed_m_s[inner] for t in traces])
-    slow = speed <= np.percentile(speed, SLOWEST)  # there a delay does not look like an offset
+    slow = speed <= np.percentile(speed, SLOWEST)  # a delay has little effect at these samples
     offset = np.median(np.concatenate(parts)[slow], axis=0)
     parts = [part - offset for part in parts]
     left = np.concatenate(parts)
@@ -155,17 +155,17 @@ class Errors:
 
 @dataclass(frozen=True, slots=True)
 class Sensing:
-    """Errors of the recorded estimate of a flight, and of simulated ones on its path."""
+    """Errors of the recorded estimate of a flight, and of simulated estimates on its path."""
 
     recorded: Errors
     simulated: Errors
 
 
 def compare(flight: Screened, seed: int, error: StateError | None = None) -> Sensing | None:
-    """Compare simulated estimates with the recorded one; None where the flight has no usable estimate.
+    """Compare simulated estimates with the recorded one; None if the flight has no usable estimate.
 
-    The model gets only the true path of the flight: delay and size of the errors are drawn anew for each of
-    ``DRAWS`` estimates. So single flights differ from it; over many the two agree if the model is right.
+    The model's only input is the true path of the flight: delay and size of the errors are drawn for each of
+    ``DRAWS`` estimates. So single flights differ from it; over many flights both agree if the model is right.
     ``error``: parameters, or a tape; None: the defaults.
     """
     r = flight.recording
@@ -208,7 +208,7 @@ def _errors(flight: Screened, pieces: list[slice], estimates: list[Floats]) -> E
 
 
 def _mean(errors: list[Error]) -> Error:
-    """Mean of several; root mean square of ``_SIZES``."""
+    """Return the mean of several errors; root mean square for ``_SIZES``."""
     made: dict[str, Any] = {}
     for field in fields(Error):
         values = np.array([getattr(error, field.name) for error in errors])

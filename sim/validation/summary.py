@@ -1,4 +1,4 @@
-"""The result of a comparison as one object, for ``--json`` and the page."""
+"""Result of a comparison as one object, for ``--json`` and the page."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _SENSED = {"rms": "rms_norm"} | {
 def summary(
     options: ValidateOptions, flights: Sequence[Compared], verdicts: Sequence[Verdict]
 ) -> dict[str, Any]:
-    """Return what ``--json`` prints; medians over flights with intervals of 95 %, SI units."""
+    """Return the object that ``--json`` prints; medians over flights with 95 % intervals, SI units."""
     used = [flight for flight in flights if flight.used]
     met = bool(used) and all(verdict.met for verdict in verdicts)
     told = causes(verdicts) if used else ["nothing is left to compare with"]
@@ -56,7 +56,7 @@ def summary(
 
 
 def plain(value: Any) -> Any:
-    """Dataclasses and arrays as JSON types; NaN, which JSON lacks, as None."""
+    """Convert dataclasses and arrays to JSON types; NaN, which JSON lacks, becomes None."""
     if is_dataclass(value):
         return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
     if hasattr(value, "_asdict"):
@@ -69,7 +69,7 @@ def plain(value: Any) -> Any:
 
 
 def reasons(flight: Compared) -> list[str]:
-    """Why a flight, or parts of it, are left out."""
+    """Return the reasons why a flight, or parts of it, are left out."""
     return [f"{r.text} ({r.seconds:.1f} s)" if flight.used else r.text for r in flight.left_out]
 
 
@@ -105,7 +105,7 @@ def _closed_loop(used: Sequence[Compared]) -> dict[str, Any]:
 
 
 def _sensing(used: Sequence[Compared], name: str) -> dict[str, Any]:
-    """Errors of position or velocity: medians over flights; by speed the root mean square over flights."""
+    """Summarise errors of position or velocity: medians over flights; by speed, rms over flights."""
     told: dict[str, Any] = {"speed_m_s": list(SPEED_EDGES_M_S), "bands_hz": [list(band) for band in BANDS_HZ]}
     for side in SIDES:
         where = f"sensing.{side}.{name}"
