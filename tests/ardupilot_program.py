@@ -1,4 +1,4 @@
-"""ArduCopter's SITL program, played by the fake autopilot: its arguments and its TCP port."""
+"""Imitates ArduCopter's SITL program with the fake autopilot: its arguments and its TCP port."""
 
 import argparse
 import select
@@ -35,7 +35,7 @@ def main():
 
 
 def fly(fake, tcp, wire, begin_s):
-    """Until the client hangs up."""
+    """Serve one client until it disconnects."""
     while True:
         messages = fake.step(time.monotonic() - begin_s)
         if select.select([tcp], [], [], PERIOD_S)[0]:

@@ -1,4 +1,4 @@
-"""Options of the tests."""
+"""Command line options and collection rules of the tests."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from flightstack.config.files import path_of
 from tests.real_time import in_real_time, repeated_after_a_pause
 from tests.real_time import pytest_runtest_setup as pytest_runtest_setup
 
-# workers that fly in real time: two cores carry three of them, because the other workers give way
+# workers that fly in real time: two cores run three of them, because other workers have lower priority
 STREAMS = int(os.environ.get("FLIGHTSTACK_TEST_STREAMS", "3"))
-STREAM_NAMES = [f"stream {number}" for number in range(STREAMS)]  # the first has the flights of a real PX4
+STREAM_NAMES = [f"stream {number}" for number in range(STREAMS)]  # the first one flies a real PX4
 
-# tests of a given vehicle that our simulated one need not fly: each is shown by another test of it
+# Tests of a given vehicle that the simulated vehicle can skip: another test covers each.
 SHOWN_BY = {
     "test_connects_and_tells_who_and_where_it_is": "test_a_given_vehicle_is_flown",
     "test_follows_and_lands_on_the_target": "test_a_given_vehicle_is_flown",
     "test_its_parameters_are_safe": "test_preflight_tells_safe_from_unsafe",
 }
-# of those in several phases: the abort and a silent companion are flown in every phase without wires, by
-# test_stops.py and the grid of faults
+# Those with several phases: test_stops.py and the grid of faults fly the abort and a silent companion in
+# every phase, without MAVLink.
 PHASES_HERE = {
     "test_an_abort_brings_it_down_clear_of_the_target": "TAKEOFF",
     "test_a_killed_companion_leaves_a_safe_vehicle": "LAND",
 }
 
-# A shell's background job ignores Ctrl-C, and so would all that the tests start and interrupt.
+# A shell's background job ignores Ctrl-C, and so would all processes that the tests start and interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
-signal.signal(signal.SIGHUP, signal.SIG_DFL)  # and what nohup starts ignores a closed terminal
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # a process started by nohup ignores a closed terminal
 
-# A busy machine is no failure, and the same code passes or fails each time. Others are looked for by
-# pytest --hypothesis-profile="new examples"
+# A busy machine must not cause failures, and runs must be reproducible. New examples: pytest
+# --hypothesis-profile="new examples"
 hypothesis.settings.register_profile("new examples", deadline=None)
 hypothesis.settings.register_profile("same examples", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("same examples")
@@ -80,14 +80,14 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """One worker for each core; with ``-n auto`` also one for each stream of flights, which mostly wait."""
+    """Use one worker per core; with ``-n auto`` add one per stream of flights, which mostly wait."""
     streams = 0 if config.option.numprocesses == "logical" else STREAMS
     return streams + (os.cpu_count() or 1)
 
 
-@pytest.hookimpl(tryfirst=True)  # before the workers look at the groups
+@pytest.hookimpl(tryfirst=True)  # before the workers read the groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """A vehicle that was given is flown by the tests made for it, and armed only where that was allowed."""
+    """With a given vehicle, run only the tests made for it, and arm only with permission."""
     px4 = config.getoption("--px4") is not None
     if config.getoption("--vehicle") is None and not px4:
         items[:] = [item for item in items if not _flown_otherwise(item)]
@@ -106,7 +106,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def _deal_out(items: list[pytest.Item]) -> None:
-    """Give the flights in real time to the streams in turn; a test can name its stream itself."""
+    """Distribute the real-time flights over the streams; a test can name its stream."""
     turn = itertools.cycle(STREAM_NAMES)
     for item in items:
         if _marked(item, "vehicle"):
@@ -118,7 +118,7 @@ def _deal_out(items: list[pytest.Item]) -> None:
 
 
 def _flown_otherwise(item: pytest.Item) -> bool:
-    """What another test of our simulated vehicle shows; see ``SHOWN_BY``."""
+    """Skip tests of our simulated vehicle that another test covers; see ``SHOWN_BY``."""
     given = item.callspec.params if hasattr(item, "callspec") else {}
     if "flight_number" not in given:
         return False
@@ -127,18 +127,18 @@ def _flown_otherwise(item: pytest.Item) -> bool:
 
 
 def _marked(item: pytest.Item, name: str) -> bool:
-    """Whether a test has this marker; its keywords hold the values of its parameters, too."""
+    """Return whether a test has this marker; its keywords also contain the values of its parameters."""
     return item.get_closest_marker(name) is not None
 
 
 def pytest_make_parametrize_id(config: pytest.Config, val: object) -> str | None:
-    """A frame or payload by its length: its bytes say nothing to a reader of names."""
+    """Name a frame or payload by its length, because its bytes are unreadable."""
     del config
     return f"{len(val)} bytes" if isinstance(val, bytes) else None
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """A test with an argument ``flight_number`` is a whole flight and can be repeated."""
+    """Repeat a test that has the argument ``flight_number``, a whole flight."""
     config = metafunc.config
     if "flight_number" in metafunc.fixturenames:
         metafunc.parametrize("flight_number", range(config.getoption("--flights")))

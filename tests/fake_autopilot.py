@@ -1,6 +1,6 @@
-"""An ArduCopter, or the parameters of a PX4, for the tests of the companion: any release, any parameters.
+"""Imitates ArduCopter, or the parameters of PX4, for tests of the companion: any release, any parameters.
 
-It flies as a point that follows velocities in GUIDED, in NED, and shares no code with the simulator.
+In GUIDED it is a point that follows velocities in NED. It shares no code with the simulator.
 """
 
 import math
@@ -18,7 +18,8 @@ PERIOD_S = 0.01
 
 
 class FakeAutopilot:
-    """Messages and times in, messages out; ``says_unknown``: an unknown parameter is answered."""
+    """Pure computation from messages and times; ``says_unknown``: it answers requests of unknown
+    parameters."""
 
     def __init__(self, autopilot, version, parameters, *, says_unknown=True):
         self._px4 = autopilot == "px4"
@@ -27,14 +28,14 @@ class FakeAutopilot:
         self.mode, self.armed, self.origin = 0, False, False
         self.position, self.velocity = [0.0, 0.0, -FEET_M], [0.0, 0.0, 0.0]
         self._wanted, self._until_s, self._climb_to_m = [0.0] * 3, -math.inf, None
-        self._streams = {0: [1.0, 0.0]}  # by message id: interval, s, and when it is due
+        self._streams = {0: [1.0, 0.0]}  # message id -> interval, s, and next due time
 
     @property
     def standing(self):
         return self.position[2] >= -FEET_M - 1e-9
 
     def step(self, now_s):
-        """Fly until now; telemetry that is due."""
+        """Simulate up to now; return due telemetry."""
         dt_s, self.now_s = min(now_s - self.now_s, 0.1), now_s
         wanted = [0.0, 0.0, SINK_M_S] if self.mode == LAND else list(self._wanted)
         if self._climb_to_m is not None:
@@ -64,7 +65,7 @@ class FakeAutopilot:
         if number == dialect.MAVLINK_MSG_ID_SYS_STATUS:
             health = dialect.MAV_SYS_STATUS_PREARM_CHECK if positioned and self.mode == GUIDED else 0
             return [dialect.MAVLink_sys_status_message(0, 0, health, 0, 12000, -1, 90, 0, 0, 0, 0, 0, 0)]
-        if number == dialect.MAVLINK_MSG_ID_ATTITUDE:  # its nose is to the east
+        if number == dialect.MAVLINK_MSG_ID_ATTITUDE:  # its nose points east
             return [dialect.MAVLink_attitude_message(ms, 0.0, 0.0, math.pi / 2, 0.0, 0.0, 0.0)]
         if number == dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE:
             return [dialect.MAVLink_extended_sys_state_message(0, 1 if self.standing else 2)]
@@ -99,7 +100,7 @@ class FakeAutopilot:
             answer = (0, self._version, 0, 0, 0, zeros, zeros, zeros, 0, 0, 0)
             return [dialect.MAVLink_autopilot_version_message(*answer)] if known else []
         if self._px4:
-            return []  # it does not fly
+            return []  # it is not flying
         if number == dialect.MAV_CMD_REQUEST_MESSAGE:
             return self._telemetry(round(one))
         done = True
@@ -122,13 +123,13 @@ class FakeAutopilot:
             error = dialect.MAVLink_param_error_message(1, 191, name.encode(), -1, 1)
             return [error] if self._says_unknown else []
         kind, number = 9, float(self._parameters[name])
-        if self._px4 and isinstance(self._parameters[name], int):  # its bytes travel
+        if self._px4 and isinstance(self._parameters[name], int):  # PX4 sends integers bytewise
             kind, number = 6, struct.unpack("<f", struct.pack("<i", self._parameters[name]))[0]
         return [dialect.MAVLink_param_value_message(name.encode(), number, kind, len(self._parameters), 0)]
 
 
 class OnUdp(FakeAutopilot):
-    """The same on a socket, answered for by a thread until it is closed."""
+    """The fake autopilot on a socket, served by a thread until closed."""
 
     def __init__(self, *given, **options):
         super().__init__(*given, **options)

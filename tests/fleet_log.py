@@ -1,7 +1,7 @@
-"""The log of a fleet that was flown in one process, as its onboard processes and the simulator log it.
+"""Writes the log of a fleet flown in one process, as onboard processes and simulator write it.
 
-What flies is ``land_team``; what writes is the code of the processes and of the recorder, its derived topics
-included. Only the wires are missing: MAVLink frames and the bytes of the targets' samples.
+``land_team`` flies; the logging code is that of the processes and of the recorder, including derived topics.
+Only the transports are missing: MAVLink frames and the bytes of the targets' samples.
 """
 
 from dataclasses import replace
@@ -28,7 +28,7 @@ from tests.unit.logs.replay.replay_helpers import NoSession
 
 
 def near() -> TeamScenario:
-    """Three vehicles whose pads are so near that one lands at a time, with words that get lost."""
+    """Three vehicles with pads so close that one lands at a time, with message losses."""
     team = load("fleet_3")
     near = {"pad_distance_m": 1.5, "wait_distance_m": 1.6}
     members = tuple(
@@ -38,7 +38,7 @@ def near() -> TeamScenario:
 
 
 class MemberFeed:
-    """A feed into a recorder, whose topics, events, metadata and attachments get a member's name."""
+    """A feed into a recorder; topics, events, metadata and attachments get a member's name."""
 
     connected = True
 
@@ -77,7 +77,7 @@ class MemberFeed:
         self._handle(Kind.ATTACHMENT, head.encode() + text.encode())
 
     def flush(self):
-        """Nothing waits."""
+        """Do not wait."""
 
     def close(self):
         self._handle(Kind.GOODBYE, b"")
@@ -141,7 +141,7 @@ class RecordedRoom(Room):
 
 
 def fly_fleet(path: Path, team: TeamScenario, seed: int, monkeypatch):
-    """Fly a team and write its log; return the verdict of the campaign on it."""
+    """Fly a team and write its log; return the campaign's verdict on it."""
     recorder = Recorder(McapFile(path))
     names = [f"cf{number}" for number in range(1, len(team.member) + 1)]
     first = MemberFeed(recorder, 0)

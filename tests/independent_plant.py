@@ -16,29 +16,30 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import solve_ivp
 
-G = 9.81  # m/s^2
+G = 9.81  # gravity, m/s^2
 MASS = 0.0319  # kg
 INERTIA = np.array([16.8e-6, 16.8e-6, 29.8e-6])  # kg m^2
 DRAG = np.array([0.0147, 0.0147, 0.0128])  # N s/m
-ARM = 0.03253  # m, along x and along y
+ARM = 0.03253  # distance along x and along y, m
 ROTOR_XY = ARM * np.array([[1, -1], [-1, -1], [-1, 1], [1, 1]])  # M1 front right, then clockwise from above
 SPIN = np.array([1, -1, 1, -1])  # M1 and M3 counter-clockwise
-THRUST = np.array([2.4583e-10, -5.382e-7, 0.0])  # N of rpm
-TORQUE = np.array([1.4593e-12, 1.4105e-9, 0.0])  # N m of rpm
+THRUST = np.array([2.4583e-10, -5.382e-7, 0.0])  # thrust, N, as polynomial of rpm
+TORQUE = np.array([1.4593e-12, 1.4105e-9, 0.0])  # torque, N m, as polynomial of rpm
 ROTOR_INERTIA = 34.5e-9  # kg m^2
 RAD_S = 2.0 * np.pi / 60.0
 
 
 @dataclass(frozen=True)
 class Lag:
-    """First order with ``time_s``, or rates up (1/s of the difference) and down (1/(rpm s) of squares)."""
+    """Lag of the motors: first order with ``time_s``, or rates up (1/s of the difference) and down
+    (1/rpm s)."""
 
     time_s: float = 0.07
     rise_1_s: float | None = None
     fall_1_rpm_s: float = 0.0
 
     def rate(self, rpm, command):
-        """Change of the speeds, rpm/s."""
+        """Return the change of the speeds, rpm/s."""
         if self.rise_1_s is None:
             return (command - rpm) / self.time_s
         return np.where(
@@ -50,14 +51,14 @@ SLOW = Lag(rise_1_s=7.3556, fall_1_rpm_s=2.4444e-4)
 
 
 def rotation(q):
-    """Matrix of a quaternion w, x, y, z, body to world."""
+    """Return the matrix of a quaternion w, x, y, z, body to world."""
     w, v = q[0], q[1:]
     cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
     return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
 
 
 def derivative(state, command, lag, drag, wind):
-    """Of position, velocity, quaternion, body rates and rotor speeds (17 numbers)."""
+    """Return the derivative of position, velocity, quaternion, body rates and rotor speeds (17 numbers)."""
     v, q, w, rpm = state[3:6], state[6:10], state[10:13], state[13:]
     r = rotation(q / np.linalg.norm(q))
     thrusts, speed_rate = np.polyval(THRUST, rpm), lag.rate(rpm, command)
@@ -72,7 +73,7 @@ def derivative(state, command, lag, drag, wind):
 
 
 def fly(state, commands, hold_s, lag=None, drag=DRAG, wind=(0.0, 0.0, 0.0)):
-    """Integrate through commands (n, 4), each held for ``hold_s``; states after each (n, 17)."""
+    """Integrate commands (n, 4), each held for ``hold_s``; return the states after each (n, 17)."""
     out = []
     for command in np.asarray(commands, float):
         solved = solve_ivp(

@@ -41,12 +41,12 @@ RAD_S_PER_RPM = 2.0 * math.pi / 60.0
 GYRO_GAIN = -math.expm1(-DT * math.sqrt(2.0) * math.pi * PARAMS.imu.gyro_filter_hz)
 ACCEL_GAIN = -math.expm1(-DT * math.sqrt(2.0) * math.pi * PARAMS.imu.accel_filter_hz)
 MOCAP_PERIOD_S = 0.01
-SAMPLES_MAX = 400  # of a response that is fitted
+SAMPLES_MAX = 400  # maximum samples of a fitted response
 STEPS_PER_SAMPLE = round(MOCAP_PERIOD_S / DT)
 
 
 def slow_lag_s() -> float:
-    """Time constant of a small torque under the slow motors: one pair rises while the other falls."""
+    """Return the time constant of a small torque with slow motors: one pair rises while the other falls."""
     fall = 2.0 * HOVER_RPM * PARAMS.rotor.slow_fall_1_rpm_s
     return 2.0 / (PARAMS.rotor.slow_rise_1_s + fall)
 
@@ -71,11 +71,11 @@ class Loop:
 
     @property
     def period_s(self) -> float:
-        """Time that the matrix of ``poles`` covers."""
+        """Time covered by the matrix of ``poles``."""
         return DT if self.correct is None else MOCAP_PERIOD_S
 
     def poles(self) -> C128:
-        """Poles in 1/s, slowest decay first; those that vanish within a period left out."""
+        """Return the poles in 1/s, slowest decay first, without those that decay within a period."""
         matrix = self.step
         if self.correct is not None:
             matrix = np.linalg.matrix_power(self.step, STEPS_PER_SAMPLE) @ self.correct
@@ -84,7 +84,7 @@ class Loop:
         return s[np.argsort(-s.real)]
 
     def response(self, seconds: float, size: float = 1.0) -> F64:
-        """Output after every step when the set-point steps by ``size`` at time zero, from rest."""
+        """Return the output after every step for a set-point step of ``size`` at time zero, from rest."""
         x = np.zeros(len(self.step))
         out = []
         for k in range(round(seconds / DT)):
@@ -96,15 +96,15 @@ class Loop:
 
 
 class Builder:
-    """Puts a loop together from linear updates, each of one state from the states as they are by then."""
+    """Builds a loop from linear updates, each of one state from the current states."""
 
     def __init__(self, names: str) -> None:
         self.index = {name: i for i, name in enumerate(names.split())}
         self.n = len(self.index)
-        self.matrix = np.eye(self.n + 1)  # the last column belongs to the set-point
+        self.matrix = np.eye(self.n + 1)  # the last column is the set-point
 
     def row(self, **terms: float) -> F64:
-        """A linear form of states and the set-point ``u``, as of now in terms of the step's begin."""
+        """Return a linear form of current states and ``u`` (set-point) in the states at the step's start."""
         form = np.zeros(self.n + 1)
         for name, factor in terms.items():
             form[self.n if name == "u" else self.index[name]] = factor
@@ -135,8 +135,8 @@ def gyro(b: Builder) -> None:
 
 
 def tilt_command(b: Builder, **wanted: float) -> F64:
-    """Commanded torque of the attitude loop; ``wanted`` is the desired tilt as a linear form."""
-    stiff = 2.0 * att.K_R_XY * TORQUE_PER_COUNT  # eR has no 1/2
+    """Return the commanded torque of the attitude loop; ``wanted``: desired tilt as a linear form."""
+    stiff = 2.0 * att.K_R_XY * TORQUE_PER_COUNT  # eR lacks the factor 1/2
     inertia = att.K_D_OMEGA_RP * TORQUE_PER_COUNT / DT
     damping = att.K_W_XY * TORQUE_PER_COUNT
     return (
@@ -146,7 +146,7 @@ def tilt_command(b: Builder, **wanted: float) -> F64:
 
 
 def roll_loop(lag: float) -> Loop:
-    """Roll (or pitch) under the paper's K1, K2; set-point and output in rad."""
+    """Return the loop of roll (or pitch) with the paper's K1, K2; set-point and output in rad."""
     b = Builder("phi p M rate before angle")
     gyro(b)
     jxx = PARAMS.body.inertia_kg_m2[0]
@@ -156,7 +156,7 @@ def roll_loop(lag: float) -> Loop:
 
 
 def yaw_loop(lag: float, reaction: bool = True) -> Loop:
-    """Yaw under the paper's K1, K2, with or without the torque that spinning a rotor up takes."""
+    """Return the loop of yaw with the paper's K1, K2, with or without the rotors' spin-up torque."""
     r = PARAMS.rotor
     b = Builder("psi p W rate before angle sum")
     gyro(b)
@@ -172,7 +172,8 @@ def yaw_loop(lag: float, reaction: bool = True) -> Loop:
 
 
 def correction(b: Builder, gains: tuple[float, float, float], states: tuple[str, str, str, str]) -> F64:
-    """How a motion-capture sample changes the estimate; states: true, position, velocity, third."""
+    """Return a motion-capture sample's correction of the estimate; states: true, position, velocity,
+    third."""
     matrix = np.eye(b.n)
     true, position, *_ = states
     for gain, name in zip(gains, states[1:], strict=True):
@@ -182,7 +183,7 @@ def correction(b: Builder, gains: tuple[float, float, float], states: tuple[str,
 
 
 def horizontal_loop(lag: float, k_v: float = K_V_N_S_M) -> Loop:
-    """East velocity of the paper's loop, eq. 8, through estimator and attitude loop; m/s."""
+    """Return the paper's loop of east velocity, eq. 8, through estimator and attitude loop; m/s."""
     b = Builder("x v phi p M rate before angle felt last xe ve")
     gyro(b)
     new = b.row(felt=1.0 - ACCEL_GAIN, v=ACCEL_GAIN / DT, last=-ACCEL_GAIN / DT, phi=-ACCEL_GAIN * G)
@@ -202,7 +203,7 @@ def horizontal_loop(lag: float, k_v: float = K_V_N_S_M) -> Loop:
 
 
 def vertical_loop(lag: float, k_v: float = K_V_N_S_M) -> Loop:
-    """Upward velocity of the paper's loop; m/s."""
+    """Return the paper's loop of upward velocity; m/s."""
     b = Builder("z v T felt last ze ve bias")
     b.set("felt", b.row(felt=1.0 - ACCEL_GAIN, v=ACCEL_GAIN / DT, last=-ACCEL_GAIN / DT))
     b.set("last", b.row(v=1.0))

@@ -1,4 +1,4 @@
-"""A point-mass vehicle and a robot on a circle around the pure controller: enough to judge decisions."""
+"""Point-mass vehicle and robot on a circle around the pure controller, for tests of decisions."""
 
 import math
 from dataclasses import dataclass, field
@@ -19,12 +19,13 @@ from flightstack.core.types import (
 
 DT_S = 0.01
 VELOCITY_RATE_1_S = 8.0
-STREAM_LOSS_S = 0.5  # the vehicle lands by itself when set-points stop
+STREAM_LOSS_S = 0.5  # time without set-points after which the vehicle lands by itself
 
 
 @dataclass
 class World:
-    """Faults are functions ``(world, inputs) -> inputs`` applied while ``fault_from_s <= t < fault_to_s``."""
+    """Simulated world; faults: functions ``(world, inputs) -> inputs`` for ``fault_from_s <= t <
+    fault_to_s``."""
 
     config: FlightConfig
     fault: object = None
@@ -124,7 +125,7 @@ class World:
         return self
 
     def fault_in(self, phase: Phase, fault, seconds: float = math.inf):
-        """Run into the phase, then apply the fault."""
+        """Run until the phase starts, then apply the fault."""
         self.run(60.0, until=lambda w: w.phase is phase)
         assert self.phase is phase
         self.fault, self.fault_from_s, self.fault_to_s = fault, self.t_s, self.t_s + seconds
@@ -132,7 +133,7 @@ class World:
 
 
 def each_sample(**changes):
-    """A fault that changes each target sample."""
+    """Return a fault that changes each target sample."""
     return lambda _, inputs: inputs._replace(
         target_samples=tuple(s._replace(**changes) for s in inputs.target_samples)
     )

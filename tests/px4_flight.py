@@ -1,4 +1,4 @@
-"""Where the tests find a real PX4, and whole flights of it on the plant of px4-sim, all of it recorded."""
+"""Location of a real PX4 for the tests, and whole recorded flights with it on the plant of px4-sim."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from sim.px4.program import InstanceClaim, Px4Model, Px4Program, find_px4
 from sim.scenarios.scenario import load
 from tests.processes.started import StartedChild
 
-PX4_PLACE = "FLIGHTSTACK_PX4"  # environment: the program or a folder that holds it (sim.px4.program.find_px4)
+PX4_PLACE = "FLIGHTSTACK_PX4"  # environment variable: the program or its folder (sim.px4.program.find_px4)
 ROOT = Path(__file__).parents[1]
 
 
 def px4_place() -> Path | None:
-    """Program or folder; None where there is none, and nobody named one.
+    """Return program or folder; None if there is none and none is named.
 
-    A place that the environment names and that holds no PX4 is an error where it is used, not skipped.
+    A named place without PX4 is an error where it is used; the test is not skipped.
     """
     named = os.environ.get(PX4_PLACE)
     if named:
         return Path(named)
-    beside = [up / "shared" / "px4" for up in ROOT.parents]  # a worktree may lie one folder deeper
+    beside = [up / "shared" / "px4" for up in ROOT.parents]  # a worktree may be one folder deeper
     return next((place for place in beside if (place / "px4").is_file()), None)
 
 
 def px4_or_skip() -> Path:
-    """The program; skips the test that asks where there is none."""
+    """Return the program; skip the test if there is none."""
     place = px4_place()
     if place is None:
         pytest.skip(f"no PX4 here: {PX4_PLACE} names none, and there is no folder shared/px4 beside this one")
@@ -46,7 +46,7 @@ _LOOK_S = 0.02
 
 
 class Px4Flying:
-    """The processes of one flight; the onboard process starts with ``take_off``."""
+    """Processes of one flight; the onboard process starts with ``take_off``."""
 
     def __init__(self, px4: Px4Program, folder: Path, speed: float, words: list[str]) -> None:
         self.px4 = px4
@@ -55,8 +55,8 @@ class Px4Flying:
         self.simulator: Child
         self.target: Child
         self.recorder: Child
-        self.said: list[str] = []  # by the simulator: armed, disarmed, touched the pad ...
-        self.told: list[str] = []  # by the onboard process
+        self.said: list[str] = []  # output of the simulator: armed, disarmed, touched the pad ...
+        self.told: list[str] = []  # output of the onboard process
 
     def take_off(self) -> Child:
         self.onboard = StartedChild("onboard", ["onboard", *self._words], self._folder)
@@ -68,7 +68,7 @@ class Px4Flying:
             self.told += self.onboard.lines(0.0)
 
     def until(self, done: Callable[[], bool], within_s: float) -> bool:
-        """Wait, at most so much stack time; whether it came to it."""
+        """Wait at most this stack time; return whether the condition became true."""
         until_s = time.monotonic() + within_s / self._speed
         while time.monotonic() < until_s:
             self.look()
@@ -78,7 +78,7 @@ class Px4Flying:
         return False
 
     def in_phase(self, name: str) -> bool:
-        """Whether the onboard process has come to this phase."""
+        """Return whether the onboard process has reached this phase."""
         return any(f"-> {name}" in line for line in self.told)
 
     @property
@@ -87,12 +87,12 @@ class Px4Flying:
 
     @property
     def disarmed(self) -> bool:
-        """Whether it has flown, and its motors are off again."""
+        """Return whether it has flown and its motors are off again."""
         changes = [line for line in self.said if line in ("armed", "disarmed")]
         return changes[-1:] == ["disarmed"]
 
     def ended(self) -> bool:
-        """Whether the onboard process has ended."""
+        """Return whether the onboard process has ended."""
         return self.onboard is not None and not self.onboard.alive()
 
     def interrupt(self) -> None:

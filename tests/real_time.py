@@ -18,21 +18,21 @@ from flightstack.common.forked import hand_on_niceness
 from flightstack.common.pacing import keep_memory
 
 REPEATS = 4
-PAUSE_S = 0.1  # half of the age at which a vehicle state is no longer used (checks.own_age_max_s)
-CALM_S = 2.0  # between two attempts, s
-GIVES_WAY = 15  # niceness of a worker, and of what it starts, from its first test that is not in real time
+PAUSE_S = 0.1  # half of the age limit of a vehicle state (checks.own_age_max_s)
+CALM_S = 2.0  # time between two attempts, s
+GIVES_WAY = 15  # niceness of a worker and its children, from its first test that is not in real time
 _SLEEP_S = 0.01
 
 
 class Pauses:
-    """Longest time by which a thread of any processor woke too late since ``begin``, s."""
+    """Longest delay with which a thread of any processor woke since ``begin``, s."""
 
     def __init__(self) -> None:
         self.worst_s = 0.0
         self._started = False
 
     def begin(self) -> None:
-        """Measure anew."""
+        """Restart the measurement."""
         self.worst_s = 0.0
         if not self._started:
             self._started = True
@@ -53,12 +53,13 @@ PAUSES = Pauses()
 
 
 def in_real_time(item: pytest.Item) -> bool:
-    """Whether a test flies in real time."""
+    """Return whether a test flies in real time."""
     return any("real-time" in mark.args for mark in item.iter_markers("xdist_group"))
 
 
 def repeated_after_a_pause() -> pytest.MarkDecorator:
-    """The mark of pytest-rerunfailures that repeats a failure only if the machine paused during the test."""
+    """Return pytest-rerunfailures' mark, which repeats a failure only if the machine paused during
+    the test."""
 
     def paused(_: BaseException | None) -> bool:
         return PAUSES.worst_s >= PAUSE_S
@@ -68,13 +69,13 @@ def repeated_after_a_pause() -> pytest.MarkDecorator:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Watch the machine during a test in real time; another one gives way."""
+    """Measure pauses during a test in real time; lower the priority of other tests."""
     if in_real_time(item):
-        keep_memory()  # relays of the tests are part of the flight
+        keep_memory()  # relays of the tests belong to the flight
         PAUSES.begin()
     elif "PYTEST_XDIST_WORKER" in os.environ and os.getpriority(os.PRIO_PROCESS, 0) < GIVES_WAY:
-        # as a session of its own: Linux looks at the niceness of sessions first (sched(7), autogroup)
+        # in its own session: Linux applies the niceness to sessions first (sched(7), autogroup)
         os.setpriority(os.PRIO_PROCESS, 0, GIVES_WAY)
-        with contextlib.suppress(OSError):  # it leads one already
+        with contextlib.suppress(OSError):  # it may already lead a session
             os.setsid()
         hand_on_niceness(os.getpid())

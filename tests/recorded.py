@@ -1,4 +1,4 @@
-"""Recorded flights for tests: a piece of one, which is everywhere, and all of them, where they are found."""
+"""Recorded flights for tests: a short piece in the repository, and all flights where they are installed."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ VARIABLE = "FLIGHTSTACK_FLIGHTS"
 
 
 def folder() -> Path | None:
-    """Folder of the recorded flights: the one that is named, else one beside the checkout."""
+    """Return the folder of recorded flights: the named one, else one next to the checkout."""
     named = os.environ.get(VARIABLE)
     places = [Path(named)] if named else [above / "shared" / "flights" for above in ROOT.parents[:3]]
     return next((place for place in places if any(place.glob("*.parquet"))), None)
 
 
 def flights(*names: str) -> list[Path]:
-    """Return these flights, or all of them; skips the test where they are not found."""
+    """Return these flights, or all; skip the test if they are not found."""
     found = folder()
     if found is None:
         pytest.skip(f"no recorded flights here; {VARIABLE} names their folder")

@@ -1,7 +1,7 @@
-"""Joins a vehicle that speaks UDP to a pseudo-terminal or a TCP client, as slowly and badly as a test wants.
+"""Connects a UDP vehicle to a pseudo-terminal or TCP client, with the speed and errors of a serial line.
 
-A thread passes bytes both ways. Each direction has its own line: so many bits a second, a small buffer in
-front of it, noise between frames, stretches in which the cable is pulled.
+A thread passes bytes both ways. Each direction has its own bit rate, a small buffer before it, noise between
+frames, and times in which the cable is disconnected.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from flightstack.common.pacing import ask_for_priority
 from tests.processes.ports import free_port
 
-_TURN_S = 0.002  # s; at 57,600 baud 12 bytes
-_PIECE = 256  # bytes read at a time
-_NONE = bytes(4)  # no byte to read, as FIONREAD says it
+_TURN_S = 0.002  # period of the thread; 12 bytes at 57,600 baud
+_PIECE = 256  # bytes per read
+_NONE = bytes(4)  # FIONREAD's result without bytes
 
 
 class PtyEnd:
-    """A pseudo-terminal under a fixed name; a pulled cable is one whose device has gone."""
+    """A pseudo-terminal under a fixed name; a disconnected cable removes the device."""
 
     def __init__(self, folder: Path, baud: int) -> None:
         self._link = folder / "ttyTEST"
@@ -45,7 +45,7 @@ class PtyEnd:
         os.set_blocking(self._master, False)
         self._link.unlink(missing_ok=True)
         self._link.symlink_to(os.ttyname(slave))
-        self._slave = slave  # kept open: a master without a slave reads as an error
+        self._slave = slave  # kept open, because a master without a slave reports a read error
 
     def pull(self) -> None:
         self._link.unlink(missing_ok=True)
@@ -54,7 +54,7 @@ class PtyEnd:
         self._master = -1
 
     def read(self) -> bytes:
-        with contextlib.suppress(OSError):  # to read an empty one waits for a worker of the kernel
+        with contextlib.suppress(OSError):  # an empty read would wait for a kernel worker
             empty = self._master < 0 or fcntl.ioctl(self._master, termios.FIONREAD, _NONE) == _NONE
             return b"" if empty else os.read(self._master, _PIECE)
         return b""
@@ -70,7 +70,7 @@ class PtyEnd:
 
 
 class TcpEnd:
-    """A TCP server that takes one client at a time; a pulled cable is a connection closed, and none taken."""
+    """A TCP server for one client at a time; a disconnected cable closes the connection."""
 
     def __init__(self) -> None:
         self._port = free_port()
@@ -121,7 +121,7 @@ class TcpEnd:
         self.pull()
 
 
-# What an autopilot sends while its buffer has room; the rest it makes rarer until it fits (PX4: MAV_x_RATE)
+# messages that an autopilot sends if its buffer has room; it reduces the rate of others (PX4: MAV_x_RATE)
 _FIRST = frozenset({
     mav.MAVLINK_MSG_ID_HEARTBEAT, mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED, mav.MAVLINK_MSG_ID_ATTITUDE,
     mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, mav.MAVLINK_MSG_ID_SYS_STATUS, mav.MAVLINK_MSG_ID_COMMAND_ACK,
@@ -131,7 +131,7 @@ _FIRST = frozenset({
 
 
 class Line:
-    """One direction: bytes go in at once and come out at so many bits a second; what does not fit is lost."""
+    """One direction: bytes enter at once and leave at the bit rate; excess bytes are lost."""
 
     def __init__(self, baud: int | None) -> None:
         self._rate = baud / 10 if baud else None
@@ -140,7 +140,7 @@ class Line:
         self._credit = 0.0
 
     def put_frames(self, datagram: bytes) -> None:
-        """As an autopilot: whole frames or none, less important ones only into a nearly empty buffer."""
+        """Write whole frames as an autopilot does; less important ones only into a nearly empty buffer."""
         while datagram:
             end = 12 + datagram[1]
             frame, datagram = datagram[:end], datagram[end:]
@@ -154,7 +154,7 @@ class Line:
         self._buffer += data[:room]
 
     def carry(self, pieces: list[bytes], put: Callable[[bytes], None], elapsed_s: float) -> bytes:
-        """Put what came within a time in, spread over it, as if the thread had never been late."""
+        """Write the bytes received within a time, spread over it, as if the thread were never late."""
         share_s = elapsed_s / (len(pieces) + 1)
         out = b""
         for piece in pieces:
@@ -169,7 +169,7 @@ class Line:
             self._credit += self._rate * elapsed_s
             count = min(int(self._credit), len(self._buffer))
             self._credit -= count
-            if count == len(self._buffer):  # an idle line saves up nothing
+            if count == len(self._buffer):  # an idle line accumulates no credit
                 self._credit = min(self._credit, self._rate * 0.02)
         out = bytes(self._buffer[:count])
         del self._buffer[:count]
@@ -180,10 +180,10 @@ class Relay:
     """Runs in a thread until it is closed.
 
     Args:
-        near: where the onboard process is.
+        near: factory of the onboard process's end.
         vehicle: UDP port on loopback at which the simulated vehicle listens.
-        baud: of the line, None for one without a limit.
-        noise_bytes_s: random bytes a second, put between what the vehicle sends.
+        baud: bit rate, None without a limit.
+        noise_bytes_s: random bytes a second, inserted into the vehicle's bytes.
     """
 
     def __init__(
@@ -220,7 +220,7 @@ class Relay:
         self.near.close()
 
     def _run(self) -> None:
-        ask_for_priority()  # of this thread: a line carries its bytes, however busy the machine
+        ask_for_priority()  # this thread's line must not depend on the machine's load
         then_s, noise, rest = time.monotonic(), 0.0, b""
         parser = mav.MAVLink(None)
         parser.robust_parsing = True

@@ -1,6 +1,6 @@
-"""A made-up landing as rows of the log: a lagging point over a turning pad, filtered by the exact projection.
+"""A synthetic landing as rows of the log: a lagging point above a turning pad, with the exact projection.
 
-Tests change the rows and write them as a real log; nothing here judges anything.
+Tests change the rows and write them as a real log; nothing here judges the flight.
 """
 
 import functools
@@ -27,7 +27,7 @@ OMEGA_1_S = 0.7
 LAG_S = 0.25
 PAD_Z_M = 0.2
 FEET_M = 0.0144
-GROUND_S = 1.0  # waiting on the ground
+GROUND_S = 1.0  # wait on the ground
 START_E_M = (1.4, -0.8, 0.6)
 BARRIER = Barrier(1.0, 1.5)
 NAN3 = (math.nan,) * 3
@@ -38,7 +38,7 @@ PAD, GROUND, ROBOT, EDGE, TUMBLED = 1, 2, 4, 8, 16
 
 @dataclass
 class Rows:
-    """What will be written; lists may be changed freely."""
+    """Rows to write; the lists may be changed freely."""
 
     steps: list[ControllerStepRow]
     truth: list[TrueStateRow]
@@ -62,7 +62,7 @@ class Rows:
         )  # fmt: skip
 
     def cut(self, after_s):
-        """Drop everything later than this time since the start of the log."""
+        """Remove all rows later than this time since the start of the log."""
         limit = EPOCH_NS + round(after_s * 1e9)
         self.steps = [r for r in self.steps if r.stamp_ns <= limit]
         self.truth = [r for r in self.truth if r.stamp_ns <= limit]
@@ -88,7 +88,7 @@ def _landing() -> Rows:
     pad, heading = (0.0, 0.0, PAD_Z_M), 0.3
     p, v, command, phase = (-0.5, -0.6, FEET_M), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), Phase.WAIT
     touch = (NAN3, NAN3, math.nan)
-    stand = None  # offset on the pad once landed
+    stand = None  # offset on the pad after the landing
     off_s = math.inf
     tick = 0
     while tick * DT_S < min(MAX_S, off_s + AFTER_S):
@@ -170,12 +170,12 @@ def _landing() -> Rows:
 
 
 def landing() -> Rows:
-    """A landing that goes well, to be changed at will."""
+    """Return a landing without faults, for tests to change."""
     return _landing().copy()
 
 
 def write_log(path: Path, rows: Rows, *, complete: bool = True, namespace: str = "cf1") -> Path:
-    """Write the rows as a real log; ``complete=False`` cuts its end off, as a kill would."""
+    """Write the rows as a real log; ``complete=False`` truncates it, like a killed recorder."""
     log = McapFile(path)
     log.metadata("run", rows.run)
     log.metadata("made", {"version": "0.1.0", "python": "3.11"})

@@ -1,4 +1,4 @@
-"""Makes the packaged tables that come from other projects.
+"""Generates the packaged tables that come from other projects.
 
 ``python -m tests.tables messages``: ``bridge/mavlink/codec/wide_messages.csv`` from the installed pymavlink.
 ``python -m tests.tables px4_events FILE``: ``bridge/mavlink/client/px4_events.json`` from the events of a PX4
@@ -27,7 +27,7 @@ _HEAD = """\
 
 
 def crc_extra(definition: Definition) -> int:
-    """Checksum of names and types (MAVLink serialization guide, CRC_EXTRA)."""
+    """Return the checksum of names and types (MAVLink serialization guide, CRC_EXTRA)."""
     text = f"{definition.name} ".encode()
     for field in definition.on_the_wire:
         if not field.extension:
@@ -37,7 +37,7 @@ def crc_extra(definition: Definition) -> int:
 
 
 def line(definition: Definition) -> str:
-    """Line of the table."""
+    """Row of the table."""
     texts = []
     for field in definition.fields:
         array = f"[{field.array}]" if field.array else ""
@@ -62,7 +62,7 @@ def read_class(cls: Any) -> Definition:
 
 
 def messages_table() -> str:
-    """The whole file: messages of pymavlink anew, the others as they are."""
+    """Return the whole file: pymavlink's messages regenerated, the others unchanged."""
     wide = {id_: cls for id_, cls in everything.mavlink_map.items() if id_ not in ardupilotmega.mavlink_map}
     made = {d.id: d for d in definitions() if d.id not in everything.mavlink_map}
     made.update({id_: read_class(cls) for id_, cls in wide.items()})

@@ -1,6 +1,6 @@
-"""Runs benchmarks. Numbers go to standard output; ``make bench`` runs the short ones.
+"""Runs benchmarks. Results are printed; ``make bench`` runs the short ones.
 
-``python -m tests.benchmarks NAME [ARGUMENTS]`` runs one alone.
+``python -m tests.benchmarks NAME [ARGUMENTS]`` runs a single one.
 """
 
 from __future__ import annotations
@@ -8,14 +8,14 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 
-# name -> module of this folder, its function
+# name -> module in this folder and its function
 BENCHMARKS = {
     "campaign_speed": "campaign_speed:main",
     "codec": "speed:codec_times",
     "control_step": "speed:control_step",
     "environment": "speed:environment",
     "lockstep": "speed:lockstep",
-    # for hours, or with a picture or a page as their result
+    # benchmarks that take hours, or whose result is a figure or a page
     "crazyflie_faults": "crazyflie_landings:faults",
     "crazyflie_landings": "crazyflie_landings:main",
     "crazyflie_rows": "crazyflie_landings:rows",
@@ -35,7 +35,7 @@ BENCH = list(BENCHMARKS)[: list(BENCHMARKS).index("crazyflie_faults")]
 
 
 def run(name: str) -> None:
-    """Run the benchmark of this name; an unknown one ends with the list of those that exist."""
+    """Run the benchmark with this name; an unknown name exits with the list of names."""
     if name not in BENCHMARKS:
         sys.exit(f"no benchmark is named {name!r}; choose one of {', '.join(BENCHMARKS)}")
     module, _, function = BENCHMARKS[name].partition(":")

@@ -1,4 +1,4 @@
-"""Landings of campaigns, and of teams, as a multiple of real time on one core."""
+"""Speed of landings in campaigns and of teams on one core, as a multiple of real time."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ ASKED = 200.0
 
 
 def flown_s(scenario: TeamScenario, seed: int) -> float:
-    """Fly a landing, or those of a team; simulated time of all its vehicles."""
+    """Fly a landing or a team; return the simulated time of all its vehicles."""
     return sum(each.simulated_s for each in land_team(scenario, seed).landings)
 
 
 def main(scenario_name: str = "lab") -> None:
-    """Fly, measure, print; arguments are the scenario, and a filter if it is not the scenario's own."""
+    """Fly, measure, print; arguments: the scenario, and a filter that replaces the scenario's filter."""
     if len(sys.argv) > 1:
         scenario_name = sys.argv[1]
     scenario = load(scenario_name)

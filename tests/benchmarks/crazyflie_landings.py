@@ -36,18 +36,18 @@ from tests.processes.ports import free_endpoint
 
 LANDINGS, IN_A_ROW = 100, 4
 FLIGHT_MAX_S = 120.0
-REST_S = 2.5  # after the end, until it is judged
-DOWN_MAX_S = 30.0  # after the end of the onboard process, until its motors are off on pad or floor
-FAULT_AFTER_S, FAULT_ABOVE_M = 3.0, 0.5  # a fault begins so long after it is so high
+REST_S = 2.5  # time after the end before the vehicle is judged
+DOWN_MAX_S = 30.0  # time-out for motors off on pad or floor after the onboard process has ended
+FAULT_AFTER_S, FAULT_ABOVE_M = 3.0, 0.5  # a fault starts this time after the vehicle has reached this height
 SPEED_MAX_M_S = 0.3
 PATHS = (PathKind.STRAIGHT, PathKind.CIRCLE, PathKind.STOP_AND_GO, PathKind.REVERSING)
 
 
 @dataclass(frozen=True)
 class Landing:
-    """How one flight ended, by the true states."""
+    """Result of one flight, from true states."""
 
-    error_m: float  # horizontal distance from the pad's middle at rest on it; NaN beside it
+    error_m: float  # horizontal distance from the pad's centre at rest on the pad; NaN if not on it
     place: str  # "pad", "floor" or "air"
     motors_off: bool
     locked: bool
@@ -60,7 +60,7 @@ class Landing:
 
 
 def scenario(seed: int) -> Scenario:
-    """Sensors, spreads and gusts of ``lab``; the robot drives from the beginning, not at the vehicle."""
+    """Return a scenario with sensors, spreads and gusts of ``lab``; the robot drives from the start, away."""
     lab, chance = load("lab"), stream(seed, "crazyflie_landings")
     target = replace(
         lab.target, path=PATHS[seed % len(PATHS)], speed_m_s=SPEED_MAX_M_S, speed_max_m_s=SPEED_MAX_M_S,
@@ -80,7 +80,7 @@ def scenario(seed: int) -> Scenario:
 
 
 class Flying(NamedTuple):
-    """What a fault may work on."""
+    """Objects that a fault can change."""
 
     server: Server
     mocap: Mocap
@@ -193,7 +193,7 @@ FAULTS: dict[str, tuple[dict[str, Any], Callable[[Flying], None] | None]] = {
 
 
 def faults() -> None:
-    """Fly each fault once and print how it ends; words given choose those whose names hold one."""
+    """Fly each fault once and print the result; arguments select faults by a part of their name."""
     chosen = [name for name in FAULTS if not sys.argv[1:] or any(word in name for word in sys.argv[1:])]
     for seed, name in enumerate(chosen, 1):
         more, fault = FAULTS[name]
@@ -209,7 +209,7 @@ def faults() -> None:
 
 
 def rows() -> None:
-    """Fly four landings in a row of each given seed; the later ones take off from the pad that drives."""
+    """Fly four consecutive landings for each given seed; later ones take off from the driving pad."""
     good = 0
     for seed in map(int, sys.argv[1:]):
         landings = fly(scenario(seed), seed, flights=IN_A_ROW)
@@ -223,7 +223,7 @@ def rows() -> None:
 
 
 def main() -> None:
-    """Print a row for each landing, then the sums."""
+    """Print one row per landing, then the totals."""
     given = sys.argv[1:]
     numbers = [int(word) for word in given[:2]]
     count, first, options = (*numbers, *(LANDINGS, 1)[len(numbers) :], given[2:])

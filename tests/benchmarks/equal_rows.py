@@ -1,8 +1,8 @@
-"""Landings in stretches beside the same ones tick by tick: rows equal to the last bit.
+"""Compares landings in batches of ticks with landings tick by tick: rows must be equal bit for bit.
 
 ``python -m tests.benchmarks equal_rows [NAME ...] [--seed N] [--runs N] [--workers N]``
 
-A name is that of a tier with its filter, for example ``field_paper``. Exit status 1 where a row differs.
+NAME: a tier with its filter, for example ``field_paper``. Exit status 1 if a row differs.
 """
 
 import argparse
@@ -24,7 +24,7 @@ NAMES = [
 
 @cache
 def scenario(name: str) -> Scenario:
-    """The tier with its filter, with all code compiled."""
+    """Return the tier with its filter, with all code compiled."""
     tier, _, kind = name.rpartition("_")
     found = load(tier).with_filter(kind)
     warm_up(alone(found))
@@ -32,7 +32,7 @@ def scenario(name: str) -> Scenario:
 
 
 def both(name: str, seed: int) -> tuple[Row, Row]:
-    """Rows of one landing, in stretches and tick by tick, but for wall time."""
+    """Return the rows of one landing, in batches and tick by tick, without wall times."""
     flown = (land(scenario(name), seed), land(scenario(name), seed, on_step=lambda _tick, _out: None))
     one, other = (replace(vehicle_row(each), wall_s=0.0) for each in flown)
     return one, other
@@ -50,7 +50,7 @@ def main() -> None:
     seeds = range(asked.seed, asked.seed + asked.runs)
     with multiprocessing.get_context("spawn").Pool(asked.workers) as pool:
         for name in asked.names or NAMES:
-            scenario(name)  # compiled once, for all workers
+            scenario(name)  # compiled once for all workers
             pairs = pool.map(partial(both, name), seeds, chunksize=10)
             others = [one.seed for one, other in pairs if repr(one) != repr(other)]
             differ |= bool(others)

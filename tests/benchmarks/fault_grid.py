@@ -12,7 +12,7 @@ from tests.fault_grid.run import Result, fly, scenario
 from tests.fault_grid.table import GRID, H_MIN_M, WITHIN_S, End, Moment, Need, Part, Way
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "fault_grid.md"
-# headings around the tables; the text before and after is written by hand
+# headings around the tables; the other text of the page is hand-written
 _FIRST, _LAST = "\n## Vehicle state\n", "\n## What the companion can detect\n"
 
 
@@ -28,7 +28,7 @@ def ends(need: Need) -> str:
 
 
 def demand(need: Need) -> str:
-    """Reason and limits in words."""
+    """Return reason and limits as text."""
     parts = [need.why]
     if need.undetectable:
         parts.append("not detectable on board")
@@ -42,7 +42,7 @@ def demand(need: Need) -> str:
 
 
 def complaints(need: Need, result: Result) -> list[str]:
-    """What is demanded of a cell and not met."""
+    """Return the requirements that a cell does not meet."""
     found = []
     if result.end not in need.ends | need.short_ends:
         found.append(f"ended {result.end}, allowed: {', '.join(sorted(need.ends))}")
@@ -61,7 +61,7 @@ def _s(value: float, digits: int = 2) -> str:
 
 
 def section(part: Part, rows: list[str]) -> str:
-    """Table of one part."""
+    """Return the table of one component."""
     return "\n".join(
         (
             f"\n## {part[0].upper()}{part[1:]}\n",

@@ -1,9 +1,8 @@
-"""Teams of ``fleet_3`` of which a member fails at a random moment, or whose words come late and get lost.
+"""Teams of ``fleet_3`` in which a member fails at a random time, or whose messages are late and lost.
 
 ``python -m tests.benchmarks fleet_faults [--runs N] [--first SEED] [--only KIND ...]``
 
-Prints one line of a table for each kind. What becomes of the member that fails is told apart from what
-becomes of the others.
+Prints one table row per kind. The results of the failed member and of the others are counted separately.
 """
 
 import argparse
@@ -20,7 +19,7 @@ from sim.scenarios.team import ExchangeLink, TeamScenario, load
 from tests.fault_grid.fleet import Way, broken
 
 TEAM = "fleet_3"
-FROM_S, UNTIL_S = 0.5, 6.5  # of the flight: when the member fails
+FROM_S, UNTIL_S = 0.5, 6.5  # range of the time at which the member fails
 KINDS: dict[str, Way | None] = {
     "killed": Way.KILLED,
     "silent": Way.SILENT,
@@ -38,7 +37,7 @@ COLUMNS = (
 
 @dataclass
 class Counts:
-    """Of the teams of a kind; ``own`` is of the members that fail."""
+    """Counts for the teams of a kind; ``own``: results of the failed members."""
 
     teams: int = 0
     others: Counter[Outcome] = field(default_factory=Counter)
@@ -51,7 +50,7 @@ class Counts:
     distance_min_m: float = float("inf")
 
     def add(self, verdict: FleetVerdict, who: int) -> None:
-        """Count a team; ``who`` failed, 0: nobody."""
+        """Count a team; ``who``: failed member, 0: none."""
         self.teams += 1
         self.collisions += verdict.collisions or 0
         self.inside += verdict.ellipsoid_violations or 0
@@ -66,7 +65,7 @@ class Counts:
 
 
 def failing(whole: TeamScenario, kind: str, seed: int) -> tuple[TeamScenario, int]:
-    """The team of a seed, and the number of the member that fails; 0: nobody."""
+    """Return the team of a seed, and the number of the failed member; 0: none."""
     way = KINDS[kind]
     if way is None:
         return replace(whole, exchange=LATE), 0

@@ -1,4 +1,4 @@
-"""The paper's runs, many times."""
+"""Flies the paper's runs many times."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def paper_row(scenario: str, seeds: int, filter_name: str) -> str:
         with tempfile.TemporaryDirectory() as folder:
             runs.append(sitl(folder, scenario, seed, "--lockstep", "--filter", filter_name))
     landed = sum(run["outcome"] == "landed" for run in runs)
-    violations = sum(run["violation"] is not False for run in runs)  # not known counts as one
+    violations = sum(run["violation"] is not False for run in runs)  # unknown counts as a violation
     median = {
         key: statistics.median(run[key] for run in runs if run[key] is not None)
         for key in ("touchdown_error_m", "touchdown_speed_vertical_m_s", "time_to_land_s")
@@ -31,7 +31,7 @@ def paper_row(scenario: str, seeds: int, filter_name: str) -> str:
 
 
 def paper_runs() -> None:
-    """The paper's four runs in lockstep, the table of docs/reference/paper_runs.md: [SEEDS [FILTER ...]]."""
+    """Fly the paper's four runs in lockstep for docs/reference/paper_runs.md: [SEEDS [FILTER ...]]."""
     seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 20
     for filter_name in sys.argv[2:] or ("paper", "robust"):
         print(f"filter {filter_name}")

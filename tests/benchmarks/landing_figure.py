@@ -1,8 +1,8 @@
-"""The picture of a landing at the top of the README, flown and drawn anew.
+"""Draws the landing at the top of the README from a new flight.
 
-``python -m tests.benchmarks landing_animation`` writes docs/figures/landing.gif, a film of the same landing.
-``python -m tests.benchmarks landing_figure`` flies one seed of a scenario in this process and writes
-docs/figures/landing.svg. The same code flies the same landing to the last bit, and draws the same file.
+``python -m tests.benchmarks landing_animation`` writes docs/figures/landing.gif, an animation of the same
+landing. ``python -m tests.benchmarks landing_figure`` flies one seed of a scenario in this process and writes
+docs/figures/landing.svg. The same code always writes the same file.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ F64 = npt.NDArray[np.float64]
 FILE = Path(__file__).parents[2] / "docs" / "figures" / "landing.svg"
 FILM = FILE.with_suffix(".gif")
 FRAMES_HZ = 15.0
-AFTER_S = 1.0  # s shown after the first contact
+AFTER_S = 1.0  # time shown after the first contact, s
 SEED = 1
-START_OFFSET_M = (-1.3, 0.0, 0.8)  # from the landing spot, east north up: the robot drives in that plane
-BEFORE_S = (4.0, 2.0, 0.0)  # s before the first contact at which the robot and its barrier are drawn
-REACH_M = 1.0  # m to each side of the robot over which a barrier is drawn
-POINTS_MAX = 300  # of a line: more cannot be seen
+START_OFFSET_M = (-1.3, 0.0, 0.8)  # offset from the landing spot, ENU; the robot drives in this plane
+BEFORE_S = (4.0, 2.0, 0.0)  # times before the first contact at which robot and barrier are drawn, s
+REACH_M = 1.0  # distance on both sides of the robot over which a barrier is drawn, m
+POINTS_MAX = 300  # maximum points of a line; more are not visible
 STYLE = {**vehicle_plots.STYLE, "svg.hashsalt": "landing"}
 
 
 def scenario() -> Scenario:
-    """Scenario ``straight``, started behind the robot, so that the flight stays in one vertical plane."""
+    """Return scenario ``straight`` with a start behind the robot: the flight stays in a vertical plane."""
     stock = load("straight")
     return replace(stock, start=replace(stock.start, kind=StartKind.HOVER, offset_m=START_OFFSET_M))
 
 
 def side_view(axes: Axes, truth: Truth, barrier: Barrier, touch_s: float) -> None:
-    """Draw both paths from the side, and robot and barrier at three instants."""
+    """Draw both paths from the side, and robot and barrier at three times."""
     robot = load_plant("crazyflie20").robot
     x, z = truth.position_enu_m[:, 0], truth.position_enu_m[:, 2]
     shown = thinned(truth.t_s <= touch_s)
@@ -75,7 +75,7 @@ def side_view(axes: Axes, truth: Truth, barrier: Barrier, touch_s: float) -> Non
 
 
 def barrier_value(axes: Axes, truth: Truth, touch_s: float, pad_radius_m: float) -> None:
-    """Draw h of the true states over time."""
+    """Draw h from true states over time."""
     shown = thinned(truth.t_s <= touch_s)
     t_s = truth.t_s[shown] - touch_s
     over = truth.d_m[shown] <= pad_radius_m
@@ -90,13 +90,13 @@ def barrier_value(axes: Axes, truth: Truth, touch_s: float, pad_radius_m: float)
 
 
 def thinned(which: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
-    """Indices of the wanted rows, not more than a line needs."""
+    """Return the indices of the selected rows, at most as many as a line needs."""
     wanted = np.flatnonzero(which)
     return wanted[:: max(1, len(wanted) // POINTS_MAX)]
 
 
 def draw(landing: Landing, barrier: Barrier, file: Path) -> None:
-    """Write the picture of a landing."""
+    """Write the figure of a landing."""
     truth = landing.seen.truth
     touch_s = float(truth.first_touch_time_s[-1])
     with mpl.rc_context(STYLE):
@@ -108,7 +108,7 @@ def draw(landing: Landing, barrier: Barrier, file: Path) -> None:
 
 
 def animate(landing: Landing, barrier: Barrier, file: Path) -> None:
-    """Write a film of a landing from the side, in real time."""
+    """Write an animation of a landing from the side, in real time."""
     truth, robot = landing.seen.truth, load_plant("crazyflie20").robot
     touch_s = float(truth.first_touch_time_s[-1])
     times_s = np.arange(truth.t_s[0], touch_s + AFTER_S, 1.0 / FRAMES_HZ)

@@ -1,10 +1,10 @@
-"""Certificate against flight: each parameter over its allowed span, and what `check` proves is flown.
+"""Tests the certificate by flight: changes each parameter over its span and flies what `check` proves.
 
 ``python -m tests.benchmarks proven [KEY ...] [--scenario NAME ...] [--filter NAME ...] [--values N]``
 
-A key is the beginning of a parameter's name, for example ``velocity_loop.`` or ``robust.gain_1_s``. A
-configuration may be refused, not proven, or proven; a proven one that crashes or violates the barrier is a
-failure. Exit status 1 with a failure. The scenario's environment does not change.
+KEY: start of a parameter's name, for example ``velocity_loop.`` or ``robust.gain_1_s``. A configuration is
+rejected, not proven, or proven. A proven one that crashes or violates the barrier is a failure. Exit status 1
+after a failure. The scenario's environment does not change.
 """
 
 import argparse
@@ -33,21 +33,21 @@ DURATION_MAX_S = 60.0
 
 
 class Parameter(NamedTuple):
-    """A number of the configuration and its allowed span."""
+    """A number of the configuration with its allowed span."""
 
     path: tuple[str, ...]
     low: float
     high: float
-    whole: bool  # an integer
-    components: int  # of a vector; 0: a plain number
+    whole: bool  # whether it is an integer
+    components: int  # number of components of a vector; 0: a scalar
 
 
 def parameters(cls: type = FlightConfig, path: tuple[str, ...] = ()) -> Iterator[Parameter]:
-    """Every number with a span of a dataclass and of the dataclasses below, by the fields' own metadata."""
+    """Yield every number with a span in a dataclass and its nested dataclasses, from the fields' metadata."""
     hints = get_type_hints(cls, include_extras=True)
     for field in fields(cls):
         kind, below = hints[field.name], (*path, field.name)
-        if type(None) in get_args(kind):  # it may be left out
+        if type(None) in get_args(kind):  # the value is optional
             kind = next(each for each in get_args(kind) if each is not type(None))
         if is_dataclass(kind):
             yield from parameters(kind, below)
@@ -59,7 +59,7 @@ def parameters(cls: type = FlightConfig, path: tuple[str, ...] = ()) -> Iterator
 
 
 def values(parameter: Parameter, count: int) -> list[Any]:
-    """Values over the span, its ends included: even in the logarithm where the span has one."""
+    """Return values over the span, including its ends; in logarithmic steps if the span is logarithmic."""
     low, high = parameter.low, parameter.high
     least = low or high / 100.0
     found = [least * (high / least) ** (k / (count - 1)) for k in range(count)]
@@ -71,9 +71,9 @@ Case = tuple[str, str, tuple[str, ...], Any]  # scenario, filter, parameter, val
 
 
 def changed(name: str, kind: str, path: tuple[str, ...], value: Any) -> Scenario:
-    """The scenario with one parameter of its configuration changed.
+    """Return the scenario with one parameter changed.
 
-    Raises ConfigError: the configuration refuses it.
+    Raises ConfigError: the configuration rejects it.
     """
     table = to_table(load(name).with_filter(kind))
     table["duration_max_s"] = DURATION_MAX_S
@@ -87,20 +87,20 @@ def changed(name: str, kind: str, path: tuple[str, ...], value: Any) -> Scenario
 
 
 class Result(NamedTuple):
-    """What became of one changed configuration."""
+    """Result of one changed configuration."""
 
     scenario: str
     filter: str
     key: str
     value: Any
     verdict: str  # "refused", "not proven" or "proven"
-    because: str  # the refusal, or the checks that are not proven
+    because: str  # the error message, or the checks that are not proven
     outcomes: dict[str, int]
     failures: tuple[int, ...]  # seeds of crashes and violations
 
 
 def fly(case: Case, runs: int, stop: int = 3) -> Result:
-    """Check one changed configuration; fly it where it is proven, until it fails three times."""
+    """Check one changed configuration; if it is proven, fly it until three failures."""
     name, kind, path, value = case
     key = ".".join(path)
     try:
@@ -124,7 +124,7 @@ def fly(case: Case, runs: int, stop: int = 3) -> Result:
 
 
 def cases(keys: list[str], names: list[str], kinds: list[str], count: int) -> Iterator[Case]:
-    """Every change that is asked for; of a vector all components together, and the last one alone."""
+    """Yield every requested change; for a vector first all components together, then only the last one."""
     for parameter in parameters():
         if keys and not any(".".join(parameter.path).startswith(key) for key in keys):
             continue
@@ -144,7 +144,7 @@ def cases(keys: list[str], names: list[str], kinds: list[str], count: int) -> It
 
 
 def main() -> None:
-    """Fly what is asked for; one line for each change, failures again at the end."""
+    """Fly the requested changes; print one line per change, and the failures again at the end."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("keys", nargs="*", help="beginnings of parameters' names; none: all")
     parser.add_argument("--scenario", nargs="*", default=SCENARIOS)

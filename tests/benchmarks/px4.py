@@ -1,6 +1,6 @@
-"""A real PX4 on the simulated vehicle: what becomes of a flight when something fails, and how fast it flies.
+"""Flies a real PX4 on the simulated vehicle: results of failures, and simulation speed.
 
-The fault table stands in docs/reference/results.md.
+The fault table is in docs/reference/results.md.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from tests.px4_flight import PX4_PLACE, Px4Flying, flying, px4_place
 
 SCENARIO = "large"
 CONFIG = path_of("px4-1kg")
-PHASE_MAX_S = 90.0  # s of stack time until the phase of the fault
-DOWN_MAX_S = 180.0  # s of stack time from the fault until its motors are off
-REST_M_S = 0.1  # it stands: PX4's own vertical velocity is below it
-FLOOR_M = 0.25  # it stands on the floor, not on the robot (0.62 m): feet at 0.12 m, and drift of its height
+PHASE_MAX_S = 90.0  # time-out for the phase of the fault, stack time
+DOWN_MAX_S = 180.0  # time-out for motors off after the fault, stack time
+REST_M_S = 0.1  # largest vertical velocity estimated by PX4 on the ground
+FLOOR_M = 0.25  # largest height on the floor (feet at 0.12 m, plus drift); on the robot it is 0.62 m
 
 Act = Callable[[Px4Flying, Radio], None]
 
 
 class Fault(NamedTuple):
-    """What fails, and in which phase of the flight."""
+    """A fault, and the phase of the flight in which it starts."""
 
     name: str
     phase: str
@@ -46,13 +46,13 @@ class Fault(NamedTuple):
 
 class Result(NamedTuple):
     place: str
-    down_s: float | None  # stack time from the fault until the motors were off
+    down_s: float | None  # stack time from the fault to motors off
     phases: str
     reason: str
 
 
 def _sleep(one: Px4Flying, seconds: float) -> None:
-    """So much stack time."""
+    """Wait for this stack time."""
     one.until(lambda: False, seconds)
 
 
@@ -112,9 +112,9 @@ FAULTS = [
 
 
 def fly(place: Path, fault: Fault, speed: float, folder: Path) -> Result:
-    """One flight with the fault.
+    """Fly once with the fault.
 
-    Raises LaunchError: a process did not start, or the flight did not come to the phase.
+    Raises LaunchError: a process did not start, or the flight did not reach the phase.
     """
     with ExitStack() as stack:
         radios: list[Radio] = []
@@ -141,7 +141,7 @@ def fly(place: Path, fault: Fault, speed: float, folder: Path) -> Result:
 
 
 def _place(one: Px4Flying) -> str:
-    """Where it is, by PX4's own estimate and by the simulator's contacts."""
+    """Return the position, from PX4's estimate and from the simulator's contacts."""
     said = one.px4.console("listener", "vehicle_local_position", "-n", "1").splitlines()
     found = {words[0]: words[1] for words in map(str.split, said) if len(words) > 1}
     if abs(float(found["vz:"])) > REST_M_S:
@@ -153,7 +153,8 @@ def _place(one: Px4Flying) -> str:
 
 
 def faults() -> None:
-    """Fly and print: [SPEED [FOLDER [WORD]]]: times real time, logs there, faults whose name holds it."""
+    """Fly and print: [SPEED [FOLDER [WORD]]]: ratio to real time, folder of logs, part of the fault's
+    name."""
     place = px4_place()
     if place is None:
         print(f"no PX4 here: {PX4_PLACE} names none; nothing flown")
@@ -186,18 +187,18 @@ _TICKS_1_S = os.sysconf("SC_CLK_TCK")
 
 
 def processor_s(pid: int) -> float:
-    """Processor time that a process has used, all threads, system's included."""
+    """Return the processor time of a process, all threads, including system time."""
     fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / _TICKS_1_S
 
 
 def _first_child(pid: int) -> int:
-    """PX4 itself: the shell that waits for it is its parent."""
+    """Return PX4's process; the shell that waits for it is its parent."""
     return int(Path(f"/proc/{pid}/task/{pid}/children").read_text().split()[0])
 
 
 def speed() -> None:
-    """px4-sim --speed 0 with a PX4 that stands: times real time, and whose processor time limits it."""
+    """Measure px4-sim --speed 0 with a PX4 on the ground: speed, and which process limits it."""
     place = px4_place()
     if place is None:
         print(f"no PX4 here: {PX4_PLACE} names none; nothing measured")
@@ -228,7 +229,7 @@ def speed() -> None:
             used = dict.fromkeys(pids, 0.0)
             while simulator.poll() is None and time.monotonic() - began_s < WALL_MAX_S:
                 for name, pid in pids.items():
-                    if Path(f"/proc/{pid}/cmdline").read_bytes():  # not a zombie
+                    if Path(f"/proc/{pid}/cmdline").read_bytes():  # ignores zombies
                         used[name] = processor_s(pid) - before[name]
                 time.sleep(0.05)
             wall_s = time.monotonic() - began_s

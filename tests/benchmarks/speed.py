@@ -1,4 +1,4 @@
-"""What a control step, its solver, a message, the loop and a lockstep run cost, beside a peer or a limit."""
+"""Cost of a control step, its solver, a message, the loop and a lockstep run, compared with references."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ APPROACHES, STEPS_MAX, WARM_STEPS = 8, 3000, 50
 
 
 def inputs(tick: int, position_enu_m: Vec3 = (1.1, 0.0, 0.76), velocity_enu_m_s: Vec3 = ZERO) -> Inputs:
-    """A vehicle, and a robot that drives away from the origin."""
+    """Return a vehicle, and a robot that drives away from the origin."""
     t = tick * 0.01
     own = OwnState(t, t, position_enu_m, velocity_enu_m_s, 0.1)
     sample = TargetSample(t, t, "map", "target", (0.1 * t, 0.02 * t, 0.2), (0.1, 0.02, 0.0), 0.0, 0.1)
@@ -56,7 +56,7 @@ def inputs(tick: int, position_enu_m: Vec3 = (1.1, 0.0, 0.76), velocity_enu_m_s:
 
 
 def approach(controller: Controller, azimuth_rad: float) -> list[float]:
-    """Microseconds of each step from near the boundary to above the pad: the barrier acts in most of them."""
+    """Return microseconds of each step from near the boundary to above the pad; the barrier mostly acts."""
     p, v = (1.6 * math.cos(azimuth_rad), 1.6 * math.sin(azimuth_rad), 1.0), ZERO
     took = []
     for tick in range(STEPS_MAX):
@@ -69,14 +69,14 @@ def approach(controller: Controller, azimuth_rad: float) -> list[float]:
         if out.phase is Phase.LAND:
             return took[WARM_STEPS:]
         assert out.phase in (Phase.WAIT, Phase.TAKEOFF, Phase.APPROACH), controller.memory.reason
-        if out.setpoint is not None:  # flies at once what it is told
+        if out.setpoint is not None:  # the vehicle follows every set-point at once
             v = out.setpoint.velocity_enu_m_s
             p = (p[0] + 0.01 * v[0], p[1] + 0.01 * v[1], p[2] + 0.01 * v[2])
     raise AssertionError(f"not above the pad after {STEPS_MAX} steps")
 
 
 def one_round(make: Callable[[FlightConfig], Controller]) -> list[float]:
-    """Microseconds of each step of some approaches from all sides."""
+    """Return microseconds of each step of some approaches from all sides."""
     config = from_table(FlightConfig, {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}})
     took: list[float] = []
     gc.collect()
@@ -88,7 +88,7 @@ def one_round(make: Callable[[FlightConfig], Controller]) -> list[float]:
 
 
 def closed_form() -> float:
-    """Median microseconds of the exact projection alone."""
+    """Return the median microseconds of the exact projection alone."""
     took = []
     for k in range(TICKS):
         a = k * 0.003
@@ -99,7 +99,8 @@ def closed_form() -> float:
 
 
 def control_step() -> None:
-    """Inputs to packed set-point, us, plain and compiled, beside the closed form alone: the least of all."""
+    """Return microseconds from inputs to packed set-point: interpreted, compiled, and the closed form
+    alone."""
     for name, make, asked in (("plain", Controller, (55, 120)), ("compiled", compiled, (30, 80))):
         one_round(make)
         medians, tails = [], []
@@ -117,7 +118,7 @@ STAMP_NS = 1_577_836_800_000_000_000
 
 
 def best_us(calls) -> dict[str, float]:
-    """Least microseconds a call of each function, the rounds of all taking turns."""
+    """Return the smallest microseconds per call of each function; the functions take turns."""
     best = dict.fromkeys(calls, float("inf"))
     for _ in range(PACK_ROUNDS):
         for name, call in calls.items():
@@ -129,7 +130,7 @@ def best_us(calls) -> dict[str, float]:
 
 
 def codec_times() -> None:
-    """Packing of a message, us: made from the definition, by hand, and by rosbags' generic codec."""
+    """Measure the packing of a message, us: generated from the definition, hand-written, and by rosbags."""
     store = schemas.typestore()
     row, given = landing().steps[500], TickInputs(STAMP_NS, 1, 0.01, inputs(1), False)
     step, taken = row.pack(), pack_controller_input(given)
@@ -158,14 +159,14 @@ def codec_times() -> None:
 
 
 def sitl(folder: str | Path, scenario: str, seed: int = 0, *more: str) -> dict:
-    """One run of ``flightstack sitl``; its result."""
+    """Run ``flightstack sitl`` once; return its result."""
     words = ["sitl", "--json", "--no-report", "--out", folder, "--scenario", scenario, "--seed", seed, *more]
     done = flightstack(*words)
     return done.json
 
 
 def lockstep() -> None:
-    """Lockstep with recording, as a multiple of real time: whole runs over MAVLink and Zenoh, three seeds."""
+    """Measure lockstep with recording as a multiple of real time: whole runs over MAVLink and Zenoh."""
     factors = []
     for seed in range(3):
         with tempfile.TemporaryDirectory() as folder:

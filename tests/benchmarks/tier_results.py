@@ -1,9 +1,9 @@
-"""The tiers with both filters and the teams, many seeds each; fills the tables of docs/reference/results.md.
+"""Flies many seeds of the tiers with both filters and of the teams; fills docs/reference/results.md.
 
 ``python -m tests.benchmarks tier_results [NAME ...] [--seed N] [--runs N] [--out DIR] [--write-only]``
 
-A name is that of a tier, with or without its filter (``field``, ``field_paper``), or of a team. Lines of what
-was not flown stay as they are.
+NAME: a tier, with or without its filter (``field``, ``field_paper``), or a team. Table rows of other
+campaigns do not change.
 """
 
 import argparse
@@ -26,7 +26,7 @@ RUNS = {f"{tier}_{kind}": 10_000 for tier in TIERS for kind in FILTERS} | {
 
 
 def campaign(name: str, kind: str, seed: int, runs: int, folder: Path) -> None:
-    """Fly, or go on with, one campaign."""
+    """Fly or continue one campaign."""
     command = [
         sys.executable, "-m", "flightstack.cli.main", "campaign", name, "--filter", kind, "--seed", str(seed),
         "--runs", str(runs), "--out", str(folder), "--json", "--no-report",
@@ -37,7 +37,7 @@ def campaign(name: str, kind: str, seed: int, runs: int, folder: Path) -> None:
 
 
 def row(tier: str, kind: str, s: dict) -> str:
-    """One line of the tiers' table."""
+    """Return one row of the tiers' table."""
     error, time_s = s["touchdown_error_m"], s["time_to_land_s"]["median"]
     vertical, horizontal = (
         s["touchdown_speed_vertical_m_s"]["p95"],
@@ -55,13 +55,13 @@ def row(tier: str, kind: str, s: dict) -> str:
 
 
 def known(folder: Path) -> list[Row]:
-    """Rows flown so far, also of a campaign that was interrupted."""
+    """Return the rows flown so far, also of an interrupted campaign."""
     path = folder / "rows.csv"
     return read_rows(path) if path.exists() else []
 
 
 def asked_row(tier: str, out: Path) -> str:
-    """Limits of a tier, and which of them are missed."""
+    """Return the limits of a tier, and the limits that are not met."""
     limits = LIMITS[Tier(tier)]
     robust, paper = (known(out / f"{tier}_{kind}") for kind in FILTERS)
     found = misses(Tier(tier), robust, paper or None)
@@ -76,7 +76,7 @@ def asked_row(tier: str, out: Path) -> str:
 
 
 def team_row(name: str, s: dict) -> str:
-    """One line of the teams' table."""
+    """Return one row of the teams' table."""
     error = s["touchdown_error_m"]
     return (
         f"| `{name}`, robust | {s['runs']} | {s['vehicles_landed']} of {s['vehicles']} | {s['collisions']} "
@@ -87,9 +87,9 @@ def team_row(name: str, s: dict) -> str:
 
 
 def filled(page: str, name: str, lines: list[str]) -> str:
-    """The page with these lines in one of its tables, each in the place of the line of the same first cell.
+    """Return the page with these rows in one of its tables, each instead of the row with the same first cell.
 
-    Raises ValueError: the page has no such table, or no such line.
+    Raises ValueError: the page has no such table, or no such row.
     """
     found = re.search(rf"<!-- table: {name} -->\n(.*?)<!-- end -->", page, re.DOTALL)
     if found is None:
@@ -105,7 +105,7 @@ def filled(page: str, name: str, lines: list[str]) -> str:
 
 
 def chosen(names: list[str]) -> list[str]:
-    """Campaigns of these names; none given: all. Raises ValueError: a name that is none."""
+    """Return the campaigns with these names; without names all. Raises ValueError: an unknown name."""
     found = [each for each in RUNS if not names or {each, each.rpartition("_")[0]} & set(names)]
     unknown = set(names) - {word for each in RUNS for word in (each, each.rpartition("_")[0])}
     if unknown:

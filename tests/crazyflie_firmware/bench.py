@@ -1,4 +1,5 @@
-"""Node and firmware on one simulated clock: no cflib, no sockets, no threads; real packets."""
+"""Bridge node and firmware model on one simulated clock: no cflib, no sockets, no threads, but real
+packets."""
 
 import math
 import struct
@@ -52,9 +53,9 @@ _HEADS = {
 
 
 class Bench:
-    """Advances both in steps of 10 ms; a client beats and, if told, streams set-points.
+    """Advances both in steps of 10 ms; a client sends heartbeats and, on request, streams set-points.
 
-    ``mute``: nothing the firmware says gets through; ``deaf``: nothing gets through to it.
+    ``mute``: packets from the firmware are lost; ``deaf``: packets to the firmware are lost.
     """
 
     def __init__(self, firmware: Firmware | None = None, rules: Rules | None = None) -> None:
@@ -74,7 +75,7 @@ class Bench:
 
     @property
     def texts(self) -> list[str]:
-        """Everything said, long texts put together."""
+        """All received texts, with long texts reassembled."""
         said = ""
         for _, m in self.out:
             if m.get_type() == "STATUSTEXT":
@@ -82,7 +83,7 @@ class Bench:
         return said.splitlines()
 
     def connect(self) -> None:
-        self.firmware.packet(b"\x5d\x05", self.now_s)  # whatever an earlier connection asked for
+        self.firmware.packet(b"\x5d\x05", self.now_s)  # removes requests of an earlier connection
         params = {name: f"{p.value:g}" for name, p in self.firmware.params.items()}
         self._take(Connected(self.firmware.protocol, params))
         self._ask_logs()
@@ -115,7 +116,7 @@ class Bench:
     def step(self) -> None:
         self.now_s += STEP_S
         if not self.deaf:
-            self.firmware.packet(b"\xff", self.now_s)  # the link's own; without, log blocks are deleted
+            self.firmware.packet(b"\xff", self.now_s)  # keep-alive packet of the link
         for raw in self.firmware.step(self.now_s):
             self._log(raw)
         if not (self.firmware._blocks or self.deaf or self.now_s - self._asked_s < 1.0):

@@ -1,6 +1,6 @@
-"""CRTP in, CRTP out: what a Crazyflie answers to cflib, from bytes and times alone.
+"""Model of the Crazyflie's CRTP interface: answers to cflib as a function of packets and times.
 
-What it does differently from what one would expect was measured on firmware 2026.08 compiled for a host.
+Its unexpected behaviour was measured on firmware 2026.08, compiled for a host.
 """
 
 import struct
@@ -15,8 +15,8 @@ from tests.crazyflie_firmware.tables import CODE, LOGS, Param, log_toc, param_to
 
 STOP, VELOCITY_WORLD = 0, 8
 UP = (0.0, 0.0, 1.0)
-SILENT_S = 1.0  # s without any packet, after which the log blocks are deleted (crtp.c, log.c)
-START_S = 3.0  # s of a start; armed by itself at 3.1 s
+SILENT_S = 1.0  # time without any packet after which the log blocks are deleted (crtp.c, log.c)
+START_S = 3.0  # duration of a start; it arms itself at 3.1 s
 
 
 @dataclass
@@ -50,20 +50,20 @@ class Firmware:
     ):
         self.plant = plant if plant is not None else Point()
         self.protocol = protocol
-        self.needs_poses = needs_poses  # it knows where it is only while poses come
-        self.clock_rate = clock_rate  # seconds of its clock in one of the host's; CrazySim's ran at 0.97
+        self.needs_poses = needs_poses  # whether it has a position only while poses arrive
+        self.clock_rate = clock_rate  # seconds of its clock per second of the host; 0.97 measured in CrazySim
         self.battery_v = 4.1
         self.power_state = 0
-        # (time, velocity, yaw rate in deg/s) of the last velocity set-points
+        # (time, velocity, yaw rate in deg/s) of the newest velocity set-points
         self.setpoints: deque = deque(maxlen=4096)
-        self.poses: deque = deque(maxlen=4096)  # (time, seven numbers) of the last poses from outside
+        self.poses: deque = deque(maxlen=4096)  # (time, seven numbers) of the newest external poses
         self.refuse_arming = False
         self._auto_arm, self._tables = auto_arm, tables
         self._host_s = self._now_s = self._stepped_s = self._stalled_until_s = self._started_s = 0.0
         self._start()
 
     def _start(self) -> None:
-        """Forget everything that is not in its flash."""
+        """Reset all state except the flash."""
         self.supervisor = Supervisor(self._auto_arm)
         self.params: dict[str, Param] = params(self._tables[1])
         self._log_toc, self._param_toc = log_toc(self.protocol, self._tables[0]), param_toc(self.params)
@@ -72,28 +72,28 @@ class Firmware:
         self._setpoint_s = -1e9
         self._priority = 0
         self._heard_s = self._supervised_s = self._now_s
-        self._boot_s = self._now_s  # zero of the time that it tells
+        self._boot_s = self._now_s  # zero of the reported time
 
     def restart(self) -> None:
-        """Restart now, in the air or not: nothing is heard of it for some seconds, then it arms itself."""
+        """Restart now, also in the air: it sends nothing for some seconds, then it arms itself."""
         self._start()
         self._started_s = self._now_s + START_S
         self._supervised_s = self._started_s
         self.plant.restart()
 
     def stall(self, seconds: float) -> None:
-        """The vehicle stands still, its clock included, as a simulator that is not scheduled."""
+        """Freeze the vehicle with its clock, like a simulator that is not scheduled."""
         self._stalled_until_s = self._host_s + seconds
 
     def _clock(self, host_s: float) -> float:
-        """Advance to a time of the host; returns its own."""
+        """Advance to a time of the host; return its own time."""
         begin_s = max(self._host_s, min(self._stalled_until_s, host_s))
         self._now_s += self.clock_rate * (host_s - begin_s)
         self._host_s = host_s
         return self._now_s
 
     def packet(self, raw: bytes, now_s: float) -> list[bytes]:
-        """Answer one packet; ``now_s`` is the host's clock, as everywhere outside."""
+        """Answer one packet; ``now_s``: the host's clock, as in all public methods."""
         stalls, now_s = now_s < self._stalled_until_s, self._clock(now_s)
         if stalls or now_s < self._started_s:
             return []
@@ -124,12 +124,12 @@ class Firmware:
         return [] if handler is None else [head + answer for answer in handler()]
 
     def step(self, now_s: float) -> list[bytes]:
-        """Advance to a time; returns the log packets that are due."""
+        """Advance to a time; return the due log packets."""
         stalls, now_s = now_s < self._stalled_until_s, self._clock(now_s)
         dt_s, self._stepped_s = now_s - self._stepped_s, now_s
         while now_s - self._supervised_s >= PERIOD_S:
-            self._supervised_s += PERIOD_S  # its own period, also when the host runs this late
-            # relaxed, it is fed by the planner
+            self._supervised_s += PERIOD_S  # fixed period, also if the host runs late
+            # a relaxed commander takes set-points from the planner
             age_s = self._supervised_s - self._setpoint_s if self._priority else 0.0
             self.supervisor.setpoints_rule = self._priority > 0
             self.supervisor.step(self._supervised_s, age_s, self.plant.motors)
@@ -169,7 +169,7 @@ class Firmware:
             ids = [struct.unpack_from("<H", data, at)[0] for at in range(3, len(data), 3)]
             names = [*self._blocks[number].names, *(self._log_toc.name(i) for i in ids)]
             if sum(struct.calcsize(CODE[LOGS[name]]) for name in names) > 26:
-                return [bytes((command, number, 7))]  # E2BIG, as when the same is asked twice
+                return [bytes((command, number, 7))]  # E2BIG, as after a repeated request
             self._blocks[number].names = names
         elif command == 3:
             block = self._blocks[number]
@@ -199,7 +199,7 @@ class Firmware:
             for vector in (position, velocity, plant.rates)
         )  # truncated towards zero, and to 16 bits (stabilizer.c, compressState)
         attitude = plant.quaternion
-        if self.needs_poses and self.poses:  # the filter takes that of the poses, tilted or not
+        if self.needs_poses and self.poses:  # the filter copies the tilt of the poses
             x_, y_, z_, w_ = self.poses[-1][1][3:]
             attitude = (w_, x_, y_, z_)
         variance = plant.variance_m2 if self.params["stabilizer.estimator"].value == 2 else 0.0
@@ -232,7 +232,7 @@ class Firmware:
         return [data[:2] + struct.pack(CODE[param.kind], param.value)]
 
     def written(self) -> None:
-        """Act on the parameters, after one was written."""
+        """Apply the parameters after a write."""
         drag = [self.params.get(f"kalman.dragB_{axis}") for axis in "xyz"]
         if self.params["kalman.resetEstimation"].value:
             self.plant.reset(*(self.params[f"kalman.initial{name}"].value for name in ("X", "Y", "Z", "Yaw")))
@@ -254,7 +254,7 @@ class Firmware:
         return []
 
     def _thrust(self, data: bytes, now_s: float) -> list[bytes]:
-        """Roll, pitch, yaw rate and thrust: only the thrust of zero that cflib ends a link with."""
+        """Handle roll, pitch, yaw rate and thrust; only cflib's final zero thrust has an effect."""
         assert struct.unpack("<fffH", data)[3] == 0
         self._setpoint_s, self._priority, self._setpoint = now_s, 2, None
         return []

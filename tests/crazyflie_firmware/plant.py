@@ -1,15 +1,15 @@
-"""What flies under the stand-in's firmware: a point that follows velocities, falls without motors, lands."""
+"""Point-mass vehicle for the firmware model: it follows velocities, falls without motors, and lands."""
 
 import math
 from collections.abc import Callable
 
-TAU_S = 0.12  # s; the velocity loop of the firmware's PID
+TAU_S = 0.12  # time constant of the firmware's PID velocity loop
 G = 9.81
-DRAG_1_S = 0.46  # 1/s; level, it slows down by drag alone
+DRAG_1_S = 0.46  # deceleration at level attitude by drag alone
 
 
 def variance_m2(pose_age_s: float) -> float:
-    """Variance of a position by the firmware's filter, propagated since the last pose (firmware 2026.08)."""
+    """Variance of a position in the firmware's filter, propagated since the last pose (firmware 2026.08)."""
     t = pose_age_s
     if t == math.inf:
         return 100.0
@@ -17,7 +17,7 @@ def variance_m2(pose_age_s: float) -> float:
 
 
 class Point:
-    """Position, velocity and heading, all true and all known to its filter; stands on ``surface_m(x, y)``."""
+    """Point with exact position, velocity and heading estimates; it stands on ``surface_m(x, y)``."""
 
     def __init__(
         self, x: float = 0.0, y: float = 0.0, surface_m: Callable[[float, float], float] | None = None
@@ -41,7 +41,7 @@ class Point:
 
     @property
     def estimate(self) -> tuple[list[float], list[float]]:
-        """Position and velocity that its filter believes: the true ones."""
+        """Estimated position and velocity, equal to the true ones."""
         return self.position, self.velocity
 
     @property
@@ -52,13 +52,13 @@ class Point:
         self._pose_age_s = 0.0
 
     def know_drag(self, drag_1_s: tuple[float, float, float]) -> None:
-        """Set ``kalman.dragB_*``: its filter needs none."""
+        """Ignore ``kalman.dragB_*``: the filter here has no drag model."""
 
     def reset(self, x: float, y: float, z: float, yaw: float) -> None:
-        """``kalman.resetEstimation``: its filter has no error that would last."""
+        """Ignore ``kalman.resetEstimation``: the filter here has no lasting error."""
 
     def restart(self) -> None:
-        """The firmware starts anew: its filter knows nothing."""
+        """Ignore the restart: the filter here has no state."""
         self._pose_age_s = math.inf
 
     @property
@@ -66,10 +66,10 @@ class Point:
         return self.position[2] <= self.surface_m(*self.position[:2]) + 1e-6
 
     def setpoint(self, velocity: tuple[float, float, float], yaw_rate: float) -> None:
-        """A set-point has come; ``command`` says it at every step, which is enough here."""
+        """Ignore a new set-point: ``command`` passes it at every step."""
 
     def command(self, velocity: tuple[float, float, float], yaw_rate: float, level: bool) -> None:
-        """Fly; ``level``: no tilt, only the height is controlled."""
+        """Advance the flight; ``level``: no tilt, control only the height."""
         self._wanted, self._level, self.motors = list(velocity), level, True
         self.yaw_rate = 0.0 if level else yaw_rate
 

@@ -1,4 +1,4 @@
-"""The stand-in on a UDP socket, in a thread of its own, with a radio that loses packets."""
+"""The firmware model on a UDP socket, in its own thread, with a radio that loses packets."""
 
 import random
 import select
@@ -16,12 +16,12 @@ TICK_S = 0.002
 class Server:
     """Serves one firmware; ``with Server(firmware) as server: ... server.uri``.
 
-    ``mute``: nothing it says gets through; ``deaf``: nothing said to it gets through.
+    ``mute``: packets from it are lost; ``deaf``: packets to it are lost.
     """
 
     def __init__(self, firmware: Firmware, *, loss: float = 0.0, seed: int = 0) -> None:
         self.firmware = firmware
-        self.loss = loss  # share of the packets that get lost, each way
+        self.loss = loss  # share of lost packets in each direction
         self.mute = self.deaf = False
         self.lost = 0
         self.error: BaseException | None = None
@@ -57,7 +57,7 @@ class Server:
             raise self.error
 
     def _run(self) -> None:
-        ask_for_priority()  # of this thread: a vehicle waits for no other program
+        ask_for_priority()  # this thread has the priority of a real vehicle
         try:
             while not self._stop.is_set():
                 select.select((self._socket,), (), (), TICK_S)

@@ -1,7 +1,7 @@
-"""The simulated vehicle under the stand-in's CRTP: MuJoCo, rotors, battery, attitude and velocity loops.
+"""The simulated vehicle under the firmware model's CRTP: MuJoCo, rotors, battery, attitude and velocity loop.
 
-Its filter and velocity loop are the firmware's, whatever the scenario says: body z alone counts, and
-``kalman.dragB_*`` (``sim.firmware.estimator``); PID.
+Filter and velocity loop are the firmware's in all scenarios: body z only, ``kalman.dragB_*``
+(``sim.firmware.estimator``), PID.
 """
 
 import math
@@ -14,7 +14,7 @@ from sim.scenarios.scenario import Scenario, VelocityLoop, load
 from sim.vehicle.vehicle import VehicleSim, warm_up
 from tests.crazyflie_firmware.plant import variance_m2
 
-MS_MAX = 50  # ms of one step; a longer pause of the machine is one of simulated time
+MS_MAX = 50  # longest step; a longer pause of the machine also pauses simulated time
 
 
 class SimPlant:
@@ -69,22 +69,22 @@ class SimPlant:
         return variance_m2(max(0.0, self._now_s - self._posed_s))
 
     def pose(self, x: float, y: float, z: float, quaternion_xyzw) -> None:
-        """A pose for the filter; None, and none of the scenario's motion capture counts."""
+        """Apply a pose to the filter; None disables the scenario's motion capture."""
         if self._by_poses and quaternion_xyzw is not None:
             self._posed_s = self._now_s
             qx, qy, qz, qw = quaternion_xyzw
             self.vehicle.take_pose((x, y, z), (qw, qx, qy, qz))
 
     def know_drag(self, drag_1_s) -> None:
-        """Set ``kalman.dragB_*``."""
+        """Set the parameters ``kalman.dragB_*``."""
         self.vehicle.know_drag(drag_1_s)
 
     def reset(self, x: float, y: float, z: float, yaw: float) -> None:
-        """``kalman.resetEstimation``."""
+        """Reset the estimate (``kalman.resetEstimation``)."""
         self.vehicle.reset_estimate((x, y, z), yaw)
 
     def restart(self) -> None:
-        """The firmware starts anew."""
+        """Restart the firmware."""
         self.motors_off()
         self.vehicle.reboot()
 
@@ -123,7 +123,7 @@ class SimPlant:
 
     def advance(self, dt_s: float) -> None:
         self._now_s += dt_s
-        # controller_pid.c: while there is no thrust, the yaw set-point is the vehicle's own yaw
+        # controller_pid.c: without thrust the yaw set-point is the vehicle's yaw
         if self.vehicle.armed:
             self._yaw += self._yaw_rate * dt_s
         else:

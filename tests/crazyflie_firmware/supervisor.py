@@ -4,12 +4,12 @@ from enum import Enum, auto
 
 PERIOD_S = 0.04
 WARN_S, TIMEOUT_S = 0.5, 2.0  # age of the set-point
-FLYING_S = 2.0  # it flies until the motors have been idle for so long
+FLYING_S = 2.0  # idle time of the motors after which it no longer counts as flying
 LANDED_S, PREFLIGHT_S = 3.0, 30.0
 
 
 class State(Enum):
-    """States, as the firmware names them."""
+    """States with the firmware's names."""
 
     CHECKS_FAILED = auto()
     CHECKS_PASSED = auto()
@@ -29,10 +29,10 @@ ARMED = MAY_RUN | {State.ARMING}
 
 
 class Supervisor:
-    """Arming, flying, locking.
+    """State machine of arming, flying and locking.
 
-    ``setpoints_rule``: a set-point of the radio has stopped the high-level commander (bit 10);
-    ``deck_fault``: of a deck, which ends a flight (bit 11).
+    ``setpoints_rule``: a set-point from the radio has stopped the high-level commander (bit 10);
+    ``deck_fault``: a deck fault, which ends a flight (bit 11).
     """
 
     def __init__(self, auto_arm: bool) -> None:
@@ -67,7 +67,7 @@ class Supervisor:
         return True
 
     def recover(self) -> bool:
-        """Crash recovery: granted unless it lies on its back."""
+        """Recover from a crash; rejected if the vehicle lies on its back."""
         self.crashed = self.crashed and self.tumbled
         return not self.crashed
 

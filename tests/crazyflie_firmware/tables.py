@@ -1,4 +1,4 @@
-"""The stand-in's log variables and parameters, as the firmware tells them: tables of contents."""
+"""Tables of contents of the firmware model: log variables and parameters."""
 
 import struct
 import zlib
@@ -9,7 +9,7 @@ PARAM_TYPES = {"u8": 8, "u16": 9, "u32": 0xA, "i8": 0, "i16": 1, "i32": 2, "f": 
 CODE = {"u8": "<B", "u16": "<H", "u32": "<I", "i8": "<b", "i16": "<h", "i32": "<i", "f": "<f"}
 READ_ONLY = 0x40
 
-SENT_SINCE = {"pm.vbatMV": 8}  # CRTP protocol; CrazySim's firmware of 2024 speaks 7
+SENT_SINCE = {"pm.vbatMV": 8}  # minimum CRTP protocol version; CrazySim's firmware of 2024 has 7
 LOGS = {
     **{f"stateEstimateZ.{name}": "i16" for name in ("x", "y", "z", "vx", "vy", "vz")},
     "stateEstimateZ.quat": "u32",
@@ -34,7 +34,7 @@ class Param:
 
 
 def params(entries: int) -> dict[str, Param]:
-    """What the bridge knows, filled up to a number of entries."""
+    """Return the entries that the bridge uses, filled up to a number of entries."""
     known = {
         "stabilizer.estimator": Param("u8", 1),
         "stabilizer.controller": Param("u8", 1),
@@ -70,7 +70,7 @@ class Toc:
 
 
 def log_toc(protocol: int, entries: int) -> Toc:
-    """Those that a firmware of this protocol has, filled up to a number of entries."""
+    """Return the entries of a firmware with this protocol, filled up to a number of entries."""
     names = [name for name in LOGS if protocol >= SENT_SINCE.get(name, 0)]
     filled = [(f"other.log{i}", LOG_TYPES["f"]) for i in range(entries - len(names))]
     return Toc([(name, LOG_TYPES[LOGS[name]]) for name in names] + filled)

@@ -1,4 +1,4 @@
-"""A real recorder, in a thread, on a disk that begins to fail when it is told to."""
+"""A real recorder in a thread, on a simulated disk that fails on command."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from logs.recorder.recorder import RecorderProcess
 from tests.fault_grid.flight import Flight
 from tests.fault_grid.table import Way
 
-SLOW_B_S = 1e6  # bytes a slow disk takes in a second, a tenth of a memory card's
-LATE_S = 0.2  # s after which a late one begins with a block of data
+SLOW_B_S = 1e6  # write speed of a slow disk, bytes/s, a tenth of a memory card's
+LATE_S = 0.2  # delay of a late disk before each block of data
 BLOCK_B = 4096
-CLOSE_S = 0.3  # s that the feed waits for a disk that hangs, in place of 5 s
-END_S = 30.0  # s of wall time until the recorder must have ended
+CLOSE_S = 0.3  # time-out of the feed for a disk that hangs; the default is 5 s
+END_S = 30.0  # time-out for the recorder's end, wall time
 
 
 class Disk(io.RawIOBase):
-    """A file on a disk that fails as told from ``fail`` on; ``heal`` ends a hang."""
+    """A file on a disk that fails as specified after ``fail``; ``heal`` ends a hang."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("xb", buffering=0)
@@ -58,11 +58,11 @@ class Disk(io.RawIOBase):
         self._way = way
 
     def heal(self) -> None:
-        """Let go of what hangs."""
+        """Release blocked writes."""
         self._healed.set()
 
     def write(self, data: Any) -> int:
-        """As the disk does it now."""
+        """Apply the current failure of the disk."""
         data = bytes(data)
         return self._file.write(data) if self._way is None else self._ways[self._way](data)
 
@@ -90,7 +90,7 @@ class Disk(io.RawIOBase):
         return self._refuse(errno.EIO)
 
     def _late(self, data: bytes, seconds: float) -> int:
-        time.sleep(seconds)  # that is what it is
+        time.sleep(seconds)  # the simulated delay
         return self._file.write(data)
 
     def _now_and_then(self, data: bytes) -> int:
@@ -99,7 +99,7 @@ class Disk(io.RawIOBase):
 
 
 class _NoSession:
-    """In place of Zenoh: nobody watches."""
+    """Replaces Zenoh: there are no subscribers."""
 
     def declare_publisher(self, *_: object, **__: object) -> _NoSession:
         return self
@@ -111,8 +111,8 @@ class _NoSession:
 class Recording:
     """A recorder and the companion's log.
 
-    ``failure``: why the recorder stopped; empty when nothing was wrong; ``dropped``: records that the
-    companion had to drop.
+    ``failure``: why the recorder stopped, empty without an error; ``dropped``: number of records that the
+    companion dropped.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -155,7 +155,7 @@ class Recording:
             raise RuntimeError(f"the recorder did not end within {END_S:g} s")
 
     def says(self) -> str:
-        """What recorder, companion and file tell of the disk, once all is closed."""
+        """Return the messages of recorder, companion and file about the disk, after all are closed."""
         if self.failure:
             return f"recorder: {self.failure}"
         if self.dropped:
@@ -172,7 +172,7 @@ class Recording:
 
 @contextmanager
 def recording(folder: Path) -> Iterator[Recording]:
-    """A recorder that ends with the block."""
+    """A recorder that ends with the context."""
     one = Recording(folder)
     try:
         yield one

@@ -1,4 +1,4 @@
-"""Faults of a fleet: what fails, at which moment, and a flight of ``fleet_3`` with it."""
+"""Fault grid of a fleet: fault and moment, and flights of ``fleet_3`` with them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Way(StrEnum):
 
 
 def _lying(exchange: Words, from_tick: int) -> Exchange:
-    """The same words, those of one member with another place from a tick on."""
+    """Exchange that replaces one member's position from a tick on."""
 
     def tell(tick: int, outputs: Sequence[Outputs | None]) -> Sequence[tuple[Neighbour, ...]]:
         told, out = list(outputs), outputs[WHO - 1]
@@ -51,14 +51,7 @@ def fly(way: Way, at_s: float, seed: int) -> FleetVerdict:
 
 
 def broken(team: TeamScenario, way: Way, who: int, at_s: float) -> TeamScenario:
-    """The team in which a member fails, for good; what it tells of its place is told as it is.
-
-    Args:
-        team: whole.
-        way: what fails.
-        who: number of the member.
-        at_s: from when on.
-    """
+    """Return the team in which one member fails permanently."""
     if way is Way.LIES:
         return team
     if way is Way.STOPS:
@@ -68,7 +61,7 @@ def broken(team: TeamScenario, way: Way, who: int, at_s: float) -> TeamScenario:
     team = replace(team, exchange=ExchangeLink(silent=(who,), broken_from_s=at_s))
     if way is Way.SILENT:
         return team
-    # its autopilot's failsafe ends the flight
+    # the autopilot's fail-safe ends the flight
     return _with_fault(team, who, Fault(What.LINK_IN, Kind.OFF, start_s=at_s))
 
 
@@ -112,6 +105,6 @@ def row(way: Way, moment: str, verdict: FleetVerdict) -> str:
 
 
 def section() -> str:
-    """Fly all cells; the part of the page."""
+    """Fly all cells; return their part of the page."""
     cells = [row(way, moment, fly(way, at_s, SEED)) for way in Way for moment, at_s in MOMENTS_S.items()]
     return FLEET_HEAD + "\n".join([*cells, NAMESAKES]) + "\n"

@@ -1,8 +1,8 @@
-"""One flight in one process that can be disturbed at any moment, and is watched until the vehicle is down.
+"""One flight in one process, disturbed at a chosen moment and observed until the vehicle is down.
 
-The vehicle's lockstep loop, its autopilot, the robot, the companion's link and ``Runner``
-are those of a real run (as in ``sim.runners.landing``), target samples as CDR bytes. When the companion
-ends, nothing more is sent, as when its process ends: what the vehicle does then belongs to the flight.
+The vehicle's lockstep loop, its autopilot, the robot, the companion's link and ``Runner`` are those of a real
+run (as in ``sim.runners.landing``); target samples are CDR bytes. When the companion ends, nothing more is
+sent, as after the end of its process; the vehicle's later behaviour belongs to the flight.
 """
 
 from __future__ import annotations
@@ -45,28 +45,28 @@ from sim.scenarios.fault_spec import Fault
 from sim.scenarios.scenario import Scenario
 from sim.vehicle.vehicle import VehicleSim
 
-REST_S = 2.5  # s after the motors stopped; the judge looks at 2 s
-WATCH_MAX_S = 30.0  # s that a flight may last after the disturbance
-CLIMB_M = 0.2  # above the ground: in the take-off climb
+REST_S = 2.5  # time after the motors stopped; the judge needs 2 s
+WATCH_MAX_S = 30.0  # longest flight after the disturbance
+CLIMB_M = 0.2  # height above the ground, in the climb of the take-off
 
 TIMESYNC: int = dialect.MAVLINK_MSG_ID_TIMESYNC
-Mangle = Callable[[list[bytes], float], list[bytes]]  # payloads that came, and when; what is handed on
+Mangle = Callable[[list[bytes], float], list[bytes]]  # (payloads, time) -> payloads passed on
 
 
 @dataclass(frozen=True)
 class Flown:
-    """What became of it; times in simulated seconds, NaN for never."""
+    """Result of the flight; simulated times in s, NaN for events that did not occur."""
 
-    seen: Seen  # as a log would hold it
-    disturbed_at_s: float  # when the disturbance began; the other times count from then
+    seen: Seen  # the flight's data, as in a log
+    disturbed_at_s: float  # start of the disturbance; the other times are relative to it
     noticed_s: float  # first phase HOLD, CLIMB or ABORT, or fail-safe of the autopilot
-    down_s: float  # motors off for good
+    down_s: float  # final stop of the motors
     failsafe_s: float  # first fail-safe of the autopilot
     phases: tuple[Phase, ...]  # phases of the companion, in order
 
     @property
     def failsafe(self) -> bool:
-        """Whether the autopilot had to act by itself."""
+        """Whether the autopilot had to act without the companion."""
         return not math.isnan(self.failsafe_s)
 
     @property
@@ -75,23 +75,23 @@ class Flown:
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """What companion and vehicle said, in order."""
+        """Texts of companion and vehicle, in order."""
         return tuple(event.text for event in self.seen.events)
 
 
 class _Target(DirectTarget):
-    """Hands its samples over as they would come over Zenoh, and drives no further than it must.
+    """Robot whose samples are serialised as over Zenoh, and which drives ahead as little as possible.
 
-    So a fault begins at once, not only at the end of what was driven ahead.
+    So a fault starts at once, not after the ticks driven ahead.
     """
 
     def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:
         self._measured: list[TargetMeasurement] = []
-        self.mangle: Mangle | None = None  # what happens to samples on their way; None: nothing
+        self.mangle: Mangle | None = None  # changes samples in transit; None: no change
         super().__init__(scenario, seed, grid)
 
     def take(self, tick: int, *, wait: bool = True) -> DeckState:
-        """Go on to this tick; true pose there."""
+        """Advance to this tick; return the true pose."""
         self._drive(tick)
         return super().take(tick, wait=wait)
 
@@ -100,7 +100,7 @@ class _Target(DirectTarget):
         super()._keep(pads, due, new)
 
     def samples(self, now_s: float) -> Arrived:
-        """Odometry released since the last call, serialised and mangled on its way."""
+        """Return the odometry released since the last call, serialised and changed in transit."""
         due, self._measured = self._measured, []
         payloads = [_cdr(sample) for sample in due]
         if self.mangle is not None:
@@ -108,7 +108,7 @@ class _Target(DirectTarget):
         return decoded([RawSample(payload) for payload in payloads], now_s)
 
     def fail(self, fault: Fault, now_ns: int) -> None:
-        """Begin a fault of the odometry."""
+        """Start a fault of the odometry."""
         self._motion.faults.fail([fault], now_ns)
 
 
@@ -120,7 +120,7 @@ def _cdr(sample: TargetMeasurement) -> bytes:
 
 
 class _Notes(VehicleNotes):
-    """Also notes when the motors stopped for good."""
+    """Also records the time at which the motors stopped finally."""
 
     def __init__(self, notes: Notes) -> None:
         super().__init__(notes)
@@ -137,14 +137,7 @@ class _Notes(VehicleNotes):
 
 
 class Flight:
-    """A flight to be disturbed.
-
-    Args:
-        scenario: what is flown.
-        seed: of all chance.
-        moment: looked at after every step; the first time that it holds, the disturbance begins.
-        disturb: begins it.
-    """
+    """A flight with a disturbance."""
 
     def __init__(
         self,
@@ -157,9 +150,9 @@ class Flight:
         rate_hz = config.loop.rate_hz
         grid = TickGrid(rate_hz)
         self.controller = Controller(config)
-        self.target = _Target(scenario, seed, grid)  # faults of its odometry, likewise
-        self.asked = Operator.NONE  # what a person asks for, from the next tick on
-        # called after every step of the controller, to log it
+        self.target = _Target(scenario, seed, grid)  # its odometry faults can start at any time
+        self.asked = Operator.NONE  # request of the operator from the next tick on
+        # called after every controller step, for the log
         self.on_step: Callable[[Tick, Taken, Outputs], None] | None = None
         self.phases: list[Phase] = []
         self._moment, self._disturb = moment, disturb
@@ -173,14 +166,14 @@ class Flight:
             "", takeoff_height_m=config.takeoff.height_m, rate_hz=rate_hz, defer_timesync=True,
             endpoint=self._there, profile=OWN_SITL,
         )  # fmt: skip
-        self.vehicle = VehicleSim(scenario, seed)  # its ``faults`` can be begun at any time
+        self.vehicle = VehicleSim(scenario, seed)  # its ``faults`` can start at any time
         self._autopilot = Autopilot(self.vehicle, rate_hz, trim_enu_m_s=self.vehicle.trim_velocity_enu_m_s)
         self._all_notes = Notes(config, scenario.target.pad_radius_m)
         self._notes = _Notes(self._all_notes)
         self._ground_m = self.vehicle.estimate().position_enu_m[2]
         node = VehicleNode(1, "cf1", self.vehicle, self._autopilot, here, self._notes)
         here.answer = self._tick
-        self.link.poll(0.0)  # says hello, as the process does before the first tick
+        self.link.poll(0.0)  # sends the first heartbeat, as the process does before the first tick
         self._loop = LockstepVehicle(node, self.target, grid, self._stop, scenario.vehicle.setpoint_delay_s)
         self._ticks_max = grid.count(scenario.duration_max_s + WATCH_MAX_S)
         vehicle = LinkedVehicle(self.link, lockstep=True)
@@ -197,11 +190,11 @@ class Flight:
 
     @property
     def climbing(self) -> bool:
-        """In the take-off, off the ground."""
+        """Whether it is in the take-off and off the ground."""
         return self.phase is Phase.TAKEOFF and self._notes.height_m > self._ground_m + CLIMB_M
 
     def fly(self) -> Flown:
-        """To the end. Raises RuntimeError: the moment of the disturbance never came."""
+        """Fly to the end. Raises RuntimeError: the moment of the disturbance did not occur."""
         self._loop.begin()
         for tick in range(self._ticks_max):
             self._loop.tick(tick)
@@ -235,11 +228,11 @@ class Flight:
             self._disturb(self)
 
     def operator(self, status: VehicleStatus | None, now_s: float) -> Operator:
-        """Return what a person asks for."""
+        """Return the operator's request."""
         return self.asked
 
     def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
-        """End when the controller has finished, or when the time is over: as when the process is killed."""
+        """End when the controller has finished, or at the time limit, as if the process were killed."""
         return Ended(out.phase, memory.reason, 1) if out.finished or now_s >= self._duration_s else None
 
     def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
@@ -265,7 +258,7 @@ class Flight:
         return rests or self.vehicle.time_s - self._disturbed_s > WATCH_MAX_S
 
     def _answer_only(self) -> None:
-        """Keep simulated time going; the companion has ended."""
+        """Advance the simulated time after the companion has ended."""
         for received in self._there.receive():
             if _is_request(received):
                 self._there.send([VehicleLink.timesync_reply(received.message.ts1)])

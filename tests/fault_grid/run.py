@@ -1,4 +1,4 @@
-"""Makes one part fail in one way, flies that cell of the grid, and says how it ended."""
+"""Applies one fault, flies that cell of the grid, and returns its result."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _WHAT: Mapping[Part, What] = MappingProxyType(
         Part.CLOCK: What.CLOCK,
     }
 )
-# where the defaults of the simulator's table are not the point
+# values that differ from the defaults of the simulator's table
 _VALUES: Mapping[tuple[Part, Way], Mapping[str, Any]] = MappingProxyType(
     {
         (Part.OWN_STATE, Way.WRONG): {"offset_m": _OFFSET_M},
@@ -52,7 +52,7 @@ def fault(part: Part, way: Way) -> Fault:
 
 
 def disturb(part: Part, way: Way, seed: int) -> Callable[[Flight], None]:
-    """What begins the fault in a flight."""
+    """Starts the fault of a cell in a flight."""
     if part is Part.ZENOH:
         return lambda flight: setattr(flight.target, "mangle", _MANGLES[way](np.random.default_rng(seed)))
     if part is Part.TARGET_STATE:
@@ -66,7 +66,7 @@ def _off(rng: np.random.Generator) -> Mangle:
 
 
 def _stuck(rng: np.random.Generator) -> Mangle:
-    """The first payload again whenever one should come."""
+    """Repeat the first payload instead of each later one."""
     del rng
     first: list[bytes] = []
 
@@ -78,7 +78,7 @@ def _stuck(rng: np.random.Generator) -> Mangle:
 
 
 def _garbage(rng: np.random.Generator) -> Mangle:
-    """One byte of each payload is another."""
+    """Change one byte of each payload."""
 
     def mangle(payloads: list[bytes], now_s: float) -> list[bytes]:
         out = []
@@ -91,7 +91,7 @@ def _garbage(rng: np.random.Generator) -> Mangle:
 
 
 def _wrong(rng: np.random.Generator) -> Mangle:
-    """Another robot speaks under the key."""
+    """Insert samples of another robot under the same key."""
     del rng
     return lambda payloads, now_s: [payload.replace(b"target\0", b"nearby\0") for payload in payloads]
 
@@ -112,7 +112,7 @@ def _slow(rng: np.random.Generator) -> Mangle:
 
 
 def _delayed(rng: np.random.Generator) -> Mangle:
-    """0.2 s late, and each tenth 30 ms later still, so that others pass it."""
+    """Delay by 0.2 s, and every tenth by another 30 ms, so that others overtake it."""
     held: deque[tuple[float, bytes]] = deque()
 
     def mangle(payloads: list[bytes], now_s: float) -> list[bytes]:
@@ -128,7 +128,7 @@ def _delayed(rng: np.random.Generator) -> Mangle:
 
 
 def _intermittent(rng: np.random.Generator) -> Mangle:
-    """Lost in bursts of 0.3 s in the mean, every 1.3 s in the mean."""
+    """Lose payloads in bursts of 0.3 s every 1.3 s, both mean values."""
     state = {"lost": False, "until_s": 0.0}
 
     def mangle(payloads: list[bytes], now_s: float) -> list[bytes]:
@@ -155,19 +155,19 @@ _MANGLES: Mapping[Way, Callable[[np.random.Generator], Mangle]] = MappingProxyTy
 
 SCENARIO = "grid"
 SEED = 1
-UPRIGHT = 0.9  # cosine of the tilt of a vehicle that stands
+UPRIGHT = 0.9  # smallest cosine of the tilt of a standing vehicle
 
 
 @dataclass(frozen=True)
 class Result:
-    """How a cell ended; times in s since the fault, NaN for never."""
+    """Result of a cell; times in s since the fault, NaN for events that did not occur."""
 
     end: End
-    noticed_s: float  # until it was given up, the inputs were called lost, or a fail-safe acted
-    down_s: float  # until the motors were off for good
-    h_min_m: float  # lowest h outside the pad while the companion flew; NaN if the landing never began
+    noticed_s: float  # time until abort, detection of lost inputs, or a fail-safe
+    down_s: float  # time until the motors were finally off
+    h_min_m: float  # lowest h outside the pad while the companion flew; NaN if the landing did not start
     impact_m_s: float  # fastest downward speed at a contact
-    said: str  # first thing that was said about it
+    said: str  # first text about the fault
     flown: Flown
 
 
@@ -183,7 +183,7 @@ def fly(part: Part, way: Way, moment: Moment, seed: int = SEED) -> Result:
 
 
 def _fly_on(way: Way, moment: Moment, seed: int) -> Result:
-    """With a real recorder, whose disk fails."""
+    """Fly with a real recorder whose disk fails."""
     with tempfile.TemporaryDirectory() as folder:
         with recording(Path(folder)) as record:
             flight = Flight(scenario(), seed, AT[moment], lambda _: record.disk.fail(way))
@@ -200,12 +200,12 @@ def _result(end: End, told: str, flown: Flown) -> Result:
 
 @lru_cache(maxsize=4)
 def undisturbed(moment: Moment, seed: int) -> Flown:
-    """The same flight without a fault."""
+    """Fly the same flight without a fault."""
     return Flight(scenario(), seed, AT[moment], lambda _: None).fly()
 
 
 def equal(a: Truth, b: Truth) -> bool:
-    """Whether two flights are the same to the last bit."""
+    """Return whether two flights are equal bit for bit."""
     return all(
         np.array_equal(getattr(a, name), getattr(b, name), equal_nan=True)
         for name in ("t_s", "position_enu_m", "velocity_enu_m_s", "orientation", "motors_running", "contacts")
@@ -213,7 +213,8 @@ def equal(a: Truth, b: Truth) -> bool:
 
 
 def said(flown: Flown) -> str:
-    """First change of the companion's phase into giving up, or the autopilot's fail-safe, after the fault."""
+    """Return the time of the companion's first abort phase, or of the autopilot's fail-safe, after
+    the fault."""
     since_s = flown.disturbed_at_s
     for event in flown.seen.events:
         change = parse(event.text)
@@ -231,7 +232,7 @@ AT = {
 
 
 def end_of(flown: Flown) -> End:
-    """How a flight ended, by the true states."""
+    """Return the end of a flight, from true states."""
     truth = flown.truth
     if truth.motors_running[-1]:
         return End.FLYING
@@ -251,14 +252,15 @@ def end_of(flown: Flown) -> End:
 
 
 def impact(truth: Truth) -> float:
-    """Fastest downward speed relative to the pad just before a contact, m/s."""
+    """Return the fastest downward speed relative to the pad just before a contact, m/s."""
     touching = truth.contacts != 0
     began = np.flatnonzero(touching[1:] & ~touching[:-1])
     return float(max(0.0, *-truth.velocity_enu_m_s[began, 2])) if len(began) else 0.0
 
 
 def h_min(flown: Flown) -> float:
-    """Lowest true h outside the pad while the companion flies: until it is clear, or hands over."""
+    """Return the lowest true h outside the pad while the companion flies: until it is clear, or hands
+    over."""
     truth, start_s = flown.truth, flown.seen.landing_start_s
     if start_s is None:
         return math.nan

@@ -16,7 +16,7 @@ from flightstack.core.types import Phase
 
 
 class Part(StrEnum):
-    """What fails."""
+    """Component that fails."""
 
     OWN_STATE = "vehicle state"
     TARGET_STATE = "target state"
@@ -28,7 +28,7 @@ class Part(StrEnum):
 
 
 class Way(StrEnum):
-    """How it fails."""
+    """Kind of failure."""
 
     OFF = "off"
     STUCK = "stuck"
@@ -40,39 +40,39 @@ class Way(StrEnum):
 
 
 class Moment(Enum):
-    """When it fails, for good."""
+    """Moment of the failure, which is permanent."""
 
-    TAKEOFF = Phase.TAKEOFF  # in the climb, 0.2 m above the ground: standing there nothing could fall
+    TAKEOFF = Phase.TAKEOFF  # in the climb, 0.2 m above the ground, because on the ground it cannot fall
     APPROACH = Phase.APPROACH
     LAND = Phase.LAND
     TOUCHDOWN = Phase.TOUCHDOWN
 
 
 class End(StrEnum):
-    """How a flight ended."""
+    """End of a flight."""
 
-    LANDED = "LANDED"  # rests upright on the pad, motors off
-    ABORTED = "ABORTED"  # given up and declared, stands upright on the floor, motors off
-    VEHICLE_LANDS = "VEHICLE_LANDS"  # the same, brought down by the autopilot's own fail-safe
-    CONTINUES = "CONTINUES"  # flown to the last bit as without the fault
-    CRASHED = "CRASHED"  # fell, tumbled, or struck robot or pad's edge
-    MISSED = "MISSED"  # on the floor, and nobody had given up
-    FLYING = "FLYING"  # motors not off in the end
+    LANDED = "LANDED"  # it rests upright on the pad, motors off
+    ABORTED = "ABORTED"  # declared abort, upright on the floor, motors off
+    VEHICLE_LANDS = "VEHICLE_LANDS"  # upright on the floor after the autopilot's own fail-safe
+    CONTINUES = "CONTINUES"  # equal bit for bit to the flight without the fault
+    CRASHED = "CRASHED"  # it fell, tumbled, or hit the robot or the pad's edge
+    MISSED = "MISSED"  # on the floor without a declared abort
+    FLYING = "FLYING"  # motors still running at the end
 
 
-WITHIN_S = 2.0  # until it is given up, where it has to be
-H_MIN_M = -0.005  # outside the pad while the companion flies: a violation below it
+WITHIN_S = 2.0  # time limit until the abort, where one is required
+H_MIN_M = -0.005  # lowest allowed h outside the pad while the companion flies
 
 
 @dataclass(frozen=True)
 class Need:
-    ends: frozenset[End]  # how the flight may end
+    ends: frozenset[End]  # allowed ends of the flight
     why: str
     # longest time from the fault to the abort or to motors off, s; None: the flight may continue, because the
     # fault does no harm
     within_s: float | None = WITHIN_S
     h_min_m: float = H_MIN_M  # lowest h outside the pad while the companion flies
-    undetectable: bool = False  # no process on board can detect it; the requirements bound the harm
+    undetectable: bool = False  # no process on board can detect it; the requirements limit the harm
     falls_short: str = ""  # known failure by chance and its reason; empty if there is none
     short_ends: frozenset[End] = frozenset()  # ends of that failure
 

@@ -1,4 +1,4 @@
-"""The onboard process under watch, called off beyond the fence, and a radio link to it that can be cut."""
+"""Runs the onboard process under supervision, aborts it outside the fence, and can cut its radio link."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ RADIO_POLL_S = 0.05
 
 
 class Radio:
-    """Use as a context.
+    """A relay to use as a context manager.
 
-    ``url``: ``udpout:HOST:PORT`` of the vehicle; ``local_port``: UDP port of loopback to which the vehicle
-    sends; 0: it answers where it is called from.
+    ``url``: ``udpout:HOST:PORT`` of the vehicle; ``local_port``: loopback UDP port to which the vehicle
+    sends; 0: the vehicle replies to the sender.
     """
 
     def __init__(self, url: str, local_port: int = 0) -> None:
@@ -36,7 +36,7 @@ class Radio:
         self._near.bind(("127.0.0.1", 0))
         self._far = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._far.bind(("127.0.0.1", local_port))
-        self.url = f"udpout:127.0.0.1:{self._near.getsockname()[1]}"  # where the companion finds it
+        self.url = f"udpout:127.0.0.1:{self._near.getsockname()[1]}"  # vehicle address for the companion
         self._companion: tuple[str, int] | None = None
         self._cut, self._end = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._forward, daemon=True)
@@ -73,28 +73,28 @@ class Radio:
 
 
 POLL_S = 0.02
-ABORT_MAX_S = 40.0  # from the abort to its end
+ABORT_MAX_S = 40.0  # time-out from an abort to its end
 
 
 class Companion:
-    """One flight of ``flightstack onboard``. ``watch``: its state as anybody may see it."""
+    """One flight of ``flightstack onboard``. ``watch``: subscriber to its published state."""
 
     def __init__(self, room: Room, child: Child, watch: Watch) -> None:
         self._room, self.child, self.watch = room, child, watch
-        self.said: list[str] = []  # lines that it has written
+        self.said: list[str] = []  # lines of its output
         self._start: tuple[float, float, float] | None = None
 
     def until(self, word: str, limit_s: float) -> None:
-        """Follow it until it says a word.
+        """Watch it until it prints a line with this word.
 
-        Raises AssertionError: it ended before, took too long, or left the fence; then it has been called off.
+        Raises AssertionError: it ended early, took too long, or left the fence, after which it was aborted.
         """
         self._until(lambda: any(word in line for line in self.said), word, limit_s)
 
     def until_high(self, height_m: float, limit_s: float) -> None:
-        """Follow it until the vehicle is so high above where it was seen first.
+        """Watch it until the vehicle is this height above its first observed position.
 
-        Raises AssertionError: as of ``until``.
+        Raises AssertionError: as in ``until``.
         """
         self._until(lambda: self._height_m() > height_m, f"{height_m:g} m", limit_s)
 
@@ -119,7 +119,7 @@ class Companion:
         return step.own_position_enu_m[2] - self._start[2]
 
     def ended(self, limit_s: float) -> int:
-        """Follow it to its end; the exit status."""
+        """Watch it until its end; return the exit status."""
         until_s = time.monotonic() + limit_s / self._room.speed
         while self.child.alive():
             self._look(POLL_S)
@@ -147,7 +147,7 @@ class Companion:
     def _trouble(self) -> str | None:
         step = self.watch.step
         if step is None or self.watch.news is not News.FRESH or not step.own_valid:
-            return None  # what is not known here the process itself judges
+            return None  # unknown state; the process itself judges it
         if self._start is None:
             self._start = step.own_position_enu_m
         x, y, z = (a - b for a, b in zip(step.own_position_enu_m, self._start, strict=True))
@@ -157,7 +157,8 @@ class Companion:
         return None
 
     def _call_off(self) -> None:
-        """Ask for an abort; if that does not end, end the process: the vehicle's own fail-safe lands it."""
+        """Request an abort; if the process does not end, end it: the vehicle's own fail-safe then
+        lands it."""
         self.signal(signal.SIGINT)
         until_s = time.monotonic() + ABORT_MAX_S
         while self.child.alive() and time.monotonic() < until_s:
@@ -166,7 +167,7 @@ class Companion:
 
 
 def onboard_words(room: Room) -> list[str]:
-    """The verb ``onboard`` with its options for a room."""
+    """Return the command line of ``onboard`` with the options for a room."""
     words = ["onboard", "--vehicle", room.url, "--autopilot", room.autopilot, "--target", room.target_key]
     words += ["--target-offset", *map(str, room.target_offset_m), "--config", str(room.config)]
     words += ["--listen", room.listen, "--system-id", str(room.system_id), "--duration", "120"]
@@ -179,7 +180,7 @@ def onboard_words(room: Room) -> list[str]:
 
 @contextlib.contextmanager
 def companion(room: Room) -> Iterator[Companion]:
-    """Start the onboard process; on the way out it is ended."""
+    """Start the onboard process; the context ends it."""
     child = StartedChild("onboard", onboard_words(room), room.folder)
     session = None
     try:

@@ -1,4 +1,4 @@
-"""A careful pilot: flies one step at a time over the companion's link, within limits of place and time."""
+"""A test pilot that flies one step at a time over the companion's link, within limits of place and time."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ from flightstack.core.types import ZERO, Landed, Mode, OwnState, Request, Vec3, 
 from tests.flight_suite.room import LIMITS, Limits, Room
 
 RATE_HZ = 50
-STATE_AGE_MAX_S = 2.0  # it holds by its own state, not by what of that gets here
-WALL_FACTOR = 5.0  # of a limit: a simulated vehicle's clock stands while its machine does something else
+STATE_AGE_MAX_S = 2.0  # a larger limit, because the vehicle holds by its own state, not by the received one
+WALL_FACTOR = 5.0  # ratio of wall time to a limit; a simulated vehicle's clock pauses with its machine
 HEARTBEAT_AGE_MAX_S = 3.5
-CONNECT_MAX_S = 60.0  # from boot, until the estimator knows where it is
-DOWN_MAX_S = 30.0  # from the end of a step until it stands with its motors off
-KILL_AFTER_S = 20.0  # of a landing that does not come to its end, once it is near the ground
+CONNECT_MAX_S = 60.0  # time-out from boot to a valid position estimate
+DOWN_MAX_S = 30.0  # time-out from the end of a step to standing with motors off
+KILL_AFTER_S = 20.0  # time-out of a landing near the ground
 LOW_M = 0.1
 CLIMB_M_S = 0.5
 
 
 @dataclass(frozen=True)
 class Setpoint:
-    """A velocity and a heading."""
+    """A velocity and heading command."""
 
     velocity_enu_m_s: Vec3
     yaw_rad: float
 
 
 class Pilot:
-    """Use as a context: on the way out the vehicle is brought down, whatever happened."""
+    """Flies as a context manager; at its end the vehicle is landed in every case."""
 
     def __init__(self, room: Room) -> None:
         self._room = room
         place = load(room.config).vehicle.origin_wgs84
-        # companion's side of the vehicle link
+        # the companion's end of the vehicle link
         self.link = VehicleLink(
             room.url, takeoff_height_m=room.takeoff_height_m, rate_hz=float(RATE_HZ),
             profile=profile(room.autopilot), system_id=room.system_id,
@@ -53,9 +53,9 @@ class Pilot:
             RATE_HZ, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns
         )
         self.now_s = 0.0
-        self.texts: list[str] = []  # what the vehicle said
+        self.texts: list[str] = []  # texts of the vehicle
         self.start_enu_m: Vec3 | None = None
-        self.max_height_m = 0.0  # highest above the start so far
+        self.max_height_m = 0.0  # largest height above the start so far
 
     def __enter__(self) -> Pilot:
         return self
@@ -76,7 +76,7 @@ class Pilot:
 
     @property
     def vehicle_s(self) -> float:
-        """Time by the vehicle's clock: limits count by it."""
+        """Time on the vehicle's clock, to which limits refer."""
         return self.own.source_time_s
 
     @property
@@ -86,7 +86,7 @@ class Pilot:
 
     @property
     def limits(self) -> Limits:
-        """Of the steps: the room's, or those of the profile that it flies by."""
+        """Limits of the steps: the room's, or those of the vehicle's profile."""
         if self._room.limits is not None:
             return self._room.limits
         assert self.link.state.profile is not None, "not connected"
@@ -94,12 +94,12 @@ class Pilot:
 
     @property
     def height_m(self) -> float:
-        """Above the start."""
+        """Height above the start."""
         assert self.start_enu_m is not None, "not connected"
         return self.own.position_enu_m[2] - self.start_enu_m[2]
 
     def connect(self) -> None:
-        """Wait until heartbeat, state and landed state have come; where it is then is the start."""
+        """Wait for heartbeat, state and landed state; the position is then the start."""
         self.watch("connect", self._known, CONNECT_MAX_S)
         self.start_enu_m = self.own.position_enu_m
 
@@ -108,15 +108,15 @@ class Pilot:
         return status is not None and self.link.state.own is not None and status.landed is not Landed.UNKNOWN
 
     def watch(self, step: str, done: Callable[[], bool], limit_s: float) -> float:
-        """Ask for nothing and send no set-point until something holds; s that it took."""
+        """Send no request and no set-point until the condition holds; return the duration, s."""
         return self.ask(step, Request.NONE, done, limit_s)
 
     def ask(self, step: str, request: Request, done: Callable[[], bool], limit_s: float) -> float:
-        """Work towards a request."""
+        """Send what leads to a request."""
         return self._run(step, lambda: self.link.command(request, self.now_s), done, limit_s)
 
     def fly(self, step: str, velocity_enu_m_s: Vec3, done: Callable[[], bool], limit_s: float) -> float:
-        """Fly a velocity under our control."""
+        """Fly a velocity in external mode until the condition holds."""
         yaw_rad = self.own.yaw_rad
 
         def work() -> None:
@@ -126,16 +126,16 @@ class Pilot:
         return self._run(step, work, done, limit_s)
 
     def fly_for(self, step: str, velocity_enu_m_s: Vec3, time_s: float) -> None:
-        """Fly a velocity for so long."""
+        """Fly a velocity for this time."""
         until_s = self.vehicle_s + time_s
         self.fly(step, velocity_enu_m_s, lambda: self.vehicle_s >= until_s, time_s + 1.0)
 
     def listen(self, step: str, done: Callable[[], bool], limit_s: float) -> float:
-        """Send nothing at all, as when the companion is gone, until something holds."""
+        """Send nothing, like a lost companion, until the condition holds."""
         return self._run(step, lambda: None, done, limit_s, silent=True)
 
     def rise(self, step: str, done: Callable[[], bool], limit_s: float) -> float:
-        """Work towards the take-off until something holds, by set-points where the autopilot needs them."""
+        """Request the take-off until the condition holds, with set-points if the autopilot needs them."""
         yaw_rad = self.own.yaw_rad
 
         def work() -> None:
@@ -148,13 +148,13 @@ class Pilot:
         return self._run(step, work, done, limit_s)
 
     def take_off(self) -> None:
-        """Climb, then hold still under our set-points."""
+        """Climb, then hold position by set-points."""
         enough_m = 0.8 * self._room.takeoff_height_m
         self.rise("take off", lambda: self.height_m > enough_m, 40.0)
         self.fly("hand over", ZERO, lambda: self.status.mode is Mode.EXTERNAL, 10.0)
 
     def bring_down(self) -> None:
-        """Land where it is; if that does not end, stop the motors once it is low."""
+        """Land at the current position; if this does not end, stop the motors close to the ground."""
         began_s = self.now_s
 
         def work() -> None:

@@ -1,4 +1,4 @@
-"""Where the suite flies, and within which limits: our simulated vehicle, a PX4, or what the user names."""
+"""Places where the suite flies, with their limits: simulated vehicle, PX4, or a vehicle named by the user."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.processes.started import StartedChild
 
 
 class Lost(Enum):
-    """What the vehicle does by itself once no set-point comes any more."""
+    """Reaction of the vehicle when set-points stop."""
 
     LANDS = "lands and stops its motors"
     STOPS = "hovers, armed, until a command lands it"
@@ -33,14 +33,14 @@ class Lost(Enum):
 class Limits:
     """Limits of the steps for one autopilot."""
 
-    settle_s: float  # time at zero velocity before anything is judged
-    still_m_s: float  # speed below which it holds still
-    drift_m: float  # distance that it may move in five seconds of zero velocity
+    settle_s: float  # settling time at zero velocity before the evaluation
+    still_m_s: float  # largest speed of a vehicle that holds
+    drift_m: float  # largest motion in five seconds of zero velocity
     step_m_s: float  # speed of the step to the north and back
-    step_s: float  # time of each of the two
-    moved_share: tuple[float, float]  # least and greatest way of the step, as a share of speed times time
-    lost: Lost  # what it does without set-points
-    lost_s: float  # time until it shows that
+    step_s: float  # duration of each of the two
+    moved_share: tuple[float, float]  # range of the step's distance, as a share of speed times duration
+    lost: Lost  # reaction without set-points
+    lost_s: float  # time until this reaction
 
 
 _OWN = Limits(
@@ -50,10 +50,10 @@ _OWN = Limits(
     lost=Lost.LANDS, lost_s=2.0,  # COM_OF_LOSS_T = 0.5 s, and its heartbeat once a second
 )  # fmt: skip
 
-# PX4 holds velocity, not place: a change of force by 1 N on 1 kg moves it 1 / MPC_XY_VEL_I_ACC = 2.5 m in the
-# end, half of that within 3 s. A model of its velocity loop was flown 1000 times in wind of 0.5 m/s with
-# gusts of 0.2 m/s, which push PX4's own quadrotor of 1 kg by 1 N for each m/s (SIH_KDV): 999 flights drift by
-# less than 0.8 m, are slower than 0.23 m/s at zero velocity, and move 0.36 to 0.73 of the step.
+# PX4 holds velocity, not position: a change of force of 1 N on 1 kg moves it by 1 / MPC_XY_VEL_I_ACC = 2.5 m,
+# half of that within 3 s. A model of its velocity loop flew 1000 times in wind of 0.5 m/s with gusts of 0.2
+# m/s, which push PX4's 1 kg quadrotor by 1 N per m/s (SIH_KDV): 999 flights drift by less than 0.8 m, are
+# slower than 0.23 m/s at zero velocity, and move 0.36 to 0.73 of the step.
 _PX4 = Limits(
     settle_s=5.0, still_m_s=0.3, drift_m=1.0,
     step_m_s=0.5, step_s=3.0, moved_share=(0.25, 1.0),
@@ -63,28 +63,28 @@ _PX4 = Limits(
 LIMITS: Mapping[str, Limits] = MappingProxyType(
     {
         OWN_SITL.name: _OWN,
-        CRAZYFLIE.name: replace(_OWN, lost_s=3.5),  # its firmware stops the motors after 2 s
+        CRAZYFLIE.name: replace(_OWN, lost_s=3.5),  # the firmware stops the motors after 2 s
         PX4.name: _PX4,
         ARDUPILOT.name: replace(_OWN, lost=Lost.STOPS, lost_s=2.8),  # GUID_TIMEOUT, at most 1 s, and 1.8 s
     }
 )
 
 
-SCENARIO = "grid"  # starts on the ground, lands by contact on a robot that drives off
-ORIGIN_WGS84 = (47.397742, 8.545594, 10.0)  # what ArduPilot needs without satellites
+SCENARIO = "grid"  # starts on the ground, lands by contact on a driving robot
+ORIGIN_WGS84 = (47.397742, 8.545594, 10.0)  # origin for ArduPilot without satellites
 
 
 @dataclass(frozen=True)
 class Fence:
-    """Beyond it a step ends, and the vehicle is brought down."""
+    """Limits of a step; outside them the step ends and the vehicle is landed."""
 
-    height_m: float = 2.0  # above the place where the step began
-    distance_m: float = 4.0  # horizontal, from there
+    height_m: float = 2.0  # height above the start of the step
+    distance_m: float = 4.0  # horizontal distance from the start of the step
 
 
 @dataclass(frozen=True)
 class Room:
-    """Everything a step needs to know."""
+    """All parameters of a step."""
 
     url: str  # MAVLink URL of the vehicle
     autopilot: str  # name of its profile
@@ -92,22 +92,22 @@ class Room:
     connect: tuple[str, ...]  # Zenoh endpoints of the target
     listen: str  # Zenoh endpoint of the onboard process
     config: Path  # configuration of the onboard process
-    folder: Path  # for output of processes
+    folder: Path  # folder for output of processes
     fence: Fence = field(default_factory=Fence)  # limits of place
-    system_id: int = 1  # of the vehicle
-    signing_key: Path | None = None  # for MAVLink; None: unsigned
-    takeoff_height_m: float = 0.5  # how high the pilot climbs
-    target_offset_m: Vec3 = ZERO  # landing spot from the tracked frame, in that frame's axes
-    limits: Limits | None = None  # of the steps; None: those of the profile
-    speed: float = 1.0  # of a simulator against real time; 1 on hardware
-    clock: Path | None = None  # of a simulator by which the onboard process lives; None: the wall's
+    system_id: int = 1  # system id of the vehicle
+    signing_key: Path | None = None  # MAVLink signing key; None: unsigned
+    takeoff_height_m: float = 0.5  # height of the pilot's climb
+    target_offset_m: Vec3 = ZERO  # landing spot relative to the tracked frame, in that frame's axes
+    limits: Limits | None = None  # limits of the steps; None: those of the profile
+    speed: float = 1.0  # ratio of a simulator's time to real time; 1 on hardware
+    clock: Path | None = None  # simulator clock that the onboard process uses; None: wall clock
     target: Child | None = None  # the simulated robot; None on hardware
     vehicle: Child | None = None  # the simulated vehicle; None on hardware
 
 
 def configured(scenario: Scenario, folder: Path) -> Path:
-    """Write a scenario's onboard configuration; its climb is short, as no lost target returns here."""
-    checks = replace(scenario.onboard.checks, climb_time_max_s=2.0)  # less waiting
+    """Write a scenario's onboard configuration with a short climb, because no lost target returns here."""
+    checks = replace(scenario.onboard.checks, climb_time_max_s=2.0)  # shortens the wait
     side = replace(scenario.onboard.vehicle, origin_wgs84=ORIGIN_WGS84)
     file = folder / "onboard.toml"
     file.write_text(dumps(replace(scenario.onboard, checks=checks, vehicle=side)))
@@ -116,7 +116,7 @@ def configured(scenario: Scenario, folder: Path) -> Path:
 
 @contextlib.contextmanager
 def simulated(folder: Path, scenario_name: str = SCENARIO) -> Iterator[Room]:
-    """Start vehicle and robot, in real time; ended whatever happens."""
+    """Start vehicle and robot in real time; the context ends them."""
     scenario = load(scenario_name)
     config = configured(scenario, folder)
     ports, children = [Port(), Port()], []
@@ -146,7 +146,7 @@ def simulated(folder: Path, scenario_name: str = SCENARIO) -> Iterator[Room]:
 
 @contextlib.contextmanager
 def given(config: pytest.Config, folder: Path) -> Iterator[Room]:
-    """The room that the command line names. Raises pytest.UsageError: something is missing."""
+    """Return the room of the command line. Raises pytest.UsageError: something is missing."""
     option = config.getoption
     if option("--config") is None:
         raise pytest.UsageError("--vehicle needs --config FILE: the configuration of the onboard process")
@@ -160,7 +160,7 @@ def given(config: pytest.Config, folder: Path) -> Iterator[Room]:
         )  # fmt: skip
 
 
-FENCE = Fence(height_m=4.0, distance_m=25.0)  # the robot of scenario `large` drives straight on at 0.4 m/s
+FENCE = Fence(height_m=4.0, distance_m=25.0)  # the robot of scenario `large` drives straight at 0.4 m/s
 
 
 @contextlib.contextmanager
@@ -191,7 +191,7 @@ def on_px4(
         recorder: socket of a recorder for the true states.
     """
     scenario = load(scenario_name)
-    # until the first approach, or it is far away before everything has started
+    # the robot waits for the first approach, else it would be far away before everything has started
     scenario = replace(scenario, target=replace(scenario.target, wait_for_landing=True))
     file = folder / "scenario.toml"
     file.write_text(dumps(scenario))
@@ -209,7 +209,7 @@ def on_px4(
             child.wait_ready()
             return child
 
-        # PX4's TCP port follows from its instance
+        # PX4's instance number determines the TCP port
         plugs = ["--tcp", f"127.0.0.1:{4560 + claim.number}", "--connect", target_at, *paced, *clock]
         plugs += ["--mocap"] if mocap else []
         plugs += ["--recorder", str(recorder)] if recorder is not None else []
@@ -223,7 +223,7 @@ def on_px4(
         target = start("target", "--listen", target_at, "--connect", onboard_at, *(clock or paced))
         yield Room(
             f"udpin:127.0.0.1:{px4.onboard_port}", AUTO, "cf1/target/odom", (target_at,), onboard_at,
-            configured(scenario, folder), folder, FENCE, system_id=claim.number + 1,  # so does PX4
+            configured(scenario, folder), folder, FENCE, system_id=claim.number + 1,  # PX4's rule for it
             takeoff_height_m=scenario.onboard.takeoff.height_m, target=target, vehicle=simulator,
             speed=1.0 if clocked else speed, clock=folder / "clock" if clocked else None,
         )  # fmt: skip

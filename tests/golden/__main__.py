@@ -1,7 +1,7 @@
-"""Golden logs: ``python -m tests.golden`` checks them, ``... update [NAME...]`` makes them anew.
+"""Golden logs: ``python -m tests.golden`` checks them, ``... update [NAME...]`` flies them again.
 
-An update is for a change of the controller that is meant to change decisions. It prints what today's
-controller decides otherwise on the old inputs, then flies again.
+Update after a change of the controller that is meant to change decisions. The update prints the decisions
+that differ on the old inputs, then flies again.
 """
 
 import sys
@@ -17,7 +17,7 @@ def phases(result: Result) -> set[str]:
 
 
 def report(name: str) -> bool:
-    """Say how a golden log compares with today's code; True if it is equal."""
+    """Print how a golden log compares with the current code; return whether it is equal."""
     path = path_of(name)
     if not path.exists():
         print(f"{name}: not there yet")
@@ -43,7 +43,7 @@ def report(name: str) -> bool:
 
 
 def update(name: str) -> None:
-    """Fly a golden log anew; it replaces the old one only if it replays and shows what it is for."""
+    """Fly a golden log again; it replaces the old one only if it replays and covers its purpose."""
     flight = FLIGHTS[name]
     with tempfile.TemporaryDirectory(dir=path_of(name).parent) as folder:
         fresh = Path(folder) / "fresh.mcap"

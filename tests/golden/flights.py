@@ -1,4 +1,4 @@
-"""The flights behind the golden logs: what each is there for, how it is flown anew, and what is kept."""
+"""Flights of the golden logs: purpose, how to fly them again, and stored topics."""
 
 import subprocess
 import sys
@@ -19,7 +19,7 @@ TOPICS = (
     "target/odom",
 )  # fmt: skip
 WIRE = (SOURCE, SINK)
-CHUNK_BYTES = 16 * 2**20  # one chunk: repeats are found over the whole flight
+CHUNK_BYTES = 16 * 2**20  # one chunk, so that compression finds repetitions over the whole flight
 METADATA = ("onboard", "run")
 
 
@@ -49,7 +49,7 @@ def write_kept(
         for name in METADATA:
             values = dict(log.metadata().get(name, {}))
             if name == "onboard" and not wire:
-                values.pop("lockstep", None)  # without frames the wire is not replayed
+                values.pop("lockstep", None)  # the stored log has no frames, so the wire is not replayed
             writer.add_metadata(name, values)
         channels: dict[str, int] = {}
         for message in log.messages(topics):
@@ -69,26 +69,26 @@ def write_kept(
 
 
 FOLDER = Path(__file__).parent
-BYTES_MAX = 450_000  # of one log; they live in the repository
-FLIGHT_MAX_S = 300.0  # s of wall time
+BYTES_MAX = 450_000  # maximum size of one log, because the repository stores it
+FLIGHT_MAX_S = 300.0  # wall time
 
 
 @dataclass(frozen=True)
 class Flight:
-    """One scenario with changes."""
+    """A scenario with changed keys."""
 
-    scenario: str  # a scenario of the simulator
-    phases: tuple[str, ...]  # that must be in it, else it is not what it is meant to be
-    # keys of the scenario to other values; a slower loop makes a smaller log
+    scenario: str  # name of a scenario
+    phases: tuple[str, ...]  # phases that the flight must contain
+    # scenario keys with other values; a slower loop makes a smaller log
     changes: dict[str, object] = field(default_factory=dict)
-    lockstep: bool = True  # or in real time, with ticks and arrivals where the clock put them
-    wire: bool = True  # keep MAVLink frames and odometry, too; twice as large
-    seed: int = 0  # of all chance
-    member: str | None = None  # the vehicle that is kept, of a scenario with several
+    lockstep: bool = True  # False: in real time, with the actual times of ticks and arrivals
+    wire: bool = True  # also store MAVLink frames and odometry, which doubles the size
+    seed: int = 0  # seed of all random draws
+    member: str | None = None  # stored vehicle of a scenario with several
 
 
 _SLOW = {"onboard.loop.rate_hz": 40, "odometry.rate_hz": 40.0}
-_SLOWER = {"onboard.loop.rate_hz": 25, "odometry.rate_hz": 25.0}  # how long it waits at the start is chance
+_SLOWER = {"onboard.loop.rate_hz": 25, "odometry.rate_hz": 25.0}  # the wait at the start is random
 _SLOWEST = {"onboard.loop.rate_hz": 15, "odometry.rate_hz": 15.0}
 _LOSSES = {"odometry.dropout_every_s": 2.5, "odometry.dropout_max_s": 4.0, "duration_max_s": 11.0}
 FLIGHTS = {
@@ -108,7 +108,7 @@ def path_of(name: str) -> Path:
 
 
 def fly(flight: Flight, target: Path) -> None:
-    """Fly it and keep what a replay needs."""
+    """Fly the scenario and store what a replay needs."""
     table = parse_toml(text(load(flight.scenario)).encode())
     for each in table.get("member", [table]):
         _change(each, flight.changes)

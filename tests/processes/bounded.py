@@ -1,4 +1,4 @@
-"""Waits for processes that a test started: for a line, for all lines, for the end; each has a bound."""
+"""Bounded waits for processes that a test started: for a line, for all lines, for the end."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from typing import IO, TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from tests.processes.started import Started
 
-PATIENCE_S = 60.0  # s; a machine with more work than processors starts a process late
-AT_ONCE_S = 10.0  # s, of what waits for nothing: a process told to end took 3.2 s beside the other tests
+PATIENCE_S = 60.0  # an overloaded machine starts a process late
+AT_ONCE_S = 10.0  # without an expected wait; ending a process took up to 3.2 s next to the other tests
 
 
 def line_of(stream: IO[Any], within_s: float = PATIENCE_S) -> str:

@@ -1,4 +1,4 @@
-"""Loads what the verbs that fly need: imported by the process from which those of the tests begin."""
+"""Imports everything that flying verbs need, in the process from which the tests' processes are forked."""
 
 import os
 

@@ -25,13 +25,13 @@ SERVER.set_forkserver_preload(["tests.processes.loaded"])
 
 
 class Started:
-    """A process with what tests need of ``subprocess.Popen``; its output is read from pipes.
+    """A process with the part of ``subprocess.Popen`` that tests use; its output is read from pipes.
 
     Args:
-        run: what it does, and its arguments.
-        cwd: its working folder.
+        run: function to run, and its arguments.
+        cwd: working folder.
         text: whether its output is read as text.
-        errors: file for what it writes to standard error; None: a pipe.
+        errors: file for its standard error; None: a pipe.
     """
 
     stdin = None
@@ -64,7 +64,7 @@ class Started:
         return self._process.exitcode
 
     def poll(self) -> int | None:
-        """Exit status if it has ended, else None."""
+        """Return the exit status if it has ended, else None."""
         return self._process.exitcode
 
     def wait(self, timeout: float | None = None) -> int:
@@ -106,7 +106,7 @@ class Started:
 
 
 class StartedChild(Child):
-    """A ``Child`` of a process that has threads, as the workers of the tests have."""
+    """A ``Child`` of a process with threads, like the workers of the tests."""
 
     def _program(self, arguments, program, works_in, errors):
         if program is not None:
@@ -115,7 +115,7 @@ class StartedChild(Child):
 
 
 def run_verb(words: Sequence[str]) -> None:
-    """Be ``flightstack``."""
+    """Run ``flightstack`` in this process."""
     main(list(words), prog_name="flightstack")
 
 
@@ -123,12 +123,12 @@ def _begin(
     run: Callable[..., object], given: Sequence[Any], about: tuple[Path, dict[str, str], int],
     output: Connection, errors: Connection,
 ) -> None:  # fmt: skip
-    """Be a process of its own."""
+    """Become an independent process."""
     folder, environment, nice = about
     os.setpriority(os.PRIO_PROCESS, 0, nice)
     leave_parent(output.fileno(), errors.fileno())
     os.chdir(folder)
-    sys.path.insert(0, str(folder))  # as of ``python -m``
+    sys.path.insert(0, str(folder))  # as in ``python -m``
     os.environ.clear()
     os.environ.update(environment)
     run(*given)

@@ -1,1 +1,1 @@
-"""The simulated vehicle against published numbers and linear analysis, and its speed."""
+"""Compares the simulated vehicle with published numbers and linear analysis."""

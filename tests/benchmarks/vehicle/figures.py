@@ -1,4 +1,4 @@
-"""Tables and figures of docs/how_it_works/vehicle.md, made anew: the vehicle against published numbers.
+"""Generates the tables and figures of docs/how_it_works/vehicle.md: the vehicle and published numbers.
 
 python -m tests.benchmarks vehicle_figures
 """
@@ -16,12 +16,12 @@ BLOCK = re.compile(r"(<!-- table (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
 
 def written_tables() -> dict[str, str]:
-    """The tables that the page has now, by name."""
+    """Return the current tables of the page, by name."""
     return {match[2]: match[3].rstrip("\n") for match in BLOCK.finditer(PAGE.read_text())}
 
 
 def main() -> None:
-    from tests.benchmarks.vehicle.plots import draw  # needs a plotting library, which the tables do without
+    from tests.benchmarks.vehicle.plots import draw  # late import: tables need no plotting library
 
     fresh = tables()
     text = BLOCK.sub(lambda match: f"{match[1]}{fresh[match[2]]}\n{match[4]}", PAGE.read_text())

@@ -1,9 +1,9 @@
-"""Linear models of the PID loops, which ``tests.linear_analysis`` has for the paper's loop.
+"""Linear models of the PID loops; ``tests.linear_analysis`` has those of the paper's loop.
 
-x' = A x + b u with u the wanted value, linearised at hover, continuous in time; the first state is the
-controlled one. The IMU's filters are in: gyro rates and the roll integrated from them are late, and so is
-vertical velocity (horizontal velocity comes from the tilt). Whole counts, limits, sampling at 500 and 100 Hz,
-the corrections of the estimate and delays are left out. Gains are those of platform_defaults_cf2.h.
+x' = A x + b u with the set-point u, linearised at hover, continuous in time; the first state is the
+controlled one. The models include the IMU's filters, which delay gyro rates, the roll integrated from them,
+and vertical velocity (horizontal velocity comes from the tilt). They omit integer counts, limits, sampling at
+500 and 100 Hz, corrections of the estimate, and delays. Gains are from platform_defaults_cf2.h.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Linear:
     b: F64
 
     def response(self, steps: int, start: float = 0.0, wanted: float = 1.0) -> F64:
-        """First state, which begins at ``start``, after each step of 2 ms under a constant input."""
+        """Return the first state, initially ``start``, after each step of 2 ms under a constant input."""
         step, drive = held(self.a, self.b)
         x = np.zeros(len(self.a))
         x[0] = start
@@ -44,7 +44,7 @@ class Linear:
 
 
 def assemble(names: str, rates: Callable[..., dict[str, float]]) -> Linear:
-    """Make a model of functions that are linear in states and input ``u``: their values at unit vectors."""
+    """Build a model from functions, linear in states and input ``u``, by their values at unit vectors."""
     states = names.split()
     columns = []
     for one in [*states, "u"]:
@@ -64,8 +64,8 @@ def _turning(
     i_rate: float,
     lag_s: float,
 ) -> dict[str, float]:
-    """Roll, its rate and the rotors' torque, true and as measured, and both integrals, in degrees."""
-    error = DEG * (wanted - (phi - GYRO_S * gyro))  # the angle integrated from the filtered rate
+    """Return the model of roll: rate and rotor torque, true and measured, and both integrals; degrees."""
+    error = DEG * (wanted - (phi - GYRO_S * gyro))  # the angle is integrated from the filtered rate
     rate_error = 6.0 * error + 3.0 * i_angle - DEG * gyro
     gyro_rate = (p - gyro) / GYRO_S
     counts = 250.0 * rate_error + 500.0 * i_rate - 2.5 * DEG * gyro_rate
@@ -80,7 +80,7 @@ def _turning(
 
 
 def roll(lag_s: float) -> Linear:
-    """Roll held at u."""
+    """Return the model of roll under the set-point u."""
 
     def rates(u: float, **states: float) -> dict[str, float]:
         return _turning(u, lag_s=lag_s, **states)
@@ -89,7 +89,7 @@ def roll(lag_s: float) -> Linear:
 
 
 def horizontal(lag_s: float) -> Linear:
-    """Horizontal velocity under the set-point u: velocity loop over attitude loop over motors."""
+    """Return the model of horizontal velocity under the set-point u: velocity, attitude and motor loops."""
     drag_1_s = PARAMS.body.drag_n_s_m[0] / MASS
 
     def rates(v: float, i_v: float, u: float, **states: float) -> dict[str, float]:
@@ -101,7 +101,7 @@ def horizontal(lag_s: float) -> Linear:
 
 
 def vertical(lag_s: float) -> Linear:
-    """Vertical velocity under the set-point u."""
+    """Return the model of vertical velocity under the set-point u."""
     per_unit = 4.0 * N_PER_COUNT * 1000.0  # position_controller_pid.c: thrustScale
     drag = PARAMS.body.drag_n_s_m[2]
 

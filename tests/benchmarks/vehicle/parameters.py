@@ -1,4 +1,4 @@
-"""Tables of every number of the simulated vehicle, from crazyflie20.toml and the firmware's constants."""
+"""Tables of all numbers of the simulated vehicle, from crazyflie20.toml and the firmware's constants."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from flightstack.compiled.records import layout, new
 from sim.firmware.pid import CascadeRecord, PidLoop, PidRecord
 from sim.plant.params import load
 
-UNITS = {  # ends of the parameters' names
+UNITS = {  # suffixes of the parameters' names
     "n_m_rpm": "N m/rpm", "n_m_rpm2": "N m/rpm²", "n_rpm2": "N/rpm²", "n_rpm": "N/rpm",
     "1_rpm_s": "1/(rpm s)", "kg_m2": "kg m²", "n_s_m": "N s/m", "rad_s_sqrthz": "rad/s/√Hz",
     "m_s2_sqrthz": "m/s²/√Hz", "rpm": "rpm", "v_rpm": "rpm", "volt_rpm": "rpm/V", "rad_s": "rad/s",
@@ -34,12 +34,12 @@ PIDS = {
 
 
 def unit_of(key: str) -> str:
-    """Unit that a parameter's name ends in; empty for a plain number."""
+    """Return the unit in a parameter's suffix; empty for a number without unit."""
     return next((UNITS[u] for u in sorted(UNITS, key=len, reverse=True) if key.endswith("_" + u)), "")
 
 
 def parameter_table() -> str:
-    """All of crazyflie20.toml."""
+    """Return the table of crazyflie20.toml."""
     lines = ["| group | parameter | value | unit | from |", "|---|---|---|---|---|"]
     group = whole = ""
     for line in (resources.files("sim.vehicles") / "crazyflie20.toml").read_text().splitlines():
@@ -53,7 +53,7 @@ def parameter_table() -> str:
 
 
 def constant_table() -> str:
-    """Constants of the firmware and the plant that stand in the code; counters and marks left out."""
+    """Return the table of constants of firmware and plant in the code, without counters and flags."""
     lines = ["| module | constant | value | what it is |", "|---|---|---|---|"]
     for name in MODULES:
         module = importlib.import_module(name)
@@ -73,7 +73,7 @@ def constant_table() -> str:
 
 
 def pid_table() -> str:
-    """Gains of the PID cascade as the simulator has them."""
+    """Return the table of the gains of the simulated PID cascade."""
     record = PidLoop(load(), new(CascadeRecord)).record
     lines = ["| PID | kp | ki | kd | integral limit | output limit | rate |", "|---|---|---|---|---|---|---|"]
     assert layout(PidRecord).names[:6] == ("kp", "ki", "kd", "i_limit", "dt", "limit")

@@ -1,6 +1,6 @@
-"""The figures of docs/how_it_works/vehicle.md.
+"""Draws the figures of docs/how_it_works/vehicle.md.
 
-Simulated lines are solid, references are dashed; a colour means the same thing in every figure.
+Simulated lines are solid, references are dashed; each colour has the same meaning in all figures.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ from tests.benchmarks.vehicle.responses import (
 )
 
 F64 = npt.NDArray[np.float64]
-POINTS_MAX = 250  # of one line: more cannot be seen, and the files have to stay small
+POINTS_MAX = 250  # maximum points of a line: more are not visible, and the files must stay small
 COLORS = {False: TRUE, True: BOUNDARY}  # nominal motors, slow motors
 STYLE = {
-    "svg.hashsalt": "vehicle",  # the same numbers make the same file
+    "svg.hashsalt": "vehicle",  # makes the file reproducible
     "font.size": 9.0, "axes.titlesize": 9.5, "legend.fontsize": 8.0, "legend.frameon": False,
     "axes.edgecolor": "#9aa5b1", "axes.labelcolor": INK, "text.color": INK,
     "xtick.color": INK, "ytick.color": INK, "axes.grid": True, "grid.color": GRID, "axes.axisbelow": True,
@@ -53,7 +53,7 @@ WIDTH_IN = 8.0
 def panels(
     rows: int, columns: int, height_in: float, **more: object
 ) -> tuple[Figure, npt.NDArray[np.object_]]:
-    """An empty figure and its axes, always two-dimensional."""
+    """Return an empty figure and its axes, always as a two-dimensional array."""
     figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained", facecolor="white")
     return figure, figure.subplots(rows, columns, squeeze=False, **more)
 
@@ -66,21 +66,21 @@ def line(axes: Axes, x: F64, y: F64, color: str, label: str | None = None, *, da
 
 
 def label(axes: Axes, x: str, y: str, title: str) -> None:
-    """Name an axes' parts."""
+    """Set title and labels of the axes."""
     axes.set_xlabel(x)
     axes.set_ylabel(y)
     axes.set_title(title, loc="left")
 
 
 def pair(axes: Axes, step: Step, slow: bool, until_s: float) -> None:
-    """A simulated response with its linear one."""
+    """Draw a simulated response and its linear model."""
     shown = step.t <= until_s
     line(axes, 1000.0 * step.t[shown], step.simulated[shown], COLORS[slow], NAMES[slow])
     line(axes, 1000.0 * step.t[shown], step.linear[shown], INK, "linear model" if slow else None, dashed=True)
 
 
 def hover_figure() -> Figure:
-    """Thrust curve and battery."""
+    """Draw thrust curve and battery."""
     figure, ((left, right),) = panels(1, 2, 3.0)
     rpm = np.linspace(8000.0, 25000.0, 120)
     grams = 4000.0 / analysis.G * np.vectorize(ROTOR.thrust_n)(rpm)
@@ -105,7 +105,7 @@ def hover_figure() -> Figure:
 
 
 def motors_figure() -> Figure:
-    """Steps of the rotor speed."""
+    """Draw steps of the rotor speed."""
     figure, ((left, right),) = panels(1, 2, 3.0)
     full = analysis.PARAMS.battery.speed_at_zero_v_rpm + 4.0 * analysis.PARAMS.battery.speed_per_volt_rpm
     h = analysis.HOVER_RPM
@@ -130,7 +130,7 @@ def motors_figure() -> Figure:
 
 
 def roll_figure() -> Figure:
-    """Roll let go at 10 degrees."""
+    """Draw roll after a release at 10 degrees."""
     figure, (row,) = panels(1, 2, 3.0, sharey=True)
     for axes, loop, title in zip(
         row, (PAPER, PID), ("Mellinger attitude (paper's gains)", "PID attitude"), strict=True
@@ -155,7 +155,7 @@ def velocity_figure() -> Figure:
 
 
 def yaw_figure() -> Figure:
-    """Yaw steps of the paper's gains."""
+    """Draw yaw steps with the paper's gains."""
     figure, ((axes,),) = panels(1, 1, 2.8)
     for slow in (False, True):
         pair(axes, yaw(slow), slow, 4.0)
@@ -165,7 +165,7 @@ def yaw_figure() -> Figure:
 
 
 def touchdown_figure() -> Figure:
-    """The last ten centimetres."""
+    """Draw the last ten centimetres of a descent."""
     figure, grid = panels(3, 2, 6.0, sharex="col", sharey="row")
     for column, drop, title in ((0, False, "By contact, 0.2 m/s"), (1, True, "Motors off 5 cm up (paper)")):
         for driving, color, name in ((False, TRUE, "standing pad"), (True, BOUNDARY, "pad driving 0.1 m/s")):
@@ -193,7 +193,7 @@ def touchdown_figure() -> Figure:
 
 
 def ground_figure() -> Figure:
-    """Ground effect and published curves."""
+    """Draw ground effect and published curves."""
     figure, ((axes,),) = panels(1, 1, 3.4)
     h = np.linspace(0.012, 0.12, 220)
     low, high = ([100.0 * increase(x, gain) for x in h] for gain in (1.0, 4.0))
@@ -217,7 +217,7 @@ def ground_figure() -> Figure:
 
 
 def wind_figure() -> Figure:
-    """Spectrum of the gusts."""
+    """Draw the spectrum of the gusts."""
     figure, ((axes,),) = panels(1, 1, 3.0)
     shape, wind = analysis.PARAMS.wind, gusts()
     for axis, rms, time_s, color, name in (
@@ -257,7 +257,7 @@ FIGURES: dict[str, Callable[[], Figure]] = {
 
 
 def draw(folder: Path, kind: str = "svg") -> list[Path]:
-    """Write all figures as ``vehicle_NAME.svg``; returns the files."""
+    """Write all figures as ``vehicle_NAME.svg``; return the files."""
     folder.mkdir(parents=True, exist_ok=True)
     files = []
     with mpl.rc_context(STYLE):

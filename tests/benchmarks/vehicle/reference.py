@@ -1,4 +1,4 @@
-"""Published numbers the simulated vehicle is compared with, and what follows from them by hand."""
+"""Published numbers for comparison with the simulated vehicle, and results derived from them by hand."""
 
 from __future__ import annotations
 
@@ -14,46 +14,46 @@ F64 = npt.NDArray[np.float64]
 ROTOR = PARAMS.rotor
 
 # Bitcraze 2015, propeller bench (crazyflie-firmware docs/functional-areas/pwm-to-thrust.md): all four motors
-BENCH = (  # grams, rpm, duty cycle, battery V
+BENCH = (  # mass, g; rotor speed, rpm; duty cycle; battery, V
     (28.6, 17174.0, 0.5625, 3.67),
     (57.9, 23882.0, 0.9375, 3.30),
 )
-BENCH_FIT = (1.0942e-7, -2.1059e-4, 0.15417)  # the same page: grams from rpm
-BENCH_STEP_S = 0.180  # Bitcraze blog, step test: standing to 25000 rpm
-FOERSTER_LAG_S = 0.002 / -math.log(0.9695404)  # 2015: pole at 500 Hz
+BENCH_FIT = (1.0942e-7, -2.1059e-4, 0.15417)  # fit on the same page: grams from rpm
+BENCH_STEP_S = 0.180  # Bitcraze blog, step test from standstill to 25000 rpm
+FOERSTER_LAG_S = 0.002 / -math.log(0.9695404)  # Foerster 2015: pole at 500 Hz
 ESCHMANN_LAG_S = 0.072  # quoted by rotorpy 3.0.0, crazyflie_params.py
 L250_RISE_S, L250_FALL_S = 0.136, 0.108  # drone-models 0.1.0, params.toml: reciprocal of its rates, at hover
-L250_HOVER_RPM, L250_HOVER_COUNTS = 18968.0, 42700.0  # its curve solved for 31.9 g; firmware's scale
+L250_HOVER_RPM, L250_HOVER_COUNTS = 18968.0, 42700.0  # L250 curve solved for 31.9 g; firmware's scale
 DATA_SHEET_HOVER_S = 7.0 * 60.0  # Bitcraze, Crazyflie 2.0: flight time
 # firmware supervisor_state_machine.c, compiled and stepped at 25 Hz: ms after the last set-point, or after
 # the first stop set-point
 SUPERVISOR_MS = {
-    False: {"set-points too old": 520, "locked": 2040},  # motors off in its state ExceptFreeFall
+    False: {"set-points too old": 520, "locked": 2040},  # motors off in the firmware's ExceptFreeFall
     True: {"landed, motors off": 2000, "disarmed": 5080},
 }
 
 
 def bench_rpm(grams: float) -> float:
-    """Speed at which Bitcraze's bench fit gives this thrust of all four rotors."""
+    """Return the rotor speed at which Bitcraze's bench fit gives this total thrust of four rotors."""
     a, b, c = BENCH_FIT
     return (-b + math.sqrt(b * b - 4.0 * a * (c - grams))) / (2.0 * a)
 
 
 def cheeseman_bennett(height: F64, radius: float = ROTOR.radius_m) -> F64:
-    """T/T0 of one rotor (1955)."""
+    """Return T/T0 of one rotor (Cheeseman and Bennett 1955)."""
     return 1.0 / (1.0 - (radius / (4.0 * height)) ** 2)
 
 
 def pybullet_drones(height: F64) -> F64:
-    """T/T0 of gym-pybullet-drones (BaseAviary.py), height not below 37.8 mm."""
+    """Return T/T0 in gym-pybullet-drones (BaseAviary.py), at a height of at least 37.8 mm."""
     return 1.0 + 11.36859 * (0.0231348 / (4.0 * np.maximum(height, 0.0378))) ** 2
 
 
 def sanchez_cuevas(height: F64, body_lift: float, radius: float = ROTOR.radius_m) -> F64:
-    """T/T0 of a whole quadrotor (Sanchez-Cuevas 2017), rotors d = 65 mm apart, diagonal b = 92 mm.
+    """Return T/T0 of a whole quadrotor (Sanchez-Cuevas 2017): rotor distance 65 mm, diagonal 92 mm.
 
-    ``body_lift`` K_b stands for the fountain below the body: 2 in the publication, not identified for a
-    vehicle this small.
+    ``body_lift``: K_b of the fountain below the body: 2 in the publication, not identified for so small a
+    vehicle.
     """
     z, d, b = height, 0.065, 0.092
     r2 = radius * radius
@@ -78,7 +78,7 @@ def descend(
         step_s: of the integration.
     """
     p1, p2 = ROTOR.thrust_linear_n_rpm, ROTOR.thrust_square_n_rpm2
-    plane = ROTOR.above_com_m - PARAMS.geometry.foot_bottom_m  # of the rotors above the feet
+    plane = ROTOR.above_com_m - PARAMS.geometry.foot_bottom_m  # height of the rotors above the feet
     drag, weight = PARAMS.body.drag_n_s_m[2], MASS * G
     z, v, t = height_m, -speed_m_s, 0.0
     wanted = -speed_m_s * (1.0 + drag / K_V_N_S_M) if motors_off else -speed_m_s
@@ -96,5 +96,5 @@ def descend(
 
 
 def gust_density(frequency_hz: F64, rms_m_s: float, time_s: float) -> F64:
-    """One-sided power density of a first-order gust, m^2/s^2/Hz (MIL-F-8785C, Dryden along the wind)."""
+    """Return the one-sided power density of a first-order gust, m^2/s^2/Hz (MIL-F-8785C, Dryden)."""
     return 4.0 * rms_m_s**2 * time_s / (1.0 + (2.0 * math.pi * frequency_hz * time_s) ** 2)

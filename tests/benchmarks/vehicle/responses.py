@@ -1,4 +1,4 @@
-"""The flights of ``runs`` next to the linear models; flown once for tables and figures."""
+"""Flights of ``runs`` compared with the linear models, flown once for tables and figures."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ GUST_RMS_M_S, GUST_STEP_S, GUST_S = 0.6, 0.005, 3600.0
 
 @dataclass(frozen=True)
 class Step:
-    """A response every 2 ms, simulated and linear, both divided by the step; poles of the linear model."""
+    """A response every 2 ms, simulated and linear, divided by the step size, and poles of the linear
+    model."""
 
     t: F64
     simulated: F64
@@ -40,10 +41,10 @@ class Step:
 
     @property
     def modes(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Natural frequency (rad/s) and damping ratio of the oscillation, simulated and linear.
+        """Return natural frequency (rad/s) and damping ratio of the oscillation, simulated and linear.
 
-        One oscillation and one decay are fitted to the simulated response; of the model's poles counts the
-        nearest.
+        One oscillation and one decay are fitted to the simulated response; the model's nearest pole is
+        compared.
         """
         assert self.poles is not None
         found = next(p for p in analysis.prony_poles(self.simulated, analysis.DT, 3) if p.imag > 1.0)
@@ -53,7 +54,7 @@ class Step:
 
 
 def _step(every_ms: F64, linear: F64, poles: C128 | None = None) -> Step:
-    """Make a step of a record of every millisecond."""
+    """Return a step from a record with one sample per millisecond."""
     simulated = every_ms[1::2]
     return Step(analysis.DT * np.arange(1, len(simulated) + 1), simulated, linear, poles)
 
@@ -66,21 +67,21 @@ def hover() -> runs.Run:
 
 @cache
 def roll(loop: VelocityLoop, slow: bool) -> Step:
-    """Let go at 10 degrees."""
+    """Release the vehicle at a roll of 10 degrees."""
     seconds = STEPS_S["roll"]
     rolled = runs.roll_release(loop, RELEASE_RAD, seconds, slow=slow).roll / RELEASE_RAD
     if loop is PID:
         steps = round(seconds / analysis.DT)
         return _step(rolled, pid.roll(LAGS[slow]).response(steps, start=1.0, wanted=0.0))
     model = analysis.roll_loop(LAGS[slow])
-    return _step(rolled, 1.0 - model.response(seconds), model.poles())  # only the error counts
+    return _step(rolled, 1.0 - model.response(seconds), model.poles())  # the response of the error
 
 
 @cache
 def velocity(loop: VelocityLoop, slow: bool, axis: int, *, late: bool = False) -> Step:
-    """Velocity step; half the difference of both directions, which leaves biases and curvature out.
+    """Step the velocity; half the difference of both directions, which removes biases and curvature.
 
-    ``late``: with the motion capture's 10 ms of delay, which the linear models leave out.
+    ``late``: with the motion capture's delay of 10 ms, which the linear models omit.
     """
     seconds = STEPS_S["velocity"]
     ways = [
@@ -103,7 +104,7 @@ def velocity(loop: VelocityLoop, slow: bool, axis: int, *, late: bool = False) -
 
 @cache
 def yaw(slow: bool) -> Step:
-    """Yaw step of the paper's gains."""
+    """Step the yaw with the paper's gains."""
     turned = runs.yaw_step(PAPER, TURN_RAD, STEPS_S["yaw"], slow=slow).yaw / TURN_RAD
     model = analysis.yaw_loop(LAGS[slow])
     return _step(turned, model.response(STEPS_S["yaw"]), model.poles())
@@ -111,19 +112,19 @@ def yaw(slow: bool) -> Step:
 
 @cache
 def landing(speed_m_s: float, drop: bool, driving: bool) -> runs.Run:
-    """A touch-down by contact, or by motors off 5 cm up."""
+    """Touch down by contact, or by stopping the motors 5 cm above the pad."""
     return runs.touchdown(
         speed_m_s, motors_off_below_m=0.05 if drop else None, target=runs.DRIVING if driving else None
     )
 
 
 def touch_index(run: runs.Run) -> int:
-    """Index of the first step in contact with the pad."""
+    """Return the index of the first step in contact with the pad."""
     return int(np.argmax(run.pad_contact))
 
 
 def rise_s(t: F64, y: F64, end: float) -> float:
-    """Time from 10 to 90 % of the final value."""
+    """Return the time from 10 to 90 % of the final value."""
     low, high = (float(t[np.argmax(y >= share * end)]) for share in (0.1, 0.9))
     return high - low
 
@@ -134,5 +135,5 @@ def gusts() -> F64:
 
 
 def increase(height_m: float, gain: float = 1.0) -> float:
-    """T/T0 - 1 of the simulated rotor over a wide surface."""
+    """Return T/T0 - 1 of the simulated rotor above a wide surface."""
     return thrust_increase(set_up_ground(new(GroundRecord), ROTOR, gain, 0.1), height_m)

@@ -1,4 +1,4 @@
-"""The flights behind docs/how_it_works/vehicle.md: same seed, same parameters, always the same numbers."""
+"""Flights for docs/how_it_works/vehicle.md; fixed seeds and parameters give reproducible numbers."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from tests.unit.vehicle.vehicle_sim_helpers import QUIET, scenario
 
 F64 = npt.NDArray[np.float64]
 SEED = 1
-PROMPT = OdometryLink(100.0)  # motion capture without delay, as the linear models have it
+PROMPT = OdometryLink(100.0)  # motion capture without delay, as in the linear models
 PARAMS = load()
 
 
 @dataclass(frozen=True)
 class Run:
-    """What was recorded every millisecond; ENU, SI."""
+    """Recorded values, one sample per millisecond; ENU, SI units."""
 
     t: F64
     position: F64  # (n, 3)
@@ -43,7 +43,7 @@ class Run:
     roll: F64
     yaw: F64
     rpm: F64  # (n, 4)
-    ground_factor: F64  # ground-effect factor, mean of the four
+    ground_factor: F64  # mean ground-effect factor of the four rotors
     relative: F64  # vehicle minus pad, (n, 3)
     relative_velocity: F64
     pad_contact: npt.NDArray[np.bool_]
@@ -51,7 +51,7 @@ class Run:
 
 
 def make(height_m: float = 3.0, *, target: TargetSpec | None = None, **vehicle: object) -> VehicleSim:
-    """A vehicle in hover above the pad, motion capture without noise."""
+    """Return a vehicle in hover above the pad, motion capture without noise."""
     spec = VehicleSpec(**{"mocap": QUIET, **vehicle})
     start = Start(StartKind.HOVER, offset_m=(0.0, 0.0, height_m))
     return VehicleSim(scenario(start=start, vehicle=spec, target=target or TargetSpec()), SEED)
@@ -73,7 +73,7 @@ def _row(sim: VehicleSim, truth: Truth) -> tuple[object, ...]:
 def record(
     sim: VehicleSim, seconds: float, each: Callable[[int], bool] | None = None, *, every_ms: int = 1
 ) -> Run:
-    """Run and record; ``each`` is called every 10 ms before them and ends the run when it returns True."""
+    """Run and record; ``each`` is called every 10 ms and ends the run if it returns True."""
     rows = []
     begin = sim.truth().time_s
     for ms in range(0, round(seconds * 1000.0), every_ms):
@@ -103,7 +103,7 @@ def hover_until_empty(seconds: float) -> Run:
 
 
 def motor_step(slow: bool, from_rpm: float, to_rpm: float, seconds: float) -> tuple[F64, F64]:
-    """Time and speed of a rotor whose command jumps."""
+    """Return time and speed of a rotor after a step of its command."""
     rotors = Rotors(PARAMS.rotor, Plant(), slow, STEP_S)
     rotors.rpm = (from_rpm,) * 4
     speeds = [from_rpm]
@@ -121,23 +121,23 @@ def velocity_step(
     slow: bool = False,
     mocap: OdometryLink = PROMPT,
 ) -> Run:
-    """From hover to a velocity set-point at time zero, which the radio does not delay."""
+    """Step from hover to a velocity set-point at time zero, without the radio's delay."""
     sim = make(velocity_loop=loop, slow_motors=slow, mocap=mocap, setpoint_delay_s=0.0)
     record(sim, 0.5, hold(sim, (0.0, 0.0, 0.0)))
     return record(sim, seconds, hold(sim, velocity))
 
 
 def yaw_step(loop: VelocityLoop, yaw_rad: float, seconds: float, *, slow: bool = False) -> Run:
-    """From hover to a yaw set-point at time zero, which the radio does not delay."""
+    """Step from hover to a yaw set-point at time zero, without the radio's delay."""
     sim = make(velocity_loop=loop, slow_motors=slow, mocap=PROMPT, setpoint_delay_s=0.0)
     record(sim, 0.5, hold(sim, (0.0, 0.0, 0.0)))
     return record(sim, seconds, hold(sim, (0.0, 0.0, 0.0), yaw_rad))
 
 
 def roll_release(loop: VelocityLoop, roll_rad: float, seconds: float, *, slow: bool = False) -> Run:
-    """Let go at a roll angle while the firmware levels out, which it does when set-points are late.
+    """Release the vehicle at a roll angle while the firmware levels out, as it does with old set-points.
 
-    Then roll is held at zero whatever the velocity. The estimate begins right.
+    Roll is then held at zero, independent of the velocity. The initial estimate is exact.
     """
     sim = make(velocity_loop=loop, slow_motors=slow)
     record(sim, 0.5, hold(sim, (0.0, 0.0, 0.0)))
@@ -162,7 +162,7 @@ def touchdown(
     """
     spec = target or TargetSpec()
     deck = TargetModel(spec, SEED)
-    for _ in range(300):  # it is at speed when time begins
+    for _ in range(300):  # the pad reaches its speed before time zero
         deck.step(0.01, True)
     sim = make(0.25, target=spec)
     pad = deck.pose.position_enu_m
@@ -190,9 +190,9 @@ DRIVING = TargetSpec(path=PathKind.CIRCLE, speed_m_s=0.1, turn_rate_rad_s=0.1)  
 
 
 def supervisor_times(stop: bool, seconds: float) -> dict[str, int]:
-    """When the supervisor changes its state, ms after the last set-point; ``stop``: stop is streamed then."""
+    """Return times of the supervisor's state changes, ms after the last set-point; ``stop``: by stop ones."""
     sim = make(setpoint_delay_s=0.0)
-    record(sim, 0.53, hold(sim, (0.0, 0.0, 0.0)))  # the last one at 0.52 s, when the supervisor runs
+    record(sim, 0.53, hold(sim, (0.0, 0.0, 0.0)))  # the last set-point is at 0.52 s, when the supervisor runs
     times: dict[str, int] = {}
     for ms in range(round(1000.0 * seconds)):
         if stop and ms % 10 == 0:
@@ -205,7 +205,7 @@ def supervisor_times(stop: bool, seconds: float) -> dict[str, int]:
 
 
 def gusts(seconds: float, step_s: float, rms_m_s: float) -> F64:
-    """Wind over time, (n, 3)."""
+    """Return wind over time, (n, 3)."""
     wind = WindModel(Wind(0.0, rms_m_s), PARAMS.wind, SEED, step_s)
     out = []
     for _ in range(round(seconds / step_s)):

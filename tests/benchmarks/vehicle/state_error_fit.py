@@ -1,4 +1,4 @@
-"""Fits the parameters of own-state errors (``StateError``) to recorded flights."""
+"""Fits the parameters of state-estimate errors (``StateError``) to recorded flights."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from sim.flights.screening import Screened
 from sim.flights.tape import STILL_M_S, Piece, Tape, tape_of
 from sim.scenarios.scenario import StateError
 
-FLIGHTS_MIN = 3  # for a spread from flight to flight
-LAG_MAX_S = 3.0  # of the correlations that are fitted
+FLIGHTS_MIN = 3  # minimum for a spread between flights
+LAG_MAX_S = 3.0  # largest lag of the fitted correlations
 LAGS = 40
-SPEEDS = 12  # bands of as many samples each, in which the velocity's error is taken
-DIGITS = 2  # of the result
+SPEEDS = 12  # number of speed bands with equal sample counts for the velocity error
+DIGITS = 2  # significant digits of the result
 
 
 def fit(flights: Sequence[Screened]) -> StateError:
@@ -97,7 +97,7 @@ def _velocity_error(piece: Piece) -> Floats:
 
 
 def _autocovariance(parts: list[Floats], lags: np.ndarray) -> Floats:
-    """Mean product at each lag, over all parts that are long enough."""
+    """Return the mean product at each lag, over all parts that are long enough."""
     found = np.zeros(len(lags))
     for at, lag in enumerate(lags.tolist()):
         long = [part for part in parts if len(part) > lag]
@@ -107,7 +107,7 @@ def _autocovariance(parts: list[Floats], lags: np.ndarray) -> Floats:
 
 
 def _smooth(lag_s: Floats, time_s: float) -> Floats:
-    """Correlation of noise of second order."""
+    """Return the correlation of second-order noise."""
     ratio = lag_s / time_s
     return np.asarray((1.0 + ratio) * np.exp(-ratio))
 
@@ -118,7 +118,7 @@ def _two_parts(lag_s: Floats, fast: float, fast_s: float, slow: float, slow_s: f
 
 
 def _sizes(covariance: Floats, lags_s: Floats, fast_s: float, slow_s: float) -> Floats:
-    """Variances of the two parts in one flight."""
+    """Return the variances of the two parts in one flight."""
     variances: Floats = nnls(np.column_stack((_smooth(lags_s, fast_s), _smooth(lags_s, slow_s))), covariance)[
         0
     ]
@@ -126,13 +126,13 @@ def _sizes(covariance: Floats, lags_s: Floats, fast_s: float, slow_s: float) -> 
 
 
 def _spread(sizes: Floats) -> tuple[float, float]:
-    """Median of log-normal sizes, and standard deviation of their logarithm from the mean square."""
+    """Return the median of log-normal sizes, and their logarithm's deviation from the mean square."""
     median = float(np.median(sizes))
     return median, math.sqrt(max(0.0, math.log(max(_rms(sizes), 1e-12) / max(median, 1e-12))))
 
 
 def _scale(tape: Tape) -> float:
-    """Share of the speed by which the velocity is too high throughout a flight."""
+    """Return the relative excess of the estimated velocity, constant in a flight."""
     speed = _all(tape, "speed_m_s")
     along = np.concatenate([_velocity_error(piece)[:, 0] for piece in tape.pieces])
     return float(np.dot(along, speed) / np.dot(speed, speed))

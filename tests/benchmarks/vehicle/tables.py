@@ -1,4 +1,4 @@
-"""The tables of docs/how_it_works/vehicle.md: each row a simulated number, a reference and the deviation."""
+"""Tables of docs/how_it_works/vehicle.md: each row has a simulated number, a reference and the deviation."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Row:
     digits: int = 3
 
     def cells(self) -> str:
-        deviation = round(100.0 * (self.simulated / self.reference - 1.0), 1) + 0.0  # no minus zero
+        deviation = round(100.0 * (self.simulated / self.reference - 1.0), 1) + 0.0  # turns -0.0 into 0.0
         unit = f" {self.unit}" if self.unit else ""
         return (
             f"| {self.what} | {self.simulated:.{self.digits}f}{unit} "
@@ -59,7 +59,7 @@ class Row:
 
 
 def hover_rows() -> Iterable[Row]:
-    """Static maps, battery."""
+    """Return the table of static maps and battery."""
     run = hover()
     early = run.rpm[(run.t > 1.0) & (run.t < 30.0)]
     thrust = np.vectorize(ROTOR.thrust_n)(early)
@@ -148,7 +148,7 @@ def yaw_rows() -> Iterable[Row]:
 
 
 def touchdown_rows() -> Iterable[Row]:
-    """The last centimetres."""
+    """Return the table of the last centimetres."""
     rest = -analysis.PARAMS.geometry.foot_bottom_m
     for speed, drop, driving in (
         (0.2, False, False), (0.3, False, False), (0.2, False, True), (0.2, True, False), (0.2, True, True),
@@ -226,7 +226,7 @@ COMPARISONS: dict[str, Callable[[], Iterable[Row]]] = {
 
 
 def tables() -> dict[str, str]:
-    """All tables by their names in the page."""
+    """Return all tables by their names in the page."""
     compared = {
         name: "\n".join([HEAD, *(row.cells() for row in rows())]) for name, rows in COMPARISONS.items()
     }
