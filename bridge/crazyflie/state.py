@@ -40,6 +40,7 @@ _PWM_MAX = 65535.0
 LATE_MAX_S = 0.2  # maximum delay of a packet, s; a later one is ignored
 _WRAP_MS = 1 << 24
 _REBOOT_MS = 1000  # limit, ms: a greater step back is a restart, a smaller one a packet out of order
+_AHEAD_S = 0.03  # limit: a packet may be faster than the fastest one by this and by the drift
 _DRIFT = 0.1  # greatest drift of a simulated firmware's clock; the clock of CrazySim ran at 0.97
 _SPAN_S, _SPAN_PACKETS = 0.25, 10  # minimum length of a span, s and packets; longer than a delayed burst
 _MAGNITUDE = (1 << 9) - 1  # greatest magnitude of an element; the sign is a separate bit (quatcompress.h)
@@ -76,7 +77,7 @@ class BootClock:
         """
         boot_ms: int | None = time_ms
         if self._last_ms is not None:
-            boot_ms = self._unwrapped(time_ms, self._last_ms, 1000.0 * (at_s - self._last_at_s))
+            boot_ms = self._unwrapped(time_ms, self._last_ms, at_s)
         if boot_ms is None:
             return None
         self._last_ms, self._last_at_s, self._odd_ms = boot_ms, at_s, None
@@ -90,11 +91,15 @@ class BootClock:
         self._shortest_s[1] = min(way_s, self._shortest_s[1])
         return boot_ms, way_s - min(self._shortest_s)
 
-    def _unwrapped(self, time_ms: int, last_ms: int, elapsed_ms: float) -> int | None:
+    def _unwrapped(self, time_ms: int, last_ms: int, at_s: float) -> int | None:
+        elapsed_ms = 1000.0 * (at_s - self._last_at_s)
         step_ms = (time_ms - last_ms + _WRAP_MS // 2) % _WRAP_MS - _WRAP_MS // 2
         tolerance_ms = _REBOOT_MS + _DRIFT * elapsed_ms
         restarted = time_ms <= elapsed_ms + _REBOOT_MS and abs(step_ms - elapsed_ms) > tolerance_ms
-        if not restarted and -_REBOOT_MS < step_ms <= elapsed_ms + tolerance_ms:
+        way_s = at_s - (last_ms + step_ms) / 1000.0
+        known = self._shortest_s[0] < math.inf  # before, a queue from the start may drain
+        ahead = known and way_s < min(self._shortest_s) - _AHEAD_S - _DRIFT * elapsed_ms / 1000.0
+        if not restarted and not ahead and -_REBOOT_MS < step_ms <= elapsed_ms + tolerance_ms:
             return last_ms + step_ms if step_ms > 0 else None
         if not restarted and (self._odd_ms is None or not 0 < time_ms - self._odd_ms < _REBOOT_MS):
             self._odd_ms = time_ms  # one packet alone does not set the clock

@@ -8,7 +8,7 @@ from itertools import pairwise
 import pytest
 
 from bridge.crazyflie.rules import Rules
-from bridge.crazyflie.state import BootClock
+from bridge.crazyflie.state import LATE_MAX_S, BootClock
 from bridge.crazyflie.types import Order
 from bridge.mavlink.server.profile import FlightMode
 from tests.crazyflie_firmware.bench import Bench
@@ -70,6 +70,20 @@ def test_one_packet_with_a_wrong_time_moves_no_clock(stamp_ms):
     assert clock.take(stamp_ms, 500.01) is None
     assert clock.take(500_020, 500.02)[0] == 500_020
     assert clock.restarts == 0
+
+
+@pytest.mark.parametrize("wrong_ms", [100, 300, 950, 5_000, -500, -5_000])
+@pytest.mark.parametrize("stays", [False, True])
+def test_a_known_clock_is_moved_by_no_single_packet_and_follows_those_that_agree(wrong_ms, stays):
+    clock, usable_s = BootClock(), []
+    for k in range(1_000):
+        wrong = k == 500 or (stays and k > 500)
+        timed = clock.take(60_000 + 10 * k + wrong_ms * wrong, 60.0 + 0.01 * k)
+        if timed is not None and timed[1] <= LATE_MAX_S:
+            usable_s.append(60.0 + 0.01 * k)
+    gap_s = max(b - a for a, b in pairwise(usable_s))
+    assert gap_s < (0.03 if wrong_ms > 0 or not stays or wrong_ms < -1_000 else 1.2)
+    assert usable_s[-1] == 60.0 + 0.01 * 999
 
 
 # The radio
