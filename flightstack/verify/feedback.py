@@ -25,6 +25,9 @@ TICKS_LATE = 1.5  # delay of a set-point in ticks: a mean of half a tick, and on
 SHARE = 0.5  # required decay rate of a piece, as a share of the rate at its middle
 PIECE_MIN = 1e-6  # least size of a piece, in the spread's factor; if it fails, the loop is unstable
 PIECES_MAX = 10_000
+# Largest rate of the feedback over that of the velocity loop. Motors and attitude loop are not in the model:
+# the 1 kg quadrotor swings at 1.8 Hz with 3 (tilts of 45 degrees), and lands with 2.5 (150 of 150)
+BANDWIDTH = 2.5
 MIN_DECAY_1_S = 0.1  # required proven decay rate: half of an error in seven seconds
 
 
@@ -148,6 +151,8 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
     # one setting, unless the gains in the final descent or far away differ
     flown = {config, config.descending, config.far}
     told = min(decay_1_s(one, 1.0, 1.0)[0] for one in flown)
+    fastest = max(_bandwidth(one) for one in flown)
+    wanted_m_s2, most_m_s2 = max(config.slew_max_m_s2[:2]), config.velocity_feedback.acceleration_max_m_s2
     least, where = min(decay_1_s(one, 1.0 / (1.0 + spread), 1.0 / (1.0 - spread)) for one in flown)
     return [
         Check(
@@ -167,4 +172,28 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
             f"lower envelope.lag_spread, or {remedy}",
             Need.PROOF,
         ),
+        Check(
+            "velocity feedback, model",
+            "the feedback is no faster than the model of the velocity loop is valid",
+            BANDWIDTH - fastest + 1e-9,
+            "times",
+            f"{fastest:.3g} times as fast as velocity_loop.rate_xy_1_s, {BANDWIDTH:g} are allowed",
+            "lower velocity_feedback.tilt_rate_1_s or error_rate_1_s, and the far ones",
+            Need.PROOF,
+        ),
+        Check(
+            "velocity_feedback.acceleration_max_m_s2",
+            "the feedback allows the acceleration of the commanded velocity",
+            most_m_s2 - wanted_m_s2,
+            "m/s^2",
+            f"found {most_m_s2:g}, robust.acceleration_max_m_s2 allows {wanted_m_s2:g}",
+            "raise velocity_feedback.acceleration_max_m_s2, or lower robust.acceleration_max_m_s2",
+            Need.PROOF,
+        ),
     ]
+
+
+def _bandwidth(config: FlightConfig) -> float:
+    """Rate of the acceleration, or of the set-point with an error, over that of the velocity loop."""
+    feedback, rate_1_s = config.velocity_feedback, config.velocity_loop.rate_xy_1_s
+    return feedback.tilt_rate_1_s / rate_1_s * max(1.0, feedback.error_rate_1_s / rate_1_s)

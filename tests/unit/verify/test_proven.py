@@ -4,8 +4,9 @@ from dataclasses import fields, replace
 
 import pytest
 
-from flightstack.common.strict_toml import ConfigError
+from flightstack.common.strict_toml import ConfigError, from_table, to_table
 from flightstack.core.parameters.robust import Robust, VelocityLoop
+from flightstack.verify.certificate import checks
 from sim.scenarios.scenario import Judge, OdometryLink, Scenario, StateError, load, names
 from sim.vehicle.declared import declared, outside
 from tests.benchmarks.proven import FILTERS, SCENARIOS, cases, fly, parameters, values
@@ -62,6 +63,7 @@ def test_what_is_proven_neither_crashes_nor_violates(case):
         ("reversing", "paper", "limits.slew_max_m_s2", [0.2, 0.2, 0.2], "slew"),
         ("reversing", "paper", "loop.rate_hz", 10, "tick"),
         ("reversing", "paper", "contact.gap_m", 0.1, "contact.gap_m"),
+        ("large", "robust", "velocity_feedback.horizontal", True, "velocity feedback, model"),
         ("field", "robust", "target.velocity_noise_m_s", 1e-4, "declared, target.velocity_noise_m_s"),
     ],
 )
@@ -69,6 +71,13 @@ def test_what_crashed_though_it_was_proven_is_not_proven(scenario, kind, key, va
     found = fly((scenario, kind, tuple(key.split(".")), value), runs=0)
     assert found.verdict in ("not proven", "refused")
     assert check in found.because
+
+
+def test_a_feedback_that_allows_less_acceleration_than_is_commanded_is_not_proven():
+    table = to_table(load("lab"))
+    table["onboard"]["velocity_feedback"] |= {"horizontal": True, "acceleration_max_m_s2": 0.2}
+    found = [each.name for each in checks(from_table(Scenario, table).onboard) if not each.proven]
+    assert found == ["velocity_feedback.acceleration_max_m_s2"]
 
 
 def changed(scenario: Scenario, **parts: dict) -> list[str]:
