@@ -82,14 +82,16 @@ _EXTRA = Number("extra delay", "s", 0.005, 5.0, 0.2)
 _PROBABILITY = Number("probability", "1", 0.001, 1.0, 0.1)
 
 _SAMPLES: Mapping[Kind, Cell] = {
-    Kind.OFF: Cell("no samples"),
-    Kind.STUCK: Cell("repeats the first sample, with new time stamps"),
+    Kind.OFF: Cell("no sample arrives"),
+    Kind.STUCK: Cell("the first sample is repeated with new time stamps"),
     Kind.WRONG: Cell("position and heading are wrong by `offset_m`, `yaw_rad`", offset=True),
-    Kind.SLOW: Cell("only every n-th sample", _EACH_NTH),
-    Kind.DELAYED: Cell("samples arrive later, in order; at the end the delayed ones arrive at once", _EXTRA),
+    Kind.SLOW: Cell("only every n-th sample arrives", _EACH_NTH),
+    Kind.DELAYED: Cell(
+        "samples arrive late, in order; at the end all delayed samples arrive at once", _EXTRA
+    ),
     Kind.INTERMITTENT: Cell("pauses without samples", _PAUSE, _REST),
     Kind.GARBAGE: Cell(
-        "every sample jumps, uniformly, and has a random heading",
+        "every sample has a uniform position error and a random heading",
         Number("half-width on each axis", "m", 0.01, 100.0, 1.0),
     ),
     Kind.DRIFT: Cell(
@@ -97,9 +99,9 @@ _SAMPLES: Mapping[Kind, Cell] = {
     ),
 }
 _MESSAGES: Mapping[Kind, Cell] = {
-    Kind.OFF: Cell("no messages"),
-    Kind.SLOW: Cell("only every n-th message", _EACH_NTH),
-    Kind.DELAYED: Cell("messages arrive later", _EXTRA),
+    Kind.OFF: Cell("no message arrives"),
+    Kind.SLOW: Cell("only every n-th message arrives", _EACH_NTH),
+    Kind.DELAYED: Cell("messages arrive late", _EXTRA),
     Kind.INTERMITTENT: Cell("pauses without messages", _PAUSE, _REST),
 }
 _RANDOM: Mapping[Kind, Cell] = {
@@ -110,29 +112,30 @@ _RANDOM: Mapping[Kind, Cell] = {
 _LINK: Mapping[Kind, Cell] = {
     **_MESSAGES,
     **_RANDOM,
-    Kind.STUCK: Cell("the link stalls: messages wait, and arrive at once at the end"),
+    Kind.STUCK: Cell("no message arrives; at the end all messages arrive at once"),
     Kind.BURST_LOSS: Cell(
-        "everything is lost in bursts (two states, exponential times)",
+        "all messages are lost in bursts (two-state model, exponential times)",
         Number("mean length of a burst", "s", 0.005, 10.0, 0.1),
         Number("mean time between bursts", "s", 0.02, 60.0, 1.0),
     ),
-    Kind.GARBAGE: Cell("a byte of a message is damaged, its checksum does not fit", _PROBABILITY),
+    Kind.GARBAGE: Cell("a byte of a message is changed, so its checksum is wrong", _PROBABILITY),
 }
 
 TABLE: Mapping[What, Mapping[Kind, Cell]] = MappingProxyType(
     {
         What.MOTOR: {
             Kind.WEAK: Cell(
-                "turns slower than commanded", Number("fraction of the hover thrust", "1", 0.0, 1.0, 0.6)
+                "the motor turns slower than commanded",
+                Number("fraction of the hover thrust", "1", 0.0, 1.0, 0.6),
             ),
-            Kind.DEAD: Cell("no drive; it slows down"),
-            Kind.STUCK: Cell("keeps its present speed, whatever is commanded, also after disarming"),
+            Kind.DEAD: Cell("the motor has no torque and slows down"),
+            Kind.STUCK: Cell("the motor keeps its present speed for any command, also after disarming"),
         },
         What.BATTERY: {
-            Kind.OFF: Cell("empty at once"),
-            Kind.DROP: Cell("voltage is lower", Number("by", "V", 0.05, 2.5, 0.5)),
+            Kind.OFF: Cell("the battery is empty at once"),
+            Kind.DROP: Cell("the voltage is lower", Number("difference", "V", 0.05, 2.5, 0.5)),
             Kind.LOSS: Cell(
-                "charge is lost at once",
+                "a part of the charge is lost at once",
                 Number("fraction of a full charge", "1", 0.01, 1.0, 0.5),
                 healable=False,
             ),
@@ -140,20 +143,24 @@ TABLE: Mapping[What, Mapping[Kind, Cell]] = MappingProxyType(
         What.MOCAP: _SAMPLES,
         What.OWN_STATE: _SAMPLES,
         What.TARGET_ODOMETRY: _SAMPLES,
-        What.ROBOT: {Kind.STUCK: Cell("wheels lock: it stops at once, and drives again at the end")},
+        What.ROBOT: {
+            Kind.STUCK: Cell("the wheels lock: the robot stops at once, and drives again at the end")
+        },
         What.LINK_OUT: _LINK,
         What.LINK_IN: _LINK,
         What.HEARTBEAT: {
             **_MESSAGES,
-            Kind.STUCK: Cell("repeats the first heartbeat"),
-            Kind.WRONG: Cell("reports armed when disarmed, disarmed when armed"),
+            Kind.STUCK: Cell("the first heartbeat is repeated"),
+            Kind.WRONG: Cell("the heartbeat reports armed when disarmed, and disarmed when armed"),
             Kind.GARBAGE: Cell("mode and state are random numbers"),
         },
         What.SETPOINTS: {
             **_MESSAGES,
             **_RANDOM,
-            Kind.STUCK: Cell("repeats the first velocity"),
-            Kind.WRONG: Cell("the velocity is scaled", Number("factor", "1", -2.0, 5.0, -1.0)),
+            Kind.STUCK: Cell("the first velocity is repeated"),
+            Kind.WRONG: Cell(
+                "the velocity is multiplied by a factor", Number("factor", "1", -2.0, 5.0, -1.0)
+            ),
             Kind.GARBAGE: Cell(
                 "the velocity is random", Number("half-width on each axis", "m/s", 0.01, 5.0, 0.5)
             ),
@@ -161,10 +168,10 @@ TABLE: Mapping[What, Mapping[Kind, Cell]] = MappingProxyType(
         What.CLOCK: {
             Kind.OFF: Cell("time stamps are zero"),
             Kind.STUCK: Cell("the clock stands still"),
-            Kind.WRONG: Cell("the clock jumps", Number("by", "s", -1000.0, 1000.0, 10.0)),
-            Kind.SLOW: Cell("the clock runs slow", Number("speed", "1", 0.01, 0.999, 0.9)),
-            Kind.DELAYED: Cell("time stamps are old", _EXTRA),
-            Kind.INTERMITTENT: Cell("the clock stands still in pauses", _PAUSE, _REST),
+            Kind.WRONG: Cell("the clock jumps", Number("jump", "s", -1000.0, 1000.0, 10.0)),
+            Kind.SLOW: Cell("the clock runs slowly", Number("rate", "1", 0.01, 0.999, 0.9)),
+            Kind.DELAYED: Cell("time stamps are too old", _EXTRA),
+            Kind.INTERMITTENT: Cell("the clock stands still during pauses", _PAUSE, _REST),
             Kind.GARBAGE: Cell("time stamps are random"),
         },
     }

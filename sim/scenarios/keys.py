@@ -66,7 +66,7 @@ def page() -> str:
         cells = (
             f"`{key.name}`",
             key.unit,
-            f"`{key.default}`" if key.default else "needed",
+            f"`{key.default}`" if key.default else "required",
             key.allowed,
             key.meaning,
         )
@@ -76,13 +76,15 @@ def page() -> str:
 
 _INTRODUCTION = """# Keys of a scenario
 
-A scenario is a TOML file. `flightstack new scenario NAME` writes one with comments. With `base = "lab"` (a name or a
-file) a file has only what differs from that scenario. An unknown key, a wrong unit and a value out of range are refused.
-Positions are east, north, up. The tables `[onboard.…]` are the configuration of the onboard process (`flightstack
-config`). Where the tables `judge`, `vehicle.own`, `odometry.error`, `onboard.reserve` and `onboard.fleet` are missing,
-there is no such part: the verdict then uses the flown barrier.
+A scenario is a TOML file that describes a simulated run. `flightstack new scenario NAME` writes such a file with
+comments. With `base = "lab"` (a name or a file) it contains only the differences from that scenario. An unknown key, a
+wrong unit and a value out of range are refused. Positions are east, north, up. The tables `[onboard.…]` are the
+configuration of the onboard process (`flightstack config`).
 
-This page is made from the declarations: `python -m sim.scenarios.keys`."""  # noqa: E501
+The tables `judge`, `vehicle.own`, `odometry.error`, `onboard.reserve` and `onboard.fleet` are optional. Without `judge`
+the verdict uses the barrier of the configuration; without the other tables the part does not exist.
+
+`python -m sim.scenarios.keys` writes this page from the declarations."""  # noqa: E501
 _HEAD = "| key | unit | default | allowed | meaning |\n|---|---|---|---|---|"
 
 

@@ -26,12 +26,12 @@ KINDS: dict[str, Way | None] = {
     "cut": Way.CUT,
     "late": None,
 }
-NAMES = {"late": "10 % of the words lost, 0.1 s late"}
+NAMES = {"late": "10 % of the messages lost, 0.1 s late"}
 LATE = ExchangeLink(delay_s=0.1, loss=0.1)
 COLUMNS = (
-    "fault", "teams", "others landed", "aborted", "crashed", "with a barrier violation", "collisions",
-    "ellipsoid violations", "least in semi-axes", "nearest", "the one that fails: landed, aborted, crashed",
-    "with a barrier violation",
+    "fault", "teams", "landed", "aborted", "crashed", "barrier violations", "collisions",
+    "ellipsoid violations", "least rho", "least distance", "failing member: landed / aborted / crashed",
+    "failing member: barrier violations",
 )  # fmt: skip
 
 

@@ -40,7 +40,7 @@ def unit_of(key: str) -> str:
 
 def parameter_table() -> str:
     """Return the table of crazyflie20.toml."""
-    lines = ["| group | parameter | value | unit | from |", "|---|---|---|---|---|"]
+    lines = ["| group | parameter | value | unit | source and meaning |", "|---|---|---|---|---|"]
     group = whole = ""
     for line in (resources.files("sim.vehicles") / "crazyflie20.toml").read_text().splitlines():
         if match := re.match(r"\[(\w+)\]\s*(?:# (.*))?$", line):
@@ -54,7 +54,7 @@ def parameter_table() -> str:
 
 def constant_table() -> str:
     """Return the table of constants of firmware and plant in the code, without counters and flags."""
-    lines = ["| module | constant | value | what it is |", "|---|---|---|---|"]
+    lines = ["| module | constant | value | unit, meaning or source |", "|---|---|---|---|"]
     for name in MODULES:
         module = importlib.import_module(name)
         source = Path(str(module.__file__)).read_text()

@@ -211,7 +211,7 @@ def supervisor_rows() -> Iterable[Row]:
             yield Row(name, "ms", found[state], reference_ms, "supervisor_state_machine.c", 0)
 
 
-HEAD = "| quantity | simulated | reference | deviation | reference from |\n|---|---|---|---|---|"
+HEAD = "| quantity | simulated | reference | deviation | source of the reference |\n|---|---|---|---|---|"
 COMPARISONS: dict[str, Callable[[], Iterable[Row]]] = {
     "hover": hover_rows,
     "motors": motor_rows,

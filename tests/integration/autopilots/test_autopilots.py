@@ -70,7 +70,7 @@ def test_onboard_does_not_arm_what_is_unsafe():
     with vehicle_process("--parameter", "COM_OF_LOSS_T=3") as (child, url):
         done = flightstack(*onboard, "--vehicle", url)
         assert done.code == 1, done.out
-        assert "UNSAFE: COM_OF_LOSS_T is 3 s: until then it flies with the last set-point" in done.out
+        assert "UNSAFE: COM_OF_LOSS_T is 3 s: for this time the vehicle flies with" in done.out
         assert "WAIT: unsafe parameters of the autopilot: COM_OF_LOSS_T" in done.out
         other = flightstack(*onboard, "--vehicle", url, "--autopilot", "ardupilot")
         assert other.code == 1

@@ -63,7 +63,7 @@ def test_what_a_person_accepted_does_not_keep_it_from_arming():
     findings = judge(asked("px4"), values, {}, NEEDS, ("COM_OF_LOSS_T",))
     (found,) = (f for f in findings if f.level is Level.ACCEPTED)
     assert (
-        "COM_OF_LOSS_T is 2 s: until then it flies with the last set-point; set it to 0.1 to 1 s"
+        "COM_OF_LOSS_T is 2 s: for this time the vehicle flies with the last set-point; set it to 0.1 to 1 s"
         in found.text
     )
 
@@ -159,7 +159,9 @@ def test_ardupilots_default_time_out_keeps_it_from_arming():
     assert {f.name for f in report.blocking} == ARDUPILOT_UNSAFE
     assert "GUID_TIMEOUT" in verdict(report)
     assert "accepted_parameters" in verdict(report)
-    assert any("UNSAFE: GUID_TIMEOUT is 3 s: until then it flies with" in line for line in lines(report))
+    assert any(
+        "UNSAFE: GUID_TIMEOUT is 3 s: for this time the vehicle flies with" in line for line in lines(report)
+    )
     assert talk(OnUdp("ardupilot", version, ARDUPILOT_46_DEFAULT), accepted=ARDUPILOT_UNSAFE).safe
 
 

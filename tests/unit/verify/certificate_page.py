@@ -24,8 +24,8 @@ def _row(name, values):
     return f"| {name} | " + " | ".join(values) + " |"
 
 
-def _table(rows):
-    head = [_row("", [f"`{tier}`" for tier in TIERS]), "|---" * (len(TIERS) + 1) + "|"]
+def _table(first, rows):
+    head = [_row(first, [f"`{tier}`" for tier in TIERS]), "|---" * (len(TIERS) + 1) + "|"]
     return "\n".join([*head, *rows])
 
 
@@ -37,28 +37,29 @@ def worked():
         return _row(name, [value(c, x) for c, x in found])
 
     return _table(
+        "quantity",
         [
             row("target: speed, climb, m/s", lambda c, x: f"{x.target_speed_m_s:g}, {x.target_climb_m_s:g}"),
             row("target: acceleration, m/s²", lambda c, x: f"{x.target_acceleration_m_s2:g}"),
             row("tracking error ē, m/s", lambda c, x: f"{c.robust.tracking_error_m_s:g}"),
             row("ē / γ, mm", lambda c, x: f"{1e3 * c.robust.tracking_error_m_s / c.robust.rate_1_s:.1f}"),
-            row("position error k σ, horizontal, vertical, mm",
+            row("position error k σ: horizontal, vertical, mm",
                 lambda c, x: f"{1e3 * x.position_error_m:.1f}, {1e3 * x.height_error_m:.1f}"),
             row("margin m, mm", lambda c, x: f"{1e3 * x.usual.margin_m.low:.1f}"),
-            row("margin of a target almost lost, mm", lambda c, x: f"{1e3 * x.shape.margin_m.high:.1f}"),
-            row("lost between ticks, mm", lambda c, x: f"{1e3 * between_ticks_m(c, x):.1f}"),
-            row("lost between samples, mm", lambda c, x: f"{1e3 * x.growth_m:.1f}"),
-            row("h outside the pad stays above, mm", lambda c, x: f"{-1e3 * depth_m(c, x)[0]:.1f}"),
-            row("γ, and 1 / lag_z of the slowest vehicle, 1/s",
+            row("margin m at the age limit, mm", lambda c, x: f"{1e3 * x.shape.margin_m.high:.1f}"),
+            row("loss of h between ticks, mm", lambda c, x: f"{1e3 * between_ticks_m(c, x):.1f}"),
+            row("loss of h between samples, mm", lambda c, x: f"{1e3 * x.growth_m:.1f}"),
+            row("lower bound of h outside the pad, mm", lambda c, x: f"{-1e3 * depth_m(c, x)[0]:.1f}"),
+            row("γ, limit 1 / lag_z of the slowest vehicle, 1/s",
                 lambda c, x: f"{c.robust.rate_1_s:g}, {1.0 / x.lag_z_s:.2f}"),
-            row("vertical velocity needed, of the box, m/s",
+            row("vertical velocity: required, in the box, m/s",
                 lambda c, x: f"{_climb(c, x):.2f}, {c.limits.velocity_max_m_s[2]:g}"),
-            row("last descent takes at most, s", lambda c, x: f"{descent_time_s(c, x):.2f}"),
-            row("starts down within, mm; slip, m/s",
+            row("longest last descent, s", lambda c, x: f"{descent_time_s(c, x):.2f}"),
+            row("commit: radius, mm; slip, m/s",
                 lambda c, x: f"{1e3 * c.robust.commit_radius_m:.0f}; {c.robust.commit_speed_m_s:g}"),
-            row("then drifts at most, mm",
+            row("largest distance from the middle after the commit, mm",
                 lambda c, x: f"{1e3 * (drift_m, follow_m)[c.velocity_feedback.horizontal](c, x)[0]:.0f}"),
-            row("of h to climb away, needed, mm; kept",
+            row("h for a go-around: required, mm; reserved, mm",
                 lambda c, x: f"{1e3 * turn_back_m(c, x):.0f}; {1e3 * c.retreat.h_left_m:.0f}"),
         ]
     )  # fmt: skip
@@ -88,7 +89,7 @@ def verdicts():
         return "**unknown**" if math.isnan(check.room) else f"**{check.room:.2g} {check.unit}**"
 
     rows = [(name, [word(result.get(name)) for result in results]) for name in names]
-    return _table([_row(name, words) for name, words in rows if any("*" in w for w in words)])
+    return _table("check", [_row(name, words) for name, words in rows if any("*" in w for w in words)])
 
 
 def fleet():

@@ -33,12 +33,12 @@ def _steps(profile, request):
 
 def _takeoff_height(profile):
     own = any(step.command == dialect.MAV_CMD_NAV_TAKEOFF for step in profile.sequences[Request.TAKEOFF])
-    return profile.takeoff_altitude.value if own else "not sent: it climbs by set-points"
+    return profile.takeoff_altitude.value if own else "not sent: the vehicle climbs by set-points"
 
 
 def _modes(profile, mode):
     found = [number for number, of in profile.modes.items() if of is mode]
-    return ", ".join(f"0x{n:08x}" if n > 0xFFFF else str(n) for n in found) or "none of its own"
+    return ", ".join(f"0x{n:08x}" if n > 0xFFFF else str(n) for n in found) or "no own mode"
 
 
 def _answers(profile, reading):
@@ -57,16 +57,16 @@ def profiles():
     rows = [
         ("`--autopilot`", lambda p: f"`{p.name}`"),
         ("MAV_AUTOPILOT of the heartbeat", lambda p: str(p.autopilot)),
-        ("follows set-points in", lambda p: _modes(p, Mode.EXTERNAL)),
-        ("takes off in", lambda p: _modes(p, Mode.TAKEOFF)),
-        ("holds in", lambda p: _modes(p, Mode.HOLD)),
-        ("lands in", lambda p: _modes(p, Mode.LAND)),
+        ("mode that follows set-points", lambda p: _modes(p, Mode.EXTERNAL)),
+        ("mode of the take-off", lambda p: _modes(p, Mode.TAKEOFF)),
+        ("modes that hold the position", lambda p: _modes(p, Mode.HOLD)),
+        ("modes that land", lambda p: _modes(p, Mode.LAND)),
         ("first command on the ground", lambda p: ", ".join(s.name for s in p.prepare) or "nothing"),
         ("take-off", lambda p: _steps(p, Request.TAKEOFF)),
         ("height of the take-off", _takeoff_height),
         (
-            "set-points during its take-off",
-            lambda p: "allowed" if p.stream_in_takeoff else "not sent: one would end it",
+            "set-points during the take-off",
+            lambda p: "allowed" if p.stream_in_takeoff else "not sent: a set-point would end it",
         ),
         (
             "set-points before the mode switch",
@@ -77,15 +77,18 @@ def profiles():
         ("landing", lambda p: _steps(p, Request.LAND)),
         ("kill", lambda p: _steps(p, Request.MOTORS_OFF)),
         ("unused command parameters", lambda p: f"{p.unset:g}"),
-        *((f"answers: {r.value}", lambda p, r=r: _answers(p, r)) for r in Reading),
-        ("streams are requested with", _streams),
-        ("integer parameters", lambda p: p.encoding.value),
-        ("origin is sent", lambda p: "when `vehicle.origin_wgs84` is set" if p.needs_origin else "no"),
+        *((f"replies: {r.value}", lambda p, r=r: _answers(p, r)) for r in Reading),
+        ("request of message rates", _streams),
+        ("encoding of integer parameters", lambda p: p.encoding.value),
+        (
+            "origin sent by the stack",
+            lambda p: "when `vehicle.origin_wgs84` is set" if p.needs_origin else "no",
+        ),
         ("TIMESYNC", lambda p: p.time_sync),
-        ("when set-points stop", lambda p: p.stream_lost),
+        ("result of a loss of set-points", lambda p: p.stream_lost),
     ]
     return _table(
-        ["", *(p.title for p in PROFILES)], [[n, *(value(p) for p in PROFILES)] for n, value in rows]
+        ["property", *(p.title for p in PROFILES)], [[n, *(value(p) for p in PROFILES)] for n, value in rows]
     )
 
 
@@ -94,7 +97,7 @@ def _needs() -> Needs:
 
 
 _OTHERWISE = {
-    Severity.UNSAFE: "keeps it from arming", Severity.NOTE: "note", Severity.INFO: "hint",
+    Severity.UNSAFE: "refused", Severity.NOTE: "note", Severity.INFO: "hint",
     Severity.IGNORED: "",
 }  # fmt: skip
 
@@ -113,7 +116,7 @@ def rules(name):
         for each in rule.names
         if name != "sitl" or each.has(table(name).releases[-1])
     ]
-    return _table(["parameter", "wanted", "otherwise", "why"], rows)
+    return _table(["parameter", "required value", "otherwise", "consequence of another value"], rows)
 
 
 def line_rates():
@@ -127,7 +130,9 @@ def line_rates():
             continue
         state, setpoint = (f"{hz:.3g} Hz" for hz in (plan.state_hz, plan.setpoint_hz))
         rows.append((str(baud), state, f"{plan.in_bytes_s:.0f} B/s", setpoint, f"{plan.out_bytes_s:.0f} B/s"))
-    return _table(("baud", "position and attitude", "needs in", "set-points", "needs out"), rows)
+    return _table(
+        ("baud", "rate of position and attitude", "received bytes", "rate of set-points", "sent bytes"), rows
+    )
 
 
 def tables():
