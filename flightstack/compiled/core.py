@@ -28,9 +28,13 @@ def is_possible() -> bool:
 
 def suits(config: FlightConfig) -> bool:
     """Whether the compiled landing kernel supports everything that a configuration uses."""
+    return config.filter in ("robust", "paper") and suits_but_filter(config)
+
+
+def suits_but_filter(config: FlightConfig) -> bool:
+    """Whether the compiled landing kernel supports everything except perhaps the filter."""
     return (
-        config.filter in ("robust", "paper")
-        and config.fleet is None
+        config.fleet is None
         and config.velocity_loop.dead_time_s == 0.0  # compiled code stores no queue of set-points
         and config.touchdown.rule is TouchdownRule.CONTACT
     )

@@ -8,7 +8,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple, get_origin, get_type_hints
 
 from flightstack.compiled.jit import is_off, jitted, load_numba
-from flightstack.compiled.layout import WORD, Kind, fields_of, is_enum, kind_of_hint
+from flightstack.compiled.layout import WORD, Kind, class_of, fields_of, is_enum, kind_of_hint
 from flightstack.core.numeric import MARKED, RARE, NotOrdinary, scope_of
 
 
@@ -233,10 +233,11 @@ else:
     def kind_of(one: object) -> Any:
         """Return the type of an object for compiled code."""
         _register_named()
-        fields = fields_of(type(one))
+        cls = class_of(one)
+        fields = fields_of(cls)
         others = [(n, getattr(one, n)) for n, (kind, _) in fields.items() if kind.is_object]
         others = [(n, o) for n, o in others if o is not None]
-        return _held(type(one), tuple((n, kind_of(o)) for n, o in others if _differs(type(one), n, o)))
+        return _held(cls, tuple((n, kind_of(o)) for n, o in others if _differs(cls, n, o)))
 
     def _differs(cls: type, name: str, one: object) -> bool:
-        return fields_of(cls)[name][0].hint is not type(one) or bool(kind_of(one).others)
+        return fields_of(cls)[name][0].hint is not class_of(one) or bool(kind_of(one).others)

@@ -151,9 +151,10 @@ def taker_of(cls: Any) -> Callable[[Any, dict[int, int]], tuple[Any, ...]]:
 
 
 def class_of(one: object) -> Any:
-    """Return the class of an object, as an argument of the functions of this module."""
-    return type(one)
+    """Return the class of an object; for a user's filter, the class of the package that is compiled."""
+    return getattr(one, "compiled_as", type(one))
 
 
+@cache
 def format_of(cls: Any) -> str:
     return "".join(kind.format for kind, _ in fields_of(cls).values())

@@ -66,11 +66,14 @@ class Objects:
             return False
         return True
 
+    def numbers(self, one: object) -> tuple[Any, ...]:
+        """Return the numbers of an object in the order of compiled memory."""
+        return taker_of(class_of(one))(one, self._at)
+
     def write_one(self, one: object) -> None:
         """Copy the state of one object from Python."""
         at = (self._at[id(one)] - self.state.ctypes.data) // WORD
-        numbers = taker_of(class_of(one))(one, self._at)
-        struct.pack_into(f"={format_of(class_of(one))}", self.state.data, at * WORD, *numbers)
+        struct.pack_into(f"={format_of(class_of(one))}", self.state.data, at * WORD, *self.numbers(one))
 
     def read(self) -> None:
         """Copy the state back to Python's objects."""

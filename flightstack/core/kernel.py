@@ -26,7 +26,7 @@ from flightstack.core.safety.gate import BarrierCheck, Gate, GateVerdict
 from flightstack.core.safety.position_loop import limit, slew
 from flightstack.core.safety.qp_filter import FilterResult, Program
 from flightstack.core.snapshot import Relative
-from flightstack.core.strategies.strategy import At, Filter, strategy_of
+from flightstack.core.strategies.strategy import Filter, strategy_of
 from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.reserve import AGE_MAX_S, ReserveEstimate
 from flightstack.core.target.track import TargetTrack, Verdict
@@ -226,7 +226,7 @@ class LandingKernel:
             if self.crowded:
                 result = self._filtered_beside(at, active_m, gradient, dh_dt, nominal, base, lower, upper)
             elif self.strategy.replaces_program:
-                result = self._filtered_by_class(at, active_m, gradient, dh_dt, nominal, lower, upper)
+                result = self.strategy.filtered(at, active_m, gradient, dh_dt, nominal, lower, upper)
             else:
                 result = self.program.solve(nominal, active_m, gradient, dh_dt, lower, upper)
         wanted = result.velocity_enu_m_s if filtered else self.slewed(base, nominal)
@@ -241,30 +241,6 @@ class LandingKernel:
         return self._clear_of_neighbours(wanted, base) if self.crowded else wanted
 
     @rare
-    def _filtered_by_class(
-        self, at: Relative, active_m: float, gradient: Vec3, dh_dt_m_s: float, nominal: Vec3, lower: Vec3,
-        upper: Vec3,
-    ) -> FilterResult:  # fmt: skip
-        """Filter a velocity with the method ``filter`` of the user's class."""
-        own, target = at.own, at.target
-        seen = At(
-            own.arrival_s,
-            np.array(own.position_enu_m),
-            np.array(own.velocity_enu_m_s),
-            np.array(target.position_enu_m),
-            np.array(target.velocity_enu_m_s),
-            np.array(at.e_m),
-            at.d_m,
-            active_m,
-            np.array(gradient),
-            dh_dt_m_s,
-            self.strategy.rate_1_s,
-            np.array(lower),
-            np.array(upper),
-        )
-        return self.strategy.result(nominal, seen)
-
-    @rare
     def _filtered_beside(
         self, at: Relative, active_m: float, gradient: Vec3, dh_dt_m_s: float, nominal: Vec3, base: Vec3,
         lower: Vec3, upper: Vec3,
@@ -272,7 +248,7 @@ class LandingKernel:
         """Filter a velocity with the constraints of neighbours, in a box that is smaller near the pad."""
         assert self._fleet is not None
         if self.strategy.replaces_program:
-            own = self._filtered_by_class(at, active_m, gradient, dh_dt_m_s, nominal, lower, upper)
+            own = self.strategy.filtered(at, active_m, gradient, dh_dt_m_s, nominal, lower, upper)
             if own.status is FilterStatus.REJECTED:
                 return own
             nominal = own.velocity_enu_m_s

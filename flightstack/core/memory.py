@@ -181,12 +181,17 @@ class FilterMemory:
 
 
 @dataclass(slots=True)
-class AgentMemory:
-    """Velocity that a learning agent chooses instead of the approach; not part of a recorded state."""
+class AskedMemory:
+    """Values that compiled code passes to Python within a tick, and the answer; not recorded."""
 
-    flies: bool = False  # whether an agent chooses the velocity
-    own: Vec3 = ZERO  # nominal velocity of the stack in this tick, m/s ENU
-    chosen: Vec3 = ZERO  # velocity that the agent chooses, m/s ENU
+    agent: bool = False  # whether a learning agent chooses the nominal velocity
+    chosen: Vec3 = ZERO  # velocity that the agent or the user's filter chooses, m/s ENU
+    nominal: Vec3 = ZERO  # nominal velocity of the stack, m/s ENU
+    h_m: float = nan  # value of the active barrier
+    gradient: Vec3 = ZERO  # gradient of the active barrier by position
+    dh_dt_m_s: float = nan  # rate of the active barrier by time alone
+    lower_m_s: Vec3 = ZERO  # lowest velocity within limits and slew
+    upper_m_s: Vec3 = ZERO  # highest velocity within limits and slew
 
 
 @dataclass(slots=True)

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-from flightstack.core.memory import MotionMemory
-from flightstack.core.numeric import UNSEEN
 from flightstack.core.strategies.strategy import Filter
 
 
@@ -15,4 +11,3 @@ class PaperFilter(Filter):
     certificate = "flightstack.verify.certificate:paper_checks"
     watches_swinging = False  # the paper's filter has no model of the velocity loop
     waits_filtered = False
-    motion: Annotated[MotionMemory, UNSEEN]  # unused, since this filter estimates nothing

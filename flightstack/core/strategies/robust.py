@@ -11,6 +11,7 @@ import math
 from types import MappingProxyType
 
 from flightstack.common.strict_toml import ConfigError
+from flightstack.core.memory import MotionMemory
 from flightstack.core.numeric import hypot, rare
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
@@ -43,6 +44,7 @@ class RobustFilter(Filter):
     )
     waits_filtered = True
 
+    motion: MotionMemory
     brakes_m_s2: float
     slope: float  # steepest slope of the barrier outside the pad
     full: float  # share of the margin that is left at the pad's edge; the margin is divided by it

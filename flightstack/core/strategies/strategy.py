@@ -11,21 +11,22 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
-from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple
+from types import CodeType, FunctionType, MappingProxyType
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.memory import (
-    AgentMemory,
+    AskedMemory,
     FilterMemory,
     LateMemory,
     MotionMemory,
     OwnMemory,
     TrackingMemory,
 )
+from flightstack.core.numeric import UNSEEN
 from flightstack.core.parameters.ends import TouchdownRule
 from flightstack.core.parameters.filters import FILTERS, named
 from flightstack.core.parameters.flight import FlightConfig
@@ -93,11 +94,54 @@ class At(NamedTuple):
 
 def _chosen(one: Filter, _at: Relative, own: Vec3) -> Vec3:
     """Compiled form of ``Filter.choose``: the agent's answer is given before the tick."""
-    agent = one.agent
-    if not agent.flies:
+    asked = one.asked
+    if not asked.agent:
         return own
-    agent.own = own
-    return agent.chosen
+    asked.nominal = own
+    return asked.chosen
+
+
+def _answered(
+    one: Filter, _at: Relative, h_m: float, gradient: Vec3, dh_dt_m_s: float, nominal: Vec3, lower: Vec3,
+    upper: Vec3,
+) -> FilterResult:  # fmt: skip
+    """Compiled form of ``Filter.filtered``: the result of the user's filter is given before the tick."""
+    asked = one.asked
+    asked.nominal, asked.h_m, asked.gradient, asked.dh_dt_m_s = nominal, h_m, gradient, dh_dt_m_s
+    asked.lower_m_s, asked.upper_m_s = lower, upper
+    return FilterResult(asked.chosen, 0.0, False, FilterStatus.OWN, 0.0, 0, 0.0)
+
+
+_PLAIN = {"filter", "State", "certificate", "__init__", "__doc__", "__module__", "__annotations__"}
+_STATE = {"motion", "tracking", "own", "late", "memory", "asked", "estimator", "own_estimator", "_tracking"}
+
+
+def compiled_as(cls: type[Filter]) -> type[Filter] | None:
+    """Return the class of the package that flies as this class does, except for ``filter``.
+
+    None: the class overrides more, or its code may read the estimators, whose state only compiled code has.
+    """
+    own: list[type] = []
+    for base in cls.__mro__:
+        if base.__module__.partition(".")[0] == "flightstack":
+            break
+        own.append(base)
+    for name, value in ((name, value) for each in own for name, value in vars(each).items()):
+        if hasattr(base, name) and name not in _PLAIN and not name.startswith("__static"):
+            return None
+        function = getattr(value, "__func__", value)
+        if isinstance(function, FunctionType) and name != "__init__":
+            if _names(function.__code__) & (_STATE | {"getattr", "vars", "__dict__"}):
+                return None
+        elif name == "filter":
+            return None
+    return base if issubclass(base, Filter) else None
+
+
+def _names(code: CodeType) -> set[str]:
+    """Return the names of attributes and globals in a function and in the functions inside it."""
+    inner = (_names(each) for each in code.co_consts if isinstance(each, CodeType))
+    return set(code.co_names).union(*inner)
 
 
 class Filter:
@@ -134,16 +178,16 @@ class Filter:
     watches_swinging: ClassVar[bool] = True
     ignores: ClassVar[Mapping[str, str]] = MappingProxyType({})
     waits_filtered: ClassVar[bool] = True
-    compiled: ClassVar = MappingProxyType({"choose": _chosen})
+    compiled: ClassVar = MappingProxyType({"choose": _chosen, "filtered": _answered})
     rate_1_s: float
     acceleration_max_m_s2: Vec3
     contact_speed_max_m_s: float
     stopped_below_m: float
-    motion: MotionMemory
+    motion: Annotated[MotionMemory, UNSEEN]  # unused, since this class estimates nothing
     tracking: TrackingMemory
     own: OwnMemory
     late: LateMemory
-    agent: AgentMemory
+    asked: AskedMemory
     replaces_program: bool  # the class has its own method ``filter``
     _by_rule: bool  # the paper's touchdown rule is configured
     _config: FlightConfig
@@ -159,9 +203,12 @@ class Filter:
         self.contact_speed_max_m_s = config.touchdown.descent_m_s
         self.stopped_below_m = 0.0
         self.motion, self.tracking, self.own = MotionMemory(), TrackingMemory(), OwnMemory()
-        self.late, self.agent = LateMemory(), AgentMemory()
+        self.late, self.asked = LateMemory(), AskedMemory()
+        self.compiled_as = compiled_as(type(self)) or type(self)
         self.ask: Ask | None = None  # function of an agent (flightstack/api/env.py)
-        self.answer: Vec3 | None = None  # velocity of the agent, in a tick that compiled code started
+        # answers in a tick that compiled code started: velocity of the agent, result of the user's filter
+        self.answer: Vec3 | None = None
+        self.own_result: tuple[FilterResult, str] | None = None  # with the reason of a refusal
         self._by_rule = config.touchdown.rule is TouchdownRule.PAPER
 
     @staticmethod
@@ -202,6 +249,33 @@ class Filter:
         gx, gy, gz = at.gradient.tolist()
         slack_m_s = gx * x + gy * y + gz * z - at.bound_m_s
         return FilterResult((x, y, z), slack_m_s, (x, y, z) != nominal, FilterStatus.OWN, 0.0, 0, 0.0)
+
+    def filtered(
+        self, at: Relative, h_m: float, gradient: Vec3, dh_dt_m_s: float, nominal: Vec3, lower: Vec3,
+        upper: Vec3,
+    ) -> FilterResult:  # fmt: skip
+        """Filter a velocity with the user's method ``filter``, which is called once per tick."""
+        given, self.own_result = self.own_result, None
+        if given is not None:
+            result, self.memory.refusal = given
+            return result
+        own, target = at.own, at.target
+        seen = At(
+            own.arrival_s,
+            np.array(own.position_enu_m),
+            np.array(own.velocity_enu_m_s),
+            np.array(target.position_enu_m),
+            np.array(target.velocity_enu_m_s),
+            np.array(at.e_m),
+            at.d_m,
+            h_m,
+            np.array(gradient),
+            dh_dt_m_s,
+            self.rate_1_s,
+            np.array(lower),
+            np.array(upper),
+        )
+        return self.result(nominal, seen)
 
     def barrier(self, at: Relative) -> ActiveBarrier:
         """Return the barrier that is enforced in this tick; default: the paper's."""

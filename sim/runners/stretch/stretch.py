@@ -28,7 +28,8 @@ from flightstack.core.kernel import FLYING
 from flightstack.core.mission.conditions import lasting_flags
 from flightstack.core.numeric import NotOrdinary, hypot_is_known
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.types import OwnState, Phase, Request
+from flightstack.core.strategies.strategy import compiled_as, strategy_class
+from flightstack.core.types import FilterStatus, OwnState, Phase, Request
 from flightstack.onboard.lockstep import VehicleTicks
 from sim.clock import TickGrid
 from sim.runners.landing_wire import PEER
@@ -57,7 +58,8 @@ def suited(controller: Controller, node: VehicleNode) -> bool:
 def suits(config: FlightConfig) -> bool:
     """Return whether kernel and simulated link support everything that this configuration requires."""
     return (
-        core.suits(config)
+        core.suits_but_filter(config)
+        and compiled_as(strategy_class(config.filter)) is not None
         and max(config.limits.velocity_max_m_s) <= SPEED_MAX_M_S
         and (config.checks.target_frame, config.checks.target_child_frame) == ("map", "target")
     )
@@ -88,14 +90,17 @@ class Stretch:
         self._rules = new(RulesRecord)
         self._rules.ends_s, self._rules.delay_ms = ends_s, round(radio_s * 1000.0)
         self._rules.status_age_max_s = controller.config.checks.status_age_max_s
-        self._strategy = controller.strategy
+        self._strategy = strategy = controller.strategy
+        self._asks = strategy.ask is not None or strategy.replaces_program
         self._objects = objects = Objects(controller)
+        self._numbers = objects.numbers(strategy)
         self._cells: Any = (node.vehicle.physics.vehicle, cell(self._rules), objects.handle)
         self._memory = objects.state, objects.spare
         self._most = max(1, min(TICKS, int(SPAN_S * grid.rate_hz)))
         self._plan = np.array((0, 0, grid.rate_hz, self._rules.delay_ms, 0, 0), dtype=np.int64)
         self._ages, self._told = np.zeros(TICKS), np.zeros(11)
-        self._asked = -1  # newest tick for which an agent was asked
+        self._off = False  # Python runs all ticks
+        self._asked = -1  # newest tick for which the agent or the filter was called
         self._next, self._wait = 0, 1  # tick of the next attempt; ticks to wait after a failure
         self._flies, self._yaw_told_rad, self._delay_ms = False, 0.0, round(radio_s * 1000.0)
         self._stream_until_s, self._status_s = scalars(self._rules, "stream_until_s", "status_s")
@@ -121,8 +126,8 @@ class Stretch:
     def fly(self, tick: int) -> int:
         """Fly from this tick, the next one, as far as possible; return the number of ticks flown."""
         if tick != self._asked:
-            self._strategy.answer = None
-        if tick < self._next:
+            self._strategy.answer = self._strategy.own_result = None
+        if self._off or tick < self._next:
             return 0
         done, until_s = 0, self._quiet_until_s(tick)
         if until_s is None:
@@ -226,7 +231,7 @@ class Stretch:
     def _call(self, tick: int, until_s: float) -> tuple[int, int]:
         """Fly ticks in one call; return their number, and how the call ended."""
         node, grid, flight = self._node, self._grid, self._node.autopilot.flight
-        asks = self._strategy.ask is not None and self._controller.memory.phase in ASKING
+        asks = self._asks and self._controller.memory.phase in ASKING
         most = 1 if asks else self._most
         count = min(most, max(0, math.ceil((until_s - grid.ns(tick) / 1e9) * grid.rate_hz)))
         while count and not grid.ns(tick + count - 1) / 1e9 < until_s:
@@ -254,7 +259,7 @@ class Stretch:
         done = int(self._plan[5])
         if done == 0:
             return 0, how
-        self._strategy.answer = None
+        self._strategy.answer = self._strategy.own_result = None
         self._watch_book.read(self._watches)
         last = tick + done - 1
         times_ns = [grid.ns(each) for each in range(tick, last + 1)]
@@ -283,20 +288,32 @@ class Stretch:
         return done, how if self._goes_on(flies) else BEFORE
 
     def _ask(self, tick: int, samples: F64, come: I64) -> bool:
-        """Request the agent's velocity for the next tick; return False if Python has to run this tick."""
+        """Request the next velocity from agent or filter; return False if Python has to run this tick."""
         objects, strategy, looked = self._objects, self._strategy, cast("Any", look)
         try:
-            at, command, own = looked(
+            at, command, (nominal, h_m, gradient, dh_dt_m_s, lower, upper) = looked(
                 *self._cells, self._phase_rules, *self._memory, self._plan, samples, come
             )
         except NotOrdinary:
             return False
         finally:
             objects.state[:] = objects.spare
-        assert strategy.ask is not None
         self._controller.memory.command, self._asked = command, tick
-        strategy.answer = strategy.agent.chosen = strategy.ask(at, own)
-        objects.write_one(strategy.agent)
+        if strategy.ask is not None:
+            strategy.answer = strategy.asked.chosen = strategy.ask(at, nominal)
+        else:
+            refusal = strategy.memory.refusal
+            result = strategy.filtered(at, h_m, gradient, dh_dt_m_s, nominal, lower, upper)
+            strategy.own_result = result, strategy.memory.refusal
+            strategy.memory.refusal = refusal  # the mission sees the new one in the next tick
+            if (
+                objects.numbers(strategy) != self._numbers
+            ):  # the filter changed other fields: Python runs all ticks
+                self._off = True
+            if result.status is FilterStatus.REJECTED or self._off:
+                return False
+            strategy.asked.chosen = result.velocity_enu_m_s
+        objects.write_one(strategy.asked)
         return True
 
     def _goes_on(self, flies: bool) -> bool:

@@ -176,8 +176,10 @@ def _decided(
 def look(
     vehicle: Cell[VehicleRecord], rules: Cell[RulesRecord], kernel: LandingKernel, phase_rules: I64,
     state: F64, spare: F64, plan: I64, samples: F64, come: I64,
-) -> tuple[Relative, Vec3, Vec3]:  # fmt: skip
-    """Return the inputs of an agent at the next tick: relative state, last command, nominal velocity.
+) -> tuple[Relative, Vec3, tuple[Vec3, float, Vec3, float, Vec3, Vec3]]:  # fmt: skip
+    """Return the inputs of an agent or a user's filter at the next tick.
+
+    They are the relative state, the last command and the values of ``AskedMemory``.
 
     The caller restores ``state`` from ``spare``. The arguments are those of ``fly_ticks``.
     Raises NotOrdinary: Python has to run the tick.
@@ -185,7 +187,12 @@ def look(
     spare[:] = state
     before, now_s = kernel.memory.command, plan[0] * NS_PER_S // plan[2] / 1e9
     _, landing = _decided(vehicle[0], rules[0], kernel, phase_rules, samples, plan[4], come[0], now_s)
-    return landing.at, before, kernel.strategy.agent.own
+    asked = kernel.strategy.asked
+    return (
+        landing.at,
+        before,
+        (asked.nominal, asked.h_m, asked.gradient, asked.dh_dt_m_s, asked.lower_m_s, asked.upper_m_s),
+    )
 
 
 @jitted

@@ -5,8 +5,11 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
+import flightstack as fs
+from examples.own_filter import Smooth
 from flightstack.compiled.jit import is_off
 from flightstack.compiled.program import CompiledFilter, layout_is_known
+from flightstack.core.strategies.strategy import compiled_as
 from sim.runners.companion import Companion
 from sim.runners.landing import warm_up
 from sim.scenarios.scenario import Start, load
@@ -106,3 +109,51 @@ def test_it_is_compiled_before_the_first_landing():
     if stretch is not None:
         stretch.warm_up()
         assert stretch.fly(0) == 0  # nobody has been heard yet
+
+
+class Slower(fs.Filter):
+    def filter(self, nominal, at):
+        return 0.5 * nominal
+
+
+class Restless(fs.Filter):
+    """Changes other fields in flight, of which compiled code has a copy."""
+
+    def filter(self, nominal, at):
+        if at.d_m < 0.3:
+            self.acceleration_max_m_s2 = (0.4, 0.4, 0.4)
+        return at.enforced(nominal)
+
+
+class Curious(fs.Filter):
+    def filter(self, nominal, at):
+        return nominal * (1.0 if self.tracking else 0.0)
+
+
+class Otherwise(fs.Filter):
+    def filter(self, nominal, at):
+        return nominal
+
+    def descent_m_s(self, at):
+        return (0.0, 0.0, -0.1)
+
+
+class Failing(fs.Filter):
+    def filter(self, nominal, at):
+        return nominal if at.h_m > 0.3 else nominal[:2]
+
+
+def test_which_filters_of_a_user_are_compiled_but_for_their_method():
+    base = {each: compiled_as(each) for each in (Slower, Smooth, Restless, Failing, Curious, Otherwise)}
+    assert [each.__name__ for each, found in base.items() if found is fs.Filter] == [
+        "Slower", "Smooth", "Restless", "Failing",
+    ]  # fmt: skip
+    assert base[Curious] is base[Otherwise] is None
+
+
+@pytest.mark.parametrize(
+    ("filter", "least"), [(Slower, 0.7), (Smooth, 0.7), (Restless, 0.05), (Failing, 0.0), (Curious, 0.0)]
+)
+def test_a_filter_of_ones_own_flies_the_same_in_stretches_and_is_called_once_in_a_tick(filter, least):
+    """``Smooth`` stores the velocity of the last tick: a second call in one tick would change it."""
+    assert_equal(fs.scenario("lab", filter=filter), 4, least)
