@@ -51,12 +51,12 @@ class SigningKey:
 def load_key(path: Path) -> SigningKey:
     """Read a key from a regular file with mode 0600 or 0400.
 
-    Raises ValueError: the file has another mode or holds no key; OSError: it cannot be read.
+    Raises ValueError: the file cannot be read, has another mode, or holds no key.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
-        raise OSError(error.errno, f"signing key {path}: {error.strerror}; {_HELP}") from error
+        raise ValueError(f"signing key {path}: {error.strerror}; {_HELP}") from error
     try:
         mode = os.fstat(descriptor).st_mode  # mode of the open file; another file may have the path by now
         if not stat.S_ISREG(mode):

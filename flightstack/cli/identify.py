@@ -19,7 +19,7 @@ from sim.campaign.progress import Bar
 class IdentifyOptions:
     """Options of ``identify``."""
 
-    logs: Annotated[tuple[Path, ...], Argument(metavar="[LOG...]", exists=True, path="file")] = ()
+    logs: Annotated[tuple[Path, ...], Argument(metavar="[LOG...]", exists=True)] = ()
     flights: Annotated[Path | None, Option(
         "--flights", "Fit a vehicle's file to the recorded flights in DIR (Parquet, CSV) instead.", "DIR",
         exists=True, path="folder"
@@ -90,7 +90,7 @@ def _identify_vehicle(options: IdentifyOptions, folder: Path) -> None:
     text = identified.toml(fit, params, options.vehicle)
     left = identified.leave_one_out(found, params) if options.leave_out else []
     if options.out is not None:
-        options.out.write_text(text)
+        options.out.write_text(text, encoding="utf-8")
     if options.as_json:
         values = {
             "flights": len(found.flights) + len(found.left_out),

@@ -24,7 +24,7 @@ DONE, BROKEN = 0, 1
 LANDED, NOT_LANDED = 0, 1
 DIFFERENCES_MAX = 20  # largest number of printed differences; the first ones are the most useful
 
-_log = click.argument("log_file", metavar="LOG", type=click.Path(dir_okay=False, path_type=Path))
+_log = click.argument("log_file", metavar="LOG", type=click.Path(path_type=Path))
 _member = click.option("--member", metavar="NAME", help="Only the part of this member of a fleet, e.g. cf2.")
 _force = click.option("--force", is_flag=True, help="Replace OUT if it exists.")
 
@@ -89,8 +89,8 @@ def show_verdict(values: dict[str, Any], *, as_json: bool) -> None:
 
 
 @log.command()
-@click.argument("log_a", type=click.Path(dir_okay=False, path_type=Path))
-@click.argument("log_b", type=click.Path(dir_okay=False, path_type=Path))
+@click.argument("log_a", type=click.Path(path_type=Path))
+@click.argument("log_b", type=click.Path(path_type=Path))
 def diff(log_a: Path, log_b: Path) -> None:
     """Compare two logs message by message; exit status 0 equal, 1 different.
 
@@ -177,8 +177,8 @@ def record(options: RecordOptions) -> None:
 
 
 @click.command()
-@click.argument("log", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.argument("other", type=click.Path(exists=True, dir_okay=False, path_type=Path), required=False)
+@click.argument("log", type=click.Path(exists=True, path_type=Path))
+@click.argument("other", type=click.Path(exists=True, path_type=Path), required=False)
 @click.option("--member", metavar="NAME", help="Take the flight of this member of a fleet, e.g. cf2.")
 @click.option(
     "--out",
@@ -207,15 +207,15 @@ def report(log: Path, other: Path | None, member: str | None, out: Path | None, 
         values = fleet_result(fleet, verdict, write_report(fleet, verdict, out))
         show_verdict(values, as_json=as_json)
         if not as_json:
-            click.echo(values["report"])
+            click.echo(plain(values["report"]))
     elif as_json:
         raise click.UsageError("--json is for the report of one LOG, not for a comparison")
     else:
-        click.echo(write_comparison(log, other, out, member))
+        click.echo(plain(write_comparison(log, other, out, member)))
 
 
 @click.command()
-@click.argument("log_file", metavar="LOG", type=click.Path(dir_okay=False, path_type=Path))
+@click.argument("log_file", metavar="LOG", type=click.Path(path_type=Path))
 @click.option(
     "--save", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE.rrd",
     help="Write a Rerun recording instead of opening a window.",

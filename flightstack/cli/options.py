@@ -29,6 +29,17 @@ class Number(click.FloatRange):
         return super()._describe_range() if self.min is not None or self.max is not None else ""
 
 
+class File(click.Path):
+    """An ordinary file: one that never ends, or waits for a writer, is refused."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Read it."""
+        found: Any = super().convert(value, param, ctx)
+        if not found.is_file():
+            self.fail(f"{found} is a pipe, socket or device; an ordinary file is needed", param, ctx)
+        return found
+
+
 def takes(cls: type[T]) -> Callable[[Callable[[T], None]], Callable[..., None]]:
     """Give a command its options (required ones first) and arguments as one object of the class ``cls``."""
     parameters = sorted(declared(cls), key=lambda each: each.default is not MISSING)
@@ -74,7 +85,8 @@ def _type(each: Declared) -> Any:
     if isinstance(option, Option) and option.read is not None:
         return str
     if each.type is Path:
-        return click.Path(
+        kind = File if option.path == "file" and option.exists else click.Path
+        return kind(
             exists=option.exists, file_okay=option.path != "folder", dir_okay=option.path != "file",
             path_type=Path,
         )  # fmt: skip

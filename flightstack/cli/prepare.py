@@ -19,13 +19,14 @@ from flightstack.config import options as shared
 @click.argument("name", required=False)
 def config(name: str | None) -> None:
     """List the packaged configurations of the onboard process, or print the one with the given NAME."""
+    from flightstack.common.strict_toml import decoded
     from flightstack.config import files as known
 
     if name is not None:
-        click.echo(known.path_of(name).read_text(), nl=False)
+        click.echo(decoded(known.path_of(name).read_bytes()), nl=False)
         return
     for each in known.names():
-        click.echo(f"{each:18} {_first_line(known.path_of(each).read_text())}")
+        click.echo(f"{each:18} {_first_line(decoded(known.path_of(each).read_bytes()))}")
 
 
 def _first_line(text: str) -> str:

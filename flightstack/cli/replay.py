@@ -28,7 +28,7 @@ _STATUS = {"unusable": UNUSABLE, "different": DIFFERENT, "equal": EQUAL}  # orde
 class ReplayOptions:
     """Options of ``replay``."""
 
-    log: Annotated[Path, Argument(path="file", exists=True)]
+    log: Annotated[Path, Argument(exists=True)]
     check: Annotated[bool, Option("--check", "Compare bit by bit; this is also the default.")] = False
     settings: Annotated[tuple[str, ...], Option(
         "--set",

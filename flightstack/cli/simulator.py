@@ -121,10 +121,11 @@ def scenarios(name: str | None) -> None:
 
     Scenarios of several vehicles are listed last.
     """
+    from flightstack.common.strict_toml import decoded
     from sim.scenarios import scenario, team
 
     if name is not None:
-        click.echo(team.path_of(name).read_text(), nl=False)
+        click.echo(decoded(team.path_of(name).read_bytes()), nl=False)
         return
     listed = {known: scenario.load(known).description for known in scenario.names()}
     listed |= {known: team.load(known).description for known in team.names()}

@@ -61,7 +61,7 @@ def validate(options: ValidateOptions) -> None:
             console.print(f"{flight.name}: {what}: {'; '.join(reasons(flight))}", soft_wrap=True)
     folder = options.out or new_folder("validate")
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / SUMMARY).write_text(json.dumps(found, indent=1) + "\n")
+    (folder / SUMMARY).write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     page = _page(folder / PAGE, found) if options.with_report else None
     if options.as_json:
         click.echo(json.dumps(found))

@@ -47,7 +47,10 @@ def seed(given: str) -> int:
     """Return a seed from its number or from a file with it. Raises BadOptionError: it is neither."""
     text, file = given, Path(given)
     if not given.isdecimal() and file.is_file():
-        text = decoded(file.read_bytes()).strip()
+        try:
+            text = decoded(file.read_bytes()).strip()
+        except (OSError, ValueError) as error:
+            raise BadOptionError(f"{given}: cannot be read: {error}") from None
     if not (text.isascii() and text.isdecimal()) or len(text) > _SEED_DIGITS_MAX:
         raise BadOptionError(
             f"found {given[:60]!r}; a whole number from 0 on, or a file with one of `rare`, is needed"

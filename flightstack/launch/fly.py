@@ -29,7 +29,7 @@ def run(options: FlyOptions, console: Console) -> Flown:
     log = None if options.no_record else log_in(folder)
     folder.mkdir(parents=True, exist_ok=True)
     config_file = folder / "onboard.toml"
-    config_file.write_text(dumps(config))
+    config_file.write_text(dumps(config), encoding="utf-8")
     with Launcher(folder, console, tells=live, real=True) as launcher:
         recorder = None
         if log is not None:

@@ -146,7 +146,7 @@ def run(options: RunOptions, console: Console) -> Flown:
     name = short_name(team.member[0].onboard.filter)
     folder = options.out or new_folder(f"{team.name}-seed{seed_name(options.seed)}-{name}")
     log = log_in(folder)
-    scenario_file(folder, team).write_text(text(team))
+    scenario_file(folder, team).write_text(text(team), encoding="utf-8")
     with Launcher(folder, console, tells=options.live) as launcher:
         if line := not_proven(team):
             _hint(launcher, line)
@@ -159,7 +159,7 @@ def _vehicles(launcher: Launcher, options: RunOptions, team: TeamScenario) -> li
         names = team.names(number)
         file = f"onboard-{names.member}.toml" if names.member else "onboard.toml"
         config = launcher.folder / file
-        config.write_text(dumps(scenario.onboard))
+        config.write_text(dumps(scenario.onboard), encoding="utf-8")
         found.append(_Vehicle(number, names, scenario, seed, launcher.endpoint(), config))
     return found
 

@@ -26,6 +26,7 @@ from mcap.records import Channel, Header, Metadata, Schema
 from mcap.records import Message as MessageRecord
 
 from logs.reader.mcap_records import MAGIC, Records
+from logs.reader.other_files import named, no_file
 from logs.schema.names import FLEET, LOSSES, TEAM
 from logs.schema.rows import LogRow
 from logs.schema.schemas import LOG, same_fields, store_for
@@ -113,20 +114,6 @@ class MemberView:
         return self.event(data) if schema == LOG else data
 
 
-# files that are often opened in place of an MCAP file: first bytes, kind, remedy
-_OTHERS = (
-    (b"version https://git-lfs", "a pointer of Git LFS; fetch the file itself with `git lfs pull`"),
-    (b"\x28\xb5\x2f\xfd", "compressed by zstd; unpack it with `zstd -d`"),
-    (b"\x04\x22\x4d\x18", "compressed by lz4; unpack it with `lz4 -d`"),
-    (b"\x1f\x8b", "compressed by gzip; unpack it with `gunzip`"),
-    (b"BZh", "compressed by bzip2; unpack it with `bunzip2`"),
-    (b"\xfd7zXZ", "compressed by xz; unpack it with `unxz`"),
-    (b"PK\x03\x04", "a ZIP archive; unpack it with `unzip`"),
-    (b"SQLite format 3", "an SQLite database, as rosbag2 writes .db3; `ros2 bag convert` makes MCAP of it"),
-    (b"#ROSBAG V", "a bag of ROS 1; `mcap convert` makes MCAP of it"),
-    (b"ULog\x01", "a ULog of PX4; `validate` and `identify` read logs of this stack only"),
-    (b"\xa3\x95", "a DataFlash log of ArduPilot; logs of this stack are needed"),
-)
 _HEAD_BYTES = 32
 
 
@@ -183,7 +170,7 @@ class LogFile:
         self._refused, self._first_refused = 0, ""
         try:
             if self.path.exists() and not self.path.is_file():
-                raise LogError(f"{self.path} is a {_kind_of(self.path)}; an MCAP file is needed")
+                raise LogError(f"{self.path} {no_file(self.path)}")
             with self.path.open("rb") as stream:
                 head = stream.read(_HEAD_BYTES)
         except OSError as error:
@@ -191,9 +178,7 @@ class LogFile:
         if not head:
             raise LogError(f"{self.path} is empty; expected an MCAP file")
         if not head.startswith(MAGIC):
-            begins = f"it begins with {head[:8].hex(' ')}"
-            found = next((f"it is {what}" for magic, what in _OTHERS if head.startswith(magic)), begins)
-            raise LogError(f"{self.path} is not an MCAP file: {found}")
+            raise LogError(f"{self.path} is not an MCAP file: {named(self.path, head)}")
         if member is not None and member not in (names := self.parts.names):
             holds = f"a fleet of {', '.join(names)}" if names else "one flight, without members"
             raise LogError(f"{self.path} has no member {member!r}; it holds {holds}")
@@ -383,7 +368,3 @@ def _seen(records: Iterable[Any], view: MemberView) -> Iterator[Any]:
                 continue
             record = replace(record, name=name)
         yield record
-
-
-def _kind_of(path: Path) -> str:
-    return "folder" if path.is_dir() else "pipe, socket or device"

@@ -57,7 +57,7 @@ def write(path: Path, page: Page) -> Path:
     """Write a page. Raises ReportError: a library is not installed."""
     text = render(page)
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text, encoding="utf-8", errors="backslashreplace")  # paths that are not UTF-8
     return path
 
 

@@ -25,6 +25,7 @@ from logs.verdict.verdict import FleetVerdict, any_known, fleet_verdict, least
 from sim.runners.landing import Landing, TeamLanding
 
 ERROR = "error"  # outcome of a landing that could not be simulated to its end
+_OUTCOMES = frozenset({ERROR, *(outcome.value for outcome in Outcome)})
 CELL_M = 0.1  # width and height of a cell of the map of h
 E_Z_LOW_M = -0.3  # lower edge of the map's lowest cells, which include all lower values
 D_CELLS, E_Z_CELLS = 30, 30  # size of the map; its last cells include all larger values
@@ -246,25 +247,30 @@ def _text(row: Row) -> str:
 
 def _value(name: str, text: str) -> Any:
     kind = _KINDS[name]
+    if name == "outcome" and text not in _OUTCOMES:
+        raise ValueError(f"the outcome is {text!r}")
     if kind == "str":
         return sys.intern(text)  # a million landings have few different reasons
     if text == "":
         return None
     if kind == "bool":
         return {"true": True, "false": False}[text]
-    return int(text) if kind == "int" else float(text)
+    number = int(text) if kind == "int" else float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"{name} is {text}, a finite number is needed")
+    return number
 
 
 def read_rows(path: Path) -> list[Row]:
-    """Read a file of rows; skip a truncated last line.
+    """Read a file of rows; skip a truncated last line; of several rows of a seed return the last.
 
     Raises RowsError: the file has another format, or a damaged line.
     """
     rows: list[Row] = []
-    with path.open(newline="", encoding="utf-8") as file:
+    with path.open(newline="", encoding="utf-8-sig") as file:
         try:
             head = file.readline()
-            if head.endswith("\n") and head != _HEADER:
+            if head.endswith("\n") and head.rstrip("\r\n") != _HEADER.rstrip():
                 raise RowsError(f"{path}: the first line is not that of a file of rows; give another --out")
             for values in csv.reader(line for line in file if line.endswith("\n")):
                 rows.append(Row(*(_value(n, v) for n, v in zip(_NAMES, values, strict=True))))
@@ -273,13 +279,13 @@ def read_rows(path: Path) -> list[Row]:
         except (ValueError, KeyError, csv.Error) as error:
             where = f"{path}, line {len(rows) + 2}"
             raise RowsError(f"{where}: not a row ({error}); give another --out") from None
-    return rows
+    return list({row.seed: row for row in rows}.values())
 
 
 def write_rows(path: Path, rows: Iterable[Row]) -> None:
     """Replace the file by all rows, ordered by seed, atomically."""
     beside = path.with_suffix(".tmp")
-    with beside.open("w", newline="") as file:
+    with beside.open("w", newline="", encoding="utf-8") as file:
         file.write(_HEADER)
         file.writelines(_text(row) for row in sorted(rows, key=lambda row: row.seed))
         file.flush()

@@ -157,6 +157,8 @@ def read_recording(path: Path, columns: Mapping[str, Group]) -> Recording:
 
     Raises RecordingError: unreadable file, columns missing or not numeric, too few samples, or no time.
     """
+    if path.exists() and not path.is_file():
+        raise RecordingError("it is a folder, pipe or device; a file is needed")
     try:
         if path.suffix == ".csv":
             table = pa.csv.read_csv(pa.BufferReader(decoded(path.read_bytes()).encode()))
@@ -164,7 +166,7 @@ def read_recording(path: Path, columns: Mapping[str, Group]) -> Recording:
             table = pa.parquet.read_table(path)
         names = table.column_names
     except (OSError, ValueError, pa.ArrowException) as error:
-        raise RecordingError(f"can't be read: {str(error).splitlines()[0]}") from error
+        raise RecordingError(f"can't be read: {str(error).partition(chr(10))[0]}") from error
     arrays: dict[str, Floats] = {}
     for name, group in columns.items():
         missing = [column for column in group.columns if column not in names]
@@ -173,6 +175,9 @@ def read_recording(path: Path, columns: Mapping[str, Group]) -> Recording:
                 f"columns of {name} not found: {', '.join(missing)}; the file has "
                 f"{', '.join(names[:8])}, ...; name its columns by --columns"
             )
+        double = [column for column in group.columns if names.count(column) > 1]
+        if double:
+            raise RecordingError(f"columns of {name} are there several times: {', '.join(double)}")
         if not missing:
             arrays[name] = _numbers(table, group)
     if len(arrays["time"]) < SAMPLES_MIN:

@@ -1,5 +1,6 @@
 """Counts, bounds and limits of a campaign; what is not known counts against."""
 
+import codecs
 import math
 from dataclasses import replace
 
@@ -171,7 +172,13 @@ def test_appended_rows_survive_and_a_cut_line_is_dropped(tmp_path):
         assert [r.seed for r in read_rows(path)] == [7, 9]
 
 
-@pytest.mark.parametrize(("old", "new"), [(b"0.25", b"quarter"), (b"false", b"maybe"), (b",5.12", b",,5.12")])
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (b"0.25", b"quarter"), (b"false", b"maybe"), (b",5.12", b",,5.12"), (b"0.25", b"nan"),
+        (b"0.25", b"-1e999"), (b"landed", b"nan"), (b"plain", b"\xff"),
+    ],
+)  # fmt: skip
 def test_a_damaged_line_is_refused_with_its_number(tmp_path, old, new):
     path = tmp_path / "rows.csv"
     write_rows(path, [replace(FULL, reason="plain")])
@@ -180,6 +187,22 @@ def test_a_damaged_line_is_refused_with_its_number(tmp_path, old, new):
     path.write_bytes(data.replace(old, new))
     with pytest.raises(RowsError, match="line 2"):
         read_rows(path)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda data: data.replace(b"\r\n", b"\n"),
+        lambda data: codecs.BOM_UTF8 + data,
+        lambda data: data + data[data.index(b"\n") + 1 :],
+    ],
+    ids=["LF", "BOM", "twice"],
+)
+def test_rows_that_an_editor_or_git_has_stored_are_read(tmp_path, change):
+    path = tmp_path / "rows.csv"
+    write_rows(path, [FULL])
+    path.write_bytes(change(path.read_bytes()))
+    assert read_rows(path) == [FULL]
 
 
 def test_cells_keep_the_lowest_h_of_each():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 
 import numpy as np
 import pyarrow as pa
@@ -92,6 +93,18 @@ def test_a_file_that_is_no_parquet_is_refused(tmp_path):
     (tmp_path / "flight.parquet").write_bytes(b"no parquet at all")
     with pytest.raises(RecordingError, match="can't be read"):
         read_recording(tmp_path / "flight.parquet", COLUMN_TABLE)
+
+
+def test_columns_that_are_there_twice_are_refused(tmp_path):
+    (tmp_path / "flight.csv").write_text("t,t,px\n1,1,2\n")
+    with pytest.raises(RecordingError, match="columns of time are there several times: t"):
+        read_recording(tmp_path / "flight.csv", {"time": COLUMN_TABLE["time"]})
+
+
+def test_a_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "flight.csv")
+    with pytest.raises(RecordingError, match="pipe"):
+        read_recording(tmp_path / "flight.csv", COLUMN_TABLE)
 
 
 @pytest.mark.parametrize(

@@ -4,19 +4,24 @@ import codecs
 import os
 import re
 import socket
+import subprocess
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from bridge.mavlink.transport.address import parse_peer, parse_url
 from bridge.zenoh import zenoh_link
+from flightstack.cli.main import main
 from flightstack.common.processes import LaunchError, socket_folder
 from flightstack.common.strict_toml import ConfigError, decoded, parse_toml, read_toml
 from flightstack.compiled import jit
 from flightstack.config import options
 from logs.recorder.feed import Feed, FeedError
 from logs.recorder.recorder import RecorderError, _listen
+from logs.report.page import Page, write
 from sim.validation import run as validation
+from tests.integration.sim_processes import COMMAND
 
 SHIPPED = Path(options.__file__).parent / "sitl-1kg.toml"
 
@@ -152,6 +157,8 @@ def test_files_of_windows_editors_are_read(encode, tmp_path):
     seed = tmp_path / "seed"
     seed.write_bytes(encode("123\n"))
     assert options.seed(str(seed)) == 123
+    printed = CliRunner().invoke(main, ["config", str(file)])
+    assert (printed.exit_code, printed.output.splitlines()) == (0, text.splitlines())
     zenoh = tmp_path / "z.json5"
     zenoh.write_bytes(encode('{ mode: "client" } // größer'))
     assert '"client"' in zenoh_link._configuration((), (), zenoh, zenoh_link.Role.PEER).get_json("mode")
@@ -170,6 +177,37 @@ def test_files_of_windows_editors_are_read(encode, tmp_path):
 def test_what_is_no_text_names_the_encoding(data, said):
     with pytest.raises(ConfigError, match=said):
         parse_toml(data)
+
+
+@pytest.mark.parametrize("words", [
+    ["watch", "--once", "--zenoh-config"], ["validate", ".", "--columns"],
+    ["sitl", "--scenario", "lab", "--seed"],
+    ["check"], ["sitl", "--scenario"], ["replay"], ["log", "info"], ["log", "diff", "x"],
+])  # fmt: skip
+def test_a_pipe_where_a_file_is_needed_is_refused_and_not_waited_for(tmp_path, words):
+    os.mkfifo(tmp_path / "pipe")
+    result = CliRunner().invoke(main, [*words, str(tmp_path / "pipe")])
+    assert result.exit_code == 2
+    assert re.search("pipe|neither a file|cannot open", result.output)
+
+
+def test_a_seed_that_is_no_text_names_its_file(tmp_path):
+    (tmp_path / "seed").write_bytes(b"\xff\xff")
+    with pytest.raises(options.BadOptionError, match="seed: cannot be read: not text in the encoding utf-8"):
+        options.seed(str(tmp_path / "seed"))
+
+
+def test_files_are_utf_8_whatever_the_locale_is(tmp_path):
+    """A page and its path, too; a path may hold bytes of any encoding."""
+    (tmp_path / "ä.toml").write_text("# größer\n", encoding="utf-8")
+    locale = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PATH": os.environ["PATH"]}
+    for verb in ("config", "scenarios"):
+        done = subprocess.run(
+            [*COMMAND, verb, tmp_path / "ä.toml"], env=locale, capture_output=True, check=True
+        )
+        assert done.stdout.decode() == "# größer\n"
+    page = Page("\udcff", ("", "good"), "", (), ())
+    assert "\\udcff" in write(tmp_path / "page.html", page).read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(

@@ -230,7 +230,7 @@ def test_what_the_decoder_raises_becomes_a_sentence(tmp_path, definition, data, 
 
 
 @pytest.mark.parametrize(
-    ("begin", "said"),
+    "case",  # first bytes, name, text
     [
         (b"\x28\xb5\x2f\xfd" + bytes(40), "zstd -d"),
         (b"SQLite format 3\0" + bytes(40), "rosbag2"),
@@ -241,14 +241,34 @@ def test_what_the_decoder_raises_becomes_a_sentence(tmp_path, definition, data, 
         (b"\x1f\x8b\x08", "gunzip"),
         (bytes(100), "begins with 00"),
         (b"", "is empty"),
-        (None, "folder"),
+        (None, "folder; an MCAP file is needed$"),
+        *((b"\x09\xf8", name, f"begins with 09 f8; by its name it is .*{said}") for name, said in {
+            "a.mcap.zstd": "zstd -d", "a.mcap.zst": "zstd -d", "a.mcap.lz4": "lz4 -d", "a.mcap.gz": "gunzip",
+            "a_0.db3": "ros2 bag convert", "a.bag": "ROS 1", "a.ULG": "ULog", "a.tlog": "MAVLink",
+            "00000012.BIN": "DataFlash", "a.rrd": "Rerun",
+        }.items()),
+        (b"<!DOCTYPE html>", "download that failed"),
+        (b"FMT, 128, 89, FMT", "DataFlash"),
     ],
 )  # fmt: skip
-def test_what_is_no_log_is_named(tmp_path, begin, said):
-    path = tmp_path / "flight.mcap"
+def test_what_is_no_log_is_named(tmp_path, case):
+    begin, name, said = case if len(case) == 3 else (case[0], "flight.mcap", case[1])
+    path = tmp_path / name
     path.mkdir() if begin is None else path.write_bytes(begin)
     with pytest.raises(LogError, match=said):
         LogFile(path)
+
+
+def test_the_folder_of_a_bag_names_its_log(tmp_path):
+    for name in ("metadata.yaml", "a_0.mcap"):
+        (tmp_path / name).touch()
+    for verb in VERBS:
+        result = CliRunner().invoke(main, [*verb, str(tmp_path)])
+        assert result.exit_code == 2
+        assert (
+            f"is a folder of rosbag2; an MCAP file is needed, for example {tmp_path}/a_0.mcap"
+            in result.output
+        )
 
 
 def test_our_files_have_a_checksum_of_the_data(logs):
