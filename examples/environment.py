@@ -1,4 +1,4 @@
-"""The environment under its name in Gymnasium: two landings side by side, by the stack's own velocity.
+"""Fly two landings side by side with ``gymnasium.make_vec`` and the stack's own velocity commands.
 
 python examples/environment.py
 """
@@ -6,13 +6,13 @@ python examples/environment.py
 import gymnasium
 import numpy as np
 
-name = "flightstack.api.env:flightstack/Landing-v0"  # the module registers it
+name = "flightstack.api.env:flightstack/Landing-v0"  # importing this module registers the name
 env = gymnasium.make_vec(name, num_envs=2, scenario="lab", filter="robust")
 seen, infos = env.reset(seed=[7, 8])
 print(f"observations {env.observation_space.shape}, actions {env.action_space.shape}")
 ended = np.zeros(2, bool)
 while not ended.all():
-    actions = np.array(env.call("builtin_action"))  # an agent's would be made from ``seen``
+    actions = np.array(env.call("builtin_action"))  # an agent would compute them from ``seen``
     seen, rewards, terminated, truncated, infos = env.step(actions)
     for n in np.flatnonzero((terminated | truncated) & ~ended):
         print(f"environment {n}: {infos['outcome'][n]}, last reward {rewards[n]:+.1f}")

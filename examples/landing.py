@@ -1,4 +1,4 @@
-"""Land the simulated Crazyflie on a moving robot, in this process, and print how it went.
+"""Land the simulated Crazyflie on a moving robot in this process, and print phases and verdict.
 
 python examples/landing.py [SCENARIO_NAME_OR_FILE [SEED [PLOT.html]]]
 """

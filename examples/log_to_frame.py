@@ -1,4 +1,4 @@
-"""Read a flight log into a table of columns, print some numbers of it, and save it as CSV.
+"""Read a flight log into a table of columns, print some of its numbers, and save the table as CSV.
 
 python examples/log_to_frame.py runs/first/flight.mcap [OUT.csv]
 The CSV file needs pandas: pip install "crazyflie-flightstack[export]"
@@ -23,4 +23,4 @@ if landing.truth is not None:  # a real vehicle has no true states
 table = fs.frame(steps)  # a DataFrame of pandas or polars: command_enu_m_s is command_enu_m_s_x, _y, _z
 print("columns:", ", ".join(list(table)[:8]), "...")
 if len(sys.argv) > 2:
-    table.to_csv(sys.argv[2], index=False)  # polars: write_csv
+    table.to_csv(sys.argv[2], index=False)  # with polars: write_csv

@@ -1,11 +1,11 @@
-"""A boundary of your own shape: a plain cone over the pad, enforced with the exact projection.
+"""Your own shape of the boundary: a plain cone over the pad, enforced with the exact projection.
 
     flightstack sitl --scenario paper_moving_1 --lockstep --filter examples.own_boundary:ConeFilter
     flightstack campaign paper_moving_1 --runs 20 --filter examples.own_boundary:ConeFilter
 
-A configuration names it by ``filter = "examples.own_boundary:ConeFilter"``. The module is looked
-for among the installed ones, then in the working folder. What each method is for says
-``flightstack/core/strategies/strategy.py``.
+``filter = "examples.own_boundary:ConeFilter"`` in a configuration selects it. The module is searched
+among the installed modules, then in the working folder. ``flightstack/core/strategies/strategy.py``
+describes each method.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from flightstack.verify.types import Check
 
 @dataclass(frozen=True)
 class Cone:
-    """h(e) = e_z - min(slope d, height): a cone that is cut off at the height of the barrier's peak."""
+    """h(e) = e_z - min(slope d, height): a cone truncated at the height of the barrier's peak."""
 
     slope: float
     height_m: float
 
     def h(self, e_m: Vec3) -> float:
-        """Value in metres at the relative position ``e_m``."""
+        """Return h at the relative position ``e_m``, m."""
         return e_m[2] - min(self.slope * math.hypot(e_m[0], e_m[1]), self.height_m)
 
     def evaluate(self, e_m: Vec3, target_velocity_enu_m_s: Vec3) -> tuple[float, Vec3, float]:
-        """Value, gradient by the vehicle's position, time derivative; on the axis the gradient points up."""
+        """Return h, its gradient by the vehicle's position, and dh/dt; on the axis the gradient points up."""
         d = math.hypot(e_m[0], e_m[1])
         slope = self.slope if 0.0 < self.slope * d < self.height_m else 0.0
         gx, gy = (-slope * e_m[0] / d, -slope * e_m[1] / d) if slope else (0.0, 0.0)
@@ -44,7 +44,7 @@ class Cone:
         return self.h(e_m), (gx, gy, 1.0), -(gx * vx + gy * vy + vz)
 
     def linearisation_bound_m(self, e_m: Vec3, moved_m: float) -> float:
-        """Most that h may lie below its linear prediction: sideways m^2 / 2 d, across the axis 2 (m - d)."""
+        """Return the largest prediction error, slope times: m^2 / 2 d sideways, 2 (m - d) across the axis."""
         d = math.hypot(e_m[0], e_m[1])
         if d == 0.0:
             return self.slope * moved_m
@@ -55,7 +55,7 @@ class Projection:
     """The program of eq. 11 in closed form, without a solver.
 
     Args:
-        rate_1_s: at which h may be used up.
+        rate_1_s: relative rate at which h may fall, 1/s.
     """
 
     def __init__(self, rate_1_s: float) -> None:
@@ -64,7 +64,7 @@ class Projection:
     def solve(
         self, nominal: Vec3, h_m: float, gradient: Vec3, dh_dt_m_s: float, lower: Vec3, upper: Vec3
     ) -> FilterResult:
-        """Nearest velocity in the box that meets the barrier, or the corner that raises h fastest."""
+        """Return the nearest admissible velocity in the box, or the corner that raises h fastest."""
         bound = -self._rate_1_s * h_m - dh_dt_m_s
         found = project(nominal, gradient, bound, lower, upper)
         velocity = found if found is not None else best_corner(gradient, lower, upper)
@@ -74,7 +74,7 @@ class Projection:
 
 
 class ConeFilter(fs.Filter):
-    """Position loop with the target's velocity fed forward, kept above the cone."""
+    """Position loop with feed-forward of the target's velocity, filtered by the cone."""
 
     certificate = f"{__name__}:certificate"
     waits_filtered = False
@@ -84,22 +84,22 @@ class ConeFilter(fs.Filter):
         self._config, self._cone = config, Cone(barrier.slope_max, barrier.peak_height_m)
 
     def barrier(self, at: Relative) -> Cone:
-        """The same cone in every tick."""
+        """Return the cone, which is the same in every tick."""
         return self._cone
 
     def program(self) -> Projection:
-        """The exact projection."""
+        """Return the exact projection."""
         return Projection(self.rate_1_s)
 
     def may_touch(self, at: Relative) -> bool:
-        """Low, over the pad and above the cone."""
+        """Return whether the vehicle is low, over the pad and above the cone."""
         touchdown = self._config.touchdown
         low = at.e_m[2] < touchdown.height_m and at.d_m <= touchdown.pad_radius_m
         return low and self._cone.h(at.e_m) >= 0.0
 
 
 def certificate(config: FlightConfig) -> list[Check]:
-    """Conditions that must hold before this filter may fly; `flightstack check` prints them."""
+    """Return the checks that must be proven before a flight; `flightstack check` prints them."""
     vx, vy, vz = config.limits.velocity_max_m_s
     speed_m_s, slope = config.touchdown.target_speed_max_m_s, config.barrier.build().slope_max
     return [

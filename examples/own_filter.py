@@ -1,10 +1,10 @@
-"""A safety filter of your own: one method. This one lets the velocity change slowly, and keeps the barrier.
+"""Your own safety filter with one method: it smooths the velocity and enforces the barrier.
 
     flightstack sitl --scenario lab --lockstep --filter examples.own_filter:Smooth
     flightstack campaign lab --runs 20 --filter examples.own_filter:Smooth
 
-A configuration names it by ``filter = "examples.own_filter:Smooth"``. The module is looked for among the
-installed ones, then in the working folder.
+``filter = "examples.own_filter:Smooth"`` in a configuration selects it. The module is searched among the
+installed modules, then in the working folder.
 """
 
 from dataclasses import dataclass
@@ -19,12 +19,12 @@ class Smooth(fs.Filter):
 
     @dataclass
     class State:
-        """What it stores from tick to tick: logs hold it, and a replay restores it."""
+        """State between ticks; logs contain it, and a replay restores it."""
 
         velocity_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def filter(self, nominal: np.ndarray, at: fs.At) -> np.ndarray:
-        """Return the velocity to fly, m/s ENU; ``at`` has vehicle, target, barrier and limits."""
+        """Return the velocity to be flown, m/s ENU; ``at`` contains vehicle, target, barrier and limits."""
         before = np.array(self.state.velocity_m_s)
         smooth = before + 0.2 * (nominal - before)
         self.state.velocity_m_s = tuple(smooth.tolist())

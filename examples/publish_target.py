@@ -1,10 +1,10 @@
-"""Publish the odometry of a landing target over Zenoh: a robot that drives a circle, 50 times a second.
+"""Publish the odometry of a simulated robot that drives a circle, over Zenoh, 50 times a second.
 
 python examples/publish_target.py [--key KEY] [--speed M/S] [--listen ENDPOINT] [--connect ENDPOINT]
 
-``flightstack fly --target KEY --connect ENDPOINT ...`` then lands on it. The message is nav_msgs/msg/Odometry
-in CDR: the pose of the pad's centre in the frame "map" (x east, y north, z up, metres), and the twist in the
-robot's own frame.
+``flightstack fly --target KEY --connect ENDPOINT ...`` lands on this target. The message is
+nav_msgs/msg/Odometry in CDR: the pose of the pad's centre in the frame "map" (x east, y north, z up, metres),
+and the twist in the robot's own frame.
 """
 
 import argparse
@@ -16,11 +16,11 @@ from bridge.zenoh.zenoh_link import open_session
 
 PERIOD_S = 0.02
 RADIUS_M = 1.0
-PAD_HEIGHT_M = 0.2  # of a TurtleBot3 Burger with a pad on top
+PAD_HEIGHT_M = 0.2  # height of a TurtleBot3 Burger with a pad on top
 
 options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 options.add_argument("--key", default="cf1/target/odom")
-options.add_argument("--speed", type=float, default=0.1, help="m/s along the circle; 0: it stands")
+options.add_argument("--speed", type=float, default=0.1, help="speed along the circle, m/s; 0: at rest")
 options.add_argument("--listen", action="append", default=[], help="e.g. tcp/127.0.0.1:7447")
 options.add_argument("--connect", action="append", default=[], help="e.g. tcp/127.0.0.1:7448")
 given = options.parse_args()

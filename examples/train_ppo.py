@@ -3,8 +3,8 @@
     pip install "crazyflie-flightstack[sim,env,rl]"
     python examples/train_ppo.py [STEPS [SEEDS]]
 
-200,000 steps take some minutes. The agent trains without a filter; the table says how its landings end alone,
-behind the paper's filter, and behind the robust one.
+200,000 steps take some minutes. The agent trains without a filter. The table shows the outcomes of its
+landings without a filter, with the paper's filter, and with the robust filter.
 """
 
 import sys
@@ -20,7 +20,7 @@ seeds = int(sys.argv[2]) if len(sys.argv) > 2 else 1000
 
 
 def made(name: str | None) -> RescaleAction:
-    """An environment with actions from -1 to 1."""
+    """Return an environment with actions from -1 to 1."""
     return RescaleAction(fs.make_env("lab", filter=name), -1.0, 1.0)
 
 
