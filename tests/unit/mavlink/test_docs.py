@@ -50,12 +50,12 @@ def test_the_commands_are_understood(page):
 HARDWARE = (Path(__file__).parents[3] / "docs" / "how_to" / "hardware.md").read_text()
 LIMIT_COLUMNS = {
     "`--autopilot`": lambda name, _: f"`{name}`",
-    "waits for rest": lambda _, one: f"{one.settle_s:g} s",
-    "drift in 5 s": lambda _, one: f"{one.drift_m:g} m",
-    "holds still below": lambda _, one: f"{one.still_m_s:g} m/s",
-    "step": lambda _, one: f"{one.step_m_s:g} m/s, {one.step_s:g} s each way",
-    "share of its way": lambda _, one: "{:g} to {:g}".format(*one.moved_share),
-    "without set-points": lambda _, one: f"{one.lost.value}, seen within {one.lost_s:g} s",
+    "time to come to rest": lambda _, one: f"{one.settle_s:g} s",
+    "largest drift in 5 s": lambda _, one: f"{one.drift_m:g} m",
+    "largest speed in hold": lambda _, one: f"{one.still_m_s:g} m/s",
+    "velocity step": lambda _, one: f"{one.step_m_s:g} m/s, {one.step_s:g} s each way",
+    "flown share of the step's distance": lambda _, one: "{:g} to {:g}".format(*one.moved_share),
+    "reaction to missing set-points": lambda _, one: f"{one.lost.value}, seen within {one.lost_s:g} s",
 }
 
 
