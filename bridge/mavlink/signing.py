@@ -86,8 +86,12 @@ def make_key(path: Path) -> None:
         raise FileExistsError(
             error.errno, f"{path} exists and is not overwritten; give another name"
         ) from error
-    with os.fdopen(descriptor, "w") as file:
-        file.write(secrets.token_hex(KEY_BYTES) + "\n")
+    try:
+        with os.fdopen(descriptor, "w") as file:
+            file.write(secrets.token_hex(KEY_BYTES) + "\n")
+    except OSError as error:
+        path.unlink()
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 Stream = tuple[int, int, int]  # link id, system id, component id

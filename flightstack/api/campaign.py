@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flightstack.api.frames import frame
-from flightstack.api.scenario import Changes, FilterLike, filter_name, scenario
+from flightstack.api.scenario import Changes, FilterLike, filter_name, scenario, whole
 from flightstack.common.forked import may_fork
 from flightstack.common.strict_toml import ConfigError
 from flightstack.common.terminal import Terminal
@@ -160,7 +160,7 @@ def campaign(
         WorkersError: no worker keeps running.
     """
     team = _team(name, changes, filter)
-    return _flown([((), team)], list(seeds), workers)[0][1]
+    return _flown([((), team)], seeds, workers)[0][1]
 
 
 def sweep(
@@ -184,13 +184,15 @@ def sweep(
         ConfigError: a scenario, key, value or filter is wrong, or a point must not fly.
         WorkersError: no worker keeps running.
     """
-    if not grid or not all(len(values) for values in grid.values()):
-        raise ConfigError(f"sweep: found {dict(grid)!r}; a key and values for it are needed")
-    points = list(product(*grid.values()))
+    values = grid.values() if isinstance(grid, Mapping) else ()
+    if not values or not all(isinstance(each, Iterable) and not isinstance(each, str) for each in values):
+        raise ConfigError(f"sweep: found {grid!r:.60}; a key and values for it are needed")
+    if not (points := list(product(*values))):
+        raise ConfigError(f"sweep: found {grid!r:.60}; a key and values for it are needed")
     teams = [
         _team(name, {**(changes or {}), **dict(zip(grid, values, strict=True))}, filter) for values in points
     ]
-    return Sweep(tuple(grid), tuple(_flown(list(zip(points, teams, strict=True)), list(seeds), workers)))
+    return Sweep(tuple(grid), tuple(_flown(list(zip(points, teams, strict=True)), seeds, workers)))
 
 
 def _shown() -> list[Any]:
@@ -213,11 +215,12 @@ def _team(name: str | Path | Scenario, changes: Changes | None, filter: FilterLi
 
 
 def _flown(
-    points: Sequence[tuple[tuple[Any, ...], TeamScenario]], seeds: list[int], workers: int | None
+    points: Sequence[tuple[tuple[Any, ...], TeamScenario]], given: Iterable[int], workers: int | None
 ) -> list[tuple[tuple[Any, ...], Campaign]]:
     """Fly the seeds at all points."""
-    if not seeds or not all(isinstance(seed, int) and seed >= 0 for seed in seeds):
-        raise ConfigError(f"seeds: found {seeds!r:.60}; whole numbers from 0 on are needed, one at least")
+    if not isinstance(given, Iterable) or not (seeds := [whole("seeds", seed) for seed in given]):
+        raise ConfigError(f"seeds: found {given!r:.60}; whole numbers from 0 on are needed, one at least")
+    number = (os.cpu_count() or 1) if workers is None else whole("workers", workers, 1)
     first, done = points[0][1], []
     console = Terminal(stderr=True)
     if line := not_proven(first):
@@ -227,7 +230,7 @@ def _flown(
     ) as bar:
         for values, team in points:
             rows, began_s = [], time.monotonic()
-            for row in _rows(team, seeds, workers or os.cpu_count() or 1):
+            for row in _rows(team, seeds, number):
                 rows.append(row)
                 bar.row(row)
             by_seed = tuple(sorted(rows, key=lambda row: row.seed))

@@ -15,7 +15,7 @@ import numpy as np
 from greenlet import greenlet
 from gymnasium import spaces
 
-from flightstack.api.scenario import Changes
+from flightstack.api.scenario import Changes, whole
 from flightstack.api.scenario import scenario as _scenario
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.controller import Controller
@@ -106,7 +106,7 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         """
         super().reset(seed=seed, options=options)
         self.close()
-        flown = int(self.np_random.integers(2**31)) if seed is None else seed
+        flown = int(self.np_random.integers(2**31)) if seed is None else whole("seed", seed)
         controller = Controller(self.scenario.onboard)
         controller.strategy.ask, controller.strategy.asked.agent = self._ask, True
         assert isinstance(controller.program, SafetyFilter)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from flightstack.api.scenario import Changes, FilterLike, scenario
+from flightstack.api.scenario import Changes, FilterLike, scenario, whole
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Outputs
 from logs.reader.flight import columns, load_flight, since
@@ -103,7 +103,7 @@ def land(
         ConfigError: a scenario, key, value or filter is wrong.
         RuntimeError: the simulation did not reach its end.
     """
-    flown = scenario(name, changes, filter=filter)
+    flown, seed = scenario(name, changes, filter=filter), whole("seed", seed)
     rows: list[ControllerStepRow] = []
     times_ns: list[int] = []
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
+from operator import index
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -50,6 +51,14 @@ def scenario(
     if _PAD not in map(_path, changes):  # the value follows from the robot's pad
         del table["onboard"]["touchdown"]["pad_radius_m"]
     return from_table(Scenario, one_pad(table))
+
+
+def whole(what: str, found: object, low: int = 0) -> int:
+    """Return a whole number, of numpy too. Raises ConfigError: it is none, or below ``low``."""
+    number = None if isinstance(found, bool) or not hasattr(found, "__index__") else index(found)
+    if number is None or number < low:
+        raise ConfigError(f"{what}: found {found!r:.60}, a whole number from {low} on is needed")
+    return number
 
 
 def filter_name(filter: str | type[Any]) -> str:

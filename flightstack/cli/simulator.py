@@ -111,6 +111,9 @@ def new(what: str, name: str, base: str) -> None:
             out.write(text)
     except FileExistsError:
         raise ConfigError(f"{file}: exists and is not written over; choose another name") from None
+    except OSError as error:
+        file.unlink(missing_ok=True)
+        raise ConfigError(f"{file}: cannot be written: {error.strerror}") from None
     click.echo(f"{file}: fly it with `flightstack sitl --scenario {file} --lockstep`")
 
 

@@ -114,7 +114,31 @@ def jitted(function: F) -> F:
     if directory is None:
         return cast(F, numba.njit(function))
     numba.config.CACHE_DIR = str(directory)
-    return cast(F, numba.njit(cache=True)(function))
+    return cast(F, _guarded(numba.njit(cache=True)(function)))
+
+
+def _guarded(machine: Any) -> Any:
+    """Let a function compile again where its file is damaged, and run unsaved where the disk is full.
+
+    Files are damaged by a loss of power or a full disk; numba raises whatever unpickling raises.
+    """
+    cached = machine._cache
+    load, save = cached.load_overload, cached.save_overload
+
+    def loaded(*given: Any) -> Any:
+        try:
+            return load(*given)
+        except Exception:
+            with contextlib.suppress(Exception):
+                cached.flush()  # an index that cannot be read could not be extended
+            return None
+
+    def saved(*given: Any) -> None:
+        with contextlib.suppress(OSError):
+            save(*given)
+
+    cached.load_overload, cached.save_overload = loaded, saved
+    return machine
 
 
 _made: list[str] = []  # names of functions that are compiled at their first call

@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 _LEVEL = 9  # gzip level; the library is compressed once per process
 
 
-class ReportError(RuntimeError):
-    """The page cannot be made: a library is missing."""
+class ReportError(ValueError):
+    """The page cannot be made or written."""
 
 
 class Panel(NamedTuple):
@@ -54,10 +54,15 @@ def render(page: Page) -> str:
 
 
 def write(path: Path, page: Page) -> Path:
-    """Write a page. Raises ReportError: a library is not installed."""
+    """Write a page. Raises ReportError: it cannot be written, or a library is not installed."""
     text = render(page)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text, encoding="utf-8", errors="backslashreplace")  # paths that are not UTF-8
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8", errors="backslashreplace")  # paths that are not UTF-8
+    except OSError as error:
+        if path.is_file():
+            path.unlink()  # incomplete
+        raise ReportError(f"{path}: cannot be written: {error.strerror}") from error
     return path
 
 

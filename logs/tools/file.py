@@ -17,7 +17,8 @@ def new_file(path: Path, *, force: bool) -> Iterator[Path]:
     os.close(number)
     part = Path(name)
     try:
-        yield part
+        with of_file(path):
+            yield part
         with part.open("rb") as stream:
             os.fsync(stream.fileno())
         part.chmod(0o666 & ~_umask())
@@ -25,6 +26,17 @@ def new_file(path: Path, *, force: bool) -> Iterator[Path]:
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
+
+
+@contextmanager
+def of_file(path: Path) -> Iterator[None]:
+    """Let an error of the system, such as a full disk, name the file."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None and error.errno is not None:
+            error.filename = str(path)
+        raise
 
 
 def _refuse(path: Path, force: bool) -> None:

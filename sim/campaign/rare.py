@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from flightstack.common.strict_toml import ConfigError
+from logs.tools.file import of_file
 from logs.verdict.types import VIOLATION_LIMIT_M, Outcome
 from sim.campaign.rows import Row, RowsFile, write_parquet
 from sim.campaign.run import ABOUT, ROWS, SUMMARY, Plan, alone, identity, known_rows
@@ -216,7 +217,7 @@ def fly(wanted: Rare, folder: Path, *, workers: int, on_row: OnRow) -> dict[str,
     """
     plan, scenario = wanted.plan, wanted.plan.first
     folder.mkdir(parents=True, exist_ok=True)
-    with alone(folder):
+    with alone(folder), of_file(folder):
         about = {**identity(plan), "event": wanted.event.value, "landings a level": plan.runs}
         known = {row.seed: row for row in known_rows(about, folder)}
         (folder / ABOUT).write_text(json.dumps(about, indent=1) + "\n")

@@ -26,6 +26,7 @@ from typing import Any
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.parameters.filters import FILTERS, named
 from flightstack.verify.certificate import problems
+from logs.tools.file import of_file
 from logs.verdict.verdict import two_barriers
 from sim.campaign.rows import Row, RowsError, RowsFile, missing, read_rows, write_parquet, write_rows
 from sim.campaign.summary import repeat_command, summary
@@ -156,7 +157,7 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
     """
     began_s = time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
-    with alone(folder):
+    with alone(folder), of_file(folder):
         about = identity(wanted)
         rows = _seeds_wanted(wanted, folder, known_rows(about, folder))
         (folder / ABOUT).write_text(json.dumps(about, indent=1) + "\n")

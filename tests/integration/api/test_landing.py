@@ -1,13 +1,17 @@
 """``import flightstack as fs``: landings, logs, tables."""
 
+import math
 import subprocess
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
 
 import flightstack as fs
 from flightstack.common.strict_toml import ConfigError
+
+NO_SEEDS = (-1, 1.5, math.nan, math.inf, "3", None, True, np.float64(2.0))
 
 
 def test_the_import_is_light_and_names_what_is_missing():
@@ -133,6 +137,17 @@ def test_a_sweep_judges_by_the_barrier_that_flew():
         (lambda: fs.sweep("lab", {}), "a key and values"),
         (lambda: fs.sweep("lab", {"wind.mean": [1]}), "the key is mean_m_s"),
         (lambda: fs.campaign("lab", seeds=[]), "whole numbers"),
+        *((partial(fs.land, "lab", bad), "seed: found .*a whole number from 0") for bad in NO_SEEDS),
+        *((partial(fs.campaign, "lab", [bad]), "seeds: found .*a whole number") for bad in NO_SEEDS),
+        *((partial(fs.campaign, "lab", bad), "seeds: found .*whole numbers from") for bad in (5, None)),
+        *(
+            (partial(fs.campaign, "lab", [1], workers=bad), "workers: found .*from 1 on")
+            for bad in (0, -1, 1.5, math.nan, "2", True)
+        ),
+        *(
+            (partial(fs.sweep, "lab", bad, [1]), "sweep: found")
+            for bad in (None, {"wind.mean_m_s": 1.0}, {"wind.mean_m_s": "12"}, {"wind.mean_m_s": iter(())})
+        ),
         (lambda: fs.campaign("nothing"), "neither a file nor one of"),
     ],
 )

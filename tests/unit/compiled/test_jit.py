@@ -187,6 +187,46 @@ class Text(Record):
     name: str
 
 
+ADDS = """
+import sys, resource
+import numpy as np
+from flightstack.compiled import jit
+def add(x):
+    return x[0] + 1.0
+add.__module__ = "x"
+if sys.argv[1:]:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+print(jit.jitted(add)(np.zeros(1)))
+"""
+
+
+def test_a_full_disk_and_damaged_machine_code_only_cost_time(tmp_path):
+    """As after a loss of power: files that are empty, cut or of other bytes."""
+    file = tmp_path / "adds.py"
+    file.write_text(ADDS)
+
+    def added(*words):
+        place = {"NUMBA_CACHE_DIR": str(tmp_path / "c")}
+        done = subprocess.run(
+            [sys.executable, "-W", "error", file, *words], env=os.environ | place,
+            capture_output=True, text=True, timeout=120,
+        )  # fmt: skip
+        return done.stdout, done.stderr
+
+    def code():
+        return sorted(each for each in (tmp_path / "c").rglob("*.nb?") if "add" in each.name)
+
+    assert added("full") == ("1.0\n", "")
+    assert not code() or not any(each.stat().st_size for each in code())
+    assert added() == ("1.0\n", "")
+    index, data = sorted(code(), key=lambda each: each.suffix, reverse=True)
+    for damaged in (index, data):
+        for content in (b"", damaged.read_bytes()[:-20], b"\xff" * 500):
+            damaged.write_bytes(content)
+            assert added() == ("1.0\n", "")
+            assert index.read_bytes() != content  # stored anew
+
+
 def test_names_and_kinds_that_cannot_be_fields_are_refused():
     with pytest.raises(AttributeError, match="mean"):
         layout(Clash)

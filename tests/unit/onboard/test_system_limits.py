@@ -1,6 +1,7 @@
 """Limits of the system: long paths of sockets, caches that cannot be written, no shared memory, encodings."""
 
 import codecs
+import errno
 import os
 import re
 import socket
@@ -19,7 +20,8 @@ from flightstack.compiled import jit
 from flightstack.config import options
 from logs.recorder.feed import Feed, FeedError
 from logs.recorder.recorder import RecorderError, _listen
-from logs.report.page import Page, write
+from logs.report.page import Page, ReportError, write
+from logs.tools.file import new_file
 from sim.validation import run as validation
 from tests.integration.sim_processes import COMMAND
 
@@ -208,6 +210,16 @@ def test_files_are_utf_8_whatever_the_locale_is(tmp_path):
         assert done.stdout.decode() == "# größer\n"
     page = Page("\udcff", ("", "good"), "", (), ())
     assert "\\udcff" in write(tmp_path / "page.html", page).read_text(encoding="utf-8")
+
+
+def test_a_full_disk_names_the_file_and_leaves_no_part_of_it(tmp_path):
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    place = tmp_path / "table.csv"
+    with pytest.raises(OSError, match=r"No space left on device: .*table\.csv"), new_file(place, force=False):
+        raise full
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(ReportError, match="/dev/full: cannot be written: No space left on device"):
+        write(Path("/dev/full"), Page("", ("", "good"), "", (), ()))
 
 
 @pytest.mark.parametrize(
