@@ -233,11 +233,17 @@ else:
     def kind_of(one: object) -> Any:
         """Return the type of an object for compiled code."""
         _register_named()
-        cls = class_of(one)
-        fields = fields_of(cls)
-        others = [(n, getattr(one, n)) for n, (kind, _) in fields.items() if kind.is_object]
-        others = [(n, o) for n, o in others if o is not None]
-        return _held(cls, tuple((n, kind_of(o)) for n, o in others if _differs(cls, n, o)))
+        return _kind(one, {})
 
-    def _differs(cls: type, name: str, one: object) -> bool:
-        return fields_of(cls)[name][0].hint is not class_of(one) or bool(kind_of(one).others)
+    def _kind(one: object, known: dict[int, Held]) -> Held:
+        """Type of an object; ``known``: types of the objects found so far, by identity."""
+        if id(one) not in known:
+            cls, others = class_of(one), []
+            for name, (kind, _) in fields_of(cls).items():
+                part = getattr(one, name) if kind.is_object else None
+                if part is not None:
+                    found = _kind(part, known)
+                    if found.cls is not kind.hint or found.others:
+                        others.append((name, found))
+            known[id(one)] = _held(cls, tuple(others))
+        return known[id(one)]
