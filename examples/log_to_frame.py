@@ -21,6 +21,6 @@ if landing.truth is not None:  # a real vehicle has no true states
     print(f"lowest true h: {1000.0 * np.nanmin(landing.truth.h_min_m):+.0f} mm")
 
 table = fs.frame(steps)  # a DataFrame of pandas or polars: command_enu_m_s is command_enu_m_s_x, _y, _z
-print("columns:", ", ".join(list(table)[:8]), "...")
+print("columns:", ", ".join(list(table)[:8]), "...")  # d_m: horizontal distance; phase: its name
 if len(sys.argv) > 2:
     table.to_csv(sys.argv[2], index=False)  # with polars: write_csv

@@ -22,7 +22,7 @@ from flightstack.core.parameters.filters import given
 from flightstack.verify.certificate import problems
 from logs.report.style import layout
 from sim.campaign.progress import Bar
-from sim.campaign.rows import Row, row_of
+from sim.campaign.rows import Row, failed_rows, row_of
 from sim.campaign.summary import summary
 from sim.campaign.workers import Workers
 from sim.runners.landing import land_team, warm_up
@@ -234,6 +234,8 @@ def _flown(
                 rows.append(row)
                 bar.row(row)
             by_seed = tuple(sorted(rows, key=lambda row: row.seed))
+            if problem := failed_rows(by_seed):
+                console.print(problem, soft_wrap=True, markup=False)
             done.append((values, Campaign(by_seed, team, time.monotonic() - began_s)))
     return done
 

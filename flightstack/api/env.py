@@ -19,6 +19,7 @@ from flightstack.api.scenario import Changes, whole
 from flightstack.api.scenario import scenario as _scenario
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.controller import Controller
+from flightstack.core.mission.phases import TIME_OVER
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.snapshot import Relative
 from flightstack.core.types import ZERO, Vec3
@@ -144,7 +145,7 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         verdict = judge_truth(flown, flown.truth)
         reward = END_REWARD.get(verdict.outcome, OTHER_END_REWARD)
         reward += VIOLATION_REWARD if verdict.violation is not False else 0.0
-        late = verdict.outcome is Outcome.TIMEOUT
+        late = verdict.outcome is Outcome.TIMEOUT or TIME_OVER in verdict.reason
         return self._seen, STEP_REWARD + reward, not late, late, _info(verdict)
 
     def builtin_action(self) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
@@ -11,18 +12,28 @@ from typing import Any
 
 import numpy as np
 
+from flightstack.core.safety.gate import GateVerdict
+from flightstack.core.types import FilterStatus, Phase, Request
+
+# columns of a landing: numbers that are names in a table, and what follows from other columns
+_NAMED = {"phase": Phase, "request": Request, "filter_status": FilterStatus, "gate": GateVerdict}
+_DERIVED = ("e_m", "d_m")
 _AXES = {3: "xyz", 4: "xyzw"}
 
 
 def frame(columns: Any) -> Any:
     """Return a table with a column per array; an array (n, 3) becomes the columns ``_x``, ``_y``, ``_z``.
 
+    The table of a landing's arrays also has ``e_m``, the position relative to the landing spot, and ``d_m``,
+    its horizontal length. Phase, request, state of the filter and verdict of the gate are names in it.
+
     Args:
         columns: arrays of a landing (``landing.log``, ``landing.truth``), a dict of arrays, or a list of
             dataclasses, each of which becomes a row.
 
     Returns:
-        A pandas DataFrame; without pandas one of polars; without both a ``pyarrow.Table``; else a dict.
+        A pandas DataFrame; without pandas one of polars; without both a ``pyarrow.Table``; else a dict, with
+        a warning that names the extra.
 
     Raises:
         TypeError: ``columns`` is none of these.
@@ -30,7 +41,10 @@ def frame(columns: Any) -> Any:
     if isinstance(columns, list | tuple) and all(is_dataclass(row) for row in columns) and columns:
         columns = {f.name: [getattr(row, f.name) for row in columns] for f in fields(columns[0])}
     elif is_dataclass(columns) and not isinstance(columns, type):
-        columns = {f.name: getattr(columns, f.name) for f in fields(columns)}
+        names = [*(f.name for f in fields(columns)), *(name for name in _DERIVED if hasattr(columns, name))]
+        found = {name: getattr(columns, name) for name in names}
+        named = {name: kind for name, kind in _NAMED.items() if name in found}
+        columns = found | {name: [kind(v).name for v in found[name]] for name, kind in named.items()}
     if not isinstance(columns, Mapping):
         raise TypeError(f"frame: found {type(columns).__name__}; give landing.log, landing.truth or a dict")
     flat: dict[str, Any] = {}
@@ -54,6 +68,11 @@ def _made(flat: dict[str, Any]) -> Any:
         import pyarrow
 
         return pyarrow.table(flat)
+    warnings.warn(
+        "no DataFrame but a dict of columns: pandas is not installed; "
+        'pip install "crazyflie-flightstack[export]"',
+        stacklevel=3,
+    )
     return flat
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from flightstack.api.scenario import Changes, FilterLike, scenario, whole
 from flightstack.common.pacing import Tick
+from flightstack.common.strict_toml import ConfigError
 from flightstack.core.controller import Outputs
 from logs.reader.flight import columns, load_flight, since
 from logs.reader.flight_data import Flight, Steps, Truth
@@ -100,7 +101,7 @@ def land(
         changes: keys of the scenario to change, see ``scenario``.
 
     Raises:
-        ConfigError: a scenario, key, value or filter is wrong.
+        ConfigError: a scenario, key, value or filter is wrong, or the robot's function failed.
         RuntimeError: the simulation did not reach its end.
     """
     flown, seed = scenario(name, changes, filter=filter), whole("seed", seed)
@@ -111,7 +112,10 @@ def land(
         rows.append(step_row(tick, out))
         times_ns.append(tick.unix_ns)
 
-    done = runner.land(flown, seed, on_step=on_step)
+    try:
+        done = runner.land(flown, seed, on_step=on_step)
+    except ConfigError as error:  # of the robot's function: the traceback shows that function, then this call
+        raise error.with_traceback(None) from error.__cause__
     steps = columns(Steps, rows, since(np.array(times_ns, dtype=np.int64), times_ns[0]))
     seen, limits = done.seen, flown.onboard.limits
     flight = Flight(

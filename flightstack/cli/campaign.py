@@ -22,7 +22,7 @@ from sim.campaign.progress import Bar
 if TYPE_CHECKING:
     from sim.campaign.run import Flown, Plan
 
-COMPLETE, INCOMPLETE = 0, 1
+COMPLETE, INCOMPLETE, WRONG_INPUT = 0, 1, 2
 _EVENTS = ("violation", "miss")
 _TIERS = ("lab", "room", "field", "storm", "deck")
 
@@ -61,7 +61,7 @@ def campaign(options: CampaignOptions) -> None:
     Ctrl-C keeps the finished landings; the same call with the same --out continues.
 
     Exit status: 0 complete, whatever the result, 1 landings are missing or a --require is not met, 2 wrong
-    input.
+    input, or your own code failed in a landing.
     """
     from flightstack.onboard.recording import new_folder
     from sim.campaign import run as core
@@ -88,6 +88,7 @@ def _print(
     console: Terminal, wanted: Plan, folder: Path, flown: Flown, *, as_json: bool, with_report: bool
 ) -> int:
     """Write the page, and print the table or JSON; return the exit status."""
+    from sim.campaign.rows import failed_rows
     from sim.campaign.run import PAGE, ROWS
     from sim.campaign.summary import apart
 
@@ -120,6 +121,9 @@ def _print(
         console.print(f"rows    {folder / ROWS}", soft_wrap=True)
         if with_report:
             console.print(f"report  {folder / PAGE}", soft_wrap=True)
+    if problem := failed_rows(flown.rows):
+        click.echo(f"flightstack: {problem}", err=True)
+        return WRONG_INPUT
     return INCOMPLETE if flown.missing else COMPLETE
 
 

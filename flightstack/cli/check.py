@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from flightstack.verify.types import Check
 
 PROVEN, NOT_PROVEN = 0, 1
+STEP_S = 0.01  # s between two calls of a function that drives the robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +59,19 @@ def check(options: CheckOptions) -> None:
             _show(f"{options.config}{part.of}, filter {part.filter}", part.checks)
             for text in part.ignored:
                 click.echo(text)
+        click.echo(_summary(parts))
     sys.exit(PROVEN if all(each.proven for part in parts for each in part.checks) else NOT_PROVEN)
+
+
+def _summary(parts: Sequence[Part]) -> str:
+    """The last line: proven, or which claims are not."""
+    every = [(part.of, result) for part in parts for result in part.checks]
+    found = [f"{result.name}{of}" for of, result in every if not result.proven]
+    if not found:
+        return f"proven: all {len(every)} claims"
+    flies = all(result.proven for _, result in every if result.need.value == "flight")
+    verdict = "not proven" if flies else "not proven, must not fly"
+    return f"{verdict}: {len(found)} of {len(every)} claims: {'; '.join(found)}"
 
 
 class Part(NamedTuple):
@@ -79,10 +92,14 @@ def _parts(name_or_file: str, name: str | None) -> list[Part]:
     if config is not None:
         config = replace(config, filter=name or config.filter)
         return [Part(config.filter, checks(config), ignored=ignored(config))]
+    from sim.robot.target import TargetModel
+    from sim.scenarios.scenario import PathKind
     from sim.scenarios.team import load as load_scenario
     from sim.vehicle.declared import crowd, declared
 
     team = load_scenario(name_or_file)
+    for each in (each for each in team.member if each.target.path is PathKind.FUNCTION):
+        TargetModel(each.target, 0).run(round(each.duration_max_s / STEP_S), STEP_S, True)
     if name is not None:
         team = replace(team, member=tuple(each.with_filter(name) for each in team.member))
     configs = [each.onboard for each in team.member]

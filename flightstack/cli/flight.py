@@ -19,7 +19,7 @@ def sitl(options: RunOptions) -> None:
 
     In a scenario of several vehicles (`scenarios` lists them) each vehicle has its own onboard process.
 
-    Exit status: 0 landed, 1 flown but not landed, 2 wrong input.
+    Exit status: 0 landed, 1 flown but not landed, 2 wrong input, or your own code failed in flight.
     """
     from flightstack.common.terminal import Terminal
     from flightstack.launch.result import conclude
@@ -40,7 +40,7 @@ def fly(options: FlyOptions) -> None:
     Ctrl-C, or closing the terminal, aborts: the vehicle flies clear and lands. A second Ctrl-C requests a
     landing at its position and ends the onboard process. Ctrl-\ stops the motors.
 
-    Exit status: 0 landed, 1 not landed, 2 wrong input.
+    Exit status: 0 landed, 1 not landed, 2 wrong input, or your own code failed in flight.
     """
     from flightstack.common.terminal import Terminal
     from flightstack.launch import fly as launch

@@ -9,6 +9,15 @@ import re
 _HIDDEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 
 
+ROBOT_FAILED, FILTER_FAILED = "the robot's function", "the filter returned no velocity"
+
+
+def failed_code(reason: str) -> str:
+    """The part of a reason that names code of the user that failed; empty: none did."""
+    found = [at for what in (ROBOT_FAILED, FILTER_FAILED) if (at := reason.find(what)) >= 0]
+    return reason[min(found) :] if found else ""
+
+
 def plain(text: object) -> str:
     """Return a text with visible control characters: it cannot set colours, move the cursor or overwrite."""
     return _HIDDEN.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), str(text))

@@ -103,6 +103,7 @@ class Operator(IntEnum):
     ABORT = 1
     EMERGENCY_STOP = 2
     LAND = 3  # abort with a landing by the autopilot, because the stack is about to exit
+    TIME_OVER = 4  # abort: the time of the flight is over
 
 
 class OwnState(NamedTuple):

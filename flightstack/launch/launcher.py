@@ -26,6 +26,7 @@ from flightstack.common.processes import (
     Running,
     socket_folder,
 )
+from flightstack.common.text import failed_code
 from flightstack.config.options import WatchOptions
 from flightstack.core.mission.machine import parse
 from flightstack.core.types import Phase
@@ -201,6 +202,8 @@ class Launcher:
                 for child in [c for c in others if not c.alive()]:
                     # a safe end does not need this process: the onboard process holds, climbs or flies clear
                     others.remove(child)
+                    if theirs := failed_code(child.errors()):
+                        return theirs  # nothing simulates the vehicle any more
                     problem = f"{child.name} ended in flight: {child.errors()}"
                     self._print(problem, style="red")
                 if self.interrupted:

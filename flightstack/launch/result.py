@@ -13,6 +13,7 @@ from rich.console import Console, Group
 from rich.table import Column, Table
 from rich.text import Text
 
+from flightstack.common.text import failed_code
 from flightstack.launch.launcher import Followed
 from logs.reader.flight import load_fleet
 from logs.reader.reader import LogError
@@ -122,7 +123,10 @@ class Flown:
 
 
 def conclude(flown: Flown, console: Console, *, as_json: bool, with_report: bool) -> int:
-    """Judge a run, write its report, print the result; return the exit status: 0 landed, 1 any other end."""
+    """Judge a run, write its report, print the result; return the exit status.
+
+    0: landed, 2: code of the user failed, 1: any other end.
+    """
     values = concluded(flown, with_report=with_report)
     if as_json:
         print(json.dumps(values))
@@ -132,9 +136,9 @@ def conclude(flown: Flown, console: Console, *, as_json: bool, with_report: bool
         console.print(Text(f"log     {values['log'] or 'none, as asked for'}"), soft_wrap=True)
         if values["report"] is not None:
             console.print(Text(f"report  {values['report']}"), soft_wrap=True)
-    if flown.problem:
-        print(f"flightstack: {flown.problem}", file=sys.stderr)
-    return 0 if landed(values, flown) else 1
+    if problem := flown.problem or failed_code(_reasons(values)):
+        print(f"flightstack: {problem}", file=sys.stderr)
+    return 2 if failed_code(problem or "") else 0 if landed(values, flown) else 1
 
 
 def concluded(flown: Flown, *, with_report: bool) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from rich.table import Column, Table
 from flightstack.common.hangup import CalledOffError
 from flightstack.common.processes import Child, LaunchError
 from flightstack.common.strict_toml import ConfigError, dumps
+from flightstack.common.text import failed_code
 from flightstack.config.files import load as load_config
 from flightstack.config.options import OnboardOptions
 from flightstack.core.parameters.filters import short_name
@@ -299,7 +300,7 @@ def fly_all(options: RunOptions, console: Console) -> int:
     """Fly the seeds from ``options.seed`` on, each in its own folder; print a table and a summary.
 
     A run that does not start counts as not landed, and the next one is flown; Ctrl-C ends after the current
-    one. The exit status is returned: 0 if all landed, otherwise 1.
+    one. The exit status is returned: 0 if all landed, 2 if code of the user failed, otherwise 1.
 
     Raises ConfigError: an input is wrong.
     """
@@ -330,7 +331,8 @@ def fly_all(options: RunOptions, console: Console) -> int:
         console.print(
             "  ".join(f"{name} {shown(value)}" for name, value in summary.items() if name != "rows")
         )
-    return 0 if summary["landed"] == runs else 1
+    failed = any(failed_code(f"{row['reason']}{row['problem'] or ''}") for row in rows)
+    return 2 if failed else 0 if summary["landed"] == runs else 1
 
 
 def sum_up(rows: Sequence[Row], runs: int) -> dict[str, object]:

@@ -86,7 +86,7 @@ class Leaving:
             return Operator.LAND
         if self._theirs:
             return Operator.NONE
-        return Operator.ABORT if self._over(now_s) else asked
+        return Operator.TIME_OVER if self._over(now_s) and asked is Operator.NONE else asked
 
     def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
         """Return how the flight ended; None if it has not ended.

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from flightstack.common.text import failed_code
 from flightstack.core.types import Phase
 from logs.schema.names import member_name
 from logs.verdict.types import Outcome
@@ -203,6 +204,12 @@ def _joined(rows: Sequence[Row]) -> str:
 def error_row(seed: int, reason: str) -> Row:
     """Return the row of a landing that could not be flown; it counts as a failure."""
     return Row(seed, ERROR, " ".join(reason.split()))
+
+
+def failed_rows(rows: Iterable[Row]) -> str:
+    """The first row in which code of the user failed, and how many did; empty: none."""
+    found = [(row.seed, text) for row in rows if (text := failed_code(row.reason))]
+    return f"seed {found[0][0]}: {found[0][1]}; {len(found)} landings ended so" if found else ""
 
 
 def cell_map(rows: Iterable[Row]) -> tuple[Any, Any]:

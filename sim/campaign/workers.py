@@ -33,6 +33,7 @@ from typing import Any
 from flightstack.common.forked import forget_handlers, may_fork
 from flightstack.common.pacing import quiet_garbage_collector
 from flightstack.common.processes import LaunchError
+from flightstack.common.strict_toml import ConfigError
 from flightstack.core.parameters.filters import give
 from sim.campaign.rows import Row, error_row, row_of
 from sim.runners.landing import land_team, warm_up
@@ -71,6 +72,8 @@ def fly_seed(scenario_toml: str, seed: int) -> Row:
         scenario = prepared(scenario_toml)
         try:
             return replace(row_of(land_team(scenario, seed)), outside_envelope=outside(scenario.member))
+        except ConfigError as error:
+            return error_row(seed, str(error))
         except Exception as error:
             return error_row(seed, f"{type(error).__name__}: {error}")
         finally:

@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from flightstack.common.strict_toml import ConfigError
-from flightstack.core.parameters.filters import referred
+from flightstack.common.text import ROBOT_FAILED, one_line
+from flightstack.core.parameters.filters import file_of, referred
 from sim.scenarios.scenario import PathKind, TargetSpec
 
 # function from driven time (s), axle position (m, ENU) and heading (rad) to speed (m/s) and turn rate (rad/s)
@@ -45,18 +46,22 @@ class Function:
 
     def __call__(self, t_s: float, x_m: float, y_m: float, yaw_rad: float) -> tuple[float, float]:
         try:
-            speed, turn = map(float, self._function(t_s, x_m, y_m, yaw_rad))
+            found = self._function(t_s, x_m, y_m, yaw_rad)
         except Exception as error:
-            raise ConfigError(f"{self._at(t_s)} raised {type(error).__name__}: {error}; {_NEEDED}") from error
+            raise self._error(f"raised {type(error).__name__}: {error}", t_s) from error
+        try:
+            speed, turn = map(float, found)
+        except (TypeError, ValueError):
+            speed = turn = math.nan
         if not (math.isfinite(speed) and math.isfinite(turn)):
-            raise ConfigError(f"{self._at(t_s)} returned {speed:g}, {turn:g}; {_NEEDED}")
+            raise self._error(f"returned {one_line(repr(found)):.60}", t_s)
         return max(-self._speed, min(self._speed, speed)), max(-self._turn, min(self._turn, turn))
 
-    def _at(self, t_s: float) -> str:
-        return f"target.function: {self._name} at {t_s:.2f} s"
+    def _error(self, problem: str, t_s: float) -> ConfigError:
+        return ConfigError(f"{ROBOT_FAILED} {file_of(self._name)} {problem} at t = {t_s:.2f} s; {_NEEDED}")
 
 
-_NEEDED = "it takes t_s, x_m, y_m, yaw_rad and must return speed in m/s and turn rate in rad/s"
+_NEEDED = "called with t_s, x_m, y_m, yaw_rad it must return speed and turn rate, in m/s and rad/s"
 
 
 def course(spec: TargetSpec, speed_m_s: float, turn_rate_rad_s: float) -> Course | None:

@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from flightstack.core.memory import Memory
-from flightstack.core.mission.phases import START_LATE, C, Condition, Rule
+from flightstack.core.mission.phases import START_LATE, TIME_OVER, C, Condition, Rule
 from flightstack.core.numeric import hypot, numeric
 from flightstack.core.parameters.flight import Checks, FlightConfig
 from flightstack.core.safety.barrier import Barrier
@@ -33,6 +33,7 @@ _ASKED: dict[Operator, int] = {
     Operator.ABORT: C.ABORT_ASKED,
     Operator.EMERGENCY_STOP: C.EMERGENCY,
     Operator.LAND: C.ABORT_ASKED | C.LAND_ASKED,
+    Operator.TIME_OVER: C.ABORT_ASKED,
 }
 # longest time in each phase, s, in the order of the phases
 PhaseTimes = tuple[float, float, float, float, float, float, float, float, float, float]
@@ -302,6 +303,8 @@ class Known(NamedTuple):
 
 def reason(rule: Rule[Phase], flags: int, known: Known) -> str:
     """Return the reason text of a rule that fires, with the numbers of its conditions that hold."""
+    if rule.when & C.ABORT_ASKED and known.snapshot.inputs.operator is Operator.TIME_OVER:
+        return TIME_OVER
     asked = (rule.when | rule.about) & flags
     told = [say(known) for condition, say in _NUMBERS.items() if asked & condition]
     way = known.snapshot.way

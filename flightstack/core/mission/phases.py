@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Generic, TypeVar
 
+from flightstack.common.text import FILTER_FAILED
 from flightstack.core.memory import AbortWay
 from flightstack.core.types import Phase
 
@@ -82,6 +83,7 @@ _OPERATOR = (
     Rule(C.EMERGENCY, Phase.ABORT, "emergency stop"),
     Rule(C.ABORT_ASKED, Phase.ABORT, "abort requested by the operator"),
 )
+TIME_OVER = "the time of the flight is over: duration_max_s of the scenario, or --duration"
 # causes: the autopilot or another client; the autopilot's messages give the reason
 DISARMED, MODE_CHANGED = (
     "vehicle disarmed without a command from this stack",
@@ -93,7 +95,7 @@ _IN_FLIGHT = (
     Rule(C.WAS_EXTERNAL, Phase.ABORT, MODE_CHANGED, unless=C.EXTERNAL | C.LINK_LOST),
     Rule(C.COMMAND_FAILED, Phase.ABORT, "the vehicle refused a command"),
     Rule(C.NOT_FOLLOWING, Phase.ABORT, "vehicle does not follow its velocity set-points"),
-    Rule(C.NO_RESULT, Phase.ABORT, "the filter returned no velocity"),
+    Rule(C.NO_RESULT, Phase.ABORT, FILTER_FAILED),
 )
 _TIRED = Rule(C.TIRED, Phase.ABORT, "the battery is too low to land on the target")
 _CUT_OFF = Rule(C.CUT_OFF, Phase.ABORT, "too few fleet members send messages")

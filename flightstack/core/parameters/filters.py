@@ -49,6 +49,13 @@ def short_name(name: str) -> str:
     return name.rpartition(":")[2]
 
 
+def file_of(reference: str) -> str:
+    """``MODULE:NAME`` that was imported, as FILE:NAME."""
+    module, _, name = reference.rpartition(":")
+    file = getattr(sys.modules.get(module), "__file__", None)
+    return f"{Path(file).name if file else module}:{name}"
+
+
 def give(found: Any) -> str:
     """Register a class of this process, which need not be importable (a notebook's); return its name."""
     place = f"{getattr(found, '__module__', '')}:{getattr(found, '__name__', found)}"

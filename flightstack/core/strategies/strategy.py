@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from flightstack.common.strict_toml import ConfigError
+from flightstack.common.text import one_line
 from flightstack.core.memory import (
     AskedMemory,
     FilterMemory,
@@ -28,7 +29,7 @@ from flightstack.core.memory import (
 )
 from flightstack.core.numeric import UNSEEN
 from flightstack.core.parameters.ends import TouchdownRule
-from flightstack.core.parameters.filters import FILTERS, named
+from flightstack.core.parameters.filters import FILTERS, file_of, named
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import ActiveBarrier, Barrier
 from flightstack.core.safety.position_loop import nominal_velocity
@@ -234,18 +235,19 @@ class Filter:
 
     def result(self, nominal: Vec3, at: At) -> FilterResult:
         """Return the result of ``filter``; REJECTED, with a recorded reason, if it is no valid velocity."""
+        velocity, problem = None, ""
         try:
-            found = np.asarray(self.filter(np.array(nominal), at), dtype=np.float64)
-            problem = "" if found.shape == (3,) else f"returned an array of shape {found.shape}"
-            if not problem and not np.isfinite(found).all():
-                problem = f"returned {found.tolist()}"
+            found = self.filter(np.array(nominal), at)
         except Exception as error:
             problem = f"raised {type(error).__name__}: {error}"
-        if problem:
-            needed = "three finite numbers (m/s ENU) are needed"
-            self.memory.refusal = f"filter {type(self).__name__} {problem}; {needed}"
+        else:
+            velocity = three_finite(found)
+        if velocity is None:
+            problem = problem or f"returned {one_line(repr(found)):.60}"
+            name = file_of(f"{type(self).__module__}:{type(self).__name__}")
+            self.memory.refusal = f"{name} {problem}; three finite numbers (m/s ENU) are needed"
             return FilterResult(ZERO, math.nan, False, FilterStatus.REJECTED, math.nan, 0, 0.0)
-        x, y, z = np.clip(found, at.lower_m_s, at.upper_m_s).tolist()
+        x, y, z = np.clip(velocity, at.lower_m_s, at.upper_m_s).tolist()
         gx, gy, gz = at.gradient.tolist()
         slack_m_s = gx * x + gy * y + gz * z - at.bound_m_s
         return FilterResult((x, y, z), slack_m_s, (x, y, z) != nominal, FilterStatus.OWN, 0.0, 0, 0.0)
@@ -382,6 +384,15 @@ class Filter:
             least_z_m_s: lowest vertical velocity that the set-point may cause if it is the last one.
         """
         return wanted_m_s
+
+
+def three_finite(found: Any) -> Vector | None:
+    """What a filter returned, as an array; None: it is no velocity."""
+    try:
+        velocity = np.asarray(found, dtype=np.float64)
+    except (TypeError, ValueError):
+        return None
+    return velocity if velocity.shape == (3,) and np.isfinite(velocity).all() else None
 
 
 def strategy_class(name: str) -> type[Filter]:

@@ -82,10 +82,11 @@ def test_what_keeps_no_barrier_is_judged_by_the_flight():
 @pytest.mark.parametrize(
     ("value", "text"),
     [
-        (lambda nominal, at: nominal * np.nan, r"filter Wrong returned \[nan, nan, nan\]"),
-        (lambda nominal, at: 0.5, r"filter Wrong returned an array of shape \(\)"),
-        (lambda nominal, at: 1 / 0, "filter Wrong raised ZeroDivisionError: division by zero"),
-        (lambda nominal, at: None, "filter Wrong returned"),
+        (lambda nominal, at: nominal * np.nan, r"test_filter.py:Wrong returned array\(\[nan, nan, nan\]\)"),
+        (lambda nominal, at: 0.5, r"test_filter.py:Wrong returned 0.5; three finite numbers"),
+        (lambda nominal, at: "up", r"test_filter.py:Wrong returned 'up'; three finite numbers"),
+        (lambda nominal, at: 1 / 0, "test_filter.py:Wrong raised ZeroDivisionError: division by zero"),
+        (lambda nominal, at: None, "test_filter.py:Wrong returned None; three finite numbers"),
     ],
 )
 def test_a_result_that_is_no_velocity_aborts_and_names_the_class(value, text):

@@ -48,8 +48,17 @@ def test_a_table_has_a_column_for_each_axis():
     table = fs.frame(steps)
     assert len(table) == len(steps.t_s)
     assert table["command_enu_m_s_z"].to_numpy().tolist() == steps.command_enu_m_s[:, 2].tolist()
+    assert np.array_equal(table["d_m"].to_numpy(), steps.d_m, equal_nan=True)
+    assert set(table["phase"]) >= {"APPROACH", "LAND", "LANDED"}
+    assert set(table["gate"]) >= {"APPROVED"}
     with pytest.raises(TypeError, match="frame: found int"):
         fs.frame(3)
+
+
+def test_without_a_library_for_tables_the_extra_is_named(monkeypatch):
+    monkeypatch.setattr("flightstack.api.frames.find_spec", lambda name: None)
+    with pytest.warns(UserWarning, match=r"pandas is not installed; pip install .*\[export\]"):
+        assert fs.frame({"h_m": np.zeros((2, 3))}).keys() == {"h_m_x", "h_m_y", "h_m_z"}
 
 
 def test_changed_keys_are_flown_and_judged():

@@ -68,7 +68,7 @@ def test_what_somebody_else_flies_is_left_to_them():
 def test_a_time_that_is_over_in_flight_is_an_abort():
     flight = Leaving(3.0)
     assert flight.operator(status(), 2.99) is Operator.NONE
-    assert flight.operator(status(), 3.0) is Operator.ABORT
+    assert flight.operator(status(), 3.0) is Operator.TIME_OVER
     assert flight.ended(out(), Memory(phase=Phase.APPROACH), status(), 3.0) is None
     down = flight.ended(out(Phase.ABORT, finished=True), Memory(reason="abort"), status(armed=False), 9.0)
     assert down == (Phase.ABORT, "abort; 3 s are over", 1)

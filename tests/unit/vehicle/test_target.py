@@ -66,7 +66,7 @@ def test_a_function_steers_within_the_limits_and_its_error_says_whose_it_is(monk
     spec = TargetSpec(path=PathKind.FUNCTION, speed_m_s=0.2, turn_rate_rad_s=0.5, function="mine:zigzag")
     _, states = drive(spec, seconds=4.9)
     assert math.hypot(*states[-1][2][:2]) == pytest.approx(0.2)
-    with pytest.raises(ConfigError, match=r"mine:zigzag at 5\.0\d s raised ZeroDivisionError: beyond"):
+    with pytest.raises(ConfigError, match=r"mine:zigzag raised ZeroDivisionError: .* at t = 5\.0\d s"):
         drive(spec, seconds=6.0)
 
 

@@ -36,6 +36,7 @@ def test_when_all_is_well():
     [
         ({"operator": Operator.EMERGENCY_STOP}, {"EMERGENCY"}, set()),
         ({"operator": Operator.ABORT}, {"ABORT_ASKED"}, set()),
+        ({"operator": Operator.TIME_OVER}, {"ABORT_ASKED"}, set()),
         ({"operator": Operator.LAND}, {"ABORT_ASKED", "LAND_ASKED"}, set()),
         ({"failed": True}, {"COMMAND_FAILED"}, set()),
         ({"follows": False}, {"NOT_FOLLOWING"}, set()),

@@ -1,0 +1,80 @@
+"""Code of the user that fails in flight: in every command one clear line, exit status 2 and a whole log."""
+
+import textwrap
+
+import pytest
+
+import flightstack as fs
+from flightstack.common.strict_toml import ConfigError
+from tests.integration.runs import flightstack
+
+ROBOT = "the robot's function failing.py:drive {} at t = 2.0"
+FILTER = "the filter returned no velocity: failing.py:Down raised KeyError: 'down'"
+CODE = """
+import flightstack as fs
+
+def drive(t_s, x_m, y_m, yaw_rad):
+    return {} if t_s > 2.0 else (0.1, 0.0)
+
+class Down(fs.Filter):
+    def filter(self, nominal, at):
+        return {{}}["down"] if at.h_m < 0.5 else at.enforced(nominal)
+"""
+SCENARIO = """
+base = "lab"
+name = "mine"
+description = "a robot that is driven by a function"
+
+[target]
+path = "function"
+function = "failing:drive"
+random_speed = false
+random_heading = false
+"""
+
+
+def written(folder, result):
+    (folder / "failing.py").write_text(textwrap.dedent(CODE.format(result)))
+    (folder / "mine.toml").write_text(SCENARIO)
+    return folder
+
+
+def one_line(done, text):
+    assert done.code == 2
+    assert text in done.err.strip().splitlines()[-1]
+    assert "Traceback" not in done.err + done.out
+
+
+@pytest.mark.parametrize(
+    ("result", "problem"),
+    [
+        ("{}['lane']", "raised KeyError: 'lane'"),
+        ("(float('nan'), 0.0)", "returned (nan, 0.0)"),
+        ("(0.1, 0.0, 0.0)", "returned (0.1, 0.0, 0.0)"),
+        ("None", "returned None"),
+    ],
+)
+def test_a_robots_function_that_fails_is_named_by_check(tmp_path, result, problem):
+    done = flightstack("check", "mine.toml", cwd=written(tmp_path, result), apart=True)
+    one_line(done, ROBOT.format(problem))
+
+
+def test_a_robots_function_that_fails_ends_every_flight_with_a_whole_log(tmp_path, monkeypatch):
+    folder, text = written(tmp_path, "1 / 0"), ROBOT.format("raised ZeroDivisionError: division by zero")
+    flown = flightstack("sitl", "--scenario", "mine.toml", "--lockstep", "--out", "run", cwd=folder)
+    one_line(flown, text)
+    assert fs.read_log(folder / "run/flight.mcap").log.t_s[-1] > 1.5
+    one_line(flightstack("campaign", "mine.toml", "--runs", "2", "--out", "many", cwd=folder), text)
+    assert (folder / "many/rows.csv").read_text().count(",error,") == 2
+    monkeypatch.chdir(folder)
+    with pytest.raises(ConfigError, match="raised ZeroDivisionError"):
+        fs.land("mine.toml")
+
+
+def test_a_filter_that_fails_aborts_every_flight(tmp_path):
+    folder, failing = written(tmp_path, "(0.1, 0.0)"), ("--filter", "failing:Down")
+    flown = flightstack("sitl", "--scenario", "lab", "--lockstep", *failing, "--out", "run", cwd=folder)
+    one_line(flown, FILTER)
+    assert "aborted" in flown.out
+    many = flightstack("campaign", "lab", "--runs", "2", *failing, "--out", "many", cwd=folder)
+    one_line(many, FILTER)
