@@ -28,7 +28,7 @@ from sim.campaign.workers import Workers
 from sim.runners.landing import land_team, warm_up
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.team import TeamScenario, alone, load, names, text
-from sim.vehicle.declared import not_proven
+from sim.vehicle.declared import judged_apart, not_proven
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -60,7 +60,10 @@ class Campaign:
     def summary(self) -> dict[str, Any]:
         """Counts, 95 % confidence bounds of the rates, quantiles, worst seeds."""
         flown_s = sum(row.simulated_s or 0.0 for row in self.rows)
-        return summary(self.rows, "fs.land(..., seed={seed})", wall_s=self.wall_s, flown_s=flown_s)
+        apart = judged_apart(self.scenario.member[0])
+        return summary(
+            self.rows, "fs.land(..., seed={seed})", wall_s=self.wall_s, flown_s=flown_s, judged_apart=apart
+        )
 
     def __len__(self) -> int:
         """Number of landings."""

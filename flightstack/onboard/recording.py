@@ -17,6 +17,7 @@ from typing import NamedTuple
 from flightstack.common.processes import CLOSE_TIME_MAX_S, Child, socket_folder
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.strategies.strategy import own_boundary
 from logs.recorder.feed import Feed
 from logs.schema.names import FLEET, OWN, Names
 
@@ -148,6 +149,8 @@ def _describe(feed: Feed, flight: Described) -> None:
         "velocity_max_z_m_s": repr(limits[2]),
         "pad_radius_m": repr(config.touchdown.pad_radius_m),
     }
+    if boundary := own_boundary(config.filter):
+        told["own_boundary"] = boundary
     feed.metadata(names.record("run"), {**told, **flight.run})
     for name, data in flight.attachments.items():
         feed.attachment(names.record(name), "application/toml", data)

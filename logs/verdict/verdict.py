@@ -73,12 +73,13 @@ def outside_envelope(flight: Flight) -> str | None:
 
 
 def judged_apart(flight: Flight) -> str:
-    """Return a text if the barriers of verdict and flight differ; else an empty text."""
+    """Return a text if the verdict uses another barrier than the filter; else an empty text."""
     run = flight.metadata.get("run", {})
     judge, flown = (
         tuple(run.get(f"{whose}_{key}") for key in ("alpha_1_m", "beta_m")) for whose in ("judge", "barrier")
     )
-    return two_barriers(judge, flown) if None not in judge + flown and judge != flown else ""
+    apart = two_barriers(judge, flown) if None not in judge + flown and judge != flown else ""
+    return "; ".join(filter(None, (apart, run.get("own_boundary"))))
 
 
 def two_barriers(judge: Sequence[object], flown: Sequence[object]) -> str:

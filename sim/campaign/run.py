@@ -27,7 +27,6 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.core.parameters.filters import FILTERS, named
 from flightstack.verify.certificate import problems
 from logs.tools.file import of_file
-from logs.verdict.verdict import two_barriers
 from sim.campaign.rows import Row, RowsError, RowsFile, missing, read_rows, write_parquet, write_rows
 from sim.campaign.summary import repeat_command, summary
 from sim.campaign.workers import Workers, code_fingerprint
@@ -35,6 +34,7 @@ from sim.robot.course import try_out
 from sim.runners.landing import warm_up
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.team import TeamScenario, load, text
+from sim.vehicle.declared import judged_apart
 
 ROWS, ABOUT, SUMMARY, LOCK, PAGE = (
     "rows.csv",
@@ -71,15 +71,6 @@ class Plan:
     def first(self) -> Scenario:
         """Scenario of the first, or only, vehicle."""
         return self.scenario.member[0]
-
-    @property
-    def judged_apart(self) -> str:
-        """Text with the verdict's barrier and the flown one, if they differ."""
-        judge, flown = (
-            (shape.alpha_1_m, shape.beta_m)
-            for shape in (self.first.judged_by, self.first.onboard.barrier.build())
-        )
-        return two_barriers(judge, flown) if judge != flown else ""
 
     @property
     def filter_name(self) -> str:
@@ -188,7 +179,7 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
                 wanted.command,
                 wall_s=time.monotonic() - began_s,
                 flown_s=flown_s,
-                judged_apart=wanted.judged_apart,
+                judged_apart=judged_apart(wanted.first),
             )
             (folder / SUMMARY).write_text(json.dumps(told, indent=1) + "\n")
         return Flown(rows, wanted.runs - len(rows), told)

@@ -10,10 +10,12 @@ import math
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
+from flightstack.core.strategies.strategy import own_boundary
 from flightstack.verify.certificate import checks
 from flightstack.verify.robust import HELD_M
 from flightstack.verify.team import team_checks
 from flightstack.verify.types import Check, Need
+from logs.verdict.verdict import two_barriers
 from sim.plant.params import load
 from sim.scenarios.scenario import PathKind, Scenario, StartKind, TargetSpec
 from sim.scenarios.team import TeamScenario
@@ -59,6 +61,15 @@ def outside(scenarios: Iterable[Scenario]) -> str:
     """Return the keys and values with which scenarios exceed their configuration's proof; or no text."""
     found = dict.fromkeys(check.worst for each in scenarios for check in declared(each) if not check.proven)
     return "; ".join(found)
+
+
+def judged_apart(scenario: Scenario) -> str:
+    """The barrier of the verdict and the flown one, if they differ; else an empty text."""
+    judge, flown = (
+        (shape.alpha_1_m, shape.beta_m) for shape in (scenario.judged_by, scenario.onboard.barrier.build())
+    )
+    apart = two_barriers(judge, flown) if judge != flown else ""
+    return "; ".join(filter(None, (apart, own_boundary(scenario.onboard.filter))))
 
 
 def not_proven(team: TeamScenario) -> str:

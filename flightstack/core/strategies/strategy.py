@@ -418,6 +418,13 @@ def ignored(config: FlightConfig) -> list[str]:
     return found
 
 
+def own_boundary(name: str) -> str:
+    """Sentence about a filter with a boundary of its own shape, which no verdict knows; else empty."""
+    if strategy_class(name).barrier.__module__.startswith("flightstack."):
+        return ""
+    return f"judged by the paper's barrier; {name} flies a boundary of its own, which no verdict knows"
+
+
 def strategy_of(config: FlightConfig) -> Filter:
     """Return the filter of a configuration.
 

@@ -258,6 +258,7 @@ def test_it_flies_a_campaign_by_its_name_in_the_scenario(elsewhere):
         "campaign", "paper_moving_1", *options, "--filter", EXAMPLE, "--out", elsewhere / "given", cwd=ROOT
     )
     assert same.code == 0, same.err
+    assert "own_boundary:ConeFilter flies a boundary of its own" in same.json["judged_apart"]
     named, given = (
         [row.untimed() for row in read_rows(elsewhere / name / "rows.csv")] for name in ("named", "given")
     )

@@ -13,6 +13,7 @@ from flightstack.core.parameters.filters import FILTERS, look_here, named
 from flightstack.core.strategies.strategy import (
     Filter,
     ignored,
+    own_boundary,
     packaged_strategy_of,
     strategy_class,
     strategy_of,
@@ -152,6 +153,11 @@ def test_the_working_folder_comes_after_all_that_is_installed(outside):
     look_here("paper")
     look_here("outside:Picky")
     assert sys.path == before
+
+
+def test_a_boundary_of_its_own_is_named():
+    assert "flies a boundary of its own" in own_boundary(CONE)
+    assert own_boundary("robust") == own_boundary("examples.own_filter:Smooth") == ""
 
 
 def test_the_base_class_is_safe_and_proves_nothing():
