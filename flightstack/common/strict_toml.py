@@ -232,7 +232,8 @@ def _unknown(key: str, known: Sequence[str], where: str) -> str:
     for name in known:
         wanted_stem, wanted = stem(name)
         if wanted_stem == found and wanted != unit:
-            return f"{at}: wrong unit: found [{unit or 'none'}], the key is {name} [{wanted or 'none'}]"
+            needed = f"the key is {f'{where}.{name}' if where else name}"
+            return f"{at}: wrong unit: found [{unit}], {needed}" if unit else f"{at}: no unit; {needed}"
     close = difflib.get_close_matches(key, known, n=1)
     hint = f"did you mean {close[0]}? " if close else ""
     return f"{at}: unknown key; {hint}allowed: {', '.join(sorted(known))}"

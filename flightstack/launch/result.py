@@ -18,7 +18,7 @@ from flightstack.launch.launcher import Followed
 from logs.reader.flight import load_fleet
 from logs.reader.reader import LogError
 from logs.report.report import ReportError, write_report
-from logs.verdict.types import BELOW_ON_PAD, SOURCES
+from logs.verdict.types import BELOW_ON_PAD, FALL_M_S, FALLS, SOURCES
 from logs.verdict.verdict import Verdict, fleet_result, judge_fleet
 
 _ABOUT = ("scenario", "seed", "config", "filter")
@@ -43,11 +43,14 @@ def result_table(values: Mapping[str, Any], reason: str) -> Group:
     for name, key, unit in _ROWS:
         table.add_row(name, shown(values.get(key)), unit)
     lowest_m = values.get("h_min_m")
-    on_pad = [Text(BELOW_ON_PAD, style="dim")] if lowest_m is not None and lowest_m < 0.0 else []
+    falls = values.get("outcome") == "landed" and (values["touchdown_speed_vertical_m_s"] or 0.0) > FALL_M_S
+    notes = [BELOW_ON_PAD] if lowest_m is not None and lowest_m < 0.0 else []
+    notes += [FALLS] if falls else []
     source = SOURCES.get(values.get("judged_from") or "", "what the onboard process said")
     return Group(
-        _title(values), table, Text(f"judged from {source}"), Text(reason), *on_pad, *_apart([values])
-    )
+        _title(values), table, Text(f"judged from {source}"), Text(reason),
+        *(Text(note, style="dim") for note in notes), *_apart([values]),
+    )  # fmt: skip
 
 
 def _apart(vehicles: Iterable[Mapping[str, Any]]) -> list[Text]:

@@ -12,7 +12,7 @@ from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.line_budget import LinePlan, LineTooSlowError, plan
 from bridge.mavlink.preflight.examine import Report, examine
 from bridge.mavlink.preflight.table import Level, Needs
-from bridge.mavlink.profiles import profile
+from bridge.mavlink.profiles import OWN_SITL, profile
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.strategy import strategy_of
 from flightstack.core.target.reserve import too_low
@@ -82,7 +82,8 @@ def check(
 def lines(report: Report) -> Iterator[str]:
     """Yield the lines of the report for the operator."""
     if report.profile is not None:
-        version = f", release {report.version}" if report.version is not None else ", release not told"
+        own = "imitates PX4, " if report.profile is OWN_SITL else ""
+        version = f", {own}release {report.version or 'not told'}"
         yield f"preflight: {report.profile.title}{version}"
     if report.line is not None:
         yield f"preflight: {report.line}"
@@ -92,7 +93,7 @@ def lines(report: Report) -> Iterator[str]:
         yield f"preflight: {report.problem}"
     for level in _SHOWN:
         for finding in report.findings:
-            if finding.level is level:
+            if finding.level is level and not (level is Level.NOTE and report.profile is OWN_SITL):
                 yield f"preflight: {level.value}: {finding.text}"
 
 

@@ -104,7 +104,7 @@ def reach(config: FlightConfig, x: Extremes) -> list[Check]:
             x.pad_radius_m - robust.corridor_m,
             "m",
             f"robust.corridor_m {robust.corridor_m:g} m, the pad's radius {x.pad_radius_m:g} m",
-            "lower robust.corridor_m",
+            f"lower robust.corridor_m to {x.pad_radius_m:g} or less",
         ),
     ]
 

@@ -14,7 +14,7 @@ from logs.reader.flight_data import Bools, Event, Fleet, Flight, Floats, phase_n
 from logs.report.derived import Side, Stream, estimate_errors, fault_spans, root_mean_square
 from logs.report.page import html, paragraph, table, time_link
 from logs.schema.events import Severity
-from logs.verdict.types import BELOW_ON_PAD, ESTIMATE, Outcome, Verdict
+from logs.verdict.types import BELOW_ON_PAD, ESTIMATE, FALL_M_S, FALLS, Outcome, Verdict
 from logs.verdict.verdict import FleetVerdict
 
 _SAME_TICK_S = 0.011  # greatest time, s, between an event and the tick in which a phase began
@@ -193,14 +193,14 @@ def _lost(side: Side) -> float | None:
     return float(sum(lost)) if lost else None
 
 
-_RELATIVE = "relative to the pad"
-_KEYS = ("lowest h outside the pad", "touchdown error", "touchdown speed, vertical", "time to land")
+_RELATIVE, _VERTICAL = "relative to the pad", "touchdown speed, vertical"
+_KEYS = ("lowest h outside the pad", "touchdown error", _VERTICAL, "time to land")
 # name, unit, digits, factor, value, meaning
 _NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None], str], ...] = (
     ("lowest h", "mm", 1, 1e3, lambda s: s.verdict.h_min_m, BELOW_ON_PAD),
     ("lowest h outside the pad", "mm", 1, 1e3, lambda s: s.verdict.h_min_outside_pad_m, ""),
     ("touchdown error", "mm", 1, 1e3, lambda s: s.verdict.touchdown_error_m, "d at first contact"),
-    ("touchdown speed, vertical", "m/s", 3, 1.0, lambda s: s.verdict.touchdown_speed_vertical_m_s, _RELATIVE),
+    (_VERTICAL, "m/s", 3, 1.0, lambda s: s.verdict.touchdown_speed_vertical_m_s, _RELATIVE),
     ("touchdown speed, horizontal", "m/s", 3, 1.0, lambda s: s.verdict.touchdown_speed_horizontal_m_s,
      _RELATIVE),
     ("time to land", "s", 2, 1.0, lambda s: s.verdict.time_to_land_s,
@@ -215,7 +215,6 @@ _NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None], str]
      lambda s: None if s.flight.timing is None else float(s.flight.timing.overruns[-1]), "deadlines missed"),
     ("messages lost", "", 0, 1.0, _lost, "by their numbers"),
     ("faults injected", "", 0, 1.0, lambda s: float(len(fault_spans(s.flight))), ""),
-    ("phases", "", 0, 1.0, lambda s: float(len(s.flight.phase_spans())), ""),
 )  # fmt: skip
 
 
@@ -252,6 +251,8 @@ def result_table(*sides: Side) -> str:
             change = None if found[0] is None or found[-1] is None else found[-1] - found[0]
             sign = "+" if change is not None and round(change, digits) > 0.0 else ""
             shown.append(sign + number(change, digits))
+        if name == _VERTICAL and max(v or 0.0 for v in found) > FALL_M_S:
+            meaning = f"{meaning}; {FALLS}"
         rows.append((name, *shown, unit, meaning))
     names = ("A", "B", "B − A") if both else ("value",)
     return (

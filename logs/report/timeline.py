@@ -149,6 +149,11 @@ def timeline(
     return lanes.figure(axis.whole if len(sides) == 1 else None)
 
 
+def _lost(valid: Bools) -> Bools:
+    """Return where data are missing that were there before."""
+    return np.maximum.accumulate(valid) & ~valid
+
+
 def _ticks(lanes: _Lanes, side: Side) -> None:
     """Add lanes of the ticks in which data were sent, active, refused or missing."""
     steps = side.flight.steps
@@ -159,9 +164,9 @@ def _ticks(lanes: _Lanes, side: Side) -> None:
         ("set-points sent", steps.setpoint_sent, COMMAND),
         ("barrier active", steps.barrier_active, BOUNDARY),
         ("refused by the gate", refused, FAULT),
-        ("target missing or old", ~steps.target_valid, FAULT),
-        ("own state missing or old", ~steps.own_valid, FAULT),
-        ("link silent", ~steps.link_valid, FAULT),
+        ("target missing or old", _lost(steps.target_valid), FAULT),
+        ("own state missing or old", _lost(steps.own_valid), FAULT),
+        ("link silent", _lost(steps.link_valid), FAULT),
     ):
-        if color is not FAULT or mask.any():
+        if mask.any():
             lanes.mask(name, steps.t_s + side.offset_s, mask, color)

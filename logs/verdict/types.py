@@ -24,8 +24,14 @@ TRUTH = "truth"
 ESTIMATE = "estimate"
 SOURCES = {TRUTH: "true states", ESTIMATE: "the vehicle's own estimate"}  # texts for ``judged_from``
 BELOW_ON_PAD = (
-    "lowest h may be below 0 over the pad, where it does not count: beside the landing spot the boundary is "
-    "higher than the reference point of a vehicle that stands on the pad"
+    "h is the height above the boundary that the filter keeps. Over the pad it may be below 0 and does not "
+    "count: beside the landing spot the boundary is higher than the reference point of a vehicle that stands "
+    "on the pad"
+)
+FALL_M_S = 0.5  # vertical speed at touchdown above which a landing is described as a fall
+FALLS = (
+    'touchdown.rule = "paper" stops the motors a few centimetres above the pad, as the paper does: the '
+    'vehicle falls the rest; with "contact" they run until contact'
 )
 _SAID_WITHIN_S = 0.1  # greatest time between an event and its tick, s, including a margin for another clock
 

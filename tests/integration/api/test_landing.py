@@ -74,7 +74,7 @@ def test_changed_keys_are_flown_and_judged():
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"wind.mean": 1.0}, "the key is mean_m_s"),
+        ({"wind.mean": 1.0}, r"wind.mean: no unit; the key is wind.mean_m_s"),
         ({"wind.mean_m_s": "much"}, "allowed: 0 to 10"),
         ({"nothing": 1}, "nothing: unknown key"),
         ({3: 1}, "found the key 3"),
@@ -144,7 +144,7 @@ def test_a_sweep_judges_by_the_barrier_that_flew():
     ("wrong", "text"),
     [
         (lambda: fs.sweep("lab", {}), "a key and values"),
-        (lambda: fs.sweep("lab", {"wind.mean": [1]}), "the key is mean_m_s"),
+        (lambda: fs.sweep("lab", {"wind.mean": [1]}), "the key is wind.mean_m_s"),
         (lambda: fs.campaign("lab", seeds=[]), "whole numbers"),
         *((partial(fs.land, "lab", bad), "seed: found .*a whole number from 0") for bad in NO_SEEDS),
         *((partial(fs.campaign, "lab", [bad]), "seeds: found .*a whole number") for bad in NO_SEEDS),

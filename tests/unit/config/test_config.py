@@ -39,7 +39,10 @@ def paper(**sections):
             {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5, "gamma": 1}},
             ["barrier.gamma", "unknown key", "alpha_1_m"],
         ),
-        ({"barrier": {"alpha_m": 1.0, "beta_m": 1.5}}, ["wrong unit", "found [m]", "alpha_1_m [1_m]"]),
+        (
+            {"barrier": {"alpha_m": 1.0, "beta_m": 1.5}},
+            ["wrong unit", "found [m]", "the key is barrier.alpha_1_m"],
+        ),
         ({"checks": {"hold_time_ms": 1000.0}}, ["wrong unit", "found [ms]", "hold_time_s"]),
         ({"checks": {"hold_tim_s": 1.0}}, ["unknown key", "did you mean hold_time_s"]),
         ({"loop": {"rate_hz": 1000}}, ["loop.rate_hz", "1000", "10 to 500"]),

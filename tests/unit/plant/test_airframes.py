@@ -112,7 +112,7 @@ def test_a_vehicle_file_of_ones_own_and_what_is_said_when_there_is_none(tmp_path
         VehicleSpec("cf99")
     broken = tmp_path / "broken.toml"
     broken.write_text("[body]\nmass = 1.0\n")
-    with pytest.raises(ConfigError, match=r"broken\.toml: body\.mass: wrong unit"):
+    with pytest.raises(ConfigError, match=r"broken\.toml: body\.mass: no unit; the key is body\.mass_kg"):
         load(str(broken))
     with pytest.raises(ConfigError, match="lower share comes first"):
         VehicleSpec(battery_charge=(0.5, 0.2))
