@@ -155,8 +155,8 @@ _PERIODS = (
     "Counts on a logarithmic axis; intervals are between arrivals, those of 100 ms and more in the last bar."
 )
 _VELOCITY = (
-    "Computed by the controller from its estimates. The bar at the bottom shows when the barrier changed the "
-    "command."
+    "Computed by the controller from its estimates. The bar at the bottom shows when the constraint of the "
+    "barrier changed the command; the robust filter also keeps the barrier by the box's lower limit of z."
 )
 _SWITCH = " The vehicle's true velocity can be switched on in the legend."
 _PLAN = "Circles: where the landing began. Triangle: first contact with the pad. Squares: end of the log."
@@ -205,10 +205,11 @@ def _age_note(flight: Flight) -> str:
 def _filter_note(flight: Flight) -> str:
     text = (
         "Above: distance of u* from u', by barrier and admissible box. Below: slack of the barrier's "
-        "constraint at u*; a negative slack violates it. The bar shows when the barrier changes the velocity."
+        "constraint at u*; a negative slack violates it. The bar shows when this constraint changes the "
+        "velocity; the robust filter also keeps the barrier by the box's lower limit of z."
     )
     share = share_active(flight.steps) if flight.steps is not None else None
-    return text if share is None else f"{text} It did in {100.0 * share:.0f} % of the ticks with a filter."
+    return text if share is None else f"{text} It covers {100.0 * share:.0f} % of the ticks with a filter."
 
 
 def _error_note(flight: Flight) -> str:
