@@ -240,7 +240,7 @@ class Scenario:
     name: str  # name of the scenario
     description: str  # purpose of the scenario, one sentence
     onboard: FlightConfig
-    # time limit of a run, after which its outcome is timeout
+    # time limit of a flight, after which it aborts
     duration_max_s: Annotated[float, span(1.0, 3600.0)] = 120.0
     start: Start = field(default_factory=Start)
     target: TargetSpec = field(default_factory=TargetSpec)
