@@ -82,7 +82,7 @@ def check(
 def lines(report: Report) -> Iterator[str]:
     """Yield the lines of the report for the operator."""
     if report.profile is not None:
-        own = "imitates PX4, " if report.profile is OWN_SITL else ""
+        own = "imitates PX4 " if report.profile is OWN_SITL else ""
         version = f", {own}release {report.version or 'not told'}"
         yield f"preflight: {report.profile.title}{version}"
     if report.line is not None:

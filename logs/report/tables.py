@@ -252,7 +252,7 @@ def result_table(*sides: Side) -> str:
             sign = "+" if change is not None and round(change, digits) > 0.0 else ""
             shown.append(sign + number(change, digits))
         if name == _VERTICAL and max(v or 0.0 for v in found) > FALL_M_S:
-            meaning = f"{meaning}; {FALLS}"
+            meaning = f"{meaning}. {FALLS}"
         rows.append((name, *shown, unit, meaning))
     names = ("A", "B", "B − A") if both else ("value",)
     return (

@@ -30,8 +30,8 @@ BELOW_ON_PAD = (
 )
 FALL_M_S = 0.5  # vertical speed at touchdown above which a landing is described as a fall
 FALLS = (
-    'touchdown.rule = "paper" stops the motors a few centimetres above the pad, as the paper does: the '
-    'vehicle falls the rest; with "contact" they run until contact'
+    'A touchdown faster than 0.5 m/s is usually a fall: touchdown.rule = "paper" stops the motors a few '
+    'centimetres above the pad, as the paper does; with "contact" they run until contact'
 )
 _SAID_WITHIN_S = 0.1  # greatest time between an event and its tick, s, including a margin for another clock
 
