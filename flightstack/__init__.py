@@ -21,14 +21,13 @@ if TYPE_CHECKING:
     from flightstack.api.landing import land as land
     from flightstack.api.landing import read_log as read_log
     from flightstack.api.scenario import scenario as scenario
-    from flightstack.core.strategies.strategy import At as At
+    from flightstack.core.strategies.at import At as At
     from flightstack.core.strategies.strategy import Filter as Filter
 
-_FILTERS = "flightstack.core.strategies.strategy"
 _HOME = {
-    "At": _FILTERS,
+    "At": "flightstack.core.strategies.at",
     "Campaign": "flightstack.api.campaign",
-    "Filter": _FILTERS,
+    "Filter": "flightstack.core.strategies.strategy",
     "Landing": "flightstack.api.landing",
     "LandingEnv": "flightstack.api.env",
     "Sweep": "flightstack.api.campaign",

@@ -12,10 +12,10 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from types import CodeType, FunctionType, MappingProxyType
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from flightstack.common.strict_toml import ConfigError
 from flightstack.common.text import one_line
@@ -33,64 +33,13 @@ from flightstack.core.parameters.filters import FILTERS, file_of, named
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import ActiveBarrier, Barrier
 from flightstack.core.safety.position_loop import nominal_velocity
-from flightstack.core.safety.projection import best_corner, project
 from flightstack.core.safety.qp_filter import FilterResult, Program, SafetyFilter
 from flightstack.core.snapshot import Relative
+from flightstack.core.strategies.at import At, Vector, three_finite
 from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import ZERO, FilterStatus, OwnState, TargetSample, Vec3
 
-Vector = NDArray[np.float64]
 Ask = Callable[[Relative, Vec3], Vec3]  # vehicle relative to target, nominal velocity -> agent's velocity
-
-
-class At(NamedTuple):
-    """Data of a tick for ``Filter.filter``; vectors are arrays (3,) in ENU.
-
-    Attributes:
-        t_s: time of the vehicle state, on the stack's clock.
-        position_enu_m: position of the vehicle, as the filter estimates it for now.
-        velocity_enu_m_s: velocity of the vehicle.
-        target_position_enu_m: position of the landing spot.
-        target_velocity_enu_m_s: velocity of the landing spot.
-        e_m: position of the vehicle minus landing spot.
-        d_m: horizontal length of ``e_m``.
-        h_m: value of the barrier; a negative value is unsafe.
-        gradient: gradient of the barrier with respect to the vehicle's position.
-        dh_dt_m_s: partial time derivative of the barrier, because the target moves.
-        rate_1_s: largest relative rate at which h may fall.
-        lower_m_s: lowest velocity that may be commanded in this tick, by limits and slew.
-        upper_m_s: highest velocity that may be commanded in this tick.
-    """
-
-    t_s: float
-    position_enu_m: Vector
-    velocity_enu_m_s: Vector
-    target_position_enu_m: Vector
-    target_velocity_enu_m_s: Vector
-    e_m: Vector
-    d_m: float
-    h_m: float
-    gradient: Vector
-    dh_dt_m_s: float
-    rate_1_s: float
-    lower_m_s: Vector
-    upper_m_s: Vector
-
-    @property
-    def bound_m_s(self) -> float:
-        """Bound of eq. 11, m/s: a velocity keeps the barrier if gradient . velocity is not below it."""
-        return -self.rate_1_s * self.h_m - self.dh_dt_m_s
-
-    def enforced(self, velocity_m_s: ArrayLike) -> Vector:
-        """Return the nearest velocity in the limits that keeps the barrier, or the one that raises h most.
-
-        Args:
-            velocity_m_s: (3,) ENU.
-        """
-        x, y, z = np.asarray(velocity_m_s, dtype=np.float64).tolist()
-        gradient, lower, upper = self.gradient.tolist(), self.lower_m_s.tolist(), self.upper_m_s.tolist()
-        found = project((x, y, z), tuple(gradient), self.bound_m_s, tuple(lower), tuple(upper))
-        return np.array(found if found is not None else best_corner(gradient, lower, upper))
 
 
 def _chosen(one: Filter, _at: Relative, own: Vec3) -> Vec3:
@@ -384,15 +333,6 @@ class Filter:
             least_z_m_s: lowest vertical velocity that the set-point may cause if it is the last one.
         """
         return wanted_m_s
-
-
-def three_finite(found: Any) -> Vector | None:
-    """What a filter returned, as an array; None: it is no velocity."""
-    try:
-        velocity = np.asarray(found, dtype=np.float64)
-    except (TypeError, ValueError):
-        return None
-    return velocity if velocity.shape == (3,) and np.isfinite(velocity).all() else None
 
 
 def strategy_class(name: str) -> type[Filter]:

@@ -1,0 +1,71 @@
+"""What the filter of a user receives in a tick, and what it may return."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from flightstack.core.safety.projection import best_corner, project
+
+Vector = NDArray[np.float64]
+
+
+class At(NamedTuple):
+    """Data of a tick for ``Filter.filter``; vectors are arrays (3,) in ENU.
+
+    Attributes:
+        t_s: time of the vehicle state, on the stack's clock.
+        position_enu_m: position of the vehicle, as the filter estimates it for now.
+        velocity_enu_m_s: velocity of the vehicle.
+        target_position_enu_m: position of the landing spot.
+        target_velocity_enu_m_s: velocity of the landing spot.
+        e_m: position of the vehicle minus landing spot.
+        d_m: horizontal length of ``e_m``.
+        h_m: value of the barrier; a negative value is unsafe.
+        gradient: gradient of the barrier with respect to the vehicle's position.
+        dh_dt_m_s: partial time derivative of the barrier, because the target moves.
+        rate_1_s: largest relative rate at which h may fall.
+        lower_m_s: lowest velocity that may be commanded in this tick, by limits and slew.
+        upper_m_s: highest velocity that may be commanded in this tick.
+    """
+
+    t_s: float
+    position_enu_m: Vector
+    velocity_enu_m_s: Vector
+    target_position_enu_m: Vector
+    target_velocity_enu_m_s: Vector
+    e_m: Vector
+    d_m: float
+    h_m: float
+    gradient: Vector
+    dh_dt_m_s: float
+    rate_1_s: float
+    lower_m_s: Vector
+    upper_m_s: Vector
+
+    @property
+    def bound_m_s(self) -> float:
+        """Bound of eq. 11, m/s: a velocity keeps the barrier if gradient . velocity is not below it."""
+        return -self.rate_1_s * self.h_m - self.dh_dt_m_s
+
+    def enforced(self, velocity_m_s: ArrayLike) -> Vector:
+        """Return the nearest velocity in the limits that keeps the barrier, or the one that raises h most.
+
+        Args:
+            velocity_m_s: (3,) ENU.
+        """
+        x, y, z = np.asarray(velocity_m_s, dtype=np.float64).tolist()
+        gradient, lower, upper = self.gradient.tolist(), self.lower_m_s.tolist(), self.upper_m_s.tolist()
+        found = project((x, y, z), tuple(gradient), self.bound_m_s, tuple(lower), tuple(upper))
+        return np.array(found if found is not None else best_corner(gradient, lower, upper))
+
+
+def three_finite(found: Any) -> Vector | None:
+    """What a filter returned, as an array; None: it is no velocity."""
+    try:
+        velocity = np.asarray(found, dtype=np.float64)
+    except (TypeError, ValueError):
+        return None
+    return velocity if velocity.shape == (3,) and np.isfinite(velocity).all() else None
