@@ -1,4 +1,4 @@
-"""Lockstep flights that several tests only look at: flown once, by whichever worker needs it first."""
+"""Lockstep flights that several tests only read: each is flown once, by the first worker that needs it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.integration.runs import Result, fly
 
 @dataclass
 class Flown(Result):
-    """An ended run and its folder, which is everybody's: look, do not write."""
+    """A finished run and its folder, which tests share: read only."""
 
     folder: Path
 
@@ -30,10 +30,10 @@ Flights = Callable[..., Flown]
 
 @pytest.fixture(scope="session")
 def flown(tmp_path_factory) -> Flights:
-    """``flown(scenario, seed, *options)``: the same words make the same log, so one flight is enough."""
+    """``flown(scenario, seed, *options)``: equal arguments give an equal log, so each is flown once."""
     base = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
-        base = base.parent  # of all workers of this session
+        base = base.parent  # folder that all workers of this session share
     base = base / "flown"
     base.mkdir(exist_ok=True)
 
@@ -41,7 +41,7 @@ def flown(tmp_path_factory) -> Flights:
         name = "_".join([scenario, str(seed), *options]).replace("/", "_")
         folder, told = base / name, base / f"{name}.json"
         with (base / f"{name}.lock").open("w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)  # a run is bounded, and so is this wait
+            fcntl.flock(lock, fcntl.LOCK_EX)  # runs have time-outs, so this wait is bounded
             if not told.exists():
                 told.write_text(json.dumps(asdict(fly(folder, scenario, seed, *options))))
         return Flown(**json.loads(told.read_text()), folder=folder)

@@ -1,4 +1,4 @@
-"""Starts ``flightstack`` as a person would, and reads what it says."""
+"""Starts ``flightstack`` as a user does, and reads its output."""
 
 import contextlib
 import json
@@ -19,8 +19,8 @@ from tests.processes.bounded import PATIENCE_S, killed
 from tests.processes.started import Started, run_verb
 
 WALL_MAX_S = 240.0
-# Verbs that start nothing and catch no signal: called in this process, which has loaded their packages
-# already. A process of its own would load them for one to three seconds each time.
+# Verbs that start nothing and handle no signal run in this process, which has loaded their packages: loading
+# takes one to three seconds.
 CALLED = {
     "check",
     "compare",
@@ -33,12 +33,12 @@ CALLED = {
     "report",
     "scenarios",
 }
-SOME_BYTES = 400_000  # of a log, which grows by 170 kB a second
+SOME_BYTES = 400_000  # size of a log, which grows by 170 kB a second
 
 
 @dataclass
 class Result:
-    """One ended run."""
+    """Result of a finished run."""
 
     code: int
     out: str
@@ -50,7 +50,7 @@ class Result:
 
 
 def flightstack(*arguments, cwd=None, apart=False) -> Result:
-    """Run a verb to its end; ``apart``: in a process of its own, whichever verb it is."""
+    """Run a verb to its end; ``apart``: always in a separate process."""
     words = [str(one) for one in arguments]
     if not apart and (words[0] in CALLED or "--help" in words):
         return called(*words, cwd=cwd)
@@ -63,7 +63,7 @@ def flightstack(*arguments, cwd=None, apart=False) -> Result:
 
 
 def called(*arguments, cwd=None) -> Result:
-    """Run a verb in this process: one that reads, or one that refuses its arguments."""
+    """Run a verb in this process: one that only reads, or one that rejects its arguments."""
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:
         with contextlib.chdir(cwd or Path.cwd()):
@@ -77,13 +77,13 @@ def called(*arguments, cwd=None) -> Result:
 
 
 def fly(out: Path, scenario: str, seed: int = 0, *more) -> Result:
-    """One lockstep run."""
+    """Run one lockstep flight."""
     words = ["sitl", "--scenario", scenario, "--seed", seed, "--lockstep", "--json", "--no-report"]
     return flightstack(*words, "--out", out, *more)
 
 
 def replayed(log: Path, *, apart: bool = False) -> dict:
-    """Result of a replay that must decide at each tick what was decided, inputs from the wire included."""
+    """Replay a log, including the recorded MAVLink and Zenoh data; all decisions must be equal."""
     done = flightstack("replay", log, "--check", "--json", apart=apart)
     assert done.code == 0, done.out + done.err
     found = done.json
@@ -94,7 +94,7 @@ def replayed(log: Path, *, apart: bool = False) -> dict:
 
 
 class Background:
-    """A verb that runs beside the test: what it has said so far, line by line, and its end."""
+    """A verb that runs during the test: its output so far, line by line, and its end."""
 
     def __init__(self, *arguments: object) -> None:
         self.process = subprocess.Popen(
@@ -112,16 +112,19 @@ class Background:
             self.lines.append(line.rstrip())
 
     def said(self, words: str) -> bool:
-        """Whether a line holds these words."""
+        """Return whether a line contains these words."""
         return any(words in line for line in list(self.lines))
 
     def until(self, *words: str, each: Callable[[], object] = lambda: None) -> str:
-        """The next line that holds all the words; it is killed if none does. ``each`` is called meanwhile."""
+        """Return the next line with all the words; kill the process if there is none.
+
+        Call ``each`` meanwhile.
+        """
         until_s, more = time.monotonic() + WALL_MAX_S, True
         while more and time.monotonic() < until_s:
             each()
             self._reader.join(0.02)
-            more = self._reader.is_alive()  # looked at before the lines, or the last ones were missed
+            more = self._reader.is_alive()  # read before the lines, else the last ones could be missed
             while self._looked < len(self.lines):
                 self._looked += 1
                 if all(word in self.lines[self._looked - 1] for word in words):
@@ -153,24 +156,24 @@ class Background:
             self.process.stdout.close()
 
     def pids(self) -> list[int]:
-        """Process ids of what it has started."""
+        """Return the ids of its child processes."""
         pid = self.process.pid
         return [int(one) for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
     def children(self) -> dict[str, int]:
-        """The same by the name that the system shows: the verb, and of which vehicle."""
+        """Return the ids of child processes by verb and vehicle in the system's process name."""
         return {Path(f"/proc/{pid}/comm").read_text().strip(): pid for pid in self.pids()}
 
 
 class Flying(Background):
-    """A run of ``sitl``, to be disturbed."""
+    """A run of ``sitl``, for tests that disturb it."""
 
     def __init__(self, out: Path, *arguments: object) -> None:
         self.out = out
         super().__init__("sitl", "--no-report", "--out", out, *arguments)
 
     def some_log(self, some_bytes: int = SOME_BYTES) -> Path:
-        """The log, once there is something in it: on a busy machine the recorder is behind the flight."""
+        """Wait until the log has data and return it; on a busy machine the recorder is behind the flight."""
         log = self.out / "flight.mcap"
         wait_for(lambda: log.stat().st_size > some_bytes, "a log that grows")
         return log
@@ -181,7 +184,7 @@ def kill(pid: int, number: int = signal.SIGKILL) -> None:
 
 
 def gone(pid: int, within_s: float = 10.0) -> bool:
-    """Whether a process has ended, waiting for it at most so long."""
+    """Return whether a process has ended, after waiting at most this time."""
     until = time.monotonic() + within_s
     while time.monotonic() < until:
         try:
@@ -190,5 +193,5 @@ def gone(pid: int, within_s: float = 10.0) -> bool:
             return True
         if state == "Z":
             return True
-        time.sleep(0.02)  # polling another process: nothing to wait on
+        time.sleep(0.02)  # polls another process, which has no event
     return False

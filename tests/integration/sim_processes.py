@@ -1,4 +1,4 @@
-"""Starts the simulator's processes for tests, speaks to them and ends them; every wait is bounded."""
+"""Starts the simulator's processes for tests, communicates with them and ends them; every wait is bounded."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ NAN = float("nan")
 def running(
     child: Started, *, ready: bool = True, within_s: float = PATIENCE_S
 ) -> Iterator[tuple[Started, str]]:
-    """A process, killed in the end at the latest, and its ready line if it is to have one."""
+    """Run a process, killed at the latest at the end; yield its ready line if it prints one."""
     try:
         yield child, line_of(child.stdout, within_s).strip() if ready else ""
     finally:
@@ -39,12 +39,12 @@ def running(
 
 
 def verb(*words: object, cwd: Path = ROOT, **more: Any):
-    """A verb of ``flightstack`` as a process; see ``running``."""
+    """Run a verb of ``flightstack`` as a process; see ``running``."""
     return running(Started(run_verb, [*map(str, words)], cwd=cwd), **more)
 
 
 def process(name: str, **options: object):
-    """World, vehicle or target with the scenario paper_moving_1 as a process; see ``running``."""
+    """Run world, vehicle or target with the scenario paper_moving_1 as a process; see ``running``."""
     return running(Started(_simulate, name, options, cwd=ROOT))
 
 
@@ -56,23 +56,23 @@ def _simulate(name: str, options: dict[str, object]) -> None:
 
 
 def terminate(child: Started, number: signal.Signals = signal.SIGTERM) -> None:
-    """Ask it to end, which it does at once and in order."""
+    """Request its end; it must end at once and in order."""
     child.send_signal(number)
     assert child.wait(AT_ONCE_S) == 0
 
 
 def priority_or_skip() -> None:
-    """Skip the test that asks where the system gives no priority."""
+    """Skip the test if the system gives no priority."""
     if not ask_for_priority():
         pytest.skip("this system gives no priority: its tests run without it")
     give_up_priority()
 
 
 def prompt_threads(pid: int) -> set[int]:
-    """Threads of a process that run before ordinary programs."""
+    """Return the threads of a process with a priority above ordinary programs."""
     found = set()
     for each in Path(f"/proc/{pid}/task").iterdir():
-        with suppress(ProcessLookupError):  # it has ended meanwhile
+        with suppress(ProcessLookupError):  # it has ended in the meantime
             if os.sched_getscheduler(int(each.name)) == os.SCHED_FIFO:
                 found.add(int(each.name))
     return found
@@ -86,7 +86,7 @@ def wait_for(done: Callable[[], bool], what: str, within_s: float = PATIENCE_S) 
 
 
 class Client:
-    """A MAVLink client made of a socket and pymavlink's own parser, nothing of this project."""
+    """A MAVLink client from a socket and pymavlink's parser, independent of this project."""
 
     def __init__(self, url: str, system: int = 1, component: int = 191, *, listen: bool = False) -> None:
         kind, host, port = url.split(":")
@@ -112,7 +112,7 @@ class Client:
         return mav.MAVLink_command_long_message(1, 1, number, 0, *params, *[NAN] * (7 - len(params)))
 
     def receive(self, timeout_s: float = PATIENCE_S) -> list:
-        """Messages of the next datagram; empty if none came in time."""
+        """Return the messages of the next datagram; none after a time-out."""
         if not select.select([self._socket], [], [], timeout_s)[0]:
             return []
         data, self._to = self._socket.recvfrom(65536)
@@ -122,7 +122,7 @@ class Client:
         return messages
 
     def until(self, wanted: Callable[[object], bool], timeout_s: float = PATIENCE_S, each=None):
-        """First message that is wanted; ``each`` is called after every datagram."""
+        """Return the first matching message; call ``each`` after every datagram."""
         deadline_s = time.monotonic() + timeout_s
         while time.monotonic() < deadline_s:
             for message in self.receive(0.1):
@@ -137,7 +137,7 @@ class Client:
 
 
 def is_a(name: str, **fields) -> Callable[[object], bool]:
-    """Predicate: a message of this type with these field values."""
+    """Return a predicate: a message of this type with these field values."""
     return lambda m: m.get_type() == name and all(getattr(m, k) == v for k, v in fields.items())
 
 

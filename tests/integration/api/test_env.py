@@ -12,7 +12,7 @@ NAME = "flightstack/Landing-v0"
 
 
 def flown(env, seed, action=None):
-    """Fly a seed; the rewards of all steps, and the last info."""
+    """Fly a seed; return the rewards of all steps, and the last info."""
     env.reset(seed=seed)
     rewards, over = [], False
     while not over:
@@ -37,7 +37,7 @@ def test_the_built_in_policy_flies_as_land_does_bit_by_bit(name):
 
 @pytest.mark.parametrize("name", [None, "paper", "robust"])
 def test_an_agent_sees_and_flies_the_same_without_compiled_ticks(name, monkeypatch):
-    """Each tick is asked for once, also where compiled code hands a tick back after the agent chose."""
+    """The agent is asked once per tick, even if compiled code returns the tick to Python after its choice."""
 
     def seen():
         env, rng = fs.make_env("storm", filter=name), np.random.default_rng(4)
@@ -56,7 +56,7 @@ def test_an_agent_sees_and_flies_the_same_without_compiled_ticks(name, monkeypat
     assert all(np.array_equal(a, b) for a, b in zip(compiled, plain, strict=True))
 
 
-@pytest.mark.filterwarnings("ignore")  # of the checker: no render modes, float64
+@pytest.mark.filterwarnings("ignore")  # warnings of the checker: no render modes, float64
 def test_gymnasium_finds_it_and_its_checker_passes():
     env = gymnasium.make(NAME, scenario="lab", filter="paper")
     check_env(env.unwrapped)

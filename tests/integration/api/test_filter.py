@@ -1,4 +1,4 @@
-"""A filter of one's own: one method, flown and replayed everywhere, refused where it returns no velocity."""
+"""A user's own filter: one method, flown and replayed everywhere, rejected if it returns no velocity."""
 
 import re
 from dataclasses import dataclass, fields
@@ -69,7 +69,7 @@ def test_at_has_barrier_limits_and_states():
         assert (safe >= at.lower_m_s).all()
         assert (safe <= at.upper_m_s).all()
         assert at.gradient.shape == at.velocity_enu_m_s.shape == at.target_velocity_enu_m_s.shape == (3,)
-    paper = fs.land("lab", 3, filter="paper")  # what the base class does, but for the solver's rounding
+    paper = fs.land("lab", 3, filter="paper")  # equal to the base class, except for the solver's rounding
     both = slice(0, 200)
     assert np.allclose(landing.log.h_m[both], paper.log.h_m[both], atol=1e-4, equal_nan=True)
 
@@ -118,7 +118,7 @@ def test_a_wrong_class_or_state_is_one_clear_line(tmp_path):
         def filter(self, nominal, at):
             return nominal
 
-    assert fs.land("lab", filter=Untyped).verdict is not None  # only a log needs it as text
+    assert fs.land("lab", filter=Untyped).verdict is not None  # only a log needs the class as text
 
 
 def test_a_real_vehicle_flies_it_only_if_told_that_nothing_is_proven(tmp_path):

@@ -1,6 +1,6 @@
-"""Runs other people's clients against a vehicle process, and watches with an eye of its own.
+"""Runs third-party clients against a vehicle process, and observes the vehicle with an independent client.
 
-Every wait is bounded and ends on something seen: a line the program prints, or telemetry.
+Every wait has a time-out and ends on an observation: a printed line, or telemetry.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from tests.integration.sim_processes import ROOT, Client, terminate, verb
 
-SCENARIO = "paper_static_1"  # starts on the ground; target and air stand still
-READY_MAX_S = 240.0  # the simulator may have to be compiled first, next to other compilers
-STEP_MAX_S = 60.0  # one step of a flight on a busy machine
+SCENARIO = "paper_static_1"  # starts on the ground; the target does not move, no wind
+READY_MAX_S = 240.0  # compilation of the simulator may be necessary, next to other compilers
+STEP_MAX_S = 60.0  # time-out of one step on a busy machine
 END_MAX_S = 30.0
 DOCUMENTATION = ROOT / "docs" / "how_to" / "clients.md"
 ARMED = mav.MAV_MODE_FLAG_SAFETY_ARMED
@@ -32,7 +32,7 @@ _SIGNING_EPOCH_S = 1420070400  # 2015-01-01 (mavlink.io, message signing); time 
 
 @contextmanager
 def vehicle(*more: str) -> Iterator[int]:
-    """Run ``flightstack vehicle`` on a free port of loopback, given back; it must also end in order."""
+    """Run ``flightstack vehicle`` on a free loopback port, which is yielded; it must also end in order."""
     words = ("vehicle", "--scenario", SCENARIO, "--url", "udpin:127.0.0.1:0", *more)
     with verb(*words, within_s=READY_MAX_S) as (child, ready):
         yield int(ready.rsplit(":", 1)[1])
@@ -40,21 +40,21 @@ def vehicle(*more: str) -> Iterator[int]:
 
 
 class Observer(Client):
-    """A client that says nothing but heartbeats, and remembers what it hears."""
+    """A client that sends only heartbeats and stores received messages."""
 
     def __init__(self, port: int) -> None:
         super().__init__(f"udpin:127.0.0.1:{port}")
         self._beat_due_s = -math.inf
 
     def beat(self) -> None:
-        """Say that we are still there, once a second."""
+        """Send a heartbeat once a second."""
         now_s = time.monotonic()
         if now_s >= self._beat_due_s:
             self._beat_due_s = now_s + _BEAT_S
             self.hello()
 
     def sign(self, secret: bytes) -> None:
-        """Sign what is sent from now on with this key."""
+        """Sign all later messages with this key."""
         signing = self._mav.signing
         signing.secret_key, signing.sign_outgoing = secret, True
         signing.timestamp = round((time.time() - _SIGNING_EPOCH_S) * 1e5)
@@ -68,15 +68,15 @@ class Observer(Client):
         return self._socket.fileno()
 
     def all(self, name: str, since: int = 0) -> list:
-        """Messages of one type, from a place in the log on."""
+        """Return the messages of one type, from an index of the log on."""
         return [m for m in self.log[since:] if m.get_type() == name]
 
     def index(self, wanted: Callable[[object], bool], since: int = 0) -> int:
-        """Where the first message that is wanted stands in the log: the vehicle's order, not the reader's."""
+        """Return the index of the first matching message in the log, which has the vehicle's order."""
         return next(i for i in range(since, len(self.log)) if wanted(self.log[i]))
 
     def last(self, name: str):
-        """Newest message of one type, None if there was none."""
+        """Return the newest message of one type, None if there is none."""
         return next((m for m in reversed(self.log) if m.get_type() == name), None)
 
     @property
@@ -86,11 +86,11 @@ class Observer(Client):
         return found
 
     def modes(self, since: int = 0) -> list[int]:
-        """Custom modes in their order, each change once."""
+        """Return the custom modes in their order, each change once."""
         return _changes([m.custom_mode for m in self.all("HEARTBEAT", since)])
 
     def armings(self, since: int = 0) -> list[bool]:
-        """Armed or not, each change once."""
+        """Return the arming states in their order, each change once."""
         return _changes([bool(m.base_mode & ARMED) for m in self.all("HEARTBEAT", since)])
 
     def texts(self, since: int = 0) -> list[str]:
@@ -108,7 +108,7 @@ def _changes(values: list) -> list:
 
 
 class Program:
-    """A client program: read by what it prints, driven by lines to its standard input."""
+    """A client program; its output is read, and lines are written to its standard input."""
 
     def __init__(self, command: Sequence[str], watch: Observer, **more) -> None:
         self._child = subprocess.Popen(
@@ -136,7 +136,7 @@ class Program:
             error.add_note(self.said())
 
     def said(self) -> str:
-        """All it printed, and what the vehicle said, for a person to read."""
+        """Return all its output, and the vehicle's texts, for error messages."""
         vehicle_said = "\n".join(self._watch.texts())
         return f"--- the client printed\n{self.output}\n--- the vehicle said\n{vehicle_said}"
 
@@ -149,7 +149,7 @@ class Program:
         self._stdin.close()
 
     def pump(self, timeout_s: float) -> None:
-        """Take what came from the program and from the vehicle, waiting a little if there is nothing."""
+        """Read output of the program and messages of the vehicle; wait briefly if there are none."""
         self._watch.beat()
         sources = [self._watch, self._stdout] if self._open else [self._watch]
         ready = select.select(sources, [], [], timeout_s)[0]
@@ -184,7 +184,7 @@ class Program:
             self.pump(0.05)
 
     def expect(self, pattern: str, within_s: float = STEP_MAX_S, each: Callable[[], None] | None = None):
-        """Wait until it prints something new that matches; returns the match."""
+        """Wait for new output that matches; return the match."""
         compiled = re.compile(pattern)
         self.until(lambda: compiled.search(self.output, self._read_to), f"{pattern!r}", within_s, each)
         match = compiled.search(self.output, self._read_to)
@@ -193,6 +193,6 @@ class Program:
         return match
 
     def end(self, within_s: float = END_MAX_S) -> int:
-        """Wait for its end; returns the exit status."""
+        """Wait for its end; return the exit status."""
         self.until(lambda: not self._open, "its end", within_s)
         return self._child.wait(END_MAX_S)

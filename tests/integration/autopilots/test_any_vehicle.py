@@ -1,7 +1,7 @@
-"""The tests that fly anything: our simulated vehicle by default, any other by ``--vehicle URL --target KEY``.
+"""Tests that fly any vehicle: our simulated one by default, another one by ``--vehicle URL --target KEY``.
 
-Each step ends at a limit of height, distance or time with the vehicle being brought down. On a vehicle that
-was given, nothing arms without ``--arm-ok``; see docs/how_to/hardware.md.
+Each step has limits of height, distance and time, at which the vehicle is landed. A given vehicle is armed
+only with ``--arm-ok``; see docs/how_to/hardware.md.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from tests.integration.runs import WALL_MAX_S, flightstack
 from tests.integration.sim_processes import ROOT
 
 pytestmark = pytest.mark.vehicle
-STANDING_M_S = 0.15  # own velocity of a vehicle that stands on the ground
-STOPPED_S = 2.0  # from the emergency stop to motors off
-AWAY_M_S = 0.3  # of a pilot who leaves
+STANDING_M_S = 0.15  # largest estimated speed of a vehicle that stands on the ground
+STOPPED_S = 2.0  # time-out from the emergency stop to motors off
+AWAY_M_S = 0.3  # speed of the pilot's departure
 FLIGHT_MAX_S = 90.0
-LANDED_MAX_S = 40.0  # from the loss of the companion to motors off, by the vehicle itself
+LANDED_MAX_S = 40.0  # time-out from the loss of the companion to motors off by the vehicle itself
 
 
 @pytest.fixture
@@ -92,7 +92,7 @@ def test_takes_off_holds_follows_set_points_and_lands(pilot, room):
     turned = pilot.own.position_enu_m
     pilot.fly_for("south", (0.0, -limits.step_m_s, 0.0), limits.step_s)
     back = pilot.own.position_enu_m
-    moved_m = (2.0 * turned[1] - held[1] - back[1]) / 2.0  # a steady drift is not in it
+    moved_m = (2.0 * turned[1] - held[1] - back[1]) / 2.0  # removes a constant drift
     least, most = limits.moved_share
     assert least < moved_m / (limits.step_m_s * limits.step_s) < most, f"moved {moved_m:.2f} m"
     pilot.fly_for("stop", ZERO, 2.0)
@@ -120,14 +120,14 @@ def test_a_companion_that_falls_silent_leaves_a_safe_vehicle(pilot):
 
 
 def safe(pilot) -> bool:
-    """Whether it does what its autopilot does without set-points, and no longer what it was sent last."""
+    """Return whether it shows its autopilot's reaction to missing set-points, and no longer the last one."""
     if not pilot.status.armed or pilot.status.mode is Mode.LAND:
         return True
     return pilot.limits.lost is Lost.STOPS and speed_m_s(pilot) < pilot.limits.still_m_s
 
 
 def stands(pilot) -> bool:
-    """Whether it is on the ground with its motors off."""
+    """Return whether it is on the ground with its motors off."""
     return not pilot.status.armed and pilot.status.landed is Landed.ON_GROUND
 
 
@@ -162,7 +162,7 @@ def test_a_killed_companion_leaves_a_safe_vehicle(room, phase):
 
 
 def left_alone(room) -> None:
-    """Look on while a vehicle that nobody flies any more brings itself into a safe state."""
+    """Observe a vehicle without a pilot until it has reached a safe state."""
     with Pilot(room) as pilot:
         pilot.connect()
         pilot.watch("safe state", lambda: safe(pilot), pilot.limits.lost_s)
@@ -171,14 +171,14 @@ def left_alone(room) -> None:
 
 
 def down(room) -> bool:
-    """Whether it stands with its motors off, soon."""
+    """Wait briefly; return whether it stands with its motors off."""
     with Pilot(room) as pilot:
         pilot.connect()
         pilot.watch("motors off", lambda: not pilot.status.armed, 20.0)
         return pilot.status.landed is Landed.ON_GROUND
 
 
-# Of the suite itself, and of what only the simulated room can do.
+# Tests of the suite itself, and tests that only the simulated room allows.
 
 
 @pytest.mark.simulated

@@ -24,7 +24,7 @@ from tests.px4_flight import px4_or_skip
 
 @contextmanager
 def vehicle_process(*arguments):
-    """``flightstack vehicle``, disarmed on the ground, and where it is found."""
+    """Run ``flightstack vehicle``, disarmed on the ground; yield its address."""
     words = ("vehicle", "--scenario", "paper_moving_1", "--url", "udpin:127.0.0.1:0", *arguments)
     with verb(*words, within_s=WALL_MAX_S) as (child, ready):
         yield child, ready.split()[1].replace("udpin", "udpout")
@@ -54,7 +54,7 @@ def test_preflight_of_nobody_and_of_nonsense():
     assert (done.code, done.json["safe"]) == (1, False)
     assert "no heartbeat" in done.json["problem"]
     done = flightstack("preflight", "--vehicle", "tcp:127.0.0.1:9", "--wait", 0.5)
-    assert done.code == 1  # it may be there soon: tried again, in time
+    assert done.code == 1  # the vehicle may appear later, so onboard retries until its time-out
     assert "TCP connection to 127.0.0.1:9 cannot be opened (Connection refused): tried again" in done.err
     assert flightstack("preflight", "--vehicle", "udpout:127.0.0.1:9", "--autopilot", "betaflight").code == 2
     vehicle = ("vehicle", "--scenario", "lab", "--url", "udpin:127.0.0.1:0", "--duration", 1)
@@ -160,10 +160,10 @@ def test_what_does_not_go_together_is_refused(tmp_path, words, said):
     assert said in done.err
     files = []
     for each in Path("/proc/self/fd").iterdir():
-        with suppress(OSError):  # closed since then
+        with suppress(OSError):  # closed in the meantime
             files.append(str(each.readlink()))
     assert files
-    assert not [name for name in files if "flightstack-px4-" in name]  # an instance number kept from others
+    assert not [name for name in files if "flightstack-px4-" in name]  # no instance number is left reserved
 
 
 def test_several_runs_are_summed_up(tmp_path):

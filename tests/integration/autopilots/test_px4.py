@@ -1,8 +1,8 @@
-"""A real PX4, skipped where there is none: its program as a child, and flights to a robot that drives on.
+"""A real PX4 (skipped without one): its program as a child, and flights to a driving robot.
 
-One PX4 flies all of them, since its start takes as long as a flight; nobody moves the vehicle: it takes off
-from where it landed, the robot's pad. By motion capture: with satellites PX4 does not arm on a robot that
-drives ("GPS Horizontal Pos Drift too high").
+One PX4 flies all of them, because its start takes as long as a flight; nobody moves the vehicle, so it takes
+off from the robot's pad, where it landed. The position comes from motion capture: with satellites PX4 does
+not arm on a driving robot ("GPS Horizontal Pos Drift too high").
 """
 
 import contextlib
@@ -50,7 +50,7 @@ def instance():
 
 @contextmanager
 def flying(folder, instance, scenario, *more):
-    """PX4 with the parameters of the scenario's vehicle, on the plant of px4-sim."""
+    """Yield PX4 with the parameters of the scenario's vehicle, on the plant of px4-sim."""
     loaded = load(scenario)
     poses = loaded.vehicle.mocap if "--mocap" in more else None
     wanted = parameters(params.load(loaded.vehicle.airframe), poses)
@@ -65,13 +65,13 @@ def flying(folder, instance, scenario, *more):
 
 
 def test_is_ready_with_the_parameters_wanted_and_counts_from_the_origin_of_the_room(tmp_path, instance):
-    """By motion capture; by satellites test_autopilots.py flies it."""
+    """Fly by motion capture; test_autopilots.py flies by satellites."""
     scenario = "grid"
     with flying(tmp_path, instance, scenario, "--mocap") as (px4, wanted):
         px4.wait_ready(PATIENCE_S)
         assert "Preflight check: OK" in px4.console("commander", "check")
         for name, value in wanted.items():
-            px4.console("param", "compare", name, str(value))  # raises where it differs
+            px4.console("param", "compare", name, str(value))  # raises if the value differs
         said = px4.console("listener", "vehicle_local_position", "-n", "1").splitlines()
         place = {words[0]: words[1] for words in map(str.split, said) if len(words) > 1}
         east, north, _ = Px4Plant(load(scenario), 0).body().position_enu_m
@@ -85,7 +85,7 @@ def test_a_px4_without_a_simulator_is_given_up_with_its_last_lines(tmp_path, ins
         wait_for(lambda: "Waiting for simulator" in px4.output.read_text(), "PX4 that waits")
         with pytest.raises(Px4Error, match="Waiting for simulator"):
             px4.wait_ready(1.0)
-        os.killpg(px4.process.pid, signal.SIGSTOP)  # not even then does its end take long
+        os.killpg(px4.process.pid, signal.SIGSTOP)  # even then its end is quick
         began_s = time.monotonic()
         px4.end()
         assert time.monotonic() - began_s < AT_ONCE_S
@@ -96,7 +96,7 @@ def test_a_px4_without_a_simulator_is_given_up_with_its_last_lines(tmp_path, ins
 
 
 def _members(group: int) -> list[str]:
-    """Command lines of the processes of a process group that are no zombies."""
+    """Return the command lines of the processes of a process group, without zombies."""
     found = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):
@@ -106,7 +106,7 @@ def _members(group: int) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("after", [1, 2, 4])  # processes: the shell, PX4, its start script with a command
+@pytest.mark.parametrize("after", [1, 2, 4])  # processes: shell, PX4, a command of its start script
 def test_dies_with_its_parent(tmp_path, instance, after):
     code = (
         "import sys, time; from pathlib import Path; from sim.px4.program import Px4Model, Px4Program; "
@@ -144,24 +144,24 @@ def test_places_without_a_px4_are_refused_with_what_is_missing(tmp_path):
 
 
 FLIGHTS = 2
-SPEED = 4.0  # at most, against real time
-FLIGHT_MAX_S = 120.0  # of wall time, however slow the machine
-LOST_S = 10.0  # the same, for COM_OF_LOSS_T = 1.0 s of simulated time, and a heartbeat once a second
+SPEED = 4.0  # largest ratio to real time
+FLIGHT_MAX_S = 120.0  # time-out of a flight, wall time, also on slow machines
+LOST_S = 10.0  # the same for COM_OF_LOSS_T = 1.0 s of simulated time and a heartbeat once a second
 LANDED_MAX_S = 60.0
 RECORDED_MAX_S = 60.0
 ROBOT_M_S = 0.2
-DRIVEN_M = 2.0  # at least, while the flights last
+DRIVEN_M = 2.0  # smallest distance that the robot drives during the flights
 TAKEOFF_M = 1.2
-KILLED_M = 0.2  # above the ground, in the climb: PX4 goes on for about 0.8 m until its failsafe acts
-ERROR_M = 0.25  # of a pad of 0.5 m
-STANDS_M = 0.12  # reference of the vehicle above the pad on which it stands
+KILLED_M = 0.2  # height above the ground, in the climb: PX4 climbs about 0.8 m more until its fail-safe acts
+ERROR_M = 0.25  # allowed touchdown error on a pad of 0.5 m
+STANDS_M = 0.12  # height of the vehicle's reference point on the pad
 NEAR_M = 0.05
-TWITCH_S = 0.1  # s with running motors that is no flight: seen once, 12 ms
-CARRIED_S = 2.0  # after its motors stopped; the robot drives on
+TWITCH_S = 0.1  # longest time with running motors that is not a flight: 12 ms was observed once
+CARRIED_S = 2.0  # time after its motors stopped, in which the robot drives on
 
 
 def scenario_file(folder):
-    """Scenario ``large`` with short ways: a flight ends within twenty seconds."""
+    """Return scenario ``large`` with short distances: a flight ends within twenty seconds."""
     large = load("large")
     start = replace(large.start, offset_m=(-1.0, 0.5, 1.1))
     short = replace(
@@ -175,13 +175,13 @@ def scenario_file(folder):
 
 @dataclass
 class Flown:
-    """What became of all flights."""
+    """Result of all flights."""
 
-    ends: list  # exit status and last line of the onboard process, of each flight that was let fly
-    truth: Truth  # true states from the first to the last, while the robot drives on
+    ends: list  # exit status and last line of the onboard process for each flight
+    truth: Truth  # true states from the first to the last flight, while the robot drives on
 
     def armed_s(self):
-        """Begin and end of each time with running motors; PX4 may start them for a single sample before."""
+        """Return start and end of each time with running motors; PX4 may run them for one sample before."""
         running = np.diff(self.truth.motors_running.astype(int), prepend=0, append=0)
         edges = self.truth.t_s[np.minimum(np.flatnonzero(running), len(self.truth.t_s) - 1)]
         times_s = zip(edges[::2], edges[1::2], strict=True)
@@ -246,6 +246,6 @@ def test_killed_in_its_climb_it_came_down_by_itself(flown):
     begin_s, end_s = flown.armed_s()[-1]
     climb = (truth.t_s >= begin_s) & (truth.t_s <= end_s)
     highest_m = truth.position_enu_m[climb, 2].max() - truth.position_enu_m[climb, 2][0]
-    assert KILLED_M - NEAR_M < highest_m < TAKEOFF_M  # it did not go on to where it would have hovered
+    assert KILLED_M - NEAR_M < highest_m < TAKEOFF_M  # it did not climb to the hover height
     assert truth.contacts[-1] > 0
     assert not truth.motors_running[-1]

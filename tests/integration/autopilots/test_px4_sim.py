@@ -1,4 +1,4 @@
-"""The verb ``px4-sim`` over its real wires, flown by a stand-in for PX4 that sees nothing but the sensors."""
+"""The verb ``px4-sim`` over its real connections, flown by a PX4 imitation that uses only the sensors."""
 
 import itertools
 import signal
@@ -54,7 +54,7 @@ def test_climbs_hovers_and_flies_aside_by_the_sensors_alone():
         moved = np.array(true_place(fake)) - start
         assert moved == pytest.approx([0.6, -0.6, 1.0], abs=0.3)
         assert pilot.estimate.position == pytest.approx([*moved[:2], -moved[2]], abs=0.25)
-        while (sensor := fake.sensor(pilot)) is not None:  # until the time is over
+        while (sensor := fake.sensor(pilot)) is not None:  # until the duration is over
             fake.answer(sensor.time_usec, pilot.controls())
         said, _ = lines(child)
         assert child.returncode == 0
@@ -81,7 +81,7 @@ def test_lands_on_the_pad_and_says_where():
         fake, pilot = FakePx4(port), pilot_for("paper_moving_1")
         fake.hello()
         fake.fly(pilot, lambda t: t >= 1.0)
-        pilot.armed, pilot.goal = True, np.array([-0.3, 1.2, -0.7])  # over the pad, which is at the origin
+        pilot.armed, pilot.goal = True, np.array([-0.3, 1.2, -0.7])  # above the pad, which is at the origin
         fake.fly(pilot, lambda t: t >= 9.0)
         pilot.goal = np.array([-0.3, 1.2, 0.0])
         fake.fly(pilot, lambda t: t >= 13.0)
@@ -96,7 +96,7 @@ def test_lands_on_the_pad_and_says_where():
 
 
 def first_steps(port, count=500):
-    """HIL_SENSOR of the first steps, motors on after a second."""
+    """Return HIL_SENSOR of the first steps; the motors start after a second."""
     fake = FakePx4(port)
     fake.hello()
     found = []
@@ -167,5 +167,5 @@ def test_in_real_time_the_deck_follows_the_robot_and_the_truth_is_recorded(tmp_p
     flight = load_flight(log)
     assert flight.truth is not None
     pad = flight.truth.pad_position_enu_m
-    assert np.linalg.norm(pad[-1] - pad[0]) > 0.5  # it drives at 0.4 m/s
+    assert np.linalg.norm(pad[-1] - pad[0]) > 0.5  # the robot drives at 0.4 m/s
     assert len(pad) == pytest.approx(6.0 * 250 / 3, rel=0.05)

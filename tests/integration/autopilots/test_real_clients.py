@@ -1,4 +1,4 @@
-"""MAVProxy and MAVSDK fly the vehicle process: typed at by a person, and by the page's program."""
+"""MAVProxy and MAVSDK fly the vehicle process: by typed commands, and by the documentation's program."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ from tests.processes.ports import free_port
 
 pytestmark = pytest.mark.xdist_group("real-time")
 
-FETCH_MAX_S = 5.0  # s for all parameters; without a clear no to its file transfer it would be 12
+FETCH_MAX_S = 5.0  # time-out for all parameters; without a rejected file transfer it would be 12 s
 SPEED_M_S = 0.3
 LEG_M = 0.5
-STREAM_S = 0.1  # s between two set-points
-FETCH_S = 0.5  # s between two looks at a parameter
+STREAM_S = 0.1  # time between two set-points
+FETCH_S = 0.5  # time between two requests of a parameter
 
 
 class Leg(NamedTuple):
-    """A way to fly, and how far and how fast it went by LOCAL_POSITION_NED."""
+    """A direction of flight, and distance and speed in LOCAL_POSITION_NED."""
 
     velocity_frd_m_s: tuple[float, float, float]
     way_m: Callable
     speed_m_s: Callable
 
 
-LEGS = {  # it looks east
+LEGS = {  # the vehicle's nose points east
     "west": Leg((-SPEED_M_S, 0.0, 0.0), lambda m: -m.y, lambda m: -m.vy),
     "north": Leg((0.0, -SPEED_M_S, 0.0), lambda m: m.x, lambda m: m.vx),
 }
@@ -51,27 +51,27 @@ LEGS = {  # it looks east
 
 @contextmanager
 def mavproxy(port: int, directory: Path, watch: Observer, *more: str) -> Iterator[Program]:
-    """MAVProxy without a display, its files in ``directory``."""
+    """Run MAVProxy without a display, with its files in ``directory``."""
     command = [sys.executable, "-u", "-m", "MAVProxy.mavproxy", f"--master=udpout:127.0.0.1:{port}"]
     command += [f"--state-basedir={directory}", *more]
-    # Its start-up files come from the home directory, and nobody's may steer a test.
+    # It reads start-up files from the home directory, which must not influence a test.
     environment = os.environ | {"HOME": str(directory)}
     with Program(command, watch, env=environment, cwd=directory) as program:
         yield program
         program.hang_up()
         program.expect("Unloading module link")
-        assert program.end() == 1  # whatever happened: it knows no other status
+        assert program.end() == 1  # it always exits with status 1
 
 
 class Repeat:
-    """Types a line again and again, for as long as it is called."""
+    """Types a line repeatedly while it is called."""
 
     def __init__(self, program: Program, line: Callable[[], str], period_s: float) -> None:
         self._program, self._line, self._period_s = program, line, period_s
         self._due_s = 0.0
 
     def __call__(self) -> None:
-        """Type it if it is time."""
+        """Type the line if it is due."""
         now_s = time.monotonic()
         if now_s >= self._due_s:
             self._due_s = now_s + self._period_s
@@ -91,7 +91,7 @@ def take_off(program: Program) -> None:
     program.expect(r"\bARMED")
     program.send("takeoff 0.5")
     program.expect("Got COMMAND_ACK: NAV_TAKEOFF: ACCEPTED")
-    # It says "Mode" at most every 2 s; its prompt changes at once.
+    # It prints "Mode" at most every 2 s; its prompt changes at once.
     program.expect("Mode TAKEOFF|TAKEOFF>")
     program.expect("Mode LOITER")
 
@@ -125,20 +125,20 @@ def test_whole_flight(tmp_path: Path, flight_number: int) -> None:
 
 
 def shape(line: str) -> str:
-    """A line without its numbers."""
+    """Return a line without its numbers."""
     return re.sub(r"-?\b[\d.]+", "#", line)
 
 
 def documented() -> set[str]:
-    """The lines that the documentation lets a person type."""
+    """Return the lines that the documentation asks the user to type."""
     block = re.search(r"\$ mavproxy\.py .*?\n(.*?)```", DOCUMENTATION.read_text(), re.DOTALL)
     assert block is not None
     return {shape(line) for line in block.group(1).splitlines()}
 
 
 def parameters(program: Program) -> None:
-    """Written, read back, refused with a reason."""
-    program.send("param set COM_OF_LOSS_T 2")  # says nothing, and sends it when it has time
+    """Parameters are written, read back, and rejected with a reason."""
+    program.send("param set COM_OF_LOSS_T 2")  # prints nothing, and sends the value later
     read = Repeat(program, lambda: "param fetch COM_OF_LOSS_T", FETCH_S)
     program.expect(r"COM_OF_LOSS_T = 2\.0", each=read)
     program.send("param set MPC_XY_P 55")
@@ -147,7 +147,7 @@ def parameters(program: Program) -> None:
 
 
 def refusals(program: Program) -> None:
-    """In the air: no disarming, and no OFFBOARD before there is a stream."""
+    """In the air disarming is rejected, and OFFBOARD without a stream."""
     program.send("disarm")
     program.expect("Got COMMAND_ACK: COMPONENT_ARM_DISARM: TEMPORARILY_REJECTED")
     program.expect("AP: Disarming refused: not landed")
@@ -157,7 +157,7 @@ def refusals(program: Program) -> None:
 
 
 def fly(program: Program, watch: Observer) -> None:
-    """Back and left by set-points of its body frame: it looks east, so west and north, off the deck."""
+    """Fly back and left by body-frame set-points: the nose points east, so west and north, off the deck."""
     velocity = (0.0, 0.0, 0.0)  # forward, right, down
     # MAVProxy sends one set-point per line.
     stream = Repeat(program, lambda: "velocity {:g} {:g} {:g}".format(*velocity), STREAM_S)
@@ -197,7 +197,7 @@ def test_documented_example(tmp_path: Path, flight_number: int) -> None:
         with Program([sys.executable, str(script)], watch) as client:
             assert client.end(EXAMPLE_MAX_S) == 0
         watch.close()
-    # HOLD between two of them may be shorter than a tick.
+    # A HOLD between two of them may be shorter than a tick.
     assert [mode for mode in watch.modes() if mode != HOLD] == [TAKEOFF, OFFBOARD, LAND]
     assert watch.armings() == [False, True, False]
     assert max(p.x for p in watch.all("LOCAL_POSITION_NED")) > 0.0

@@ -1,4 +1,4 @@
-"""The programs of ``examples/`` run as a user runs them, and import what the page of the interface lists."""
+"""The programs of ``examples/`` run as documented, and import only the public interface."""
 
 import ast
 import csv
@@ -30,7 +30,7 @@ ROOMS = {"flightstack", "bridge", "sim", "logs"}
 
 
 def run(name, *words, cwd=ROOT):
-    """Run an example to its end; returns what it printed."""
+    """Run an example to its end; return its output."""
     done = subprocess.run(
         [sys.executable, EXAMPLES / name, *map(str, words)],
         cwd=cwd, capture_output=True, text=True, timeout=WALL_MAX_S, check=False,
@@ -41,7 +41,7 @@ def run(name, *words, cwd=ROOT):
 
 @contextmanager
 def running(name, *words):
-    """An example that runs until Ctrl-C."""
+    """Run an example until Ctrl-C."""
     child = subprocess.Popen([sys.executable, EXAMPLES / name, *words], cwd=ROOT, stderr=subprocess.PIPE)
     try:
         yield child
@@ -55,7 +55,8 @@ def running(name, *words):
 
 
 def imports():
-    """(module, name) of this project that the examples import; ``fs.NAME`` counts as one of flightstack."""
+    """Return (module, name) for imports of this project in the examples; ``fs.NAME`` is one of
+    flightstack."""
     found = set()
     for file in EXAMPLES.glob("*.py"):
         for node in ast.walk(ast.parse(file.read_text())):
@@ -137,7 +138,7 @@ def test_the_target_drives_a_circle_and_says_so():
             wait_for(enough, "60 samples")
         finally:
             session.close()
-    messages = [decode(ODOMETRY, sample.payload) for sample in samples]  # by a codec that is not ours
+    messages = [decode(ODOMETRY, sample.payload) for sample in samples]  # decoded by an independent codec
     assert {b.sequence - a.sequence for a, b in pairwise(samples)} == {1}
     times_s = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in messages]
     places = [(m.pose.pose.position.x, m.pose.pose.position.y) for m in messages]
@@ -162,6 +163,6 @@ def test_the_target_is_landed_on(tmp_path):
         words += ("--config", "crazyflie", "--no-record", "--json", "--out", tmp_path)
         done = flightstack("fly", *words)
     assert (done.code, done.json["outcome"]) == (0, "landed"), done.out + done.err
-    # without a log the onboard process is believed, and nothing is measured
+    # without a log the onboard process's estimate is used, and nothing is measured
     assert (done.json["log"], done.json["touchdown_error_m"]) == (None, None)
     assert not list(tmp_path.glob("*.mcap"))

@@ -1,4 +1,4 @@
-"""The Python and TOML blocks of the pages: programs of the library run, and files can be read."""
+"""Python and TOML blocks of the documentation: programs run, and files can be read."""
 
 import re
 import tomllib
@@ -15,13 +15,13 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def blocks(language):
-    """(page and number, text) of every block of a language."""
+    """Return (page and number, text) for every block of a language."""
     for page in PAGES:
         found = re.findall(rf"^```{language}[^\n]*\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
         yield from ((f"{page.relative_to(ROOT)}-{n}", text) for n, text in enumerate(found))
 
 
-# the others need a vehicle: MAVSDK's program and the subscriber of a flight have tests of their own
+# the others need a vehicle; MAVSDK's program and the subscriber of a flight have their own tests
 LIBRARY = {name: text for name, text in blocks("python") if "import flightstack as fs" in text}
 TABLES = dict(blocks("toml"))
 

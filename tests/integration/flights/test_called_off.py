@@ -1,4 +1,4 @@
-"""A signal while a verb starts is kept and obeyed: nothing is flown, no process is left, the status is 1."""
+"""A signal during a verb's start is handled: nothing is flown, no process is left, the status is 1."""
 
 import os
 import signal
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.xdist_group("real-time")
 
 
 def verb(name, port):
-    """Command line of a verb that waits for something when it has started."""
+    """Return the command line of a verb that waits after its start."""
     vehicle = [
         "--vehicle",
         f"udpout:127.0.0.1:{port}",
@@ -93,7 +93,7 @@ def test_in_a_callback_of_the_compiler_which_would_drop_it_the_exception_waits(m
     try:
         exec(compile(code, "llvmlite/binding/x.py", "exec"), noted)
         with pytest.raises(hangup.CalledOffError):
-            time.sleep(PATIENCE_S)  # the alarm ends it
+            time.sleep(PATIENCE_S)  # the alarm ends the sleep
         assert noted["reached"]
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)

@@ -1,4 +1,4 @@
-"""Campaigns: equal to single runs, whatever happens to the workers; own filters; the limits of the tiers."""
+"""Campaigns: rows equal single runs despite failing workers; user filters; limits of the tiers."""
 
 import json
 import os
@@ -25,15 +25,15 @@ from tests.integration.runs import WALL_MAX_S, Background, called, flightstack, 
 from tests.integration.sim_processes import wait_for
 
 RUNS = 6
-# as much of a scenario as a campaign test needs: short flights
+# shorter versions of scenarios for these tests
 SHORT = ("stop_and_go", "--runs", RUNS, "--seed", 40, "--no-report")
 
 
 @pytest.mark.parametrize(
     ("scenario", "seed"),
     [
-        ("paper_moving_1", 0),  # from the ground
-        ("room", 1),  # errors of the own state, a state that is estimated, a thrust reserve
+        ("paper_moving_1", 0),  # start on the ground
+        ("room", 1),  # state-estimate errors, an estimated state, a thrust reserve
         ("storm", 1),  # drop-outs, wind
         ("deck", 2),
         ("fault_link_burst", 0),
@@ -81,7 +81,7 @@ shared = pytest.mark.xdist_group("campaign")  # one worker flies it once
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """A campaign nobody disturbed."""
+    """An undisturbed campaign."""
     folder = tmp_path_factory.mktemp("whole")
     done = campaign(*SHORT[:-1], "--workers", 2, "--out", folder, "--json")
     return folder, done
@@ -139,10 +139,10 @@ def test_a_killed_worker_costs_no_row(whole, tmp_path):
 @shared
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_an_interrupted_campaign_goes_on(whole, tmp_path, number):
-    longer = (*SHORT[:2], 2 * RUNS, *SHORT[3:])  # not flown before the signal is there
+    longer = (*SHORT[:2], 2 * RUNS, *SHORT[3:])  # more landings than are flown before the signal
     running = begun(tmp_path, *longer, "--workers", 2)
     workers = running.pids()
-    running.process.send_signal(signal.SIGSTOP)  # or it would be over before another one has begun
+    running.process.send_signal(signal.SIGSTOP)  # else it would end before another one has started
     second = called("campaign", *longer, "--out", tmp_path)
     running.process.send_signal(number)
     running.process.send_signal(signal.SIGCONT)
@@ -159,7 +159,7 @@ def test_an_interrupted_campaign_goes_on(whole, tmp_path, number):
     assert 2 <= len(kept) < 2 * RUNS
     if number == signal.SIGINT:
         assert all(row.seed >= 40 + RUNS or row in untimed(whole[0]) for row in kept)
-        return  # that it goes on is shown with the harder one
+        return  # another test shows that it continues
     campaign(*longer, "--workers", 2, "--out", tmp_path)
     rows = untimed(tmp_path)
     assert [row.seed for row in rows] == list(range(40, 40 + 2 * RUNS))
@@ -200,7 +200,7 @@ def test_require_tells_what_is_missed_and_what_is_met(tmp_path):
     assert done.code == 1
     assert "not met, lab: median time to land over that of the paper's filter: not known" in done.err
     assert len(untimed(tmp_path)) == 1
-    met = called("campaign", *words, "--against", tmp_path)  # nothing is left to be flown
+    met = called("campaign", *words, "--against", tmp_path)  # nothing is left to fly
     assert (met.code, "all limits of lab are met in 1 landings" in met.err) == (0, True), met.err
 
 
@@ -242,7 +242,7 @@ EXAMPLE = "examples.own_boundary:ConeFilter"
 
 @pytest.fixture
 def elsewhere(tmp_path):
-    """A working folder that holds the filter as a module of another name."""
+    """A working folder with the filter in a module of another name."""
     shutil.copy(ROOT / "examples" / "own_boundary.py", tmp_path / "mine.py")
     return tmp_path
 
@@ -280,12 +280,12 @@ def test_a_filter_that_there_is_not_is_refused_with_what_is_allowed(verb):
     assert "has no Kone" in done.err
 
 
-TIER_RUNS = 30  # ten thousand of each: docs/reference/results.md
+TIER_RUNS = 30  # docs/reference/results.md has ten thousand of each
 PAPER_RUNS = 10  # enough for a median
 
 
 def rows_of(tier, runs, filter_name):
-    """Rows of a campaign of these seeds, flown in this process."""
+    """Return the rows of a campaign of these seeds, flown in this process."""
     scenario = plan(tier.value, runs, 0, filter_name).first
     return [vehicle_row(land(scenario, seed)) for seed in range(runs)]
 

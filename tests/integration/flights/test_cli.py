@@ -80,7 +80,7 @@ def test_help_lists_every_verb_with_a_line_in_its_group():
         elif title in GROUPS and line.strip():
             name, *words = line.split()
             assert words, name
-            assert words[-1].endswith("."), name  # whole: neither cut nor continued on another line
+            assert words[-1].endswith("."), name  # a complete sentence on one line
             found.setdefault(title, []).append(name)
     assert found == {title: list(verbs) for title, verbs in GROUPS.items()}
 
@@ -155,7 +155,7 @@ def test_the_papers_scenarios_pass_the_papers_checks(name):
 def test_a_package_of_another_project_with_the_same_name_is_named(name, tmp_path):
     (tmp_path / name).mkdir()
     (tmp_path / name / "__init__.py").touch()
-    program = (  # as from a wheel: without the hook of an editable installation
+    program = (  # as from a wheel, without the hook of an editable installation
         "import sys; sys.meta_path[:] = [f for f in sys.meta_path if '__editable__' not in f.__module__]\n"
         f"sys.path[:0] = [{str(tmp_path)!r}]; sys.path.append({str(ROOT)!r})\n"
         "from flightstack.cli.main import main\n"
@@ -176,7 +176,7 @@ def flights(flown):
 
 
 def step_lag_s(axis):
-    """Group delay of the simulated vehicle by a step response: area between it and its end, over the end."""
+    """Return the vehicle's group delay from a step response: area to the final value, divided by it."""
     still = replace(scenario.load("lab"), wind=scenario.Wind())
     plant = VehicleSim(still, 1)
     plant.arm()
@@ -200,16 +200,16 @@ def test_the_simulated_crazyflie_is_identified_from_its_flights(flights):
     odometry = scenario.load("lab").odometry
     assert table["target"]["position_noise_m"] == pytest.approx(odometry.position_noise_m, rel=0.15)
     assert table["target"]["velocity_noise_m_s"] == pytest.approx(odometry.velocity_noise_m_s, rel=0.15)
-    assert table["target"]["delay_s"] == pytest.approx(odometry.delay_s, abs=0.011)  # to a tick
+    assert table["target"]["delay_s"] == pytest.approx(odometry.delay_s, abs=0.011)  # within one tick
     assert table["envelope"]["target_rate_hz"] == odometry.rate_hz
     loop = table["velocity_loop"]
     for key, axis in (("lag_xy_s", 0), ("lag_z_s", 2)):
-        # a few seconds with gusts, through the links, of vehicles that differ by a fifth in motor lag
+        # a few seconds with gusts, through the links, of vehicles whose motor lag differs by a fifth
         assert loop[key] == pytest.approx(step_lag_s(axis), rel=0.3)
     whole = {name: {**values} for name, values in to_table(config()).items() if isinstance(values, dict)}
     for section, values in table.items():
         whole[section].update(values)
-    assert from_table(FlightConfig, whole).velocity_loop.lag_z_s == loop["lag_z_s"]  # it is a configuration
+    assert from_table(FlightConfig, whole).velocity_loop.lag_z_s == loop["lag_z_s"]  # a valid configuration
     shown = json.loads(run("identify", "--json", *flights).output)
     assert shown["horizontal"]["lag_s"] == pytest.approx(loop["lag_xy_s"], abs=1e-3)
     assert shown["vertical"]["explained"] > 0.9

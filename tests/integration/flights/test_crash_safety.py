@@ -1,4 +1,4 @@
-"""Whichever process is killed, whenever, and on a full disk: the log stays, and what it lacks is bounded."""
+"""Any process can be killed at any time, and the disk can be full: the log survives with bounded losses."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from logs.schema.schemas import CONTROLLER_STEP
 from tests.integration.runs import Flying, flightstack, gone, kill
 
 NS = 1e9
-# Wall time of the kill after the approach began, by lockstep: so that there is something to replay, and the
-# flight still goes on.
+# Wall time of the kill after the start of the approach, by lockstep: late enough for a replay, before the end
+# of the flight.
 PAST_APPROACH_BYTES = 1_200_000  # of the log: the approach begins at 980,000, and a replay needs some of it
 WHEN_S = {False: (0.7, 8.0), True: (0.3, 0.8)}
-# A topic that each victim writes into the log; for the recorder, and the launcher that takes all along, any.
+# A topic that each victim logs; for the recorder and for the launcher, which kills all others, any topic.
 OWN_TOPIC = {
     "world": "/cf1/sim/truth",
     "onboard": "/cf1/controller/step",
@@ -31,7 +31,7 @@ OWN_TOPIC = {
 
 
 class FlightOverError(Exception):
-    """The machine flew faster than thought; nothing was killed."""
+    """The machine was too fast: the flight ended before the kill."""
 
 
 @dataclass(frozen=True)
@@ -41,11 +41,11 @@ class Crash:
     complete: bool
     messages: int
     recovered: int
-    missing_s: float  # wall time between the kill and the last thing the victim brought into the log
+    missing_s: float  # wall time between the kill and the victim's last message in the log
 
 
 def crash(folder: Path, victim: str, seed: int, *, lockstep: bool, sooner: float = 1.0) -> Crash:
-    """Fly, kill after so much of the random wait, and look at the log."""
+    """Fly, kill after this share of the random wait, and read the log."""
     wires = ["--lockstep"] if lockstep else []
     run = Flying(folder, "--scenario", "paper_moving_1", "--seed", seed, *wires)
     try:
@@ -53,7 +53,7 @@ def crash(folder: Path, victim: str, seed: int, *, lockstep: bool, sooner: float
         run.some_log(PAST_APPROACH_BYTES)
         children = run.children()
         assert set(children) == {"record", "world", "onboard"}
-        # the moment is random on purpose: nothing is waited for
+        # the moment is random on purpose; this sleep waits for no event
         time.sleep(sooner * random.Random(f"{victim} {seed} {lockstep}").uniform(*WHEN_S[lockstep]))
         pid = run.process.pid if victim == "launcher" else children[victim]
         killed_s = time.time()
@@ -90,7 +90,7 @@ def _look(folder: Path, victim: str, lockstep: bool, killed_s: float) -> Crash:
     assert indexed == len(messages)
     topic = OWN_TOPIC[victim]
     last_s = max(m.log_time_ns for m in messages if topic in (None, m.topic)) / NS
-    if lockstep:  # log times are simulated: the wall time of the last write tells
+    if lockstep:  # log times are simulated; use the wall time of the last write
         missing_s = killed_s - written_s if victim == "record" else 0.0
     else:
         missing_s = max(0.0, killed_s - last_s)
@@ -106,7 +106,7 @@ CASES = [
 
 @pytest.mark.parametrize(("victim", "lockstep"), CASES)
 def test_a_kill_costs_half_a_second_of_the_log_at_most(tmp_path, victim, lockstep):
-    for sooner in (1.0, 0.3, 0.0):  # a quick machine has landed before the kill
+    for sooner in (1.0, 0.3, 0.0):  # a fast machine has landed before the kill
         try:
             found = crash(tmp_path / str(sooner), victim, 1, lockstep=lockstep, sooner=sooner)
             break

@@ -1,4 +1,4 @@
-"""Vehicles of a fleet in real time: one of ``sitl``, two by their URLs, the last one a Crazyflie."""
+"""Vehicles of a fleet in real time: one of ``sitl``, two with their own URLs, the last one a Crazyflie."""
 
 import numpy as np
 import pytest
@@ -59,7 +59,7 @@ def test_vehicles_from_three_sources_hear_each_other_land_and_replay(tmp_path):
     fleet, log = load_fleet(out / "flight.mcap"), LogFile(out / "flight.mcap")
     verdict = judge_fleet(fleet)
     assert [each.judged_from for each in verdict.members.values()] == ["truth", "estimate", "estimate"]
-    assert verdict.collisions is None  # nobody knows where the other ones truly were
+    assert verdict.collisions is None  # the true positions of the others are unknown
     for n, kind in KINDS.items():
         assert log.metadata()[f"cf{n}/preflight"]["profile"] == kind
         result = replay(out / "flight.mcap", member=f"cf{n}")
@@ -68,7 +68,7 @@ def test_vehicles_from_three_sources_hear_each_other_land_and_replay(tmp_path):
         heard = [word for message in messages for word in unpack_neighbours(message.data)]
         assert {word.id for word in heard} == KINDS.keys() - {n}
         bounds_s = np.array([word.clock_bound_s for word in heard])
-        assert np.median(bounds_s) < 0.02  # half a tick and what the machine is late by
+        assert np.median(bounds_s) < 0.02  # half a tick plus the machine's latency
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""``sitl`` with a team: every member flies as in ``land_team``, by wire; a process that dies harms nobody."""
+"""``sitl`` with a team: every member flies as in ``land_team``; the death of a process harms no other."""
 
 import os
 import signal
@@ -23,7 +23,7 @@ NAMES = ["cf1", "cf2", "cf3"]
 
 @pytest.fixture(scope="module")
 def wired(flown):
-    """A team over the wires, in lockstep."""
+    """A team as separate processes, in lockstep."""
     done = flown(TEAM, SEED)
     assert done.code == 0, done.out + done.err
     return done
@@ -36,7 +36,7 @@ def fleet(wired):
 
 @pytest.fixture(scope="module")
 def direct():
-    """The same team in one process: what became of it, and its commands by member."""
+    """The same team in one process: its result, and the commands of each member."""
     team = teams.load(TEAM)
     commands, words = [[] for _ in team.member], Words(team, SEED)
 
@@ -119,7 +119,7 @@ def test_a_process_that_is_killed_in_flight_harms_nobody(tmp_path):
     fleet = load_fleet(tmp_path / "out" / "flight.mcap")
     verdict = judge_fleet(fleet)
     assert verdict.collisions == verdict.ellipsoid_violations == 0
-    # who cannot land as near to where the silent one may be as its pad is, flies clear and lands beside it
+    # a vehicle whose pad is too close to the silent one's possible positions lands next to it
     for name in ("cf1", "cf3"):
         assert verdict.members[name].outcome in (Outcome.LANDED, Outcome.ABORTED), verdict.members[name]
         assert fleet.flights[name].phase_spans()[-1][0] in (Phase.LANDED, Phase.ABORT)

@@ -1,4 +1,4 @@
-"""``flightstack fly``: vehicle and target are somebody else's; what it says while it waits for them."""
+"""``flightstack fly`` with an external vehicle and target, and its messages while it waits for them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.xdist_group("real-time")
 
 @contextmanager
 def theirs(folder):
-    """Vehicle and robot that run by themselves; yields the words that plug them in."""
+    """Run vehicle and robot separately; yield the options that connect to them."""
     with simulated(folder) as room:
         yield [
             "--vehicle", room.url, "--target", room.target_key, "--connect", *room.connect,
@@ -39,7 +39,7 @@ def test_lands_records_judges_and_reports(tmp_path):
     assert done.code == 0, done.err
     found = done.json
     assert LogFile(found["log"]).metadata()["onboard"]["core"] == "compiled"
-    assert replayed(found["log"])["compared"] > 500  # by plain Python
+    assert replayed(found["log"])["compared"] > 500  # replayed by interpreted Python
     assert found["outcome"] == "landed"
     assert found["judged_from"] == "estimate"
     assert found["touchdown_error_m"] <= 0.10
@@ -107,7 +107,7 @@ STAMP_NS = 1_700_000_000_000_000_000
 
 
 def config(folder, wait_s):
-    """The package's configuration of a Crazyflie with another time to wait."""
+    """Return the package's Crazyflie configuration with another waiting time."""
     text, n = re.subn(
         r"^wait_time_max_s = .*$", f"wait_time_max_s = {wait_s:.1f}",
         (ROOT / "flightstack" / "config" / "crazyflie.toml").read_text(), flags=re.MULTILINE,
@@ -180,7 +180,7 @@ def test_a_target_on_another_key_then_in_another_frame_then_a_vehicle_that_dies(
 
 
 def messages(log):
-    """Texts of /rosout."""
+    """Return the texts of /rosout."""
     from logs.schema.rows import LogRow
 
     return [LogRow.unpack(message.data).msg for message in LogFile(log).messages({"/rosout"})]

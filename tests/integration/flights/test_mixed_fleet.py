@@ -1,4 +1,4 @@
-"""Three kinds of vehicles in one fleet in real time: simulated, a real PX4, a Crazyflie behind its bridge."""
+"""Three kinds of vehicles in one fleet in real time: simulated, a real PX4, a Crazyflie with its bridge."""
 
 import contextlib
 import itertools
@@ -34,12 +34,12 @@ ROOT = Path(__file__).parents[3]
 TEAM, PAGE = ROOT / "examples" / "mixed_fleet.toml", ROOT / "docs" / "how_to" / "mixed_fleet.md"
 SEED, PX4, CRAZYFLIE = 1, 2, 3
 KINDS = {1: "sitl", PX4: "px4", CRAZYFLIE: "crazyflie"}
-READY_S = 200.0  # until PX4 would arm, however busy the machine
+READY_S = 200.0  # time-out until PX4 can arm, also on a busy machine
 TOUCHED = re.compile(r"touched the pad at .* s, (\S+) m east and (\S+) m north")
 
 
 def claimed(numbers):
-    """An instance number of PX4, waited for where another flight has it."""
+    """Reserve an instance number of PX4; wait while another flight uses it."""
     until_s = time.monotonic() + READY_S
     while True:
         with contextlib.suppress(Px4Error):
@@ -48,14 +48,14 @@ def claimed(numbers):
             names = ["pgrep", "--list-full", "px4"]
             running = subprocess.run(names, capture_output=True, text=True, check=False).stdout
             pytest.fail(f"PX4 instances {numbers} stay in use; these run:\n{running}")
-        time.sleep(0.5)  # polling a lock of other processes: nothing to wait on
+        time.sleep(0.5)  # polls a lock of other processes, which has no event
 
 
 @contextlib.contextmanager
 def px4_on_its_simulator(folder, instance, robots):
-    """PX4 on a body whose deck follows the robot of its member.
+    """Run PX4 on a body whose deck follows the robot of its member.
 
-    Yields what the simulator has said, once it has ended.
+    Yields the simulator's output, filled after its end.
     """
     scenario, _ = load(TEAM).one(SEED, PX4)
     wanted = parameters(params.load(scenario.vehicle.airframe), scenario.vehicle.mocap)
@@ -72,7 +72,7 @@ def px4_on_its_simulator(folder, instance, robots):
 
 
 def places(log):
-    """Time and place that each member told, by its number."""
+    """Return the reported time and position of each member, by its number."""
     told = {number: [] for number in KINDS}
     for message in log.messages({f"/cf{number}/fleet/word" for number in KINDS}):
         word = FleetWordRow.unpack(message.data)
@@ -81,7 +81,7 @@ def places(log):
 
 
 def least_rho(one, other, fleet):
-    """Least distance of two members in the measure of the ellipsoid, by the places that they told."""
+    """Return the smallest ellipsoid norm between two members, from the reported positions."""
     t = np.arange(max(one[0, 0], other[0, 0]), min(one[-1, 0], other[-1, 0]), 0.02)
     x, y, z = (np.interp(t, one[:, 0], one[:, k]) - np.interp(t, other[:, 0], other[:, k]) for k in (1, 2, 3))
     return float(np.sqrt((x * x + y * y) / fleet.radius_xy_m**2 + z * z / fleet.radius_z_m**2).min())
@@ -92,7 +92,7 @@ def least_rho(one, other, fleet):
 def test_three_kinds_cross_land_and_replay(tmp_path):
     px4_or_skip()
     bridge_at, out = f"127.0.0.1:{free_port(udp=True)}", tmp_path / "out"
-    with contextlib.closing(claimed((PX4 - 1,))) as claim:  # its system id is one more
+    with contextlib.closing(claimed((PX4 - 1,))) as claim:  # the system id is the instance number + 1
         urls = {PX4: f"udpin:127.0.0.1:{14540 + claim.number}", CRAZYFLIE: f"udpout:{bridge_at}"}
         members = [word for number, url in urls.items() for word in ("--member", f"{number}={url}")]
         run = Flying(out, "--scenario", TEAM, "--seed", SEED, *members)
@@ -135,7 +135,7 @@ def test_the_commands_of_the_page_are_those_of_the_verbs_and_name_the_members_of
         context, rest = main.make_context("flightstack", list(words)), words
         while isinstance(context.command, click.Group):
             name, command, rest = context.command.resolve_command(context, rest)
-            context = command.make_context(name, list(rest), parent=context)  # refuses what it does not know
+            context = command.make_context(name, list(rest), parent=context)  # rejects unknown options
     (sitl,) = [words for words in ours if words[0] == "sitl"]
     given = {int(text.partition("=")[0]) for text in sitl if re.match(r"\d=", text)}
     assert given == {PX4, CRAZYFLIE}

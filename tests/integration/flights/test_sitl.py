@@ -1,4 +1,4 @@
-"""Whole runs over the real wires: landings, kills and interruptions, and faults that end as they must."""
+"""Whole runs with separate processes: landings, kills and interruptions, and faults with the required end."""
 
 import re
 import signal
@@ -54,7 +54,7 @@ def test_a_robot_that_stops_and_a_start_in_hover_land_by_contact_and_replay(flow
     assert result.code == 0, result.err
     assert result.json["outcome"] == "landed"
     assert result.json["touchdown_error_m"] <= 0.10
-    assert result.json["touchdown_speed_vertical_m_s"] < 0.35  # set down; a fall from 5 cm ends with 0.75 m/s
+    assert result.json["touchdown_speed_vertical_m_s"] < 0.35  # a powered descent; a fall from 5 cm: 0.75 m/s
     assert_decided_again(result.log)
 
 
@@ -71,7 +71,7 @@ def test_an_interrupted_run_ends_everything_and_says_what_was_reached(tmp_path):
     assert set(children) == {"record", "world", "onboard"}
     run.process.send_signal(signal.SIGINT)
     assert run.end() == 1
-    # aborted once it is armed, for then the vehicle is told to land before the process ends
+    # aborted after arming, so that the vehicle is commanded to land before the process ends
     assert any(re.search(r"outcome\W+(aborted|timeout)", line) for line in run.lines), run.lines
     assert all(gone(pid) for pid in children.values())
     flight = load_flight(tmp_path / "flight.mcap")
@@ -84,7 +84,7 @@ def test_a_world_that_stands_still_for_some_seconds_only_delays_a_lockstep_fligh
     run.until("-> TAKEOFF")
     world = run.children()["world"]
     kill(world, signal.SIGSTOP)
-    time.sleep(6.0)  # longer than the lease of a connection in real time
+    time.sleep(6.0)  # longer than the lease of a real-time connection
     kill(world, signal.SIGCONT)
     assert run.end() == 0
     steps = load_flight(tmp_path / "flight.mcap").steps
@@ -94,14 +94,14 @@ def test_a_world_that_stands_still_for_some_seconds_only_delays_a_lockstep_fligh
 
 def test_a_killed_world_ends_the_run(tmp_path):
     run = Flying(tmp_path, "--scenario", "paper_static_2", "--lockstep")
-    run.until("-> TAKEOFF")  # the first of ten seconds, which lockstep flies in half a one
+    run.until("-> TAKEOFF")  # the first of ten seconds, which lockstep simulates in half a second
     kill(run.children()["world"])
     assert run.end() == 1
     assert any("world ended in flight" in line for line in run.lines), run.lines
 
 
 def events(folder, *words):
-    """Texts of the log that hold one of these words, in order of time; the companion's echoes left out."""
+    """Return the log's texts with one of these words, in order of time, without the companion's echoes."""
     flight = load_flight(folder / "flight.mcap")
     told = [e.text for e in flight.events if e.source != "onboard"]
     return [text for text in told if any(word in text for word in words)]

@@ -1,4 +1,4 @@
-"""A person's abort and emergency stop in every phase, a terminal that closes, and bridges told to end."""
+"""The operator's abort and emergency stop in every phase, a closed terminal, and signals to bridges."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from tests.integration.runs import COMMAND, Flying
 from tests.integration.sim_processes import PATIENCE_S, Client, is_a, wait_for
 from tests.integration.wires.bridge_processes import KEY, Mocap, fly, plain_vehicle, verb
 
-STOPPED_S = 0.3  # s from the emergency stop until the motors are off
-# what leads into the phases that an undisturbed flight does not have
+STOPPED_S = 0.3  # time-out from the emergency stop to motors off
+# causes of the phases that an undisturbed flight does not have
 LOST = Fault(What.TARGET_ODOMETRY, Kind.OFF)
 AT_ONCE, LATER_S = 0.0, 0.3
-# phase and s in it: on the ground, and off it
+# phase and time in it, s: on the ground, and off the ground
 MOMENTS = [
     (Phase.WAIT, AT_ONCE), (Phase.TAKEOFF, AT_ONCE), (Phase.TAKEOFF, 3.0), (Phase.APPROACH, LATER_S),
     (Phase.LAND, LATER_S), (Phase.TOUCHDOWN, AT_ONCE), (Phase.LANDED, LATER_S), (Phase.HOLD, LATER_S),
@@ -57,7 +57,7 @@ def compiled():
 
 
 def fly_and_ask(asked: Operator, phase: Phase, after_s: float):
-    """A flight in which a person asks so long after a phase began."""
+    """Fly with an operator's request at this time after the start of a phase."""
     since = []
 
     def moment(flight: Flight) -> bool:
@@ -78,13 +78,13 @@ def named(moments):
 
 @pytest.mark.parametrize(("phase", "after_s"), MOMENTS[2::2], ids=named(MOMENTS[2::2]))
 def test_the_emergency_stop_stops_the_motors_in_flight(phase, after_s):
-    """That it is obeyed in every phase: tests/unit/core/mission/test_phases.py."""
+    """The request is obeyed; tests/unit/core/mission/test_phases.py tests every phase."""
     flown = fly_and_ask(Operator.EMERGENCY_STOP, phase, after_s)
     assert flown.phases[-1] is (Phase.LANDED if phase is Phase.LANDED else Phase.ABORT)
     assert not flown.truth.motors_running[-1]
     assert flown.down_s <= STOPPED_S
     off = int(np.searchsorted(flown.truth.t_s, flown.disturbed_at_s + STOPPED_S))
-    assert not flown.truth.motors_running[off:].any()  # and nothing starts them again
+    assert not flown.truth.motors_running[off:].any()  # the motors do not restart
 
 
 @pytest.mark.parametrize(("phase", "after_s"), MOMENTS, ids=named(MOMENTS))
@@ -130,7 +130,7 @@ ARMED = 128
 def test_an_onboard_process_whose_terminal_closes_flies_clear_and_lands(tmp_path):
     run = Flying(tmp_path, "--scenario", "paper_static_1", "--lockstep")
     run.until("-> APPROACH")
-    for _ in range(3):  # however often: it is no second Ctrl-C
+    for _ in range(3):  # repeated signals do not count as a second Ctrl-C
         os.kill(run.children()["onboard"], signal.SIGHUP)
     run.until("-> ABORT")
     assert run.end() == 1
@@ -147,7 +147,7 @@ TAKES_ITS_TERMINAL = (
 
 
 def on_a_terminal(arguments):
-    """Start a verb as the leader of a session on a terminal of its own; returns it and the other end."""
+    """Start a verb as session leader on its own terminal; return it and the terminal's other end."""
     ours, theirs = pty.openpty()
     child = subprocess.Popen(
         [sys.executable, "-c", TAKES_ITS_TERMINAL, *COMMAND, *arguments],
@@ -192,7 +192,7 @@ def beat(vehicle, base_mode):
 
 @contextmanager
 def mocap_bridge():
-    """A vehicle that has been heard by the bridge of its poses."""
+    """Run a vehicle that has sent messages to the bridge of its poses."""
     with (
         Mocap(KEY, lambda: ((1.0, 2.0, 0.5), (1.0, 0.0, 0.0, 0.0))) as mocap,
         plain_vehicle(12) as vehicle,

@@ -1,4 +1,4 @@
-"""Who reads the output, or does not: the process does its work, its exit status is right, and it is quiet."""
+"""Closed or full output streams: the process does its work and has the right exit status."""
 
 import os
 import subprocess
@@ -21,14 +21,14 @@ WALL_MAX_S = 240.0
 
 
 def gone():
-    """The writing end of a pipe that nobody reads any more."""
+    """Return the writing end of a pipe without a reader."""
     reads, writes = os.pipe()
     os.close(reads)
     return writes
 
 
 def ended(words, stdout):
-    """Exit status and standard error of a verb."""
+    """Return exit status and standard error of a verb."""
     child = subprocess.run([*COMMAND, *words], stdout=stdout, stderr=subprocess.PIPE, timeout=WALL_MAX_S)
     return child.returncode, child.stderr.decode()
 
@@ -37,7 +37,7 @@ def ended(words, stdout):
 def test_a_reader_that_has_enough_is_no_error(words):
     writes = gone()
     try:
-        assert ended(words, writes) == (int("verdict" in words), "")  # that of the kept log: no landing
+        assert ended(words, writes) == (int("verdict" in words), "")  # the stored log's verdict: no landing
     finally:
         os.close(writes)
 
@@ -50,7 +50,7 @@ def test_a_full_disk_is_told_where_the_output_is_all_there_is():
 
 
 def shell(words, redirections, cwd):
-    """A verb with the redirections of a shell."""
+    """Run a verb with a shell's redirections."""
     return subprocess.run(
         ["sh", "-c", f'exec "$@" {redirections}', "sh", *COMMAND, *words], cwd=cwd, timeout=WALL_MAX_S,
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
@@ -83,7 +83,7 @@ def test_a_reader_that_does_not_read_is_not_waited_for_in_a_flight():
         child = subprocess.run([sys.executable, "-c", PRINTS], stdout=writes, stderr=writes, timeout=60.0)
         assert child.returncode == 0
         assert time.monotonic() - began_s < 30.0
-        assert len(os.read(reads, 1 << 20)) > 1000  # as much as there was room for
+        assert len(os.read(reads, 1 << 20)) > 1000  # the capacity of the pipe
     finally:
         os.close(reads)
         os.close(writes)

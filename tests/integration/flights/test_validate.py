@@ -1,4 +1,4 @@
-"""``validate``: a piece of a flight everywhere, whole flights where they are; every kind of bad input."""
+"""The verb ``validate`` with a short flight, with whole flights if installed, and with bad input."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FIGURES = 4
 
 
 def validate(folder, out, *options, code=None):
-    """Run the verb; returns its JSON and what it said."""
+    """Run the verb; return its JSON and its output."""
     few = (
         len(list(folder.iterdir())) < 20
     )  # compared in this process, which has loaded and compiled everything
@@ -36,7 +36,7 @@ def validate(folder, out, *options, code=None):
 
 
 def table():
-    """Columns of the piece of flight, as arrays that may be changed."""
+    """Return the columns of the short flight as arrays that may be changed."""
     read = pa.parquet.read_table(recorded.PIECE)
     return {name: np.array(read[name]) for name in read.column_names}
 
@@ -77,7 +77,7 @@ BAD = {
 
 @pytest.fixture(scope="module")
 def mixed(tmp_path_factory):
-    """A folder of one good flight, one with a hole, and every kind of bad one; result, and what was said."""
+    """A folder with a good flight, one with a gap, and every kind of bad one; result and output."""
     folder = tmp_path_factory.mktemp("mixed")
     shutil.copy(recorded.PIECE, folder / "good.parquet")
     write(folder / "hole.csv", changed(["qx"], nan_for_a_while))
@@ -167,7 +167,7 @@ def test_the_terminal_shows_criteria_and_causes_and_the_page_opens(tmp_path, mon
 
 @pytest.fixture
 def some(tmp_path):
-    """A folder of whole flights of each kind; skips where there are none."""
+    """Return a folder of whole flights of each kind; skip if there are none."""
     names = ("B2_circle_fast_rep1", "B3_figure8_medium_rep1", "B7_oval_slow_rep2", "B9_trefoil_slow_rep1")
     folder = tmp_path / "some"
     folder.mkdir()

@@ -1,4 +1,4 @@
-"""Every command of README and docs is run as it stands there; the table of topics is a recorded log."""
+"""Every command of README and docs runs as documented; the table of topics equals a recorded log."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ APART = ("target", "vehicle", "fly")
 RUN_HERE = ("scenarios", "sitl", "report", "compare", "replay", "check", "campaign", "python")
 
 
-# pages whose commands use what those before them left in ``runs/``; each other page stands alone
+# pages whose commands use output of earlier pages in ``runs/``; every other page is independent
 STORY = ("README.md", "first_flight.md", "report.md")
 
 
 def commands(pages=PAGES):
-    """Commands in blocks marked ``sh``, in order, joined where a backslash continues them."""
+    """Return the commands in blocks marked ``sh``, in order, with continuation lines joined."""
     found = []
     for page in pages:
         for block in re.findall(r"^```sh\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL):
@@ -48,7 +48,7 @@ def verb(command):
 
 
 def run(command, cwd):
-    """Run one command in a folder whose .venv is the one the tests run in."""
+    """Run one command in a folder whose .venv is that of the tests."""
     if not (cwd / ".venv").exists():
         (cwd / ".venv").symlink_to(BIN.parent)
         for folder in ("docs", "examples"):
@@ -65,7 +65,7 @@ def real_time(command):
 
 
 def run_each(chosen, cwd):
-    """Run commands, each once, to a good end."""
+    """Run commands, each once; each must succeed."""
     for command in chosen:
         done = run(command, cwd)
         assert done.code == 0, (command, done.out, done.err)
@@ -74,12 +74,12 @@ def run_each(chosen, cwd):
 
 
 def run_here(pages):
-    """Commands of pages that are run as they stand and take no wall time of their own, each once."""
+    """Return the commands that are run unchanged and quickly, each once."""
     return [*dict.fromkeys(c for c in commands(pages) if verb(c) in RUN_HERE and not real_time(c))]
 
 
 def stories():
-    """Pages whose commands are run in one folder: the story first, then each other page that has some."""
+    """Return the pages whose commands run in one folder: the dependent ones first, then the others."""
     told = [page for name in STORY for page in PAGES if page.name == name]
     return [told, *([page] for page in PAGES if page not in told and run_here([page]))]
 
@@ -102,7 +102,7 @@ def test_the_parts_apart_land(tmp_path):
     page = on_free_ports("\n".join(commands()))
     parts = {verb(c): c for c in page.splitlines() if verb(c) in APART}
     assert list(parts) == list(APART)
-    run(f"{BIN}/python --version", tmp_path)  # makes the folder's .venv
+    run(f"{BIN}/python --version", tmp_path)  # creates the folder's .venv
     running = []
     try:
         for name, command in parts.items():
@@ -112,7 +112,7 @@ def test_the_parts_apart_land(tmp_path):
                     shlex.split(command), cwd=tmp_path, stdout=subprocess.PIPE, stderr=text, text=True
                 )
             )
-            if name == "vehicle":  # the target says ready once somebody listens
+            if name == "vehicle":  # the target prints ready once it has a subscriber
                 ready = line_of(running[-1].stdout)
                 assert ready.startswith("ready"), (tmp_path / f"{name}.txt").read_text()
         said, _ = running[-1].communicate(timeout=WALL_MAX_S)
@@ -136,7 +136,7 @@ def test_make_fly_lands():
     if shutil.which("make") is None or not (ROOT / ".venv").exists():
         pytest.skip("make fly needs make and the checkout's own .venv")
     assert "make fly" in commands()
-    assert "make test" in commands()  # what runs this test
+    assert "make test" in commands()  # this test is run by it
     done = subprocess.run(
         ["make", "fly"], cwd=ROOT, capture_output=True, text=True, timeout=WALL_MAX_S, check=False
     )
@@ -147,9 +147,9 @@ def test_make_fly_lands():
     assert (ROOT / report).stat().st_size > 100_000
 
 
-# only with a table of the configuration, or of a fleet
+# only recorded with a table of the configuration, or with a fleet
 WITH_TABLE = {"/cf1/controller/power", "/cf1/controller/neighbours", "/cf1/fleet/word", "/fleet/pairs"}
-DECODED = "/cf1/mavlink/sysS/compC/MESSAGE"  # the page's one line for many topics
+DECODED = "/cf1/mavlink/sysS/compC/MESSAGE"  # one line of the page for many topics
 DECODED_TOPIC = re.compile(r"/cf1/mavlink/sys\d+/comp\d+/[A-Z0-9_]+")
 PAGE = ROOT / "docs/reference/logs.md"
 log_docs = pytest.mark.xdist_group("log docs")  # they share a flight
@@ -157,7 +157,7 @@ log_docs = pytest.mark.xdist_group("log docs")  # they share a flight
 
 @pytest.fixture(scope="module")
 def folder(flown, tmp_path_factory):
-    """Where the commands find the logs they name: one flight, as that two are equal is tested elsewhere."""
+    """Provide the logs that commands name: one flight, because other tests compare equal flights."""
     path = tmp_path_factory.mktemp("docs")
     flight = flown("paper_static_1")
     assert flight.code == 0
@@ -168,7 +168,7 @@ def folder(flown, tmp_path_factory):
 
 
 def table():
-    """Topic -> (type, rate) of the page."""
+    """Return topic -> (type, rate) of the page."""
     rows = re.findall(r"^\| `(/\S+)` \| `(\S+)` \| (\S+) \|", PAGE.read_text(), re.MULTILINE)
     return {topic: (kind, rate) for topic, kind, rate in rows}
 

@@ -1,4 +1,5 @@
-"""Flights recorded over the real wires: replayed bit by bit, played back, judged by estimate and truth."""
+"""Flights recorded from separate processes: replayed bit by bit, played back, judged with and without
+truth."""
 
 import math
 from dataclasses import replace
@@ -15,7 +16,7 @@ from tests.integration.runs import flightstack, replayed
 def test_a_real_time_flight_replays_bit_by_bit_inputs_from_the_wire_included(tmp_path):
     words = ("sitl", "--scenario", "straight", "--duration", 6, "--no-report", "--json")
     flown = flightstack(*words, "--out", tmp_path)
-    assert (flown.code, flown.json["outcome"]) == (1, "aborted")  # out of time on purpose
+    assert (flown.code, flown.json["outcome"]) == (1, "aborted")  # a time-out on purpose
     assert not load_flight(flown.json["log"]).truth.motors_running[-1]
     found = replayed(tmp_path / "flight.mcap")
     assert "APPROACH" in {change["phase"] for change in found["phases_recorded"]}
@@ -23,13 +24,13 @@ def test_a_real_time_flight_replays_bit_by_bit_inputs_from_the_wire_included(tmp
     assert b"alpha_1_m" in config.data
 
 
-ERROR_M, SPEED_M_S = 0.015, 0.05  # what the verdict of a real flight may be off by
-# The target of these is measured to 1 cm or better: the limits are those of the method, not of the estimates.
+ERROR_M, SPEED_M_S = 0.015, 0.05  # allowed errors of a real flight's verdict
+# The target is measured to 1 cm or better in these: the limits are the method's errors, not the estimates'.
 FLIGHTS = [("paper_moving_1", 0), ("large", 0), ("lab", 1), ("stop_and_go", 0)]
 
 
 def onboard_only(log, out, to_s=None):
-    """What a real flight leaves: the onboard process's own topics, up to a time after the first message."""
+    """Keep what a real flight logs: topics of the onboard process, up to a time after the first message."""
     begin_ns = next(LogFile(log).messages()).log_time_ns
     until_ns = math.inf if to_s is None else begin_ns + to_s * 1e9
     return write_kept(log, out, wire=False, when=lambda m: m.log_time_ns <= until_ns)

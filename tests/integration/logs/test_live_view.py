@@ -1,4 +1,4 @@
-"""The scene in 3-D while it flies: what is drawn, what is refused; a viewer that hangs holds up nobody."""
+"""The live 3-D scene: drawn and rejected data; a viewer that hangs delays no process."""
 
 import os
 import signal
@@ -21,14 +21,14 @@ pytestmark = pytest.mark.xdist_group("real-time")
 
 CONFIG = ROOT / "flightstack" / "config" / "sitl-1kg.toml"
 KEYS = ("controller/step", "loop/timing")
-PAD_RADIUS_M = 0.5  # of that configuration
-ROWS = landing().steps[::5]  # 20 Hz, as on the wire
-PUTS = 2000  # of a loop at 20 Hz: more than any queue on the way holds
+PAD_RADIUS_M = 0.5  # pad radius of that configuration
+ROWS = landing().steps[::5]  # 20 Hz, as published
+PUTS = 2000  # samples of a 20 Hz loop, more than all queues hold
 PUT_TIME_MAX_S = 0.01
 
 
 def entities(path):
-    """Entity -> rows with a time, and the names of all its columns."""
+    """Return entity -> rows with a time, and the names of all its columns."""
     rows, columns = Counter(), {}
     for chunk in RrdReader(path).store().stream().to_chunks():
         rows[chunk.entity_path] += 0 if chunk.is_static else chunk.num_rows
@@ -49,16 +49,16 @@ def test_a_flight_in_pieces_is_drawn_as_a_log_of_it_is(tmp_path):
     assert rows["/safety/h/controller"] == rows["/world/vehicle"] == rows["/world/target"] == len(ROWS)
     assert rows["/velocity/z/filtered"] == len(ROWS)
     assert rows["/phase"] == rows["/events"] == len({r.phase for r in ROWS})
-    assert 5 < rows["/world/vehicle_path"] <= len(ROWS) / 4 + 1  # a path is sent whole, so less often
+    assert 5 < rows["/world/vehicle_path"] <= len(ROWS) / 4 + 1  # a path is sent as a whole, so less often
     assert any(name.startswith("Arrows3D:vectors") for name in columns["/world/velocity/nominal"])
-    assert "/world/target_spot/barrier" not in columns  # nobody told its shape
+    assert "/world/target_spot/barrier" not in columns  # its shape was not published
     reader = RrdReader(whole)
     assert (len(reader.recordings()), len(reader.blueprints())) == (1, 1)
 
 
 @pytest.fixture
 def sender():
-    """Publishers as of the onboard process, and where they are."""
+    """Publishers as in the onboard process, and their endpoint."""
     port = Port()
     session = zenoh_link.open_session([port.endpoint], [])
     yield {key: zenoh_link.dropping_publisher(session, f"cf1/{key}") for key in KEYS}, port.endpoint
@@ -68,7 +68,7 @@ def sender():
 
 @pytest.fixture
 def watching(sender, tmp_path):
-    """The verb as a process of its own, with somebody to listen to."""
+    """Run the verb as a process with a publisher."""
     out = tmp_path / "live.rrd"
     child = subprocess.Popen(
         [*COMMAND, "watch", "--connect", sender[1], "--view", str(out), "--config", str(CONFIG)],
@@ -88,7 +88,7 @@ def test_watch_draws_with_barrier_and_pad_of_the_configuration(sender, watching)
     for row, timing in zip(ROWS[:120], landing().timing, strict=False):
         puts["controller/step"].put(row.pack())
         puts["loop/timing"].put(timing.pack())
-        time.sleep(0.02)  # the pace of a flight; nothing is waited for
+        time.sleep(0.02)  # the pace of a flight, not a wait
     wait_for(lambda: out.stat().st_size > size + 20_000, "a recording that grows while it flies")
     child.send_signal(signal.SIGINT)
     _, errors = child.communicate(timeout=60.0)
@@ -144,5 +144,5 @@ def test_sitl_shows_the_flight_and_flies_as_without(tmp_path):
     assert done.code == 0, done.err
     assert done.json["outcome"] == "landed"
     rows, columns = entities(out)
-    assert rows["/world/vehicle"] > 0  # lockstep is quicker than the view, which drops what is old
+    assert rows["/world/vehicle"] > 0  # lockstep is faster than the view, which drops old data
     assert "/world/target_spot/barrier" in columns

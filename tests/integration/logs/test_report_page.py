@@ -19,13 +19,13 @@ pytest.importorskip("plotly", reason="the report needs plotly: install the extra
 
 FIGURES = 13
 FLEET_FIGURES = 5
-SIZE_MAX = 6e6  # bytes, drawing library included
+SIZE_MAX = 6e6  # maximum bytes, including the drawing library
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 BROWSER_LIMIT_S = 180
 
 
 def find_chromium():
-    """Path of a Chromium, ``None`` without one; CHROMIUM names another."""
+    """Return the path of a Chromium, ``None`` without one; CHROMIUM selects another."""
     named = os.environ.get("CHROMIUM")
     return named if named else next((path for name in BROWSERS if (path := shutil.which(name))), None)
 
@@ -39,7 +39,7 @@ def browse(tmp_path):
         )
 
     def opened(page, place=""):
-        """What the page is after its scripts ran, and what it wrote to the console."""
+        """Return the page after its scripts ran, and its console output."""
         result = subprocess.run(
             [
                 browser, "--headless", "--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader",
@@ -61,7 +61,7 @@ def report_of(log, out=None):
 
 
 class Page(HTMLParser):
-    """Classes and attributes of the elements, scripts left out."""
+    """Return classes and attributes of the elements, without scripts."""
 
     def __init__(self, text):
         super().__init__()
@@ -91,7 +91,7 @@ class Page(HTMLParser):
 
 
 def errors(console):
-    """Console lines that tell of trouble; hints about speed are none."""
+    """Return the console lines about problems; performance hints are ignored."""
     return [
         line for line in console if re.search(r"error|exception|refused|violat|failed", line, re.IGNORECASE)
     ]
@@ -104,7 +104,7 @@ def test_every_figure_is_drawn_without_a_complaint(tmp_path, browse):
     dom, console = browse(page, "#t=2.5")
     assert errors(console) == []
     seen = Page(dom)
-    assert seen.body["data-shown"] == "-0.5 5.5"  # in every figure over time
+    assert seen.body["data-shown"] == "-0.5 5.5"  # the same in every figure over time
     assert seen.body["data-figures"] == str(FIGURES)
     assert seen.body["data-figures-drawn"] == str(FIGURES)
     assert seen.tags["canvas"] >= 1  # the 3-D figure
@@ -176,7 +176,7 @@ def test_the_page_is_whole_and_names_every_number_with_its_unit(tmp_path):
     assert out == tmp_path / "there" / "report.html"
     text = out.read_text(encoding="utf-8")
     page = Page(text)
-    assert all(source.startswith(("data:", "#")) for source in page.sources)  # nothing is fetched
+    assert all(source.startswith(("data:", "#")) for source in page.sources)  # no network access
     assert "@@" not in page.text
     for words in (
         "Landed",

@@ -1,4 +1,4 @@
-"""A flown log in programs that are not ours: what they decode is what was flown."""
+"""A recorded log in third-party programs: they decode the flown data."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def log(flown):
 
 @pytest.fixture(scope="module")
 def bag(log):
-    """Topic -> [(log time in ns, message)], by rosbags."""
+    """Return topic -> [(log time in ns, message)], decoded by rosbags."""
     found: dict[str, list] = {}
     with AnyReader([log]) as reader:
         for connection, log_time_ns, data in reader.messages():
@@ -92,7 +92,7 @@ def test_every_raw_frame_is_also_decoded_and_names_its_peer(log, bag):
 
 
 def rerun(home, *arguments):
-    """Run the program with a home of its own: it keeps settings there."""
+    """Run the program with its own home folder, because it stores settings there."""
     done = subprocess.run(
         [str(RERUN), *map(str, arguments)],
         capture_output=True, text=True, timeout=PATIENCE_S, check=False,
@@ -103,7 +103,7 @@ def rerun(home, *arguments):
 
 
 def rows_of(rrd):
-    """Entity -> (rows of its temporal data, names of its columns)."""
+    """Return entity -> (rows of its temporal data, names of its columns)."""
     found: dict[str, tuple[int, set]] = {}
     for chunk in RrdReader(rrd).store().stream().to_chunks():
         rows, columns = found.get(chunk.entity_path, (0, set()))
@@ -145,7 +145,7 @@ def test_view_makes_a_recording_that_rerun_accepts(log, bag, tmp_path):
 
 
 def numeric(reader, topic, fields):
-    """Whether a dotted path ends at a number, by the definitions in the log itself."""
+    """Return whether a dotted path ends at a number, by the definitions in the log."""
     (connection,) = [c for c in reader.connections if c.topic == topic]
     kind = connection.msgtype
     for i, field in enumerate(fields):
@@ -209,7 +209,7 @@ def test_view_serves_a_browser_on_this_machine_only(log):
     )  # fmt: skip
     try:
         said = []
-        for line in lines_of(process.stdout, PATIENCE_S):  # ends by itself if Rerun does not start
+        for line in lines_of(process.stdout, PATIENCE_S):  # the lines end if Rerun does not start
             said.append(line)
             if "Hosting a web-viewer at" in line:
                 break

@@ -1,4 +1,4 @@
-"""Watching a flight from outside: the live keys, the verb ``watch``; old data is never shown as new."""
+"""Watching a flight from outside: live keys and the verb ``watch``; old data is never shown as new."""
 
 import io
 import json
@@ -30,7 +30,7 @@ HEALTHY = HealthRow(
 
 
 class Clock:
-    """Seconds that a test sets."""
+    """A clock in seconds that a test sets."""
 
     def __init__(self):
         self.now_s = 100.0
@@ -40,7 +40,7 @@ class Clock:
 
 
 class Sender:
-    """Plays the onboard process on a session of its own."""
+    """Plays the onboard process in its own session."""
 
     def __init__(self, endpoint, namespace="cf1"):
         self.session = zenoh_link.open_session([endpoint], [])
@@ -55,7 +55,7 @@ class Sender:
 
 @contextmanager
 def opened(namespace="cf1"):
-    """A sender, a watch and its clock."""
+    """Return a sender, a watch and its clock."""
     port, clock = Port(), Clock()
     sender = Sender(port.endpoint, namespace)
     session = zenoh_link.open_session([], [port.endpoint])
@@ -183,7 +183,7 @@ def test_wrong_words_are_refused(words):
 
 
 def test_a_flight_in_real_time_is_watched_from_outside(tmp_path):
-    """Scripts and a terminal see a flight that sitl flies; Ctrl-C ends watching with status 0."""
+    """Scripts and a terminal watch a flight of sitl; Ctrl-C ends watching with status 0."""
     port = Port()
     sitl = subprocess.Popen(
         command("sitl", "--scenario", "straight", "--out", str(tmp_path / "run"), "--no-report", "--listen",
@@ -195,7 +195,7 @@ def test_a_flight_in_real_time_is_watched_from_outside(tmp_path):
         cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
-        # the vehicle's health comes more seldom than the phase: the newest may be of before it was armed
+        # the vehicle's health is sent less often than the phase: the newest may be from before arming
         seen = list(
             _lines(
                 watching,
@@ -236,7 +236,7 @@ def test_a_flight_in_real_time_is_watched_from_outside(tmp_path):
 
 
 def _lines(child, done):
-    """Objects that the child prints, up to one for which ``done`` holds."""
+    """Return the child's printed objects, up to one for which ``done`` is true."""
     until_s = time.monotonic() + 3 * PATIENCE_S
     while time.monotonic() < until_s:
         line = line_of(child.stdout)

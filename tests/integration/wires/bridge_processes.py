@@ -1,4 +1,4 @@
-"""Starts the verbs of ``flightstack bridge``, a motion capture for them, and flies through them."""
+"""Starts the verbs of ``flightstack bridge`` and a motion capture for them, and flies through them."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from tests.processes.ports import free_endpoint, free_port
 from tests.unit.target.ros2_helpers import pose_stamped
 
 OFFBOARD, HOLD = 0x00060000, 0x03040000
-HOVERS_M = 0.3  # m above the start, of a take-off to 0.5 m
-ASKS_EVERY_S = 1.5  # s; of a pilot who sees no answer in the heartbeats, which come once a second
+HOVERS_M = 0.3  # height above the start, in a take-off to 0.5 m
+ASKS_EVERY_S = 1.5  # period of a pilot's requests; heartbeats, which show the result, come once a second
 
 
 class Verb(Background):
-    """A process of ``flightstack bridge`` that is ready."""
+    """Run a process of ``flightstack bridge`` until it is ready."""
 
     def __init__(self, *arguments: str) -> None:
         super().__init__("bridge", *arguments)
@@ -85,10 +85,10 @@ def client(started: Verb) -> Iterator[Client]:
 
 
 def fly(one: Client, server: Server) -> None:
-    """Armed, taken off, in OFFBOARD with a stream of zeros.
+    """Arm, take off, and enter OFFBOARD with a stream of zeros.
 
-    A host that stalls makes state and poses stale: arming is refused, or the take-off ends on the ground or
-    in a landing. As a pilot would, this asks again until the vehicle hovers.
+    A host that stalls makes state and poses stale: arming is rejected, or the take-off ends on the ground or
+    in a landing. This repeats the requests until the vehicle hovers, as a pilot would.
     """
     ready = lambda m: is_a("SYS_STATUS")(m) and m.onboard_control_sensors_health & 0x10000000  # noqa: E731
     one.until(ready, each=one.hello)
@@ -148,7 +148,7 @@ class Mocap:
 
 @contextmanager
 def plain_vehicle(autopilot: int) -> Iterator[Client]:
-    """A socket that beats like an autopilot, and decodes what comes with pymavlink alone."""
+    """A socket that sends an autopilot's heartbeat and decodes messages with pymavlink alone."""
     one = Client(f"udpin:127.0.0.1:{free_port(udp=True)}", 1, 1, listen=True)
     try:
         one.beat = lambda: one.send(mav.MAVLink_heartbeat_message(2, autopilot, 0, 0, 3, 3))

@@ -29,7 +29,7 @@ from tests.processes.ports import free_endpoint
 pytestmark = pytest.mark.xdist_group("real-time")
 
 ARMED, LAND, HOLD = 128, 0x06040000, 0x03040000
-HIGH_M, TABLES = 1.5, (567, 334)  # m; entries of firmware 2026.08's tables of logs and parameters
+HIGH_M, TABLES = 1.5, (567, 334)  # height, m; table sizes of logs and parameters in firmware 2026.08
 
 
 def test_the_simulated_physics_land_on_the_moving_robot_through_cflib(tmp_path):
@@ -100,7 +100,7 @@ def test_old_firmware_is_refused_with_the_version_needed():
 
 
 def stays_unlocked(server):
-    """Wait until the supervisor would have locked for want of set-points; it can be armed, or is."""
+    """Wait until the supervisor would lock without set-points; arming must still be possible."""
     ended_s = server.now_s
     wait_for(lambda: server.now_s > ended_s + TIMEOUT_S + 2 * PERIOD_S, "the end of the watchdog's time")
     wait_for(lambda: server.firmware.supervisor.state in (State.CHECKS_PASSED, State.READY), "readiness")
@@ -113,7 +113,7 @@ def test_told_twice_to_end_it_stops_the_motors_at_once():
         started.process.send_signal(signal.SIGINT)
         one.until(is_a("HEARTBEAT", custom_mode=LAND))
         assert started.end(signal.SIGINT) == 0
-        wait_for(lambda: not server.firmware.plant.motors, "motors off")  # last packets may be queued
+        wait_for(lambda: not server.firmware.plant.motors, "motors off")  # the last packets may be queued
         stays_unlocked(server)
 
 
@@ -140,11 +140,11 @@ def test_what_nobody_takes_is_bounded(tmp_path):
             wait_for(lambda: link.events_lost > 50, "more events than there is room for")
             events = [arrived.event for arrived in link.poll()]
             assert len(events) <= EVENTS_MAX
-            assert Connected not in {type(event) for event in events}  # the oldest went first
+            assert Connected not in {type(event) for event in events}  # the oldest event was dropped first
             times_ms = [event.time_ms for event in events if isinstance(event, StateBlock)]
             assert times_ms == sorted(times_ms)
             assert link.poll() == [] or len(link.poll()) < 5
-            assert any(tmp_path.iterdir())  # the tables are kept
+            assert any(tmp_path.iterdir())  # the tables are cached
         finally:
             link.close()
 
@@ -154,7 +154,7 @@ REFUSED = [
         (uri, "udpin:127.0.0.1:0", f"Crazyflie URI {uri!r} is not understood: allowed is radio://DONGLE/")
         for uri in ("mailto:nobody", "radio://", "udp://host", "radio://0/80/3M")
     ),
-    ("udp://127.0.0.1:9", "udpin:0.0.0.0:0", "--signing-key FILE"),  # a network only with a key
+    ("udp://127.0.0.1:9", "udpin:0.0.0.0:0", "--signing-key FILE"),  # a network address requires a key
 ]
 
 

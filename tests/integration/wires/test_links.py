@@ -1,4 +1,4 @@
-"""MAVLink that is signed, and MAVLink over serial lines and TCP: slow, noisy, cut, pulled out in flight."""
+"""Signed MAVLink, and MAVLink over serial lines and TCP: slow, noisy, cut, disconnected in flight."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ def _cut(relay, cut_s):
 
 
 @pytest.mark.xdist_group("real-time")
-@pytest.mark.xdist_group("stream 0")  # workers of the kernel carry its bytes: PX4's threads go before those
+@pytest.mark.xdist_group("stream 0")  # kernel workers carry its bytes; PX4's threads preempt them
 def test_lands_over_a_slow_and_noisy_serial_line(tmp_path):
     code, text, relay = land_over(tmp_path, lambda folder: PtyEnd(folder, SLOW), SLOW, noise_bytes_s=100.0)
     assert code == 0, text

@@ -1,4 +1,4 @@
-"""A landing on a target that is a ROS 2 topic, through a router, while a ROS 2 node looks on."""
+"""A landing on a target that is a ROS 2 topic, through a router, with a ROS 2 node as observer."""
 
 import math
 import re
@@ -32,7 +32,7 @@ def commands():
 
 
 class Node:
-    """Plays a ROS 2 node: every topic of domain 0, decoded by another library."""
+    """Plays a ROS 2 node: subscribes to every topic of domain 0, decoded by another library."""
 
     def __init__(self, endpoint):
         self.session = rmw_session(endpoint)
@@ -50,7 +50,7 @@ class Node:
             self.messages[key.topic].append(decode(key.type_name, sample.payload.to_bytes()))
 
     def has_all_of_the_flight(self):
-        """On a busy machine the robot may tell late where it was."""
+        """On a busy machine the robot may publish its position late."""
         self.poll()
         own, target = self.messages["/cf1/odom"], self.messages["/cf1/target/odom"]
         return seconds(target[-1]) >= seconds(own[-1])
@@ -60,7 +60,7 @@ class Node:
 
 
 class Parts:
-    """The page's processes, started in its order."""
+    """Run the page's processes, started in its order."""
 
     def __init__(self, folder, stack):
         self._folder, self._stack, self._words = folder, stack, commands()
@@ -82,7 +82,7 @@ class Parts:
             self.line(name, "ready")
 
     def line(self, name, words):
-        """Read what a process says up to a line with these words."""
+        """Read a process's output up to a line with these words."""
         child, deadline_s = self.running[name], time.monotonic() + WALL_MAX_S
         while time.monotonic() < deadline_s:
             line = line_of(child.stdout, WALL_MAX_S)
@@ -124,12 +124,12 @@ def test_the_page_lands_and_ros_2_sees_it(tmp_path):
 
 def check(node):
     for topic, numbers in node.sequences.items():
-        assert numbers == list(range(numbers[0], numbers[0] + len(numbers))), topic  # none lost on the way
+        assert numbers == list(range(numbers[0], numbers[0] + len(numbers))), topic  # no message was lost
     phases = [message.data for message in node.messages["/cf1/phase"]]
     assert {Phase.TAKEOFF.name, Phase.APPROACH.name, Phase.LAND.name} <= set(phases)
     assert phases[-1] == Phase.LANDED.name
     steps = node.messages["/cf1/controller/step"]
-    last = [repr(step.h_m) for step in steps[-50:]]  # NaN equals itself
+    last = [repr(step.h_m) for step in steps[-50:]]  # repr, because NaN does not equal itself
     assert [repr(message.data) for message in node.messages["/cf1/h"][-50:]] == last
     landing = [step.h_m for step in steps if step.phase == Phase.LAND]
     assert len(landing) >= 5  # LAND lasts 0.45 to 0.6 s of steps at 20 Hz
@@ -137,7 +137,7 @@ def check(node):
     commands_ = node.messages["/cf1/cmd/velocity"]
     assert {one.header.frame_id for one in commands_} == {"map"}
     assert max(abs(one.twist.linear.z) for one in commands_) > 0.05
-    own = node.messages["/cf1/odom"][-1]  # the robot drives on and tells so while onboard ends
+    own = node.messages["/cf1/odom"][-1]  # the robot drives on and publishes while onboard ends
     target = min(node.messages["/cf1/target/odom"], key=lambda one: abs(seconds(one) - seconds(own)))
     assert (target.header.frame_id, target.child_frame_id) == ("map", "target")
     assert abs(seconds(target) - seconds(own)) < 0.1

@@ -1,4 +1,4 @@
-"""The process of the vehicle on its real wires: real time with a plain client, and lockstep."""
+"""The vehicle process over its real connections: real time with a plain client, and lockstep."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_its_time_is_that_of_the_wall() -> None:
         while len(times_ms) < 101:
             assert client.receive(), "no telemetry"
             times_ms = [m.time_boot_ms for m in client.log if m.get_type() == "LOCAL_POSITION_NED"]
-        assert time.monotonic() - start_s > 0.8  # s; what a busy machine held up for 0.1 s comes at once
+        assert time.monotonic() - start_s > 0.8  # a delay of 0.1 s delivers messages at once
         assert {b - a for a, b in itertools.pairwise(times_ms)} == {10}
         terminate(child)
 
@@ -71,13 +71,13 @@ def test_after_a_pause_it_goes_on_from_there_and_takes_no_core_from_others() -> 
         child.send_signal(signal.SIGCONT)
         client.until(lambda m: is_a("STATUSTEXT")(m) and re.match(r"Machine paused \d\.\d\d s", m.text))
         after = client.until(is_a("LOCAL_POSITION_NED")).time_boot_ms
-        assert 0 < after - before < 1000.0 * (time.monotonic() - called_s) - 400.0  # it stood still
+        assert 0 < after - before < 1000.0 * (time.monotonic() - called_s) - 400.0  # the clock stood still
         assert os.sched_getscheduler(child.pid) == os.SCHED_OTHER
         terminate(child)
 
 
 class Companion(Client):
-    """Answers TIMESYNC; its plan is a function of the tick."""
+    """Answers TIMESYNC; its set-points are a function of the tick."""
 
     def __init__(self, url: str, *, listen: bool = False) -> None:
         super().__init__(url, listen=listen)
@@ -87,7 +87,7 @@ class Companion(Client):
             self.hello()
 
     def step(self, timeout_s: float = 20.0) -> bool:
-        """Wait for the next tick's request and answer it; False if it did not come."""
+        """Wait for the next tick's request and answer it; False after a time-out."""
         deadline_s = time.monotonic() + timeout_s
         while time.monotonic() < deadline_s:
             for message in self.receive(max(0.0, deadline_s - time.monotonic())):
@@ -95,7 +95,7 @@ class Companion(Client):
                     continue
                 raw = bytes(message.get_msgbuf())
                 answer = mav.MAVLink_timesync_message(message.ts1 + 1, message.ts1)
-                if raw == self.last_request:  # a repetition after a pause of the machine
+                if raw == self.last_request:  # a repeated request after a pause of the machine
                     self.frames.remove(raw)
                     self.send(answer)
                     continue
@@ -125,7 +125,7 @@ def test_an_answer_from_before_the_end_is_acted_on_however_late_the_vehicle_gets
         for _ in range(21):
             assert companion.step()
         os.kill(child.pid, signal.SIGCONT)
-        assert companion.step()  # else a log would hold one true state more or less of the same flight
+        assert companion.step()  # else logs of the same flight would differ by one true state
         assert child.wait(5.0) == 0
 
 
@@ -177,7 +177,7 @@ def target(seed: int, port: int, **more):
 
 
 class Reader:
-    """Stands for the vehicle and the onboard process: reads everything."""
+    """Replaces the vehicle and the onboard process: reads all messages."""
 
     def __init__(self, port: int) -> None:
         self.session = zenoh_link.open_session([], [f"tcp/127.0.0.1:{port}"])
@@ -206,7 +206,7 @@ def test_real_time_rate_and_start_with_the_landing() -> None:
             start_s = time.monotonic()
             wait_for(lambda: reader.poll() or len(reader.truths) > 100, "a hundred poses")
             wait_for(lambda: reader.poll() or len(reader.samples) > 100, "a hundred samples")
-            assert time.monotonic() - start_s > 0.5  # s; what a busy machine held up comes at once
+            assert time.monotonic() - start_s > 0.5  # after a delay, messages arrive at once
             steps.put(controller_step(Phase.TAKEOFF))
             steps.put(b"rubbish")
             last = decode_odometry(reader.truths[-1])
@@ -229,7 +229,7 @@ def test_the_robots_poses_wait_for_no_other_program_but_in_lockstep(lockstep: bo
         assert ready.startswith("ready udpin:")
         if lockstep:
             assert not prompt_threads(child.pid)
-        else:  # its own thread asks after it has said that it is ready
+        else:  # its thread requests the priority after it has printed ready
             wait_for(lambda: len(prompt_threads(child.pid) - {child.pid}) > 0, "priority of its threads")
             wait_for(lambda: child.pid in prompt_threads(child.pid), "priority of the world")
         terminate(child)

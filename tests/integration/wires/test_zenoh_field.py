@@ -1,4 +1,4 @@
-"""The configurations of docs/how_to/zenoh.md in use: certificates, passwords, rules, a router that dies."""
+"""The configurations of docs/how_to/zenoh.md: certificates, passwords, access rules, a router that dies."""
 
 import itertools
 import json
@@ -27,11 +27,11 @@ ROOT = Path(__file__).parents[3]
 FILES = ROOT / "docs" / "how_to" / "zenoh"
 USERS = {"robot": "change me", "companion": "to land", "watcher": "to see"}
 TARGET, STEP = "cf1/target/odom", "cf1/controller/step"
-BACK_MAX_S = 0.5  # docs/how_to/zenoh.md: after the router's return
+BACK_MAX_S = 0.5  # time-out after the router's return, from docs/how_to/zenoh.md
 
 
 def recipe():
-    """The commands that the page gives for making certificates."""
+    """Return the page's commands that make certificates."""
     page = (ROOT / "docs" / "how_to" / "zenoh.md").read_text()
     return re.search(r"^```bash\n(mkdir.*?)^```", page, re.MULTILINE | re.DOTALL)[1]
 
@@ -43,7 +43,7 @@ def make_keys(folder):
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory):
-    """A folder with keys of one authority, and a stranger's of another."""
+    """A folder with keys of one authority, and a stranger's key of another."""
     folder = make_keys(tmp_path_factory.mktemp("zenoh"))
     stranger = make_keys(tmp_path_factory.mktemp("stranger"))
     for end in ("key", "pem"):
@@ -59,7 +59,7 @@ def at_home(home, monkeypatch):
 
 
 def client_file(kind, name, secret=None):
-    """The page's client configuration, made that of one machine; it gives up after a second."""
+    """Return the page's client configuration, changed to one machine and a time-out of one second."""
     text = (FILES / f"client_{kind}.json5").read_text()
     text = text.replace("connect: {", "connect: { timeout_ms: 1000,", 1).replace("keys/me", f"keys/{name}")
     text = text.replace('"robot"', f'"{name}"').replace("change me", secret or USERS.get(name, ""))
@@ -70,7 +70,7 @@ def client_file(kind, name, secret=None):
 
 @contextmanager
 def router(kind):
-    """A router with the page's configuration; yields the endpoint to dial."""
+    """Run a router with the page's configuration; yield its endpoint."""
     port = free_port()
     session = zenoh_link.open_session(
         [f"tls/127.0.0.1:{port}"], config_file=FILES / f"router_{kind}.json5", role=Role.ROUTER
@@ -85,16 +85,16 @@ questions = itertools.count()
 
 
 def who_hears(sessions, sender, key):
-    """Names of those whom a sample on the key reaches."""
+    """Return the names of the clients that a sample on the key reaches."""
     asked, marks = (f"{word} {next(questions)}".encode() for word in ("asked", "mark"))
     publisher = zenoh_link.dropping_publisher(sessions[sender], key)
     mark = zenoh_link.dropping_publisher(sessions["robot"], TARGET)
     heard = {name: zenoh_link.ring_subscriber(session, "cf1/**") for name, session in sessions.items()}
     others = [name for name in sessions if name not in (sender, "robot")]
-    found, marked = set(), set()  # of this question: what was asked before may still be on its way
+    found, marked = set(), set()  # of this sample only: earlier ones may still be in transit
 
     def passed():
-        # What the robot sends passes; it comes after what we ask about, and tells when to look.
+        # The robot's sample passes and follows the tested one, so it marks the time to check.
         publisher.put(asked)
         mark.put(marks)
         for name, subscriber in heard.items():
@@ -105,7 +105,7 @@ def who_hears(sessions, sender, key):
         return marked.issuperset(others)
 
     until(passed, "what the robot sends")
-    for _ in range(20):  # and as much again for the slower way
+    for _ in range(20):  # the same time again for the slower path
         passed()
         time.sleep(0.005)
     for one in (publisher, mark, *heard.values()):
@@ -135,7 +135,7 @@ def test_each_may_do_what_is_his_and_nothing_else(at_home, kind):
 @pytest.mark.parametrize(
     ("kind", "name", "secret"),
     [
-        ("tls", "stranger", None),  # a certificate called robot, of another authority
+        ("tls", "stranger", None),  # a certificate with the name robot from another authority
         ("password", "robot", "wrong"),
         ("password", "mallory", "change me"),
     ],
@@ -145,7 +145,7 @@ def test_who_is_not_known_does_not_get_in(at_home, kind, name, secret):
         with pytest.raises(ZenohLinkError, match="does it accept us"):
             zenoh_link.open_session(connect=[endpoint], config_file=client_file(kind, name, secret))
         known = zenoh_link.open_session(connect=[endpoint], config_file=client_file(kind, "robot"))
-        known.close()  # the same with the right one is let in
+        known.close()  # a client with the right certificate connects
 
 
 def test_without_a_certificate_nobody_gets_in(at_home):
@@ -162,13 +162,13 @@ def test_without_a_certificate_nobody_gets_in(at_home):
 def test_a_router_under_another_name_is_not_believed(at_home):
     file = client_file("tls", "robot")
     with router("tls") as endpoint:
-        address = endpoint.replace("localhost", "127.0.0.1")  # of which its certificate does not speak
+        address = endpoint.replace("localhost", "127.0.0.1")  # the certificate does not contain this name
         with pytest.raises(ZenohLinkError):
             zenoh_link.open_session(connect=[address], config_file=file)
 
 
 def test_peers_find_each_other(at_home):
-    port = str(free_port(udp=True))  # not the one that other Zenoh processes of this network use
+    port = str(free_port(udp=True))  # not the port of other Zenoh processes in this network
     file = Path("peers.json5")
     file.write_text((FILES / "peers.json5").read_text().replace("7446", port))
     one = zenoh_link.open_session(config_file=file)
@@ -206,7 +206,7 @@ def test_a_router_that_is_killed_and_comes_back(at_home):
             child.wait(PATIENCE_S)
             for session in (robot, companion):
                 until(lambda s=session: zenoh_link.transports(s) == 0, "the end of the connection")
-            zenoh_link.drain(heard)  # what was on its way
+            zenoh_link.drain(heard)  # samples in transit
         assert not flows()
         with router_process(endpoint) as (child, _):
             back_s = time.monotonic()
@@ -237,7 +237,8 @@ def test_the_verb_router_wants_a_router_and_a_free_port(at_home):
 
 @pytest.mark.xdist_group("real-time")
 def test_sitl_is_watched_by_certificate_and_seen_by_ros_2(at_home, tmp_path):
-    """The companion's own rules: loopback flies, a watcher reads, and neither he nor the robot does more."""
+    """The companion's own rules: loopback flies, a watcher reads, and watcher and robot can do
+    nothing else."""
     listen, ros_router = free_endpoint().replace("tcp/", "tls/"), free_endpoint()
     dial = listen.replace("127.0.0.1", "localhost")
     with ExitStack() as stack:
@@ -280,11 +281,11 @@ def test_sitl_is_watched_by_certificate_and_seen_by_ros_2(at_home, tmp_path):
     result = json.loads(said.strip().splitlines()[-1])
     assert result["outcome"] == "landed"
     refused = [one for one in LogFile(Path(result["log"])).messages() if one.topic == "/rosout"]
-    assert not any(b"target sample refused" in one.data for one in refused)  # nothing forged came through
+    assert not any(b"target sample refused" in one.data for one in refused)  # no forged sample arrived
 
 
 def test_the_recorder_looks_on_by_certificate(at_home, tmp_path):
-    """`record --zenoh-config` through the router with rules: the robot's odometry is in the file."""
+    """`record --zenoh-config` through the router with access rules: the file has the robot's odometry."""
     out = tmp_path / "flight.mcap"
     with router("tls") as endpoint, ExitStack() as stack:
         robot = zenoh_link.open_session(connect=[endpoint], config_file=client_file("tls", "robot"))

@@ -1,4 +1,5 @@
-"""For the autopilot's tests: a small vehicle that follows its set-point, and a rig that flies it."""
+"""Fakes for the autopilot's tests: a vehicle that follows its set-point, and a rig that runs the
+autopilot."""
 
 from __future__ import annotations
 
@@ -93,7 +94,7 @@ class FakeVehicle:
 
 
 class Rig(Served):
-    """An autopilot on a fake vehicle, with time."""
+    """An autopilot on a fake vehicle, with simulated time."""
 
     silence_s = 0.5
 

@@ -40,7 +40,7 @@ def test_take_off_climbs_at_half_a_metre_a_second_at_most_and_holds() -> None:
 
 def test_take_off_without_a_height_takes_the_parameter_and_order_does_not_matter() -> None:
     rig = Rig()
-    assert rig.command(22) == mav.MAV_RESULT_ACCEPTED  # QGroundControl arms after this
+    assert rig.command(22) == mav.MAV_RESULT_ACCEPTED  # QGroundControl arms after this reply
     assert rig.mode is FlightMode.TAKEOFF
     assert rig.vehicle.setpoints == 0
     assert rig.command(400, 1.0) == mav.MAV_RESULT_ACCEPTED
@@ -58,7 +58,7 @@ def test_landing_waits_for_lasting_contact_and_works_on_the_pad() -> None:
     rig = Rig().fly()
     rig.command(21)
     rig.run(0.5)
-    rig.vehicle.on_pad = True  # a bounce
+    rig.vehicle.on_pad = True  # a bounce on the pad
     rig.run(0.2)
     rig.vehicle.on_pad = False
     rig.run(0.05)
@@ -114,7 +114,7 @@ def test_disarms_itself_when_nothing_happens_and_after_landing_in_offboard() -> 
     assert rig.vehicle.armed
     rig.run(1.5, (0.0, 0.0, 0.3))
     assert not rig.vehicle.armed
-    assert rig.mode is FlightMode.OFFBOARD  # until its stream ends
+    assert rig.mode is FlightMode.OFFBOARD  # the mode lasts until its stream ends
     rig.run(0.6)
     assert rig.mode is FlightMode.HOLD
 
@@ -207,7 +207,7 @@ def test_stream_that_comes_back_does_not_take_over_by_itself() -> None:
 def test_safety_parameters_are_fixed_while_armed_and_types_must_fit() -> None:
     rig = Rig()
     wrong_type = mav.MAVLink_param_set_message(1, 1, b"COM_OF_LOSS_T", 1.0, mav.MAV_PARAM_TYPE_INT32)
-    error, in_force = rig.handle(wrong_type)  # the error first: MAVSDK repeats a write it sees undone
+    error, in_force = rig.handle(wrong_type)  # error first: MAVSDK repeats an undone write
     assert error.error == mav.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE
     assert in_force.param_value == 0.5
     rig.command(400, 1.0)

@@ -1,4 +1,4 @@
-"""What the commands and the fail-safes of the simulated vehicle do."""
+"""Effects of commands and fail-safes of the simulated vehicle."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.unit.mavlink.server.served import GROUND_STATION, NAN, OFFBOARD, as_i
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED = range(5)
 NEAR = tuple(v / 1e7 for v in degrees_e7(1.0, 2.0))  # latitude, longitude
 NAN7 = (NAN,) * 7
-# Parameters worth trying for each command; every command of the table must be here.
+# Parameters to test for each command; every command of the table must be here.
 
 
 def test_heights_above_home_and_above_the_sea() -> None:
@@ -41,7 +41,7 @@ def test_home_moves_with_all_that_counts_from_it() -> None:
     rig.run(0.5)
     assert rig.command(179, 0.0, NAN, NAN, NAN, *NEAR, 0.25) == ACCEPTED
     rig.run(0.02)
-    home = rig.seen(mav.MAVLINK_MSG_ID_HOME_POSITION)[-1]  # at once
+    home = rig.seen(mav.MAVLINK_MSG_ID_HOME_POSITION)[-1]  # sent at once
     assert (home.x, home.y, home.z) == pytest.approx((2.0, 1.0, -0.25), abs=0.01)
     assert home.altitude == pytest.approx(250, abs=1)
     rig.run(0.5)
@@ -135,7 +135,7 @@ def test_loss_of_set_points_does_what_the_parameter_says(act: int, mode: FlightM
     if mode is FlightMode.HOLD:
         assert math.hypot(*rig.vehicle.state.velocity_enu_m_s) < 0.02
         rig.run(0.1, (0.0, 0.0, 0.0))
-        assert rig.command(176, *OFFBOARD) == mav.MAV_RESULT_ACCEPTED  # whoever is in charge may go on
+        assert rig.command(176, *OFFBOARD) == mav.MAV_RESULT_ACCEPTED  # the sender in control may continue
         assert not rig.autopilot.flight.failsafe
 
 

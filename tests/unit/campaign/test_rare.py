@@ -1,4 +1,4 @@
-"""Subset simulation against rates that are known, and its folder."""
+"""Subset simulation with known rates, and its folder."""
 
 import json
 import math
@@ -18,12 +18,13 @@ PAD_M = 0.1
 
 
 def beyond(beta):
-    """Chance of a standard normal number above beta."""
+    """Return the probability that a standard normal number exceeds beta."""
     return NormalDist().cdf(-beta)
 
 
 def distances(beta, numbers=30):
-    """Scores of landings that fail where a sum of their numbers, itself standard normal, exceeds beta."""
+    """Return scores of landings that fail if a sum of random numbers, itself standard normal, exceeds
+    beta."""
 
     def scores(seeds):
         return [
@@ -39,7 +40,7 @@ def test_the_interval_holds_the_true_rate_as_often_as_it_says(beta, number):
     true, found = beyond(beta), [estimate(distances(beta), number, seed) for seed in range(20)]
     assert sum(one.low <= true <= one.high for one in found) >= 17
     assert sum(one.rate for one in found) / len(found) == pytest.approx(true, rel=0.3)
-    if true > 0.1:  # counted, then
+    if true > 0.1:  # frequent enough to be counted
         assert all(one.landings == number for one in found)
 
 
@@ -88,7 +89,7 @@ def test_a_landing_that_could_not_be_flown_ends_the_estimate():
 
 
 class Workers:
-    """Lands by arithmetic."""
+    """A landing computed by arithmetic."""
 
     flown = 0
     at_most = math.inf

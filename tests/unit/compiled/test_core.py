@@ -1,4 +1,4 @@
-"""The controller with compiled parts: the same to the last bit, and Python where it is not compiled for."""
+"""The controller with compiled parts: equal to the last bit; interpreted where no compiled form exists."""
 
 import math
 import subprocess
@@ -38,7 +38,7 @@ def filters():
 
 
 def flown(scenario, make, monkeypatch):
-    """What each step of a landing decides, but for wall time."""
+    """Return the decisions of each step of a landing, without wall times."""
     rows = []
 
     def note(_tick, out):
@@ -70,7 +70,7 @@ def test_each_step_of_a_landing_is_the_same_to_the_last_bit(monkeypatch, name, f
 
 
 def test_ordinary_ticks_of_a_landing_are_compiled_and_all_others_are_pythons(monkeypatch):
-    """Not those of fleets, whose program is compiled alone."""
+    """Fleets are excluded, because their program is compiled separately."""
     if is_off():
         return
     by_python, step = [], Controller.step

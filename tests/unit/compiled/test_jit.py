@@ -1,4 +1,4 @@
-"""Compiled code: the same as plain Python, the same every time, on records that both change in place."""
+"""Compiled code gives the same results as interpreted Python, reproducibly, on shared records."""
 
 import json
 import math
@@ -38,7 +38,7 @@ STEPS = 300
 
 
 def flight(loop, kind, error=False):
-    """All numbers of a gusty flight that lands, or takes off, in short."""
+    """Return all numbers of a short gusty flight with a landing or take-off."""
     mocap = OdometryLink(100.0, 0.005, 0.0, 0.005, 0.02, loss=0.02)
     spec = VehicleSpec(
         velocity_loop=VelocityLoop(loop),
@@ -73,7 +73,7 @@ def flat(value):
 
 
 def drives():
-    """All numbers of the robots of all scenarios, with what they measure."""
+    """Return all numbers of the robots of all scenarios, with their measurements."""
     out = []
     captured = replace(scenario.load("field"), odometry=TargetLink(50.0, error=StateError()))
     for each in (*map(scenario.load, scenario.names()), captured):
@@ -90,7 +90,7 @@ FLIGHTS, DRIVES = "[flight(*case) for case in CASES]", "drives()"
 
 
 def in_a_process(what=FLIGHTS, **environment):
-    """The same in a fresh interpreter."""
+    """Results are equal in a fresh interpreter."""
     here = "from tests.unit.compiled.test_jit import CASES, drives, flight"
     needless = "import sys; assert not {'coverage', 'glfw'} & sys.modules.keys()"
     code = f"import json; {here}; print(json.dumps({what})); {needless}"
@@ -111,7 +111,7 @@ def test_plain_python_flies_the_same(compiled):
 
 
 def test_the_robot_drives_the_same_bits_in_plain_python_without_numba():
-    """Its process runs so; a campaign runs it compiled, and the two must be equal."""
+    """The robot's process interprets the code, a campaign compiles it, and both must be equal."""
     assert repr(in_a_process(DRIVES, NUMBA_DISABLE_JIT="1")) == repr(flat(json.loads(json.dumps(drives()))))
     words = ["-m", "flightstack.cli.main", "target", "--scenario", "lab", "--duration", "0.1"]
     done = subprocess.run(
@@ -129,7 +129,7 @@ def test_another_process_flies_the_same_bits(compiled):
 def test_without_a_writable_directory_there_is_no_cache(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file"))
-    assert jit.cache_directory.__wrapped__() is not None  # another one, which can be written
+    assert jit.cache_directory.__wrapped__() is not None  # another folder that can be written
     monkeypatch.setattr(jit, "_usable", lambda _: False)
     assert jit.cache_directory.__wrapped__() is None
     monkeypatch.setattr(jit, "cache_directory", lambda: None)

@@ -1,4 +1,4 @@
-"""Objects in compiled code: the same fields, the same methods, and what is left to Python."""
+"""Objects in compiled code: the same fields and methods, and the cases that Python must handle."""
 
 from copy import deepcopy
 from dataclasses import fields
@@ -47,7 +47,7 @@ def test_a_state_with_something_that_compiled_code_does_not_know_is_pythons(flow
 
 
 def take(kernel, later_s, x_m):
-    """Another sample of a target that stands where it was."""
+    """Return another sample of a target that has not moved."""
     last = kernel.track.newest
     x, y, z = last.position_enu_m
     kernel.take(
@@ -69,5 +69,5 @@ def test_compiled_methods_change_the_same_state_and_leave_rare_things_to_python(
     objects.read()
     take(other, 0.02, 0.001)
     assert repr(flown.state) == repr(other.state)
-    with pytest.raises(NotOrdinary):  # it jumps
+    with pytest.raises(NotOrdinary):  # the sample jumps
         jitted(take)(objects.handle, 0.02, 5.0)

@@ -1,4 +1,4 @@
-"""Configurations that fly, and those that are refused with the reason."""
+"""Valid configurations, and invalid ones, which are rejected with the reason."""
 
 import dataclasses
 import math
@@ -170,7 +170,7 @@ def test_what_only_the_robust_filter_looks_at_does_not_refuse_the_papers():
 
 
 def test_no_margin_is_blown_up_by_more_than_half():
-    """It is divided by the share that is there at the pad's edge."""
+    """The value is divided by the remaining share at the pad's edge."""
     for pad_m in (0.03, 0.1, 0.5):
         widest = config(
             robust={"fade_radius_m": pad_m, "tracking_error_m_s": 0.1, "rate_1_s": 1.0, "sigma_factor": 0.0},
@@ -183,7 +183,7 @@ def test_no_margin_is_blown_up_by_more_than_half():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["paper_static_1", "paper_moving_1", "lab"])
 def test_the_crazyflies_configuration_lands_where_the_velocity_loop_is_twice_as_quick_too(name):
-    # the paper's loop has 11.5 1/s where 5.2 is configured: the cone may be left by centimetres, no swinging
+    # the paper's loop has 11.5 1/s, configured is 5.2: it may leave the cone by centimetres, without swinging
     flown = dataclasses.replace(scenario.load(name), onboard=load("crazyflie"))
     verdict = land(flown, 0).verdict
     assert verdict.outcome is Outcome.LANDED, verdict.reason
@@ -201,7 +201,7 @@ def parameters(command, path=()):
 
 
 def test_no_option_takes_what_is_no_number():
-    """Each option of each verb that is a float, whatever its range."""
+    """Yield each float option of each verb."""
     seen = [
         (path, each) for path, each in parameters(main) if isinstance(each.type, click.types.FloatParamType)
     ]

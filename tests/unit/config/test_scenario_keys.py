@@ -1,4 +1,4 @@
-"""The page of a scenario's keys is made from the declarations, and so is a new scenario."""
+"""The page of a scenario's keys and new scenario files are generated from the declarations."""
 
 import re
 

@@ -3,11 +3,11 @@
 from flightstack.common.strict_toml import from_table
 from flightstack.core.parameters.flight import FlightConfig
 
-SLOW = {"velocity_max_m_s": [0.4, 0.4, 0.5]}  # limits
+SLOW = {"velocity_max_m_s": [0.4, 0.4, 0.5]}  # velocity limits
 
 
 def config(filter="robust", **sections):
-    """A configuration with the paper's barrier; a section replaces the default's."""
+    """Return a configuration with the paper's barrier; given sections replace the defaults."""
     return from_table(
         FlightConfig, {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}, "filter": filter, **sections}
     )

@@ -1,4 +1,4 @@
-"""Faults of the links and the vehicle's reaction: it holds, climbs or lands away, in time."""
+"""Faults of the links and the vehicle's reaction: it holds, climbs or lands away in time."""
 
 import dataclasses
 import itertools
@@ -22,7 +22,7 @@ def no_samples(_, inputs):
 
 
 def stuck_sample(world, inputs):
-    """The same message again and again."""
+    """Repeat the same message."""
     if not hasattr(world, "stuck"):
         world.stuck = inputs.target_samples
     return inputs._replace(target_samples=tuple(s._replace(arrival_s=world.t_s) for s in world.stuck))
@@ -38,7 +38,7 @@ def older_each_time(world, inputs):
 
 
 def half_a_second_late(world, inputs):
-    """A queue: what the sensor said, as it said it, half a second later."""
+    """Delay messages by half a second, in order."""
     queue = world.__dict__.setdefault("queue", {})
     queue.update((s.arrival_s, s) for s in inputs.target_samples)
     come = tuple(s for t_s, s in queue.items() if abs(world.t_s - 0.5 - t_s) < 0.5 * DT_S)
@@ -54,7 +54,7 @@ def jumped_by_a_metre(_, inputs):
 
 
 def silent(world, inputs):
-    """The vehicle state stays as it was when the fault began."""
+    """Repeat the vehicle state from the start of the fault."""
     if not hasattr(world, "frozen"):
         world.frozen = inputs.own
     return inputs._replace(own=world.frozen)
@@ -92,7 +92,7 @@ def test_a_target_that_cannot_be_believed_is_held_then_climbed_from_then_landed_
     assert world.controller.memory.abort_way is AbortWay.FLY_CLEAR
     known = world.controller.memory.target_position_enu_m
     assert math.dist(world.position[:2], known[:2]) >= CONFIG.checks.clearance_m - 0.05
-    assert not world.armed  # landed, clear of the robot
+    assert not world.armed  # landed next to the robot
 
 
 @pytest.mark.parametrize("name", TARGET_FAULTS)
@@ -117,7 +117,7 @@ def test_a_jump_by_a_metre_is_not_followed_until_it_has_proved_itself():
     before = len(world.sent)
     world.run(0.2)
     target = world.outputs[-1].snapshot.target.position_enu_m
-    assert target[0] < world.pad[0] + 0.1  # still where it was believed to be
+    assert target[0] < world.pad[0] + 0.1  # still at its estimated position
     assert len(world.sent) > before
     world.run(5.0, until=lambda w: w.phase is Phase.HOLD)
     assert world.phase is Phase.HOLD
@@ -129,7 +129,7 @@ def test_a_silent_vehicle_gets_no_velocity_at_all():
     sent = len(world.sent)
     assert world.t_s - world.fault_from_s < REACTION_MAX_S
     world.run(5.0)
-    assert len(world.sent) == sent  # nothing stale is repeated
+    assert len(world.sent) == sent  # no stale set-point is repeated
     assert world.mode is Mode.LAND  # the vehicle's own fail-safe, or ours
     assert world.phase is Phase.ABORT
 
@@ -144,7 +144,7 @@ def test_disarmed_by_someone_else_ends_it():
     world = flown(lambda w, i: i._replace(status=replace(i.status, armed=False)))
     out = world.step()
     assert out.phase is Phase.ABORT
-    assert out.request is Request.LAND  # never armed again; in the air one of the two is not true
+    assert out.request is Request.LAND  # it does not arm again; in the air the two inputs contradict
     assert out.setpoint is None
 
 
@@ -209,12 +209,12 @@ def test_a_stream_of_refused_samples_is_told_by_doublings():
 
 BAD = (math.nan, math.inf, -math.inf)
 GOOD = OwnState(1.0, 2.0, (0.1, 0.2, 0.3), (0.4, 0.5, 0.6), 0.7)
-TIMES = ("started_s", "own_ok_s", "offset_s", "time_s")  # infinite or NaN before they are known
-UNSET = "ground_z_m"  # it never stood
+TIMES = ("started_s", "own_ok_s", "offset_s", "time_s")  # infinite or NaN until they are known
+UNSET = "ground_z_m"  # unknown if it never stood on the ground
 
 
 def spoiled(own, field, axis, bad):
-    """The own state with one number replaced."""
+    """Return the vehicle state with one number replaced."""
     value = getattr(own, field)
     if isinstance(value, tuple):
         bad = (*value[:axis], bad, *value[axis + 1 :])
@@ -222,7 +222,7 @@ def spoiled(own, field, axis, bad):
 
 
 def numbers(value):
-    """Every number of a tree of states, but for times and what is not known in this flight."""
+    """Yield every number of a tree of states, except times and values unknown in this flight."""
     if dataclasses.is_dataclass(value):
         for field in dataclasses.fields(value):
             if field.name != UNSET and not field.name.endswith("since_s") and field.name not in TIMES:
@@ -244,14 +244,14 @@ def test_one_number_is_enough(field, axis, bad):
     assert not spoiled(GOOD, field, axis, bad).is_finite
     if field.endswith(("_m", "_m_s")):
         other = spoiled(GOOD, field, (axis + 1) % 3, -bad)
-        assert not spoiled(other, field, axis, bad).is_finite  # nor do two of them cancel
+        assert not spoiled(other, field, axis, bad).is_finite  # two such numbers do not cancel each other
 
 
 @pytest.mark.parametrize("kind", FILTERS)
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 @pytest.mark.parametrize(("field", "axis"), [("velocity_enu_m_s", 2), ("position_enu_m", 0), ("yaw_rad", 0)])
 def test_the_memory_stays_finite_and_the_flight_goes_on_when_it_is_over(kind, field, axis, bad):
-    """Longer than the age limit: it holds like after any loss of the own state, and lands then."""
+    """After the age limit it holds as after any loss of the vehicle state, and then lands."""
     world = World(config(kind, limits=SLOW), solid_pad=True)
     world.run(0.5)
     learned = world.controller.state.tracking.disturbance_m_s

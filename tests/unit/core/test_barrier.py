@@ -1,4 +1,4 @@
-"""Both barriers against their definition, their derivatives against finite differences, eq. 7 in numbers."""
+"""Both barriers compared with their definition, derivatives with finite differences, eq. 7 in numbers."""
 
 import math
 
@@ -27,7 +27,8 @@ robusts = st.builds(RobustBarrier, smoothed, margins, radii)
 
 
 def shortened(barrier):
-    """By how much the smoothing shortens the gradient from 0.3 m on: (s/d)^2 / 2 of the slope."""
+    """Return the relative reduction of the gradient by the smoothing beyond 0.3 m: (s/d)^2 / 2 of the
+    slope."""
     smoothing_m = getattr(barrier, "barrier", barrier).smoothing_m
     return barrier.slope_max * 0.5 * (smoothing_m / 0.3) ** 2
 
@@ -43,7 +44,7 @@ def test_h_is_eq_9(barrier, ex, ey, ez):
 @given(st.one_of(shapes, robusts), points)
 def test_the_gradient_is_the_derivative_of_h(barrier, e):
     if math.hypot(e[0], e[1]) < 0.3:
-        return  # by the apex the gradient is smoothed: see below
+        return  # the gradient is smoothed near the apex: see below
     _, g, _ = barrier.evaluate(e, STILL)
     step = 1e-6
     for axis in range(3):
@@ -84,7 +85,7 @@ def test_the_papers_numbers_follow_from_its_geometry_once_eq_7_has_units():
     barrier = Barrier.from_cone(0.55, math.radians(60.0))
     assert barrier.beta_m == pytest.approx(1.495, abs=1e-3)
     assert barrier.alpha_1_m == pytest.approx(1.0498, abs=1e-4)  # 1 / (0.55 m tan 60 deg)
-    as_printed = 0.55 * math.tan(math.radians(60.0))  # a length
+    as_printed = 0.55 * math.tan(math.radians(60.0))  # a length, as printed in the paper
     assert as_printed == pytest.approx(0.9526, abs=1e-4)
     assert round(barrier.alpha_1_m, 1) in (1.0, 1.1)
     assert round(as_printed, 1) == 1.0
@@ -127,7 +128,7 @@ def test_the_cones_angle_is_seen_from_the_landing_spot(height, angle, smoothing)
 
 
 def missed(barrier, e, moved, angle):
-    """How far h lies below its linear prediction after this motion."""
+    """Return how far h lies below its linear prediction after this motion."""
     dx, dy = moved * math.cos(angle), moved * math.sin(angle)
     h, g, _ = barrier.evaluate(e, STILL)
     return h + g[0] * dx + g[1] * dy - barrier.h((e[0] + dx, e[1] + dy, e[2]))
@@ -146,7 +147,7 @@ def test_no_motion_misses_the_linear_prediction_by_more_than_is_said(barrier, e,
 
 @given(places, ways)
 def test_of_a_cone_some_motion_misses_by_all_that_is_said(d, moved):
-    """A barrier so wide that it is a cone of slope 2; the three cases of the bound meet without a step."""
+    """A barrier so wide that it is a cone of slope 2; the three cases of the bound meet continuously."""
     barrier = Barrier(1e-6, 2e6)
     worst = max(missed(barrier, (d, 0.0, 0.0), moved, math.pi * n / 2000) for n in range(2001))
     bound = barrier.linearisation_bound_m((d, 0.0, 0.0), moved)
@@ -219,7 +220,7 @@ def test_no_slope_is_steeper_than_it_says(robust, e):
 
 @given(st.floats(0.001, 0.3), radii)
 def test_the_steepest_slope_of_the_margin_is_reached(margin, radius):
-    flat = Barrier(1e-6, 1e-6)  # nothing but the margin
+    flat = Barrier(1e-6, 1e-6)  # a flat barrier: only the margin counts
     robust = RobustBarrier(flat, margin, radius)
     _, (gx, _, _), _ = robust.evaluate((radius / math.sqrt(2.0), 0.0, 1.0), STILL)
     assert -gx == pytest.approx(robust.slope_max, rel=1e-6)
@@ -244,7 +245,7 @@ def test_the_margin_of_every_allowed_configuration_is_a_length(rate, error, fact
     robust = Robust(rate_1_s=rate, tracking_error_m_s=error, sigma_factor=factor)
     margin = robust.margin_m(slope, sigma, sigma_z)
     assert margin >= 0.0
-    # never less for knowing less
+    # a larger uncertainty never reduces the margin
     assert robust.margin_m(slope, 2.0 * sigma + 0.01, sigma_z) >= margin
     assert robust.margin_m(slope, sigma, 2.0 * sigma_z + 0.01) >= margin
     expected = error / rate + factor * math.sqrt((slope * sigma) ** 2 + sigma_z**2)
@@ -253,5 +254,5 @@ def test_the_margin_of_every_allowed_configuration_is_a_length(rate, error, fact
 
 def test_the_default_margin_in_numbers():
     robust = from_table(FlightConfig, {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}}).robust
-    # 0.04 / 1.5 for the tracking, and 2 sigma of 5 mm over a slope of 1.22
+    # 0.04 / 1.5 for the tracking error, and 2 sigma of 5 mm over a slope of 1.22
     assert robust.margin_m(1.22, 0.005, 0.005) == pytest.approx(0.0267 + 0.0158, abs=1e-4)

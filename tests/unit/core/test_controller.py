@@ -1,4 +1,4 @@
-"""The controller from the ground up by set-points, down at a bounded speed, and told to land at once."""
+"""The controller: take-off by set-points, descent at a bounded speed, immediate landing on command."""
 
 import math
 import random
@@ -28,7 +28,7 @@ TICK_S = 1.0 / CONFIG.loop.rate_hz
 
 
 class Bench:
-    """Ticks of a controller; own state and status are what the test says."""
+    """Ticks of a controller; the test sets vehicle state and status."""
 
     def __init__(self):
         self.controller, self.tick = Controller(CONFIG), 0
@@ -42,7 +42,7 @@ class Bench:
         now_s = self.tick * TICK_S
         word = {"armed": False, "mode": Mode.HOLD, "landed": Landed.ON_GROUND, **said}
         status = VehicleStatus(now_s, word["armed"], word["mode"], word["landed"], True)
-        sway_m = 1e-4 * (self.tick % 2)  # no sensor repeats to the last bit
+        sway_m = 1e-4 * (self.tick % 2)  # no sensor repeats exactly
         own = OwnState(now_s, now_s, (xy[0] + sway_m, xy[1], z), velocity, 0.0)
         sample = TargetSample(
             now_s, now_s, "map", "target", (sway_m, 0.0, 0.2), (0.0, 0.0, 0.0), 0.0, 0.0
@@ -60,13 +60,13 @@ FLIES = {"armed": True, "mode": Mode.EXTERNAL, "landed": Landed.IN_AIR}
 
 
 def test_a_climb_is_sent_from_the_first_tick_and_stands_on_the_ground_without_complaint():
-    """PX4 follows only what streams, then spools up and ramps: nothing of that is a vehicle not following."""
+    """PX4 needs a stream, then spools up and ramps; this delay does not count as not following."""
     bench = Bench()
     assert bench.wait().phase is Phase.TAKEOFF
     waits = bench.step()
     assert waits.request is Request.TAKEOFF
     assert waits.setpoint is not None
-    assert not bench.memory.lifting  # not in the mode that follows: nothing of it is in force
+    assert not bench.memory.lifting  # the rule for following is not active in another mode
     ramps = {"armed": True, "mode": Mode.EXTERNAL}
     sent = [bench.step(**ramps).setpoint.velocity_enu_m_s for _ in range(400)]
     assert bench.memory.lifting
@@ -77,7 +77,7 @@ def test_a_climb_is_sent_from_the_first_tick_and_stands_on_the_ground_without_co
 
 
 def standing(now_s, arrived):
-    """Inputs of a vehicle on the ground: of each the newest that has arrived by now."""
+    """Return the inputs of a vehicle on the ground: the newest that have arrived by now."""
     own_s, status_s, target_s = (max((t for t in times if t <= now_s), default=None) for times in arrived)
     own = None if own_s is None else OwnState(own_s, own_s, (1.5, 0.0, 1e-4 * own_s), ZERO, 0.0)
     status = None
@@ -104,7 +104,7 @@ CHECKS = CONFIG.checks
         (every(CHECKS.own_age_max_s + 0.05), every(0.1), WELL[2], None),  # 4 Hz
         (WELL[0], every(0.1), every(CHECKS.target_age_max_s + 0.08), None),  # 3 Hz
         (WELL[0], every(CHECKS.status_age_max_s + 2.0), WELL[2], None),
-        (WELL[0], every(0.1), [0.0], None),  # all others refused, as of a stamp that stands
+        (WELL[0], every(0.1), [0.0], None),  # all others rejected, as with a constant time stamp
         (WELL[0], every(0.1), [t for t in every(0.02) if t % 0.5 < 0.1], None),  # in bursts
     ],
 )
@@ -119,7 +119,7 @@ def test_it_takes_off_after_inputs_that_were_good_without_a_gap(own, status, tar
             break
     assert began == (
         [] if starts_s is None else [pytest.approx(starts_s, abs=0.06)]
-    )  # and the target's delay
+    )  # plus the target's delay
 
 
 def test_in_the_climb_going_sideways_is_not_following_and_climbing_slowly_is():
@@ -135,7 +135,7 @@ def test_in_the_climb_going_sideways_is_not_following_and_climbing_slowly_is():
 
 
 def test_a_take_off_that_does_not_rise_is_given_up_once_the_ramp_must_be_over():
-    """Hops near the ground: told to climb, in the air by its own word, and never gets up."""
+    """A vehicle that hops near the ground: commanded to climb and reported in the air, it never rises."""
     bench = Bench()
     bench.wait(armed=True, mode=Mode.EXTERNAL)
     for tick in range(round(RISE_FREE_S / TICK_S) - 1):
@@ -199,7 +199,7 @@ def test_told_to_end_while_it_flies_clear_it_lands_and_the_emergency_stop_is_sti
 
 
 def test_the_set_point_of_the_touchdown_leads_to_a_bounded_speed():
-    """The lead for the lag alone would ask for more."""
+    """The lead for the lag alone would exceed the limit."""
     bench = Bench()
     height_m = 0.2 + CONFIG.robust.commit_height_m - 0.02
     sent = []
@@ -209,7 +209,7 @@ def test_the_set_point_of_the_touchdown_leads_to_a_bounded_speed():
             learned_m_s = bench.controller.state.tracking.disturbance_m_s[2]
             sent.append(out.setpoint.velocity_enu_m_s[2] + learned_m_s)
     most_m_s = CONFIG.robust.descent_m_s + CONFIG.robust.descent_lead_max_m_s
-    assert min(sent) == pytest.approx(-most_m_s, abs=5e-3)  # the pad's velocity is estimated
+    assert min(sent) == pytest.approx(-most_m_s, abs=5e-3)  # the pad's velocity is an estimate
 
 
 def ruled(rule):
@@ -222,7 +222,7 @@ def landed(rule, **changes):
 
 
 def height_at(world, phase):
-    """Relative height at which the phase began."""
+    """Return the relative height at the start of the phase."""
     return next(o.snapshot.e_m[2] for o in world.outputs if o.phase is phase)
 
 
@@ -245,7 +245,7 @@ def test_by_contact_they_go_off_after_it_stands(says_standing):
 
 
 def test_a_pad_that_is_not_where_it_was_said_to_be_ends_in_an_abort():
-    world = World(ruled("contact"))  # nothing to stand on
+    world = World(ruled("contact"))  # there is no surface to stand on
     world.run(60.0, until=lambda w: w.phase is Phase.ABORT)
     assert world.phase is Phase.ABORT
     assert any("no contact" in text for text in world.texts)
@@ -260,7 +260,7 @@ def test_a_target_lost_in_the_last_centimetres_is_landed_on_all_the_same():
 
 
 def blown_off(_, inputs):
-    """Seen 7 cm beside the middle and going away from it."""
+    """The vehicle is 7 cm beside the middle and moves away from it."""
     x, y, z = inputs.target_samples[0].position_enu_m
     vx, vy, vz = inputs.target_samples[0].velocity_enu_m_s
     own = inputs.own
@@ -280,7 +280,7 @@ def test_the_robust_filter_goes_around_when_it_is_blown_off_and_lands_then():
 
 
 def test_a_new_descent_forgets_what_the_last_one_had_begun_to_see():
-    """Not sinking for a moment, then around: in the next descent that moment is long ago, but it is over."""
+    """A short stop, then a go-around: in the next descent the old stop must not count."""
 
     def stopped(w, inputs):
         return inputs._replace(own=inputs.own._replace(velocity_enu_m_s=(*w.velocity[:2], 0.0)))

@@ -1,4 +1,4 @@
-"""The gate: default deny, and limits to the last float."""
+"""The gate rejects by default, and its limits are exact to the last float."""
 
 import copy
 import math
@@ -46,7 +46,7 @@ def check(velocity=(0.1, 0.0, -0.1), yaw=0.0, setpoint=None, **changes):
 
 
 def ulps(value, count=5):
-    """The floats around a value: this many below and above, each with its offset."""
+    """Yield the floats around a value: this many below and above, each with its offset."""
     low = high = value
     found = [(0, value)]
     for n in range(1, count + 1):
@@ -56,7 +56,7 @@ def ulps(value, count=5):
 
 
 class Plane(NamedTuple):
-    """A barrier whose value is the height: the gate's arithmetic shows undisturbed."""
+    """A barrier whose value is the height, which shows the gate's arithmetic."""
 
     bend_1_m: float = 0.0
 
@@ -72,7 +72,7 @@ def plane_check(e=(1.0, 0.0, 0.1), target=STILL, status=FilterStatus.SOLVED, **s
 
 
 def lowest_approved(gate, barrier_check, sideways=(0.0, 0.0)):
-    """The lowest vertical velocity that passes, by bisection to neighbouring floats."""
+    """Return the lowest vertical velocity that passes, by bisection to neighbouring floats."""
 
     def passes(vz):
         v = (*sideways, vz)
@@ -155,7 +155,7 @@ def test_no_number_that_is_not_finite_passes(bad, name, axis):
 def test_no_place_or_target_that_is_not_finite_passes_whatever_the_filter_says(bad, axis, status):
     for barrier in (CONE, Plane(), RobustBarrier(CONE, 0.05, 0.06)):
         if isinstance(barrier, Plane) and axis != 2:
-            continue  # looks at the height alone
+            continue  # this case checks only the height
         for place, moving in ((bad, 0.0), (0.5, bad), (bad, bad)):
             e, target = [1.0, 0.0, 1.0], [0.0, 0.0, 0.0]
             e[axis], target[axis] = place, moving
@@ -177,7 +177,7 @@ def test_the_box_ends_at_the_float(name, axis, sign):
 
 
 def test_a_corrected_set_point_answers_for_box_and_height_but_not_for_the_barrier():
-    """The barrier is kept by the velocity flown; the set-point only makes the vehicle fly it."""
+    """The flown velocity keeps the barrier; the set-point only produces that velocity."""
     level = (0.0, 0.0, 0.0)
     sinking = (0.0, 0.0, -0.5)
     assert check(level, setpoint=sinking, barrier_check=plane_check((1.0, 0.0, 0.0)))[0] is APPROVED
@@ -205,14 +205,14 @@ def test_the_greatest_height_ends_at_the_float():
      ((1.0, 0.0, 0.0), (0.3, 0.0, 0.0))],
 )  # fmt: skip
 def test_the_filters_promise_is_held_to_the_float(e, target):
-    """h + (v - v_t) T >= h (1 - omega T) but for the solver's tolerance, so v >= v_t - omega h."""
+    """h + (v - v_t) T >= h (1 - omega T) within the solver's tolerance, so v >= v_t - omega h."""
     gate = Gate(0.7, (9e9, 9e9, 9e9), 3.0, 0.01)
     found = lowest_approved(gate, plane_check(e, target))
     assert found == pytest.approx(target[2] - 0.7 * e[2] - SOLVER_TOLERANCE_M_S, abs=1e-13)
 
 
 def test_a_promise_that_is_just_kept_is_kept():
-    gate = Gate(0.5, (9.0, 9.0, 9.0), 3.0, 1.0)  # one second, so that nothing is rounded
+    gate = Gate(0.5, (9.0, 9.0, 9.0), 3.0, 1.0)  # a period of one second avoids rounding
     sinking = (0.0, 0.0, -SOLVER_TOLERANCE_M_S)
     on_the_edge = {**GOOD, "barrier_check": plane_check((1.0, 0.0, 0.0))}
     assert gate.check(sinking, sinking, 0.0, **on_the_edge)[0] is APPROVED
@@ -223,7 +223,7 @@ def test_a_promise_that_is_just_kept_is_kept():
 @pytest.mark.parametrize("target", [(0.1, 0.7, 0.0), (-0.4, -0.2, 0.3)])
 @pytest.mark.parametrize("sideways", [(0.9, 0.0), (0.0, -0.6)])
 def test_what_the_barrier_bends_away_by_is_allowed_for_and_no_more(target, sideways):
-    """It is asked at the present place, for the way against the target within the tick."""
+    """The barrier is evaluated at the current position, for the relative motion within the tick."""
     gate = Gate(0.7, (9e9, 9e9, 9e9), 3.0, 0.01)
     moved_m = 0.01 * math.hypot(sideways[0] - target[0], sideways[1] - target[1])
     straight = target[2] - 0.7 * 0.1 - SOLVER_TOLERANCE_M_S
@@ -235,10 +235,10 @@ def test_what_the_barrier_bends_away_by_is_allowed_for_and_no_more(target, sidew
 
 def test_what_is_missed_by_just_what_is_allowed_passes():
     sinking = (0.25, 0.0, -0.5)
-    missing_m = 0.5 - SOLVER_TOLERANCE_M_S  # of one second, from h = 0
+    missing_m = 0.5 - SOLVER_TOLERANCE_M_S  # missing height in one second, from h = 0
     gate = Gate(0.5, (9.0, 9.0, 9.0), 3.0, 1.0)
     for allowed_m, verdict in ((missing_m, APPROVED), (math.nextafter(missing_m, 0.0), GateVerdict.BARRIER)):
-        ask = plane_check((1.0, 0.0, 0.0), bend_1_m=4.0 * allowed_m)  # a quarter of a metre of way
+        ask = plane_check((1.0, 0.0, 0.0), bend_1_m=4.0 * allowed_m)  # a quarter of a metre of motion
         assert gate.check(sinking, sinking, 0.0, **{**GOOD, "barrier_check": ask})[0] is verdict
 
 
@@ -277,7 +277,7 @@ def test_straight_out_of_the_apex_the_gate_asks_for_no_less_than_the_filters_gra
 @pytest.mark.parametrize("barrier", [CONE, RobustBarrier(CONE, 0.05, 0.06)])
 @pytest.mark.parametrize(("axis", "sign"), [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)])
 def test_the_vehicles_and_the_targets_motion_both_count(barrier, axis, sign):
-    """Outward the boundary rises: flying out loses h, a target that comes along gives it back."""
+    """The boundary rises outward: flying out reduces h, a target that moves along restores it."""
     gate = Gate(0.7, (1.0, 1.0, 1.0), 3.0, 0.01)
     place, outward = [0.0, 0.0, CONE.height(0.5)], [0.0, 0.0, 0.0]
     place[axis], outward[axis] = 0.5 * sign, 0.5 * sign
@@ -344,7 +344,7 @@ def test_the_stop_needs_to_know_where_it_is():
 
 
 def test_the_solvers_tolerance_covers_what_it_may_leave():
-    """As much again for rounding."""
+    """The rounding error may double."""
     assert SOLVER_TOLERANCE_M_S == 2.0 * RESIDUAL_MAX_M_S < 1e-5
 
 

@@ -1,4 +1,4 @@
-"""The thrust reserve: by voltage, in flight by throttle, and what a tired battery is still told to fly."""
+"""The thrust reserve: from voltage, in flight from throttle, and the allowed flight with a low battery."""
 
 import itertools
 import math
@@ -57,7 +57,7 @@ def test_voltage_and_reserve_are_each_others_inverse_and_rise_together(table, vo
 
 
 def test_a_firmware_that_compensates_the_battery_ends_at_its_own_limit():
-    """A full battery lifts no more then, and only a tired one less."""
+    """Only a low battery has less thrust; a full one does not lift more."""
     table = replace(RESERVE, motor_voltage_max_v=3.07)
     assert table.at(4.0) == table.at(3.7) == pytest.approx((3.07 / (0.78 * 3.7)) ** 1.5)
     assert table.at(3.2) == RESERVE.at(3.2) < table.at(3.7) < RESERVE.at(3.7)
@@ -87,7 +87,7 @@ def test_all_accelerations_together_are_no_more_than_the_thrust(reserve, share):
 
 @given(st.floats(0.6, 0.93), st.floats(0.0, 0.3), st.floats(0.2, 2.0), st.floats(0.0, 0.5))
 def test_neither_climbs_nor_tilt_disturb_the_estimate(hover, sway_m_s, rate_1_s, tilt_rad):
-    """Throttle follows the acceleration exactly; the vertical velocity alone takes it out again."""
+    """The throttle follows the acceleration exactly; correcting for vertical velocity removes it."""
 
     def rise(t):
         return sway_m_s * math.sin(rate_1_s * t)
@@ -103,7 +103,7 @@ def test_neither_climbs_nor_tilt_disturb_the_estimate(hover, sway_m_s, rate_1_s,
 def test_before_the_throttle_tells_the_voltage_does():
     found = estimate()
     found.step(power(volts=3.9), STANDS, 0.0, 0.0, flies=False)
-    assert found.reserve == pytest.approx(RESERVE.at(3.9 - RESERVE.sag_v))  # it will sag when it flies
+    assert found.reserve == pytest.approx(RESERVE.at(3.9 - RESERVE.sag_v))  # it will sag in flight
     found.step(power(volts=3.5, throttle=math.nan), FLIES, 0.0, 0.01, flies=True)
     found = estimate()
     found.step(power(volts=3.5, throttle=math.nan), FLIES, 0.0, 0.0, flies=True)
@@ -111,7 +111,7 @@ def test_before_the_throttle_tells_the_voltage_does():
 
 
 def test_a_heavier_vehicle_than_declared_shows_in_flight():
-    """At the same voltage it needs more throttle: the voltage alone would not tell."""
+    """At the same voltage it needs more throttle, which the voltage alone does not show."""
     found = fly(estimate(), 10.0, 0.9)
     assert found.reserve < RESERVE.at(3.7) - 0.15
     assert found.acceleration_max_m_s2[2] == pytest.approx(0.5 * (found.reserve - 1.0) * GRAVITY_M_S2)
@@ -165,7 +165,7 @@ CONFIG = config(reserve=TABLE, checks={"wait_time_max_s": 2.0})
 
 
 def told(volts, throttle, from_s=0.0):
-    """Adds what a vehicle says of its battery to the inputs of ``World``."""
+    """Adds battery reports of a vehicle to the inputs of ``World``."""
 
     def fault(world, inputs):
         said = Power(world.t_s, volts, throttle, 1.0) if world.t_s >= from_s else None
@@ -182,7 +182,7 @@ def flown(seconds, **changes):
 
 
 def upward(world):
-    """Upward accelerations of the velocity wanted, with the reserve of the tick."""
+    """Return upward accelerations of the commanded velocity, with the reserve of each tick."""
     ticks = [(o.wanted[2], o.reserve) for o in world.outputs if o.wanted is not None]
     return [((b - a) / STEP_S, reserve) for (a, _), (b, reserve) in itertools.pairwise(ticks)]
 

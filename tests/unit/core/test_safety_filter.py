@@ -1,4 +1,4 @@
-"""The quadratic program: OSQP against the exact projection, and what happens when it cannot be solved."""
+"""The quadratic program: OSQP compared with the exact projection, and behaviour without a solution."""
 
 import itertools
 import math
@@ -20,7 +20,7 @@ from flightstack.core.types import FilterStatus
 FILTER = SafetyFilter(0.7)
 BOX = (0.2, 0.2, 0.5)
 STILL = (0.0, 0.0, 0.0)
-FREE, LOW, HIGH = range(3)  # of an axis
+FREE, LOW, HIGH = range(3)  # state of an axis
 SOLVED = ext_builtin.osqp_status_type.OSQP_SOLVED
 velocities = st.tuples(*(st.floats(-2.0, 2.0),) * 3)
 slopes = st.one_of(st.just(0.0), st.floats(-4.0, 4.0))
@@ -41,7 +41,7 @@ def dot(a, b):
 
 
 def by_active_sets(nominal, g, b, lower, upper):
-    """The projection once more: of all 54 ways to bind axes and barrier the nearest that is allowed."""
+    """Independent projection: the nearest allowed point of all 54 combinations of active bounds."""
     best, least = None, math.inf
     for states in itertools.product((FREE, LOW, HIGH), repeat=3):
         for on_barrier in (False, True):
@@ -94,13 +94,13 @@ def test_exact_cases_of_the_projection():
     assert project((0.0, 0.5, 0.25), (0.0, 0.0, 1.0), 0.25, lower, upper) == (0.0, 0.5, 0.25)
     assert project(STILL, (0.0, 0.0, 1.0), 0.5, lower, upper) == (0.0, 0.0, 0.5)
     assert project(STILL, (1.0, 0.0, 1.0), 1.0, lower, upper) == (0.5, 0.0, 0.5)
-    assert project(STILL, (1.0, 1.0, 1.0), 3.0, lower, upper) == (1.0, 1.0, 1.0)  # one corner is left
+    assert project(STILL, (1.0, 1.0, 1.0), 3.0, lower, upper) == (1.0, 1.0, 1.0)  # only one corner remains
     assert project(STILL, (1.0, 1.0, 1.0), math.nextafter(3.0, 4.0), lower, upper) is None
     assert project((-3.0, 0.0, 0.0), (1.0, 0.0, 0.5), 1.25, lower, upper) == (0.75, 0.0, 1.0)
     assert project((-3.0, 0.0, 0.0), (-1.0, 0.0, 0.0), 0.5, lower, upper) == (-1.0, 0.0, 0.0)
     assert project(STILL, (0.0, 0.0, 0.0), 0.5, lower, upper) is None
     assert project((9.0, 9.0, 9.0), (0.0, 0.0, 0.0), -0.5, lower, upper) == (1.0, 1.0, 1.0)
-    # a slope so small that the multiplier has no finite value
+    # the slope is so small that the multiplier has no finite value
     tiny = 5e-324
     assert project((0.0, 0.0, -9.0), (0.0, 0.0, tiny), tiny, lower, upper) == (0.0, 0.0, 1.0)
     with pytest.raises(ValueError, match=r"unpack"):
@@ -114,7 +114,7 @@ def test_osqp_agrees_with_the_exact_projection_on_random_states():
     worst, solved = 0.0, 0
     for _ in range(2000):
         lower = tuple(-chance.choice((0.2, 0.5, 1.0)) for _ in range(3))
-        upper = tuple(lo + chance.uniform(0.01, 1.0) for lo in lower)  # cut by the slew limit
+        upper = tuple(lo + chance.uniform(0.01, 1.0) for lo in lower)  # reduced by the slew limit
         nominal = tuple(chance.uniform(-2, 2) for _ in range(3))
         gradient = (chance.uniform(-2, 2), chance.uniform(-2, 2), chance.choice((1.0, 1.0, 0.6)))
         h, dh_dt = chance.uniform(-0.5, 1.0), chance.uniform(-0.4, 0.4)
@@ -163,7 +163,7 @@ def test_a_result_does_not_depend_on_what_was_solved_before():
             BOX,
         )
     again = used.solve(*asked)
-    assert again.velocity_enu_m_s == fresh.velocity_enu_m_s  # to the last bit
+    assert again.velocity_enu_m_s == fresh.velocity_enu_m_s  # equal to the last bit
     assert again.iterations == fresh.iterations
 
 
@@ -257,7 +257,7 @@ def test_the_multiplier_makes_the_projection_optimal(nominal, g, b, box):
     point, multiplier = projected(nominal, g, b, *box)
     assume(multiplier != EMPTY and math.isfinite(multiplier))
     for n, gi, x, lo, hi in zip(nominal, g, point, *box, strict=True):
-        pull = n + multiplier * gi - x  # towards a side of the box, and only where that binds
+        pull = n + multiplier * gi - x  # towards a side of the box, only where it is active
         assert pull == pytest.approx(0.0, abs=1e-9) or (x == lo and pull < 0.0) or (x == hi and pull > 0.0)
 
 
@@ -280,7 +280,7 @@ def test_a_result_that_misses_by_as_much_as_allowed_is_used(monkeypatch):
 
 
 class Solver:
-    """Says what it is told to, and remembers what it was asked."""
+    """A solver that returns a given result and records its inputs."""
 
     def __init__(self, point, status=SOLVED):
         self.solution = SimpleNamespace(x=np.array(point))
@@ -342,7 +342,7 @@ def test_what_a_point_misses_the_barrier_by_is_its_residual():
     assert residual == pytest.approx(0.05)
     (_, residual, _), _ = told((0.1, 0.2, 0.3), bound=-0.25)
     assert residual == 0.0
-    # the barrier is judged where the point has been put into the box: (0.4, 0.2, 0.3) gives 0.25
+    # the barrier is evaluated at the point clipped to the box: (0.4, 0.2, 0.3) gives 0.25
     (_, residual, _), _ = told((0.5, 0.2, 0.3), bound=0.75)
     assert residual == pytest.approx(0.5)
 

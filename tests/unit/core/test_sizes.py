@@ -1,4 +1,4 @@
-"""Each size of a vehicle or pad in the configuration changes what is flown, and the certificate knows it."""
+"""Each size of vehicle or pad in the configuration changes the flight, and the certificate uses it."""
 
 from dataclasses import replace
 
@@ -46,14 +46,14 @@ def mission_of(settings, memory):
 
 
 def velocity(settings, phase, e, **memory):
-    """What a phase commands."""
+    """Return the command of a phase."""
     mission, situation = mission_of(settings, Memory(phase=phase, **memory))
     mission.progress(seen(e))
     return nominal_command(situation._replace(snapshot=seen(e)))
 
 
 def flags(settings, phase, e, velocity=ZERO, *, after_s=0.0, own_ok=True, memory=None):
-    """Conditions after some time in which nothing changes, and the memory."""
+    """Return conditions and memory after some time without a change."""
     memory = memory if memory is not None else Memory(own_ok_s=0.0)
     memory.phase = phase
     mission, _ = mission_of(settings, memory)
@@ -75,7 +75,7 @@ def sliding(settings):
 
 
 def learned(settings):
-    """Disturbance after a strong push."""
+    """Return the estimated disturbance after a strong push."""
     tracking = VelocityTracking(settings.velocity_loop, 0.01)
     for n in range(1000):
         tracking.observe((4.0, 0.0, 0.0), commanding=n > 0)
@@ -83,7 +83,7 @@ def learned(settings):
 
 
 def lags(settings):
-    """Whether a vehicle that does not move is noticed within 5 s."""
+    """Return whether a vehicle that does not move is detected within 5 s."""
     watch = Plausibility(settings)
     for _ in range(500):
         watch.follow((settings.limits.velocity_max_m_s[0], 0.0, 0.0), ZERO)
@@ -91,7 +91,7 @@ def lags(settings):
 
 
 def drifted_away(settings):
-    """Whether a position that moves with 0.1 m/s unsaid is noticed."""
+    """Return whether a position that moves at 0.1 m/s, against its velocity, is detected."""
     watch = Plausibility(settings)
     for n in range(500):
         watch.take(OwnState(0.01 * n, 0.01 * n, (0.001 * n, 0.0, 0.0), ZERO, 0.0))
@@ -99,7 +99,7 @@ def drifted_away(settings):
 
 
 def parted(settings):
-    """Whether a target that moves with 0.1 m/s unsaid is noticed."""
+    """Return whether a target that moves at 0.1 m/s, against its velocity, is detected."""
     track = TargetTrack(settings.checks)
     for n in range(500):
         at = TargetSample(0.01 * n, 0.01 * n, "map", "target", (0.001 * n, 0.0, 0.0), ZERO, 0.0, 0.0)
@@ -108,7 +108,7 @@ def parted(settings):
 
 
 def ended(settings, after_s=70.0):
-    """Whether the stack ends although the vehicle flies on after an abort."""
+    """Return whether the stack ends although the vehicle continues to fly after an abort."""
     controller = Controller(settings)
     controller.memory.phase, controller.memory.abort_way = Phase.ABORT, AbortWay.LAND_HERE
     status = VehicleStatus(after_s, True, Mode.LAND, Landed.IN_AIR, True)
@@ -128,7 +128,7 @@ WIDE = {
     "limits": {"velocity_max_m_s": [1.0, 1.0, 2.0]},
     "takeoff": {"start_offset_m": [1.0, 0.0, 0.7]},
 }
-# section, key, another value, what the vehicle does, with the default and with the other value
+# section, key, another value, tested behaviour, result with the default and with the other value
 CHANGES = [
     ("takeoff", "level_first_m", 0.5,
      lambda c: velocity(c, Phase.TAKEOFF, (0.0, 0.0, 0.4), climbed=True, was_armed=True).velocity[0] != 0.0,

@@ -1,4 +1,4 @@
-"""OSQP's compiled module loaded alone, and matrices as it takes them."""
+"""OSQP's compiled module loaded directly, and matrices in its format."""
 
 import subprocess
 import sys

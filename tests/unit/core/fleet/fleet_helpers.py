@@ -1,4 +1,4 @@
-"""Vehicles of a fleet, each flown by a controller of its own, over a network that delays and loses words."""
+"""Fleet of vehicles, each with its own controller, over a network that delays and loses messages."""
 
 import heapq
 import itertools
@@ -23,36 +23,36 @@ from tests.unit.core.core_helpers import config
 
 RATE_HZ = 50
 DT_S = 1.0 / RATE_HZ
-LOOP_RATE_1_S, DAMPING = 5.2, 0.68  # of the velocity loop, second order
+LOOP_RATE_1_S, DAMPING = 5.2, 0.68  # velocity loop of second order
 FEET_M = 0.0144
 MEMBERS = (3, 7)
 
 
 def fleet(members=MEMBERS, **keys):
-    """The table [fleet] of the first member."""
+    """Return the table [fleet] of the first member."""
     return {"id": members[0], "members": list(members), **keys}
 
 
 def settings_of(id_, members, fleet_keys=None, **sections):
-    """The configuration of one member."""
+    """Return the configuration of one member."""
     table = {**fleet(members), **(fleet_keys or {}), "id": id_}
     limits = {"velocity_max_m_s": [0.5, 0.5, 0.5], "altitude_max_m": 6.0}
     return config(loop={"rate_hz": RATE_HZ}, limits=limits, fleet=table, **sections)
 
 
 def parked(x, y, z=0.2):
-    """A pad that stands."""
+    """Return a pad that does not move."""
     return lambda _: ((x, y, z), (0.0, 0.0, 0.0))
 
 
 def driving(x, y, vx, vy, z=0.2):
-    """A pad that drives straight on."""
+    """Return a pad that drives straight."""
     return lambda t: ((x + vx * t, y + vy * t, z), (vx, vy, 0.0))
 
 
 @dataclass
 class Flyer:
-    """One vehicle over its pad."""
+    """One vehicle above its pad."""
 
     config: object
     position: tuple
@@ -63,9 +63,9 @@ class Flyer:
     mode: Mode = Mode.HOLD
     landed: Landed = Landed.IN_AIR
     touched_s: float = math.inf
-    carried_to: tuple | None = None  # velocity at which somebody takes it away
+    carried_to: tuple | None = None  # velocity at which the operator carries it away
     silent_from_s: float = math.inf
-    arms_again: bool = True  # else it refuses to, for good
+    arms_again: bool = True  # False: it rejects further arming
     refused: bool = False
     texts: list = field(default_factory=list)
     phases: list = field(default_factory=list)
@@ -85,7 +85,7 @@ class Flyer:
         return self.touched_s < math.inf and not self.armed
 
     def step(self, t_s, words):
-        """One tick; what it says to the others is in ``word``."""
+        """Run one tick; ``word`` is then its message to the others."""
         pad, speed = self.pad(t_s)
         own = OwnState(t_s, t_s, self.position, self.velocity, 0.0)
         status = VehicleStatus(t_s, self.armed, self.mode, self.landed, True)
@@ -103,7 +103,7 @@ class Flyer:
         return out
 
     def _fly(self, out, t_s):
-        if out.request is Request.TAKEOFF and not self.armed:  # by set-points
+        if out.request is Request.TAKEOFF and not self.armed:  # the take-off is flown by set-points
             self.refused = not self.arms_again
             self.armed, self.mode, self.touched_s = self.arms_again, Mode.EXTERNAL, math.inf
         if out.request is Request.MOTORS_OFF:
@@ -144,10 +144,10 @@ class Sky:
     """All vehicles, and the network between them.
 
     Args:
-        flyers: in any order.
-        delay_s: least and largest delay of a word.
-        lost: share of the words that never come.
-        seed: of delays and losses.
+        flyers: vehicles in any order.
+        delay_s: smallest and largest delay of a message.
+        lost: share of lost messages.
+        seed: seed of delays and losses.
     """
 
     def __init__(self, flyers, delay_s=(0.02, 0.1), lost=0.1, seed=0):

@@ -1,4 +1,4 @@
-"""Over its pad, beside others, a vehicle sinks and leaves the cone no faster than its climb can follow."""
+"""Above its pad and next to others, a vehicle sinks and leaves the cone only as fast as its climb allows."""
 
 import math
 
@@ -23,7 +23,7 @@ def test_nothing_sinks_faster_than_wanted_or_than_h_alone_allows(d_m, h_m, nomin
     allowed = target[2] - CONE.rate_1_s * max(0.0, h_m)
     assert lower[2] >= min(allowed, reached[1][2])
     assert lower[2] >= min(nominal[2], target[2], reached[1][2])
-    assert lower[2] <= max(target[2], reached[0][2])  # to stay at its height over the pad is never too low
+    assert lower[2] <= max(target[2], reached[0][2])  # its current height above the pad is always high enough
     assert upper[2] == reached[1][2]
 
 
@@ -36,7 +36,7 @@ def test_velocity_out_of_the_cone_grows_by_half_of_what_the_rate_allows(d_m, azi
         return sum(g * (t - v) for g, t, v in zip(gradient[:2], target, velocity, strict=False))
 
     row = CONE.outward(h_m, gradient, before, target)
-    most_m_s = lowers_m_s((0.0, 0.0)) - row.bound_m_s  # of what meets the row
+    most_m_s = lowers_m_s((0.0, 0.0)) - row.bound_m_s  # part of the velocity that fulfils the row
     grows_m_s = OUTWARD_PART * CONE.period_s * CONE.rate_1_s * h_m / CONE.lag_s
     assert row.g == (*gradient[:2], 0.0)
     assert math.isclose(most_m_s, max(0.0, lowers_m_s(before)) + grows_m_s, abs_tol=1e-9)

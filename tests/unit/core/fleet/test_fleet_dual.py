@@ -1,4 +1,4 @@
-"""The quick exact solution against that by all active sets, and what silent vehicles ask of the others."""
+"""The fast exact solution equals the one by all active sets; limits that silent vehicles cause."""
 
 import math
 import random
@@ -33,7 +33,7 @@ FLEET = Fleet(3, (3, 7))
 @given(VECTORS, rows(), boxes())
 def test_it_finds_the_point_that_trying_all_sets_finds(nominal, found, box):
     quick, slow = dual.solve(nominal, found, *box), exact.nearest(nominal, found, *box)
-    if quick is None:  # not confirmed: the caller tries all sets
+    if quick is None:  # not confirmed: the caller tries all active sets
         return
     assert (quick.point is None) == (slow is None)
     if slow is None:
@@ -149,9 +149,9 @@ def test_where_a_silent_vehicle_is_taken_to_be_grows_by_its_drift_until_it_is_do
 @pytest.mark.parametrize(
     ("now_s", "away_m", "asked"),
     [
-        (1.5, 0.9, "no nearer"),  # inside of all that it may have flown
+        (1.5, 0.9, "no nearer"),  # inside the set of its possible positions
         (1.5, 2.9, "outside"),
-        (9.0, 2.0, "lax"),  # its flight is over, and this one is in there
+        (9.0, 2.0, "lax"),  # its flight is over, and this vehicle is inside its set
         (9.0, 9.0, "outside"),
     ],
 )
@@ -197,9 +197,9 @@ def way_of(own, members, heard, down=(), now_s=10.0):
         (1, (1, 2, 3), (2,), (), False),
         (3, (1, 2, 3), (), (), True),
         (1, (1, 2, 3), (), (), True),
-        (1, (1, 2), (), (), False),  # of equal parts that with the lowest id goes on
+        (1, (1, 2), (), (), False),  # with equal shares the lowest id keeps its share
         (2, (1, 2), (), (), True),
-        (2, (1, 2), (), (1,), False),  # down, and needs not say so for ever
+        (2, (1, 2), (), (1,), False),  # it is down and may stop sending
         (3, (1, 2, 3, 4), (4,), (), True),
         (2, (1, 2, 3, 4), (1,), (), False),
         (3, (1, 2, 3), (1,), (1,), False),

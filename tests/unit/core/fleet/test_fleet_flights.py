@@ -1,4 +1,4 @@
-"""Several vehicles in the air, each flown by its own controller: they land, and never come too near."""
+"""Several vehicles, each with its own controller, land and always keep their distance."""
 
 import math
 
@@ -20,7 +20,7 @@ from tests.unit.core.fleet.fleet_helpers import (
     settings_of,
 )
 
-LATE = (0.02, 0.1)  # s
+LATE = (0.02, 0.1)  # range of the message delay, s
 
 
 def flyers(starts, pads, keys=None, **sections):
@@ -73,7 +73,7 @@ def test_one_falls_silent_and_nobody_comes_too_near(seed):
     keys, sections = {"silent_flight_s": 1.5, "wait_max_s": 10.0}, {"checks": {"landing_time_max_s": 25.0}}
     sky = Sky(flyers(starts, pads, keys, **sections), LATE, seed=seed)
     silent = sky.flyers[seed % 3]
-    silent.silent_from_s = np.random.default_rng(seed).uniform(0.5, 8.0)  # it flies on, and hears the others
+    silent.silent_from_s = np.random.default_rng(seed).uniform(0.5, 8.0)  # it flies on and still receives
     sky.run(70.0, lambda s: all(not f.armed for f in s.flyers))
     assert all(not f.armed for f in sky.flyers), told(sky)
     assert sky.least_h_m >= 0.0, sky.least_at

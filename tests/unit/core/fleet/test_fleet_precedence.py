@@ -1,4 +1,4 @@
-"""One pad at a time: no two vehicles have the right of way together, and each gets it."""
+"""One vehicle at a time per pad: never two with the right of way, and each gets it eventually."""
 
 import heapq
 import itertools
@@ -38,7 +38,7 @@ AWAY = (5.0, 5.0, 0.0)
 
 
 def claimed(**keys):
-    """A member in its approach that claimed at 1 s, and knows this of the other one."""
+    """Return a member in its approach with a claim since 1 s, and this information about the other one."""
     member = FleetMember(FLEET, 0.0)
     told = {"stamp_s": 1.2, "arrival_s": 1.2, "intent": Intent.WAITING, "pad_position_enu_m": ZERO, **keys}
     word = Neighbour(7, position_enu_m=AWAY, velocity_enu_m_s=ZERO, wanted_enu_m_s=ZERO, **told)
@@ -51,16 +51,16 @@ def claimed(**keys):
     ("told", "may_land", "yields"),
     [
         ({}, True, False),  # it has no claim
-        ({"stamp_s": 1.14}, False, False),  # it may not have heard of this claim
+        ({"stamp_s": 1.14}, False, False),  # it may not have received this claim
         ({"stamp_s": 1.17, "clock_bound_s": 0.03}, False, False),
         ({"claim_s": 1.1, "yields_to": (3,)}, True, False),
-        ({"claim_s": 1.1}, False, False),  # the younger claim does not give way yet
+        ({"claim_s": 1.1}, False, False),  # the younger claim has not yielded yet
         ({"claim_s": 0.9}, False, True),
-        ({"claim_s": 1.0}, False, False),  # of the same moment: the lower id is first
-        ({"claim_s": 0.9, "yields_to": (3,)}, True, False),  # both give way: the lower id takes it back
+        ({"claim_s": 1.0}, False, False),  # equal claims: the lower id has precedence
+        ({"claim_s": 0.9, "yields_to": (3,)}, True, False),  # both yield: the lower id takes precedence back
         ({"claim_s": 1.1, "intent": Intent.LANDING}, False, True),
         ({"claim_s": 1.1, "intent": Intent.COMMITTED}, False, True),
-        ({"claim_s": 0.9, "pad_position_enu_m": (0.9, 0.0, 0.0)}, True, False),  # another pad, far enough
+        ({"claim_s": 0.9, "pad_position_enu_m": (0.9, 0.0, 0.0)}, True, False),  # another, distant pad
         ({"claim_s": 0.9, "pad_position_enu_m": (0.7, 0.0, 0.0)}, False, True),
         ({"claim_s": 0.9, "pad_position_enu_m": None}, False, True),
         ({"pad_position_enu_m": None}, True, False),
@@ -99,7 +99,7 @@ def test_it_gives_way_until_the_claim_ends_and_to_no_new_claim():
     member = claimed(claim_s=0.9)
     member.way(Phase.APPROACH, HERE, 1.2)
     slot = member.memory.slots[0]
-    slot.word = slot.word._replace(stamp_s=1.4, pad_position_enu_m=AWAY)  # for a moment out of conflict
+    slot.word = slot.word._replace(stamp_s=1.4, pad_position_enu_m=AWAY)  # no conflict for a moment
     assert not member.way(Phase.APPROACH, HERE, 1.4).may_land
     slot.word = slot.word._replace(stamp_s=1.6, claim_s=math.nan)
     assert member.way(Phase.APPROACH, HERE, 1.6).may_land
@@ -192,7 +192,7 @@ def test_a_word_that_was_overtaken_is_no_news():
 
 
 class Claimant:
-    """A vehicle that claims at some time, lands while it may, and is then carried away."""
+    """A vehicle that claims the pad at some time, lands when allowed, and is then carried away."""
 
     def __init__(self, fleet, begins_s):
         self.member, self.memory = FleetMember(fleet, 0.0), Memory(phase=Phase.TAKEOFF, climbed=True)
@@ -249,7 +249,7 @@ def test_no_two_land_on_one_pad_together_and_each_lands(seed, number, lost, boun
         assert all(each.memory.phase is Phase.LANDED for each in all_)
 
 
-# 9 is never heard: it begins nothing, and gets no right of way
+# 9 is silent: it starts no landing and gets no right of way
 SETTINGS = settings_of(3, (3, 7, 9), takeoff={"start_offset_m": [2.0, 0.0, 1.0]})
 EAST, UP, DOWN = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
 CLEAR = {"abort_way": AbortWay.FLY_CLEAR}
@@ -266,7 +266,7 @@ PHASES = [
 
 
 def flown(phase, keys, place, words):
-    """Velocity wanted in a tick of this phase."""
+    """Return the commanded velocity of one tick in this phase."""
     controller = Controller(SETTINGS)
     memory = controller.memory
     memory.phase, memory.was_armed, memory.was_external = phase, True, True
@@ -284,7 +284,7 @@ def flown(phase, keys, place, words):
 
 
 def beside(place, way, h_m):
-    """A vehicle that stands in the air in this direction, so near that h is this."""
+    """Return a hovering vehicle in this direction, at the distance with this h."""
     far_m = (0.75 if way[2] else 0.25) + (3.0 if way[2] else 1.0) * h_m
     at = tuple(p + far_m * w for p, w in zip(place, way, strict=True))
     return Neighbour(7, 2 * DT_S, 2 * DT_S, at, ZERO, ZERO, intent=Intent.WAITING)
@@ -304,7 +304,7 @@ def test_a_neighbour_in_the_way_stops_each_phase_but_the_touchdown(phase, keys, 
     if phase is Phase.TOUCHDOWN:
         assert there == alone
         return
-    # half of the rate, of what is left besides the errors of two places
+    # half of the rate, for h without the errors of two positions
     assert sum(a * w for a, w in zip(there, way, strict=True)) <= 0.02
     assert flown(phase, keys, place, [beside(place, way, 2.9)]) == alone  # out of reach
     assert math.dist(flown(phase, keys, place, [beside(place, way, 1.5)]), alone) < 1e-6  # in reach

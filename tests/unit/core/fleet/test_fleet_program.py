@@ -1,4 +1,4 @@
-"""The program with several rows: exact solution against scipy, OSQP against it, and how rows give way."""
+"""The program with several rows: exact solution against scipy, OSQP against it, and relaxed rows."""
 
 import math
 
@@ -52,21 +52,21 @@ def least_by_scipy(soft, firm, lower, upper):
 
 
 def met_nowhere(found, lower, upper):
-    """Whether no point of the box meets the rows by more than the solver's error; less may be missed."""
+    """Return whether no point of the box fulfils the rows within the solver's error."""
     more = [row._replace(bound_m_s=row.bound_m_s + AGREES_M_S) for row in found]
     return least_by_scipy(more, [], lower, upper) > 0.0
 
 
-# three rows whose common corner moves by ten million times what one of them is moved
+# three rows whose common corner moves by ten million times the shift of one row
 FLAT = [
     Row((-0.9899924966004384, 0.14112000805986621, 1.192092896e-07), 0.0),
     Row((1.0, 0.0, 0.0), 0.0),
     Row((0.5403023058681398, -0.8414709848078965, 0.0), 0.0),
 ]
 UNIT_BOX = ((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5))
-# a row that the best corner of the box misses by rounding
+# a row that the best corner of the box violates by rounding
 ROUNDED, BESIDE = Row((1.0, -2.220446049250313e-16, 0.0), 0.5), ((-0.5, 0.5, -0.5), (0.5, 1.5, 0.5))
-# a row that the box meets on its side x = 0 alone; there it asks for z >= 0 or, within rounding, for nothing
+# a row that touches the box only at x = 0; there it requires z >= 0 or, within rounding, nothing
 LEVEL, AGAINST = Row((1.0, 0.0, 4.2e-145), 0.0), ((-0.04, -0.5, -0.5), (0.0, 0.5, 0.5))
 
 
@@ -83,7 +83,7 @@ def test_the_exact_solution_is_that_of_scipy(nominal, found, box):
         return
     assert slack <= 2e-9
     assert missing(found, lower, upper, exact.point) <= 1e-8
-    # optimal: what pulls away from u' is held by rows and sides that bind
+    # optimality: the gradient is balanced by active rows and bounds
     rest = [n - p for n, p in zip(nominal, exact.point, strict=True)]
     for row, multiplier in zip(found, exact.multipliers, strict=True):
         assert multiplier >= 0.0
@@ -118,7 +118,7 @@ def test_the_program_holds_barrier_and_box_and_gives_way_no_more_than_it_must(no
         exact = nearest(nominal, [*firm, *soft], lower, upper)
         if exact is None:
             assert met_nowhere([*firm, *soft], lower, upper)
-        elif max(exact.multipliers, default=0.0) > 1e6:  # what misses a row by rounding may be far nearer
+        elif max(exact.multipliers, default=0.0) > 1e6:  # rounding may bring the solution much nearer
             assert math.dist(point, nominal) <= math.dist(exact.point, nominal) + 2e-6
         else:
             assert math.dist(point, exact.point) <= 2e-6
@@ -197,7 +197,7 @@ def test_a_solver_that_did_not_solve_is_not_believed(monkeypatch):
 def test_no_slack_helps_where_the_firm_row_is_met_nowhere(monkeypatch):
     firm, soft, box = Row((0.0, 0.0, 1.0), 2.0), Row((1.0, 0.0, 0.0), 2.0), ((-1.0,) * 3, (1.0,) * 3)
     assert least_slack([firm], [soft], *box)[0] == math.inf
-    # by rounding alone: the corner that raises h fastest is flown
+    # a violation by rounding: the corner that raises h fastest is flown
     monkeypatch.setattr(program_module, "least_slack", lambda *_: (math.inf, (0.0, 0.0, 0.0)))
     found = PROGRAM.solve((0.0, 0.0, 0.0), [Row((0.0, 0.0, 1.0), 0.5)], [soft], *box)
     assert found.filter.velocity_enu_m_s[2] == 1.0

@@ -1,4 +1,4 @@
-"""The shares of two vehicles sum to at least 1, whatever is late or lost; what they hold keeps them apart."""
+"""The shares of two vehicles sum to at least 1, despite late or lost messages, and keep them apart."""
 
 import heapq
 import itertools
@@ -29,18 +29,18 @@ from flightstack.core.types import (
 TICK_S = 0.02
 A, B = Fleet(3, (3, 7)), Fleet(7, (3, 7))
 FLYING = VehicleStatus(0.0, True, Mode.EXTERNAL, Landed.IN_AIR, True)
-# what a vehicle does at random; TOUCHDOWN is begun from LAND alone, when all know
+# random actions of a vehicle; TOUCHDOWN starts only from LAND, when all vehicles are informed
 AFTER = {
     Phase.APPROACH: (Phase.APPROACH, Phase.LAND, Phase.HOLD),
     Phase.LAND: (Phase.LAND, Phase.APPROACH, Phase.TOUCHDOWN),
     Phase.TOUCHDOWN: (Phase.TOUCHDOWN, Phase.APPROACH, Phase.LANDED),
     Phase.HOLD: (Phase.HOLD, Phase.APPROACH),
-    Phase.LANDED: (Phase.LANDED, Phase.APPROACH),  # for a flight that goes on
+    Phase.LANDED: (Phase.LANDED, Phase.APPROACH),  # the flight continues
 }
 
 
 class Side:
-    """One vehicle: what it says, hears, and which share it flies."""
+    """One vehicle: sent and received messages, and its current share."""
 
     def __init__(self, fleet, offset_s, rng):
         self.fleet, self.offset_s, self.rng = fleet, offset_s, rng
@@ -48,7 +48,7 @@ class Side:
         self.queue, self.part = [], ALL
 
     def step(self, t_s):
-        now_s = t_s + self.offset_s  # on its own clock
+        now_s = t_s + self.offset_s  # on the vehicle's clock
         while self.queue and self.queue[0][0] <= t_s:
             assert self.member.take([heapq.heappop(self.queue)[2]], now_s) == []
         slot, mission = self.member.memory.slots[0], self.memory
@@ -80,7 +80,7 @@ def test_the_shares_that_two_vehicles_fly_sum_to_one_or_more(seed, lost, slowest
         flown = [side.part for side in sides]
         down = [side.memory.phase in (Phase.TOUCHDOWN, Phase.LANDED) for side in sides]
         heard = all(side.member.memory.slots[0].word is not None for side in sides)
-        if heard and not all(down):  # two that both go down are kept apart by the right of way
+        if heard and not all(down):  # the right of way keeps two descending vehicles apart
             assert sum(flown) >= 1.0, (t_s, flown, [side.memory.phase for side in sides])
         for me, other, word in ((0, 1, words[1]), (1, 0, words[0])):
             if rng.random() < 0.1 * lost:
@@ -129,7 +129,7 @@ def test_the_barrier_is_convex_with_the_gradient_of_finite_differences(p, q):
     h_m, g = barrier(p, 0.25, 0.75)
     assert math.hypot(*g) <= 1.0 + 1e-12
     then_m, _ = barrier(tuple(a + b for a, b in zip(p, q, strict=True)), 0.25, 0.75)
-    assert then_m >= h_m + sum(a * b for a, b in zip(g, q, strict=True)) - 1.1e-6  # flat in the middle
+    assert then_m >= h_m + sum(a * b for a, b in zip(g, q, strict=True)) - 1.1e-6  # zero slope in the middle
     if h_m > -0.2:
         for axis in range(3):
             ahead, back = list(p), list(p)
@@ -199,7 +199,7 @@ def test_a_vehicle_within_its_limits_never_jumps_and_one_that_lies_always_does(s
         p = p + 0.01 * v
         if told is not None and rng.random() < lost:
             continue
-        error = sigma_m * _towards(rng)  # what it tells is a standard deviation
+        error = sigma_m * _towards(rng)  # the message contains a standard deviation
         says = Neighbour(7, 0.01 * tick, 0.0, tuple((p + error).tolist()), tuple(v.tolist()), ZERO, sigma_m)
         if told is not None:
             assert jump(told, says, A) == ZERO
@@ -216,7 +216,7 @@ def test_a_vehicle_within_its_limits_never_jumps_and_one_that_lies_always_does(s
 
 
 def _towards(rng):
-    """A unit vector."""
+    """Return a random unit vector."""
     away = rng.normal(size=3)
     return away / np.linalg.norm(away)
 
@@ -236,11 +236,11 @@ def test_a_place_that_jumps_makes_the_ellipsoid_larger_until_it_jumps_back():
         "the place of vehicle 7 jumps by 0.50 m: its ellipsoid is larger by 0.50 m now, since either place "
         "may be wrong"
     ]
-    assert h_m == pytest.approx(1.0 - A.radius_xy_m - A.margin_m)  # both places are kept clear of
-    assert take(0.04, 0.5) == ([], pytest.approx(h_m))  # for good ...
+    assert h_m == pytest.approx(1.0 - A.radius_xy_m - A.margin_m)  # both positions are kept clear
+    assert take(0.04, 0.5) == ([], pytest.approx(h_m))  # permanently ...
     texts, h_m = take(0.06, 0.0)
     assert [text[:32] for text in texts] == ["the place of vehicle 7 jumps by "]
-    assert h_m == pytest.approx(2.0 - A.radius_xy_m - A.margin_m)  # ... or until it is back
+    assert h_m == pytest.approx(2.0 - A.radius_xy_m - A.margin_m)  # ... or until it reports again
 
 
 PROGRAM = FleetProgram()
@@ -259,7 +259,7 @@ def test_two_points_that_follow_their_rows_never_come_too_near(seed, parts):
         if tick % 30 == 29:
             wanted = [rng.uniform(-1.5, 1.5, 3) for _ in range(2)]
         told = [tuple(v.tolist()) for v in u]
-        # who has the whole share flies last: it goes by what the other one flies
+        # the vehicle with the whole share flies last: it reacts to the other one's velocity
         for me in sorted((0, 1), key=lambda k: parts[k]):
             if parts[me] == NONE:
                 u[me] = np.clip(wanted[me], -1.0, 1.0)
@@ -308,4 +308,4 @@ def test_what_the_others_are_told_of_each_phase(phase, keys, granted, landed, ex
     said = member.word(Memory(phase=phase, **keys), own, status, (0.1, 0.2, 0.3), None, 1.0)
     assert said.intent is expected
     assert (said.id, said.stamp_s, said.wanted_enu_m_s) == (3, 1.0, (0.1, 0.2, 0.3))
-    assert said.position_enu_m == pytest.approx((1.05, 2.0, 3.0))  # carried on to the stamp
+    assert said.position_enu_m == pytest.approx((1.05, 2.0, 3.0))  # extrapolated to the time stamp

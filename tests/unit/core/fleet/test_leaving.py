@@ -1,4 +1,4 @@
-"""One pad for several: who has landed takes off again for the next one, and lands beside the robot's way."""
+"""One pad for several vehicles: after landing, each takes off for the next one and lands beside the path."""
 
 import itertools
 import math
@@ -70,7 +70,7 @@ def test_that_it_stays_though_others_wait_is_told_once():
 
 
 def claiming(fleet=FLEET, **told):
-    """One that claimed at 0.5 s, and knows this of the other one."""
+    """Return a vehicle with a claim since 0.5 s, and this information about the other one."""
     found = FleetMember(fleet, 0.0)
     found.way(Phase.APPROACH, HERE, 0.5)
     found.take([word(pad_position_enu_m=ZERO, **told)], 1.0)
@@ -90,7 +90,7 @@ def test_a_silent_vehicle_that_was_heard_on_the_pad_rides_on_with_it(heard_m, ma
     assert found.way(Phase.APPROACH, HERE, 1.0).may_land is may_land
     driven_on = TargetState(0.0, (3.0, 0.0, 0.0), ZERO, 0.0)
     assert found.way(Phase.APPROACH, driven_on, 9.0).may_land is may_land
-    found.take([word(9.0, (heard_m, 0.0, 0.0), intent=Intent.DOWN)], 9.0)  # it lies where it was
+    found.take([word(9.0, (heard_m, 0.0, 0.0), intent=Intent.DOWN)], 9.0)  # on the ground, unmoved
     assert found.way(Phase.APPROACH, driven_on, 9.1).may_land
 
 
@@ -209,7 +209,7 @@ def units(start, pad):
 
 
 def fleets(place):
-    """As many starts as the number drawn, and up to two pads more."""
+    """Yield as many starts as the drawn number, and up to two more pads."""
     return st.integers(1, 5).flatmap(
         lambda n: st.tuples(
             st.lists(place, min_size=n, max_size=n), st.lists(place, min_size=n, max_size=min(6, n + 2))
@@ -218,7 +218,7 @@ def fleets(place):
 
 
 def by_trying(starts, pads):
-    """The first in the order of preference of all assignments with the least sum."""
+    """Return the first assignment, in the order of preference, with the smallest sum."""
     every = list(itertools.permutations(range(len(pads)), len(starts)))
     sums = [sum(units(start, pads[k]) for start, k in zip(starts, each, strict=True)) for each in every]
     best = [each for each, total in zip(every, sums, strict=True) if total == min(sums)]
@@ -234,7 +234,7 @@ def test_equal_sums_leave_each_vehicle_its_own_pad():
     square = [(1.0, 1.0, 0.0), (1.0, -1.0, 0.0), (-1.0, -1.0, 0.0)]
     assert assign([(0.0, 0.0, 1.0)] * 3, square) == (0, 1, 2)
     assert assign([(0.0, 0.0, 1.0)], square[::-1]) == (0,)
-    # its own pad, the third one, is far: then the lowest index
+    # its own pad, the third, is far: then the lowest index applies
     assert (
         assign([(9.0, 9.0, 0.0), (9.0, -9.0, 0.0), (0.0, 0.0, 0.0)], [*square[:2], (-9.0, 0.0, 0.0)])[2] == 2
     )

@@ -1,4 +1,4 @@
-"""One tick of the mission machine: the flags that it sets for inputs at choice."""
+"""One tick of the mission logic: its condition flags for given inputs."""
 
 from flightstack.core.fleet.precedence import ALONE
 from flightstack.core.memory import Memory
@@ -17,7 +17,7 @@ PAD = (3.0, -2.0, 0.2)
 
 
 def starting(filter="robust", **sections):
-    """A configuration with a point where the landing begins."""
+    """Return a configuration with a start point of the landing."""
     return config(filter, takeoff={"start_offset_m": [-1.4, 0.5, 0.72]}, **sections)
 
 
@@ -31,7 +31,7 @@ def tick(
     landed=Landed.IN_AIR, ready=True, operator=Operator.NONE, failed=False, follows=True, believed=True,
     without=(), way=ALONE, charge=Charge.FIT,
 ):  # fmt: skip
-    """Flags of one tick; everything is well unless told otherwise."""
+    """Return the flags of one tick; all inputs are good unless given."""
     position = tuple(a + b for a, b in zip(e, PAD, strict=True))
     own = OwnState(now_s - own_age_s, 0.0, position, velocity, 0.0)
     status = VehicleStatus(now_s - status_age_s, armed, mode, landed, ready)

@@ -1,11 +1,11 @@
-"""How an abort ends the flight, for every set of the conditions that it asks for."""
+"""End of the flight after an abort, for every combination of its conditions."""
 
 from flightstack.core.memory import AbortWay
 from flightstack.core.mission.phases import ABORT_TABLE, Condition, next_way
 
 
 def way_of(w):
-    """How an abort ends the flight, written as one would say it; ``w`` holds names of conditions."""
+    """Independent statement of the rules for the end after an abort; ``w``: names of true conditions."""
     if "EMERGENCY" in w:
         return AbortWay.MOTORS_OFF
     if "WAS_ARMED" not in w:

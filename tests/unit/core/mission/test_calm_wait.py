@@ -1,4 +1,4 @@
-"""Over a fast target the vehicle waits for a slower one, higher and for a limited time."""
+"""Above a fast target the vehicle waits for a slower one, higher and for a limited time."""
 
 from dataclasses import replace
 
@@ -21,7 +21,8 @@ CALM = config(
 
 
 def touches_s(settings):
-    """Time from the landing's begin to the commit, and the lowest height over the pad before it."""
+    """Return the time from the landing's start to the commit, and the lowest height above the pad
+    before it."""
     world = World(settings)
     world.run(30.0, until=lambda w: w.phase is Phase.TOUCHDOWN)
     assert world.phase is Phase.TOUCHDOWN
@@ -57,7 +58,7 @@ def test_a_vehicle_that_is_on_the_pad_already_stays_there(height_m, waits):
 
 
 def goes_around(height_m=0.6, speed_m_s=0.1, **memory):
-    """Whether the descent over the middle of a target is broken off."""
+    """Return whether the descent above the middle of a target is aborted."""
     moving = (speed_m_s, 0.0, 0.0)
     at = tick(
         CALM, (0.0, 0.0, height_m), target_velocity=moving, velocity=moving,
@@ -95,7 +96,7 @@ def test_leaving_the_cone_again_and_again_and_staying_in_it_is_swinging(swings, 
     began_s = NOW_S - in_phase_s
     memory = Memory(phase=Phase.LAND, swings=swings, phase_since_s=began_s, started_s=began_s)
     assert ("SWINGS" in names(tick(e=e, memory=memory))) is expected
-    assert "SWINGS" not in names(tick(PAPER, e=e, memory=memory))  # as printed: it has no such rule
+    assert "SWINGS" not in names(tick(PAPER, e=e, memory=memory))  # the paper's filter has no such rule
     memory.phase = Phase.APPROACH
     assert "SWINGS" not in names(tick(e=e, memory=memory))
 
@@ -111,9 +112,9 @@ def test_the_wait_for_a_calm_robot_does_not_count():
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [2])
 def test_a_loop_slower_than_configured_ends_by_its_own_reason(seed):
-    """ArduCopter 4.7's loop with the configuration for the older one swung for two minutes."""
+    """ArduCopter 4.7's loop with the configuration for the older release swung for two minutes."""
     scenario = replace(load("ardupilot_47"), onboard=load_config("ardupilot-1kg"), duration_max_s=40.0)
-    landing = land(scenario, seed, on_step=lambda *_: None)  # tick by tick: nothing else to compile
+    landing = land(scenario, seed, on_step=lambda *_: None)  # tick by tick, so nothing else must be compiled
     assert landing.verdict.outcome is Outcome.ABORTED
     assert f"LAND -> ABORT: {SWINGING}: left the cone over it 4 times" in landing.verdict.reason
     assert landing.simulated_s < 40.0
@@ -124,7 +125,7 @@ STRAIGHT, CIRCLE = load("straight").target.path, GROUND.target.path
 
 
 def take_off(path, speed_m_s, turn_rate_rad_s=0.0):
-    """Phases of a flight from the ground, with the reason why each began."""
+    """Return the phases of a flight from the ground, with the reason for each."""
     target = replace(
         GROUND.target, path=path, speed_m_s=speed_m_s, speed_max_m_s=speed_m_s, heading_rad=2.0,
         turn_rate_rad_s=turn_rate_rad_s, wait_for_landing=False,

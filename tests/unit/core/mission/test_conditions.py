@@ -1,4 +1,4 @@
-"""Each condition flag: when it is set, and when it is not."""
+"""Each condition flag: when it is set, and when it is clear."""
 
 import math
 from dataclasses import replace
@@ -45,10 +45,10 @@ def test_when_all_is_well():
         ({"without": ("target",)}, {"TARGET_LOST"}, {"READY", "TARGET_KNOWN"}),
         ({"without": ("status",)}, {"LINK_LOST"}, WELL - {"RETRIES_LEFT", "TARGET_KNOWN"}),
         ({"landed": Landed.ON_GROUND}, {"STANDING"}, set()),
-        # disarmed in the external mode is where a landing by set-points leaves PX4: nothing of this flight
+        # PX4 is disarmed in external mode after a landing by set-points: this is not part of the flight
         ({"armed": False}, set(), {"ARMED", "WAS_ARMED", "WAS_EXTERNAL"}),
         ({"armed": False, "ready": False}, set(), {"ARMED", "WAS_ARMED", "WAS_EXTERNAL", "READY"}),
-        ({"ready": False}, set(), set()),  # armed is more than ready to arm
+        ({"ready": False}, set(), set()),  # armed implies ready to arm
         ({"mode": Mode.HOLD}, set(), {"EXTERNAL", "WAS_EXTERNAL"}),
     ],
 )
@@ -200,7 +200,7 @@ def test_the_papers_touchdown_rule():
     wide = starting("paper", touchdown={"height_m": 0.2, "pad_radius_m": 0.05})
     assert touch(wide, (0.049, 0.0, 0.15))
     assert not touch(wide, (0.051, 0.0, 0.15))
-    # how fast and how certain does not matter to it
+    # touchdown does not depend on speed and uncertainty
     assert touch(PAPER, (0.0, 0.0, 0.049), velocity=(0.4, 0.0, 0.0), sigma_m=1.0)
 
 
@@ -216,8 +216,8 @@ def test_the_robust_rule_commits_low_in_the_middle_and_moving_along():
         assert touch(ROBUST, e, target_velocity=slip) is expected
         both = (0.3, share * r.commit_speed_m_s, 0.0)
         assert touch(ROBUST, e, velocity=both, target_velocity=(0.3, 0.0, 0.0)) is expected
-    assert touch(ROBUST, e, velocity=(0.0, 0.0, -0.5))  # sinking is no slip
-    # and not where the pad may be somewhere else
+    assert touch(ROBUST, e, velocity=(0.0, 0.0, -0.5))  # sinking is not slip
+    # without contact where the pad may be elsewhere
     unsure = (r.corridor_m - e[0]) / r.sigma_factor
     assert touch(ROBUST, e, sigma_m=0.99 * unsure)
     assert not touch(ROBUST, e, sigma_m=1.01 * unsure)

@@ -1,4 +1,4 @@
-"""The command that guidance gives in each phase."""
+"""The command of the guidance in each phase."""
 
 import itertools
 import math
@@ -35,7 +35,7 @@ def asked(
     phase, settings=ROBUST, e=(0.5, -0.4, 1.0), memory=None, *, own=True, target=True, own_ok=True,
     target_ok=True, armed=True, landed=Landed.IN_AIR, status=True, velocity=ZERO, way=ALONE,
 ):  # fmt: skip
-    """What is commanded in one situation."""
+    """Return the command in one situation."""
     memory = memory if memory is not None else Memory()
     memory.phase = phase
     position = tuple(a + b for a, b in zip(e, PAD, strict=True))
@@ -74,7 +74,7 @@ def test_whatever_is_missing_there_is_an_answer_and_only_the_landing_is_filtered
 
 
 def test_waiting_is_doing_nothing_unless_it_is_found_in_the_air():
-    """Of a pad that comes nearer the robust filter keeps away even then."""
+    """The robust filter keeps away from an approaching pad even then."""
     assert asked(Phase.WAIT, PAPER) == Command(Request.EXTERNAL, ZERO)
     assert asked(Phase.WAIT, ROBUST) == Command(Request.EXTERNAL, ZERO, filtered=True)
     for changes in ({"armed": False}, {"landed": Landed.ON_GROUND}, {"target_ok": False}, {"status": False}):
@@ -102,7 +102,7 @@ def test_the_take_off_climbs_straight_up_until_it_is_high_and_armed():
     assert climbs(at(0.01 + TAKEOFF_DONE * 0.5 + 1e-6, never_armed), (1.0 - TAKEOFF_DONE) * 0.5 * gain_1_s)
     assert climbs(at(9.0, never_armed), 0.0)  # it never sinks
     assert at(0.01 + TAKEOFF_DONE * 0.5 + 1e-6).request is Request.EXTERNAL
-    assert at(0.02).request is Request.EXTERNAL  # once climbed it stays ours
+    assert at(0.02).request is Request.EXTERNAL  # after the climb external mode remains
     for lost in ({"own": False}, {"target": False}):
         assert asked(Phase.TAKEOFF, settings, memory=Memory(climbed=True), **lost) == Command(Request.TAKEOFF)
 
@@ -112,7 +112,7 @@ def test_once_it_has_lifted_off_by_set_points_nothing_is_left_to_ask_of_the_take
     for landed, request in ((Landed.ON_GROUND, Request.TAKEOFF), (Landed.TAKEOFF, Request.EXTERNAL)):
         found = asked(Phase.TAKEOFF, e=(0.0, 0.0, 0.05), memory=flies, landed=landed)
         assert found.request is request
-        assert found.velocity[2] > 0.0  # no zero velocity so near to the ground, wherever the start is
+        assert found.velocity[2] > 0.0  # never zero velocity so close to the ground
     assert not flies.climbed
     silent = asked(Phase.TAKEOFF, e=(0.0, 0.0, 0.05), memory=flies, status=False)
     assert silent.request is Request.TAKEOFF
@@ -152,7 +152,7 @@ def test_the_robust_landing_waits_low_over_the_middle(e):
         assert found.velocity[:2] == pytest.approx(
             [v - gain * x for v, x in zip(MOVING[:2], e[:2], strict=True)]
         )
-        far = math.hypot(e[0], e[1]) > BARRIER.peak_distance_m  # first over the ring, as high above it
+        far = math.hypot(e[0], e[1]) > BARRIER.peak_distance_m  # first above the ring, at its height
         above = e[2] - r.wait_height_m - (BARRIER.peak_height_m if far else 0.0)
         rising = found.velocity[2] - MOVING[2]
         if above > 0.0:
@@ -168,7 +168,7 @@ near = st.tuples(st.floats(-0.7, 0.7), st.floats(-0.7, 0.7), st.floats(0.0, 2.0)
 
 @given(near, st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0)))
 def test_who_comes_to_rest_beyond_the_middle_does_not_sink_below_the_barrier_there(e, slip):
-    """The place by driving there in small steps; on this side of the middle nothing changes."""
+    """Find the position by small steps; on this side of the middle nothing changes."""
     r = ROBUST.robust
     brakes = BRAKING * r.acceleration_max_m_s2[0]
     speed, (x, y), passed = math.hypot(*slip), e[:2], False
@@ -218,9 +218,7 @@ def test_by_the_papers_rule_the_motors_go_off_below_its_height():
 
 def test_holding_is_standing_still_or_following_what_was_followed_and_rising():
     assert asked(Phase.HOLD, PAPER, memory=Memory(started_s=1.0)) == Command(Request.EXTERNAL, ZERO)
-    assert asked(Phase.HOLD, ROBUST) == Command(
-        Request.EXTERNAL, ZERO
-    )  # no landing yet: nothing to climb from
+    assert asked(Phase.HOLD, ROBUST) == Command(Request.EXTERNAL, ZERO)  # no landing has started, so no climb
     assert asked(Phase.HOLD, ROBUST, memory=Memory(started_s=1.0), target=False) == Command(
         Request.EXTERNAL, ZERO
     )
@@ -268,31 +266,31 @@ def test_flying_clear_is_up_then_away_then_down():
     assert clearing((0.3, 0.0, top))[0].velocity == pytest.approx((vx, 0.0, 0.0))
     away = clearing((-0.3, -0.4, top))[0].velocity
     assert away == pytest.approx((-0.6 * vx, -0.8 * vx, 0.0))
-    assert clearing((0.0, 0.0, top))[0].velocity == pytest.approx((vx, 0.0, 0.0))  # any direction will do
+    assert clearing((0.0, 0.0, top))[0].velocity == pytest.approx((vx, 0.0, 0.0))  # any direction is valid
     far = ROBUST.checks.clearance_m
     there, memory = clearing((0.0, -far - 1e-6, 0.1))
     assert there == Command(Request.LAND)
     assert memory.clear
-    assert asked(Phase.ABORT, e=(0.1, 0.0, 0.1), memory=memory) == Command(Request.LAND)  # it stays so
+    assert asked(Phase.ABORT, e=(0.1, 0.0, 0.1), memory=memory) == Command(Request.LAND)  # the request stays
     assert clearing((0.0, -far + 1e-6, top))[0].request is Request.EXTERNAL
 
 
 def test_it_does_not_land_while_it_closes_in():
-    """What it still moves by its velocity loop counts, and what the target drives until it is down."""
+    """The vehicle's residual motion counts, and the target's motion until the vehicle is down."""
     vx, vy, vz = ROBUST.limits.velocity_max_m_s
     far, lag_s = ROBUST.checks.clearance_m, ROBUST.velocity_loop.lag_xy_s
     z = 0.3 - PAD[2]  # 0.3 m above the origin
     sinks_s = 0.3 / ROBUST.retreat.landing_speed_m_s
     coming = {"velocity": (-0.4, 0.0, 0.0)}
     still = clearing((far + 0.4 * lag_s - 1e-6, 0.0, z), **coming)[0]
-    assert still == Command(Request.EXTERNAL, (vx, 0.0, vz))  # away at once: it is clear of the barrier
+    assert still == Command(Request.EXTERNAL, (vx, 0.0, vz))  # away at once: clear of the barrier
     assert clearing((far + 0.4 * lag_s + 1e-6, 0.0, z), **coming)[0] == Command(Request.LAND)
     followed = (0.0, -0.2, 0.0)
     reach_m = far + 0.2 * sinks_s
     assert clearing((0.0, -reach_m + 1e-6, z), followed)[0] == Command(Request.EXTERNAL, (0.0, -vy, vz))
     assert clearing((0.0, -reach_m - 1e-6, z), followed)[0] == Command(Request.LAND)
     assert clearing((0.0, far + 1e-6, z), followed)[0] == Command(Request.LAND)  # it drives away
-    # It comes by at 0.9 of the clearance before the vehicle is down.
+    # The target passes at 0.9 of the clearance before the vehicle is down.
     assert clearing((0.9 * far, -0.5 * far, z), (0.0, -5.0, 0.0))[0].request is Request.EXTERNAL
     assert clearing((1.1 * far, -0.5 * far, z), (0.0, -5.0, 0.0))[0] == Command(Request.LAND)
 
@@ -334,7 +332,7 @@ def test_a_pad_is_left_upwards_with_the_pad_below():
     flown = leaves((0.0, 0.0, high_m + 0.01), place, was_external=True)
     assert flown.velocity[0] > 0.0 > flown.velocity[1]
     assert flown.velocity[0] == pytest.approx(-2.0 * flown.velocity[1])
-    assert leaves((0.0, 0.0, high_m + 0.01), was_external=True).velocity[:2] == (0.0, 0.0)  # no place yet
+    assert leaves((0.0, 0.0, high_m + 0.01), was_external=True).velocity[:2] == (0.0, 0.0)  # unknown position
     assert leaves((0.0, 0.0, high_m - 0.01), place, was_external=True, climbed=True).velocity[0] > 0.0
     assert leaves((2.0, 0.0, 1.0), clear=True) == Command(Request.LAND)
 

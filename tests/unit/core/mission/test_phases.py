@@ -1,4 +1,4 @@
-"""Every set of conditions in every phase against a second writing of the rules."""
+"""Every combination of conditions in every phase, compared with an independent statement of the rules."""
 
 import random
 from functools import cache
@@ -83,7 +83,7 @@ def inputs(w):
 
 
 def expected_rules(phase, w):
-    """The phase rules of docs/how_it_works/method.md on arrays; the first that holds counts."""
+    """The phase rules of docs/how_it_works/method.md on arrays; the first rule that applies counts."""
     again = w.recovered & w.retries_left
     match phase:
         case Phase.WAIT:
@@ -178,7 +178,7 @@ def expected_rules(phase, w):
 
 
 def expected(phase, words):
-    """Number of the outcome of each word, and the outcomes ``(to, reason)`` by number; 0 is to stay."""
+    """Return the outcome number of each word, and the outcomes ``(to, reason)`` by number; 0: no change."""
     rules = expected_rules(phase, Word(words))
     outcomes = list(dict.fromkeys([STAY, *((to, why) for _, to, why in rules)]))
     numbers = [outcomes.index((to, why)) for _, to, why in rules]
@@ -187,7 +187,7 @@ def expected(phase, words):
 
 
 def leads_to(phase, asked=0, unless=0):
-    """Where all words with these conditions, and without those, lead; None is to stay."""
+    """Return the next phase of all words with these conditions and without those; None: no change."""
     words = everything(phase)
     found, outcomes = expected(phase, words[(words & asked == asked) & (words & unless == 0)])
     return {outcomes[number][0] for number in np.unique(found)}
@@ -227,7 +227,7 @@ def test_nothing_leaves_the_end_but_for_another_vehicle():
 
 
 def reachable(start, unless=0):
-    """Phases that some row of words without these conditions leads to."""
+    """Return the phases that follow from some row of words without these conditions."""
     found, new = set(), {start}
     while new:
         phase = new.pop()
@@ -250,13 +250,13 @@ def test_every_way_back_into_the_landing_asks_for_a_retry():
     back = [r for phase in tries for r in TABLE[phase] if r.to in (Phase.APPROACH, Phase.TAKEOFF, Phase.LAND)]
     assert len(back) == 5
     assert all(rule.when & Condition.RETRIES_LEFT for rule in back)
-    # what else goes round is approach and land, and that has a time limit of its own
+    # the only other cycle is approach and land, which has its own time limit
     for phase in (Phase.APPROACH, Phase.LAND):
         assert any(r.when == Condition.LANDING_TIME_OVER and r.to is Phase.ABORT for r in TABLE[phase])
 
 
 def test_no_flight_lasts_for_ever():
-    """Each phase of flight has a limit of its time that leads out of it, whatever else is true."""
+    """Each phase of flight has a time limit that ends it, independent of all other conditions."""
     for phase in GOING_ON:
         landing = phase in (Phase.APPROACH, Phase.LAND)
         limit = Condition.LANDING_TIME_OVER if landing else Condition.PHASE_TIME_OVER

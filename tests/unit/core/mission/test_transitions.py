@@ -1,4 +1,4 @@
-"""A change of phase is data; its text is made and read at one place."""
+"""A change of phase is data; one place writes and reads its text."""
 
 import pytest
 from hypothesis import given

@@ -1,4 +1,4 @@
-"""A vehicle's velocity loop as a plant: references flown with it, and a target followed."""
+"""A velocity loop as plant, which flies references and follows a target."""
 
 import numpy as np
 from scipy.linalg import expm
@@ -15,7 +15,7 @@ AXES = (0, 1, 2)
 
 
 class Plant:
-    """Second order on each axis, carried exactly from tick to tick: v'' = w^2 (u + push - v) - 2 z w v'."""
+    """Second-order loop per axis, advanced exactly from tick to tick: v'' = w^2 (u + push - v) - 2 z w v'."""
 
     def __init__(self, loop=LOOP, rate=1.0, damping=1.0, push=ZERO):
         rates = (loop.rate_xy_1_s, loop.rate_xy_1_s, loop.rate_z_1_s)
@@ -35,7 +35,7 @@ class Plant:
 
 
 def flown(references, plant, tracking=None, most=WIDE):
-    """Fly references tick by tick; returns the tracker, set-points and velocities."""
+    """Fly references tick by tick; return the tracker, set-points and velocities."""
     tracking = tracking or VelocityTracking(LOOP, T_S)
     before, setpoints, velocities = references[0], [], []
     for reference in references:
@@ -90,7 +90,7 @@ def flown_behind(settings, factor, accelerations, errors=None, start_m=0.0):
         tracking.observe(seen, commanding=n > 0)
         wanted = target + error - gain * position
         setpoint = tracking.command((before, 0.0, 0.0), (wanted, 0.0, 0.0), seen, (50.0, 50.0, 50.0))
-        plant.fly(sent)  # it comes a tick late
+        plant.fly(sent)  # a set-point acts one tick later
         before, sent = wanted, setpoint
         target += period_s * acceleration
         position += period_s * (plant.velocity[0] - target)

@@ -1,4 +1,4 @@
-"""A velocity loop with a dead time: what the filter foretells, remembers and refuses, and what is proven."""
+"""A velocity loop with a dead time: the filter's prediction, memory and rejections, and the proof."""
 
 from dataclasses import replace
 
@@ -31,7 +31,7 @@ def test_the_way_until_a_set_point_acts_is_the_way_that_the_modelled_vehicle_fli
         foretold.append(tracking.carried(flown[-1]))
         tracking.memory.setpoint_m_s = setpoint
         tracking.observe(flown[-1], commanding=True)
-        flown.append(tracking.memory.model_m_s)  # a vehicle as modelled
+        flown.append(tracking.memory.model_m_s)  # a vehicle equal to the model
     late = 25
     for k, (way_m, then_m_s) in enumerate(foretold[:-late]):
         assert then_m_s[:2] == pytest.approx(flown[k + late][:2], abs=1e-12)
@@ -89,7 +89,7 @@ def test_the_certificate_refuses_the_loop_that_swings_and_proves_the_configurati
 
 
 def test_a_simulated_step_is_the_matrix():
-    """The loop of the matrix, against the one that the filter flies for a target at rest."""
+    """The loop of the matrix equals the loop that the filter flies for a target at rest."""
     settings = load_config("ardupilot47-1kg")
     matrix = tick_matrix(settings, 0.8, 1.0, 1.0)
     state = np.zeros(len(matrix))

@@ -1,4 +1,4 @@
-"""What differs between the filters: the paper's law as it always was, the robust one by its properties."""
+"""Differences between the filters: the paper's law unchanged, and properties of the robust filter."""
 
 import math
 
@@ -68,12 +68,12 @@ starts = st.tuples(
 
 
 def fly(law, held, e, legs_, dt_s):
-    """Exact kinematics with the vertical velocity at its bound; yields h and the distance after each step."""
+    """Fly exact kinematics with the vertical velocity at its bound; yield h and distance after each step."""
     climb = None
     for velocity, target, seconds in legs_:
         for _ in range(round(seconds / dt_s)):
             h, gradient, _ = held.evaluate(e, target)
-            # flown exactly: what was wanted last is what is measured
+            # exact flight: the last command is the measured velocity
             now = (velocity[0], velocity[1], 0.0 if climb is None else climb)
             climb = law.climb_m_s(h, gradient, now, seen(now, target, e).relative)
             flown = (velocity[0], velocity[1], climb)
@@ -84,14 +84,14 @@ def fly(law, held, e, legs_, dt_s):
 @given(rates, st.floats(0.0, 0.1), starts, legs)
 @settings(max_examples=40)
 def test_climbing_as_told_holds_the_barrier_whatever_is_flown_sideways(rate, margin, start, legs_):
-    """At the bound, for any horizontal motion of vehicle and target: only the step's curvature is lost."""
+    """At the bound, for any horizontal motion, h decreases only by the step's curvature."""
     law, _ = robust(robust={"rate_1_s": rate})
     held = RobustBarrier(CONE, margin, 0.06)
     d, angle, above = start
     e = (d * math.cos(angle), d * math.sin(angle), 0.0)
     e = (e[0], e[1], above - held.h(e))
     dt_s, near_m = 2e-4, 0.15
-    # second derivatives outside that radius: of b, of b along the circle, of the margin; and the smoothing's
+    # second derivatives outside that radius: of b, of b along the circle, of the margin, of the smoothing
     curvature = 2.0 * 1.5 + 1.5 / near_m + 4.0 * margin / 0.06**2 * math.exp(-((near_m / 0.06) ** 2)) * 10.0
     speed = 2.0 * math.hypot(0.6, 0.6)
     lost = (
@@ -99,7 +99,7 @@ def test_climbing_as_told_holds_the_barrier_whatever_is_flown_sideways(rate, mar
     ) / rate
     for h, distance in fly(law, held, e, legs_, dt_s):
         if distance < near_m:
-            return  # over the pad: below
+            return  # below the barrier above the pad
         assert h >= -lost
 
 
@@ -125,7 +125,7 @@ def test_what_the_vertical_loop_still_has_to_lose_counts_as_lost():
     plain = law.climb_m_s(0.1, up, still, seen(still, still).relative)
     sinking = law.climb_m_s(0.1, up, still, seen((0.0, 0.0, -0.2), still).relative)
     assert sinking - plain == pytest.approx(rate * lag_s * 0.2)
-    # climbing more than wanted is no credit
+    # climbing faster than commanded gives no credit
     assert law.climb_m_s(0.1, up, still, seen((0.0, 0.0, 0.2), still).relative) == plain
 
 
@@ -152,14 +152,14 @@ def test_target_and_vehicle_are_carried_on_by_their_delays():
     for n in range(50):
         assert track.accept(sample(0.02 * n)).text == "accepted"
         law.take(sample(0.02 * n))
-    found = law.target(track, 1.0)  # the last was measured at 0.98 and took 0.1 s more than the clocks show
+    found = law.target(track, 1.0)  # the newest: measured at 0.98, 0.1 s more latency than the clocks show
     assert found.age_s == pytest.approx(0.02 + 0.1)
     assert found.position_enu_m == pytest.approx(sample(1.1).position_enu_m, abs=1e-6)
     assert found.velocity_enu_m_s == pytest.approx((0.2, -0.1, 0.0), abs=1e-6)
     assert found.position_sigma_m > 0.0
     assert law.target(track, 1.2).position_sigma_m > found.position_sigma_m
     assert law.target(track, 1.2).position_sigma_z_m > found.position_sigma_z_m > 0.0
-    assert found.position_sigma_z_m < found.position_sigma_m  # it is told to drive on a floor
+    assert found.position_sigma_z_m < found.position_sigma_m  # it is configured to drive on a floor
     own = OwnState(3.0, 2.9, (1.0, 2.0, 3.0), (1.0, -2.0, 0.5), 0.7)
     moved = law.vehicle(own)
     assert moved.position_enu_m == pytest.approx((1.05, 1.9, 3.025))
@@ -169,7 +169,7 @@ def test_target_and_vehicle_are_carried_on_by_their_delays():
 def test_a_target_that_is_not_seen_any_more_stays_where_it_was_lost():
     law, settings_ = robust()
     track = TargetTrack(settings_.checks)
-    for n in range(50):  # it gains speed all the time
+    for n in range(50):  # its speed increases all the time
         t_s = 0.02 * n
         rising = sample(t_s)._replace(
             position_enu_m=(0.3 * t_s * t_s, 0.0, 0.2), velocity_enu_m_s=(0.6 * t_s, 0, 0)
@@ -194,7 +194,7 @@ def test_the_set_point_is_the_corrected_one_and_stays_in_the_box():
     assert 0.1 < slow[0] <= 0.2
     assert law.setpoint((0.1, 0.0, 0.0), (0.2, 0.0, 0.0), still, 1.0, -math.inf)[0] == 0.2
     law, _ = robust(limits={"velocity_max_m_s": [0.2, 0.2, 0.5]})
-    wanted = (0.1, 0.0, 0.0)  # with the velocity wanted in place of one that is not known
+    wanted = (0.1, 0.0, 0.0)  # the commanded velocity replaces an unknown one
     assert law.setpoint(wanted, wanted, wanted, math.nan, -math.inf) == pytest.approx(wanted)
     assert (law.rate_1_s, law.acceleration_max_m_s2) == (
         settings_.robust.rate_1_s, settings_.robust.acceleration_max_m_s2

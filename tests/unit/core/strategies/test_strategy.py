@@ -1,4 +1,4 @@
-"""Filters are found by name, in the package and outside of it; none counts as another one."""
+"""Filters are found by name, inside and outside the package; no filter replaces another one."""
 
 import math
 import random
@@ -25,7 +25,7 @@ from tests.point_mass import World
 from tests.unit.core.core_helpers import config
 
 CONE = "examples.own_boundary:ConeFilter"
-# a module outside the package that says when it is imported, and a filter that lacks nearly everything
+# an external module that prints its import, and a filter without most of its methods
 OUTSIDE = """
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.strategies.paper import PaperFilter
@@ -82,7 +82,7 @@ def test_what_is_no_name_is_refused_with_what_is_allowed(name):
     ],
 )
 def test_what_is_no_filter_is_refused_where_it_would_fly(name, why):
-    settings = config(name)  # the form is right: nothing is imported yet
+    settings = config(name)  # valid form; nothing is imported yet
     for use in (strategy_of, checks, problems):
         with pytest.raises(ConfigError, match=why):
             use(settings)
@@ -91,7 +91,7 @@ def test_what_is_no_filter_is_refused_where_it_would_fly(name, why):
 def test_reading_a_configuration_or_a_log_imports_nothing_from_outside(outside, capsys):
     settings = config("outside:Picky")
     assert packaged_strategy_of(settings) is None
-    with pytest.raises(ConfigError, match="cannot be imported"):  # a log's name is not looked for here
+    with pytest.raises(ConfigError, match="cannot be imported"):  # a log's module is not searched here
         strategy_of(settings)
     assert "outside" not in sys.modules
     assert capsys.readouterr().out == ""
@@ -115,7 +115,7 @@ def test_a_subclass_does_not_inherit_the_proof_of_the_class_that_it_extends(outs
     settings = config("outside:Slower")
     (found,) = checks(settings)
     assert (found.name, found.proven) == ("certificate", False)
-    assert problems(settings) == []  # it may fly
+    assert problems(settings) == []  # it is allowed to fly
     done = called("check", "paper_static_1", "--filter", "outside:Slower", "--json")
     assert done.code == 1
     assert "outside:Slower has none" in done.json["checks"][0]["worst"]

@@ -1,4 +1,4 @@
-"""Corrections of the set-point, by the lead and by fed-back velocity, against a plant unlike the model."""
+"""Corrections of the set-point, by lead and velocity feedback, on a plant that differs from the model."""
 
 import itertools
 import math
@@ -35,7 +35,7 @@ def fed_back(delay_s=0.0, loop=EAGER):
     [(lead, st.floats(0.7, 1.3), st.floats(0.7, 1.3)), (fed_back, st.floats(0.77, 1.42), st.just(1.0))],
 )
 def test_a_vehicle_that_answers_otherwise_than_modelled_still_flies_what_is_wanted(made, rates, dampings):
-    """Thirty per cent off, and a constant push: no error is left, nothing swings on, the push is learned."""
+    """Thirty per cent model error and a constant push: no remaining error or oscillation, push estimated."""
 
     @given(wanted, rates, dampings, pushes)
     @settings(max_examples=40)
@@ -69,7 +69,7 @@ def test_the_limits_hold_whatever_is_measured(made, ticks, most):
 
 @pytest.mark.parametrize("made", [lead, fed_back])
 def test_all_of_its_state_is_its_memory(made):
-    """A copy that is given the memory goes on to the last bit."""
+    """A copy with the same memory continues bit for bit."""
     references = [tuple(0.2 * math.sin(0.02 * n + axis) for axis in AXES) for n in range(200)]
     plant = Plant(push=(0.1, 0.0, 0.0))
     tracking, _, _ = flown(references[:100], plant, made(delay_s=0.03))
@@ -99,7 +99,7 @@ def test_horizontally_the_set_point_stays_near_the_velocity_so_that_the_tilt_is_
     tracking.observe((0.1, -0.1, 0.0), commanding=False)
     setpoint = tracking.command(ZERO, (3.0, -3.0, 3.0), (0.1, -0.1, 0.0), WIDE)
     assert setpoint[:2] == pytest.approx((0.4, -0.4))
-    assert setpoint[2] > 3.0  # upward nothing tilts
+    assert setpoint[2] > 3.0  # an upward acceleration needs no tilt
 
 
 def test_the_corrections_are_those_of_the_formula():
@@ -129,10 +129,10 @@ def test_while_somebody_else_flies_the_model_follows_and_nothing_is_learned():
         tracking.observe(velocity, commanding=False)
         assert tracking.memory.model_m_s == velocity
         assert tracking.memory.model_m_s2 == tracking.memory.slope_m_s2 == ZERO
-    assert tracking.memory.disturbance_m_s == learned  # the wind goes on blowing
+    assert tracking.memory.disturbance_m_s == learned  # the wind continues
     tracking.command((0.3, -0.2, 0.1), (0.3, -0.2, 0.1), (0.3, -0.2, 0.1), WIDE)
     tracking.observe((0.3, -0.2, 0.1), commanding=True)
-    # taken over in flight there is no jump to learn from
+    # after a take-over in flight there is no jump to estimate from
     assert tracking.memory.disturbance_m_s == pytest.approx(learned, abs=0.01)
 
 
@@ -141,7 +141,7 @@ def test_while_somebody_else_flies_the_model_follows_and_nothing_is_learned():
 @settings(max_examples=20)
 def test_the_model_is_stable_up_to_the_rate_that_is_allowed_and_not_above(period_s, damping, axis, start):
     def left(share):
-        """What remains of a disturbed model, vehicle and set-point at rest."""
+        """The remaining effect of a disturbed model, with vehicle and set-point at rest."""
         rate = share * replace(LOOP, damping=damping).rate_max_1_s(period_s)
         loop = replace(LOOP, damping=damping, rate_xy_1_s=rate, rate_z_1_s=rate)
         tracking = VelocityTracking(loop, period_s)
@@ -172,7 +172,7 @@ def test_upwards_it_is_the_lead():
 
 
 def test_the_fed_back_set_point_is_that_of_the_formula():
-    """u = v + (2 z w a + m (a* - a)) / w^2 with a* = s + l (r - v) - f, the state carried on by the delay."""
+    """u = v + (2 z w a + m (a* - a)) / w^2 with a* = s + l (r - v) - f, the state advanced by the delay."""
     loop = VelocityLoop(rate_xy_1_s=5.0, damping=0.5, slope_time_s=0.04, error_max_m_s=10.0)
     feedback = VelocityFeedback(
         horizontal=True, error_rate_1_s=4.0, tilt_rate_1_s=10.0, acceleration_max_m_s2=20.0
@@ -207,7 +207,7 @@ def test_far_away_the_rates_are_those_of_far_away():
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_tilt_is_bounded_twice(sign):
-    """By the acceleration wanted, and by the set-point's distance from the velocity."""
+    """Return the limits from the commanded acceleration and the set-point's distance from the velocity."""
     far = (3.0 * sign, 0.0, 0.0)
     wide = replace(EAGER, error_max_m_s=10.0)
     for loop, most in ((wide, 13.0 * 3.0 / LOOP.rate_xy_1_s**2), (replace(EAGER, error_max_m_s=0.3), 0.3)):

@@ -1,4 +1,4 @@
-"""The estimator of the own state: late positions, wrong velocities, and a model of the velocity loop."""
+"""The estimator of the vehicle state: late positions, wrong velocities, and a model of the velocity loop."""
 
 import math
 from dataclasses import replace
@@ -29,11 +29,11 @@ LOOP = VelocityLoop(rate_xy_1_s=5.8, damping=0.6)
 LINK = OwnStateLink(delay_s=0.02, position_noise_m=0.01, velocity_error_m_s=0.02, velocity_error_time_s=0.7)
 QUICK = OwnStateLink(delay_s=0.0, position_noise_m=0.002, velocity_error_m_s=0.05, velocity_error_time_s=0.15)
 MOST = (0.7, 0.7, 0.7)
-LEFT = 0.3  # of a constant error: the filter holds it for one that fades
+LEFT = 0.3  # remaining share of a constant error, which the filter treats as decaying
 
 
 class Vehicle:
-    """Two horizontal axes with the velocity loop of the model, a wrong velocity, and a delay of its state."""
+    """Two horizontal axes: the model's velocity loop, a velocity error, and a delayed state."""
 
     def __init__(self, error_m_s=(0.0, 0.0, 0.0), delay_ticks=2, rate_1_s=LOOP.rate_xy_1_s):
         self.error_m_s, self.delay, self.rate_1_s = np.array(error_m_s), delay_ticks, rate_1_s
@@ -60,7 +60,7 @@ def wanted(t_s):
 
 
 def follow(vehicle, estimator, seconds, *, lost=()):
-    """Fly a changing velocity; returns the last true and estimated states."""
+    """Fly a changing velocity; return the last true and estimated states."""
     found = None
     for k in range(round(seconds / PERIOD_S)):
         own = vehicle.state()
@@ -104,7 +104,7 @@ def test_state_of_now_comes_out_of_a_late_one():
         vehicle.fly(estimator.memory.sent_m_s)
         errors.append(np.hypot(*(np.array(found.position_enu_m) - past[-1][0])[:2]))
     late = [np.hypot(*(b[0] - a[0])[:2]) for a, b in zip(past, past[2:], strict=False)]
-    assert max(late[200:]) > 5e-3  # what a believed position would be off by
+    assert max(late[200:]) > 5e-3  # error of an uncorrected position
     assert max(errors[200:]) < 1e-3
 
 

@@ -1,4 +1,4 @@
-"""Positions of the target held against its velocity: what is noticed, how soon, and what is not."""
+"""Positions of the target compared with its velocity: which contradictions are detected, and how soon."""
 
 import math
 import random
@@ -23,7 +23,7 @@ def turned(velocity, angle_rad):
     return c * x - s * y, s * x + c * y, z
 
 
-# a velocity as it arrives, of the true one, the heading and the time
+# received velocity as a function of true velocity, heading and time
 WRONG = {
     "world frame": lambda v, yaw, t: turned(v, yaw),
     "heading off by half a turn": lambda v, yaw, t: turned(v, math.pi),
@@ -37,7 +37,7 @@ WRONG = {
 
 
 def drive(checks, seconds, *, speed=0.2, yaw=2.5, turn_rate=0.0, says=lambda v, yaw, t: v, noise=(), lost=()):
-    """A robot's track while it drives; yields time, track and true velocity after each sample."""
+    """Track a driving robot; yield time, track and true velocity after each sample."""
     track, chance, (x, y) = TargetTrack(checks), random.Random(1), (0.0, 0.0)
     track.memory.settled = True
     position_m, velocity_m_s = noise or (0.0, 0.0)
@@ -59,7 +59,7 @@ def test_a_velocity_that_the_positions_contradict_is_soon_noticed(fault, yaw):
     noticed_s = next(
         t for t, track, _ in drive(Checks(), 4.0, yaw=yaw, says=WRONG[fault]) if track.memory.distrusted
     )
-    # 0.1 m at the difference of both, a time constant of 0.2 s; 0.1 m/s is forgotten with 2 s meanwhile
+    # the difference is 0.1 m with a time constant of 0.2 s; 0.1 m/s decays with 2 s in the meantime
     assert noticed_s < (2.0 if fault in ("half", "climbs", "flips every other second") else 1.3)
 
 
@@ -123,7 +123,7 @@ PERIOD_S = 0.02
 
 
 def believed_s(seconds, speed_m_s, *, flies, moves_m=0.0):
-    """How long a vehicle is believed whose position changes by so much in a period."""
+    """Return how long a vehicle state is accepted whose position changes by this much per period."""
     watched, age_s = Plausibility(CONFIG), CONFIG.checks.own_age_max_s
     for k in range(round(seconds / PERIOD_S)):
         at_s = PERIOD_S * k
@@ -135,7 +135,7 @@ def believed_s(seconds, speed_m_s, *, flies, moves_m=0.0):
 
 @pytest.mark.parametrize("speed_m_s", [0.0, 0.002, 0.02, 0.049])
 def test_a_vehicle_at_rest_repeats_its_numbers_for_as_long_as_it_likes(speed_m_s):
-    if speed_m_s < 0.03:  # more is a contradiction of position and velocity in the long run
+    if speed_m_s < 0.03:  # faster motion contradicts the velocity in the long run
         assert believed_s(60.0, speed_m_s, flies=False) == 60.0
     assert believed_s(1.0, speed_m_s, flies=False) == 1.0
 

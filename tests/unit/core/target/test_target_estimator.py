@@ -1,4 +1,4 @@
-"""The target's estimator against a Kalman filter by matrices, and its word about its own error."""
+"""The target's estimator compared with a matrix Kalman filter, and its own error estimate."""
 
 import functools
 import itertools
@@ -38,7 +38,7 @@ links = st.builds(
 
 
 def assumed(link, axis):
-    """Jerk, first acceleration and the time in which it fades, of an axis."""
+    """Jerk, initial acceleration and its decay time for one axis."""
     if axis == 2:
         return link.jerk_z_m_s3_sqrthz, link.acceleration_z_m_s2, math.inf
     return link.jerk_xy_m_s3_sqrthz, link.acceleration_xy_m_s2, link.acceleration_time_s
@@ -46,14 +46,14 @@ def assumed(link, axis):
 
 @functools.cache
 def carried(jerk, fade_s, dt_s):
-    """Transition and noise over a time, by matrix exponential (Van Loan): the noise is that of no fading."""
+    """Return transition and noise over a time by matrix exponential (Van Loan), noise without decay."""
     drift, noise = np.diag([1.0, 1.0], 1), np.diag([0.0, 0.0, jerk**2])
     block = expm(np.block([[-drift, noise], [np.zeros((3, 3)), drift.T]]) * dt_s)
     return expm((drift - np.diag([0.0, 0.0, 1.0 / fade_s])) * dt_s), block[3:, 3:].T @ block[:3, 3:]
 
 
 class ByMatrices:
-    """The text-book filter of one axis, both measurements in one update."""
+    """Textbook filter of one axis, with both measurements in one update."""
 
     def __init__(self, link, axis):
         self.jerk, self.prior, self.fade_s = assumed(link, axis)
@@ -82,7 +82,7 @@ ROWS, COLUMNS = np.triu_indices(3)  # the order of a stored covariance: pp, pv, 
 
 
 def covariance(estimator, axis):
-    """Of one axis, as a matrix."""
+    """Return the covariance of one axis as a matrix."""
     memory, found = estimator.memory, np.empty((3, 3))
     found[ROWS, COLUMNS] = found[COLUMNS, ROWS] = memory.covariance_z if axis == 2 else memory.covariance_xy
     return found
@@ -132,7 +132,7 @@ def test_it_is_the_text_book_filter_at_any_times(link, samples, ahead_s):
 
 
 def driven(chance, link, times_s):
-    """A motion that the filter's own model makes: lists of (t, state by axis, measured)."""
+    """Return a motion from the filter's model: lists of (t, state by axis, measurement)."""
     state = np.array([[0.0, 0.0, chance.gauss(0.0, assumed(link, axis)[1])] for axis in range(3)])
     before_s, found = times_s[0], []
     for t_s in times_s:
@@ -153,13 +153,13 @@ def driven(chance, link, times_s):
 
 
 def test_its_error_is_as_large_as_it_says():
-    """Normalised estimation error squared, three states an axis: 3 on the average if it is consistent."""
+    """The normalised estimation error squared of three states per axis is 3 on average if consistent."""
     chance, errors, ahead = random.Random(4), [], []
     for _ in range(100):
         estimator = TargetEstimator(LINK)
         times_s, t_s = [], 0.0
         for _ in range(40):
-            t_s += chance.choice((0.02, 0.033, 0.05, 0.2))  # some are lost
+            t_s += chance.choice((0.02, 0.033, 0.05, 0.2))  # some samples are lost
             times_s.append(t_s)
         *past, (at_s, later, _) = driven(chance, LINK, times_s)
         for t_s, _, measured in past:
@@ -183,7 +183,7 @@ def circle(t_s, radius_m=0.5, speed_m_s=0.3):
 
 
 def stop_and_go(t_s, speed_m_s=0.2):
-    """Half a period of 4 s there, half back, with 0.5 m/s2 between."""
+    """Reverse with a period of 4 s and 0.5 m/s2."""
     ramp = min(1.0, max(-1.0, (abs(t_s % 4.0 - 2.0) - 1.0) / 0.4))
     return ramp * speed_m_s
 
@@ -304,7 +304,7 @@ def fed(link, said=(0.0, 0.0), count=60):
 
 @given(st.floats(0.0, 0.2), st.floats(0.0, 1.0))
 def test_a_sender_that_says_it_is_worse_is_believed_and_one_that_is_better_is_not(position_m, velocity_m_s):
-    """On x and y; upwards robots on wheels say anything."""
+    """Velocity checks apply to x and y; robots on wheels may report any vertical velocity."""
     found = fed(LINK, (position_m, velocity_m_s))
     noise = {
         "position_noise_m": max(position_m, LINK.position_noise_m),

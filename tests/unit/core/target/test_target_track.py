@@ -1,4 +1,4 @@
-"""Which target samples are believed."""
+"""Which target samples are accepted."""
 
 import math
 import random
@@ -51,7 +51,7 @@ def track():
         (
             later(0.01, position_enu_m=(1.2009, 2.0, 0.2)),
             Verdict.ACCEPTED,
-        ),  # 0.2 m from where it was expected
+        ),  # 0.2 m from the expected position
         (later(0.01, position_enu_m=(1.202, 2.0, 0.2)), Verdict.JUMP),
     ],
 )
@@ -63,7 +63,7 @@ def test_verdicts(track, sample, verdict):
 
 
 def drives(t_s, stamp_s):
-    """A robot at 0.1 m/s on a clock that shows 1000 s more."""
+    """Return a robot at 0.1 m/s on a clock that is 1000 s ahead."""
     return TargetSample(
         t_s, 1000.0 + stamp_s, "map", "target", (1.0 + 0.1 * t_s, 0.0, 0.2), (0.1, 0.0, 0.0), 0.0, 0.0
     )
@@ -74,7 +74,7 @@ def ticks(since_s, until_s):
 
 
 def steady(until_s, settled):
-    """Samples at 50 Hz until then."""
+    """Track samples at 50 Hz until this time."""
     track = TargetTrack(Checks(), 0.01)
     track.memory.settled = settled
     for t_s in ticks(0.0, until_s):
@@ -84,7 +84,7 @@ def steady(until_s, settled):
 
 @given(st.floats(0.01, 0.24), within(0.3), within(2.0), within(0.1))
 def test_a_robot_that_sets_off_in_a_gap_is_believed(gap_s, before_m_s, acceleration_m_s2, off_m):
-    """Velocity and position say the same: it is where they lead, within the bound and the noise."""
+    """Velocity and position agree: the sample is at the predicted position within bound and noise."""
     gone = [
         p + v * gap_s + 0.5 * a * gap_s**2 + o
         for p, v, a, o in zip(FIRST.position_enu_m, before_m_s, acceleration_m_s2, off_m, strict=True)
@@ -97,7 +97,7 @@ def test_a_robot_that_sets_off_in_a_gap_is_believed(gap_s, before_m_s, accelerat
 
 
 def test_a_robot_that_jumps_is_refused_whatever_its_velocity_says(track):
-    fast = (1.4, 0.0, 0.0)  # of which the mean explains 0.15 m
+    fast = (1.4, 0.0, 0.0)  # the mean explains 0.15 m
     assert (
         track.accept(later(0.2, position_enu_m=(1.34, 2.0, 0.2), velocity_enu_m_s=fast)) is Verdict.ACCEPTED
     )
@@ -108,7 +108,7 @@ def test_a_robot_that_jumps_is_refused_whatever_its_velocity_says(track):
 
 def test_of_a_lost_robot_the_velocity_of_now_proves_no_place(track):
     assert track.accept(later(0.2, position_enu_m=(2.0, 2.0, 0.2))) is Verdict.JUMP
-    fast = (1.0, 0.0, 0.0)  # the mean of both leads to where it is told to be, 0.9 s after the last one
+    fast = (1.0, 0.0, 0.0)  # the mean of both predicts the reported position, 0.9 s after the last one
     there = later(0.9, position_enu_m=(1.495, 2.0, 0.2), velocity_enu_m_s=fast)
     assert track.accept(there) is Verdict.JUMP
 
@@ -121,7 +121,7 @@ def test_a_sample_that_was_long_on_its_way_is_late(track):
 
 def test_the_age_counts_from_the_measurement_less_the_shortest_delay(track):
     assert track.at(10.1).age_s == pytest.approx(0.1)
-    slow = later(0.1)._replace(arrival_s=10.1 + 0.05)  # 50 ms longer under way than the first
+    slow = later(0.1)._replace(arrival_s=10.1 + 0.05)  # 50 ms more latency than the first sample
     track.accept(slow)
     assert track.at(10.15).age_s == pytest.approx(0.05)
 
@@ -152,7 +152,7 @@ def test_one_wrong_stamp_costs_one_sample(ahead_s, settled):
 @pytest.mark.parametrize("silent_s", [0.02, 0.4])
 @pytest.mark.parametrize("by_s", [-900.0, -9.0, -1.0, -0.3, 0.05, 0.2, 2.0, 3600.0])
 def test_a_clock_that_was_set_is_followed_after_samples_that_agree(by_s, silent_s, settled):
-    """Until then nothing is fresh; a set-back that a silence hides may be a queue."""
+    """Until then no sample is fresh; a clock set back during a silence may be a queue."""
     track, proof_s = steady(2.0, settled), Checks().recovery_time_s
     for k in range(200):
         t_s = 2.0 + silent_s + 0.02 * k
@@ -166,7 +166,7 @@ def test_a_clock_that_was_set_is_followed_after_samples_that_agree(by_s, silent_
 
 
 def test_a_queue_that_drains_at_the_start_is_none_a_moment_later():
-    """What waited while the process started: 600 samples of 12 s in one tick."""
+    """Samples that waited during the start: 600 samples of 12 s in one tick."""
     track = TargetTrack(Checks(), 0.01)
     for stamp_s in ticks(0.0, 12.0):
         moved = drives(stamp_s, stamp_s).position_enu_m
@@ -207,7 +207,7 @@ def test_a_queue_that_grows_is_seen_as_age_and_is_not_believed_when_it_is_full()
         assert track.at(t_s).age_s >= min(delay_s - 0.06, 0.7 * delay_s - 0.02)
     assert track.at(20.0).age_s > 3.0
     for t_s in ticks(20.0, 22.0):
-        assert track.accept(drives(t_s, t_s)) is Verdict.ACCEPTED  # it is empty again
+        assert track.accept(drives(t_s, t_s)) is Verdict.ACCEPTED  # the queue is empty again
 
 
 def test_before_the_first_sample_there_is_no_target():
@@ -216,7 +216,7 @@ def test_before_the_first_sample_there_is_no_target():
 
 
 def bend(t_s, speed_m_s, turn_rate_rad_s):
-    """A robot that drives in a circle: position and velocity."""
+    """Return a robot that drives in a circle: position and velocity."""
     turned, radius = turn_rate_rad_s * t_s, speed_m_s / turn_rate_rad_s
     sin, cos = math.sin(turned), math.cos(turned)
     return (radius * sin, -radius * cos, 0.0), (speed_m_s * cos, speed_m_s * sin, 0.0)
@@ -227,14 +227,14 @@ def bend(t_s, speed_m_s, turn_rate_rad_s):
     st.floats(-math.pi, math.pi),
 )  # fmt: skip
 def test_a_steady_bend_is_followed_without_an_error_that_stays(speed_m_s, rate, side, ahead_s, yaw_rad):
-    """However little jerk it believes in; without the yaw, or told not to mind it, it cuts the bend."""
+    """With any assumed jerk the filter follows the bend; without the yaw it cuts the bend."""
     link = replace(LINK, jerk_xy_m_s3_sqrthz=0.05)
     told, untold, sideways = (
         TargetEstimator(one) for one in (link, link, replace(link, turns_with_yaw=False))
     )
     for n in range(500):
         sample = bend(0.02 * n, speed_m_s, side * rate)
-        yaw = math.remainder(yaw_rad + side * rate * 0.02 * n, math.tau)  # of any place on the robot
+        yaw = math.remainder(yaw_rad + side * rate * 0.02 * n, math.tau)  # for any point on the robot
         told.update(0.02 * n, *sample, yaw)
         sideways.update(0.02 * n, *sample, yaw)
         untold.update(0.02 * n, *sample)
@@ -288,7 +288,7 @@ def test_carried_on_twice_is_carried_on_once(position, velocity, rate, step_s, f
 
 
 def test_over_a_gap_a_robot_that_sets_off_is_not_made_faster_than_it_can_be():
-    """At 1 m/s2 for 0.8 s, then lost for half a second: it has long stopped to speed up."""
+    """After 0.8 s at 1 m/s2 and a loss of half a second it has stopped accelerating."""
     lasting, fading = (TargetEstimator(replace(LINK, acceleration_time_s=time_s)) for time_s in (1000.0, 0.5))
     for n in range(41):
         t_s = 0.02 * n
@@ -303,7 +303,7 @@ ROUSED = replace(STEADY, jerk_growth_max=10.0)
 
 
 def worst_m(link, brakes, seed):
-    """Largest miss in the second after two seconds at 0.6 m/s, when it brakes with 1 m/s2 or drives on."""
+    """Return the largest error in the second after two seconds at 0.6 m/s, with or without braking."""
     chance, estimator = random.Random(seed), TargetEstimator(link)
     worst, x, v = 0.0, 0.0, 0.6
     for n in range(150):
@@ -328,7 +328,7 @@ def test_surprise_makes_it_less_sure_up_to_the_bound_and_passes():
     estimator, sigma = TargetEstimator(ROUSED), []
     bound = TargetEstimator(replace(STEADY, jerk_xy_m_s3_sqrthz=0.5))
     for n in range(300):
-        x = 0.02 * n * (1.0 if 100 <= n < 150 else 0.0)  # jumps there and back
+        x = 0.02 * n * (1.0 if 100 <= n < 150 else 0.0)  # a jump and a jump back
         estimator.update(0.02 * n, (x, 0.0, 0.0), ZERO)
         bound.update(0.02 * n, (x, 0.0, 0.0), ZERO)
         sigma.append(estimator.at(0.02 * n + 0.2).position_sigma_m)
@@ -351,16 +351,16 @@ def test_a_yaw_that_is_no_number_turns_nothing(unknown):
 
 
 def test_a_velocity_that_is_noise_leads_to_no_wrong_place(track):
-    """A robot is reported 0.3 m from where it stands, for long: its last velocity leads there."""
+    """A robot is reported 0.3 m from its position, for long: its last velocity leads there."""
     track.memory.settled = True
     wrong = {"position_enu_m": (1.3, 2.0, 0.2), "velocity_enu_m_s": (0.02, 0.0, 0.0)}
     assert {track.accept(later(0.02 * k, **wrong)) for k in range(1, 600)} == {Verdict.JUMP}
     back = track.accept(later(2.0, arrival_s=22.02, source_time_s=1012.02, position_enu_m=(2.2, 2.0, 0.2)))
-    assert back is Verdict.ACCEPTED  # where the last velocity leads, and away from the wrong place
+    assert back is Verdict.ACCEPTED  # the position predicted by the last velocity, away from the wrong one
 
 
 def test_numbers_of_a_target_that_is_stuck_are_the_last_also_at_rest(track):
-    """Noise of a velocity at rest is enough to tell that a position is not measured anew."""
+    """Noise of a velocity at rest is enough to detect that a position is repeated."""
     rest = {"position_enu_m": FIRST.position_enu_m, "velocity_enu_m_s": (0.004, -0.003, 0.0)}
     assert track.accept(later(0.02, **rest)) is Verdict.FROZEN
     assert track.accept(later(0.04, **(rest | {"velocity_enu_m_s": ZERO}))) is Verdict.ACCEPTED
