@@ -1,4 +1,4 @@
-"""What a Crazyflie's radio, clock, supervisor and motion capture do wrong, and what the bridge does then."""
+"""Faults of a Crazyflie's radio, clock, supervisor and motion capture, and the bridge's reactions."""
 
 import math
 import re
@@ -196,7 +196,7 @@ def test_one_that_restarts_within_a_blind_landing_is_flown_no_more():
 
 
 class Posed(Bench):
-    """Poses come through the bridge, or by another program."""
+    """Poses arrive through the bridge, or from another program."""
 
     def __init__(self, own: bool, tilt_deg: float = 0.0) -> None:
         self.own, self.poses = own, True

@@ -1,4 +1,4 @@
-"""Flights one after the other through the stack's own commands: heights, modes and ends between them."""
+"""Consecutive flights by the stack's own commands: heights, modes and ends between them."""
 
 import math
 from dataclasses import replace
@@ -21,7 +21,7 @@ KILL = (400, 0.0, 21196.0)
 
 
 class Stack:
-    """The stack's commands in front of a bench whose floor can be moved."""
+    """The stack's commands, connected to a bench with a movable floor."""
 
     def __init__(self, floor_m: float = 0.0) -> None:
         self.floor_m = floor_m
@@ -49,7 +49,7 @@ class Stack:
                 self.bench._send()
 
     def climb(self, flight) -> None:
-        """From the ground into OFFBOARD; the modes seen on the way are those of a first flight."""
+        """Fly from the ground into OFFBOARD; the sequence of modes equals that of a first flight."""
         self.bench.stream = None
         self.run(flight, Request.NONE, lambda s: s is not None and s.mode is Mode.HOLD and not s.armed)
         plant = self.bench.firmware.plant
@@ -85,7 +85,7 @@ def test_a_height_that_drifts_before_the_arming_does_not_change_the_climb(drift_
         step()
 
     bench.step = drifting
-    bench.run(3.3)  # between two HOME_POSITION
+    bench.run(3.3)  # longer than the period of HOME_POSITION
     if ordered is Order.ARM:
         stack.climb(stack.flight())
         return
@@ -155,12 +155,12 @@ def test_a_take_off_from_a_deck_that_drives_rises_above_its_place_on_the_deck_th
         if done is not None:
             break
         vx, vy, vz = velocity.velocity_enu_m_s
-        if rise_m < CLEAR_M:  # it slides on a deck that is too fast, and on no other
+        if rise_m < CLEAR_M:  # it slides only on a deck that is too fast
             assert (vx, vy) == pytest.approx((kept * deck_m_s[0], kept * deck_m_s[1]))
-            vx, vy = deck_m_s if n * period_s < 0.5 else (vx, vy)  # the deck carries it until it lifts off
+            vx, vy = deck_m_s if n * period_s < 0.5 else (vx, vy)  # the deck carries it until lift-off
             left = (x, y)
         x, y = x + period_s * vx, y + period_s * vy
         rise_m += period_s * vz if n * period_s >= 0.5 else 0.0
     assert rise_m == pytest.approx(0.5, abs=0.06)
-    beyond_m = math.hypot(x - left[0], y - left[1])  # it stops without a turn back
+    beyond_m = math.hypot(x - left[0], y - left[1])  # it stops without flying back
     assert beyond_m == pytest.approx(min(speed_m_s, CARRIED_MAX_M_S) / GAIN_1_S, rel=0.3, abs=0.01)

@@ -1,4 +1,4 @@
-"""The Crazyflie as a vehicle, against the stand-in's firmware on a simulated clock."""
+"""The Crazyflie as a vehicle, tested with the firmware model on a simulated clock."""
 
 import random
 import struct
@@ -194,7 +194,7 @@ def test_without_a_position_it_sends_none_and_lands_straight_down():
     bench.until(lambda: not bench.vehicle.armed)
     assert any("No position estimate: landing" in text for text in bench.texts)
     assert "mocap: no pose for 0.3 s" in bench.texts
-    unsure_s = 0.4  # whatever the filter says of itself
+    unsure_s = 0.4  # independent of the filter's own variance
     assert bench.times("LOCAL_POSITION_NED")[-1] < lost_s + unsure_s
     assert bench.times("ATTITUDE")[-1] > bench.now_s - 0.1
     descent = [p.velocity_enu_m_s for t, p in bench.velocities() if t > lost_s + unsure_s]

@@ -1,4 +1,4 @@
-"""Both wires of the Crazyflie bridge: log packets and queues towards cflib, MAVLink, refusals of arming."""
+"""Both connections of the Crazyflie bridge: cflib's log packets and queues, MAVLink, rejections of arming."""
 
 import math
 import re
@@ -114,13 +114,13 @@ def test_the_outbox_is_bounded_and_never_loses_what_stops_motors():
 
 
 def through_the_wire(message):
-    """As another implementation decodes it."""
+    """Return the position as an independent implementation decodes it."""
     parser = mav.MAVLink(None)
     return parser.decode(bytearray(pack(message, 0, 1, 1)))
 
 
 def read(bench: Bench, *, power: bool = False) -> VehicleState:
-    """What the flight stack makes of the telemetry."""
+    """Return the vehicle state that the flight stack decodes from the telemetry."""
     state = VehicleState(profile("px4"))
     if power:
         state.watch_power()
@@ -164,7 +164,7 @@ def test_the_throttle_is_the_mean_of_the_motors_and_comes_when_it_is_asked_for()
     bench.run(1.0)
     assert len(bench.times("VFR_HUD")) == pytest.approx(10, abs=1)
     state = read(bench, power=True)
-    assert state.power.throttle == pytest.approx(0.80)  # of 52,500, in whole percents
+    assert state.power.throttle == pytest.approx(0.80)  # ratio to 52,500, in whole percents
     assert (state.power.voltage_v, state.power.cos_tilt) == pytest.approx((4.1, 1.0), abs=0.01)
 
 
@@ -279,7 +279,7 @@ def test_refuses_to_arm_and_says_why(name):
 def test_a_filter_that_does_not_run_is_no_position_estimate():
     firmware = Firmware()
     bench = Bench(firmware).run(0.5)
-    assert not bench.vehicle.problems(bench.now_s)  # the bridge has set the estimator
+    assert not bench.vehicle.problems(bench.now_s)  # the bridge has selected the estimator
     assert firmware.params["stabilizer.estimator"].value == 2
     firmware.params["stabilizer.estimator"].value = 1
     bench.run(0.5)

@@ -1,4 +1,4 @@
-"""Poses of motion capture: which are passed on, and what arrives at the vehicle."""
+"""Poses of motion capture: which are forwarded, and what the vehicle receives."""
 
 import math
 
@@ -20,7 +20,7 @@ from tests.unit.target.ros2_helpers import pose_stamped
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 S = 1_000_000_000
-EPOCH_S = 1.7e9  # the mocap computer's clock is another one
+EPOCH_S = 1.7e9  # the mocap computer has another clock
 UNIT = (
     st.tuples(*[st.floats(-1.0, 1.0)] * 4)
     .filter(lambda q: sum(e * e for e in q) > 0.01)
@@ -36,7 +36,7 @@ def sample(at_s, position=(0.0, 0.0, 0.0), q=LEVEL, *, late_s=0.0, frame="map"):
 
 
 def stream(checks, start_s, seconds, position=(0.0, 0.0, 0.0), rate_hz=100.0, *, armed=False, **more):
-    """Feed a steady stream; returns what was passed on and the last problem."""
+    """Feed a steady stream; return the forwarded poses and the last problem."""
     passed, problem = [], None
     for i in range(round(seconds * rate_hz)):
         at_s = start_s + i / rate_hz
@@ -113,7 +113,7 @@ def test_armed_a_jump_is_never_believed_disarmed_after_a_second():
 
 
 def passed_at(checks, since_s, seconds, ahead_s=0.0):
-    """When poses at 100 Hz were passed on, with stamps so far ahead."""
+    """Return the times at which poses at 100 Hz were forwarded, with time stamps this far ahead."""
     times = [since_s + 0.01 * k for k in range(round(seconds * 100))]
     return [t for t in times if checks.step([sample(t + ahead_s, late_s=-ahead_s)], t, armed=True).passed]
 
@@ -204,7 +204,7 @@ def test_both_messages_carry_the_pose_into_the_ned_room(position, q, seed):
     vision = wire(vision_position_estimate(passed, 1_500_000))
     assert (vision.x, vision.y, vision.z) == pytest.approx(ENU_TO_NED @ position, rel=1e-5, abs=1e-5)
     back = Rotation.from_euler("ZYX", [vision.yaw, vision.pitch, vision.roll]).as_matrix()
-    assert back == pytest.approx(turned, abs=2e-3)  # near the pole single precision is all there is
+    assert back == pytest.approx(turned, abs=2e-3)  # near the pole single precision limits the accuracy
     assert vision.covariance == pytest.approx(expected, rel=1e-4, abs=1e-5)
     assert (vision.usec, vision.reset_counter) == (1_500_000, 3)
 
@@ -229,7 +229,7 @@ def kinds(messages):
 def test_each_autopilot_gets_what_it_wants_once_it_is_heard(autopilot, kind):
     vehicle = MocapVehicle(1, Limits(), None)
     messages, _ = vehicle.step([sample(0.0)], 0.004)
-    assert kinds(messages) == ["HEARTBEAT"]  # calls, and knows not what to send
+    assert kinds(messages) == ["HEARTBEAT"]  # it sends heartbeats, and no poses yet
     vehicle.handle(heartbeat(autopilot), 0.005)
     sent = []
     for i in range(1, 200):
@@ -266,7 +266,7 @@ def test_why_poses_cannot_be_read_is_known_until_one_can():
         assert checked.poll(1.0, armed=False) is None
         why = source.problem_text
         assert why is not None
-        for now_s in (1.002, 1.5, 9.0):  # nothing more comes
+        for now_s in (1.002, 1.5, 9.0):  # no further pose arrives
             assert checked.poll(now_s, armed=False) is None
             assert checked.problem == f"mocap: {why}"
         session.put("lab/pose", pose_stamped(S, "map", (1.0, 2.0, 0.5)))

@@ -1,4 +1,4 @@
-"""The bridge's settings of the firmware: written with every connection, restored on leaving if told."""
+"""The bridge's firmware settings: written at every connection, restored on exit if requested."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Faults of every cell of the table, and vehicles that fail, for the tests."""
+"""Faults of every cell of the table, and vehicles with faults, for the tests."""
 
 from sim.chance import stream
 from sim.faults.schedule import Running
@@ -13,7 +13,7 @@ ALOFT = Start(StartKind.HOVER, offset_m=(2.0, 0.0, 1.5))
 
 
 def fault(what: What, kind: Kind, **values) -> Fault:
-    """A fault of this cell with the table's defaults."""
+    """Return a fault of this cell with the table's defaults."""
     if what is What.MOTOR:
         values.setdefault("motor", 2)
     if TABLE[what][kind].offset:
@@ -22,18 +22,18 @@ def fault(what: What, kind: Kind, **values) -> Fault:
 
 
 def running(what: What, kind: Kind, start_s: float = 0.0, **values) -> Running:
-    """The same, as a schedule would hand it over."""
+    """Return the running fault, as from a schedule."""
     return Running(fault(what, kind, **values), stream(1, "test"), start_ns=round(start_s * NS))
 
 
 def aloft(*faults: Fault, loop=VelocityLoop.PID, seed=1) -> VehicleSim:
-    """A vehicle in hover, 1.7 m over free floor."""
+    """Return a vehicle in hover, 1.7 m above free floor."""
     spec = VehicleSpec(velocity_loop=loop, mocap=QUIET)
     return VehicleSim(scenario(start=ALOFT, vehicle=spec, fault=faults), seed)
 
 
 def hold(sim: VehicleSim, seconds: float):
-    """Hold the place where it is by its own state with a simple position loop; truths at 100 Hz."""
+    """Hold the position of its state estimate with a simple position loop; return true states at 100 Hz."""
     home, truths = (2.0, 0.0, 1.7), []
     for _ in range(round(seconds * 100)):
         position = sim.estimate().position_enu_m
@@ -44,13 +44,13 @@ def hold(sim: VehicleSim, seconds: float):
 
 
 def off_home(truth) -> float:
-    """Distance from where ``hold`` keeps it, m."""
+    """Return the distance from the hold position, m."""
     x, y, z = truth.position_enu_m
     return ((x - 2.0) ** 2 + y**2 + (z - 1.7) ** 2) ** 0.5
 
 
 def table_row(what: What, kind: Kind) -> str:
-    """The cell's row in docs/reference/faults.md."""
+    """Return the cell's row in docs/reference/faults.md."""
     cell = TABLE[what][kind]
     columns = " | ".join(_shown(number) for number in (cell.value, cell.period))
     return f"| `{what.value}` | `{kind.value}` | {cell.effect} | {columns} |"

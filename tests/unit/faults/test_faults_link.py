@@ -1,4 +1,4 @@
-"""Faults of the MAVLink wire: what is lost, late, twice, damaged or rewritten, and what never is."""
+"""Faults of the MAVLink connection: lost, late, duplicated, damaged or rewritten messages, and exceptions."""
 
 import itertools
 import statistics
@@ -21,7 +21,7 @@ LINK_CELLS = [(what, kind) for what in CONCERNS for kind in TABLE[what]]
 
 
 class FakeEndpoint:
-    """Packs, and keeps what is sent."""
+    """Packs messages and stores the sent ones."""
 
     def __init__(self):
         self._mav = mav.MAVLink(None, 1, 1)
@@ -52,7 +52,7 @@ def setpoint(north):
 
 
 def out(*faults, make=position, seconds=10.0, end_s=None):
-    """(sent_ms, decoded) of a message every 10 ms, faults from 1 s on."""
+    """Return (sent_ms, decoded) of a message every 10 ms, with faults from 1 s on."""
     link, parser = LinkFaults(), mav.MAVLink(None)
     endpoint = FakeEndpoint()
     wire, got = Wire(endpoint, link), []
@@ -97,7 +97,7 @@ def test_loss_has_its_probability_and_leaves_gaps_in_the_numbers(p):
     lost = 1.0 - (len(got) - 100) / 10_000
     assert lost == pytest.approx(p, abs=4 * (p * (1 - p) / 10_000) ** 0.5)
     gaps = sum((b - a) % 256 - 1 for a, b in itertools.pairwise(numbers(got)))
-    assert gaps == pytest.approx(10_100 - len(got), abs=3)  # those at the very end show no gap
+    assert gaps == pytest.approx(10_100 - len(got), abs=3)  # losses at the end show no gap
 
 
 def test_bursts_have_their_mean_lengths():
@@ -166,7 +166,7 @@ def received(message):
 
 
 def through(*faults, values=range(100)):
-    """Northward velocities that reach the autopilot, one set-point every 10 ms."""
+    """Return the northward velocities that reach the autopilot, with one set-point every 10 ms."""
     link = LinkFaults()
     for one in faults:
         link.begin(one)
@@ -224,7 +224,7 @@ def test_the_injecting_hand_is_never_cut_off():
         (Kind.WRONG, {"value": -10.0}, 0.0),
         (Kind.DELAYED, {"value": 0.2}, 3.05),
         (Kind.SLOW, {"value": 0.5}, 2.125),
-        (Kind.INTERMITTENT, {"value": 0.3, "period_s": 1.0}, 3.0),  # 3.25 is 0.25 into a pause
+        (Kind.INTERMITTENT, {"value": 0.3, "period_s": 1.0}, 3.0),  # 3.25 s is 0.25 s into a pause
     ],
 )
 def test_what_a_faulty_clock_shows_at_3_25_s(kind, values, shown_s):

@@ -1,4 +1,4 @@
-"""Faults of sample streams: every kind's output, order, bounds; the same for the own state and the target."""
+"""Faults of sample streams: output, order and bounds of every kind, for vehicle state and target."""
 
 import itertools
 import math
@@ -22,7 +22,7 @@ SHAPE = Shape(lambda s, o, turn: (s[0], s[1] + o[0], s[2] + turn), lambda first,
 
 
 def flow(*faults, seconds=5.0, end_s=None):
-    """(arrived_ms, (sent_ms, x, yaw)) at 100 Hz through faults that begin at 1 s; x is the time in s."""
+    """Return (arrived_ms, (sent_ms, x, yaw)) at 100 Hz with faults from 1 s on; x is the time in s."""
     stage = SampleFaults(SHAPE)
     out = []
     for ms in range(0, round(seconds * 1000), 10):
@@ -80,7 +80,7 @@ def test_delayed_keeps_order_and_lets_go_at_the_end():
     out = flow(mocap(Kind.DELAYED, value=0.5), end_s=3.0)
     assert {ms - s[0] for ms, s in out if 1500 <= ms < 3000} == {500}
     assert not [ms for ms, _ in out if 1000 <= ms < 1500]
-    assert len([s for ms, s in out if ms == 3000]) == 51  # what was held, and the one of now
+    assert len([s for ms, s in out if ms == 3000]) == 51  # the delayed samples, and the current one
     assert [s[0] for _, s in out] == sorted(s[0] for _, s in out)
     assert len(out) == 500
 
@@ -143,7 +143,7 @@ def test_faults_of_the_target_wait_for_the_landing_and_are_told():
     seen = []
     for ms in range(0, 4000, 10):
         if ms >= 1000:
-            faults.landing_began(1000 * MS)  # told again and again
+            faults.landing_began(1000 * MS)  # repeated calls
         seen += faults.deliver(ms * MS, [target(ms / 1000)])
     assert [str(t) for t in faults.take_texts()] == [
         "Fault: target odometry stuck",

@@ -1,4 +1,4 @@
-"""How faults are asked for: [[fault]] tables, and MAV_CMD_INJECT_FAILURE; what is refused, and why."""
+"""Definition of faults by [[fault]] tables and MAV_CMD_INJECT_FAILURE, and rejections with reasons."""
 
 import re
 import tomllib
@@ -130,7 +130,7 @@ def test_every_failure_takes_effect_and_ok_ends_it(unit, kind):
     assert began
     assert all(text.startswith("Fault: ") for text in began)
     assert sim.inject_failure(unit, kind, 1) is None
-    assert texts(sim) == []  # it is on already
+    assert texts(sim) == []  # it is already active
     hold(sim, 0.1)
     assert sim.inject_failure(unit, OK, 0) is None
     assert texts(sim) == [text.replace("Fault: ", "Fault over: ") for text in began]
@@ -183,7 +183,7 @@ def test_ok_heals_what_the_scenario_began_but_not_what_cannot_heal():
     assert sim.inject_failure(BATTERY, OK, 0) is None
     assert texts(sim) == []
     hold(sim, 6.0)
-    assert texts(sim) == []  # its planned end does not come a second time
+    assert texts(sim) == []  # its scheduled end has no second effect
 
 
 def test_wire_failures_concern_both_directions():

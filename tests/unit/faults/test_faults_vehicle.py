@@ -1,4 +1,5 @@
-"""What a failing vehicle really does: every cell ends where physics says, and healed ones fly on."""
+"""Physical effects of vehicle faults: each cell has the end that physics predicts; recovered vehicles
+fly on."""
 
 import math
 
@@ -20,7 +21,7 @@ FOR_HALF_A_SECOND = [
     for what, kind in OF_THE_VEHICLE
     if TABLE[what][kind].healable and kind not in (Kind.WEAK, Kind.DEAD)
 ]
-NEUTRAL = {What.LINK_IN, What.LINK_OUT, What.HEARTBEAT, What.SETPOINTS, What.CLOCK}  # the process's own
+NEUTRAL = {What.LINK_IN, What.LINK_OUT, What.HEARTBEAT, What.SETPOINTS, What.CLOCK}  # process faults
 
 
 @pytest.mark.parametrize(("what", "kind"), OF_THE_VEHICLE)
@@ -58,7 +59,7 @@ def test_a_tenth_less_thrust_of_one_motor_is_flown_out(loop, motor):
     assert sim.state_text == "flying"
     assert max(map(off_home, truths)) < 0.06
     commands = [c / max(sim.motor_commands) for c in sim.motor_commands]
-    assert commands.index(1.0) == motor - 1  # it works harder to give the same
+    assert commands.index(1.0) == motor - 1  # it works harder for the same thrust
     rotor = load().rotor
     mean = sum(rotor.thrust_n(rpm) for rpm in truths[-1].rotor_rpm)
     assert mean == pytest.approx(0.0319 * 9.81, rel=0.01)
@@ -66,7 +67,7 @@ def test_a_tenth_less_thrust_of_one_motor_is_flown_out(loop, motor):
 
 @pytest.mark.parametrize("loop", LOOPS)
 def test_two_fifths_less_cannot_be_flown(loop):
-    # the weak motor would need 0.078 / 0.6 = 0.130 N of command, and there are 0.120 N
+    # the weak motor would need a command of 0.078 / 0.6 = 0.130 N, but 0.120 N is the limit
     sim = aloft(fault(What.MOTOR, Kind.WEAK, start_s=0.5, value=0.6), loop=loop)
     truths = hold(sim, 5.0)
     assert any(t.contacts & ContactBit.GROUND for t in truths)
@@ -90,7 +91,7 @@ def test_a_stuck_motor_turns_on_after_disarming():
     rpm = sim.truth().rotor_rpm
     assert rpm[2] == pytest.approx(18_970, rel=0.03)
     assert max(rpm[0], rpm[1], rpm[3]) < 1.0
-    assert not sim.motors_running  # nothing is commanded
+    assert not sim.motors_running  # no command is active
 
 
 def test_less_voltage_takes_the_thrust_it_is_made_of():
@@ -121,7 +122,7 @@ def test_without_motion_capture_the_estimate_is_invalid_after_half_a_second(loop
     assert sim.estimate().valid
     hold(sim, 0.06)
     assert not sim.estimate().valid
-    assert max(map(off_home, hold(sim, 1.0))) < 0.15  # the inertial unit carries it for a second
+    assert max(map(off_home, hold(sim, 1.0))) < 0.15  # the IMU bridges one second
 
 
 def test_frozen_motion_capture_makes_it_wander_while_it_believes_to_stand():
@@ -201,7 +202,7 @@ def test_take_off_is_when_the_ground_has_been_left():
     assert told is not None
     assert told - left_s == pytest.approx(
         0.5 + 0.2, abs=0.06
-    )  # 0.2 s without contact, looked at 25 times a second
+    )  # 0.2 s without contact, checked 25 times a second
 
 
 @pytest.mark.parametrize("kind", TABLE[What.MOCAP])

@@ -1,4 +1,4 @@
-"""Teams that the tests of several vehicles share."""
+"""Teams that several test modules share."""
 
 from dataclasses import fields, replace
 
@@ -11,7 +11,7 @@ FIELD = load("field")
 
 
 def at(x: float, y: float, offset=(-0.8, 0.3, 0.9), **target) -> Scenario:
-    """A member of ``field`` whose robot begins at this place, m; ``offset`` is the vehicle's from it."""
+    """Return a member of ``field`` with its robot at this position, m; ``offset``: vehicle relative to it."""
     robot = replace(FIELD.target, position_m=(x, y), **target)
     return replace(FIELD, target=robot, start=replace(FIELD.start, offset_m=offset))
 
@@ -21,7 +21,7 @@ def team_of(*members: Scenario) -> TeamScenario:
 
 
 def same(one, other) -> bool:
-    """Whether two landings are the same bits, wall time aside."""
+    """Return whether two landings are equal bit for bit, except for wall time."""
     parts = ((one.seen.truth, other.seen.truth), (one.seen.steps, other.seen.steps))
     numbers = all(
         np.array_equal(getattr(a, f.name), getattr(b, f.name), equal_nan=True)

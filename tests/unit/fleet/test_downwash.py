@@ -1,4 +1,4 @@
-"""The jet of one vehicle at another: published numbers, momentum, symmetry, nothing far away."""
+"""The jet of one vehicle at another: published numbers, momentum, symmetry, no effect far away."""
 
 import math
 
@@ -30,7 +30,8 @@ HOVER_M_S, SIZE_M = jet()[6:]
 
 
 def below(x, y, down, *, jets=None, axes=UPRIGHT):
-    """Force and torque on a Crazyflie whose rotors are ``down`` below those of one that hovers at x, y."""
+    """Return force and torque on a Crazyflie with its rotors ``down`` below those of one that hovers
+    at x, y."""
     d = set_up_downwash(new(DownwashRecord), CRAZYFLIE.body, CRAZYFLIE.rotor, CRAZYFLIE.geometry)
     jets = np.array([[x, y, 0.0, 0.0, 0.0, -1.0, HOVER_M_S, SIZE_M]]) if jets is None else jets
     feel(d, jets, 99, np.array([0.0, 0.0, -down - d.above]), axes)
@@ -57,7 +58,7 @@ def test_the_axis_and_the_half_width_are_the_published_ones(lengths):
 
 
 def test_the_jet_carries_the_momentum_of_the_thrust():
-    """That the constants and the length they are counted in fit together; a quarter of l would give 0.06."""
+    """The constants and their unit of length are consistent; a quarter of l would give 0.06."""
     for down in (0.3, 1.0, 2.0):
         r = np.linspace(0.0, 3.0, 6001)
         u = np.array([jet_speed(down, each, HOVER_M_S, SIZE_M) for each in r])
@@ -88,7 +89,7 @@ def test_a_crazyflie_below_another_loses_what_the_page_says(down_m, percent):
 
 
 def test_it_is_of_the_size_of_measurements():
-    """Neural-Swarm (arXiv 2003.02992), figure 3: 10, 8, 6 and 4 g at 0.2 to 0.5 m, of a 34 g Crazyflie."""
+    """Neural-Swarm (arXiv 2003.02992), figure 3: 10, 8, 6 and 4 g at 0.2 to 0.5 m, for a 34 g Crazyflie."""
     measured = {0.2: 10.0, 0.3: 8.0, 0.4: 6.0, 0.5: 4.0}
     ours = {down: -below(0.0, 0.0, down)[0][2] / 9.81e-3 for down in measured}
     assert all(0.6 < ours[down] / grams < 1.4 for down, grams in measured.items())
@@ -96,7 +97,7 @@ def test_it_is_of_the_size_of_measurements():
 
 
 def test_who_is_beside_the_jet_is_tilted_towards_it():
-    """The rotors nearer to the axis lose more: a jet in front takes the nose down."""
+    """Rotors nearer to the axis lose more thrust: a jet in front lowers the nose."""
     _, torque = below(0.06, 0.0, 0.5)
     assert torque[1] > 1e-4  # nose down
     _, torque = below(0.0, 0.06, 0.5)  # a jet on the left
@@ -127,13 +128,13 @@ def test_a_tilted_jet_blows_sideways():
 
 
 def hovering(x, height):
-    """A vehicle that hovers at x, m, above the pad."""
+    """Return a vehicle that hovers at x, m, above the pad."""
     start = Start(StartKind.HOVER, offset_m=(x, 0.0, height))
     return VehicleSim(scenario(start=start), 1)
 
 
 def flown(*vehicles, seconds=1.0):
-    """All numbers of the vehicles after some time with a velocity of zero wanted."""
+    """Return all numbers of the vehicles after some time at zero commanded velocity."""
     air = Air([each.physics for each in vehicles])
     for _ in range(round(seconds * 100)):
         air.blow()
@@ -150,7 +151,7 @@ def test_a_vehicle_below_another_gives_more_thrust_to_stay():
     share = [float(each.physics.record.rotors.thrust_n) / each.physics.weight_n for each in (upper, lower)]
     assert share[0] == pytest.approx(1.0, abs=0.01)
     assert share[1] == pytest.approx(1.0 - below(0.0, 0.0, gap_m)[0][2] / WEIGHT_N, abs=0.02)
-    assert gap_m > 0.51  # and sinks until it does
+    assert gap_m > 0.51  # it sinks until then
 
 
 def test_vehicles_far_apart_fly_the_same_bits_as_alone():

@@ -1,4 +1,4 @@
-"""Nearness of two vehicles against closed forms; cylinders that overlap, or just do not."""
+"""Distances of two vehicles compared with closed forms; cylinders that just overlap, or just do not."""
 
 from itertools import combinations
 from typing import NamedTuple
@@ -18,7 +18,7 @@ BOTH = np.ones(2, dtype=np.int64)
 
 
 class Nearest(NamedTuple):
-    """What a pair came to."""
+    """Result of a pair."""
 
     distance_m: float
     ellipsoid: float
@@ -26,7 +26,7 @@ class Nearest(NamedTuple):
 
 
 def nearest(before, after, steps, one, other):
-    """Follow a pair; the states are those of the other one relative to the one."""
+    """Track a pair; the states are relative to the first vehicle."""
     team = Team((one, other))
     team.follow(np.vstack((np.zeros(6), before)), np.vstack((np.zeros(6), after)), BOTH, steps)
     distance_m, flying_m, ellipsoid = team.least[0]
@@ -36,19 +36,19 @@ def nearest(before, after, steps, one, other):
 
 
 def overlaps(relative, one, other):
-    """Whether a pair that stands overlaps."""
+    """Return whether a pair at rest overlaps."""
     return overlapping((one, other), np.vstack((np.zeros(3), relative[:3]))) == [(0, 1)]
 
 
 def states(position, velocity, acceleration, seconds):
-    """Relative state at the begin and the end of a constant acceleration."""
+    """Return the relative state at start and end of a constant acceleration."""
     p, v, a = (np.array(each, dtype=float) for each in (position, velocity, acceleration))
     after = np.concatenate((p + v * seconds + 0.5 * a * seconds**2, v + a * seconds))
     return np.concatenate((p, v)), after
 
 
 def test_a_straight_pass_is_judged_between_the_ticks():
-    """Passing at 10 m/s, 5 ms after the first tick: neither tick sees it."""
+    """A pass at 10 m/s, 5 ms after the first tick, is between the ticks."""
     before, after = states((-0.05, 0.3, 0.0), (10.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.01)
     found = nearest(before, after, 10, SMALL, SMALL)
     assert found.distance_m == pytest.approx(0.3)
@@ -78,7 +78,7 @@ def test_the_first_millisecond_of_an_overlap(axis):
 
 def test_shapes_that_differ_overlap_from_both_sides():
     tall = Shape(0.02, -0.3, 0.1)
-    relative = np.array([0.069, 0.0, 0.319, 0.0, 0.0, 0.0])  # the tall one's feet in the small one's rotors
+    relative = np.array([0.069, 0.0, 0.319, 0.0, 0.0, 0.0])  # feet of the tall one in the small one's rotors
     assert overlaps(relative, SMALL, tall)
     assert overlaps(-relative, tall, SMALL)
     assert not overlaps(relative + np.array([0.002, 0.0, 0.0, 0.0, 0.0, 0.0]), SMALL, tall)

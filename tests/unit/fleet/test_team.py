@@ -1,4 +1,4 @@
-"""Several landings in one process: the same bits as alone where nobody is near; members have no order."""
+"""Several landings in one process: equal to single ones without neighbours; the order does not matter."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -32,7 +32,7 @@ def test_vehicles_far_apart_are_single_landings_to_the_last_bit():
 
 
 def crossing():
-    """Two approaches that cross at one height, not at one moment."""
+    """Two approaches that cross at the same height but at different times."""
     still = {"speed_m_s": 0.0, "random_heading": False}
     return at(0.0, 0.0, (-1.0, 1.0, 0.9), **still), at(0.0, 1.0, (-1.0, -1.25, 1.3), **still)
 
@@ -80,7 +80,7 @@ def test_a_collision_is_a_crash_of_both():
 
 
 def test_who_has_landed_rides_on_and_can_still_be_hit():
-    """The second vehicle flies to a pad inside the first one's; the first has landed long before."""
+    """The second vehicle flies to a pad inside the first one's, which landed long before."""
     still = {"speed_m_s": 0.0, "random_heading": False}
     first, second = at(0.0, 0.0, (0.0, 0.0, 0.3), **still), at(0.08, 0.0, (-2.5, 0.0, 1.0), **still)
     flown = land_team(team_of(first, second), 1)
@@ -139,13 +139,13 @@ def test_a_team_has_one_wind_of_its_own_gusts():
 
 
 def test_a_flight_inwards_that_a_neighbour_turns_round_stays_above_the_barrier():
-    """The fifth vehicle came 11 mm below it when sinking counted on flying on inwards."""
+    """The fifth vehicle came 11 mm below it when a sinking vehicle was assumed to continue inwards."""
     landings = land_team(team.load("fleet_8"), 20866).landings
     assert min(each.verdict.h_min_outside_pad_m for each in landings) > 0.03
 
 
 ROOT = Path(__file__).parents[3]
-# a place that is wrong makes the third one wait for a minute, at whichever moment: flown at one of them here
+# a wrong position makes the third one wait for a minute at any moment: one moment is flown here
 CELLS = [(way, m) for way in Way for m in MOMENTS_S if way is not Way.LIES or m == "touchdown"]
 PAGE = (ROOT / "docs" / "reference" / "fault_grid.md").read_text()
 
@@ -155,7 +155,7 @@ def test_nothing_collides_and_the_others_land(way, moment):
     verdict = fly(way, MOMENTS_S[moment], SEED)
     assert (verdict.collisions, verdict.ellipsoid_violations) == (0, 0)
     others = [end for number, end in enumerate(verdict.outcomes, 1) if number != WHO]
-    # where a pad lies near the one that tells a wrong place, its landing may be given up
+    # a landing near the member with a wrong position may be aborted
     allowed = {Outcome.LANDED, Outcome.ABORTED} if way is Way.LIES else {Outcome.LANDED}
     assert set(others) <= allowed, verdict.reason
     assert row(way, moment, verdict) in PAGE

@@ -1,4 +1,4 @@
-"""The verdict on a team and its row: the worst of the members', and what only pairs have."""
+"""The verdict on a team and its row: the worst member's values, and values of pairs."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Files of teams: what is shared, what is a member's own, and errors that say what to do."""
+"""Team files: shared keys, a member's own keys, and error messages with instructions."""
 
 import tomllib
 from dataclasses import replace
@@ -97,7 +97,7 @@ onboard.checks.wait_time_max_s = 99.0
     first, second = (each.onboard for each in team.load(written(ABOUT + text)).member)
     named = configurations.load("px4-crazyflie")
     assert second.velocity_loop == named.velocity_loop != first.velocity_loop
-    assert second.checks == replace(named.checks, wait_time_max_s=99.0)  # not the team's retries
+    assert second.checks == replace(named.checks, wait_time_max_s=99.0)  # replaces the team's value
     assert second.takeoff == replace(named.takeoff, start_offset_m=(-0.8, 0.3, 0.7))
     assert second.fleet == replace(first.fleet, id=2)
     assert first.checks.retries_max == 7
@@ -161,7 +161,7 @@ def begins(scenario):
 def test_robots_are_assigned_by_where_the_vehicles_begin(written):
     found = team.load(written(CROSSING))
     fixed = team.load(written(CROSSING.replace('"start"', '"fixed"')))
-    assert found.assignment is fixed.assignment is team.Assignment.FIXED  # nothing is left to be assigned
+    assert found.assignment is fixed.assignment is team.Assignment.FIXED  # no assignment remains to be done
     for own, before, robot in zip(found.member, fixed.member, fixed.member[::-1], strict=True):
         assert own.target == robot.target
         assert own.odometry == robot.odometry
@@ -219,9 +219,9 @@ STANDS = ROBOT + 'path = "still"\nspeed_m_s = 0.0\nturn_rate_rad_s = 0.0\n'
         (LANE + STANDS + "position_m = [3.0, 4.0]\n", 4.0),
         (LANE + "heading_rad = 0.5\n" + LANE + "heading_rad = 0.5\nposition_m = [0.0, 2.0]\n", 1.755),
         (LANE + LANE + "heading_rad = 3.14159265358979\nposition_m = [9.0, 2.0]\n", 2.0),
-        (LANE + LANE + "heading_rad = 0.1\nposition_m = [0.0, 2.0]\n", 0.0),  # they meet somewhere
+        (LANE + LANE + "heading_rad = 0.1\nposition_m = [0.0, 2.0]\n", 0.0),  # their paths cross
         (STANDS + LANE.replace("turn_rate_rad_s = 0.0", "turn_rate_rad_s = 0.1"), 0.0),
-        (STANDS + "pad_behind_axle_m = 0.1\n" + STANDS + "position_m = [3.0, 4.0]\n", 0.0),  # any heading
+        (STANDS + "pad_behind_axle_m = 0.1\n" + STANDS + "position_m = [3.0, 4.0]\n", 0.0),  # free heading
         (STANDS, float("inf")),
     ],
 )

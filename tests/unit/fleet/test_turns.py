@@ -22,7 +22,7 @@ def flown():
 
 
 def phases(landing):
-    """Phases in their order, with the time at which each began."""
+    """Return the phases in their order, each with its start time."""
     steps = landing.seen.steps
     at = np.concatenate(([0], np.flatnonzero(np.diff(steps.phase)) + 1))
     return [(Phase(steps.phase[n]), float(steps.t_s[n])) for n in at]
@@ -47,7 +47,7 @@ def test_all_see_the_same_robot(flown):
     first, *others = (landing.seen.truth for landing in flown.landings)
     for truth in others:
         common = min(len(first.t_s), len(truth.t_s))
-        e_m = first.position_enu_m[:common] - first.e_m[:common]  # where the pad is
+        e_m = first.position_enu_m[:common] - first.e_m[:common]  # position of the pad
         assert np.allclose(e_m, truth.position_enu_m[:common] - truth.e_m[:common], atol=2e-3)
 
 
@@ -60,7 +60,7 @@ def test_three_take_off_again_and_the_last_one_stays(flown):
 
 
 def test_the_next_one_lands_when_the_one_before_has_left(flown):
-    """Nobody is over the pad while another one stands on it."""
+    """No vehicle is above the pad while another one stands on it."""
     stays, lands = [], []
     for landing in flown.landings:
         found = phases(landing)
@@ -83,6 +83,6 @@ def test_who_has_left_lies_beside_the_way_of_the_robot(flown):
         if not left:
             continue
         end = [t for phase, t in phases(landing) if phase is Phase.LANDED][-1]
-        assert truth.d_m[truth.t_s >= end].min() >= 1.0  # checks.clearance_m, as long as it was seen
+        assert truth.d_m[truth.t_s >= end].min() >= 1.0  # checks.clearance_m, while it was observed
         assert truth.position_enu_m[-1, 2] < 0.02
         assert not truth.motors_running[-1]

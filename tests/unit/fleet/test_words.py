@@ -1,4 +1,4 @@
-"""Words between the members of a team: late, lost by chance of their own, never in the same tick."""
+"""Messages between team members: late, lost independently, never within the same tick."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -29,14 +29,14 @@ from tests.unit.target.ros2_helpers import until
 
 
 class Said(NamedTuple):
-    """Stands in for a word: all that an exchange knows of it is when it arrives."""
+    """Replaces a message; the exchange uses only its arrival time."""
 
     text: str
     arrival_s: float = 0.0
 
 
 def words(number=3, seed=5, **link):
-    """An exchange of words that are plain texts; a text arrives with its time."""
+    """An exchange of plain texts; a text arrives with its time."""
     exchange = Words(replace(team_of(*[FIELD] * number), exchange=ExchangeLink(**link)), seed)
 
     def told(tick, texts):
@@ -60,12 +60,12 @@ def test_words_are_late_by_whole_ticks(delay_s, ticks):
     heard = [exchange(tick, [f"a{tick}", None]) for tick in range(20)]
     assert all(own == () for own, _ in heard)
     for tick, (_, other) in enumerate(heard):
-        wanted = tick + 1 - ticks  # what is heard with the next tick
+        wanted = tick + 1 - ticks  # messages received with the next tick
         assert other == (((f"a{wanted}", (tick + 1) / 100.0),) if wanted >= 0 else ())
 
 
 def lost(exchange, number, hearer, ticks=2000):
-    """Ticks in which a hearer misses the word of the first member."""
+    """Return the ticks in which a receiver misses the first member's message."""
     words = [["a", *[None] * (number - 1)]] * ticks
     return [tick for tick, told in enumerate(words) if not exchange(tick, told)[hearer - 1]]
 
@@ -124,7 +124,7 @@ def word(id_, now_s, claim_s=float("nan")):
 
 @pytest.fixture
 def ends():
-    """Both ends of the message links of three members: at the vehicles and at the onboard processes."""
+    """Both ends of three members' message links: at the vehicles and at the onboard processes."""
     endpoint = free_endpoint()
     ours, theirs = open_session(listen=[endpoint]), open_session(connect=[endpoint])
     until(lambda: zenoh_link.transports(ours) == 1)
@@ -157,7 +157,7 @@ def test_what_is_told_at_a_tick_is_heard_with_the_next_to_the_bit(ends):
             heard.append(process.words())
         said = [word(n, tick.now_s, tick.now_s / 3.0) for n in (1, 2, 3)]
         if tick.number == 2:
-            said[1] = None  # it has nothing to say, and nobody waits for more
+            said[1] = None  # it has no message, and no other process waits for it
         for process, own in zip(ends.processes, said, strict=True):
             logged = process.say(own)
             assert (FleetWordRow.unpack(logged).id if logged else None) == (own.id if own else None)
@@ -180,7 +180,7 @@ def test_who_leaves_is_gone_with_the_tick_after_its_last_one(ends):
     process.close()
     until(lambda: vehicle._poll() or vehicle._last == 0)
     vehicle.tick = first.number
-    assert not vehicle.left  # its answer of this tick may still be on the other wire
+    assert not vehicle.left  # its answer of this tick may still be in transit
     assert vehicle.take(Silence(), Stop())
     vehicle.tick = second.number
     assert vehicle.left

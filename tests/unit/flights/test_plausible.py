@@ -1,4 +1,4 @@
-"""Values that cannot be what the table of columns says; clocks that differ."""
+"""Values that contradict the table of columns; clocks that differ."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.unit.flights.test_recording import COLUMN_TABLE, RATE_HZ, flight, rea
 
 
 def wobbling(seconds=16.0, late_s=0.0):
-    """A flight that rolls and pitches; the gyro is logged ``late_s`` behind, a number or an array."""
+    """Return a flight that rolls and pitches; the gyro's log is ``late_s`` late, a number or an array."""
     columns = flight(seconds)
     t = np.arange(0.0, seconds, 1.0 / RATE_HZ)
 

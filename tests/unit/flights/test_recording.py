@@ -1,4 +1,4 @@
-"""Recorded flights: what is read, what is refused, and what is left out."""
+"""Recorded flights: read columns, rejected files, and left-out parts."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ COLUMN_TABLE = read_columns()
 
 
 def flight(seconds: float = 12.0) -> dict[str, np.ndarray]:
-    """Columns of a flight: 2 s on the ground, then a circle of 0.5 m/s at 1 m height."""
+    """Return the columns of a flight: 2 s on the ground, then a circle of 0.5 m/s at 1 m height."""
     t = np.arange(0.0, seconds, 1.0 / RATE_HZ)
     air = np.clip((t - 2.0) / 0.5, 0.0, 1.0)
     zero, one = np.zeros_like(t), np.ones_like(t)

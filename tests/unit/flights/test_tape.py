@@ -1,4 +1,4 @@
-"""Error tapes: a recorded estimate is taken apart and put together again, on its own path and on others."""
+"""Error tapes: a recorded estimate is split and reassembled, on its own path and on others."""
 
 import shutil
 from dataclasses import replace
@@ -20,7 +20,7 @@ PIECES = (slice(0, 1500), slice(1600, 3000))
 
 
 def made(speed=0.6, delay=lambda t: 0.05 + 0.03 * np.sin(3.0 * t), velocity_error=0.0, seconds=30.0):
-    """A flight on circles of 0.8 m, with the estimate of an estimator that is late."""
+    """Return a flight on circles of 0.8 m, with a delayed estimate."""
     t = np.arange(0.0, seconds, STEP_S)
 
     def path(at):
@@ -58,7 +58,7 @@ def test_an_error_across_the_velocity_is_a_share_of_it():
     tape = tape_of(made(delay=lambda t: 0.0 * t, velocity_error=0.1, speed=0.8))
     piece = tape.pieces[0]
     found = piece.across * (piece.speed_m_s + 0.54)
-    left = found - 0.8 * piece.velocity_delay_s  # on this circle a delay is an error across, too: 0.8 m/s2
+    left = found - 0.8 * piece.velocity_delay_s  # on this circle a delay is also an error across, 0.8 m/s2
     assert left == pytest.approx(0.08, abs=0.01)
 
 
@@ -96,12 +96,12 @@ def test_cuts_are_joined_without_a_jump_at_any_rate(rate_hz):
     assert rows[:, DELAY].min() >= recorded.min()
     assert rows[:, DELAY].max() <= recorded.max()
     steps = np.abs(np.diff(rows[:, DELAY]))
-    assert steps.max() < (0.06 / 0.2 + 0.09) / rate_hz + 1e-3  # in a join, 60 ms may pass in 0.2 s
+    assert steps.max() < (0.06 / 0.2 + 0.09) / rate_hz + 1e-3  # a join may change the delay by 60 ms
 
 
 @pytest.fixture
 def folder(tmp_path):
-    """Three flights: one that gives a tape, another that does not move, one that is no flight."""
+    """Three flights: one with a tape, one without motion, and a file that is not a flight."""
     shutil.copy(PIECE, tmp_path / "b.parquet")
     (tmp_path / "a.csv").write_text("t,px\n0.0,1.0\n")
     return tmp_path

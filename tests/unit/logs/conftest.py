@@ -1,4 +1,4 @@
-"""A fleet that was flown once, for all tests of what is done with its log; they share a worker."""
+"""A fleet flown once, for all tests of its log; they share a worker."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +11,7 @@ from tests.fleet_log import fly_fleet, near
 
 @dataclass(frozen=True)
 class FlownFleet:
-    """The log, and what the campaign judges of the same flight."""
+    """Return the log, and the campaign's verdict on the same flight."""
 
     log: Path
     verdict: FleetVerdict
@@ -19,7 +19,7 @@ class FlownFleet:
 
 @pytest.fixture(scope="session")
 def fleet(tmp_path_factory):
-    """Three vehicles over three robots; two wait for the one before, a tenth of the words is lost."""
+    """Three vehicles above three robots; two wait for the one before, a tenth of the messages is lost."""
     log = tmp_path_factory.mktemp("fleet") / "flight.mcap"
     with pytest.MonkeyPatch.context() as patch:
         return FlownFleet(log, fly_fleet(log, near(), 1, patch))

@@ -1,4 +1,4 @@
-"""What the tests of logs share: a recorded flight, a message, and a bounded wait for another process."""
+"""Helpers for tests of logs: a recorded flight, a message, and a bounded wait for another process."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from logs.schema.events import Severity, pack_log
 from logs.schema.mavlink import pack_mavlink
 from logs.schema.rows import ControllerStepRow, LoopTimingRow, TrueStateRow
 
-DEADLINE_S = 30.0  # a test that waits this long has failed
+DEADLINE_S = 30.0  # time-out of a test
 
 
 def timing(tick):
@@ -61,7 +61,7 @@ def payloads(tick, now_ns):
 
 
 def record(path, ticks=300, close=True):
-    """Write a flight the way the recorder does, in small chunks; without ``close`` as if killed."""
+    """Write a flight as the recorder does, in small chunks; without ``close`` as if killed."""
     file = McapFile(path)
     recorder = Recorder(file)
     run = {"name": "run", "values": {"barrier_alpha_1_m": "1.0", "barrier_beta_m": "1.5", "seed": "1"}}

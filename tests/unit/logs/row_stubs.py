@@ -1,4 +1,4 @@
-"""Makes ``logs/schema/rows.pyi``, types for mypy: ``python -m tests.unit.logs.row_stubs``."""
+"""Generates ``logs/schema/rows.pyi``, types for mypy: ``python -m tests.unit.logs.row_stubs``."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _PYTHON = {"?": "bool", "d": "float", "f": "float"}
 
 
 def text() -> str:
-    """Return the stub as the definitions want it."""
+    """Return the stub generated from the definitions."""
     lines = [_HEAD]
     for schema in ROWS:
         name = class_name(schema, "Row")

@@ -1,4 +1,4 @@
-"""Pages of docs about vehicles and bridges against the code: their tables, options and numbers."""
+"""Documentation of vehicles and bridges compared with the code: tables, options and numbers."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ MAVLINK = (Path(__file__).parents[3] / "docs" / "reference" / "mavlink.md").read
 
 
 def rows(section: str) -> list[list[str]]:
-    """Cells of the first table under a heading."""
+    """Return the cells of the first table under a heading."""
     lines = iter(MAVLINK.split(f"\n## {section}\n", 1)[1].splitlines())
     found = []
     for line in lines:

@@ -1,4 +1,4 @@
-"""Pacing by a clock of the test's own; ports, niceness and memory of processes."""
+"""Pacing with a test clock; ports, niceness and memory of processes."""
 
 import os
 import subprocess
@@ -45,7 +45,7 @@ def test_deadlines_are_absolute():
         assert tick.number == number
         assert tick.now_s == pytest.approx(number * 0.01, abs=1e-9)
         assert tick.unix_ns == pytest.approx(5_000_000_000 + number * 10_000_000, abs=10)
-        clock.now += 0.003 + 0.001 * (number % 3)  # work of varying length does not shift the next deadline
+        clock.now += 0.003 + 0.001 * (number % 3)  # varying work does not shift the next deadline
     assert pacer.overruns == 0
 
 
@@ -55,7 +55,7 @@ def test_missed_deadlines_are_counted_and_not_made_up_for():
     pacer.wait()
     clock.now += 0.0351
     late = pacer.wait()
-    assert pacer.overruns == 2  # two more deadlines passed behind the one it was late for
+    assert pacer.overruns == 2  # two more deadlines passed after the missed one
     assert late.lateness_s == pytest.approx(0.0251, abs=1e-6)
     following = pacer.wait()
     assert following.now_s == pytest.approx(0.04, abs=1e-6)
@@ -80,9 +80,9 @@ def test_a_clock_that_is_twice_as_fast_makes_twice_as_many_ticks_and_their_times
     assert ticks[-1].now_s == pytest.approx(1.0, abs=1e-6)
     assert ticks[-1].period_s == pytest.approx(0.01, abs=1e-6)
     assert first.overruns == 0
-    later = pacer()  # of another process, which starts now
+    later = pacer()  # the pacer of another process that starts now
     assert later.wait().unix_ns == pytest.approx(ticks[-1].unix_ns, abs=10_000)
-    wall.now += 0.011  # two deadlines of 5 ms each behind the one it is late for
+    wall.now += 0.011  # two deadlines of 5 ms after the missed one
     assert later.wait().lateness_s == pytest.approx(0.012, abs=1e-6)
     assert later.overruns == 1
     assert FastClock().unix_ns() == pacing.time.time_ns()
@@ -157,13 +157,13 @@ def test_a_follower_makes_every_tick_however_fast_the_simulator_is(file):
 def test_the_simulator_stops_where_a_follower_waits(file, monkeypatch):
     monkeypatch.setattr(simulation_clock, "_FOLLOWER_MAX_S", 60.0)
     clock, followed = SimulationClock(file), FollowedClock(file, Follower.TARGET)
-    followed._cells[followed._place] = 2 * STEP_NS  # until when the follower waits
+    followed._cells[followed._place] = 2 * STEP_NS  # end of the follower's wait
     simulator = threading.Thread(target=run, args=(clock, 10))
     simulator.start()
     simulator.join(0.2)
     assert simulator.is_alive()
     assert clock.unix_ns() - followed._cells[0] == 2 * STEP_NS
-    followed._cells[followed._place] = 20 * STEP_NS  # it has done what was due
+    followed._cells[followed._place] = 20 * STEP_NS  # it has processed what was due
     simulator.join(5.0)
     assert not simulator.is_alive()
     assert clock.unix_ns() - followed._cells[0] == 10 * STEP_NS
@@ -174,7 +174,7 @@ def test_a_follower_that_was_killed_is_not_waited_for_again(file, monkeypatch):
     clock = SimulationClock(file)
     followed = FollowedClock(file, Follower.ONBOARD)
     run(clock, 1)
-    followed._cells[followed._place] = STEP_NS  # waits until now, and is never heard of again
+    followed._cells[followed._place] = STEP_NS  # it waits until now and never continues
     run(clock, 1000)
     assert clock.unix_ns() - followed._cells[0] == 1000 * STEP_NS
 
@@ -184,10 +184,10 @@ def test_time_goes_on_for_the_followers_of_a_simulator_that_was_killed(file, mon
     clock, followed = SimulationClock(file), FollowedClock(file, Follower.ONBOARD)
     clock.advance(STEP_NS, never)
     before_s = followed.monotonic()
-    followed.sleep(0.05)  # ends, though nobody steps
+    followed.sleep(0.05)  # ends without a step
     after_s = followed.monotonic()
     assert after_s >= before_s + 0.05
-    clock.advance(2 * STEP_NS, never)  # it was only slow: time never goes back
+    clock.advance(2 * STEP_NS, never)  # it was only slow; time never goes back
     assert followed.monotonic() >= after_s
 
 

@@ -1,6 +1,6 @@
-"""Every way out of a flight, in every phase: the vehicle is told to land, or it is somebody else's already.
+"""Every exit of a flight, in every phase: the vehicle is commanded to land, or no longer ours.
 
-The table in docs/how_it_works/failures.md says the same.
+The table in docs/how_it_works/failures.md lists the same.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from sim.scenarios.scenario import load
 
 CONFIG = load("grid").onboard
 PERIOD_S = 1.0 / CONFIG.loop.rate_hz
-EXIT_S = 0.05  # s after the beginning
+EXIT_S = 0.05  # time after the start
 
 
 class Breaks(Enum):
-    """What fails in the tick of the exit, and from then on."""
+    """Failure in the tick of the exit, and from then on."""
 
     CLOCK = "wait"
     TARGET = "samples"
@@ -38,7 +38,7 @@ class Breaks(Enum):
 
 @dataclass
 class Flight:
-    """Clock, vehicle, target and log in one, as small as they can be; the vehicle obeys at once."""
+    """Minimal clock, vehicle, target and log in one object; the vehicle executes commands at once."""
 
     exits: object  # called in the tick of the exit
     armed: bool = True
@@ -152,7 +152,7 @@ def handlers():
 
 
 def flown(exits, name="APPROACH", duration_s=None, **more):
-    """A flight that is in a phase from the beginning, and how it ended."""
+    """Fly in one phase from the start; return the end."""
     phase, seen, remembered = PHASES[name]
     flight, controller = Flight(exits, **(seen | more)), Controller(CONFIG)
     memory = controller.memory

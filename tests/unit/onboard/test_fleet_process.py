@@ -1,4 +1,4 @@
-"""The onboard process of a vehicle in a fleet hears the others, tells them its own word, and logs both."""
+"""The onboard process of a fleet member receives messages, sends its own, and logs both."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -33,7 +33,7 @@ WHERE = {
 
 
 class Feed:
-    """Keeps what is written into the log."""
+    """Stores the logged data."""
 
     def __init__(self):
         self.topics, self.rows = {}, []
@@ -79,7 +79,7 @@ def onboard(feed, endpoint):
 
 @pytest.fixture
 def other(onboard, endpoint):
-    """Wire of vehicle 7."""
+    """Connection of vehicle 7."""
     session = open_session(connect=[endpoint])
     until(lambda: zenoh_link.transports(session) == 1)
     wire = FleetWire(session, "cf7", Fleet(7, (3, 7)))
@@ -104,7 +104,7 @@ def test_both_hear_each_other_and_the_log_has_it(onboard, other, feed):
     step, heard = onboard.controller.step, []
 
     def placed(inputs, now_s, **named):
-        """The vehicle of this test does not say where it is; its word is given here."""
+        """The vehicle of this test does not send its position; its message is given here."""
         heard.extend(inputs.neighbours)
         return step(inputs, now_s, **named)._replace(own_word=word(3, now_s))
 
@@ -124,7 +124,7 @@ def test_both_hear_each_other_and_the_log_has_it(onboard, other, feed):
     topics = ("/cf3/controller/neighbours", "/cf3/fleet/word")
     assert [feed.topics[topic] for topic in topics] == [schemas.CONTROLLER_NEIGHBOURS, schemas.FLEET_WORD]
     logged = [each for payload in feed.of(topics[0]) for each in unpack_neighbours(payload)]
-    assert repr(logged) == repr(heard)  # a claim that is none is NaN
+    assert repr(logged) == repr(heard)  # repr, because NaN marks a missing claim
     said = [FleetWordRow.unpack(payload) for payload in feed.of(topics[1])]
     assert len(said) == len(feed.of("/cf3/controller/input"))
     assert {row.id for row in said} == {3}
@@ -155,7 +155,7 @@ def test_before_its_take_off_a_vehicle_ends_when_another_one_has_its_id(onboard,
     assert "another process says that it is vehicle 3" in found[-1].reason
     leaving = process._Leaving(onboard, nobody())
     out = SimpleNamespace(phase=Phase.APPROACH, finished=False)
-    assert leaving.ended(out, onboard.controller.memory, None, 1.0) is None  # there it is an event
+    assert leaving.ended(out, onboard.controller.memory, None, 1.0) is None  # in this case it is an event
 
 
 def test_a_lone_vehicle_has_no_wire(feed):
@@ -180,7 +180,7 @@ rounds = st.lists(st.tuples(delays, delays, st.integers(1, 2000 * MS)), min_size
 
 @given(st.integers(-(10**18), 10**18), st.floats(-0.9, 0.9), rounds)
 def test_the_bound_holds_for_all_delays_and_drifts(off_ns, drift, rounds):
-    """``off_ns`` is here - there at the beginning; each round sends one message in both directions."""
+    """Exchange messages in both directions each round; ``off_ns``: initial offset of the clocks."""
     here, there, now = OtherClock(), OtherClock(), 0
 
     def there_ns(t_ns):
@@ -194,13 +194,13 @@ def test_the_bound_holds_for_all_delays_and_drifts(off_ns, drift, rounds):
         now += back + pause
         found = here.offset(now)
         if found is not None:
-            slack_ns = 2 + DRIFT * 2 * 300 * MS  # rounding; an echo is as old as its way was long
+            slack_ns = 2 + DRIFT * 2 * 300 * MS  # rounding; an echo is as old as its latency
             assert abs(found.ns - (now - there_ns(now))) <= found.bound_ns + slack_ns
 
 
 def test_on_one_computer_the_offset_is_near_zero():
     here, there = OtherClock(), OtherClock()
-    for n in range(100):  # at 100 Hz, each reads 3 or 7 ms after the other one has written
+    for n in range(100):  # 100 Hz; each reads 3 or 7 ms after the other one has written
         now = 10 * MS * n
         there.heard(now, now + 3 * MS, here.ahead_ns(now))
         here.heard(now + 3 * MS, now + 10 * MS, there.ahead_ns(now + 3 * MS))

@@ -1,4 +1,4 @@
-"""Words of a fleet over Zenoh arrive on the clock of who reads them; what is wrong is refused and said."""
+"""Fleet messages over Zenoh are converted to the receiver's clock; bad ones are rejected and reported."""
 
 import math
 import time
@@ -16,7 +16,7 @@ from tests.processes.ports import free_endpoint
 from tests.unit.target.ros2_helpers import until
 
 EPOCH_NS = 1_700_000_000_000_000_000
-AHEAD_NS = 5_000_000_000  # of the clock of vehicle 7 before that of vehicle 3
+AHEAD_NS = 5_000_000_000  # offset of vehicle 7's clock relative to vehicle 3's
 DELAY_S = 0.01
 MEMBERS = (3, 7)
 HERE, PROCESS = (1.0, 2.0, 3.0), 99
@@ -38,7 +38,7 @@ def sessions():
 
 
 class Side:
-    """A vehicle's wire with a clock that is set by hand."""
+    """Return a vehicle's connection with a clock that the test sets."""
 
     def __init__(self, session, id_, epoch_ns):
         fleet, self.id = Fleet(id_, MEMBERS), id_
@@ -46,7 +46,7 @@ class Side:
         self.wire.begin(epoch_ns, lambda: self.now_s)
 
     def hear(self):
-        """Words that come, at the latest after a second."""
+        """Return the messages received within a second."""
         found = []
         until(lambda: found.extend(self.wire.words()) or found)
         return found
@@ -54,7 +54,7 @@ class Side:
 
 @pytest.fixture
 def sides(sessions):
-    """Vehicles 3 and 7, whose clocks differ, after they have heard each other."""
+    """Return vehicles 3 and 7, with different clocks, after an exchange of messages."""
     a, b = Side(sessions[0], 3, EPOCH_NS), Side(sessions[1], 7, EPOCH_NS + AHEAD_NS)
     greet(a, b)
     yield a, b
@@ -68,7 +68,7 @@ def pass_time(*sides):
 
 
 def taken(side):
-    """Let the wire take what is under way, though it gives nothing on."""
+    """Let the connection receive messages in transit without forwarding them."""
     end_s = time.monotonic() + 0.3
     words = []
     while time.monotonic() < end_s:
@@ -78,7 +78,7 @@ def taken(side):
 
 
 def greet(a, b):
-    """Speak in turn until both have given on a word of the other one."""
+    """Send in turn until both have forwarded a message of the other one."""
     heard = set()
 
     def in_turn():
@@ -96,7 +96,7 @@ def greet(a, b):
 
 @pytest.fixture
 def stranger(sessions):
-    """Publishes what it likes on the side of vehicle 7."""
+    """Publishes arbitrary data in the place of vehicle 7."""
     publisher = zenoh_link.blocking_publisher(sessions[1], "somewhere/else/fleet/word")
     until(lambda: zenoh_link.is_matched(publisher))
     yield publisher.put
@@ -112,7 +112,7 @@ def test_a_word_arrives_on_the_clock_of_who_reads_it(sides):
     b.wire.say(said)
     pass_time(a, b)
     (word,) = a.hear()
-    assert word.stamp_s == pytest.approx(said.stamp_s, abs=1e-4)  # both clocks began at 1 s, 5 s apart
+    assert word.stamp_s == pytest.approx(said.stamp_s, abs=1e-4)  # both clocks started at 1 s, 5 s apart
     assert word.claim_s == pytest.approx(0.5, abs=1e-4)
     assert word.clock_bound_s == pytest.approx(DELAY_S, rel=0.02)
     assert word.arrival_s == a.now_s
@@ -121,7 +121,7 @@ def test_a_word_arrives_on_the_clock_of_who_reads_it(sides):
 
 
 def test_a_claim_keeps_its_time_to_the_bit(sides):
-    """To whom a vehicle gives way hangs on it; the estimate of the clock goes on."""
+    """The right of way depends on this; the estimate of the clock continues."""
     a, b = sides
     heard = []
     for n in range(4):
@@ -151,7 +151,7 @@ def test_the_newest_word_of_each_member_is_kept(sides):
     words = taken(a)
     assert [word.stamp_s for word in words] == sorted({word.stamp_s for word in words})
     assert words[-1].stamp_s == pytest.approx(b.now_s + 0.004, abs=DELAY_S)
-    b.wire.say(told(7, b.now_s))  # it was overtaken
+    b.wire.say(told(7, b.now_s))  # a newer message overtook this one
     assert taken(a) == []
 
 
@@ -189,7 +189,7 @@ def test_of_two_processes_of_another_vehicle_the_first_is_heard(sides, stranger)
     sent(stranger, 7)
     assert taken(a) == []
     assert a.wire.texts() == ["fleet: two processes say that they are vehicle 7: 1 words refused"]
-    a.now_s += 10.0  # the first one is silent for longer than a silent vehicle flies
+    a.now_s += 10.0  # longer than a silent vehicle may fly
     sent(stranger, 7, echoes=(Echo(3, a.wire._process, AHEAD_NS + 9_000_000_000),))
     taken(a)
     texts = a.wire.texts()
@@ -198,7 +198,7 @@ def test_of_two_processes_of_another_vehicle_the_first_is_heard(sides, stranger)
 
 def test_a_clock_that_is_known_too_badly_is_refused(sides):
     a, b = sides
-    a.now_s += 400.0  # nothing was heard: the least delays have aged by 0.4 s
+    a.now_s += 400.0  # no message: the smallest delays have aged by 0.4 s
     b.now_s += 400.0
     b.wire.say(told(7, b.now_s))
     a.now_s += 0.35
@@ -208,7 +208,7 @@ def test_a_clock_that_is_known_too_badly_is_refused(sides):
 
 
 def words_of(side):
-    """Words that have come; waits for one, also if it is refused."""
+    """Return received messages; wait for one, also if it is rejected."""
     rows = until(side.wire._rows)
     side.wire._rows = lambda: rows
     found = side.wire.words()
@@ -220,7 +220,7 @@ def words_of(side):
     ("stamp_s", "clock_s", "lost"), [(3600.0, 0.0, 1), (0.0, 3600.0, 22), (0.0, -0.9, 22)]
 )
 def test_a_wrong_stamp_costs_one_word_and_a_clock_that_was_set_is_followed(sides, stamp_s, clock_s, lost):
-    """Words at 50 Hz; with the twentieth the stamp of one, or the clock of a vehicle, is set."""
+    """Send messages at 50 Hz; the twentieth changes a time stamp or a vehicle's clock."""
     a, b = sides
     heard = []
     for n in range(60):
@@ -237,12 +237,12 @@ def test_a_wrong_stamp_costs_one_word_and_a_clock_that_was_set_is_followed(sides
 
 
 def test_a_word_counts_when_its_teller_hears_this_one(sides, stranger):
-    """Else its time is not known on this clock."""
+    """Otherwise its time on this clock is unknown."""
     a, _ = sides
     a.now_s += 10.0
     sent(stranger, 7, 11.0)
     assert taken(a) == []
-    sent(stranger, 7, 11.01, echoes=(Echo(3, a.wire._process + 1, AHEAD_NS),))  # of a process before
+    sent(stranger, 7, 11.01, echoes=(Echo(3, a.wire._process + 1, AHEAD_NS),))  # echo of an earlier process
     assert taken(a) == []
     sent(stranger, 7, 11.02, echoes=(Echo(3, a.wire._process, AHEAD_NS + 20_000_000),))
     (word,) = taken(a)

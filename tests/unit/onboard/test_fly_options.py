@@ -1,4 +1,4 @@
-"""What ``fly`` hands on to the onboard process, and how many runs are summed up."""
+"""Options that ``fly`` passes to the onboard process, and the number of summarised runs."""
 
 from dataclasses import MISSING, replace
 from pathlib import Path
@@ -25,7 +25,7 @@ from sim.scenarios.scenario import load as load_scenario
 
 @pytest.fixture
 def started(monkeypatch):
-    """``started(*words)``: the options with which ``fly`` starts the onboard process."""
+    """``started(*words)``: options with which ``fly`` starts the onboard process."""
     seen = []
 
     def start(launcher, verb, options, of=""):
@@ -35,12 +35,12 @@ def started(monkeypatch):
     monkeypatch.setattr(Launcher, "start", start)
     monkeypatch.setattr(Launcher, "record", lambda launcher, log: log.parent)
     monkeypatch.setattr(fly, "describe", lambda *_: None)
-    monkeypatch.setattr(fly, "is_client", lambda file: False)  # the file is none of Zenoh's
+    monkeypatch.setattr(fly, "is_client", lambda file: False)  # the file is not a Zenoh configuration
     monkeypatch.setattr(Path, "yield_to_others", lambda *_: None, raising=False)
 
     def fly_with(*words):
         done = CliRunner().invoke(main, ["fly", *map(str, words)])
-        assert done.exit_code == 2  # the child's reason for not starting
+        assert done.exit_code == 2  # the child's reason for its failed start
         return seen[-1]
 
     return fly_with
@@ -59,7 +59,7 @@ def test_every_option_of_the_onboard_process_is_handed_on_as_it_was_given(starte
 
 
 def others(cls, folder):
-    """A value of each option that has a default, another one than that."""
+    """Return a value that differs from the default for each option with a default."""
     file = folder / "file"
     file.write_text("{}")
     found = {
@@ -105,7 +105,7 @@ def test_a_command_line_made_of_options_gives_the_same_options(cls, required, tm
 def test_runs_are_counted_and_what_did_not_fly_is_no_landing():
     rows = [
         {"outcome": "landed", "landed": True, "violation": False, "touchdown_error_m": 0.02},
-        # a log not whole
+        # an incomplete log
         {"outcome": "landed", "landed": False, "violation": True, "touchdown_error_m": 0.06},
         {"outcome": "crashed", "landed": False, "violation": None, "touchdown_error_m": None},
         {"outcome": None, "problem": "px4 did not start"},

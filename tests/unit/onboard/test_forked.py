@@ -1,4 +1,4 @@
-"""Children that go on with what their parent has loaded are as much processes of their own as programs."""
+"""Forked children, which use what their parent has loaded, behave like independent programs."""
 
 import json
 import os
@@ -27,7 +27,7 @@ def forked(run):
 
 
 def python(program, folder):
-    """What a program prints that has no other threads, which the tests' process has."""
+    """Return the output of a program without other threads; the tests' process has some."""
     words = [sys.executable, "-c", BEGIN + program, str(folder)]
     return subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE_S, check=True).stdout
 
@@ -111,7 +111,7 @@ def test_it_ends_with_a_parent_that_is_killed(tmp_path):
         until_s = time.monotonic() + PATIENCE_S
         while Path(f"/proc/{child}/stat").exists() and " Z " not in Path(f"/proc/{child}/stat").read_text():
             assert time.monotonic() < until_s, "it outlived its parent"
-            time.sleep(0.01)  # polling another process: nothing to wait on
+            time.sleep(0.01)  # polls another process, which has no event
     finally:
         killed(parent)
 
@@ -135,7 +135,7 @@ print(may_fork())
 
 @pytest.mark.parametrize("threads", [0, 1])
 def test_a_verb_is_the_same_forked_and_as_a_program(tmp_path, threads):
-    """With the words, output, name and exit status, with other threads in the parent and without."""
+    """Arguments, output, name and exit status are right, with and without other threads in the parent."""
     program = f"""
 over = threading.Event()
 for _ in range({threads}):
@@ -185,5 +185,5 @@ def test_lines_that_come_with_the_one_that_is_waited_for_are_kept(tmp_path):
 
 @pytest.mark.parametrize("name", [name for name, verb in VERBS.items() if verb.needs])
 def test_what_a_verb_needs_is_there(name):
-    """Else its children would be programs, and nobody would see why they start slowly."""
+    """Otherwise its children would be new programs with an unexplained slow start."""
     assert load(name).name == "main"

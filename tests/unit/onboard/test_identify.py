@@ -1,4 +1,4 @@
-"""Identification finds what a made-up vehicle was made of, and refuses flights that do not show it."""
+"""Identification finds the parameters of a synthetic vehicle, and rejects flights that do not show them."""
 
 import math
 
@@ -13,8 +13,8 @@ DT_S = 0.01
 def made_up(
     seed, *, gain=1.0, rate=5.2, damping=0.68, dead_s=0.0, seconds=20.0, size=0.4, wind=0.0, noisy=0.005
 ):
-    """Commands as steps, and what such a vehicle makes of them; by fine steps, not by the fit's model."""
-    from scipy import signal  # half a second, which each worker need not take
+    """Return step commands and the synthetic vehicle's response, by fine steps instead of the fit's model."""
+    from scipy import signal  # a late import: it takes half a second
 
     rng = np.random.default_rng(seed)
     n, fine = int(seconds / DT_S), 10
@@ -57,7 +57,7 @@ def test_known_parameters_are_found(truth):
 
 
 def test_its_standard_errors_are_true():
-    """Of 24 windy flights the true lag lies within two errors in nearly all, and the errors are not empty."""
+    """In nearly all of 24 windy flights the true lag is within two errors, which are not too large."""
     lag = 2.0 * 0.68 / 5.2
     found = [identify([made_up(seed, wind=0.05)], DT_S, "x") for seed in range(24)]
     missed = [abs(one.lag_s - lag) / one.errors[4] for one in found]
@@ -85,7 +85,7 @@ def test_a_flight_that_the_commands_do_not_explain_is_refused():
 
 
 def samples(seed, *, rate_hz=50.0, position=0.01, velocity=0.03, lost=0.05, delay=0.06, seconds=30.0):
-    """A target on a circle of 0.5 m with 0.4 m/s, as it is measured."""
+    """Return measurements of a target on a circle of 0.5 m at 0.4 m/s."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, seconds, 1.0 / rate_hz)
     t = t[rng.random(len(t)) >= lost]

@@ -1,4 +1,4 @@
-"""The check before a flight: what is unsafe, what is accepted, and that the talk always ends."""
+"""The pre-flight check: unsafe and accepted parameters, and the bounded dialogue."""
 
 import math
 import threading
@@ -22,11 +22,11 @@ from tests.unit.autopilot.autopilot_fakes import RATE_HZ, FakeVehicle
 from tests.unit.onboard.safe_parameters import ARDUPILOT_46_DEFAULT, SAFE, packed
 
 NEEDS = Needs(0.5 * math.sqrt(2.0), 0.5, 1.0, 1.5, 3.0)
-ARDUPILOT_UNSAFE = {"GUID_TIMEOUT", "FS_GCS_ENABLE", "SYSID_MYGCS"}  # with its defaults
+ARDUPILOT_UNSAFE = {"GUID_TIMEOUT", "FS_GCS_ENABLE", "SYSID_MYGCS"}  # unsafe with its defaults
 
 
 def asked(name):
-    """Parameters of the newest release; of ArduCopter that of the fake."""
+    """Return parameters of the newest release; for ArduCopter, those of the fake."""
     return table(name).asked(name, "4.6" if name == "ardupilot" else table(name).releases[-1])
 
 
@@ -70,7 +70,7 @@ def test_what_a_person_accepted_does_not_keep_it_from_arming():
 
 @pytest.mark.parametrize("name", scenario.names())
 def test_the_simulators_own_parameters_are_safe_for_every_scenario(name):
-    """So a lockstep flight, whose vehicle is always the simulator, need not ask."""
+    """A lockstep flight, always with the simulator, skips the check."""
     shown = {parameter.name: parameter.default for parameter in px4_parameters(1)}
     assert {each.name.name for each in asked("sitl") if each.rule.missing is None} <= set(shown)
     assert unsafe("sitl", shown, needs_of(scenario.load(name).onboard)) == set()
@@ -94,7 +94,7 @@ def test_accepted_names_are_checked():
 
 
 class Vehicle:
-    """The simulated autopilot on a socket, answered for by a thread until it is closed."""
+    """Run the simulated autopilot on a socket, served by a thread until closed."""
 
     def __init__(self, *, mute=(), heartbeat=None, fake=None):
         self.endpoint = Endpoint("udpin:127.0.0.1:0", 1, 1)
@@ -147,7 +147,7 @@ def test_the_simulator_is_recognised_and_safe():
     assert verdict(report) is None
     assert {f.name for f in report.findings} == {each.name.name for each in asked("sitl")}
     assert record(report)["COM_OF_LOSS_T"] == "0.5 ok"
-    # it reads and never changes anything
+    # the check reads and never changes parameters
     assert {m.get_type() for m in vehicle.asked} == {"HEARTBEAT", "COMMAND_LONG", "PARAM_REQUEST_READ"}
     assert {m.command for m in vehicle.asked if m.get_type() == "COMMAND_LONG"} == {512}
 
@@ -166,7 +166,7 @@ def test_ardupilots_default_time_out_keeps_it_from_arming():
 
 
 def test_a_lost_companion_comes_down_only_if_its_own_heartbeats_are_minded():
-    """Both parameters together: FS_GCS_ENABLE alone acts on the loss of another system."""
+    """Both parameters are needed: FS_GCS_ENABLE alone reacts to the loss of another system."""
     values, needs = SAFE["ardupilot", "4.6"] | {"SYSID_MYGCS": 7}, NEEDS._replace(system_id=7)
     assert unsafe("ardupilot", values, needs) == set()
     for wrong in ({"FS_GCS_ENABLE": 0}, {"SYSID_MYGCS": 255}):
@@ -197,7 +197,7 @@ def test_without_a_version_it_counts_as_the_real_one_whose_release_is_not_known(
     report = talk(Vehicle(mute=("AUTOPILOT_VERSION",)))
     assert (report.profile, report.version) == (PX4, None)
     assert "no AUTOPILOT_VERSION in reply to 2 requests within 1 s" in verdict(report)
-    assert "MAV_FWDEXTSP" in {f.name for f in report.blocking}  # the simulator has none
+    assert "MAV_FWDEXTSP" in {f.name for f in report.blocking}  # the simulator lacks this parameter
     assert "refused: DOES_NOT_EXIST" in next(f.why for f in report.findings if f.name == "MAV_FWDEXTSP")
 
 
@@ -233,7 +233,7 @@ def test_nobody_there_is_a_failure_in_the_time_given():
     ],
 )
 def test_a_battery_too_low_to_land_is_refused_with_what_it_needs(volts, armed, table, refused):
-    """At rest: one that is armed shows its voltage under load, which the controller judges."""
+    """At rest: an armed vehicle shows its voltage under load, which the controller checks."""
     reserve = {"hover_throttle": 0.78, "hover_voltage_v": 3.7, "lowest_voltage_v": 3.2, "sag_v": 0.4}
     section = {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}, **({"reserve": reserve} if table else {})}
     vehicle = Vehicle(fake=FakeVehicle(battery_v=volts, armed=armed))

@@ -1,4 +1,4 @@
-"""The check before a flight against fake vehicles of every release in its tables."""
+"""The pre-flight check with fake vehicles of every release in its tables."""
 
 import math
 
@@ -14,7 +14,7 @@ from tests.fake_autopilot import OnUdp
 from tests.unit.onboard.safe_parameters import DEV, SAFE, packed
 
 NEEDS = Needs(0.5 * math.sqrt(2.0), 0.5, 1.0, 1.5, 3.0)
-# by autopilot and name: level of, and values that are not safe; a name is in the releases that have it
+# by autopilot and name: level, and unsafe values; a name exists in the releases that have it
 BAD = {
     "ardupilot": {
         "GUID_TIMEOUT": (Level.UNSAFE, (0.0, 0.09, 1.01, 3.0)),
@@ -59,7 +59,7 @@ ALSO_SAFE = {
     "px4": {"COM_DISARM_PRFLT": (-1.0, 5.0), "GF_MAX_VER_DIST": (3.0,), "FD_ALT_LOSS": (3.0, 10.0),
             "COM_OBL_RC_ACT": (5,), "COM_OF_LOSS_T": (0.1,), "COM_RC_OVERRIDE": (2,)},
 }  # fmt: skip
-NEWER = {"COM_LOW_BAT_ACT": 5}  # a value that another release does not have
+NEWER = {"COM_LOW_BAT_ACT": 5}  # a value that another release lacks
 RELEASES = pytest.mark.parametrize(("autopilot", "release"), SAFE, ids=" ".join)
 
 
@@ -93,7 +93,7 @@ def test_a_safe_vehicle_of_any_release_may_arm(autopilot, release):
 def test_every_value_that_is_not_safe_is_found_in_every_release(autopilot, release):
     safe = SAFE[autopilot, release]
     names = {each.name.name for each in table(autopilot).asked(autopilot, release)}
-    unasked = {"SERIAL0_OPTIONS", "SERIAL2_OPTIONS", "MAV2_OPTIONS", "MAV3_OPTIONS"}  # as their neighbours
+    unasked = {"SERIAL0_OPTIONS", "SERIAL2_OPTIONS", "MAV2_OPTIONS", "MAV3_OPTIONS"}  # optional neighbours
     assert names - unasked == {name for name in BAD[autopilot] if name in safe}
     for name, (level, values) in BAD[autopilot].items():
         for value in values if name in safe else ():
@@ -119,7 +119,7 @@ def test_a_battery_that_stops_the_motors_is_worse_than_one_that_only_warns():
 @RELEASES
 def test_what_is_missing_is_as_bad_as_what_is_not_safe(autopilot, release):
     found = judged(autopilot, release, {})
-    softer = {"MAV_GCS_SYSID_HI": Level.NOTE, "FD_ALT_LOSS": Level.NOTE}  # not in every build
+    softer = {"MAV_GCS_SYSID_HI": Level.NOTE, "FD_ALT_LOSS": Level.NOTE}  # missing in some builds
     ignored = {name for name in SAFE[autopilot, release] if name.endswith("_OPTIONS")}
     ignored |= {"ATC_INPUT_TC", "BATT_FS_LOW_ACT", "NAV_RCL_ACT", "COM_ACT_FAIL_ACT", "COM_WIND_MAX_ACT",
                 "COM_POS_LOW_ACT", "COM_ARM_ODID", "COM_GNSSLOSS_ACT"}  # fmt: skip
@@ -134,7 +134,7 @@ def test_the_names_of_the_release_before_are_refused(autopilot, release):
     missing = {f.name for f in report.findings if f.value is None}
     assert missing >= {"4.7": {"WP_SPD", "ARMING_SKIPCHK"}, "1.18": {"MAN_OVERRIDE_SPD"}}[release]
     assert any("refused: DOES_NOT_EXIST" in f.why for f in report.findings)
-    assert report.safe is (autopilot == "px4")  # whose new names are notes
+    assert report.safe is (autopilot == "px4")  # new names of PX4 are only notes
 
 
 def test_a_name_of_any_release_may_be_accepted():

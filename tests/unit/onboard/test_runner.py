@@ -1,4 +1,4 @@
-"""The sequence of a tick; a flight ends never in the air without having asked for the landing."""
+"""The sequence of a tick; a flight never ends in the air without a landing request."""
 
 import math
 from types import SimpleNamespace
@@ -90,7 +90,7 @@ def test_lockstep_waits_for_others_no_longer_than_a_second(monkeypatch):
 
 
 class Parts:
-    """All parts of a runner, and its controller; notes who is called. The landing begins at 0.02 s."""
+    """All parts of a runner, with its controller; records the calls. The landing starts at 0.02 s."""
 
     def __init__(self, ticks, ends_at_s=math.inf):
         self.calls, self.taken, self.ticks, self.ends_at_s = [], [], iter(range(ticks)), ends_at_s

@@ -1,4 +1,4 @@
-"""Limits of the system: long paths of sockets, caches that cannot be written, no shared memory, encodings."""
+"""Limits of the system: long socket paths, read-only caches, no shared memory, encodings."""
 
 import codecs
 import errno
@@ -66,7 +66,7 @@ def test_a_long_path_of_a_socket_is_refused_with_the_limit(tmp_path):
 
 @pytest.fixture
 def caches(tmp_path, monkeypatch):
-    """Folders for machine code; those in ``closed`` cannot be written."""
+    """Return folders for machine code; those in ``closed`` are read-only."""
     closed, usable = set(), jit._usable
 
     def open_ones(directory):
@@ -103,7 +103,7 @@ def test_shipped_machine_code_is_used_where_it_cannot_be_written(
     refused |= {base / name for name in closed}
     if chosen:
         monkeypatch.setenv("NUMBA_CACHE_DIR", str(base / chosen))
-    for _ in range(2):  # the second time it is there
+    for _ in range(2):  # the second time it exists
         found = jit.cache_directory.__wrapped__()
         assert found == base / expected / "jit-0"
         if copied is not None:

@@ -1,4 +1,4 @@
-"""What is said while a flight waits: each cause by name, and the setting that decides about it."""
+"""Messages while a flight waits: each cause by name, and the setting that determines it."""
 
 import math
 from dataclasses import replace
@@ -112,7 +112,7 @@ TICK = Tick(2000, NOW_S, 1_700_000_000_000_000_000, 0.01, 0.0, overruns=3)
 
 
 class Out(NamedTuple):
-    """As much of a controller's outputs as is looked at."""
+    """The part of a controller's outputs that is used."""
 
     snapshot: Snapshot
     finished: bool = False
@@ -191,7 +191,7 @@ def test_a_target_of_ros_is_on_the_network_of_ros(wires):
         [text, other] = ours_.texts(0.0)
         assert "frame_id is 'odom', checks.target_frame is 'map'" in text
         assert "checks.target_child_frame is 'target'" in other
-        assert zenoh_link.transports(ours_.session) == 0  # what is flown by has nothing to do with it
+        assert zenoh_link.transports(ours_.session) == 0  # independent of the flight's session
 
 
 def test_without_one_it_is_on_the_flight_s_own_session(wires):

@@ -1,4 +1,4 @@
-"""Vehicles other than the Crazyflie: their files, how they fly, and a configuration that knows their size."""
+"""Vehicles other than the Crazyflie: files, flight behaviour, and a configuration for their size."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ TICK_MS = 10
 
 
 def still(name):
-    """The scenario's vehicle in still air, hovering, without spreads."""
+    """Return the scenario's vehicle in hover without wind and spreads."""
     scenario = load_scenario(name)
     spec = replace(scenario.vehicle, mass_spread=0.0, motor_lag_spread=0.0, thrust_spread=0.0)
     assert scenario.start.kind is StartKind.HOVER
@@ -24,7 +24,7 @@ def still(name):
 
 
 def velocities(vehicle, velocity_enu_m_s, duration_s):
-    """True velocities at every tick of a step."""
+    """Return true velocities at every tick after a velocity step."""
     found = []
     for _ in range(round(duration_s * 1000 / TICK_MS)):
         vehicle.set_velocity(velocity_enu_m_s, 0.0)
@@ -34,7 +34,7 @@ def velocities(vehicle, velocity_enu_m_s, duration_s):
 
 
 def rise_s(values, final):
-    """Time to 63 % of a step."""
+    """Return the time to 63 % of a step."""
     return (next(i for i, v in enumerate(values) if abs(v) >= 0.632 * abs(final)) + 1) * TICK_MS / 1000.0
 
 
@@ -46,11 +46,11 @@ def test_every_file_loads_and_can_hover_with_room(airframe):
     assert 0.3 < hover_n / params.rotor.thrust_max_n < 0.7
     load_v = params.battery.resistance_ohm * (params.battery.idle_current_a + params.battery.hover_current_a)
     empty_n = params.rotor.thrust_n(params.battery.speed_rpm(params.battery.empty_v - load_v))
-    assert empty_n > hover_n  # a vehicle with markers has next to nothing left then
+    assert empty_n > hover_n  # a vehicle with markers has almost no reserve then
 
 
 def room(seed=0, loop=VelocityLoop.PID, **spec):
-    """A hovering vehicle with the numbers of the recorded flights."""
+    """Return a hovering vehicle with the numbers of the recorded flights."""
     spec = VehicleSpec("crazyflie21_room", loop, **spec)
     return VehicleSim(replace(load_scenario("lab"), vehicle=spec, wind=Wind(), fault=()), seed)
 
@@ -119,7 +119,7 @@ def test_a_vehicle_file_of_ones_own_and_what_is_said_when_there_is_none(tmp_path
 
 
 def test_one_kilogram_answers_velocities_as_px4s_simulator_does():
-    """PX4 v1.16 SITL with its SIH quadrotor: 0.14 + 0.56 s horizontally, 0.08 + 0.15 s vertically."""
+    """Compare with PX4 v1.16 SITL and its SIH quadrotor: 0.14 + 0.56 s horizontal, 0.08 + 0.15 s vertical."""
     vehicle = still("large")
     velocities(vehicle, (0.0, 0.0, 0.0), 2.0)
     along = [v[0] for v in velocities(vehicle, (1.0, 0.0, 0.0), 3.0)]
@@ -133,7 +133,7 @@ def test_one_kilogram_answers_velocities_as_px4s_simulator_does():
 
 
 def test_one_kilogram_answers_velocities_as_arducopter_47_does():
-    """10 % of a step of 1 m/s after 0.42 s, 63 % after 0.80 s, with all that its SITL adds."""
+    """10 % of a step of 1 m/s after 0.42 s, 63 % after 0.80 s, including all lags of its SITL."""
     vehicle = still("ardupilot_47")
     velocities(vehicle, (0.0, 0.0, 0.0), 2.0)
     along = [v[0] for v in velocities(vehicle, (1.0, 0.0, 0.0), 3.0)]
@@ -148,5 +148,5 @@ def test_the_large_configuration_is_proven_and_made_for_its_vehicle():
     assert config.touchdown.feet_below_reference_m == -params.geometry.foot_bottom_m
     assert config.touchdown.pad_radius_m == scenario.target.pad_radius_m
     feet_m = 2**0.5 * (params.geometry.foot_offset_m + params.geometry.foot_radius_m)
-    assert config.robust.corridor_m + feet_m < config.touchdown.pad_radius_m  # they all stand on the pad
-    assert scenario.judge is None  # the verdict uses the barrier that is flown
+    assert config.robust.corridor_m + feet_m < config.touchdown.pad_radius_m  # all feet are on the pad
+    assert scenario.judge is None  # the verdict uses the flown barrier

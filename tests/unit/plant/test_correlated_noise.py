@@ -1,4 +1,4 @@
-"""Torque noise of a vehicle: its size and time, where it is off, and what it does in flight."""
+"""Torque noise of a vehicle: size and correlation time, when it is off, and its effect in flight."""
 
 import math
 from dataclasses import replace
@@ -39,7 +39,7 @@ def test_each_axis_has_its_size_and_its_time():
 
 
 def hovering(params):
-    """Rates and differences of the motors in hover."""
+    """Return rates and motor differences in hover."""
     spec = VehicleSpec("crazyflie21_room", VelocityLoop.PID, mocap=QUIET)
     sim = VehicleSim(scenario(vehicle=spec), 3, params, Plant())
     rates, roll = [], []
@@ -53,7 +53,7 @@ def hovering(params):
 
 
 def test_in_flight_the_motors_balance_it():
-    """4.5e-5 N m are 0.25 % of duty: the motors show it as far as the loop is quick enough."""
+    """4.5e-5 N m are 0.25 % of the duty cycle: the motors show it within the loop's bandwidth."""
     still = replace(ROOM, torque_noise=TorqueNoiseShape())
     (quiet_rates, quiet_roll), (rates, roll) = hovering(still), hovering(ROOM)
     assert (rates[:2] > 1.5 * quiet_rates[:2]).all()
@@ -62,7 +62,7 @@ def test_in_flight_the_motors_balance_it():
 
 
 def standing(params):
-    """Where a vehicle is after a second on the floor, motors off."""
+    """Return the position of a vehicle after a second on the floor, motors off."""
     spec = VehicleSpec("crazyflie21_room", VelocityLoop.PID, mocap=QUIET)
     start = Start(StartKind.GROUND, ground_position_m=(3.0, 0.0))
     sim = VehicleSim(scenario(start=start, vehicle=spec), 3, params, Plant())

@@ -1,4 +1,4 @@
-"""The plant against a second model, a conservation law and a closed form."""
+"""The plant compared with a second model, a conservation law and a closed form."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ HIGH_M = 1000.0
 
 
 def quiet_vehicle(slow=False, **parts):
-    """A hovering vehicle without noise, biases and delays."""
+    """Return a hovering vehicle without noise, biases and delays."""
     sim = vehicle(vehicle=VehicleSpec(mocap=PROMPT, slow_motors=slow, setpoint_delay_s=0.0), **parts)
     imu = sim._imu.record
     imu.gyro_sigma = imu.accel_sigma = 0.0
@@ -28,31 +28,31 @@ def quiet_vehicle(slow=False, **parts):
 
 
 class FreePlant:
-    """Body and rotors high above everything, rotor commands prescribed."""
+    """Body and rotors in free air, with given rotor commands."""
 
     def __init__(self, slow=False, **parts):
         self.sim = quiet_vehicle(slow, **parts)
-        # of the vehicle; drag, rotor maps and so on may be changed before the first step
+        # parameters of the vehicle; drag, rotor maps etc. may be changed before the first step
         self.record = self.sim._vehicle[0]
         self.place()
         self.rotors(0.0)
 
     def place(self, quaternion=(1.0, 0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0), rates=(0.0, 0.0, 0.0)):
-        """Put it ``HIGH_M`` above the origin."""
+        """Move it ``HIGH_M`` above the origin."""
         q = np.array(quaternion) / np.linalg.norm(quaternion)
         self.sim._world.set_vehicle((0.0, 0.0, HIGH_M), tuple(q.tolist()), velocity, rates)
 
     def rotors(self, rpm):
-        """Let them turn at this speed, and go on so."""
+        """Set the rotors to this speed and keep the command."""
         self.record.rotors.rpm[:] = rpm
         self.record.firmware.commands[:] = rpm
 
     def no_drag(self):
-        """Take the rotors' drag on the body away."""
+        """Remove the rotors' drag on the body."""
         self.record.drag.xy = self.record.drag.along = 0.0
 
     def run(self, steps, command=None):
-        """Move by so many milliseconds under a command in rpm."""
+        """Advance by this many milliseconds under a command in rpm."""
         if command is not None:
             self.record.firmware.commands[:] = command
         for _ in range(steps):
@@ -68,11 +68,11 @@ class FreePlant:
 
 BODY = load().body
 G = 9.81
-HOVER_RPM = 18968.0  # by hand from the L250 thrust map, 0.0782 N per rotor
+HOVER_RPM = 18968.0  # computed by hand from the L250 thrust map, 0.0782 N per rotor
 
 
 def angular_momentum(plant):
-    """Of body and rotors, world frame, N m s."""
+    """Return the angular momentum of body and rotors, world frame, N m s."""
     s = plant.state
     rotors = np.array([0.0, 0.0, other.ROTOR_INERTIA * other.RAD_S * (other.SPIN @ s[13:])])
     return other.rotation(s[6:10]) @ (np.array(BODY.inertia_kg_m2) * s[10:13] + rotors)
@@ -88,14 +88,14 @@ def test_angular_momentum_with_the_rotors_is_conserved_without_air():
     rng = np.random.default_rng(4)
     for _ in range(20):
         plant.run(50, rng.uniform(0.0, 24_000.0, 4))
-    # of first order in the step: the gyroscopic torque is that of the rates before it
+    # an error of first order in the step: the gyroscopic torque uses the rates before the step
     worst = np.abs(angular_momentum(plant) - before).max()
     assert worst < 2e-3 * np.linalg.norm(before)
-    assert np.abs(plant.state[10:13] - (1.0, -0.7, 2.0)).max() > 1.0  # while the body changed its rates
+    assert np.abs(plant.state[10:13] - (1.0, -0.7, 2.0)).max() > 1.0  # the body's rates changed
 
 
 def random_flight(seed, slow, spread_rpm):
-    """Simulated and independent states under random rotor commands, 1.5 s."""
+    """Return simulated and independent states under random rotor commands, 1.5 s."""
     rng = np.random.default_rng(seed)
     plant = FreePlant(slow)
     q = np.array([0.98, *rng.uniform(-0.15, 0.15, 3)])

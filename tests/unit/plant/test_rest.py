@@ -1,4 +1,4 @@
-"""A vehicle at rest on the pad is carried by it as by MuJoCo's contact, and only while friction holds it."""
+"""The pad carries a vehicle at rest as MuJoCo's contact does, and only while friction holds it."""
 
 import itertools
 import math
@@ -22,7 +22,7 @@ FRICTION = PARAMS.contact.friction
 
 
 class Deck:
-    """Places the deck every 10 ms, as the vehicle's process does, where it is by its twist."""
+    """Sets the deck every 10 ms, as the vehicle's process does, to its predicted pose."""
 
     def __init__(self, velocity_of, rate=0.0, height_m=0.2):
         self.velocity_of, self.rate = velocity_of, rate
@@ -36,7 +36,7 @@ class Deck:
 
 
 def stand(deck, seconds=3.0, wait_steps=WAIT_STEPS, place=(0.02, -0.01), force=WEIGHT, torque=NO_TORQUE):
-    """Put a vehicle on the pad; the world, and positions, velocities and rest of every step."""
+    """Put a vehicle on the pad; return the world, and positions, velocities and rest state of every step."""
     w = World(PARAMS, MASS, TargetSpec())
     w.record.rest.wait_steps = wait_steps
     deck.place(w, 0)
@@ -79,8 +79,8 @@ def test_moves_as_with_the_contact_of_mujoco(name):
     assert sum(row[-1] == WAIT_STEPS for row in resting) > 2800
     assert {row[0] for row in resting[10:]} == {row[0] for row in asked[10:]} == {ContactBit.PAD}
     for (_, on_pad, v, q, rates, _), (_, on_pad_m, v_m, q_m, rates_m, _) in zip(resting, asked, strict=True):
-        assert on_pad == pytest.approx(on_pad_m, abs=1e-3)  # MuJoCo's creeps by 0.1 to 0.3 mm a second
-        assert v == pytest.approx(v_m, abs=0.012)  # MuJoCo follows a step of the deck's velocity in two steps
+        assert on_pad == pytest.approx(on_pad_m, abs=1e-3)  # MuJoCo creeps by 0.1 to 0.3 mm a second
+        assert v == pytest.approx(v_m, abs=0.012)  # MuJoCo follows a step of the velocity in two steps
         assert abs(np.dot(q, q_m)) > 1.0 - 1e-6
         assert rates == pytest.approx(rates_m, abs=0.05)
     assert np.linalg.norm(w.quaternion) == pytest.approx(1.0, abs=1e-12)
@@ -91,7 +91,7 @@ def test_does_not_creep_under_a_steady_wind():
     _, resting = stand(Deck(still), force=wind)
     _, asked = stand(Deck(still), force=wind, wait_steps=NEVER)
     begin = next(n for n, row in enumerate(resting) if row[-1] == WAIT_STEPS)
-    # to rounding, of which the deck's position is taken away
+    # equal within rounding, after subtraction of the deck's position
     assert np.ptp([row[1] for row in resting[begin:]], axis=0) == pytest.approx([0.0, 0.0, 0.0], abs=1e-15)
     assert asked[-1][1][0] - asked[begin][1][0] > 1e-4
 
@@ -105,7 +105,7 @@ def falls(t):
 
 
 def later(x, z):
-    """Weight for a second, then another force, in weights."""
+    """Apply the weight for a second, then another force, in units of the weight."""
     return lambda step: WEIGHT if step < 1000 else (x * MASS * G, 0.0, z * MASS * G)
 
 
@@ -137,8 +137,8 @@ def test_a_deck_placed_elsewhere_leaves_it_behind():
 @pytest.mark.parametrize(
     ("place", "force", "torque"),
     [
-        ((0.075, 0.0), WEIGHT, NO_TORQUE),  # a foot may stand beside the pad
-        ((0.0, 0.0), (0.0, 0.0, -0.4 * MASS * G), NO_TORQUE),  # thrust carries half of it
+        ((0.075, 0.0), WEIGHT, NO_TORQUE),  # a foot may be beside the pad
+        ((0.0, 0.0), (0.0, 0.0, -0.4 * MASS * G), NO_TORQUE),  # thrust carries nearly half of the weight
         ((0.0, 0.0), WEIGHT, (0.3 * MASS * G * PARAMS.geometry.foot_offset_m, 0.0, 0.0)),
         ((0.0, 0.0), WEIGHT, (0.0, 0.0, 0.3 * FRICTION * MASS * G * PARAMS.geometry.foot_offset_m)),
     ],

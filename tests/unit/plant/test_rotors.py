@@ -1,4 +1,4 @@
-"""The drive and the air: rotors against their maps, ground effect against its closed form, battery, gusts."""
+"""Rotors compared with their maps, ground effect with its closed form, battery, gusts."""
 
 import itertools
 import math
@@ -31,7 +31,7 @@ def rotors(slow=False, **factors):
 
 
 def turn(r, command, wx=0.0, wy=0.0):
-    """One step of 1 ms without ground effect; its wrench."""
+    """Run one step of 1 ms without ground effect; return the wrench."""
     turn_rotors(r.record, np.array(command), wx, wy)
     return r.record
 
@@ -56,7 +56,7 @@ def ground(gain=1.0, pad_radius_m=0.1):
 
 
 def factors(g, ex, ey, ez, axes=LEVEL):
-    """On the four thrusts, over a pad at 0.2 m."""
+    """Return the factors on the four thrusts, above a pad at 0.2 m."""
     out = np.empty(4)
     ground_effect(g, ex, ey, ez, 0.2, axes, out)
     return out.tolist()
@@ -69,7 +69,7 @@ def test_ground_effect_is_cheeseman_and_bennetts(height_m, gain):
     assert thrust_increase(ground(gain), height_m) == pytest.approx(gain * closed, rel=1e-12)
     above = height_m - ROTOR.above_com_m
     assert factors(ground(gain), 0.0, 0.0, above) == pytest.approx([1.0 + gain * closed] * 4)
-    # away from the pad the floor counts
+    # away from the pad the floor has the effect
     assert factors(ground(gain), 1.0, 0.0, above - 0.2) == pytest.approx([1.0 + gain * closed] * 4)
 
 
@@ -124,14 +124,14 @@ def times_s():
 
 def test_gusts_have_their_rms(gusts):
     wanted = 0.5 * np.array([1.0, 1.0, PARAMS.wind.vertical_share])
-    error = np.sqrt(times_s() / (WIND_STEP_S * len(gusts)))  # of an rms from correlated samples
+    error = np.sqrt(times_s() / (WIND_STEP_S * len(gusts)))  # error of an rms value from correlated samples
     assert (np.abs(gusts.std(axis=0) / wanted - 1.0) < 3.5 * error).all()
     assert (np.abs(gusts.mean(axis=0)) < 3.5 * wanted * error * math.sqrt(2.0)).all()
     assert abs(np.corrcoef(gusts.T)[np.triu_indices(3, 1)]).max() < 0.2
 
 
 def test_gusts_have_the_first_order_spectrum(gusts):
-    """Power in octaves of frequency against 4 s^2 T / (1 + (2 pi f T)^2)."""
+    """Compare the power per octave of frequency with 4 s^2 T / (1 + (2 pi f T)^2)."""
     frequency = np.fft.rfftfreq(len(gusts), WIND_STEP_S)
     for i, time in enumerate(times_s()):
         rms = 0.5 * (1.0 if i < 2 else PARAMS.wind.vertical_share)

@@ -20,7 +20,7 @@ MS = NS // 1000
 
 
 def run_channel(link, seconds, sigmas=(0.0,), seed=1, step_ms=1):
-    """All (released_ns, measured_ns, values) of a channel polled every step; the true value is the time."""
+    """Return all (released_ns, measured_ns, values) of a channel polled every step; true value: the time."""
     channel = MeasurementChannel(link, sigmas, seed, "test")
     out = []
     for k in range(0, round(seconds * 1000) + 1, step_ms):
@@ -155,7 +155,7 @@ def test_a_plain_seed_is_numpys_generator():
 @pytest.mark.parametrize("moves", [0, 1, 9])
 @pytest.mark.parametrize("weight", [0.05, 0.5])
 def test_each_distribution_stays_itself_whatever_the_moves(weight, moves):
-    from scipy import stats  # half a second, which each worker need not take
+    from scipy import stats  # a late import: it takes half a second
 
     seed = walk(weight, moves)
     assert stats.kstest(stream(seed, "a").standard_normal(N), "norm").pvalue > 1e-3
@@ -192,7 +192,7 @@ def test_the_same_number_is_the_same_chance(moves):
     assert int(str(seed)) == seed
     assert len(name(seed)) < 30
     numbers = stream(seed, "x").standard_normal(3)
-    # as the formula has it, one move after the other
+    # by the formula, one move after the other
     z = np.random.default_rng(np.random.SeedSequence([3, zlib.crc32(b"x")])).standard_normal(3)
     for move_seed, w in moves:
         fresh_z = np.random.default_rng(

@@ -1,4 +1,4 @@
-"""Errors as in recorded flights: correlated noise, delays into the past and ahead, the draws of a flight."""
+"""Errors as in recorded flights: correlated noise, delays of both signs, the draws of a flight."""
 
 import math
 from dataclasses import replace
@@ -92,7 +92,7 @@ def test_flights_have_the_delays_of_the_parameters():
 
 
 def measured(row, truth, *, samples=60, rate_hz=RATE_HZ):
-    """What the last of many samples says of a path."""
+    """Return the last of many samples along a path."""
     past = new(PastRecord)
     past.rate = rate_hz
     for k in range(samples):
@@ -121,7 +121,7 @@ def circle(t_s):
 @given(delay_s=st.floats(0.0, 0.2), velocity_delay_s=st.floats(0.0, 0.2))
 def test_a_late_state_is_that_of_the_path(delay_s, velocity_delay_s):
     position, velocity = measured(row_of(delay=delay_s, velocity_delay=velocity_delay_s), circle)
-    assert position == pytest.approx(circle(0.59 - delay_s)[0], abs=2e-5)  # straight between samples
+    assert position == pytest.approx(circle(0.59 - delay_s)[0], abs=2e-5)  # linear between samples
     assert velocity == pytest.approx(circle(0.59 - velocity_delay_s)[1], abs=2e-5)
 
 
@@ -134,7 +134,7 @@ def test_a_state_ahead_goes_on_as_it_went(lead_s):
 
 
 def test_an_impact_is_not_multiplied_ahead():
-    """A derivative over one sample would make 10 m/s of it."""
+    """A derivative over one sample would give 10 m/s."""
     fall = lambda t_s: ((0.0, 0.0, 0.0), (0.0, 0.0, -1.0 if t_s < 0.585 else 0.0))  # noqa: E731
     _, velocity = measured(row_of(velocity_delay=-0.1), fall)
     assert velocity.tolist() == [0.0, 0.0, 1.0]

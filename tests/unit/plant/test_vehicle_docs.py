@@ -1,4 +1,4 @@
-"""docs/how_it_works/vehicle.md says what the simulator does: fresh tables, figures present."""
+"""docs/how_it_works/vehicle.md agrees with the simulator: fresh tables, all figures exist."""
 
 import re
 
@@ -34,7 +34,7 @@ def test_comparisons_are_those_of_a_fresh_run(fresh, name):
     for old, new in zip(written, made, strict=True):
         assert NUMBER.sub("#", old) == NUMBER.sub("#", new), MAKE_ANEW
         for a, b in zip(NUMBER.findall(old), NUMBER.findall(new), strict=True):
-            digit = 10.0 ** -len(a.partition(".")[2])  # other processors may round the last one otherwise
+            digit = 10.0 ** -len(a.partition(".")[2])  # other processors may round the last digit differently
             assert abs(float(a) - float(b)) < 1.5 * digit, (old, new, MAKE_ANEW)
 
 

@@ -1,4 +1,4 @@
-"""Body, deck and contact against mechanics; MuJoCo makes the step only where something can touch."""
+"""Body, deck and contact compared with mechanics; MuJoCo runs only where contact is possible."""
 
 import math
 import random
@@ -110,11 +110,11 @@ def touched(position, quaternion=(1.0, 0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0),
 def test_what_is_touched_first():
     assert touched((0.0, 0.0, 0.25)) == ContactBit.PAD.value
     assert touched((1.0, 0.0, 0.05)) == ContactBit.GROUND.value
-    # flying level into the pad's side; feet and board below its top, propellers above
+    # level flight into the pad's side; feet and board below its top, propellers above
     assert touched((0.25, 0.0, 0.197), velocity=(-2.0, 0.0, 0.4)) == ContactBit.PAD_EDGE.value
-    # under the pad into the robot's body
+    # flight under the pad into the robot's body
     assert touched((0.3, 0.0, 0.1), velocity=(-2.0, 0.0, 0.5)) == ContactBit.ROBOT.value
-    # on its back
+    # upside down
     assert touched((1.0, 0.0, 0.05), (0.0, 1.0, 0.0, 0.0)) == ContactBit.GROUND | ContactBit.TUMBLED
 
 
@@ -146,7 +146,8 @@ def upright(w):
 
 
 def drop(speed):
-    """Fall level onto the floor: greatest speed upwards after the touch, height where it has it, and top."""
+    """Fall level onto the floor; return the largest upward speed after the touch, its height, and the
+    apex."""
     w = world()
     w.set_vehicle((ASIDE_M, 0.0, STANDING + 1e-4), velocity=(0.0, 0.0, -speed))
     up, at, top, touched = 0.0, 0.0, 0.0, False
@@ -161,10 +162,10 @@ def drop(speed):
 
 @pytest.mark.parametrize("speed", [0.5, 1.0, 2.0, 3.0])
 def test_a_bounce_goes_as_high_as_its_speed_carries_it(speed):
-    """Restitution as the critically damped contact has it; from 2 m/s on it leaves the ground."""
+    """Restitution of the critically damped contact; above 2 m/s the vehicle leaves the ground."""
     up, at, top = drop(speed)
     assert 0.1 < up / speed < 0.2
-    # from its greatest speed on, still within the compressed contact, only the weight acts
+    # after its largest speed, still within the compressed contact, only the weight acts
     assert top == pytest.approx(max(0.0, at + up**2 / (2.0 * G)), abs=0.1e-3)
     assert (top > 1e-3) is (speed >= 2.0)
 
@@ -192,16 +193,16 @@ def test_pushed_beyond_the_cone_it_gains_what_friction_leaves():
     for _ in range(round(seconds * 1000)):
         w.step((push * MASS * G, 0.0, -MASS * G), NO_TORQUE)
     gained = np.array(w.velocity) - before
-    support = G * seconds + gained[2]  # impulse of the ground over mass; it chatters on its feet
+    support = G * seconds + gained[2]  # impulse of the ground per mass; it chatters on its feet
     assert gained[0] == pytest.approx(push * G * seconds - FRICTION * support, rel=0.02)
     assert gained[0] == pytest.approx((push - FRICTION) * G * seconds, rel=0.15)
     assert abs(gained[1]) < 1e-3
 
 
 def test_feet_that_catch_trip_it_beyond_the_analytic_speed():
-    """Feet that cannot slide stop at once: angular momentum about them stays, energy must lift the centre.
+    """Feet that cannot slide stop at once: angular momentum about them is conserved, energy lifts the centre.
 
-    m v h = I w and I w^2 / 2 = m g (r - h) about the front feet; the propellers meet the ground on the way.
+    m v h = I w and I w^2 / 2 = m g (r - h) about the front feet; the propellers touch the ground on the way.
     """
     r = math.hypot(GEOMETRY.foot_offset_m, STANDING)
     about_feet = PARAMS.body.inertia_kg_m2[1] + MASS * r**2
@@ -217,7 +218,7 @@ def test_feet_that_catch_trip_it_beyond_the_analytic_speed():
 
 
 def highest_tipping_angle():
-    """Tilt about y beyond which it falls over: its centre is above the outermost point of the propellers.
+    """Return the tilt about y beyond which it falls over: its centre is above the propellers' outer point.
 
     The rim of a front propeller, tip of the convex hull, is above the centre of mass: the angle is more than
     90 degrees, and a vehicle on its side still falls back on its feet.
@@ -248,7 +249,7 @@ def test_tips_over_beyond_the_angle_of_its_hull(beyond_deg, falls_over):
 @pytest.mark.parametrize("angle_deg", [10.0, 50.0])
 @pytest.mark.parametrize("axis", [(0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (math.sqrt(0.5), math.sqrt(0.5), 0.0)])
 def test_on_its_feet_it_always_falls_back(angle_deg, axis):
-    """The static tipping angle of the feet, atan(span/2 over height), is beyond where the rims touch."""
+    """The static tipping angle of the feet, atan(span/2 over height), is larger than where the rims touch."""
     assert math.radians(angle_deg) < math.atan2(GEOMETRY.foot_offset_m, STANDING)
     w = world()
     w.set_vehicle((ASIDE_M, 0.0, 0.06), tilted(math.radians(angle_deg), axis))
@@ -285,7 +286,7 @@ def test_apart_means_no_contact_wherever_and_however_the_vehicle_is(spec):
         )
         r = w.record
         reach_m, free = (r.reach.robot, r.reach.robot_top), apart(r.reach, r.body, r.deck)
-        r.reach.robot = r.reach.robot_top = math.inf  # MuJoCo is asked
+        r.reach.robot = r.reach.robot_top = math.inf  # MuJoCo runs in every step
         bits = w.step((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         r.reach.robot, r.reach.robot_top = reach_m
         assert not (free and bits & ~ContactBit.TUMBLED.value), position
@@ -311,7 +312,7 @@ def test_what_is_not_a_number_is_never_apart(place):
 
 
 def tumble_past(spec, aside_m, searching):
-    """A spinning fall past, or onto, a moving deck, and bounces; all numbers of every step."""
+    """Fly a spinning fall past or onto a moving deck, with bounces; return all numbers of every step."""
     w = world(target=spec)
     if searching:
         w.record.reach.robot = w.record.reach.robot_top = math.inf
@@ -319,7 +320,7 @@ def tumble_past(spec, aside_m, searching):
     w.set_deck((0.0, 0.0, spec.pad_height_m), 0.3, (0.2, 0.0, 0.0), 0.5)
     rows = []
     for k in range(1500):
-        lift = 0.0 if k < 700 else 0.5  # up again and away
+        lift = 0.0 if k < 700 else 0.5  # upward again
         bits = w.step((0.0, 0.0, lift - 0.3), (0.0, 0.0, 0.0))
         rows.append((bits, w.position, w.velocity, w.quaternion, w.rates, w.deck_position))
     return rows

@@ -1,9 +1,9 @@
-"""A stand-in for PX4 on its simulator link: pymavlink, sockets and textbook formulas, nothing of the project.
+"""Imitates PX4 on its simulator link with pymavlink, sockets and textbook formulas, without project code.
 
-It does what PX4 does on that wire (connects, HEARTBEAT, SET_MESSAGE_INTERVAL, one HIL_ACTUATOR_CONTROLS for
-each HIL_SENSOR, its clock counted from the first one) and flies by the sensors alone: attitude from gyro,
+It does what PX4 does on this link (connects, HEARTBEAT, SET_MESSAGE_INTERVAL, one HIL_ACTUATOR_CONTROLS for
+each HIL_SENSOR, its clock starts with the first one) and flies by the sensors alone: attitude from gyro,
 magnetometer and the velocity of the fixes, position from accelerometer and fixes, PX4's cascade with its
-defaults, and its allocation for a quad X. Everything NED and FRD.
+defaults, and its allocation for a quad X. All frames are NED and FRD.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from pymavlink.dialects.v20 import common as mav
 
 PATIENCE_S = 30.0
 GRAVITY = np.array([0.0, 0.0, 9.80665])
-DECLINATION_RAD = math.radians(3.3)  # of Zurich
+DECLINATION_RAD = math.radians(3.3)  # declination in Zurich
 AROUND_M = 6_371_000.0
-REST_STEPS = 100  # readings at rest from which it begins
+REST_STEPS = 100  # readings at rest at the start
 
-# x forward, y right, and 1 for counter-clockwise, of outputs 1 to 4
+# for outputs 1 to 4: x forward, y right, and 1 for counter-clockwise
 QUAD_X = np.array([[1, 1, 1], [-1, -1, 1], [1, -1, -1], [-1, 1, -1]], dtype=float)
 
 
 def allocate(thrust, roll, pitch, yaw):
-    """Outputs 1 to 4 of PX4's scaled allocation."""
+    """Return outputs 1 to 4 of PX4's scaled allocation."""
     half = math.sqrt(0.5)
     x, y, spin = QUAD_X.T
     return np.clip(thrust - half * roll * y + half * pitch * x + yaw * spin, 0.0, 1.0)
 
 
 def controlled_axes(parameters):
-    """1 for each of roll, pitch, yaw on which a motor has an effectiveness above 0.05; PX4 drops others."""
+    """Return 1 for each of roll, pitch, yaw with a motor effectiveness above 0.05; PX4 drops other axes."""
     moments = np.array(
         [
             parameters.get(f"CA_ROTOR{i}_CT", 6.5) * parameters.get(f"CA_ROTOR{i}_{arm}", 1.0)
@@ -45,7 +45,7 @@ def controlled_axes(parameters):
 
 
 def rotated(q):
-    """Matrix of a quaternion (w, x, y, z): body to world."""
+    """Return the matrix of a quaternion (w, x, y, z): body to world."""
     w, x, y, z = q
     return np.array(
         [
@@ -62,13 +62,13 @@ def product(a, b):
 
 
 def turned(q, by_body):
-    """Attitude after a small turn about body axes."""
+    """Return the attitude after a small rotation about body axes."""
     q = q + 0.5 * product(q, np.concatenate([[0.0], by_body]))
     return q / np.linalg.norm(q)
 
 
 class Estimator:
-    """Attitude, position and velocity from the sensors."""
+    """Estimator of attitude, position and velocity from the sensors."""
 
     def __init__(self):
         self.rest = []
@@ -122,11 +122,11 @@ class Estimator:
         error = np.array([m.vn, m.ve, m.vd]) * 1e-2 - self.velocity
         self.velocity = self.velocity + 0.2 * error
         self.position = self.position + 0.3 * (place - self.position)
-        # an attitude wrong by d turns gravity into an acceleration of (-g dy, g dx)
+        # an attitude error d turns gravity into an acceleration of (-g dy, g dx)
         self._turn(np.array([0.01 * error[1], -0.01 * error[0], 0.0]))
 
     def pose(self, m):
-        """ODOMETRY: a pose of FRD in NED, instead of fixes."""
+        """Correct with ODOMETRY, a pose of FRD in NED, instead of fixes."""
         if self.q is None:
             return
         found = np.array(m.q)
@@ -138,7 +138,7 @@ class Estimator:
 
 
 class Pilot:
-    """PX4's cascade with its default gains above the rate loop, and what its parameters say below."""
+    """PX4's cascade: default gains above the rate loop, and gains from its parameters below."""
 
     def __init__(self, parameters):
         self.p = parameters
@@ -194,7 +194,7 @@ class Pilot:
 
 
 class FakePx4:
-    """The wire."""
+    """The connection to the simulator."""
 
     def __init__(self, port):
         self._socket = socket.create_connection(("127.0.0.1", port), PATIENCE_S)
@@ -219,7 +219,7 @@ class FakePx4:
         )
 
     def next(self):
-        """Next message; None when the simulator has hung up."""
+        """Return the next message; None when the simulator has disconnected."""
         while not self._waiting:
             data = self._socket.recv(65536)
             if not data:
@@ -233,7 +233,10 @@ class FakePx4:
         return message
 
     def sensor(self, pilot=None):
-        """Next HIL_SENSOR; a pilot sees everything before it, too. None when the simulator has hung up."""
+        """Return the next HIL_SENSOR; a pilot also gets all messages before it.
+
+        None after a disconnection.
+        """
         while True:
             message = self.next()
             if message is None:
@@ -257,7 +260,7 @@ class FakePx4:
         self.send(mav.MAVLink_hil_actuator_controls_message(time_us, outputs, mode, flags))
 
     def fly(self, pilot, until):
-        """Answer every HIL_SENSOR until ``until(time of flight in s)``; returns the last HIL_SENSOR."""
+        """Answer every HIL_SENSOR until ``until(time of flight in s)``; return the last HIL_SENSOR."""
         deadline_s = time.monotonic() + 4 * PATIENCE_S
         while True:
             assert time.monotonic() < deadline_s, "the flight took too long"
@@ -273,13 +276,13 @@ class FakePx4:
 
 
 def parameters_of(text):
-    """Parameters of lines that end in NAME=VALUE or NAME VALUE."""
+    """Return the parameters of lines that end in NAME=VALUE or NAME VALUE."""
     words = (line.removeprefix("export PX4_PARAM_").replace("=", " ").split() for line in text.splitlines())
     return {name: float(value) for *_, name, value in words}
 
 
 def true_place(fake):
-    """North, east and up of the vehicle from the room's origin, m."""
+    """Return north, east and up of the vehicle from the room's origin, m."""
     t = fake.truth
     north = math.radians(t.lat * 1e-7 - 47.397742) * AROUND_M
     east = math.radians(t.lon * 1e-7 - 8.545594) * AROUND_M * math.cos(math.radians(47.397742))

@@ -26,7 +26,7 @@ HOVER = 0.0319 * 9.81 / 0.48
 
 
 def flying(seed=1, **parts):
-    """A vehicle that has climbed for a while with equal outputs."""
+    """Return a vehicle that has climbed for a while with equal outputs."""
     plant = Px4Plant(scenario(GROUND, **parts), seed)
     plant.wanted[:] = rotor_speeds([1.1 * HOVER] * 4, True, ROTOR)
     plant.advance(1200)
@@ -184,7 +184,7 @@ def test_the_rate_loop_is_fast_enough_and_damped(airframe, axis, index):
     assert max(poles.real) < -1.0
     oscillating = [s for s in poles if s.imag > 0.0]
     assert all(-s.real / abs(s) > 0.4 for s in oscillating)
-    assert 0.01 <= p <= 0.5  # limits that PX4 states for them
+    assert 0.01 <= p <= 0.5  # PX4's documented limits
     assert 0.0 <= d <= 0.01
 
 
@@ -194,7 +194,7 @@ def test_the_lines_of_every_form_hold_all_of_them(airframe, form):
     params = load(airframe)
     text = parameter_text(params, form)
     assert parameters_of(text) == pytest.approx(parameters(params))
-    assert "CA_ROTOR_COUNT=4" in text or "CA_ROTOR_COUNT 4\n" in text  # whole numbers stay whole
+    assert "CA_ROTOR_COUNT=4" in text or "CA_ROTOR_COUNT 4\n" in text  # integers are printed without decimals
     assert all(len(name) <= 16 for name in parameters(params))  # MAVLink's limit
 
 

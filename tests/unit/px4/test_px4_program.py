@@ -1,10 +1,10 @@
-"""PX4's program as a child: which parameters are set. A script stands in for PX4 and for its console."""
+"""PX4's program as a child: which parameters are set. A script replaces PX4 and its console."""
 
 import pytest
 
 from sim.px4.program import Px4Model, Px4Program
 
-# Its parameters are files; a command with a name that it does not have fails.
+# Its parameters are files; a command with an unknown parameter fails.
 STAND_IN = """#!/bin/sh
 cd "$(dirname "$0")/.."
 case "$(basename "$0") $1" in
@@ -22,7 +22,7 @@ esac
 
 @pytest.fixture
 def build(tmp_path):
-    """Folder of a build whose release has three parameters."""
+    """Return the folder of a build whose release has three parameters."""
     (tmp_path / "etc").mkdir()
     (tmp_path / "px4-alias.sh").write_text("alias param='px4-param --instance 0'\n")
     (tmp_path / "px4").write_text(STAND_IN)
@@ -36,7 +36,7 @@ def build(tmp_path):
 
 @pytest.mark.parametrize("speed", [1.0, 5.0])
 def test_what_the_release_has_is_set_and_what_it_has_not_is_named(build, speed):
-    """PX4 1.18 dropped COM_OBC_LOSS_T and renamed others: neither change prevents a flight."""
+    """PX4 1.18 removed COM_OBC_LOSS_T and renamed others: neither change prevents a flight."""
     wanted = {"COM_OBL_RC_ACT": 4, "COM_RC_IN_MODE": 0, "SYS_HAS_GPS": 0}
     px4 = Px4Program(
         build, build / "run", Px4Model.SIHSIM_QUADX, parameters=wanted, speed=speed, origin_wgs84=None

@@ -1,4 +1,4 @@
-"""What PX4's sensors and motion capture read."""
+"""Readings of PX4's sensors and of motion capture."""
 
 import math
 
@@ -27,7 +27,7 @@ ANGLE = st.floats(-math.pi, math.pi)
 
 
 def quaternion(yaw, pitch, roll):
-    """Attitude FLU in ENU, turned about z, y, x."""
+    """Return the attitude FLU in ENU, rotated about z, y, x."""
 
     def half(angle, axis):
         q = np.zeros(4)
@@ -123,7 +123,7 @@ def test_barometer_shows_the_height(height):
 def test_fix_shows_position_and_velocity(x, y, z, vx, vy, vz):
     fixes = [r.fix for r in many(body(position=(x, y, z), velocity=(vx, vy, vz)), 250) if r.fix is not None]
     assert len(fixes) == 10
-    metres = 111_194.9  # of a degree on a sphere of 6371 km
+    metres = 111_194.9  # length of a degree on a sphere of 6371 km
     north = mean([(f.latitude_e7 * 1e-7 - ORIGIN_LATITUDE_DEG) * metres] for f in fixes)[0]
     east = mean([(f.longitude_e7 * 1e-7 - ORIGIN_LONGITUDE_DEG) * metres] for f in fixes)[0]
     east *= math.cos(math.radians(ORIGIN_LATITUDE_DEG))
@@ -149,7 +149,7 @@ def posed(position=(1.0, 2.0, 3.0), q=(1.0, 0.0, 0.0, 0.0)):
 
 
 def poses(link, state, count=2500, seed=1):
-    """Time in ms and pose of everything that comes within so many steps."""
+    """Return time in ms and pose of all samples that arrive within this many steps."""
     mocap = Px4Mocap(link, seed)
     return [(4 * k, m) for k in range(count) for m in mocap.poll(state, k * STEP_NS, 1_000_000 + 4000 * k)]
 

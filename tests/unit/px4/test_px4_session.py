@@ -1,4 +1,4 @@
-"""One session over a real TCP connection, with a PX4 that behaves badly in every way."""
+"""One session over a real TCP connection, with a misbehaving PX4."""
 
 import itertools
 import threading
@@ -30,7 +30,7 @@ def server():
 
 @pytest.fixture
 def short(monkeypatch):
-    """Patience of a test."""
+    """Time-outs of a test."""
     monkeypatch.setattr(px4_session, "HELLO_MAX_S", SHORT_S)
     monkeypatch.setattr(px4_session, "BOOT_MAX_S", SHORT_S)
     monkeypatch.setattr(px4_session, "NUDGE_S", 0.1)
@@ -42,7 +42,7 @@ def steps(session, count):
 
 
 class Pair:
-    """A session and the PX4 at its other end, stepped by turns in one thread."""
+    """A session and the PX4 at its other end, stepped in turn in one thread."""
 
     def __init__(self, server, **options):
         self.fake = FakePx4(server.port, **options)
@@ -55,14 +55,14 @@ class Pair:
         )  # fmt: skip
 
     def begin(self):
-        """Greet, and do the first answered step."""
+        """Greet, and run the first answered step."""
         self.fake.hello()
         self.session.greet()
-        self.session._start_s += 10.0  # patience for the first answer, on a busy machine too
+        self.session._start_s += 10.0  # a longer wait for the first answer on a busy machine
         self.answering([(0.0,) * 4])
 
     def answering(self, outputs, **options):
-        """Do as many steps, each answered with its outputs."""
+        """Run this many steps, each answered with its outputs."""
 
         def px4():
             for controls in outputs:
@@ -89,7 +89,7 @@ def test_steps_with_each_answer_and_tells_what_happens(pair):
     assert pair.session.steps == 51
     assert pair.session.plant.truth().time_s == pytest.approx(0.204)
     assert min(pair.session.plant.truth().rotor_rpm) > 5000.0
-    pair.answering([(0.7,) * 4] * 200, armed=False)  # outputs of a disarmed PX4 count for nothing
+    pair.answering([(0.7,) * 4] * 200, armed=False)  # outputs of a disarmed PX4 have no effect
     assert max(pair.session.plant.truth().rotor_rpm) < 1.0
     assert pair.events == [Event.CONNECTED, Event.LOCKSTEP, Event.ARMED, Event.DISARMED]
     assert pair.session.nudges == 0
@@ -105,7 +105,7 @@ def test_a_pause_of_the_machine_in_flight_is_told_once_and_not_caught_up(pair):
         pair.answering([(0.7,) * 4], armed=session._armed)
         assert time.monotonic() - session._start_s - session.steps * STEP_S < 50.0
 
-    pause()  # on the ground it harms nobody
+    pause()  # harmless on the ground
     for _ in range(2):
         pair.answering([(0.7,) * 4])
         pause()
@@ -138,7 +138,7 @@ def test_a_silent_px4_is_called_dead_with_the_time_and_hardly_anything_moves_mea
 def test_one_lost_answer_does_not_end_the_flight(pair, short):
     pair.begin()
     pair.session._silent_max_s = 5.0
-    pair.session.step()  # goes on after a while: PX4 may wait for a sensor as well
+    pair.session.step()  # continues after a while, because PX4 may wait for a sensor
     assert pair.session.nudges == 1
     pair.fake.sensor()
     pair.answering([(0.7,) * 4] * 10)
@@ -151,7 +151,7 @@ def test_an_old_answer_and_one_said_twice_let_nothing_go_on(pair):
 
     def px4():
         sensor = pair.fake.sensor()
-        pair.fake.answer(first, (0.9,) * 4)  # the first one's again
+        pair.fake.answer(first, (0.9,) * 4)  # the answer to the first one again
         pair.fake.answer(sensor.time_usec, (0.5,) * 4)
         pair.fake.answer(sensor.time_usec, (0.9,) * 4)
         pair.fake.answer(pair.fake.sensor().time_usec, (0.4,) * 4)

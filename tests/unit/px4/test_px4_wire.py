@@ -86,7 +86,7 @@ def test_hil_sensor_flags_only_what_is_new():
     assert (m.xgyro, m.ygyro, m.zgyro) == pytest.approx((0.1, 0.2, 0.3))
     slow = Slow((0.2, 0.0, 0.4), 1013.0, 2.08, 15.0)
     m = over_the_wire(hil_sensor(124, Readings((0, 0, 0), (0, 0, 0), slow, None)))
-    assert m.fields_updated == 0b1101111111111  # all but differential pressure
+    assert m.fields_updated == 0b1101111111111  # all except differential pressure
     assert (m.xmag, m.zmag, m.abs_pressure, m.pressure_alt, m.temperature) == pytest.approx(
         (0.2, 0.4, 1013.0, 2.08, 15.0)
     )
@@ -122,10 +122,10 @@ def test_answers_are_told_apart_by_px4_s_clock_whether_it_counts_from_the_first_
     for k in range(5):
         lockstep.sent(FIRST_US + k * 4000)  # PX4 starts: no answers
     assert not lockstep.started
-    assert not lockstep.take(answer(FIRST_US + 3 * 4000 - zero_us))  # to an earlier one
+    assert not lockstep.take(answer(FIRST_US + 3 * 4000 - zero_us))  # the answer to an earlier one
     assert lockstep.started
     assert lockstep.take(answer(FIRST_US + 4 * 4000 - zero_us))
-    assert not lockstep.take(answer(FIRST_US + 4 * 4000 - zero_us))  # twice
+    assert not lockstep.take(answer(FIRST_US + 4 * 4000 - zero_us))  # a repeated answer
     lockstep.sent(FIRST_US + 5 * 4000)
     assert not lockstep.take(answer(FIRST_US + 4 * 4000 - zero_us))
     assert not lockstep.take(answer(0))

@@ -1,4 +1,4 @@
-"""What the packages import is declared in pyproject.toml, in the layer of each package, and nothing else."""
+"""pyproject.toml declares exactly what the packages import, in the layer of each package."""
 
 import re
 import sys
@@ -10,12 +10,12 @@ import grimp
 from tests.integration.sim_processes import ROOT
 
 OURS = ("flightstack", "bridge", "sim", "logs")
-# packages that need more than the dependencies of the onboard process, and the extras that they may use
+# packages with more dependencies than the onboard process, and the extras that they may use
 EXTRAS = {
     "bridge.crazyflie": {"crazyflie"},
     "flightstack.api": {"sim", "export", "report", "env"},
     "flightstack.cli": {"view"},
-    "flightstack.compiled": {"sim"},  # only where it is installed: tests/unit/compiled/test_core.py
+    "flightstack.compiled": {"sim"},  # optional: tests/unit/compiled/test_core.py
     "logs.report": {"report"},
     "logs.tools": {"export"},
     "logs.view": {"view"},
@@ -24,7 +24,7 @@ EXTRAS = {
     "sim.validation": {"sim", "export", "report"},
     "sim.campaign": {"sim", "cluster", "report", "export"},
 }
-# distributions that a module loads by the name of an extension in them, without an import statement
+# distributions whose extension is loaded by name, without an import statement
 BY_NAME = {"osqp": "flightstack/core/safety/solver.py"}
 
 

@@ -1,4 +1,4 @@
-"""The pages: every link leads somewhere, every file they name exists, every page is in the index."""
+"""The documentation: every link is valid, every named file exists, every page is in the index."""
 
 import re
 from pathlib import Path
@@ -13,13 +13,13 @@ FILE = re.compile(r"`((?:flightstack|bridge|sim|logs|tests|docs|examples)/[\w./*
 
 
 def anchors(page):
-    """Anchors of a page's headings, as GitHub makes them."""
+    """Return the anchors of a page's headings, as GitHub makes them."""
     headings = re.findall(r"^#+ (.+)$", page.read_text(), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
 def prose(page):
-    """A page without its blocks of code."""
+    """Return a page without its code blocks."""
     return re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
 
 

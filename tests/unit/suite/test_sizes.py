@@ -1,4 +1,4 @@
-"""No file is longer, and no folder holds more files, than a reader takes in at once."""
+"""Limits on the length of files and on the number of files in a folder."""
 
 import subprocess
 from collections import Counter

@@ -1,4 +1,4 @@
-"""ROS 2 messages by mcap-ros2-support, a CDR codec that shares nothing with ours, and sessions."""
+"""ROS 2 messages by mcap-ros2-support, an independent CDR codec, and Zenoh sessions."""
 
 import re
 import time
@@ -70,7 +70,7 @@ def pose_covariance(stamp_ns, frame_id, position, covariance, q=(1.0, 0.0, 0.0, 
 
 
 def transforms(*edges):
-    """Edges are (stamp_ns, parent, child, position, quaternion)."""
+    """Return a TF message; edges are (stamp_ns, parent, child, position, quaternion)."""
     made = [
         space(
             header=header(stamp_ns, parent),
@@ -97,9 +97,9 @@ def odometry(
 
 
 def on_free_ports(text):
-    """The same commands with each port they name, 7447 to 14580, changed to one that is free."""
+    """Return the commands with each named port, 7447 to 14580, replaced by a free one."""
     found = set(re.findall(r":(74\d\d|14\d\d\d)\b", text))
-    free = {port: free_port(udp=port.startswith("14")) for port in found}  # Zenoh's are of TCP
+    free = {port: free_port(udp=port.startswith("14")) for port in found}  # Zenoh uses TCP
     return re.sub(r":(74\d\d|14\d\d\d)\b", lambda match: f":{free[match[1]]}", text)
 
 
@@ -113,7 +113,7 @@ def until(condition, what="it", timeout_s=PATIENCE_S):
 
 
 def rmw_session(endpoint):
-    """A Zenoh session as rmw_zenoh opens it (DEFAULT_RMW_ZENOH_SESSION_CONFIG.json5)."""
+    """Open a Zenoh session as rmw_zenoh does (DEFAULT_RMW_ZENOH_SESSION_CONFIG.json5)."""
     config = zenoh.Config.from_json5(f'''{{
         mode: "peer",
         connect: {{ endpoints: ["{endpoint}"] }},

@@ -75,7 +75,7 @@ def test_encoding_is_byte_equal_with_rosbags(odometry):
 @given(odometries())
 def test_decoding_what_rosbags_wrote_gives_the_same_values(odometry):
     decoded = decode_odometry(bytes(STORE.serialize_cdr(ros_message(odometry), NAME)))
-    assert repr(decoded) == repr(odometry)  # repr: NaN equals itself
+    assert repr(decoded) == repr(odometry)  # repr, because NaN does not equal itself
 
 
 def usual(**changes):
@@ -154,14 +154,14 @@ def test_anything_else_is_no_attachment(data):
         (0.0009, 0.0004, 0.03),
         (0.0004, 0.0, 0.0),
         (-1.0, -1.0, 0.0),
-        (1e6, 1e6, 0.0),  # what is not measured, by habit
+        (1e6, 1e6, 0.0),  # large values that drivers use for unmeasured axes
         (math.nan, 0.01, 0.0),
         (0.01, math.nan, 0.0),
         (math.inf, 0.01, 0.0),
     ],
 )
 def test_what_a_sender_says_of_its_accuracy_is_in_the_sample(x, y, sigma):
-    """Through rosbags' encoder; everything else in the covariances means nothing here."""
+    """Encode with rosbags; other covariances have no meaning here."""
     covariance = np.random.default_rng(1).normal(size=36)
     covariance[0], covariance[7] = x, y
     for name, field in (

@@ -30,7 +30,7 @@ SPEED_M_S, TURN_RAD_S = 0.2, 0.5
 
 
 def circle(t_s, noise=(0.0, 0.0, 0.0), frame="map"):
-    """A robot on a circle, as a tracker sees it."""
+    """Return a robot on a circle, as a tracker measures it."""
     radius_m, yaw_rad = SPEED_M_S / TURN_RAD_S, TURN_RAD_S * t_s
     x, y = radius_m * math.sin(yaw_rad), radius_m * (1.0 - math.cos(yaw_rad))
     position = (x + noise[0], y + noise[1], 0.2 + noise[2])
@@ -38,7 +38,7 @@ def circle(t_s, noise=(0.0, 0.0, 0.0), frame="map"):
 
 
 def drive(track, begin_s, end_s, rate_hz=50, sigma_m=0.0, seed=1):
-    """Samples that come out, with their times."""
+    """Return the resulting samples, with their times."""
     chance = np.random.default_rng(seed)
     for i in range(round(begin_s * rate_hz), round(end_s * rate_hz)):
         t_s = i / rate_hz
@@ -108,7 +108,7 @@ def test_a_gap_or_a_new_clock_begins_anew():
         track = PoseTrack(LINK, "base")
         list(drive(track, 2.0 * RESTART_S, 5.0))
         if begin_s == 0.0:
-            begin_s = 1.0  # stamps far back
+            begin_s = 1.0  # time stamps far in the past
         else:
             begin_s += 5.0
         samples = list(drive(track, begin_s, begin_s + 2.0))
@@ -134,7 +134,7 @@ STAMP = 1_700_000_000_000_000_000
 
 
 def at(t_s, speed_m_s=0.2, turn_rad_s=0.5):
-    """Odometry of a robot on a circle."""
+    """Return odometry of a robot on a circle."""
     radius_m, yaw_rad = speed_m_s / turn_rad_s, turn_rad_s * t_s
     position_m = (radius_m * math.sin(yaw_rad), -radius_m * math.cos(yaw_rad), 0.0)
     return Odometry(
@@ -183,7 +183,7 @@ def test_a_source_shifts_what_it_hears(kind):
                 put.put(ros.pose_stamped(truth.stamp_ns, "odom", truth.position_m, truth.orientation_wxyz))
         raw = listening.poll()[-1]
         last, wanted = sample_of(raw, 0.0), sample(shift_odometry(at(99 / 50), OFFSET))
-        assert sample_from_cdr(raw.payload, 0.0) == last  # the log's bytes say what is flown by
+        assert sample_from_cdr(raw.payload, 0.0) == last  # the log's bytes reproduce the flown sample
         assert last.position_enu_m == pytest.approx(wanted.position_enu_m)
         assert last.velocity_enu_m_s == pytest.approx(wanted.velocity_enu_m_s, abs=0.01)
         put.put(b"\x00\x01\x00\x00")
@@ -222,7 +222,7 @@ def matrix(position, q):
 
 
 def placed(chance, count):
-    """Places and unit quaternions by chance."""
+    """Return random positions and unit quaternions."""
     turns = chance.normal(size=(count, 4))
     turns /= np.linalg.norm(turns, axis=1)[:, None]
     return [
@@ -298,7 +298,7 @@ def test_a_frame_fixed_to_one_that_moves_goes_with_it_and_has_its_time():
         assert "no transform of 'pad' yet" in chain.problem
         chain.take_fixed([edges[4], edges[0]])
         chain.take_fixed([edges[2]._replace(child_frame_id="/base"), edges[3]])
-        late = 100 * SECOND  # what is fixed has no age
+        late = 100 * SECOND  # a static transform has no age
         [found] = chain.take([edge(late, "room", "foot", *poses[1])])
         wanted = np.linalg.multi_dot([matrix(*one) for one in poses])
         assert (found.stamp_ns, found.frame_id, chain.problem) == (late, "map", "")

@@ -157,7 +157,7 @@ ODOMETRY = ROS_TYPES[TargetType.ODOMETRY]
 
 
 def graph(session, domain=0):
-    """What ``ros2 node list`` and ``ros2 topic list`` are made of."""
+    """Return the data of ``ros2 node list`` and ``ros2 topic list``."""
     return sorted(
         str(reply.ok.key_expr) for reply in session.liveliness().get(f"@ros2_lv/{domain}/**", timeout=1.0)
     )

@@ -1,4 +1,4 @@
-"""A target of ROS 2 through a real router: what another library wrote is consumed, what is wrong refused."""
+"""A ROS 2 target through a real router: messages of another library are used, bad ones rejected."""
 
 import math
 import struct
@@ -21,16 +21,16 @@ STAMP = 1_700_000_000_500_000_000
 
 
 def attachment(sequence, time_ns):
-    """As the design document of rmw_zenoh has it: two int64, a length, 16 bytes."""
+    """Encode as in rmw_zenoh's design document: two int64, a length, 16 bytes."""
     return struct.pack("<qqB", sequence, time_ns, 16) + ros.GID
 
 
 class Robot:
-    """Plays a publisher of rmw_zenoh, which is an advanced one without a cache (rmw_publisher_data.cpp)."""
+    """Plays a publisher of rmw_zenoh: an advanced one without a cache (rmw_publisher_data.cpp)."""
 
     def __init__(self, session, key):
         self.publisher = declare_advanced_publisher(session, key)
-        self._probe = zenoh_link.dropping_publisher(session, key)  # that one tells of subscribers
+        self._probe = zenoh_link.dropping_publisher(session, key)  # this one reports subscribers
         self.sequence = 0
 
     def put(self, payload, with_attachment=True):
@@ -46,7 +46,7 @@ class Robot:
 
 @contextmanager
 def source(text, kind=TargetType.ODOMETRY, key=None, domain=0, link=None):
-    """A ROS 2 robot and the source that listens to it, through a router."""
+    """A ROS 2 robot and the source that subscribes to it, through a router."""
     with ros.network() as (_, ours, theirs):
         spec = TargetSpec.parse(text, kind, domain)
         listening = TargetSource(ours, spec, FRAME, CHILD, link or TargetLink())
@@ -67,7 +67,7 @@ def collect(listening, count):
 
 
 def told(listening):
-    """The first thing that it says."""
+    """Return the first reported problem."""
 
     def one():
         assert listening.poll() == []
@@ -96,7 +96,7 @@ def test_a_turtlebot_is_followed_by_its_topic():
 def test_a_robot_that_comes_late_and_one_that_comes_again():
     with ros.network(2) as (_, ours, one, two):
         listening = TargetSource(ours, TargetSpec.parse("ros2:/odom"), FRAME, CHILD, TargetLink())
-        for session in (one, two):  # a node started anew is another publisher
+        for session in (one, two):  # a restarted node is another publisher
             robot = Robot(session, topic_key(0, "/odom", *ROS_TYPES[TargetType.ODOMETRY]))
             robot.wait()
             robot.put(ros.odometry(STAMP, FRAME, CHILD))
@@ -129,7 +129,7 @@ def test_another_type_or_hash_is_refused_with_its_name(name, type_hash, words):
         assert listening.refused == 1
         robot.put(ros.odometry(STAMP, FRAME, CHILD))
         until(lambda: listening.poll() == [] and listening.refused == 2)
-        assert listening.take_problems() == []  # once is enough
+        assert listening.take_problems() == []  # reported only once
 
 
 @pytest.mark.parametrize(
@@ -183,7 +183,8 @@ def test_a_target_without_a_velocity_gets_one(kind):
 @pytest.mark.parametrize("prefix", ["ros2:", "ros2dds:"])
 @pytest.mark.parametrize("early", [True, False])
 def test_a_landing_spot_fixed_to_the_robot_is_found_by_tf_alone(prefix, early):
-    """Said once and kept for who comes late, as robot_state_publisher does (transient local)."""
+    """A transform published once, cached for late subscribers, as by robot_state_publisher (transient
+    local)."""
     with ros.network(2) as (_, ours, robot_session, state_session):
         spec = TargetSpec.parse(f"{prefix}/tf", TargetType.TF)
         typed = ROS_TYPES[TargetType.TF]

@@ -1,4 +1,4 @@
-"""Zenoh: odometry on the wire, sessions, keys that may be a target's."""
+"""Zenoh: odometry, sessions, and keys that may belong to a target."""
 
 import contextlib
 import json
@@ -23,8 +23,8 @@ from tests.processes.ports import free_endpoint
 from tests.unit.target.ros2_helpers import until
 
 KEY = "cf1/target/odom"
-SCOUTING_S = 0.5  # s that Zenoh would wait for peers when it opens a session (its "scouting/delay")
-TRIES = 20  # a busy machine may take as long for other reasons, but hardly each time
+SCOUTING_S = 0.5  # time that Zenoh would wait for peers when it opens a session (its "scouting/delay"), s
+TRIES = 20  # a busy machine may take this long for other reasons, but not at each try
 
 
 @pytest.fixture
@@ -51,7 +51,7 @@ def test_odometry_arrives_in_order_with_its_attachment(sessions, lossless):
         )
         publisher.put(payload, source_time_ns=1000 + i)
         payloads.append(payload)
-        if not lossless:  # a hundred at once may be too many for a busy machine, and then some are dropped
+        if not lossless:  # a busy machine may drop some of a hundred messages
             until(lambda: received.extend(subscriber.poll()) or len(received) == len(payloads))
     until(lambda: received.extend(subscriber.poll()) or len(received) == 100)
     assert [raw.payload for raw in received] == payloads
@@ -67,7 +67,7 @@ def test_ring_drops_the_oldest_within_one_session():
     try:
         ring = zenoh_link.ring_subscriber(session, "t/ring", capacity=3)
         publisher = zenoh_link.dropping_publisher(session, "t/ring")
-        for i in range(10):  # delivered in this thread, since it is the same session
+        for i in range(10):  # delivered in this thread, because it is the same session
             publisher.put(bytes([i]))
         assert [sample.payload.to_bytes()[0] for sample in zenoh_link.drain(ring)] == [7, 8, 9]
     finally:
@@ -84,7 +84,7 @@ def test_late_listener_is_found_by_retry():
         if took_s[-1] < SCOUTING_S:
             break
         dialler.close()
-    assert min(took_s) < SCOUTING_S  # no wait for the peer that is not there
+    assert min(took_s) < SCOUTING_S  # no wait for the missing peer
     assert zenoh_link.transports(dialler) == 0
     listener = open_session([endpoint])
     try:
@@ -95,10 +95,10 @@ def test_late_listener_is_found_by_retry():
 
 
 def listening_addresses():
-    """Local addresses, as the kernel writes them, on which this process listens for TCP."""
+    """Return the local TCP addresses on which this process listens, in the kernel's format."""
     own = set()
     for link in Path("/proc/self/fd").iterdir():
-        with contextlib.suppress(OSError):  # the descriptor of this very listing is gone by now
+        with contextlib.suppress(OSError):  # the descriptor of this listing is closed by now
             own.add(str(link.readlink()))
     rows = [
         row.split() for name in ("tcp", "tcp6") for row in Path("/proc/net", name).read_text().splitlines()
@@ -159,7 +159,7 @@ OTHERS = ("cf1/controller/step", "camera/image")
 
 @pytest.fixture
 def pair():
-    """Two sessions of which the second dials the first."""
+    """Return two sessions; the second connects to the first."""
     endpoint = free_endpoint()
     there = zenoh_link.open_session(listen=[endpoint])
     here = zenoh_link.open_session(connect=[endpoint])
@@ -187,11 +187,11 @@ def test_likely_keys_are_found_and_others_are_not(pair):
     assert set(until_found(search, [*publishers, own], len(LIKELY))) == set(LIKELY.values())
     search.stop()
     assert not any(zenoh_link.is_matched(one) for one in publishers[: len(OTHERS)])
-    assert search.keys() == ()  # begun anew
+    assert search.keys() == ()  # restarted
 
 
 def setting(file, key, **arguments):
-    """A setting of the session that a file would make."""
+    """Return a setting of the session from a configuration file."""
     role = arguments.pop("role", Role.PEER)
     config = zenoh_link._configuration(arguments.get("listen", ()), arguments.get("connect", ()), file, role)
     return json.loads(config.get_json(key))
@@ -266,7 +266,7 @@ def test_a_router_passes_on_but_not_from_peer_to_peer():
         got = {name: set() for name in sessions}
 
         def all_there():
-            for key, put in puts.items():  # the peer's before the client's, which arrives everywhere
+            for key, put in puts.items():  # the peer's first, then the client's, which arrives everywhere
                 put.put(key)
             for name, subscriber in heard.items():
                 got[name] |= {str(sample.key_expr) for sample in zenoh_link.drain(subscriber)}

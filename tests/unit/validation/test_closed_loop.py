@@ -1,4 +1,4 @@
-"""Recorded set-points flown by the simulated vehicle: flights that the simulator made, and real ones."""
+"""Recorded set-points flown by the simulated vehicle, for simulated and real recordings."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from sim.vehicle.vehicle import VehicleSim
 from tests.recorded import flights
 from tests.unit.vehicle.vehicle_sim_helpers import scenario
 
-ROOM = replace(load("crazyflie21_room"), torque_noise=TorqueNoiseShape())  # chance would hide what is tested
-MARKERS_M = 0.04  # what motion capture calls the vehicle's place is higher than its centre of mass
+ROOM = replace(load("crazyflie21_room"), torque_noise=TorqueNoiseShape())  # without random torques
+MARKERS_M = 0.04  # height of motion capture's reference above the centre of mass
 GROUND_TICKS, UP_TICKS, TICKS = 100, 500, 2000
 
 
 def setpoint(tick):
-    """Up to 1 m in 2 s, then circles of 0.8 m at 0.6 m/s."""
+    """Return set-points: up to 1 m in 2 s, then circles of 0.8 m at 0.6 m/s."""
     height = min(1.0, 0.05 + (tick - GROUND_TICKS) / 200.0)
     angle = 0.75 * max(0.0, (tick - UP_TICKS) / 100.0)
     return (3.0 + 0.8 * math.sin(angle), 0.8 - 0.8 * math.cos(angle), height)
@@ -33,7 +33,7 @@ def setpoint(tick):
 
 @cache
 def recorded(plant: Plant, by_mellinger=False):
-    """A flight of the simulated vehicle, in the columns of a recording."""
+    """Return a flight of the simulated vehicle in the columns of a recording."""
     spec = VehicleSpec("crazyflie21_room", VelocityLoop.PID, own=StateError())
     start = Start(StartKind.GROUND, ground_position_m=(3.0, 0.0))
     sim = VehicleSim(scenario(start=start, vehicle=spec), 5, ROOM, plant)
@@ -75,7 +75,7 @@ def test_the_simulators_own_flight_is_found_again(by_mellinger):
     assert b.horizontal_m == pytest.approx(a.horizontal_m, rel=0.15)
     assert b.vertical_m == pytest.approx(a.vertical_m, abs=0.02)
     assert b.duty == pytest.approx(a.duty, rel=0.01)
-    assert b.tilt_rms_rad == pytest.approx(a.tilt_rms_rad, rel=0.25)  # the own state errs otherwise
+    assert b.tilt_rms_rad == pytest.approx(a.tilt_rms_rad, rel=0.25)  # the estimate's errors differ
     assert b.tilt_p95_rad == pytest.approx(a.tilt_p95_rad, rel=0.25)
     assert b.sag_v_s == pytest.approx(a.sag_v_s, abs=1e-3)
 
@@ -90,7 +90,7 @@ def test_a_tired_battery_saturates_in_both():
 
 
 def test_a_plant_of_less_thrust_is_named():
-    """The thrust of the airframe says by how much the vehicle file is off."""
+    """The airframe's thrust shows the error of the vehicle file."""
     weak = replace(ROOM, body=replace(ROOM.body, mass_kg=1.1 * ROOM.body.mass_kg))
     assert fly(screen(recorded(AIRFRAME)), weak, 0).thrust == pytest.approx(1.1 * 0.97, abs=0.01)
 

@@ -27,7 +27,7 @@ ERROR = sensing.Error(
 
 
 def horizon(seconds, position=0.35, velocity=0.4):
-    """Errors of a model, over those of constant velocity."""
+    """Return a model's errors as ratios to constant velocity."""
     return open_loop.Horizon(
         seconds,
         open_loop.Compared(position * 0.02, 0.02, 0.9 * 0.02),
@@ -114,7 +114,8 @@ def test_a_speed_without_flights_is_open():
 
 
 def test_chance_explains_some_of_a_difference_and_not_more():
-    """Errors of flights that differ by a factor of three, simulated ones a third or six times larger."""
+    """Return errors of flights that differ by a factor of three; simulated ones a third or six times
+    larger."""
 
     def word(factor):
         sizes = np.geomspace(0.006, 0.018, 8)

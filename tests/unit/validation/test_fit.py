@@ -1,4 +1,4 @@
-"""Vehicles' numbers fitted to flights: those that the simulator made are found again, bad input is named."""
+"""Vehicle parameters fitted to flights: those of simulated flights are found, bad input is reported."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ TRUE = start_values(ROOM)
 
 @cache
 def own_fit(plant):
-    """Fit to a flight of the simulator, from numbers that are all wrong."""
+    """Fit a simulated flight, starting from wrong numbers."""
     wrong = TRUE._replace(
         hover_v=2.6, exponent=1.7, lag_s=0.03, drag_1_s=0.5, inertia_kg_m2=2.4e-5, drag_above_com_m=0.02,
         rate_damping_1_s=2.0,
@@ -39,7 +39,7 @@ def own_fit(plant):
     return found
 
 
-# share of the true number: commands that are logged at 100 Hz and come at 500 Hz leave some per cent
+# allowed relative errors: commands at 500 Hz, logged at 100 Hz, leave some per cent
 WITHIN = Values(0.005, 0.03, 0.12, 0.05, 0.2, 0.1, 0.1, 0.5, 2.0, 0.1)
 
 

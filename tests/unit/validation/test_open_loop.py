@@ -1,4 +1,4 @@
-"""Recorded motor commands flown by the plant: flights that the simulator made, and real ones."""
+"""Recorded motor commands flown by the plant, for simulated and real recordings."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ NAMES = ("B3_figure8_slow_rep1", "B2_circle_fast_rep2", "B7_oval_medium_rep2", "
 
 def test_real_flights_are_predicted():
     found = [compare(load_flight(path, read_columns()), ROOM) for path in flights(*NAMES)]
-    for end, limit in enumerate((0.5, 0.5, 0.8)):  # torque that nobody knows of limits the last one
+    for end, limit in enumerate((0.5, 0.5, 0.8)):  # unknown torque limits the last one
         for name in ("position_m", "velocity_m_s"):
             errors = [getattr(one.horizons[end], name) for one in found]
             assert np.median([e.model / e.constant_velocity for e in errors]) < limit

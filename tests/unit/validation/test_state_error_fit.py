@@ -1,4 +1,4 @@
-"""Parameters of own-state errors: those put in are found again, the defaults are those of real flights."""
+"""Parameters of state-estimate errors: given ones are found, the defaults are those of real flights."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ PUT_IN = StateError(
 
 
 def made(seed, error, seconds=30.0):
-    """A flight on figures of eight at 0.2 to 1 m/s, with the estimate of the model."""
+    """Return a flight on figures of eight at 0.2 to 1 m/s, with an estimate from the model."""
     t = np.arange(0.0, seconds, 0.01)
     rng = np.random.default_rng(seed)
     pace = rng.uniform(0.4, 1.0)
@@ -51,7 +51,7 @@ def test_what_was_put_in_is_found():
 
 
 def pooled(found, quantity):
-    """Sizes in the bands of speed, simulated over recorded, and the difference of the delays, s."""
+    """Return ratios of simulated to recorded errors in speed bands, and the difference of the delays, s."""
     pairs = [(getattr(each.simulated, quantity), getattr(each.recorded, quantity)) for each in found]
     sizes = np.sqrt(np.nanmean(np.square([[e.by_speed for e in pair] for pair in pairs]), axis=0))
     return sizes[0] / sizes[1], np.mean([a.delay_s - b.delay_s for a, b in pairs])
@@ -68,7 +68,7 @@ def test_simulated_estimates_are_like_those_that_the_same_model_made():
 
 
 def test_the_defaults_are_like_the_recorded_flights():
-    """A third of them; the table in docs/how_it_works/own_state.md has all."""
+    """A third of the flights; the table in docs/how_it_works/own_state.md has all."""
     columns = read_columns()
     recorded = [load(path, columns) for path in flights()[::3]]
     found = [compare(flight, number) for number, flight in enumerate(recorded) if flight.usable]

@@ -1,4 +1,4 @@
-"""Controllers, mixer, supervisor, estimator."""
+"""Controllers, mixer, supervisor and estimator of the firmware model."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def speeds_of(counts, rpm_max=1e9):
 
 
 def turned_at(speeds):
-    """Wrench of rotors at these speeds."""
+    """Return the wrench of rotors at these speeds."""
     rotors = Rotors(PARAMS.rotor, Plant(), False, STEP_S)
     rotors.rpm = speeds
     turn_rotors(rotors.record, np.array(speeds), 0.0, 0.0)
@@ -75,7 +75,7 @@ class TestEstimator:
         k = np.array(axis_gains(t, accel, 9.81))
         f = np.array([[1.0, t, t * t / 2], [0.0, 1.0, t], [0.0, 0.0, 1.0]])
         poles = np.linalg.eigvals((np.eye(3) - np.outer(k, [1.0, 0.0, 0.0])) @ f)
-        assert max(abs(poles)) < math.exp(-t / 2.0)  # forgets within 2 s
+        assert max(abs(poles)) < math.exp(-t / 2.0)  # decays within 2 s
         velocity, walk = accel**2 * 1e-3, (9.81 * 0.1) ** 2 * 1e-3
         q = velocity * np.array([[t**3 / 3, t**2 / 2, 0], [t**2 / 2, t, 0], [0, 0, 0]]) + walk * np.array(
             [[t**5 / 20, t**4 / 8, t**3 / 6], [t**4 / 8, t**3 / 3, t**2 / 2], [t**3 / 6, t**2 / 2, t]]
@@ -102,7 +102,7 @@ class TestEstimator:
         for k in range(5000):
             predict(
                 estimator.record, np.array(NO_RATES), np.array((0.0, 0.0, 9.81))
-            )  # in truth level and at rest
+            )  # the true state is level and at rest
             if k % 5 == 0:
                 estimator.correct(0.0, 0.0, 1.0, 0.0)
         assert estimator.sensed.axes[6:8] == pytest.approx((0.0, 0.0), abs=1e-4)

@@ -1,8 +1,8 @@
-"""The firmware port against the Crazyflie firmware itself: outputs of the compiled C code on random states.
+"""The firmware model compared with the Crazyflie firmware: outputs of compiled C code on random states.
 
-``tests/data/README.md`` says which functions of which commit, and how the numbers were made. The port
-computes in double precision and the firmware in single; whole counts therefore differ by one at most, where a
-value lies next to a whole number.
+``tests/data/README.md`` lists the functions and their commit, and how the numbers were made. The model
+computes in double precision, the firmware in single; so integer counts may differ by one where a value is
+close to an integer.
 """
 
 from pathlib import Path
@@ -44,7 +44,7 @@ def data(name):
 
 
 def euler_axes(roll, pitch, yaw):
-    """Body axes of a ZYX rotation, FLU, rad."""
+    """Return the body axes of a ZYX rotation, FLU, rad."""
     (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
     x = (cy * cp, sy * cp, -sp)
     y = (cy * sp * sr - sy * cr, sy * sp * sr + cy * cr, cp * sr)
@@ -64,11 +64,11 @@ def setpoint(velocity, yaw_deg):
 
 
 def mellinger_port(rows, paper):
-    """Moments and thrust counts of a sequence, thrust on the firmware's scale."""
+    """Return moments and thrust counts of a sequence, thrust on the firmware's scale."""
     r = paper.record
     out = []
     for q, gyro, force, yaw in ((row[:4], row[4:7], row[7:10], row[10]) for row in rows.astype(float)):
-        wanted = (np.array(force) - (0.0, 0.0, r.weight)) / K_V_N_S_M  # at rest, eq. 8 asks for this force
+        wanted = (np.array(force) - (0.0, 0.0, r.weight)) / K_V_N_S_M  # at rest, eq. 8 commands this force
         state = sensed(rotation_axes(q), gyro)
         thrust, moments = paper_update(r, state, setpoint(wanted, yaw), False)
         out.append((*moments, thrust / r.counts_per_n * MASS_THRUST))
@@ -86,7 +86,7 @@ def test_mellinger_attitude_loop():
         assert got[on, 3] == pytest.approx(expected[on, 3], rel=2e-5, abs=1.0)
         assert not got[~on, 3].any()
     assert worst <= ONE_COUNT
-    assert off < 0.01 * d["out"][..., :3].size  # only where rounding decides
+    assert off < 0.01 * d["out"][..., :3].size  # only by rounding
 
 
 def pid_port(rows):
@@ -116,7 +116,7 @@ def test_mixer():
     d = data("mixer")
     for thrust, moments, expected in zip(d["thrust"], d["moments"], d["out"], strict=True):
         got = np.array(mix(float(thrust), tuple(int(m) for m in moments)))
-        assert np.abs(got - expected.astype(float)).max() <= ONE_COUNT  # the firmware cuts every motor
+        assert np.abs(got - expected.astype(float)).max() <= ONE_COUNT  # the firmware truncates to integers
 
 
 def supervisor_port(rows, accelerations):
@@ -126,7 +126,7 @@ def supervisor_port(rows, accelerations):
         now_ms = 1000 + PERIOD_MS * k
         if action == 1:
             assert port.arm(now_ms) is None
-        elif action in (2, 3):  # disarm; recovery from a crash is a disarm here
+        elif action in (2, 3):  # disarm; in the model a recovery from a crash is also a disarm
             port.disarm(now_ms)
         supervise(port.record, now_ms, age_ms, bool(motors), *accelerations[accel].tolist())
         states.append(port.state)
@@ -147,7 +147,7 @@ def test_supervisor():
 
 
 def test_the_numbers_reach_every_clamp():
-    """A comparison that never saturates or never leaves saturation would prove little."""
+    """A comparison that is always or never saturated would prove little."""
     mellinger, pid = data("mellinger")["out"], data("pid")["short_out"]
     for moments, clamp in ((mellinger[..., :2], 32000.0), (pid[..., :3], 32767.0)):
         share = (np.abs(moments) >= clamp).mean(axis=(0, 1))

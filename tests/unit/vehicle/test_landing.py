@@ -1,4 +1,4 @@
-"""A landing in one process: its wires change numbers as real ones do, and chance is all in the seed."""
+"""A landing in one process: messages are rounded as on real links, and all randomness is in the seed."""
 
 import math
 import random
@@ -34,7 +34,7 @@ _EXTREMES = {
 
 
 def some_message(cls, rng):
-    """A message with numbers that do not survive 32 bits."""
+    """Return a message with numbers that 32 bits cannot represent."""
     values = []
     lengths = dict(zip(cls.ordered_fieldnames, cls.array_lengths, strict=True))
     for name, kind in zip(cls.fieldnames, cls.fieldtypes, strict=True):
@@ -96,7 +96,7 @@ def test_a_target_sample_is_what_cdr_makes_of_it():
 
 
 def short(name, **changes):
-    """A scenario through its text, as workers get it."""
+    """Return a scenario parsed from its text, as workers receive it."""
     text = dumps(to_table(replace(load(name), **changes)))
     return from_table(Scenario, tomllib.loads(text))
 

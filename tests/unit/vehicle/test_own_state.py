@@ -1,4 +1,4 @@
-"""The vehicle's own state and the target's with errors of recorded flights, and what stays without them."""
+"""Vehicle and target states with errors of recorded flights, and results that stay equal without them."""
 
 import math
 from dataclasses import replace
@@ -16,7 +16,7 @@ from tests.unit.vehicle.vehicle_sim_helpers import QUIET, scenario, vehicle
 
 
 def flown(error, *, seconds=4.0, seed=1, mocap=QUIET, fault=(), speed=0.5):
-    """Truths and estimates at 100 Hz of a vehicle that flies a circle."""
+    """Return true states and estimates at 100 Hz of a vehicle that flies a circle."""
     sim = vehicle(seed, vehicle=VehicleSpec(mocap=mocap, own=error), fault=fault)
     pairs = []
     for k in range(round(100 * seconds)):
@@ -28,7 +28,7 @@ def flown(error, *, seconds=4.0, seed=1, mocap=QUIET, fault=(), speed=0.5):
 
 
 def arrays(pairs):
-    """True and believed positions and velocities, each (n, 6)."""
+    """Return true and estimated positions and velocities, each (n, 6)."""
     truth = [(*t.position_enu_m, *t.velocity_enu_m_s) for t, _ in pairs]
     belief = [(*e.position_enu_m, *e.velocity_enu_m_s) for _, e in pairs]
     return np.array(truth), np.array(belief)
@@ -36,7 +36,7 @@ def arrays(pairs):
 
 def test_an_estimate_without_errors_is_the_truth():
     truth, belief = arrays(flown(FINE))
-    # the newest sample is one step old, and the accelerometer's bias counts for that long
+    # the newest sample is one step old, for which the accelerometer's bias acts
     assert np.abs(truth - belief)[:, :3].max() < 1e-3
     assert np.abs(truth - belief)[:, 3:].max() < 0.02
 
@@ -78,7 +78,8 @@ def test_a_fault_of_motion_capture_works_on_the_samples_with_their_errors():
 
 
 def driven(error, seed=1):
-    """Samples of a robot on a circle, and its true position and velocity (ENU) and heading by tick."""
+    """Return samples of a robot on a circle, and its true position, velocity (ENU) and heading at
+    each tick."""
     spec = TargetSpec(PathKind.CIRCLE, 0.2, 0.5, wait_for_landing=False)
     motion = TargetMotion(scenario(target=spec, odometry=TargetLink(error=error)), seed, TickGrid(100))
     truth, samples = [], []

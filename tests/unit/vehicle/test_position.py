@@ -49,7 +49,7 @@ class TestPidPosition:
         st.tuples(*[st.floats(-0.2, 0.2)] * 3), st.tuples(*[st.floats(-0.2, 0.2)] * 3), st.floats(-3.0, 3.0)
     )
     def test_the_first_tick_by_hand(self, error, velocity, yaw):
-        """Tilt = (kp + ki dt) (2 e - v) in the yawed frame; thrust the same with its own integral of 2 e."""
+        """Tilt = (kp + ki dt) (2 e - v) in the yawed frame; thrust likewise, with the integral of 2 e."""
         loop = PidLoop(PARAMS)
         at = (1.0, -2.0, 0.5)
         wanted = tuple(a + e for a, e in zip(at, error, strict=True))
@@ -88,7 +88,7 @@ def mellinger(loop, sensed, setpoint, level=False):
 class TestMellinger:
     @given(st.tuples(*[st.floats(-0.3, 0.3)] * 3), st.tuples(*[st.floats(-0.3, 0.3)] * 3))
     def test_the_first_tick_by_hand(self, error, velocity):
-        """Force by the gains; of a level body all of its upper part is thrust."""
+        """Return the force from the gains; for a level body its upward part is all thrust."""
         counts, (mx, my, mz) = mellinger(
             MellingerLoop(), sensed_at(velocity=velocity), Setpoint(position=error)
         )
@@ -103,7 +103,7 @@ class TestMellinger:
         y = np.cross(z, (1.0, 0.0, 0.0))
         y /= np.linalg.norm(y)
         x = np.cross(y, z)
-        e_r = (z[1] - y[2], x[2] - z[0], y[0] - x[1])  # of Rd' R - R' Rd at R = 1
+        e_r = (z[1] - y[2], x[2] - z[0], y[0] - x[1])  # vector of Rd' R - R' Rd at R = 1
         expected = [
             np.clip(-gain * e, -32000.0, 32000.0) for gain, e in zip((7e4, 7e4, 6e4), e_r, strict=True)
         ]
@@ -118,7 +118,7 @@ class TestMellinger:
         assert moments == (0, 0, 0)
 
     def test_the_integral_of_the_height_is_bounded(self):
-        """A vehicle that needs more than its weight says hangs below its set-point; the recorded ones did."""
+        """A vehicle heavier than its nominal mass stays below its set-point, as the recorded ones did."""
         loop = MellingerLoop()
         for _ in range(5000):
             counts, _ = mellinger(loop, sensed_at(), Setpoint(position=(0.0, 0.0, 0.1)))
@@ -130,7 +130,8 @@ RAMP_M_S = 0.5
 
 @pytest.mark.parametrize("by_mellinger", [False, True])
 def test_a_moving_set_point_is_followed_half_a_second_late(by_mellinger):
-    """Without the velocity the lags are 1 / kp and kd / kp; drag adds, Mellinger's integral takes away."""
+    """Without velocity set-points the lags are 1 / kp and kd / kp; drag adds, Mellinger's integral
+    subtracts."""
     sim = vehicle(
         start=Start(StartKind.GROUND, ground_position_m=(3.0, 0.0)),
         vehicle=VehicleSpec("crazyflie21_room", VelocityLoop.PID),

@@ -1,4 +1,4 @@
-"""The robot of the world process in lockstep: what it publishes, how far ahead, and when it drives off."""
+"""The robot of the world process in lockstep: published data, its lead, and the start of its drive."""
 
 import math
 import struct
@@ -42,7 +42,7 @@ class Log(EventLog):
 
 @pytest.fixture
 def ends():
-    """A session for the robot, and a reader of all that it publishes."""
+    """A session for the robot, and a subscriber to all its data."""
     endpoint = free_endpoint()
     ours, theirs = open_session(listen=[endpoint]), open_session(connect=[endpoint])
     until(lambda: zenoh_link.transports(ours) == 1)
@@ -63,7 +63,7 @@ def robot_of(ends, name, log):
 
 
 def fly(ends, name, chosen_at):
-    """Drive tick by tick like its vehicle, with a reader that gives credit; the decks and log texts."""
+    """Drive tick by tick like its vehicle, with a reader that gives credit; return decks and log texts."""
     log = Log()
     robot, decks = robot_of(ends, name, log), []
     for tick in range(TICKS):
@@ -77,7 +77,7 @@ def fly(ends, name, chosen_at):
 
 
 def received(subscriber, number):
-    """All that came, once so much has come."""
+    """Return all received data, once this much has arrived."""
     came = []
     until(lambda: came.extend(zenoh_link.drain(subscriber)) or len(came) >= number)
     return came
@@ -120,7 +120,7 @@ def test_it_drives_ahead_of_the_credit_by_a_fixed_number_of_ticks_and_waits_for_
 
 
 class Radio:
-    """Both ends."""
+    """Both ends of the ring buffer."""
 
     def __init__(self):
         self.record, self.present = new(InboxRecord), new(SetpointRecord)
@@ -128,7 +128,7 @@ class Radio:
         self.inbox.set(STOP, 0)
 
     def at(self, now_ms):
-        """Speed of the set-point that holds at this time, and since when."""
+        """Return the speed of the set-point at this time, and its age."""
         receive(self.record, self.present, now_ms)
         return float(self.present.vx), int(self.record.taken_ms)
 
@@ -178,7 +178,7 @@ END_MS = 4_000
 
 
 def move(body, now_ms):
-    """Some motion; zeros of both signs at the beginning."""
+    """Return a motion; with zeros of both signs at the start."""
     yaw = 0.001 * now_ms
     body.position[:] = (-0.0 if now_ms < 100 else 0.001 * now_ms, math.sin(yaw), 0.0)
     body.quaternion[:] = (math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw))

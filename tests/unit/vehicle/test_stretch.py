@@ -1,4 +1,4 @@
-"""Ticks in compiled stretches: the same landing to the last bit as tick by tick, alternating with Python."""
+"""Ticks in compiled batches: landings equal those tick by tick to the last bit, also when alternating."""
 
 from dataclasses import fields, replace
 
@@ -17,7 +17,7 @@ from sim.scenarios.team import alone
 
 
 def flown(scenario, seed, on_step=None, parameters=()):
-    """The flight, what was seen of it, and the ticks flown in stretches."""
+    """Fly; return the record, and the ticks flown in batches."""
     flight, stretched = Companion(scenario, seed, on_step), 0
     for name, value in parameters:
         flight.node.autopilot.parameters.preset(name, value)
@@ -36,7 +36,8 @@ def flown(scenario, seed, on_step=None, parameters=()):
 
 
 def assert_equal(scenario, seed, least, *parameters):
-    """Tick by tick and in stretches, which fly at least this share of the ticks; none with numba off."""
+    """Compare tick by tick with batches, which must fly at least this share of the ticks; none
+    without numba."""
     one, seen, stretched = flown(scenario, seed, None, parameters)
     other, wanted, none = flown(scenario, seed, lambda tick, out: None, parameters)
     assert stretched == 0 if is_off() else stretched >= least * len(wanted.steps.t_s)
@@ -60,10 +61,10 @@ def test_a_landing_in_stretches_is_the_same_to_the_last_bit(name, seed, filter_n
 @pytest.mark.parametrize("filter_name", ["robust", "paper"])
 @pytest.mark.parametrize("rate_hz", [10, 15, 37, 144, 500])
 def test_at_every_rate_a_landing_in_stretches_is_the_same(rate_hz, filter_name):
-    """Streams of the vehicle that are as quick as the ticks, and slower ones that have to catch up, too."""
+    """Telemetry streams as fast as the ticks, and slower ones that must catch up."""
     room = load("room")
     config = replace(room.onboard, loop=replace(room.onboard.loop, rate_hz=rate_hz))
-    least = 0.3 if rate_hz > 20 else 0.0  # VFR_HUD, 10 Hz, comes at most of the ticks
+    least = 0.3 if rate_hz > 20 else 0.0  # VFR_HUD, 10 Hz, is due at most of the ticks
     assert_equal(replace(room, onboard=config).with_filter(filter_name), 5, least)
 
 
@@ -108,7 +109,7 @@ def test_it_is_compiled_before_the_first_landing():
     assert (stretch is None) == is_off()
     if stretch is not None:
         stretch.warm_up()
-        assert stretch.fly(0) == 0  # nobody has been heard yet
+        assert stretch.fly(0) == 0  # no message has been received yet
 
 
 class Slower(fs.Filter):

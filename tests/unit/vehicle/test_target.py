@@ -1,4 +1,4 @@
-"""The robot: its motion, its odometry, driving ahead in a landing, and the deck that the vehicle reckons."""
+"""The robot: its motion, its odometry, its lead in a landing, and dead reckoning of the deck."""
 
 import itertools
 import math
@@ -36,7 +36,7 @@ def test_a_figure_of_eight_comes_back_to_its_middle():
     spec = TargetSpec(path=PathKind.FIGURE_OF_EIGHT, speed_m_s=0.2, turn_rate_rad_s=0.5)
     _, states = drive(spec, seconds=8.0 * math.pi)
     norths = [pose.position_enu_m[1] for _, pose, _, _ in states]
-    assert max(norths) == pytest.approx(0.8, abs=0.05)  # two circles of 0.4 m beside each other
+    assert max(norths) == pytest.approx(0.8, abs=0.05)  # two adjacent circles of 0.4 m
     assert min(norths) == pytest.approx(-0.8, abs=0.05)
     assert math.hypot(*states[-1][1].position_enu_m[:2]) < 0.1
 
@@ -86,7 +86,7 @@ def test_a_path_without_what_it_needs_is_refused(spec, text):
 def test_circle_has_the_radius_speed_over_turn_rate_and_closes():
     spec = TargetSpec(path=PathKind.CIRCLE, speed_m_s=0.1, turn_rate_rad_s=0.1)
     _, states = drive(spec, seconds=90.0)
-    late = states[500:]  # the drive has settled
+    late = states[500:]  # after the drive has settled
     x0, y0, _ = late[0][1].position_enu_m
     yaw0 = late[0][1].yaw_rad
     centre = (x0 - math.sin(yaw0), y0 + math.cos(yaw0))  # 1 m to the left
@@ -142,7 +142,7 @@ def test_waits_until_told_and_brakes_when_told():
 
 
 def test_pose_follows_from_the_twist_given_before():
-    """Who moves the pad on an arc with the twist given at the start of an interval ends on its true pose."""
+    """Moving the pad on an arc with the twist from an interval's start ends at its true pose."""
     spec = TargetSpec(
         path=PathKind.REVERSING, speed_m_s=0.5, turn_rate_rad_s=0.4, speed_max_m_s=0.5,
         pad_behind_axle_m=0.032, heave_amplitude_m=0.15, heave_rate_hz=0.25,
@@ -219,7 +219,7 @@ SCENARIOS["captured"] = replace(SCENARIOS["reversing"], odometry=TargetLink(erro
 
 
 def tick_by_tick(scenario, seed, chosen_at):
-    """Deck and samples of every tick, by the formulas of both ends in plain Python."""
+    """Return deck and samples of every tick, by the interpreted formulas of both ends."""
     grid = TickGrid(100)
     motion = TargetMotion(scenario, seed, grid)
     driving, go_tick = motion.drives_at_once, chosen_at + RUN_AHEAD_TICKS + 1
@@ -242,7 +242,7 @@ def tick_by_tick(scenario, seed, chosen_at):
 
 
 def ahead(scenario, seed, chosen_at):
-    """The same by ``DirectTarget``; the onboard side chooses while it answers for a tick."""
+    """Return the same by ``DirectTarget``; the onboard side decides while it answers for a tick."""
     target = DirectTarget(scenario, seed, TickGrid(100))
     for tick in range(TICKS):
         yield tuple(target.take(tick)), target.samples(0.01 * tick).samples

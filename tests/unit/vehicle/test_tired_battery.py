@@ -1,4 +1,4 @@
-"""A tired battery in the simulator: what it does to a landing, and what the thrust reserve changes."""
+"""A low battery in the simulator: its effect on a landing, and the effect of the thrust reserve."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from sim.scenarios.scenario import load
 pytestmark = pytest.mark.slow
 
 SEEDS = range(16)
-# of the simulated vehicle whose motors differ by 10 %, as measured in its hover and its steepest climb
+# reserve of the simulated vehicle whose motors differ by 10 %, measured in hover and in its steepest climb
 RESERVE = Reserve(
     0.92, 3.12, 3.11, sag_v=0.44, motor_voltage_max_v=3.07, thrust_exponent=1.62, start_margin_v=0.0
 )
@@ -28,7 +28,7 @@ def tired(charge, reserve):
 
 
 def flown(scenario, seed):
-    """The landing, the largest distance below what was commanded (forgotten in a second), m, and reserves."""
+    """Return the landing, the largest height below the command (decaying in a second), m, and reserves."""
     below, most, reserves = 0.0, 0.0, []
 
     def note(_tick, out):
@@ -43,7 +43,7 @@ def flown(scenario, seed):
 
 @pytest.fixture(scope="module")
 def landings():
-    """At 3.1 V in flight: without the table and with it."""
+    """Fly at 3.1 V: without the table and with it."""
     return [[flown(tired(0.1, table), seed) for seed in SEEDS] for table in (None, RESERVE)]
 
 
@@ -54,7 +54,10 @@ def test_without_the_reserve_it_sinks_through_what_is_commanded_and_with_it_less
 
 
 def test_what_is_not_landed_with_the_reserve_is_declared(landings):
-    """Measured: without 3 crashes and 7 violations, with it none and 2; nobody proves `field` at 3.1 V."""
+    """Measured without the table: 3 crashes, 7 violations; with it: none and 2.
+
+    At 3.1 V `field` has no proof.
+    """
     without, with_reserve = ([landing.verdict for landing, _, _ in each] for each in landings)
     assert Outcome.CRASHED in {verdict.outcome for verdict in without}
     assert {verdict.outcome for verdict in with_reserve} == {Outcome.LANDED, Outcome.ABORTED}
@@ -62,7 +65,7 @@ def test_what_is_not_landed_with_the_reserve_is_declared(landings):
 
 
 def test_the_estimate_in_flight_is_that_of_the_steepest_climb():
-    """Measured with this vehicle and battery: 1.03 to 1.06, by its spreads more or less."""
+    """Measured with this vehicle and battery: 1.03 to 1.06, depending on its spreads."""
     _, _, reserves = flown(tired(0.1, RESERVE), 2)
     assert 0.98 < min(reserves) <= max(reserves) < 1.12
 

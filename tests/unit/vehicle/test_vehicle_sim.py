@@ -52,7 +52,7 @@ def test_yaw_is_held_and_turned(loop, slow):
     truths = fly(sim, (0.2, 0.0, 0.0), 6.0, yaw=1.0)
     assert yaw_of(truths[-1]) == pytest.approx(1.0, abs=0.03)
     assert max(yaw_of(t) for t in truths) < 1.5
-    assert truths[-1].velocity_enu_m_s[0] > 0.15  # velocity set-points are in the world, not in the body
+    assert truths[-1].velocity_enu_m_s[0] > 0.15  # set-points are in the world frame
     assert abs(truths[-1].velocity_enu_m_s[1]) < 0.03
 
 
@@ -80,7 +80,7 @@ def test_set_points_that_stop(loop):
     assert "levelling" in sim.state_text
     sim.advance(1000)
     assert sim.motors_running
-    # the firmware keeps the vertical set-point when it levels out; its PIDs start anew, which costs height at
+    # when it levels out, the firmware keeps the vertical set-point; its PIDs are reset, which costs height at
     # first
     slack = {VelocityLoop.PAPER: 0.02, VelocityLoop.PID: 0.25}[loop]
     assert sim.truth().velocity_enu_m_s[2] == pytest.approx(-0.3, abs=slack)
@@ -207,7 +207,7 @@ def test_estimate_of_a_hover_is_within_bounds(mocap, position_m, velocity_m_s):
         assert 2 * math.acos(min(1.0, abs(w))) < 0.06
     for errors, bound in ((position, position_m), (velocity, velocity_m_s)):
         assert statistics.quantiles(errors, n=20)[18] < bound
-        assert statistics.mean(errors) > bound / 20  # not suspiciously good
+        assert statistics.mean(errors) > bound / 20  # not suspiciously small
 
 
 def test_blind_vehicle_refuses_to_arm():
@@ -219,7 +219,7 @@ def test_blind_vehicle_refuses_to_arm():
 
 
 def ride(spec, offset, seconds, seed=1):
-    """Hover over a driving target at its speed, cut the motors, and follow the target."""
+    """Hover above a driving target at its speed, stop the motors, and track the target."""
     target = TargetModel(spec, seed)
     for _ in range(300):
         target.step(0.01, True)
@@ -262,7 +262,7 @@ def test_first_touch_is_the_state_before_the_impact():
     vx, vy, vz = touch.first_touch_relative_velocity_enu_m_s
     assert abs(vx) < 0.02
     assert abs(vy) < 0.02
-    # at most the free fall from 3 cm; the rotors still run down
+    # at most the free fall from 3 cm; the rotors still spin down
     assert -math.sqrt(2 * 9.81 * 0.031) < vz < -0.6
     sim.begin_judging()
     assert math.isnan(sim.truth().first_touch_time_s)

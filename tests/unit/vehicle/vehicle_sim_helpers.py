@@ -1,4 +1,4 @@
-"""Scenarios and flights that the tests of the simulated vehicle share."""
+"""Scenarios and flights for the tests of the simulated vehicle."""
 
 import math
 
@@ -32,7 +32,7 @@ def vehicle(seed=1, **parts):
 
 
 def fly(sim, velocity, seconds, yaw=0.0):
-    """Truths at 100 Hz under a set-point sent at 100 Hz."""
+    """Return true states at 100 Hz under a set-point sent at 100 Hz."""
     out = []
     for _ in range(round(seconds * 100)):
         sim.set_velocity(velocity, yaw)

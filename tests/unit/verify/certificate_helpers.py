@@ -1,4 +1,4 @@
-"""Configurations for tests of the certificate; every number they depend on is given, no default is used."""
+"""Configurations for tests of the certificate, with all relevant numbers given explicitly."""
 
 from flightstack.common.strict_toml import from_table
 from flightstack.core.parameters.flight import FlightConfig
@@ -31,7 +31,7 @@ BASE = {
 
 
 def config(**sections):
-    """The base with keys replaced, e.g. ``config(robust={"rate_1_s": 2.0})``."""
+    """Return the base with replaced keys, e.g. ``config(robust={"rate_1_s": 2.0})``."""
     table = {name: dict(values) for name, values in BASE.items()}
     for name, values in sections.items():
         if isinstance(values, dict):
@@ -42,11 +42,11 @@ def config(**sections):
 
 
 def rooms(**sections):
-    """Room of each check by its name."""
+    """Return the margin of each check by its name."""
     return {check.name: check.room for check in checks(config(**sections))}
 
 
 def one(name, **sections):
-    """One check by its name."""
+    """Return one check by its name."""
     (found,) = (check for check in checks(config(**sections)) if check.name == name)
     return found

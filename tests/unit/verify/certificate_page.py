@@ -1,4 +1,4 @@
-"""The certificate's tables of docs/how_it_works, from the code; run as a module, writes them there.
+"""Generates the certificate's tables of docs/how_it_works; run as a module, it writes them into the pages.
 
 python -m tests.unit.verify.certificate_page
 """
@@ -30,7 +30,7 @@ def _table(first, rows):
 
 
 def worked():
-    """Worked numbers of each tier."""
+    """Return the table of numbers of each tier."""
     found = [(c, extremes(c)) for c in (scenario.load(tier).onboard for tier in TIERS)]
 
     def row(name, value):
@@ -71,7 +71,7 @@ def _climb(c, x):
 
 
 def turn_back_m(c, x):
-    """Height lost from deciding to go around until it climbs."""
+    """Return the table of height lost between the decision to go around and the climb."""
     late_s = c.velocity_loop.slope_time_s + c.envelope.lag_spread * c.velocity_loop.lag_z_s
     late_s += 2.0 / c.loop.rate_hz + c.own.delay_s
     down = c.robust.descent_m_s
@@ -79,7 +79,7 @@ def turn_back_m(c, x):
 
 
 def verdicts():
-    """Which checks each tier passes."""
+    """Return the table of checks that each tier passes."""
     results = [{k.name: k for k in checks(scenario.load(tier).onboard)} for tier in TIERS]
     names = list(dict.fromkeys(name for result in results for name in result))
 
@@ -93,7 +93,7 @@ def verdicts():
 
 
 def fleet():
-    """Checks of a member of fleet_3, and of all members together."""
+    """Return the table of checks of a member of fleet_3, and of all members together."""
     found = team.load("fleet_3")
     results = [*fleet_checks(found.member[0].onboard), *crowd(found)]
     rows = [_row(check.name, [check.claim, _room(check), check.worst]) for check in results]
@@ -106,7 +106,7 @@ def _room(check):
 
 
 def tables():
-    """Page and table by name."""
+    """Return page and table by name."""
     return {
         "worked": (PAGES / "robust_filter.md", worked()),
         "verdicts": (PAGES / "robust_filter.md", verdicts()),
@@ -115,7 +115,7 @@ def tables():
 
 
 def split(text, name):
-    """Text before, within and after a table's marks."""
+    """Return the text before, within and after a table's marks."""
     before, rest = text.split(BEGIN.format(name) + "\n", 1)
     within, after = rest.split(END, 1)
     return before + BEGIN.format(name) + "\n", within.rstrip("\n"), "\n" + END + after

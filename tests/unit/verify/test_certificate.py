@@ -1,4 +1,4 @@
-"""The certificate's claims against brute force, and each of its limits from both sides."""
+"""Claims of the certificate compared with brute force, and each of its limits from both sides."""
 
 import math
 import random
@@ -25,7 +25,7 @@ from tests.unit.verify.certificate_helpers import config, one, rooms
 
 pytestmark = pytest.mark.slow
 
-# name of a check, what to change, the last value that passes and the first that does not
+# name of a check, changed key, the last value that passes and the first that fails
 LIMITS = [
     ("barrier", "touchdown", "target_speed_max_m_s", 1.0, None),
     ("robust.rate_1_s", "robust", "rate_1_s", 4.524, 4.525),  # 1 / (1.3 * 0.17 s)
@@ -81,7 +81,7 @@ def test_the_estimator_must_believe_the_target_from_both_sides():
     assert one("estimator", target={"jerk_xy_m_s3_sqrthz": 0.0501, "jerk_growth_max": 5.0}).proven
     assert not one("estimator", target={"jerk_xy_m_s3_sqrthz": 0.0499, "jerk_growth_max": 5.0}).proven
     still = {"jerk_z_m_s3_sqrthz": 0.02}
-    assert one("estimator", target=still).proven  # it does not heave
+    assert one("estimator", target=still).proven  # the target does not heave
     assert not one("estimator", target=still, envelope={"target_climb_max_m_s": 0.1}).proven
 
 
@@ -100,7 +100,7 @@ def test_the_commit_height_is_where_the_vehicle_would_hover():
 
 
 def states(seed, x, count):
-    """Random distance, direction, margin and target velocity of the envelope, the ends included often."""
+    """Yield random distance, direction, margin and target velocity of the envelope, often at its limits."""
     rng = random.Random(seed)
 
     def some(low, high):
@@ -147,7 +147,7 @@ def test_no_state_of_the_envelope_beats_the_feasibility_bound(number):
         if n % 10 == 0:
             status = program.solve((0.0, 0.0, -9.0), h, gradient, dh_dt, lower, box).status
             assert (status is FilterStatus.INFEASIBLE) == (rise < 0.0)
-    assert least <= bound + 0.3  # and it is not far from what is really needed
+    assert least <= bound + 0.3  # the bound is close to the true value
 
 
 def test_a_set_beyond_the_bound_really_has_a_state_without_solution():
@@ -169,7 +169,7 @@ def test_a_set_beyond_the_bound_really_has_a_state_without_solution():
             held = RobustBarrier(x.barrier, margin, x.shape.fade_radius_m)
             for step in range(2000):
                 e = (step * 5e-4, 0.0, 0.0)
-                _, gradient, dh_dt = held.evaluate(e, (-speed, 0.0, 0.0))  # it leaves
+                _, gradient, dh_dt = held.evaluate(e, (-speed, 0.0, 0.0))  # the target leaves
                 best = abs(gradient[0]) * box[0] + box[2] + dh_dt
                 found = found or best < 0.0
         assert found is infeasible
@@ -177,7 +177,7 @@ def test_a_set_beyond_the_bound_really_has_a_state_without_solution():
 
 @pytest.mark.parametrize("number", range(len(SETS)))
 def test_demand_and_its_growth_stay_below_their_bounds(number):
-    """Fly over the boundary with speeds and accelerations of the envelope; differentiate the demand."""
+    """Fly over the boundary within the envelope's speeds and accelerations; differentiate the command."""
     settled = config(**SETS[number])
     x = extremes(settled)
     w, step_s, ahead_s = x.shape.fade_radius_m, 1e-5, 1e-3
@@ -206,7 +206,7 @@ def test_demand_and_its_growth_stay_below_their_bounds(number):
         assert grown <= bound + 0.02
         assert -grown <= demand_change(settled, x, x.shape, Span(d - 0.01, d + 0.01), -1.0) + 0.02
         closest = min(closest, bound - x.heave_acceleration_m_s2 - grown)
-    assert closest < 0.3  # m/s^2: the bound is not far from what happens
+    assert closest < 0.3  # m/s^2: the bound is close to the worst observed value
 
 
 def test_the_estimators_own_errors_are_used_and_shrink_with_its_rate():
@@ -216,7 +216,7 @@ def test_the_estimators_own_errors_are_used_and_shrink_with_its_rate():
     for axis in ("position_sigma_m", "position_sigma_z_m"):
         fresh, usual, lost = (getattr(error, axis) for error in errors)
         assert 0.0 < fresh < usual < lost
-    # of a target that hardly ever changes its acceleration the first sample leaves most open
+    # for a target that rarely changes its acceleration the first sample has the largest uncertainty
     first = estimate_errors(TargetLink(jerk_xy_m_s3_sqrthz=0.01, acceleration_xy_m_s2=3.0), 50.0, 0.25)
     gone_s = 0.5 - 0.5 * math.exp(-0.25 / 0.5)  # acceleration_time_s is 0.5
     expected_m = math.hypot(0.005, 0.02 * 0.25, 3.0 * 0.5 * (0.25 - gone_s))
@@ -224,7 +224,7 @@ def test_the_estimators_own_errors_are_used_and_shrink_with_its_rate():
 
 
 def test_between_samples_the_margin_grows_by_what_is_counted_as_lost():
-    """The rest of the depth does not know of samples: fewer of them cost their growth, and larger errors."""
+    """The rest of the depth is independent of sampling: fewer samples cost their growth and larger errors."""
     settled = config()
     x = extremes(settled)
     assert x.growth_m > 0.0
@@ -302,7 +302,7 @@ def test_the_voltage_that_the_reserve_check_names_is_the_lowest_that_it_proves()
     assert one("thrust reserve", reserve=table | {"lowest_voltage_v": named_v}).proven
     assert not one("thrust reserve", reserve=table | {"lowest_voltage_v": named_v - 0.02}).proven
     fresh = one("thrust reserve", reserve=table | {"lowest_voltage_v": named_v})
-    # what is needed is what the check of the limit needs, too
+    # the check of the limit requires the same
     needed = config().robust.acceleration_max_m_s2[2] - rooms()["acceleration"]
     assert f"{needed:.3g} are needed" in fresh.worst
     assert "thrust reserve" not in rooms()

@@ -1,4 +1,4 @@
-"""The certificate's promises, flown: the real law and filter against the worst that is declared."""
+"""Claims of the certificate in flight: the real control law and filter under the worst declared errors."""
 
 import math
 import random
@@ -28,7 +28,7 @@ DT_S = 0.01
 
 
 class Wanderer:
-    """Target that changes its mind: speed and acceleration bounded as declared."""
+    """Target with changing commands, whose speed and acceleration are bounded as declared."""
 
     def __init__(self, rng, x):
         self.rng, self.x = rng, x
@@ -55,10 +55,10 @@ class Wanderer:
 
 
 def fly(settings, seed, seconds=8.0):
-    """One approach with the real law and filter; returns the lowest true h outside the pad.
+    """Fly one approach with the real law and filter; return the lowest true h outside the pad.
 
-    Vertical velocity misses what is wanted by up to the declared tracking error, horizontal velocity follows
-    late, and the relative position is wrong by a constant of the declared size.
+    Vertical velocity differs from its command by up to the declared tracking error, horizontal velocity lags,
+    and the relative position has a constant error of the declared size.
     """
     rng, x = random.Random(seed), extremes(settings)
     robust, most = settings.robust, settings.limits.velocity_max_m_s
@@ -121,12 +121,12 @@ def test_h_stays_above_what_is_promised_outside_the_pad(name):
     depth, _ = depth_m(settings, extremes(settings))
     lowest = min(fly(settings, seed) for seed in range(12))
     assert lowest >= -depth
-    assert lowest < extremes(settings).usual.margin_m.low  # it came to the boundary: the promise was tried
+    assert lowest < extremes(settings).usual.margin_m.low  # it reached the boundary, so the claim was tested
 
 
 @pytest.mark.parametrize("acceleration", [0.0, 0.5, 1.5])
 def test_no_descent_drifts_farther_than_promised(acceleration):
-    """The vehicle's motion over the pad, with every error at its worst and turned against it."""
+    """Return the vehicle's motion above the pad, with every error at its worst size and direction."""
     settings = config(envelope={"target_acceleration_max_m_s2": acceleration})
     x = extremes(settings)
     promised, _ = drift_m(settings, x)
@@ -141,7 +141,7 @@ def test_no_descent_drifts_farther_than_promised(acceleration):
         e = [start * math.cos(turn), start * math.sin(turn)]
         slip = settings.robust.commit_speed_m_s
         heading = turn if rng.random() < 0.7 else rng.uniform(0.0, math.tau)
-        w = [slip * math.cos(heading), slip * math.sin(heading)]  # against the target
+        w = [slip * math.cos(heading), slip * math.sin(heading)]  # relative to the target
         aside = rng.uniform(-0.5, 0.5) if seed % 3 else 0.0
         for _ in range(500):
             away = math.atan2(e[1], e[0]) + aside
@@ -150,14 +150,14 @@ def test_no_descent_drifts_farther_than_promised(acceleration):
             wrong_p = [-x.position_error_m * u for u in unit]
             a = [-x.target_acceleration_m_s2 * u for u in unit]
             for i in range(2):
-                wanted = wrong_v[i] - gain * (e[i] + wrong_p[i])  # against the target
-                rate = a[i] - gain * w[i]  # of the velocity wanted, in the world
+                wanted = wrong_v[i] - gain * (e[i] + wrong_p[i])  # relative to the target
+                rate = a[i] - gain * w[i]  # rate of the commanded velocity, world frame
                 pulled = (wanted - w[i] + told * rate) / lag - a[i]
                 w[i] += pulled * dt
                 e[i] += w[i] * dt
             farthest = max(farthest, math.hypot(*e))
     assert farthest <= promised
-    assert farthest > 0.65 * promised  # and the promise is not caution alone
+    assert farthest > 0.65 * promised  # the claim is not overly conservative
 
 
 @pytest.mark.parametrize("name", ["worked", "verdicts", "fleet"])

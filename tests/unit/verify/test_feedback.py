@@ -1,4 +1,4 @@
-"""What is proven of the fed-back loop, against the code that flies and a plant with a delay."""
+"""Proof of the velocity feedback compared with the flown code and a plant with a delay."""
 
 import math
 from functools import cache
@@ -38,7 +38,7 @@ def test_every_vehicle_of_the_spread_comes_to_rest_at_least_as_fast_as_proven(sh
 
 @pytest.mark.parametrize("factor", [1.0 / 1.3, 1.0, 1.2])
 def test_the_matrix_is_the_loop_that_flies(factor):
-    """The first second and a half of the way back, with the code's own ticks."""
+    """Return the first 1.5 s of the return motion, with the code's own ticks."""
     settings_ = fed_back()
     period_s = 1.0 / settings_.loop.rate_hz
     state, step = np.zeros(8), expm(linear(settings_, factor) * period_s)
@@ -59,7 +59,7 @@ def test_a_vehicle_may_differ_in_rate_and_damping_on_their_own():
 @given(st.floats(0.6, 1.0), st.floats(1.0, 1.6), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
 @settings(max_examples=40, deadline=None)
 def test_no_vehicle_within_decays_slower_than_proven(low, high, stiff, damped):
-    """Rate and damping on their own, too, where they are near each other: the rectangles are."""
+    """Rate and damping are tested separately near each other, where the rectangles are."""
     proven, _ = decay_1_s(STORM, low, high)
     factor = low + stiff * (high - low)
     assert proven <= max(0.0, -np.linalg.eigvals(linear(STORM, factor)).real.max())
@@ -109,7 +109,7 @@ def test_a_loop_that_swings_by_itself_must_not_fly(wrong):
 
 
 LIMITED = fed_back()
-FED = fed_back(  # nothing reaches the feedback's own limits
+FED = fed_back(  # the feedback's own limits are not reached
     velocity_feedback={"acceleration_max_m_s2": 20.0}, velocity_loop={"disturbance_max_m_s": 3.0}
 )
 SLOWEST, QUICKEST = 1.0 / 1.3, 1.0 / 0.7
@@ -122,7 +122,7 @@ def promise_m():
 
 
 def responses(settings_, factor, step_s, seconds=LONG_S):
-    """Of the position to accelerations of the target and to errors of the velocity wanted, by time."""
+    """Return impulse responses of the position to target accelerations and velocity command errors."""
     inputs, outputs, _ = _ports(settings_, factor)
     step, states, found = expm(linear(settings_, factor) * step_s), inputs, []
     for _ in range(round(seconds / step_s)):
@@ -132,7 +132,8 @@ def responses(settings_, factor, step_s, seconds=LONG_S):
 
 
 def turned_against(settings_, factor):
-    """Accelerations and errors, by tick, that end as far from the middle as the flown loop lets them."""
+    """Return accelerations and errors, by tick, with the largest final distance that the flown loop
+    allows."""
     x, gain, ticks = extremes(settings_), settings_.robust.gain_over_pad_1_s, round(LONG_S * 100)
     none, knock = np.zeros(ticks), np.zeros(ticks)
     knock[0] = 1e-3
@@ -148,7 +149,7 @@ def farthest(*flight):
     return float(np.abs(flown_behind(*flight)).max())
 
 
-# a quick vehicle swings less than the matrix, whose delay acts on all frequencies as on low ones
+# a fast vehicle oscillates less than the matrix, whose delay acts equally on all frequencies
 @pytest.mark.parametrize("factor", [SLOWEST, 0.9, 1.0, 1.15, 1.35])
 def test_the_worst_target_and_errors_reach_what_is_promised_and_no_more(factor):
     promised, _ = _piece_m(FED, extremes(FED), factor, factor)
@@ -175,7 +176,7 @@ def test_no_target_and_no_errors_get_farther(share, changes):
 
 @pytest.mark.parametrize("factor", [SLOWEST, 1.0, QUICKEST])
 def test_the_integrals_lie_just_above_what_fine_steps_give(factor):
-    """At factor 1 the observer's poles fall together: nothing here may depend on modes."""
+    """At factor 1 the observer's poles coincide, so nothing here may depend on separate modes."""
     inputs, outputs, _ = _ports(FED, factor)
     gains = _gains(linear(FED, factor), inputs, outputs)
     fine = 2e-4
@@ -214,7 +215,7 @@ def test_the_check_compares_it_with_the_pad():
     assert one("drift", **calm).proven
     wild = {**BASE, "envelope": {"target_acceleration_max_m_s2": 3.0}}
     assert not one("drift", **wild).proven
-    assert config().velocity_feedback.horizontal is False  # and the lead has its own bound
+    assert config().velocity_feedback.horizontal is False  # the lead has its own bound
     assert "after" in one("drift").worst
 
 
@@ -232,7 +233,7 @@ def test_the_largest_value_of_a_parabola_is_found():
 
 
 def test_a_spike_that_a_grid_misses_is_found():
-    at, wide = 0.123456789, 1e-4  # a grid of a thousand points has a chance of one in ten
+    at, wide = 0.123456789, 1e-4  # a grid of a thousand points finds it with a chance of one in ten
 
     def spike(x):
         return max(0.0, 1.0 - abs(x - at) / wide)
@@ -246,7 +247,7 @@ def test_a_spike_that_a_grid_misses_is_found():
 
 
 def test_where_values_stay_open_the_bound_says_so():
-    found = most(lambda _: 1.0, lambda _: 0.0, (Span(0.0, 1.0),))  # a bound that never gets tight
+    found = most(lambda _: 1.0, lambda _: 0.0, (Span(0.0, 1.0),))  # a bound that never becomes tight
     assert (found.bound, found.found) == (1.0, 0.0)
 
 

@@ -1,4 +1,4 @@
-"""What is proven of a fleet, against motions and rows drawn at random, and each limit from both sides."""
+"""Proof for fleets compared with random motions and rows, and each limit from both sides."""
 
 import json
 import math
@@ -49,7 +49,7 @@ STILL = {
     "touchdown": {"target_speed_max_m_s": 0.0, "pad_radius_m": 0.13},
     "envelope": {"target_acceleration_max_m_s2": 0.0},
 }
-WAIT_S = 13.1  # of the last of three
+WAIT_S = 13.1  # wait of the last of three
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,8 @@ def test_a_configuration_without_others_has_none_of_these_checks():
 
 
 def closest_m(rate_1_s, lag_s, seed, root_1_s):
-    """Lowest h of two vehicles that want to meet, each with half a row, behind loops of first order."""
+    """Return the lowest h of two vehicles on collision course, each with half a row, with first-order
+    loops."""
     rng = np.random.default_rng(seed)
     p = [rng.uniform(-1.5, 1.5, 3) for _ in range(2)]
     p[1][2] *= 0.3
@@ -119,7 +120,7 @@ def test_two_that_lag_come_to_rest_outside_if_the_rate_is_proven_and_not_if_it_i
 
 
 def least_sum(latency_s, period_s, seed):
-    """Least sum of shares held after a vehicle said for the last time that it gives way; one tick is late."""
+    """Return the smallest sum of shares after a vehicle last yields; one tick is late."""
     table = replace(with_fleet().fleet, id=1, members=(1, 2), latency_max_s=latency_s)
     rng = np.random.default_rng(seed)
     said = Neighbour(2, 0.0, 0.0, ZERO, ZERO, ZERO, intent=Intent.WAITING, yields_to=(1,))
@@ -154,13 +155,13 @@ BOX = ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
 
 
 def landing_row(slope, bearing, pad):
-    """Row of the landing barrier at 0, for a pad with this horizontal velocity."""
+    """Return the landing barrier's row at 0, for a pad with this horizontal velocity."""
     g = (-slope * math.cos(bearing), -slope * math.sin(bearing), 1.0)
     return Row(g, g[0] * pad[0] + g[1] * pad[1])
 
 
 def neighbour_row(away, h_m, speed_m_s):
-    """Row of a neighbour on the other side of ``away``, which comes straight at the vehicle."""
+    """Return the row of a neighbour opposite to ``away``, which approaches the vehicle directly."""
     _, g = barrier(away, 0.25, 0.75)
     length = math.hypot(*g)
     return Row(g, speed_m_s * length + CROWD.growth_m_s - CONFIG.fleet.rate_1_s * h_m)
@@ -169,7 +170,7 @@ def neighbour_row(away, h_m, speed_m_s):
 ANGLE, UNIT = st.floats(-math.pi, math.pi), st.floats(0.0, 1.0)
 AWAY = st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda p: math.hypot(*p) > 0.1)
 SLOPE = st.floats(CONFIG.touchdown.pad_radius_m, 5.0).map(lambda d: X.barrier.slope(d))
-CLIMB = st.floats(-1.0, 1.0)  # least that the filter asks for besides
+CLIMB = st.floats(-1.0, 1.0)  # smallest climb that the filter requires in addition
 
 
 def pad_of(share_of_speed, angle):
@@ -199,7 +200,7 @@ def test_one_neighbour_leaves_a_common_point_from_where_it_is_said(slope, n, w, 
 
 def test_the_worst_neighbour_is_met_at_that_distance_and_not_nearer():
     slope, (short_m_s, elevation) = CROWD.steepest, SHORT
-    # the direction of g, from that of a difference of positions
+    # direction error of g, from the error of a position difference
     away = (math.cos(elevation), 0.0, math.sin(elevation) / CROWD.flat)
     landing = landing_row(slope, 0.0, (-CONFIG.touchdown.target_speed_max_m_s, 0.0))
     for nearer_m, found in ((0.01, False), (-0.01, True)):
@@ -216,7 +217,7 @@ def test_two_from_opposite_sides_are_met_from_where_it_is_said_and_not_nearer():
 
 
 def most_missed_m_s(slew_m_s2, start_m_s, after_s):
-    """By how much the row of one who comes, and speeds up at some time, is missed; along one direction."""
+    """Return the violation of an approaching, accelerating neighbour's row, along one direction."""
     fleet, step_s = CONFIG.fleet, 0.002
     h_m, own, other, missed = 5.0, -1.0, start_m_s, 0.0
     for tick in range(4000):
@@ -239,7 +240,7 @@ def test_a_row_is_followed_if_the_slew_limit_is_proven_and_missed_if_it_is_far_t
 
 
 def test_a_landing_from_where_it_waits_takes_no_longer_than_waits_count_with():
-    """But for what the others are told before, which a vehicle alone does not do."""
+    """Excludes the time for informing the others, which a single vehicle does not need."""
     field = scenario.load("field")
     start = replace(field.start, offset_m=(1.2, 0.0, 1.0))
     fleet = replace(CONFIG.fleet, wait_distance_m=1.2, wait_height_m=1.0)
@@ -272,7 +273,7 @@ def test_all_members_together():
     assert not unlike.proven
     assert "rate_1_s" in unlike.worst
     assert "members" in found(members[:2])["one table"].worst
-    # 2 * 0.05 / 0.8 m of h less the margin, 0.045, are lost
+    # 2 * 0.05 / 0.8 m of h minus the margin, 0.045, are lost
     assert found()["contact"].proven
     assert not found(touch=(0.206, 0.0, 0.0))["contact"].proven
     assert found(touch=(0.204, 0.0, 0.0))["contact"].proven

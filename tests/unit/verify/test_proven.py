@@ -1,4 +1,4 @@
-"""What is called proven is flown: a sample of `python -m tests.benchmarks proven`, which flies all of it."""
+"""Proven configurations are flown: a sample of `python -m tests.benchmarks proven`, which flies all."""
 
 from dataclasses import fields, replace
 
@@ -13,7 +13,7 @@ from tests.benchmarks.proven import FILTERS, SCENARIOS, cases, fly, parameters, 
 
 pytestmark = pytest.mark.slow
 
-EVERY = 797  # of the changes of both filters in all scenarios
+EVERY = 797  # interval between tested changes of both filters in all scenarios
 PATHS = {".".join(each.path): each for each in parameters()}
 SAMPLE = list(cases([], list(SCENARIOS), list(FILTERS), 5))[::EVERY]
 
@@ -81,7 +81,7 @@ def test_a_feedback_that_allows_less_acceleration_than_is_commanded_is_not_prove
 
 
 def changed(scenario: Scenario, **parts: dict) -> list[str]:
-    """Names of the checks that a scenario with these changes does not pass."""
+    """Return the names of the checks that a scenario with these changes fails."""
     for name, values_ in parts.items():
         scenario = replace(scenario, **{name: replace(getattr(scenario, name), **values_)})
     return [check.name for check in declared(scenario) if not check.proven]
@@ -135,7 +135,7 @@ def test_each_scenario_declares_what_it_flies():
 )
 def test_a_scenario_that_is_not_as_declared_is_not_proven(part, key, value, check):
     scenario = load("field")
-    if key.startswith("heave"):  # a pad that heaves a little, as declared
+    if key.startswith("heave"):  # a pad with a small declared heave
         heaves = replace(scenario.target, heave_amplitude_m=0.02, heave_rate_hz=0.1)
         envelope = replace(scenario.onboard.envelope, target_climb_max_m_s=0.02)
         scenario = replace(scenario, target=heaves, onboard=replace(scenario.onboard, envelope=envelope))

@@ -1,4 +1,4 @@
-"""The verdict on a log that is made for it."""
+"""The verdict on a synthetic log."""
 
 from dataclasses import replace
 

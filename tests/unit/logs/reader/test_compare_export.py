@@ -1,4 +1,4 @@
-"""Equal flights compare equal, any difference is named; exports hold what an independent decoder sees."""
+"""Equal flights compare equal, any difference is named; an independent decoder reads the same exports."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def timing(tick, exec_s):
 
 
 def steps(*replaced):
-    """Ten steps; each of ``replaced`` is (topic, schema, log time, publish time, sequence, data)."""
+    """Return ten steps; each of ``replaced`` is (topic, schema, log time, publish time, sequence, data)."""
     rows = {i: (STEP_TOPIC, schemas.CONTROLLER_STEP, 10 * i, 10 * i, i, step(i)) for i in range(10)}
     rows.update({row[4]: row for row in replaced})
     return list(rows.values())
@@ -63,7 +63,7 @@ def write(path, messages, run=(("seed", "1"),), attachments=(("s.toml", b"x"),),
 
 @pytest.fixture
 def differ(tmp_path):
-    """Compare ten plain steps with something else; returns the differences as text."""
+    """Compare ten plain steps with other ones; return the differences as text."""
 
     def run(messages, **options):
         a = write(tmp_path / "a.mcap", steps())
@@ -77,7 +77,7 @@ def differ(tmp_path):
 
 
 def replaced(number=4, log_ns=None, publish_ns=None, **changes):
-    """Ten steps, one of them changed."""
+    """Return ten steps, one of them changed."""
     log_ns, publish_ns = (10 * number if t is None else t for t in (log_ns, publish_ns))
     return steps((STEP_TOPIC, schemas.CONTROLLER_STEP, log_ns, publish_ns, number, step(number, **changes)))
 
@@ -89,12 +89,12 @@ EVENT = ("/rosout", schemas.LOG, 1, 1, 1, pack_log(1, 20, "onboard", "phase LAND
     ("messages", "expected"),
     [
         (steps(), []),
-        (steps()[::-1], []),  # the order in the file says nothing
+        (steps()[::-1], []),  # the order in the file does not matter
         (
             replaced(own_position_enu_m=(1.0, 2.5, 3.0)),
             [f"{STEP_TOPIC}[4] own_position_enu_m.y: 2.0 != 2.5"],
         ),
-        (replaced(slack_m_s=-0.0), [f"{STEP_TOPIC}[4] slack_m_s: 0.0 != -0.0"]),  # h_m is NaN in all: equal
+        (replaced(slack_m_s=-0.0), [f"{STEP_TOPIC}[4] slack_m_s: 0.0 != -0.0"]),  # h_m is NaN in all
         (replaced(log_ns=41), [f"{STEP_TOPIC}[4] log_time_ns: 40 != 41"]),
         (replaced(publish_ns=39), [f"{STEP_TOPIC}[4] publish_time_ns: 40 != 39"]),
         ([*steps()[:9], (*steps()[9][:4], 12, steps()[9][5])], [f"{STEP_TOPIC}[9] sequence: 9 != 12"]),
@@ -161,14 +161,14 @@ def export(log, out, *arguments, kind="csv"):
 
 
 def independent(log, topic):
-    """Messages as the MCAP project's own ROS 2 decoder gives them."""
+    """Return messages decoded by the MCAP project's own ROS 2 decoder."""
     with log.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
         return [(m.log_time, m.sequence, d) for _, _, m, d in reader.iter_decoded_messages(topics=[topic])]
 
 
 def field(message, name):
-    """``a.b[2]`` of a message."""
+    """Return the value at a path such as ``a.b[2]`` in a message."""
     steps = name.replace("[", ".").replace("]", "").split(".")
     return reduce(lambda m, s: m[int(s)] if s.isdigit() else getattr(m, s), steps, message)
 

@@ -1,4 +1,4 @@
-"""Damaged logs and files that are none: every verb ends with a sentence, and what can be read is read."""
+"""Damaged logs and other files: every verb ends with a clear message, and reads what is readable."""
 
 import random
 import re
@@ -39,7 +39,7 @@ def rows(path):
 
 
 def rewritten(source, path, **how):
-    """The same log as another writer makes it, in chunks of 4 kB."""
+    """Return the same log as another writer makes it, in chunks of 4 kB."""
     with source.open("rb") as stream, path.open("wb") as out:
         reader, writer, channels = make_reader(stream), Writer(out, chunk_size=4096, **how), {}
         writer.start("ros2", "test")
@@ -65,7 +65,7 @@ def logs(tmp_path_factory):
 
 
 def chunks(path):
-    """(begin, end) of each chunk in the file."""
+    """Return (start, end) of each chunk in the file."""
     with path.open("rb") as stream:
         indexes = make_reader(stream).get_summary().chunk_indexes
     return [(c.chunk_start_offset, c.chunk_start_offset + c.chunk_length) for c in indexes]
@@ -114,7 +114,7 @@ def test_every_verb_ends_with_a_sentence_whatever_is_damaged(logs, kind, tmp_pat
 @pytest.mark.parametrize("place", ["data", "length", "kind"])
 @pytest.mark.parametrize("number", [0, 1, -2])
 def test_what_is_before_and_behind_a_damaged_chunk_is_read(logs, kind, place, number, tmp_path):
-    """The first chunk holds the declarations, which the summary repeats."""
+    """The first chunk contains the declarations, which the summary repeats."""
     data, spans = bytearray(logs[kind].read_bytes()), chunks(logs[kind])
     begin, end = spans[number]
     at = {"data": (begin + end) // 2, "length": begin + 4, "kind": begin}[place]

@@ -1,4 +1,4 @@
-"""Touchdown in the own estimate: when the pad stopped the descent, where and how fast; or that it did not."""
+"""Touchdown from the vehicle's estimate: time, place and speed at the end of the descent, or none."""
 
 from dataclasses import replace
 
@@ -18,15 +18,15 @@ LARGE = FlightConfig(
     BarrierShape(alpha_1_m=0.4, beta_m=3.75),
     touchdown=Touchdown(pad_radius_m=PAD_M, feet_below_reference_m=FEET_M, height_m=0.25),
     contact=Contact(gap_m=0.03),
-    filter="paper",  # the robust one's heights over the pad are those of a small vehicle
+    filter="paper",  # the robust filter's heights above the pad are for a small vehicle
 )
-DT_S, CONTACT_S, DOWN_S, OFF_S = 0.01, 3.0, 2.0, 3.2  # times since the landing began
+DT_S, CONTACT_S, DOWN_S, OFF_S = 0.01, 3.0, 2.0, 3.2  # times since the start of the landing
 SLIP_M_S = (0.10, -0.05)
 
 
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory):
-    """The made-up landing without true states, to be given other steps."""
+    """Return the synthetic landing without true states, whose steps tests replace."""
     rows = landing()
     rows.truth = []
     return load_flight(write_log(tmp_path_factory.mktemp("flight") / "flight.mcap", rows))
@@ -35,7 +35,7 @@ def flight(tmp_path_factory):
 def descent(
     flight, *, sink_m_s=0.45, d_m=0.15, noise=0.0, stops=True, feet_m=FEET_M, phase_after=Phase.LANDED
 ):
-    """Steps of a straight descent with a slip, onto a pad that drives off at 0.4 m/s."""
+    """Return steps of a straight descent with a slip, onto a pad that drives at 0.4 m/s."""
     rng = np.random.default_rng(3)
     t_s = np.arange(0.0, OFF_S + 2.5, DT_S)
     left_s = CONTACT_S - t_s
@@ -124,7 +124,7 @@ def test_a_descent_that_nothing_stops_is_no_touchdown(flight):
 
 
 def test_motors_off_without_a_contact_that_shows_gives_no_speeds(flight):
-    steps = descent(flight, sink_m_s=0.03)  # too slow to see where it ended
+    steps = descent(flight, sink_m_s=0.03)  # too slow for an end to be detected
     verdict = judged(flight, steps)
     assert verdict.outcome is Outcome.LANDED
     assert verdict.touchdown_error_m == pytest.approx(0.15, abs=1e-6)
@@ -135,7 +135,7 @@ def test_motors_off_without_a_contact_that_shows_gives_no_speeds(flight):
 @pytest.mark.parametrize(("rate_hz", "lag_s"), [(100, 0.06), (50, 0.03), (25, 0.05)])
 @pytest.mark.parametrize("sink_m_s", [0.25, 0.57])
 def test_contact_speed_of_a_state_that_lags_and_comes_seldom(flight, rate_hz, lag_s, sink_m_s):
-    """The estimate loses its speed within some steps; none of them may lower the speed of the contact."""
+    """The estimated speed falls within some steps; none of them may lower the speed of the contact."""
     steps = descent(flight, sink_m_s=sink_m_s)
     every, own = round(1.0 / (rate_hz * DT_S)), steps.own_velocity_enu_m_s.copy()
     for k in range(1, len(own)):
@@ -148,7 +148,7 @@ def test_contact_speed_of_a_state_that_lags_and_comes_seldom(flight, rate_hz, la
 
 @pytest.mark.parametrize(("pad_carries", "outcome"), [(True, Outcome.TIMEOUT), (False, Outcome.LANDED)])
 def test_on_a_floor_without_a_pad_the_vehicle_rests_in_the_world(flight, pad_carries, outcome):
-    """The floor is at the pad's height: the target drives on below, and h falls beside it."""
+    """The floor is at the pad's height: the target drives on below, and h decreases next to it."""
     steps = descent(flight)
     down = steps.t_s >= CONTACT_S
     at_m = steps.own_position_enu_m[np.flatnonzero(down)[0]]
@@ -194,7 +194,7 @@ def test_a_state_that_is_missing_for_a_moment_while_it_rests_is_looked_for_besid
 
 
 def test_after_an_abort_that_has_flown_clear_h_no_longer_counts(flight):
-    """Beside the robot h is negative by geometry; until the vehicle is clear it counts."""
+    """Next to the robot h is negative by geometry; it counts until the vehicle is clear."""
     steps = descent(flight, d_m=0.6, stops=False, phase_after=Phase.ABORT)
     clear_m = LARGE.checks.clearance_m
     away = steps.t_s >= OFF_S + 1.0

@@ -1,4 +1,4 @@
-"""The log of a fleet: each member is read as a single flight is; the fleet's verdict is the campaign's."""
+"""The log of a fleet: each member is read as a single flight; the fleet's verdict equals the campaign's."""
 
 from dataclasses import replace
 
@@ -47,7 +47,7 @@ def test_a_member_is_read_as_a_single_flight(fleet):
 
 
 def test_the_members_together_are_the_fleet(fleet):
-    """Every message of a member is in its part and in no other; one pass finds the same flights."""
+    """Every message of a member is in its part only; one pass finds the same flights."""
     parts = {member: LogFile(fleet.log, member) for member in MEMBERS}
     counts = {member: sum(1 for _ in part.messages()) for member, part in parts.items()}
     shared = ("/tf", "/tf_static", "/diagnostics", "/fleet/pairs")
@@ -127,7 +127,7 @@ def test_without_the_end_of_a_pair_nothing_is_safe():
     assert known.violation is None
     cut = fleet_verdict(both, [PAIR], NAMES, complete=False)
     assert (cut.collisions, cut.ellipsoid_violations, cut.ellipsoid_min, cut.distance_min_m) == (None,) * 4
-    hit = PAIR._replace(collided_ms=0, violations=2)  # what was seen stays seen
+    hit = PAIR._replace(collided_ms=0, violations=2)  # earlier results remain
     cut = fleet_verdict(both, [hit], NAMES, complete=False)
     assert (cut.collisions, cut.ellipsoid_violations, cut.outcome) == (1, 2, Outcome.CRASHED)
     assert cut.members["cf1"].reason == "collision with cf2"

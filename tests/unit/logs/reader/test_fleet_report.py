@@ -1,4 +1,4 @@
-"""The report of a fleet: what was told and heard, the page of all, a page of each, and the command."""
+"""The report of a fleet: sent and received messages, overview page, one page per member, and the command."""
 
 import json
 import re
@@ -39,7 +39,7 @@ def run(*arguments):
 
 @pytest.fixture(scope="module")
 def told(fleet, tmp_path_factory):
-    """What the command says of the pages that it writes."""
+    """Return the command's output about the pages that it writes."""
     folder = tmp_path_factory.mktemp("pages")
     done = run("report", fleet.log, "--out", folder / "report.html", "--json")
     assert done.exit_code == 0
@@ -79,7 +79,7 @@ def test_lost_words_are_counted(words):
 
 
 def test_a_member_that_is_not_heard_is_silent(fleet, read, tmp_path):
-    """The words of cf1 to cf2 are taken out of two seconds of the log."""
+    """Remove the messages from cf1 to cf2 from two seconds of the log."""
     from flightstack.common.pacing import Tick
     from logs.schema.controller_rows import pack_neighbours, unpack_neighbours
     from tests.unit.logs.replay.test_replay_members import copied
@@ -131,7 +131,7 @@ def test_the_page_of_all_links_those_of_the_members(told):
     for words in ("waits for cf1", "cf2 right of way", "cf1 to cf3", "Save as team.toml", "times inside",
                   "flightstack sitl --scenario team.toml --seed 1 --lockstep", "cf3.controller"):  # fmt: skip
         assert words in text
-    assert re.search(r"<td>cf2</td><td>cf1</td>", text)  # who waited for whom
+    assert re.search(r"<td>cf2</td><td>cf1</td>", text)  # the waiting vehicle, and the one it waited for
 
 
 def test_a_page_says_what_is_missing(read):

@@ -1,4 +1,4 @@
-"""A fleet in Rerun and in Foxglove's layout: every member is there, at its place, and nothing collides."""
+"""A fleet in Rerun and in Foxglove's layout: every member at its position, without name conflicts."""
 
 import json
 
@@ -37,7 +37,7 @@ def curve(rrd, entity):
 
 
 def values(rrd, entity, column):
-    """Values of a column of an entity over time."""
+    """Return the values of an entity's column over time."""
     found = [
         value
         for chunk in chunks(rrd)
@@ -89,7 +89,7 @@ def test_a_member_alone_is_as_a_single_flight(fleet, tmp_path):
 
 @pytest.fixture(scope="module")
 def bag(fleet):
-    """Topic -> [(log time in ns, message)], by rosbags."""
+    """Return topic -> [(log time in ns, message)], decoded by rosbags."""
     found = {}
     with AnyReader([fleet.log]) as reader:
         for connection, log_time_ns, data in reader.messages():
@@ -135,7 +135,7 @@ def test_pictures_of_a_member_are_in_its_own_frames(bag):
                 frames.setdefault(marker.ns, set()).add(marker.header.frame_id)
                 if marker.ns == "ellipsoid":
                     kinds.add((marker.type, marker.scale.x, marker.scale.y, marker.scale.z))
-        assert kinds == {(2, 0.25, 0.25, 0.75)}  # a sphere with these diameters: half of the pair's ellipsoid
+        assert kinds == {(2, 0.25, 0.25, 0.75)}  # sphere with these diameters: half of the pair's ellipsoid
         assert frames == {
             "vehicle": {f"{member}/base_link"}, "ellipsoid": {f"{member}/base_link"},
             "pad": {f"{member}/target"}, "barrier": {f"{member}/target_pad"},

@@ -1,4 +1,4 @@
-"""A log as arrays: right numbers, right times, and nothing invented."""
+"""A log as arrays: correct numbers and times, no invented values."""
 
 import itertools
 import math

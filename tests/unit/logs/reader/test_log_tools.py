@@ -1,4 +1,4 @@
-"""Info and recover: on whole logs, and on every broken one."""
+"""The verbs info and recover, on complete logs and on broken ones."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from tests.unit.logs.helpers import EPOCH_NS, record
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """Three seconds; /rosout once a second, /tf_static once."""
+    """Return three seconds; /rosout once a second, /tf_static once."""
     return record(tmp_path_factory.mktemp("whole") / "whole.mcap")
 
 
 @pytest.fixture(scope="module")
 def broken(whole, tmp_path_factory):
-    """The same, cut in the middle."""
+    """Return the same log, truncated in the middle."""
     path = tmp_path_factory.mktemp("broken") / "broken.mcap"
     data = whole.read_bytes()
     path.write_bytes(data[: len(data) // 2])
@@ -36,19 +36,19 @@ def broken(whole, tmp_path_factory):
 
 @pytest.fixture
 def tool(tmp_path):
-    """Run ``flightstack log ...``; returns exit status, output and error text."""
+    """Run ``flightstack log ...``; return exit status, output and error text."""
 
     def run(*arguments):
         result = CliRunner().invoke(main, ["log", *map(str, arguments)])
         assert not isinstance(result.exception, Exception) or isinstance(result.exception, SystemExit)
-        assert [p for p in tmp_path.iterdir() if p.name.startswith(".")] == []  # no temporary file stays
+        assert [p for p in tmp_path.iterdir() if p.name.startswith(".")] == []  # no temporary file remains
         return result.exit_code, result.stdout, result.stderr
 
     return run
 
 
 def summary(path):
-    """What the package's own indexed reader says: every message by the index, and the statistics."""
+    """Return every message by the index, and the statistics, from the package's indexed reader."""
     with path.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         found = reader.get_summary()
@@ -105,7 +105,7 @@ def test_info_of_a_broken_log_says_where_it_breaks(tool, whole, broken):
     data = broken.read_bytes()
     readable = broken.parent / "readable.mcap"
     readable.write_bytes(data[: found["readable_bytes"]])
-    assert rows(readable) == rows(broken)  # it is all there
+    assert rows(readable) == rows(broken)  # nothing is lost
     code, out, _ = tool("info", broken)
     assert code == 1
     assert "BROKEN" in out
@@ -121,12 +121,12 @@ def test_recover_of_a_whole_log_is_the_same_log(tool, whole, tmp_path):
 
 
 def test_every_byte_offset_of_a_small_log(tmp_path):
-    """A power cut leaves any prefix of the file."""
+    """After a power failure the file may end at any byte."""
     small, cut, out = (tmp_path / name for name in ("small.mcap", "cut.mcap", "out.mcap"))
     file = McapFile(small)
     channel = file.channel("/t", schemas.LOOP_TIMING)
     file.metadata("run", {"seed": "1"})
-    ends = {}  # size of the file -> messages that must be there
+    ends = {}  # size of the file -> required messages
     for tick in range(6):
         file.write(channel, EPOCH_NS + tick, 5, tick, TIMING._replace(tick=tick).pack())
         if tick % 2:
@@ -170,12 +170,12 @@ def test_files_that_exist_are_not_written_over_unless_forced(tool, whole, tmp_pa
     assert tool("recover", whole, "--out", out, "--force")[0] == 0
     assert LogFile(out).complete
     size = out.stat().st_size
-    assert tool("recover", out, "--out", out, "--force")[0] == 0  # onto itself, through the temporary name
+    assert tool("recover", out, "--out", out, "--force")[0] == 0  # in place, by a temporary name
     assert out.stat().st_size >= size
 
 
 def test_logs_of_other_programs_keep_what_we_do_not_know(tool, tmp_path):
-    """Schemaless, JSON, repeated metadata names, a time of creation of its own: all kept."""
+    """Schemaless, JSON, repeated metadata names, a creation time: all are preserved."""
     path, out = tmp_path / "foreign.mcap", tmp_path / "out.mcap"
     with path.open("wb") as stream:
         writer = Writer(stream)

@@ -1,4 +1,4 @@
-"""Logs, recovered and cut ones too, open unmodified elsewhere; every broken one gives all it holds."""
+"""Logs, also recovered and truncated ones, are readable by other programs; broken ones as far as possible."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def counts(log):
 
 
 def same(a, b):
-    """Field by field, whatever the classes of two decoders."""
+    """Compare field by field, for the classes of any two decoders."""
     fields = getattr(b, "__dataclass_fields__", None)
     if fields is not None:
         return all(
@@ -98,7 +98,7 @@ def same(a, b):
 
 
 def test_two_cdr_libraries_agree_on_every_message(log):
-    """The indexed reader and ROS 2 decoder of the MCAP project, and rosbags."""
+    """Read with the MCAP project's indexed reader and ROS 2 decoder, and with rosbags."""
     with log.open("rb") as stream, AnyReader([log]) as bags:
         reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
         theirs: dict[str, list] = {}
@@ -116,7 +116,7 @@ def test_two_cdr_libraries_agree_on_every_message(log):
 
 
 def rerun(tmp_path, *arguments):
-    """Run the program with a home of its own: it keeps settings there."""
+    """Run the program with its own home folder, because it stores settings there."""
     return subprocess.run(
         [str(RERUN), *map(str, arguments)],
         capture_output=True, text=True, timeout=PATIENCE_S, check=False,
@@ -209,7 +209,7 @@ def test_a_log_of_others_is_shown_and_not_obeyed(tmp_path):
     for text in ("<script>alert", "<b onload", "<i>"):
         assert text not in page.replace("<i></i>", "")
     shown = load_flight(log)
-    assert shown.events[-1].text.endswith("<script>alert(1)")  # read as it was written
+    assert shown.events[-1].text.endswith("<script>alert(1)")  # as written
 
 
 @pytest.mark.parametrize("name", ["../../evil", "a/b", "<b>", "a b", "x" * 65])

@@ -1,4 +1,4 @@
-"""What the report computes from a log, what viewers read of it, and the layouts that ship."""
+"""Values that the report computes from a log, data for viewers, and the packaged layouts."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def written(tmp_path):
 
 
 def test_the_margin_is_read_back_from_what_the_filter_left(written):
-    """The filter's own slack, with the robust barrier, gives its margin back: full outside, faded inside."""
+    """With the robust barrier the filter's slack shows the margin: full outside, faded inside."""
     config = dataclasses.replace(load(CONFIG), filter="robust")
     barrier = RobustBarrier(BARRIER, MARGIN_M, FADE_M)
     solver = SafetyFilter(config.robust.rate_1_s)
@@ -115,7 +115,7 @@ def test_faults_have_begin_and_end_and_count_once(written):
     at = [row.stamp_ns for row in rows.steps]
     rows.events = [
         (at[100], 30, "Fault: motor 2 weak"),
-        (at[101], 30, "vehicle: Fault: motor 2 weak"),  # the onboard process repeats the vehicle
+        (at[101], 30, "vehicle: Fault: motor 2 weak"),  # the onboard process repeats texts of the vehicle
         (at[200], 20, "Fault over: motor 2 weak"),
         (at[201], 20, "vehicle: Fault over: motor 2 weak"),
         (at[300], 30, "Fault: target odometry off"),
@@ -159,7 +159,7 @@ def test_the_command_repeats_the_run(written):
     assert "not the log of a simulated run" in repeat_section(dataclasses.replace(flight, attachments={}))
 
 
-# where the flight is shown, or what the scenario as it was flown has
+# where the flight is shown, or in the scenario that was flown
 NOT_TOLD = {"scenario", "seed", "filter", "lockstep", "out", "listen", "zenoh_config", "ros2_where", "view"}
 NOT_TOLD |= {"ros_domain", "instance", "members", "runs", "as_json", "with_report", "px4_sih", "ardupilot"}
 

@@ -1,4 +1,4 @@
-"""Every outcome and every limit of the verdict, on logs made for it."""
+"""Every outcome and every limit of the verdict, on synthetic logs."""
 
 import math
 
@@ -37,7 +37,7 @@ def test_landed(verdict_of):
     assert verdict.touchdown_error_m == pytest.approx(math.hypot(x, y))
     assert verdict.touchdown_speed_vertical_m_s == pytest.approx(-vz)
     assert verdict.touchdown_speed_horizontal_m_s == pytest.approx(math.hypot(vx, vy))
-    # the touch lies half a tick before the true state that shows it
+    # the touch is half a tick before the true state that shows it
     assert verdict.time_to_land_s == pytest.approx(
         touch.first_touch_time_s - rows.begin_tick * DT_S, abs=1e-6
     )
@@ -197,10 +197,10 @@ NAN, STILL = math.nan, (0.0, 0.0, 0.0)
 @pytest.mark.parametrize(
     ("changes", "outcome", "violation", "word"),
     [
-        # it touches further out than this
+        # this touch is farther from the centre
         ([lambda rows: rows.run.update(pad_radius_m="0.01")], Outcome.CRASHED, ANY, ""),
         (
-            # the pad goes on at 0.1 m/s
+            # the pad continues at 0.1 m/s
             [truth(lambda rows, tick: tick > rows.truth[rows.touch].tick + 10, velocity_enu_m_s=STILL)],
             Outcome.TIMEOUT, ANY, "relative speed",
         ),
@@ -249,7 +249,7 @@ def test_a_declared_abort_carries_what_the_autopilot_said_of_it(verdict_of):
 
 
 def test_landed_by_estimate(verdict_of):
-    """A log without true states, as real hardware writes it."""
+    """Return a log without true states, as real hardware writes it."""
     rows = landing()
     rows.truth = []
     verdict = verdict_of(rows)
@@ -265,7 +265,7 @@ def test_landed_by_estimate(verdict_of):
     ("change", "outcome", "violation"),
     [
         (steps(since_begin(5, 5), h_m=-0.006), ANY, True),
-        (steps(since_begin(5, 5), target_valid=False), ANY, None),  # an input that is not known
+        (steps(since_begin(5, 5), target_valid=False), ANY, None),  # an unknown input
         (
             steps(lambda rows, tick: tick > rows.steps[-1].tick - 150, own_valid=False),  # lost at rest
             Outcome.TIMEOUT, ANY,

@@ -1,4 +1,4 @@
-"""What counts after an abort, and after a second take-off from the pad: until the vehicle is clear."""
+"""The judged time after an abort, and after a second take-off from the pad: until the vehicle is clear."""
 
 import math
 from dataclasses import replace
@@ -48,7 +48,7 @@ def judged(tmp_path):
     return judged
 
 
-# the state that first shows it clear holds the minimum of the physics steps before it: it still counts
+# the first state that shows it clear has the minimum of the physics steps before it, which still counts
 @pytest.mark.parametrize(
     ("low_tick", "violation"),
     [
@@ -96,7 +96,7 @@ def left_at(rows, tick, contacts=lambda r: 0, down_m_s=0.3):
 
 
 def rested(rows):
-    """Tick at which the vehicle has rested for so long as is needed, and the last one."""
+    """Return the tick at which the vehicle has rested for the required time, and the last tick."""
     off = max(r.tick for r in rows.truth if r.motors_running) + 1
     return off + round(2.0 / DT_S), len(rows.truth) - 1
 

@@ -1,4 +1,4 @@
-"""What viewers are shown is what the controller steps say; once a second it is said how everything did."""
+"""Topics for viewers derived from controller steps; once a second the health of all links."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_rates_follow_the_log_time_only():
             counts[topic] = counts.get(topic, 0) + 1
     assert counts["/tf"] == counts["/cf1/pose"] == 500
     assert counts["/cf1/cbf/markers"] == 50
-    assert counts["/tf_static"] == 2  # again and again, so that a viewer that jumps finds it
+    assert counts["/tf_static"] == 2  # repeated, so that a viewer finds it after a jump in time
 
 
 def markers_of(deriver, row):
@@ -191,7 +191,7 @@ def frame(sequence, system=1, peer=b"p00"):
 
 
 def second(row=None, timing=None, frames=(), sent=0, ticks=100):
-    """Diagnostics of one second: name without name space -> (level, message, values)."""
+    """Return diagnostics of one second: name without name space -> (level, message, values)."""
     health = Health("/cf1")
     for data in frames:
         health.incoming.add(data)
@@ -267,14 +267,14 @@ def test_lost_frames_by_sequence_numbers(numbers, lost):
     counter = FrameCounter()
     for sequence in numbers:
         counter.add(frame(sequence))
-        counter.add(frame(sequence, system=2, peer=b""))  # another sender does not mix in
+        counter.add(frame(sequence, system=2, peer=b""))  # frames of another sender are counted separately
     assert counter.take() == (2 * len(numbers), 2 * lost)
     assert counter.take() == (0, 0)
 
 
 def test_lost_frames_warn():
     assert second(frames=[frame(i) for i in range(0, 20, 2)])["vehicle link"][0] == WARN
-    assert second()["vehicle link"][2]["lost_share"] == "nan"  # nothing heard: no share of it
+    assert second()["vehicle link"][2]["lost_share"] == "nan"  # without any frame no share is known
 
 
 def test_members_of_a_fleet_keep_their_frames_their_pads_and_their_scenes_apart():

@@ -1,4 +1,4 @@
-"""Feed and recorder over real sockets into real files, in bounded memory: nothing lost silently."""
+"""Feed and recorder over real sockets into real files, with bounded memory and reported losses."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.unit.logs.helpers import DEADLINE_S, EPOCH_NS, timing
 
 
 class InThread:
-    """A recorder process' loop in a thread, joined at the end of the block."""
+    """Run a recorder process' loop in a thread, joined at the end of the block."""
 
     def __init__(self, tmp_path, until=None, source=None):
         self.socket = tmp_path / "feed.sock"
@@ -116,7 +116,7 @@ def test_nonsense_is_counted_and_harms_nobody_else(tmp_path):
         channel = good.channel("/t", schemas.LOOP_TIMING)
         with socket.socket(socket.AF_UNIX) as raw:
             raw.connect(str(recorder.socket))
-            raw.sendall(HEADER.pack(2**32 - 1, 1, 1, 0, 0, 0) + b"x" * 100)  # a length nobody can mean
+            raw.sendall(HEADER.pack(2**32 - 1, 1, 1, 0, 0, 0) + b"x" * 100)  # an impossible length
         with socket.socket(socket.AF_UNIX) as raw:
             raw.connect(str(recorder.socket))
             raw.sendall(
@@ -144,7 +144,7 @@ def test_nonsense_is_counted_and_harms_nobody_else(tmp_path):
 
 
 def deaf_server(tmp_path):
-    """A listener and a feed whose records nobody reads yet."""
+    """Return a listener and a feed whose records are not read yet."""
     server = socket.socket(socket.AF_UNIX)
     server.bind(str(tmp_path / "deaf.sock"))
     server.listen(1)
@@ -158,7 +158,7 @@ def test_slow_recorder_never_blocks_real_time_and_drops_are_counted(tmp_path, ve
     peer, _ = server.accept()
     channel = client.channel("/t", schemas.LOOP_TIMING)
     payload, total = bytes(10_000), 1500
-    for i in range(total):  # 15 MB into a socket nobody reads: would block for ever if it could
+    for i in range(total):  # 15 MB into a socket without a reader: a blocking send would never return
         client.write(channel, i, i, i, payload)
         client.flush()
         assert len(client._buffer) <= vehicles * feed.BUFFER_LIMIT
@@ -173,7 +173,7 @@ def test_slow_recorder_never_blocks_real_time_and_drops_are_counted(tmp_path, ve
         except BlockingIOError:
             continue
     messages = [r for r in records if r.kind == Kind.MESSAGE]
-    assert [m.sequence for m in messages] == list(range(len(messages)))  # whole records, the oldest
+    assert [m.sequence for m in messages] == list(range(len(messages)))  # complete records, the oldest ones
     assert len(messages) + client.dropped == total
     assert f'"dropped": {client.dropped}'.encode() in records[-1].payload
     client.close()
@@ -251,9 +251,9 @@ def test_paths_that_are_taken(tmp_path):
         RecorderProcess(tmp_path / "a.sock", tmp_path / "no such directory" / "b.mcap")
     with socket.socket(socket.AF_UNIX) as stale:
         stale.bind(str(tmp_path / "stale.sock"))
-    process = RecorderProcess(tmp_path / "stale.sock", tmp_path / "c.mcap")  # nobody answers there
+    process = RecorderProcess(tmp_path / "stale.sock", tmp_path / "c.mcap")  # no reply at this socket
     with pytest.raises(RecorderError, match="in use"):
-        RecorderProcess(tmp_path / "stale.sock", tmp_path / "d.mcap")  # somebody does
+        RecorderProcess(tmp_path / "stale.sock", tmp_path / "d.mcap")  # a recorder replies here
     process.stop()
     process.run()
 
@@ -263,7 +263,7 @@ def test_drops_reported_by_a_client_are_in_the_log(tmp_path):
     splitter = Splitter()
     for dropped in (0, 3, 3, 8):
         data = encode_json(Kind.LOSSES, 0, 0, {"client": "onboard", "dropped": dropped})
-        for i in range(0, len(data), 5):  # whatever the pieces
+        for i in range(0, len(data), 5):  # any split of the data
             for record in splitter.feed(data[i : i + 5]):
                 recorder.handle(1, record)
     recorder.handle(1, *splitter.feed(encode(Kind.GOODBYE, 0, 0, 0, 0, b"")))
@@ -276,7 +276,7 @@ def test_drops_reported_by_a_client_are_in_the_log(tmp_path):
     assert problems(counts) == ["onboard dropped 8 records, the recorder did not keep up"]
 
 
-CHANNELS = 18  # of a flight
+CHANNELS = 18  # topics of a flight
 
 
 def write_chunks(writer, numbers):

@@ -1,4 +1,4 @@
-"""Raw frames are recorded as a generic codec would, lose nothing, and decode to what pymavlink decodes."""
+"""Raw frames are recorded as by a generic codec, without losses, and decode as in pymavlink."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ ROS_TYPE = re.compile(r"[A-Z][A-Za-z0-9]*")
 
 
 def framed(number, payload, sequence=0, system=1, component=1):
-    """One frame with this payload and a valid checksum."""
+    """Return one frame with this payload and a valid checksum."""
     payload = payload.rstrip(b"\x00") or payload[:1]
     head = bytes([len(payload), 0, 0, sequence, system, component]) + number.to_bytes(3, "little")
     crc = mav.x25crc(head + payload)
@@ -103,7 +103,7 @@ def framed(number, payload, sequence=0, system=1, component=1):
 
 
 def decoded(frame, peer=b"p00"):
-    """(topic, schema, fields) of the one message made of a frame."""
+    """Return (topic, schema, fields) of the one message from a frame."""
     decoder = FrameDecoder("/cf1/mavlink_source")
     ((topic, schema, data),) = decoder.step(0, pack_mavlink(STAMP_NS, frame, peer))
     store = schemas.store_for(schema)

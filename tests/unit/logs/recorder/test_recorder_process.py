@@ -1,4 +1,4 @@
-"""The recorder as its own process: killed, told to stop, on a full disk, and straight from Zenoh."""
+"""The recorder as a process: killed, stopped, on a full disk, and with data from Zenoh."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ pytestmark = pytest.mark.slow
 LIMITS = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({0}, {0}));"  # bytes of a file
 RECORD = (
     "import sys; from pathlib import Path; from logs.recorder import recorder;"
-    "recorder.GRACE_S = 600.0;"  # longer than the test waits: a second signal alone ends it at once
+    "recorder.GRACE_S = 600.0;"  # longer than the test waits: only a second signal ends it at once
     "sys.exit(recorder.record_main(Path(sys.argv[1]), Path(sys.argv[2]), None))"
 )
 
 
 def start(tmp_path, *, file_limit=None, until="None"):
-    """Start a recorder as its own process; returns when it listens."""
+    """Start a recorder as a process; return when it listens."""
     paths = (tmp_path / "feed.sock", tmp_path / "flight.mcap")
     code = RECORD.replace("None", until)
     if file_limit:
@@ -61,7 +61,7 @@ def test_told_to_stop_it_takes_what_is_in_the_sockets(tmp_path):
         client.write(channel, i, i, i, timing(i))
     client.flush()
     process.send_signal(signal.SIGTERM)
-    process.send_signal(signal.SIGINT)  # the second wish: at once, without waiting for the client
+    process.send_signal(signal.SIGINT)  # the second signal: end at once, without waiting for the client
     process.send_signal(signal.SIGCONT)
     _, errors = process.communicate(timeout=DEADLINE_S)
     assert process.returncode == 1
@@ -110,7 +110,7 @@ def test_a_slow_disk_delays_nobody_and_the_last_call_covers_the_end(tmp_path, mo
             syncer.ask()
             if i == 0:
                 wait_until(lambda: calls, "the first call")
-        assert calls == [1]  # one at a time, and nobody waited for it
+        assert calls == [1]  # one at a time, without a wait for it
     go.set()
     syncer.close()
     assert calls[-1] == 50
@@ -130,7 +130,7 @@ def test_a_disk_that_cannot_keep_what_it_took_is_a_failure(tmp_path, monkeypatch
 
 
 class SmallDisk(io.BytesIO):
-    """A file on a disk with so much room."""
+    """A file on a disk with this much space."""
 
     room = 60_000
 

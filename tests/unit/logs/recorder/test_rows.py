@@ -1,4 +1,4 @@
-"""Rows are packed as a generic ROS 2 codec packs them, lose nothing, and refuse what is not theirs."""
+"""Rows are packed as by a generic ROS 2 codec, without losses, and reject data of other types."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ ROWS = {name: getattr(rows, rows.class_name(name, "Row")) for name in rows.ROWS}
 
 
 def values_of(field):
-    """Values of a field as they stand in a row."""
+    """Return the values of a field as in a row."""
     if field.length == 0 and field.kind == "uint8":
         return st.binary(max_size=4)
     if field.length is not None:
@@ -63,7 +63,7 @@ def values_of(field):
 
 
 def generic(field, value):
-    """The value of a field as the classes of the generic codec want it."""
+    """Return the value of a field as the generic codec's classes require."""
     if field.length is not None and field.kind in cdr.CODES:
         return np.frombuffer(value, np.uint8) if isinstance(value, bytes) else np.array(value)
     if field.length is not None:
@@ -95,7 +95,7 @@ def test_every_row_equals_the_generic_codec_and_comes_back_to_the_bit(row):
     assert data == bytes(STORE.serialize_cdr(message(schema, row), schema))
     back = type(row).unpack(data)
     assert type(back) is type(row)
-    assert back.pack() == data  # NaN equals nothing, so bits are compared
+    assert back.pack() == data  # compare bits, because NaN does not equal itself
     assert [type(value) for value in back] == [type(value) for value in row]
 
 
@@ -152,8 +152,8 @@ inputs = st.builds(
     st.none() | statuses,
     st.lists(samples, max_size=4).map(tuple),
     st.sampled_from(Operator),
-    power=st.none(),  # in rows of its own
-    neighbours=st.just(()),  # the same
+    power=st.none(),  # stored in separate rows
+    neighbours=st.just(()),  # stored in separate rows
 )
 
 

@@ -1,4 +1,4 @@
-"""Flights of the point mass, recorded by the code that records real ones."""
+"""Flights of the point mass, recorded by the recorder's own code."""
 
 from pathlib import Path
 
@@ -25,7 +25,7 @@ STEP, INPUT, STATE = "/cf1/controller/step", "/cf1/controller/input", "/cf1/cont
 
 
 class FileFeed:
-    """A feed that writes straight into a file, flushing now and then as the recorder does."""
+    """A feed that writes directly into a file, with the recorder's flushes."""
 
     def __init__(self, path: Path):
         self.file = McapFile(path)
@@ -44,7 +44,7 @@ class FileFeed:
 
 
 class NoSession:
-    """A Zenoh session that nobody listens to."""
+    """A Zenoh session without subscribers."""
 
     def declare_publisher(self, key, **_):
         return self
@@ -56,7 +56,7 @@ class NoSession:
 def record(
     path: Path, world: World, seconds: float, *, until=None, config: FlightConfig = CONFIG, after=()
 ) -> Path:
-    """Fly the world and record it; ends when the time is over or the controller has finished."""
+    """Fly and record; end at the time limit or when the controller has finished."""
     feed = FileFeed(path)
     feed.file.attachment("onboard.toml", "application/toml", 0, dumps(config).encode())
     feed.file.metadata("onboard", {"namespace": "cf1"})
@@ -85,7 +85,7 @@ def record(
 
 
 def short_flight(path: Path, seconds: float = 3.0) -> Path:
-    """A flight that begins in the air next to the pad and lands: all phases of a landing."""
+    """Return a flight that starts in the air next to the pad and lands: all phases of a landing."""
     world = World(CONFIG, position=(-0.6, 0.2, 0.95))
     record(path, world, seconds)
     assert world.phase in (Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN, Phase.LANDED)

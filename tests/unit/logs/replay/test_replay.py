@@ -1,4 +1,4 @@
-"""A log is proof: one changed bit in it, or a controller that decides otherwise, is found and named."""
+"""Replay detects and names one changed bit in a log, or a controller that decides differently."""
 
 import json
 import math
@@ -24,7 +24,7 @@ from tests.point_mass import World
 from tests.synthetic_flight import landing, write_log
 from tests.unit.logs.replay.replay_helpers import CONFIG, INPUT, STATE, STEP, record, short_flight
 
-TICK = 40  # one that is flown
+TICK = 40  # a tick in flight
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def recorded(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def step(recorded):
-    """The recorded step of the tick that is changed."""
+    """Return the recorded step of the changed tick."""
     return next(m.data for m in LogFile(recorded).messages({STEP}) if m.sequence == TICK)
 
 
@@ -43,7 +43,7 @@ def rewritten(recorded, target, *, when=None, change=None):
 
 
 def at(topic, change, tick=TICK):
-    """Changes one message."""
+    """Change one message."""
     return lambda m: change(m.data) if (m.topic, m.sequence) == (topic, tick) else m.data
 
 
@@ -76,7 +76,7 @@ def test_a_flipped_bit_of_a_recorded_decision_is_found_and_named(recorded, step,
 
 
 def offsets(step):
-    """First byte of each field of a step, by what a flipped bit is called."""
+    """Return the first byte of each field of a step, by the field's name."""
     found = {}
     for byte in range(len(step)):
         ((name, _, _),) = messages_of(CONTROLLER_STEP, flipped(step, byte), step)
@@ -153,8 +153,8 @@ def test_a_log_cut_at_any_byte_is_equal_up_to_there_or_refused(recorded, tmp_pat
         assert result.equal, result.outputs.first
         assert any("breaks off" in note for note in result.notes)
         compared.add(result.compared)
-    assert max(refused) < 10  # only pieces so short that nothing was decided yet
-    assert len(compared) > 5  # longer and longer pieces, not the same one each time
+    assert max(refused) < 10  # only parts too short for any decision
+    assert len(compared) > 5  # many parts of different length
     assert max(compared) <= replay(recorded).compared
 
 
@@ -292,7 +292,7 @@ POWER = "/cf1/controller/power"
 
 @pytest.fixture(scope="module")
 def powered(tmp_path_factory):
-    """A flight with a thrust reserve, whose battery sags."""
+    """Return a flight with a thrust reserve and a battery that sags."""
 
     def told(world, inputs):
         said = None if world.t_s < 0.05 else Power(world.t_s, 3.9 - 0.1 * world.t_s, 0.8, 0.99)
@@ -317,7 +317,7 @@ def test_a_flight_with_a_thrust_reserve_replays_bit_by_bit(powered, tmp_path):
 
 @pytest.mark.parametrize("byte", [-1, -9, -25])
 def test_what_was_told_of_the_battery_counts(powered, tmp_path, byte):
-    """Of the estimate itself, of the tilt and of the voltage: the last bits of the message."""
+    """The last bits of the message: estimate, tilt and voltage."""
     changed = at(POWER, lambda data: flipped(data, byte), TICK)
     result = replay(rewritten(powered, tmp_path / "changed.mcap", change=changed))
     assert result.outputs.first[0].tick == TICK

@@ -1,4 +1,4 @@
-"""The log of a vehicle in a fleet holds the messages that it received, and replays by them, bit by bit."""
+"""A fleet vehicle's log contains the messages it received, and replays with them bit by bit."""
 
 import struct
 
@@ -16,7 +16,7 @@ from tests.golden.flights import path_of, write_kept
 
 RECORDED = path_of("fleet_3_cf1")
 NEIGHBOURS = "/cf1/controller/neighbours"
-TICK = 60  # one whose decisions depend on the messages
+TICK = 60  # a tick whose decisions depend on the messages
 
 
 def test_a_log_that_lacks_its_beginning_is_replayed_from_the_first_snapshot(tmp_path):
@@ -36,7 +36,7 @@ def test_each_tick_has_what_was_told_in_it():
 
 
 def one_bit(message):
-    """Change a bit of the eastern position of the vehicle that spoke last, by less than a nanometre."""
+    """Change one bit of the last sender's east position, by less than a nanometre."""
     *before, word = unpack_neighbours(message.data)
     x, y, z = word.position_enu_m
     (bits,) = struct.unpack("<Q", struct.pack("<d", x))

@@ -1,6 +1,6 @@
-"""The golden logs: what the controller decided when they were made, it decides today.
+"""Golden logs: the controller still makes the recorded decisions.
 
-If a change is meant to change decisions, ``python -m tests.golden update`` shows it and flies anew.
+After an intended change of decisions, ``python -m tests.golden update`` shows it and flies again.
 """
 
 import pytest

@@ -1,4 +1,4 @@
-"""The log of a fleet: each member replays alone, bit by bit, and the command tells of all."""
+"""The log of a fleet: each member replays separately, bit by bit, and the command reports all."""
 
 import json
 
@@ -16,7 +16,7 @@ MEMBERS = ("cf1", "cf2", "cf3")
 
 
 def run(capsys, *arguments):
-    """Exit status, standard output and error of a command in this process."""
+    """Return exit status, standard output and error of a command in this process."""
     with pytest.raises(SystemExit) as ended:
         main([str(each) for each in arguments])
     told = capsys.readouterr()
@@ -24,7 +24,7 @@ def run(capsys, *arguments):
 
 
 def copied(source, target, change):
-    """Copy a log; ``change`` returns the data of each message, None to leave it out."""
+    """Copy a log; ``change`` returns the data of each message, None removes the message."""
     log, file = LogFile(source), McapFile(target)
     for name, values in log.metadata().items():
         file.metadata(name, values)

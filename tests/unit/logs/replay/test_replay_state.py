@@ -1,4 +1,4 @@
-"""The controller's state as text: restored at any tick it goes on as if nothing had happened."""
+"""The controller's state as text: restored at any tick, it continues identically."""
 
 import struct
 from dataclasses import dataclass, fields, is_dataclass, replace
@@ -27,7 +27,7 @@ PLAIN = {float: FLOATS, bool: st.booleans(), int: st.integers(0, 2**40), str: TE
 
 
 def any_of(hint):
-    """Any value of a declared type."""
+    """Generate any value of a declared type."""
     if hint in PLAIN:
         return PLAIN[hint]
     if is_dataclass(hint):
@@ -45,7 +45,7 @@ def any_of(hint):
 
 
 def packed(value):
-    """Every leaf of a state; floats by their bits, since NaN equals nothing."""
+    """Yield every leaf of a state; floats as bits, because NaN does not equal itself."""
     if is_dataclass(value):
         return [(f.name, packed(getattr(value, f.name))) for f in fields(value)]
     if isinstance(value, tuple):
@@ -116,7 +116,7 @@ def test_restored_at_any_tick_it_decides_what_the_straight_run_decides(fault, at
 
 
 def leaves(value, name="controller"):
-    """Everything plain that an object holds, at any depth; the solver's scratch space is none of it."""
+    """Yield all plain values in an object, at any depth, except the solver's scratch memory."""
     if isinstance(value, SafetyFilter | type) or callable(value):
         return
     if is_dataclass(value):
@@ -143,7 +143,7 @@ def test_the_state_is_all_that_changes_in_a_controller(filter_kind):
     flown = dict(leaves(world.controller))
     assert dict(leaves(restored)) == flown
     assert fresh != flown
-    assert any(name.endswith("offset_s") for name in flown)  # it looks deep enough
+    assert any(name.endswith("offset_s") for name in flown)  # the search is deep enough
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The recorded wire through today's bridge."""
+"""Recorded MAVLink and Zenoh data, replayed through the current bridge."""
 
 import itertools
 from dataclasses import replace as with_
@@ -27,12 +27,12 @@ pytestmark = pytest.mark.slow
 GOLDEN = path_of("contact")
 
 POSITION, ANSWER = dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED, dialect.MAVLINK_MSG_ID_TIMESYNC
-SKIPPED = 200  # messages of the kind, so that the flight is under way
+SKIPPED = 200  # messages of this kind, so that the flight is in progress
 PAYLOAD_AT = 10  # bytes, MAVLink 2
 
 
 def frame_changed(target, topic, message_id, byte, *, value=None):
-    """The golden log with one byte of one frame's payload changed, all 200 frames of the kind into it."""
+    """Return the golden log with one changed byte in a frame's payload, after 200 frames of the kind."""
     seen = 0
 
     def change(message):
@@ -54,7 +54,7 @@ def frame_changed(target, topic, message_id, byte, *, value=None):
 
 
 def misread(path):
-    """Inputs that the wire gives otherwise, whatever the controller decides on them."""
+    """Return the inputs that differ when computed from the recorded data, not the decisions."""
     flight = FlightInputs(path)
     wire = WireReplay(flight.config(), 1, lockstep=True, autopilot=flight.onboard["autopilot"])
     return [each for tick in flight.ticks() for each in wire.take(tick, tick.given)]
@@ -85,14 +85,14 @@ def test_a_changed_bit_of_the_vehicles_position_means_other_inputs(tmp_path, byt
 
 
 def once(topic, number, change):
-    """Changes one message of a topic, by its place."""
+    """Change one message of a topic, by its index."""
     seen = itertools.count(1)
     return lambda m: change(m.data) if m.topic == topic and next(seen) == number else m.data
 
 
 def test_a_changed_bit_of_the_targets_odometry_means_other_inputs(tmp_path):
     def change(data):
-        at = data.index(b"target\x00") + 7  # the pose begins behind it, aligned to eight
+        at = data.index(b"target\x00") + 7  # the pose follows, aligned to eight bytes
         at += (4 - at) % 8
         return data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :]
 
@@ -102,7 +102,7 @@ def test_a_changed_bit_of_the_targets_odometry_means_other_inputs(tmp_path):
 
 
 def test_frames_after_the_last_tick_belong_to_none(tmp_path):
-    """A process that lands the vehicle by itself sends what no controller decided."""
+    """A process that lands the vehicle itself sends messages without a controller's decision."""
     frame = packed(dialect.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), 0, 1, 191)
     path = record(tmp_path / "flight.mcap", World(CONFIG, position=(-0.6, 0.2, 0.95)), 0.3, after=(frame,))
     *ticks, rest = FlightInputs(path).ticks()

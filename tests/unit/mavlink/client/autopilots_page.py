@@ -1,4 +1,4 @@
-"""The tables of docs/reference/autopilots.md, from the code; run as a module it writes them into the page.
+"""Generates the tables of docs/reference/autopilots.md; run as a module, it writes them into the page.
 
 python -m tests.unit.mavlink.client.autopilots_page
 """
@@ -18,7 +18,7 @@ from tests.unit.verify.certificate_page import BEGIN, END, split
 
 PAGE = Path(__file__).parents[4] / "docs" / "reference" / "autopilots.md"
 PROFILES = (OWN_SITL, CRAZYFLIE, PX4, ARDUPILOT)
-EXAMPLE = "lab"  # scenario whose command box the wanted values are for
+EXAMPLE = "lab"  # scenario whose speed limits the required values refer to
 
 
 def _table(head, rows):
@@ -53,7 +53,7 @@ def _streams(profile):
 
 
 def profiles():
-    """What differs between autopilots."""
+    """Return the table of differences between autopilots."""
     rows = [
         ("`--autopilot`", lambda p: f"`{p.name}`"),
         ("MAV_AUTOPILOT of the heartbeat", lambda p: str(p.autopilot)),
@@ -103,7 +103,7 @@ _OTHERWISE = {
 
 
 def rules(name):
-    """Parameters of the check of one autopilot, of all releases."""
+    """Return the table of one autopilot's checked parameters, for all releases."""
     rows = [
         [
             each.name + (f" ({each.where})" if each.where else ""),

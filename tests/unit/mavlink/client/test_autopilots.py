@@ -116,7 +116,7 @@ def test_ardupilot_is_prepared_on_the_ground_until_it_shows_guided():
     assert [now for now, _ in sent] == pytest.approx([0.0, 1.0, 2.0, 3.0])
     assert {(m.command, m.param1, m.param2) for _, m in sent} == {(176, 1.0, 4.0)}
     assert s.step(Request.NONE, status(3.5, mode=Mode.TAKEOFF), 3.5) == []
-    assert len(s.step(Request.NONE, status(4.5, mode=Mode.OTHER), 4.5)) == 1  # lost again, as after its boot
+    assert len(s.step(Request.NONE, status(4.5, mode=Mode.OTHER), 4.5)) == 1  # lost again, as after a reboot
 
 
 def test_a_vehicle_that_is_armed_or_that_was_flown_is_not_prepared():
@@ -133,11 +133,11 @@ def test_guided_is_a_take_off_until_it_follows_us():
     assert state.status.mode is Mode.TAKEOFF
     state.follow(True)
     assert state.status.mode is Mode.EXTERNAL
-    assert state.status.arrival_s == 1.0  # no news of the heartbeat
+    assert state.status.arrival_s == 1.0  # the heartbeat is not newer
     state.update(heartbeat(LOITER, armed=True, autopilot=3), 2.0)
     assert state.status.mode is Mode.HOLD
     state.update(heartbeat(GUIDED, armed=False, autopilot=3), 3.0)
-    assert state.status.mode is Mode.TAKEOFF  # disarmed: the next flight begins anew
+    assert state.status.mode is Mode.TAKEOFF  # disarmed: a new flight starts
     state.update(heartbeat(STABILIZE, autopilot=3), 4.0)
     assert state.status.mode is Mode.OTHER
 
@@ -155,7 +155,7 @@ def test_ardupilots_take_off_is_over_for_the_sequencer_only_in_the_air():
 
 
 def asked_s(streams, from_s, until_s):
-    """Times at which something is asked for."""
+    """Return the times of requests."""
     ticks = range(round(from_s * 100), round(until_s * 100))
     return [tick * 0.01 for tick in ticks for _ in streams.step(tick * 0.01)]
 

@@ -1,4 +1,4 @@
-"""Requests into commands, streams asked for, texts put together: pure parts of the vehicle link."""
+"""Requests as commands, requested streams, assembled texts: pure parts of the vehicle link."""
 
 import math
 from itertools import pairwise
@@ -48,7 +48,7 @@ def test_before_a_second_flight_px4_leaves_offboard():
 
 def test_takeoff_arms_then_takes_off_then_is_quiet():
     s = sequencer(CRAZYFLIE)
-    s.home_amsl_m = 488.0  # heights of PX4's commands count from the sea
+    s.home_amsl_m = 488.0  # PX4's command heights are above sea level
     (arm,) = s.step(Request.TAKEOFF, status(0.0), 0.0)
     assert arm.command == 400
     assert params(arm)[:2] == [1.0, 0.0]
@@ -59,15 +59,15 @@ def test_takeoff_arms_then_takes_off_then_is_quiet():
     assert all(math.isnan(p) for p in params(takeoff)[:6])
     assert s.step(Request.TAKEOFF, status(0.2, armed=True, mode=Mode.TAKEOFF), 0.2) == []
     assert s.reached
-    # It has climbed and holds: the level is still wanted, and still nothing is sent.
+    # It has climbed and holds: the request remains, and no command is sent.
     assert s.step(Request.TAKEOFF, status(9.0, armed=True, landed=Landed.IN_AIR), 9.0) == []
 
 
 @pytest.mark.parametrize("stands_m", [0.0, 0.4, -2.5, 31.0])
 def test_ardupilot_climbs_from_where_it_stands_wherever_home_is(stands_m):
-    """Home moves to the vehicle when it arms, but not a home that somebody has locked."""
+    """Arming moves the home to the vehicle, unless a client has locked the home."""
     s, guided = sequencer(ARDUPILOT), {"mode": Mode.EXTERNAL}
-    s.above_home = (-1.0, 99.0)  # before it was armed
+    s.above_home = (-1.0, 99.0)  # before arming
     assert commands(s.step(Request.TAKEOFF, status(0.0, **guided), 0.0)) == [400]
     (asked,) = s.step(Request.TAKEOFF, status(0.5, armed=True, **guided), 0.5)
     assert (asked.command, asked.param1) == (512, 33.0)
@@ -75,7 +75,7 @@ def test_ardupilot_climbs_from_where_it_stands_wherever_home_is(stands_m):
     s.above_home = (1.5, stands_m)
     (takeoff,) = s.step(Request.TAKEOFF, status(1.5, armed=True, **guided), 1.51)
     assert (takeoff.command, takeoff.param7) == (22, pytest.approx(stands_m + HEIGHT))
-    s.above_home = (5.0, stands_m + 0.7)  # it has begun to climb, and its heartbeat does not say so yet
+    s.above_home = (5.0, stands_m + 0.7)  # it climbs, but its heartbeat does not show it yet
     (again,) = s.step(Request.TAKEOFF, status(5.5, armed=True, **guided), 5.6)
     assert again.param7 == takeoff.param7
 
@@ -114,7 +114,7 @@ def test_commands_are_repeated_every_half_second_and_give_up():
         now = tick * 0.01
         sent += [(now, m.confirmation) for m in s.step(Request.LAND, status(now, armed=True), now)]
         if tick == 3:
-            s.note_ack(21, 0)  # ACCEPTED, and still the heartbeat never shows it
+            s.note_ack(21, 0)  # ACCEPTED, but the heartbeat never shows it
         if tick == 5:
             s.note_ack(21, 1)
             s.note_ack(400, 4)  # another command's answer
@@ -219,7 +219,7 @@ def test_a_stream_that_stops_is_asked_for_again():
             streams.seen(32)
     assert asked == pytest.approx(
         [0.0, 11.0, 12.0, 13.0, 14.0, 17.0]
-    )  # each second, then each 3 s without end
+    )  # every second, then every 3 s without end
 
 
 def test_long_texts_are_put_together():

@@ -1,4 +1,4 @@
-"""Whose frames are the vehicle's: its ids from the address where it is known, and heartbeats of its kind."""
+"""Identification of the vehicle's frames: its ids, its address if known, and heartbeats of its kind."""
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -59,7 +59,7 @@ def test_a_path_that_delivers_all_once_more_and_later_says_nothing_new(late_s):
     assert said
     assert not any(said)
     assert senders.repeated == len(said)
-    assert senders.ignored == 0  # nobody contradicts the vehicle
+    assert senders.ignored == 0  # no other sender conflicts with the vehicle
 
 
 def test_a_sender_that_numbers_all_its_frames_alike_is_heard():
@@ -89,7 +89,7 @@ def test_another_address_is_counted_and_ignored_while_the_known_one_is_well(fore
     assert wire.senders.known == HERE
     assert wire.senders.ignored == 4
     told = wire.senders.take_notices()
-    assert len(told) == 3  # of 1, 2 and 4
+    assert len(told) == 3  # one each for 1, 2 and 4
     words = ("from 127.0.0.1:14590", "the vehicle is at 127.0.0.1:14580", foreign.get_type())
     assert all(word in told[-1] for word in words)
 
@@ -100,7 +100,7 @@ def test_a_heartbeat_of_another_kind_never_outweighs_the_vehicles_in_flight(kind
     wire = Wire()
     assert wire.beats(armed=True)
     assert not wire.beats(kind, peer, 0.5, armed=True, stream=stream)
-    assert not wire.beats(kind, peer, 60.0, armed=True, stream=stream)  # however long it is silent
+    assert not wire.beats(kind, peer, 60.0, armed=True, stream=stream)  # independent of the silence's length
     assert wire.admits(position(), now_s=60.0, armed=True)
 
 
@@ -174,7 +174,7 @@ def test_on_one_line_a_heartbeat_out_of_step_must_say_it_twice(claim):
         assert not wire.admits(message, now_s=second + 0.5, armed=True, stream="script")
     assert not wire.admits(message, now_s=2.9, armed=True, stream="script")
     assert wire.beats(now_s=3.0, armed=True, mode=OFFBOARD)
-    wire.numbers[HERE] += 100  # frames were lost, and the vehicle has changed
+    wire.numbers[HERE] += 100  # frames were lost, and the vehicle has another address
     assert not wire.admits(message, now_s=4.0, armed=True)
     assert wire.admits(message, now_s=5.0, armed=True)
 
@@ -182,7 +182,7 @@ def test_on_one_line_a_heartbeat_out_of_step_must_say_it_twice(claim):
 def test_a_stream_that_a_router_filters_is_believed_at_once():
     wire = Wire()
     for tick in range(20):
-        wire.numbers[HERE] = wire.numbers.get(HERE, 0) + 12  # others of it do not pass
+        wire.numbers[HERE] = wire.numbers.get(HERE, 0) + 12  # its other frames are not admitted
         assert wire.admits(position(tick), armed=True)
     wire.numbers[HERE] += 12
     assert wire.beats(now_s=0.5, armed=True, mode=OFFBOARD)

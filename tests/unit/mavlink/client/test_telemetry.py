@@ -1,4 +1,4 @@
-"""What the client reads of a vehicle: state and parameters, and why nothing comes."""
+"""State and parameters that the client reads from a vehicle, and the reasons of a silence."""
 
 import math
 import struct
@@ -87,7 +87,7 @@ def test_repeated_and_late_positions_do_not_refresh_the_state(state, late_ms):
 def test_a_rebooted_vehicle_is_followed(state):
     state.update(attitude(60_000), 1.0)
     state.update(position(60_000), 1.0)
-    state.update(position(100, x=9.0), 2.0)  # no heading of the new life yet
+    state.update(position(100, x=9.0), 2.0)  # no heading since the reboot
     assert state.own.arrival_s == 1.0
     state.update(attitude(110), 2.01)
     state.update(position(120, x=9.0), 2.02)
@@ -110,7 +110,7 @@ def test_a_boot_clock_that_falls_back_is_a_restart(state, shows):
 
 
 def fly(state, since_s, until_s, ahead_s=0.0):
-    """Positions at 50 Hz on a boot clock that shows 60 s more; returns when they counted."""
+    """Send positions at 50 Hz on a boot clock that is 60 s ahead; return when they were accepted."""
     taken = []
     for k in range(round((until_s - since_s) / 0.02)):
         at_s = since_s + 0.02 * k
@@ -134,7 +134,7 @@ def test_a_boot_clock_that_steps_is_followed_after_some_messages_that_agree(stat
 def test_a_heartbeat_after_a_silence_may_be_a_restart(state):
     for second in range(4):
         state.update(heartbeat(), 10.0 + second)
-    state.update(heartbeat(), 15.4)  # one lost, the next late
+    state.update(heartbeat(), 15.4)  # one was lost, the next is late
     assert state.restarted_s == -math.inf
     state.update(heartbeat(), 18.0)
     assert state.restarted_s == 18.0
@@ -142,7 +142,7 @@ def test_a_heartbeat_after_a_silence_may_be_a_restart(state):
 
 def test_status_is_put_together_from_three_messages(state):
     state.update(dialect.MAVLink_extended_sys_state_message(0, 2), 0.5)
-    assert state.status is None  # without a heartbeat nothing is known
+    assert state.status is None  # without a heartbeat the status is unknown
     state.update(heartbeat(OFFBOARD, armed=True), 1.0)
     assert state.status == VehicleStatus(1.0, True, Mode.EXTERNAL, Landed.IN_AIR, False)
     health = dialect.MAV_SYS_STATUS_PREARM_CHECK
@@ -218,7 +218,7 @@ def test_where_answers_are_lost_a_parameter_is_asked_for_fifteen_times():
     r = reader("LOST_ONCE", "LOST_LONG")
     r.step(0.0)
     r.step(0.4)
-    r.take(value("LOST_ONCE", 1.0))  # to the second request
+    r.take(value("LOST_ONCE", 1.0))  # the answer to the second request
     sent = [now for tick in range(41, 1000) for now in [tick * 0.01] if r.step(now)]
     assert len(sent) == 13
     assert r.done
@@ -295,7 +295,7 @@ def test_who_speaks_instead_is_named():
     )
     many = {(system, 1): 1 for system in range(10, 20)}
     assert "10/1, 11/1, 12/1, 13/1, ...;" in why_silent(1, {"received": 7}, many)
-    assert "for 12 s: nothing" in why_silent(1, {}, senders, heard_s=12.3)  # they are silent now, too
+    assert "for 12 s: nothing" in why_silent(1, {}, senders, heard_s=12.3)  # they are now silent, too
 
 
 def test_battery_throttle_and_tilt_are_kept_once_asked_for(state):
@@ -306,7 +306,7 @@ def test_battery_throttle_and_tilt_are_kept_once_asked_for(state):
             state.update(dialect.MAVLink_vfr_hud_message(0, 0, 0, percent, 0, 0), now_s)
 
     messages(1.0, 87)
-    assert state.power is None  # nobody asked
+    assert state.power is None  # not requested
     state.watch_power()
     messages(2.0, None)
     assert (state.power.arrival_s, state.power.voltage_v) == (2.0, 3.456)
@@ -314,7 +314,7 @@ def test_battery_throttle_and_tilt_are_kept_once_asked_for(state):
     messages(2.5, 87)
     assert state.power.throttle == pytest.approx(0.87)
     assert state.power.cos_tilt == pytest.approx(math.cos(0.3) * math.cos(0.4))
-    messages(4.0, None)  # the throttle does not come any more
+    messages(4.0, None)  # the throttle stops arriving
     assert math.isnan(state.power.throttle)
     state.update(dialect.MAVLink_sys_status_message(0, 0, 0, 0, 0xFFFF, -1, -1, 0, 0, 0, 0, 0, 0), 5.0)
     assert math.isnan(state.power.voltage_v)

@@ -33,7 +33,7 @@ def vehicle():
 @pytest.fixture
 def link(vehicle):
     opened = VehicleLink(f"udpout:127.0.0.1:{vehicle.endpoint.local_port}", takeoff_height_m=HEIGHT)
-    opened.poll(0.0)  # says hello, so that the vehicle knows where we are
+    opened.poll(0.0)  # sends a heartbeat, so that the vehicle has our address
     vehicle.take("HEARTBEAT")
     yield opened
     opened.close()
@@ -80,7 +80,7 @@ def test_everything_of_a_tick_is_one_datagram(vehicle, link):
 
 
 def test_a_flight_from_arming_to_motors_off(vehicle, link):
-    """The fake autopilot obeys, with PX4's double answer and one lost command each."""
+    """The fake autopilot executes commands, with PX4's double reply and one lost command each."""
     lost = set()
     now = 0.0
     vehicle.send(home())
@@ -164,7 +164,7 @@ def test_lockstep_stamps_what_came_with_the_time_of_the_request(vehicle):
     vehicle.take("HEARTBEAT")
     vehicle.send(heartbeat(), attitude(30), position(30))
     poll(link, 77.0)
-    assert link.state.own is None  # no tick has claimed it yet
+    assert link.state.own is None  # no tick has read it yet
     vehicle.send(dialect.MAVLink_timesync_message(0, 30_000_000))
     poll(link, 77.0)
     assert link.state.own.arrival_s == 30_000_000 / 1e9

@@ -1,4 +1,4 @@
-"""Messages and small helpers that the tests of the vehicle link share."""
+"""Messages and helpers for the tests of the vehicle link."""
 
 from dataclasses import dataclass
 
@@ -55,7 +55,7 @@ def params(message):
 
 
 class FakeAutopilot:
-    """Listens on UDP, answers nothing by itself; a test says what it sends and looks at what came."""
+    """Listens on UDP without replies; a test sends messages and reads received ones."""
 
     def __init__(self, url="udpin:127.0.0.1:0"):
         self.endpoint = Endpoint(url, 1, 1)
@@ -69,7 +69,7 @@ class FakeAutopilot:
         self.send(heartbeat(self.mode, armed=self.armed))
 
     def take(self, until):
-        """Everything up to and with the first message of type ``until``."""
+        """Return all messages up to and including the first of type ``until``."""
         received = []
         while not any(m.get_type() == until for m in received):
             assert self.endpoint.wait(5.0), f"no {until} came"

@@ -1,4 +1,4 @@
-"""Frames that the tests of codec and endpoint share."""
+"""Frames for the tests of codec and endpoint."""
 
 import random
 import struct

@@ -1,4 +1,4 @@
-"""Serial lines (pseudo-terminals) and TCP connections under an endpoint: cut, full, lost and found again."""
+"""Serial lines (pseudo-terminals) and TCP connections under an endpoint: cut, full, lost and reopened."""
 
 import select
 import time
@@ -17,7 +17,7 @@ PATIENCE_S = 10.0
 
 @pytest.fixture(params=["serial", "tcp"])
 def wire(request, tmp_path):
-    """(far end, endpoint) over a pseudo-terminal and over TCP."""
+    """Yield (far end, endpoint) over a pseudo-terminal and over TCP."""
     far = PtyEnd(tmp_path, 921_600) if request.param == "serial" else TcpEnd()
     endpoint = Endpoint(far.url, 1, 191)
     yield far, endpoint
@@ -33,8 +33,8 @@ def until(done, what):
 
 
 def feed(far, endpoint, data, received):
-    """Write all of it at the far end while the endpoint takes what comes."""
-    far.read()  # a TCP server takes its client now
+    """Write all data at the far end while the endpoint receives."""
+    far.read()  # the TCP server accepts its client here
     while data:
         data = data[far.write(data) :]
         endpoint.wait(0.01)
@@ -86,7 +86,7 @@ def test_full_line_drops_whole_messages_and_never_blocks(wire):
         longest_s = max(longest_s, time.monotonic() - before_s)
         sent += 1
         assert sent < 200_000, "the buffers have no end"
-    assert longest_s < 0.5  # a machine under load; a blocking write would never end
+    assert longest_s < 0.5  # on a loaded machine; a blocking write would never end
     assert endpoint.counters.sent - began == sent
     data = bytearray()
     until(lambda: drain(far, endpoint, data), "what waited did not come out")
@@ -97,7 +97,7 @@ def test_full_line_drops_whole_messages_and_never_blocks(wire):
 
 
 def drain(far, endpoint, data):
-    """Read the far end empty; True once what is sent now comes out whole."""
+    """Read all data at the far end; True once new data arrives complete."""
     while piece := far.read():
         data += piece
     endpoint.wait(0.0)
@@ -173,7 +173,7 @@ def test_vehicle_that_is_not_there_yet_is_called_until_it_is():
 
 
 def test_peer_of_tcp_on_the_network_follows_the_policy_of_udpout():
-    endpoint = Endpoint("tcp:192.0.2.1:5760", 1, 191)  # TEST-NET-1: answers nobody
+    endpoint = Endpoint("tcp:192.0.2.1:5760", 1, 191)  # TEST-NET-1 never replies
     assert "not signed" in endpoint.warnings[0]
     before_s = time.monotonic()
     endpoint.send([position()])
@@ -183,7 +183,7 @@ def test_peer_of_tcp_on_the_network_follows_the_policy_of_udpout():
 
 
 def test_line_that_takes_nothing_is_not_turned_at_full_speed(tmp_path):
-    """Wait with bytes that cannot go out: it must not burn the processor."""
+    """A wait with unsent bytes must not use the processor."""
     far = PtyEnd(tmp_path, 57_600)
     endpoint = Endpoint(far.url, 1, 191)
     while not endpoint.counters.outgoing_full:

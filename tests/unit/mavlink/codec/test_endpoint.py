@@ -1,4 +1,4 @@
-"""Endpoints on UDP sockets: their URLs, whom they answer, how much, and on which addresses they listen."""
+"""Endpoints on UDP sockets: URLs, peers that get replies, limits, and local addresses."""
 
 import socket
 
@@ -88,7 +88,7 @@ def test_datagram_beyond_every_network_is_not_looked_at(pair):
 
 
 def test_full_datagrams_do_not_keep_the_loop(pair):
-    """50 datagrams of 90 frames are more than one call takes; nothing of them is lost."""
+    """50 datagrams of 90 frames exceed one call; no frame is lost."""
     server, _ = pair
     frames = [position().pack(dialect.MAVLink(None, 1, 191))] * 90
     datagram = b"".join(frames)
@@ -105,7 +105,7 @@ def test_full_datagrams_do_not_keep_the_loop(pair):
 
 
 def test_closed_port_of_the_other_side_is_survived(pair):
-    """A connected socket reports it at the next call, which must not swallow a datagram of ours."""
+    """A connected socket reports the error at the next call, which must not lose one of our datagrams."""
     server, client = pair
     url = f"udpin:127.0.0.1:{server.local_port}"
     server.close()
@@ -124,7 +124,7 @@ def remembered(endpoint):
 
 
 class Caller:
-    """A plain socket that speaks unsigned MAVLink."""
+    """A plain socket with unsigned MAVLink."""
 
     def __init__(self, server, ids=(1, 191)):
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -143,7 +143,7 @@ class Caller:
         return self.server.receive()
 
     def waiting(self, at_least=0):
-        """Bytes that have come and were not taken yet; so many are waited for."""
+        """Wait for this many bytes, and return the unread ones."""
         size = 0
         while size < at_least:
             size += len(self.socket.recv(65536))
@@ -178,7 +178,7 @@ def call(server):
 
 
 def test_heartbeat_makes_a_peer_and_numbers_begin_with_it(server, call):
-    server.send([position()])  # nobody known: nothing is sent, no number is used
+    server.send([position()])  # without a known peer nothing is sent, and no sequence number is used
     caller = call()
     caller.send(position())
     assert server.peers == ()
@@ -202,7 +202,7 @@ def test_sender_without_heartbeat_gets_no_more_bytes_than_it_sent(server, call):
     ack = dialect.MAVLink_command_ack_message(400, 0, 0, 0, 1, 191)
     (command,) = caller.send(dialect.MAVLink_command_long_message(1, 1, 400, 0, 1, *[float("nan")] * 6))
     server.send([ack], command.peer)
-    assert caller.waiting(21) > 20  # the answer to a single command fits
+    assert caller.waiting(21) > 20  # enough for the reply to a single command
     caller.send(heartbeat())
     server.send([position()] * 80, caller.address)
     assert caller.waiting(80 * 30 + 1) > 80 * 30
@@ -234,9 +234,9 @@ def test_tables_are_bounded_and_expire(server, call, monkeypatch):
     assert server.peers == (callers[0].address, callers[1].address)
     assert server.counters.peers_refused == 1
     assert remembered(server) <= 18
-    now = 111.0  # all silent for longer than 10 s
+    now = 111.0  # all have been silent for longer than 10 s
     assert server.peers == ()
-    server.send([position()] * 60, callers[0].address)  # who wants to speak to one of them still can
+    server.send([position()] * 60, callers[0].address)  # a message to one of them is still possible
     assert callers[0].waiting(60 * 30 + 1) > 60 * 30
     callers[2].send(heartbeat())
     assert server.peers == (callers[2].address,)

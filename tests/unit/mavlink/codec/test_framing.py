@@ -1,4 +1,4 @@
-"""Frames in a datagram and in a byte stream: cut anywhere, between noise, lost in part."""
+"""Frames in datagrams and byte streams: split anywhere, with noise, with losses."""
 
 import random
 
@@ -64,7 +64,7 @@ def test_signed_frame_is_kept_whole_and_unknown_flags_are_refused():
 
 
 def test_fuzz_never_raises_and_never_loses_a_good_frame():
-    """20 000 datagrams: random bytes, mutations, cuts and good frames, mixed in any order."""
+    """20 000 datagrams of random bytes, mutations, truncated and good frames in any order."""
     rng = random.Random(1)
     pool = frames_of(200, seed=2)
     for _ in range(20_000):
@@ -117,7 +117,7 @@ def test_frames_cut_anywhere_come_whole_and_in_order(longest):
 
 
 def test_hundred_thousand_bytes_of_noise_lose_no_frame():
-    """Noise between the frames, half of it start bytes; every good frame comes, in order."""
+    """Noise between the frames, half of it start bytes; every good frame is found, in order."""
     rng, counters = random.Random(2), FrameCounters()
     frames, stream, noise = frames_of(2000, seed=3), bytearray(), 0
     for frame in frames:
@@ -140,7 +140,7 @@ def test_buffer_is_bounded_whatever_comes():
 
 
 def test_false_start_behind_noise_keeps_nothing_back():
-    """Its header names no message, so the good frame behind it is not waited with."""
+    """A header without a known message does not delay the good frame after it."""
     good, framer = frames_of(1)[0], StreamFramer(FrameCounters())
     assert list(framer.push(b"\x00\xfd\xff\x00" + bytes(range(1, 8)) + good)) == [good]
 

@@ -1,4 +1,4 @@
-"""Messages: packed and decoded as pymavlink does, and those that its dialect ardupilotmega does not have."""
+"""Messages packed and decoded as in pymavlink, and messages missing in its dialect ardupilotmega."""
 
 import math
 import random
@@ -16,13 +16,13 @@ from tests import tables
 from tests.unit.mavlink.codec.frames_of_messages import raw_frame
 
 CLASSES = [dialect.mavlink_map[id_] for id_ in sorted(dialect.mavlink_map)]
-ROWS = 25  # messages a class
+ROWS = 25  # messages per class
 FLOATS = (0.0, -0.0, math.nan, math.inf, -math.inf, 1.0, 5e-324, 3.4e38, -3.4e38, 1e-45, 3, True)
 HOSTILE = (None, "", "text", b"", b"ab", -1, 2**70, -(2**70), 1.5, 1e39, math.nan, [], [1, 2], (), object())
 
 
 def number(rng, kind):
-    """A value that fits the field's type; zero and the bounds often."""
+    """Return a value that fits the field's type; often zero or a limit."""
     if kind in ("float", "double"):
         return rng.choice((*FLOATS, rng.gauss(0.0, 1e3), rng.uniform(-1.0, 1.0)))
     bits = int("".join(filter(str.isdigit, kind.removesuffix("_t"))))
@@ -31,13 +31,13 @@ def number(rng, kind):
 
 
 def fields(cls):
-    """(type, length of an array or 0) of each argument of the constructor."""
+    """Return (type, length of an array or 0) of each constructor argument."""
     wire = dict(zip(cls.ordered_fieldnames, cls.array_lengths, strict=True))
     return [(kind, wire[name]) for name, kind in zip(cls.fieldnames, cls.fieldtypes, strict=True)]
 
 
 def arguments(rng, cls):
-    """Good arguments; strings and arrays also longer than there is room for."""
+    """Return valid arguments; strings and arrays may exceed the field's length."""
     values = []
     for kind, length in fields(cls):
         if kind == "char":
@@ -57,7 +57,7 @@ def by_pymavlink(message, sequence, system, component):
 
 
 def outcome(packer, cls, values):
-    """The frame, or what kind of error there was."""
+    """Return the frame, or the kind of error."""
     try:
         return packer(cls(*values), 7, 1, 1)
     except Exception as error:
@@ -141,4 +141,4 @@ def test_decoding_equals_pymavlink_for_every_message():
             )
             assert ours_header == theirs_header
             assert type(ours) is type(theirs)
-            assert repr(ours.__dict__) == repr(theirs.__dict__), cls.msgname  # repr: NaN equals itself
+            assert repr(ours.__dict__) == repr(theirs.__dict__), cls.msgname  # repr: NaN equals NaN

@@ -1,4 +1,4 @@
-"""Every test of the server tries each of its users."""
+"""Runs every test of the server with each of its users."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.unit.mavlink.server.served import TICK_S, Bridged, Served
 
 
 class Simulated(Rig):
-    """The simulated autopilot, with failures allowed."""
+    """The simulated autopilot, with failure injection enabled."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -27,7 +27,7 @@ USERS: dict[str, type[Served]] = {"px4": Simulated, "crazyflie": Bridged}
 
 @functools.cache
 def prepared(user: str, situation: str) -> Served:
-    """A user of the server in a situation; to be copied, not to be used."""
+    """Return a user of the server in a situation; copy it before use."""
     made = USERS[user]()
     if situation != "disarmed":
         getattr(made, situation)()
@@ -43,7 +43,7 @@ def user(request) -> str:
 
 @pytest.fixture
 def fresh(user):
-    """Gives a user of the server in a situation: ``disarmed``, ``homed``, ``fly`` or ``offboard``."""
+    """Return a user of the server in a situation: ``disarmed``, ``homed``, ``fly`` or ``offboard``."""
 
     def make(situation: str) -> Served:
         return copy.deepcopy(prepared(user, situation))
@@ -53,7 +53,7 @@ def fresh(user):
 
 @pytest.fixture
 def numbers(user) -> frozenset[int]:
-    """MAV_CMD of the commands that it has."""
+    """Return the MAV_CMD numbers of its commands."""
     return frozenset(prepared(user, "disarmed").server.commands.table)
 
 

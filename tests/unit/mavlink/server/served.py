@@ -1,4 +1,4 @@
-"""The users of the MAVLink server behind one interface, so that one suite of tests tries both."""
+"""The users of the MAVLink server behind one interface, so that one suite tests both."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ TICK_S = 0.01
 
 
 def as_long(number: int, params: tuple[float, ...], target: tuple[int, int] = (1, 1)):
-    """COMMAND_LONG; parameters that are missing are left out."""
+    """Return COMMAND_LONG; missing parameters are NaN."""
     return mav.MAVLink_command_long_message(*target, number, 0, *params, *NAN7[len(params) :])
 
 
 def as_int(number: int, params: tuple[float, ...], frame: int = 0):
-    """The same as COMMAND_INT."""
+    """Return the same command as COMMAND_INT."""
     p1, p2, p3, p4, p5, p6, p7 = (*params, *NAN7[len(params) :])
     x, y = (2**31 - 1 if math.isnan(p) else round(p * 1e7) for p in (p5, p6))
     return mav.MAVLink_command_int_message(1, 1, frame, number, 0, 0, p1, p2, p3, p4, x, y, p7)
@@ -43,8 +43,8 @@ class Served(ABC):
     """A vehicle behind a server."""
 
     server: Server
-    telemetry: list  # messages for everybody, all since the start
-    silence_s: float  # time without set-points after which control is free
+    telemetry: list  # messages to all clients since the start
+    silence_s: float  # time without set-points after which another client may take control
 
     @property
     @abstractmethod
@@ -54,11 +54,11 @@ class Served(ABC):
     @property
     @abstractmethod
     def velocity_enu_m_s(self) -> tuple[float, float, float]:
-        """Velocity handed to the vehicle last."""
+        """Velocity last passed to the vehicle."""
 
     @abstractmethod
     def tick(self) -> None:
-        """10 ms."""
+        """Advance by 10 ms."""
 
     @abstractmethod
     def fly(self) -> Served:
@@ -66,10 +66,10 @@ class Served(ABC):
 
     @abstractmethod
     def homed(self) -> Served:
-        """Disarmed, with a home of its own."""
+        """Return it disarmed, with its own home."""
 
     def state(self) -> list[object]:
-        """All that commands change."""
+        """Return all state that commands change."""
         intervals_us = [self.server.streams.interval_us(i) for i in (30, 32, 1)]
         return [self.mode, self.armed, intervals_us, self.server.vehicle.home_enu_m]
 
@@ -85,7 +85,7 @@ class Served(ABC):
         return self.server.handle(message, sender, self.now_s)
 
     def command(self, number: int, *params: float, sender=COMPANION, target=(1, 1)) -> int | None:
-        """MAV_RESULT of a command, None when it is not answered."""
+        """Return the MAV_RESULT of a command, None without a reply."""
         replies = self.handle(as_long(number, params, target), sender)
         acks = [r for r in replies if r.get_type() == "COMMAND_ACK"]
         assert all((a.target_system, a.target_component, a.command) == (*sender[:2], number) for a in acks)
@@ -106,11 +106,11 @@ class Served(ABC):
         return self
 
     def forget(self) -> None:
-        """Begin the telemetry anew."""
+        """Clear the recorded telemetry."""
         self.telemetry.clear()
 
     def texts(self) -> list[str]:
-        """Texts since the last call."""
+        """Return the texts since the last call."""
         self.tick()
         return [text.text for text in self.server.take_texts()]
 
@@ -119,7 +119,7 @@ class Served(ABC):
 
 
 class Bridged(Served):
-    """The Crazyflie bridge, on the stand-in's firmware."""
+    """The Crazyflie bridge with the firmware model."""
 
     silence_s = 1.0
 

@@ -1,4 +1,4 @@
-"""The command tables as a whole: both encodings, repeats, refusals, addresses."""
+"""All command tables: both encodings, repeats, rejections, addresses."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.unit.mavlink.server.served import (
 )
 
 NEAR = tuple(v / 1e7 for v in degrees_e7(1.0, 2.0))  # latitude, longitude
-# Parameters worth trying for each command; every command of each table must be here.
+# Parameters to test for each command; every command of each table must be here.
 CASES: dict[int, list[tuple[float, ...]]] = {
     20: [NAN7],
     21: [NAN7, (0.0,) * 7],
@@ -81,10 +81,10 @@ def test_a_command_that_comes_again_changes_nothing_and_is_answered_alike(
             result, after = outcome(served, as_long(number, params))
             again, later = outcome(served, as_long(number, params))
             if number == 185 and result == [ACCEPTED] and user == "px4":
-                assert again == [DENIED]  # PX4 terminates only what is armed
+                assert again == [DENIED]  # PX4 terminates only an armed vehicle
             else:
                 assert again == result, params
-            if number != 246:  # a second restart is one more
+            if number != 246:  # a second restart is executed again
                 assert later == after, params
 
 

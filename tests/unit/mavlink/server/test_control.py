@@ -1,4 +1,4 @@
-"""Who may do what while one sender flies the vehicle by set-points, and which set-points are accepted."""
+"""Permissions while one sender flies the vehicle by set-points, and accepted set-points."""
 
 from __future__ import annotations
 
@@ -52,14 +52,14 @@ def test_others_cannot_take_a_vehicle_that_is_flown(flown, sender) -> None:
 
 def test_the_owners_ids_from_another_address_are_another_sender(flown) -> None:
     here, there = (*COMPANION, ("127.0.0.1", 5000)), (*COMPANION, ("127.0.0.1", 6000))
-    flown.run(flown.silence_s + 0.02)  # control is free
+    flown.run(flown.silence_s + 0.02)  # no client has control
     flown.run(0.1, (0.1, 0.0, 0.0), here)
     flown.texts()
     flown.handle(setpoint(0.5), there)
     assert flown.texts() == ["Set-point dropped: 1/191 at 127.0.0.1:5000 has control"]
     assert flown.command(400, *KILL, sender=there) == REJECTED
     assert flown.armed
-    assert flown.command(21, sender=there) == ACCEPTED  # everybody may land it
+    assert flown.command(21, sender=there) == ACCEPTED  # every client may land it
 
 
 def test_that_holds_in_every_mode_while_the_stream_lives(flown) -> None:
@@ -127,7 +127,7 @@ def test_control_passes_on_when_it_is_disarmed(flown) -> None:
     assert flown.command(400, *KILL) == ACCEPTED
     assert not flown.armed
     flown.handle(setpoint(0.0), COMPANION)
-    assert flown.command(176, *HOLD, sender=STRANGER) == ACCEPTED  # nobody owns what stands disarmed
+    assert flown.command(176, *HOLD, sender=STRANGER) == ACCEPTED  # no client has control
 
 
 BAD = {
@@ -154,7 +154,7 @@ def test_offboard_needs_a_living_stream(fresh) -> None:
     assert flying.command(176, *OFFBOARD) == REJECTED
     assert flying.texts()[-1] == "Mode offboard refused: no set-points"
     flying.run(0.1, (1.0, 0.0, 0.0))
-    assert math.hypot(*flying.velocity_enu_m_s[:2]) < 0.05  # streaming alone moves nothing
+    assert math.hypot(*flying.velocity_enu_m_s[:2]) < 0.05  # a stream alone moves nothing
     flying.run(flying.silence_s + 0.1)
     assert flying.command(176, *OFFBOARD) == REJECTED
     flying.run(0.1, (0.0, 0.0, 0.0))

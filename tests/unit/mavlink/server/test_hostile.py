@@ -1,4 +1,4 @@
-"""Nothing from the network can break the server or its users, flood it, or make it fly on broken numbers."""
+"""No input from the network can crash or flood the server, or make it fly on invalid numbers."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ PARAMETERS = ["COM_OF_LOSS_T", "MPC_XY_P", "MIS_TAKEOFF_ALT", "COM_OBL_RC_ACT", 
 
 
 def frame_of(cls, id_: int, payload: bytes):
-    """A message as it comes from the wire."""
+    """Return a message as received."""
     body = struct.pack("<BBBBBBHB", len(payload), 0, 0, 0, 9, 9, id_ & 0xFFFF, id_ >> 16) + payload
     crc = mav.x25crc(body + bytes((cls.crc_extra,))).crc
     return decode(b"\xfd" + body + struct.pack("<H", crc))
 
 
 def hostile(rng: random.Random, id_: int, commands: list[int]):
-    """A message of this id; most are addressed to the vehicle and name what it has."""
+    """Return a message with this id; most are addressed to the vehicle and use its names."""
     cls = mav.mavlink_map[id_]
     size = cls.unpacker.size
     pattern = rng.choice([None, *EXTREMES])
@@ -56,7 +56,7 @@ def hostile(rng: random.Random, id_: int, commands: list[int]):
         message.custom_mode = rng.choice(list(PX4_CODES.values())).custom_mode
     if hasattr(message, "param_id") and rng.random() < 0.8:
         message.param_id = rng.choice(PARAMETERS)
-        message._param_id_raw = message.param_id.encode()  # what is packed
+        message._param_id_raw = message.param_id.encode()  # the packed form
         if hasattr(message, "param_type"):
             message.param_type = rng.choice((6, 9))
     return message
@@ -119,14 +119,14 @@ def test_asking_for_everything_at_the_highest_rate_is_bounded_by_the_loop(served
         served.handle(mav.MAVLink_param_request_list_message(1, 1))
     before = len(served.telemetry)
     served.run(0.01)
-    assert len(served.telemetry) - before <= 20 + 30  # PARAM_VALUE is paced
+    assert len(served.telemetry) - before <= 20 + 30  # PARAM_VALUE has a rate limit
 
 
 LAND = PX4_CODES[FlightMode.LAND]
 
 
 def asks_to_land(message) -> bool:
-    """Whether a message requests the only thing that every sender may request: to land."""
+    """Return whether a message is the only request that every sender may make: to land."""
     kind = message.get_type()
     if kind in ("COMMAND_LONG", "COMMAND_INT"):
         codes = (message.param2, message.param3)

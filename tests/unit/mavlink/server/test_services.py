@@ -36,7 +36,7 @@ def test_what_clients_wait_for_is_there_in_the_first_two_seconds(served) -> None
 
 
 def test_message_intervals_are_bounded_by_the_loop_and_can_be_switched_off(served) -> None:
-    assert served.command(511, 31.0, 1.0) == ACCEPTED  # asks for 1 MHz
+    assert served.command(511, 31.0, 1.0) == ACCEPTED  # requests 1 MHz
     assert served.command(511, 32.0, 50_000.0) == ACCEPTED
     assert served.command(511, 30.0, -1.0) == ACCEPTED
     ack, interval = served.handle(as_long(510, (32.0,)))
@@ -60,7 +60,7 @@ def test_messages_on_request(served) -> None:
         ack, message = served.handle(as_long(512, (float(id_),)))
         assert (ack.get_type(), ack.result, message.get_msgId()) == ("COMMAND_ACK", ACCEPTED, id_)
     assert {0, 1, 30, 31, 32, 147, 148, 242, 245} <= served.server.messages
-    assert served.command(512, 435.0) == DENIED  # AVAILABLE_MODES: a promise would hang QGC
+    assert served.command(512, 435.0) == DENIED  # AVAILABLE_MODES: QGC would wait for ever after an ACCEPTED
     assert served.command(512, NAN) == DENIED
     for removed in (410, 519, 520, 525, 528):  # PX4 1.18
         assert served.command(removed, 1.0) == UNSUPPORTED
@@ -87,7 +87,7 @@ def test_parameters_can_be_listed_and_read(served) -> None:
 
 def test_a_fixed_parameter_is_not_written(served) -> None:
     write = mav.MAVLink_param_set_message(1, 1, b"MAV_SYS_ID", 2.8e-45, mav.MAV_PARAM_TYPE_INT32)
-    error, in_force = served.handle(write)  # the error first: MAVSDK repeats a write it sees undone
+    error, in_force = served.handle(write)  # error first: MAVSDK repeats an undone write
     assert error.error == mav.MAV_PARAM_ERROR_READ_ONLY
     assert in_force.param_value == pytest.approx(1.4e-45)  # 1, bytewise
     assert served.texts() == ["MAV_SYS_ID: 2, allowed 1"]
@@ -146,7 +146,7 @@ def test_old_stream_requests_do_not_starve_the_companion(served) -> None:
 def test_messages_from_itself_and_of_no_interest_do_nothing(served) -> None:
     assert served.handle(as_long(400, (1.0,)), (1, 1)) == []
     assert served.handle(mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)) == []
-    for number in range(300):  # its field is named like the message's number in pymavlink
+    for number in range(300):  # in pymavlink its field has the name of the message number
         assert served.handle(mav.MAVLink_statustext_message(6, b"hello", number)) == []
     assert not served.armed
 

@@ -1,4 +1,4 @@
-"""Clocks, signers and frames that the tests of signing share; frames are signed by pymavlink itself."""
+"""Clocks, signers and frames for the tests of signing; pymavlink signs the frames."""
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -6,8 +6,8 @@ from bridge.mavlink.signing import EPOCH_NS, TICK_NS, Signer, SigningKey
 
 SECRET = bytes(range(32))
 KEY = SigningKey(SECRET)
-START_NS = EPOCH_NS + 10**18  # some day in 2046
-S = 100_000  # ticks of signing in a second
+START_NS = EPOCH_NS + 10**18  # a day in 2046
+S = 100_000  # signing ticks per second
 COMPANION = (1, 191)
 
 
@@ -36,7 +36,7 @@ def heartbeat():
 
 
 def theirs(ids=COMPANION, *, secret=SECRET, stamp, link_id=0):
-    """pymavlink's own signing."""
+    """Sign with pymavlink."""
     mav = dialect.MAVLink(None, *ids)
     mav.robust_parsing = True
     mav.signing.secret_key = secret
@@ -51,5 +51,5 @@ def signed(ids=COMPANION, **more):
 
 
 def forged(ids=COMPANION, stamp=2**48 - 1, link_id=0):
-    """A frame with a right checksum and a wrong signature."""
+    """Return a frame with a correct checksum and a wrong signature."""
     return signed(ids, secret=bytes(32), stamp=stamp, link_id=link_id)

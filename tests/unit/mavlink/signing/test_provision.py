@@ -1,4 +1,4 @@
-"""A signing key is given to a vehicle and taken away: against one that does as PX4 1.18 does."""
+"""Setting and removing a signing key, tested with a vehicle that behaves like PX4 1.18."""
 
 import socket
 import threading
@@ -13,7 +13,7 @@ from flightstack.cli.preflight import preflight
 
 
 class Vehicle:
-    """Heartbeats, signed while it has a key. It takes a first key unsigned; the rest must be signed."""
+    """Sends heartbeats, signed while it has a key. The first key may be unsigned; all else must be signed."""
 
     def __init__(self, key=None, *, armed=False, obeys=True):
         self.keys = [key]

@@ -1,4 +1,4 @@
-"""Signed endpoints on real sockets: what passes, what is counted, what the log sees, who is answered."""
+"""Signed endpoints on real sockets: accepted frames, counters, log, and replies."""
 
 import select
 import socket
@@ -20,7 +20,7 @@ from tests.unit.mavlink.signing.signing_helpers import COMPANION, KEY, S, forged
 
 
 class Wire:
-    """A signed endpoint, and a plain socket to reach it."""
+    """Return a signed endpoint, and a plain socket that reaches it."""
 
     def __init__(self, key=KEY):
         self.endpoint = Endpoint("udpin:127.0.0.1:0", 1, 1, signing_key=key)
@@ -161,7 +161,7 @@ def test_keys_from_the_network_are_never_taken_nor_logged(key):
     assert seen == []
     other = theirs(secret=bytes(range(100, 132)), stamp=now())
     accepted = wire.put(heartbeat().pack(other), heartbeat().pack(mav))
-    assert len(accepted) == (1 if key else 2)  # without a key everything passes, signed or not
+    assert len(accepted) == (1 if key else 2)  # without a key all frames are accepted, signed or not
     assert wire.endpoint.counters.bad_signature == (1 if key else 0)
     wire.endpoint.send([heartbeat()])
     assert (wire.socket.recv(2048)[2] == 1) is (key is not None)
@@ -172,7 +172,7 @@ TWO_HOURS = 2 * 3600 * S
 
 
 class Vehicle:
-    """A vehicle that calls the companion, signed by pymavlink: a frame it accepts moves its clock on."""
+    """A vehicle signed by pymavlink calls the companion: an accepted frame advances its clock."""
 
     def __init__(self, port, stamp):
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -203,7 +203,7 @@ def turn(link):
 
 
 def joined(link, stamp):
-    """A vehicle with its clock at ``stamp``; it has said its first word."""
+    """Return a vehicle with its clock at ``stamp``, which has sent its first message."""
     vehicle = Vehicle(link.endpoint.local_port, stamp)
     link.poll(0.0)
     vehicle.send()
@@ -225,7 +225,7 @@ def test_vehicle_with_its_clock_behind_is_heard_after_one_answer(link):
 
 
 def test_vehicle_whose_clock_went_back_is_heard_again(link):
-    """It was switched off and on: its stream is known, and its frames are older than the last one."""
+    """It was restarted: its stream is known, and its frames are older than the last one."""
     first = joined(link, now())
     assert link.heard
     first.socket.close()

@@ -1,4 +1,4 @@
-"""Rules of message signing, against pymavlink's own and against an attacker on the wire; and key files."""
+"""Rules of message signing, compared with pymavlink and tested with attacks; and key files."""
 
 import random
 import stat
@@ -69,7 +69,7 @@ def test_one_forged_frame_locks_nobody_out_before_or_after_the_peer_has_appeared
     for _ in range(2):
         assert signer.refusal(forged()) is Refusal.BAD_SIGNATURE
         assert signer.refusal(heartbeat().pack(peer)) is None
-    # The same attack does lock out the peer of pymavlink's check, which this one replaces.
+    # The same attack locks out a peer that uses pymavlink's check, which ours replaces.
     victim = theirs((1, 1), stamp=clock.ticks)
     with pytest.raises(dialect.MAVError):
         victim.decode(bytearray(forged()))
@@ -89,7 +89,7 @@ def test_forged_flood_makes_no_entries_and_moves_no_time(clock):
 
 def test_each_changed_bit_is_noticed(clock):
     signer, frame = clock.signer(), signed(stamp=clock.ticks)
-    for bit in range(8 * 10, 8 * len(frame)):  # header bytes decide what a frame is; payload to signature
+    for bit in range(8 * 10, 8 * len(frame)):  # header bytes select the frame type; test the rest
         changed = bytearray(frame)
         changed[bit // 8] ^= 1 << bit % 8
         assert signer.refusal(bytes(changed)) is Refusal.BAD_SIGNATURE
@@ -128,7 +128,7 @@ def test_new_stream_must_be_near_our_clock(clock, offset, refusal):
 
 
 def test_known_stream_may_count_frames_instead_of_time_but_not_leap_ahead(clock):
-    """pymavlink's timestamp grows by one a frame, so it falls behind any clock."""
+    """pymavlink's time stamp grows by one per frame, so it falls behind any clock."""
     signer, peer = clock.signer(), theirs(stamp=clock.ticks)
     for _ in range(5):
         assert signer.refusal(heartbeat().pack(peer)) is None
@@ -157,7 +157,7 @@ def test_table_is_bounded_and_forgets_only_what_its_age_keeps_out(clock):
     assert signer.refusal(signed((2, 2), stamp=clock.ticks)) is None
     assert signer.refusal(signed((3, 1), stamp=clock.ticks)) is None
     assert signer.streams == STREAMS_MAX
-    assert signer.refusal(frames[0]) is Refusal.STALE  # forgotten, yet not let in again
+    assert signer.refusal(frames[0]) is Refusal.STALE  # forgotten stream, rejected frame
     assert signer.refusal(frames[1]) is Refusal.REPLAYED
 
 
@@ -190,7 +190,7 @@ def test_clock_that_went_back_over_a_restart_opens_nothing(clock, key):
     first.close()
     assert load_state_of(key).sent > sent
     before = first.now()
-    clock.unix_ns -= 100 * 10**9  # as if it had been set back to when the old frame was made
+    clock.unix_ns -= 100 * 10**9  # as if set back to the time of the old frame
     second = clock.signer(key)
     assert second.now() == before + STALE_TICKS
     assert "clock is 100 s behind" in second.warning
