@@ -8,7 +8,7 @@ ORIGIN_LATITUDE_DEG = 47.397742
 ORIGIN_LONGITUDE_DEG = 8.545594
 # latitude and longitude, degrees, height above sea level, m; ArduPilot treats a height of 0 as unknown
 ORIGIN_WGS84 = (ORIGIN_LATITUDE_DEG, ORIGIN_LONGITUDE_DEG, 10.0)
-_EARTH_RADIUS_M = 6_371_000.0  # PX4 geo.h
+_EARTH_RADIUS_M = 6_371_000.0  # radius of the earth in PX4's geo.h
 _AROUND_M = _EARTH_RADIUS_M * math.cos(math.radians(ORIGIN_LATITUDE_DEG))
 _E7 = 1e7  # MAVLink's integers per degree
 

@@ -36,21 +36,21 @@ _OWN = (
     real("BAT1_V_EMPTY", 3.5, 2.5, 4.0),  # V at rest, of the simulated cell
     real("BAT1_V_CHARGED", 4.15, 3.5, 4.35),  # V at rest, of the simulated cell
     real("BAT1_V_LOAD_DROP", 0.37, 0.0, 1.0),  # voltage drop at full throttle, V; 0.25 V in hover at 0.67
-    fixed("GF_ACTION", 0),  # no fence
+    fixed("GF_ACTION", 0),  # there is no fence
     fixed("GF_MAX_HOR_DIST", 0.0, REAL32),
     fixed("GF_MAX_VER_DIST", 0.0, REAL32),
     integer("SYS_FAILURE_EN", 0, 0, 1),  # 1: command 420 may inject failures
     real("MIS_TAKEOFF_ALT", 0.5, 0.1, 20.0, in_flight=True),  # m above the take-off place
-    real("MPC_TKO_SPEED", 0.5, 0.1, 1.0, in_flight=True),  # m/s
-    real("MPC_LAND_SPEED", 0.3, 0.1, 0.8, in_flight=True),  # m/s
+    real("MPC_TKO_SPEED", 0.5, 0.1, 1.0, in_flight=True),  # climb speed of the take-off, m/s
+    real("MPC_LAND_SPEED", 0.3, 0.1, 0.8, in_flight=True),  # sink speed of the landing, m/s
     real("MPC_XY_CRUISE", 0.5, 0.1, 2.0, in_flight=True),  # m/s; largest speed in the autopilot's modes
     # Limits of set-points, m/s; faster ones are clipped. The defaults have no effect: set-points above 5 m/s
     # are rejected.
     real("MPC_XY_VEL_MAX", 5.0, 0.1, 20.0),
     real("MPC_Z_VEL_MAX_UP", 5.0, 0.1, 8.0),
     real("MPC_Z_VEL_MAX_DN", 5.0, 0.1, 8.0),
-    real("MPC_XY_P", 1.0, 0.1, 2.0, in_flight=True),  # 1/s
-    real("MPC_Z_P", 1.0, 0.1, 1.5, in_flight=True),  # 1/s
+    real("MPC_XY_P", 1.0, 0.1, 2.0, in_flight=True),  # gain of the horizontal position loop, 1/s
+    real("MPC_Z_P", 1.0, 0.1, 1.5, in_flight=True),  # gain of the height loop, 1/s
     fixed("MAV_COMP_ID", dialect.MAV_COMP_ID_AUTOPILOT1),
     fixed("MAV_TYPE", dialect.MAV_TYPE_QUADROTOR),
 )

@@ -26,7 +26,7 @@ K_W_Z = 2000.0
 K_D_OMEGA_RP = 200.0  # counts per rad/s^2; firmware default, controller_mellinger.c: kd_omega_rp
 K_I_Z = 500.0  # counts per (unit of eR) s; firmware default: ki_m_z
 I_RANGE_Z = 1500.0  # firmware default: i_range_m_z
-MOMENT_MAX = 32000.0  # counts
+MOMENT_MAX = 32000.0  # limit of each moment, counts
 
 Counts = tuple[int, int, int]  # moments about body x, y, z, counts
 

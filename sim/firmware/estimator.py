@@ -31,11 +31,11 @@ from sim.firmware.setpoint import SensedState
 from sim.plant.vehicle_types import Estimate
 
 FIRMWARE_STEP_S = 0.001
-ACCEL_XY_M_S2, ACCEL_Z_M_S2 = 0.5, 1.0  # procNoiseAcc_xy, procNoiseAcc_z
-GYRO_RAD_S = 0.1  # measNoiseGyro
-POSITION_STD_M = 0.01  # extPosStdDev
-YAW_STD_RAD = 2.0 * 4.5e-3  # twice extQuatStdDev
-TILT_STD_RAD = 4.5e-3  # extQuatStdDev (mm_pose.c)
+ACCEL_XY_M_S2, ACCEL_Z_M_S2 = 0.5, 1.0  # accelerometer noise: procNoiseAcc_xy, procNoiseAcc_z
+GYRO_RAD_S = 0.1  # gyro noise: measNoiseGyro
+POSITION_STD_M = 0.01  # position noise: extPosStdDev
+YAW_STD_RAD = 2.0 * 4.5e-3  # yaw noise: twice extQuatStdDev
+TILT_STD_RAD = 4.5e-3  # tilt noise: extQuatStdDev (mm_pose.c)
 INNOVATION_AGE_MAX_S = 0.5  # time without a sample after which the estimate is invalid
 
 
@@ -48,8 +48,8 @@ def axis_gains(period_s: float, accel_std: float, gravity: float) -> tuple[float
     error.
     """
     t = period_s
-    velocity_walk = accel_std**2 * FIRMWARE_STEP_S  # (m/s)^2 per s
-    accel_walk = (gravity * GYRO_RAD_S) ** 2 * FIRMWARE_STEP_S  # (m/s^2)^2 per s
+    velocity_walk = accel_std**2 * FIRMWARE_STEP_S  # variance rate of the velocity, (m/s)^2 per s
+    accel_walk = (gravity * GYRO_RAD_S) ** 2 * FIRMWARE_STEP_S  # variance rate, (m/s^2)^2 per s
     f = np.array([[1.0, t, 0.5 * t * t], [0.0, 1.0, t], [0.0, 0.0, 1.0]])
     q = velocity_walk * np.array([[t**3 / 3, t**2 / 2, 0.0], [t**2 / 2, t, 0.0], [0.0, 0.0, 0.0]])
     q += accel_walk * np.array(

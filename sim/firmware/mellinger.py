@@ -22,11 +22,11 @@ from sim.plant.params import CONTROL_STEP_S
 from sim.plant.rotation import nine
 
 MASS_KG = 0.029  # platform_defaults_cf2.h: CF_MASS; agrees with the hover thrust of recorded flights
-MASS_THRUST = 132000.0  # counts per N: massThrust
-GRAVITY_M_S2 = 9.81  # physicalConstants.h
-KP_XY, KD_XY, KI_XY = 0.4, 0.2, 0.05  # N/m, N s/m, N/(m s)
+MASS_THRUST = 132000.0  # thrust counts per newton: massThrust
+GRAVITY_M_S2 = 9.81  # value in the firmware's physicalConstants.h
+KP_XY, KD_XY, KI_XY = 0.4, 0.2, 0.05  # horizontal gains, N/m, N s/m, N/(m s)
 KP_Z, KD_Z, KI_Z = 1.25, 0.4, 0.05
-I_RANGE_XY, I_RANGE_Z = 2.0, 0.4  # m s
+I_RANGE_XY, I_RANGE_Z = 2.0, 0.4  # limits of the integrals, m s
 K_R_Z, K_W_Z = 60000.0, 12000.0  # yaw gains kR_z, kw_z; roll and pitch gains: ``sim.firmware.attitude``
 
 

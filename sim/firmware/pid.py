@@ -21,7 +21,7 @@ from sim.firmware.attitude import Counts
 from sim.firmware.setpoint import SensedState, SetpointRecord
 from sim.plant.params import CONTROL_STEP_S, Params
 
-POSITION_EVERY = 5  # firmware stabilizer_types.h: POSITION_RATE 100 Hz
+POSITION_EVERY = 5  # control steps per position step; firmware stabilizer_types.h: POSITION_RATE 100 Hz
 POSITION_STEP_S = POSITION_EVERY * CONTROL_STEP_S
 LATE_MAX = 60  # maximum number of set-points within the dead time of a loop, 0.6 s
 SPEED_MAX_M_S = 1.1 * 1.0  # limit of the position loop: velMaxOverhead * PID_POS_VEL_X_MAX (y, z: the same)

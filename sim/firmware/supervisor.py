@@ -17,9 +17,9 @@ import numpy as np
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import Record, new, scalars
 
-PERIOD_MS = 40  # SUPERVISOR 25 Hz
-WARNING_MS = 500  # supervisor.c: COMMANDER_WDT_TIMEOUT_STABILIZE
-TIMEOUT_MS = 2000  # supervisor.c: COMMANDER_WDT_TIMEOUT_SHUTDOWN
+PERIOD_MS = 40  # period of the supervisor, 25 Hz
+WARNING_MS = 500  # set-point age that levels out; supervisor.c: COMMANDER_WDT_TIMEOUT_STABILIZE
+TIMEOUT_MS = 2000  # set-point age that locks; supervisor.c: COMMANDER_WDT_TIMEOUT_SHUTDOWN
 FLYING_HYSTERESIS_MS = 2000  # supervisor.c: IS_FLYING_HYSTERESIS_THRESHOLD
 READY_TIMEOUT_MS = 30_000  # platform_defaults.h: preflight timeout
 LANDED_TIMEOUT_MS = 3000  # platform_defaults.h: landing timeout

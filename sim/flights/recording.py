@@ -89,8 +89,8 @@ class Recording:
     estimate_position_m: Floats | None = None
     estimate_velocity_m_s: Floats | None = None
     estimate_attitude_rad: Floats | None = None  # (n, 3) roll, pitch, yaw
-    setpoint_position_m: Floats | None = None  # (n, 3)
-    setpoint_yaw_rad: Floats | None = None  # (n,)
+    setpoint_position_m: Floats | None = None  # (n, 3) position set-points, world
+    setpoint_yaw_rad: Floats | None = None  # (n,) yaw set-points
     thrust_command: Floats | None = None  # (n,) thrust command of the PID controller, 0 to 1
     step_s: float = field(default=0.01)
 

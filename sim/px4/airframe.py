@@ -112,7 +112,7 @@ def parameters(params: Params, mocap: OdometryLink | None = None) -> dict[str, f
     found["MC_YAWRATE_P"] = _YAW_1_S / yaw
     found["MC_YAW_P"] = _YAW_ATTITUDE_1_S
     found |= _THRUST | SAFE_PARAMETERS
-    found |= _SATELLITES if mocap is None else _MOCAP | {"EKF2_EV_DELAY": mocap.delay_s * 1e3}  # ms
+    found |= _SATELLITES if mocap is None else _MOCAP | {"EKF2_EV_DELAY": mocap.delay_s * 1e3}  # in ms
     return {name: value if isinstance(value, int) else round(value, 5) for name, value in found.items()}
 
 

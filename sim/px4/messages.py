@@ -77,7 +77,7 @@ _COG_MIN_M_S = 0.2  # speed below which the course over ground is noise
 class Answer(NamedTuple):
     """Content of one HIL_ACTUATOR_CONTROLS message."""
 
-    time_us: int  # PX4's clock
+    time_us: int  # time on PX4's clock
     controls: tuple[float, ...]  # outputs 1 to 16
     armed: bool
     lockstep: bool  # PX4's clock is the simulator's clock

@@ -138,7 +138,7 @@ class Px4Session:
         self._start_s = self._connected_s = self._answered_s = time.monotonic()
 
     @property
-    def time_us(self) -> int:  # PX4's clock, us
+    def time_us(self) -> int:  # time on PX4's clock
         return FIRST_US + self.steps * STEP_US
 
     def greet(self) -> None:

@@ -38,8 +38,8 @@ _SHARED = tuple(f.name for f in fields(Truth) if f.type == "Floats" and f.name i
 class SeenSteps:
     """Data of n controller steps."""
 
-    t_s: Floats  # (n,) time
-    phase: Ints  # (n,) ``Phase``
+    t_s: Floats  # (n,) time since the first tick
+    phase: Ints  # (n,) value of ``Phase``
     own_age_s: Floats  # (n,) age of the vehicle's state estimate, NaN without one
     target_age_s: Floats  # (n,) age of the target's state estimate, NaN without one
 
@@ -139,7 +139,7 @@ class Notes:
         return Truth(
             t_s=_seconds(times_ns),
             tick=np.array(ticks),
-            orientation=np.roll(of["quaternion"], -1, axis=1),  # x, y, z, w
+            orientation=np.roll(of["quaternion"], -1, axis=1),  # reordered to x, y, z, w
             contacts=of["contacts"].astype(np.int64),
             motors_running=of["motors_running"].astype(np.bool_),
             **columns,

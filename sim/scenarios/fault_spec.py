@@ -209,7 +209,7 @@ class Fault:
     motor: Annotated[int, span(1, 4)] | None = None  # number of the motor, as in the firmware
     value: float | None = None  # unit and range depend on component and kind
     period_s: float | None = None
-    offset_m: Each[Annotated[float, span(-100.0, 100.0)]] | None = None  # ENU
+    offset_m: Each[Annotated[float, span(-100.0, 100.0)]] | None = None  # offset of a wrong position, ENU
     yaw_rad: Annotated[float, span(-3.15, 3.15)] | None = None
 
     def __post_init__(self) -> None:

@@ -167,7 +167,7 @@ class StateError:
     velocity_across: Annotated[float, span(0.0, 1.0)] = 0.016
     tilt_rad: Annotated[float, span(0.0, 0.2)] = 0.015  # misalignment about body x and y, fixed in a flight
     yaw_rad: Annotated[float, span(0.0, 0.2)] = 0.0013  # misalignment about body z, fixed in a flight
-    # variation in flight of an estimator with such measurements
+    # variation of the tilt error in flight
     tilt_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.0055
     yaw_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.0006
     # correlation time T in exp(-t/T) of all errors except the delay
@@ -206,8 +206,8 @@ class VehicleSpec:
     # motion capture of the on-board estimator
     mocap: OdometryLink = field(default_factory=lambda: OdometryLink(100.0, 0.001, 0.0, 0.005, 0.010))
     own: StateError | None = None
-    known_drag_1_s: tuple[Drag, Drag, Drag] | None = None  # known drag over mass, body axes
-    setpoint_delay_s: Annotated[float, span(0.0, 0.1)] = 0.002  # one-way radio delay (Crazyradio: 2 to 7 ms)
+    known_drag_1_s: tuple[Drag, Drag, Drag] | None = None  # estimator: drag per mass, body axes
+    setpoint_delay_s: Annotated[float, span(0.0, 0.1)] = 0.002  # one-way delay, Crazyradio: 2 to 7 ms
 
     def __post_init__(self) -> None:
         VEHICLE_FILES.path_of(self.airframe)
@@ -235,7 +235,7 @@ class Judge:
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """A complete scenario."""
+    """A scenario with all its parts."""
 
     name: str  # name of the scenario
     description: str  # purpose of the scenario, one sentence

@@ -37,7 +37,7 @@ from sim.scenarios.scenario import PathKind, Scenario, StartKind, TargetSpec
 
 _PARALLEL = 1e-9  # sine of the angle below which two lines count as parallel
 MEMBERS_MAX = 250  # each member has its own MAVLink system id
-_OF_THE_TEAM = ("name", "description", "exchange", "assignment", "one_target")  # keys of the team only
+_OF_THE_TEAM = ("name", "description", "exchange", "assignment", "one_target")  # keys that only a team has
 
 
 @dataclass(frozen=True, slots=True)

@@ -92,10 +92,10 @@ class Fit:
 class _Data(NamedTuple):
     """A piece of a flight, prepared for the residuals."""
 
-    duty: F64  # (n, 4)
-    battery_v: F64  # (n,)
-    rates: F64  # (n, 3)
-    velocity: F64  # (n, 3), body frame
+    duty: F64  # (n, 4) duty cycles
+    battery_v: F64  # (n,) voltage under load
+    rates: F64  # (n, 3) gyro, rad/s
+    velocity: F64  # (n, 3) true velocity, body frame
     force: F64  # (w, 3) mean specific force in each window, body frame
 
 

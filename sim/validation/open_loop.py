@@ -78,12 +78,12 @@ class OpenLoop:
 class Piece(NamedTuple):
     """A usable piece of a flight with n samples, resampled to ``SAMPLE_S``."""
 
-    position: F64  # (n, 3), ENU, m
-    velocity: F64  # (n, 3), m/s
-    quaternion: F64  # (n, 4), w first, body FLU to ENU
-    rates: F64  # (n, 3), gyro, rad/s
-    duty: F64  # (n, 4)
-    battery_v: F64  # (n,)
+    position: F64  # (n, 3) true position, ENU, m
+    velocity: F64  # (n, 3) true velocity, ENU, m/s
+    quaternion: F64  # (n, 4) true attitude, w first, body FLU to ENU
+    rates: F64  # (n, 3) gyro, rad/s
+    duty: F64  # (n, 4) duty cycles of the motors
+    battery_v: F64  # (n,) voltage under load
 
 
 def pieces(flight: Screened) -> Iterator[Piece]:

@@ -34,7 +34,7 @@ class DragRecord(Record):
     damping: float  # torque against roll and pitch rate, N m s
     xy: float  # drag along body x and y, N s/m
     along: float  # additional drag along body z, N s/m
-    weight: float  # N
+    weight: float  # weight of the vehicle, N
 
 
 def set_up_drag(drag: DragRecord, body: Body, weight_n: float) -> None:

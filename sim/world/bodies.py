@@ -40,8 +40,8 @@ class WrenchRecord(Record):
 
     force: Vector  # force on the centre of mass, weight included, world frame, N
     torque: Vector  # body frame, N m
-    mass: float  # kg
-    inertia: Vector  # kg m^2
+    mass: float  # mass of the vehicle, kg
+    inertia: Vector  # moments of inertia, body axes, kg m^2
 
 
 @jitted

@@ -31,7 +31,7 @@ class RestRecord(Record):
     wait_steps: int  # ``WAIT_STEPS``; a number larger than the steps of a flight disables the resting state
     steps: int  # consecutive steps at rest
     friction: float
-    gravity: float  # m/s^2
+    gravity: float  # gravitational acceleration, m/s^2
     feet_m: float  # distance of the feet from the centre of mass along body x and y
     pad_radius_m: float
     place: Vector  # position from the pad's centre, along the pad's axes, m
