@@ -110,12 +110,12 @@ def flying(
     Raises LaunchError: a process did not start.
 
     Args:
-        place: of PX4, as ``sim.px4.program.find_px4`` takes it.
-        scenario_name: what is flown.
-        config: of the onboard process.
-        folder: for the log and the outputs.
-        speed: against real time.
-        vehicle_url: where the onboard process finds the vehicle.
+        place: location of PX4, as for ``sim.px4.program.find_px4``.
+        scenario_name: scenario of the flight.
+        config: configuration of the onboard process.
+        folder: folder of the log and the outputs.
+        speed: ratio to real time.
+        vehicle_url: URL of the vehicle for the onboard process.
     """
     folder.mkdir(parents=True, exist_ok=True)
     socket, paced = folder / "feed", ["--speed", f"{speed:g}"]

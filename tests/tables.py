@@ -46,7 +46,7 @@ def line(definition: Definition) -> str:
 
 
 def read_class(cls: Any) -> Definition:
-    """Read one of pymavlink's classes; CRC_EXTRA, which leaves extensions out, tells which fields they are.
+    """Read one of pymavlink's classes; CRC_EXTRA, which excludes extensions, identifies their fields.
 
     Raises ValueError: no number of extensions gives the CRC_EXTRA.
     """

@@ -91,17 +91,17 @@ def fly(
     one: Scenario, seed: int, *options: str, flights: int = 1, loss: float = 0.0, tilt_rad: float = 0.0,
     fault: Callable[[Flying], None] | None = None, **firmware: Any,
 ) -> list[Landing]:  # fmt: skip
-    """Fly it so many times in a row, with the same firmware and bridge.
+    """Fly consecutive flights with the same firmware and bridge.
 
     Args:
-        one: scenario.
-        seed: of robot, vehicle and wind.
-        options: more of ``bridge crazyflie``.
-        flights: in a row.
-        loss: share of the packets that get lost, each way.
-        tilt_rad: of the markers against the body, about body y.
+        one: scenario of the flights.
+        seed: seed of robot, vehicle and wind.
+        options: additional options of ``bridge crazyflie``.
+        flights: number of consecutive flights.
+        loss: share of lost packets in each direction.
+        tilt_rad: rotation of the markers relative to the body, about body y.
         fault: called once in each flight.
-        firmware: more of ``Firmware``.
+        firmware: additional arguments of ``Firmware``.
     """
     here, there = free_endpoint(), free_endpoint()
     with tempfile.TemporaryDirectory() as folder:

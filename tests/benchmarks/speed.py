@@ -99,7 +99,7 @@ def closed_form() -> float:
 
 
 def control_step() -> None:
-    """Return microseconds from inputs to packed set-point: interpreted, compiled, and the closed form
+    """Measure microseconds from inputs to packed set-point: interpreted, compiled, and the closed form
     alone."""
     for name, make, asked in (("plain", Controller, (55, 120)), ("compiled", compiled, (30, 80))):
         one_round(make)

@@ -31,7 +31,7 @@ class Firmware:
     """One Crazyflie.
 
     Args:
-        plant: what flies; a ``Point`` by default.
+        plant: simulated vehicle; a ``Point`` by default.
         protocol: CRTP's. Before 12 it is CrazySim's firmware of 2024: no arming by the supervisor's
             port.
         auto_arm: as with brushed motors.

@@ -18,16 +18,16 @@ MS_MAX = 50  # longest step; a longer pause of the machine also pauses simulated
 
 
 class SimPlant:
-    """A ``VehicleSim`` with the face of ``plant.Point``; its deck follows the robot's true pose.
+    """A ``VehicleSim`` with the interface of ``plant.Point``; its deck follows the robot's true pose.
 
     The simulated firmware levels out and stops by its own watchdog, so only new set-points are handed over.
 
     Args:
-        scenario: of the vehicle, by name or as it is.
-        seed: of the run.
-        session: where the robot is heard; None: the deck stands where the scenario has it.
-        namespace: of the robot.
-        by_poses: it is given poses from outside, not the scenario's motion capture.
+        scenario: scenario of the vehicle, as name or object.
+        seed: seed of the run.
+        session: Zenoh session of the robot's poses; None: the deck stays at its start.
+        namespace: namespace of the robot.
+        by_poses: it receives external poses instead of the scenario's motion capture.
     """
 
     def __init__(

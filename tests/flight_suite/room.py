@@ -146,7 +146,7 @@ def simulated(folder: Path, scenario_name: str = SCENARIO) -> Iterator[Room]:
 
 @contextlib.contextmanager
 def given(config: pytest.Config, folder: Path) -> Iterator[Room]:
-    """Return the room of the command line. Raises pytest.UsageError: something is missing."""
+    """Yield the room of the command line. Raises pytest.UsageError: something is missing."""
     option = config.getoption
     if option("--config") is None:
         raise pytest.UsageError("--vehicle needs --config FILE: the configuration of the onboard process")
@@ -175,16 +175,16 @@ def on_px4(
     mocap: bool = False,
     recorder: Path | None = None,
 ) -> Iterator[Room]:
-    """Start simulator, PX4 and robot; ended whatever happens.
+    """Start simulator, PX4 and robot; the context ends them.
 
     Raises FileNotFoundError: no PX4 there. Raises LaunchError: a process did not start.
 
     Args:
         folder: for output of processes.
-        place: of PX4's program, as ``sim.px4.program.find_px4`` takes it.
+        place: location of PX4's program, as for ``sim.px4.program.find_px4``.
         scenario_name: name or file of the scenario; its robot waits for the first approach.
-        seed: of wind, noise and the vehicle's spread.
-        speed: of all of it against real time.
+        seed: seed of wind, noise and the vehicle's spread.
+        speed: ratio of simulated to real time.
         clocked: robot and onboard process live by the simulator's clock, which is as fast as all of
             them can be, at most ``speed``; a pilot in this process still lives by the wall's.
         mocap: the scenario's motion capture instead of satellites.

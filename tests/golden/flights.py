@@ -29,12 +29,12 @@ def write_kept(
     """Copy a log's topics of interest.
 
     Args:
-        source: a whole or broken log.
+        source: a complete or broken log.
         target: file to write.
         member: vehicle of a fleet, kept as the log of a single flight; None: the log has one flight.
-        wire: keep MAVLink frames and odometry, too.
-        when: keeps a message if this is true of it; None: all.
-        change: makes a message's data anew; None: verbatim.
+        wire: also keep MAVLink frames and odometry.
+        when: condition for keeping a message; None: all.
+        change: returns a message's new data; None: unchanged.
     """
     log = LogFile(source, member)
     space = log.metadata()["onboard"]["namespace"]

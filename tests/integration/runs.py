@@ -133,7 +133,7 @@ class Background:
         raise AssertionError(f"no line with {words}: {self.lines}")
 
     def end(self, number: int | None = None) -> int:
-        """Wait for its end and for that of all it says, bounded; the exit status.
+        """Wait for its end and the end of its output, with a time-out; return the exit status.
 
         ``number``: signal that it is sent first, unless it has ended.
         """

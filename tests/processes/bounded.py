@@ -46,7 +46,7 @@ def lines_of(stream: IO[Any], within_s: float) -> Iterator[str]:
 
 
 def killed(child: subprocess.Popen[Any] | Started, within_s: float = PATIENCE_S) -> str:
-    """Kill a process unless it has ended; what it wrote and nobody has read.
+    """Kill a process unless it has ended; return its unread output.
 
     A child of it may hold its pipes open, and reading them would not end: they are closed then.
     """

@@ -2,7 +2,7 @@
 
     python -m tests.reference.generate harness.so
 
-``README.md`` says how the library is built. Not a test: the tests read what this wrote.
+``README.md`` describes the library's build. This is not a test: the tests read its output.
 """
 
 import ctypes

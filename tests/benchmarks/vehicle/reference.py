@@ -67,15 +67,15 @@ def sanchez_cuevas(height: F64, body_lift: float, radius: float = ROTOR.radius_m
 def descend(
     height_m: float, speed_m_s: float, *, motors_off: bool, step_s: float = 1e-4
 ) -> tuple[float, float]:
-    """Point mass with rotors that comes down to the surface: time and speed of the first touch.
+    """Simulate the descent of a point mass with rotors; return time and speed of the first touch.
 
     Vertical only, without sensors: paper's velocity law, rotor lag, thrust curve, Cheeseman-Bennett, drag.
 
     Args:
-        height_m: of the feet at the start.
-        speed_m_s: of the descent, at the start and commanded.
-        motors_off: cut at the start instead.
-        step_s: of the integration.
+        height_m: initial height of the feet.
+        speed_m_s: initial and commanded speed of the descent.
+        motors_off: the motors are off from the start instead.
+        step_s: time step of the integration.
     """
     p1, p2 = ROTOR.thrust_linear_n_rpm, ROTOR.thrust_square_n_rpm2
     plane = ROTOR.above_com_m - PARAMS.geometry.foot_bottom_m  # height of the rotors above the feet

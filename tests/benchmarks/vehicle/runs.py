@@ -152,13 +152,13 @@ def roll_release(loop: VelocityLoop, roll_rad: float, seconds: float, *, slow: b
 def touchdown(
     speed_m_s: float, *, motors_off_below_m: float | None = None, target: TargetSpec | None = None
 ) -> Run:
-    """Come down on the pad from 25 cm at the pad's horizontal velocity.
+    """Descend to the pad from 25 cm at the pad's horizontal velocity.
 
     Args:
-        speed_m_s: of the descent.
+        speed_m_s: speed of the descent.
         motors_off_below_m: stop set-point below this height over the pad; None: half a second after
             contact.
-        target: pad that drives, if not the standing one.
+        target: a driving pad; default: the pad at rest.
     """
     spec = target or TargetSpec()
     deck = TargetModel(spec, SEED)

@@ -59,7 +59,7 @@ class Row:
 
 
 def hover_rows() -> Iterable[Row]:
-    """Return the table of static maps and battery."""
+    """Yield the rows of static maps and battery."""
     run = hover()
     early = run.rpm[(run.t > 1.0) & (run.t < 30.0)]
     thrust = np.vectorize(ROTOR.thrust_n)(early)
@@ -148,7 +148,7 @@ def yaw_rows() -> Iterable[Row]:
 
 
 def touchdown_rows() -> Iterable[Row]:
-    """Return the table of the last centimetres."""
+    """Yield the rows of the last centimetres."""
     rest = -analysis.PARAMS.geometry.foot_bottom_m
     for speed, drop, driving in (
         (0.2, False, False), (0.3, False, False), (0.2, False, True), (0.2, True, False), (0.2, True, True),

@@ -167,13 +167,13 @@ class Program:
         within_s: float = STEP_MAX_S,
         each: Callable[[], None] | None = None,
     ) -> None:
-        """Go on until something is so.
+        """Continue until a condition is true.
 
         Args:
-            done: looked at whenever something came.
-            what: said when it does not become so.
-            within_s: wall time.
-            each: called every time something came, and every 0.05 s.
+            done: condition, evaluated after each message or line.
+            what: text of the error after a time-out.
+            within_s: time-out, wall time.
+            each: called after each message or line, and every 0.05 s.
         """
         deadline_s = time.monotonic() + within_s
         while not done():

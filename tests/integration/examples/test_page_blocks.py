@@ -15,7 +15,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def blocks(language):
-    """Return (page and number, text) for every block of a language."""
+    """Yield (page and number, text) for every block of a language."""
     for page in PAGES:
         found = re.findall(rf"^```{language}[^\n]*\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
         yield from ((f"{page.relative_to(ROOT)}-{n}", text) for n, text in enumerate(found))

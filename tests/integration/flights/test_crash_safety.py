@@ -116,7 +116,7 @@ def test_a_kill_costs_half_a_second_of_the_log_at_most(tmp_path, victim, lockste
         pytest.fail("the flight was always over before the kill")
     assert found.missing_s <= MISSING_MAX_S, found
     assert found.recovered == found.messages > 100
-    assert found.complete == (victim != "record")  # whoever else dies, the recorder closes the file
+    assert found.complete == (victim != "record")  # if another process dies, the recorder closes the file
 
 
 def test_a_disk_that_fills_up_in_flight_ends_the_record_and_not_the_flight(tmp_path):

@@ -1,4 +1,4 @@
-"""Cells of the grid of faults end as its table demands, and docs/reference/fault_grid.md says so.
+"""Cells of the fault grid meet its requirements, and docs/reference/fault_grid.md agrees.
 
 One cell is flown for each requirement of a way to fail; ``python -m tests.benchmarks fault_grid`` flies all.
 """

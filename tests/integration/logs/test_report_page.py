@@ -61,7 +61,7 @@ def report_of(log, out=None):
 
 
 class Page(HTMLParser):
-    """Return classes and attributes of the elements, without scripts."""
+    """Classes and attributes of the page's elements, without scripts."""
 
     def __init__(self, text):
         super().__init__()

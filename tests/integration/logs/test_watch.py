@@ -55,7 +55,7 @@ class Sender:
 
 @contextmanager
 def opened(namespace="cf1"):
-    """Return a sender, a watch and its clock."""
+    """Yield a sender, a watch and its clock."""
     port, clock = Port(), Clock()
     sender = Sender(port.endpoint, namespace)
     session = zenoh_link.open_session([], [port.endpoint])
@@ -236,7 +236,7 @@ def test_a_flight_in_real_time_is_watched_from_outside(tmp_path):
 
 
 def _lines(child, done):
-    """Return the child's printed objects, up to one for which ``done`` is true."""
+    """Yield the child's printed objects, up to one for which ``done`` is true."""
     until_s = time.monotonic() + 3 * PATIENCE_S
     while time.monotonic() < until_s:
         line = line_of(child.stdout)

@@ -54,14 +54,14 @@ def bridge(server: Server, *arguments: str) -> Iterator[Verb]:
 def member_behind_the_bridge(
     scenario: Scenario, seed: int, number: int, url: str, robots: str
 ) -> Iterator[SimPlant]:
-    """A Crazyflie with simulated physics as a member of a fleet: the firmware's stand-in, and its bridge.
+    """Run a Crazyflie with simulated physics as a member of a fleet: the firmware model, and its bridge.
 
     Args:
-        scenario: of this member.
-        seed: of the same.
-        number: of it, which is its system id.
-        url: at which the bridge serves it.
-        robots: Zenoh endpoint of the robots; its deck follows its own one.
+        scenario: scenario of this member.
+        seed: seed of this member.
+        number: number of this member, which is its system id.
+        url: MAVLink URL of the bridge.
+        robots: Zenoh endpoint of the robots; its deck follows its own robot.
     """
     session = zenoh_link.open_session([], [robots])
     try:

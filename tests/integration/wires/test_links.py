@@ -121,15 +121,15 @@ SLOW = 57_600  # baud
 
 
 def land_over(folder, make_near, baud, *, noise_bytes_s=0.0, cut_s=(), config="sitl-1kg"):
-    """One landing of scenario ``large`` in real time; its exit status, output, relay.
+    """Fly scenario ``large`` in real time; return exit status, output and relay.
 
     Args:
-        folder: for the outputs of the processes.
-        make_near: makes the relay's end at the onboard process.
-        baud: of the line, None without a limit.
-        noise_bytes_s: random bytes a second beside the vehicle's.
-        cut_s: (after how many seconds of flight, for how many) the cable is pulled.
-        config: of the onboard process.
+        folder: folder of the processes' outputs.
+        make_near: creates the relay's end at the onboard process.
+        baud: bit rate of the line, None without a limit.
+        noise_bytes_s: random bytes a second, inserted into the vehicle's.
+        cut_s: (time, duration) of a disconnected cable, s of flight.
+        config: configuration of the onboard process.
     """
     with ExitStack() as stack:
         room = stack.enter_context(simulated(folder, "large"))

@@ -47,7 +47,7 @@ def test_a_state_with_something_that_compiled_code_does_not_know_is_pythons(flow
 
 
 def take(kernel, later_s, x_m):
-    """Return another sample of a target that has not moved."""
+    """Pass a later sample of the target, moved by ``x_m``, to the kernel."""
     last = kernel.track.newest
     x, y, z = last.position_enu_m
     kernel.take(

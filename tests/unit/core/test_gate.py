@@ -46,7 +46,7 @@ def check(velocity=(0.1, 0.0, -0.1), yaw=0.0, setpoint=None, **changes):
 
 
 def ulps(value, count=5):
-    """Yield the floats around a value: this many below and above, each with its offset."""
+    """Return the floats around a value: this many below and above, each with its offset."""
     low = high = value
     found = [(0, value)]
     for n in range(1, count + 1):

@@ -11,7 +11,7 @@ from tests.fleet_log import fly_fleet, near
 
 @dataclass(frozen=True)
 class FlownFleet:
-    """Return the log, and the campaign's verdict on the same flight."""
+    """The log of a fleet, and the campaign's verdict on the same flight."""
 
     log: Path
     verdict: FleetVerdict

@@ -38,7 +38,7 @@ def sessions():
 
 
 class Side:
-    """Return a vehicle's connection with a clock that the test sets."""
+    """A vehicle's connection with a clock that the test sets."""
 
     def __init__(self, session, id_, epoch_ns):
         fleet, self.id = Fleet(id_, MEMBERS), id_
@@ -54,7 +54,7 @@ class Side:
 
 @pytest.fixture
 def sides(sessions):
-    """Return vehicles 3 and 7, with different clocks, after an exchange of messages."""
+    """Yield vehicles 3 and 7, with different clocks, after an exchange of messages."""
     a, b = Side(sessions[0], 3, EPOCH_NS), Side(sessions[1], 7, EPOCH_NS + AHEAD_NS)
     greet(a, b)
     yield a, b

@@ -38,7 +38,7 @@ def circle(t_s, noise=(0.0, 0.0, 0.0), frame="map"):
 
 
 def drive(track, begin_s, end_s, rate_hz=50, sigma_m=0.0, seed=1):
-    """Return the resulting samples, with their times."""
+    """Yield the resulting samples, with their times."""
     chance = np.random.default_rng(seed)
     for i in range(round(begin_s * rate_hz), round(end_s * rate_hz)):
         t_s = i / rate_hz

@@ -159,7 +159,7 @@ OTHERS = ("cf1/controller/step", "camera/image")
 
 @pytest.fixture
 def pair():
-    """Return two sessions; the second connects to the first."""
+    """Yield two sessions; the second connects to the first."""
     endpoint = free_endpoint()
     there = zenoh_link.open_session(listen=[endpoint])
     here = zenoh_link.open_session(connect=[endpoint])

@@ -114,8 +114,7 @@ def test_a_speed_without_flights_is_open():
 
 
 def test_chance_explains_some_of_a_difference_and_not_more():
-    """Return errors of flights that differ by a factor of three; simulated ones a third or six times
-    larger."""
+    """Errors of flights differ by a factor of three, simulated ones are a third or six times larger."""
 
     def word(factor):
         sizes = np.geomspace(0.006, 0.018, 8)

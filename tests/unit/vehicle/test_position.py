@@ -88,7 +88,7 @@ def mellinger(loop, sensed, setpoint, level=False):
 class TestMellinger:
     @given(st.tuples(*[st.floats(-0.3, 0.3)] * 3), st.tuples(*[st.floats(-0.3, 0.3)] * 3))
     def test_the_first_tick_by_hand(self, error, velocity):
-        """Return the force from the gains; for a level body its upward part is all thrust."""
+        """The gains give the force; for a level body its upward part is all thrust."""
         counts, (mx, my, mz) = mellinger(
             MellingerLoop(), sensed_at(velocity=velocity), Setpoint(position=error)
         )

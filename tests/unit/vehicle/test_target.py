@@ -219,7 +219,7 @@ SCENARIOS["captured"] = replace(SCENARIOS["reversing"], odometry=TargetLink(erro
 
 
 def tick_by_tick(scenario, seed, chosen_at):
-    """Return deck and samples of every tick, by the interpreted formulas of both ends."""
+    """Yield deck and samples of every tick, by the interpreted formulas of both ends."""
     grid = TickGrid(100)
     motion = TargetMotion(scenario, seed, grid)
     driving, go_tick = motion.drives_at_once, chosen_at + RUN_AHEAD_TICKS + 1
@@ -242,7 +242,7 @@ def tick_by_tick(scenario, seed, chosen_at):
 
 
 def ahead(scenario, seed, chosen_at):
-    """Return the same by ``DirectTarget``; the onboard side decides while it answers for a tick."""
+    """Yield the same by ``DirectTarget``; the onboard side decides while it answers for a tick."""
     target = DirectTarget(scenario, seed, TickGrid(100))
     for tick in range(TICKS):
         yield tuple(target.take(tick)), target.samples(0.01 * tick).samples

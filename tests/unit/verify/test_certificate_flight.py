@@ -126,7 +126,7 @@ def test_h_stays_above_what_is_promised_outside_the_pad(name):
 
 @pytest.mark.parametrize("acceleration", [0.0, 0.5, 1.5])
 def test_no_descent_drifts_farther_than_promised(acceleration):
-    """Return the vehicle's motion above the pad, with every error at its worst size and direction."""
+    """Simulate the motion above the pad with every error at its worst size and direction."""
     settings = config(envelope={"target_acceleration_max_m_s2": acceleration})
     x = extremes(settings)
     promised, _ = drift_m(settings, x)

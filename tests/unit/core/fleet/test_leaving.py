@@ -209,7 +209,7 @@ def units(start, pad):
 
 
 def fleets(place):
-    """Yield as many starts as the drawn number, and up to two more pads."""
+    """Return a strategy for a random number of starts, and up to two more pads."""
     return st.integers(1, 5).flatmap(
         lambda n: st.tuples(
             st.lists(place, min_size=n, max_size=n), st.lists(place, min_size=n, max_size=min(6, n + 2))

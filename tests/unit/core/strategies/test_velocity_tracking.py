@@ -207,7 +207,7 @@ def test_far_away_the_rates_are_those_of_far_away():
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_tilt_is_bounded_twice(sign):
-    """Return the limits from the commanded acceleration and the set-point's distance from the velocity."""
+    """The commanded acceleration bounds it, and so does the set-point's distance from the velocity."""
     far = (3.0 * sign, 0.0, 0.0)
     wide = replace(EAGER, error_max_m_s=10.0)
     for loop, most in ((wide, 13.0 * 3.0 / LOOP.rate_xy_1_s**2), (replace(EAGER, error_max_m_s=0.3), 0.3)):

@@ -249,7 +249,7 @@ def test_a_declared_abort_carries_what_the_autopilot_said_of_it(verdict_of):
 
 
 def test_landed_by_estimate(verdict_of):
-    """Return a log without true states, as real hardware writes it."""
+    """The log has no true states, as on real hardware."""
     rows = landing()
     rows.truth = []
     verdict = verdict_of(rows)

@@ -124,7 +124,7 @@ def test_a_disk_that_cannot_keep_what_it_took_is_a_failure(tmp_path, monkeypatch
 
     monkeypatch.setattr(os, "fdatasync", broken)
     process = RecorderProcess(tmp_path / "feed.sock", tmp_path / "flight.mcap")
-    counts = process.run()  # ends by itself
+    counts = process.run()  # ends without a signal
     assert counts.failure == "Input/output error"
     assert "writing failed (Input/output error)" in problems(counts)[0]
 

@@ -45,7 +45,7 @@ def any_of(hint):
 
 
 def packed(value):
-    """Yield every leaf of a state; floats as bits, because NaN does not equal itself."""
+    """Return every leaf of a state; floats as bits, because NaN does not equal itself."""
     if is_dataclass(value):
         return [(f.name, packed(getattr(value, f.name))) for f in fields(value)]
     if isinstance(value, tuple):

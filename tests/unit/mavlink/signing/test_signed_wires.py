@@ -20,7 +20,7 @@ from tests.unit.mavlink.signing.signing_helpers import COMPANION, KEY, S, forged
 
 
 class Wire:
-    """Return a signed endpoint, and a plain socket that reaches it."""
+    """A signed endpoint, and a plain socket that reaches it."""
 
     def __init__(self, key=KEY):
         self.endpoint = Endpoint("udpin:127.0.0.1:0", 1, 1, signing_key=key)
