@@ -159,7 +159,7 @@ def _below(normal: Any) -> Any:
 class Moved:
     """Random stream of a seed with moves.
 
-    ``parts``: for each move its factor on the normal numbers, and its stream; the factors' squares sum to 1.
+    ``parts``: factor and stream of each move; the sum of the squared factors is 1.
     """
 
     def __init__(self, parts: Sequence[tuple[float, np.random.Generator]]) -> None:

@@ -156,7 +156,7 @@ class Pilot:
         }
 
     def begin(self, goal: Goal | None = None) -> None:
-        """Begin a mode from the current state."""
+        """Start a mode from the current state."""
         self._engaged, self._fresh, self.goal = False, True, goal
 
     def take(self, setpoint: Setpoint) -> None:
@@ -251,7 +251,7 @@ class Pilot:
         return Event.ARRIVED if arrived else None
 
     def go_on(self) -> None:
-        """Hold the point where the take-off ended; the integral continues."""
+        """Hold the end point of the take-off; the integral is kept."""
         self._engaged = True
 
     def _fly_land(self, estimate: CheckedEstimate, standing: bool, dt_s: float) -> Event | None:

@@ -166,7 +166,7 @@ class LockstepVehicle:
     def act(self, tick: int, silence: Silence) -> None:
         """End a tick: wait for the companion's answer, act on it, and simulate the rest.
 
-        ``silence``: wait for the companions of all vehicles in this tick.
+        ``silence``: time without messages of all vehicles' companions in this tick.
         Raises NoAnswerError: time-out.
         """
         if self.over:

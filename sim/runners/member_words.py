@@ -41,7 +41,7 @@ class MemberWords:
 
         A member that answers its vehicle but sends no message is waited for only once.
 
-        ``silence``: wait for all members in this tick.
+        ``silence``: time without messages of all members in this tick.
         """
         looks = 0
         while not self._told_now() and not self._silent and not stop.is_set:

@@ -219,7 +219,7 @@ class RealTimeRobot(PublishedRobot):
         return self._truth is not None
 
     def be_followed(self) -> None:
-        """Also publish the true pose."""
+        """Start to publish the true pose, for a vehicle in another process."""
         self._truth = OdometryPublisher(self._session, truth_key(self.namespace))
 
     def take(self, tick: int, *, wait: bool = True) -> DeckState:

@@ -22,7 +22,7 @@ from sim.scenarios.fault_spec import Fault
 BELOW_PAD_MIN_M = 0.03  # smallest height of the pad's top above the floor, m: pad plate and robot below it
 Share = Annotated[float, span(0.0, 1.0)]
 Drag = Annotated[float, span(0.0, 10.0)]
-VEHICLE_FILES = Files(dict, "sim.vehicles", "vehicle.airframe")  # read by ``sim.plant.params``
+VEHICLE_FILES = Files(dict, "sim.vehicles", "vehicle.airframe")  # files that ``sim.plant.params`` reads
 
 
 class StartKind(Enum):
@@ -229,8 +229,8 @@ class Wind:
 class Judge:
     """Barrier of the verdict, if it differs from the flown one; each result then names both."""
 
-    alpha_1_m: Annotated[float, span(0.05, 20.0)]  # as in onboard.barrier.alpha_1_m
-    beta_m: Annotated[float, span(0.05, 20.0)]  # as in onboard.barrier.beta_m
+    alpha_1_m: Annotated[float, span(0.05, 20.0)]  # shape parameter, as onboard.barrier.alpha_1_m
+    beta_m: Annotated[float, span(0.05, 20.0)]  # shape parameter, as onboard.barrier.beta_m
 
 
 @dataclass(frozen=True, slots=True)

@@ -141,7 +141,7 @@ class TeamScenario:
         return found
 
     def pads_apart_m(self) -> float:
-        """Return the smallest possible distance of two pads: of points and lines; 0 where paths may meet."""
+        """Return the smallest possible distance of two pads on points or lines; 0 where paths may meet."""
         lines = [_line(each.target) for each in self.member]
         return min((_apart_m(*two) for two in combinations(lines, 2)), default=math.inf)
 

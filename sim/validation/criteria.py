@@ -107,7 +107,7 @@ class Criterion:
     statistic: Statistic
     paths: tuple[str, ...]  # paths of its numbers in a flight
     cause: str | None = None  # text of a failure, with the value as placeholder; None: ``text``
-    by_chance: bool = False  # random numbers vary: it fails only if the whole interval is outside the limits
+    by_chance: bool = False  # random result: it fails only if the whole interval is outside the limits
     scale: float = 1.0  # factor from the value to the printed number
     unit: str = ""  # unit of the printed number
 
