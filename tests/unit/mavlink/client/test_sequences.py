@@ -1,0 +1,296 @@
+"""Requests into commands, as stories of what is shown and sent; streams asked for; the origin; texts."""
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from bridge.mavlink.client.commands import CommandSequencer
+from bridge.mavlink.client.companion import Origin, OriginSender
+from bridge.mavlink.client.streams import StreamRequests
+from bridge.mavlink.client.texts import TextAssembler
+from bridge.mavlink.client.vehicle_state import VehicleState
+from bridge.mavlink.profiles import ARDUPILOT, CRAZYFLIE, PROFILES, PX4
+from flightstack.core.types import Landed, Mode, Request
+from tests.unit.mavlink.client.vehicle_link_fakes import (
+    HEIGHT,
+    commands,
+    heartbeat,
+    params,
+    sequencer,
+    status,
+)
+
+MODE, ARM, RISE, LAND, ASK = 176, 400, 22, 21, 512  # MAV_CMD
+NONE, TAKEOFF, EXTERNAL, DOWN, KILL = (
+    Request.NONE, Request.TAKEOFF, Request.EXTERNAL, Request.LAND, Request.MOTORS_OFF
+)  # fmt: skip
+READY, ARMED, FLIES = {}, {"armed": True}, {"armed": True, "landed": Landed.IN_AIR}
+OURS, LANDS, OTHER, RISES = ({"mode": m} for m in (Mode.EXTERNAL, Mode.LAND, Mode.OTHER, Mode.TAKEOFF))
+STREAM = "set-points at 100 Hz until then"
+# profile, request, and rows of time in s, what the heartbeat shows (None: nothing), and the commands sent
+STORIES = {
+    "nothing for no request": (PX4, NONE, [(0.0, READY, [])]),
+    "nothing to a vehicle that is not heard": (PX4, TAKEOFF, [(1.0, None, [])]),
+    "no landing of a vehicle that is not heard": (PX4, DOWN, [(1.0, None, [])]),
+    "no landing of a disarmed vehicle": (PX4, DOWN, [(0.0, READY, [])]),
+    "PX4 takes off in OFFBOARD, where its fail-safe holds": (PX4, TAKEOFF, [
+        (0.0, READY, []), (1.0, STREAM, None), (1.0, READY, [MODE]), (1.1, OURS, [ARM]),
+        (1.2, OURS | ARMED, []),
+    ]),
+    "a vehicle in the air is never told to take off": (PX4, TAKEOFF, [(0.5, FLIES | OTHER, [])]),
+    "before a second flight PX4 leaves OFFBOARD": (PX4, NONE, [
+        (0.0, READY, []), (1.0, OURS, [MODE]), (1.5, OURS, []), (2.0, OURS, [MODE]),
+    ]),
+    "or the mode in which it has landed": (PX4, NONE, [(0.0, LANDS, [MODE])]),
+    "but not while it is armed": (PX4, NONE, [(0.0, OURS | ARMED, [])]),
+    "nor in the air": (PX4, NONE, [(0.0, OURS | {"landed": Landed.IN_AIR}, [])]),
+    "a Crazyflie is armed, then takes off, then nothing is sent": (CRAZYFLIE, TAKEOFF, [
+        (0.0, READY, [ARM]), (0.1, ARMED, [RISE]), (0.2, ARMED | RISES, []), (9.0, FLIES, []),
+    ]),
+    "ArduPilot switches to GUIDED before it is armed": (ARDUPILOT, TAKEOFF, [
+        (0.0, READY, [MODE]), (0.1, OURS, [ARM]), (0.2, OURS | ARMED, [ASK]),
+    ]),
+    "ArduPilot is prepared on the ground until it shows GUIDED": (ARDUPILOT, NONE, [
+        (0.0, OTHER, [MODE]), (0.5, OTHER, []), (1.0, OTHER, [MODE]), (2.0, OTHER, [MODE]), (3.5, RISES, []),
+        (4.5, OTHER, [MODE]),  # lost again, as after its boot
+    ]),
+    "it is not prepared while it is armed": (ARDUPILOT, NONE, [(0.0, OTHER | ARMED, [])]),
+    "OFFBOARD waits for the stream": (PX4, EXTERNAL, [
+        (0.1, READY, []), (0.4, STREAM, None), (0.4, READY, [MODE]),
+    ]),
+    "a mode changed by somebody else is not fought": (PX4, EXTERNAL, [
+        (0.2, OURS | ARMED, []), (0.5, STREAM, None), (0.5, OURS | ARMED, []), (1.0, STREAM, None),
+        (1.0, OTHER | ARMED, []),
+    ]),
+    "motors off need no heartbeat": (PX4, KILL, [(0.0, None, [ARM]), (0.2, READY, [])]),
+    "motors off need nothing on a disarmed vehicle": (PX4, KILL, [(0.0, READY, [])]),
+}  # fmt: skip
+ENDS = {"PX4 takes off in OFFBOARD, where its fail-safe holds", "motors off need no heartbeat"}
+
+
+@pytest.mark.parametrize("name", STORIES)
+def test_what_is_sent_in_each_story(name):
+    profile, request, rows = STORIES[name]
+    s, set_point_s = sequencer(profile), 0.0
+    for now_s, shown, expected in rows:
+        if shown is STREAM:
+            while set_point_s <= now_s:
+                s.note_setpoint(set_point_s)
+                set_point_s += 0.01
+            continue
+        seen = None if shown is None else status(now_s, **shown)
+        assert commands(s.step(request, seen, now_s)) == expected, now_s
+    assert s.reached or name not in ENDS
+
+
+def sent(s, request, ticks, *, note=lambda tick: None, period_s=0.01, **shown):
+    """Time and message of all that is sent while a vehicle shows the same."""
+    found = []
+    for tick in range(ticks):
+        now_s = tick * period_s
+        found += [(now_s, message) for message in s.step(request, status(now_s, **shown), now_s)]
+        note(tick)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("profile", "request_", "shown", "expected"),
+    [
+        (PX4, KILL, None, [0.0, 21196.0]),
+        (PX4, NONE, OURS, [1.0, 4.0, 3.0]),
+        (CRAZYFLIE, TAKEOFF, READY, [1.0, 0.0]),
+        (CRAZYFLIE, TAKEOFF, ARMED, [math.nan] * 6 + [488.0 + HEIGHT]),  # from the sea
+        (ARDUPILOT, TAKEOFF, READY, [1.0, 4.0]),
+    ],
+)
+def test_parameters_of_the_commands(profile, request_, shown, expected):
+    s = sequencer(profile)
+    s.home_amsl_m = 488.0
+    (message,) = s.step(request_, None if shown is None else status(0.0, **shown), 0.0)
+    assert (message.target_system, message.target_component) == (1, 1)
+    assert params(message)[: len(expected)] == pytest.approx(expected, nan_ok=True)
+    assert any(map(math.isnan, params(message))) == (profile is not ARDUPILOT)  # it takes none
+
+
+@pytest.mark.parametrize("stands_m", [0.0, 0.4, -2.5, 31.0])
+def test_ardupilot_climbs_from_where_it_stands_wherever_home_is(stands_m):
+    """Home moves to the vehicle when it arms, but not a home that somebody has locked."""
+    s = sequencer(ARDUPILOT)
+    s.above_home = (-1.0, 99.0)  # before it was armed
+    assert commands(s.step(TAKEOFF, status(0.0, **OURS), 0.0)) == [ARM]
+    (asked,) = s.step(TAKEOFF, status(0.5, **ARMED, **OURS), 0.5)
+    assert (asked.command, asked.param1) == (ASK, 33.0)
+    assert s.step(TAKEOFF, status(0.5, **ARMED, **OURS), 1.0) == []
+    s.above_home = (1.5, stands_m)
+    (takeoff,) = s.step(TAKEOFF, status(1.5, **ARMED, **OURS), 1.51)
+    assert (takeoff.command, takeoff.param7) == (RISE, pytest.approx(stands_m + HEIGHT))
+    s.above_home = (5.0, stands_m + 0.7)  # it has begun to climb, and its heartbeat does not say so yet
+    (again,) = s.step(TAKEOFF, status(5.5, **ARMED, **OURS), 5.6)
+    assert again.param7 == takeoff.param7
+
+
+def test_ardupilots_take_off_is_over_only_in_the_air():
+    s, armed = sequencer(ARDUPILOT), status(0.0, **ARMED, **RISES)
+    s.above_home = (0.01, 0.0)
+    assert commands(s.step(TAKEOFF, armed, 0.0)) == [RISE]
+    assert s.step(TAKEOFF, armed, 3.9) == []
+    assert commands(s.step(TAKEOFF, armed, 4.1)) == [RISE]
+    assert s.step(TAKEOFF, replace(armed, arrival_s=4.5, landed=Landed.TAKEOFF), 4.5) == []
+    assert s.reached
+
+
+@pytest.mark.parametrize(
+    ("profile", "shown", "asked", "said"),
+    [
+        (ARDUPILOT, ARMED | OURS, 33.0, "GLOBAL_POSITION_INT in 30 tries"),
+        (CRAZYFLIE, READY, 242.0, "HOME_POSITION"),
+    ],
+)
+def test_without_the_height_that_it_counts_from_nothing_takes_off(profile, shown, asked, said):
+    s = sequencer(profile)
+    s.home_amsl_m = None
+    found = sent(s, TAKEOFF, 3100, **shown)
+    assert {(m.command, m.param1) for _, m in found} == {(ASK, asked)}
+    assert len(found) == 30
+    assert said in s.failed
+
+
+def test_commands_are_repeated_every_half_second_and_give_up_with_all_that_was_said():
+    s = sequencer()
+
+    def note(tick):
+        if tick == 3:
+            s.note_ack(LAND, 0)  # ACCEPTED, and still the heartbeat never shows it
+        if tick == 5:
+            s.note_ack(LAND, 1)
+            s.note_ack(ARM, 4)  # another command's answer
+            s.note_text("Landing denied: no position")
+
+    found = sent(s, DOWN, 1000, note=note, armed=True)
+    assert [m.confirmation for _, m in found] == list(range(10))
+    assert [b - a for (a, _), (b, _) in pairwise(found)] == pytest.approx([0.5] * 9)
+    assert all(word in s.failed for word in ("10 tries in 5.0 s", "TEMPORARILY_REJECTED", "no position"))
+    assert commands(s.step(KILL, status(20.0, armed=True), 20.0)) == [ARM]
+    assert s.failed is None  # a new request begins anew
+
+
+@pytest.mark.parametrize("autopilot", PROFILES.values(), ids=PROFILES)
+def test_a_final_refusal_is_believed_when_it_is_said_twice(autopilot):
+    s = sequencer(autopilot)
+    for now_s, expected in ((0.0, [LAND]), (0.6, [LAND]), (1.2, [])):
+        assert commands(s.step(DOWN, status(now_s, armed=True), now_s)) == expected
+        s.note_ack(LAND, dialect.MAV_RESULT_UNSUPPORTED)
+    assert "UNSUPPORTED" in s.failed
+
+
+def test_motors_off_is_sent_on_whatever_is_answered():
+    s = sequencer()
+    note = lambda tick: s.note_ack(ARM, dialect.MAV_RESULT_DENIED)  # noqa: E731
+    assert len(sent(s, KILL, 20, note=note, period_s=0.5, armed=True)) == 20
+    assert s.failed is None
+
+
+def test_arming_that_is_worked_on_is_left_alone_for_three_seconds():
+    s = sequencer(ARDUPILOT)
+
+    def note(tick):
+        if tick == 10:
+            s.note_ack(ARM, dialect.MAV_RESULT_IN_PROGRESS)
+
+    assert [now_s for now_s, _ in sent(s, TAKEOFF, 400, note=note, **RISES)] == pytest.approx([0.0, 3.0, 3.5])
+
+
+def test_an_interrupted_stream_counts_from_its_new_start():
+    s = sequencer()
+    s.note_setpoint(0.0)
+    s.note_setpoint(1.0)
+    assert s.step(EXTERNAL, status(1.0), 1.0) == []
+
+
+def test_an_old_heartbeat_does_not_prove_a_new_request():
+    s = sequencer()
+    assert s.step(DOWN, status(0.0, armed=True, mode=Mode.LAND), 0.5) == []
+    assert not s.reached
+    assert commands(s.step(DOWN, status(0.6, armed=True, mode=Mode.EXTERNAL), 0.6)) == [LAND]
+
+
+def test_a_vehicle_that_was_flown_is_not_prepared_again():
+    s = sequencer(ARDUPILOT)
+    s.step(DOWN, status(1.0, armed=True), 1.0)
+    assert s.step(NONE, status(2.0, mode=Mode.OTHER), 2.0) == []
+
+
+@pytest.mark.parametrize("height", [0.0, -1.0, math.nan, math.inf])
+def test_senseless_takeoff_height_is_refused(height):
+    with pytest.raises(ValueError, match="take-off height"):
+        CommandSequencer(PX4, 1, 1, height)
+
+
+def test_guided_is_a_take_off_until_it_follows_us():
+    state = VehicleState(ARDUPILOT)
+    for custom_mode, armed, mode in (
+        (4, True, Mode.TAKEOFF), (5, True, Mode.HOLD), (4, False, Mode.TAKEOFF), (0, False, Mode.OTHER)
+    ):  # fmt: skip
+        state.update(heartbeat(custom_mode, armed=armed, autopilot=3), 1.0)
+        assert state.status.mode is mode
+        if custom_mode == 4 and armed:
+            state.follow(True)
+            assert (state.status.mode, state.status.arrival_s) == (Mode.EXTERNAL, 1.0)  # no heartbeat's news
+
+
+@pytest.mark.parametrize(
+    ("wanted", "seen", "expected"),
+    [
+        ({32: 50.0}, lambda tick: tick % 2 == 0 and tick < 1000, [0.0, 11.0, 12.0, 13.0, 14.0, 17.0]),
+        ({32: 50.0}, lambda tick: False, [*range(5), 7.0, 10.0, 13.0, 16.0, 19.0]),
+        ({32: 50.0}, lambda tick: tick % 2 == 0, [0.0]),
+        ({32: 50.0}, lambda tick: tick % 8 == 0, [0.0, 1.0, 2.0, 3.0, 4.0]),
+    ],
+    ids=["stops", "never comes", "comes", "comes too slowly"],
+)
+def test_a_stream_is_asked_for_while_it_does_not_come(wanted, seen, expected):
+    streams, asked_s = StreamRequests(wanted, 1, 1, 0.0), []
+    for tick in range(2000):
+        for message in streams.step(tick * 0.01):
+            assert (message.command, message.param1, message.param2) == (511, 32.0, 20_000.0)
+            asked_s.append(tick * 0.01)
+        if seen(tick):
+            streams.seen(32)
+    assert asked_s == pytest.approx(expected)
+
+
+def test_what_never_comes_is_asked_for_in_both_ways():
+    streams = StreamRequests({32: 50.0}, 1, 1, 0.0, {32: 6})
+    found = [m for tick in range(1000) for m in streams.step(tick * 0.01)]
+    assert [m.get_type() for m in found] == ["COMMAND_LONG"] * 5 + ["REQUEST_DATA_STREAM"] * 5
+    assert (found[-1].req_stream_id, found[-1].req_message_rate, found[-1].start_stop) == (6, 50, 1)
+    later = [m.get_type() for tick in range(6000, 12000) for m in streams.step(tick * 0.01)]
+    assert (len(later), set(later)) == (20, {"COMMAND_LONG", "REQUEST_DATA_STREAM"})
+
+
+def test_the_origin_is_told_once_a_second_on_the_ground_until_it_is_known():
+    sender = OriginSender(Origin(47.0, 8.5, 400.0), 1)
+    assert sender.step(None, False, 0.0) == []
+    (message,) = sender.step(status(), False, 0.0)
+    assert (message.latitude, message.longitude, message.altitude) == (470_000_000, 85_000_000, 400_000)
+    for seen, known, now_s, count in (
+        (status(), False, 0.5, 0), (status(), False, 1.0, 1), (status(), True, 2.0, 0),
+        (status(armed=True), False, 2.0, 0),
+    ):  # fmt: skip
+        assert len(sender.step(seen, known, now_s)) == count
+    assert sum(len(sender.step(status(), False, 3.0 + tick)) for tick in range(200)) == 58
+    assert OriginSender(None, 1).step(status(), False, 0.0) == []
+
+
+def test_long_texts_are_put_together():
+    texts, text = TextAssembler(), "Preflight Fail: " + "x" * 60 + "\t"
+    chunks = [
+        dialect.MAVLink_statustext_message(3, text[i : i + 50].encode(), 7, n) for n, i in enumerate((0, 50))
+    ]
+    assert [texts.add(chunk) for chunk in chunks] == [[], [(3, text.strip())]]
+    assert texts.add(dialect.MAVLink_statustext_message(6, b"short\x1b[2J", 0, 0)) == [(6, "short [2J")]
+    assert texts.add(dialect.MAVLink_statustext_message(3, b"a" * 50, 7, 0)) == []  # breaks off
+    assert texts.add(dialect.MAVLink_statustext_message(6, b"next", 0, 0))[0] == (3, "a" * 50 + " ...")
