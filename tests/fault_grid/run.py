@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import tempfile
-from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -54,103 +54,48 @@ def fault(part: Part, way: Way) -> Fault:
 def disturb(part: Part, way: Way, seed: int) -> Callable[[Flight], None]:
     """Starts the fault of a cell in a flight."""
     if part is Part.ZENOH:
-        return lambda flight: setattr(flight.target, "mangle", _MANGLES[way](np.random.default_rng(seed)))
+        return lambda flight: setattr(flight.target, "mangle", _mangle(way, np.random.default_rng(seed)))
     if part is Part.TARGET_STATE:
         return lambda flight: flight.target.fail(fault(part, way), flight.now_ns)
     return lambda flight: flight.vehicle.faults.fail([fault(part, way)], flight.now_ns)
 
 
-def _off(rng: np.random.Generator) -> Mangle:
-    del rng
-    return lambda payloads, now_s: []
-
-
-def _stuck(rng: np.random.Generator) -> Mangle:
-    """Repeat the first payload instead of each later one."""
-    del rng
+def _mangle(way: Way, rng: np.random.Generator) -> Mangle:
+    """Returns the function that changes the payloads sent over Zenoh as the cell says."""
     first: list[bytes] = []
+    held: list[tuple[float, bytes]] = []
+    number = itertools.count(1)
+    lost, until_s = False, 0.0
+
+    def damaged(payload: bytes) -> bytes:
+        at, other = int(rng.integers(len(payload))), int(rng.integers(1, 256))
+        return payload[:at] + bytes((payload[at] ^ other,)) + payload[at + 1 :]
 
     def mangle(payloads: list[bytes], now_s: float) -> list[bytes]:
-        first.extend(payloads[: 1 - len(first)])
-        return first * len(payloads)
+        nonlocal held, lost, until_s
+        match way:
+            case Way.STUCK:  # repeat the first payload instead of each later one
+                first.extend(payloads[: 1 - len(first)])
+                return first * len(payloads)
+            case Way.GARBAGE:  # change one byte of each payload
+                return [damaged(payload) for payload in payloads]
+            case Way.WRONG:  # insert samples of another robot under the same key
+                return [payload.replace(b"target\0", b"nearby\0") for payload in payloads]
+            case Way.SLOW:
+                return [payload for payload in payloads if next(number) % 10 == 0]
+            case Way.DELAYED:  # delay by 0.2 s, and every tenth by another 30 ms, so that others overtake it
+                held += [(now_s + 0.2 + (0.03 if rng.random() < 0.1 else 0.0), each) for each in payloads]
+                due = [payload for at_s, payload in held if at_s <= now_s]
+                held = [one for one in held if one[0] > now_s]
+                return due
+            case Way.INTERMITTENT:  # lose payloads in bursts of 0.3 s every 1.3 s, both mean values
+                while now_s >= until_s:
+                    lost = not lost
+                    until_s = max(until_s, now_s) + rng.exponential(0.3 if lost else 1.0)
+                return [] if lost else payloads
+        return []  # off
 
     return mangle
-
-
-def _garbage(rng: np.random.Generator) -> Mangle:
-    """Change one byte of each payload."""
-
-    def mangle(payloads: list[bytes], now_s: float) -> list[bytes]:
-        out = []
-        for payload in payloads:
-            at, other = int(rng.integers(len(payload))), int(rng.integers(1, 256))
-            out.append(payload[:at] + bytes((payload[at] ^ other,)) + payload[at + 1 :])
-        return out
-
-    return mangle
-
-
-def _wrong(rng: np.random.Generator) -> Mangle:
-    """Insert samples of another robot under the same key."""
-    del rng
-    return lambda payloads, now_s: [payload.replace(b"target\0", b"nearby\0") for payload in payloads]
-
-
-def _slow(rng: np.random.Generator) -> Mangle:
-    del rng
-    count = [0]
-
-    def mangle(payloads: list[bytes], now_s: float) -> list[bytes]:
-        out = []
-        for payload in payloads:
-            count[0] += 1
-            if count[0] % 10 == 0:
-                out.append(payload)
-        return out
-
-    return mangle
-
-
-def _delayed(rng: np.random.Generator) -> Mangle:
-    """Delay by 0.2 s, and every tenth by another 30 ms, so that others overtake it."""
-    held: deque[tuple[float, bytes]] = deque()
-
-    def mangle(payloads: list[bytes], now_s: float) -> list[bytes]:
-        for payload in payloads:
-            held.append((now_s + 0.2 + (0.03 if rng.random() < 0.1 else 0.0), payload))
-        due = [payload for at_s, payload in held if at_s <= now_s]
-        rest = [one for one in held if one[0] > now_s]
-        held.clear()
-        held.extend(rest)
-        return due
-
-    return mangle
-
-
-def _intermittent(rng: np.random.Generator) -> Mangle:
-    """Lose payloads in bursts of 0.3 s every 1.3 s, both mean values."""
-    state = {"lost": False, "until_s": 0.0}
-
-    def mangle(payloads: list[bytes], now_s: float) -> list[bytes]:
-        while now_s >= state["until_s"]:
-            state["lost"] = not state["lost"]
-            state["until_s"] = max(state["until_s"], now_s) + rng.exponential(0.3 if state["lost"] else 1.0)
-        return [] if state["lost"] else payloads
-
-    return mangle
-
-
-_MANGLES: Mapping[Way, Callable[[np.random.Generator], Mangle]] = MappingProxyType(
-    {
-        Way.OFF: _off,
-        Way.STUCK: _stuck,
-        Way.GARBAGE: _garbage,
-        Way.WRONG: _wrong,
-        Way.SLOW: _slow,
-        Way.DELAYED: _delayed,
-        Way.INTERMITTENT: _intermittent,
-    }
-)
 
 
 SCENARIO = "grid"

@@ -64,30 +64,6 @@ def test_gymnasium_finds_it_and_its_checker_passes():
     assert env.action_space.high.tolist() == list(fs.scenario("lab").onboard.limits.velocity_max_m_s)
 
 
-def test_the_observation_is_the_state_and_seeds_are_equal():
-    env = fs.make_env("lab")
-    seen, info = env.reset(seed=3)
-    again, _ = env.reset(seed=3)
-    assert np.array_equal(seen, again)
-    assert info == {"seed": 3}
-    truth_m = fs.land("lab", 3).truth.e_m[0]
-    assert np.allclose(seen[:3], truth_m, atol=0.05)
-    env.close()
-    with pytest.raises(RuntimeError, match="call reset first"):
-        env.step(np.zeros(3))
-
-
-def test_an_agent_that_flies_away_is_truncated_when_the_time_is_over():
-    env = fs.make_env("lab", changes={"duration_max_s": 5.0})
-    env.reset(seed=3)
-    truncated = False
-    while not truncated:
-        _, _, terminated, truncated, info = env.step(np.array([0.5, 0.0, 0.5]))
-        assert not terminated
-    assert "the time of the flight is over" in info["verdict"].reason
-    assert "operator" not in info["verdict"].reason
-
-
 def test_an_agent_without_a_filter_violates_and_with_one_does_not():
     down = np.array([0.0, 0.0, -0.5])
     rewards, bare = flown(fs.make_env("lab"), 1, down)

@@ -86,20 +86,6 @@ def test_a_signal_whose_exception_was_dropped_is_raised_when_the_start_is_over(m
             signal.signal(number, handler)
 
 
-def test_in_a_callback_of_the_compiler_which_would_drop_it_the_exception_waits(monkeypatch):
-    monkeypatch.setattr(hangup, "_came", [hangup.CalledOffError("ended by SIGTERM")])
-    before, noted = signal.getsignal(signal.SIGALRM), {"call": hangup._call_off, "signal": signal}
-    code = "import sys; call(signal.SIGTERM, sys._getframe()); reached = True"
-    try:
-        exec(compile(code, "llvmlite/binding/x.py", "exec"), noted)
-        with pytest.raises(hangup.CalledOffError):
-            time.sleep(PATIENCE_S)  # the alarm ends the sleep
-        assert noted["reached"]
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
-
-
 @pytest.mark.parametrize("error", [ImportError("initialization failed"), ValueError("bad"), SystemError()])
 def test_a_library_that_turns_the_exception_into_its_own_error_ends_the_verb_as_quietly(monkeypatch, error):
     monkeypatch.setattr(hangup, "_came", [hangup.CalledOffError("ended by SIGHUP")])

@@ -136,14 +136,6 @@ def test_json_holds_every_check(tmp_path):
     assert all(check["remedy"] is None for check in found["checks"] if check["proven"])
 
 
-def test_a_scenario_goes_by_name_and_by_file(tmp_path):
-    name = "straight"
-    by_name = json.loads(run("check", "--json", name).output)
-    by_file = json.loads(run("check", "--json", scenario.path_of(name)).output)
-    assert by_name["checks"] == by_file["checks"]
-    assert json.loads(run("check", "--json", "--filter", "paper", name).output)["filter"] == "paper"
-
-
 @pytest.mark.parametrize("name", [n for n in scenario.names() if n.startswith("paper")])
 def test_the_papers_scenarios_pass_the_papers_checks(name):
     result = run("check", name)

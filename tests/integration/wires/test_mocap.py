@@ -98,19 +98,6 @@ def test_a_vehicle_gets_poses_in_its_own_way(autopilot, kind):
         assert started.end(signal.SIGTERM) == 0
 
 
-def test_another_type_under_the_topic_is_said():
-    key = topic_key(0, "/lab/pose", *ROS_TYPES[TargetType.ODOMETRY])
-    with (
-        Mocap(key, lambda: ((0.0, 0.0, 0.0),)) as mocap,
-        verb(
-            "mocap", "--key", "ros2:/lab/pose", "--connect", mocap.endpoint, "--vehicle", "udpout:127.0.0.1:9"
-        ) as started,
-    ):
-        wait_for(lambda: started.said("geometry_msgs/msg/PoseStamped is needed"), "the reason")
-        wait_for(lambda: started.said("no message from the vehicle"), "the other reason")
-        assert started.end(signal.SIGTERM) == 0
-
-
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [

@@ -8,12 +8,11 @@ import sys
 from dataclasses import replace
 from typing import Annotated
 
-import numpy as np
 import pytest
 
 from flightstack.compiled import jit
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import F64, Record, cell, layout, new
+from flightstack.compiled.records import F64, Record, cell, new
 from flightstack.core.parameters.ends import Takeoff
 from flightstack.core.parameters.flight import BarrierShape, FlightConfig
 from sim.clock import TickGrid
@@ -156,16 +155,6 @@ class Outer(Record):
     x: float
 
 
-def test_nested_records_arrays_and_cells_are_views():
-    outer = new(Outer)
-    inner, values, view = outer.inner, outer.inner.values, cell(outer.inner)
-    values[1] = 2.5
-    inner.on = True
-    assert view["values"].tolist() == [[0.0, 2.5]]
-    view[0] = ((7.0, 8.0), False)
-    assert (outer.inner.values.tolist(), bool(outer.inner.on)) == ([7.0, 8.0], False)
-
-
 @jitted
 def count(outer):
     outer[0].count += 1
@@ -177,14 +166,6 @@ def test_compiled_code_changes_the_same_memory():
     for _ in range(3):
         count(cell(outer))
     assert (int(outer.count), float(outer.inner.values[0])) == (3, 3.0)
-
-
-class Clash(Record):
-    mean: float
-
-
-class Text(Record):
-    name: str
 
 
 ADDS = """
@@ -225,11 +206,3 @@ def test_a_full_disk_and_damaged_machine_code_only_cost_time(tmp_path):
             damaged.write_bytes(content)
             assert added() == ("1.0\n", "")
             assert index.read_bytes() != content  # stored anew
-
-
-def test_names_and_kinds_that_cannot_be_fields_are_refused():
-    with pytest.raises(AttributeError, match="mean"):
-        layout(Clash)
-    with pytest.raises(TypeError, match="str"):
-        layout(Text)
-    assert np.dtype(layout(Inner)).names == ("values", "on")

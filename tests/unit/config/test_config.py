@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import click
 import pytest
-from click.testing import CliRunner
 
 from flightstack.cli.main import VERBS, main
 from flightstack.common.strict_toml import ConfigError, dumps, from_table, to_table
@@ -162,13 +161,6 @@ def test_every_configuration_that_comes_with_the_package_is_found_by_name_and_ma
     assert problems(load(name)) == []
 
 
-def test_what_only_the_robust_filter_looks_at_does_not_refuse_the_papers():
-    wrong = {"loop": {"rate_hz": 10}, "velocity_loop": {"rate_z_1_s": 50.0}, "robust": {"fade_radius_m": 1.0}}
-    assert paper(**wrong).loop.rate_hz == 10
-    with pytest.raises(ConfigError, match="velocity_loop"):
-        dataclasses.replace(paper(**wrong), filter="robust")
-
-
 def test_no_margin_is_blown_up_by_more_than_half():
     """The value is divided by the remaining share at the pad's edge."""
     for pad_m in (0.03, 0.1, 0.5):
@@ -213,13 +205,6 @@ def test_no_option_takes_what_is_no_number():
                 each.type.convert(text, each, None)
         assert each.type.convert("1.0", each, None) == 1.0, path
     assert VERBS
-
-
-@pytest.mark.parametrize("text", NO_NUMBERS)
-def test_the_command_says_so(text):
-    result = CliRunner().invoke(main, ["bridge", "crazyflie", "--uri", "usb://0", "--speed-max", text])
-    assert result.exit_code == 2
-    assert "--speed-max" in result.output
 
 
 @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf, 10**400])

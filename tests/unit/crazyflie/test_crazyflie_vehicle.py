@@ -60,17 +60,6 @@ def test_a_set_point_goes_out_once_and_never_again():
     assert any("Arming refused: supervisor has locked: restart" in text for text in bench.texts)
 
 
-def test_a_stream_that_comes_back_in_time_flies_on():
-    bench = Bench().offboard()
-    bench.stream = None
-    bench.run(1.2)
-    assert bench.firmware.supervisor.state is State.LEVEL_OUT
-    bench.stream = (0.0, 0.0, 0.0)
-    bench.run(0.2)
-    assert bench.firmware.supervisor.state is State.FLYING
-    assert bench.vehicle.armed
-
-
 def test_lands_on_silence_when_told_to():
     bench = Bench(rules=Rules(land_on_silence=True)).offboard()
     bench.stream = None

@@ -276,16 +276,6 @@ def test_refuses_to_arm_and_says_why(name):
     assert not bench.last("SYS_STATUS").onboard_control_sensors_health & 0x10000000
 
 
-def test_a_filter_that_does_not_run_is_no_position_estimate():
-    firmware = Firmware()
-    bench = Bench(firmware).run(0.5)
-    assert not bench.vehicle.problems(bench.now_s)  # the bridge has selected the estimator
-    assert firmware.params["stabilizer.estimator"].value == 2
-    firmware.params["stabilizer.estimator"].value = 1
-    bench.run(0.5)
-    assert "no position estimate" in bench.vehicle.problems(bench.now_s)[0]
-
-
 def test_what_keeps_it_from_arming_is_said_when_it_changes_and_not_again():
     firmware = Firmware(auto_arm=False)
     bench = Bench(firmware).run(3.0)

@@ -81,14 +81,6 @@ def test_bad_poses_are_refused_counted_and_explained(bad, reason):
     assert problem is None
 
 
-def test_nothing_yet_and_nothing_any_more_are_said():
-    checks = PoseChecks()
-    assert checks.step([], 1.0, armed=False).problem == "mocap: no pose yet"
-    stream(checks, 2.0, 1.0)
-    assert checks.step([], 3.1, armed=False).problem is None
-    assert checks.step([], 3.4, armed=False).problem == "mocap: no pose for 0.4 s"
-
-
 def test_a_slow_stream_is_a_problem_and_a_fast_one_is_thinned():
     checks = PoseChecks()
     _, problem = stream(checks, 0.0, 4.0, rate_hz=10.0)

@@ -73,16 +73,6 @@ def test_two_fifths_less_cannot_be_flown(loop):
     assert any(t.contacts & ContactBit.GROUND for t in truths)
 
 
-def test_the_share_of_a_weak_motor_is_that_of_the_thrust_in_hover():
-    sim = aloft(fault(What.MOTOR, Kind.WEAK, value=0.7))
-    sim.advance(1)
-    rotor = load().rotor
-    hover = rotor.rpm(0.0319 * 9.81 / 4.0)
-    share = sim._vehicle[0].motor_share.tolist()
-    assert [share[k] for k in (0, 2, 3)] == [1.0, 1.0, 1.0]
-    assert rotor.thrust_n(share[1] * hover) == pytest.approx(0.7 * 0.0319 * 9.81 / 4.0, rel=1e-6)
-
-
 def test_a_stuck_motor_turns_on_after_disarming():
     sim = aloft(fault(What.MOTOR, Kind.STUCK, start_s=0.5, motor=3))
     hold(sim, 1.0)
@@ -92,27 +82,6 @@ def test_a_stuck_motor_turns_on_after_disarming():
     assert rpm[2] == pytest.approx(18_970, rel=0.03)
     assert max(rpm[0], rpm[1], rpm[3]) < 1.0
     assert not sim.motors_running  # no command is active
-
-
-def test_less_voltage_takes_the_thrust_it_is_made_of():
-    # 2.0 V: full duty gives 15 700 rpm at 1.9 V under load, hover needs 18 970
-    sunk = hold(aloft(fault(What.BATTERY, Kind.DROP, start_s=0.5, value=2.0)), 4.0)
-    assert sunk[-1].position_enu_m[2] < 0.1
-    assert sunk[-1].battery_v < 2.5
-    # 1.0 V: hover is still within the range, the reserve is gone
-    sim = aloft(fault(What.BATTERY, Kind.DROP, start_s=0.5, value=1.0))
-    assert max(map(off_home, hold(sim, 4.0))) < 0.03
-    assert sim.truth().battery_v == pytest.approx(2.9, abs=0.1)
-    assert max(sim.motor_commands) > 0.85
-
-
-def test_an_empty_battery_shows_3_v_at_rest_and_is_full_again_when_healed():
-    sim = aloft(fault(What.BATTERY, Kind.OFF, start_s=0.5, duration_s=1.0))
-    before = hold(sim, 0.4)[-1].battery_v
-    during = hold(sim, 0.6)[-1].battery_v
-    assert during == pytest.approx(3.0 - (4.15 - before), abs=0.03)
-    assert hold(sim, 1.0)[-1].battery_v == pytest.approx(before, abs=0.03)
-    assert sim.state_text == "flying"
 
 
 @pytest.mark.parametrize("loop", LOOPS)

@@ -96,27 +96,6 @@ def test_it_is_of_the_size_of_measurements():
     assert sum(ours.values()) == pytest.approx(sum(measured.values()), rel=0.15)
 
 
-def test_who_is_beside_the_jet_is_tilted_towards_it():
-    """Rotors nearer to the axis lose more thrust: a jet in front lowers the nose."""
-    _, torque = below(0.06, 0.0, 0.5)
-    assert torque[1] > 1e-4  # nose down
-    _, torque = below(0.0, 0.06, 0.5)  # a jet on the left
-    assert torque[0] < -1e-4  # left side down
-
-
-def test_two_jets_add_up_and_ones_own_does_not_count():
-    one = [0.0, 0.0, 0.0, 0.0, 0.0, -1.0, HOVER_M_S, SIZE_M]
-    d = set_up_downwash(new(DownwashRecord), CRAZYFLIE.body, CRAZYFLIE.rotor, CRAZYFLIE.geometry)
-    place = np.array([0.0, 0.0, -0.6])
-    feel(d, np.array([one]), 7, place, UPRIGHT)
-    air, along = d.air.copy(), d.along.copy()
-    feel(d, np.array([one, one, one]), 1, place, UPRIGHT)
-    assert np.allclose(d.air, 2.0 * air, rtol=1e-15)
-    assert np.allclose(d.along, 2.0 * along, rtol=1e-15)
-    feel(d, np.array([one]), 0, place, UPRIGHT)
-    assert not d.on
-
-
 def test_a_tilted_jet_blows_sideways():
     tilt = math.radians(20.0)
     tilted = np.array([[0.0, 0.0, 0.0, math.sin(tilt), 0.0, -math.cos(tilt), HOVER_M_S, SIZE_M]])

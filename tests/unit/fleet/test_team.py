@@ -1,12 +1,10 @@
 """Several landings in one process: equal to single ones without neighbours; the order does not matter."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from logs.verdict.types import Outcome
-from sim.chance import fresh, member, moved, stream
 from sim.runners.companion import Companion
 from sim.runners.landing import land, land_team
 from sim.scenarios import team
@@ -117,25 +115,6 @@ def test_the_exchange_is_asked_once_a_tick_and_told_in_the_next(monkeypatch):
 def test_vehicles_that_begin_inside_each_other_are_refused():
     with pytest.raises(ValueError, match=r"cf1 and cf3 begin inside each other, at \(-0\.80, 0\.30, 1\.10\)"):
         land_team(team_of(at(0.0, 0.0), at(5.0, 0.0), at(0.1, 0.0)), 0)
-
-
-def test_moves_of_a_team_are_moves_of_its_members():
-    begin = fresh(3)
-    near = moved(begin, 4, 1 / 256)
-    assert member(near, 1) == near
-    for number in (2, 3):
-        one, other = (stream(member(seed, number), "x").standard_normal(1000) for seed in (begin, near))
-        assert abs(one - other).max() < 0.05
-        assert abs(one - stream(begin, "x").standard_normal(1000)).max() > 1.0
-    with pytest.raises(ValueError, match="counted from 1"):
-        member(5, 0)
-
-
-def test_a_team_has_one_wind_of_its_own_gusts():
-    directions = {scenario.wind.direction_rad for scenario, _ in team.load("fleet_3").singles(4)}
-    assert len(directions) == 1
-    given = replace(FIELD, wind=replace(FIELD.wind, direction_rad=0.5))
-    assert [each.wind.direction_rad for each, _ in team_of(given).singles(4)] == [0.5]
 
 
 def test_a_flight_inwards_that_a_neighbour_turns_round_stays_above_the_barrier():

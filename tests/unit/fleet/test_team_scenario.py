@@ -7,8 +7,6 @@ import pytest
 
 from flightstack.common.strict_toml import ConfigError, dumps, from_table
 from flightstack.config import files as configurations
-from logs.verdict.types import Outcome
-from sim.runners.landing import land_team
 from sim.scenarios import scenario, team
 from sim.scenarios.team import TeamScenario
 
@@ -170,16 +168,6 @@ def test_robots_are_assigned_by_where_the_vehicles_begin(written):
     assert from_table(TeamScenario, tomllib.loads(dumps(found))) == found
 
 
-def test_approaches_that_crossed_keep_apart_and_land_sooner(written):
-    flown = {}
-    for kind in ("fixed", "start"):
-        flown[kind] = land_team(team.load(written(CROSSING.replace('"start"', f'"{kind}"'))), 1)
-        assert [each.verdict.outcome for each in flown[kind].landings] == [Outcome.LANDED] * 2
-    fixed, start = flown["fixed"], flown["start"]
-    assert start.pairs[0].distance_min_m > 1.8 > fixed.pairs[0].distance_min_m
-    assert start.simulated_s < fixed.simulated_s
-
-
 @pytest.mark.parametrize(
     ("old", "new", "error"),
     [
@@ -196,15 +184,6 @@ def test_what_cannot_be_assigned_is_refused(written, old, new, error):
     assert old in CROSSING
     with pytest.raises(ConfigError, match=error):
         team.load(written(CROSSING.replace(old, new)))
-
-
-def test_a_vehicle_on_the_ground_begins_where_it_stands(written):
-    text = CROSSING.replace('kind = "hover"', 'kind = "ground"\nground_position_m = [-1.5, 1.0]').replace(
-        "[onboard.fleet]", "[onboard.takeoff]\nstart_offset_m = [-1.0, 0.0, 1.0]\n[onboard.fleet]"
-    )
-    found = team.load(written(text + "start.ground_position_m = [-1.5, -1.0]\n"))
-    assert [each.target.position_m for each in found.member] == [(0.0, 1.0), (0.0, -1.0)]
-    assert [each.start.ground_position_m for each in found.member] == [(-1.5, 1.0), (-1.5, -1.0)]
 
 
 ROBOT = "[[member]]\n[member.target]\n"

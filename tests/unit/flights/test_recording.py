@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 
 import numpy as np
 import pyarrow as pa
@@ -89,24 +88,6 @@ def test_a_flight_that_cannot_be_read_says_why(tmp_path, change, says):
         read(tmp_path, {name: values for name, values in columns.items() if values is not None})
 
 
-def test_a_file_that_is_no_parquet_is_refused(tmp_path):
-    (tmp_path / "flight.parquet").write_bytes(b"no parquet at all")
-    with pytest.raises(RecordingError, match="can't be read"):
-        read_recording(tmp_path / "flight.parquet", COLUMN_TABLE)
-
-
-def test_columns_that_are_there_twice_are_refused(tmp_path):
-    (tmp_path / "flight.csv").write_text("t,t,px\n1,1,2\n")
-    with pytest.raises(RecordingError, match="columns of time are there several times: t"):
-        read_recording(tmp_path / "flight.csv", {"time": COLUMN_TABLE["time"]})
-
-
-def test_a_pipe_is_not_waited_for(tmp_path):
-    os.mkfifo(tmp_path / "flight.csv")
-    with pytest.raises(RecordingError, match="pipe"):
-        read_recording(tmp_path / "flight.csv", COLUMN_TABLE)
-
-
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -162,11 +143,3 @@ def test_missing_samples_and_a_frozen_pose_part_a_flight(tmp_path):
     found = screen(read(tmp_path, {name: values[keep] for name, values in columns.items()}))
     assert {reason.text for reason in found.left_out} >= {"samples missing", "motion capture frozen"}
     assert len(found.pieces) == 3
-
-
-def test_a_flight_that_never_lifts_is_left_out(tmp_path):
-    columns = flight()
-    columns["pz"] = np.full_like(columns["t"], 0.05)
-    found = screen(read(tmp_path, columns))
-    assert not found.usable
-    assert "in the air for 0.0 s only" in found.left_out[-1].text

@@ -22,7 +22,6 @@ from flightstack.onboard.runner import (
     Runner,
     Taken,
     VehicleInputs,
-    decoded,
 )
 
 
@@ -36,13 +35,6 @@ def out(phase=Phase.APPROACH, *, finished=False):
 
 def asking(operator=Operator.NONE, *, stop=False):
     return SimpleNamespace(operator=operator, stop=stop)
-
-
-def test_nothing_ends_by_itself():
-    flight = Leaving(None, asking(Operator.ABORT))
-    assert flight.operator(status(), 1e9) is Operator.ABORT
-    assert flight.ended(out(), Memory(phase=Phase.APPROACH), status(), 1e9) is None
-    assert Leaving(None).operator(status(), 1e9) is Operator.NONE
 
 
 @pytest.mark.parametrize("seen", [None, status(armed=False)])
@@ -158,14 +150,6 @@ def test_samples_of_a_tick_in_which_the_process_stalled_are_told_and_not_used(st
     else:
         assert arrived.samples == ()
         assert f"stalled for {stall_s:.2f} s" in arrived.problems[0]
-
-
-def test_a_sample_that_cannot_be_decoded_is_a_problem_and_stays_for_the_log():
-    messages = [RawSample(b"")]
-    arrived = decoded(messages, 1.0)
-    assert (arrived.samples, arrived.messages) == ((), messages)
-    assert "target sample refused: odometry payload has 0 bytes" in arrived.problems[0]
-    assert decoded([], 1.0) == Arrived()
 
 
 def test_a_stream_of_refused_samples_is_told_by_doublings():

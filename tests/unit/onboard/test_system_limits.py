@@ -13,16 +13,12 @@ from click.testing import CliRunner
 
 from bridge.mavlink.transport.address import parse_peer, parse_url
 from bridge.zenoh import zenoh_link
-from flightstack.cli.main import main
-from flightstack.common.processes import LaunchError, socket_folder
+from flightstack.common.processes import socket_folder
 from flightstack.common.strict_toml import ConfigError, decoded, parse_toml, read_toml
 from flightstack.compiled import jit
 from flightstack.config import options
-from logs.recorder.feed import Feed, FeedError
-from logs.recorder.recorder import RecorderError, _listen
 from logs.report.page import Page, ReportError, write
 from logs.tools.file import new_file
-from sim.validation import run as validation
 from tests.integration.sim_processes import COMMAND
 
 SHIPPED = Path(options.__file__).parent / "sitl-1kg.toml"
@@ -45,23 +41,6 @@ def test_sockets_have_short_paths_however_long_tmpdir_is(tmp_path_factory, monke
     finally:
         folder.rmdir()
     assert list(place.iterdir()) == []
-
-
-def test_where_no_folder_can_be_made_each_place_is_named(monkeypatch):
-    def full(**_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("tempfile.mkdtemp", full)
-    with pytest.raises(LaunchError, match=r"/tmp: No space left.*set TMPDIR"):
-        socket_folder()
-
-
-def test_a_long_path_of_a_socket_is_refused_with_the_limit(tmp_path):
-    path = tmp_path / ("x" * 120)
-    with pytest.raises(FeedError, match="at most 107 bytes"):
-        Feed.connect(path, "test", lossless=False)
-    with pytest.raises(RecorderError, match="at most 107 bytes"):
-        _listen(path)
 
 
 @pytest.fixture
@@ -118,25 +97,6 @@ def test_code_that_others_could_write_is_not_run(caches):
     (base / f"flightstack-{os.getuid()}").mkdir(mode=0o777)
     (base / f"flightstack-{os.getuid()}").chmod(0o777)
     assert jit.cache_directory.__wrapped__() is None
-
-
-def test_without_a_home_nothing_is_made_in_the_working_folder(caches, monkeypatch):
-    refused, base = caches
-    refused.add(base / "package")
-    monkeypatch.setattr(os.path, "expanduser", lambda path: path)
-    monkeypatch.chdir(base)
-    assert jit.cache_directory.__wrapped__() == base / f"flightstack-{os.getuid()}" / "jit-0"
-    assert not (base / "~").exists()
-
-
-def test_without_shared_memory_one_process_compares_all(monkeypatch, capsys):
-    def no_semaphores(*_, **__):
-        raise OSError(38, "Function not implemented")
-
-    monkeypatch.setattr(validation, "ProcessPoolExecutor", no_semaphores)
-    paths = [Path("a"), Path("b")]
-    assert list(validation._each(lambda path: path.name, paths, 4)) == ["a", "b"]
-    assert "one process instead of 4" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -77,14 +77,6 @@ def test_hover_takes_the_duty_that_the_flights_had(voltage_v, pwm):
     assert 65535 * duty == pytest.approx(pwm, rel=0.03)
 
 
-def test_a_tired_battery_saturates():
-    climbs = {charge: room(battery_charge=(charge, charge)) for charge in (0.0, 1.0)}
-    for vehicle in climbs.values():
-        velocities(vehicle, (0.0, 0.0, 3.0), 0.4)
-    assert max(climbs[0.0].duty) == pytest.approx(1.0)
-    assert max(climbs[1.0].duty) < 0.9
-
-
 def test_a_vehicle_that_is_asked_to_hover_has_the_charge_for_it():
     spread = {"motor_spread": 0.12, "thrust_spread": 0.04, "battery_charge": (0.0, 0.05)}
     params, spec = load("crazyflie21_room"), VehicleSpec("crazyflie21_room", **spread)

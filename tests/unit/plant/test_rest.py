@@ -124,16 +124,6 @@ def test_goes_its_way_as_soon_as_friction_or_weight_do_not_hold(velocity_of, for
     assert resting[-1][1] == pytest.approx(asked[-1][1], abs=0.02 * moved_m + 1e-4)
 
 
-def test_a_deck_placed_elsewhere_leaves_it_behind():
-    w, _ = stand(Deck(still), seconds=0.2)
-    assert w.record.rest.steps == WAIT_STEPS
-    before = w.position
-    w.set_deck((0.5, 0.0, 0.2), 0.4, (0.0, 0.0, 0.0), 0.0)
-    w.step(WEIGHT, NO_TORQUE)
-    assert w.position[:2] == pytest.approx(before[:2], abs=1e-6)
-    assert w.record.rest.steps == 0
-
-
 @pytest.mark.parametrize(
     ("place", "force", "torque"),
     [

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from sim.chance import MOVE_SEED_MAX, MOVES_MAX, fresh, moved, name, stream
 from sim.plant.imu import Imu
 from sim.plant.params import CONTROL_STEP_S, load
-from sim.plant.sensors import NS, MeasurementChannel, NoiseRows, Normals
+from sim.plant.sensors import NS, MeasurementChannel
 from sim.scenarios.scenario import OdometryLink
 
 MS = NS // 1000
@@ -67,12 +67,6 @@ def test_many_steps_in_one_call_are_the_same_to_the_last_bit(counts, loss, dropo
     )  # fmt: skip
 
 
-def test_loss_is_as_asked():
-    channel, out = run_channel(OdometryLink(500.0, loss=0.2), 20.0)
-    assert channel.lost / channel.taken == pytest.approx(0.2, abs=3 * math.sqrt(0.16 / channel.taken))
-    assert len(out) == channel.taken - channel.lost
-
-
 def test_noise_has_its_deviation_and_no_mean():
     _, out = run_channel(OdometryLink(500.0), 20.0, sigmas=(0.002, 0.05))
     for i, sigma in enumerate((0.002, 0.05)):
@@ -88,13 +82,6 @@ def test_drop_outs_come_and_end():
     assert 60 < len(gaps) < 130  # one per 2.15 s on average
     assert max(gaps) <= 0.3 + 0.02
     assert max(gaps) > 0.2
-
-
-@pytest.mark.parametrize("sigmas", [(0.5,), (0.0, 0.1, 0.0, 2.0, 3.0), (1.0, 2.0, 3.0, 4.0), (0.0, 0.0)])
-def test_rows_of_noise_are_the_numbers_one_by_one(sigmas):
-    rows, numbers = NoiseRows(sigmas, 3, "a"), Normals(3, "a")
-    for _ in range(4000):
-        assert rows.take() == [s * numbers.take() if s else 0.0 for s in sigmas]
 
 
 def imu_run(seed, n=20000):

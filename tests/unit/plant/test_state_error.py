@@ -16,7 +16,6 @@ from sim.plant.state_error import (
     DELAY,
     DELAY_MAX_S,
     DELAY_MIN_S,
-    PAST,
     POSITION,
     STILL_AHEAD,
     STILL_ASIDE,
@@ -64,18 +63,6 @@ def test_rows_do_not_depend_on_how_many_are_taken_at_once(parts, seed):
     rows = state_errors(StateError(), seed, "own", RATE_HZ)
     taken = np.concatenate([rows.take(count) for count in parts])
     assert np.array_equal(taken, drawn(StateError(), seed, sum(parts)))
-
-
-def test_vehicle_and_target_have_other_errors_and_share_a_delay_where_asked():
-    assert not np.array_equal(drawn(StateError()), drawn(StateError(), purpose="target"))
-    assert not np.array_equal(drawn(StateError()), drawn(StateError(), seed=2))
-    base = replace(FINE, delay_s=0.02, delay_spread_s=0.02)
-    for seed in range(5):
-        own, target = (drawn(base, seed, purpose=p)[0, DELAY] for p in ("own", "target"))
-        assert own != target
-        shared = replace(base, delay_shared=True)
-        own, target = (drawn(shared, seed, purpose=p)[0, DELAY] for p in ("own", "target"))
-        assert own == target
 
 
 def test_flights_have_the_delays_of_the_parameters():
@@ -131,24 +118,6 @@ def test_a_state_ahead_goes_on_as_it_went(lead_s):
     now, speed = circle(0.59)
     assert position == pytest.approx(np.array(now) + lead_s * np.array(speed), abs=1e-12)
     assert velocity == pytest.approx(2.0 * np.array(speed) - circle(0.59 - lead_s)[1], abs=2e-5)
-
-
-def test_an_impact_is_not_multiplied_ahead():
-    """A derivative over one sample would give 10 m/s."""
-    fall = lambda t_s: ((0.0, 0.0, 0.0), (0.0, 0.0, -1.0 if t_s < 0.585 else 0.0))  # noqa: E731
-    _, velocity = measured(row_of(velocity_delay=-0.1), fall)
-    assert velocity.tolist() == [0.0, 0.0, 1.0]
-
-
-def test_before_the_first_sample_the_vehicle_was_where_it_began():
-    position, _ = measured(row_of(delay=0.2), circle, samples=5)
-    assert position.tolist() == list(circle(0.0)[0])
-
-
-def test_the_ring_holds_the_longest_delay_at_the_highest_rate():
-    assert DELAY_MAX_S * 500.0 + 2 <= PAST
-    position, _ = measured(row_of(delay=DELAY_MAX_S), circle, samples=3 * PAST, rate_hz=500.0)
-    assert position == pytest.approx(circle((3 * PAST - 1) / 500.0 - 0.2)[0], abs=1e-5)
 
 
 def test_errors_of_the_velocity_turn_with_it_and_others_do_not():

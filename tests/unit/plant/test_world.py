@@ -40,14 +40,6 @@ def fall(w, steps, deck=None):
     return bits
 
 
-def test_torque_is_in_the_body_frame():
-    w = world()
-    half = math.sqrt(0.5)
-    w.set_vehicle((0.0, 0.0, 10.0), (half, 0.0, 0.0, half))  # nose north
-    w.step(WEIGHT, (1.68e-5, 0.0, 0.0))
-    assert w.rates == pytest.approx((STEP_S, 0.0, 0.0), abs=1e-12)
-
-
 def test_deck_moves_on_an_exact_arc():
     w = world()
     w.set_vehicle((5.0, 0.0, 50.0))
@@ -82,19 +74,6 @@ def test_dropped_on_a_driving_pad_it_travels_with_it(offset, speed, rate):
     assert z == pytest.approx(STANDING, abs=1e-4)
     vx, vy, vz = w.record.deck.velocity
     assert w.velocity == pytest.approx((vx - rate * y, vy + rate * x, vz), abs=5e-3)
-
-
-def test_rides_a_heaving_pad():
-    w = world()
-    w.set_vehicle((0.0, 0.0, 0.2 + STANDING))
-
-    def deck(w, k):
-        t, rate = k * STEP_S, 2.0 * math.pi * 0.25
-        z, after = (0.2 + 0.15 * math.sin(rate * s) for s in (t, t + 0.01))
-        w.set_deck((0.0, 0.0, z), 0.0, (0.0, 0.0, (after - z) / 0.01), 0.0)
-
-    fall(w, 4000, deck)
-    assert w.position[2] - w.deck_position[2] == pytest.approx(STANDING, abs=5e-4)
 
 
 def touched(position, quaternion=(1.0, 0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0), steps=400):

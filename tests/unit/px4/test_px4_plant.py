@@ -88,33 +88,6 @@ def test_a_motor_without_a_sound_output_stands_still(off):
     assert rotor_speeds([0.5, off, 0.5, 0.5], True, ROTOR)[2] == 0.0  # PX4's second is M3
 
 
-def test_stands_still_until_the_motors_turn_on_floor_and_first_judged_in_the_air():
-    plant = Px4Plant(scenario(GROUND), 1)
-    plant.advance(1000)
-    truth = plant.truth()
-    assert truth.position_enu_m == pytest.approx((-1.0, 0.4, 0.0144), abs=1e-3)
-    assert np.linalg.norm(truth.velocity_enu_m_s) < 1e-3
-    assert truth.contacts == 2  # TrueState.CONTACT_GROUND
-    assert not truth.motors_running
-    assert math.isnan(truth.first_touch_time_s)
-
-
-def test_the_deck_carries_what_landed_on_it():
-    plant = Px4Plant(scenario(Start(StartKind.HOVER, offset_m=(0.5, 0.0, 1.0))), 1)
-    pad = plant.truth().pad_position_enu_m
-    plant._physics.judge_from_here()
-    plant._world.set_vehicle((pad[0], pad[1], pad[2] + 0.05))
-    plant.advance(600)
-    truth = plant.truth()
-    assert truth.contacts & 1  # TrueState.CONTACT_PAD
-    assert 0.0 < truth.first_touch_time_s < 0.2
-    plant.set_deck(pad, 0.0, (0.2, 0.1, 0.0), 0.0)
-    plant.advance(1000)
-    body = plant.body()
-    assert body.velocity_enu_m_s == pytest.approx((0.2, 0.1, 0.0), abs=0.01)
-    assert plant.truth().pad_position_enu_m == pytest.approx((pad[0] + 0.2, pad[1] + 0.1, pad[2]), abs=1e-6)
-
-
 @pytest.mark.parametrize(("name", "word"), [("fault_motor_dead", "fault"), ("field", "offset_m")])
 def test_scenarios_that_px4_cannot_fly_are_refused_with_a_reason(name, word):
     with pytest.raises(ConfigError, match=word):

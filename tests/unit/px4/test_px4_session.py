@@ -169,13 +169,6 @@ def test_an_old_answer_and_one_said_twice_let_nothing_go_on(pair):
     assert pair.session.steps == 3
 
 
-def test_a_px4_that_never_answers_is_an_error_that_names_the_airframe(pair, short):
-    pair.fake.hello()
-    pair.session.greet()
-    with pytest.raises(NoAnswerError, match="PWM_MAIN_FUNC1"):
-        steps(pair.session, 1000)
-
-
 def test_a_client_that_says_nothing_or_garbage_is_dropped_with_a_reason(pair, short):
     pair.fake.raw(b"GET / HTTP/1.1\r\n\r\n")
     with pytest.raises(NotPx4Error, match="18 other bytes"):

@@ -133,12 +133,6 @@ def test_answers_are_told_apart_by_px4_s_clock_whether_it_counts_from_the_first_
     assert lockstep.old == 4
 
 
-def test_an_answer_before_any_sensor_counts_for_nothing():
-    lockstep = Lockstep()
-    assert not lockstep.take(answer(0))
-    assert not lockstep.started
-
-
 def test_another_clock_is_believed_after_two_waits_in_vain_with_the_same_difference():
     lockstep = Lockstep()
     for k, time_us in enumerate((777, 4777)):

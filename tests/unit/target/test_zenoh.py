@@ -237,12 +237,6 @@ def test_a_file_that_is_wrong_is_named(file, text):
         open_session(config_file=path)
 
 
-def test_a_client_cannot_listen(file):
-    path = file('{mode: "client"}')
-    with pytest.raises(ValueError, match="cannot listen"):
-        open_session(["tcp/127.0.0.1:0"], config_file=path)
-
-
 def test_a_client_without_a_router_is_told_so(file):
     path = file("{connect: {timeout_ms: 200}}")
     with pytest.raises(ZenohLinkError, match="is the router running"):

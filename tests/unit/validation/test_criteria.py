@@ -103,16 +103,6 @@ def test_a_part_that_no_flight_covers_is_missed():
     assert cause.startswith("sensing is not judged by any flight: ")
 
 
-def test_a_speed_without_flights_is_open():
-    slow = replace(ERROR, by_speed=(0.002, 0.01, float("nan"), float("nan")))
-    words = {
-        v.criterion.text: v.word for v in judge([flight(name, recorded=slow, sensed=slow) for name in "ab"])
-    }
-    assert words["position at 0.35 to 0.65 m/s / recorded"] == "met"
-    assert words["position at 0.85 to 1.5 m/s / recorded"] == "open"
-    assert "missed" not in words.values()
-
-
 def test_chance_explains_some_of_a_difference_and_not_more():
     """Errors of flights differ by a factor of three, simulated ones are a third or six times larger."""
 

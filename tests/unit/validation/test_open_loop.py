@@ -64,13 +64,6 @@ def test_shuffled_commands_predict_badly_and_the_same_seed_shuffles_the_same():
         assert after.position_m.constant_velocity == before.position_m.constant_velocity
 
 
-def test_nothing_is_compared_in_less_than_what_calibration_and_prediction_take():
-    flight = screen(recorded(AIRFRAME))
-    start = flight.pieces[0].start
-    assert compare(replace(flight, pieces=(slice(start, start + 150),)), ROOM) is None
-    assert compare(replace(flight, pieces=()), ROOM) is None
-
-
 def test_a_compensated_motor_gets_the_thrust_that_is_asked_for_until_the_battery_ends_it():
     params = load("crazyflie20")
     half, full = commanded_rpm(params, np.array([[0.5] * 4, [1.0] * 4]), np.array([3.7, 2.8]))

@@ -10,7 +10,7 @@ from sim.clock import TickGrid
 from sim.plant.state_error import TURN
 from sim.robot.target_motion import TargetMotion
 from sim.scenarios.fault_spec import Fault, Kind, What
-from sim.scenarios.scenario import OdometryLink, PathKind, StateError, TargetLink, TargetSpec, VehicleSpec
+from sim.scenarios.scenario import PathKind, TargetLink, TargetSpec, VehicleSpec
 from tests.unit.plant.test_state_error import FINE
 from tests.unit.vehicle.vehicle_sim_helpers import QUIET, scenario, vehicle
 
@@ -61,12 +61,6 @@ def test_the_attitude_is_off_by_the_misalignment_and_no_more():
     expected = float(np.linalg.norm(sim._mocap._error_rows[0, TURN:]))
     assert expected > 0.01
     assert angles[50:] == pytest.approx([expected] * len(angles[50:]), abs=0.006)
-
-
-def test_lost_samples_leave_an_estimate_that_gets_old():
-    pairs = flown(StateError(), mocap=OdometryLink(100.0, loss=1.0), seconds=1.0)
-    assert pairs[20][1].valid
-    assert not pairs[-1][1].valid
 
 
 def test_a_fault_of_motion_capture_works_on_the_samples_with_their_errors():

@@ -172,19 +172,6 @@ def test_chunks_of_advance_do_not_matter():
     assert repr(a.truth()) == repr(b.truth())
 
 
-def test_drawn_starts_are_in_their_ranges():
-    barrier = Barrier(1.0, 1.5)
-    bearings = []
-    for seed in range(60):
-        t = vehicle(seed, **noisy()).truth()
-        x, y, z = (a - b for a, b in zip(t.position_enu_m, t.pad_position_enu_m, strict=True))
-        assert 0.3 <= math.hypot(x, y) <= 2.5
-        assert 0.1 <= barrier.h((x, y, z)) <= 1.2
-        bearings.append(math.atan2(y, x))
-    assert max(bearings) > 2.0
-    assert min(bearings) < -2.0
-
-
 @pytest.mark.parametrize(
     ("mocap", "position_m", "velocity_m_s"),
     [
@@ -236,20 +223,6 @@ def ride(spec, offset, seconds, seed=1):
         target.step(0.01, True)
         truths.append(sim.truth())
     return sim, truths
-
-
-def test_deck_of_the_simulation_and_the_target_agree_between_updates():
-    spec = TargetSpec(
-        path=PathKind.REVERSING, speed_m_s=0.2, turn_rate_rad_s=0.5, heave_amplitude_m=0.1, heave_rate_hz=0.3
-    )
-    target, sim = TargetModel(spec, 1), vehicle(target=spec)
-    for _ in range(500):
-        sim.set_deck(
-            target.pose.position_enu_m, target.pose.yaw_rad, target.velocity_enu_m_s, target.yaw_rate_rad_s
-        )
-        sim.advance(10)
-        target.step(0.01, True)
-        assert sim.truth().pad_position_enu_m == pytest.approx(target.pose.position_enu_m, abs=1e-9)
 
 
 def test_first_touch_is_the_state_before_the_impact():

@@ -20,7 +20,6 @@ from logs.recorder.mcap_file import McapFile
 from logs.recorder.recording import RECORDER_NAME
 from logs.schema import schemas
 from logs.schema.events import pack_log
-from logs.schema.names import LOSSES
 from logs.schema.rows import ControllerStepRow, LoopTimingRow
 from logs.tools.compare import ABSENT, compare
 from tests.unit.logs.helpers import record
@@ -122,16 +121,6 @@ def test_metadata_and_attachments(differ):
         f"attachment o.toml presence: {ABSENT} != present",
         "attachment s.toml content: application/toml 1 bytes != application/toml 1 bytes",
     ]
-
-
-def test_losses_are_wall_clock(tmp_path):
-    a, b = tmp_path / "a.mcap", tmp_path / "b.mcap"
-    for path, losses in ((a, "0"), (b, "4")):
-        file = McapFile(path)
-        file.metadata(LOSSES, {"onboard": losses})
-        file.write(file.channel(STEP_TOPIC, schemas.CONTROLLER_STEP), 0, 0, 0, step(0))
-        file.close()
-    assert compare(a, b) == []
 
 
 def test_a_log_that_shows_nothing_is_an_error(tmp_path):

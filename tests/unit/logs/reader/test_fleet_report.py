@@ -2,7 +2,6 @@
 
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +12,7 @@ from flightstack.cli.main import main
 from flightstack.core.types import Intent
 from logs.reader.fleet_messages import load_messages, waited_s
 from logs.reader.flight import load_fleet
-from logs.report.page import render
-from logs.report.report import fleet_page
-from logs.verdict.verdict import judge_fleet, pair_series
+from logs.verdict.verdict import pair_series
 from tests.fleet_log import near
 
 pytest.importorskip("plotly", reason="the report needs plotly: install the extra [report]")
@@ -132,15 +129,6 @@ def test_the_page_of_all_links_those_of_the_members(told):
                   "flightstack sitl --scenario team.toml --seed 1 --lockstep", "cf3.controller"):  # fmt: skip
         assert words in text
     assert re.search(r"<td>cf2</td><td>cf1</td>", text)  # the waiting vehicle, and the one it waited for
-
-
-def test_a_page_says_what_is_missing(read):
-    no_pairs = replace(read, pairs={})
-    text = render(fleet_page(no_pairs, judge_fleet(no_pairs), {}))
-    assert "did not follow all pairs to the end" in text
-    assert "not known" in text
-    verdict = replace(judge_fleet(read), ellipsoid_min=9.0)
-    assert "not the one that the simulator judged by" in render(fleet_page(read, verdict, {}))
 
 
 def test_the_command_writes_all_or_one(fleet, told):

@@ -106,25 +106,6 @@ def bag(fleet):
     return found
 
 
-def test_frames_of_the_members_are_one_tree(bag):
-    parents, moved = {}, {}
-    for topic in ("/tf", "/tf_static"):
-        for time_ns, message in bag[topic]:
-            for t in message.transforms:
-                assert parents.setdefault(t.child_frame_id, t.header.frame_id) == "map"
-                at = (t.child_frame_id, time_ns)
-                assert topic == "/tf_static" or at not in moved, at
-                moved[at] = t.transform
-    own = {f"{m}/{frame}" for m in MEMBERS for frame in ("base_link", "target", "target_pad")}
-    assert parents.keys() == {"map_ned"} | own
-    for member in MEMBERS:
-        for topic, frame in ((f"/{member}/pose", "base_link"), (f"/{member}/target/pose", "target")):
-            assert len(bag[topic]) > 100
-            for time_ns, message in bag[topic]:
-                place, there = message.pose.position, moved[f"{member}/{frame}", time_ns].translation
-                assert (place.x, place.y, place.z) == (there.x, there.y, there.z)
-
-
 def test_pictures_of_a_member_are_in_its_own_frames(bag):
     for member in MEMBERS:
         frames, kinds = {}, set()

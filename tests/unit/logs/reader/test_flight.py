@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bridge.ros2.cdr import encode_odometry
 from flightstack.cli.main import main
 from flightstack.common.pacing import EPOCH_NS
 from flightstack.core.types import Phase
@@ -114,19 +113,6 @@ def test_one_bad_odometry_sample_is_counted_not_fatal(log):
     flight = load_flight(write_log(log, rows))
     assert len(flight.target.t_s) == len(rows.odometry) - 1
     assert any("cannot be read" in p for p in flight.problems)
-
-
-def test_frame_names_of_different_length_in_one_topic(log):
-    rows, frames = landing(), ["map", "a_rather_long_world", "map", "o"]
-    quat = (1.0, 0.0, 0.0, 0.0)
-    rows.odometry = [
-        (rows.odometry[n][0], encode_odometry(n, f, "t" * (n + 1), (float(n), 0.0, -1.0), quat))
-        for n, f in enumerate(frames)
-    ]
-    target = load_flight(write_log(log, rows)).target
-    assert target.frame_id == frames
-    assert target.stamp_ns.tolist() == [0, 1, 2, 3]
-    assert target.position_enu_m.tolist() == [[float(n), 0.0, -1.0] for n in range(4)]
 
 
 def test_a_log_with_other_fields_names_the_version_that_recorded_it(log, monkeypatch):

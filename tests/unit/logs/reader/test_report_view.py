@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from pathlib import Path
 
 import numpy as np
@@ -24,11 +23,9 @@ from logs.report.derived import (
     held_margin_m,
     load_streams,
     missing,
-    tilt_deg,
 )
 from logs.report.report import command, repeat_section
 from logs.report.tables import ages_table, faults_table, links_table
-from logs.view.canvas import every, times
 from tests.synthetic_flight import BARRIER, BOX, landing, write_log
 from tests.unit.logs.helpers import record
 
@@ -94,20 +91,6 @@ def test_errors_are_what_was_put_into_the_estimate(written):
     assert known.mean() > 0.9
     np.testing.assert_allclose(errors.own_m[known], np.tile(shift, (known.sum(), 1)), atol=1e-9)
     np.testing.assert_allclose(errors.target_m[known], 0.0, atol=1e-9)
-
-
-def test_without_true_states_there_are_no_errors_and_no_tilt(written):
-    rows = landing()
-    rows.truth = []
-    flight = written(rows)
-    assert estimate_errors(flight) is None
-    assert tilt_deg(flight) is None
-
-
-def test_tilt_is_the_angle_to_the_vertical(written):
-    rows, half = landing(), math.radians(10.0)
-    rows.truth = [r._replace(orientation=(math.sin(half), 0.0, 0.0, math.cos(half))) for r in rows.truth]
-    np.testing.assert_allclose(tilt_deg(written(rows)), 20.0, atol=1e-6)
 
 
 def test_faults_have_begin_and_end_and_count_once(written):
@@ -187,14 +170,6 @@ def log(tmp_path_factory):
 
 def run(*arguments):
     return CliRunner().invoke(main, ["view", *map(str, arguments)])
-
-
-def test_a_screen_shows_the_first_step_of_each_period(log):
-    flight = load_flight(log)
-    at_ns = times(flight.origin_ns, flight.steps.t_s)
-    assert at_ns[0] == flight.origin_ns
-    assert every(at_ns, 20_000_000).tolist() == list(range(0, 300, 2))
-    assert flight.damage == ()
 
 
 def test_a_broken_log_is_shown_up_to_its_break(tmp_path):

@@ -258,15 +258,6 @@ def test_integers_are_decoded_as_the_autopilot_sends_them(encoding, wire, type_,
     assert r.values == {"P": expected}
 
 
-@pytest.mark.parametrize(("wire", "type_"), [(math.nan, REAL), (math.inf, REAL), (1.0, 10), (1.0, 200)])
-def test_what_is_no_number_is_missing(wire, type_):
-    r = reader("P")
-    r.step(0.0)
-    r.take(value("P", wire, type_))
-    assert r.values == {}
-    assert "not a number" in r.missing["P"]
-
-
 @pytest.mark.parametrize(
     ("grown", "words"),
     [

@@ -138,16 +138,6 @@ def test_a_refusal_is_explained(vehicle, link):
     assert "no GPS" in link.failed
 
 
-def test_wrong_profile_is_said_aloud_once(vehicle, link):
-    for _ in range(2):
-        vehicle.send(heartbeat(4, autopilot=3))
-        poll(link, 0.0)
-    ((severity, text),) = link.take_texts()
-    assert severity == 3
-    assert "autopilot 3" in text
-    assert link.state.status is None
-
-
 def test_timesync_is_answered_at_once_in_real_time(vehicle, link):
     vehicle.send(dialect.MAVLink_timesync_message(0, 123), dialect.MAVLink_timesync_message(9, 5))
     poll(link, 2.5)

@@ -116,12 +116,6 @@ def test_unknown_commands_are_unsupported(served, number: int) -> None:
     assert served.texts() == [f"Command {number} is not supported"]
 
 
-@pytest.mark.parametrize("param", [NAN, 2.0, -1.0, 0.6e9])
-def test_an_arm_command_that_says_neither_is_unsupported(served, param: float) -> None:
-    assert served.command(400, param) == UNSUPPORTED
-    assert not served.armed
-
-
 @pytest.mark.parametrize("target", [(2, 1), (1, 50), (0, 1), (0, 0)])
 def test_commands_for_others_are_not_even_answered(served, target: tuple[int, int]) -> None:
     assert served.command(400, 1.0, target=target) is None
