@@ -17,7 +17,6 @@ from flightstack.config.options import AUTOPILOTS, CORES, TARGET_TYPES
 from flightstack.core.types import Mode, Request
 from tests.unit.mavlink.client.autopilots_page import PAGE, split, tables
 
-GUIDED, LOITER, STABILIZE = 4, 5, 0
 
 
 def test_every_profile_is_whole():
