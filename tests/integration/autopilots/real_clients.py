@@ -27,7 +27,6 @@ ARMED = mav.MAV_MODE_FLAG_SAFETY_ARMED
 ON_GROUND = mav.MAV_LANDED_STATE_ON_GROUND
 OFFBOARD, TAKEOFF, HOLD, LAND = 0x00060000, 0x02040000, 0x03040000, 0x06040000  # PX4 px4_custom_mode.h
 _BEAT_S = 1.0
-_SIGNING_EPOCH_S = 1420070400  # 2015-01-01 (mavlink.io, message signing); time stamps count 10 us from there
 
 
 @contextmanager
@@ -53,12 +52,6 @@ class Observer(Client):
             self._beat_due_s = now_s + _BEAT_S
             self.hello()
 
-    def sign(self, secret: bytes) -> None:
-        """Sign all later messages with this key."""
-        signing = self._mav.signing
-        signing.secret_key, signing.sign_outgoing = secret, True
-        signing.timestamp = round((time.time() - _SIGNING_EPOCH_S) * 1e5)
-
     def drain(self) -> None:
         while self.receive(0.0):
             pass
@@ -70,10 +63,6 @@ class Observer(Client):
     def all(self, name: str, since: int = 0) -> list:
         """Return the messages of one type, from an index of the log on."""
         return [m for m in self.log[since:] if m.get_type() == name]
-
-    def index(self, wanted: Callable[[object], bool], since: int = 0) -> int:
-        """Return the index of the first matching message in the log, which has the vehicle's order."""
-        return next(i for i in range(since, len(self.log)) if wanted(self.log[i]))
 
     def last(self, name: str):
         """Return the newest message of one type, None if there is none."""
@@ -95,12 +84,6 @@ class Observer(Client):
 
     def texts(self, since: int = 0) -> list[str]:
         return [m.text for m in self.all("STATUSTEXT", since)]
-
-    @property
-    def armed(self) -> bool:
-        beat = self.last("HEARTBEAT")
-        assert beat is not None, "no heartbeat yet"
-        return bool(beat.base_mode & ARMED)
 
 
 def _changes(values: list) -> list:

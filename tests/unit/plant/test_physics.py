@@ -47,10 +47,6 @@ class FreePlant:
         self.record.rotors.rpm[:] = rpm
         self.record.firmware.commands[:] = rpm
 
-    def no_drag(self):
-        """Remove the rotors' drag on the body."""
-        self.record.drag.xy = self.record.drag.along = 0.0
-
     def run(self, steps, command=None):
         """Advance by this many milliseconds under a command in rpm."""
         if command is not None:

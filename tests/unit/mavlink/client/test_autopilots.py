@@ -18,7 +18,6 @@ from flightstack.core.types import Mode, Request
 from tests.unit.mavlink.client.autopilots_page import PAGE, split, tables
 
 
-
 def test_every_profile_is_whole():
     for name, each in PROFILES.items():
         assert each.name == name
