@@ -286,3 +286,14 @@ def test_hanging_in_an_updraught_is_not_standing():
     bench.stream = (0.0, 0.0, 0.25)
     bench.run(0.9)
     assert not bench.vehicle.standing
+
+
+def test_a_take_off_that_ends_on_the_ground_says_why():
+    bench = Bench().armed()
+    bench.firmware.needs_poses = True  # and none come
+    bench.run(3.0)
+    bench.command(22)
+    bench.run(0.5)
+    assert bench.vehicle.mode is FlightMode.HOLD
+    assert bench.vehicle.standing
+    assert "No position estimate: stays on the ground" in bench.texts

@@ -268,3 +268,15 @@ def test_why_poses_cannot_be_read_is_known_until_one_can():
         assert checked.problem == "mocap: no pose for 2.9 s"
     finally:
         session.close()
+
+
+def test_px4s_clock_is_answered():
+    vehicle = MocapVehicle(1, Limits(), None)
+    (answer,) = vehicle.handle(mav.MAVLink_timesync_message(0, 77), 2.5)
+    assert (answer.tc1, answer.ts1) == (2_500_000_000, 77)
+    assert vehicle.handle(mav.MAVLink_timesync_message(1, 77), 2.5) == []
+
+
+def test_odometry_is_no_pose():
+    with pytest.raises(ValueError, match="is not a pose type: allowed is pose, pose-covariance"):
+        parse_spec("a/b", "odometry")

@@ -184,3 +184,10 @@ def test_the_same_seed_fails_in_the_same_way_whatever_the_chunks(kind):
             sim.advance(chunk_ms)
         ends.append((repr(sim.truth()), repr(sim.estimate())))
     assert ends[0] == ends[1] == ends[2]
+
+
+def test_a_low_battery_is_not_armed():
+    on_ground = Start(ground_position_m=(-1.2, 0.3))
+    sim = VehicleSim(scenario(start=on_ground, fault=(fault(What.BATTERY, Kind.OFF),)), 1)
+    sim.advance(10)
+    assert "battery at" in sim.arm()

@@ -271,3 +271,12 @@ def test_a_member_that_does_not_hear_this_one_is_told_once_and_the_next_time_aga
         taken(a)
         texts += [n for text in a.wire.texts() if "does not hear this one" in text]
     assert texts == [2, 6]
+
+
+def test_an_intent_that_is_none_is_malformed(sides, stranger):
+    a, b = sides
+    process = FleetWordRow.unpack(b.wire.say(told(7, b.now_s))).process
+    a.hear()
+    sent(stranger, 7, b.now_s + 0.001, process, intent=99)
+    assert taken(a) == []
+    assert "99 is not a valid Intent" in a.wire.texts()[0]

@@ -246,3 +246,8 @@ def test_a_battery_too_low_to_land_is_refused_with_what_it_needs(volts, armed, t
     told = verdict(report) or ""
     assert ("the battery has 3.62 V at rest, at least 3.65 V are needed" in told) == refused
     assert ("charge or change it" in told) == refused
+
+
+def test_the_operator_may_break_it_off():
+    report = talk(Vehicle(mute=("PARAM_VALUE",)), stopped=lambda: True)
+    assert report.problem == "cancelled by the operator"

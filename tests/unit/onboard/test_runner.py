@@ -22,6 +22,7 @@ from flightstack.onboard.runner import (
     Runner,
     Taken,
     VehicleInputs,
+    decoded,
 )
 
 
@@ -161,3 +162,11 @@ def test_a_stream_of_refused_samples_is_told_by_doublings():
         "target sample refused: 4 (4 refused so far)", "stalled",
         *(f"target sample refused: {n} ({n} refused so far)" for n in (8, 16, 32, 64)),
     ]  # fmt: skip
+
+
+def test_a_sample_that_cannot_be_decoded_is_a_problem_and_stays_for_the_log():
+    messages = [RawSample(b"")]
+    arrived = decoded(messages, 1.0)
+    assert (arrived.samples, arrived.messages) == ((), messages)
+    assert "target sample refused: odometry payload has 0 bytes" in arrived.problems[0]
+    assert decoded([], 1.0) == Arrived()

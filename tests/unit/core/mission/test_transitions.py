@@ -120,3 +120,16 @@ def test_a_target_says_how_old_it_is_and_why_it_was_refused():
     assert late == (
         "target stayed lost: no sample of the target has been accepted, the newest was refused: not finite"
     )
+
+
+def test_waiting_in_vain_says_everything_that_is_missing():
+    over = Condition.PHASE_TIME_OVER
+    lost = over | Condition.OWN_LOST | Condition.TARGET_LOST
+    assert told(Phase.WAIT, lost, known()) == (
+        "inputs did not become ready in time: no own state has come, "
+        "no sample of the target has been accepted"
+    )
+    assert told(Phase.WAIT, over, known()).endswith("the vehicle does not say that it is ready to arm")
+    ready = over | Condition.READY
+    assert told(Phase.WAIT, ready | Condition.RECOVERED, known()) == "inputs did not become ready in time"
+    assert "good for 0.3 s without a gap (checks.recovery_time_s)" in told(Phase.WAIT, ready, known())

@@ -7,11 +7,15 @@ import pytest
 
 from flightstack.common.strict_toml import ConfigError
 from flightstack.config.files import load as load_config
+from flightstack.core.controller import Controller
+from flightstack.core.memory import LateState
 from flightstack.core.parameters.robust import VelocityLoop
 from flightstack.core.strategies.velocity_tracking import VelocityTracking
+from flightstack.onboard.state_text import StateText
 from flightstack.verify.certificate import checks
 from flightstack.verify.envelope import extremes
 from flightstack.verify.late import drift_m, tick_matrix
+from tests.point_mass import World
 from tests.unit.core.core_helpers import config
 
 LOOP = {"lag_xy_s": 0.75, "dead_time_s": 0.25, "rate_xy_1_s": 2.4, "damping": 0.6}
@@ -105,3 +109,17 @@ def test_a_landing_drifts_farther_with_a_dead_time():
     quick = replace(settings, velocity_loop=replace(settings.velocity_loop, dead_time_s=0.0, lag_xy_s=0.5))
     late_m, quick_m = (drift_m(each, extremes(each), 1.5, 1.0, 1.0) for each in (settings, quick))
     assert quick_m < late_m < settings.touchdown.pad_radius_m
+
+
+def test_a_flight_restored_from_its_text_goes_on_to_the_bit():
+    world, text = World(config(**LATE)), StateText(LateState)
+    for _ in range(300):
+        world.step()
+    again = Controller(config(**LATE))
+    again.restore(text.loads(text.layout, text.dumps(world.controller.state)))
+    assert len(set(again.strategy.late.sent_m_s)) > 1
+    for _ in range(60):
+        inputs, now_s = world.inputs(), world.t_s
+        mine, theirs = again.step(inputs, now_s), world.step()
+        assert mine.setpoint.velocity_enu_m_s == theirs.setpoint.velocity_enu_m_s
+        assert again.strategy.late == world.controller.strategy.late

@@ -8,12 +8,14 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 from rosbags.highlevel import AnyReader
@@ -21,6 +23,8 @@ from rosbags.highlevel import AnyReader
 from flightstack.cli.main import main
 from flightstack.common.terminal import Terminal
 from flightstack.common.text import one_line, plain
+from flightstack.watch.live import draw_fleet
+from flightstack.watch.state import News
 from logs.reader.flight import load_flight
 from logs.reader.reader import LogFile
 from logs.recorder.mcap_file import McapFile
@@ -222,3 +226,17 @@ def test_names_of_a_log_become_no_paths(tmp_path, name):
     assert CliRunner().invoke(main, ["log", "info", str(log)]).exit_code == 0
     other = evil_log(tmp_path / "b.mcap", {"onboard": {"namespace": '"><x/>'}})
     assert CliRunner().invoke(main, ["view", "--layouts", str(tmp_path / "l"), str(other)]).exit_code == 2
+
+
+def test_the_view_of_a_fleet_takes_reasons_for_words(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "300")
+    step = SimpleNamespace(
+        own_position_enu_m=(0, 0, 1), target_position_enu_m=(0, 0, 0), phase=8, h_m=0.1, filter_status=0
+    )
+    health = SimpleNamespace(reason="it said: log [/fs/microsd] full\nready tcp/1")
+    watch = SimpleNamespace(step=step, news=News.FRESH, over=False, timings=[], health=health)
+    out = io.StringIO()
+    Console(file=out).print(draw_fleet({"[cf1]": watch}, "[t]"))
+    assert "log [/fs/microsd] full\\nready tcp/1" in out.getvalue()
+    assert "[cf1]" in out.getvalue()
+    assert "[t]" in out.getvalue()

@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 
 from logs.reader.reader import LogFile
 from logs.recorder import feed
-from logs.recorder.feed import HEADER, Feed, Kind, Splitter, encode, encode_json
+from logs.recorder.feed import HEADER, Feed, FeedError, Kind, Splitter, encode, encode_json
 from logs.recorder.mcap_file import ChunkedWriter, McapFile
 from logs.recorder.recorder import RecorderError, RecorderProcess, problems
 from logs.recorder.recording import Recorder
@@ -308,3 +308,8 @@ def test_an_index_of_many_compressed_blocks_finds_every_message():
     assert found == [("/topic7", i) for i in range(chunks)]
     late = reader.iter_messages(starting_at=2990 * 250_000_000)
     assert {m.sequence for _, _, m in late} == set(range(2990, chunks))
+
+
+def test_no_recorder_is_a_clear_error(tmp_path):
+    with pytest.raises(FeedError, match="flightstack record"):
+        Feed.connect(str(tmp_path / "nobody.sock"), "onboard", lossless=False)

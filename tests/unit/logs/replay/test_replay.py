@@ -2,6 +2,7 @@
 
 import json
 import math
+import struct
 from dataclasses import replace as with_
 
 import pytest
@@ -329,3 +330,21 @@ def test_a_flight_without_a_thrust_reserve_has_the_layout_of_old_logs(recorded):
     assert POWER not in topics
     layouts = {ControllerStateRow.unpack(m.data).layout for m in LogFile(recorded).messages({STATE})}
     assert all(layout.startswith("1 State(") and "reserve" not in layout for layout in layouts)
+
+
+def test_minus_zero_and_other_nans_are_differences(step):
+    for recorded, replayed in ((0.0, -0.0), (float("nan"), -float("nan"))):
+        offset = offsets(step)["h_m"]
+        a, b = (step[:offset] + struct.pack("<d", v) + step[offset + 8 :] for v in (recorded, replayed))
+        ((name, x, y),) = messages_of(CONTROLLER_STEP, a, b)
+        assert name == "h_m"
+        assert x != y
+        assert list(messages_of(CONTROLLER_STEP, a, a)) == []
+
+
+def test_a_last_tick_without_its_decisions_is_left_out(recorded, tmp_path):
+    last = replay(recorded).last_tick
+    cut = rewritten(recorded, tmp_path / "cut.mcap", when=lambda m: (m.topic, m.sequence) != (STEP, last))
+    result = replay(cut)
+    assert (result.equal, result.last_tick) == (True, last - 1)
+    assert any("not whole" in note for note in result.notes)

@@ -181,3 +181,8 @@ class _Either:
 def test_a_type_that_cannot_be_written_is_refused_at_the_start(cls):
     with pytest.raises(TypeError, match=cls.__name__):
         StateText(cls)
+
+
+def test_another_layout_is_refused():
+    with pytest.raises(StateTextError, match="layout 'old' found"):
+        TEXT.loads("old", TEXT.dumps(Controller(CONFIG).state))

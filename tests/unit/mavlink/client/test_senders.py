@@ -244,3 +244,11 @@ def test_the_check_before_the_flight_refuses_two_vehicles_with_one_id(listening)
     report = examine(link.endpoint, 1, None, NEEDS, (), wait_s=5.0, stopped=both_speak, senders=link.senders)
     assert report.problem.startswith("two senders have the vehicle's ids: 127.0.0.1:")
     assert not report.safe
+
+
+def test_the_other_clock_of_the_flight_begins_with_the_address_of_the_check():
+    wire = Wire()
+    assert wire.beats(now_s=5_000.0)
+    wire.senders.begin(0.0)
+    assert not wire.beats(peer=THERE, now_s=0.1)
+    assert wire.beats(now_s=0.2)

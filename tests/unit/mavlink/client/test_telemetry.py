@@ -349,3 +349,23 @@ def test_every_event_of_the_table_is_told_whatever_its_arguments():
 def test_table_is_what_its_command_makes():
     metadata = px4_or_skip().parent / "etc/extras/all_events.json.xz"
     assert tables.EVENTS.read_text() == tables.events_table(metadata)
+
+
+@pytest.mark.parametrize(("wire", "type_"), [(math.nan, REAL), (math.inf, REAL), (1.0, 10), (1.0, 200)])
+def test_what_is_no_number_is_missing(wire, type_):
+    r = reader("P")
+    r.step(0.0)
+    r.take(value("P", wire, type_))
+    assert r.values == {}
+    assert "not a number" in r.missing["P"]
+
+
+def test_answers_to_others_are_ignored_and_the_first_of_ours_counts():
+    r = reader("MINE")
+    r.step(0.0)
+    r.take(value("THEIRS", 3.0))
+    r.take(value("MINE_TOO", 3.0))
+    assert r.values == {}
+    r.take(value("MINE", 4.0))
+    r.take(value("MINE", 5.0))
+    assert r.values == {"MINE": 4.0}
