@@ -258,6 +258,7 @@ def test_markers_tilted_against_the_body_are_refused_with_the_angle(own, tilt_de
 # The supervisor
 
 
+@pytest.mark.slow
 def test_firmware_that_arms_itself_anew_every_30_seconds_is_no_one_who_disarms():
     bench = Bench().ready()
     for offset_s in (-0.1, 0.05):

@@ -100,6 +100,7 @@ def test_loss_has_its_probability_and_leaves_gaps_in_the_numbers(p):
     assert gaps == pytest.approx(10_100 - len(got), abs=3)  # losses at the end show no gap
 
 
+@pytest.mark.slow
 def test_bursts_have_their_mean_lengths():
     _, got = out(late(Kind.BURST_LOSS, value=0.2, period_s=1.0), seconds=301.0)
     arrived = {ms for ms, _ in got}

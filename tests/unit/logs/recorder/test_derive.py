@@ -13,7 +13,7 @@ from flightstack.core.safety.barrier import Barrier
 from logs.derive.derive import Deriver, Derivers
 from logs.derive.diagnostics import Health
 from logs.derive.frames import FrameCounter
-from logs.derive.markers import surface
+from logs.derive.markers import PATH_POINTS, surface
 from logs.schema import schemas
 from logs.schema.mavlink import pack_mavlink
 from logs.schema.rows import ControllerStepRow, LoopTimingRow
@@ -276,3 +276,22 @@ def test_members_of_a_fleet_keep_their_frames_their_pads_and_their_scenes_apart(
         decode = derivers.declare(f"/uas{n}/mavlink_source", schemas.MAVLINK)
         ((topic, _, _),) = decode(EPOCH_NS, frame(0, system=n))
         assert topic.startswith(f"/{name}/mavlink/sys{n}/")
+
+
+def test_no_surface_without_a_barrier_in_the_run():
+    assert ("barrier", 0) not in markers_of(Deriver("/cf1/controller/step"), step())
+
+
+def test_paths_stay_bounded_and_keep_the_start():
+    deriver = Deriver("/cf1/controller/step")
+    longest = 0
+    for t_ns in range(0, 300_000_000_000, 100_000_000):
+        shown = derive(step(t_ns, own=(t_ns * 1e-9, 0.0, 1.0)), deriver)
+        if "/cf1/cbf/markers" in shown and t_ns:
+            markers = {(m.ns, m.id): m for m in shown["/cf1/cbf/markers"].markers}
+            points = markers["path", 0].points if ("path", 0) in markers else []
+            longest = max(longest, len(points))
+            if points:
+                assert points[0].x == 0.0
+                assert t_ns * 1e-9 - points[-1].x <= 300 / PATH_POINTS * 2 + 0.1
+    assert PATH_POINTS * 0.9 < longest <= PATH_POINTS

@@ -64,10 +64,10 @@ def test_signed_frame_is_kept_whole_and_unknown_flags_are_refused():
 
 
 def test_fuzz_never_raises_and_never_loses_a_good_frame():
-    """20 000 datagrams of random bytes, mutations, truncated and good frames in any order."""
+    """5 000 datagrams: random bytes, mutations, cuts and good frames, mixed in any order."""
     rng = random.Random(1)
     pool = frames_of(200, seed=2)
-    for _ in range(20_000):
+    for _ in range(5_000):
         pieces, good = [], []
         for _ in range(rng.randrange(1, 5)):
             kind = rng.randrange(5)
