@@ -44,7 +44,7 @@ class Condition:
         self.link = Link()
         self.state: CrazyflieState | None = None  # newest state, of any age
         self.health: Health | None = None  # newest variance of the estimate, and battery
-        # reason why there is no good external pose; None: there is one, or none is needed
+        # reason why there is no good external pose; None if there is one, or if none is needed
         self.mocap_problem: str | None = "mocap: no pose yet" if mocap else None
         self._mocap, self._posed_s = mocap, -math.inf
         self._pose_quaternion: Quat | None = None  # attitude of the newest pose sent through this bridge
@@ -150,7 +150,7 @@ class Condition:
 
 
 def stuck(info: Info) -> str | None:
-    """Return the reason why the firmware blocks the motors; None: it does not."""
+    """Return the reason why the firmware blocks the motors, or None."""
     return next((text for bit, text in _STUCK.items() if info & bit), None)
 
 
@@ -164,7 +164,7 @@ _STUCK = {
 
 
 def too_old(protocol: int) -> str | None:
-    """Return the reason why firmware of this CRTP protocol is not supported; None: it is."""
+    """Return the reason why firmware of this CRTP protocol is not supported, or None."""
     if protocol >= PROTOCOL_MIN:
         return None
     return f"firmware speaks CRTP {protocol}, arming by supervisor needs {PROTOCOL_MIN}: update it"

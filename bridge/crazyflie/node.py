@@ -150,7 +150,7 @@ class Node(Server[Vehicle]):
         return self.clock.now_ns(now_s) if self.clock.running else None
 
     def own_commands(self) -> dict[int, Entry]:
-        """Return the emergency stop; it is allowed even if the Crazyflie appears disarmed."""
+        """Return the emergency stop, which is allowed even if the Crazyflie appears disarmed."""
         return {dialect.MAV_CMD_DO_FLIGHTTERMINATION: Entry(self._terminate, Right.OWNER_OR_GROUND)}
 
     def on_heartbeat(self, message: Any, _sender: Sender, now_s: float) -> list[Message]:

@@ -80,12 +80,12 @@ class Vehicle(Condition, Commander):
 
     @property
     def busy(self) -> bool:
-        """Whether it is armed or a request to the supervisor is open; the link must not be closed then."""
+        """Whether the vehicle is armed or a request to the supervisor is open: the link must stay open."""
         return self.armed or self._arming.busy
 
     @property
     def standing(self) -> bool:
-        """Whether it is on the ground, as far as the commands show; no sensor measures this."""
+        """Whether the vehicle is on the ground, as far as the commands show; no sensor measures this."""
         return not (self.armed and self._moved)
 
     def take_packets(self) -> list[Packet]:
@@ -161,7 +161,7 @@ class Vehicle(Condition, Commander):
             self._stop("by the firmware", now_s)
 
     def _stays_armed(self, state: CrazyflieState) -> bool:
-        """Whether it remains armed; firmware that arms itself is disarmed for 0.12 s every 30 s."""
+        """Whether the vehicle remains armed; firmware that arms itself is disarmed for 0.12 s every 30 s."""
         if state.info & Info.ARMED:
             self._armed_state = state
             return True
@@ -184,7 +184,7 @@ class Vehicle(Condition, Commander):
             self.texts.refuse(f"Arming refused: {reason}", now_s)
 
     def mocap(self, problem: str | None, passed: Passed | None = None, now_s: float = -math.inf) -> None:
-        """Handle a new external pose, and the problem of these poses (None: they are good)."""
+        """Handle a new external pose and the problem of the external poses (None if they are good)."""
         self._note_pose(problem, passed, now_s)
         if self.armed and problem is not None and self.mocap_problem is None:
             self.texts.say(CRITICAL, problem)

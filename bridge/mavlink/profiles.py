@@ -337,7 +337,7 @@ def refusal(autopilot: int, type_: int, chosen: Profile | None) -> str | None:
 
 
 def named(enum: str, number: int) -> str:
-    """Return the name and number of an entry of a MAVLink enum; the number alone if it is unknown."""
+    """Return name and number of an entry of a MAVLink enum; only the number of an unknown entry."""
     entry = dialect.enums[enum].get(number)
     return f"{entry.name.removeprefix(f'{enum}_')} ({number})" if entry is not None else str(number)
 

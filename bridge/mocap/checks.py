@@ -69,7 +69,7 @@ class Step(NamedTuple):
     """Result of one call of ``PoseChecks.step``."""
 
     passed: tuple[Passed, ...]
-    problem: str | None  # reason why there is no good pose; None: there is one
+    problem: str | None  # reason why there is no good pose, or None
 
 
 _RATE_WINDOW_S = 1.0

@@ -48,9 +48,9 @@ class Node(NamedTuple):
 
 
 def check_topic(topic: str) -> str:
-    """Return a topic name if it is fully qualified.
+    """Return a topic name after checking that it is fully qualified.
 
-    Raises ValueError: it is not; the text states what is allowed.
+    Raises ValueError: the name is not; the text states what is allowed.
     """
     if _TOPIC.fullmatch(topic) and len(topic) <= TOPIC_LENGTH_MAX:
         return topic
@@ -62,7 +62,7 @@ def check_topic(topic: str) -> str:
 
 
 def check_domain(domain: int) -> int:
-    """Return a domain id if ROS 2 allows it. Raises ValueError: it is out of range."""
+    """Return a domain id after checking its range. Raises ValueError: ROS 2 does not allow it."""
     if 0 <= domain <= DOMAIN_MAX:
         return domain
     raise ValueError(f"ROS 2 domain id {domain} is out of range: allowed are 0 to {DOMAIN_MAX}")

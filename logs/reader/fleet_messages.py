@@ -33,7 +33,7 @@ class Span:
 
     @property
     def waits(self) -> bool:
-        """Whether it flew and gave way to a neighbour."""
+        """Whether the member flew and gave way to a neighbour."""
         return self.intent is Intent.WAITING and bool(self.gives_way_to)
 
 

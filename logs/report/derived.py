@@ -199,7 +199,7 @@ def load_streams(path: Path, origin_ns: int, member: str | None = None) -> list[
 
 
 def missing(numbers: Sequence[int]) -> int | None:
-    """Return the number of missing numbers between first and last; ``None`` if the sender does not count."""
+    """Return how many numbers between first and last are missing; ``None`` if the sender does not count."""
     if not numbers or max(numbers) == 0:
         return None
     return max(numbers) - min(numbers) + 1 - len(set(numbers))

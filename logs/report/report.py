@@ -76,9 +76,9 @@ _WAYS = (
 
 
 def write_report(fleet: Fleet, verdict: FleetVerdict, out: Path | None = None) -> dict[str, Path]:
-    """Write the pages of a log with its verdict, by default beside it; return them by member, "": main page.
+    """Write the pages of a log with its verdict, by default beside it; return their paths by member.
 
-    Raises ReportError: the plotting library is not installed.
+    The key "" is the main page. Raises ReportError: the plotting library is not installed.
     """
     if "" in fleet.flights:
         return {"": write_page(fleet.flights[""], verdict.members[""], out)}

@@ -209,7 +209,7 @@ def line(x: Floats, y: Floats, name: str, color: str, **more: Any) -> go.Scatter
 
 
 def _places(x: Floats) -> dict[str, Any]:
-    """Return evenly spaced coordinates as start and step, which halves the page; else all of them."""
+    """Return evenly spaced coordinates as start and step, which halves the page size; others unchanged."""
     if len(x) > 2 and np.isfinite(x).all():
         step = float(x[-1] - x[0]) / (len(x) - 1)
         if step > 0.0 and np.abs(x - (x[0] + step * np.arange(len(x)))).max() < _EVEN_S:

@@ -14,7 +14,7 @@ from flightstack.identify import identify as fit
 from logs.reader.flight_data import Flight, Floats, Steps
 
 T = TypeVar("T")
-FLYING = (Phase.TAKEOFF, Phase.APPROACH, Phase.LAND, Phase.HOLD, Phase.CLIMB)  # no contact, own set-points
+FLYING = (Phase.TAKEOFF, Phase.APPROACH, Phase.LAND, Phase.HOLD, Phase.CLIMB)  # phases without contact
 _NS = 1e-9  # seconds per nanosecond
 
 

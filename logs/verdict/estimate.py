@@ -38,7 +38,7 @@ from logs.verdict.types import (
     violated,
 )
 
-REST_SPEED_MAX_M_S = 0.10  # limit relative to the pad; the estimate of a resting vehicle is still noisy
+REST_SPEED_MAX_M_S = 0.10  # greatest speed at rest relative to the pad; the estimate is still noisy at rest
 REST_HEIGHT_MAX_M = 0.05  # largest distance of feet and pad beyond the configured gap: two estimates drift
 REST_SEEN_S = (
     0.5  # greatest distance in time of a valid state, s: at rest a state in mm repeats and looks stuck

@@ -28,8 +28,8 @@ from logs.verdict.types import (
     violated,
 )
 
-REST_SPEED_MAX_M_S = 0.05  # limit relative to the pad's surface; a sliding or rolling vehicle is faster
-LAND_AWAY_SPEED_MAX_M_S = 1.0  # limit, m/s downwards; a declared abort may end in a landing but not in a fall
+REST_SPEED_MAX_M_S = 0.05  # greatest speed at rest relative to the pad; sliding and rolling are faster
+LAND_AWAY_SPEED_MAX_M_S = 1.0  # greatest sink rate, m/s, at the end of an abort: a landing, but not a fall
 _SAME_S = 1e-6  # less than the resolution of a tick
 
 

@@ -126,7 +126,7 @@ class Canvas:
     ) -> None:
         self.stream, self.member, self.own_color = stream, member, own_color
         self.paths: dict[str, Path] = {}  # past positions of vehicle and target, by entity
-        self.phase: int | None = None  # phase shown last
+        self.phase: int | None = None  # newest phase in the viewer
         self._origin_ns = origin_ns
         self._styled: set[str] = set()
         self._slots: dict[str, int] = {}
@@ -149,7 +149,7 @@ class Canvas:
         )
 
     def due(self, name: str, period_ns: int, at_ns: int) -> bool:
-        """Whether this is the first call of a period, by name."""
+        """Whether this is the first call with this name in the period of ``at_ns``."""
         slot = at_ns // period_ns
         if self._slots.get(name) == slot:
             return False

@@ -81,7 +81,7 @@ class LiveRecording:
 
     def close(self) -> None:
         """End the recording and the server of the web viewer, in bounded time."""
-        with contextlib.suppress(RuntimeError):  # the viewer does not receive the rows
+        with contextlib.suppress(RuntimeError):  # a viewer may reject the last rows
             self._stream.flush(timeout_sec=FLUSH_TIME_MAX_S)
         self._stream.disconnect()
         if self._viewer is not None and not self._stays:

@@ -46,7 +46,7 @@ class CommandSequencer:
         self._height_m = takeoff_height_m
         self._stream_start_s: float | None = None
         self._stream_last_s = -math.inf
-        # height of home above sea level, for autopilots with that datum; None: it is requested before arming
+        # height of home above sea level, for autopilots with that datum; None: requested before arming
         self.home_amsl_m: float | None = None
         # arrival time, s, and newest height above home, m, for autopilots with that datum; arming moves home
         # to the vehicle unless home is locked
@@ -136,7 +136,7 @@ class CommandSequencer:
         return own and self._profile.takeoff_altitude is TakeoffAltitude.AMSL
 
     def _lacking(self, step: Step) -> int | None:
-        """Return the id of the message that the take-off height still needs; None: it needs none."""
+        """Return the id of the message that the take-off height still requires, or None."""
         if self._request is not Request.TAKEOFF:
             return None
         if self._counts_from_sea_level:

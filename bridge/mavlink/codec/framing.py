@@ -21,10 +21,10 @@ from bridge.mavlink.codec.wide_messages import MESSAGES
 
 _MARKER_V1 = 0xFE
 _MARKER_V2 = 0xFD
-_HEADER_V1 = 6  # bytes: marker, length, sequence, system, component, id
-_HEADER_V2 = 10  # bytes: version 1's fields, two flag bytes, and an id of three bytes
+_HEADER_V1 = 6  # number of bytes of marker, length, sequence, system, component, id
+_HEADER_V2 = 10  # number of bytes of version 1's fields, two flag bytes, and a longer id
 _CHECKSUM = 2  # length of the checksum, bytes
-_SIGNATURE = 13  # bytes: link id, timestamp, signature
+_SIGNATURE = 13  # number of bytes of link id, timestamp and signature
 FLAG_SIGNED = 0x01  # the only incompatibility flag that MAVLink 2 defines
 
 _UNKNOWN_RUN_MAX = 4  # greatest number of frames of unknown messages in a row

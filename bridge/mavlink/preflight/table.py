@@ -225,7 +225,7 @@ _FILES = Files(Table, "bridge.mavlink.preflight", "rules")
 
 @cache
 def table(profile: str) -> Table | None:
-    """Return the rules of a profile; None: it has no parameters. Raises ConfigError: the file is invalid."""
+    """Return the rules of a profile; None for a profile without parameters. Raises ConfigError: bad file."""
     file = _FILE_OF.get(profile)
     return _FILES.load(file) if file is not None else None
 
@@ -334,7 +334,7 @@ class Choice(NamedTuple):
 def choose(table: Table, release: Release | None, silence: str, *, accept: bool) -> Choice:
     """Choose the rules of a release, or of the nearest one if the release is unknown.
 
-    ``release`` None: it was not received, for the reason ``silence``; ``accept``: allow an unknown release.
+    ``release`` None: none was received, for the reason ``silence``; ``accept``: allow an unknown release.
     """
     newest, oldest = table.releases[-1], table.releases[0]
     number = (release.major, release.minor) if release is not None else (0, 0)

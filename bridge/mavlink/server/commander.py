@@ -71,7 +71,7 @@ class Commander(ABC):
     @property
     @abstractmethod
     def standing(self) -> bool:
-        """Whether it stands on the ground or the pad; a mere touch does not count."""
+        """Whether the vehicle stands on the ground or the pad; a mere touch does not count."""
 
     @property
     @abstractmethod
@@ -136,7 +136,7 @@ class Commander(ABC):
         return self._other_has_control(sender, now_s)
 
     def _other_has_control(self, sender: Sender, now_s: float) -> str | None:
-        """Return a text about the other sender that has control; None: this sender has it, or it is free."""
+        """Return a text about another sender that has control; None if no other sender has control."""
         owner = self._owner
         if owner is None or sender == owner or now_s - self._setpoint_s > self.stream_lost_s:
             return None

@@ -132,7 +132,7 @@ class Commands(Generic[V]):
         """``builders`` make the messages that can be requested, by id; ``own`` has further commands."""
         self._vehicle, self._streams = vehicle, streams
         self._builders, self._snapshot = builders, snapshot
-        self._waiting: list[tuple[int, Sender]] = []  # command and sender
+        self._waiting: list[tuple[int, Sender]] = []  # pending commands and their senders
         m, anybody, owner = dialect, Right.ANYBODY, Right.OWNER
         self.table: Table = {
             m.MAV_CMD_NAV_LAND: Entry(self._land, anybody),
@@ -236,7 +236,7 @@ class Commands(Generic[V]):
         return Answer()
 
     def _right_to_interval(self, command: Command) -> Right:
-        """Return the right: all peers share the rates, so only the sender in control may lower them."""
+        """Return the sender's right: all peers share the rates; only the sender in control may lower them."""
         message_id = integer(command.given(1))
         if message_id is None or not self._streams.known(message_id):
             return Right.ANYBODY

@@ -131,7 +131,7 @@ class Parameters:
         return [self.message(name) for name in names]
 
     def set(self, name: str, wire_value: float, type_: int, *, armed: bool) -> Refused | None:
-        """Write a parameter from PARAM_SET; None: it was written.
+        """Write a parameter from PARAM_SET; return the reason if it is rejected, else None.
 
         ``wire_value`` is the message's float field, ``type_`` its MAV_PARAM_TYPE.
         """

@@ -74,7 +74,7 @@ class Server(ABC, Generic[V]):
 
     @abstractmethod
     def snapshot(self, now_s: float) -> Snapshot[V] | None:
-        """Return the present state of the vehicle; None while it is unknown: then no telemetry is sent."""
+        """Return the present state of the vehicle; None if it is unknown, so that no telemetry is sent."""
 
     @abstractmethod
     def on_heartbeat(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
@@ -166,7 +166,7 @@ class Server(ABC, Generic[V]):
         return texts
 
     def _announced(self, snapshot: Snapshot[V], now_s: float) -> list[Message]:
-        """Return HEARTBEAT when it is due; a change is sent at once."""
+        """Return HEARTBEAT if it is due, or at once if the condition has changed."""
         shown, landed_state = self.condition(snapshot), self.vehicle.landed_state
         messages = []
         if shown != self._shown or now_s >= self._heartbeat_due_s:
@@ -181,7 +181,7 @@ class Server(ABC, Generic[V]):
         return messages
 
     def _for_us(self, message: Any) -> bool:
-        """Whether the message is addressed to this system or to all; without an address it is for all."""
+        """Whether the message is for this system or for all; a message without an address is for all."""
         system = getattr(message, "target_system", 0)
         return system in (0, self.system_id) and getattr(message, "target_component", 0) in (0, COMPONENT_ID)
 

@@ -23,7 +23,7 @@ class _Stream(Generic[V]):
     passed_s: float = -_OFF  # time when the message was sent last; it is sent at most once per tick
 
     def passes(self, now_s: float, limit_s: float) -> bool:
-        """Whether it is due until ``limit_s``; if so, schedule it again one interval later."""
+        """Whether the message is due until ``limit_s``; if so, schedule it again one interval later."""
         if self.due_s > limit_s or now_s == self.passed_s:
             return False
         self.passed_s = now_s
@@ -111,7 +111,7 @@ class Streams(Generic[V]):
         return messages + [stream.build(snapshot) for stream in self._passed(snapshot.now_s)]
 
     def next_s(self, message_ids: frozenset[int]) -> float:
-        """Return a lower bound of the next due time of these messages, without those of every tick.
+        """Return a lower bound of the next due time of these messages, except those sent at every tick.
 
         It is -inf unless exactly position and attitude, of these messages, are sent at every tick.
         """
@@ -126,12 +126,12 @@ class Streams(Generic[V]):
         return min(due_s, default=_OFF) - 0.5 * self._period_s
 
     def pass_over(self, snapshot: Snapshot[V], message_ids: frozenset[int]) -> list[Message]:
-        """Advance as ``due`` does, but build only these messages, without those of every tick."""
+        """Advance as ``due`` does, but build only these messages, and none of those sent at every tick."""
         passed = self._passed(snapshot.now_s)
         return [stream.build(snapshot) for stream in passed if stream.message_id in message_ids]
 
     def _passed(self, now_s: float) -> list[_Stream[V]]:
-        """Return the due streams without those of every tick, and schedule them one interval later."""
+        """Return the due streams, except those of every tick, and schedule them one interval later."""
         limit_s = now_s + 0.5 * self._period_s  # streams are sent at the tick nearest to their due time
         if self._lazy_due_s > limit_s:
             return []

@@ -82,7 +82,7 @@ def parse_peer(text: str) -> Peer:
 
 
 def resolve(what: str, host: str, port: int, help_text: str = _URL_HELP) -> Peer:
-    """Return the IPv4 address of a host. Raises ValueError (``what`` and ``help_text``): it has none."""
+    """Return the IPv4 address of a host. Raises ValueError with ``what`` and ``help_text``: none found."""
     try:
         info = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)
     except OSError as error:
