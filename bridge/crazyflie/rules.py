@@ -33,7 +33,7 @@ TAKEOFF_M = 0.5  # default take-off height above home, m
 @dataclass(frozen=True, slots=True)
 class Rules:
     speed_max_m_s: float = SPEED_MAX_M_S
-    land_on_silence: bool = False  # land when set-points stop; False: the firmware reacts
+    land_on_silence: bool = False  # land when set-points stop; False: the firmware's watchdog reacts
     mocap: bool = False  # poses come from an external system
     drag_1_s: Vec3 | None = None  # rotor drag for the firmware's filter, body axes; None: unchanged
     restore: bool = False  # restore the firmware's parameters when the bridge ends
@@ -41,7 +41,7 @@ class Rules:
 
 @dataclass(frozen=True, kw_only=True)
 class CrazyflieOptions(PoseOptions):
-    """Connection of the bridge, and its settings."""
+    """Options of the bridge: its connection, limits and firmware settings."""
 
     uri: Annotated[str, Option(
         "--uri", "Crazyflie's address in cflib: radio://0/80/2M/E7E7E7E7E7, usb://0, udp://HOST:PORT.", "URI"

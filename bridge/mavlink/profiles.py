@@ -42,7 +42,7 @@ class Reading(Enum):
 class Encoding(Enum):
     """Encoding of an integer parameter in the float field of PARAM_VALUE."""
 
-    BYTEWISE = "bytes of the integer"  # MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+    BYTEWISE = "bytes of the integer"  # capability MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
     C_CAST = "converted to a float"
 
 
@@ -99,7 +99,7 @@ _DO_SET_MODE = 176
 _NAV_LAND = 21
 _NAV_TAKEOFF = 22
 _ARM_DISARM = 400
-_CUSTOM_MODE_ENABLED = 1  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+_CUSTOM_MODE_ENABLED = 1  # flag MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 _AIRBORNE = frozenset({Landed.IN_AIR, Landed.TAKEOFF, Landed.LANDING})
 # MAV_TYPE of vehicles that hover and follow velocity set-points on all axes.
 _MULTIROTORS = frozenset(
@@ -201,11 +201,11 @@ PX4 = Profile(
     title="PX4, OFFBOARD",
     autopilot=dialect.MAV_AUTOPILOT_PX4,
     modes={
-        _px4_mode(6): Mode.EXTERNAL,  # OFFBOARD
+        _px4_mode(6): Mode.EXTERNAL,  # PX4's name: OFFBOARD
         _px4_mode(4, 2): Mode.TAKEOFF,
-        _px4_mode(4, 3): Mode.HOLD,  # LOITER
+        _px4_mode(4, 3): Mode.HOLD,  # PX4's name: LOITER
         _px4_mode(4, 6): Mode.LAND,
-        _px4_mode(4, 9): Mode.LAND,  # PRECLAND
+        _px4_mode(4, 9): Mode.LAND,  # PX4's name: PRECLAND
     },
     sequences={
         Request.NONE: (),
@@ -258,10 +258,10 @@ ARDUPILOT = Profile(
     autopilot=dialect.MAV_AUTOPILOT_ARDUPILOTMEGA,
     modes={
         4: Mode.EXTERNAL,  # GUIDED; also during the vehicle's own take-off
-        5: Mode.HOLD,  # LOITER
+        5: Mode.HOLD,  # ArduPilot's name: LOITER
         9: Mode.LAND,
-        16: Mode.HOLD,  # POSHOLD
-        17: Mode.HOLD,  # BRAKE
+        16: Mode.HOLD,  # ArduPilot's name: POSHOLD
+        17: Mode.HOLD,  # ArduPilot's name: BRAKE
     },
     sequences={
         Request.NONE: (),

@@ -94,7 +94,7 @@ def make_key(path: Path) -> None:
         raise OSError(error.errno, error.strerror, str(path)) from error
 
 
-Stream = tuple[int, int, int]  # link id, system id, component id
+Stream = tuple[int, int, int]  # ids of link, system and component
 
 STREAMS_MAX = 64  # more than the senders of any link; only holders of the key can fill the table
 TIMESTAMP_MAX = 2**48 - 1
@@ -113,7 +113,7 @@ class SigningState:
 
 _Byte = Annotated[int, msgspec.Meta(ge=0, le=255)]
 _Timestamp = Annotated[int, msgspec.Meta(ge=0, le=TIMESTAMP_MAX)]
-_Row = tuple[_Byte, _Byte, _Byte, _Timestamp]  # stream and newest timestamp
+_Row = tuple[_Byte, _Byte, _Byte, _Timestamp]  # stream ids and newest timestamp
 
 
 class _Stored(msgspec.Struct):
@@ -125,7 +125,7 @@ class _Stored(msgspec.Struct):
 
 
 def load_state(path: Path) -> SigningState:
-    """Read a state; without a file it is empty.
+    """Read the state file; without a file the state is empty.
 
     Raises ValueError: the content is invalid; OSError: the file cannot be read.
     """

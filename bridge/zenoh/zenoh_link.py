@@ -356,7 +356,7 @@ class ConnectionAlarm:
 
 
 GID_BYTES = 16
-_NEW = struct.Struct("<qqB16s")  # the byte is the length of the id (attachment_helpers.cpp)
+_NEW = struct.Struct("<qqB16s")  # "B" is the length of the id (attachment_helpers.cpp)
 _OLD = struct.Struct("<16sq17sq11sB16s")
 _OLD_NAMES = (b"\x0fsequence_number", b"\x10source_timestamp", b"\x0asource_gid")
 

@@ -45,8 +45,8 @@ STATIC_PERIOD_NS = 5_000_000_000  # period of static transforms; a viewer needs 
 STEP_SUFFIX, TIMING_SUFFIX = "/controller/step", "/loop/timing"
 SOURCE_SUFFIX = "/mavlink_source"  # end of the topic of frames that the vehicle sent
 
-Derived = tuple[str, str, bytes]  # topic, schema, CDR
-Derive = Callable[[int, bytes], list[Derived]]  # (log time in ns, CDR) -> messages
+Derived = tuple[str, str, bytes]  # fields: topic, schema, CDR payload
+Derive = Callable[[int, bytes], list[Derived]]  # function: log time in ns and CDR payload -> messages
 
 _NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
 # Attitude of NED axes in ENU: a half turn about the horizontal line between east and north.

@@ -14,7 +14,7 @@ from logs.schema.mavlink import PEER_CHARACTERS, FrameError, Type, of
 TOPICS_MAX = 512  # greatest number of topics, since a sender can invent system ids
 _HALF = 128  # half of the 256 sequence numbers; a number that is this far ahead or further counts as late
 SENDERS_MAX = 256  # greatest number of senders whose sequence numbers are checked
-_HEADER_BYTES = 20  # encapsulation, stamp, frame_id of three characters: the fields start aligned to 8
+_HEADER_BYTES = 20  # length of encapsulation, stamp and frame_id of three characters; fields follow aligned
 _NOBODY = struct.pack("<I", PEER_CHARACTERS + 1) + b"p--\x00"  # frame_id of a frame with unknown peer
 # Offsets in the raw record.
 _NAME_LENGTH_AT = 12

@@ -14,7 +14,7 @@ from logs.schema.rows import ControllerStepRow
 from logs.schema.schemas import MARKER_ARRAY, packer
 
 ARROW, CUBE, SPHERE, CYLINDER, LINE_STRIP, TRIANGLE_LIST = 0, 1, 2, 3, 4, 11  # visualization_msgs/msg/Marker
-LIFETIME_S = 0.5  # lifetime of 2.5 periods of 5 Hz: a marker that is not sent again disappears
+LIFETIME_S = 0.5  # lifetime of 2.5 periods of 5 Hz; a marker that is not sent again disappears
 PATH_POINTS = 200  # greatest number of points of a path; a full path loses every second point
 PATH_PERIOD_NS = 100_000_000  # initial period, 10 Hz
 REACH = 2.5  # radius of the barrier surface, in units of the distance of the barrier's peak
@@ -25,7 +25,7 @@ _ARROW_SIZE_M = (0.012, 0.03, 0.04)  # shaft diameter, head diameter, head lengt
 BODY_SIZE_M = (0.092, 0.092, 0.029)  # Bitcraze, Crazyflie 2.1 data sheet: 92 x 92 x 29 mm
 _ARROW_S = 1.0  # arrow length divided by velocity, s
 
-Color = tuple[float, float, float, float]  # red, green, blue, opacity
+Color = tuple[float, float, float, float]  # fields: red, green, blue, opacity
 BARRIER_COLOR: Color = (0.84, 0.15, 0.16, 0.35)
 PAD_COLOR: Color = (0.25, 0.25, 0.25, 0.9)
 OWN_COLOR: Color = (0.12, 0.47, 0.71, 1.0)

@@ -19,7 +19,7 @@ from logs.schema.rows import FleetWordRow
 from logs.schema.schemas import CONTROLLER_NEIGHBOURS, FLEET_WORD
 
 AGE_MAX_S = 0.5  # maximum message age by default, s
-_Sent = tuple[float, Intent, tuple[str, ...]]  # time, intent, members to which the sender gives way
+_Sent = tuple[float, Intent, tuple[str, ...]]  # fields: time, intent, members to which the sender gives way
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,8 +41,8 @@ class Span:
 class Link:
     """Messages from one member to another."""
 
-    sender: str  # sending member
-    receiver: str  # receiving member
+    sender: str  # name of the sending member
+    receiver: str  # name of the receiving member
     sent: int  # number of messages sent before the receiver's last tick
     # number of messages that the receiver used; others were lost or replaced by newer ones
     used: int

@@ -38,8 +38,8 @@ from mcap.stream_reader import get_chunk_data_stream
 
 MAGIC = bytes((0x89, 0x4D, 0x43, 0x41, 0x50, 0x30, 0x0D, 0x0A))  # MCAP specification, "Magic"
 _HEAD = struct.Struct("<BQ")  # kind of a record, and the length of its content
-_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence number, log time, publish time; the payload follows
-_INDEX = struct.Struct("<HI")  # channel, number of bytes of the entries that follow
+_MESSAGE = struct.Struct("<HIQQ")  # fields: channel, sequence number, log time, publish time, without payload
+_INDEX = struct.Struct("<HI")  # fields: channel, number of bytes of the entries that follow
 _TIME_MAX_NS = 2**63 - 1  # maximum time in ROS 2, whose times are signed
 _ENTRY_BYTES = 16  # size of an entry of a message index: log time and offset
 _FOOTER_BYTES = _HEAD.size + 20

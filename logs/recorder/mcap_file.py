@@ -28,10 +28,10 @@ from mcap.writer import CompressionType, Writer
 
 from logs.schema.schemas import schema_text, type_hash
 
-_MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
+_MESSAGE = struct.Struct("<BQHIQQ")  # fields: opcode, length, channel, sequence, log time, publish time
 _MESSAGE_OVERHEAD = 22  # bytes of a message record besides its data
 _MESSAGE_OPCODE = int(Opcode.MESSAGE)
-_INDEX = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
+_INDEX = struct.Struct("<BQHI")  # fields: opcode, length, channel, bytes of entries
 _BLOCK_BYTES = 2**18  # number of index bytes that are compressed together
 
 

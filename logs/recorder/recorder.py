@@ -71,7 +71,7 @@ class RecorderProcess:
         self._gone = 0
 
     def stop(self) -> None:
-        """Request the end once the clients are done; a second call ends at once. For signal handlers."""
+        """Request the end after the last client; a second call ends at once. For signal handlers."""
         with contextlib.suppress(OSError):
             self._wake_out.send(b"\x00")
 
@@ -231,7 +231,7 @@ class Syncer:
     def __init__(self, descriptor: int, path: Path) -> None:
         """Start the thread; sync the directory entry of the file to the disk at once."""
         _sync_directory(path.parent)
-        self._descriptor = os.dup(descriptor)  # the file may be closed before the last wait
+        self._descriptor = os.dup(descriptor)  # the file may be closed before the last sync
         self._wanted = threading.Event()
         self._closing = False
         self.count = 0  # calls so far

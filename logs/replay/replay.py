@@ -107,7 +107,7 @@ class _RecordedTick:
     def landing_began(self, tick: int) -> None: ...
 
     def read(self) -> VehicleInputs:
-        """Return the recorded state, independent of today's bridge."""
+        """Return the recorded state; the replayed bridge does not affect it."""
         inputs = self.given.inputs
         if self.wire is not None:
             self.wire_found += self.wire.take(self.record, self.given)

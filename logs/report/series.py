@@ -94,7 +94,7 @@ def _mark_lowest(figure: go.Figure, t: Floats, h: Floats, where: str, symbol: st
     marker(figure, t[at], h[at], name, symbol, INK)
 
 
-_Drawn = tuple[str, Floats, str, str, float]  # name, velocity (n, 3), colour, dash, width
+_Drawn = tuple[str, Floats, str, str, float]  # fields: name, velocity (n, 3), colour, dash, width
 _Extra = Callable[[go.Figure, int, list[float]], list[float]]  # draws on an axis, returns a wider range
 
 

@@ -43,7 +43,7 @@ _NAMES = {
 _HITS = ~int(ContactBit.PAD)  # contacts that are not allowed
 _FALLS = int(
     ContactBit.GROUND | ContactBit.ROBOT | ContactBit.TUMBLED | ContactBit.VEHICLE
-)  # after touchdown: contacts of a vehicle that has left the pad
+)  # contacts that show that the vehicle has left the pad after touchdown
 
 
 @dataclass(frozen=True, slots=True)

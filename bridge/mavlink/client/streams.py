@@ -96,7 +96,7 @@ class StreamRequests:
     def _ask(self, stream: _Stream, now_s: float) -> Message:
         stream.tries += 1
         stream.seen, stream.since_s = 0, now_s
-        by_group = (stream.tries - 1) // _TRIES % 2 == 1  # alternate the kind of request after _TRIES
+        by_group = (stream.tries - 1) // _TRIES % 2 == 1  # alternate the two kinds of requests after _TRIES
         if by_group and stream.message_id in self._data_streams:
             group, rate_hz = self._data_streams[stream.message_id], round(stream.rate_hz)
             return dialect.MAVLink_request_data_stream_message(*self._target, group, rate_hz, 1)

@@ -21,7 +21,7 @@ from bridge.mavlink.codec.wide_messages import MESSAGES
 
 Message = Any  # an instance of one of pymavlink's generated classes, which have no type hints
 
-_HEADER = struct.Struct("<xBBBBBBHB")  # header of a frame
+_HEADER = struct.Struct("<xBBBBBBHB")  # struct of a frame's header
 _HEADER_BYTES = 10
 _SIGNED = 0x01
 
@@ -105,7 +105,7 @@ def _wire_kinds(cls: Any) -> list[str]:
 _LAYOUTS: dict[int, _Layout] = {id_: _layout(cls) for id_, cls in MESSAGES.items()}
 
 _MARKER = b"\xfd"
-_HEAD = struct.Struct("6B").pack  # length, two flag bytes, sequence number, system id, component id
+_HEAD = struct.Struct("6B").pack  # fields: length, two flag bytes, sequence number, system id, component id
 _ZERO = b"\x00"
 
 Payload = Callable[[Message], bytes]

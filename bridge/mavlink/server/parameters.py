@@ -27,7 +27,7 @@ class Parameter:
     """One parameter: default, allowed range (including both ends), and whether it may change in flight."""
 
     name: str  # name of at most 16 characters
-    type: int  # MAV_PARAM_TYPE; PX4 has only INT32 and REAL32
+    type: int  # type number of MAVLink (MAV_PARAM_TYPE); PX4 has only INT32 and REAL32
     default: float
     low: float
     high: float
@@ -68,7 +68,7 @@ def fixed(name: str, value: float, type_: int = INT32) -> Parameter:
 class Refused(NamedTuple):
     """Reason and error number of a write that was rejected."""
 
-    error: int  # MAV_PARAM_ERROR number
+    error: int  # error number of MAVLink (MAV_PARAM_ERROR)
     reason: str
 
 

@@ -28,8 +28,8 @@ class FlightMode(Enum):
 class Code(NamedTuple):
     """Numbers of a mode in MAVLink messages."""
 
-    main: int  # PX4_CUSTOM_MAIN_MODE (px4_custom_mode.h)
-    sub: int  # PX4_CUSTOM_SUB_MODE_AUTO
+    main: int  # PX4_CUSTOM_MAIN_MODE number (px4_custom_mode.h)
+    sub: int  # PX4_CUSTOM_SUB_MODE_AUTO number
     base: int  # MAV_MODE_FLAG bits of a disarmed vehicle
 
     @property
@@ -38,7 +38,7 @@ class Code(NamedTuple):
         return self.main << 16 | self.sub << 24
 
 
-_AUTO = 1 | 4 | 8 | 16  # custom, auto, guided, stabilised (PX4 streams/HEARTBEAT.hpp)
+_AUTO = 1 | 4 | 8 | 16  # bits custom, auto, guided, stabilised (PX4 streams/HEARTBEAT.hpp)
 _EXTERNAL = 1 | 16  # custom, stabilised: PX4's offboard is not an auto mode
 
 PX4_CODES: Mapping[FlightMode, Code] = {
@@ -109,7 +109,7 @@ POSITION_SOURCE = _M.MAV_SYS_STATUS_SENSOR_GPS | _M.MAV_SYS_STATUS_SENSOR_VISION
 class ServerProfile:
     """Differences between the PX4-like vehicles of this project."""
 
-    mark: bytes  # AUTOPILOT_VERSION.flight_custom_version, 8 bytes: identifies the kind of vehicle
+    mark: bytes  # 8 bytes in AUTOPILOT_VERSION.flight_custom_version that identify the kind of vehicle
     sensors: int  # MAV_SYS_STATUS_SENSOR bits that are always healthy
     # builder and default rate, Hz, by message id, in the order of a datagram; None: at every tick or on
     # request

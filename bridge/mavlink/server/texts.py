@@ -20,7 +20,7 @@ _TOPICS_MAX = 64
 
 
 class Text(NamedTuple):
-    severity: int  # MAV_SEVERITY number
+    severity: int  # severity number of MAVLink (MAV_SEVERITY)
     text: str
 
 
