@@ -58,7 +58,7 @@ class Loop(NamedTuple):
     lag_s: float  # 2 damping / rate + dead time: group delay at low frequency
     errors: tuple[float, float, float, float, float]
     explained: float  # share of the velocity's variance that the model explains
-    time_s: float  # compared time
+    time_s: float  # duration that was compared, s
 
     @property
     def model_dead_time_s(self) -> float:
@@ -136,7 +136,7 @@ def _difference(passed: Segment, parameters: Floats, period_s: float) -> Floats:
     kick[0] = later[1] = 1.0
     past = np.column_stack(
         [
-            signal.lfilter(numerator.ravel(), denominator, np.ones(count)),  # an earlier command
+            signal.lfilter(numerator.ravel(), denominator, np.ones(count)),  # earlier commands
             signal.lfilter([1.0], denominator, kick),  # effect of initial speed and acceleration
             signal.lfilter([1.0], denominator, later),
         ]

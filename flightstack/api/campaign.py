@@ -74,7 +74,7 @@ class Campaign:
         violations = sum(row.violation is not False for row in self.rows)
         return (
             f"Campaign({self.scenario.name}: {landed} of {len(self)} landed, {violations} with a "
-            f"violation or not known, {self.wall_s:.1f} s)"
+            f"violation or unknown, {self.wall_s:.1f} s)"
         )
 
 
@@ -98,7 +98,7 @@ class Sweep:
         return frame(swept | {f.name: [getattr(row, f.name) for _, row in lines] for f in _shown()})
 
     def rates(self) -> list[dict[str, Any]]:
-        """Return keys, number of runs, landed share and violated share of each point."""
+        """Return keys, number of runs, share of landings and share of violations of each point."""
         found = []
         for values, campaign in self.points:
             rows, runs = campaign.rows, len(campaign.rows)

@@ -44,8 +44,8 @@ class Landing:
     def log(self) -> Steps:
         """Controller steps, n of them: ``t_s``, ``h_m`` (n,), ``command_enu_m_s`` (n, 3), and more.
 
-        ValueError: the log contains no steps.
-            ValueError: the log holds none.
+        Raises:
+            ValueError: the log contains no steps.
         """
         if self.flight.steps is None:
             raise ValueError(f"{self.flight.path}: the log holds no controller steps")

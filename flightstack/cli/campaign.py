@@ -164,11 +164,11 @@ class RareOptions:
         choices=_EVENTS
     )] = _EVENTS[0]  # fmt: skip
     landings: Annotated[int, Option(
-        "--landings", "Landings of a level, a multiple of 10; a level is a factor of 10 in the rate.",
+        "--landings", "Landings per level, a multiple of 10; each level is a factor of 10 in the rate.",
         span=(100, 1_000_000)
     )] = 500  # fmt: skip
     seed: Annotated[
-        int, Option("--seed", "Of the estimate; each makes an independent one.", span=(0, 2**62))
+        int, Option("--seed", "Seed of the estimate; each one is independent.", span=(0, 2**62))
     ] = 0
     filter: Annotated[str | None, shared.safety_filter("Safety filter; default: the scenario's")] = None
     workers: shared.Workers = None
@@ -207,7 +207,7 @@ def rare(options: RareOptions) -> None:
                 on_row=bar.row,
             )  # fmt: skip
     except KeyboardInterrupt:
-        click.echo(f"flightstack: interrupted; the same command with --out {folder} goes on", err=True)
+        click.echo(f"flightstack: interrupted; the same command with --out {folder} continues", err=True)
         sys.exit(INCOMPLETE)
     if options.as_json:
         click.echo(json.dumps(found))

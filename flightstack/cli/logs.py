@@ -149,7 +149,7 @@ class RecordOptions:
     """Options of ``record``."""
 
     socket_path: Annotated[
-        Path, Option("--socket", "Socket to listen on; the other verbs take it as --recorder.")
+        Path, Option("--socket", "Socket to listen on; the other commands take it as --recorder.")
     ]
     out: Annotated[Path, Option("--out", "MCAP file to write.", path="file")]
     until_clients: Annotated[int | None, Option(

@@ -19,7 +19,7 @@ class Number(click.FloatRange):
     """A finite number in an optional range; without this check, NaN would pass the comparisons."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Convert a text to the number."""
+        """Convert a text to a number."""
         found: float = super().convert(value, param, ctx)
         if not math.isfinite(found):
             self.fail(f"found {value}, a finite number is needed", param, ctx)

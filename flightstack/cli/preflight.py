@@ -30,7 +30,7 @@ _STYLE = {
     Level.ACCEPTED: "magenta",
 }  # fmt: skip
 _COMPONENT_ID = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
-_PAPER = FlightConfig(barrier=BarrierShape(alpha_1_m=1.0, beta_m=1.5))  # velocity limits without a file
+_PAPER = FlightConfig(barrier=BarrierShape(alpha_1_m=1.0, beta_m=1.5))  # limits if no file is given
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,11 +48,11 @@ class PreflightOptions(shared.Signing):
         float, Option("--wait", "Longest wait for the vehicle's heartbeat.", metavar="S", span=(0.1, 600.0))
     ] = 10.0
     provision_signing: Annotated[bool, Option(
-        "--provision-signing", "First give the vehicle the key of --signing-key; over a cable or loopback."
+        "--provision-signing", "First send the key of --signing-key to the vehicle, over a cable or loopback."
     )] = False  # fmt: skip
     remove_signing: Annotated[bool, Option(
         "--remove-signing",
-        "Take the key of --signing-key away from the vehicle, and end; over a cable or loopback."
+        "Remove the key of --signing-key from the vehicle and exit, over a cable or loopback."
     )] = False  # fmt: skip
     as_json: shared.AsJson = False
 
@@ -127,7 +127,7 @@ def to_json(report: Report) -> dict[str, Any]:
 def _print(report: Report) -> None:
     console = Terminal()
     if report.profile is not None:
-        title = f"{report.profile.title}, release {report.version or 'not told'}"
+        title = f"{report.profile.title}, release {report.version or 'unknown'}"
         columns = (Column(name, overflow="fold") for name in ("parameter", "value", "is", "wanted", "why"))
         table = Table(*columns, title=title, title_justify="left")
         for finding in report.findings:

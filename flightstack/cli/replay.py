@@ -36,7 +36,7 @@ class ReplayOptions:
         "KEY=VALUE"
     )] = ()  # fmt: skip
     filter: Annotated[str | None, shared.safety_filter(
-        "Filter of the log, for one that is looked for in the working folder"
+        "Filter of the log, if it has to be imported from the working folder"
     )] = None  # fmt: skip
     member: shared.Member = None
     as_json: shared.AsJson = False
@@ -104,7 +104,7 @@ def _one(options: ReplayOptions, member: str | None) -> tuple[dict[str, Any], li
     except ReplayError as error:
         return {"result": "unusable", "path": str(log), "reason": str(error)}, [f"unusable: {error}"]
     if config is not None:
-        result.notes += [f"it would be refused before take-off: {text}" for text in problems(config)]
+        result.notes += [f"settings refused before take-off: {text}" for text in problems(config)]
     word = "equal" if result.equal else "different"
     values = {"result": word, "set": list(settings), **asdict(result), "path": str(result.path)}
     return values, _lines(result, settings)

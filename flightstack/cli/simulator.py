@@ -93,11 +93,9 @@ def px4_sim(options: Px4SimOptions) -> None:
 @click.command()
 @click.argument("what", type=click.Choice(["scenario"]))
 @click.argument("name")
-@click.option(
-    "--base", default="lab", show_default=True, help="Scenario, by name, whose values it begins with."
-)
+@click.option("--base", default="lab", show_default=True, help="Name of the scenario from which it starts.")
 def new(what: str, name: str, base: str) -> None:
-    """Write NAME.toml here: a scenario over another one, with a comment for each key.
+    """Write NAME.toml to this folder: a scenario based on another one, with a comment for each key.
 
     Exit status: 0 written, 2 wrong name, or the file exists.
     """
@@ -110,7 +108,7 @@ def new(what: str, name: str, base: str) -> None:
         with file.open("x", encoding="utf-8") as out:
             out.write(text)
     except FileExistsError:
-        raise ConfigError(f"{file}: exists and is not written over; choose another name") from None
+        raise ConfigError(f"{file}: exists and is not overwritten; choose another name") from None
     except OSError as error:
         file.unlink(missing_ok=True)
         raise ConfigError(f"{file}: cannot be written: {error.strerror}") from None

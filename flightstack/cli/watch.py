@@ -31,7 +31,7 @@ NICER = 10  # niceness of a 3-D view: the flight's processes have priority
 def watch(options: WatchOptions) -> None:
     """Show a running flight: phase, h, set-points, ages, battery, loop timing. Ctrl-C ends it.
 
-    It only subscribes. Exit status: 0 normal end, 1 no recent data with --once, 2 wrong input.
+    The command only receives data. Exit status: 0 normal end, 1 no recent data with --once, 2 wrong input.
     """
     from bridge.zenoh import zenoh_link
     from flightstack.watch.state import Watch

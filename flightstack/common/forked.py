@@ -96,7 +96,7 @@ class Forked(ForkProcess):
 
     def wait(self, timeout: float | None = None) -> int:
         """Wait for the exit status. Raises subprocess.TimeoutExpired: after ``timeout`` seconds."""
-        if self.exitcode is None and self.pid is not None:  # not ``join``, whose pipe is closed
+        if self.exitcode is None and self.pid is not None:  # the pipe of ``join`` is closed
             end = os.pidfd_open(self.pid)
             select.select((end,), (), (), timeout)
             os.close(end)

@@ -58,7 +58,7 @@ def _call_off(number: int, frame: FrameType | None) -> None:
 
 
 class Stop:
-    """Request to end: a first SIGTERM, SIGINT or SIGHUP ends in order, a second SIGTERM or SIGINT at once."""
+    """Requests to end: the first signal ends in order, a second SIGTERM or SIGINT ends at once."""
 
     __slots__ = ("count",)
 

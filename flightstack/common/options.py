@@ -74,7 +74,7 @@ def declared(cls: type) -> tuple[Declared, ...]:
                 many, number = False, len(parts)
             hint = parts[0]
         elif many:
-            hint = str  # KEY=VALUE of a Mapping
+            hint = str  # an item of a Mapping is KEY=VALUE
         default = field.default if field.default_factory is MISSING else field.default_factory()
         found.append(Declared(field.name, option, hint, many, number, default))
     return tuple(found)

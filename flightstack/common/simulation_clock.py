@@ -121,7 +121,7 @@ class FollowedClock:
         return self._cells[_ZERO] + round(self.monotonic() * _NS)
 
 
-Clock = FastClock | FollowedClock  # for pacing in real time
+Clock = FastClock | FollowedClock  # clock that paces a process in real time
 
 
 def chosen_clock(

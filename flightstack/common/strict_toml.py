@@ -145,7 +145,7 @@ def decoded(data: bytes) -> str:
         where = f"byte {error.start} is {data[error.start]:#04x}"
         raise ValueError(f"not text in the encoding {encoding} ({where}); save it as UTF-8") from None
     if "\0" in text:
-        raise ValueError("it holds zero bytes: UTF-16 without a byte order mark? Save it as UTF-8")
+        raise ValueError("it contains zero bytes: UTF-16 without a byte order mark? Save it as UTF-8")
     return text
 
 

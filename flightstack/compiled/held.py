@@ -81,7 +81,7 @@ else:
 
     @cache
     def _class_of(cls: type) -> type[Held]:
-        """Return the class of the types of one class's objects, with its methods."""
+        """Return numba's type for objects of a class, with the methods of that class."""
         made = type(cls.__name__, (Held,), {})
         register_default(made)(_Address)
         _register(made, cls)

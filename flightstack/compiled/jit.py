@@ -229,8 +229,8 @@ def forbid_compiling(machine: Callable[..., Any]) -> None:
 def load_numba() -> Any:
     """Return numba, loaded without optional imports that this package does not use.
 
-    The load is faster by half a second, a sixth, and the first machine code by as much. Without scipy.linalg,
-    compiled code cannot multiply matrices.
+    This saves half a second (a sixth) of the load, and as much at the first machine code. Without
+    scipy.linalg compiled code cannot multiply matrices.
     """
     absent = [name for name in _NEEDLESS if name not in sys.modules]
     sys.modules.update(dict.fromkeys(absent))  # type: ignore[arg-type]  # None: the import fails

@@ -21,8 +21,8 @@ from flightstack.compiled.jit import is_off
 F64 = npt.NDArray[np.float64]
 I64 = npt.NDArray[np.int64]
 Vector = Annotated[F64, 3]
-Quaternion = Annotated[F64, 4]  # w, x, y, z
-Motors = Annotated[F64, 4]  # M1..M4
+Quaternion = Annotated[F64, 4]  # components w, x, y, z
+Motors = Annotated[F64, 4]  # values of the motors M1 to M4
 Axes = Annotated[F64, 9]  # x, y and z axis of the body in the world
 
 SCALARS: dict[object, str] = {float: "f8", int: "i8", bool: "i8"}  # all have 8 bytes, so there are no gaps

@@ -87,7 +87,7 @@ class CompiledController(Controller):
     The next access to ``memory`` or ``state`` copies the state back: that is after the set-point was sent.
     """
 
-    compiled: ClassVar = {"memory": None}  # a field in compiled code
+    compiled: ClassVar = {"memory": None}  # ``memory`` is a plain field in compiled code
 
     def __init__(self, config: FlightConfig, program: Program) -> None:
         # whether compiled memory holds the newest state, and whether Python's objects are older than that

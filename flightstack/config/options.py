@@ -120,7 +120,7 @@ Clock = Annotated[Path | None, Option(
 )]  # fmt: skip
 Url = Annotated[str, Option("--url", "MAVLink URL to serve; port 0 takes a free one.")]
 Peers = Annotated[tuple[str, ...], Option(
-    "--peer", "Send telemetry there without being asked, e.g. 127.0.0.1:14540 for MAVSDK, 127.0.0.1:14550 "
+    "--peer", "Send telemetry there without a request, e.g. 127.0.0.1:14540 for MAVSDK, 127.0.0.1:14550 "
     "for a ground station; repeatable.", "HOST:PORT"
 )]  # fmt: skip
 VehicleUrl = Annotated[str, Option(
@@ -129,17 +129,17 @@ VehicleUrl = Annotated[str, Option(
 )]  # fmt: skip
 SystemId = Annotated[int, Option("--system-id", "MAVLink system id of the vehicle.", span=(1, 255))]
 Autopilot = Annotated[str, Option(
-    "--autopilot", "Autopilot of the vehicle; auto: the heartbeat says which (docs/how_to/autopilots.md).",
+    "--autopilot", "Autopilot of the vehicle; auto: as the heartbeat reports (docs/how_to/autopilots.md).",
     choices=AUTOPILOTS
 )]  # fmt: skip
 AcceptRelease = Annotated[bool, Option(
-    "--accept-release", "Fly an autopilot whose release is not known by the rules of the nearest one."
+    "--accept-release", "Fly an unknown release of the autopilot with the rules of the nearest one."
 )]  # fmt: skip
 SigningKey = Annotated[Path | None, Option(
     "--signing-key", "Sign MAVLink with this key and ignore unsigned frames (see `key`).", "FILE"
 )]  # fmt: skip
 AllowUnsigned = Annotated[
-    bool, Option("--allow-unsigned", "Listen on a network without a key: everybody there can fly it.")
+    bool, Option("--allow-unsigned", "Listen on a network without a key: every host there can command it.")
 ]
 RosDomain = Annotated[int, Option(
     "--ros-domain", "Domain of the ROS 2 nodes.", span=(0, 232), variable="ROS_DOMAIN_ID"
@@ -147,12 +147,12 @@ RosDomain = Annotated[int, Option(
 Mocap = Annotated[bool, Option("--mocap", "Give PX4 the scenario's motion capture instead of satellites.")]
 View = Annotated[str | None, Option(
     "--view",
-    "The scene in 3-D during flight: in a window of Rerun, a browser, or a file (docs/how_to/live.md).",
+    "Show the scene in 3-D during flight: in Rerun's window, a browser, or a file (docs/how_to/live.md).",
     "[native|web|FILE.rrd]", bare="native"
 )]  # fmt: skip
 OneMember = Annotated[int | None, Option(
     "--member",
-    "With a scenario of several vehicles: member N alone, with its seed, namespace and system id.", "N",
+    "With a scenario of several vehicles: only member N, with its seed, namespace and system id.", "N",
     span=(1, None)
 )]  # fmt: skip
 Member = Annotated[
@@ -307,7 +307,7 @@ class WatchOptions:
     zenoh_config: ZenohConfig = None
     namespace: Namespace = "cf1"
     once: Annotated[
-        bool, Option("--once", "Show the state once and end; exit status 1 if no fresh data come.")
+        bool, Option("--once", "Show the state once and end; exit status 1 if no fresh data arrive.")
     ] = False
     as_json: Annotated[bool, json("Print one JSON object a line, two a second (--once: one).")] = False
     timeout_s: Annotated[float, seconds("--timeout", "Longest wait of --once.", 0.1, 3600.0)] = 5.0

@@ -41,8 +41,8 @@ from flightstack.core.types import (
     VehicleStatus,
 )
 
-# start of a take-off in which the autopilot alone sets the climb rate, s: arming, COM_SPOOLUP_TIME (1 s) and
-# MPC_TKO_RAMP_T (3 s); PX4 v1.16 in SITL lifts off after 4.7 to 5.7 s
+# time after the start of a take-off in which the autopilot alone sets the climb rate, s: arming, spool-up
+# (COM_SPOOLUP_TIME, 1 s), ramp (MPC_TKO_RAMP_T, 3 s); PX4 v1.16 in SITL lifts off after 4.7 to 5.7 s
 RISE_FREE_S = 7.0
 
 FLYING = frozenset({Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN})
@@ -150,7 +150,7 @@ class LandingKernel:
         self.strategy.motion.time_s = math.nan
 
     def estimate_own(self, own: OwnState, flies: bool, now_s: float) -> OwnState:
-        """Check the vehicle state, compare its velocity with the command, and predict the state for now."""
+        """Check the vehicle state, compare its velocity with the command, and predict the current state."""
         memory, plausibility, velocity = self.memory, self.plausibility, own.velocity_enu_m_s
         plausibility.take(own, memory.commanding and not memory.contact)
         believed = plausibility.believes(now_s)

@@ -41,8 +41,8 @@ class Relative(NamedTuple):
 class Snapshot:
     """Inputs of one tick, with the results of the checks of their age."""
 
-    inputs: Inputs  # inputs as received, but with the vehicle state predicted for now
-    target: TargetState | None  # target state predicted for now; ``None`` before the first sample
+    inputs: Inputs  # inputs as received, but with the vehicle state predicted to the current time
+    target: TargetState | None  # target state predicted to the current time; ``None`` before the first sample
     own_ok: bool  # the vehicle state is plausible and recent
     target_ok: bool  # the target state is plausible and recent
     link_ok: bool  # the heartbeat is recent

@@ -92,7 +92,7 @@ class Charge(IntEnum):
     """State of the battery, from its voltage and the thrust reserve."""
 
     FIT = 0
-    UNKNOWN = 1  # no voltage or throttle was received recently
+    UNKNOWN = 1  # no recent voltage or throttle was received
     TIRED = 2  # too low to start a landing or, in flight, to continue it
 
 
@@ -149,7 +149,7 @@ class VehicleStatus:
 
     @property
     def flies_by_setpoints(self) -> bool:
-        """Whether the vehicle reports that it is in the air and follows our set-points."""
+        """Whether the vehicle reports that it is in the air and follows this stack's set-points."""
         return self.armed and self.mode is Mode.EXTERNAL and self.landed is not Landed.ON_GROUND
 
 
@@ -169,7 +169,7 @@ class Intent(IntEnum):
     STANDING = 0  # on the ground, or in the take-off climb: the member does not yield
     WAITING = 1  # flies without a right of way
     LANDING = 2  # flies to its pad with the right of way
-    COMMITTED = 3  # over its pad: the member no longer yields, or will soon stop to
+    COMMITTED = 3  # over its pad: the member no longer yields, or will soon stop yielding
     CLEARING = 4  # holds, climbs or flies clear: other members avoid it
     DOWN = 5  # landed, or landing by its autopilot: the member follows no set-points
 

@@ -38,7 +38,7 @@ NAMESPACE = "cf1"
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT, signal.SIGHUP)
 # wall time for the autopilot's landing after the onboard process has ended, detection included, s
 LAND_ALONE_MAX_S = COMPANION_SILENT_S + 100.0
-LAND_MAX_S = 30.0  # time for an onboard process to end in flight: it lands a real vehicle first, s
+LAND_MAX_S = 30.0  # longest time for an onboard process to end in flight, s: it lands a real vehicle first
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ def result_table(values: Mapping[str, Any], reason: str) -> Group:
     falls = values.get("outcome") == "landed" and (values["touchdown_speed_vertical_m_s"] or 0.0) > FALL_M_S
     notes = [BELOW_ON_PAD] if lowest_m is not None and lowest_m < 0.0 else []
     notes += [FALLS] if falls else []
-    source = SOURCES.get(values.get("judged_from") or "", "what the onboard process said")
+    source = SOURCES.get(values.get("judged_from") or "", "the onboard process's report")
     return Group(
         _title(values), table, Text(f"judged from {source}"), Text(reason),
         *(Text(note, style="dim") for note in notes), *_apart([values]),

@@ -68,12 +68,12 @@ class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
         span=(0, 9), also=("--instance",)
     )] = None  # fmt: skip
     members: Annotated[Mapping[int, str], Option(
-        "--member", "MAVLink URL of a vehicle from elsewhere that flies as member N of a team; repeatable "
+        "--member", "MAVLink URL of an external vehicle that flies as member N of a team; repeatable "
         "(docs/how_it_works/fleet.md).", "N=URL", read=_members
     )] = field(default_factory=dict)  # fmt: skip
     listen: Annotated[tuple[str, ...], Option(
         "--listen",
-        "Additional Zenoh endpoint for watchers; one on loopback is there and printed; repeatable.",
+        "Additional Zenoh endpoint for watchers, beside the printed one on loopback; repeatable.",
         "ENDPOINT"
     )] = ()  # fmt: skip
     zenoh_config: shared.ZenohConfig = None

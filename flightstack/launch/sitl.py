@@ -254,7 +254,7 @@ def _start(
 
 
 def _describe(recorder: Path, options: RunOptions, team: TeamScenario, vehicles: Sequence[_Vehicle]) -> None:
-    """Write to the log what was flown."""
+    """Write scenario, configuration and options of the run to the log."""
     source, alone = path_of(options.scenario).read_bytes(), team.is_alone
     flights = [
         Described(

@@ -92,10 +92,10 @@ class _Px4Start:
         self._launcher.children.append(program)
         program.wait_ready()
         for name in program.absent:
-            text = f"PX4: this release has no {name}; the check before the flight judges what it has"
+            text = f"PX4: this release has no {name}; the pre-flight check uses those that it has"
             self._launcher.console.print(text, markup=False, soft_wrap=True)
         url = f"udpin:127.0.0.1:{program.onboard_port}"
-        system_id = 1 + self.number  # MAV_SYS_ID of rcS
+        system_id = 1 + self.number  # rcS sets MAV_SYS_ID to this number
         return program, {"vehicle_url": url, "autopilot": PX4_PROFILE.name, "system_id": system_id}
 
 

@@ -69,7 +69,7 @@ class _Counts:
     def add(self, what: str, detail: str = "") -> None:
         count = self._counts[what] = self._counts.get(what, 0) + 1
         if count & (count - 1) == 0:
-            self.texts.append(f"fleet: {what}{f' ({detail})' if detail else ''}: {count} words refused")
+            self.texts.append(f"fleet: {what}{f' ({detail})' if detail else ''}: {count} messages rejected")
 
 
 class _Member:
@@ -83,7 +83,7 @@ class _Member:
         self.heard_ns = 0  # arrival of that message, on this clock
         self.claim_ns: int | None = None
         self.claim_s = math.nan
-        self.one_way_ns: int | None = None  # start of one-way reception: it receives nothing from here
+        self.one_way_ns: int | None = None  # start of one-way reception: it receives nothing in turn
         self.said_one_way = False
 
 
@@ -179,7 +179,7 @@ class FleetWire:
         return rows
 
     def _hear_namesake(self) -> None:
-        what = f"another process says that it is vehicle {self._fleet.id}, as this one"
+        what = f"another process has the vehicle id {self._fleet.id} of this one"
         self._counts.add(what)
         self.doubled = f"fleet: {what}: end it, or give one of them another id"
 
@@ -197,7 +197,7 @@ class FleetWire:
             return True
         silent_s = (now_ns - member.heard_ns) * 1e-9
         if member.process is not None and silent_s <= self._fleet.silent_flight_s:
-            self._counts.add(f"two processes say that they are vehicle {row.id}")
+            self._counts.add(f"two processes have the vehicle id {row.id}")
             return False
         if member.process is not None:
             self._counts.texts.append(f"fleet: vehicle {row.id} has a new process after {silent_s:.1f} s")
@@ -228,7 +228,7 @@ class FleetWire:
         bound_s = offset.bound_ns * 1e-9
         if bound_s > fleet.latency_max_s:
             self._counts.add(
-                f"the clock of vehicle {row.id} is not known well enough",
+                f"the clock of vehicle {row.id} is not known accurately",
                 f"to {bound_s:.3f} s, fleet.latency_max_s is {fleet.latency_max_s:g}",
             )
             return None
@@ -254,6 +254,6 @@ class FleetWire:
         if not member.said_one_way and (now_ns - member.one_way_ns) * 1e-9 > ONE_WAY_S:
             member.said_one_way = True
             self._counts.texts.append(
-                f"fleet: vehicle {n} is heard, but does not hear this one: are they connected directly or "
+                f"fleet: vehicle {n} receives no messages of this one: are they connected directly or "
                 "by a router, and is this one's id among its members?"
             )

@@ -99,15 +99,15 @@ class VehicleTicks:
                 silence = Silence()
             waited_s = silence.look()
             if self._stopped() or waited_s > most_s:
-                never = f"no vehicle asked for a tick within {most_s:g} s (TIMESYNC)"
+                never = f"no vehicle requested a tick within {most_s:g} s (TIMESYNC)"
                 raise ClockStoppedError(
                     never if first and waited_s > most_s else "no further message from the vehicle"
                 )
             if waited_s > due_s:
                 due_s = math.inf
-                with contextlib.suppress(OSError):  # standard error has no reader
+                with contextlib.suppress(OSError):  # standard error is closed
                     print(
-                        "onboard: waits for the vehicle to ask for its first tick",
+                        "onboard: waits for the vehicle to request its first tick",
                         file=sys.stderr,
                         flush=True,
                     )
@@ -234,7 +234,7 @@ class LockstepWords:
         while not self._gone and not come(tick.number):
             if silence.look() > LOST_RUN_MAX_S or stopped():
                 self._gone = True
-                self._texts.append("fleet: no words came with this tick: going on without")
+                self._texts.append("fleet: no messages arrived with this tick: continuing without")
             time.sleep(2e-5)
 
     def words(self) -> tuple[Neighbour, ...]:

@@ -83,7 +83,7 @@ def lines(report: Report) -> Iterator[str]:
     """Yield the lines of the report for the operator."""
     if report.profile is not None:
         own = "imitates PX4 " if report.profile is OWN_SITL else ""
-        version = f", {own}release {report.version or 'not told'}"
+        version = f", {own}release {report.version or 'unknown'}"
         yield f"preflight: {report.profile.title}{version}"
     if report.line is not None:
         yield f"preflight: {report.line}"

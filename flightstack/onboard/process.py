@@ -104,7 +104,7 @@ class Onboard:
             reserve=config.reserve is not None, state=state_class(config), names=self.names,
         )  # fmt: skip
         self.link.endpoint.tap = self.log.tap
-        lockstep = options.lockstep  # then no text may depend on wall time
+        lockstep = options.lockstep  # in lockstep no text may depend on wall time
         self.waiting = WaitReport(config, options.system_id, self.link, self.wires, searches=not lockstep)
         self._foreign_due, self.refusals = 1, Refusals()
         self.cause = ""  # why the autopilot ended the flight; appended to the reason
@@ -114,14 +114,14 @@ class Onboard:
         """Log and publish a tick, and send the message to the fleet."""
         link, arrived = self.link, taken.arrived
         exec_s *= self.options.speed
-        self.log.word(tick, self.fleet.say(out.own_word))  # first, because the other members wait for it
+        self.log.word(tick, self.fleet.say(out.own_word))  # sent first, since other members wait for it
         self.log.samples(arrived.messages, tick.unix_ns)
         for text in self.refusals.told(arrived.problems):
             self.log.event(tick.unix_ns, WARN, text)
         for severity, text in link.take_texts():
             self.waiting.note_text(tick.now_s, severity, text)
             self.log.event(tick.unix_ns, _SEVERITY_LEVEL.get(severity, 20), f"vehicle: {text}")
-        if link.counters.foreign >= self._foreign_due:  # reported on doublings, because there are many
+        if link.counters.foreign >= self._foreign_due:  # reported when the count doubles
             self.log.event(tick.unix_ns, WARN, f"frames of other systems ignored: {link.counters.foreign}")
             self._foreign_due = 2 * link.counters.foreign
         notices = (*link.endpoint.take_notices(), *link.senders.take_notices())
@@ -185,7 +185,7 @@ class Onboard:
         """Close all links; the feed reports its end to the recorder."""
         dropped = self.link.endpoint.counters.dropped()
         if dropped:
-            print(f"onboard: MAVLink not let through: {dropped}", file=sys.stderr)
+            print(f"onboard: MAVLink frames rejected: {dropped}", file=sys.stderr)
         if self.link.endpoint.baud is not None:
             print(f"onboard: {self._line_use()}", file=sys.stderr)
         # the fleet is first: in lockstep the others wait for its last message
@@ -262,7 +262,7 @@ def _check_fleet(config: FlightConfig, options: OnboardOptions) -> None:
         return
     if not (options.connect or options.listen or options.zenoh_config):
         raise ConfigError(
-            "[fleet]: nobody can reach this process; --connect, --listen or --zenoh-config is needed "
+            "[fleet]: no other process can reach this one; --connect, --listen or --zenoh-config is needed "
             "(docs/how_it_works/fleet.md)"
         )
 

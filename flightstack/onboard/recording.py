@@ -49,7 +49,7 @@ def log_in(folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     log = folder / LOG
     if log.exists():
-        raise ConfigError(f"--out: {log} exists and is not written over; give another folder")
+        raise ConfigError(f"--out: {log} exists and is not overwritten; give another folder")
     return log
 
 

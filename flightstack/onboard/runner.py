@@ -325,7 +325,7 @@ def _leave(ended: Ended, ticks: Runner, vehicle: LinkedVehicle, leaving: Leaving
     shown = "the vehicle lands"
     if status is None or status.mode is not Mode.LAND:
         wanted = "its motors are off" if _off(memory) else "it lands"
-        shown = f"the vehicle did not show in {LAND_SHOWN_MAX_S:g} s that {wanted}"
+        shown = f"the vehicle did not report in {LAND_SHOWN_MAX_S:g} s that {wanted}"
     return ended._replace(phase=memory.phase, reason=f"{ended.reason}; {shown}")
 
 

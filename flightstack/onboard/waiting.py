@@ -71,7 +71,7 @@ def _seldom(what: str, every_s: float, age_s: float | None, key: str, most_s: fl
     """Return a text about inputs that arrive, but too rarely for their age limit."""
     if every_s <= most_s or age_s is None or age_s > every_s:
         return ()
-    return (f"{what} come every {every_s:.2f} s ({1.0 / every_s:.1f} Hz); checks.{key} allows {most_s:g} s",)
+    return (f"{what}: one every {every_s:.2f} s ({1.0 / every_s:.1f} Hz); checks.{key} allows {most_s:g} s",)
 
 
 def _of_vehicle(seen: VehicleSeen, checks: Checks) -> tuple[str, ...]:
@@ -90,10 +90,10 @@ def _of_position(seen: VehicleSeen, checks: Checks) -> tuple[str, ...]:
         return seldom
     if age_s is None or age_s > checks.own_age_max_s:
         causes = (
-            ("not_finite", "positions come with numbers that are not finite or beyond any sense"),
-            ("without_yaw", "positions come without ATTITUDE, which has their heading"),
-            ("out_of_order", "positions come with a time that does not advance"),
-            ("ahead", "positions come with a time from the future"),
+            ("not_finite", "positions contain numbers that are not finite or out of range"),
+            ("without_yaw", "positions arrive without ATTITUDE, which contains the heading"),
+            ("out_of_order", "positions have a time that does not advance"),
+            ("ahead", "positions have a time in the future"),
         )
         for name, text in causes:
             if seen.refused.get(name):
@@ -111,16 +111,16 @@ def _of_position(seen: VehicleSeen, checks: Checks) -> tuple[str, ...]:
 def _of_status(seen: VehicleSeen, status: VehicleStatus) -> tuple[str, ...]:
     texts: list[str] = []
     if status.landed is Landed.UNKNOWN:
-        texts.append("the vehicle does not say whether it stands (EXTENDED_SYS_STATE)")
+        texts.append("the vehicle does not report whether it stands (EXTENDED_SYS_STATE)")
     if status.landed in _FLYING and status.mode is not Mode.EXTERNAL:
-        texts.append(f"the vehicle is in the air and in mode {status.mode.name}: somebody else flies it")
+        texts.append(f"the vehicle is in the air and in mode {status.mode.name}: another client controls it")
     if not (status.armed or status.ready_to_arm):
         if not seen.readiness_told:
-            texts.append("the vehicle does not say whether it may be armed (SYS_STATUS)")
+            texts.append("the vehicle does not report whether it may be armed (SYS_STATUS)")
         else:
             texts.append("the vehicle's own pre-arm checks fail (SYS_STATUS)")
         if seen.says:
-            texts[-1] += f"; it says: {' | '.join(seen.says)}"
+            texts[-1] += f"; it reports: {' | '.join(seen.says)}"
     return tuple(texts)
 
 
@@ -135,7 +135,7 @@ def _of_target(seen: TargetSeen, checks: Checks) -> tuple[str, ...]:
         return ()
     problems = f": {' | '.join(seen.problems)}" if seen.problems else ""
     if seen.arrived:
-        return (f"{seen.arrived} samples on {seen.name}, none believed{problems}",)
+        return (f"{seen.arrived} samples on {seen.name}, none accepted{problems}",)
     if seen.age_s is not None:
         age, most = f"{seen.age_s:.1f} s old", f"{checks.target_age_max_s:g}"
         return (f"the newest sample on {seen.name} is {age}; checks.target_age_max_s allows {most}",)
@@ -221,8 +221,8 @@ class WaitReport:
         """Return why the autopilot acted by itself: its newest messages, or that no message arrived."""
         says = [text for text, at_s in self._recent.items() if now_s - at_s <= _CAUSE_AGE_MAX_S]
         if says:
-            return f"the autopilot says: {' | '.join(says)}"
-        return f"no message of the autopilot says why (no STATUSTEXT or EVENT for {_CAUSE_AGE_MAX_S:g} s)"
+            return f"the autopilot reports: {' | '.join(says)}"
+        return f"the autopilot sent no reason (no STATUSTEXT or EVENT for {_CAUSE_AGE_MAX_S:g} s)"
 
     def step(
         self, out: Outputs, memory: Memory, arrived: int, problems: Sequence[str], now_s: float

@@ -49,7 +49,7 @@ def _no_certificate(name: str) -> Check:
         "the class of the filter has a certificate of its own",
         -math.inf,
         "",
-        f"{name} has none; that of a class which it extends is not about what it flies",
+        f"{name} has none; the certificate of a base class does not cover it",
         "set the class attribute certificate to MODULE:NAME of a function that returns its checks",
         Need.PROOF,
     )

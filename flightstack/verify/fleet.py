@@ -201,7 +201,7 @@ def slew(config: FlightConfig, fleet: Fleet, slew_m_s2: Vec3, *, whole: bool) ->
 def touchdowns(config: FlightConfig, fleet: Fleet, descent_s: float) -> Check:
     # horizon of the conflict search, until the touchdown, from messages of this age
     ahead_s = fleet.age_max_s + descent_s
-    unseen_s = max(0.0, ahead_s - KEPT_PART * fleet.descent_s)  # time of further approach
+    unseen_s = max(0.0, ahead_s - KEPT_PART * fleet.descent_s)  # time in which pads come closer
     accelerated = 0.5 * config.envelope.target_acceleration_max_m_s2 * ahead_s * ahead_s
     moved_m = min(
         accelerated + config.touchdown.target_speed_max_m_s * unseen_s,

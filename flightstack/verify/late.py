@@ -143,7 +143,7 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
             "the loop of position and lead is stable for the declared vehicle",
             told,
             "1/s",
-            f"an error fades with {told + least_1_s[told_gain]:.3g} 1/s, {least_1_s[told_gain]:g} are needed",
+            f"an error decays at {told + least_1_s[told_gain]:.3g} 1/s, {least_1_s[told_gain]:g} are needed",
             remedy.format(gains[told_gain]),
         ),
         Check(
@@ -151,7 +151,7 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
             "the loop of position and lead is stable for each vehicle of the spread",
             room,
             "1/s",
-            f"an error fades with {room + needed:.3g} 1/s with {slower:.3g} times the lag and "
+            f"an error decays at {room + needed:.3g} 1/s with {slower:.3g} times the lag and "
             f"{response:.3g} times the velocity commanded, {needed:g} are needed",
             remedy.format(gains[gain]),
             Need.PROOF,

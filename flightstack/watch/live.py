@@ -96,7 +96,7 @@ def draw(watch: Watch, title: str, whom: str = "") -> Panel:
 
 def banner(watch: Watch, whom: str) -> Text:
     """Return the first line, with the age of the data; it is highlighted when the data is old."""
-    refused = f"   {watch.refused} samples not understood" if watch.refused else ""
+    refused = f"   {watch.refused} samples not readable" if watch.refused else ""
     if watch.news is News.FRESH:
         tick = watch.step.tick if watch.step is not None else 0
         return Text(f"live, tick {tick}{refused}", style="dim")
@@ -109,8 +109,8 @@ def banner(watch: Watch, whom: str) -> Text:
     elif watch.past_router:
         why = f"{whom} is a router, which passes nothing from peer to peer: --zenoh-config with mode client"
     else:
-        why = "connected, but nothing comes on these keys"
-    old = "; below is OLD" if watch.step is not None else ""
+        why = "connected, but no data arrives on these keys"
+    old = "; data below is OLD" if watch.step is not None else ""
     return Text(f" {lost}: {why}{old}{refused} ", style=_LOUD)
 
 

@@ -199,5 +199,5 @@ def _teller(name: str) -> Callable[[bool], None]:
 def _close(endpoint: Endpoint) -> None:
     dropped = endpoint.counters.dropped()
     if dropped:
-        print(f"vehicle: MAVLink not let through: {dropped}", file=sys.stderr)
+        print(f"vehicle: MAVLink frames rejected: {dropped}", file=sys.stderr)
     endpoint.close()

@@ -69,7 +69,7 @@ def growth(age_s: float, speed_m_s: float, fleet: Fleet) -> tuple[float, float]:
 
 
 def jump(before: Neighbour, word: Neighbour, fleet: Fleet) -> Vec3:
-    """Return how far a reported position lies from the reachable ones' centre; zero if it is reachable.
+    """Return the offset of a reported position from the predicted one; zero if the position is reachable.
 
     The velocity may have changed with the fleet's maximum acceleration. Both messages may err by their
     reported standard deviations and clock errors, and by the margin of the ellipsoid, because a landing stops
@@ -78,7 +78,7 @@ def jump(before: Neighbour, word: Neighbour, fleet: Fleet) -> Vec3:
     gone_s = word.stamp_s - before.stamp_s
     (x, y, z), (px, py, pz), v = word.position_enu_m, before.position_enu_m, before.velocity_enu_m_s
     away = x, y, z = x - px - v[0] * gone_s, y - py - v[1] * gone_s, z - pz - v[2] * gone_s
-    if abs(x) + abs(y) + abs(z) < fleet.margin_m:  # most messages
+    if abs(x) + abs(y) + abs(z) < fleet.margin_m:  # true for most messages
         return ZERO
     speed_m_s = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     clocks_s = before.clock_bound_s + word.clock_bound_s

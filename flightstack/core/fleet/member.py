@@ -161,7 +161,7 @@ class FleetMember:
         return [f"it stays on the pad: {why or 'an input is lost'}; {way.text}"]
 
     def rows(self, phase: Phase, own: OwnState, wanted_m_s: Vec3, now_s: float) -> Rows:
-        """Return the rows of the neighbours within reach that this vehicle shares; none in a touchdown."""
+        """Return the rows of neighbours within reach that this vehicle has to keep; none in a touchdown."""
         if phase is Phase.TOUCHDOWN:  # in a touchdown, the other vehicles keep clear of this one
             return NO_ROWS
         fleet, (x, y, z), found, held_back = self._fleet, own.position_enu_m, [], False

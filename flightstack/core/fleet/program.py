@@ -141,7 +141,7 @@ class FleetProgram:
         (x, y, z), (px, py, pz), count, least = nominal, start.point, len(rows), -self._infinite
         q[0], q[1], q[2] = -x, -y, -z
         first[0], first[1], first[2] = px, py, pz
-        x, y, z = x - px, y - py, z - pz  # from here on: gradient that the sides of the box balance
+        x, y, z = x - px, y - py, z - pz  # x, y, z are now the gradient that the sides of the box balance
         for k, (((gx, gy, gz), bound_m_s), multiplier) in enumerate(
             zip(rows, start.multipliers, strict=True)
         ):

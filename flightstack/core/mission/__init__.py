@@ -1,1 +1,1 @@
-"""Which phase a flight is in, why it changes, and what each phase asks for."""
+"""Phases of a flight, the reasons for their transitions, and the command of each phase."""

@@ -95,7 +95,7 @@ def _landing_distance_m(
     The vehicle brakes with its velocity loop, then descends vertically; the target continues with its last
     known velocity.
     """
-    assert memory.target_velocity_enu_m_s is not None  # known whenever the position is known
+    assert memory.target_velocity_enu_m_s is not None  # the velocity is known if the position is
     lag_s = config.velocity_loop.lag_xy_s
     (vx, vy, _), (tx, ty, _) = own.velocity_enu_m_s, memory.target_velocity_enu_m_s
     ground_z_m = memory.ground_z_m if memory.ground_z_m < math.inf else 0.0  # 0 for a start in the air

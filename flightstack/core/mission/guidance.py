@@ -121,7 +121,7 @@ def _touchdown(s: Situation) -> NominalCommand:
 
 
 def _landed(s: Situation) -> NominalCommand:
-    """Request nothing, except for an emergency stop, because the heartbeat may be wrong."""
+    """Request nothing, or motors off at an emergency stop, in case the heartbeat was wrong."""
     emergency = s.snapshot.inputs.operator is Operator.EMERGENCY_STOP
     return NominalCommand(Request.MOTORS_OFF if emergency else Request.NONE)
 

@@ -42,7 +42,7 @@ _TEXT = re.compile(rf"{_TIME}{_CHANGE}: (?P<reason>.*?)(?: \((?P<way>{_WAYS})\))
 STANDING_S = 4.0  # contact time in LAND that is accepted, s; most vehicles move to the centre (h >= 0) in 3 s
 SLIDING_TIME_S = 0.15  # horizon of a slide, s: contact is detected 0.1 s late, and motors stop in 0.05 s
 ABORT_SETTLE_S = 1.0  # minimum time in an abort, s: a heartbeat reports its end
-PLACE_RADIUS_M = 0.1  # horizontal distance to the place beside the target for landing, m
+PLACE_RADIUS_M = 0.1  # largest distance from the place beside the target for a landing, m
 PLACE_SPEED_M_S = 0.15  # largest horizontal speed for this landing, m/s
 RETRY_FROM = frozenset({Phase.HOLD, Phase.CLIMB, Phase.TOUCHDOWN})
 RETRY_TO = frozenset({Phase.APPROACH, Phase.TAKEOFF})
@@ -126,7 +126,7 @@ class Mission:
             self.watch_contact(at, standing, now_s)
         elif memory.phase is Phase.TOUCHDOWN and not memory.contact:
             own_ok, target_ok = snapshot.own_ok, snapshot.target_ok
-            # a lost target keeps its last height meanwhile
+            # a lost target is assumed at its last height
             stopped = own_ok and not target_ok and at is not None and self._stopped(at, now_s)
             memory.contact = stopped or (standing and not (own_ok and target_ok))
         config, times_s = self._config, self._times_s

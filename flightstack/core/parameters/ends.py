@@ -41,8 +41,8 @@ class Touchdown:
     rule: TouchdownRule = TouchdownRule.CONTACT
     height_m: Annotated[float, span(0.01, 1.0)] = 0.05  # paper V: motors off below 5 cm
     pad_radius_m: Annotated[float, span(0.03, 2.0)] = 0.10
-    feet_below_reference_m: Annotated[float, span(0.0, 0.5)] = 0.0144  # Crazyflie 2.0, from CAD
-    target_speed_max_m_s: Annotated[float, span(0.0, 3.0)] = 0.21  # wheel limit of a TurtleBot3 Burger
+    feet_below_reference_m: Annotated[float, span(0.0, 0.5)] = 0.0144  # Crazyflie 2.0: value from CAD
+    target_speed_max_m_s: Annotated[float, span(0.0, 3.0)] = 0.21  # wheel speed limit of a TurtleBot3
     # maximum wait for a slow target after the landing starts: errors of a delayed vehicle state grow with
     # speed
     calm_wait_s: Annotated[float, span(0.0, 60.0)] = 0.0
@@ -51,7 +51,7 @@ class Touchdown:
     descent_m_s: Annotated[float, span(0.02, 1.0)] = 0.2  # paper filter: descent speed relative to the pad
     # duration of a descent with the last set-point after a loss of the vehicle state
     blind_time_s: Annotated[float, span(0.0, 5.0)] = 0.4
-    timeout_s: Annotated[float, span(0.5, 60.0)] = 2.0  # time limit of the descent, with a forced disarm
+    timeout_s: Annotated[float, span(0.5, 60.0)] = 2.0  # time limit, including a forced disarm
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,9 +35,9 @@ def check_name(name: str) -> None:
 
 
 def look_here(name: str) -> None:
-    """Add the working folder to the places where a filter from outside the package is searched, as the last.
+    """Let an external filter be imported from the working folder, after all installed modules.
 
-    Call it for names that the user gave on the command line or in a file, not for names from a log.
+    The function is for names that the user gave on the command line or in a file, not for names from a log.
     """
     here = str(Path.cwd())
     if name not in FILTERS and here not in sys.path:
@@ -82,7 +82,7 @@ def named(name: str) -> Any:
 
 
 def referred(reference: str, key: str = "filter") -> Any:
-    """Import ``MODULE:NAME``, the value of the key ``key``."""
+    """Import ``MODULE:NAME``, the value of a configuration key."""
     module, _, attribute = reference.partition(":")
     try:
         found = importlib.import_module(module)

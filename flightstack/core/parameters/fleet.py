@@ -16,7 +16,7 @@ OTHERS_MAX = 8  # largest number of other members: each may need a row of the pr
 PART_OF_LAG = 0.25  # largest rate times lag of a first-order loop without overshoot of the distance
 # time for which a yielding vehicle keeps its whole share after its last announcement, in latencies
 HOLD_LATENCIES = 3.0
-ZERO_LATENCIES = 2.0  # time for which a neighbour relies on it, in latencies; shorter, to cover delays
+ZERO_LATENCIES = 2.0  # latencies for which a neighbour relies on an announcement; less, to cover delays
 DECIDE_LATENCIES = 4.0  # time until the higher id yields if two members both assume to be first, in latencies
 CARRIED_AGES = 2.2  # extrapolation time of a silent vehicle, in units of ``age_max_s``
 KEPT_PART = 0.2  # horizon of a vehicle with the right of way, in units of ``descent_s``
@@ -33,7 +33,7 @@ class Fleet:
     radius_z_m: Annotated[float, span(0.05, 10.0)] = 0.75
     rate_1_s: Annotated[float, span(0.05, 10.0)] = 0.8  # allowed decay rate of the distance
     margin_m: Annotated[float, span(0.0, 5.0)] = 0.08  # margin for velocity errors of both vehicles
-    sigma_factor: Annotated[float, span(0.0, 6.0)] = 3.0  # standard deviations of positions that are covered
+    sigma_factor: Annotated[float, span(0.0, 6.0)] = 3.0  # number of covered standard deviations of positions
     speed_max_m_s: Annotated[float, span(0.05, 20.0)] = 1.0  # largest speed of another vehicle
     # largest acceleration of another vehicle, and of its velocity command
     acceleration_max_m_s2: Annotated[float, span(0.05, 20.0)] = 3.0
@@ -81,7 +81,7 @@ class Fleet:
             )
         if self.wait_distance_m < self.pad_distance_m:
             raise ConfigError(
-                f"wait_distance_m: found {self.wait_distance_m:g}; who waits leaves pad_distance_m free, "
+                f"wait_distance_m: found {self.wait_distance_m:g}; a wait leaves pad_distance_m free, "
                 f"{self.pad_distance_m:g} m"
             )
 
@@ -99,6 +99,6 @@ class Fleet:
             )
         if self.latency_max_s < period_s:
             raise ConfigError(
-                f"fleet.latency_max_s: found {self.latency_max_s:g}; a word is at least one tick late, "
+                f"fleet.latency_max_s: found {self.latency_max_s:g}; a message is at least one tick late, "
                 f"{period_s:g} s: raise it"
             )

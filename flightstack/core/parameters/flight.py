@@ -122,7 +122,7 @@ class Checks:
     # largest delay behind set-points, at the highest velocity
     follow_lag_max_s: Annotated[float, span(0.1, 5.0)] = 0.45
     follow_memory_s: Annotated[float, span(0.1, 20.0)] = 1.0  # decay time of the tracking lag
-    status_age_max_s: Annotated[float, span(1.0, 10.0)] = 3.0  # oldest heartbeat at 1 Hz: two may be lost
+    status_age_max_s: Annotated[float, span(1.0, 10.0)] = 3.0  # oldest heartbeat (1 Hz) that is used
     target_speed_max_m_s: Annotated[float, span(0.1, 10.0)] = 1.5  # fastest target that is accepted
     target_jump_max_m: Annotated[float, span(0.02, 5.0)] = 0.2  # largest jump of the target that is accepted
     # largest difference of the target's positions and integrated velocity
@@ -227,7 +227,7 @@ class FlightConfig:
             if self.fleet.frees_pad and self.fleet.wait_distance_m < self.checks.clearance_m:
                 raise ConfigError(
                     f"fleet.wait_distance_m: found {self.fleet.wait_distance_m:g}; with fleet.frees_pad a "
-                    "vehicle lands so far beside the target's way: at least checks.clearance_m is needed, "
+                    "vehicle lands this far beside the target's path: at least checks.clearance_m is needed, "
                     f"{self.checks.clearance_m:g} m"
                 )
         check_name(self.filter)

@@ -1,6 +1,6 @@
 """Assumptions of the robust filter about vehicle, target and links; each of them is a number with a unit.
 
-docs/how_it_works/robust_filter.md derives the margin from these numbers. A log identifies the vehicle's.
+docs/how_it_works/robust_filter.md derives the margin from these numbers. Logs give the vehicle's.
 """
 
 from __future__ import annotations
@@ -99,11 +99,11 @@ class TargetLink:
     delay_s: Annotated[float, span(0.0, 0.5)] = 0.02  # shortest age of a sample on arrival
     position_noise_m: Annotated[float, span(1e-4, 0.5)] = 0.005  # standard deviation on each axis
     velocity_noise_m_s: Annotated[float, span(1e-4, 1.0)] = 0.02
-    jerk_xy_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.6  # jerk density: about 0.5 m/s^2 each second
+    jerk_xy_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.6  # jerk density: 0.5 m/s^2 change a second
     jerk_z_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.02  # jerk density on a floor; 0.6 on a ship
     # largest factor on the jerk of x and y while innovations are larger than expected; 1: constant jerk
     jerk_growth_max: Annotated[float, span(1.0, 100.0)] = 1.0
-    acceleration_xy_m_s2: Annotated[float, span(0.001, 10.0)] = 0.3  # standard deviation before any sample
+    acceleration_xy_m_s2: Annotated[float, span(0.001, 10.0)] = 0.3  # initial standard deviation
     acceleration_time_s: Annotated[float, span(0.05, 1000.0)] = 0.5  # time constant of the decay on x and y
     turns_with_yaw: bool = True  # false: the robot can move sideways
     acceleration_z_m_s2: Annotated[float, span(0.001, 10.0)] = 0.01
@@ -114,7 +114,7 @@ class Envelope:
     """Range of conditions that the certificate covers, with ``touchdown.target_speed_max_m_s``."""
 
     target_climb_max_m_s: Annotated[float, span(0.0, 2.0)] = 0.0  # largest vertical speed of the pad
-    target_acceleration_max_m_s2: Annotated[float, span(0.0, 10.0)] = 0.5  # braking, reversing, turning
+    target_acceleration_max_m_s2: Annotated[float, span(0.0, 10.0)] = 0.5  # largest acceleration of a target
     target_rate_hz: Annotated[float, span(1.0, 500.0)] = 50.0  # rate of the target's odometry
     lag_spread: Annotated[float, span(0.0, 0.9)] = 0.3  # relative tolerance of the vehicle's lag, up and down
 
@@ -126,7 +126,7 @@ class Robust:
     rate_1_s: Annotated[float, span(0.1, 10.0)] = 1.5  # largest decay rate of h; below the velocity loop's
     tracking_error_m_s: Annotated[float, span(0.0, 1.0)] = 0.04  # vertical tracking error of the velocity
     sigma_factor: Annotated[float, span(0.0, 6.0)] = 2.0  # standard deviations of position that are covered
-    fade_radius_m: Annotated[float, span(0.01, 1.0)] = 0.06  # the margin fades in this radius for touchdown
+    fade_radius_m: Annotated[float, span(0.01, 1.0)] = 0.06  # radius within which the margin fades
     acceleration_max_m_s2: Each[Annotated[float, span(0.2, 20.0)]] = (
         2.0,
         2.0,
@@ -138,12 +138,12 @@ class Robust:
     descent_min_m_s: Annotated[float, span(0.01, 1.0)] = 0.1  # slowest descent above the waiting height
     descent_max_m_s: Annotated[float, span(0.05, 10.0)] = 1.0  # fastest descent, relative to the pad
     wait_height_m: Annotated[float, span(0.03, 3.0)] = 0.1  # height of the wait before the final descent
-    commit_height_m: Annotated[float, span(0.05, 3.0)] = 0.22  # height to start the final descent
-    commit_radius_m: Annotated[float, span(0.005, 1.0)] = 0.04  # off-centre distance for final descent
+    commit_height_m: Annotated[float, span(0.05, 3.0)] = 0.22  # height below which the final descent starts
+    commit_radius_m: Annotated[float, span(0.005, 1.0)] = 0.04  # distance to centre for the final descent
     commit_speed_m_s: Annotated[float, span(0.01, 1.0)] = 0.12  # relative speed for the final descent
-    corridor_m: Annotated[float, span(0.01, 2.0)] = 0.085  # radius of the corridor that must not be left
+    corridor_m: Annotated[float, span(0.01, 2.0)] = 0.085  # corridor's radius; a go-around if exceeded
     descent_m_s: Annotated[float, span(0.05, 1.0)] = 0.22  # final descent relative to the pad, until contact
-    descent_lead_max_m_s: Annotated[float, span(0.0, 1.0)] = 0.15  # lead of the set-point, for the lag
+    descent_lead_max_m_s: Annotated[float, span(0.0, 1.0)] = 0.15  # largest lead of the set-point
     touch_height_m: Annotated[float, span(0.005, 0.5)] = 0.05  # height below which a stop means contact
 
     @property

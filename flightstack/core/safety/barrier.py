@@ -112,11 +112,11 @@ class Barrier:
         d, r = math.sqrt(d2), math.sqrt(d2 + self.smoothing_m * self.smoothing_m)
         gap = r - d
         if moved_m <= gap:
-            turned = moved_m * gap / r  # straight out
+            turned = moved_m * gap / r  # a motion straight outwards is the worst
         elif moved_m < r + d:
             turned = (gap * gap + moved_m * moved_m) / (2.0 * r)
         else:
-            turned = moved_m * (1.0 + d / r) - 2.0 * d  # straight across the axis
+            turned = moved_m * (1.0 + d / r) - 2.0 * d  # a motion across the axis is the worst
         bend_1_m = self.alpha_1_m * self.alpha_1_m * self.beta_m * _BEND_MOST
         return abs(self.slope(d)) * turned + 0.5 * bend_1_m * moved_m * moved_m
 

@@ -17,7 +17,7 @@ class At(NamedTuple):
 
     Attributes:
         t_s: time of the vehicle state, on the stack's clock.
-        position_enu_m: position of the vehicle, as the filter estimates it for now.
+        position_enu_m: current position of the vehicle, as the filter estimates it.
         velocity_enu_m_s: velocity of the vehicle.
         target_position_enu_m: position of the landing spot.
         target_velocity_enu_m_s: velocity of the landing spot.

@@ -1,8 +1,8 @@
 """Robust filter: eq. 11 with the effects that the paper neglects (docs/how_it_works/robust_filter.md).
 
-The filter estimates target and vehicle for now, adds a margin for uncertainty to the barrier, uses the
-measured horizontal velocity, and corrects the set-point for the vehicle's lag. The vehicle waits low above
-the pad until it may descend without a stop, and goes around if it is about to miss the pad.
+The filter predicts target and vehicle to the current time, adds a margin for uncertainty to the barrier, uses
+the measured horizontal velocity, and corrects the set-point for the vehicle's lag. The vehicle waits low
+above the pad until it may descend without a stop, and goes around if it is about to miss the pad.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class RobustFilter(Filter):
         )
 
     def target(self, track: TargetTrack, now_s: float) -> TargetState:
-        """Return the target estimate for now; a parameter gives the shortest delay, which no clock shows.
+        """Return the current target estimate; a parameter gives the shortest delay, which no clock shows.
 
         The prediction ends at the age limit: beyond it the target is lost, and an estimate must be bounded.
         """
@@ -272,11 +272,11 @@ def _refuse_checks(config: FlightConfig) -> None:
     sample_s, lag_s = link.delay_s + 1.0 / config.envelope.target_rate_hz, config.velocity_loop.lag_xy_s
     for key, found_s, least_s, others, why in (
         ("checks.target_age_max_s", checks.target_age_max_s, sample_s,
-         "envelope.target_rate_hz and target.delay_s", "a sample is as old when the next one comes"),
+         "envelope.target_rate_hz and target.delay_s", "a sample reaches this age before the next one"),
         ("checks.own_age_max_s", checks.own_age_max_s, period_s, "loop.rate_hz",
-         "an own state is as old when the next tick comes"),
+         "a vehicle state reaches this age before the next tick"),
         ("checks.follow_lag_max_s", checks.follow_lag_max_s, lag_s, "velocity_loop.lag_xy_s",
-         "a vehicle that follows lags as much"),
+         "a vehicle that follows its set-points lags this much"),
     ):  # fmt: skip
         if not found_s > least_s:
             raise ConfigError(
@@ -295,7 +295,7 @@ def _refuse_checks(config: FlightConfig) -> None:
     if fade_m > pad_m:
         raise ConfigError(
             f"robust.fade_radius_m: found {fade_m:g}, allowed is at most the pad's radius, {pad_m:g} m, "
-            "where the margin has to be there: lower it"
+            "at whose edge the margin must be complete: lower it"
         )
 
 

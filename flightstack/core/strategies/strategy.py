@@ -288,7 +288,7 @@ class Filter:
         """Update the estimates of the vehicle with its measured velocity.
 
         Args:
-            velocity_enu_m_s: velocity measured now.
+            velocity_enu_m_s: currently measured velocity.
             commanding: whether the vehicle followed the last set-point.
         """
 
@@ -376,5 +376,5 @@ def strategy_of(config: FlightConfig) -> Filter:
 
 
 def packaged_strategy_of(config: FlightConfig) -> Filter | None:
-    """Return the filter for a reader of logs; ``None`` from outside the package: a log starts no code."""
+    """Return the filter for a reader of logs; ``None`` if it is external: a log starts no code."""
     return strategy_of(config) if config.filter in FILTERS else None

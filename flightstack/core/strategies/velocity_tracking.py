@@ -6,8 +6,8 @@ a disturbance d. a is the acceleration of the loop itself, f = w d / (2 z) that 
 
     v' = a + f,      a' = w^2 (u - v) - 2 z w a
 
-The lead adds corrections to the velocity command r (internal model control, with a lead instead of the
-inverse model). Its only feedback of the vehicle's state is k (r - v) and slow, so it tolerates a wrong model:
+The lead adds corrections to the command r (internal model control, with a lead instead of the inverse
+model). Its feedback of the vehicle's state is only k (r - v) and a slow d, so it tolerates a wrong model:
 
     u = r + lag * r' + k (r - v) - d,      d = low-pass of (v - M(u))
 
@@ -47,7 +47,7 @@ Feedback = tuple[float, float, float, float, float, float, float, float, float, 
 def lead_observed(
     lead: Lead, v: float, u: float, m: float, dm: float, d: float
 ) -> tuple[float, float, float]:
-    """Return velocity by the model, its derivative, and the disturbance, one tick later.
+    """Return the model's velocity, its derivative, and the disturbance, one tick later.
 
     The model uses only the set-point; its difference from the velocity is low-pass filtered.
     """

@@ -48,7 +48,7 @@ class Gains(NamedTuple):
     velocity: tuple[float, float, float, float, float]
 
 
-NO_GAINS = Gains((0.0,) * 5, (0.0,) * 5)  # no correction
+NO_GAINS = Gains((0.0,) * 5, (0.0,) * 5)  # gains without any correction
 
 
 @lru_cache(maxsize=16)

@@ -91,7 +91,7 @@ class Plausibility:
         return now_s - last.arrival_s <= self._checks.own_age_max_s
 
     def follow(self, wanted_m_s: Vec3, velocity_m_s: Vec3) -> None:
-        """Compare the velocity with the command of the last tick; call it once a tick."""
+        """Compare the velocity with the command of the last tick; the caller does this once a tick."""
         t, kept = self.period_s, self.kept
         (mx, my, mz), (wx, wy, wz), (vx, vy, vz) = self.memory.missed_m, wanted_m_s, velocity_m_s
         self.memory.missed_m = (
@@ -110,7 +110,7 @@ class Plausibility:
     def _drift(self, last: OwnState, own: OwnState) -> None:
         dt_s = own.arrival_s - last.arrival_s
         if not 0.0 < dt_s <= self._checks.own_age_max_s:
-            return  # after a gap, so old a state does not limit the current position
+            return  # after a gap, the old state does not limit the current position
         self.memory.drift_m = drifted(
             self.memory.drift_m, last.position_enu_m, own.position_enu_m,
             last.velocity_enu_m_s, own.velocity_enu_m_s, dt_s, self._checks.own_drift_memory_s,

@@ -126,7 +126,7 @@ class ReserveEstimate:
         if self.charge is Charge.FIT:
             return ""
         if power is None or self.charge is Charge.UNKNOWN:
-            return "the vehicle tells no battery voltage (SYS_STATUS)"
+            return "no battery voltage received (SYS_STATUS)"
         if self.told.standing:
             return too_low(table, power.voltage_v)
         return (

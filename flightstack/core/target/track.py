@@ -78,7 +78,7 @@ class TargetTrack:
 
     @property
     def newest(self) -> TargetSample:
-        """Newest accepted sample; there must be one."""
+        """Newest accepted sample, which must exist."""
         last = self.memory.last
         assert last is not None
         return last
@@ -122,7 +122,7 @@ class TargetTrack:
     def _drift(self, last: TargetSample, sample: TargetSample) -> None:
         checks, memory, dt_s = self._checks, self.memory, sample.source_time_s - last.source_time_s
         if not 0.0 < dt_s <= checks.target_age_max_s:
-            return  # after a gap, so old a sample does not limit the current position
+            return  # after a gap, the old sample does not limit the current position
         memory.drift_m = drifted(
             memory.drift_m, last.position_enu_m, sample.position_enu_m,
             last.velocity_enu_m_s, sample.velocity_enu_m_s, dt_s, checks.target_drift_memory_s,
@@ -176,7 +176,7 @@ class TargetTrack:
         reach_m = checks.target_jump_max_m + checks.target_speed_max_m_s * gap_s
         free = not stepped or math.dist(last.position_enu_m, sample.position_enu_m) <= reach_m
         if lost and free and memory.elsewhere is None:
-            return Verdict.ACCEPTED  # so old a sample does not limit the current position
+            return Verdict.ACCEPTED  # the old sample does not limit the current position
         step_s = gap_s if stepped else sample.source_time_s - last.source_time_s
         # after a loss, the current or the last velocity may explain a wrong position by chance; samples that
         # continue from elsewhere show that the target is still there

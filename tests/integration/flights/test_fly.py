@@ -162,7 +162,7 @@ def test_a_target_on_another_key_then_in_another_frame_then_a_vehicle_that_dies(
     assert "s (checks.wait_time_max_s)" in line
     wrong = ros.odometry(STAMP_NS, "odom", "base_footprint")
     waits.until(
-        "none believed", "frame_id is 'odom', checks.target_frame is 'map'", each=lambda: here.put(wrong)
+        "none accepted", "frame_id is 'odom', checks.target_frame is 'map'", each=lambda: here.put(wrong)
     )
     robot.close()
     vehicle.kill()

@@ -106,7 +106,7 @@ def test_old_data_is_shown_as_old_and_never_as_new():
         clock.now_s += STALE_S + 2.0
         assert watch.news is News.STALE
         text = shown(watch)
-        assert "no data for 3.0 s: connected, but nothing comes on these keys; below is OLD" in text
+        assert "no data for 3.0 s: connected, but no data arrives on these keys; data below is OLD" in text
         values = snapshot(watch)
         assert (values["fresh"], values["health"]["fresh"]) == (False, False)
         assert values["age_s"] == 3.0
@@ -117,7 +117,7 @@ def test_who_dials_a_router_as_its_peer_is_told_why_nothing_comes():
     router = zenoh_link.open_session([port.endpoint], role=zenoh_link.Role.ROUTER)
     for role, words in (
         (zenoh_link.Role.PEER, "is a router, which passes nothing from peer to peer"),
-        (zenoh_link.Role.CLIENT, "connected, but nothing comes on these keys"),
+        (zenoh_link.Role.CLIENT, "connected, but no data arrives on these keys"),
     ):
         session = zenoh_link.open_session(connect=[port.endpoint], role=role)
         watch = Watch(session, "cf1", role=role)
@@ -148,7 +148,7 @@ def test_what_is_not_ours_is_counted_and_shown():
         sender.puts["health"].put(HEALTHY.pack()[:50])
         until(watch, lambda: watch.refused == 2, "not counted")
         assert watch.step is None
-        assert "2 samples not understood" in shown(watch)
+        assert "2 samples not readable" in shown(watch)
 
 
 def test_the_end_of_a_flight_is_told():

@@ -79,7 +79,7 @@ def test_signed_client_flies_and_an_unsigned_one_gets_no_reaction(key_file, vehi
     assert all(m.get_signed() for m in pilot.log)
     assert stranger.receive(0.2) == []
     terminate(child)
-    assert "MAVLink not let through: unsigned " in child.stderr.read()
+    assert "MAVLink frames rejected: unsigned " in child.stderr.read()
 
 
 def test_sitl_lands_signed_and_its_log_equals_the_unsigned_one(key_file, flown, tmp_path):

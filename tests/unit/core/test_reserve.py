@@ -122,7 +122,7 @@ def test_without_data_the_least_reserve_counts_and_nothing_is_begun(said):
     found = estimate()
     found.step(said, STANDS, 0.0, 0.1, flies=False)
     assert found.charge is Charge.UNKNOWN
-    assert "tells no battery voltage" in found.text
+    assert "no battery voltage received" in found.text
     assert math.isnan(found.reserve)
     assert found.acceleration_max_m_s2[2] == pytest.approx(up_m_s2(LEAST, RESERVE.share))
 
@@ -205,7 +205,7 @@ def test_a_tired_battery_keeps_a_vehicle_on_the_ground_and_the_reason_says_why()
     while silent.t_s < 3.0:
         silent.step()
     assert silent.phase is Phase.ABORT
-    assert "tells no battery voltage" in silent.texts[-1]
+    assert "no battery voltage received" in silent.texts[-1]
 
 
 def test_found_in_the_air_too_tired_it_flies_clear_at_once():

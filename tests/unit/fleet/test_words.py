@@ -219,7 +219,7 @@ def test_an_onboard_process_goes_on_without_words_that_do_not_come(ends, monkeyp
     for tick in (second, third):
         process.await_tick(tick, never)
         assert process.words() == ()
-    assert process.texts() == ["fleet: no words came with this tick: going on without"]
+    assert process.texts() == ["fleet: no messages arrived with this tick: continuing without"]
 
 
 def test_vehicles_whose_onboard_processes_do_not_listen_do_not_begin(monkeypatch):

@@ -294,7 +294,7 @@ def test_a_companion_says_that_it_waits_for_its_vehicle_and_not_for_ever(monkeyp
     ticks = lockstep.VehicleTicks(SimpleNamespace(link=link), 100, lambda: False)
     if asked_before:
         ticks.passed(0)
-    why = "no further message" if asked_before else "no vehicle asked for a tick within 0.1 s"
+    why = "no further message" if asked_before else "no vehicle requested a tick within 0.1 s"
     with pytest.raises(ClockStoppedError, match=why):
         ticks.wait()
     assert capsys.readouterr().err.count("waits for the vehicle") == (not asked_before)

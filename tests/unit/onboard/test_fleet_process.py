@@ -136,7 +136,7 @@ def test_the_start_is_refused_while_another_process_is_the_same_vehicle(onboard,
     until(lambda: process._alone_with_its_id(onboard, nobody()) is not None)
     ended = process._alone_with_its_id(onboard, nobody())
     assert (ended.phase, ended.exit_code) == (Phase.WAIT, 1)
-    assert "another process says that it is vehicle 3" in ended.reason
+    assert "another process has the vehicle id 3" in ended.reason
     stopping = SimpleNamespace(operator=Operator.EMERGENCY_STOP, stop=False)
     assert process._alone_with_its_id(onboard, stopping) is None
 
@@ -152,7 +152,7 @@ def test_before_its_take_off_a_vehicle_ends_when_another_one_has_its_id(onboard,
         return found[-1] is not None
 
     until(go_on)
-    assert "another process says that it is vehicle 3" in found[-1].reason
+    assert "another process has the vehicle id 3" in found[-1].reason
     leaving = process._Leaving(onboard, nobody())
     out = SimpleNamespace(phase=Phase.APPROACH, finished=False)
     assert leaving.ended(out, onboard.controller.memory, None, 1.0) is None  # in this case it is an event
@@ -169,7 +169,7 @@ def test_a_lone_vehicle_has_no_wire(feed):
 
 
 def test_a_fleet_is_refused_where_it_cannot_work():
-    with pytest.raises(ConfigError, match="nobody can reach this process; --connect, --listen or --zenoh-c"):
+    with pytest.raises(ConfigError, match="no other process can reach this one; --connect, --listen or"):
         process.run(CONFIG, OnboardOptions(**WHERE))
 
 

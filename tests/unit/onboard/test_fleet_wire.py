@@ -161,7 +161,7 @@ def test_what_is_no_word_is_refused_and_said_on_doublings(sides, stranger):
         stranger(payload)
     assert taken(a) == []
     texts = a.wire.texts()
-    assert [text.rpartition(": ")[2] for text in texts] == [f"{n} words refused" for n in (1, 2, 4)]
+    assert [text.rpartition(": ")[2] for text in texts] == [f"{n} messages rejected" for n in (1, 2, 4)]
     assert all(text.startswith("fleet: malformed (") for text in texts)
     assert a.wire.texts() == []
 
@@ -174,21 +174,21 @@ def sent(stranger, id_=7, stamp_s=1.5, process=PROCESS, echoes=(), **more):
 def test_a_vehicle_that_is_no_member_is_refused(sides, stranger):
     sent(stranger, 8)
     assert taken(sides[0]) == []
-    assert sides[0].wire.texts() == ["fleet: vehicle 8 is no member: 1 words refused"]
+    assert sides[0].wire.texts() == ["fleet: vehicle 8 is no member: 1 messages rejected"]
 
 
 def test_a_second_process_of_this_vehicle_is_told_in_flight(sides, stranger):
     sent(stranger, 3)
     assert taken(sides[0]) == []
     (text,) = sides[0].wire.texts()
-    assert text.startswith("fleet: another process says that it is vehicle 3, as this one")
+    assert text.startswith("fleet: another process has the vehicle id 3 of this one")
 
 
 def test_of_two_processes_of_another_vehicle_the_first_is_heard(sides, stranger):
     a, _ = sides
     sent(stranger, 7)
     assert taken(a) == []
-    assert a.wire.texts() == ["fleet: two processes say that they are vehicle 7: 1 words refused"]
+    assert a.wire.texts() == ["fleet: two processes have the vehicle id 7: 1 messages rejected"]
     a.now_s += 10.0  # longer than a silent vehicle may fly
     sent(stranger, 7, echoes=(Echo(3, a.wire._process, AHEAD_NS + 9_000_000_000),))
     taken(a)
@@ -204,7 +204,7 @@ def test_a_clock_that_is_known_too_badly_is_refused(sides):
     a.now_s += 0.35
     assert taken(a) == []
     (text,) = a.wire.texts()
-    assert "the clock of vehicle 7 is not known well enough (to 0." in text
+    assert "the clock of vehicle 7 is not known accurately (to 0." in text
 
 
 def words_of(side):
@@ -269,7 +269,7 @@ def test_a_member_that_does_not_hear_this_one_is_told_once_and_the_next_time_aga
         echo = (Echo(3, a.wire._process, AHEAD_NS + 50_000_000),) if hears else ()
         sent(stranger, 7, b.now_s + 2.5 * n, process, echo)
         taken(a)
-        texts += [n for text in a.wire.texts() if "does not hear this one" in text]
+        texts += [n for text in a.wire.texts() if "receives no messages of this one" in text]
     assert texts == [2, 6]
 
 

@@ -50,16 +50,16 @@ NOT_READY = replace(STANDS, ready_to_arm=False)
         ({"own_age_s": 0.31}, "position is 0.3 s old; checks.own_age_max_s allows 0.2"),
         (
             {"heartbeat_every_s": 5.0},
-            "heartbeats come every 5.00 s (0.2 Hz); checks.status_age_max_s allows 3",
+            "heartbeats: one every 5.00 s (0.2 Hz); checks.status_age_max_s allows 3",
         ),
-        ({"own_every_s": 0.25}, "positions come every 0.25 s (4.0 Hz); checks.own_age_max_s allows 0.2"),
+        ({"own_every_s": 0.25}, "positions: one every 0.25 s (4.0 Hz); checks.own_age_max_s allows 0.2"),
         ({"own_believed": False}, "do not agree (checks.own_drift_max_m)"),
         ({"status": replace(STANDS, landed=Landed.UNKNOWN)}, "EXTENDED_SYS_STATE"),
         ({"status": replace(STANDS, landed=Landed.IN_AIR, armed=True)}, "in the air and in mode HOLD"),
         ({"status": NOT_READY, "readiness_told": False}, "whether it may be armed (SYS_STATUS)"),
         (
             {"status": NOT_READY, "says": ("PreArm: Need Position Estimate", "Compass")},
-            "pre-arm checks fail (SYS_STATUS); it says: PreArm: Need Position Estimate | Compass",
+            "pre-arm checks fail (SYS_STATUS); it reports: PreArm: Need Position Estimate | Compass",
         ),
     ],
 )
@@ -79,9 +79,9 @@ def test_each_lack_of_the_vehicle_has_its_sentence(changed, words):
         ),
         (
             {"age_s": None, "arrived": 7, "problems": ("frame_id is 'odom'",)},
-            "7 samples on cf1/target/odom, none believed: frame_id is 'odom'",
+            "7 samples on cf1/target/odom, none accepted: frame_id is 'odom'",
         ),
-        ({"every_s": 0.33}, "odom come every 0.33 s (3.0 Hz); checks.target_age_max_s allows 0.25"),
+        ({"every_s": 0.33}, "odom: one every 0.33 s (3.0 Hz); checks.target_age_max_s allows 0.25"),
         ({"contradicts": True}, "do not agree; checks.target_drift_max_m is 0.1; usual causes: a twist in"),
         ({"age_s": 1.04, "arrived": 0}, "is 1.0 s old; checks.target_age_max_s allows 0.25"),
     ],
@@ -265,11 +265,11 @@ def test_a_router_of_ros_that_is_not_there_is_said_before_the_flight():
 
 def test_what_the_autopilot_did_by_itself_carries_its_own_reason():
     report = WaitReport(FlightConfig(BarrierShape(1.0, 1.5)), 1, None, None, searches=False)
-    assert "no message of the autopilot says why (no STATUSTEXT or EVENT for 5 s)" in report.cause(1.0)
+    assert "the autopilot sent no reason (no STATUSTEXT or EVENT for 5 s)" in report.cause(1.0)
     report.note_text(1.0, 6, "Takeoff detected")
     for severity, text in ((2, "Crash: Disarming: AngErr=70>30"), (6, "Disarmed by crash detection")) * 2:
         report.note_text(8.0, severity, text)
     assert report.cause(9.0) == (
-        "the autopilot says: Crash: Disarming: AngErr=70>30 | Disarmed by crash detection"
+        "the autopilot reports: Crash: Disarming: AngErr=70>30 | Disarmed by crash detection"
     )
-    assert "no message" in report.cause(20.0)
+    assert "no reason" in report.cause(20.0)

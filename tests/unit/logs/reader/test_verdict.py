@@ -242,10 +242,10 @@ def test_a_declared_abort_carries_what_the_autopilot_said_of_it(verdict_of):
         change(rows)
     abort_at(rows, 6.0, "LAND -> ABORT: vehicle disarmed without a command from this stack (done)")
     at_ns, level, _ = rows.events[-1]
-    rows.events.append((at_ns, level, f"{CAUSE}the autopilot says: Crash: Disarming"))
+    rows.events.append((at_ns, level, f"{CAUSE}the autopilot reports: Crash: Disarming"))
     reason = verdict_of(rows).reason
     assert reason.count("without a command from this stack") == 1
-    assert reason.endswith("; the autopilot says: Crash: Disarming")
+    assert reason.endswith("; the autopilot reports: Crash: Disarming")
 
 
 def test_landed_by_estimate(verdict_of):
