@@ -41,7 +41,7 @@ _HOME = {
 }
 __all__ = sorted(_HOME)
 
-# extra of the package that provides a module
+# pip extra of this package that installs each module
 _EXTRAS = {
     "mujoco": "sim",
     "numba": "sim",
@@ -77,5 +77,5 @@ def __dir__() -> list[str]:
 
 if (
     "gymnasium" in sys.modules
-):  # then gymnasium.make finds the name; else ``flightstack.api.env`` registers it
+):  # gymnasium.make then finds the environment; else ``flightstack.api.env`` registers it
     sys.modules["gymnasium"].register("flightstack/Landing-v0", "flightstack.api.env:LandingEnv")

@@ -217,5 +217,5 @@ def _info(verdict: Verdict) -> dict[str, Any]:
     }
 
 
-if ENV_ID not in gymnasium.registry:  # ``import flightstack`` registers it if Gymnasium was imported before
+if ENV_ID not in gymnasium.registry:  # ``import flightstack`` registers the environment after Gymnasium
     gymnasium.register(ENV_ID, "flightstack.api.env:LandingEnv")

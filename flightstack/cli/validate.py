@@ -26,7 +26,7 @@ PAGE, SUMMARY = "validate.html", "validate.json"
 @click.command()
 @takes(ValidateOptions)
 def validate(options: ValidateOptions) -> None:
-    """Compare the simulator with the recorded flights in DIR (Parquet, CSV): plant, closed loop, own state.
+    """Compare the simulator with recorded flights in DIR (Parquet, CSV): plant, closed loop, state estimate.
 
     Flights that cannot be used, or only in part, are listed with the reason (docs/how_to/validate.md).
 
@@ -73,7 +73,7 @@ def validate(options: ValidateOptions) -> None:
 
 
 def _page(path: Path, found: dict[str, Any]) -> Path | None:
-    """Write the page; the numbers are valid without it, too."""
+    """Write the page; return None if it cannot be written, since the printed numbers are sufficient."""
     from logs.report.page import ReportError, write
     from sim.validation.page import validation_page
 

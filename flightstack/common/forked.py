@@ -133,7 +133,7 @@ def forget_handlers() -> None:
 def _own_streams(output: int, errors: int) -> None:
     """Give the child no input, these two outputs, and no other file of its parent."""
     nothing = os.open(os.devnull, os.O_RDONLY)
-    # these numbers may be those of standard streams if the parent had none
+    # descriptors may have the numbers of standard streams if the parent had none
     for place, number in enumerate([_above(each) for each in (nothing, output, errors)]):
         os.dup2(number, place)
     for number in [int(each.name) for each in Path("/proc/self/fd").iterdir()]:

@@ -71,7 +71,7 @@ class Stop:
         return self.count > 0
 
     def ask(self) -> None:
-        """Request an orderly end, as the first signal does."""
+        """Request an orderly end, with the effect of a first signal."""
         self.count = max(self.count, 1)
 
     def install(self) -> Stop:

@@ -27,8 +27,8 @@ NO_GO = -1  # value of a credit with which the target may not drive yet
 # Wall time in lockstep without a message after which a process counts as dead, s: on a busy computer a
 # running process may wait for the processor for many seconds.
 TARGET_SILENT_S = 60.0
-COMPANION_SILENT_S = 20.0  # this limit for the onboard process, s: UDP does not show whether it runs
-TARGET_LOOK_S = 0.5  # time without a message after which its connection is checked, s
+COMPANION_SILENT_S = 20.0  # time-out for the onboard process, s: UDP does not show whether it runs
+TARGET_LOOK_S = 0.5  # time without a message after which a connection is checked, s
 _LOOK_MAX_S = 0.1  # longest counted time between two calls of ``look``, s
 # priority under SCHED_FIFO, 1 to 99: above all ordinary processes, below the kernel's threads
 PRIORITY = 10

@@ -79,7 +79,7 @@ class Running(Protocol):
     def alive(self) -> bool: ...
 
     def errors(self) -> str:
-        """Return the last lines of its standard error."""
+        """Return the last lines of the process's standard error."""
 
     def end(self, within_s: float) -> int:
         """End the process by SIGTERM, after ``within_s`` by SIGKILL; return its exit status."""
@@ -180,7 +180,7 @@ class Child:
         return read + [line.decode(errors="replace") for line in whole]
 
     def errors(self) -> str:
-        """Return the last lines of its standard error."""
+        """Return the last lines of the process's standard error."""
         lines = self.output.read_text(errors="replace").strip().splitlines()[-5:]
         return "\n".join(lines) or "no reason given"
 

@@ -24,5 +24,5 @@ def plain(text: object) -> str:
 
 
 def one_line(text: object) -> str:
-    """Return ``plain`` text in one line, so that it cannot imitate other lines."""
+    """Return ``plain`` text without line breaks, so that a text cannot imitate further lines."""
     return plain(text).replace("\n", "\\n").replace("\t", "\\t")

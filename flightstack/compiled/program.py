@@ -65,7 +65,7 @@ class OwnProgram:
         numbers[:] = 1.0
         numbers[3:7], numbers[7:11], record.infinity = -1.0, osqp.OSQP_INFTY, osqp.OSQP_INFTY
         record.numbers_at = at = numbers.ctypes.data
-        self._kept = (settings, hessian, constraint)  # the solver uses their memory
+        self._kept = (settings, hessian, constraint)  # the solver uses the memory of these objects
         p, a, solver = _csc(hessian), _csc(constraint), ctypes.c_void_p()
         failed = library.osqp_setup(
             ctypes.byref(solver), ctypes.byref(p), ctypes.c_void_p(at), ctypes.byref(a),

@@ -69,7 +69,7 @@ def _landed(kernel: LandingKernel, given: F64, rules: I64) -> tuple[Landing, flo
     """Take the samples and run a tick; return its result and the thrust reserve."""
     if given[0] == _NONE:
         raise NotOrdinary
-    kernel.track.memory.settled = True  # ``step`` sets this from the take-off on
+    kernel.track.memory.settled = True  # ``step`` sets ``settled`` from the take-off on
     for n in range(int(given[0])):
         row = given[12 + 10 * n : 22 + 10 * n]
         take(kernel, row, row[9])

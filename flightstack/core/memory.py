@@ -50,7 +50,7 @@ class Memory:
     commanding: bool = False  # the last tick sent a velocity command, and the vehicle follows it
     lifting: bool = False  # the last tick sent a take-off climb, which takes effect after lift-off
     target_position_enu_m: Vec3 | None = None  # last known position of the target
-    target_velocity_enu_m_s: Vec3 | None = None  # velocity of the target at that time
+    target_velocity_enu_m_s: Vec3 | None = None  # last known velocity of the target
     abort_way: AbortWay = AbortWay.NONE
     reason: Annotated[str, UNSEEN] = ""
 
@@ -63,13 +63,13 @@ class ClockMemory:
     floor_s: float = inf  # minimum of arrival minus stamp, s; rises slowly if no message reaches it
     held_s: float = 0.0  # time since a message last reached ``offset_s``, s
     stamp_s: float = -inf  # newest accepted stamp, s on the sender's clock
-    taken_s: float = -inf  # arrival time of the message with this stamp, s
+    taken_s: float = -inf  # arrival time of the newest accepted message, s
     began_s: float = inf  # arrival time of the first message, or of the first after a clock step, s
-    run_since_s: float = inf  # first arrival in a run of rejected messages that agree; inf: no run
-    run_arrival_s: float = 0.0  # newest arrival in this run, s
-    run_stamp_s: float = 0.0  # newest stamp in this run, s
-    run_way_s: float = 0.0  # minimum of arrival minus stamp in this run, s
-    run_sure: bool = False  # no delay can explain this run: the sender's clock has changed
+    run_since_s: float = inf  # first arrival in a run of rejected messages that agree, s; inf: no run
+    run_arrival_s: float = 0.0  # newest arrival in the run of rejected messages, s
+    run_stamp_s: float = 0.0  # newest stamp in the run of rejected messages, s
+    run_way_s: float = 0.0  # minimum of arrival minus stamp in the run of rejected messages, s
+    run_sure: bool = False  # no delay can explain the rejected messages: the sender's clock has changed
 
 
 @dataclass(slots=True)
@@ -84,7 +84,7 @@ class TrackMemory(ClockMemory):
     drift_m: Vec3 = ZERO  # position change that the reported velocity does not explain
     drift_smooth_m: Vec3 = ZERO  # ``drift_m`` without the noise of single samples
     distrusted: bool = False  # positions and velocity contradict each other
-    distrusts: int = 0  # number of these contradictions in this flight
+    distrusts: int = 0  # number of contradictions of positions and velocity in this flight
     parted_m: float = 0.0  # largest distance since the contradiction began, m
     settled: bool = False  # the flight has started: the target may no longer jump to another place
     accepted: int = 0
@@ -251,7 +251,7 @@ class FleetMemory:
     waits_since_s: float = inf  # time since which the vehicle waits for the right of way, s
     committed_s: float = inf  # time since which COMMITTED is announced, s
     crowded: bool = False  # the event that the constraints of neighbours are relaxed was sent
-    crowded_s: float = -inf  # time at which these constraints were last relaxed, s
+    crowded_s: float = -inf  # time at which constraints of neighbours were last relaxed, s
     left: bool = False  # the vehicle has left its pad for another vehicle, or has tried to
     stays: bool = False  # the event that the vehicle does not leave its pad was sent
     place_enu_m: Vec3 | None = None  # place where the vehicle lands after leaving its pad

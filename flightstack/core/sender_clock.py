@@ -26,12 +26,12 @@ from flightstack.core.types import TextEnum
 FORGETS = 0.04  # rate at which the minimum rises, s/s: firmware and simulators may run 3 % slow
 HOLDS_S = 1.0  # time in which at least one message has a short delay, s
 FORGETS_SLOWLY = 0.002  # rate of the slow minimum, s/s: four times the fastest slew of a Linux clock
-ELAPSED_MAX_S = 1.0  # longest pause that counts as time for this rise, s
+ELAPSED_MAX_S = 1.0  # longest pause that counts as time for the rise of a minimum, s
 FLOOR_MAX_S = 0.2  # largest distance of the slow minimum below the fast one, s; beyond it, clocks drift
 GRAIN_S = 1e-6  # tolerance for the rounding of Unix times to doubles (2.4e-7 s), s
 AHEAD_S = 0.03  # largest reduction of the delay below all earlier ones, s, in addition to one tick
 AGREE_S = 0.1  # largest difference of arrival minus stamp between messages of one clock, s
-GAP_MAX_S = 0.5  # longest pause between two such messages, s
+GAP_MAX_S = 0.5  # longest pause between two messages that agree, s
 PATIENCE_S = 10.0  # time for which late messages must agree, s; queues of some seconds change meanwhile
 QUEUE_MAX_S = 10.0  # longest delay by a queue after a pause, s; a longer queue needs time to fill
 STAMP_MAX_S = 2.0**32  # largest valid stamp, s: the year 2106; ROS 2 and Unix times end before it
@@ -89,7 +89,7 @@ class SenderClock:
         if not 0.0 <= stamp_s <= STAMP_MAX_S:  # also NaN
             return Reading.UNUSABLE
         if stamp_s > memory.stamp_s:
-            known = arrival_s - memory.began_s >= self._proof_s  # before that, a queue may drain
+            known = arrival_s - memory.began_s >= self._proof_s  # at first, a queue may drain
             if known and way_s < memory.floor_s - self.ahead_max_s:
                 reading = Reading.AHEAD
             elif way_s - memory.offset_s > self._late_max_s or self._goes_on_late(way_s, arrival_s):

@@ -61,7 +61,7 @@ class Request(IntEnum):
     """
 
     NONE = 0
-    TAKEOFF = 1  # armed, and climbing to the take-off height under control of the autopilot
+    TAKEOFF = 1  # armed, and climbing to the take-off height under the autopilot's control
     EXTERNAL = 2  # armed, and following the velocity set-points of this stack
     LAND = 3  # landing by the autopilot at the current position
     MOTORS_OFF = 4  # forced disarm
@@ -93,7 +93,7 @@ class Charge(IntEnum):
 
     FIT = 0
     UNKNOWN = 1  # no recent voltage or throttle was received
-    TIRED = 2  # too low to start a landing or, in flight, to continue it
+    TIRED = 2  # the battery is too low to start a landing or, in flight, to continue it
 
 
 class Operator(IntEnum):
@@ -157,7 +157,7 @@ class VehicleStatus:
 class Power:
     """Reported state of battery and motors; a number that is not reported is NaN."""
 
-    arrival_s: float  # arrival time of the newest message with one of these numbers
+    arrival_s: float  # arrival time of the newest message with data of battery or motors
     voltage_v: float  # voltage of the battery under the current load
     throttle: float  # mean of the motor commands, 0 to 1
     cos_tilt: float  # cosine of the angle between the body's z axis and up
@@ -166,12 +166,12 @@ class Power:
 class Intent(IntEnum):
     """Intention of a fleet member, as announced to its neighbours."""
 
-    STANDING = 0  # on the ground, or in the take-off climb: the member does not yield
-    WAITING = 1  # flies without a right of way
-    LANDING = 2  # flies to its pad with the right of way
-    COMMITTED = 3  # over its pad: the member no longer yields, or will soon stop yielding
-    CLEARING = 4  # holds, climbs or flies clear: other members avoid it
-    DOWN = 5  # landed, or landing by its autopilot: the member follows no set-points
+    STANDING = 0  # the member is on the ground, or in the take-off climb: it does not yield
+    WAITING = 1  # the member flies without a right of way
+    LANDING = 2  # the member flies to its pad with the right of way
+    COMMITTED = 3  # the member is over its pad: it no longer yields, or will soon stop yielding
+    CLEARING = 4  # the member holds, climbs or flies clear: other members avoid it
+    DOWN = 5  # the member has landed, or its autopilot lands it: it follows no set-points
 
 
 class Neighbour(NamedTuple):

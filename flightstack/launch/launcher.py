@@ -47,7 +47,7 @@ class Shown:
 
     endpoints: Sequence[str]  # Zenoh endpoints of the onboard processes
     title: str  # title of the view
-    namespaces: Sequence[str] = (NAMESPACE,)  # first parts of the Zenoh keys of these processes
+    namespaces: Sequence[str] = (NAMESPACE,)  # first parts of the Zenoh keys of the onboard processes
 
 
 @dataclass
@@ -55,9 +55,9 @@ class Followed:
     """An onboard process that the launcher watches."""
 
     child: Child  # the process
-    name: str = ""  # prefix of its lines if there are several processes; empty: only one
+    name: str = ""  # prefix of the printed lines if there are several processes; else empty
     last_line: str = ""  # newest line of the process
-    aborted: bool = False  # whether it aborted or failed, so that the autopilot lands the vehicle
+    aborted: bool = False  # whether the process aborted or failed, so that the autopilot lands the vehicle
 
 
 class Launcher:
@@ -224,7 +224,7 @@ class Launcher:
         child = flight.child
         self._say(flight, child.lines(0.0))
         if child.process.returncode in (0, 1):
-            if flight.name and child.process.returncode and not self._tells:  # others may wait for it
+            if flight.name and child.process.returncode and not self._tells:  # others may need this process
                 self._print(f"{flight.name}  {flight.last_line}")
             return None
         problem = f"{child.name} ended in flight: {child.errors()}"

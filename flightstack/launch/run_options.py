@@ -21,8 +21,8 @@ class Flies(Enum):
 
     OWN = ""  # simulated vehicle with its own autopilot
     PX4 = "--px4"  # PX4 on the simulated vehicle
-    PX4_SIH = "--px4-sih"  # PX4 with its own physics
-    ARDUPILOT = "--ardupilot"  # ArduCopter with its own physics
+    PX4_SIH = "--px4-sih"  # PX4 with its own simulation of the physics
+    ARDUPILOT = "--ardupilot"  # ArduCopter with its own simulation of the physics
 
 
 def _members(given: tuple[str, ...]) -> Mapping[int, str]:

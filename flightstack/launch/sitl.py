@@ -126,11 +126,11 @@ class _Vehicle:
     """One vehicle of the run."""
 
     number: int  # number in the team, from 1
-    names: Names  # names of its records in the log
+    names: Names  # names of the vehicle's records in the log
     scenario: Scenario
     seed: int
-    endpoint: str  # Zenoh endpoint of its onboard process
-    config: Path  # configuration file of its onboard process
+    endpoint: str  # Zenoh endpoint of the vehicle's onboard process
+    config: Path  # configuration file of the vehicle's onboard process
 
     @property
     def space(self) -> str:
@@ -194,10 +194,10 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
         _start(launcher, options, each, vehicles, flying, robots_at, {**both, "lockstep": options.lockstep})
         for each in vehicles
     ]
-    for child in (*loading, *onboards):  # all of them load at the same time
+    for child in (*loading, *onboards):  # the processes load at the same time
         child.wait_ready()
     if not options.lockstep:
-        recorder.yield_to_others(RECORDER_YIELDS // len(vehicles))  # without CPU time it would lose records
+        recorder.yield_to_others(RECORDER_YIELDS // len(vehicles))  # a recorder without CPU loses records
     for each in vehicles:
         space = f" --namespace {each.names.member}" if each.names.member else ""
         for endpoint in (each.endpoint, *options.listen):

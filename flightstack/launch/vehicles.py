@@ -202,8 +202,8 @@ class Vehicle(NamedTuple):
     configs: Mapping[str, str] = {}  # names of configurations by airframe; otherwise the scenario's is used
     # function from program path to configuration name, for all airframes
     config: Callable[[Path | None], str] | None = None
-    with_robots: bool = False  # whether its process also simulates the robots
-    at_origin: bool = False  # whether its position starts at 0, so that the robot is moved instead
+    with_robots: bool = False  # whether the vehicle's process also simulates the robots
+    at_origin: bool = False  # whether the vehicle's position starts at 0, so that the robot is moved instead
 
     def adapt(self, scenario: Scenario) -> Scenario:
         """Return the scenario with the changes that this vehicle needs."""

@@ -24,7 +24,7 @@ class Offset(NamedTuple):
     """Offset of this process's clock from that of another process."""
 
     ns: int  # estimate of own clock minus other clock
-    bound_ns: int  # bound of the error of this estimate
+    bound_ns: int  # bound of the error of ``ns``
 
 
 class Least:

@@ -30,7 +30,7 @@ EVERYBODY = f"**/{KEY}"
 CAPACITY = 256  # queued messages; the oldest are dropped, since only the newest of each member is needed
 BYTES_MAX = 2048  # longest message that is accepted
 PROOF_S = 0.3  # time for which messages after a clock step must agree: longer than a message is late
-ONE_WAY_S = 2.0  # time of one-way reception after which it is reported
+ONE_WAY_S = 2.0  # time of one-way reception until a report, s
 
 
 def namespace_of(config: FlightConfig) -> str:
@@ -78,12 +78,12 @@ class _Member:
     def __init__(self, fleet: Fleet) -> None:
         self.process: int | None = None
         self.clock = OtherClock()
-        self.stamp_ns = 0  # stamp of its newest message, on its clock
+        self.stamp_ns = 0  # stamp of the member's newest message, on its clock
         self.stamps = SenderClock(fleet.age_max_s, PROOF_S, fleet.latency_max_s)
-        self.heard_ns = 0  # arrival of that message, on this clock
+        self.heard_ns = 0  # arrival of the newest message, on this clock
         self.claim_ns: int | None = None
         self.claim_s = math.nan
-        self.one_way_ns: int | None = None  # start of one-way reception: it receives nothing in turn
+        self.one_way_ns: int | None = None  # start of one-way reception from the member
         self.said_one_way = False
 
 

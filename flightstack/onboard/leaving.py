@@ -114,6 +114,6 @@ def flies(memory: Memory, status: VehicleStatus | None) -> bool:
     """Whether the vehicle is in the air, by its newest status, and only this process controls it."""
     if status is None or not status.armed or memory.abort_way is AbortWay.HANDS_OFF:
         return False
-    if memory.phase is Phase.LANDED:  # its motors stopped, and this process has not armed it again
+    if memory.phase is Phase.LANDED:  # motors stopped, and this process has not armed the vehicle again
         return False
     return memory.phase is not Phase.WAIT or memory.was_external

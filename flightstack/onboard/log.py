@@ -81,7 +81,7 @@ class OnboardLog:
         self._state = feed.channel(f"/{namespace}/controller/state", CONTROLLER_STATE)
         self._timing = feed.channel(f"/{namespace}/loop/timing", LOOP_TIMING)
         self._rosout = feed.channel("/rosout", LOG)
-        self._frames: list[tuple[Direction, bytes, bytes]] = []  # direction, frame and name of its peer
+        self._frames: list[tuple[Direction, bytes, bytes]] = []  # direction, frame, name of the peer
         self._peer_names = PeerNames(feed.metadata, names.record(MAVLINK_PEERS))
         self._packed_step = b""  # packed step of the last tick
         self._asked = b""  # last TIMESYNC request that arrived

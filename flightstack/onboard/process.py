@@ -155,7 +155,7 @@ class Onboard:
             self.names.record("onboard"),
             {
                 "namespace": self.namespace,
-                "target_key": spec.key if spec.is_direct else own_key,  # key under which it is recorded
+                "target_key": spec.key if spec.is_direct else own_key,  # key of the recorded target
                 **({} if spec.is_direct else spec.described()),
                 "system_id": str(options.system_id),
                 "lockstep": str(options.lockstep).lower(),

@@ -98,7 +98,7 @@ class Described(NamedTuple):
     config: FlightConfig  # configuration of the onboard process
     run: Mapping[str, str]  # entries about the run; they replace the default entries
     attachments: Mapping[str, bytes] = MappingProxyType({})  # files (TOML) by name
-    names: Names = OWN  # names of its records in the log
+    names: Names = OWN  # names of the flight's records in the log
 
 
 def describe(

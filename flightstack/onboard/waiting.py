@@ -193,7 +193,7 @@ class WaitReport:
         self, config: FlightConfig, system_id: int, link: VehicleLink, wires: ZenohWires, *, searches: bool
     ) -> None:
         """Set up. ``wires``: Zenoh connections; ``searches``: search other keys while no sample arrives."""
-        # missing inputs at the last report, during the wait and after it was given up
+        # missing inputs at the last report, during the wait and after its end
         self.lacking: tuple[str, ...] = ()
         self._config, self._system_id, self._link, self._wires = config, system_id, link, wires
         self._searches = searches

@@ -38,7 +38,7 @@ class ZenohWires:
         self._sessions = [self.session]
         self._shown: LiveRos2 | None = None
         rate_hz, checks = config.loop.rate_hz, config.checks
-        if (ros2 := network(options)) is not None:  # without it, a ROS 2 target uses the flight's session
+        if (ros2 := network(options)) is not None:  # else a ROS 2 target uses the flight's session
             self._sessions.append(ros2.open())
             self._alarms.append(ConnectionAlarm(self._sessions[-1], [ros2.where], zenoh_link.Role.CLIENT))
             self._shown = LiveRos2(self._sessions[-1], ros2.domain, namespace, rate_hz)

@@ -16,7 +16,7 @@ from typing import NamedTuple
 from flightstack.core.safety.barrier import Barrier
 
 TOLERANCE = 1e-4  # allowed excess of a bound, in the unit of the value: m/s, m/s^2 or mm
-CELLS_MAX = 20_000  # largest number of cells, 100 times the usual one; the bound remains valid there
+CELLS_MAX = 20_000  # largest number of cells, 100 times the usual one; the bound is valid at this limit, too
 EQUAL = 1e-9  # difference below which two values count as equal
 ROUNDING = 1e-12  # relative rounding error that is assumed; a dozen operations err by less than 3e-15
 

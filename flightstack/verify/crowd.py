@@ -26,9 +26,9 @@ class Crowd(NamedTuple):
     steepest: float  # steepest slope of the boundary outside the pad
     climb_m_s: float  # vertical speed of the pad
     speed_m_s: float  # speed of a neighbour
-    flat: float  # factor k of the module's docstring
+    flat: float  # factor k = radius_xy / radius_z
     longest: float  # length of the longest gradient g
-    growth_m_s: float  # growth a t of the module's docstring
+    growth_m_s: float  # growth of the ellipsoid in the largest latency
 
 
 def crowd(config: FlightConfig, fleet: Fleet, shape: Shape, climb_m_s: float) -> Crowd:

@@ -10,7 +10,7 @@ from flightstack.verify.types import Check, Need
 
 STEADY_ERROR = 0.25  # velocity error that must be tolerated, gusts included, as a share of full speed
 NOISE_SIGMAS = 7.0  # covered jump, in standard deviations of one position: 5 of a difference of two
-FALL_MAX_M_S = 1.0  # allowed speed of a fall, m/s: twice that of a landing; landing gears withstand it
+FALL_MAX_M_S = 1.0  # allowed speed of a fall, m/s: twice the landing speed, which landing gears withstand
 
 
 def contact(config: FlightConfig, descent_m_s: float, key: str) -> Check:

@@ -94,9 +94,9 @@ def _margin_m(strategy: RobustFilter, motion: TargetMotion) -> float:
 class Errors(NamedTuple):
     """Standard deviations of the target's estimate at three ages of its newest sample."""
 
-    fresh: TargetMotion  # estimate at the age of the delay, from a new sample
-    usual: TargetMotion  # estimate at delay plus period, just before the next sample
-    lost: TargetMotion  # estimate at the age limit
+    fresh: TargetMotion  # estimate when a sample arrives, at the age ``delay_s``
+    usual: TargetMotion  # estimate just before the next sample, one period later
+    lost: TargetMotion  # estimate when the newest sample reaches the age limit
 
 
 def estimate_errors(link: TargetLink, rate_hz: float, age_max_s: float) -> Errors:

@@ -241,7 +241,7 @@ def _drift_of_m(config: FlightConfig, x: Extremes, lag_s: float, rho: float) -> 
     """
     gain, decay_1_s = config.robust.gain_over_pad_1_s, 1.0 / max(lag_s, STEP_S)
     error = x.velocity_error_m_s + gain * x.position_error_m
-    # states: y, z, and the constant 1
+    # the states are y, z and the constant 1
     rates = np.array(
         [
             [-gain, 1.0, error],

@@ -18,7 +18,7 @@ LEAST_M = 1e-6  # least distance from the centre at which the gradient has a dir
 # If its companion fails, a vehicle follows its last set-point until its autopilot lands it.
 LEAD_S = 0.2  # lead of a set-point over the velocity command, s: multiplied by the acceleration
 SMOOTH_S = 0.03  # time constant of the smoothed acceleration, s
-DRIFT_M_S, DRIFT_MAX_M = 0.35, 0.45  # drift rate and largest drift from this path; larger in 1 of 32 flights
+DRIFT_M_S, DRIFT_MAX_M = 0.35, 0.45  # drift rate, and largest drift; exceeded in 1 of 32 flights
 SINK_M_S = 0.5  # largest sink rate of an autopilot's landing, m/s
 RIDES_S = 3.0  # time for which a silent vehicle on a moving pad is assumed to move with the pad, s
 
@@ -26,16 +26,16 @@ RIDES_S = 3.0  # time for which a silent vehicle on a moving pad is assumed to m
 class Estimate(NamedTuple):
     """Current estimate of the position and velocity of another vehicle."""
 
-    age_s: float  # age of its newest message plus the clock error
+    age_s: float  # age of the vehicle's newest message plus the clock error
     # position extrapolated from the stamp; if messages are late, the highest of the possible positions
     position_enu_m: Vec3
     velocity_enu_m_s: Vec3  # reported or commanded velocity; 0 after the extrapolation ends
     grown_m: float  # growth of both semi-axes of the ellipsoid
-    growth_m_s: float  # rate of that growth
-    late: bool  # its message is older than ``latency_max_s``, and did not announce that it is down
+    growth_m_s: float  # growth rate of both semi-axes
+    late: bool  # the newest message is older than ``latency_max_s`` and does not announce DOWN
     anywhere_m: float  # ``grown_m`` plus the distance that the vehicle can have flown since its message
-    depth_m: float = 0.0  # possible descent below this position while the autopilot lands the vehicle
-    sink_m_s: float = 0.0  # rate of this descent
+    depth_m: float = 0.0  # possible descent below ``position_enu_m`` while the autopilot lands the vehicle
+    sink_m_s: float = 0.0  # rate of the possible descent
 
     def beside(self, place_enu_m: Vec3) -> tuple[Vec3, Vec3]:
         """Return a place minus the nearest possible position of the vehicle, and that position's velocity."""

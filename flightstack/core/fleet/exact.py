@@ -1,4 +1,4 @@
-"""Exact solution of the quadratic program with several rows, by its active sets.
+"""Exact solution of the quadratic program with several rows, by enumeration of its active sets.
 
     min |u - u'|^2   subject to   lower <= u <= upper,   g_k . u >= b_k
 

@@ -24,7 +24,7 @@ FUTURE_MAX_S = 0.05  # largest lead of a stamp over this clock, in addition to t
 # longest flight of another member (a wait and a landing), in units of the longest wait
 FLIGHTS_OF_OTHERS = 2.0
 TOLD_M_S = 0.005  # smallest slack that is reported, m/s
-CALM_S = 1.0  # time without slack after which this is reported, s
+CALM_S = 1.0  # time without slack after which the end of the relaxation is reported, s
 HELD_BACK_M_S = 0.3  # largest horizontal speed within the reachable set of a silent vehicle, m/s
 STAYS_S = 5.0  # time after a landing at which a vehicle that has not left a requested pad is reported, s
 _INTENTS = MappingProxyType(
@@ -195,7 +195,7 @@ class FleetMember:
             found.append((h_m, n, made, lax, Near(h_m, gradient, away, now.velocity_enu_m_s)))
         if not found:
             return NO_ROWS
-        found.sort()  # by h, then by the id
+        found.sort()  # sorted by h, then by the id
         _, _, rows, every_lax, near = zip(*found, strict=True)
         return Rows(rows, every_lax, near, held_back)
 

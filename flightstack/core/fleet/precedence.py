@@ -188,7 +188,7 @@ def _yields(
     answered: bool, gives_way: bool,
 ) -> bool:  # fmt: skip
     goes, lower = word.intent in GOES, fleet.id < word.id
-    if memory.granted:  # only an older right of way revokes this one
+    if memory.granted:  # only an older right of way revokes a granted one
         return goes and (word.claim_s, word.id) < (memory.claim_s, fleet.id) and not gives_way
     if lower and gives_way and not goes:
         return False

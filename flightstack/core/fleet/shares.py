@@ -81,7 +81,7 @@ class Near(NamedTuple):
     """A neighbour within reach."""
 
     h_m: float  # value of the barrier function between the two vehicles, m
-    gradient: Vec3  # its gradient with respect to this vehicle's position
+    gradient: Vec3  # gradient of ``h_m`` with respect to this vehicle's position
     away_m: Vec3  # position of this vehicle minus that of the neighbour, ENU
     velocity_enu_m_s: Vec3  # velocity of the neighbour
 

@@ -291,7 +291,7 @@ class Known(NamedTuple):
     """Data for the numbers in a reason text."""
 
     checks: Checks  # limits of the configuration
-    snapshot: Snapshot  # inputs of this tick
+    snapshot: Snapshot  # inputs of the tick, with the results of their checks
     plausibility: Plausibility  # checks of the vehicle state and of set-point tracking
     track: TargetTrack  # track of the target's samples
     now_s: float  # time on the stack clock

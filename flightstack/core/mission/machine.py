@@ -43,7 +43,7 @@ STANDING_S = 4.0  # contact time in LAND that is accepted, s; most vehicles move
 SLIDING_TIME_S = 0.15  # horizon of a slide, s: contact is detected 0.1 s late, and motors stop in 0.05 s
 ABORT_SETTLE_S = 1.0  # minimum time in an abort, s: a heartbeat reports its end
 PLACE_RADIUS_M = 0.1  # largest distance from the place beside the target for a landing, m
-PLACE_SPEED_M_S = 0.15  # largest horizontal speed for this landing, m/s
+PLACE_SPEED_M_S = 0.15  # largest horizontal speed for a landing beside the target, m/s
 RETRY_FROM = frozenset({Phase.HOLD, Phase.CLIMB, Phase.TOUCHDOWN})
 RETRY_TO = frozenset({Phase.APPROACH, Phase.TAKEOFF})
 _NOT_FLYING = frozenset({Landed.ON_GROUND, Landed.UNKNOWN})
@@ -53,7 +53,7 @@ class Transition(NamedTuple):
     """A phase transition."""
 
     before: Phase  # phase before the transition
-    after: Phase  # phase after the transition; an abort that changes its kind keeps its phase
+    after: Phase  # phase after the transition; the same phase if an abort changes its kind
     reason: str  # reason, with the numbers of its conditions
     way: AbortWay = AbortWay.NONE  # kind of abort; ``NONE`` for all other phases
 

@@ -118,7 +118,7 @@ class Checks:
     target_age_max_s: Annotated[float, span(0.02, 1.0)] = 0.25  # oldest target state that is used
     # largest difference of position and integrated velocity
     own_drift_max_m: Annotated[float, span(0.05, 2.0)] = 0.15
-    own_drift_memory_s: Annotated[float, span(0.2, 20.0)] = 2.0  # decay time of this difference
+    own_drift_memory_s: Annotated[float, span(0.2, 20.0)] = 2.0  # decay time of the position difference
     # largest delay behind set-points, at the highest velocity
     follow_lag_max_s: Annotated[float, span(0.1, 5.0)] = 0.45
     follow_memory_s: Annotated[float, span(0.1, 20.0)] = 1.0  # decay time of the tracking lag
@@ -127,7 +127,7 @@ class Checks:
     target_jump_max_m: Annotated[float, span(0.02, 5.0)] = 0.2  # largest jump of the target that is accepted
     # largest difference of the target's positions and integrated velocity
     target_drift_max_m: Annotated[float, span(0.02, 2.0)] = 0.1
-    target_drift_memory_s: Annotated[float, span(0.2, 20.0)] = 2.0  # decay time of this difference
+    target_drift_memory_s: Annotated[float, span(0.2, 20.0)] = 2.0  # decay time of the position difference
     target_frame: str = "map"  # frame_id of the target's odometry
     target_child_frame: str = "target"  # child_frame_id of the target's odometry
     hold_time_s: Annotated[float, span(0.1, 10.0)] = 1.0  # time in HOLD before the climb

@@ -33,7 +33,7 @@ class Reserve:
     """Battery, and the thrust that it allows; without this table the battery sets no limits."""
 
     hover_throttle: Annotated[float, span(0.05, 1.0)]  # mean throttle of the motors in level flight
-    hover_voltage_v: Annotated[float, span(1.0, 100.0)]  # voltage in level flight at this throttle
+    hover_voltage_v: Annotated[float, span(1.0, 100.0)]  # voltage in level flight at `hover_throttle`
     lowest_voltage_v: Annotated[float, span(1.0, 100.0)]  # lowest voltage in flight that is certified
     sag_v: Annotated[float, span(0.0, 20.0)] = 0.0  # voltage drop from rest to hover
     start_margin_v: Annotated[float, span(0.0, 20.0)] = 0.05  # voltage above lowest_voltage_v for a landing

@@ -125,7 +125,7 @@ class Robust:
 
     rate_1_s: Annotated[float, span(0.1, 10.0)] = 1.5  # largest decay rate of h; below the velocity loop's
     tracking_error_m_s: Annotated[float, span(0.0, 1.0)] = 0.04  # vertical tracking error of the velocity
-    sigma_factor: Annotated[float, span(0.0, 6.0)] = 2.0  # standard deviations of position that are covered
+    sigma_factor: Annotated[float, span(0.0, 6.0)] = 2.0  # number of covered standard deviations
     fade_radius_m: Annotated[float, span(0.01, 1.0)] = 0.06  # radius within which the margin fades
     acceleration_max_m_s2: Each[Annotated[float, span(0.2, 20.0)]] = (
         2.0,

@@ -25,7 +25,7 @@ from flightstack.core.numeric import numeric, rare, wrapped
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.types import ZERO, Vec3
 
-RESTART_S = 1.0  # longest gap between samples without a restart, s; the target is lost before
+RESTART_S = 1.0  # longest gap between samples without a restart of the filter, s
 
 TURN_TIME_S = 0.3  # time constant of the yaw rate, s: differences of two measured yaws are noisy
 TURN_RATE_MAX_RAD_S = 3.0  # largest yaw rate; a TurtleBot3 reaches 2.84 (ROBOTIS, specifications)
@@ -123,7 +123,7 @@ class TargetEstimator:
 
     @rare
     def _noise_at_least(self, position_sigma_m: float, velocity_sigma_m_s: float) -> _Noise:
-        """Return the noise of x and y, not less than these standard deviations."""
+        """Return the noise of x and y, not less than the reported standard deviations."""
         xy = self.noise_xy
         return xy._replace(
             position2=max(xy.position2, position_sigma_m**2),
@@ -177,7 +177,7 @@ def fading(dt_s: float, fade_s: float) -> _Time:
     share = dt_s / fade_s
     gone = -math.expm1(-share)
     to_velocity_s = fade_s * gone
-    if abs(share) < 0.01:  # the difference below loses digits, so its series is used, exact to 1e-10
+    if abs(share) < 0.01:  # the difference below loses digits, so a series is used, exact to 1e-10
         bent = 0.5 - share / 6.0 * (1.0 - share / 4.0 * (1.0 - share / 5.0))
         return (dt_s, dt_s * dt_s * bent, to_velocity_s, 1.0 - gone)
     return (dt_s, fade_s * (dt_s - to_velocity_s), to_velocity_s, 1.0 - gone)
