@@ -30,10 +30,10 @@ class Number(click.FloatRange):
 
 
 class File(click.Path):
-    """An ordinary file: one that never ends, or waits for a writer, is refused."""
+    """Path of an ordinary file; a file that never ends, or waits for a writer, is rejected."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Read it."""
+        """Convert a text to the path."""
         found: Any = super().convert(value, param, ctx)
         if not found.is_file():
             self.fail(f"{found} is a pipe, socket or device; an ordinary file is needed", param, ctx)

@@ -151,7 +151,7 @@ def taker_of(cls: Any) -> Callable[[Any, dict[int, int]], tuple[Any, ...]]:
 
 
 def class_of(one: object) -> Any:
-    """Return the class of an object; for a user's filter, the class of the package that is compiled."""
+    """Return the class of an object; for a user's filter, the packaged class that is compiled."""
     return getattr(one, "compiled_as", type(one))
 
 

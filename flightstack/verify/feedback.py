@@ -25,8 +25,8 @@ TICKS_LATE = 1.5  # delay of a set-point in ticks: a mean of half a tick, and on
 SHARE = 0.5  # required decay rate of a piece, as a share of the rate at its middle
 PIECE_MIN = 1e-6  # least size of a piece, in the spread's factor; if it fails, the loop is unstable
 PIECES_MAX = 10_000
-# Largest rate of the feedback over that of the velocity loop. Motors and attitude loop are not in the model:
-# the 1 kg quadrotor swings at 1.8 Hz with 3 (tilts of 45 degrees), and lands with 2.5 (150 of 150)
+# Largest ratio of feedback rate to velocity loop rate. The model omits motors and attitude loop: at a ratio
+# of 3 the 1 kg quadrotor oscillates at 1.8 Hz (tilts of 45 degrees), with 2.5 it lands (150 of 150).
 BANDWIDTH = 2.5
 MIN_DECAY_1_S = 0.1  # required proven decay rate: half of an error in seven seconds
 
@@ -194,6 +194,6 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
 
 
 def _bandwidth(config: FlightConfig) -> float:
-    """Rate of the acceleration, or of the set-point with an error, over that of the velocity loop."""
+    """Return the rate of the feedback, as it acts on an error, over that of the velocity loop."""
     feedback, rate_1_s = config.velocity_feedback, config.velocity_loop.rate_xy_1_s
     return feedback.tilt_rate_1_s / rate_1_s * max(1.0, feedback.error_rate_1_s / rate_1_s)

@@ -67,9 +67,9 @@ _STATE = {"motion", "tracking", "own", "late", "memory", "asked", "estimator", "
 
 
 def compiled_as(cls: type[Filter]) -> type[Filter] | None:
-    """Return the class of the package that flies as this class does, except for ``filter``.
+    """Return the packaged class whose flights differ from this class only in ``filter``.
 
-    None: the class overrides more, or its code may read the estimators, whose state only compiled code has.
+    It returns None if the class overrides more, or may read estimators, whose state is only in compiled code.
     """
     own: list[type] = []
     for base in cls.__mro__:
@@ -158,7 +158,7 @@ class Filter:
         self.ask: Ask | None = None  # function of an agent (flightstack/api/env.py)
         # answers in a tick that compiled code started: velocity of the agent, result of the user's filter
         self.answer: Vec3 | None = None
-        self.own_result: tuple[FilterResult, str] | None = None  # with the reason of a refusal
+        self.own_result: tuple[FilterResult, str] | None = None  # with the reason of a rejection
         self._by_rule = config.touchdown.rule is TouchdownRule.PAPER
 
     @staticmethod
