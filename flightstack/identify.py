@@ -136,8 +136,8 @@ def _difference(passed: Segment, parameters: Floats, period_s: float) -> Floats:
     kick[0] = later[1] = 1.0
     past = np.column_stack(
         [
-            signal.lfilter(numerator.ravel(), denominator, np.ones(count)),  # earlier commands
-            signal.lfilter([1.0], denominator, kick),  # effect of initial speed and acceleration
+            signal.lfilter(numerator.ravel(), denominator, np.ones(count)),  # response to earlier commands
+            signal.lfilter([1.0], denominator, kick),  # response to initial speed and acceleration
             signal.lfilter([1.0], denominator, later),
         ]
     )

@@ -170,7 +170,7 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         """End the flight."""
         flight, self._flight = self._flight, None
         if flight is not None:
-            flight.throw()  # GreenletExit
+            flight.throw()  # raises GreenletExit in the flight
 
     def _ask(self, at: Relative, own: Vec3) -> Vec3:
         """Stop the flight until the agent has chosen a velocity."""

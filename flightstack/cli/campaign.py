@@ -107,7 +107,7 @@ def _print(
             from sim.campaign.page import write_page
 
             write_page(folder / PAGE, wanted, flown)
-        except ReportError as error:  # the numbers remain valid
+        except ReportError as error:  # the numbers are valid without a page
             click.echo(f"flightstack: {error}", err=True)
             with_report = False
     if as_json:

@@ -129,7 +129,7 @@ class Child:
         if program is None:
             words, told = [sys.executable, "-m", CLI], {_PARENT: f"{os.getpid()} {self.name}"}
         else:
-            words, told = tied(program), {}  # a program would pass an entry on to its children
+            words, told = tied(program), {}  # a program would pass the variable on to its children
         process = subprocess.Popen(
             [*words, *arguments],
             cwd=works_in,

@@ -16,7 +16,7 @@ from flightstack.core.safety.qp_filter import SafetyFilter
 class Core(Enum):
     """Code that computes a control step; the value is that of the option ``--core``."""
 
-    AUTO = "auto"  # compiled in real time if the machine code is on disk
+    AUTO = "auto"  # compiled code in real time if its machine code is on disk
     PLAIN = "plain"
     COMPILED = "compiled"
 

@@ -86,7 +86,7 @@ class SenderClock:
     def judge(self, stamp_s: float, arrival_s: float, patience_s: float = PATIENCE_S) -> Reading:
         """Check a time stamp; only ``take`` updates the clock estimate."""
         memory, way_s = self.memory, arrival_s - stamp_s
-        if not 0.0 <= stamp_s <= STAMP_MAX_S:  # also NaN
+        if not 0.0 <= stamp_s <= STAMP_MAX_S:  # also rejects NaN
             return Reading.UNUSABLE
         if stamp_s > memory.stamp_s:
             known = arrival_s - memory.began_s >= self._proof_s  # at first, a queue may drain

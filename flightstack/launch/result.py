@@ -170,7 +170,7 @@ def concluded(flown: Flown, *, with_report: bool) -> dict[str, Any]:
     if with_report:
         try:
             pages = write_report(log, verdict, flown.folder / "report.html")
-        except ReportError as error:  # the flight remains valid
+        except ReportError as error:  # the flight is valid without a report
             print(f"flightstack: {error}", file=sys.stderr)
     times = [flight.steps.t_s for flight in log.flights.values() if flight.steps is not None]
     longest_s = max((float(t_s[-1] - t_s[0]) for t_s in times), default=None)

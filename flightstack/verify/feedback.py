@@ -84,7 +84,7 @@ def _estimated(config: FlightConfig, faster: float, damped: float) -> F64:
     position, velocity = held_p - p - q, held_v - v - m - e  # innovations of the measurements
     now_p, now_m = q + told_s * m, m + told_s * (dm + f)
     aim = s + feedback.error_rate_1_s * (-gain * now_p - now_m) - f
-    u = now_m + e + (drag * dm + feedback.tilt_rate_1_s * (aim - dm)) / (w * w)  # set-point
+    u = now_m + e + (drag * dm + feedback.tilt_rate_1_s * (aim - dm)) / (w * w)  # set-point of the velocity
     gains = steady_gains(loop, config.own, period_s)
     added = [(k * position + j * velocity) / period_s for k, j in zip(*gains, strict=True)]
     fades_1_s, push_fades_1_s = 1.0 / config.own.velocity_error_time_s, 1.0 / PUSH_TIME_S

@@ -42,7 +42,7 @@ _TARGET, _ERROR = 8, 9
 
 
 def tick_matrix(config: FlightConfig, gain_1_s: float, slower: float, response: float) -> F64:
-    """Return the matrix of one tick.
+    """Return the state-transition matrix of one tick.
 
     ``gain_1_s``: gain of the position loop; ``slower``: lag and dead time over the declared ones;
     ``response``: steady velocity over set-point.

@@ -94,7 +94,7 @@ class Watch:
     @property
     def health_fresh(self) -> bool:
         """Whether the newest health is fresh."""
-        return self._clock() - self._health_s <= STALE_S  # False for NaN
+        return self._clock() - self._health_s <= STALE_S  # False if the time is NaN
 
     @property
     def connections(self) -> int:

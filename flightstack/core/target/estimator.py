@@ -287,7 +287,7 @@ _Gains = tuple[float, float, float, float, float, float]  # gains on p, v, a: fo
 def _correct(
     covariance: Covariance, position2: float, velocity2: float
 ) -> tuple[Covariance, _Gains, tuple[float, float]]:
-    """Update with measured position and velocity, whose noise is independent, by two scalar updates."""
+    """Update by measured position and velocity with independent noise, in two scalar steps."""
     pp, pv, pa, vv, va, aa = covariance
     s = 1.0 / (pp + position2)
     kp, kv, ka = pp * s, pv * s, pa * s
