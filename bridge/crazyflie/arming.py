@@ -124,7 +124,7 @@ class Arming:
             return [], "Motors off was not confirmed" if asked.forced else None
         if asked.forced and after_s > KILL_UNSEEN_S and not self._latched:
             self._latched = True
-            return [Order.EMERGENCY_STOP], "Disarming not seen: emergency stop, restart needed"
+            return [Order.EMERGENCY_STOP], "Disarming had no effect: emergency stop, restart needed"
         orders = (Order.EMERGENCY_STOP, *_OFF) if self._latched else _OFF
         return self._repeat(asked, orders, now_s), None
 

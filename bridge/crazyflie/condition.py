@@ -167,7 +167,7 @@ def too_old(protocol: int) -> str | None:
     """Return the reason why firmware of this CRTP protocol is not supported, or None."""
     if protocol >= PROTOCOL_MIN:
         return None
-    return f"firmware speaks CRTP {protocol}, arming by supervisor needs {PROTOCOL_MIN}: update it"
+    return f"firmware has CRTP protocol {protocol}, arming needs {PROTOCOL_MIN}: update it"
 
 
 def _protocol(c: Condition, _now_s: float) -> str | None:
@@ -205,7 +205,7 @@ def _controller(c: Condition, _now_s: float) -> str | None:
     found = c.link.params.get("stabilizer.controller")
     if found is None or found in CONTROLLERS:
         return None
-    return f"stabilizer.controller is {found}, which flies no velocities: set it to 1 (PID)"
+    return f"stabilizer.controller is {found}, which follows no velocities: set it to 1 (PID)"
 
 
 def _estimator(c: Condition, _now_s: float) -> str | None:

@@ -58,7 +58,7 @@ class CrazyflieOptions(PoseOptions):
     )] = False  # fmt: skip
     airframe: Annotated[str, Option(
         "--airframe",
-        "Vehicle file whose mass and drag the firmware's filter gets (kalman.dragB_*), or 'none'.",
+        "Vehicle file with mass and drag for the firmware's filter (kalman.dragB_*), or 'none'.",
         "NAME|FILE"
     )] = "crazyflie20"  # fmt: skip
     restore: Annotated[
@@ -66,10 +66,10 @@ class CrazyflieOptions(PoseOptions):
     ] = False
     system_id: shared.SystemId = 1
     cache: Annotated[Path | None, Option(
-        "--cache", "Store the Crazyflie's tables there, for a faster second connection.", "FOLDER",
+        "--cache", "Folder for the Crazyflie's tables of contents; later connections are faster.", "FOLDER",
         path="folder"
     )] = None  # fmt: skip
     mocap_key: Annotated[str | None, Option(
         "--mocap",
-        "Send it poses from there: a Zenoh key, ros2:/TOPIC or ros2dds:/TOPIC (docs/how_to/mocap.md).", "KEY"
+        "Source of external poses: a Zenoh key, ros2:/TOPIC or ros2dds:/TOPIC (docs/how_to/mocap.md).", "KEY"
     )] = None  # fmt: skip

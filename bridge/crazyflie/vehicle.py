@@ -202,7 +202,7 @@ class Vehicle(Condition, Commander):
         if silent and self.armed and not self.standing:
             self._fall_back("Radio silent", now_s)
         if silence_s > limits.RECONNECT_S:
-            self.lost(Lost(f"nothing heard for {limits.RECONNECT_S:g} s"), now_s)
+            self.lost(Lost(f"no packet for {limits.RECONNECT_S:g} s"), now_s)
             self._packets += [Order.RECONNECT] if self.armed else [Order.STOP, Order.RECONNECT]
 
     def _has_sunk(self, now_s: float) -> bool:

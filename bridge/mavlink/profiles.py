@@ -27,7 +27,7 @@ class TakeoffAltitude(Enum):
     """Meaning of param7 of MAV_CMD_NAV_TAKEOFF."""
 
     AMSL = "above sea level"
-    ABOVE_HOME = "above home, from its height there"
+    ABOVE_HOME = "above home, plus the vehicle's height above home"
 
 
 class Reading(Enum):
@@ -36,7 +36,7 @@ class Reading(Enum):
     NOTED = "telemetry decides"
     WORKING = "wait longer"
     AGAIN = "try again"
-    FINAL = "give up when said twice"
+    FINAL = "give up after two such results"
 
 
 class Encoding(Enum):

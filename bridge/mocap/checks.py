@@ -22,12 +22,12 @@ class Refusal(Enum):
     """Reason to reject a pose; the value is the text for the operator."""
 
     UNREADABLE = "not a geometry_msgs/msg/PoseStamped"
-    FRAME = "in another frame: --frame names the one that is the vehicle's east-north-up"
-    STAMP = "a time stamp not between 1970 and 2106"
+    FRAME = "in another frame: --frame must name the vehicle's east-north-up frame"
+    STAMP = "stamped outside of the years 1970 to 2106"
     ORDER = "not newer than the one before: are there two senders?"
     AHEAD = "a time stamp from the future: are there two senders?"
-    LATE = "held up on its way: network or mocap computer too slow"
-    ROOM = "outside the room: --room is its half side"
+    LATE = "delayed: is the network or the mocap computer too slow?"
+    ROOM = "outside the room: too far from its origin"
     JUMP = "a jump no vehicle can make: markers swapped, or another body?"
 
 

@@ -18,12 +18,12 @@ class PoseOptions(shared.Zenoh, shared.Signing):
     pose_type: Annotated[
         str, Option("--pose-type", "PoseStamped or PoseWithCovarianceStamped.", choices=POSE_TYPES)
     ] = POSE_TYPES[0]
-    frame_id: Annotated[str | None, Option("--frame", "Refuse poses in any other frame.", "NAME")] = None
+    frame_id: Annotated[str | None, Option("--frame", "Required frame of the poses.", "NAME")] = None
     offset_flu_m: Annotated[tuple[float, float, float], Option(
-        "--offset", "From the markers' centre to the vehicle's, m, forward left up.", "X Y Z"
+        "--offset", "Offset from the markers' centre to the vehicle's, m, forward left up.", "X Y Z"
     )] = (0.0, 0.0, 0.0)  # fmt: skip
     pose_speed_m_s: Annotated[float, Option(
-        "--pose-speed-max", "A pose that needs a higher speed is refused as a jump.", "M/S", span=(0.1, 50.0)
+        "--pose-speed-max", "Reject a pose beyond this speed as a jump.", "M/S", span=(0.1, 50.0)
     )] = 5.0  # fmt: skip
     ros_domain: shared.RosDomain = 0
     duration_s: shared.Duration = None

@@ -168,7 +168,7 @@ class Bridge:
             return "mocap: no message from the vehicle"
         if vehicle.unknown_autopilot is not None:
             return (
-                f"mocap: autopilot {vehicle.unknown_autopilot} is not known: PX4 (12) and ArduPilot (3) are"
+                f"mocap: autopilot {vehicle.unknown_autopilot} is unsupported: use PX4 (12) or ArduPilot (3)"
             )
         if vehicle.origin_missing:
             return "mocap: this vehicle has no position without an origin: give --origin LAT LON ALT"
@@ -176,7 +176,7 @@ class Bridge:
 
     def _greeting(self) -> str | None:
         needs = self._vehicle.needs
-        return f"mocap: {needs.title} gets poses; it needs {needs.settings}" if needs is not None else None
+        return f"mocap: {needs.title} receives poses, needs {needs.settings}" if needs is not None else None
 
 
 def limits(options: PoseOptions) -> Limits:
@@ -212,5 +212,5 @@ def run(options: MocapOptions, say: Callable[[str], None] = print) -> int:
 def summary(checks: PoseChecks) -> str:
     """Return the counts of all poses as one line."""
     refused = ", ".join(f"{reason.name.lower()} {n}" for reason, n in checks.counts.items() if n)
-    passed = f"{checks.passed} poses passed on, {checks.thinned} left out for the rate"
+    passed = f"{checks.passed} poses passed on, {checks.thinned} omitted to limit the rate"
     return f"mocap: {passed}; refused: {refused or 'none'}"

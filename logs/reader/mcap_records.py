@@ -252,7 +252,7 @@ def _understood(kind: int, body: bytes, kinds: dict[int, Any] = _KINDS) -> Any:
     stream = _Strict(BytesIO(body))
     record = kinds[kind].read(stream)
     if stream.count != len(body):
-        raise DamageError(f"{type(record).__name__} has {len(body) - stream.count} bytes that mean nothing")
+        raise DamageError(f"{type(record).__name__} has {len(body) - stream.count} unexpected bytes")
     if kind == Opcode.ATTACHMENT and (crc := body[-4:]) not in (
         _NO_CRC,
         zlib.crc32(body[:-4]).to_bytes(4, "little"),

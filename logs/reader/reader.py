@@ -192,7 +192,7 @@ class LogFile:
         """Return this log if it holds one flight."""
         if self.members:
             raise LogError(
-                f"{self.path} holds a fleet of {', '.join(self.members)}; say whose flight, for example with "
+                f"{self.path} holds a fleet of {', '.join(self.members)}; choose a member, for example with "
                 f"--member {self.members[0]}"
             )
         return self

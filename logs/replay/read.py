@@ -125,7 +125,7 @@ class FlightInputs:
                 if tick is None or message.log_time_ns != tick.unix_ns:
                     if tick is not None:
                         if message.log_time_ns < tick.unix_ns:
-                            raise ValueError("it is older than the one before; was the log put together?")
+                            raise ValueError("it is older than the previous one; was the log merged?")
                         yield tick
                     tick = TickRecord(message.log_time_ns)
                 if said is not None:

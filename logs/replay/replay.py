@@ -189,8 +189,8 @@ class _Run:
         assert given is not None
         if self.in_fleet and not record.told:
             raise ReplayError(
-                f"{self.flight.log.path}: what the others of the fleet said at tick {given.tick} is missing "
-                f"({self.flight.topic('controller/neighbours')}); without it the replay proves nothing"
+                f"{self.flight.log.path}: the messages of the other members at tick {given.tick} are missing "
+                f"({self.flight.topic('controller/neighbours')}); without them the replay proves nothing"
             )
         if not self.running and not self._begin(record, given):
             return
@@ -212,7 +212,7 @@ class _Run:
     def _begin_wire(self) -> None:
         onboard = self.flight.onboard
         if "system_id" not in onboard or "lockstep" not in onboard:
-            self.result.notes.append("the log does not say how the vehicle was connected: wire not replayed")
+            self.result.notes.append("the log does not contain the vehicle's connection: wire not replayed")
             return
         autopilot = onboard.get("autopilot", PX4.name)  # older logs have no entry: only PX4 was supported
         recognised = self.flight.preflight.get("profile", AUTO)
@@ -234,7 +234,7 @@ class _Run:
         try:
             self.controller.restore(self.text.loads(snapshot.layout, snapshot.state))
         except StateTextError as error:
-            self.state_refused = f"; the snapshot after tick {snapshot.tick} is of no use: {error}"
+            self.state_refused = f"; the snapshot after tick {snapshot.tick} cannot be used: {error}"
             return
         self.running = True
         self.result.start = f"the state after tick {snapshot.tick}"

@@ -206,7 +206,7 @@ def _comparison(a: Side, b: Side) -> Page:
             picture,
             Panel("numbers", "Key numbers", "", result_table(a, b)),
             Panel(
-                "settings", "What was set differently", "Run, versions and configuration.",
+                "settings", "Different settings", "Run, versions and configuration.",
                 compared_settings(a.flight, b.flight),
             ),
             time_bar(events=False),
@@ -275,7 +275,7 @@ def warnings(flight: Flight, verdict: Verdict) -> list[str]:
     if apart := judged_apart(flight):
         texts.append(apart)
     if flight.truth is None:
-        texts.append("no true states in this log: everything here is the vehicle's own estimate")
+        texts.append("no true states in this log: all values are the vehicle's own estimate")
     if flight.steps is None:
         texts.append("no controller steps in this log: phases, velocities and the estimate are missing")
     if verdict.violation is None:

@@ -45,7 +45,7 @@ _ODD = {
     FilterStatus.CLOSED_FORM: ("exact projection used", "circle"),
     FilterStatus.INFEASIBLE: ("no velocity satisfies it", "x"),
     FilterStatus.REJECTED: ("nothing usable", "cross"),
-    FilterStatus.CROWDED: ("rows of other vehicles gave way", "triangle-up"),
+    FilterStatus.CROWDED: ("constraints of other vehicles relaxed", "triangle-up"),
 }
 
 
@@ -74,9 +74,7 @@ def barrier_over_time(flight: Flight, verdict: Verdict) -> go.Figure | None:
         return None
     margin_m = held_margin_m(flight)
     if margin_m is not None and flight.steps is not None and np.nanmax(margin_m) > _MARGIN_SEEN_M:
-        figure.add_trace(
-            line(flight.steps.t_s - zero, margin_m, "margin: h may not go below", MARGIN, width=2)
-        )
+        figure.add_trace(line(flight.steps.t_s - zero, margin_m, "margin: lower limit of h", MARGIN, width=2))
     figure.add_hline(0.0, line={"color": BOUNDARY, "width": 1.8})
     if verdict.started_safe is not False:
         figure.add_hline(VIOLATION_LIMIT_M, line={"color": BOUNDARY, "width": 1, "dash": "dot"})
@@ -137,7 +135,7 @@ def tracking(flight: Flight) -> go.Figure | None:
     own = np.where(steps.own_valid[:, None], steps.own_velocity_enu_m_s, np.nan)
     drawn = (
         ("wanted", steps.wanted_enu_m_s, FILTERED, "solid", 2.2),
-        ("set-point on the wire", sent_m_s(steps), COMMAND, "dot", 2.0),
+        ("sent set-point", sent_m_s(steps), COMMAND, "dot", 2.0),
         ("flown, by its own estimate", own, ESTIMATED, "solid", 1.3),
     )
     true = ("flown (true)", FLOWN, {"width": 1.4})

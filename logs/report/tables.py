@@ -335,7 +335,7 @@ def pairs_table(fleet: Fleet) -> str:
         inside = number(pair.inside_ms, 2, 1e-3)
         rows.append((names, number(least, 2), number(flying_m, 3), str(pair.violations), inside, hit))
     head = ("pair", "measure [1]", "distance [m]", "times inside", "inside [s]", "collided [s]")
-    return table(head, rows, numbers=range(1, 6), empty="The log has nothing of the simulator about pairs.")
+    return table(head, rows, numbers=range(1, 6), empty="The log has no simulator records of pairs.")
 
 
 def waits_table(words: FleetMessages) -> str:

@@ -178,6 +178,6 @@ def _pyarrow() -> tuple[ModuleType, ModuleType]:
     except ImportError as error:
         raise MissingExtraError(
             "Parquet needs pyarrow, which is not installed; `pip install 'crazyflie-flightstack[export]'`, "
-            "or take --format csv"
+            "or use --format csv"
         ) from error
     return pyarrow, pyarrow.parquet

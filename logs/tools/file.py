@@ -41,7 +41,7 @@ def of_file(path: Path) -> Iterator[None]:
 
 def _refuse(path: Path, force: bool) -> None:
     if path.exists() and not force:
-        raise FileExistsError(f"{path} exists and is not written over; give another name or --force")
+        raise FileExistsError(f"{path} exists and is not overwritten; give another name or --force")
 
 
 def _umask() -> int:

@@ -144,7 +144,7 @@ def toml(found: Found, count: int) -> str:
     h, v = found.horizontal, found.vertical
     weights = (1.0 / max(h.errors[2], 1e-6) ** 2, 1.0 / max(v.errors[2], 1e-6) ** 2)
     damping, rate_z_1_s = (weights[0] * h.damping + weights[1] * v.damping) / sum(weights), v.model_rate_1_s
-    late, model = h.model_dead_time_s, "of the model without dead time that lags as much"
+    late, model = h.model_dead_time_s, "of the model without dead time that has the same lag"
     if late:  # then the damping is the horizontal loop's; the vertical lag is unchanged
         damping, rate_z_1_s, model = h.damping, 2.0 * h.damping / v.lag_s, "of the model"
     lines = [
@@ -180,7 +180,7 @@ def toml(found: Found, count: int) -> str:
         lines += [
             f"position_noise_m = {max(1e-4, link.position_noise_m):.4f}",
             f"velocity_noise_m_s = {max(1e-4, link.velocity_noise_m_s):.4f}",
-            f"# {100.0 * link.loss:.1f} % lost; 95 % come within {link.delay_spread_s:.3f} s of the fastest",
+            f"# {100.0 * link.loss:.1f} % lost; 95 % are within {link.delay_spread_s:.3f} s of the fastest",
         ]
     if found.tracking_error_m_s is not None:
         lines += ["", "[robust]", f"tracking_error_m_s = {found.tracking_error_m_s:.3f} # 95 % stay below"]

@@ -137,7 +137,7 @@ def _new(path: Path) -> Path:
     if path.suffix != ENDING:
         raise ValueError(f"--view {path}: {NATIVE}, {WEB} or a file that ends with {ENDING} is allowed")
     if path.exists():
-        raise ValueError(f"--view: {path} exists and is not written over; choose another name")
+        raise ValueError(f"--view: {path} exists and is not overwritten; choose another name")
     return path
 
 

@@ -185,8 +185,8 @@ class CommandSequencer:
         return dialect.MAVLink_command_long_message(*self._target, step.command, confirmation, *values)
 
     def _reason(self, step: Step, now_s: float) -> str:
-        said = f"; it said: {' | '.join(self._texts)}" if self._texts else ""
+        said = f"; its texts: {' | '.join(self._texts)}" if self._texts else ""
         return (
-            f"{step.name} (command {step.command}) was not shown by the vehicle after {self._tries} tries in "
+            f"{step.name} (command {step.command}) had no visible effect after {self._tries} tries in "
             f"{now_s - self._first_try_s:.1f} s; last answer: {self._last_result or 'none'}{said}"
         )

@@ -180,7 +180,7 @@ class Senders:
     def _move(self, peer: Peer, now_s: float) -> None:
         if self._kind is not None and self.known is not None:
             self._notices.append(
-                f"the vehicle is heard at {_at(peer)} now; {_at(self.known)} has been silent for "
+                f"the vehicle sends from {_at(peer)} now; {_at(self.known)} has been silent for "
                 f"{now_s - self._beat_s:.1f} s"
             )
         self.known, self.doubled = peer, None

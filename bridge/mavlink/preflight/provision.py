@@ -72,8 +72,8 @@ class _Provision:
                 return None
         what = "still signs" if self._remove else "does not sign"
         return (
-            f"the vehicle {what} after {_TRIES} tries in {_TRIES * _PERIOD_S:g} s: PX4 obeys from 1.18 on, "
-            "with an SD card; ArduPilot does not sign on USB"
+            f"the vehicle {what} after {_TRIES} tries in {_TRIES * _PERIOD_S:g} s: PX4 accepts keys "
+            "from 1.18 on, with an SD card; ArduPilot does not sign on USB"
         )
 
     def _changed(self) -> int:

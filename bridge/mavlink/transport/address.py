@@ -60,7 +60,7 @@ def parse_udp_url(url: str, who: str) -> tuple[str, str, int]:
     kind, host, port = parse_url(url)
     if kind not in ("udpin", "udpout"):
         raise ValueError(
-            f"MAVLink URL {url!r}: {who} speaks UDP only; give udpin:HOST:PORT or udpout:HOST:PORT"
+            f"MAVLink URL {url!r}: {who} supports UDP only; give udpin:HOST:PORT or udpout:HOST:PORT"
         )
     return kind, host, port
 
@@ -118,7 +118,7 @@ def check_policy(
     if signed and allow_unsigned:
         raise ValueError("a signing key and --allow-unsigned exclude each other: give one of them")
     if always and not listens:
-        raise ValueError(f"MAVLink URL {url!r} calls one address and speaks to no other peer: use udpin")
+        raise ValueError(f"MAVLink URL {url!r} has one address and no other peers: use udpin")
     if kind == "serial":  # the other end of a cable has physical access
         return None
     if is_local(address):
@@ -134,7 +134,7 @@ def check_policy(
         raise ValueError(
             f"MAVLink URL {url!r} listens to the network, where any host could control the vehicle: give "
             "--signing-key FILE (`flightstack key FILE` makes one), or listen on 127.0.0.1; "
-            "--allow-unsigned takes the risk, on a network with trusted hosts only"
+            "--allow-unsigned accepts the risk, on a network with trusted hosts only"
         )
     who = "any host on the network" if listens else "a host that forges its address"
     return f"MAVLink is not signed on {url!r}: {who} can command the vehicle"

@@ -95,7 +95,7 @@ def test_old_firmware_is_refused_with_the_version_needed():
         one.until(is_a("HEARTBEAT"), each=one.hello)
         one.send(one.command(400, 1.0))
         assert one.until(is_a("COMMAND_ACK", command=400)).result == 1
-        wait_for(lambda: started.said("firmware speaks CRTP 9, arming by supervisor needs 12"), "the reason")
+        wait_for(lambda: started.said("firmware has CRTP protocol 9, arming needs 12"), "the reason")
         assert not server.firmware.supervisor.armed
 
 

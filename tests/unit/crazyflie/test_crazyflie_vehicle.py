@@ -134,7 +134,7 @@ def test_a_silent_radio_is_said_and_nothing_is_said_in_its_name():
     bench.run(1.0)
     assert bench.orders(Order.RECONNECT)[0] - silent_s == pytest.approx(RECONNECT_S, abs=0.05)
     assert not bench.vehicle.armed
-    assert bench.vehicle.problems(bench.now_s)[0].startswith("no link to the Crazyflie: nothing heard")
+    assert bench.vehicle.problems(bench.now_s)[0].startswith("no link to the Crazyflie: no packet")
     bench.mute = False
     bench.connect()
     bench.run(0.2)

@@ -246,13 +246,13 @@ def silent(bench):
 
 
 REFUSALS = {
-    "old protocol": (set_attribute("protocol", 9), "firmware speaks CRTP 9, arming by supervisor needs 12"),
+    "old protocol": (set_attribute("protocol", 9), "firmware has CRTP protocol 9, arming needs 12"),
     "tumbled": (set_attribute("supervisor.tumbled", True), "lies on its side"),
     "checks": (set_attribute("supervisor.checks_pass", False), "pre-flight checks have not passed"),
     "charging": (set_attribute("power_state", 1), "it is charging"),
     "low power": (set_attribute("power_state", 3), "battery at 4.10 V"),
     "low battery": (set_attribute("battery_v", 3.5), "battery at 3.50 V, 3.7 V needed"),
-    "mellinger": (set_param("stabilizer.controller", 2), "controller is 2, which flies no velocities"),
+    "mellinger": (set_param("stabilizer.controller", 2), "controller is 2, which follows no velocities"),
     "no position": (set_attribute("needs_poses", True), "Lighthouse deck: are the base stations seen"),
     "silent": (silent, "s old: radio too weak?"),
 }

@@ -180,7 +180,7 @@ TEN, MORE = b"".join(message(1, n) for n in range(10)), b"".join(message(1, n) f
         (chunk(message(1, 3) + message(1, 4)[:-3]), 21, "a record is longer than the chunk"),
         (chunk(b"\xff" * 50, "zstd"), 20, "ZstdError"),
         (chunk(b"\xff" * 50, "lz4"), 20, "RuntimeError"),
-        (frame(9, bytes(40)), 20, "the attachment|mean nothing"),
+        (frame(9, bytes(40)), 20, "the attachment|unexpected bytes"),
         (frame(12, text("m") + struct.pack("<I", 99)), 20, "a field is longer than its record"),
         (frame(5, b"abc"), 20, "kind 0x05"),
         (frame(7, b"abc"), 20, "an index of messages"),

@@ -66,7 +66,7 @@ def test_the_members_together_are_the_fleet(fleet):
 
 
 def test_what_needs_one_flight_names_the_members(fleet, tmp_path):
-    with pytest.raises(LogError, match=r"fleet of cf1, cf2, cf3; say whose flight.*--member cf1"):
+    with pytest.raises(LogError, match=r"fleet of cf1, cf2, cf3; choose a member.*--member cf1"):
         load_flight(fleet.log)
     with pytest.raises(LogError, match=r"no member 'cf4'; it holds a fleet of cf1, cf2, cf3"):
         load_flight(fleet.log, "cf4")

@@ -58,7 +58,7 @@ def test_one_bit_of_a_word_counts(tmp_path):
 
 def test_without_the_words_nothing_is_proved(tmp_path):
     lost = lambda m: (m.topic, m.sequence) != (NEIGHBOURS, TICK)  # noqa: E731
-    with pytest.raises(ReplayError, match=f"at tick {TICK} is missing .*{NEIGHBOURS}"):
+    with pytest.raises(ReplayError, match=f"at tick {TICK} are missing .*{NEIGHBOURS}"):
         replay(write_kept(RECORDED, tmp_path / "lost.mcap", wire=False, when=lost))
 
 

@@ -51,7 +51,7 @@ def test_each_member_replays_bit_by_bit_and_the_command_tells_of_all(fleet, caps
     assert {(each["result"], each["start"]) for each in told["members"].values()} == {("equal", "tick 0")}
     code, out, _ = run(capsys, "replay", fleet.log, "--check", "--member", "cf2", "--json")
     assert (code, json.loads(out)["compared"]) == (0, told["members"]["cf2"]["compared"])
-    with pytest.raises(ReplayError, match=r"fleet of cf1, cf2, cf3; say whose flight"):
+    with pytest.raises(ReplayError, match=r"fleet of cf1, cf2, cf3; choose a member"):
         FlightInputs(fleet.log)
 
 

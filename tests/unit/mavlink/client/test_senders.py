@@ -112,7 +112,7 @@ def test_a_vehicle_behind_a_new_port_is_followed_once_the_old_one_is_silent():
     assert wire.beats(peer=THERE, now_s=SILENT_S + 0.1, armed=True)
     assert wire.admits(position(), THERE, SILENT_S + 0.1, armed=True)
     assert not wire.admits(position(), HERE, SILENT_S + 0.2, armed=True)
-    assert any("heard at 127.0.0.1:14590 now" in text for text in wire.senders.take_notices())
+    assert any("sends from 127.0.0.1:14590 now" in text for text in wire.senders.take_notices())
 
 
 @pytest.mark.parametrize("armed", [False, True])
