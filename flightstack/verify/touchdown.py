@@ -169,13 +169,15 @@ def tilts(config: FlightConfig, x: Extremes) -> Check:
     over its lag without the dead time. The nominal command relies on this for braking. From rest to the full
     speed v such a vehicle lags by v / (2 A), minus v / (2 a) of the command's ramp, in addition to its lag.
     Above ``checks.follow_lag_max_s`` the vehicle counts as one that does not follow, and lands beside the
-    robot.
+    robot. With a dead time the set-point is e ahead of a predicted velocity. The error of the prediction is
+    measured a dead time later, so the dead time counts again, and the acceleration is e over the whole lag of
+    the slowest vehicle.
     """
     loop, (ax, ay, _) = config.velocity_loop, config.slew_max_m_s2
     speed, slew = max(config.limits.velocity_max_m_s[:2]), min(ax, ay)
-    answers_s = loop.lag_xy_s - loop.dead_time_s
+    answers_s = x.lag_xy_s if loop.dead_time_s else loop.lag_xy_s
     found = loop.error_max_m_s / answers_s if answers_s > 0.0 else math.inf
-    left_s = config.checks.follow_lag_max_s - x.lag_xy_s + 0.5 * speed / slew
+    left_s = config.checks.follow_lag_max_s - x.lag_xy_s - loop.dead_time_s + 0.5 * speed / slew
     follows = 0.5 * speed / left_s if left_s > 0.0 else math.inf
     needed = max(BRAKING * slew, follows)
     return Check(

@@ -63,6 +63,7 @@ def test_what_is_proven_neither_crashes_nor_violates(case):
         ("reversing", "paper", "limits.slew_max_m_s2", [0.2, 0.2, 0.2], "slew"),
         ("reversing", "paper", "loop.rate_hz", 10, "tick"),
         ("reversing", "paper", "contact.gap_m", 0.1, "contact.gap_m"),
+        ("ardupilot_47", "robust", "velocity_loop.error_max_m_s", 1.0, "velocity_loop.error_max_m_s"),
         ("large", "robust", "velocity_feedback.horizontal", True, "velocity feedback, model"),
         ("field", "robust", "target.velocity_noise_m_s", 1e-4, "declared, target.velocity_noise_m_s"),
     ],
