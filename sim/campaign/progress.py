@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from flightstack.common import hangup
+
 if TYPE_CHECKING:
     from sim.campaign.rows import Row
 
@@ -43,7 +45,11 @@ class Bar:
         self.done(row.outcome, *(["violations"] if row.violation else []))
 
     def done(self, *kinds: str) -> None:
-        """Count one result, under each of these kinds."""
+        """Count one result, under each of these kinds.
+
+        Raises CalledOffError: a signal came before, and a library dropped its exception.
+        """
+        hangup.begun()
         self._counts.update(kinds)
         counts = "  ".join(f"{number} {name}" for name, number in sorted(self._counts.items()))
         self._progress.update(self._task, advance=1, counts=counts)

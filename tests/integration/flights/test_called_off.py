@@ -11,9 +11,11 @@ from unittest import mock
 import click
 import pytest
 from click.testing import CliRunner
+from rich.console import Console
 
 from flightstack.cli.main import main
 from flightstack.common import hangup
+from sim.campaign.progress import Bar
 from tests.integration.runs import gone
 from tests.integration.sim_processes import COMMAND, wait_for
 from tests.processes.bounded import PATIENCE_S, killed
@@ -84,6 +86,15 @@ def test_a_signal_whose_exception_was_dropped_is_raised_when_the_start_is_over(m
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def test_a_command_with_many_results_obeys_a_dropped_signal_with_the_next_result(monkeypatch):
+    monkeypatch.setattr(hangup, "_came", [])
+    with Bar(Console(), "", None) as bar:
+        bar.done("landed")
+        monkeypatch.setattr(hangup, "_came", [hangup.CalledOffError("ended by SIGTERM")])
+        with pytest.raises(hangup.CalledOffError):
+            bar.done("landed")
 
 
 @pytest.mark.parametrize("error", [ImportError("initialization failed"), ValueError("bad"), SystemError()])
