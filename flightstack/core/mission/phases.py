@@ -104,7 +104,10 @@ _INPUTS = (
     Rule(C.LINK_LOST, Phase.HOLD, "heartbeat lost"),
     Rule(C.TARGET_LOST, Phase.HOLD, "target lost"),
 )
-SWINGING = "oscillates over the pad: velocity loop slower than configured, run `identify`"
+SWINGING = (
+    "oscillates over the pad: velocity loop slower than configured, run `identify`, or a robot that "
+    "accelerates more than envelope.target_acceleration_max_m_s2"
+)
 START_LATE = Rule(C.PHASE_TIME_OVER, Phase.ABORT, "start not reached in time")
 _NOT_OFF = C.ARMED | C.LINK_LOST
 _STANDS = C.COMMAND_FAILED | C.STANDING
