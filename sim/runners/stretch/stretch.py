@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from typing import Any, cast
 
 import numpy as np
@@ -122,6 +123,15 @@ class Stretch:
             *self._cells, self._phase_rules, *self._memory, self._plan, decks, samples, come,
             np.empty((0, TRUTH)), self._ages, self._told,
         )  # fmt: skip
+        if self._asks:
+            ends_s, self._rules.ends_s = self._rules.ends_s, -math.inf  # the time is over: nothing is flown
+            with suppress(NotOrdinary):
+                looked: Any = look
+                looked(
+                    *self._cells, self._phase_rules, *self._memory, self._plan, samples,
+                    np.zeros(1, dtype=np.int64),
+                )  # fmt: skip
+            self._rules.ends_s = ends_s
 
     def fly(self, tick: int) -> int:
         """Fly from this tick, the next one, as far as possible; return the number of ticks flown."""
