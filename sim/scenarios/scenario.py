@@ -83,13 +83,13 @@ class TargetSpec:
     wait_for_landing: bool = True  # the robot does not move until the landing starts
     stop_period_s: Annotated[float, span(0.5, 60.0)] = 4.0  # stop_and_go, reversing: time between changes
     acceleration_max_m_s2: Annotated[float, span(0.05, 10.0)] = 1.0  # largest acceleration of the wheels
-    speed_max_m_s: Annotated[float, span(0.01, 5.0)] = 0.2108  # OpenCR turtlebot3_burger.h: 61 rpm wheels
-    turn_rate_max_rad_s: Annotated[float, span(0.01, 10.0)] = 2.635  # OpenCR turtlebot3_burger.h
+    speed_max_m_s: Annotated[float, span(0.01, 5.0)] = 0.2108  # largest speed (OpenCR: wheels at 61 rpm)
+    turn_rate_max_rad_s: Annotated[float, span(0.01, 10.0)] = 2.635  # largest turn rate (OpenCR)
     heave_amplitude_m: Annotated[float, span(0.0, 0.5)] = 0.0  # amplitude of the pad's heave
     heave_rate_hz: Annotated[float, span(0.0, 2.0)] = 0.0  # frequency of the heave
-    pad_height_m: Annotated[float, span(0.05, 2.0)] = 0.20  # LDS top at 0.192 m plus the pad
-    pad_radius_m: Annotated[float, span(0.05, 2.0)] = 0.10
-    pad_behind_axle_m: Annotated[float, span(-0.2, 0.2)] = 0.0  # the body's centre is at 0.032
+    pad_height_m: Annotated[float, span(0.05, 2.0)] = 0.20  # height of the pad's top (LDS: 0.192 m)
+    pad_radius_m: Annotated[float, span(0.05, 2.0)] = 0.10  # radius of the pad
+    pad_behind_axle_m: Annotated[float, span(-0.2, 0.2)] = 0.0  # pad behind the axle; body: 0.032
 
     def __post_init__(self) -> None:
         turns = self.path in (PathKind.FIGURE_OF_EIGHT, PathKind.WAYPOINTS)
@@ -167,9 +167,8 @@ class StateError:
     velocity_across: Annotated[float, span(0.0, 1.0)] = 0.016
     tilt_rad: Annotated[float, span(0.0, 0.2)] = 0.015  # misalignment about body x and y, fixed in a flight
     yaw_rad: Annotated[float, span(0.0, 0.2)] = 0.0013  # misalignment about body z, fixed in a flight
-    # variation of the tilt error in flight
-    tilt_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.0055
-    yaw_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.0006
+    tilt_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.0055  # varying error about body x and y
+    yaw_noise_rad: Annotated[float, span(0.0, 0.2)] = 0.0006  # varying error about body z
     # correlation time T in exp(-t/T) of all errors except the delay
     error_time_s: Annotated[float, span(0.01, 10.0)] = 0.23
 

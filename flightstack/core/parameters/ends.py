@@ -24,25 +24,25 @@ class TouchdownRule(Enum):
 class Takeoff:
     """Flight from the ground to the place where the landing starts."""
 
-    height_m: Annotated[float, span(0.2, 10.0)] = 0.5
+    height_m: Annotated[float, span(0.2, 10.0)] = 0.5  # height of the take-off
     # start position relative to the landing spot, ENU; None: start from the hover position
     start_offset_m: Vec3 | None = None
     # largest height difference to the start at which the vehicle moves horizontally
     level_first_m: Annotated[float, span(0.02, 2.0)] = 0.1
-    arrival_radius_m: Annotated[float, span(0.02, 0.5)] = 0.05
-    arrival_speed_m_s: Annotated[float, span(0.01, 0.5)] = 0.05
-    timeout_s: Annotated[float, span(5.0, 300.0)] = 60.0
+    arrival_radius_m: Annotated[float, span(0.02, 0.5)] = 0.05  # largest distance from the start on arrival
+    arrival_speed_m_s: Annotated[float, span(0.01, 0.5)] = 0.05  # largest speed on arrival
+    timeout_s: Annotated[float, span(5.0, 300.0)] = 60.0  # longest take-off with the flight to the start
 
 
 @dataclass(frozen=True, slots=True)
 class Touchdown:
     """Final descent to the pad."""
 
-    rule: TouchdownRule = TouchdownRule.CONTACT
-    height_m: Annotated[float, span(0.01, 1.0)] = 0.05  # paper V: motors off below 5 cm
-    pad_radius_m: Annotated[float, span(0.03, 2.0)] = 0.10
-    feet_below_reference_m: Annotated[float, span(0.0, 0.5)] = 0.0144  # Crazyflie 2.0: value from CAD
-    target_speed_max_m_s: Annotated[float, span(0.0, 3.0)] = 0.21  # wheel speed limit of a TurtleBot3
+    rule: TouchdownRule = TouchdownRule.CONTACT  # `contact`: until contact; `paper`: motors off at height_m
+    height_m: Annotated[float, span(0.01, 1.0)] = 0.05  # paper filter: height of the touchdown (section V)
+    pad_radius_m: Annotated[float, span(0.03, 2.0)] = 0.10  # radius of the pad
+    feet_below_reference_m: Annotated[float, span(0.0, 0.5)] = 0.0144  # feet below the centre of mass (CAD)
+    target_speed_max_m_s: Annotated[float, span(0.0, 3.0)] = 0.21  # fastest target; TurtleBot3 Burger's limit
     # maximum wait for a slow target after the landing starts: errors of a delayed vehicle state grow with
     # speed
     calm_wait_s: Annotated[float, span(0.0, 60.0)] = 0.0

@@ -27,10 +27,10 @@ CIRCLE_LATENCIES = 8.0  # latencies, times one plus the number of higher ids, un
 class Fleet:
     """This vehicle and the other members; without this table the vehicle flies alone."""
 
-    id: Annotated[int, span(1, ID_MAX)]
+    id: Annotated[int, span(1, ID_MAX)]  # id of this member
     members: tuple[Annotated[int, span(1, ID_MAX)], ...]  # ids of all members, including this one
     radius_xy_m: Annotated[float, span(0.05, 10.0)] = 0.25  # horizontal semi-axis of the ellipsoid
-    radius_z_m: Annotated[float, span(0.05, 10.0)] = 0.75
+    radius_z_m: Annotated[float, span(0.05, 10.0)] = 0.75  # vertical semi-axis of the ellipsoid
     rate_1_s: Annotated[float, span(0.05, 10.0)] = 0.8  # allowed decay rate of the distance
     margin_m: Annotated[float, span(0.0, 5.0)] = 0.08  # margin for velocity errors of both vehicles
     sigma_factor: Annotated[float, span(0.0, 6.0)] = 3.0  # number of covered standard deviations of positions

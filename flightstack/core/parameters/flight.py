@@ -134,9 +134,8 @@ class Checks:
     climb_time_max_s: Annotated[float, span(0.5, 60.0)] = 10.0  # time in CLIMB before an abort
     recovery_time_s: Annotated[float, span(0.05, 5.0)] = 0.3  # time with recent inputs before a retry
     retries_max: Annotated[int, span(0, 20)] = 3  # largest number of go-arounds before an abort
-    # oscillation over the pad: largest number of exits from the cone, and time in it without a touchdown
-    swings_max: Annotated[int, span(1, 100)] = 3
-    over_pad_time_max_s: Annotated[float, span(2.0, 600.0)] = 15.0
+    swings_max: Annotated[int, span(1, 100)] = 3  # largest number of exits from the cone over the pad
+    over_pad_time_max_s: Annotated[float, span(2.0, 600.0)] = 15.0  # longest flight over the pad
     landing_time_max_s: Annotated[float, span(5.0, 600.0)] = 120.0  # longest duration of a landing
     wait_time_max_s: Annotated[float, span(1.0, 3600.0)] = 60.0  # longest wait for inputs before the landing
     clearance_m: Annotated[float, span(0.3, 20.0)] = 1.0  # horizontal distance that is clear of the target

@@ -21,14 +21,14 @@ class VelocityLoop:
     """
 
     lag_xy_s: Annotated[float, span(0.0, 2.0)] = 0.27  # group delay of the closed loop at low frequency
-    lag_z_s: Annotated[float, span(0.0, 2.0)] = 0.17
+    lag_z_s: Annotated[float, span(0.0, 2.0)] = 0.17  # vertical group delay
     # part of lag_xy_s in which a horizontal set-point has no effect yet: delays of links and attitude
     dead_time_s: Annotated[float, span(0.0, 0.5)] = 0.0
     rate_xy_1_s: Annotated[float, span(0.5, 50.0)] = 5.2  # natural frequency of the second-order model
-    rate_z_1_s: Annotated[float, span(0.5, 50.0)] = 8.0
-    damping: Annotated[float, span(0.1, 2.0)] = 0.68
+    rate_z_1_s: Annotated[float, span(0.5, 50.0)] = 8.0  # vertical natural frequency
+    damping: Annotated[float, span(0.1, 2.0)] = 0.68  # damping ratio of the model
     gain_xy: Annotated[float, span(0.0, 2.0)] = 0.6  # share of the tracking error added to the set-point
-    gain_z: Annotated[float, span(0.0, 2.0)] = 0.5
+    gain_z: Annotated[float, span(0.0, 2.0)] = 0.5  # vertical share of the tracking error in the set-point
     error_max_m_s: Annotated[float, span(0.05, 10.0)] = (
         0.6  # largest difference of horizontal set-point and velocity: it bounds the tilt
     )
@@ -56,15 +56,15 @@ class VelocityFeedback:
     The feedback rejects gusts. It needs an identified velocity loop, and more tilt than the wind requires.
     """
 
-    horizontal: bool = False
+    horizontal: bool = False  # use the feedback on x and y
     error_rate_1_s: Annotated[float, span(0.5, 20.0)] = 5.0  # rate at which a velocity error is corrected
     tilt_rate_1_s: Annotated[float, span(1.0, 50.0)] = 13.0  # rate at which the tilt reaches its command
     observer_rate_1_s: Annotated[float, span(1.0, 50.0)] = 25.0  # rate of the disturbance estimate
-    acceleration_max_m_s2: Annotated[float, span(0.2, 20.0)] = 3.0  # largest command; 3.5 is 20 degrees tilt
+    acceleration_max_m_s2: Annotated[float, span(0.2, 20.0)] = 3.0  # largest command; 3.5: tilt of 20 degrees
     # distance from the landing spot beyond which the far rates apply: fast tilting takes thrust; 0: never
     far_m: Annotated[float, span(0.0, 100.0)] = 0.0
-    far_error_rate_1_s: Annotated[float, span(0.5, 20.0)] = 4.0
-    far_tilt_rate_1_s: Annotated[float, span(1.0, 50.0)] = 8.0
+    far_error_rate_1_s: Annotated[float, span(0.5, 20.0)] = 4.0  # error_rate_1_s beyond far_m
+    far_tilt_rate_1_s: Annotated[float, span(1.0, 50.0)] = 8.0  # tilt_rate_1_s beyond far_m
 
     @property
     def far(self) -> VelocityFeedback:
@@ -98,15 +98,15 @@ class TargetLink:
 
     delay_s: Annotated[float, span(0.0, 0.5)] = 0.02  # shortest age of a sample on arrival
     position_noise_m: Annotated[float, span(1e-4, 0.5)] = 0.005  # standard deviation on each axis
-    velocity_noise_m_s: Annotated[float, span(1e-4, 1.0)] = 0.02
+    velocity_noise_m_s: Annotated[float, span(1e-4, 1.0)] = 0.02  # standard deviation on each axis
     jerk_xy_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.6  # jerk density: 0.5 m/s^2 change a second
     jerk_z_m_s3_sqrthz: Annotated[float, span(0.01, 20.0)] = 0.02  # jerk density on a floor; 0.6 on a ship
     # largest factor on the jerk of x and y while innovations are larger than expected; 1: constant jerk
     jerk_growth_max: Annotated[float, span(1.0, 100.0)] = 1.0
-    acceleration_xy_m_s2: Annotated[float, span(0.001, 10.0)] = 0.3  # initial standard deviation
+    acceleration_xy_m_s2: Annotated[float, span(0.001, 10.0)] = 0.3  # initial standard deviation on x and y
     acceleration_time_s: Annotated[float, span(0.05, 1000.0)] = 0.5  # time constant of the decay on x and y
-    turns_with_yaw: bool = True  # false: the robot can move sideways
-    acceleration_z_m_s2: Annotated[float, span(0.001, 10.0)] = 0.01
+    turns_with_yaw: bool = True  # the velocity turns with the yaw; false for a robot that moves sideways
+    acceleration_z_m_s2: Annotated[float, span(0.001, 10.0)] = 0.01  # initial standard deviation, vertical
 
 
 @dataclass(frozen=True, slots=True)
