@@ -56,11 +56,11 @@ def begins(config: FlightConfig, fleet: Fleet, c: Crowd) -> Check:
     from_m = anywhere_m(config, fleet, c)
     return Check(
         "neighbours in reach",
-        "where neighbours come into reach, the rows of any number of them have a common point",
+        "where neighbours come into reach, the rows of any number of neighbours have a common feasible point",
         fleet.reach_m - fleet.radius_xy_m - from_m,
         "m",
-        f"from h = {from_m:.3g} m on, the pad's velocity with any climb meets all rows; they begin at "
-        f"{fleet.reach_m - fleet.radius_xy_m:.3g} m",
+        f"from h = {from_m:.3g} m on, the pad's velocity with any climb meets all rows; rows become active "
+        f"at {fleet.reach_m - fleet.radius_xy_m:.3g} m",
         "raise fleet.reach_m or fleet.rate_1_s, or lower fleet.speed_max_m_s",
         Need.PROOF,
     )
@@ -108,13 +108,13 @@ def one(config: FlightConfig, fleet: Fleet, c: Crowd) -> Check:
     open_m_s, _ = one_short_m_s(config, c, min(vx, vy), 0.0)
     return Check(
         "one neighbour",
-        "landing barrier, box and the row of one neighbour have a common point wherever no h is negative",
+        "if no h is negative, landing barrier, box and the row of one neighbour have a common feasible point",
         -short_m_s,
         "m/s",
-        f"at slope {c.steepest:.3g} it approaches with {c.speed_m_s:g} m/s and pushes up the slope, "
+        f"the neighbour approaches with {c.speed_m_s:g} m/s at a slope of {c.steepest:.3g}, "
         f"{math.degrees(-elevation):.0f} deg from above; a common point exists from h = "
-        f"{max(0.0, short_m_s) / fleet.rate_1_s:.3g} m on, away from the landing barrier from "
-        f"{max(0.0, open_m_s) / fleet.rate_1_s:.3g} m on; nearer, its row is relaxed",
+        f"{max(0.0, short_m_s) / fleet.rate_1_s:.3g} m on, and without landing barrier from "
+        f"{max(0.0, open_m_s) / fleet.rate_1_s:.3g} m on; below, its row is relaxed",
         "raise limits.velocity_max_m_s, or lower fleet.speed_max_m_s or the slope alpha * beta",
         Need.PROOF,
     )
@@ -125,12 +125,12 @@ def several(config: FlightConfig, fleet: Fleet, c: Crowd) -> Check:
     short_m_s = c.longest * c.speed_m_s + c.growth_m_s
     return Check(
         "several neighbours",
-        "box and the rows of several neighbours have a common point wherever no h is negative",
+        "if no h is negative, box and the rows of several neighbours have a common feasible point",
         -short_m_s,
         "m/s",
-        f"two approach from opposite sides with {c.speed_m_s:g} m/s each: a common point exists from h = "
-        f"{short_m_s / fleet.rate_1_s:.3g} m on, of any number and with the landing barrier from "
-        f"{anywhere_m(config, fleet, c):.3g} m on; nearer, the rows of neighbours are relaxed together",
+        f"two neighbours approach from opposite sides with {c.speed_m_s:g} m/s each; a common point exists "
+        f"from h = {short_m_s / fleet.rate_1_s:.3g} m on, and for any number with the landing barrier from "
+        f"{anywhere_m(config, fleet, c):.3g} m on; below, the rows of neighbours are relaxed together",
         "lower fleet.speed_max_m_s, or raise fleet.rate_1_s; no setting meets all",
         Need.PROOF,
     )

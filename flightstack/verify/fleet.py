@@ -67,12 +67,12 @@ def apart(fleet: Fleet, lag_s: float) -> Check:
     root_1_s = (1.0 + math.sqrt(max(0.0, left))) / (2.0 * lag_s) if lag_s > 0.0 else math.inf
     return Check(
         "fleet.rate_1_s",
-        "two vehicles of the same lag whose rows are met do not enter the ellipsoid, for each of the spread",
+        "two vehicles that meet their rows do not enter the ellipsoid, for equal lags within the spread",
         PART_OF_LAG - fleet.rate_1_s * lag_s,
         "",
-        f"rate {fleet.rate_1_s:g} times a lag of {lag_s:.3g} s, at most {PART_OF_LAG:g}: from all states "
-        f"that close in by at most {root_1_s:.3g} h a second; with the whole share an acceleration of the "
-        f"other vehicle costs up to {lag_s * fleet.acceleration_max_m_s2 / fleet.rate_1_s:.3g} m of h",
+        f"rate {fleet.rate_1_s:g} times a lag of {lag_s:.3g} s may be at most {PART_OF_LAG:g}; valid for "
+        f"states in which h decreases by at most {root_1_s:.3g} h per second; with share 1 an acceleration "
+        f"of a neighbour reduces h by up to {lag_s * fleet.acceleration_max_m_s2 / fleet.rate_1_s:.3g} m",
         "lower fleet.rate_1_s",
         Need.PROOF,
     )
@@ -93,11 +93,11 @@ def margin(config: FlightConfig, fleet: Fleet) -> Check:
     lost_m = errors_m(config, fleet)
     return Check(
         "fleet.margin_m",
-        "errors of the velocities do not bring two vehicles into the ellipsoid",
+        "velocity errors do not bring two vehicles into the ellipsoid",
         fleet.margin_m - lost_m,
         "m",
-        f"found {fleet.margin_m:g}; errors of both as robust.tracking_error_m_s, in all directions, cost "
-        f"{lost_m:.3g}",
+        f"found {fleet.margin_m:g}; errors of robust.tracking_error_m_s of both vehicles, in any direction, "
+        f"reduce h by {lost_m:.3g}",
         "raise fleet.margin_m or fleet.rate_1_s",
         Need.PROOF,
     )
@@ -113,11 +113,11 @@ def shares(fleet: Fleet, period_s: float) -> Check:
     needed_s = (1.0 + LATE_TICKS) * period_s
     return Check(
         "shares",
-        "the shares of two vehicles sum to at least one, with any lost, late or overtaken messages",
+        "the shares of two vehicles sum to at least 1, also with lost, late or reordered messages",
         spare_s - needed_s,
         "s",
-        f"{spare_s:.3g} s are available, a tick and a late one take {needed_s:.3g}; clock errors are within "
-        "their bound; not while the autopilot or another sender takes over a vehicle",
+        f"{spare_s:.3g} s are available; a tick and a late tick need {needed_s:.3g} s; valid for clock "
+        "errors within their bound, and unless the autopilot or another sender takes over a vehicle",
         "raise fleet.latency_max_s or loop.rate_hz",
         Need.PROOF,
     )
@@ -133,10 +133,10 @@ def speed(config: FlightConfig, fleet: Fleet) -> Check:
     box_m_s = math.hypot(*config.limits.velocity_max_m_s)
     return Check(
         "fleet.speed_max_m_s",
-        "a member in a corner of its box is no faster than the others assume",
+        "the speed of a member in a corner of its box is at most the speed that the others assume",
         fleet.speed_max_m_s - box_m_s,
         "m/s",
-        f"found {fleet.speed_max_m_s:g}, the box allows {box_m_s:.3g} in its corner",
+        f"found {fleet.speed_max_m_s:g}; a corner of the box allows {box_m_s:.3g}",
         "raise fleet.speed_max_m_s (and fleet.reach_m with it), or lower limits.velocity_max_m_s",
         Need.PROOF,
     )
@@ -148,11 +148,12 @@ def acceleration(fleet: Fleet, slew_m_s2: Vec3) -> Check:
     lost_m_s = max(0.0, found - fleet.acceleration_max_m_s2) * fleet.latency_max_s
     return Check(
         "fleet.acceleration_max_m_s2",
-        "the commanded velocity changes no faster than the others assume",
+        "the commanded velocity changes at most as fast as the others assume",
         fleet.acceleration_max_m_s2 - found,
         "m/s^2",
-        f"found {fleet.acceleration_max_m_s2:g}, all axes together may slew by {found:.3g}: in a latency of "
-        f"{fleet.latency_max_s:g} s a velocity may differ by {lost_m_s:.3g} m/s from the assumed one",
+        f"found {fleet.acceleration_max_m_s2:g}; the slew limits of all axes together allow {found:.3g}; in "
+        f"a latency of {fleet.latency_max_s:g} s a velocity may differ by {lost_m_s:.3g} m/s from the "
+        "assumed one",
         "raise fleet.acceleration_max_m_s2, or lower robust.acceleration_max_m_s2",
         Need.PROOF,
     )
@@ -164,11 +165,11 @@ def jump(config: FlightConfig, fleet: Fleet) -> Check:
     closing_m_s = _fastest_m_s(config, fleet) + fleet.speed_max_m_s
     return Check(
         "fleet.reach_m",
-        "the row of a vehicle that comes into reach does not demand a jump of the velocity",
+        "the row of a vehicle that comes into reach does not require a jump of the velocity",
         allowed_m_s - closing_m_s,
         "m/s",
-        f"the row allows a closing speed of {allowed_m_s:.3g} m/s there, corners of the box with "
-        f"fleet.speed_max_m_s give {closing_m_s:.3g}",
+        f"the row allows a closing speed of {allowed_m_s:.3g} m/s there; a corner of the box and "
+        f"fleet.speed_max_m_s result in {closing_m_s:.3g}",
         "raise fleet.reach_m",
         Need.PROOF,
     )
@@ -187,11 +188,11 @@ def slew(config: FlightConfig, fleet: Fleet, slew_m_s2: Vec3, *, whole: bool) ->
     who = "whole" if whole else "half"
     return Check(
         f"slew, {who} share",
-        f"a vehicle with the {who} share can follow the row of a neighbour as fast as it changes",
+        f"the velocity of a vehicle with the {who} share can change as fast as the row of a neighbour",
         slew_m_s2[axis] - needed[axis],
         "m/s^2",
-        f"along axis {axis} the row may need {needed[axis]:.3g} m/s^2 at full speed of both, allowed are "
-        f"{slew_m_s2[axis]:.3g}",
+        f"along axis {axis} the row may require {needed[axis]:.3g} m/s^2 at full speed of both vehicles; "
+        f"allowed are {slew_m_s2[axis]:.3g}",
         "lower fleet.rate_1_s or fleet.speed_max_m_s, or raise robust.acceleration_max_m_s2 and "
         "fleet.slew_xy_max_m_s2",
         Need.PROOF,
@@ -210,10 +211,10 @@ def touchdowns(config: FlightConfig, fleet: Fleet, descent_s: float) -> Check:
     needed_m = fleet.radius_xy_m + 2.0 * config.touchdown.pad_radius_m + 2.0 * moved_m
     return Check(
         "touchdowns",
-        "two vehicles in their touchdowns stay apart: pads that come near later do so after both are down",
+        "two vehicles in touchdown remain apart: pads come near each other only after both have landed",
         fleet.pad_distance_m - needed_m,
         "m",
-        f"in {ahead_s:.3g} s each pad may move {moved_m:.3g} m from where conflicts are checked; "
+        f"in {ahead_s:.3g} s each pad may move {moved_m:.3g} m from the position of the conflict check; "
         f"{needed_m:.3g} m are needed, fleet.pad_distance_m is {fleet.pad_distance_m:g}",
         "raise fleet.pad_distance_m, or use robots whose paths do not meet",
         Need.PROOF,
@@ -242,8 +243,9 @@ def waits(config: FlightConfig, fleet: Fleet, descent_s: float) -> Check:
         "if each member lands at its first attempt, no member aborts while it waits for the right of way",
         fleet.wait_max_s - before * each_s,
         "s",
-        f"{before} land before the last one, about {each_s:.3g} s each; each may take "
-        f"{fleet.wait_max_s / before:.3g} s; a go-around, or a vehicle that stays on the pad, is not counted",
+        f"{before} members land before the last one, in about {each_s:.3g} s each; allowed are "
+        f"{fleet.wait_max_s / before:.3g} s each; go-arounds and vehicles that remain on the pad do not "
+        "count",
         "raise fleet.wait_max_s",
         Need.PROOF,
     )

@@ -69,7 +69,7 @@ def sampling(config: FlightConfig, key: str, rate_1_s: float) -> Check:
     most_1_s = 0.5 * config.loop.rate_hz
     return Check(
         f"sampling, {key}",
-        "a tick is short against the rate at which h may fall",
+        "a tick is short compared with the rate at which h may fall",
         most_1_s - rate_1_s,
         "1/s",
         f"found {rate_1_s:g}, at {config.loop.rate_hz} Hz at most {most_1_s:g}",

@@ -45,7 +45,7 @@ def one_table(fleets: Sequence[Fleet]) -> Check:
         "all members have the same table [fleet], with exactly the members of the team",
         0.0 - len(other),
         "keys",
-        f"{len(fleets)} members; different: {', '.join(other) or 'none'}",
+        f"{len(fleets)} members; different keys: {', '.join(other) or 'none'}",
         f"give all members the same fleet.{', fleet.'.join(other)}" if other else "",
         Need.PROOF,
     )
@@ -63,7 +63,7 @@ def begin(fleet: Fleet, starts_enu_m: Sequence[Vec3]) -> Check:
         "no vehicle starts inside the ellipsoid around another one",
         least_m,
         "m",
-        f"the nearest are members {where[0]} and {where[1]}",
+        f"members {where[0]} and {where[1]} are nearest to each other",
         "give them other start positions",
         Need.PROOF,
     )
@@ -82,9 +82,9 @@ def pads(config: FlightConfig, fleet: Fleet, apart_m: float) -> Check:
         "no two pads are predicted to conflict, so no member waits",
         apart_m - error_m - fleet.pad_distance_m,
         "m",
-        (f"paths stay {apart_m:.3g} m apart, " if apart_m > 0.0 else "paths may meet, ")
+        (f"paths remain {apart_m:.3g} m apart, " if apart_m > 0.0 else "paths may meet, ")
         + f"fleet.pad_distance_m is {fleet.pad_distance_m:g}; velocity errors of {velocity_m_s:.3g} m/s "
-        f"each add {error_m:.3g} m in fleet.descent_s",
+        f"each add {error_m:.3g} m within fleet.descent_s",
         "drive the robots farther apart, or lower fleet.pad_distance_m or fleet.descent_s",
         Need.PROOF,
     )
@@ -102,11 +102,11 @@ def contact(configs: Sequence[FlightConfig], touch_m: Vec3) -> Check:
     room_m, touch_h_m, lost_m, allowed_m_s = min(rooms)
     return Check(
         "contact",
-        "two vehicles whose rows are met do not touch, with the errors of their velocities",
+        "two vehicles that meet their rows do not touch, in spite of velocity errors",
         room_m,
         "m",
-        f"errors as in robust.tracking_error_m_s, in all directions, take h to -{lost_m:.3g} m, shapes touch "
-        f"at {touch_h_m:.3g} m: errors of {allowed_m_s:.3g} m/s together are allowed",
+        f"errors of robust.tracking_error_m_s, in any direction, reduce h to -{lost_m:.3g} m; the shapes "
+        f"touch at {touch_h_m:.3g} m; together, errors of {allowed_m_s:.3g} m/s are allowed",
         "raise fleet.margin_m, fleet.radius_xy_m or fleet.rate_1_s",
         Need.PROOF,
     )
