@@ -182,9 +182,9 @@ def telling(what: str = "the simulator, about 25 s") -> Iterator[None]:
     with event.install_listener("numba:compile", Share()):
         try:
             yield
-        finally:
             if _told:
                 _say("compiled")
+        finally:
             _told.clear()
 
 

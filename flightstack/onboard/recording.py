@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import re
 import shutil
 import subprocess
 import sys
@@ -25,12 +26,15 @@ LOG = "flight.mcap"
 _PACKAGES = ("pymavlink", "osqp", "eclipse-zenoh", "mcap")
 
 
+_NO_NAME = re.compile(r"[^\w.=+@-]|\.\.")  # not part of a folder's name, which commands and pages contain
+
+
 def new_folder(name: str) -> Path:
-    """Make a folder in ``runs`` for the files of a flight.
+    """Make a folder in ``runs`` for the files of a flight; separators and control characters become "_".
 
     Raises ConfigError: too many folders of this name and second exist.
     """
-    base = f"{datetime.now().strftime('%Y%m%d-%H%M%S')}-{name}"
+    base = f"{datetime.now().strftime('%Y%m%d-%H%M%S')}-{_NO_NAME.sub('_', name)[:100]}"
     for number in range(1000):
         folder = Path("runs") / (f"{base}-{number}" if number else base)
         try:

@@ -23,6 +23,7 @@ from rosbags.highlevel import AnyReader
 from flightstack.cli.main import main
 from flightstack.common.terminal import Terminal
 from flightstack.common.text import one_line, plain
+from flightstack.onboard.recording import new_folder
 from flightstack.watch.live import draw_fleet
 from flightstack.watch.state import News
 from logs.reader.flight import load_flight
@@ -240,3 +241,13 @@ def test_the_view_of_a_fleet_takes_reasons_for_words(monkeypatch):
     assert "log [/fs/microsd] full\\nready tcp/1" in out.getvalue()
     assert "[cf1]" in out.getvalue()
     assert "[t]" in out.getvalue()
+
+
+@pytest.mark.parametrize(
+    "name", ["../x", "a/b", "", "\0z", "\x1b[31m\n", "<b>", "%s{0}", "\u202e", ".", "x" * 300]
+)
+def test_the_name_of_a_scenario_becomes_no_path(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    made = new_folder(f"campaign-{name}-paper")
+    assert list(Path("runs").iterdir()) == [made]
+    assert re.fullmatch(r"\d{8}-\d{6}-campaign-[\w.-]{0,100}", made.name)
