@@ -202,7 +202,7 @@ def test_a_vehicle_that_does_not_show_it_is_waited_for_no_longer_than_allowed(ex
     monkeypatch.setattr(way_out, "LAND_SHOWN_MAX_S", 0.1)
     flight, ended = flown(exits, deaf=True)
     assert flight.asked[-1] is Request.LAND
-    assert ended.reason.endswith("did not show in 0.1 s that it lands")
+    assert ended.reason.endswith("did not report in 0.1 s that it lands")
 
 
 @pytest.mark.parametrize(
