@@ -8,7 +8,7 @@ from gymnasium.utils.env_checker import check_env
 import flightstack as fs
 from flightstack.common.strict_toml import ConfigError
 
-NAME = "flightstack/Landing-v0"
+NAME = "flightstack.api.env:flightstack/Landing-v0"
 
 
 def flown(env, seed, action=None):
