@@ -75,7 +75,6 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-if (
-    "gymnasium" in sys.modules
-):  # gymnasium.make then finds the environment; else ``flightstack.api.env`` registers it
+# Gymnasium, if imported before, knows the short name at once; else ``flightstack.api.env`` registers it.
+if "gymnasium" in sys.modules:
     sys.modules["gymnasium"].register("flightstack/Landing-v0", "flightstack.api.env:LandingEnv")

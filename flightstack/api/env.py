@@ -79,10 +79,8 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         if filter not in _FILTERS:
             raise ConfigError(f"filter: found {filter!r}, allowed: None, 'paper', 'robust'")
         self.render_mode = render_mode
-        self.scenario, self._enforces = (
-            _scenario(scenario, changes, filter=_FILTERS[filter]),
-            filter is not None,
-        )
+        self.scenario = _scenario(scenario, changes, filter=_FILTERS[filter])
+        self._enforces = filter is not None  # the barrier; else only the limits
         most = np.array(self.scenario.onboard.limits.velocity_max_m_s)
         self.action_space = spaces.Box(-most, most, dtype=np.float64)
         self.observation_space = spaces.Box(-_SPEED_FAR_M, _SPEED_FAR_M, (13,), np.float64)

@@ -128,8 +128,8 @@ def _guarded(machine: Any) -> Any:
     def loaded(*given: Any) -> Any:
         try:
             return load(*given)
-        except Exception:
-            with contextlib.suppress(Exception):
+        except Exception:  # damaged pickles raise errors of any class; the code is compiled again
+            with contextlib.suppress(OSError):
                 cached.flush()  # an index that cannot be read could not be extended
             return None
 

@@ -114,23 +114,22 @@ class Stretch:
         self._clip: tuple[float, float, float] | None = None
         self._sender = (node.autopilot.system_id, COMPANION_ID, PEER)
 
+    @property
+    def _given(self) -> Any:
+        """First arguments of ``fly_ticks`` and ``look``."""
+        return (*self._cells, self._phase_rules, *self._memory, self._plan)
+
     def warm_up(self) -> None:
         """Compile the code, or load it from the cache."""
         self._plan[1] = 0
         decks, samples, _, come = self._target.ahead(0, 0)
         flown: Any = fly_ticks
-        flown(
-            *self._cells, self._phase_rules, *self._memory, self._plan, decks, samples, come,
-            np.empty((0, TRUTH)), self._ages, self._told,
-        )  # fmt: skip
+        flown(*self._given, decks, samples, come, np.empty((0, TRUTH)), self._ages, self._told)
         if self._asks:
             ends_s, self._rules.ends_s = self._rules.ends_s, -math.inf  # the time is over: nothing is flown
             with suppress(NotOrdinary):
                 looked: Any = look
-                looked(
-                    *self._cells, self._phase_rules, *self._memory, self._plan, samples,
-                    np.zeros(1, dtype=np.int64),
-                )  # fmt: skip
+                looked(*self._given, samples, np.zeros(1, dtype=np.int64))
             self._rules.ends_s = ends_s
 
     def fly(self, tick: int) -> int:
@@ -259,10 +258,7 @@ class Stretch:
             return 0, BEFORE
         try:
             flown: Any = fly_ticks
-            how = flown(
-                *self._cells, self._phase_rules, *self._memory, self._plan, decks, samples, come, truths,
-                self._ages, self._told,
-            )  # fmt: skip
+            how = flown(*self._given, decks, samples, come, truths, self._ages, self._told)
         except NotOrdinary:
             how = BEFORE
             self._objects.state[:] = self._objects.spare
@@ -301,13 +297,12 @@ class Stretch:
         """Request the next velocity from agent or filter; return False if Python has to run this tick."""
         objects, strategy, looked = self._objects, self._strategy, cast("Any", look)
         try:
-            at, command, (nominal, h_m, gradient, dh_dt_m_s, lower, upper) = looked(
-                *self._cells, self._phase_rules, *self._memory, self._plan, samples, come
-            )
+            at, command, asked = looked(*self._given, samples, come)
         except NotOrdinary:
             return False
         finally:
             objects.state[:] = objects.spare
+        nominal, h_m, gradient, dh_dt_m_s, lower, upper = asked
         self._controller.memory.command, self._asked = command, tick
         if strategy.ask is not None:
             strategy.answer = strategy.asked.chosen = strategy.ask(at, nominal)
@@ -316,10 +311,8 @@ class Stretch:
             result = strategy.filtered(at, h_m, gradient, dh_dt_m_s, nominal, lower, upper)
             strategy.own_result = result, strategy.memory.refusal
             strategy.memory.refusal = refusal  # the mission sees the new one in the next tick
-            if (
-                objects.numbers(strategy) != self._numbers
-            ):  # the filter changed other fields: Python runs all ticks
-                self._off = True
+            # a filter that changes other fields of its class flies in Python from now on
+            self._off = objects.numbers(strategy) != self._numbers
             if result.status is FilterStatus.REJECTED or self._off:
                 return False
             strategy.asked.chosen = result.velocity_enu_m_s
