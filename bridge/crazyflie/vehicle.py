@@ -327,7 +327,7 @@ class Vehicle(Condition, Commander):
             self._moved = False
 
     def step(self, now_s: float) -> None:
-        """Run what is due; call this at least every 10 ms."""
+        """Advance the timers and queue the packets that are due; to be called at least every 10 ms."""
         self._note_pose(self.mocap_problem, None, now_s)
         self._watch_radio(now_s)
         was_armed = self.armed

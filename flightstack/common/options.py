@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 
 class BadOptionError(ValueError):
-    """An option does not accept a value; the text gives the value found and what is needed."""
+    """Error of an option with a wrong value; the text names the value and what is allowed."""
 
 
 @dataclass(frozen=True)

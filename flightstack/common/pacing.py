@@ -61,11 +61,11 @@ class FastClock:
 
 
 class Tick(NamedTuple):
-    """One tick: its time on the stack's clock, and the accuracy of that time."""
+    """Number and time of one controller tick, and the accuracy of that time."""
 
     number: int
-    now_s: float
-    unix_ns: int
+    now_s: float  # time on the stack's clock
+    unix_ns: int  # time on the system clock, ns since 1970
     period_s: float  # time since the last tick, wall time in lockstep; 0 for the first tick
     lateness_s: float  # delay behind the deadline; 0 in lockstep
     overruns: int = 0  # number of missed deadlines so far

@@ -81,7 +81,7 @@ else:
 
     @cache
     def _class_of(cls: type) -> type[Held]:
-        """Return numba's type for objects of a class, with the methods of that class."""
+        """Return a numba type for the objects of a class; the type has the methods of the class."""
         made = type(cls.__name__, (Held,), {})
         register_default(made)(_Address)
         _register(made, cls)

@@ -90,7 +90,7 @@ class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
 
     @property
     def program(self) -> Path | None:
-        """Path of that program; None: no program is needed."""
+        """Path of the autopilot's program; None if the run starts no such program."""
         return self._programs.get(self.flies)
 
     @property

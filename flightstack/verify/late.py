@@ -143,7 +143,7 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
             "the loop of position and lead is stable for the declared vehicle",
             told,
             "1/s",
-            f"an error decays at {told + least_1_s[told_gain]:.3g} 1/s, {least_1_s[told_gain]:g} are needed",
+            f"an error decays at {told + least_1_s[told_gain]:.3g} 1/s, least: {least_1_s[told_gain]:g}",
             remedy.format(gains[told_gain]),
         ),
         Check(

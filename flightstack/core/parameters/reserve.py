@@ -59,7 +59,7 @@ class Reserve:
         return self.left(self.effort(self.hover_throttle * self.hover_voltage_v / voltage_v), voltage_v)
 
     def effort(self, throttle: float) -> float:
-        """Return the thrust at a throttle as a share of that at ``throttle_max`` and the same voltage."""
+        """Return the thrust at a throttle divided by the thrust at ``throttle_max``, at equal voltage."""
         return math.pow(throttle / self.throttle_max, self.thrust_exponent)
 
     def left(self, effort: float, voltage_v: float) -> float:

@@ -94,7 +94,7 @@ def steady_gains(loop: VelocityLoop, link: OwnStateLink, period_s: float) -> Gai
 
 
 class OwnEstimator:
-    """Estimator of the vehicle state: call ``step`` once a tick, and ``told`` for each set-point."""
+    """Estimates the vehicle state. ``step`` is called in each tick, ``told`` with each set-point sent."""
 
     memory: OwnMemory
     gains: Gains  # gains of the Kalman filter
