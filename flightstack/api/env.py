@@ -25,16 +25,18 @@ from flightstack.core.snapshot import Relative
 from flightstack.core.types import ZERO, Vec3
 from logs.reader.flight_data import Truth
 from logs.verdict.truth import judge_truth
-from logs.verdict.types import Outcome, Verdict
+from logs.verdict.types import VIOLATION_LIMIT_M, Outcome, Verdict
 from sim.runners.companion import Companion
 from sim.runners.landing import warm_up
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.team import alone
 
-STEP_REWARD = -0.01  # reward of each tick
-# rewards at the end, by outcome, and for a violation of the barrier
-END_REWARD = {Outcome.LANDED: 10.0, Outcome.CRASHED: -10.0}
-OTHER_END_REWARD, VIOLATION_REWARD = -5.0, -10.0
+# Rewards. A tick costs little beside the approach, or an agent learns to crash soon instead of to approach.
+APPROACH_REWARD_1_M = 10.0  # for each metre that the distance to the landing spot decreases
+STEP_REWARD = -0.001  # of each tick
+VIOLATION_REWARD = -0.1  # of each tick with a negative barrier value outside the pad
+END_REWARD = {Outcome.LANDED: 10.0, Outcome.CRASHED: -10.0}  # at the end, by outcome
+OTHER_END_REWARD = -5.0
 _SPEED_FAR_M = 1e3  # bound of the observations, in m and m/s
 
 ENV_ID = "flightstack/Landing-v0"
@@ -55,8 +57,9 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
     Action, (3,): nominal velocity of the vehicle, m/s ENU, within ``limits.velocity_max_m_s``. The stack
     limits it to box and slew rate and, with a ``filter``, to the barrier.
 
-    Reward: -0.01 for each step, plus the decrease of the distance to the landing spot in m; at the end 10 for
-    a landing, -10 for a crash, -5 otherwise, and -10 if the barrier was violated.
+    Reward: 10 for each metre that the distance to the landing spot decreases, -0.001 for each step, and -0.1
+    for each step with a negative barrier value outside the pad; at the end 10 for a landing, -10 for a crash,
+    -5 for an abort.
 
     ``terminated``: the flight is over; ``truncated``: it took too long. The last ``info`` has ``verdict``,
     ``outcome``, ``violation`` (None: unknown), ``h_min_outside_pad_m`` and ``is_success``.
@@ -137,13 +140,14 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         at = flight.switch((x, y, z))
         if at is not None:
             seen = self._observed(at)
-            return seen, STEP_REWARD + before_m - self._distance_m, False, False, {}
+            reward = STEP_REWARD + APPROACH_REWARD_1_M * (before_m - self._distance_m)
+            below = seen[9] < VIOLATION_LIMIT_M and at.d_m > self.scenario.target.pad_radius_m
+            return seen, reward + (VIOLATION_REWARD if below else 0.0), False, False, {}
         self._flight = None
         flown = companion.seen()
         verdict = judge_truth(flown, flown.truth)
-        reward = END_REWARD.get(verdict.outcome, OTHER_END_REWARD)
-        reward += VIOLATION_REWARD if verdict.violation is not False else 0.0
         late = verdict.outcome is Outcome.TIMEOUT or TIME_OVER in verdict.reason
+        reward = 0.0 if late else END_REWARD.get(verdict.outcome, OTHER_END_REWARD)
         return self._seen, STEP_REWARD + reward, not late, late, _info(verdict)
 
     def builtin_action(self) -> np.ndarray:

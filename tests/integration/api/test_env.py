@@ -69,7 +69,8 @@ def test_an_agent_without_a_filter_violates_and_with_one_does_not():
     rewards, bare = flown(fs.make_env("lab"), 1, down)
     _, safe = flown(fs.make_env("lab", filter="robust"), 1, down)
     assert bare["violation"]
-    assert rewards[-1] <= -10.0
+    assert min(rewards[:-1]) < -0.09  # ticks below the barrier
+    assert rewards[-1] <= -10.0  # it crashes
     assert safe["violation"] is False
 
 
