@@ -10,42 +10,19 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 from cflib.crazyflie.log import LogConfig
 
-from bridge.crazyflie.state import (
-    FETCHED_AS,
-    HEALTH_PERIOD_MS,
-    HEALTH_VARIABLES,
-    OUTSIDE_PERIOD_MS,
-    OUTSIDE_VARIABLES,
-    STATE_PERIOD_MS,
-    STATE_VARIABLES,
-)
-from bridge.crazyflie.types import Event, HealthBlock, OutsideBlock, StateBlock
+from bridge.crazyflie.state import BLOCKS, FETCHED_AS, Block
+from bridge.crazyflie.types import Event, LogPacket
 
 SILENT_S = 1.0  # time without a packet after which a block is requested again, s
 
 
-class _Kind(NamedTuple):
-    name: str
-    period_ms: int
-    variables: tuple[str, ...]
-    event: Callable[[int, dict[str, Any]], Event]
-    needed: bool = True
-
-
-_KINDS = (
-    _Kind("state", STATE_PERIOD_MS, STATE_VARIABLES, StateBlock),
-    _Kind("health", HEALTH_PERIOD_MS, HEALTH_VARIABLES, lambda _, values: HealthBlock(values)),
-    _Kind("outside", OUTSIDE_PERIOD_MS, OUTSIDE_VARIABLES, lambda _, values: OutsideBlock(values), False),
-)
-
-
-class _Block:
-    def __init__(self, kind: _Kind, put: Callable[[Event], None]) -> None:
-        self.kind, self._put = kind, put
+class _Requested:
+    def __init__(self, block: Block, put: Callable[[Event], None]) -> None:
+        self.block, self._put = block, put
         self.heard_s = self.asked_s = -math.inf
         self._config: Any = None
 
@@ -55,8 +32,8 @@ class _Block:
             self._config.delete()
             crazyflie.log.log_blocks.remove(self._config)
         self.asked_s = time.monotonic()
-        self._config = LogConfig(self.kind.name, self.kind.period_ms)
-        for variable in self.kind.variables:
+        self._config = LogConfig(self.block.name, self.block.period_ms)
+        for variable in self.block.variables:
             self._config.add_variable(variable, FETCHED_AS.get(variable))
         crazyflie.log.add_config(self._config)
         self._config.data_received_cb.add_callback(self._take)
@@ -64,7 +41,7 @@ class _Block:
 
     def _take(self, time_ms: int, values: dict[str, Any], _config: Any) -> None:
         self.heard_s = time.monotonic()
-        self._put(self.kind.event(time_ms, values))
+        self._put(LogPacket(self.block.name, time_ms, values))
 
 
 class LogBlocks:
@@ -74,24 +51,25 @@ class LogBlocks:
         """Send no request yet. cflib's thread calls ``put``."""
         self._crazyflie = crazyflie
         known = crazyflie.log.toc.get_element_by_complete_name
-        self._blocks = []
-        for kind in _KINDS:
-            there = tuple(name for name in kind.variables if known(name) is not None)
-            if kind.needed and there != kind.variables:
-                missing = next(name for name in kind.variables if name not in there)
+        self._requested = []
+        for block in BLOCKS:
+            there = tuple(name for name in block.variables if known(name) is not None)
+            if block.needed and there != block.variables:
+                missing = next(name for name in block.variables if name not in there)
                 raise ValueError(f"the firmware has no log variable {missing}: update it")
             if there:
-                self._blocks.append(_Block(kind._replace(variables=there), put))
+                self._requested.append(_Requested(block._replace(variables=there), put))
 
     def step(self) -> None:
         """Request each block that has sent no packet for a second."""
         since_s = time.monotonic() - SILENT_S
-        for block in self._blocks:
-            if max(block.heard_s, block.asked_s) <= since_s:
-                block.ask(self._crazyflie)
+        for requested in self._requested:
+            if max(requested.heard_s, requested.asked_s) <= since_s:
+                requested.ask(self._crazyflie)
 
     @property
     def waits_for(self) -> str | None:
         """Name of a required block that has not arrived yet; None: all have arrived."""
-        waiting = (block for block in self._blocks if block.kind.needed and block.heard_s == -math.inf)
-        return next((block.kind.name for block in waiting), None)
+        return next(
+            (r.block.name for r in self._requested if r.block.needed and r.heard_s == -math.inf), None
+        )

@@ -14,23 +14,15 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.crazyflie.rules import Rules
 from bridge.crazyflie.state import (
+    HEALTH,
     LATE_MAX_S,
-    STATE_PERIOD_MS,
+    STATE,
     BootClock,
     decode_health,
     decode_outside,
     decode_state,
 )
-from bridge.crazyflie.types import (
-    ArmReply,
-    Arrived,
-    Connected,
-    HealthBlock,
-    Lost,
-    OutsideBlock,
-    ParamValue,
-    StateBlock,
-)
+from bridge.crazyflie.types import ArmReply, Arrived, Connected, LogPacket, Lost, ParamValue
 from bridge.crazyflie.vehicle import Vehicle
 from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.profiles import CRAZYFLIE_MARK
@@ -43,7 +35,7 @@ from bridge.mavlink.server.server import COMPONENT_ID, SYSTEM_ID, Server
 from bridge.mavlink.server.telemetry import Builder, Snapshot
 
 READINESS_S = 1.0  # time between two checks of the conditions for arming, s
-_RATE_HZ = 1000.0 / STATE_PERIOD_MS  # rate of new states, Hz
+_RATE_HZ = 1000.0 / STATE.period_ms  # rate of new states, Hz
 _M = dialect
 _NOTHING: frozenset[int] = frozenset()
 # The position is sent only while its estimate is good, as in PX4.
@@ -105,9 +97,7 @@ class Node(Server[Vehicle]):
             Lost: self.vehicle.lost,
             ArmReply: self.vehicle.arm_reply,
             ParamValue: self.vehicle.param,
-            StateBlock: self._on_state,
-            HealthBlock: self._on_health,
-            OutsideBlock: self._on_outside,
+            LogPacket: self._on_log,
         }
 
     def take(self, arrived: Arrived, at_s: float) -> None:
@@ -198,23 +188,25 @@ class Node(Server[Vehicle]):
         self.clock.begin()
         self.vehicle.connected(event, at_s)
 
-    def _on_state(self, block: StateBlock, at_s: float) -> None:
-        timed = self.clock.take(block.time_ms, at_s)
+    def _on_log(self, packet: LogPacket, at_s: float) -> None:
+        if packet.block == STATE.name:
+            self._on_state(packet, at_s)
+        elif packet.block == HEALTH.name:
+            self.vehicle.take_health(decode_health(packet.values, at_s))
+        else:
+            self.vehicle.take_outside(decode_outside(packet.values, at_s))
+
+    def _on_state(self, packet: LogPacket, at_s: float) -> None:
+        timed = self.clock.take(packet.time_ms, at_s)
         if timed is None or self.vehicle.link.protocol is None:  # out of order, or the link is not set up yet
             return
         boot_ms, late_s = timed
         if late_s > LATE_MAX_S:
             self.late += 1
             return
-        state = decode_state(block, boot_ms, at_s - late_s)  # the time when the state was measured
+        state = decode_state(packet.values, boot_ms, at_s - late_s)  # the time when the state was measured
         restarts, self._restarts = self._restarts, self.clock.restarts
         self.vehicle.take_state(state, at_s, restarted=restarts != self.clock.restarts)
         snapshot = self.snapshot(state.at_s)  # the bridge's clock is as steady as the Crazyflie's
         if snapshot is not None:
             self._streamed += self.stream(snapshot)
-
-    def _on_health(self, block: HealthBlock, at_s: float) -> None:
-        self.vehicle.take_health(decode_health(block, at_s))
-
-    def _on_outside(self, block: OutsideBlock, at_s: float) -> None:
-        self.vehicle.take_outside(decode_outside(block, at_s))

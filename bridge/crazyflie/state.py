@@ -8,34 +8,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any, NamedTuple
 
-from bridge.crazyflie.types import (
-    CrazyflieState,
-    Health,
-    HealthBlock,
-    Info,
-    Outside,
-    OutsideBlock,
-    Power,
-    StateBlock,
-)
+from bridge.crazyflie.types import CrazyflieState, Health, Info, Outside, Power
 from bridge.frames import Quat
 
-STATE_PERIOD_MS = 10
-STATE_VARIABLES: tuple[str, ...] = (
+
+class Block(NamedTuple):
+    """A log block: variables that the firmware sends together in one packet."""
+
+    name: str
+    period_ms: int
+    variables: tuple[str, ...]
+    needed: bool = True  # the firmware must have all of its variables
+
+
+_MOTORS = tuple(f"motor.m{number}" for number in (1, 2, 3, 4))
+STATE = Block("state", 10, (
     *(f"stateEstimateZ.{name}" for name in ("x", "y", "z", "vx", "vy", "vz", "quat")),
-    *(f"stateEstimateZ.rate{axis}" for axis in ("Roll", "Pitch", "Yaw")),
-    "supervisor.info",
-    "pm.vbatMV",
+    *(f"stateEstimateZ.rate{axis}" for axis in ("Roll", "Pitch", "Yaw")), "supervisor.info", "pm.vbatMV",
+))  # fmt: skip
+HEALTH = Block(
+    "health", 100, (*(f"kalman.varP{axis}" for axis in "XYZ"), "pm.state", "pm.batteryLevel", *_MOTORS)
 )
-HEALTH_PERIOD_MS = 100
-HEALTH_VARIABLES: tuple[str, ...] = (
-    *(f"kalman.varP{axis}" for axis in "XYZ"), "pm.state", "pm.batteryLevel",
-    *(f"motor.m{number}" for number in (1, 2, 3, 4)),
-)  # fmt: skip
-OUTSIDE_PERIOD_MS = 100
-OUTSIDE_VARIABLES: tuple[str, ...] = ("acc.x", "acc.y", "acc.z", "locSrvZ.tick")
-FETCHED_AS: Mapping[str, str] = dict.fromkeys(HEALTH_VARIABLES[-4:], "uint16_t")  # older firmware: 32 bits
+OUTSIDE = Block("outside", 100, ("acc.x", "acc.y", "acc.z", "locSrvZ.tick"), needed=False)
+BLOCKS = (STATE, HEALTH, OUTSIDE)
+FETCHED_AS: Mapping[str, str] = dict.fromkeys(_MOTORS, "uint16_t")  # older firmware: 32 bits
 _PWM_MAX = 65535.0
 LATE_MAX_S = 0.2  # maximum delay of a packet, s; a later one is ignored
 _WRAP_MS = 1 << 24
@@ -113,14 +111,12 @@ class BootClock:
         return max(1, round((now_s - min(self._shortest_s)) * 1e9))
 
 
-def decode_state(block: StateBlock, boot_ms: int, at_s: float) -> CrazyflieState:
-    """Decode a state packet into a state.
+def decode_state(v: Mapping[str, int], boot_ms: int, at_s: float) -> CrazyflieState:
+    """Decode the variables of ``STATE``.
 
-    The packet holds every variable of ``STATE_VARIABLES``; ``boot_ms`` is the continuous firmware time,
-    ``at_s`` the arrival time.
+    ``boot_ms``: continuous firmware time; ``at_s``: arrival time.
     """
-    v = block.values
-    x, y, z, vx, vy, vz = (v[name] / 1000.0 for name in STATE_VARIABLES[:6])
+    x, y, z, vx, vy, vz = (v[name] / 1000.0 for name in STATE.variables[:6])
     roll, pitch, yaw = (v[f"stateEstimateZ.rate{axis}"] / 1000.0 for axis in ("Roll", "Pitch", "Yaw"))
     return CrazyflieState(
         at_s,
@@ -134,17 +130,15 @@ def decode_state(block: StateBlock, boot_ms: int, at_s: float) -> CrazyflieState
     )
 
 
-def decode_health(block: HealthBlock, at_s: float) -> Health:
+def decode_health(v: Mapping[str, Any], at_s: float) -> Health:
     """Decode the variance of the estimate, the battery and the motors."""
-    v: Mapping[str, float] = block.values
     variance = (v["kalman.varPX"], v["kalman.varPY"], v["kalman.varPZ"])
-    throttle = sum(v[name] for name in HEALTH_VARIABLES[-4:]) / (4.0 * _PWM_MAX)
+    throttle = sum(v[name] for name in _MOTORS) / (4.0 * _PWM_MAX)
     return Health(at_s, variance, Power(int(v["pm.state"])), int(v["pm.batteryLevel"]), throttle)
 
 
-def decode_outside(block: OutsideBlock, at_s: float) -> Outside:
+def decode_outside(v: Mapping[str, Any], at_s: float) -> Outside:
     """Decode gravity and the time of the newest external pose; variables may be missing."""
-    v = block.values
     acceleration = (v["acc.x"], v["acc.y"], v["acc.z"]) if {"acc.x", "acc.y", "acc.z"} <= v.keys() else None
     return Outside(at_s, acceleration, int(v["locSrvZ.tick"]) if "locSrvZ.tick" in v else None)
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum, IntFlag
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from bridge.frames import Quat
 from flightstack.core.types import Vec3
@@ -85,23 +85,12 @@ class Lost(NamedTuple):
     reason: str
 
 
-class StateBlock(NamedTuple):
-    """One log packet of the state, not decoded."""
+class LogPacket(NamedTuple):
+    """One packet of a log block, not decoded."""
 
+    block: str  # name in ``state.BLOCKS``
     time_ms: int  # time on the firmware's clock, 24 bits
-    values: dict[str, int]
-
-
-class HealthBlock(NamedTuple):
-    """One log packet of slowly changing values."""
-
-    values: dict[str, float]
-
-
-class OutsideBlock(NamedTuple):
-    """One log packet to check external poses; the firmware may lack any of its values."""
-
-    values: dict[str, float]
+    values: dict[str, Any]
 
 
 class ArmReply(NamedTuple):
@@ -116,7 +105,7 @@ class ParamValue(NamedTuple):
     value: str | None  # value as text; None: the firmware has no such parameter
 
 
-Event = Connected | Lost | StateBlock | HealthBlock | OutsideBlock | ArmReply | ParamValue
+Event = Connected | Lost | LogPacket | ArmReply | ParamValue
 
 
 class Arrived(NamedTuple):

@@ -8,27 +8,18 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.crazyflie.node import Node
 from bridge.crazyflie.rules import Rules
-from bridge.crazyflie.state import (
-    HEALTH_PERIOD_MS,
-    HEALTH_VARIABLES,
-    OUTSIDE_PERIOD_MS,
-    OUTSIDE_VARIABLES,
-    STATE_PERIOD_MS,
-    STATE_VARIABLES,
-)
+from bridge.crazyflie.state import BLOCKS
 from bridge.crazyflie.types import (
     ArmReply,
     Arrived,
     Connected,
-    HealthBlock,
+    LogPacket,
     Lost,
     Order,
-    OutsideBlock,
     Packet,
     ParamValue,
     Pose,
     SetParam,
-    StateBlock,
     Velocity,
 )
 from tests.crazyflie_firmware.firmware import Firmware
@@ -37,11 +28,6 @@ from tests.crazyflie_firmware.tables import CODE, LOGS
 STEP_S = 0.01
 CLIENT, OTHER, GROUND = (1, 191), (7, 190), (255, 190)
 NAN = float("nan")
-BLOCKS = {
-    1: (STATE_VARIABLES, STATE_PERIOD_MS, StateBlock),
-    2: (HEALTH_VARIABLES, HEALTH_PERIOD_MS, lambda _, values: HealthBlock(values)),
-    3: (OUTSIDE_VARIABLES, OUTSIDE_PERIOD_MS, lambda _, values: OutsideBlock(values)),
-}
 _HEADS = {
     Order.STOP: b"\x7c\x00",
     Order.NOTIFY_STOP: b"\x7d\x00" + bytes(4),
@@ -90,7 +76,7 @@ class Bench:
 
     def _ask_logs(self) -> None:
         self._asked_s = self.now_s
-        for number, (names, period_ms, _) in BLOCKS.items():
+        for number, (_, period_ms, names, _) in enumerate(BLOCKS, 1):
             ids = [bytes((0, i & 0xFF, i >> 8)) for i in (list(LOGS).index(n) for n in names)]
             head = bytes((number,))
             self.firmware.packet(b"\x5d\x06" + head + b"".join(ids[:9]), self.now_s)
@@ -188,7 +174,7 @@ class Bench:
         names = self.firmware._blocks[number].names
         values = struct.unpack("<" + "".join(CODE[LOGS[n]][1] for n in names), body)
         pairs = dict(zip(names, values, strict=True))
-        self._take(BLOCKS[number][2](time_ms, pairs))
+        self._take(LogPacket(BLOCKS[number - 1].name, time_ms, pairs))
 
     def _send(self) -> None:
         for packet in self.vehicle.take_packets():

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import Enum
 from functools import cache
 from itertools import combinations
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -33,24 +33,21 @@ class Needs(NamedTuple):
     system_id: int = 1  # MAVLink id of the vehicle and its companion
 
 
-class Need(Enum):
-    """A bound that depends on the flight; the values are attributes of ``Needs``."""
-
-    HORIZONTAL_M_S = "horizontal_m_s"
-    VERTICAL_M_S = "vertical_m_s"
-    HORIZONTAL_M_S2 = "horizontal_m_s2"
-    VERTICAL_M_S2 = "vertical_m_s2"
-    ALTITUDE_MAX_M = "altitude_max_m"
-    SYSTEM_ID = "system_id"
+# a bound: a number, or the name of the requirement of the flight that gives it
+Bound = float | Literal[
+    "horizontal_m_s", "vertical_m_s", "horizontal_m_s2", "vertical_m_s2", "altitude_max_m", "system_id"
+]  # fmt: skip
 
 
-class Severity(Enum):
-    """Consequence of an unsafe or missing value."""
+class Level(Enum):
+    """Result of a rule; a rule's own level is that of an unsafe or missing value."""
 
-    UNSAFE = "unsafe"  # the vehicle is not armed, unless the operator accepts the name
+    OK = "ok"
+    INFO = "info"  # safe, but the vehicle could perform better
     NOTE = "note"  # information for the operator
-    INFO = "info"  # the vehicle could perform better
-    IGNORED = "ignored"  # the missing value is ignored, since not every vehicle has it
+    UNSAFE = "UNSAFE"  # the vehicle is not armed, unless the operator accepts the name
+    ACCEPTED = "accepted"  # unsafe, but accepted by name
+    IGNORED = "ignored"  # no finding: not every vehicle has the parameter
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,14 +84,14 @@ class Rule:
     means: str  # this project's name of the setting in all releases
     names: tuple[Name, ...]
     text: str  # consequence of another value
-    severity: Severity = Severity.UNSAFE
-    missing: Severity | None = None  # severity of a missing value; None: severity of the rule
+    severity: Level = Level.UNSAFE
+    missing: Level | None = None  # severity of a missing value; None: severity of the rule
     profiles: tuple[str, ...] = ()  # profiles of the file that have this rule; empty: all profiles
     stops: tuple[str, ...] = ()  # values that stop the motors in the air and are always unsafe
     wanted: str = ""  # allowed values as text; {}: the number; empty: derived from the condition
     # conditions, of which exactly one is given
-    low: float | Need | None = None  # smallest and greatest allowed value
-    high: float | Need | None = None
+    low: Bound | None = None  # smallest and greatest allowed value
+    high: Bound | None = None
     values: tuple[str, ...] = ()  # allowed whole numbers with their meaning, such as "4 (land)"
     bits_set: int | None = None
     bits_clear: int | None = None
@@ -151,8 +148,8 @@ class Rule:
         return f"{self.off_text} or {text}" if self.off is not None else text
 
 
-def _number(bound: float | Need | None, needs: Needs) -> float | None:
-    return float(getattr(needs, bound.value)) if isinstance(bound, Need) else bound
+def _number(bound: Bound | None, needs: Needs) -> float | None:
+    return float(getattr(needs, bound)) if isinstance(bound, str) else bound
 
 
 def _numbers(values: tuple[str, ...]) -> set[float]:
@@ -233,17 +230,6 @@ def table(profile: str) -> Table | None:
 _TYPE = "FIRMWARE_VERSION_TYPE"
 
 
-class Level(Enum):
-    OK = "ok"
-    INFO = "info"  # safe, but the vehicle could perform better
-    NOTE = "note"  # information for the operator
-    UNSAFE = "UNSAFE"  # the vehicle is not armed, unless the operator accepts the name
-    ACCEPTED = "accepted"  # unsafe, but accepted by name
-
-
-_LEVEL_OF = {Severity.UNSAFE: Level.UNSAFE, Severity.NOTE: Level.NOTE, Severity.INFO: Level.INFO}
-
-
 @dataclass(frozen=True, slots=True)
 class Finding:
     name: str
@@ -291,14 +277,14 @@ def _finding(
     name, rule = asked.name, asked.rule
     wanted, why, level = rule.wanted_in(name, needs), rule.text, Level.OK
     if value is None:
-        severity = rule.missing or rule.severity
-        if severity is Severity.IGNORED:
+        level = rule.missing or rule.severity
+        if level is Level.IGNORED:
             return None
-        level, why = _LEVEL_OF[severity], f"{missing.get(name.name, 'not asked')}; {why}"
+        why = f"{missing.get(name.name, 'not asked')}; {why}"
     elif rule.stops_motors(value * name.scale):
         level, why = Level.UNSAFE, "in the air the motors stop"
     elif not rule.safe(value * name.scale, needs):
-        level = _LEVEL_OF[rule.severity]
+        level = rule.severity
     if level is Level.UNSAFE and {name.name, *(other.name for other, _ in asked.others)} & set(accepted):
         level = Level.ACCEPTED
     why = "" if level is Level.OK else why

@@ -8,7 +8,7 @@ import subprocess
 import pytest
 
 from bridge.crazyflie.link import EVENTS_MAX, CrazyflieLink
-from bridge.crazyflie.types import Connected, Lost, StateBlock
+from bridge.crazyflie.types import Connected, LogPacket, Lost
 from bridge.zenoh import zenoh_link
 from flightstack.common.processes import ended
 from tests.crazyflie_firmware.firmware import Firmware
@@ -141,7 +141,9 @@ def test_what_nobody_takes_is_bounded(tmp_path):
             events = [arrived.event for arrived in link.poll()]
             assert len(events) <= EVENTS_MAX
             assert Connected not in {type(event) for event in events}  # the oldest event was dropped first
-            times_ms = [event.time_ms for event in events if isinstance(event, StateBlock)]
+            times_ms = [
+                event.time_ms for event in events if isinstance(event, LogPacket) and event.block == "state"
+            ]
             assert times_ms == sorted(times_ms)
             assert link.poll() == [] or len(link.poll()) < 5
             assert any(tmp_path.iterdir())  # the tables are cached

@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from bridge.crazyflie.outbox import ORDERS_MAX, VELOCITY_AGE_MAX_S, Outbox
 from bridge.crazyflie.process import Loop
 from bridge.crazyflie.state import BootClock, decode_state, decompress_quaternion
-from bridge.crazyflie.types import Info, Order, Pose, SetParam, StateBlock, Velocity
+from bridge.crazyflie.types import Info, Order, Pose, SetParam, Velocity
 from bridge.frames import enu_from_ned, yaw_ned_from_enu
 from bridge.mavlink.client.vehicle_state import VehicleState
 from bridge.mavlink.codec.messages import pack
@@ -44,7 +44,7 @@ def test_pitch_rate_is_turned_the_right_way_round():
     values |= {"stateEstimateZ.quat": quaternion_bits((1.0, 0.0, 0.0, 0.0))}
     values |= {f"stateEstimateZ.rate{a}": 100 for a in ("Roll", "Pitch", "Yaw")}
     values |= {"supervisor.info": 0xF0A, "pm.vbatMV": 3999}
-    state = decode_state(StateBlock(0, values), 7, 1.0)
+    state = decode_state(values, 7, 1.0)
     assert state.position_enu_m == (1.5, 1.5, 1.5)
     assert state.velocity_enu_m_s == (-0.25, -0.25, -0.25)
     assert state.angular_velocity_flu_rad_s == (0.1, -0.1, 0.1)

@@ -8,7 +8,7 @@ from pathlib import Path
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.line_budget import LineTooSlowError
-from bridge.mavlink.preflight.table import Needs, Severity, table
+from bridge.mavlink.preflight.table import Level, Needs, table
 from bridge.mavlink.profiles import ARDUPILOT, CRAZYFLIE, OWN_SITL, PX4, Reading
 from flightstack.core.parameters.flight import BarrierShape, FlightConfig
 from flightstack.core.types import Mode, Request
@@ -97,8 +97,8 @@ def _needs() -> Needs:
 
 
 _OTHERWISE = {
-    Severity.UNSAFE: "refused", Severity.NOTE: "note", Severity.INFO: "hint",
-    Severity.IGNORED: "",
+    Level.UNSAFE: "refused", Level.NOTE: "note", Level.INFO: "hint",
+    Level.IGNORED: "",
 }  # fmt: skip
 
 
