@@ -29,9 +29,8 @@ from bridge.crazyflie.types import (
     ParamValue,
     Velocity,
 )
-from bridge.mavlink.server.commander import Commander
+from bridge.mavlink.server.commander import Commander, Setpoint
 from bridge.mavlink.server.profile import FlightMode
-from bridge.mavlink.server.setpoints import Setpoint
 from bridge.mocap.checks import Passed
 
 INFO, WARNING = dialect.MAV_SEVERITY_INFO, dialect.MAV_SEVERITY_WARNING

@@ -12,10 +12,9 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import NamedTuple
 
-from bridge.frames import Quat, world_from_body
+from bridge.frames import Quat
 from bridge.ros2.cdr import Pose
 from flightstack.core.sender_clock import PATIENCE_S, Reading, SenderClock
-from flightstack.core.types import Vec3
 
 
 class Refusal(Enum):
@@ -205,10 +204,3 @@ def angle_between(a: Quat, b: Quat) -> float:
     along = abs(sum(x * y for x, y in zip(a, b, strict=True)))
     across = math.sqrt(max(0.0, 1.0 - along * along))
     return 2.0 * math.atan2(across, along)
-
-
-def centre(pose: Pose, offset_flu_m: Vec3) -> Pose:
-    """Return the pose of the vehicle's centre, ``offset_flu_m`` from the markers' centre in body axes."""
-    dx, dy, dz = world_from_body(pose.orientation_wxyz, offset_flu_m)
-    x, y, z = pose.position_m
-    return pose._replace(position_m=(x + dx, y + dy, z + dz))

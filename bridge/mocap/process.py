@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.client.senders import Senders
 from bridge.mavlink.endpoint import Endpoint, open_endpoint
-from bridge.mocap.checks import Limits, Passed, PoseChecks, Sample, centre
+from bridge.mocap.checks import Limits, Passed, PoseChecks, Sample
 from bridge.mocap.options import MocapOptions, PoseOptions
 from bridge.mocap.vehicle import COMPONENT_ID, MocapVehicle
 from bridge.ros2.cdr import OdometryError, decode_pose, decode_pose_with_covariance
@@ -66,7 +66,7 @@ class MocapSource:
             self.problem_text = str(error)
             return Sample(None, now_s)
         self.problem_text = None
-        return Sample(centre(pose, self._offset_flu_m), now_s)
+        return Sample(pose.shifted(self._offset_flu_m), now_s)
 
 
 class CheckedPoses:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
-from bridge.frames import Quat
+from bridge.frames import Quat, world_from_body
 from bridge.ros2.codec import CDR_HEADER, Unpack, codec
 from flightstack.core.types import ZERO, Vec3
 
@@ -61,6 +61,17 @@ class Odometry(NamedTuple):
         """Serialise the message, as ``encode_odometry`` does."""
         return encode_odometry(*self)
 
+    def shifted(self, offset_m: Vec3) -> Odometry:
+        """Return the odometry of the point at ``offset_m`` in the axes of the child frame.
+
+        The velocity is v + w x r, as for a rigid body. Covariances are unchanged.
+        """
+        (wx, wy, wz), (x, y, z) = self.angular_rad_s, offset_m
+        return self._replace(
+            position_m=_sum(self.position_m, world_from_body(self.orientation_wxyz, offset_m)),
+            linear_m_s=_sum(self.linear_m_s, (wy * z - wz * y, wz * x - wx * z, wx * y - wy * x)),
+        )
+
 
 class Pose(NamedTuple):
     """A pose in a frame; the quaternion is w, x, y, z and has unit length."""
@@ -70,6 +81,16 @@ class Pose(NamedTuple):
     position_m: Vec3
     orientation_wxyz: Quat
     covariance: tuple[float, ...] = NO_COVARIANCE  # 6 x 6, order x y z roll pitch yaw; all zeros: unknown
+
+    def shifted(self, offset_m: Vec3) -> Pose:
+        """Return the pose of the point at ``offset_m`` in the axes of the pose; same covariance."""
+        return self._replace(
+            position_m=_sum(self.position_m, world_from_body(self.orientation_wxyz, offset_m))
+        )
+
+
+def _sum(a: Vec3, b: Vec3) -> Vec3:
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
 class Transform(NamedTuple):

@@ -1,6 +1,6 @@
 """Target odometry on Zenoh: ``nav_msgs/msg/Odometry`` in CDR with the attachment of rmw_zenoh.
 
-It also has the decoded samples, their noise, and the odometry of another point of the same body.
+It also has the decoded samples and their noise.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from bridge.ros2.cdr import (
     NO_COVARIANCE,
     Odometry,
     OdometryError,
-    Pose,
     decode_odometry,
     encode_odometry,
 )
@@ -116,27 +115,6 @@ def excess_noise(
         f"its covariance has {' and '.join(found)}: flown with larger margins; configure these values, since "
         "the certificate uses the configured ones"
     )
-
-
-def shift_pose(pose: Pose, offset_m: Vec3) -> Pose:
-    """Return the pose of the point at ``offset_m`` in the axes of the pose; the covariance is unchanged."""
-    return pose._replace(position_m=_shift(pose.position_m, world_from_body(pose.orientation_wxyz, offset_m)))
-
-
-def shift_odometry(odometry: Odometry, offset_m: Vec3) -> Odometry:
-    """Return the odometry of the point at ``offset_m`` in the axes of the child frame.
-
-    The velocity is v + w x r, as for a rigid body. Covariances are unchanged.
-    """
-    (wx, wy, wz), (x, y, z) = odometry.angular_rad_s, offset_m
-    return odometry._replace(
-        position_m=_shift(odometry.position_m, world_from_body(odometry.orientation_wxyz, offset_m)),
-        linear_m_s=_shift(odometry.linear_m_s, (wy * z - wz * y, wz * x - wx * z, wx * y - wy * x)),
-    )
-
-
-def _shift(a: Vec3, b: Vec3) -> Vec3:
-    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
 class OdometryPublisher:

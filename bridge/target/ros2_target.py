@@ -27,11 +27,8 @@ from bridge.target.odometry import (
     RawSample,
     excess_noise,
     raw_sample,
-    shift_odometry,
-    shift_pose,
 )
-from bridge.target.pose_track import PoseTrack
-from bridge.target.tf_chain import TransformChain
+from bridge.target.poses import PoseTrack, TransformChain
 from bridge.zenoh import zenoh_link
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.types import ZERO, Vec3
@@ -234,7 +231,7 @@ class TargetSource:
         self._until_look -= 1
         if self._spec.offset_m == ZERO:
             return None
-        return [shift_odometry(decode_odometry(payload), self._spec.offset_m)]
+        return [decode_odometry(payload).shifted(self._spec.offset_m)]
 
     def _look_at(self, payload: bytes) -> None:
         """Report each difference between a sample and the configuration once."""
@@ -273,7 +270,7 @@ class TargetSource:
         return []
 
     def _followed(self, poses: list[Pose]) -> list[Odometry]:
-        found = [self._track.take(shift_pose(pose, self._spec.offset_m)) for pose in poses]
+        found = [self._track.take(pose.shifted(self._spec.offset_m)) for pose in poses]
         if self._track.problem:
             self._tell(f"{self._spec.text}: {self._track.problem}")
         return [odometry for odometry in found if odometry is not None]

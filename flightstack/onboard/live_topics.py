@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from bridge.mavlink.client.vehicle_state import Battery
-from bridge.ros2.ros2_node import Ros2Node, Ros2Publisher
+from bridge.ros2.ros2_names import Ros2Node, Ros2Publisher
 from bridge.zenoh.zenoh_link import Session
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Outputs

@@ -8,10 +8,9 @@ from collections.abc import Mapping
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.frames import yaw_from_quaternion
-from bridge.mavlink.server.commander import Battery, Commander, Sender
+from bridge.mavlink.server.commander import Battery, Commander, Sender, Setpoint
 from bridge.mavlink.server.parameters import Parameters
 from bridge.mavlink.server.profile import POSITION_SOURCE, FlightMode
-from bridge.mavlink.server.setpoints import Setpoint
 from flightstack.core.types import ZERO, Vec3
 from sim.autopilot.pilot import Event, Goal, Pilot
 from sim.autopilot.vehicle_like import Standing, VehicleLike

@@ -13,9 +13,9 @@ from enum import Enum, auto
 from typing import NamedTuple
 
 from bridge.frames import yaw_from_quaternion
+from bridge.mavlink.server.commander import Setpoint
 from bridge.mavlink.server.parameters import Parameters
 from bridge.mavlink.server.profile import FlightMode
-from bridge.mavlink.server.setpoints import Setpoint
 from flightstack.core.types import ZERO, Vec3
 from sim.autopilot.vehicle_like import CheckedEstimate, VehicleLike
 

@@ -19,8 +19,7 @@ from typing import ClassVar, TypeVar
 
 from bridge.frames import quaternion_from_yaw
 from bridge.ros2.cdr import encode_odometry
-from bridge.ros2.ros2_names import network
-from bridge.ros2.ros2_node import Ros2Node, Ros2Publisher
+from bridge.ros2.ros2_names import Ros2Node, Ros2Publisher, network
 from bridge.target.odometry import OdometryPublisher
 from bridge.target.ros2_target import ROS_TYPES, TargetType
 from bridge.zenoh import zenoh_link

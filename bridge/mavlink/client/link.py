@@ -10,9 +10,14 @@ from typing import NamedTuple
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.commands import CommandSequencer
-from bridge.mavlink.client.companion import Origin, OriginSender, companion_heartbeat, velocity_setpoint
+from bridge.mavlink.client.companion import (
+    Origin,
+    OriginSender,
+    StreamRequests,
+    companion_heartbeat,
+    velocity_setpoint,
+)
 from bridge.mavlink.client.senders import Senders
-from bridge.mavlink.client.streams import StreamRequests
 from bridge.mavlink.client.texts import EVENT, TextAssembler, event_text
 from bridge.mavlink.client.vehicle_state import VehicleState
 from bridge.mavlink.codec.messages import Message

@@ -15,6 +15,7 @@ from typing import Any, Generic, NamedTuple
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.messages import Message
+from bridge.mavlink.profiles import FORCE
 from bridge.mavlink.server.commander import Right, Sender
 from bridge.mavlink.server.profile import FlightMode, mode_of, why_no_mode
 from bridge.mavlink.server.streams import Streams
@@ -34,7 +35,6 @@ _INT_SCALE = 1e-7  # COMMAND_INT carries degrees times 1e7
 # COMMAND_INT frames whose z counts from sea level, or from home; COMMAND_LONG counts from sea level.
 _AMSL_FRAMES = frozenset({dialect.MAV_FRAME_GLOBAL, dialect.MAV_FRAME_GLOBAL_INT})
 _HOME_FRAMES = frozenset({dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT, dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT})
-_FORCE = 21196.0  # param2 of MAV_CMD_COMPONENT_ARM_DISARM that forces a disarm
 _CUSTOM_MODE = dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 
 
@@ -194,7 +194,7 @@ class Commands(Generic[V]):
         if arm is None or round(arm) not in (0, 1):
             return Answer(UNSUPPORTED, "Arm or disarm? param1 must be 0 or 1")
         if round(arm) == 0:
-            return answer(self._vehicle.disarm(command.now_s, force=force == _FORCE))
+            return answer(self._vehicle.disarm(command.now_s, force=force == FORCE))
         reason = self._vehicle.arm(command.now_s)  # force skips no check, as in PX4
         return answer(reason) if reason is not None else Answer(later=self._vehicle.arming)
 
@@ -251,14 +251,12 @@ class Commands(Generic[V]):
         return Answer(messages=(dialect.MAVLink_message_interval_message(message_id, interval_us),))
 
     def _request_message(self, command: Command) -> Answer:
-        return self._give(integer(command.given(1)), command.now_s)
-
-    def _give(self, message_id: int | None, now_s: float) -> Answer:
+        message_id = integer(command.given(1))
         builder = self._builders.get(message_id) if message_id is not None else None
         if builder is None:
             # After an ACCEPTED QGroundControl would wait for the message for ever.
             return Answer(DENIED, f"Message {message_id} refused: there is none")
-        snapshot = self._snapshot(now_s)
+        snapshot = self._snapshot(command.now_s)
         if snapshot is None:
             return Answer(REJECTED, f"Message {message_id} refused: the state of the vehicle is not known")
         return Answer(messages=(builder(snapshot),))
@@ -269,7 +267,7 @@ def _degrees(scaled: int) -> float:
 
 
 def _right_to_arm(command: Command) -> Right:
-    kill = command.given(1) is not None and round(command.params[0]) == 0 and command.given(2) == _FORCE
+    kill = command.given(1) is not None and round(command.params[0]) == 0 and command.given(2) == FORCE
     return Right.OWNER_OR_GROUND if kill else Right.OWNER
 
 

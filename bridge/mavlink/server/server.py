@@ -13,15 +13,14 @@ from typing import Any, Generic
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.messages import Message
-from bridge.mavlink.server.commander import Right, Sender
+from bridge.mavlink.server.commander import Right, Sender, read_setpoint
 from bridge.mavlink.server.commands import Commands, Entry
 from bridge.mavlink.server.parameters import Parameters
 from bridge.mavlink.server.profile import FlightMode, ServerProfile, mode_numbers, mode_of, why_no_mode
 from bridge.mavlink.server.services import Handler, Services
-from bridge.mavlink.server.setpoints import read_setpoint
 from bridge.mavlink.server.streams import Streams
 from bridge.mavlink.server.telemetry import Builder, Snapshot, V, autopilot_version, heartbeat
-from bridge.mavlink.server.texts import Text, TextWire
+from bridge.mavlink.server.texts import Text
 
 SYSTEM_ID = 1
 COMPONENT_ID = dialect.MAV_COMP_ID_AUTOPILOT1  # clients look for the autopilot only at this component id
@@ -68,7 +67,6 @@ class Server(ABC, Generic[V]):
         self._shown: object = None  # condition that was sent last
         self._landed_shown = vehicle.landed_state
         self._texts_to_log: list[Text] = []
-        self._wire = TextWire()
 
     # Methods that subclasses implement or extend
 
@@ -116,7 +114,7 @@ class Server(ABC, Generic[V]):
         if self.vehicle.texts.waiting:
             texts = self.vehicle.texts.take()
             for text in texts:
-                messages += self._wire.messages(text)
+                messages += self.vehicle.texts.messages(text)
             self._texts_to_log = [*self._texts_to_log, *texts][-_LOG_MAX:]
         if snapshot is not None:
             messages += self.streamed(snapshot)

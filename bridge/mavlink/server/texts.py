@@ -33,6 +33,7 @@ class Texts:
         self._credit = float(_BURST)
         self._credit_s = -math.inf
         self._hidden = 0
+        self._id = 0  # id of the newest text in chunks
 
     def say(self, severity: int, text: str) -> None:
         if len(self.waiting) < _WAITING_MAX:
@@ -66,14 +67,8 @@ class Texts:
         texts, self.waiting = self.waiting, []
         return texts
 
-
-class TextWire:
-    """Converts texts into STATUSTEXT messages, long ones in chunks."""
-
-    def __init__(self) -> None:
-        self._id = 0
-
     def messages(self, text: Text) -> list[Message]:
+        """Convert a text into STATUSTEXT, a long one in chunks."""
         raw = text.text.encode("ascii", "replace")
         if len(raw) <= _CHUNK:
             return [dialect.MAVLink_statustext_message(text.severity, raw)]

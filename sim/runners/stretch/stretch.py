@@ -16,8 +16,8 @@ from bridge.frames import (
 )
 from bridge.mavlink.client.link import COMPONENT_ID as COMPANION_ID
 from bridge.mavlink.client.link import VehicleLink
+from bridge.mavlink.server.commander import Setpoint
 from bridge.mavlink.server.profile import FlightMode
-from bridge.mavlink.server.setpoints import Setpoint
 from flightstack.compiled import core
 from flightstack.compiled.jit import is_off
 from flightstack.compiled.objects import Objects

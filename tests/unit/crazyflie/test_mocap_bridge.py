@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.codec.messages import pack
-from bridge.mocap.checks import Limits, Passed, PoseChecks, Refusal, Sample, angle_between, centre
+from bridge.mocap.checks import Limits, Passed, PoseChecks, Refusal, Sample, angle_between
 from bridge.mocap.process import CheckedPoses, MocapSource, parse_spec
 from bridge.mocap.vehicle import MocapVehicle, odometry, vision_position_estimate
 from bridge.ros2.cdr import Pose
@@ -161,7 +161,7 @@ def test_the_angle_between_attitudes_is_that_of_another_implementation(a, b):
 
 @given(POINT, UNIT, POINT)
 def test_the_offset_of_the_markers_turns_with_the_body(position, q, offset):
-    moved = centre(Pose(0, "map", position, q), offset)
+    moved = Pose(0, "map", position, q).shifted(offset)
     turned = Rotation.from_quat([*q[1:], q[0]]).apply(offset)
     assert moved.position_m == pytest.approx(np.add(position, turned), abs=1e-9)
     assert moved.orientation_wxyz == q

@@ -14,12 +14,16 @@ from bridge.target.odometry import (
     excess_noise,
     sample_from_cdr,
     sample_of,
-    shift_odometry,
-    shift_pose,
 )
-from bridge.target.pose_track import OUTLIERS_MAX, SETTLED_M_S, PoseTrack
+from bridge.target.poses import (
+    DEPTH_MAX,
+    EDGE_AGE_MAX_S,
+    OUTLIERS_MAX,
+    SETTLED_M_S,
+    PoseTrack,
+    TransformChain,
+)
 from bridge.target.ros2_target import OFFSET_MAX_M, TargetSource, TargetSpec, TargetType
-from bridge.target.tf_chain import DEPTH_MAX, EDGE_AGE_MAX_S, TransformChain
 from bridge.zenoh.zenoh_link import dropping_publisher, open_session
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.target.estimator import RESTART_S
@@ -149,9 +153,7 @@ def sample(odometry):
 
 def test_the_velocity_is_the_derivative_of_the_position():
     for t_s in np.linspace(0.0, 12.0, 25):
-        before, here, after = (
-            sample(shift_odometry(at(float(t)), OFFSET)) for t in (t_s - 1e-4, t_s, t_s + 1e-4)
-        )
+        before, here, after = (sample(at(float(t)).shifted(OFFSET)) for t in (t_s - 1e-4, t_s, t_s + 1e-4))
         slope = (np.array(after.position_enu_m) - np.array(before.position_enu_m)) / 2e-4
         assert here.velocity_enu_m_s == pytest.approx(slope, abs=1e-6)
         assert here.position_enu_m[2] == pytest.approx(0.2)
@@ -163,7 +165,7 @@ def test_the_velocity_is_the_derivative_of_the_position():
 
 def test_a_tilted_robot_carries_its_pad_along():
     q = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)  # nose down by 90 deg: its up is forward
-    shifted = shift_pose(Pose(STAMP, "odom", (1.0, 2.0, 3.0), q), (0.0, 0.0, 0.5))
+    shifted = Pose(STAMP, "odom", (1.0, 2.0, 3.0), q).shifted((0.0, 0.0, 0.5))
     assert shifted.position_m == pytest.approx((1.5, 2.0, 3.0))
 
 
@@ -182,7 +184,7 @@ def test_a_source_shifts_what_it_hears(kind):
             else:
                 put.put(ros.pose_stamped(truth.stamp_ns, "odom", truth.position_m, truth.orientation_wxyz))
         raw = listening.poll()[-1]
-        last, wanted = sample_of(raw, 0.0), sample(shift_odometry(at(99 / 50), OFFSET))
+        last, wanted = sample_of(raw, 0.0), sample(at(99 / 50).shifted(OFFSET))
         assert sample_from_cdr(raw.payload, 0.0) == last  # the log's bytes reproduce the flown sample
         assert last.position_enu_m == pytest.approx(wanted.position_enu_m)
         assert last.velocity_enu_m_s == pytest.approx(wanted.velocity_enu_m_s, abs=0.01)

@@ -18,6 +18,7 @@ from bridge.ros2.ros2_names import (
     TOPIC_LENGTH_MAX,
     Node,
     Ros2Network,
+    Ros2Node,
     TopicKey,
     any_type_key,
     bridge_key,
@@ -29,7 +30,6 @@ from bridge.ros2.ros2_names import (
     publisher_token,
     topic_key,
 )
-from bridge.ros2.ros2_node import Ros2Node
 from bridge.target.ros2_target import ROS_TYPES, TargetType
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import pack_attachment, parse_attachment

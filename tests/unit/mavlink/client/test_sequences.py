@@ -8,8 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.commands import CommandSequencer
-from bridge.mavlink.client.companion import Origin, OriginSender
-from bridge.mavlink.client.streams import StreamRequests
+from bridge.mavlink.client.companion import Origin, OriginSender, StreamRequests
 from bridge.mavlink.client.texts import TextAssembler
 from bridge.mavlink.client.vehicle_state import VehicleState
 from bridge.mavlink.profiles import ARDUPILOT, CRAZYFLIE, PROFILES, PX4

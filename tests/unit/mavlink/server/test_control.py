@@ -7,9 +7,8 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from bridge.mavlink.server.commander import Right
+from bridge.mavlink.server.commander import Right, read_setpoint
 from bridge.mavlink.server.profile import FlightMode
-from bridge.mavlink.server.setpoints import read_setpoint
 from tests.unit.mavlink.server.served import (
     ACCEPTED,
     COMPANION,
