@@ -194,29 +194,6 @@ class OdometryPublisher:
         self._publisher.undeclare()
 
 
-class OdometrySubscriber:
-    """Receives odometry under one key; the owner polls it, there are no callbacks."""
-
-    def __init__(
-        self, session: zenoh_link.Session, key: str, *, lossless: bool = False, capacity: int = 256
-    ) -> None:
-        """Declare the subscriber of a key.
-
-        With ``lossless`` a full queue blocks the sender (lockstep) instead of dropping the oldest samples.
-
-        Raises ValueError: the key is not allowed.
-        """
-        declare = zenoh_link.fifo_subscriber if lossless else zenoh_link.ring_subscriber
-        self._subscriber = declare(session, key, capacity)
-
-    def poll(self) -> list[RawSample]:
-        """Return all samples that have arrived, oldest first; never blocks."""
-        return [raw_sample(sample) for sample in zenoh_link.drain(self._subscriber)]
-
-    def close(self) -> None:
-        self._subscriber.undeclare()
-
-
 def raw_sample(sample: zenoh_link.Sample) -> RawSample:
     attachment: bytes | None = sample.attachment.to_bytes() if sample.attachment is not None else None
     parsed = parse_attachment(attachment)

@@ -185,6 +185,13 @@ def _endpoints(config: Any, kind: str) -> str:
     return ", ".join(map(str, found)) if isinstance(found, list) else str(found)
 
 
+def _endpoints_of_role(config: Any, kind: str) -> list[str]:
+    endpoints = json.loads(config.get_json(f"{kind}/endpoints"))
+    if isinstance(endpoints, dict):
+        endpoints = endpoints.get(_role(config).value, [])
+    return [str(one) for one in endpoints]
+
+
 def _reason(error: zenoh.ZError) -> str:
     return str(error).partition(" at /")[0]  # the rest is a path in the build machine's source tree
 
@@ -265,10 +272,7 @@ def dialled(
     Raises ValueError: the file is malformed.
     """
     config = _configuration((), connect, config_file, role)
-    role, endpoints = _role(config), json.loads(config.get_json("connect/endpoints"))
-    if isinstance(endpoints, dict):
-        endpoints = endpoints.get(role.value, [])
-    return role, [str(one) for one in endpoints]
+    return _role(config), _endpoints_of_role(config, "connect")
 
 
 def open_to_all(listen: Sequence[str] = (), *, config_file: Path | None = None) -> list[str]:
@@ -279,10 +283,7 @@ def open_to_all(listen: Sequence[str] = (), *, config_file: Path | None = None) 
     config = _configuration(listen, (), config_file, Role.PEER)
     if json.loads(config.get_json("access_control/enabled")):
         return []
-    endpoints = json.loads(config.get_json("listen/endpoints"))
-    if isinstance(endpoints, dict):
-        endpoints = endpoints.get(_role(config).value, [])
-    return [one for one in map(str, endpoints) if not _THIS_MACHINE.match(one)]
+    return [one for one in _endpoints_of_role(config, "listen") if not _THIS_MACHINE.match(one)]
 
 
 def knows_router(session: Session) -> bool:

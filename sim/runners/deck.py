@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 from bridge.frames import world_from_body, yaw_from_quaternion
 from bridge.ros2.cdr import OdometryError, decode_odometry
-from bridge.target.odometry import OdometrySubscriber
 from bridge.zenoh import zenoh_link
 from flightstack.core.types import ZERO, Vec3
 from sim.plant.vehicle_types import Truth
@@ -44,7 +43,7 @@ class RealTimeDeck:
     """Follows true poses that arrive at any time: dead reckoning with the last twist, smoothly corrected."""
 
     def __init__(self, session: zenoh_link.Session, namespace: str) -> None:
-        self._subscriber = OdometrySubscriber(session, truth_key(namespace))
+        self._subscriber = zenoh_link.ring_subscriber(session, truth_key(namespace))
         self._last: DeckState | None = None
         self._last_s = 0.0
         self._stopped = False  # whether the warning was sent
@@ -56,7 +55,7 @@ class RealTimeDeck:
 
         ``truth``: true state with the deck's current pose; ``log``: called with each message.
         """
-        payloads = [raw.payload for raw in self._subscriber.poll()]
+        payloads = [sample.payload.to_bytes() for sample in zenoh_link.drain(self._subscriber)]
         for payload in payloads:
             log(payload)
         for payload in reversed(payloads):

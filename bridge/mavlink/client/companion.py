@@ -94,7 +94,7 @@ _SET_MESSAGE_INTERVAL = 511  # MAV_CMD number of SET_MESSAGE_INTERVAL
 _CHECK_S = 1.0  # time over which a rate is measured, s
 _ENOUGH = 0.7  # sufficient share of the requested rate; loss and the autopilot's ticks reduce it
 _ROUNDING_S = 1e-6  # margin above the rounding error of a time, s
-_TRIES = 5  # tries of each kind of request, one every _CHECK_S
+_KIND_TRIES = 5  # tries of each kind of request, one every _CHECK_S
 _AGAIN_S = 3.0  # time between two later tries, s, while no message arrives
 
 
@@ -113,7 +113,7 @@ class StreamRequests:
     It requests every second at first, then less often while no message arrives: an autopilot may have no
     position for minutes (no satellites, no origin).
     If the profile has a data stream for a message, REQUEST_DATA_STREAM and SET_MESSAGE_INTERVAL alternate
-    after ``_TRIES``.
+    after ``_KIND_TRIES``.
     """
 
     def __init__(
@@ -164,7 +164,7 @@ class StreamRequests:
             stream.tries = 1  # the stream arrives; if it stops, requests start again
             stream.seen, stream.since_s = 0, now_s
             return False
-        if stream.tries < (2 * _TRIES if stream.message_id in self._data_streams else _TRIES):
+        if stream.tries < (2 * _KIND_TRIES if stream.message_id in self._data_streams else _KIND_TRIES):
             return True
         if stream.seen:  # a lower rate is the limit of this vehicle or line
             stream.seen, stream.since_s = 0, now_s
@@ -174,7 +174,7 @@ class StreamRequests:
     def _ask(self, stream: _Stream, now_s: float) -> Message:
         stream.tries += 1
         stream.seen, stream.since_s = 0, now_s
-        by_group = (stream.tries - 1) // _TRIES % 2 == 1  # alternate the two kinds of requests after _TRIES
+        by_group = (stream.tries - 1) // _KIND_TRIES % 2 == 1  # the two kinds of requests alternate
         if by_group and stream.message_id in self._data_streams:
             group, rate_hz = self._data_streams[stream.message_id], round(stream.rate_hz)
             return dialect.MAVLink_request_data_stream_message(*self._target, group, rate_hz, 1)

@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 
 import flightstack as fs
-from bridge.target.odometry import OdometrySubscriber
-from bridge.zenoh.zenoh_link import open_session
+from bridge.target.odometry import raw_sample
+from bridge.zenoh.zenoh_link import drain, open_session, ring_subscriber
 from logs.reader.flight import load_flight
 from tests.integration.runs import WALL_MAX_S, flightstack
 from tests.integration.sim_processes import PATIENCE_S, verb, wait_for
@@ -129,10 +129,10 @@ def test_the_target_drives_a_circle_and_says_so():
     with running("publish_target.py", "--key", "demo/odom", "--speed", "0.5", "--listen", endpoint):
         session = open_session([], [endpoint])
         try:
-            subscriber = OdometrySubscriber(session, "demo/odom")
+            subscriber = ring_subscriber(session, "demo/odom")
 
             def enough():
-                samples.extend(subscriber.poll())
+                samples.extend(map(raw_sample, drain(subscriber)))
                 return len(samples) >= 60
 
             wait_for(enough, "60 samples")

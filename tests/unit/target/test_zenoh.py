@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.target.odometry import OdometryPublisher, OdometrySubscriber, sample_from_cdr
+from bridge.target.odometry import OdometryPublisher, raw_sample, sample_from_cdr
 from bridge.target.ros2_target import KeySearch
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import (
@@ -42,9 +42,15 @@ def sessions():
 def test_odometry_arrives_in_order_with_its_attachment(sessions, lossless):
     publisher = OdometryPublisher(sessions[0], KEY, "map", "target", lossless=lossless)
     assert publisher.matched is False
-    subscriber = OdometrySubscriber(sessions[1], KEY, lossless=lossless)
+    declare = zenoh_link.fifo_subscriber if lossless else zenoh_link.ring_subscriber
+    subscriber = declare(sessions[1], KEY)
     until(lambda: publisher.matched)
     payloads, received = [], []
+
+    def count():
+        received.extend(map(raw_sample, zenoh_link.drain(subscriber)))
+        return len(received)
+
     for i in range(100):
         payload = publisher.encode(
             i, (float(i), 0.0, 0.2), (1.0, 0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -52,13 +58,13 @@ def test_odometry_arrives_in_order_with_its_attachment(sessions, lossless):
         publisher.put(payload, source_time_ns=1000 + i)
         payloads.append(payload)
         if not lossless:  # a busy machine may drop some of a hundred messages
-            until(lambda: received.extend(subscriber.poll()) or len(received) == len(payloads))
-    until(lambda: received.extend(subscriber.poll()) or len(received) == 100)
+            until(lambda: count() == len(payloads))
+    until(lambda: count() == 100)
     assert [raw.payload for raw in received] == payloads
     assert [(raw.sequence, raw.source_time_ns) for raw in received] == [(i + 1, 1000 + i) for i in range(100)]
     assert {len(raw.attachment) for raw in received} == {33}
     assert sample_from_cdr(received[7].payload, 0.0).position_enu_m == (7.0, 0.0, 0.2)
-    subscriber.close()
+    subscriber.undeclare()
     publisher.close()
 
 
@@ -139,7 +145,7 @@ def test_bad_key_is_a_clear_error(key):
     session = open_session()
     try:
         with pytest.raises(ValueError, match="cf1/target/odom"):
-            OdometrySubscriber(session, key)
+            zenoh_link.ring_subscriber(session, key)
         with pytest.raises(ValueError, match="cf1/target/odom"):
             OdometryPublisher(session, key)
     finally:
