@@ -87,18 +87,15 @@ class Condition:
 
     @property
     def battery(self) -> Battery:
-        """Battery as measured by the firmware."""
         voltage_v = self.state.battery_v if self.state is not None else 0.0
         return Battery(voltage_v, self.health.battery_percent if self.health is not None else -1)
 
     def take_health(self, health: Health) -> None:
-        """Store the variance of the estimate and the battery."""
         self.health = health
         if self._outside is None:
             self._compare_level(None)
 
     def take_outside(self, outside: Outside) -> None:
-        """Store the firmware's time of the newest external pose, and the measured gravity."""
         before, self._outside = self._outside, outside
         if before is None:
             self._leaning = None  # this packet is the first that contains gravity
@@ -144,7 +141,6 @@ class Condition:
 
     @property
     def tilt_rad(self) -> float:
-        """Angle between the up direction of the poses and measured gravity."""
         leaning = math.hypot(*(self._leaning or ZERO))
         return 2.0 * math.asin(min(1.0, 0.5 * leaning))
 

@@ -157,7 +157,6 @@ class CrazyflieLink:
                 self._closing.wait(REOPEN_S if self._flies else RETRY_S)
 
     def _connection(self, crazyflie: Any) -> str:
-        """Connect, then send packets until the connection ends; return the reason of the end."""
         if not self._flies:
             self._outbox.clear()  # drop packets that are older than this connection
         self._broken, self._heard_s = None, time.monotonic()

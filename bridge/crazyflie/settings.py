@@ -51,9 +51,7 @@ class Settings:
         return [SetParam(name, value) for name, value in self._found.items()]
 
     def echoed(self, name: str) -> None:
-        """Handle the firmware's echo of a write."""
         self._open.discard(name)
 
     def busy(self, now_s: float) -> bool:
-        """Whether a parameter is not restored yet."""
         return self._restore and bool(self._found) and now_s - self._left_s <= ECHO_MAX_S and bool(self._open)

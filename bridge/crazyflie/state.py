@@ -131,7 +131,6 @@ def decode_state(v: Mapping[str, int], boot_ms: int, at_s: float) -> CrazyflieSt
 
 
 def decode_health(v: Mapping[str, Any], at_s: float) -> Health:
-    """Decode the variance of the estimate, the battery and the motors."""
     variance = (v["kalman.varPX"], v["kalman.varPY"], v["kalman.varPZ"])
     throttle = sum(v[name] for name in _MOTORS) / (4.0 * _PWM_MAX)
     return Health(at_s, variance, Power(int(v["pm.state"])), int(v["pm.batteryLevel"]), throttle)

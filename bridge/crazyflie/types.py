@@ -48,8 +48,6 @@ class Velocity(NamedTuple):
 
 
 class Pose(NamedTuple):
-    """An external pose for the on-board estimator."""
-
     position_enu_m: Vec3
     quaternion: Quat  # order w, x, y, z; attitude of FLU in ENU
 
@@ -94,8 +92,6 @@ class LogPacket(NamedTuple):
 
 
 class ArmReply(NamedTuple):
-    """The supervisor's answer to an arming request."""
-
     accepted: bool
     armed: bool
 
@@ -109,8 +105,6 @@ Event = Connected | Lost | LogPacket | ArmReply | ParamValue
 
 
 class Arrived(NamedTuple):
-    """An event and its arrival time."""
-
     at_s: float  # arrival time on time.monotonic()
     event: Event
 

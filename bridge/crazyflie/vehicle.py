@@ -88,7 +88,6 @@ class Vehicle(Condition, Commander):
         return not (self.armed and self._moved)
 
     def take_packets(self) -> list[Packet]:
-        """Return the packets for the Crazyflie, in order."""
         packets, self._packets = self._packets, []
         return packets
 
@@ -245,7 +244,6 @@ class Vehicle(Condition, Commander):
             self._packets += self._arming.off(now_s, forced=False)
 
     def _end(self, reason: str) -> None:
-        """Mark the vehicle as disarmed."""
         if self.armed:
             self.texts.say(CRITICAL, f"Disarmed: {reason}")
         self._arming.armed = False
@@ -262,7 +260,6 @@ class Vehicle(Condition, Commander):
         self._client_s = now_s
 
     def arm(self, now_s: float) -> str | None:
-        """Request arming from the supervisor; ``armed`` or a status text shows the result."""
         if self.armed or self.arming:
             return None
         if self.state is not None and self.state.info & STUCK == Info.CRASHED and not self._ends:
@@ -282,7 +279,6 @@ class Vehicle(Condition, Commander):
         return None
 
     def disarm(self, now_s: float, *, force: bool) -> str | None:
-        """Stop the motors; in the air only if ``force`` is set."""
         if not force and not self.standing:
             return "Disarming refused: not landed"
         if force and self.link.protocol is None:

@@ -223,7 +223,6 @@ class Endpoint:
             self.counters.stale_answered += 1
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait for input; return False if none arrived within ``timeout_s`` of wall time."""
         return self._transport.wait(max(0.0, timeout_s))
 
     def fileno(self) -> int:
@@ -231,7 +230,6 @@ class Endpoint:
         return self._transport.fileno()
 
     def take_notices(self) -> list[str]:
-        """Return the texts for the operator since the last call, for example that the line was lost."""
         return self._transport.take_notices()
 
     def pack(self, message: Message) -> bytes:

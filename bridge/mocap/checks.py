@@ -57,16 +57,12 @@ class Sample(NamedTuple):
 
 
 class Passed(NamedTuple):
-    """A pose that passed all checks."""
-
     pose: Pose
     measured_s: float  # time of measurement on the local clock, s: arrival minus delay
     resets: int  # number of times that the series of poses has restarted
 
 
 class Step(NamedTuple):
-    """Result of one call of ``PoseChecks.step``."""
-
     passed: tuple[Passed, ...]
     problem: str | None  # reason why there is no good pose, or None
 

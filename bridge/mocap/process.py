@@ -111,8 +111,6 @@ class StatusPrinter:
 
 
 class Bridge:
-    """Forwards the poses of one source to one vehicle."""
-
     def __init__(
         self,
         source: MocapSource,
@@ -210,7 +208,6 @@ def run(options: MocapOptions, say: Callable[[str], None] = print) -> int:
 
 
 def summary(checks: PoseChecks) -> str:
-    """Return the counts of all poses as one line."""
     refused = ", ".join(f"{reason.name.lower()} {n}" for reason, n in checks.counts.items() if n)
     passed = f"{checks.passed} poses passed on, {checks.thinned} omitted to limit the rate"
     return f"mocap: {passed}; refused: {refused or 'none'}"

@@ -63,8 +63,6 @@ def odometry(passed: Passed, time_us: int) -> Message:
 
 @dataclass(frozen=True, slots=True)
 class PoseNeeds:
-    """Requirements of an autopilot for external poses."""
-
     title: str
     message: Callable[[Passed, int], Message]
     rate_max_hz: float
@@ -103,7 +101,6 @@ class MocapVehicle:
 
     @property
     def origin_missing(self) -> bool:
-        """Whether the vehicle needs an origin but none is configured."""
         return (
             self.needs is not None
             and self.needs.needs_origin
@@ -112,7 +109,6 @@ class MocapVehicle:
         )
 
     def heard(self, now_s: float) -> bool:
-        """Whether the vehicle has sent a heartbeat within ``SILENT_S``."""
         return now_s - self._heard_s <= SILENT_S
 
     def flies(self, now_s: float) -> bool:

@@ -166,8 +166,6 @@ _FILES = (".json5", ".json", ".yaml", ".yml")  # file formats that Zenoh reads
 
 @dataclass(frozen=True, slots=True)
 class Ros2Network:
-    """Address and domain of the ROS 2 nodes."""
-
     # endpoint of their router (``rmw_zenohd``, zenoh-bridge-ros2dds), or a Zenoh configuration file
     where: str
     domain: int = 0  # ROS_DOMAIN_ID of these nodes
@@ -185,7 +183,6 @@ class Ros2Network:
 
 
 def network(options: Ros2) -> Ros2Network | None:
-    """Return the network given by the options; None: ``--ros2`` is not given."""
     return Ros2Network(options.ros2_where, options.ros_domain) if options.ros2_where is not None else None
 
 

@@ -42,8 +42,6 @@ class RawSample(NamedTuple):
 
 
 class SampleSource(Protocol):
-    """A source of odometry samples."""
-
     def poll(self) -> list[RawSample]:
         """Return all samples that have arrived, oldest first; never blocks."""
 
@@ -190,7 +188,6 @@ class OdometryPublisher:
         self._publisher.put(payload, attachment=attachment)
 
     def close(self) -> None:
-        """Undeclare the publisher."""
         self._publisher.undeclare()
 
 

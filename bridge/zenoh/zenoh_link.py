@@ -242,7 +242,6 @@ def liveliness_token(session: Session, key: str) -> Any:
 
 
 def is_alive(session: Session, key: str) -> bool:
-    """Whether a connected session holds this token."""
     return any(True for _ in session.liveliness().get(_key(key), timeout=_ALIVE_TIMEOUT_S))
 
 

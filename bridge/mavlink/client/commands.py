@@ -95,7 +95,6 @@ class CommandSequencer:
         self._finals += reading is Reading.FINAL
 
     def note_text(self, text: str) -> None:
-        """Record a text of the vehicle as the reason of a failure."""
         if self._step is not None and text not in self._texts:
             self._texts = [*self._texts, text][-_TEXTS_KEPT:]
 

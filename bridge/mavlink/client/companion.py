@@ -61,7 +61,6 @@ class OriginSender:
 
 
 def companion_heartbeat() -> Message:
-    """Return the heartbeat of an active onboard controller."""
     return dialect.MAVLink_heartbeat_message(
         dialect.MAV_TYPE_ONBOARD_CONTROLLER, dialect.MAV_AUTOPILOT_INVALID, 0, 0, dialect.MAV_STATE_ACTIVE, 3
     )

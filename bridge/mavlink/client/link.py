@@ -116,7 +116,6 @@ class VehicleLink:
 
     @property
     def failed(self) -> str | None:
-        """Reason why the current request failed, or None."""
         return self._requests.sequencer.failed if self._requests is not None else None
 
     def adopt(self, profile: Profile) -> None:
@@ -217,7 +216,6 @@ class VehicleLink:
         return dialect.MAVLink_timesync_message(ts1_ns + 1, ts1_ns)
 
     def take_texts(self) -> list[tuple[int, str]]:
-        """Return the texts of the vehicle since the last call: (MAV_SEVERITY, text)."""
         texts, self._texts = self._texts, []
         return texts
 

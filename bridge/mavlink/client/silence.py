@@ -12,8 +12,6 @@ _SENDERS_SHOWN = 4
 
 
 class _Cause(NamedTuple):
-    """A reason for dropped frames, with its counters."""
-
     counters: tuple[str, ...]
     text: str  # text with the count as {n}
 
@@ -43,7 +41,6 @@ class Arrivals:
         self._before: dict[str, int] = {}
 
     def grown(self, counters: EndpointCounters) -> dict[str, int]:
-        """Return the increments of the counters since the last call, without zeros."""
         now = asdict(counters)
         grown = {name: n - self._before.get(name, 0) for name, n in now.items()}
         self._before = now

@@ -98,7 +98,6 @@ class VehicleState:
         }
 
     def watch_power(self) -> None:
-        """Update ``power`` from now on."""
         self._watches_power = True
         self._handlers[dialect.MAVLINK_MSG_ID_VFR_HUD] = self._on_vfr_hud
 
@@ -115,7 +114,6 @@ class VehicleState:
 
     @property
     def heeded(self) -> frozenset[int]:
-        """Ids of the messages that have an effect here."""
         counts_from_home = self.profile is None or self.profile.takeoff_altitude is TakeoffAltitude.ABOVE_HOME
         return frozenset(self._handlers) - (set() if counts_from_home else {_GLOBAL_POSITION})
 
@@ -130,7 +128,6 @@ class VehicleState:
             handler(message, arrival_s)
 
     def tilted(self, roll_rad: float, pitch_rad: float) -> None:
-        """Record the tilt for ``power``."""
         self._cos_tilt = math.cos(roll_rad) * math.cos(pitch_rad)
 
     def _on_position(self, m: Message, arrival_s: float) -> None:

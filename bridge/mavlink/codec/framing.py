@@ -144,7 +144,6 @@ def with_signed_flag(frame: bytes) -> bytes:
 
 
 def without_signature(frame: bytes) -> bytes:
-    """Return the unsigned form of a signed frame."""
     return _with_flags(frame, len(frame) - _SIGNATURE, 0)
 
 

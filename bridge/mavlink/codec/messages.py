@@ -38,7 +38,6 @@ class _Layout:
 
 
 def message_id(frame: bytes) -> int:
-    """Return the message id in the header of a version 2 frame."""
     return frame[7] | frame[8] << 8 | frame[9] << 16
 
 

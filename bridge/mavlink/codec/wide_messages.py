@@ -29,12 +29,10 @@ class WideField(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Size of one element in bytes."""
         return struct.calcsize(f"<{CODES[self.kind]}")
 
     @property
     def code(self) -> str:
-        """``struct`` format of the whole field."""
         code = CODES[self.kind]
         if not self.array:
             return code

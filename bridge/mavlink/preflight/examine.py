@@ -199,8 +199,6 @@ def examine(
 
 
 class _Check:
-    """State of the check; ``turn`` runs one step."""
-
     def __init__(
         self, endpoint: Endpoint, system_id: int, chosen: Profile | None, senders: Senders, *,
         accept_release: bool,
@@ -227,7 +225,6 @@ class _Check:
 
     @property
     def version(self) -> str | None:
-        """Release of the vehicle as text; None: not received."""
         return self._release.text if self._release is not None else None
 
     @property

@@ -23,8 +23,6 @@ _NAME_MAX = 16  # characters of a name, MAVLink PARAM_VALUE
 
 
 class Needs(NamedTuple):
-    """Requirements of the flight for the autopilot."""
-
     horizontal_m_s: float  # largest command of the velocity box
     vertical_m_s: float
     horizontal_m_s2: float  # largest acceleration of the commanded velocity
@@ -69,7 +67,6 @@ class Name:
 
     @property
     def where(self) -> str:
-        """Releases that have the name, as text."""
         ends = (f"from {self.since}" if self.since else "", f"before {self.before}" if self.before else "")
         return " ".join(filter(None, ends))
 
@@ -243,7 +240,6 @@ class Finding:
 
     @property
     def shown(self) -> str:
-        """Value with unit, and the names of other releases."""
         if self.value is None:
             return "missing"
         unit = f" {self.unit}" if self.unit else ""
@@ -299,7 +295,6 @@ class Release(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Release as text, such as ``1.16.0 beta``."""
         return f"{self.major}.{self.minor}.{self.patch} {self.kind}".rstrip()
 
 

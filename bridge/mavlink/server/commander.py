@@ -43,8 +43,6 @@ _FRAMES = (dialect.MAV_FRAME_LOCAL_NED, dialect.MAV_FRAME_BODY_NED)
 
 
 class Setpoint(NamedTuple):
-    """A velocity set-point with its heading or yaw rate."""
-
     velocity_enu_m_s: Vec3
     yaw_rad: float | None  # heading to hold; None: ``yaw_rate_rad_s`` applies
     yaw_rate_rad_s: float  # yaw rate, counter-clockwise; 0 holds the present heading
@@ -181,7 +179,6 @@ class Commander(ABC):
 
     @property
     def landed_state(self) -> int:
-        """MAV_LANDED_STATE of the vehicle."""
         return int(dialect.MAV_LANDED_STATE_ON_GROUND) if self.standing else AIRBORNE_STATE[self.mode]
 
     def forbids(self, sender: Sender, right: Right, now_s: float) -> str | None:
@@ -247,7 +244,6 @@ class Commander(ABC):
         return None
 
     def _streamed(self, now_s: float) -> bool:
-        """Whether the stream of set-points is alive."""
         return now_s - self._setpoint_s <= self.stream_lost_s + 1e-9
 
     def _enter(

@@ -70,8 +70,6 @@ class Answer(NamedTuple):
 
 
 class Reply(NamedTuple):
-    """An acknowledgement that is sent later than its command."""
-
     sender: Sender
     message: Message
 
@@ -166,7 +164,6 @@ class Commands(Generic[V]):
         return [self._acknowledge(message.command, result, sender), *messages]
 
     def finish(self, result: int) -> list[Reply]:
-        """Acknowledge all commands whose result was pending with this MAV_RESULT."""
         waiting, self._waiting = sorted(self._waiting), []
         return [Reply(to, self._acknowledge(number, result, to)) for number, to in waiting]
 

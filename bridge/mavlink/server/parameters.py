@@ -66,8 +66,6 @@ def fixed(name: str, value: float, type_: int = INT32) -> Parameter:
 
 
 class Refused(NamedTuple):
-    """Reason and error number of a write that was rejected."""
-
     error: int  # error number of MAVLink (MAV_PARAM_ERROR)
     reason: str
 

@@ -80,7 +80,6 @@ def mode_of(main: int, sub: int) -> FlightMode | None:
 
 
 def why_no_mode(main: int, sub: int) -> str:
-    """Return the reason why ``mode_of`` returns None."""
     reason = _NOT_HERE.get((main, sub if main == PX4_CODES[FlightMode.HOLD].main else 0))
     return f"Mode refused: {reason}" if reason else f"Mode {main}/{sub} refused: there is none"
 
@@ -107,8 +106,6 @@ POSITION_SOURCE = _M.MAV_SYS_STATUS_SENSOR_GPS | _M.MAV_SYS_STATUS_SENSOR_VISION
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServerProfile:
-    """Differences between the PX4-like vehicles of this project."""
-
     mark: bytes  # 8 bytes in AUTOPILOT_VERSION.flight_custom_version that identify the kind of vehicle
     sensors: int  # MAV_SYS_STATUS_SENSOR bits that are always healthy
     # builder and default rate, Hz, by message id, in the order of a datagram; None: at every tick or on

@@ -75,15 +75,13 @@ class Server(ABC, Generic[V]):
         """Return the present state of the vehicle; None if it is unknown, so that no telemetry is sent."""
 
     @abstractmethod
-    def on_heartbeat(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        """Handle a heartbeat of another program."""
+    def on_heartbeat(self, message: Any, sender: Sender, now_s: float) -> list[Message]: ...
 
     def own_commands(self) -> dict[int, Entry]:
         """Return commands that extend or replace the common ones."""
         return {}
 
     def own_handlers(self) -> dict[int, Handler]:
-        """Return handlers of other messages, by id."""
         return {}
 
     def condition(self, snapshot: Snapshot[V]) -> object:
@@ -150,11 +148,9 @@ class Server(ABC, Generic[V]):
         return snapshot if shown else None
 
     def streamed(self, snapshot: Snapshot[V]) -> list[Message]:
-        """Return the messages of the streams for the present telemetry."""
         return self.stream(snapshot)
 
     def stream(self, snapshot: Snapshot[V]) -> list[Message]:
-        """Build the messages of the streams that are due."""
         self.streams.hide(self.hidden(snapshot.now_s))
         return self.streams.due(snapshot)
 
@@ -196,7 +192,6 @@ class Server(ABC, Generic[V]):
         return []
 
     def on_command(self, message: Any, sender: Sender, now_s: float) -> list[Message]:
-        """Handle COMMAND_LONG and COMMAND_INT messages."""
         if message.target_system == 0 and message.command not in _BROADCAST:
             return []
         return self.commands.run(message, sender, now_s)

@@ -78,7 +78,6 @@ class Streams(Generic[V]):
             self._sort()
 
     def rarer(self, message_id: int, interval_us: float) -> bool:
-        """Whether ``set_interval`` would lower the present rate."""
         return self._interval_s(message_id, interval_us) > self._streams[message_id].interval_s
 
     def _interval_s(self, message_id: int, interval_us: float) -> float:
@@ -106,7 +105,6 @@ class Streams(Generic[V]):
             stream.passed_s = -_OFF
 
     def due(self, snapshot: Snapshot[V]) -> list[Message]:
-        """Build the messages that are due."""
         messages = [stream.build(snapshot) for stream in self._busy]
         return messages + [stream.build(snapshot) for stream in self._passed(snapshot.now_s)]
 

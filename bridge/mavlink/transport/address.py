@@ -92,7 +92,6 @@ def resolve(what: str, host: str, port: int, help_text: str = _URL_HELP) -> Peer
 
 
 def is_local(address: Peer) -> bool:
-    """Whether an address belongs to the loopback network 127.0.0.0/8."""
     return IPv4Address(address[0]).is_loopback
 
 
