@@ -356,9 +356,7 @@ class ConnectionAlarm:
 
 
 GID_BYTES = 16
-_NEW = struct.Struct("<qqB16s")  # "B" is the length of the id (attachment_helpers.cpp)
-_OLD = struct.Struct("<16sq17sq11sB16s")
-_OLD_NAMES = (b"\x0fsequence_number", b"\x10source_timestamp", b"\x0asource_gid")
+_ATTACHMENT = struct.Struct("<qqB16s")  # "B" is the length of the id (attachment_helpers.cpp)
 
 
 def pack_attachment(sequence: int, source_time_ns: int, gid: bytes) -> bytes:
@@ -368,18 +366,12 @@ def pack_attachment(sequence: int, source_time_ns: int, gid: bytes) -> bytes:
     """
     if len(gid) != GID_BYTES:
         raise ValueError(f"publisher id has {len(gid)} bytes: rmw_zenoh needs {GID_BYTES}")
-    return _NEW.pack(sequence, source_time_ns, GID_BYTES, gid)
+    return _ATTACHMENT.pack(sequence, source_time_ns, GID_BYTES, gid)
 
 
 def parse_attachment(data: bytes | None) -> tuple[int, int] | None:
     """Return sequence number and source time (Unix, ns); None if absent or of another form."""
-    if data is None:
+    if data is None or len(data) != _ATTACHMENT.size:
         return None
-    if len(data) == _NEW.size:
-        sequence, source_time_ns, length, _ = _NEW.unpack(data)
-        return (sequence, source_time_ns) if length == GID_BYTES else None
-    if len(data) == _OLD.size:
-        name_1, sequence, name_2, source_time_ns, name_3, length, _ = _OLD.unpack(data)
-        if (name_1, name_2, name_3) == _OLD_NAMES and length == GID_BYTES:
-            return (sequence, source_time_ns)
-    return None
+    sequence, source_time_ns, length, _ = _ATTACHMENT.unpack(data)
+    return (sequence, source_time_ns) if length == GID_BYTES else None

@@ -133,14 +133,6 @@ def test_damaged_payload_never_raises_anything_else(noise, start, stop):
         assert all(map(math.isfinite, (*sample.position_enu_m, *sample.velocity_enu_m_s, sample.yaw_rad)))
 
 
-def test_old_attachment_with_field_names_is_read():
-    data = (
-        b"\x0fsequence_number" + struct.pack("<q", 9) + b"\x10source_timestamp" + struct.pack("<q", 77)
-    ) + (b"\x0asource_gid\x10" + bytes(16))
-    assert len(data) == 77
-    assert parse_attachment(data) == (9, 77)
-
-
 @pytest.mark.parametrize("data", [None, b"", bytes(33), bytes(77), struct.pack("<qq", 1, 0)])
 def test_anything_else_is_no_attachment(data):
     assert parse_attachment(data) is None
