@@ -9,7 +9,7 @@ import random
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from bridge.ros2.cdr import encode_odometry
+from bridge.ros2.cdr import Odometry
 from flightstack.common.pacing import EPOCH_NS
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.position_loop import nominal_velocity, slew
@@ -149,7 +149,7 @@ def _landing() -> Rows:
         )
         yaw = (math.cos(heading / 2), 0.0, 0.0, math.sin(heading / 2))
         rows.odometry.append(
-            (stamp, encode_odometry(stamp, "map", "target", pad, yaw, (math.hypot(*pad_v[:2]), 0.0, 0.0)))
+            (stamp, Odometry(stamp, "map", "target", pad, yaw, (math.hypot(*pad_v[:2]), 0.0, 0.0)).pack())
         )
         if flying:
             v = tuple(a + (c - a) * DT_S / LAG_S for a, c in zip(v, command, strict=True))

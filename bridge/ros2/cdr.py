@@ -54,12 +54,26 @@ class Odometry(NamedTuple):
     orientation_wxyz: Quat
     linear_m_s: Vec3 = ZERO
     angular_rad_s: Vec3 = ZERO
-    pose_covariance: tuple[float, ...] = NO_COVARIANCE
-    twist_covariance: tuple[float, ...] = NO_COVARIANCE
+    pose_covariance: Sequence[float] = NO_COVARIANCE
+    twist_covariance: Sequence[float] = NO_COVARIANCE
 
     def pack(self) -> bytes:
-        """Serialise the message, as ``encode_odometry`` does."""
-        return encode_odometry(*self)
+        """Serialise the message.
+
+        Raises OdometryError: the stamp exceeds 32-bit seconds, or a covariance does not have 36 entries.
+        """
+        w, x, y, z = self.orientation_wxyz
+        header, pose = (self.stamp_ns, self.frame_id), (self.position_m, (x, y, z, w))
+        twist = (self.linear_m_s, self.angular_rad_s)
+        pose_cov, twist_cov = self.pose_covariance, self.twist_covariance
+        try:
+            return _pack_odometry((header, self.child_frame_id, (pose, pose_cov), (twist, twist_cov)))
+        except struct.error as error:
+            raise OdometryError(
+                f"odometry cannot be encoded: {error}; allowed are a stamp of 32-bit seconds "
+                f"({self.stamp_ns // 1_000_000_000} s given) and covariances of 36 numbers "
+                f"({len(pose_cov)} and {len(twist_cov)} given)"
+            ) from error
 
     def shifted(self, offset_m: Vec3) -> Odometry:
         """Return the odometry of the point at ``offset_m`` in the axes of the child frame.
@@ -100,37 +114,8 @@ class Transform(NamedTuple):
     pose: Pose
 
 
-def encode_odometry(
-    stamp_ns: int,
-    frame_id: str,
-    child_frame_id: str,
-    position_m: Vec3,
-    orientation_wxyz: Quat,
-    linear_m_s: Vec3 = ZERO,
-    angular_rad_s: Vec3 = ZERO,
-    pose_covariance: Sequence[float] = NO_COVARIANCE,
-    twist_covariance: Sequence[float] = NO_COVARIANCE,
-) -> bytes:
-    """Serialise an odometry message; the arguments are the fields of ``Odometry``.
-
-    Raises OdometryError: the stamp exceeds 32-bit seconds, or a covariance does not have 36 entries.
-    """
-    w, x, y, z = orientation_wxyz
-    pose, twist = (position_m, (x, y, z, w)), (linear_m_s, angular_rad_s)
-    try:
-        return _pack_odometry(
-            ((stamp_ns, frame_id), child_frame_id, (pose, pose_covariance), (twist, twist_covariance))
-        )
-    except struct.error as error:
-        raise OdometryError(
-            f"odometry cannot be encoded: {error}; allowed are a stamp of 32-bit seconds "
-            f"({stamp_ns // 1_000_000_000} s given) and covariances of 36 numbers "
-            f"({len(pose_covariance)} and {len(twist_covariance)} given)"
-        ) from error
-
-
 def decode_odometry(payload: bytes) -> Odometry:
-    """Decode a serialised odometry message from ROS 2 or ``encode_odometry``.
+    """Decode a serialised odometry message.
 
     Bytes after the last field are ignored, because some writers add padding. Raises OdometryError: the
     payload is too short, has another encoding, or its strings are invalid.

@@ -16,7 +16,6 @@ from bridge.ros2.cdr import (
     Odometry,
     OdometryError,
     decode_odometry,
-    encode_odometry,
 )
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import GID_BYTES, pack_attachment, parse_attachment
@@ -49,20 +48,9 @@ class SampleSource(Protocol):
 def sample_of(raw: RawSample, arrival_s: float) -> TargetSample:
     """Convert a received sample, with velocities in the world frame; ``arrival_s`` is on the stack's clock.
 
-    Raises OdometryError: for the reasons of ``sample_from_cdr``.
-    """
-    return _sample(raw.odometry or decode_odometry(raw.payload), arrival_s)
-
-
-def sample_from_cdr(payload: bytes, arrival_s: float) -> TargetSample:
-    """Convert a serialised message (CDR with header) into a sample with velocities in the world frame.
-
     Raises OdometryError: malformed, a number not finite or beyond 1e9, or the orientation no unit quaternion.
     """
-    return _sample(decode_odometry(payload), arrival_s)
-
-
-def _sample(o: Odometry, arrival_s: float) -> TargetSample:
+    o = raw.odometry or decode_odometry(raw.payload)
     w, x, y, z = o.orientation_wxyz
     n = (*o.position_m, x, y, z, w, *o.linear_m_s, *o.angular_rad_s)
     if not (math.isfinite(sum(n)) and max(n) < _LARGEST and min(n) > -_LARGEST):
@@ -162,17 +150,10 @@ class OdometryPublisher:
         twist_covariance: Sequence[float] = NO_COVARIANCE,
     ) -> bytes:
         """Serialise a message with this publisher's frames; the twist is in the child frame."""
-        return encode_odometry(
-            stamp_ns,
-            self.frame_id,
-            self.child_frame_id,
-            position_m,
-            orientation_wxyz,
-            linear_m_s,
-            angular_rad_s,
-            pose_covariance,
-            twist_covariance,
-        )
+        return Odometry(
+            stamp_ns, self.frame_id, self.child_frame_id, position_m, orientation_wxyz, linear_m_s,
+            angular_rad_s, pose_covariance, twist_covariance,
+        ).pack()  # fmt: skip
 
     def put(self, payload: bytes, source_time_ns: int, attachment: bytes | None = None) -> None:
         """Send a serialised message.

@@ -7,7 +7,7 @@ decoded if this module made it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import NamedTuple
@@ -247,7 +247,7 @@ class TargetSource:
             )
         self._compare(odometry.pose_covariance, odometry.twist_covariance)
 
-    def _compare(self, pose_covariance: tuple[float, ...], twist_covariance: tuple[float, ...]) -> None:
+    def _compare(self, pose_covariance: Sequence[float], twist_covariance: Sequence[float]) -> None:
         text = excess_noise(pose_covariance, twist_covariance, self._link)
         if text:
             self._tell(f"{self._spec.text}: {text}")

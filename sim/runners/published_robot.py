@@ -18,7 +18,7 @@ from contextlib import ExitStack
 from typing import ClassVar, TypeVar
 
 from bridge.frames import quaternion_from_yaw
-from bridge.ros2.cdr import encode_odometry
+from bridge.ros2.cdr import Odometry
 from bridge.ros2.ros2_names import Ros2Node, Ros2Publisher, network
 from bridge.target.odometry import OdometryPublisher
 from bridge.target.ros2_target import ROS_TYPES, TargetType
@@ -87,10 +87,10 @@ class PublishedRobot(Robot):
         self._drive(tick)
         pad, (x, y, z, yaw, vx, vy, vz, rate) = self._waiting.popleft()
         px, py, pz, pad_yaw, forward, left, up = pad[1:8]
-        payload = encode_odometry(
+        payload = Odometry(
             self.log.epoch_ns + self._grid.ns(tick), "map", "target", (px, py, pz),
             quaternion_from_yaw(pad_yaw), (forward, left, up), (0.0, 0.0, pad[11]),
-        )  # fmt: skip
+        ).pack()  # fmt: skip
         return DeckState((x, y, z), yaw, (vx, vy, vz), rate, payload)
 
     def _keep(self, pads: F64, due: Sequence[int], new: F64) -> None:

@@ -203,7 +203,7 @@ class DirectTarget(Robot):
 
 
 def in_world(sample: TargetMeasurement) -> WorldSample:
-    """Return the sample as ``bridge.target.odometry.sample_from_cdr`` decodes it; a test compares both."""
+    """Return the sample as ``bridge.target.odometry.sample_of`` decodes it; a test compares both."""
     return _world_sample(sample_rows(numbers([sample]))[0].tolist())
 
 

@@ -19,7 +19,7 @@ from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.endpoint import Received
 from bridge.mavlink.profiles import OWN_SITL
 from bridge.mavlink.server.server import COMPONENT_ID, SYSTEM_ID
-from bridge.ros2.cdr import encode_odometry
+from bridge.ros2.cdr import Odometry
 from bridge.target.odometry import RawSample
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import EPOCH_NS, Tick
@@ -113,10 +113,10 @@ class _Target(DirectTarget):
 
 
 def _cdr(sample: TargetMeasurement) -> bytes:
-    return encode_odometry(
+    return Odometry(
         EPOCH_NS + round(sample.time_s * 1e9), "map", "target", sample.position_enu_m,
         quaternion_from_yaw(sample.yaw_rad), sample.velocity_body_m_s, (0.0, 0.0, sample.yaw_rate_rad_s),
-    )  # fmt: skip
+    ).pack()  # fmt: skip
 
 
 class _Notes(VehicleNotes):

@@ -19,8 +19,10 @@ from bridge.mavlink.codec.wide_messages import MESSAGES
 
 Message = Any  # an instance of one of pymavlink's generated classes, which have no type hints
 
-# pymavlink's decoder with this project's table of messages in place of the dialect's
-_DECODE = FunctionType(dialect.MAVLink.decode.__code__, {**vars(dialect), "mavlink_map": MESSAGES})
+# pymavlink's decoder with this project's table of messages; ``framing`` has checked the checksum
+_DECODE = FunctionType(
+    dialect.MAVLink.decode.__code__, {**vars(dialect), "mavlink_map": MESSAGES, "MAVLINK_IGNORE_CRC": True}
+)
 _DECODER = dialect.MAVLink(None)
 
 

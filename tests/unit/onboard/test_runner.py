@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from bridge.ros2.cdr import encode_odometry
+from bridge.ros2.cdr import Odometry
 from bridge.target.odometry import RawSample
 from flightstack.common.pacing import Tick
 from flightstack.core.memory import AbortWay, Memory
@@ -142,7 +142,7 @@ def test_the_vehicle_is_answered_before_anything_is_written_and_the_target_hears
 
 @pytest.mark.parametrize(("stall_s", "used"), [(STALL_MAX_S / 2, True), (2 * STALL_MAX_S, False)])
 def test_samples_of_a_tick_in_which_the_process_stalled_are_told_and_not_used(stall_s, used):
-    messages = [RawSample(encode_odometry(1, "map", "target", (1.0, 2.0, 0.2), (1.0, 0.0, 0.0, 0.0)))]
+    messages = [RawSample(Odometry(1, "map", "target", (1.0, 2.0, 0.2), (1.0, 0.0, 0.0, 0.0)).pack())]
     target = LiveTarget(SimpleNamespace(poll=lambda: messages), lambda: 8.0 + stall_s)
     arrived = target.samples(8.0)
     assert arrived.messages == messages

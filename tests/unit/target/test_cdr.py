@@ -19,9 +19,8 @@ from bridge.ros2.cdr import (
     decode_pose,
     decode_pose_with_covariance,
     decode_transforms,
-    encode_odometry,
 )
-from bridge.target.odometry import sample_from_cdr
+from bridge.target.odometry import RawSample, sample_of
 from bridge.zenoh.zenoh_link import parse_attachment
 from tests.unit.target.ros2_helpers import pose_covariance, pose_stamped, transforms
 
@@ -88,13 +87,13 @@ def usual(**changes):
         "linear_m_s": (0.1, 0.0, 0.0),
         "angular_rad_s": (0.0, 0.0, 0.4),
     }
-    return encode_odometry(**(values | changes))
+    return Odometry(**(values | changes)).pack()
 
 
 def test_twist_is_turned_by_the_whole_quaternion():
     # Nose north and up by 90 deg: forward is up, left is west.
     q = (0.5, 0.5, -0.5, 0.5)
-    sample = sample_from_cdr(usual(orientation_wxyz=q, linear_m_s=(0.3, 0.1, 0.0)), 0.0)
+    sample = sample_of(RawSample(usual(orientation_wxyz=q, linear_m_s=(0.3, 0.1, 0.0))), 0.0)
     assert sample.velocity_enu_m_s == pytest.approx((-0.1, 0.0, 0.3))
 
 
@@ -118,7 +117,7 @@ def test_twist_is_turned_by_the_whole_quaternion():
 )
 def test_malformed_payload_says_what_is_wrong(payload, words):
     with pytest.raises(OdometryError, match=words):
-        sample_from_cdr(payload, 0.0)
+        sample_of(RawSample(payload), 0.0)
 
 
 @settings(max_examples=500)
@@ -127,7 +126,7 @@ def test_damaged_payload_never_raises_anything_else(noise, start, stop):
     payload = usual()
     for damaged in (noise, payload[:start] + noise + payload[stop:], payload[:stop]):
         try:
-            sample = sample_from_cdr(damaged, 0.0)
+            sample = sample_of(RawSample(damaged), 0.0)
         except OdometryError:
             continue
         assert all(map(math.isfinite, (*sample.position_enu_m, *sample.velocity_enu_m_s, sample.yaw_rad)))
@@ -165,9 +164,9 @@ def test_what_a_sender_says_of_its_accuracy_is_in_the_sample(x, y, sigma):
         payload = bytes(
             STORE.serialize_cdr(ros_message(odometry._replace(**{name: tuple(covariance)})), NAME)
         )
-        found = sample_from_cdr(payload, 0.0)
+        found = sample_of(RawSample(payload), 0.0)
         assert getattr(found, field) == pytest.approx(sigma)
-        assert found._replace(**{field: 0.0}) == sample_from_cdr(odometry.pack(), 0.0)
+        assert found._replace(**{field: 0.0}) == sample_of(RawSample(odometry.pack()), 0.0)
 
 
 Q = (0.5, -0.5, 0.5, 0.5)

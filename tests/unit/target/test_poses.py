@@ -12,7 +12,6 @@ from bridge.ros2.cdr import Odometry, Pose, Transform
 from bridge.target.odometry import (
     RawSample,
     excess_noise,
-    sample_from_cdr,
     sample_of,
 )
 from bridge.target.poses import (
@@ -185,7 +184,7 @@ def test_a_source_shifts_what_it_hears(kind):
                 put.put(ros.pose_stamped(truth.stamp_ns, "odom", truth.position_m, truth.orientation_wxyz))
         raw = listening.poll()[-1]
         last, wanted = sample_of(raw, 0.0), sample(at(99 / 50).shifted(OFFSET))
-        assert sample_from_cdr(raw.payload, 0.0) == last  # the log's bytes reproduce the flown sample
+        assert sample_of(RawSample(raw.payload), 0.0) == last  # the log's bytes reproduce the flown sample
         assert last.position_enu_m == pytest.approx(wanted.position_enu_m)
         assert last.velocity_enu_m_s == pytest.approx(wanted.velocity_enu_m_s, abs=0.01)
         put.put(b"\x00\x01\x00\x00")

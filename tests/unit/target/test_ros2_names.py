@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from zenoh.ext import Int64, declare_advanced_subscriber, z_serialize
 
-from bridge.ros2.cdr import encode_odometry
+from bridge.ros2.cdr import Odometry
 from bridge.ros2.ros2_names import (
     DOMAIN_MAX,
     NO_HASH,
@@ -172,7 +172,7 @@ def test_a_node_its_topic_and_its_samples():
         wanted = f"3/cf1/target/odom/nav_msgs::msg::dds_::Odometry_/{ODOMETRY.type_hash}"
         heard = declare_advanced_subscriber(theirs, wanted, zenoh.handlers.RingChannel(10))
         until(lambda: publisher.matched, "the subscription")
-        payload = encode_odometry(1_500_000_000, "map", "target", (1.0, 2.0, 0.2), (1.0, 0.0, 0.0, 0.0))
+        payload = Odometry(1_500_000_000, "map", "target", (1.0, 2.0, 0.2), (1.0, 0.0, 0.0, 0.0)).pack()
         for i in range(3):
             publisher.put(payload, 1_700_000_000_000_000_000 + i)
         samples = []

@@ -9,7 +9,7 @@ from zenoh.ext import CacheConfig, declare_advanced_publisher
 
 from bridge.frames import quaternion_from_yaw
 from bridge.ros2.ros2_names import topic_key
-from bridge.target.odometry import sample_from_cdr
+from bridge.target.odometry import RawSample, sample_of
 from bridge.target.ros2_target import ROS_TYPES, TargetSource, TargetSpec, TargetType
 from bridge.zenoh import zenoh_link
 from flightstack.core.parameters.robust import TargetLink
@@ -84,7 +84,7 @@ def test_a_turtlebot_is_followed_by_its_topic():
         )
         robot.put(ros.odometry(STAMP, FRAME, CHILD, (1.0, 2.0, 0.0), yaw, (0.2, 0.0, 0.0), (0.0, 0.0, 0.3)))
         [raw] = collect(listening, 1)
-        sample = sample_from_cdr(raw.payload, 3.0)
+        sample = sample_of(RawSample(raw.payload), 3.0)
         assert (raw.sequence, raw.source_time_ns, len(raw.attachment)) == (1, STAMP + 1, 33)
         assert (sample.frame_id, sample.child_frame_id) == (FRAME, CHILD)
         assert sample.position_enu_m == (1.0, 2.0, 0.0)
@@ -109,7 +109,7 @@ def test_behind_the_dds_bridge_a_topic_is_its_name(with_attachment):
     with source("ros2dds:/robot1/odom", key="robot1/odom") as (robot, listening):
         robot.put(ros.odometry(STAMP, FRAME, CHILD, (1.0, 0.0, 0.0)), with_attachment)
         [raw] = collect(listening, 1)
-        assert sample_from_cdr(raw.payload, 0.0).position_enu_m == (1.0, 0.0, 0.0)
+        assert sample_of(RawSample(raw.payload), 0.0).position_enu_m == (1.0, 0.0, 0.0)
         assert (raw.sequence is not None) == with_attachment
 
 
@@ -143,7 +143,7 @@ def test_wrong_frames_are_told_and_left_to_the_controller_to_refuse(frame, child
     with source("ros2:/odom") as (robot, listening):
         robot.put(ros.odometry(STAMP, frame, child))
         [raw] = collect(listening, 1)
-        assert sample_from_cdr(raw.payload, 0.0).frame_id == frame
+        assert sample_of(RawSample(raw.payload), 0.0).frame_id == frame
         assert words in listening.take_problems()[0]
 
 
@@ -172,7 +172,7 @@ def test_a_target_without_a_velocity_gets_one(kind):
             robot.put(payload)
         samples = collect(listening, 50)
         until(lambda: samples.extend(listening.poll()) or samples[-1].sequence == 60, "the last")
-        last = sample_from_cdr(samples[-1].payload, 0.0)
+        last = sample_of(RawSample(samples[-1].payload), 0.0)
         assert (last.frame_id, last.child_frame_id) == (FRAME, CHILD)
         assert last.position_enu_m == pytest.approx(moving(59)[0])
         assert last.velocity_enu_m_s == pytest.approx((0.2, 0.0, 0.0), abs=0.01)
@@ -209,7 +209,7 @@ def test_a_landing_spot_fixed_to_the_robot_is_found_by_tf_alone(prefix, early):
             robot.put(ros.transforms((stamp_ns, FRAME, "wheels", position, quaternion_from_yaw(math.pi / 2))))
         samples = collect(listening, 50)
         until(lambda: samples.extend(listening.poll()) or samples[-1].sequence == 60, "the last")
-        last = sample_from_cdr(samples[-1].payload, 0.0)
+        last = sample_of(RawSample(samples[-1].payload), 0.0)
         x, y, z = moving(59)[0]
         assert last.position_enu_m == pytest.approx((x, y + 0.1, z + 0.3))
         assert last.velocity_enu_m_s == pytest.approx((0.2, 0.0, 0.0), abs=0.01)

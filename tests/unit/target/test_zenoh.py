@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.target.odometry import OdometryPublisher, raw_sample, sample_from_cdr
+from bridge.target.odometry import OdometryPublisher, RawSample, raw_sample, sample_of
 from bridge.target.ros2_target import KeySearch
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import (
@@ -63,7 +63,7 @@ def test_odometry_arrives_in_order_with_its_attachment(sessions, lossless):
     assert [raw.payload for raw in received] == payloads
     assert [(raw.sequence, raw.source_time_ns) for raw in received] == [(i + 1, 1000 + i) for i in range(100)]
     assert {len(raw.attachment) for raw in received} == {33}
-    assert sample_from_cdr(received[7].payload, 0.0).position_enu_m == (7.0, 0.0, 0.2)
+    assert sample_of(RawSample(received[7].payload), 0.0).position_enu_m == (7.0, 0.0, 0.2)
     subscriber.undeclare()
     publisher.close()
 

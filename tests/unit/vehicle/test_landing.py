@@ -11,8 +11,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.frames import quaternion_from_yaw
 from bridge.mavlink.codec.messages import decode
-from bridge.ros2.cdr import encode_odometry
-from bridge.target.odometry import sample_from_cdr
+from bridge.ros2.cdr import Odometry
+from bridge.target.odometry import RawSample, sample_of
 from flightstack.common.pacing import EPOCH_NS
 from flightstack.common.strict_toml import dumps, from_table, to_table
 from flightstack.core.types import TargetSample
@@ -79,11 +79,11 @@ def test_a_target_sample_is_what_cdr_makes_of_it():
             (rng.gauss(0, 1), rng.gauss(0, 1), rng.gauss(0, 1)),
             rng.gauss(0, 1),
         )
-        payload = encode_odometry(
+        payload = Odometry(
             EPOCH_NS + round(sample.time_s * 1e9), "map", "target", sample.position_enu_m,
             quaternion_from_yaw(sample.yaw_rad), sample.velocity_body_m_s, (0.0, 0.0, sample.yaw_rate_rad_s),
-        )  # fmt: skip
-        assert TargetSample(1.25, *in_world(sample)) == sample_from_cdr(payload, 1.25)
+        ).pack()  # fmt: skip
+        assert TargetSample(1.25, *in_world(sample)) == sample_of(RawSample(payload), 1.25)
 
 
 def short(name, **changes):

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from bridge.target.odometry import sample_from_cdr
+from bridge.target.odometry import RawSample, sample_of
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import open_session
 from flightstack.common.hangup import Stop
@@ -100,7 +100,7 @@ def test_poses_samples_and_ticks_are_those_of_a_landing_in_one_process(ends, nam
     ]
     for tick, (_, samples) in enumerate(expected):
         come = odom[counts[tick] : counts[tick + 1]]
-        arrived = tuple(sample_from_cdr(each.payload.to_bytes(), 0.01 * tick) for each in come)
+        arrived = tuple(sample_of(RawSample(each.payload.to_bytes()), 0.01 * tick) for each in come)
         assert repr(arrived) == repr(samples), tick
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from bridge.frames import quaternion_from_yaw, world_from_body, yaw_from_quaternion
-from bridge.ros2.cdr import encode_odometry
+from bridge.ros2.cdr import Odometry
 from flightstack.common.pacing import RUN_AHEAD_TICKS
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.types import TargetSample
@@ -226,7 +226,7 @@ Q_NORTH = quaternion_from_yaw(math.pi / 2)
 
 
 def message(x_m, *, frame="map", q=Q_NORTH):
-    return encode_odometry(5, frame, "target", (x_m, 2.0, 0.2), q, (0.5, 0.1, 0.0), (0.0, 0.0, 0.3))
+    return Odometry(5, frame, "target", (x_m, 2.0, 0.2), q, (0.5, 0.1, 0.0), (0.0, 0.0, 0.3)).pack()
 
 
 def test_decodes_into_the_world_frame_also_when_the_frame_names_change():

@@ -8,7 +8,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.messages import pack as packed
 from bridge.ros2.cdr import OdometryError
-from bridge.target.odometry import sample_from_cdr
+from bridge.target.odometry import RawSample, sample_of
 from flightstack.core.types import Inputs
 from logs.reader.reader import LogFile
 from logs.replay.read import SINK, SOURCE, FlightInputs, TickRecord
@@ -139,7 +139,7 @@ def tick_of(odometry, said):
 
 def take_problem(payload):
     with pytest.raises(OdometryError) as error:
-        sample_from_cdr(payload, 0.0)
+        sample_of(RawSample(payload), 0.0)
     return [f"target sample refused: {error.value}"]
 
 
