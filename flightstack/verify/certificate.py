@@ -45,67 +45,32 @@ def checks(config: FlightConfig) -> list[Check]:
 
 def _no_certificate(name: str) -> Check:
     return Check(
-        "certificate",
-        "the class of the filter has a certificate of its own",
-        -math.inf,
-        "",
+        "certificate", "the class of the filter has a certificate of its own", -math.inf, "",
         f"{name} has none; the certificate of a base class does not cover it",
         "set the class attribute certificate to MODULE:NAME of a function that returns its checks",
         Need.PROOF,
-    )
+    )  # fmt: skip
 
 
 def paper_checks(config: FlightConfig) -> list[Check]:
-    shape = Shape(config.barrier.build(), Span(0.0, 0.0), 1.0)
+    shape, omega_1_s = Shape(config.barrier.build(), Span(0.0, 0.0), 1.0), config.barrier.omega_1_s
+    rate, slew = ("barrier.omega_1_s", omega_1_s), ("limits.slew_max_m_s2", config.limits.slew_max_m_s2)
     return [
-        paper.feasible(config, shape, config.envelope.target_climb_max_m_s),
-        paper.sampling(config, "barrier.omega_1_s", config.barrier.omega_1_s),
-        paper.peak_clears_pad(config),
-        paper.gains(config, config.position_loop.gain_1_s, "position_loop.gain_1_s"),
-        paper.slews(config, config.limits.slew_max_m_s2, "limits.slew_max_m_s2"),
-        paper.lags(config),
+        *paper.basics(config, shape, config.envelope.target_climb_max_m_s, rate, slew),
         *paper.answers(config),
         touchdown.modelled(config),
         ends.reaches_touchdown(config),
-        ends.contact(config, config.touchdown.descent_m_s, "touchdown.descent_m_s"),
-        ends.notices(config),
-        ends.forgets(config),
-        ends.falls(config),
+        *ends.any_filter(config, config.touchdown.descent_m_s, "touchdown.descent_m_s"),
     ]
 
 
 def robust_checks(config: FlightConfig) -> list[Check]:
-    x, fed_back, table = extremes(config), config.velocity_feedback.horizontal, config.reserve
+    x, own, fed_back = extremes(config), config.robust, config.velocity_feedback.horizontal
+    rate, slew = ("robust.rate_1_s", own.rate_1_s), ("robust.acceleration_max_m_s2", config.slew_max_m_s2)
     return [
-        paper.feasible(config, x.shape, x.target_climb_m_s),
-        robust.recovers(config, x),
-        robust.rate(config, x),
-        paper.sampling(config, "robust.rate_1_s", config.robust.rate_1_s),
-        paper.peak_clears_pad(config),
-        paper.gains(config, config.position_loop.gain_1_s, "position_loop.gain_1_s"),
-        paper.slews(config, config.slew_max_m_s2, "robust.acceleration_max_m_s2"),
-        *touchdown.follows(config, x),
-        *touchdown.reach(config, x),
-        touchdown.in_time(config, x),
-        touchdown.stops(config, x),
-        ends.contact(config, config.robust.descent_m_s, "robust.descent_m_s"),
-        ends.notices(config),
-        ends.forgets(config),
-        ends.accepts(config),
-        ends.falls(config),
-        touchdown.altitude(config, x),
-        robust.climb(config, x),
-        robust.slew(config, x),
-        *([robust.reserve(config, table, x)] if table is not None else []),
-        robust.holds(config, x),
-        robust.estimator(config, x),
-        *([robust.own_estimator(config)] if config.own.learns and not fed_back else []),
-        touchdown.tilts(config, x),
-        touchdown.modelled(config),
-        *(
-            feedback.comes_to_rest(config)
-            if fed_back
-            else [touchdown.damping(config, x), *late.comes_to_rest(config)]
-        ),
-        touchdown.drift(config, x),
+        *paper.basics(config, x.shape, x.target_climb_m_s, rate, slew),
+        *robust.outside_pad(config, x),
+        *touchdown.over_pad(config, x),
+        *ends.any_filter(config, own.descent_m_s, "robust.descent_m_s"),
+        *(feedback.comes_to_rest(config) if fed_back else late.comes_to_rest(config)),
     ]

@@ -6,10 +6,9 @@ import math
 
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.parameters.reserve import GRAVITY_M_S2
-from flightstack.verify.types import Check, Need
+from flightstack.verify.types import PROOF, Check
 
 STEADY_ERROR = 0.25  # velocity error that must be tolerated, gusts included, as a share of full speed
-NOISE_SIGMAS = 7.0  # covered jump, in standard deviations of one position: 5 of a difference of two
 FALL_MAX_M_S = 1.0  # allowed speed of a fall, m/s: twice the landing speed, which landing gears withstand
 
 
@@ -55,46 +54,28 @@ def notices(config: FlightConfig) -> Check:
     )
 
 
-def forgets(config: FlightConfig) -> Check:
-    """Check that a steady velocity error is not detected as a vehicle that does not follow.
-
-    The tracking lag of a velocity error e converges to e times the decay time. A vehicle that does not follow
-    lands where it is, below the barrier if that is beside the pad.
-    """
-    lag_s, memory_s = config.checks.follow_lag_max_s, config.checks.follow_memory_s
-    return Check(
-        "checks.follow_memory_s",
-        "a steady error of the velocity is not taken for a vehicle that does not follow",
-        lag_s / memory_s - STEADY_ERROR,
-        "of the full speed",
-        f"found {memory_s:g} s, which allows an error of {lag_s / memory_s:.3g} of the full speed",
-        f"lower checks.follow_memory_s to {lag_s / STEADY_ERROR:.3g}, or raise checks.follow_lag_max_s",
-        Need.PROOF,
-    )
-
-
-def accepts(config: FlightConfig) -> Check:
-    found, noise_m = config.checks.target_jump_max_m, config.target.position_noise_m
-    return Check(
-        "checks.target_jump_max_m",
-        "two positions of a target with the declared noise are no jump",
-        found - NOISE_SIGMAS * noise_m,
-        "m",
-        f"found {found:g}, the noise of a position is {noise_m:g} m",
-        f"raise checks.target_jump_max_m to {NOISE_SIGMAS * noise_m:.3g}",
-        Need.PROOF,
-    )
-
-
-def falls(config: FlightConfig) -> Check:
-    gap_m = config.contact.gap_m
+def any_filter(config: FlightConfig, descent_m_s: float, key: str) -> list[Check]:
+    """Return the checks of contact, of following and of a fall; the descent speed is that of this key."""
+    checks, gap_m = config.checks, config.contact.gap_m
+    lag_s, memory_s = checks.follow_lag_max_s, checks.follow_memory_s
     speed = math.sqrt(2.0 * GRAVITY_M_S2 * gap_m)
-    return Check(
-        "contact.gap_m",
-        f"a vehicle taken for standing, motors off, falls with {FALL_MAX_M_S:g} m/s at most",
-        FALL_MAX_M_S - speed,
-        "m/s",
-        f"found {gap_m:g} m, from which it falls with {speed:.3g} m/s",
-        "lower contact.gap_m",
-        Need.PROOF,
-    )
+    return [
+        contact(config, descent_m_s, key),
+        notices(config),
+        # The tracking lag of a velocity error e converges to e times the decay time. A vehicle that does not
+        # follow lands where it is, below the barrier if that is beside the pad.
+        Check(
+            "checks.follow_memory_s",
+            "a steady error of the velocity is not taken for a vehicle that does not follow",
+            lag_s / memory_s - STEADY_ERROR, "of the full speed",
+            f"found {memory_s:g} s, which allows an error of {lag_s / memory_s:.3g} of the full speed",
+            f"lower checks.follow_memory_s to {lag_s / STEADY_ERROR:.3g}, or raise checks.follow_lag_max_s",
+            PROOF,
+        ),
+        Check(
+            "contact.gap_m",
+            f"a vehicle taken for standing, motors off, falls with {FALL_MAX_M_S:g} m/s at most",
+            FALL_MAX_M_S - speed, "m/s", f"found {gap_m:g} m, from which it falls with {speed:.3g} m/s",
+            "lower contact.gap_m", PROOF,
+        ),
+    ]  # fmt: skip

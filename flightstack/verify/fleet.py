@@ -1,22 +1,33 @@
-"""Checks of a configuration with a table [fleet]: separation of two vehicles, and its limits.
+"""Checks of a configuration with a table [fleet], and of all members together (docs/how_it_works/fleet.md).
 
-docs/how_it_works/fleet.md derives each check. ``crowd`` checks common points of several rows, ``team`` the
-members as a whole.
+Where do landing barrier, box and the rows of neighbours have a common feasible velocity? h is the value of a
+neighbour's barrier and g its gradient. The worst row (constraint) of a neighbour is
+
+    g . u >= |g| w + a t - rate h,
+
+where w is the neighbour's speed and a t the growth of its ellipsoid at the largest latency; this vehicle has
+the whole share, and the neighbour approaches directly. g is a unit vector whose vertical part is multiplied
+by k = radius_xy / radius_z. The box is reduced to its horizontal disc, without slew limit.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import fields
+from itertools import combinations
+from typing import NamedTuple
 
+from flightstack.core.fleet.ellipsoid import barrier
 from flightstack.core.parameters.fleet import HOLD_LATENCIES, KEPT_PART, PART_OF_LAG, ZERO_LATENCIES, Fleet
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.robust import RobustFilter
 from flightstack.core.strategies.strategy import strategy_class, strategy_of
 from flightstack.core.types import Vec3
-from flightstack.verify import crowd, paper, touchdown
-from flightstack.verify.bound import Shape, Span
+from flightstack.verify import paper, touchdown
+from flightstack.verify.bound import Cell, Shape, Span, most
 from flightstack.verify.envelope import extremes
-from flightstack.verify.types import Check, Need
+from flightstack.verify.types import PROOF, Check
 
 LATE_TICKS = 1.0  # missed ticks in a row, in addition to the tick of a command
 
@@ -36,46 +47,13 @@ def fleet_checks(config: FlightConfig) -> list[Check]:
     else:
         shape, climb_m_s = Shape(config.barrier.build(), Span(0.0, 0.0), 1.0), 0.0
         descent_s = config.touchdown.height_m / config.touchdown.descent_m_s + (1.0 + spread) * loop.lag_z_s
-    where = crowd.crowd(config, fleet, shape, climb_m_s)
+    where = crowd(config, fleet, shape, climb_m_s)
     slew_m_s2 = strategy_of(config).acceleration_max_m_s2
     return [
-        apart(fleet, lag_s),
-        paper.sampling(config, "fleet.rate_1_s", fleet.rate_1_s),
-        margin(config, fleet),
-        shares(fleet, 1.0 / config.loop.rate_hz),
-        speed(config, fleet),
-        acceleration(fleet, slew_m_s2),
-        jump(config, fleet),
-        slew(config, fleet, slew_m_s2, whole=False),
-        slew(config, fleet, slew_m_s2, whole=True),
-        crowd.begins(config, fleet, where),
-        crowd.one(config, fleet, where),
-        crowd.several(config, fleet, where),
-        touchdowns(config, fleet, descent_s),
-        waits(config, fleet, descent_s),
+        *_separation(config, fleet, lag_s, slew_m_s2),
+        *common_points(config, fleet, where),
+        *_landings(config, fleet, descent_s),
     ]
-
-
-def apart(fleet: Fleet, lag_s: float) -> Check:
-    """Check that two vehicles whose rows are met stop before their distance is zero.
-
-    With the distance y = h, velocities that follow the commands by a first-order lag T, and both rows met, T
-    y'' + y' + rate y >= 0: h is convex, so its curvature adds to y''. For rate T <= 1/4 the roots are real,
-    and y remains positive if y' >= -L y, where L is the larger root.
-    """
-    left = 1.0 - fleet.rate_1_s * lag_s / PART_OF_LAG
-    root_1_s = (1.0 + math.sqrt(max(0.0, left))) / (2.0 * lag_s) if lag_s > 0.0 else math.inf
-    return Check(
-        "fleet.rate_1_s",
-        "two vehicles that meet their rows do not enter the ellipsoid, for equal lags within the spread",
-        PART_OF_LAG - fleet.rate_1_s * lag_s,
-        "",
-        f"rate {fleet.rate_1_s:g} times a lag of {lag_s:.3g} s may be at most {PART_OF_LAG:g}; valid for "
-        f"states in which h decreases by at most {root_1_s:.3g} h per second; with share 1 an acceleration "
-        f"of a neighbour reduces h by up to {lag_s * fleet.acceleration_max_m_s2 / fleet.rate_1_s:.3g} m",
-        "lower fleet.rate_1_s",
-        Need.PROOF,
-    )
 
 
 def errors_m(config: FlightConfig, fleet: Fleet) -> float:
@@ -88,137 +66,102 @@ def errors_m(config: FlightConfig, fleet: Fleet) -> float:
     return 2.0 * longest * config.robust.tracking_error_m_s / fleet.rate_1_s
 
 
-def margin(config: FlightConfig, fleet: Fleet) -> Check:
-    """Check that the margin of the ellipsoid covers the errors of the velocities."""
-    lost_m = errors_m(config, fleet)
-    return Check(
-        "fleet.margin_m",
-        "velocity errors do not bring two vehicles into the ellipsoid",
-        fleet.margin_m - lost_m,
-        "m",
-        f"found {fleet.margin_m:g}; errors of robust.tracking_error_m_s of both vehicles, in any direction, "
-        f"reduce h by {lost_m:.3g}",
-        "raise fleet.margin_m or fleet.rate_1_s",
-        Need.PROOF,
-    )
+def _separation(config: FlightConfig, fleet: Fleet, lag_s: float, slew_m_s2: Vec3) -> list[Check]:
+    """Return the checks of the rows of two vehicles.
 
-
-def shares(fleet: Fleet, period_s: float) -> Check:
-    """Check that a vehicle keeps its share until no other vehicle relies on it.
+    With the distance y = h, velocities that follow the commands by a first-order lag T, and both rows met, T
+    y'' + y' + rate y >= 0: h is convex, so its curvature adds to y''. For rate T <= 1/4 the roots are real,
+    and y remains positive if y' >= -L y, where L is the larger root.
 
     A receiver relies on a message in ticks until ZERO_LATENCIES after it, plus the period of that tick and of
     late ones; the sender keeps the whole share in all ticks until HOLD_LATENCIES.
     """
+    left = 1.0 - fleet.rate_1_s * lag_s / PART_OF_LAG
+    root_1_s = (1.0 + math.sqrt(max(0.0, left))) / (2.0 * lag_s) if lag_s > 0.0 else math.inf
+    lost_m, (vx, vy, vz) = errors_m(config, fleet), config.limits.velocity_max_m_s
     spare_s = (HOLD_LATENCIES - ZERO_LATENCIES) * fleet.latency_max_s
-    needed_s = (1.0 + LATE_TICKS) * period_s
-    return Check(
-        "shares",
-        "the shares of two vehicles sum to at least 1, also with lost, late or reordered messages",
-        spare_s - needed_s,
-        "s",
-        f"{spare_s:.3g} s are available; a tick and a late tick need {needed_s:.3g} s; valid for clock "
-        "errors within their bound, and unless the autopilot or another sender takes over a vehicle",
-        "raise fleet.latency_max_s or loop.rate_hz",
-        Need.PROOF,
-    )
-
-
-def _fastest_m_s(config: FlightConfig, fleet: Fleet) -> float:
-    """Return the largest rate at which this vehicle can reduce the distance, along any gradient."""
-    vx, vy, vz = config.limits.velocity_max_m_s
-    return math.sqrt(vx * vx + vy * vy + (fleet.radius_xy_m / fleet.radius_z_m * vz) ** 2)
-
-
-def speed(config: FlightConfig, fleet: Fleet) -> Check:
-    box_m_s = math.hypot(*config.limits.velocity_max_m_s)
-    return Check(
-        "fleet.speed_max_m_s",
-        "the speed of a member in a corner of its box is at most the speed that the others assume",
-        fleet.speed_max_m_s - box_m_s,
-        "m/s",
-        f"found {fleet.speed_max_m_s:g}; a corner of the box allows {box_m_s:.3g}",
-        "raise fleet.speed_max_m_s (and fleet.reach_m with it), or lower limits.velocity_max_m_s",
-        Need.PROOF,
-    )
-
-
-def acceleration(fleet: Fleet, slew_m_s2: Vec3) -> Check:
-    """Check that the ellipsoid grows by the largest change of a velocity since its message was sent."""
-    found = math.hypot(*slew_m_s2)
-    lost_m_s = max(0.0, found - fleet.acceleration_max_m_s2) * fleet.latency_max_s
-    return Check(
-        "fleet.acceleration_max_m_s2",
-        "the commanded velocity changes at most as fast as the others assume",
-        fleet.acceleration_max_m_s2 - found,
-        "m/s^2",
-        f"found {fleet.acceleration_max_m_s2:g}; the slew limits of all axes together allow {found:.3g}; in "
-        f"a latency of {fleet.latency_max_s:g} s a velocity may differ by {lost_m_s:.3g} m/s from the "
-        "assumed one",
-        "raise fleet.acceleration_max_m_s2, or lower robust.acceleration_max_m_s2",
-        Need.PROOF,
-    )
-
-
-def jump(config: FlightConfig, fleet: Fleet) -> Check:
-    """Check that a row is inactive when its vehicle comes within reach."""
+    needed_s = (1.0 + LATE_TICKS) * (1.0 / config.loop.rate_hz)
+    corner_m_s, found_m_s2 = math.hypot(vx, vy, vz), math.hypot(*slew_m_s2)
+    lost_m_s = max(0.0, found_m_s2 - fleet.acceleration_max_m_s2) * fleet.latency_max_s
+    # largest rate at which this vehicle can reduce the distance, along any gradient
+    own_m_s = math.sqrt(vx * vx + vy * vy + (fleet.radius_xy_m / fleet.radius_z_m * vz) ** 2)
     allowed_m_s = fleet.rate_1_s * (fleet.reach_m - fleet.radius_xy_m)
-    closing_m_s = _fastest_m_s(config, fleet) + fleet.speed_max_m_s
-    return Check(
-        "fleet.reach_m",
-        "the row of a vehicle that comes into reach does not require a jump of the velocity",
-        allowed_m_s - closing_m_s,
-        "m/s",
-        f"the row allows a closing speed of {allowed_m_s:.3g} m/s there; a corner of the box and "
-        f"fleet.speed_max_m_s result in {closing_m_s:.3g}",
-        "raise fleet.reach_m",
-        Need.PROOF,
-    )
+    closing_m_s = own_m_s + fleet.speed_max_m_s
+    return [
+        Check(
+            "fleet.rate_1_s",
+            "two vehicles that meet their rows do not enter the ellipsoid, for equal lags within the spread",
+            PART_OF_LAG - fleet.rate_1_s * lag_s, "",
+            f"rate {fleet.rate_1_s:g} times a lag of {lag_s:.3g} s may be at most {PART_OF_LAG:g}; valid for "
+            f"states in which h decreases by at most {root_1_s:.3g} h per second; with share 1 an "
+            "acceleration "
+            f"of a neighbour reduces h by up to {lag_s * fleet.acceleration_max_m_s2 / fleet.rate_1_s:.3g} m",
+            "lower fleet.rate_1_s", PROOF,
+        ),
+        paper.sampling(config, "fleet.rate_1_s", fleet.rate_1_s),
+        Check(
+            "fleet.margin_m", "velocity errors do not bring two vehicles into the ellipsoid",
+            fleet.margin_m - lost_m, "m",
+            f"found {fleet.margin_m:g}; errors of robust.tracking_error_m_s of both vehicles, in any "
+            "direction, "
+            f"reduce h by {lost_m:.3g}", "raise fleet.margin_m or fleet.rate_1_s", PROOF,
+        ),
+        Check(
+            "shares",
+            "the shares of two vehicles sum to at least 1, also with lost, late or reordered messages",
+            spare_s - needed_s, "s",
+            f"{spare_s:.3g} s are available; a tick and a late tick need {needed_s:.3g} s; valid for clock "
+            "errors within their bound, and unless the autopilot or another sender takes over a vehicle",
+            "raise fleet.latency_max_s or loop.rate_hz", PROOF,
+        ),
+        Check(
+            "fleet.speed_max_m_s",
+            "the speed of a member in a corner of its box is at most the speed that the others assume",
+            fleet.speed_max_m_s - corner_m_s, "m/s",
+            f"found {fleet.speed_max_m_s:g}; a corner of the box allows {corner_m_s:.3g}",
+            "raise fleet.speed_max_m_s (and fleet.reach_m with it), or lower limits.velocity_max_m_s", PROOF,
+        ),
+        Check(
+            "fleet.acceleration_max_m_s2",
+            "the commanded velocity changes at most as fast as the others assume",
+            fleet.acceleration_max_m_s2 - found_m_s2, "m/s^2",
+            f"found {fleet.acceleration_max_m_s2:g}; the slew limits of all axes together allow "
+            f"{found_m_s2:.3g}; in "
+            f"a latency of {fleet.latency_max_s:g} s a velocity may differ by {lost_m_s:.3g} m/s from the "
+            "assumed one",
+            "raise fleet.acceleration_max_m_s2, or lower robust.acceleration_max_m_s2", PROOF,
+        ),
+        Check(
+            "fleet.reach_m",
+            "the row of a vehicle that comes into reach does not require a jump of the velocity",
+            allowed_m_s - closing_m_s, "m/s",
+            f"the row allows a closing speed of {allowed_m_s:.3g} m/s there; a corner of the box and "
+            f"fleet.speed_max_m_s result in {closing_m_s:.3g}", "raise fleet.reach_m", PROOF,
+        ),
+        _slew(config, fleet, slew_m_s2, "half", 0.5),
+        _slew(config, fleet, slew_m_s2, "whole", 1.0),
+    ]  # fmt: skip
 
 
-def slew(config: FlightConfig, fleet: Fleet, slew_m_s2: Vec3, *, whole: bool) -> Check:
-    """Check that the slew limit allows a velocity to follow an active row.
+def _slew(config: FlightConfig, fleet: Fleet, slew_m_s2: Vec3, who: str, part: float) -> Check:
+    """Check that the slew limit allows a velocity to follow an active row with this part of the share.
 
     For an active row g . (u - c) = -rate h: g . u has to grow by rate times the closing speed plus the
     acceleration of the other vehicle; the curvature of h reduces this. With half of the share it is half of
     this. The remaining room is homogeneous in g and concave, so it is least along an axis.
     """
-    part, v = (1.0 if whole else 0.5), config.limits.velocity_max_m_s
-    needed = [part * (fleet.rate_1_s * (m + fleet.speed_max_m_s) + fleet.acceleration_max_m_s2) for m in v]
+    speeds, most = config.limits.velocity_max_m_s, fleet.speed_max_m_s
+    needed = [part * (fleet.rate_1_s * (m + most) + fleet.acceleration_max_m_s2) for m in speeds]
     axis = min(range(3), key=lambda i: slew_m_s2[i] - needed[i])
-    who = "whole" if whole else "half"
     return Check(
         f"slew, {who} share",
         f"the velocity of a vehicle with the {who} share can change as fast as the row of a neighbour",
-        slew_m_s2[axis] - needed[axis],
-        "m/s^2",
+        slew_m_s2[axis] - needed[axis], "m/s^2",
         f"along axis {axis} the row may require {needed[axis]:.3g} m/s^2 at full speed of both vehicles; "
         f"allowed are {slew_m_s2[axis]:.3g}",
         "lower fleet.rate_1_s or fleet.speed_max_m_s, or raise robust.acceleration_max_m_s2 and "
-        "fleet.slew_xy_max_m_s2",
-        Need.PROOF,
-    )
-
-
-def touchdowns(config: FlightConfig, fleet: Fleet, descent_s: float) -> Check:
-    # horizon of the conflict search, until the touchdown, from messages of this age
-    ahead_s = fleet.age_max_s + descent_s
-    unseen_s = max(0.0, ahead_s - KEPT_PART * fleet.descent_s)  # time in which pads come closer
-    accelerated = 0.5 * config.envelope.target_acceleration_max_m_s2 * ahead_s * ahead_s
-    moved_m = min(
-        accelerated + config.touchdown.target_speed_max_m_s * unseen_s,
-        2.0 * config.touchdown.target_speed_max_m_s * ahead_s,
-    )
-    needed_m = fleet.radius_xy_m + 2.0 * config.touchdown.pad_radius_m + 2.0 * moved_m
-    return Check(
-        "touchdowns",
-        "two vehicles in touchdown remain apart: pads come near each other only after both have landed",
-        fleet.pad_distance_m - needed_m,
-        "m",
-        f"in {ahead_s:.3g} s each pad may move {moved_m:.3g} m from the position of the conflict check; "
-        f"{needed_m:.3g} m are needed, fleet.pad_distance_m is {fleet.pad_distance_m:g}",
-        "raise fleet.pad_distance_m, or use robots whose paths do not meet",
-        Need.PROOF,
-    )
+        "fleet.slew_xy_max_m_s2", PROOF,
+    )  # fmt: skip
 
 
 def first_attempt_s(config: FlightConfig, fleet: Fleet, descent_s: float) -> float:
@@ -236,16 +179,206 @@ def first_attempt_s(config: FlightConfig, fleet: Fleet, descent_s: float) -> flo
     return over_s + fleet.wait_height_m / down_m_s + told_s + descent_s + config.velocity_loop.lag_xy_s
 
 
-def waits(config: FlightConfig, fleet: Fleet, descent_s: float) -> Check:
+def _landings(config: FlightConfig, fleet: Fleet, descent_s: float) -> list[Check]:
+    """Return the checks of simultaneous touchdowns and of the wait for the right of way."""
+    # horizon of the conflict search, until the touchdown, from messages of this age
+    ahead_s, target_m_s = fleet.age_max_s + descent_s, config.touchdown.target_speed_max_m_s
+    closer_s = max(0.0, ahead_s - KEPT_PART * fleet.descent_s)  # time in which pads come closer
+    accelerated_m = 0.5 * config.envelope.target_acceleration_max_m_s2 * ahead_s * ahead_s
+    moved_m = min(accelerated_m + target_m_s * closer_s, 2.0 * target_m_s * ahead_s)
+    needed_m = fleet.radius_xy_m + 2.0 * config.touchdown.pad_radius_m + 2.0 * moved_m
     each_s, before = first_attempt_s(config, fleet, descent_s), len(fleet.others)
-    return Check(
-        "waits",
-        "if each member lands at its first attempt, no member aborts while it waits for the right of way",
-        fleet.wait_max_s - before * each_s,
-        "s",
-        f"{before} members land before the last one, in about {each_s:.3g} s each; allowed are "
-        f"{fleet.wait_max_s / before:.3g} s each; go-arounds and vehicles that remain on the pad do not "
-        "count",
-        "raise fleet.wait_max_s",
-        Need.PROOF,
+    return [
+        Check(
+            "touchdowns",
+            "two vehicles in touchdown remain apart: pads come near each other only after both have landed",
+            fleet.pad_distance_m - needed_m, "m",
+            f"in {ahead_s:.3g} s each pad may move {moved_m:.3g} m from the position of the conflict check; "
+            f"{needed_m:.3g} m are needed, fleet.pad_distance_m is {fleet.pad_distance_m:g}",
+            "raise fleet.pad_distance_m, or use robots whose paths do not meet", PROOF,
+        ),
+        Check(
+            "waits",
+            "if each member lands at its first attempt, no member aborts while it waits for the right of way",
+            fleet.wait_max_s - before * each_s, "s",
+            f"{before} members land before the last one, in about {each_s:.3g} s each; allowed are "
+            f"{fleet.wait_max_s / before:.3g} s each; go-arounds and vehicles that remain on the pad do not "
+            "count", "raise fleet.wait_max_s", PROOF,
+        ),
+    ]  # fmt: skip
+
+
+class Crowd(NamedTuple):
+    """Numbers that decide whether a common feasible velocity exists."""
+
+    steepest: float  # steepest slope of the boundary outside the pad
+    climb_m_s: float  # vertical speed of the pad
+    speed_m_s: float  # speed of a neighbour
+    flat: float  # factor k = radius_xy / radius_z
+    longest: float  # length of the longest gradient g
+    growth_m_s: float  # growth of the ellipsoid in the largest latency
+
+
+def crowd(config: FlightConfig, fleet: Fleet, shape: Shape, climb_m_s: float) -> Crowd:
+    """Return the numbers of a configuration with a table [fleet].
+
+    ``shape``: boundary; ``climb_m_s``: fastest climb of the pad.
+    """
+    slope = shape.slope(Span(config.touchdown.pad_radius_m, math.inf))
+    flat, growth_m_s = fleet.radius_xy_m / fleet.radius_z_m, fleet.acceleration_max_m_s2 * fleet.latency_max_s
+    steepest = max(abs(slope.low), abs(slope.high))
+    return Crowd(steepest, climb_m_s, fleet.speed_max_m_s, flat, max(1.0, flat), growth_m_s)
+
+
+def anywhere_m(config: FlightConfig, fleet: Fleet, c: Crowd) -> float:
+    """Return the h above which the rows of any number of neighbours have a common point.
+
+    The point is the pad's horizontal velocity with any climb, which meets the landing barrier wherever h is
+    not negative.
+    """
+    at_most = math.hypot(config.touchdown.target_speed_max_m_s, c.flat * config.limits.velocity_max_m_s[2])
+    return (c.longest * c.speed_m_s + at_most + c.growth_m_s) / fleet.rate_1_s
+
+
+def up_the_slope_m_s(config: FlightConfig, c: Crowd) -> float:
+    """Return the horizontal speed that remains up the steepest slope.
+
+    The landing barrier at h = 0 needs (speed + w_pad) slope + the pad's climb, up to the climb of the box.
+    """
+    vx, vy, vz = config.limits.velocity_max_m_s
+    if c.steepest <= 0.0:
+        return min(vx, vy)
+    return min(vx, vy, (vz - c.climb_m_s) / c.steepest - config.touchdown.target_speed_max_m_s)
+
+
+def one_short_m_s(config: FlightConfig, c: Crowd, aside_m_s: float, lowest: float) -> tuple[float, float]:
+    """Return the largest violation of one neighbour's row at h = 0, and the elevation of its g (rad).
+
+    ``aside_m_s``: largest horizontal speed of evasion; ``lowest``: least elevation of g; -pi / 2 is a
+    neighbour directly above a vehicle that has to climb.
+    """
+    vz = config.limits.velocity_max_m_s[2]
+
+    def length(angle: float) -> float:
+        return math.hypot(math.cos(angle), c.flat * math.sin(angle))
+
+    def value(at: tuple[float, ...]) -> float:
+        away = aside_m_s * math.cos(at[0]) + c.flat * vz * math.sin(at[0])
+        return c.speed_m_s * length(at[0]) + c.growth_m_s - away
+
+    def upper(cell: Cell) -> float:  # each part is monotone on both sides of the horizontal plane
+        low, high = cell[0]
+        at = (low, high, 0.0) if low < 0.0 < high else (low, high)
+        pushed, aside = max(map(length, at)), max(-aside_m_s * math.cos(each) for each in at)
+        return c.speed_m_s * pushed + c.growth_m_s + aside - c.flat * vz * math.sin(low)
+
+    worst = most(upper, value, (Span(lowest, math.pi / 2.0),), ((0.0,),))
+    return worst.bound, worst.at[0]
+
+
+def common_points(config: FlightConfig, fleet: Fleet, c: Crowd) -> list[Check]:
+    """Return the checks that rows, box and landing barrier have a common feasible velocity."""
+    vx, vy, _ = config.limits.velocity_max_m_s
+    from_m, reach_m = anywhere_m(config, fleet, c), fleet.reach_m - fleet.radius_xy_m
+    short_m_s, elevation = one_short_m_s(config, c, up_the_slope_m_s(config, c), -math.pi / 2.0)
+    open_m_s, _ = one_short_m_s(config, c, min(vx, vy), 0.0)
+    opposite_m_s = c.longest * c.speed_m_s + c.growth_m_s  # away from the landing barrier
+    return [
+        Check(
+            "neighbours in reach",
+            "where neighbours come into reach, the rows of any number of neighbours have a common "
+            "feasible point",
+            reach_m - from_m, "m",
+            f"from h = {from_m:.3g} m on, the pad's velocity with any climb meets all rows; rows "
+            "become active "
+            f"at {reach_m:.3g} m", "raise fleet.reach_m or fleet.rate_1_s, or lower fleet.speed_max_m_s",
+            PROOF,
+        ),
+        Check(
+            "one neighbour",
+            "if no h is negative, landing barrier, box and the row of one neighbour have a common "
+            "feasible point",
+            -short_m_s, "m/s",
+            f"the neighbour approaches with {c.speed_m_s:g} m/s at a slope of {c.steepest:.3g}, "
+            f"{math.degrees(-elevation):.0f} deg from above; a common point exists from h = "
+            f"{max(0.0, short_m_s) / fleet.rate_1_s:.3g} m on, and without landing barrier from "
+            f"{max(0.0, open_m_s) / fleet.rate_1_s:.3g} m on; below, its row is relaxed",
+            "raise limits.velocity_max_m_s, or lower fleet.speed_max_m_s or the slope alpha * beta", PROOF,
+        ),
+        Check(
+            "several neighbours",
+            "if no h is negative, box and the rows of several neighbours have a common feasible point",
+            -opposite_m_s, "m/s",
+            f"two neighbours approach from opposite sides with {c.speed_m_s:g} m/s each; a common "
+            "point exists "
+            f"from h = {opposite_m_s / fleet.rate_1_s:.3g} m on, and for any number with the landing "
+            "barrier from "
+            f"{from_m:.3g} m on; below, the rows of neighbours are relaxed together",
+            "lower fleet.speed_max_m_s, or raise fleet.rate_1_s; no setting meets all", PROOF,
+        ),
+    ]  # fmt: skip
+
+
+def team_checks(
+    configs: Sequence[FlightConfig], starts_enu_m: Sequence[Vec3], touch_m: Vec3, pads_apart_m: float
+) -> list[Check]:
+    """Return the checks that involve all members.
+
+    ``configs``: configurations of the members, each with a table [fleet]; ``starts_enu_m``: known start
+    places in the air; ``touch_m``: largest offset of two vehicles at which they overlap; ``pads_apart_m``:
+    least distance of any two pads.
+    """
+    fleets = [config.fleet for config in configs if config.fleet is not None]
+    first, config, ids = fleets[0], configs[0], sorted(fleet.id for fleet in fleets)
+    keys = [field.name for field in fields(Fleet) if field.name not in ("id", "members")]
+    other = [k for k in keys if any(getattr(each, k) != getattr(first, k) for each in fleets)]
+    other += ["members"] if any(sorted(each.members) != ids for each in fleets) else []
+    if issubclass(strategy_class(config.filter), RobustFilter):
+        x = extremes(config)
+        velocity_m_s, position_m = x.velocity_error_m_s, x.position_error_m
+    else:
+        factor, link = config.robust.sigma_factor, config.target
+        velocity_m_s, position_m = factor * link.velocity_noise_m_s, factor * link.position_noise_m
+    error_m = 2.0 * (position_m + velocity_m_s * first.descent_s)
+    paths = f"paths remain {pads_apart_m:.3g} m apart" if pads_apart_m > 0.0 else "paths may meet"
+    rooms = []
+    for config, fleet in zip(configs, fleets, strict=True):
+        touch_h_m, _ = barrier(touch_m, fleet.radius_xy_m, fleet.radius_z_m)
+        lost_m = max(0.0, errors_m(config, fleet) - fleet.margin_m)
+        rooms.append((-touch_h_m - lost_m, touch_h_m, lost_m, fleet.rate_1_s * (fleet.margin_m - touch_h_m)))
+    room_m, touch_h_m, lost_m, allowed_m_s = min(rooms)
+    return [
+        Check(
+            "one table", "all members have the same table [fleet], with exactly the members of the team",
+            0.0 - len(other), "keys", f"{len(fleets)} members; different keys: {', '.join(other) or 'none'}",
+            f"give all members the same fleet.{', fleet.'.join(other)}" if other else "", PROOF,
+        ),
+        *([_begin(first, starts_enu_m)] if len(starts_enu_m) > 1 else []),
+        Check(
+            "pads", "no two pads are predicted to conflict, so no member waits",
+            pads_apart_m - error_m - first.pad_distance_m, "m",
+            f"{paths}, fleet.pad_distance_m is {first.pad_distance_m:g}; velocity errors of "
+            f"{velocity_m_s:.3g} m/s "
+            f"each add {error_m:.3g} m within fleet.descent_s",
+            "drive the robots farther apart, or lower fleet.pad_distance_m or fleet.descent_s", PROOF,
+        ),
+        Check(
+            "contact", "two vehicles that meet their rows do not touch, in spite of velocity errors", room_m,
+            "m",
+            f"errors of robust.tracking_error_m_s, in any direction, reduce h to -{lost_m:.3g} m; the shapes "
+            f"touch at {touch_h_m:.3g} m; together, errors of {allowed_m_s:.3g} m/s are allowed",
+            "raise fleet.margin_m, fleet.radius_xy_m or fleet.rate_1_s", PROOF,
+        ),
+    ]  # fmt: skip
+
+
+def _begin(fleet: Fleet, starts_enu_m: Sequence[Vec3]) -> Check:
+    starts = enumerate(starts_enu_m, 1)
+    least_m, i, j = min(
+        (barrier((x - ox, y - oy, z - oz), fleet.radius_xy_m, fleet.radius_z_m)[0], i, j)
+        for (i, (ox, oy, oz)), (j, (x, y, z)) in combinations(starts, 2)
     )
+    return Check(
+        "starts", "no vehicle starts inside the ellipsoid around another one", least_m, "m",
+        f"members {i} and {j} are nearest to each other", "give them other start positions", PROOF,
+    )  # fmt: skip

@@ -23,10 +23,10 @@ from flightstack.core.strategies.velocity_tracking import (
     lead_of,
 )
 from flightstack.verify.envelope import Extremes
-from flightstack.verify.feedback import F64
-from flightstack.verify.follow import matrix_exp
-from flightstack.verify.types import Check, Need
+from flightstack.verify.feedback import F64, matrix_exp
+from flightstack.verify.types import PROOF, Check
 
+DAMPING_MIN = 0.5  # least damping of the position loop around the lagging velocity loop
 LATE_TICKS = 1  # number of ticks between the inputs and their set-point
 MIN_DECAY_1_S = 0.1  # required decay rate, half of an error in 7 s; half the gain of a slow position loop
 SLOWER = (-1.0, -0.5, 0.0, 0.5, 1.0)  # lags of the checked vehicles, as shares of the spread
@@ -119,11 +119,15 @@ def drift_m(config: FlightConfig, x: Extremes, time_s: float, slower: float, res
 
 
 def comes_to_rest(config: FlightConfig) -> list[Check]:
-    robust, spread, late = config.robust, config.envelope.lag_spread, config.velocity_loop.dead_time_s > 0.0
+    """Return the checks of the damping and the decay of errors."""
+    robust, spread, loop = config.robust, config.envelope.lag_spread, config.velocity_loop
+    lag_s, descent = (1.0 + spread) * loop.lag_xy_s, robust.gain_descent_1_s
+    over, key = max((robust.gain_over_pad_1_s, "gain_over_pad_1_s"), (descent, "gain_descent_1_s"))
+    damping = 0.5 / math.sqrt(over * lag_s) if lag_s > 0.0 else math.inf
     gains = {
         robust.gain_1_s: "gain_1_s",
         robust.gain_over_pad_1_s: "gain_over_pad_1_s",
-        robust.to_contact_1_s: "gain_descent_1_s" if robust.gain_descent_1_s else "gain_over_pad_1_s",
+        robust.to_contact_1_s: "gain_descent_1_s" if descent else "gain_over_pad_1_s",
     }
     least_1_s = {gain: min(MIN_DECAY_1_S, 0.5 * gain) for gain in gains}
     told, told_gain = min((decay_1_s(config, gain, 1.0, 1.0) - least_1_s[gain], gain) for gain in gains)
@@ -133,30 +137,31 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
         for slower in (1.0 + share * spread for share in SLOWER)
         for response, needed in [
             *((each, least_1_s[gain]) for each in RESPONSES),
-            *([(RESPONSE_LATE, 0.0)] if late else []),
+            *([(RESPONSE_LATE, 0.0)] if loop.dead_time_s > 0.0 else []),
         ]
     )
     remedy = "lower robust.{} or velocity_loop.gain_xy, or identify the loop again (flightstack identify)"
     return [
         Check(
-            "lead",
-            "the loop of position and lead is stable for the declared vehicle",
-            told,
-            "1/s",
+            "position loop",
+            f"the descent's position loop is damped by {DAMPING_MIN:g} at least with the slowest vehicle",
+            damping - DAMPING_MIN, "",
+            f"gain {over:.3g} 1/s at a lag of {lag_s:.3g} s: damping {damping:.3g}",
+            f"lower robust.{key}", PROOF,
+        ),
+        Check(
+            "lead", "the loop of position and lead is stable for the declared vehicle", told, "1/s",
             f"an error decays at {told + least_1_s[told_gain]:.3g} 1/s, least: {least_1_s[told_gain]:g}",
             remedy.format(gains[told_gain]),
         ),
         Check(
-            "lead, spread",
-            "the loop of position and lead is stable for each vehicle of the spread",
-            room,
+            "lead, spread", "the loop of position and lead is stable for each vehicle of the spread", room,
             "1/s",
             f"an error decays at {room + needed:.3g} 1/s with {slower:.3g} times the lag and "
             f"{response:.3g} times the velocity commanded, {needed:g} are needed",
-            remedy.format(gains[gain]),
-            Need.PROOF,
+            remedy.format(gains[gain]), PROOF,
         ),
-    ]
+    ]  # fmt: skip
 
 
 def drift_of_spread_m(config: FlightConfig, x: Extremes, time_s: float) -> tuple[float, float]:

@@ -13,7 +13,7 @@ import math
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Vec3
 from flightstack.verify.bound import Cell, Most, Shape, Span, most
-from flightstack.verify.types import Check, Need
+from flightstack.verify.types import PROOF, Check
 
 TICK_S = 0.05  # longest tick for a vehicle whose lag is shorter, s
 QUICKER = 1.25  # required ratio of the position loop's gain to omega
@@ -47,128 +47,121 @@ def shortfall(
     return most(upper, value, (d, QUARTER), ((peak, 0.0),) if d.low <= peak <= d.high else ())
 
 
-def feasible(config: FlightConfig, shape: Shape, target_climb_m_s: float) -> Check:
-    speed = config.touchdown.target_speed_max_m_s
-    worst = shortfall(shape, config.limits.velocity_max_m_s, speed, target_climb_m_s)
+def basics(
+    config: FlightConfig, shape: Shape, target_climb_m_s: float, rate: tuple[str, float],
+    slew: tuple[str, Vec3],
+) -> list[Check]:  # fmt: skip
+    """Return the checks of box, barrier and tick; ``rate`` and ``slew`` are the filter's keys and values."""
+    speed, pad_m = config.touchdown.target_speed_max_m_s, config.touchdown.pad_radius_m
+    box, gains, hz = config.limits.velocity_max_m_s, config.position_loop.gain_1_s, config.loop.rate_hz
+    worst = shortfall(shape, box, speed, target_climb_m_s)
     d, angle = worst.at
     slope = round(shape.slope(Span(d, d)).high, 6)
     heave = f" that climbs with {target_climb_m_s:g} m/s" if target_climb_m_s > 0.0 else ""
     end = "outruns the box" if worst.bound > 0.0 else "does not outrun the box"
-    return Check(
-        "barrier",
-        "some velocity in the box meets the barrier wherever h >= 0",
-        -worst.bound,
-        "m/s",
-        f"at {d:.3g} m, direction {math.degrees(angle):.0f} deg, slope {slope:.3g}, a target of {speed:g} m/s"
-        f"{heave} {end}",
-        "lower touchdown.target_speed_max_m_s or the slope alpha * beta, or raise limits.velocity_max_m_s",
-    )
+    most_1_s, axis = 0.5 * hz, max(range(3), key=lambda i: gains[i])
+    key, slew_m_s2 = slew
+    barrier = shape.barrier
+    most_m_s2 = [2.0 * limit * hz for limit in box]  # the box allows this change in a tick
+    side = min(range(3), key=lambda i: most_m_s2[i] - slew_m_s2[i])
+    return [
+        Check(
+            "barrier", "some velocity in the box meets the barrier wherever h >= 0", -worst.bound, "m/s",
+            f"at {d:.3g} m, direction {math.degrees(angle):.0f} deg, slope {slope:.3g}, "
+            f"a target of {speed:g} m/s{heave} {end}",
+            "lower touchdown.target_speed_max_m_s or the slope alpha * beta, or raise "
+            "limits.velocity_max_m_s",
+        ),
+        sampling(config, *rate),
+        Check(
+            "barrier's peak", "the boundary rises with distance everywhere over the pad",
+            barrier.peak_distance_m - 0.5 * pad_m, "m",
+            f"its peak at {barrier.peak_distance_m:.3g} m, the pad's radius {pad_m:g} m",
+            "make the barrier wider: lower alpha_1_m or raise peak_distance_m",
+        ),
+        Check(
+            f"position_loop.gain_1_s[{axis}]", "a tick is short against the position loop",
+            most_1_s - gains[axis], "1/s", f"found {gains[axis]:g}, at {hz} Hz at most {most_1_s:g}",
+            "lower position_loop.gain_1_s or raise loop.rate_hz",
+        ),
+        Check(
+            f"{key}[{side}]", "the slew limit is lower than the change that the box allows in a tick",
+            most_m_s2[side] - slew_m_s2[side], "m/s^2",
+            f"found {slew_m_s2[side]:g}, no limit at {hz} Hz; at most {most_m_s2[side]:g}", f"lower {key}",
+        ),
+    ]  # fmt: skip
 
 
 def sampling(config: FlightConfig, key: str, rate_1_s: float) -> Check:
+    """Return the check that a tick is short compared with the rate at which a barrier may fall."""
     most_1_s = 0.5 * config.loop.rate_hz
     return Check(
-        f"sampling, {key}",
-        "a tick is short compared with the rate at which h may fall",
-        most_1_s - rate_1_s,
-        "1/s",
-        f"found {rate_1_s:g}, at {config.loop.rate_hz} Hz at most {most_1_s:g}",
+        f"sampling, {key}", "a tick is short compared with the rate at which h may fall",
+        most_1_s - rate_1_s, "1/s", f"found {rate_1_s:g}, at {config.loop.rate_hz} Hz at most {most_1_s:g}",
         f"lower {key} or raise loop.rate_hz",
-    )
-
-
-def peak_clears_pad(config: FlightConfig) -> Check:
-    barrier, pad = config.barrier.build(), config.touchdown.pad_radius_m
-    return Check(
-        "barrier's peak",
-        "the boundary rises with distance everywhere over the pad",
-        barrier.peak_distance_m - 0.5 * pad,
-        "m",
-        f"its peak at {barrier.peak_distance_m:.3g} m, the pad's radius {pad:g} m",
-        "make the barrier wider: lower alpha_1_m or raise peak_distance_m",
-    )
-
-
-def gains(config: FlightConfig, gain_1_s: Vec3, key: str) -> Check:
-    most_1_s = 0.5 * config.loop.rate_hz
-    axis = max(range(3), key=lambda i: gain_1_s[i])
-    return Check(
-        f"{key}[{axis}]",
-        "a tick is short against the position loop",
-        most_1_s - gain_1_s[axis],
-        "1/s",
-        f"found {gain_1_s[axis]:g}, at {config.loop.rate_hz} Hz at most {most_1_s:g}",
-        f"lower {key} or raise loop.rate_hz",
-    )
-
-
-def slews(config: FlightConfig, slew_m_s2: Vec3, key: str) -> Check:
-    """Check that the slew limit is lower than the change that the box allows in a tick."""
-    most_m_s2 = [2.0 * limit * config.loop.rate_hz for limit in config.limits.velocity_max_m_s]
-    axis = min(range(3), key=lambda i: most_m_s2[i] - slew_m_s2[i])
-    return Check(
-        f"{key}[{axis}]",
-        "the slew limit is lower than the change that the box allows in a tick",
-        most_m_s2[axis] - slew_m_s2[axis],
-        "m/s^2",
-        f"found {slew_m_s2[axis]:g}, no limit at {config.loop.rate_hz} Hz; at most {most_m_s2[axis]:g}",
-        f"lower {key}",
-    )
-
-
-def lags(config: FlightConfig) -> Check:
-    """Check that a vehicle with lag comes to rest within the pad, outside which the barrier must hold.
-
-    The paper assumes a vehicle without lag. A vehicle with the lag tau continues at full speed v towards the
-    cone, v tau farther than the filter assumes.
-    """
-    loop, pad_m = config.velocity_loop, config.touchdown.pad_radius_m
-    lag_s = (1.0 + config.envelope.lag_spread) * loop.lag_xy_s
-    speed = max(config.limits.velocity_max_m_s[:2])
-    return Check(
-        "lag",
-        "the distance flown during the lag, which the paper neglects, is shorter than the pad's radius",
-        pad_m - speed * lag_s,
-        "m",
-        f"at {speed:g} m/s the slowest vehicle flies {speed * lag_s:.3g} m, the pad's radius is {pad_m:g} m",
-        'choose filter = "robust", or lower limits.velocity_max_m_s; or velocity_loop.lag_xy_s if it is less',
-        Need.PROOF,
-    )
+    )  # fmt: skip
 
 
 def answers(config: FlightConfig) -> list[Check]:
     """Check that position loop, filter, slew limit and tick fit a vehicle with lag, which the paper omits.
 
-    The position loop around a lag has a damping of 1 / sqrt(2) if gain times lag is 1/2. If h may fall more
-    than twice as fast as the vehicle approaches the centre, or faster than its vertical velocity settles, the
-    vehicle descends into the narrow part of the cone and remains there while the robot moves on. So does a
-    vehicle that is hardly faster than a robot that turns back. With these factors 60 landings in
-    ``reversing`` stayed above the barrier.
+    A vehicle with the lag tau continues at full speed v towards the cone, v tau farther than the filter
+    assumes; outside the pad the barrier must hold. The position loop around a lag has a damping of
+    1 / sqrt(2) if gain times lag is 1/2. If h may fall more than twice as fast as the vehicle approaches the
+    centre, or faster than its vertical velocity settles, the vehicle descends into the narrow part of the
+    cone and remains there while the robot moves on. So does a vehicle that is hardly faster than a robot that
+    turns back. With these factors 60 landings in ``reversing`` stayed above the barrier.
     """
     loop, slower, tick_s = config.velocity_loop, 1.0 + config.envelope.lag_spread, 1.0 / config.loop.rate_hz
     (kx, ky, kz), (ax, ay, _) = config.position_loop.gain_1_s, config.limits.slew_max_m_s2
-    overtakes_m_s, target_m_s = min(config.limits.velocity_max_m_s[:2]), config.touchdown.target_speed_max_m_s
+    (vx, vy, _), target_m_s = config.limits.velocity_max_m_s, config.touchdown.target_speed_max_m_s
     lag_s, settles_s, omega_1_s = slower * loop.lag_xy_s, slower * loop.lag_z_s, config.barrier.omega_1_s
     quick_s, target_m_s2 = max(loop.lag_xy_s, TICK_S), config.envelope.target_acceleration_max_m_s2
-    rows = (
-        ("position loop", "the position loop is damped with the slowest vehicle",
-         0.5 - max(kx, ky) * lag_s, "", f"gain {max(kx, ky):g} 1/s at a lag of {lag_s:.3g} s",
-         "lower position_loop.gain_1_s"),
-        ("position loop, vertical", "the vertical position loop is damped with the slowest vehicle",
-         0.5 - kz * settles_s, "", f"gain {kz:g} 1/s at a lag of {settles_s:.3g} s",
-         "lower position_loop.gain_1_s"),
-        ("position loop, filter", "the vehicle comes to the middle more quickly than h may fall",
-         min(kx, ky, kz) - QUICKER * omega_1_s, "1/s", f"gain {min(kx, ky, kz):g}, omega {omega_1_s:g}",
-         f"raise position_loop.gain_1_s to {QUICKER:g} times barrier.omega_1_s, or lower that"),
-        ("limits.velocity_max_m_s", "the vehicle overtakes the target", overtakes_m_s - FASTER * target_m_s,
-         "m/s", f"found {overtakes_m_s:g}, the target has {target_m_s:g}",
-         f"raise it to {FASTER:g} times touchdown.target_speed_max_m_s"),
-        ("barrier.omega_1_s", "h may fall more slowly than the vertical velocity settles",
-         1.0 - omega_1_s * settles_s, "", f"omega {omega_1_s:g}, the slowest vehicle lags {settles_s:.3g} s",
-         "lower barrier.omega_1_s"),
-        ("slew", "the command may change as quickly as the target's velocity", min(ax, ay) - target_m_s2,
-         "m/s^2", f"found {min(ax, ay):g}, the target has {target_m_s2:g}", "raise limits.slew_max_m_s2"),
-        ("tick", "a tick is no longer than the vehicle's lag", quick_s - tick_s, "s",
-         f"found {tick_s:.3g}, the lag is {loop.lag_xy_s:g}", "raise loop.rate_hz"),
-    )  # fmt: skip
-    return [Check(*row, Need.PROOF) for row in rows]
+    speed, overtakes_m_s, pad_m = max(vx, vy), min(vx, vy), config.touchdown.pad_radius_m
+    return [
+        Check(
+            "lag",
+            "the distance flown during the lag, which the paper neglects, is shorter than the pad's radius",
+            pad_m - speed * lag_s, "m", f"at {speed:g} m/s the slowest vehicle flies {speed * lag_s:.3g} m, "
+            f"the pad's radius is {pad_m:g} m",
+            'choose filter = "robust", or lower limits.velocity_max_m_s; or velocity_loop.lag_xy_s if it '
+            "is less",
+            PROOF,
+        ),
+        Check(
+            "position loop", "the position loop is damped with the slowest vehicle",
+            0.5 - max(kx, ky) * lag_s, "", f"gain {max(kx, ky):g} 1/s at a lag of {lag_s:.3g} s",
+            "lower position_loop.gain_1_s", PROOF,
+        ),
+        Check(
+            "position loop, vertical", "the vertical position loop is damped with the slowest vehicle",
+            0.5 - kz * settles_s, "", f"gain {kz:g} 1/s at a lag of {settles_s:.3g} s",
+            "lower position_loop.gain_1_s", PROOF,
+        ),
+        Check(
+            "position loop, filter", "the vehicle comes to the middle more quickly than h may fall",
+            min(kx, ky, kz) - QUICKER * omega_1_s, "1/s", f"gain {min(kx, ky, kz):g}, omega {omega_1_s:g}",
+            f"raise position_loop.gain_1_s to {QUICKER:g} times barrier.omega_1_s, or lower that", PROOF,
+        ),
+        Check(
+            "limits.velocity_max_m_s", "the vehicle overtakes the target",
+            overtakes_m_s - FASTER * target_m_s,
+            "m/s", f"found {overtakes_m_s:g}, the target has {target_m_s:g}",
+            f"raise it to {FASTER:g} times touchdown.target_speed_max_m_s", PROOF,
+        ),
+        Check(
+            "barrier.omega_1_s", "h may fall more slowly than the vertical velocity settles",
+            1.0 - omega_1_s * settles_s, "",
+            f"omega {omega_1_s:g}, the slowest vehicle lags {settles_s:.3g} s",
+            "lower barrier.omega_1_s", PROOF,
+        ),
+        Check(
+            "slew", "the command may change as quickly as the target's velocity", min(ax, ay) - target_m_s2,
+            "m/s^2", f"found {min(ax, ay):g}, the target has {target_m_s2:g}", "raise limits.slew_max_m_s2",
+            PROOF,
+        ),
+        Check(
+            "tick", "a tick is no longer than the vehicle's lag", quick_s - tick_s, "s",
+            f"found {tick_s:.3g}, the lag is {loop.lag_xy_s:g}", "raise loop.rate_hz", PROOF,
+        ),
+    ]  # fmt: skip

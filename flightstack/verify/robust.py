@@ -13,40 +13,14 @@ import math
 from collections.abc import Callable
 
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.parameters.reserve import GRAVITY_M_S2, Reserve
+from flightstack.core.parameters.reserve import GRAVITY_M_S2
 from flightstack.verify.bound import Cell, Most, Shape, Span, most
 from flightstack.verify.envelope import Extremes
 from flightstack.verify.paper import shortfall
-from flightstack.verify.types import Check, Need
+from flightstack.verify.types import PROOF, Check
 
+NOISE_SIGMAS = 7.0  # covered jump, in standard deviations of one position: 5 of a difference of two
 HELD_M = 0.005  # largest depth below the boundary outside the pad that no verdict counts as a violation, m
-
-
-def rate(config: FlightConfig, x: Extremes) -> Check:
-    most_1_s = 1.0 / x.lag_z_s if x.lag_z_s > 0.0 else math.inf
-    return Check(
-        "robust.rate_1_s",
-        "h may fall more slowly than the vertical velocity settles, for each vehicle of the spread",
-        most_1_s - config.robust.rate_1_s,
-        "1/s",
-        f"found {config.robust.rate_1_s:g}, the slowest vehicle lags {x.lag_z_s:.3g} s: below {most_1_s:.3g}",
-        "lower robust.rate_1_s",
-    )
-
-
-def recovers(config: FlightConfig, x: Extremes) -> Check:
-    worst = shortfall(x.shape, config.limits.velocity_max_m_s, x.target_speed_m_s, x.target_climb_m_s)
-    room = -worst.bound - config.robust.tracking_error_m_s
-    deep_m = x.barrier.peak_height_m + x.shape.margin_m.high
-    time = f"at most {deep_m / room:.3g} s from the deepest point" if room > 0.0 else "never from some points"
-    return Check(
-        "recovery",
-        "from h < 0 the vehicle returns to h >= 0",
-        room,
-        "m/s",
-        f"at {worst.at[0]:.3g} m h rises with {room:.3g} m/s: {time}",
-        "lower touchdown.target_speed_max_m_s or robust.tracking_error_m_s, or raise limits.velocity_max_m_s",
-    )
 
 
 def demand(x: Extremes, slope: Span) -> float:
@@ -78,69 +52,6 @@ def outside(x: Extremes, function: Callable[[Span], float]) -> Most:
         return function(cell[0])
 
     return most(upper, lambda at: function(Span(at[0], at[0])), (Span(x.pad_radius_m, math.inf),))
-
-
-def climb(config: FlightConfig, x: Extremes) -> Check:
-    vz = config.limits.velocity_max_m_s[2]
-    worst = outside(x, lambda d: demand(x, x.shape.slope(d)))
-    needed = worst.bound + x.target_climb_m_s + config.robust.tracking_error_m_s
-    return Check(
-        "climb",
-        "the vertical axis alone satisfies the barrier before the horizontal velocity has changed",
-        vz - needed,
-        "m/s",
-        f"at {worst.at[0]:.3g} m it may need {needed:.3g} m/s, the box has {vz:g}",
-        "raise limits.velocity_max_m_s[2], or lower its horizontal part or touchdown.target_speed_max_m_s",
-        Need.PROOF,
-    )
-
-
-def demand_growth(config: FlightConfig, x: Extremes) -> Most:
-    """Return the largest rate at which the needed vertical velocity rises during following, m/s^2."""
-    rate_1_s = config.robust.rate_1_s
-
-    def growth(d: Span) -> float:
-        slope = x.shape.slope(d)
-        used = max(0.0, -slope.low) * x.box_speed_m_s + max(0.0, slope.high) * x.slip_m_s
-        return demand_change(config, x, x.shape, d) + rate_1_s * used
-
-    return outside(x, growth)
-
-
-def slew(config: FlightConfig, x: Extremes) -> Check:
-    worst, az = demand_growth(config, x), config.slew_max_m_s2[2]
-    return Check(
-        "acceleration",
-        "while the target is followed, the needed vertical velocity changes no faster than the limit",
-        az - worst.bound,
-        "m/s^2",
-        f"at {worst.at[0]:.3g} m it may change with {worst.bound:.3g} m/s^2, allowed are {az:g}",
-        "raise robust.acceleration_max_m_s2[2], or lower its horizontal part or limits.velocity_max_m_s",
-        Need.PROOF,
-    )
-
-
-def reserve(config: FlightConfig, table: Reserve, x: Extremes) -> Check:
-    worst = demand_growth(config, x)
-    low_v, least = table.lowest_voltage_v, table.at(table.lowest_voltage_v)
-    up_m_s2 = table.share * (least - 1.0) * GRAVITY_M_S2
-    enough_v = table.voltage_v(1.0 + max(0.0, worst.bound) / (table.share * GRAVITY_M_S2))
-    return Check(
-        "thrust reserve",
-        "the battery allows the climb that the barrier may demand, down to its lowest voltage",
-        up_m_s2 - worst.bound,
-        "m/s^2",
-        f"at {low_v:g} V thrust is {least:.3g} times the weight, which climbs with {up_m_s2:.3g} m/s^2; at "
-        f"{worst.at[0]:.3g} m {worst.bound:.3g} are needed, which "
-        + (f"takes {enough_v:.3g} V" if enough_v < math.inf else "no voltage gives"),
-        (
-            f"raise reserve.lowest_voltage_v to {math.ceil(100.0 * enough_v) / 100.0:g} or reserve.share, or "
-            if enough_v < math.inf
-            else "raise reserve.share, or "
-        )
-        + "lower what is needed, as the check acceleration says",
-        Need.PROOF,
-    )
 
 
 def between_ticks_m(config: FlightConfig, x: Extremes) -> float:
@@ -181,53 +92,133 @@ def depth_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
     return 1e-3 * max(0.0, lack.bound) + between_ticks_m(config, x) + x.growth_m, lack.at[0]
 
 
-def holds(config: FlightConfig, x: Extremes) -> Check:
+def demand_growth(config: FlightConfig, x: Extremes) -> Most:
+    """Return the largest rate at which the needed vertical velocity rises during following, m/s^2."""
+    rate_1_s = config.robust.rate_1_s
+
+    def growth(d: Span) -> float:
+        slope = x.shape.slope(d)
+        used = max(0.0, -slope.low) * x.box_speed_m_s + max(0.0, slope.high) * x.slip_m_s
+        return demand_change(config, x, x.shape, d) + rate_1_s * used
+
+    return outside(x, growth)
+
+
+def outside_pad(config: FlightConfig, x: Extremes) -> list[Check]:
+    """Return the checks of the filter's motion outside the pad, and of its estimators."""
+    robust, link, (_, _, vz), az = (
+        config.robust, config.target, config.limits.velocity_max_m_s, config.slew_max_m_s2[2]
+    )  # fmt: skip
+    most_1_s = 1.0 / x.lag_z_s if x.lag_z_s > 0.0 else math.inf
+    short = shortfall(x.shape, config.limits.velocity_max_m_s, x.target_speed_m_s, x.target_climb_m_s)
+    rises_m_s = -short.bound - robust.tracking_error_m_s
+    deep_m = x.barrier.peak_height_m + x.shape.margin_m.high
+    time = f"at most {deep_m / rises_m_s:.3g} s from the deepest point"
+    steep, growth = outside(x, lambda d: demand(x, x.shape.slope(d))), demand_growth(config, x)
+    climb_m_s = steep.bound + x.target_climb_m_s + robust.tracking_error_m_s
     depth, where = depth_m(config, x)
-    return Check(
-        "h outside the pad",
-        f"h stays above {-1000.0 * HELD_M:g} mm wherever d exceeds the pad's radius",
-        HELD_M - depth,
-        "m",
-        f"margin {1000.0 * x.usual.margin_m.low:.3g} mm, at {where:.3g} m; h > {-1000.0 * depth:.3g} mm",
-        "lower robust.fade_radius_m, robust.acceleration_max_m_s2 or limits.velocity_max_m_s, or raise "
-        "loop.rate_hz",
-        Need.PROOF,
-    )
-
-
-def estimator(config: FlightConfig, x: Extremes) -> Check:
-    link, factor = config.target, config.robust.sigma_factor
     # white jerk of density j gives the acceleration a standard deviation of j sqrt(t); t is 1 s
-    rooms = (
-        factor * link.jerk_growth_max * link.jerk_xy_m_s3_sqrthz - x.target_acceleration_m_s2,
-        factor * link.jerk_z_m_s3_sqrthz - x.heave_acceleration_m_s2,
-    )
-    key = ("jerk_xy_m_s3_sqrthz", "jerk_z_m_s3_sqrthz")[rooms[1] < rooms[0]]
-    return Check(
-        "estimator",
-        "the estimator's jerk noise reaches each declared acceleration within a second",
-        min(rooms),
-        "m/s^2",
-        f"target.{key} {getattr(link, key):g}, {factor:g} standard deviations of it are covered",
-        f"raise target.{key} or lower envelope.target_acceleration_max_m_s2",
-        Need.PROOF,
-    )
+    factor = robust.sigma_factor
+    xy_m_s2 = factor * link.jerk_growth_max * link.jerk_xy_m_s3_sqrthz - x.target_acceleration_m_s2
+    z_m_s2 = factor * link.jerk_z_m_s3_sqrthz - x.heave_acceleration_m_s2
+    key = "jerk_z_m_s3_sqrthz" if z_m_s2 < xy_m_s2 else "jerk_xy_m_s3_sqrthz"
+    jump_m, noise_m = config.checks.target_jump_max_m, NOISE_SIGMAS * link.position_noise_m
+    return [
+        Check(
+            "recovery", "from h < 0 the vehicle returns to h >= 0", rises_m_s, "m/s",
+            f"at {short.at[0]:.3g} m h rises with {rises_m_s:.3g} m/s: "
+            + (time if rises_m_s > 0.0 else "never from some points"),
+            "lower touchdown.target_speed_max_m_s or robust.tracking_error_m_s, or raise "
+            "limits.velocity_max_m_s",
+        ),
+        Check(
+            "robust.rate_1_s",
+            "h may fall more slowly than the vertical velocity settles, for each vehicle of the spread",
+            most_1_s - robust.rate_1_s, "1/s", f"found {robust.rate_1_s:g}, the slowest vehicle lags "
+            f"{x.lag_z_s:.3g} s: below {most_1_s:.3g}", "lower robust.rate_1_s",
+        ),
+        Check(
+            "climb",
+            "the vertical axis alone satisfies the barrier before the horizontal velocity has changed",
+            vz - climb_m_s, "m/s",
+            f"at {steep.at[0]:.3g} m it may need {climb_m_s:.3g} m/s, the box has {vz:g}",
+            "raise limits.velocity_max_m_s[2], or lower its horizontal part or "
+            "touchdown.target_speed_max_m_s",
+            PROOF,
+        ),
+        Check(
+            "acceleration",
+            "while the target is followed, the needed vertical velocity changes no faster than the limit",
+            az - growth.bound, "m/s^2",
+            f"at {growth.at[0]:.3g} m it may change with {growth.bound:.3g} m/s^2, allowed are {az:g}",
+            "raise robust.acceleration_max_m_s2[2], or lower its horizontal part or limits.velocity_max_m_s",
+            PROOF,
+        ),
+        *_reserve(config, growth),
+        Check(
+            "h outside the pad", f"h stays above {-1000.0 * HELD_M:g} mm wherever d exceeds the pad's radius",
+            HELD_M - depth, "m", f"margin {1000.0 * x.usual.margin_m.low:.3g} mm, at {where:.3g} m; "
+            f"h > {-1000.0 * depth:.3g} mm",
+            "lower robust.fade_radius_m, robust.acceleration_max_m_s2 or limits.velocity_max_m_s, or raise "
+            "loop.rate_hz", PROOF,
+        ),
+        Check(
+            "estimator", "the estimator's jerk noise reaches each declared acceleration within a second",
+            min(xy_m_s2, z_m_s2), "m/s^2",
+            f"target.{key} {getattr(link, key):g}, {factor:g} standard deviations of it are covered",
+            f"raise target.{key} or lower envelope.target_acceleration_max_m_s2", PROOF,
+        ),
+        Check(
+            "checks.target_jump_max_m", "two positions of a target with the declared noise are no jump",
+            jump_m - noise_m, "m",
+            f"found {jump_m:g}, the noise of a position is {link.position_noise_m:g} m",
+            f"raise checks.target_jump_max_m to {noise_m:.3g}", PROOF,
+        ),
+        *_own_estimator(config),
+    ]  # fmt: skip
 
 
-def own_estimator(config: FlightConfig) -> Check:
-    """Check that an error of the vehicle's velocity is estimated faster than the position loop acts on it.
+def _reserve(config: FlightConfig, growth: Most) -> list[Check]:
+    """Return the check of the thrust reserve, if there is a table [reserve]."""
+    table = config.reserve
+    if table is None:
+        return []
+    low_v, least = table.lowest_voltage_v, table.at(table.lowest_voltage_v)
+    up_m_s2 = table.share * (least - 1.0) * GRAVITY_M_S2
+    enough_v = table.voltage_v(1.0 + max(0.0, growth.bound) / (table.share * GRAVITY_M_S2))
+    takes, remedy = "no voltage gives", "raise reserve.share, or "
+    if enough_v < math.inf:
+        takes, to_v = f"takes {enough_v:.3g} V", math.ceil(100.0 * enough_v) / 100.0
+        remedy = f"raise reserve.lowest_voltage_v to {to_v:g} or reserve.share, or "
+    return [
+        Check(
+            "thrust reserve",
+            "the battery allows the climb that the barrier may demand, down to its lowest voltage",
+            up_m_s2 - growth.bound, "m/s^2",
+            f"at {low_v:g} V thrust is {least:.3g} times the weight, which climbs with {up_m_s2:.3g} "
+            "m/s^2; at "
+            f"{growth.at[0]:.3g} m {growth.bound:.3g} are needed, which {takes}",
+            f"{remedy}lower what is needed, as the check acceleration says", PROOF,
+        ),
+    ]  # fmt: skip
+
+
+def _own_estimator(config: FlightConfig) -> list[Check]:
+    """Return the check that a velocity error is estimated faster than the position loop acts on it.
 
     Without the velocity loop's model, the position estimate is wrong by at most the error times T / e, and
     the velocity by the error, for the time T. The bound of T is half the time constant of the position loop.
     """
+    if not config.own.learns or config.velocity_feedback.horizontal:
+        return []
     gain = max(config.robust.gain_1_s, config.robust.gain_over_pad_1_s, config.robust.to_contact_1_s)
     time_s = config.own.velocity_error_time_s
-    return Check(
-        "own.velocity_error_time_s",
-        "an error of the vehicle's velocity is estimated twice as fast as the position loop acts",
-        0.5 / gain - time_s,
-        "s",
-        f"found {time_s:g} s; with a gain of {gain:g} 1/s at most {0.5 / gain:.3g} s",
-        "lower own.velocity_error_time_s, or set own.velocity_error_m_s to 0",
-        Need.PROOF,
-    )
+    return [
+        Check(
+            "own.velocity_error_time_s",
+            "an error of the vehicle's velocity is estimated twice as fast as the position loop acts",
+            0.5 / gain - time_s, "s",
+            f"found {time_s:g} s; with a gain of {gain:g} 1/s at most {0.5 / gain:.3g} s",
+            "lower own.velocity_error_time_s, or set own.velocity_error_m_s to 0", PROOF,
+        ),
+    ]  # fmt: skip

@@ -14,6 +14,9 @@ class Need(Enum):
     PROOF = "proof"  # necessary for the guarantee in the worst case; a flight is possible
 
 
+PROOF = Need.PROOF
+
+
 @dataclass(frozen=True, slots=True)
 class Check:
     """Result of one check.

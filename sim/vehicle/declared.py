@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 from flightstack.core.strategies.strategy import own_boundary
 from flightstack.verify.certificate import checks
+from flightstack.verify.fleet import team_checks
 from flightstack.verify.robust import HELD_M
-from flightstack.verify.team import team_checks
 from flightstack.verify.types import Check, Need
 from logs.verdict.verdict import two_barriers
 from sim.plant.params import load

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from flightstack.verify.certificate import checks
 from flightstack.verify.envelope import extremes
+from flightstack.verify.feedback import follow_m
 from flightstack.verify.fleet import fleet_checks
-from flightstack.verify.follow import follow_m
 from flightstack.verify.robust import between_ticks_m, demand, depth_m, outside
 from flightstack.verify.touchdown import descent_time_s, drift_m
 from sim.scenarios import scenario, team

@@ -13,8 +13,7 @@ from flightstack.core.safety.barrier import Barrier
 from flightstack.verify.bound import TOLERANCE, Shape, Span, most
 from flightstack.verify.certificate import checks, problems
 from flightstack.verify.envelope import extremes
-from flightstack.verify.feedback import decay_1_s, linear
-from flightstack.verify.follow import SLACK, _gains, _piece_m, _ports, follow_m
+from flightstack.verify.feedback import SLACK, _gains, _piece_m, _ports, decay_1_s, follow_m, linear
 from sim.scenarios.scenario import load
 from tests.unit.core.strategies.loop_helpers import BASE, FEEDBACK, fed_back, flown_behind
 from tests.unit.verify.certificate_helpers import config, one

@@ -16,11 +16,16 @@ from flightstack.core.fleet.exact import Row, nearest
 from flightstack.core.fleet.shares import share
 from flightstack.core.memory import Heard
 from flightstack.core.types import ZERO, Intent, Neighbour
-from flightstack.verify import crowd
 from flightstack.verify.certificate import checks
 from flightstack.verify.envelope import extremes
-from flightstack.verify.fleet import first_attempt_s
-from flightstack.verify.team import team_checks
+from flightstack.verify.fleet import (
+    anywhere_m,
+    crowd,
+    first_attempt_s,
+    one_short_m_s,
+    team_checks,
+    up_the_slope_m_s,
+)
 from flightstack.verify.touchdown import descent_time_s
 from sim.runners.landing import land
 from sim.scenarios import scenario, team
@@ -150,7 +155,7 @@ def test_shares_held_by_processes_with_late_ticks(latency_s, proven):
 
 CONFIG = with_fleet()
 X = extremes(CONFIG)
-CROWD = crowd.crowd(CONFIG, CONFIG.fleet, X.shape, X.target_climb_m_s)
+CROWD = crowd(CONFIG, CONFIG.fleet, X.shape, X.target_climb_m_s)
 BOX = ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
 
 
@@ -181,13 +186,13 @@ def pad_of(share_of_speed, angle):
 @settings(max_examples=400, deadline=None)
 @given(SLOPE, ANGLE, UNIT, ANGLE, CLIMB, st.lists(st.tuples(AWAY, UNIT), min_size=1, max_size=8))
 def test_any_number_of_neighbours_leaves_a_common_point_from_far_enough(slope, n, w, pad, climb, others):
-    from_m = crowd.anywhere_m(CONFIG, CONFIG.fleet, CROWD)
+    from_m = anywhere_m(CONFIG, CONFIG.fleet, CROWD)
     rows = [neighbour_row(away, from_m, speed) for away, speed in others]
     lower = (*BOX[0][:2], climb)
     assert nearest(ZERO, [landing_row(slope, n, pad_of(w, pad)), *rows], lower, BOX[1]) is not None
 
 
-SHORT = crowd.one_short_m_s(CONFIG, CROWD, crowd.up_the_slope_m_s(CONFIG, CROWD), -math.pi / 2.0)
+SHORT = one_short_m_s(CONFIG, CROWD, up_the_slope_m_s(CONFIG, CROWD), -math.pi / 2.0)
 
 
 @settings(max_examples=400, deadline=None)
