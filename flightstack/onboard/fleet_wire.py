@@ -5,21 +5,35 @@ pattern needs no list of namespaces, and also detects two processes with the sam
 that are no members. The key begins with the namespace, as all keys of a vehicle do, so that access rules can
 name it.
 
-No call blocks. Rejected messages are counted; a text reports each doubling of the count.
+In flight no call blocks. Rejected messages are counted; a text reports each doubling of the count.
+
+``OtherClock`` estimates the offset between the clocks of two processes. A message arrives after it was sent.
+With d = own clock - other clock at the same moment:
+
+    arrival here  - stamp of the other one  >=  d      the minimum is ``ahead_ns``
+    arrival there - own stamp               >= -d      the other process reports its minimum, ``echo_ns``
+
+So d lies between -echo_ns and ahead_ns. The estimate is the middle, and its bound is half of the width: half
+of the sum of the minimum delays of both directions. The delays need not be known or equal. This is the method
+of Cristian (1989), with the minimum delay of each direction instead of one round trip.
+
+Clocks drift, so both minimum values grow with their age by ``DRIFT``.
 """
 
 from __future__ import annotations
 
 import math
 import secrets
+import time
 from collections.abc import Callable
+from typing import NamedTuple
 
 from bridge.zenoh import zenoh_link
+from flightstack.common.pacing import Tick
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.sender_clock import Reading, SenderClock
 from flightstack.core.types import Neighbour
-from flightstack.onboard.fleet_clock import OtherClock
 from logs.schema.controller_rows import Echo, neighbour_of, word_row
 from logs.schema.names import member_name
 from logs.schema.rows import FleetWordRow
@@ -31,6 +45,9 @@ CAPACITY = 256  # queued messages; the oldest are dropped, since only the newest
 BYTES_MAX = 2048  # longest message that is accepted
 PROOF_S = 0.3  # time for which messages after a clock step must agree: longer than a message is late
 ONE_WAY_S = 2.0  # time of one-way reception until a report, s
+NAMESAKE_S = 1.0  # time to listen for another process with the same vehicle id before the start, s
+# Largest drift between two clocks, s/s: Linux slews each by at most 500 ppm (adjtimex(2)).
+DRIFT = 1e-3
 
 
 def namespace_of(config: FlightConfig) -> str:
@@ -39,19 +56,103 @@ def namespace_of(config: FlightConfig) -> str:
 
 
 class NoFleet:
-    """Stand-in for ``FleetWire`` without a fleet: no messages are sent or received."""
+    """A vehicle alone: no messages are sent or received."""
 
-    doubled = ""
+    doubled = ""  # text about another process with this vehicle's id; empty: none
+
+    def begin(self, epoch_ns: int, now_s: Callable[[], float]) -> None:
+        """Set the clock of the ticks in real time; before this call nothing is sent.
+
+        ``epoch_ns``: Unix time of zero of the stack clock; ``now_s``: reads the stack clock.
+        """
+
+    def namesake(self) -> str:
+        """Return why this process must not start: another one has the same vehicle id; empty: none."""
+        return self.doubled
+
+    def await_tick(self, tick: Tick, stopped: Callable[[], bool]) -> None:
+        """Wait for the messages that belong to a tick in lockstep; ``stopped``: whether to stop waiting."""
 
     def words(self) -> tuple[Neighbour, ...]:
+        """Return the newest message of each member since the last call."""
         return ()
 
-    def say(self, word: Neighbour | None) -> None: ...
+    def say(self, word: Neighbour | None) -> bytes | None:
+        """Send ``Outputs.own_word`` to the others; return the bytes for the log, None if there are none."""
 
-    def texts(self) -> tuple[str, ...]:
-        return ()
+    def texts(self) -> list[str]:
+        """Return the texts for the operator since the last call."""
+        return []
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Undeclare publisher and subscriber."""
+
+
+class Offset(NamedTuple):
+    """Offset of this process's clock from that of another process."""
+
+    ns: int  # estimate of own clock minus other clock
+    bound_ns: int  # bound of the error of ``ns``
+
+
+class Least:
+    """Minimum of several values, which grows with its age."""
+
+    def __init__(self) -> None:
+        self._value_ns: int | None = None
+        self._at_ns = 0
+
+    def note(self, value_ns: int, now_ns: int) -> None:
+        """Add the value of a message at the time ``now_ns`` of this process's clock."""
+        least_ns = self.at(now_ns)
+        self._value_ns = value_ns if least_ns is None else min(value_ns, least_ns)
+        self._at_ns = now_ns
+
+    def at(self, now_ns: int) -> int | None:
+        """Return the minimum with its growth until now; None before the first value."""
+        if self._value_ns is None:
+            return None
+        return self._value_ns + round(DRIFT * max(0, now_ns - self._at_ns))
+
+
+class OtherClock:
+    """Estimate of the clock of another process; call ``heard`` with each of its messages."""
+
+    def __init__(self) -> None:
+        self._ahead, self._echo = Least(), Least()
+
+    def heard(self, stamp_ns: int, arrival_ns: int, echo_ns: int | None) -> bool:
+        """Add the times of a message; return whether they agree with the earlier ones.
+
+        If they do not agree, one of the clocks has jumped, and the estimate restarts.
+
+        ``stamp_ns``: stamp on the other clock; ``arrival_ns``: arrival on this process's clock; ``echo_ns``:
+        minimum that the other process reports; None: it has received nothing from this process.
+        """
+        self._ahead.note(arrival_ns - stamp_ns, arrival_ns)
+        if echo_ns is not None:
+            self._echo = Least()  # the other process keeps the minimum itself
+            self._echo.note(echo_ns, arrival_ns)
+        offset = self.offset(arrival_ns)
+        if offset is None or offset.bound_ns >= 0:
+            return True
+        self._ahead, self._echo = Least(), Least()
+        return False
+
+    def ahead_ns(self, now_ns: int) -> int | None:
+        """Return the value to send to the other process as its ``echo_ns``; None: nothing was received."""
+        return self._ahead.at(now_ns)
+
+    def offset(self, now_ns: int) -> Offset | None:
+        """Return this clock minus the other clock; None until both directions are known.
+
+        ``now_ns``: time on this process's clock.
+        """
+        ahead_ns, echo_ns = self._ahead.at(now_ns), self._echo.at(now_ns)
+        if ahead_ns is None or echo_ns is None:
+            return None
+        width_ns = ahead_ns + echo_ns
+        return Offset((ahead_ns - echo_ns) // 2, (width_ns + 1) // 2)
 
 
 def _not_begun() -> float:
@@ -87,7 +188,7 @@ class _Member:
         self.said_one_way = False
 
 
-class FleetWire:
+class FleetWire(NoFleet):
     """Sender of this vehicle's messages, and receiver of those of the other members.
 
     ``session``: open Zenoh session, which the caller closes; ``namespace``: first part of the key of this
@@ -97,7 +198,7 @@ class FleetWire:
 
     def __init__(self, session: zenoh_link.Session, namespace: str, fleet: Fleet) -> None:
         self._fleet = fleet
-        self.doubled = ""  # text about another process with this vehicle's id; empty: none
+        self._opened_s = time.monotonic()
         self._process = secrets.randbits(64)
         self._members = {n: _Member(fleet) for n in fleet.others}
         self._counts = _Counts()
@@ -109,24 +210,17 @@ class FleetWire:
         self._subscriber = zenoh_link.remote_subscriber(session, EVERYBODY, CAPACITY)
 
     def begin(self, epoch_ns: int, now_s: Callable[[], float]) -> None:
-        """Set the clock of the ticks; before this call nothing is sent.
-
-        ``epoch_ns``: Unix time of zero of the stack clock; ``now_s``: reads the stack clock.
-        """
         self._epoch_ns, self._now_s = epoch_ns, now_s
 
     def namesake(self) -> str:
-        """Return why this process must not start: another one has the same vehicle id; empty: none.
-
-        The messages that arrived before this call are dropped.
-        """
+        """Listen for another process with this vehicle's id; the messages until then are dropped."""
+        time.sleep(max(0.0, self._opened_s + NAMESAKE_S - time.monotonic()))
         for row in self._rows():
             if row.id == self._fleet.id and row.process != self._process:
                 self._hear_namesake()
         return self.doubled
 
     def words(self) -> tuple[Neighbour, ...]:
-        """Return the newest message of each member since the last call; never blocks."""
         rows = self._rows()
         now_s = self._now_s()  # read after the messages were taken, so that no message is newer
         now_ns = self._epoch_ns + round(now_s * 1e9)
@@ -139,10 +233,6 @@ class FleetWire:
         return tuple(newest[n] for n in sorted(newest))
 
     def say(self, word: Neighbour | None) -> bytes | None:
-        """Send the controller's message to the others; return the bytes that were sent.
-
-        ``word``: ``Outputs.own_word``; None: nothing is sent.
-        """
         if word is None:
             return None
         now_ns = self._epoch_ns + round(word.stamp_s * 1e9)
@@ -156,12 +246,10 @@ class FleetWire:
         return payload
 
     def texts(self) -> list[str]:
-        """Return the texts for the operator since the last call."""
         texts, self._counts.texts = self._counts.texts, []
         return texts
 
     def close(self) -> None:
-        """Undeclare publisher and subscriber."""
         self._subscriber.undeclare()
         self._publisher.undeclare()
 

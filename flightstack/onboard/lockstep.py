@@ -28,6 +28,7 @@ from flightstack.common.pacing import (
     Tick,
 )
 from flightstack.core.types import Neighbour
+from flightstack.onboard.fleet_wire import NoFleet
 from flightstack.onboard.leaving import LAND_SHOWN_MAX_S, Person
 from flightstack.onboard.runner import Arrived, ClockStoppedError, LinkedVehicle, decoded
 from logs.schema.controller_rows import pack_neighbours, unpack_neighbours, word_row
@@ -118,7 +119,7 @@ class LockstepWires:
     """Clock and source of target samples: a tick starts when vehicle and target have both reached it.
 
     ``odometry``: samples of the target; ``session``: session that receives the number of samples of each
-    tick; ``words``: messages of the other vehicles of a fleet; None: no fleet.
+    tick; ``fleet``: messages of the other vehicles.
     """
 
     def __init__(
@@ -129,9 +130,9 @@ class LockstepWires:
         session: zenoh_link.Session,
         namespace: str,
         person: Person,
-        words: LockstepWords | None = None,
+        fleet: NoFleet,
     ) -> None:
-        self._person, self._stopped, self._words = person, Patience(person).over, words
+        self._person, self._stopped, self._fleet = person, Patience(person).over, fleet
         self._ticks = VehicleTicks(vehicle, rate_hz, self._stopped)
         self._odometry = odometry
         self._markers = zenoh_link.fifo_subscriber(session, f"{namespace}/sim/target/tick")
@@ -156,8 +157,7 @@ class LockstepWires:
                 raise ClockStoppedError("ended by the operator") from None
             raise
         self._released = self._release(tick.number)
-        if self._words is not None:
-            self._words.await_tick(tick, self._stopped)
+        self._fleet.await_tick(tick, self._stopped)
         return tick
 
     def samples(self, now_s: float) -> Arrived:
@@ -203,16 +203,15 @@ class LockstepWires:
         return tick in self._counts and self._received + len(self._pool) >= self._counts[tick]
 
 
-class LockstepWords:
+class LockstepWords(NoFleet):
     """Fleet messages in lockstep: the others receive a message of one tick in a later tick.
 
     The process of the vehicles receives the messages of all members and distributes them tick by tick, so
-    that their order does not depend on wall time. It replaces ``FleetWire``, which needs real time.
+    that their order does not depend on wall time. It replaces ``FleetWire``, which needs real time. No other
+    process has this vehicle's id, because the launcher gives each vehicle one process.
 
     ``session``: the caller closes it; ``namespace``: first part of the keys of this vehicle.
     """
-
-    doubled = ""  # the launcher gives each vehicle one process
 
     def __init__(self, session: zenoh_link.Session, namespace: str) -> None:
         self._heard = zenoh_link.fifo_subscriber(session, f"{namespace}/{HEARD}")
@@ -223,11 +222,9 @@ class LockstepWords:
         self._texts: list[str] = []
 
     def await_tick(self, tick: Tick, stopped: Callable[[], bool]) -> None:
-        """Wait for the messages that belong to a tick, in bounded wall time.
+        """Wait in bounded wall time.
 
         The first tick has no messages; it waits until the simulator has subscribed to those of this vehicle.
-
-        ``stopped``: returns whether to stop waiting.
         """
         first, self._tick, silence = self._tick is None, tick, Silence()
         come = self._is_heard if first else self._has
@@ -238,7 +235,6 @@ class LockstepWords:
             time.sleep(2e-5)
 
     def words(self) -> tuple[Neighbour, ...]:
-        """Return the messages that arrive with this tick."""
         tick = self._tick
         payload = self._inbox.pop(tick.number, b"") if tick is not None else b""
         if tick is None or not payload:
@@ -247,10 +243,7 @@ class LockstepWords:
         return tuple(word._replace(arrival_s=tick.now_s) for word in found)
 
     def say(self, word: Neighbour | None) -> bytes | None:
-        """Send the controller's message of this tick to the others; return it in the form for the log.
-
-        ``word``: ``Outputs.own_word``; None: an empty message is sent.
-        """
+        """Send the message of this tick, an empty one if there is none."""
         tick = self._tick
         if tick is None:
             return None
@@ -258,12 +251,7 @@ class LockstepWords:
         self._told.put(payload, attachment=PAIR.pack(tick.number, 0))
         return word_row(word, EPOCH_NS, 0).pack() if word is not None else None
 
-    def namesake(self) -> str:
-        """Return an empty text, because each vehicle has only one process."""
-        return self.doubled
-
     def texts(self) -> list[str]:
-        """Return the texts for the operator since the last call."""
         texts, self._texts = self._texts, []
         return texts
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from bridge.mavlink.client.vehicle_state import Battery
@@ -12,7 +13,6 @@ from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Outputs
 from flightstack.core.memory import FleetState, State
-from flightstack.onboard.live_topics import health_row
 from flightstack.onboard.runner import Taken
 from flightstack.onboard.state_text import StateText
 from logs.recorder.feed import Feed
@@ -26,7 +26,7 @@ from logs.schema.controller_rows import (
 from logs.schema.events import CONTROLLER, ONBOARD, pack_log
 from logs.schema.mavlink import MAVLINK_PEERS, PeerNames, pack_mavlink
 from logs.schema.names import OWN, Names
-from logs.schema.rows import ControllerStateRow, ControllerStepRow, LoopTimingRow
+from logs.schema.rows import ControllerStateRow, ControllerStepRow, HealthRow, LoopTimingRow
 from logs.schema.schemas import (
     CONTROLLER_INPUT,
     CONTROLLER_NEIGHBOURS,
@@ -42,6 +42,7 @@ from logs.schema.schemas import (
 
 STATUS_HZ = 20.0  # rate of the live topics
 HEALTH_HZ = 5.0  # rate of the live health
+BATTERY_AGE_MAX_S = 5.0  # longest age of a voltage: SYS_STATUS arrives at least once a second
 STATE_HZ = 1.0  # rate of the state snapshots at which a replay can start
 TIMESYNC_ID = 111  # low byte of the message id, at offset 7 of a MAVLink 2 frame
 
@@ -191,3 +192,36 @@ class OnboardLog:
             self._live_timing.put(payload)
         if tick.number % self._flush_every == 0:
             self._feed.flush()
+
+
+def health_row(tick: Tick, out: Outputs, reason: str, battery: Battery | None, dropped: int) -> HealthRow:
+    """Return the health of a tick; values that are missing or too old are NaN."""
+    own, status, target = out.snapshot.inputs.own, out.snapshot.inputs.status, out.snapshot.target
+    if battery is not None and tick.now_s - battery.arrival_s > BATTERY_AGE_MAX_S:
+        battery = None
+    return HealthRow(
+        stamp_ns=tick.unix_ns,
+        tick=tick.number,
+        own_age_s=tick.now_s - own.arrival_s if own is not None else math.nan,
+        target_age_s=target.age_s if target is not None else math.nan,
+        link_age_s=tick.now_s - status.arrival_s if status is not None else math.nan,
+        battery_v=_known(battery.voltage_v if battery is not None else None),
+        battery_share=_known(battery.share if battery is not None else None),
+        mode=status.mode if status is not None else 0,
+        landed=status.landed if status is not None else 0,
+        armed=status.armed if status is not None else False,
+        ready_to_arm=status.ready_to_arm if status is not None else False,
+        own_valid=out.snapshot.own_ok,
+        target_valid=out.snapshot.target_ok,
+        link_valid=out.snapshot.link_ok,
+        finished=out.finished,
+        target_accepted=out.target_accepted,
+        target_rejected=out.target_rejected,
+        overruns=tick.overruns,
+        feed_dropped=dropped,
+        reason=reason,
+    )
+
+
+def _known(value: float | None) -> float:
+    return math.nan if value is None else value

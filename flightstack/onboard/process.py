@@ -13,6 +13,7 @@ from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.profiles import profile
 from bridge.mavlink.signing import load_key
 from bridge.mavlink.transport.address import baud_of, is_local, parse_url, resolve
+from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import RealTimePacer, Tick, quiet_garbage_collector, run_promptly
 from flightstack.common.simulation_clock import Follower, chosen_clock
 from flightstack.common.strict_toml import ConfigError, dumps
@@ -46,7 +47,6 @@ from logs.recorder.feed import Feed
 from logs.schema.events import CAUSE, ONBOARD
 from logs.schema.names import OWN, Names
 
-NAMESAKE_S = 1.0  # time to listen for another process with the same vehicle id before the start, s
 _SEVERITY_LEVEL = {0: ERROR, 1: ERROR, 2: ERROR, 3: ERROR, 4: WARN}  # MAV_SEVERITY to rcl_interfaces level
 
 
@@ -69,11 +69,7 @@ class Onboard:
         chosen = profile(options.autopilot)
         origin = config.vehicle.origin_wgs84
         self.wires = ZenohWires(config, options, self.namespace)
-        self.fleet: FleetWire | LockstepWords | NoFleet = NoFleet()
-        if config.fleet is not None and options.lockstep:
-            self.fleet = LockstepWords(self.wires.session, self.namespace)
-        elif config.fleet is not None:
-            self.fleet = FleetWire(self.wires.session, self.namespace, config.fleet)
+        self.fleet = _fleet(config, options, self.wires.session, self.namespace)
         line = preflight.line_plan(
             baud_of(options.vehicle_url), config, signed=options.signing_key is not None
         )
@@ -210,7 +206,6 @@ def run(config: FlightConfig, options: OnboardOptions, say: Callable[[str], None
     start.
     """
     _check_speed(options)
-    _check_fleet(config, options)
     chosen_clock(options.speed, options.clock, Follower.ONBOARD, lockstep=options.lockstep)
     found = problems(config)
     if found:
@@ -235,8 +230,6 @@ def run(config: FlightConfig, options: OnboardOptions, say: Callable[[str], None
         sys.stdout.flush()
         if not options.lockstep:  # only the simulator uses lockstep, and its parameters are known
             ended = _preflight(onboard, signals, say)
-            if ended is None:
-                ended = _alone_with_its_id(onboard, signals)
             if ended is not None:
                 return ended
         quiet_garbage_collector()
@@ -256,28 +249,30 @@ def _check_speed(options: OnboardOptions) -> None:
         )
 
 
-def _check_fleet(config: FlightConfig, options: OnboardOptions) -> None:
-    """Reject a fleet whose members cannot connect to each other."""
+def _fleet(
+    config: FlightConfig, options: OnboardOptions, session: zenoh_link.Session, namespace: str
+) -> NoFleet:
+    """Return the connection to the other members of a fleet; a vehicle alone has none.
+
+    Raises ConfigError: the members cannot connect to each other.
+    """
     if config.fleet is None:
-        return
+        return NoFleet()
     if not (options.connect or options.listen or options.zenoh_config):
         raise ConfigError(
             "[fleet]: no other process can reach this one; --connect, --listen or --zenoh-config is needed "
             "(docs/how_it_works/fleet.md)"
         )
-
-
-def _alone_with_its_id(onboard: Onboard, signals: Signals) -> Ended | None:
-    """Return why the process must not start while another one uses the same vehicle id; None: it may."""
-    if isinstance(onboard.fleet, NoFleet) or signals.operator is Operator.EMERGENCY_STOP:
-        return None
-    time.sleep(max(0.0, onboard.opened_s + NAMESAKE_S - time.monotonic()))
-    problem = onboard.fleet.namesake()
-    return Ended(Phase.WAIT, problem, 1) if problem else None
+    if options.lockstep:
+        return LockstepWords(session, namespace)
+    return FleetWire(session, namespace, config.fleet)
 
 
 def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -> Ended | None:
-    """Check the autopilot's parameters before the flight; the frames of this check are not logged."""
+    """Return why the vehicle or another process with its id forbids a start; None: it may start.
+
+    The frames of the check of the autopilot's parameters are not logged.
+    """
     options, endpoint, senders = onboard.options, onboard.link.endpoint, onboard.link.senders
     wait_s = onboard.config.checks.wait_time_max_s
     if options.duration_s is not None:
@@ -311,8 +306,8 @@ def _preflight(onboard: Onboard, signals: Signals, say: Callable[[str], None]) -
         say(line)
     if signals.operator is Operator.EMERGENCY_STOP:
         return None  # the ticks send the emergency stop, without this check
-    problem = preflight.verdict(report)
-    return Ended(Phase.WAIT, problem, 1) if problem is not None else None
+    problem = preflight.verdict(report) or onboard.fleet.namesake()
+    return Ended(Phase.WAIT, problem, 1) if problem else None
 
 
 class _Leaving(Leaving):
@@ -344,15 +339,13 @@ def _runner(onboard: Onboard, vehicle: LinkedVehicle, leaving: Leaving, signals:
     options, link, wires = onboard.options, onboard.link, onboard.wires
     rate_hz = onboard.config.loop.rate_hz
     if options.lockstep:
-        told = onboard.fleet if isinstance(onboard.fleet, LockstepWords) else None
         both = LockstepWires(
-            vehicle, rate_hz, wires.odometry, wires.session, onboard.namespace, signals, told
+            vehicle, rate_hz, wires.odometry, wires.session, onboard.namespace, signals, onboard.fleet
         )
         return Runner(onboard.controller, both, vehicle, both, leaving, onboard, onboard.fleet.words)
     run_promptly()
     clock = chosen_clock(options.speed, options.clock, Follower.ONBOARD, lambda: signals.stop)
     pacer = RealTimePacer(rate_hz, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns)
-    if isinstance(onboard.fleet, FleetWire):
-        onboard.fleet.begin(pacer.unix_start_ns, pacer.now_s)
+    onboard.fleet.begin(pacer.unix_start_ns, pacer.now_s)
     ticks, target = RealTimeClock(pacer, link), LiveTarget(wires.odometry, pacer.now_s)
     return Runner(onboard.controller, ticks, vehicle, target, leaving, onboard, onboard.fleet.words)

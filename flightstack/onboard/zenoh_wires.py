@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from bridge.ros2.ros2_names import network
+import math
+
+from bridge.ros2.ros2_names import Ros2Node, Ros2Publisher, network
 from bridge.target.ros2_target import Dialect, KeySearch, TargetSource, TargetSpec, TargetType
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import ConnectionAlarm
@@ -10,8 +12,34 @@ from flightstack.common.pacing import Tick
 from flightstack.config.options import OnboardOptions
 from flightstack.core.controller import Outputs
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.onboard.live_topics import LiveRos2
+from logs.derive.derive import STEP_SUFFIX, Deriver
+from logs.schema.events import pack_string
 from logs.schema.rows import ControllerStepRow
+from logs.schema.schemas import (
+    CONTROLLER_STEP,
+    HEALTH,
+    MARKER_ARRAY,
+    ODOMETRY,
+    POSE_STAMPED,
+    STRING,
+    TF_MESSAGE,
+    TWIST_STAMPED,
+    packer,
+    type_hash,
+)
+
+FLOAT64 = "std_msgs/msg/Float64"
+PLAIN_HZ = 20.0  # rate of the topics h, phase and step; viewer topics have their own rates
+NODE = "flightstack_onboard"
+_DERIVED = {
+    "/pose": POSE_STAMPED,
+    "/odom": ODOMETRY,
+    "/target/pose": POSE_STAMPED,
+    "/cmd/velocity_nominal": TWIST_STAMPED,
+    "/cmd/velocity_filtered": TWIST_STAMPED,
+    "/cmd/velocity": TWIST_STAMPED,
+    "/cbf/markers": MARKER_ARRAY,
+}
 
 
 class ZenohWires:
@@ -75,3 +103,51 @@ class ZenohWires:
             self._shown.close()
         for session in reversed(self._sessions):
             session.close()
+
+
+class LiveRos2:
+    """Publisher of one flight to ROS 2; the flight does not depend on it.
+
+    ``session``: session that reaches the ROS 2 nodes; the caller closes it; ``domain``: their ROS_DOMAIN_ID;
+    ``namespace``: first part of the topics; ``rate_hz``: rate of the ticks.
+    Raises ValueError: a namespace or domain that ROS 2 does not allow.
+    """
+
+    def __init__(self, session: zenoh_link.Session, domain: int, namespace: str, rate_hz: int) -> None:
+        space = f"/{namespace}"
+        self._node = Ros2Node(session, NODE, domain=domain, namespace=space)
+        self._derive = Deriver(space + STEP_SUFFIX)
+        self._derived = {space + name: self._publisher(space + name, kind) for name, kind in _DERIVED.items()}
+        self._derived["/tf"] = self._publisher("/tf", TF_MESSAGE)
+        self._pack_float = packer(FLOAT64)
+        self._h = self._publisher(space + "/h", FLOAT64)
+        self._phase = self._publisher(space + "/phase", STRING)
+        self._step = self._publisher(space + STEP_SUFFIX, CONTROLLER_STEP)
+        self._health = self._publisher(space + "/health", HEALTH)
+        self._every = max(1, round(rate_hz / PLAIN_HZ))
+
+    def show(self, tick: Tick, out: Outputs, step: ControllerStepRow, health: bytes | None) -> None:
+        """Publish the data that is due in this tick.
+
+        ``out``: outputs of the tick; ``step``: the same outputs as a row of the log; ``health``: serialised
+        health, if it is due.
+        """
+        now_ns = tick.unix_ns
+        for topic, _, payload in self._derive.step(now_ns, step):
+            publisher = self._derived.get(topic)
+            if publisher is not None:
+                publisher.put(payload, now_ns)
+        if health is not None:
+            self._health.put(health, now_ns)
+        if tick.number % self._every == 0 or out.finished:
+            h_m = out.barrier.h_m if out.barrier is not None else math.nan
+            self._h.put(self._pack_float((h_m,)), now_ns)
+            self._phase.put(pack_string(out.phase.name), now_ns)
+            self._step.put(step.pack(), now_ns)
+
+    def close(self) -> None:
+        """Leave the ROS 2 graph."""
+        self._node.close()
+
+    def _publisher(self, topic: str, kind: str) -> Ros2Publisher:
+        return self._node.publisher(topic, kind, type_hash(kind))

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bridge.mavlink.preflight.examine import Report
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import open_session
 from flightstack.common.strict_toml import ConfigError
@@ -15,8 +16,7 @@ from flightstack.config.options import OnboardOptions
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.types import Intent, Neighbour, Operator, Phase
 from flightstack.onboard import process
-from flightstack.onboard.fleet_clock import DRIFT, Least, Offset, OtherClock
-from flightstack.onboard.fleet_wire import FleetWire
+from flightstack.onboard.fleet_wire import DRIFT, FleetWire, Least, Offset, OtherClock
 from flightstack.onboard.process import Onboard
 from flightstack.onboard.runner import LinkedVehicle
 from logs.schema import schemas
@@ -130,15 +130,16 @@ def test_both_hear_each_other_and_the_log_has_it(onboard, other, feed):
     assert {row.id for row in said} == {3}
 
 
-def test_the_start_is_refused_while_another_process_is_the_same_vehicle(onboard, other):
+def test_the_start_is_refused_while_another_process_is_the_same_vehicle(onboard, other, monkeypatch):
     until(lambda: zenoh_link.is_matched(other._publisher))
     other.say(word(3, 0.0))
-    until(lambda: process._alone_with_its_id(onboard, nobody()) is not None)
-    ended = process._alone_with_its_id(onboard, nobody())
+    until(onboard.fleet.namesake)
+    monkeypatch.setattr(process.preflight, "check", lambda *_, **__: Report(None, None, (), None))
+    ended = process._preflight(onboard, nobody(), str)
     assert (ended.phase, ended.exit_code) == (Phase.WAIT, 1)
     assert "another process has the vehicle id 3" in ended.reason
     stopping = SimpleNamespace(operator=Operator.EMERGENCY_STOP, stop=False)
-    assert process._alone_with_its_id(onboard, stopping) is None
+    assert process._preflight(onboard, stopping, str) is None
 
 
 def test_before_its_take_off_a_vehicle_ends_when_another_one_has_its_id(onboard, other):
@@ -161,7 +162,7 @@ def test_before_its_take_off_a_vehicle_ends_when_another_one_has_its_id(onboard,
 def test_a_lone_vehicle_has_no_wire(feed):
     onboard = Onboard(LONE, OnboardOptions(**WHERE), lambda _: None)
     try:
-        assert process._alone_with_its_id(onboard, nobody()) is None
+        assert not onboard.fleet.namesake()
         assert running(onboard).tick() is None
         assert not [topic for topic in feed.topics if "neighbours" in topic or "fleet" in topic]
     finally:

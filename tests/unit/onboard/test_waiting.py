@@ -17,7 +17,7 @@ from flightstack.core.parameters.ends import Retreat
 from flightstack.core.parameters.flight import BarrierShape, Checks, FlightConfig
 from flightstack.core.snapshot import Snapshot
 from flightstack.core.types import Inputs, Landed, Mode, OwnState, Phase, VehicleStatus
-from flightstack.onboard.live_topics import BATTERY_AGE_MAX_S, health_row
+from flightstack.onboard.log import BATTERY_AGE_MAX_S, health_row
 from flightstack.onboard.waiting import TargetSeen, VehicleSeen, WaitReport, countdown, missing
 from flightstack.onboard.zenoh_wires import ZenohWires
 from tests.integration.runs import called
