@@ -57,7 +57,6 @@ FLOWN_S = 0.5  # time after the last set-point when the vehicle no longer counts
 _ANSWERS = (CRTPPort.PARAM, CRTPPort.MEM, CRTPPort.LOGGING, CRTPPort.PLATFORM, CRTPPort.LINKCTRL)
 _LOG_DATA = (CRTPPort.LOGGING, 2)  # port and channel of log packets
 LOGS_MAX_S = 10.0  # time-out of the first packet of each log block, s
-_Senders = dict[Any, Callable[[Any], None]]
 _ARM_REPLY = 0x81  # answer to command 1 on channel 1 of the supervisor's port (cflib supervisor.py)
 
 
@@ -171,8 +170,7 @@ class CrazyflieLink:
         crazyflie.open_link(self._uri)
         if self._flies and self._protocol is not None:  # set-points need a format before the firmware answers
             crazyflie.platform._protocolVersion = self._protocol
-        senders = _senders(crazyflie, put)
-        reason = self._wait_connected(crazyflie, senders)
+        reason = self._wait_connected(crazyflie)
         if reason is not None:
             return reason
         protocol = self._protocol = crazyflie.platform.get_protocol_version()
@@ -185,16 +183,18 @@ class CrazyflieLink:
             if self._ended or time.monotonic() > deadline_s:
                 return self._broken or f"the Crazyflie sends no {name} log"
             logs.step()
-            self._pass_on(crazyflie, senders, 0.02)
+            self._pass_on(crazyflie, 0.02)
         crazyflie.param.add_update_callback(cb=lambda name, value: put(ParamValue(name, str(value))))
         self._put(Connected(protocol, _read_params(crazyflie)))
         while not self._ended:
             logs.step()
-            packet = self._pass_on(crazyflie, senders, 0.1)
+            packet = self._pass_on(crazyflie, 0.1)
             if packet is Order.RECONNECT:
                 return "silent"
-            if isinstance(packet, SetParam | Pose):
-                senders[type(packet)](packet)
+            if isinstance(packet, SetParam) and not _known(crazyflie, packet.name):
+                put(ParamValue(packet.name, None))
+            elif isinstance(packet, SetParam | Pose):
+                _transmit(crazyflie, packet)
         return self._broken or "closed"
 
     @property
@@ -206,7 +206,7 @@ class CrazyflieLink:
     def _ended(self) -> bool:
         return self._closing.is_set() or self._broken is not None
 
-    def _pass_on(self, crazyflie: Any, senders: _Senders, wait_s: float) -> Packet | None:
+    def _pass_on(self, crazyflie: Any, wait_s: float) -> Packet | None:
         """Wait for a packet; set-points and orders are sent as soon as the link is open.
 
         They do not wait for the set-up of the connection, so that a blind landing continues; without a link
@@ -221,14 +221,14 @@ class CrazyflieLink:
             self._flown_s = -math.inf
         # until the protocol version is known, cflib would send an outdated packet format
         if crazyflie.link is not None and crazyflie.platform.get_protocol_version() >= 0:
-            senders[packet if isinstance(packet, Order) else Velocity](packet)
+            _transmit(crazyflie, packet)
         return None
 
-    def _wait_connected(self, crazyflie: Any, senders: _Senders) -> str | None:
+    def _wait_connected(self, crazyflie: Any) -> str | None:
         begin_s = time.monotonic()
         deadline_s = begin_s + CONNECT_MAX_S
         while not self._fully.is_set():
-            self._pass_on(crazyflie, senders, 0.05)
+            self._pass_on(crazyflie, 0.05)
             now_s = time.monotonic()
             if self._broken is not None:
                 return self._broken
@@ -305,31 +305,26 @@ def _read_params(crazyflie: Any) -> dict[str, str]:
     return {name: str(value) for name, value in pairs if value is not None}
 
 
-def _senders(crazyflie: Any, put: Callable[[Event], None]) -> _Senders:
+def _known(crazyflie: Any, parameter: str) -> bool:
+    return crazyflie.param.toc.get_element_by_complete_name(parameter) is not None
+
+
+def _transmit(crazyflie: Any, packet: Packet) -> None:
     commander, supervisor = crazyflie.commander, crazyflie.supervisor
-
-    def velocity(packet: Velocity) -> None:
-        yaw_rate_deg_s = packet.yaw_rate_rad_s * 57.29577951308232  # CRTP expects degrees per second
-        commander.send_velocity_world_setpoint(*packet.velocity_enu_m_s, yaw_rate_deg_s)
-
-    def pose(packet: Pose) -> None:
-        w, x, y, z = packet.quaternion
-        crazyflie.loc.send_extpose(list(packet.position_enu_m), [x, y, z, w])
-
-    def set_param(packet: SetParam) -> None:
-        try:
-            crazyflie.param.set_value(packet.name, packet.value)
-        except KeyError:
-            put(ParamValue(packet.name, None))
-
-    return {
-        Velocity: velocity,
-        Pose: pose,
-        SetParam: set_param,
-        Order.STOP: lambda _: commander.send_stop_setpoint(),
-        Order.NOTIFY_STOP: lambda _: commander.send_notify_setpoint_stop(),
-        Order.ARM: lambda _: supervisor.send_arming_request(True),
-        Order.DISARM: lambda _: supervisor.send_arming_request(False),
-        Order.RECOVER: lambda _: supervisor.send_crash_recovery_request(),
-        Order.EMERGENCY_STOP: lambda _: supervisor.send_emergency_stop(),
-    }
+    match packet:
+        case Velocity(velocity_enu_m_s, yaw_rate_rad_s):  # CRTP expects degrees per second
+            commander.send_velocity_world_setpoint(*velocity_enu_m_s, yaw_rate_rad_s * 57.29577951308232)
+        case Pose(position_enu_m, (w, x, y, z)):
+            crazyflie.loc.send_extpose(list(position_enu_m), [x, y, z, w])
+        case SetParam(name, value):
+            crazyflie.param.set_value(name, value)
+        case Order.STOP:
+            commander.send_stop_setpoint()
+        case Order.NOTIFY_STOP:
+            commander.send_notify_setpoint_stop()
+        case Order.ARM | Order.DISARM:
+            supervisor.send_arming_request(packet is Order.ARM)
+        case Order.RECOVER:
+            supervisor.send_crash_recovery_request()
+        case Order.EMERGENCY_STOP:
+            supervisor.send_emergency_stop()
