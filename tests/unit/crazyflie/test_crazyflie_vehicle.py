@@ -69,19 +69,6 @@ def test_lands_on_silence_when_told_to():
     assert State.LOCKED not in [s for _, s in bench.firmware.supervisor.history]
 
 
-def test_forced_disarm_stops_the_motors_at_once_and_does_not_lock():
-    bench = Bench().offboard()
-    bench.stream = None
-    assert bench.result(400, 0.0, 21196.0) == 0
-    bench.step()
-    assert not bench.firmware.plant.motors
-    assert not bench.vehicle.armed
-    bench.run(6.0)
-    assert not bench.orders(Order.EMERGENCY_STOP)
-    assert bench.firmware.supervisor.state is State.READY
-    assert not bench.vehicle.problems(bench.now_s)
-
-
 def test_a_forced_disarm_that_is_not_seen_becomes_an_emergency_stop():
     bench = Bench().offboard()
     bench.stream, bench.disarm_lost, killed_s = None, True, bench.now_s
@@ -99,18 +86,6 @@ def test_flight_termination_is_an_emergency_stop_also_for_a_ground_station_and_w
     assert bench.result(185, 1.0, sender=GROUND) == 0
     bench.run(0.1)
     assert bench.firmware.supervisor.state is State.LOCKED
-    assert not bench.firmware.plant.motors
-
-
-def test_plain_disarm_in_the_air_is_refused_and_after_a_landing_by_set_points_not():
-    bench = Bench().offboard()
-    assert bench.result(400, 0.0) == 1
-    assert bench.vehicle.armed
-    bench.stream = (0.0, 0.0, 0.2)
-    bench.run(5.0)
-    assert bench.vehicle.standing
-    assert bench.result(400, 0.0) == 0
-    bench.run(0.2)
     assert not bench.firmware.plant.motors
 
 

@@ -42,12 +42,6 @@ def test_position_and_attitude_become_own_state_in_enu(state):
     assert (own.arrival_s, own.source_time_s) == (5.0, pytest.approx(1.0))
 
 
-def test_no_own_state_without_a_heading(state):
-    state.update(position(1000), 5.0)
-    assert state.own is None
-    assert state.counters.without_yaw == 1
-
-
 def test_own_state_stops_when_the_heading_stops(state):
     state.update(attitude(1000), 1.0)
     state.update(position(1400), 1.4)
@@ -82,16 +76,6 @@ def test_repeated_and_late_positions_do_not_refresh_the_state(state, late_ms):
     state.update(position(late_ms, x=9.0), 1.1)
     assert state.own.arrival_s == 1.0
     assert state.counters.out_of_order == 1
-
-
-def test_a_rebooted_vehicle_is_followed(state):
-    state.update(attitude(60_000), 1.0)
-    state.update(position(60_000), 1.0)
-    state.update(position(100, x=9.0), 2.0)  # no heading since the reboot
-    assert state.own.arrival_s == 1.0
-    state.update(attitude(110), 2.01)
-    state.update(position(120, x=9.0), 2.02)
-    assert state.own.position_enu_m[1] == pytest.approx(9.0)
 
 
 @pytest.mark.parametrize("shows", [attitude, position])

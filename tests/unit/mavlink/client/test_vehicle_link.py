@@ -7,12 +7,10 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.endpoint import Endpoint
-from flightstack.core.types import Mode, Request
+from flightstack.core.types import Request
 from tests.unit.mavlink.client.vehicle_link_fakes import (
     HEIGHT,
-    LAND,
     OFFBOARD,
-    TAKEOFF,
     FakeAutopilot,
     Setpoint,
     attitude,
@@ -77,47 +75,6 @@ def test_everything_of_a_tick_is_one_datagram(vehicle, link):
     assert vehicle.endpoint.wait(5.0)
     assert vehicle.endpoint._transport.receive().data.count(b"\xfd") >= 5
     assert vehicle.endpoint.receive() == []
-
-
-def test_a_flight_from_arming_to_motors_off(vehicle, link):
-    """The fake autopilot executes commands, with PX4's double reply and one lost command each."""
-    lost = set()
-    now = 0.0
-    vehicle.send(home())
-
-    def obey(m):
-        if m.get_type() != "COMMAND_LONG" or m.command == 511:
-            return
-        key = (m.command, str(m.param1))
-        if key not in lost:
-            lost.add(key)
-            return
-        vehicle.send(*(dialect.MAVLink_command_ack_message(m.command, 0) for _ in range(2)))
-        if m.command == 400:
-            vehicle.armed = m.param1 == 1.0
-        vehicle.mode = {176: OFFBOARD, 22: TAKEOFF, 21: LAND}.get(m.command, vehicle.mode)
-        vehicle.beat()
-
-    for request, reached in (
-        (Request.TAKEOFF, lambda: link.state.status.mode is Mode.EXTERNAL and link.state.status.armed),
-        (Request.EXTERNAL, lambda: link.state.status.mode is Mode.EXTERNAL),
-        (Request.LAND, lambda: link.state.status.mode is Mode.LAND),
-        (Request.MOTORS_OFF, lambda: not link.state.status.armed),
-    ):
-        deadline = now + 4.0
-        while link.state.status is None or not reached():
-            assert now < deadline, request
-            vehicle.send(position(round(now * 1000)))
-            poll(link, now)
-            link.command(request, now)
-            link.send_setpoint(Setpoint((0.0, 0.0, 0.0), 0.0), now)
-            link.flush()
-            for message in vehicle.take("SET_POSITION_TARGET_LOCAL_NED"):
-                obey(message)
-            if round(now * 100) % 100 == 0:
-                vehicle.beat()
-            now += 0.01
-        assert link.failed is None
 
 
 def test_a_refusal_is_explained(vehicle, link):
