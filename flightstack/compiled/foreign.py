@@ -6,13 +6,9 @@ Plain Python (``NUMBA_DISABLE_JIT=1``) uses ctypes. An address is valid as long 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Protocol, cast
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Protocol
 
 from flightstack.compiled.jit import is_off, load_numba
-from flightstack.compiled.records import layout
 
 
 class Doubles(Protocol):
@@ -30,11 +26,6 @@ if TYPE_CHECKING or is_off():
         """Return the numbers at an address."""
         return ctypes.cast(int(address), _NUMBERS)
 
-    def record_at(declaration: Any) -> Callable[[int], Any]:
-        """Return a function that returns the record at an address."""
-        kind = np.ctypeslib.as_ctypes_type(cast(Any, np.dtype(layout(declaration).descr)))
-        return lambda address: kind.from_address(address)
-
     def whole(address: int) -> int:
         """Return the C int at an address."""
         return ctypes.c_int.from_address(int(address)).value
@@ -51,7 +42,7 @@ if TYPE_CHECKING or is_off():
 else:
     load_numba()
     from llvmlite import ir
-    from numba import from_dtype, types
+    from numba import types
     from numba.core import cgutils
     from numba.extending import intrinsic
 
@@ -63,19 +54,6 @@ else:
             return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
 
         return types.CPointer(types.float64)(types.intp), code
-
-    def record_at(declaration: Any) -> Any:
-        """Return a function that returns the record at an address, for compiled code only."""
-        kind = from_dtype(layout(declaration))
-
-        @intrinsic
-        def record(_typing: Any, _address: Any) -> Any:
-            def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-                return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
-
-            return kind(types.intp), code
-
-        return record
 
     @intrinsic
     def whole(_typing: Any, _address: Any) -> Any:

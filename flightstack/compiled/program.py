@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import ctypes
 import time
-from collections.abc import Callable
 from functools import cache
-from typing import Annotated, Any, ClassVar, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
-from flightstack.compiled.foreign import ask, doubles, record_at, whole
+from flightstack.compiled.foreign import ask, doubles, whole
 from flightstack.compiled.jit import forbid_compiling, jitted
 from flightstack.compiled.objects import Objects
-from flightstack.compiled.records import F64, Record, cell, new
 from flightstack.core.numeric import twin
 from flightstack.core.safety import qp_filter
 from flightstack.core.safety.qp_filter import FilterResult, SafetyFilter, solver_settings
@@ -27,23 +25,6 @@ _DOUBLE = 8  # bytes of a double
 _data_and_start, _clipped = twin(qp_filter.data_and_start, jitted), twin(qp_filter.clipped, jitted)
 
 
-class ProgramRecord(Record):
-    """Addresses of OSQP's functions and numbers, and the data that the solver receives."""
-
-    update_vectors: int
-    update_matrix: int
-    warm_start: int
-    solve: int
-    solver: int
-    numbers_at: int  # address of ``numbers``
-    solution: int
-    status: int
-    iterations: int
-    solved: int
-    infinity: float
-    numbers: Annotated[F64, NUMBERS]
-
-
 class _Csc(ctypes.Structure):
     """C struct OSQPCscMatrix."""
 
@@ -51,44 +32,6 @@ class _Csc(ctypes.Structure):
         ("m", ctypes.c_int), ("n", ctypes.c_int), ("p", ctypes.c_void_p), ("i", ctypes.c_void_p),
         ("x", ctypes.c_void_p), ("nzmax", ctypes.c_int), ("nz", ctypes.c_int), ("owned", ctypes.c_int),
     )  # fmt: skip
-
-
-class OwnProgram:
-    """Owner of the solver to which a record points."""
-
-    def __init__(self, record: ProgramRecord) -> None:
-        osqp, self._record = compiled_solver(), record
-        library = ctypes.CDLL(osqp.__file__)
-        settings = solver_settings(osqp)
-        hessian, constraint = columns(np.eye(3)), columns(np.vstack([np.ones((1, 3)), np.eye(3)]))
-        numbers = record.numbers
-        numbers[:] = 1.0
-        numbers[3:7], numbers[7:11], record.infinity = -1.0, osqp.OSQP_INFTY, osqp.OSQP_INFTY
-        record.numbers_at = at = numbers.ctypes.data
-        self._kept = (settings, hessian, constraint)  # the solver uses the memory of these objects
-        p, a, solver = _csc(hessian), _csc(constraint), ctypes.c_void_p()
-        failed = library.osqp_setup(
-            ctypes.byref(solver), ctypes.byref(p), ctypes.c_void_p(at), ctypes.byref(a),
-            ctypes.c_void_p(at + 3 * _DOUBLE), ctypes.c_void_p(at + 7 * _DOUBLE), 4, 3,
-            ctypes.c_void_p(_held(settings)),
-        )  # fmt: skip
-        if failed or solver.value is None:
-            raise RuntimeError(f"OSQP refuses the landing's program: error {failed}")
-        self._cleanup, self._solver = library.osqp_cleanup, solver
-        _, solution, info, _ = (ctypes.c_int64 * 4).from_address(solver.value)  # OSQPSolver: pointers
-        record.solver, record.status, record.iterations = (
-            solver.value, info + _STATUS_AT, info + _ITERATIONS_AT,
-        )  # fmt: skip
-        record.solution = ctypes.c_int64.from_address(solution).value
-        record.update_vectors, record.update_matrix, record.warm_start, record.solve = (
-            ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0
-            for name in ("osqp_update_data_vec", "osqp_update_data_mat", "osqp_warm_start", "osqp_solve")
-        )
-        record.solved = int(osqp.osqp_status_type.OSQP_SOLVED)
-
-    def __del__(self) -> None:
-        if getattr(self, "_solver", None):
-            self._cleanup(self._solver)
 
 
 def _held(one: Any) -> int:
@@ -101,37 +44,24 @@ def _csc(m: Columns) -> _Csc:
     return _Csc(m.shape[0], m.shape[1], *places, m.nnz, -1, 0)
 
 
-@jitted
-def _solved(p: ProgramRecord) -> Vec3:
-    """Solve the program with the stored numbers; return NaN if the solver failed."""
-    at = p.numbers_at
-    ask(p.update_vectors, (p.solver, at, at + 3 * _DOUBLE, at + 7 * _DOUBLE))
-    ask(p.update_matrix, (p.solver, 0, 0, 0, at + 11 * _DOUBLE, 0, 6))
-    ask(p.warm_start, (p.solver, at + 17 * _DOUBLE, at + 20 * _DOUBLE))
-    ask(p.solve, (p.solver,))
-    if whole(p.status) != p.solved:
-        return (np.nan, np.nan, np.nan)
-    x = doubles(p.solution)
-    return (x[0], x[1], x[2])
-
-
-_record: Callable[[int], ProgramRecord] = record_at(ProgramRecord)
-
-
 def _osqp(
     one: CompiledFilter, nominal: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3, start: Vec3,
     multiplier: float,
 ) -> tuple[Vec3, float, int]:  # fmt: skip
     """Compiled form of ``SafetyFilter._osqp``."""
-    p = _record(one.address)
-    given = _data_and_start(nominal, gradient, bound, lower, upper, p.infinity, start, multiplier)
+    given = _data_and_start(nominal, gradient, bound, lower, upper, one.infinity, start, multiplier)
+    numbers, at, solver = doubles(one.numbers), one.numbers, one.solver
     for i in range(NUMBERS):
-        p.numbers[i] = given[i]
-    x, y, z = _solved(p)
-    iterations = whole(p.iterations) + 0
-    if not np.isfinite(x + y + z):
-        return (x, y, z), np.inf, iterations
-    point, residual = _clipped((x, y, z), gradient, bound, lower, upper)
+        numbers[i] = given[i]
+    ask(one.update_vectors, (solver, at, at + 3 * _DOUBLE, at + 7 * _DOUBLE))
+    ask(one.update_matrix, (solver, 0, 0, 0, at + 11 * _DOUBLE, 0, 6))
+    ask(one.warm_start, (solver, at + 17 * _DOUBLE, at + 20 * _DOUBLE))
+    ask(one.run, (solver,))
+    found, iterations = doubles(one.solution), whole(one.iterations) + 0
+    point = (found[0], found[1], found[2])
+    if whole(one.status) != one.solved or not np.isfinite(point[0] + point[1] + point[2]):
+        return point, np.inf, iterations
+    point, residual = _clipped(point, gradient, bound, lower, upper)
     return point, residual, iterations
 
 
@@ -151,18 +81,53 @@ class CompiledFilter(SafetyFilter):
     """
 
     compiled: ClassVar = {"solve": SafetyFilter.solve, "_osqp": _osqp, "_time_s": _no_time_s}
-    address: int
+    # addresses of OSQP's functions, of its solver, and of the numbers that it reads and writes
+    update_vectors: int
+    update_matrix: int
+    warm_start: int
+    run: int
+    solver: int
+    numbers: int
+    solution: int
+    status: int
+    iterations: int
+    solved: int  # status of a program that is solved
+    infinity: float
 
     def __init__(self, plain: SafetyFilter) -> None:
-        record = new(ProgramRecord)
-        self._program, self._record = OwnProgram(record), record
-        self.omega_1_s, self.enforces = plain.omega_1_s, plain.enforces
-        self.address = np.asarray(cell(record)).ctypes.data
+        self.omega_1_s, self.enforces, self._plain = plain.omega_1_s, plain.enforces, plain
+        osqp = compiled_solver()
+        library, settings, numbers = ctypes.CDLL(osqp.__file__), solver_settings(osqp), np.ones(NUMBERS)
+        hessian, constraint = columns(np.eye(3)), columns(np.vstack([np.ones((1, 3)), np.eye(3)]))
+        self._kept = (settings, hessian, constraint, numbers)  # the solver uses the memory of these objects
+        numbers[3:7], numbers[7:11], self.infinity = -1.0, osqp.OSQP_INFTY, osqp.OSQP_INFTY
+        self.numbers = at = numbers.ctypes.data
+        p, a, solver = _csc(hessian), _csc(constraint), ctypes.c_void_p()
+        failed = library.osqp_setup(
+            ctypes.byref(solver), ctypes.byref(p), ctypes.c_void_p(at), ctypes.byref(a),
+            ctypes.c_void_p(at + 3 * _DOUBLE), ctypes.c_void_p(at + 7 * _DOUBLE), 4, 3,
+            ctypes.c_void_p(_held(settings)),
+        )  # fmt: skip
+        if failed or solver.value is None:
+            raise RuntimeError(f"OSQP refuses the landing's program: error {failed}")
+        self._cleanup, self.solver = library.osqp_cleanup, solver.value
+        _, solution, info, _ = (ctypes.c_int64 * 4).from_address(self.solver)  # OSQPSolver: pointers
+        self.status, self.iterations = info + _STATUS_AT, info + _ITERATIONS_AT
+        self.solution = ctypes.c_int64.from_address(solution).value
+        self.update_vectors, self.update_matrix, self.warm_start, self.run = (
+            ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0
+            for name in ("osqp_update_data_vec", "osqp_update_data_mat", "osqp_warm_start", "osqp_solve")
+        )
+        self.solved = int(osqp.osqp_status_type.OSQP_SOLVED)
         self._objects = Objects(self)
-        self._handle, self._answered, self._plain = self._objects.handle, cast("Any", _answered), plain
+        self._handle, self._answered = self._objects.handle, cast("Any", _answered)
         low, high = (-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)
         self._answered(self._handle, (0.0, 0.0, 0.0), 0.1, (0.1, 0.2, 1.0), 0.0, low, high)
         forbid_compiling(_answered)
+
+    def __del__(self) -> None:
+        if getattr(self, "solver", None):
+            self._cleanup(ctypes.c_void_p(self.solver))
 
     def solve(
         self, nominal: Vec3, h_m: float, gradient: Vec3, dh_dt_m_s: float, lower: Vec3, upper: Vec3

@@ -16,6 +16,7 @@ from flightstack.compiled.core import (
     is_possible,
 )
 from flightstack.compiled.jit import OFF, is_off
+from flightstack.compiled.objects import Objects
 from flightstack.compiled.program import CompiledFilter
 from flightstack.core.controller import Controller
 from flightstack.core.safety.qp_filter import SafetyFilter
@@ -101,7 +102,9 @@ def test_any_program_is_answered_alike(filters, nominal, h_m, gradient, dh_dt_m_
 def test_where_the_solver_fails_the_exact_projection_is_the_answer(filters, monkeypatch):
     program, machine = filters
     monkeypatch.setattr(program, "_solved", -77)
-    monkeypatch.setattr(machine._record, "solved", -77)
+    monkeypatch.setattr(machine, "solved", -77)
+    objects = Objects(machine)
+    monkeypatch.setattr(machine, "_handle", objects.handle)
     given_ = ((0.1, 0.0, -0.4), 0.1, (0.3, 0.4, 1.0), 0.0, (-0.2, -0.2, -0.5), (0.2, 0.2, 0.5))
     found = [each.solve(*given_)._replace(solve_s=0.0) for each in filters]
     assert {each.status for each in found} == {FilterStatus.CLOSED_FORM}
