@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from flightstack.core.fleet.member import NO_ROWS
 from flightstack.core.fleet.precedence import ALONE
 from flightstack.core.kernel import Barriers, LandingKernel
-from flightstack.core.memory import FilterMemory, FleetState, LateState, ReserveMemory, State, WholeState
+from flightstack.core.memory import FilterMemory, FleetMemory, LateMemory, OwnMemory, ReserveMemory, State
 from flightstack.core.mission.guidance import NominalCommand, Situation, nominal_command
 from flightstack.core.mission.machine import Transition
 from flightstack.core.parameters.filters import FILTERS
@@ -76,28 +76,24 @@ def _level(transition: Transition) -> int:
 
 
 def state_class(config: FlightConfig) -> type[State]:
-    """Return the class of the controller state that this configuration needs."""
-    kind = _packaged(config)
-    if config.filter in FILTERS:
-        return kind
-    found = strategy_class(config.filter)
-    return kind if found.filter is Filter.filter else _with_filter(kind, found.State)  # type: ignore[arg-type]
+    """Return the class of the controller state that this configuration needs; logs contain its name."""
+    late, name, parts = config.velocity_loop.dead_time_s > 0.0, "State", dict[str, Any]()
+    if config.fleet is not None or late or config.reserve is not None or config.own.learns:
+        name, parts = "WholeState", {"reserve": ReserveMemory, "own": OwnMemory}
+    if config.fleet is not None:
+        name, parts["fleet"] = "FleetState", FleetMemory
+    elif late:
+        name, parts["late"] = "LateState", LateMemory
+    if config.filter not in FILTERS and (found := strategy_class(config.filter)).filter is not Filter.filter:
+        name, parts["filter"] = "FilterState", FilterMemory
+        if found.State is not None:
+            parts["filter_state"] = found.State
+    return _extended(name, tuple(parts.items())) if parts else State
 
 
 @lru_cache(maxsize=16)
-def _with_filter(kind: type[State], own: type[Any] | None) -> type[State]:
-    """Extend a state class by the state of a user's filter."""
-    parts = [("filter", FilterMemory), *([("filter_state", own)] if own is not None else [])]
-    made: type[State] = make_dataclass("FilterState", parts, bases=(kind,), slots=True)
-    return made
-
-
-def _packaged(config: FlightConfig) -> type[State]:
-    if config.fleet is not None:
-        return FleetState
-    if config.velocity_loop.dead_time_s > 0.0:
-        return LateState
-    return WholeState if config.reserve is not None or config.own.learns else State
+def _extended(name: str, parts: tuple[tuple[str, Any], ...]) -> type[State]:
+    return make_dataclass(name, parts, bases=(State,), slots=True)
 
 
 class Controller(LandingKernel):
@@ -106,19 +102,16 @@ class Controller(LandingKernel):
     @property
     def state(self) -> State:
         """Controller state. The next step changes these objects, so log or copy them before it."""
-        strategy = self.strategy
-        known = (self.memory, self.track.memory, strategy.motion, strategy.tracking, self.plausibility.memory)
+        strategy, estimate, fleet = self.strategy, self.reserve_estimate, self._fleet
+        parts = {
+            "memory": self.memory, "track": self.track.memory, "motion": strategy.motion,
+            "tracking": strategy.tracking, "plausibility": self.plausibility.memory,
+            "reserve": estimate.memory if estimate is not None else ReserveMemory(), "own": strategy.own,
+            "late": strategy.late, "fleet": fleet.memory if fleet is not None else None,
+            "filter": strategy.memory, "filter_state": strategy.state,
+        }  # fmt: skip
         kind = state_class(self.config)
-        more: tuple[Any, ...] = ()
-        if issubclass(kind, WholeState):
-            more = (self.reserve_estimate.memory if self.reserve_estimate else ReserveMemory(), strategy.own)
-        if issubclass(kind, LateState):
-            more = (*more, strategy.late)
-        if issubclass(kind, FleetState) and self._fleet is not None:
-            more = (*more, self._fleet.memory)
-        if strategy.replaces_program:
-            more = (*more, strategy.memory, *([strategy.state] if strategy.state is not None else []))
-        return kind(*known, *more)
+        return kind(*(parts[part.name] for part in fields(kind)))
 
     def restore(self, state: State) -> None:
         """Restore a recorded state."""

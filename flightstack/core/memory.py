@@ -196,28 +196,16 @@ class AskedMemory:
 
 @dataclass(slots=True)
 class State:
-    """Complete controller state: with the configuration and the next inputs it determines all outputs."""
+    """Complete controller state: with the configuration and the next inputs it determines all outputs.
+
+    ``controller.state_class`` adds the parts that only some configurations use.
+    """
 
     memory: Memory
     track: TrackMemory
     motion: MotionMemory
     tracking: TrackingMemory
     plausibility: PlausibilityMemory
-
-
-@dataclass(slots=True)
-class WholeState(State):
-    """``State`` with parts that only some configurations use; other logs keep their layout."""
-
-    reserve: ReserveMemory
-    own: OwnMemory
-
-
-@dataclass(slots=True)
-class LateState(WholeState):
-    """``WholeState`` of a vehicle whose velocity loop has a dead time."""
-
-    late: LateMemory
 
 
 @dataclass(slots=True)
@@ -255,10 +243,3 @@ class FleetMemory:
     left: bool = False  # the vehicle has left its pad for another vehicle, or has tried to
     stays: bool = False  # the event that the vehicle does not leave its pad was sent
     place_enu_m: Vec3 | None = None  # place where the vehicle lands after leaving its pad
-
-
-@dataclass(slots=True)
-class FleetState(WholeState):
-    """``WholeState`` of a vehicle in a fleet."""
-
-    fleet: FleetMemory

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import fields
 
 from bridge.mavlink.client.vehicle_state import Battery
 from bridge.mavlink.endpoint import Direction
@@ -12,7 +13,7 @@ from bridge.target.odometry import RawSample
 from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import Tick
 from flightstack.core.controller import Outputs
-from flightstack.core.memory import FleetState, State
+from flightstack.core.memory import State
 from flightstack.onboard.runner import Taken
 from flightstack.onboard.state_text import StateText
 from logs.recorder.feed import Feed
@@ -75,7 +76,7 @@ class OnboardLog:
         self._input = feed.channel(f"/{namespace}/controller/input", CONTROLLER_INPUT)
         self._step = feed.channel(f"/{namespace}/controller/step", CONTROLLER_STEP)
         self._power = feed.channel(f"/{namespace}/controller/power", CONTROLLER_POWER) if reserve else None
-        fleet = issubclass(state, FleetState)
+        fleet = "fleet" in {part.name for part in fields(state)}
         neighbours = f"/{namespace}/controller/neighbours"
         self._neighbours = feed.channel(neighbours, CONTROLLER_NEIGHBOURS) if fleet else None
         self._word = feed.channel(f"/{namespace}/fleet/word", FLEET_WORD) if fleet else None

@@ -17,7 +17,7 @@ from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.client.silence import Arrivals, why_silent
 from flightstack.core.controller import WARN, Outputs
 from flightstack.core.memory import Memory
-from flightstack.core.mission.conditions import DRIFT_CAUSES
+from flightstack.core.mission.machine import DRIFT_CAUSES
 from flightstack.core.parameters.flight import Checks, FlightConfig
 from flightstack.core.types import Landed, Mode, Phase, VehicleStatus
 from flightstack.onboard.zenoh_wires import ZenohWires

@@ -1,4 +1,4 @@
-"""Flags of the phase tables, computed from the snapshot of a tick, and the reason text of a rule.
+"""Flags of the phase tables, computed from the snapshot of a tick.
 
 The functions of this module keep no state.
 """
@@ -6,28 +6,20 @@ The functions of this module keep no state.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
-from typing import NamedTuple
 
 from flightstack.core.memory import Memory
-from flightstack.core.mission.phases import START_LATE, TIME_OVER, C, Condition, Rule
+from flightstack.core.mission.phases import C
 from flightstack.core.numeric import hypot, numeric
 from flightstack.core.parameters.flight import Checks, FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.snapshot import Relative, Snapshot
 from flightstack.core.strategies.strategy import Filter
-from flightstack.core.target.plausibility import Plausibility
-from flightstack.core.target.track import TargetState, TargetTrack
+from flightstack.core.target.track import TargetState
 from flightstack.core.types import Charge, Landed, Mode, Operator, OwnState, Phase, Vec3, VehicleStatus
 
 OVER_PAD_LEFT = 1.5  # factor on the pad's radius within which phase LAND continues
 TAKEOFF_DONE = 0.85  # share of the take-off height above which the take-off climb is over
 LANDED_SETTLE_S = 2.2  # time at rest on the pad until the flight is over, s; the verdict requires 2 s
-DRIFT_CAUSES = (
-    "usual causes: a twist in header.frame_id instead of child_frame_id, a heading that is off by 180 "
-    "degrees, swapped axes"
-)
 _ASKED: dict[Operator, int] = {
     Operator.NONE: 0,
     Operator.ABORT: C.ABORT_ASKED,
@@ -285,107 +277,3 @@ def waits_for_calm(config: FlightConfig, memory: Memory, at: Relative, now_s: fl
         return False
     velocity_m_s = at.target.velocity_enu_m_s
     return hypot(velocity_m_s[0], velocity_m_s[1]) >= touchdown.calm_speed_m_s
-
-
-class Known(NamedTuple):
-    """Data for the numbers in a reason text."""
-
-    checks: Checks  # limits of the configuration
-    snapshot: Snapshot  # inputs of the tick, with the results of their checks
-    plausibility: Plausibility  # checks of the vehicle state and of set-point tracking
-    track: TargetTrack  # track of the target's samples
-    now_s: float  # time on the stack clock
-    battery: str = ""  # problem of the battery; empty: no problem
-    velocity_max_m_s: float = 0.0  # largest horizontal velocity of the configuration
-    swings: int = 0  # number of times the vehicle has left the cone over the pad
-    refusal: str = ""  # why the result of a user's filter is not a valid velocity
-
-
-def reason(rule: Rule[Phase], flags: int, known: Known) -> str:
-    """Return the reason text of a rule that fires, with the numbers of its conditions that hold."""
-    if rule.when & C.ABORT_ASKED and known.snapshot.inputs.operator is Operator.TIME_OVER:
-        return TIME_OVER
-    asked = (rule.when | rule.about) & flags
-    told = [say(known) for condition, say in _NUMBERS.items() if asked & condition]
-    way = known.snapshot.way
-    if not told and rule.about & ~flags & Condition.READY:
-        others = "" if way.may_begin else way.text
-        told = [known.battery or others or "the vehicle does not say that it is ready to arm"]
-    if not told and rule.about & ~flags & Condition.RECOVERED:
-        least_s = known.checks.recovery_time_s
-        told = [f"not all of them were good for {least_s:g} s without a gap (checks.recovery_time_s)"]
-    target = known.snapshot.target
-    if rule is START_LATE and target is not None:
-        speed_m_s, most_m_s = math.hypot(*target.velocity_enu_m_s[:2]), known.velocity_max_m_s
-        told = [f"the target drives at {speed_m_s:.2f} m/s; limits.velocity_max_m_s is {most_m_s:g}"]
-    if rule.when & Condition.LANDING_TIME_OVER and way.waited:
-        told = [way.text]
-    return f"{rule.reason}: {', '.join(told)}" if told else rule.reason
-
-
-def _own(known: Known) -> str:
-    checks, watched, own = known.checks, known.plausibility, known.snapshot.inputs.own
-    if own is None:
-        return "no own state has come"
-    if watched.memory.distrusted:
-        return (
-            f"drift, the position went {watched.drift_m:.2f} m where no velocity took it; "
-            f"checks.own_drift_max_m is {checks.own_drift_max_m:g}"
-        )
-    last = watched.memory.last
-    limit = f"checks.own_age_max_s is {checks.own_age_max_s:g}"
-    if last is not None and last.arrival_s < own.arrival_s:
-        return f"its numbers repeat since {known.now_s - last.arrival_s:.2f} s; {limit}"
-    return f"the own state is {known.now_s - own.arrival_s:.2f} s old; {limit}"
-
-
-def _heartbeat(known: Known) -> str:
-    status = known.snapshot.inputs.status
-    if status is None:
-        return "no heartbeat has come"
-    age_s = known.now_s - status.arrival_s
-    limit = f"checks.status_age_max_s is {known.checks.status_age_max_s:g}"
-    return f"the newest heartbeat is {age_s:.1f} s old; {limit}"
-
-
-def _target(known: Known) -> str:
-    target, refusal = known.snapshot.target, known.track.memory.refusal
-    if known.track.memory.distrusted:
-        return (
-            f"the target's positions moved {known.track.memory.parted_m:.2f} m away from where its velocity "
-            f"leads; checks.target_drift_max_m is {known.checks.target_drift_max_m:g}; {DRIFT_CAUSES}"
-        )
-    refused = f", the newest was refused: {refusal}" if refusal else ""
-    if target is None:
-        return f"no sample of the target has been accepted{refused}"
-    limit = f"checks.target_age_max_s is {known.checks.target_age_max_s:g}"
-    return f"the target's newest sample is {target.age_s:.2f} s old; {limit}{refused}"
-
-
-def _swinging(known: Known) -> str:
-    checks, swings = known.checks, known.swings
-    if swings >= checks.swings_max:
-        return f"left the cone over it {swings + 1} times; checks.swings_max is {checks.swings_max}"
-    return f"no touchdown in checks.over_pad_time_max_s, {checks.over_pad_time_max_s:g} s"
-
-
-def _follow(known: Known) -> str:
-    checks, watched = known.checks, known.plausibility
-    return (
-        f"it lags {watched.tracking_lag_m:.2f} m behind its set-points; "
-        f"{watched.tracking_lag_max_m:.2f} m are allowed "
-        f"by checks.follow_lag_max_s, {checks.follow_lag_max_s:g}"
-    )
-
-
-_NUMBERS: Mapping[Condition, Callable[[Known], str]] = MappingProxyType(
-    {
-        Condition.OWN_LOST: _own,
-        Condition.LINK_LOST: _heartbeat,
-        Condition.TARGET_LOST: _target,
-        Condition.NOT_FOLLOWING: _follow,
-        Condition.SWINGS: _swinging,
-        Condition.TIRED: lambda known: known.battery,
-        Condition.NO_RESULT: lambda known: known.refusal,
-    }
-)

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from typing import NamedTuple
 
 from flightstack.core.memory import AbortWay, Memory
 from flightstack.core.mission.conditions import (
     LANDED_SETTLE_S,
-    Known,
     PhaseTimes,
     climbed,
     condition_flags,
@@ -21,10 +21,9 @@ from flightstack.core.mission.conditions import (
     high_enough_m,
     landing_flags,
     phase_times_s,
-    reason,
     time_flags,
 )
-from flightstack.core.mission.phases import next_phase, next_way
+from flightstack.core.mission.phases import ABORT_TABLE, START_LATE, TABLE, TIME_OVER, C, Rule, first
 from flightstack.core.numeric import hypot
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
@@ -33,7 +32,7 @@ from flightstack.core.strategies.strategy import Filter
 from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.reserve import ReserveEstimate
 from flightstack.core.target.track import TargetTrack
-from flightstack.core.types import Landed, Mode, Phase, VehicleStatus
+from flightstack.core.types import Landed, Mode, Operator, Phase, VehicleStatus
 
 _PHASES, _WAYS = "|".join(Phase.__members__), "|".join(w.name.lower().replace("_", " ") for w in AbortWay)
 _TIME = r"(?: *[0-9.]+ s  )?"
@@ -44,6 +43,10 @@ SLIDING_TIME_S = 0.15  # horizon of a slide, s: contact is detected 0.1 s late, 
 ABORT_SETTLE_S = 1.0  # minimum time in an abort, s: a heartbeat reports its end
 PLACE_RADIUS_M = 0.1  # largest distance from the place beside the target for a landing, m
 PLACE_SPEED_M_S = 0.15  # largest horizontal speed for a landing beside the target, m/s
+DRIFT_CAUSES = (
+    "usual causes: a twist in header.frame_id instead of child_frame_id, a heading that is off by 180 "
+    "degrees, swapped axes"
+)
 RETRY_FROM = frozenset({Phase.HOLD, Phase.CLIMB, Phase.TOUCHDOWN})
 RETRY_TO = frozenset({Phase.APPROACH, Phase.TAKEOFF})
 _NOT_FLYING = frozenset({Landed.ON_GROUND, Landed.UNKNOWN})
@@ -230,17 +233,11 @@ class Mission:
     def _change(self, snapshot: Snapshot, flags: int, now_s: float) -> Transition | None:
         """Apply the first matching rule of the phase's table."""
         memory = self.memory
-        rule = next_phase(memory.phase, flags)
+        rule = first(TABLE[memory.phase], flags)
         if rule is None:
             return None
         before, after = memory.phase, rule.to
-        battery = self._reserve.text if self._reserve else ""
-        most_m_s = min(self._config.limits.velocity_max_m_s[:2])
-        known = Known(
-            self._config.checks, snapshot, self._plausibility, self._track, now_s, battery, most_m_s,
-            memory.swings, self._strategy.memory.refusal,
-        )  # fmt: skip
-        why = reason(rule, flags, known)
+        why = self.reason(rule, flags, snapshot, now_s)
         if before in RETRY_FROM and after in RETRY_TO:
             memory.retries += 1
         if before is Phase.LAND and after is Phase.APPROACH:
@@ -260,11 +257,93 @@ class Mission:
     def _abort(self, flags: int) -> Transition | None:
         """Choose how the abort ends the flight; a stronger command of the operator may replace the choice."""
         memory = self.memory
-        rule = next_way(memory.abort_way, flags)
+        rule = first(ABORT_TABLE[memory.abort_way], flags)
         if rule is None:
             return None
         memory.abort_way = rule.to
         return Transition(Phase.ABORT, Phase.ABORT, rule.reason, rule.to)
+
+    def reason(self, rule: Rule[Phase], flags: int, seen: Snapshot, now_s: float) -> str:
+        """Return the reason text of a rule that fires, with the numbers of its conditions that hold."""
+        if rule.when & C.ABORT_ASKED and seen.inputs.operator is Operator.TIME_OVER:
+            return TIME_OVER
+        checks, target, battery = (
+            self._config.checks,
+            seen.target,
+            self._reserve.text if self._reserve else "",
+        )
+        asked = (rule.when | rule.about) & flags
+        numbers: tuple[tuple[int, Callable[[], str]], ...] = (
+            (C.OWN_LOST, lambda: self._own_lost(seen, now_s)),
+            (C.LINK_LOST, lambda: self._link_lost(seen, now_s)),
+            (C.TARGET_LOST, lambda: self._target_lost(seen)),
+            (C.NOT_FOLLOWING, self._not_following),
+            (C.SWINGS, self._swinging),
+            (C.TIRED, lambda: battery),
+            (C.NO_RESULT, lambda: self._strategy.memory.refusal),
+        )
+        told = [say() for condition, say in numbers if asked & condition]
+        if not told and rule.about & ~flags & C.READY:
+            others = "" if seen.way.may_begin else seen.way.text
+            told = [battery or others or "the vehicle does not say that it is ready to arm"]
+        if not told and rule.about & ~flags & C.RECOVERED:
+            least_s = checks.recovery_time_s
+            told = [f"not all of them were good for {least_s:g} s without a gap (checks.recovery_time_s)"]
+        if rule is START_LATE and target is not None:
+            speed_m_s = math.hypot(*target.velocity_enu_m_s[:2])
+            most_m_s = min(self._config.limits.velocity_max_m_s[:2])
+            told = [f"the target drives at {speed_m_s:.2f} m/s; limits.velocity_max_m_s is {most_m_s:g}"]
+        if rule.when & C.LANDING_TIME_OVER and seen.way.waited:
+            told = [seen.way.text]
+        return f"{rule.reason}: {', '.join(told)}" if told else rule.reason
+
+    def _own_lost(self, seen: Snapshot, now_s: float) -> str:
+        checks, watched, own = self._config.checks, self._plausibility, seen.inputs.own
+        if own is None:
+            return "no own state has come"
+        if watched.memory.distrusted:
+            return (
+                f"drift, the position went {watched.drift_m:.2f} m where no velocity took it; "
+                f"checks.own_drift_max_m is {checks.own_drift_max_m:g}"
+            )
+        last, limit = watched.memory.last, f"checks.own_age_max_s is {checks.own_age_max_s:g}"
+        if last is not None and last.arrival_s < own.arrival_s:
+            return f"its numbers repeat since {now_s - last.arrival_s:.2f} s; {limit}"
+        return f"the own state is {now_s - own.arrival_s:.2f} s old; {limit}"
+
+    def _link_lost(self, seen: Snapshot, now_s: float) -> str:
+        status = seen.inputs.status
+        if status is None:
+            return "no heartbeat has come"
+        limit = f"checks.status_age_max_s is {self._config.checks.status_age_max_s:g}"
+        return f"the newest heartbeat is {now_s - status.arrival_s:.1f} s old; {limit}"
+
+    def _target_lost(self, seen: Snapshot) -> str:
+        checks, target, track = self._config.checks, seen.target, self._track.memory
+        if track.distrusted:
+            return (
+                f"the target's positions moved {track.parted_m:.2f} m away from where its velocity "
+                f"leads; checks.target_drift_max_m is {checks.target_drift_max_m:g}; {DRIFT_CAUSES}"
+            )
+        refused = f", the newest was refused: {track.refusal}" if track.refusal else ""
+        if target is None:
+            return f"no sample of the target has been accepted{refused}"
+        limit = f"checks.target_age_max_s is {checks.target_age_max_s:g}"
+        return f"the target's newest sample is {target.age_s:.2f} s old; {limit}{refused}"
+
+    def _swinging(self) -> str:
+        checks, swings = self._config.checks, self.memory.swings
+        if swings >= checks.swings_max:
+            return f"left the cone over it {swings + 1} times; checks.swings_max is {checks.swings_max}"
+        return f"no touchdown in checks.over_pad_time_max_s, {checks.over_pad_time_max_s:g} s"
+
+    def _not_following(self) -> str:
+        watched = self._plausibility
+        return (
+            f"it lags {watched.tracking_lag_m:.2f} m behind its set-points; "
+            f"{watched.tracking_lag_max_m:.2f} m are allowed "
+            f"by checks.follow_lag_max_s, {self._config.checks.follow_lag_max_s:g}"
+        )
 
     def progress(self, snapshot: Snapshot) -> None:
         """Detect the end of a climb from ground or pad, and that the vehicle has flown clear."""

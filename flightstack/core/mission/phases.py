@@ -224,17 +224,8 @@ ABORT_TABLE: dict[AbortWay, tuple[Rule[AbortWay], ...]] = {
 }
 
 
-def next_phase(phase: Phase, conditions: int) -> Rule[Phase] | None:
-    """Return the first matching rule of the phase; ``None`` if the phase remains."""
-    return _first(TABLE[phase], conditions)
-
-
-def next_way(way: AbortWay, conditions: int) -> Rule[AbortWay] | None:
-    """Return the first matching rule of a kind of abort; ``None`` if the kind remains."""
-    return _first(ABORT_TABLE[way], conditions)
-
-
-def _first(rules: tuple[Rule[To], ...], conditions: int) -> Rule[To] | None:
+def first(rules: tuple[Rule[To], ...], conditions: int) -> Rule[To] | None:
+    """Return the first matching rule of a phase or a kind of abort; ``None`` if that remains."""
     for rule in rules:
         if conditions & rule.when == rule.when and not conditions & rule.unless:
             return rule

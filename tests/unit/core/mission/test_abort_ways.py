@@ -1,7 +1,7 @@
 """End of the flight after an abort, for every combination of its conditions."""
 
 from flightstack.core.memory import AbortWay
-from flightstack.core.mission.phases import ABORT_TABLE, Condition, next_way
+from flightstack.core.mission.phases import ABORT_TABLE, Condition, first
 
 
 def way_of(w):
@@ -35,7 +35,7 @@ def test_an_abort_ends_the_flight_as_was_meant_for_every_set_of_conditions():
         chosen = [c for n, c in enumerate(ASKED_OF_WAYS) if number >> n & 1]
         meant = way_of({c.name for c in chosen})
         for flags in (sum(chosen), sum(chosen) | others):
-            assert next_way(AbortWay.NONE, flags).to is meant
+            assert first(ABORT_TABLE[AbortWay.NONE], flags).to is meant
 
 
 def test_an_abort_changes_its_way_only_where_a_person_asks_for_more():
@@ -43,11 +43,11 @@ def test_an_abort_changes_its_way_only_where_a_person_asks_for_more():
     for number in range(1 << len(ASKED_OF_WAYS)):
         flags = sum(c for n, c in enumerate(ASKED_OF_WAYS) if number >> n & 1)
         for way in (AbortWay.HANDS_OFF, AbortWay.LAND_HERE, AbortWay.FLY_CLEAR):
-            rule = next_way(way, flags)
+            rule = first(ABORT_TABLE[way], flags)
             if flags & Condition.EMERGENCY:
                 assert (rule.to, rule.reason) == (AbortWay.MOTORS_OFF, "emergency stop")
             elif way is AbortWay.FLY_CLEAR and flags & Condition.LAND_ASKED:
                 assert (rule.to, rule.reason) == (AbortWay.LAND_HERE, "ended by the operator")
             else:
                 assert rule is None
-        assert next_way(AbortWay.MOTORS_OFF, flags) is None
+        assert first(ABORT_TABLE[AbortWay.MOTORS_OFF], flags) is None

@@ -5,15 +5,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.core.memory import AbortWay, PlausibilityMemory, TrackMemory
-from flightstack.core.mission.conditions import Known, reason
-from flightstack.core.mission.machine import Transition, parse
-from flightstack.core.mission.phases import Condition, next_phase
+from flightstack.core.mission.machine import Mission, Transition, parse
+from flightstack.core.mission.phases import TABLE, Condition, first
 from flightstack.core.snapshot import Snapshot
+from flightstack.core.strategies.strategy import strategy_of
 from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import ZERO, Inputs, Landed, Mode, OwnState, Phase, VehicleStatus
 from tests.point_mass import World
-from tests.unit.core.mission.test_guidance import ROBUST
+from tests.unit.core.mission.test_guidance import BARRIER, ROBUST
 
 reasons = st.text(st.characters(codec="utf-8"), max_size=40).filter(lambda text: not text.endswith(")"))
 
@@ -88,11 +88,12 @@ def known(own_state=None, *, status_s=None, target_age_s=None, track=None, **wat
     plausibility.memory = PlausibilityMemory(**watched)
     seen = TargetTrack(CHECKS)
     seen.memory = TrackMemory(**(track or {}))
-    return Known(CHECKS, view, plausibility, seen, NOW_S)
+    return Mission(ROBUST, BARRIER, strategy_of(ROBUST), seen, plausibility), view
 
 
 def told(phase, word, what):
-    return reason(next_phase(phase, word), word, what)
+    mission, view = what
+    return mission.reason(first(TABLE[phase], word), word, view, NOW_S)
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,7 @@ import pytest
 
 from flightstack.common.strict_toml import ConfigError
 from flightstack.config.files import load as load_config
-from flightstack.core.controller import Controller
-from flightstack.core.memory import LateState
+from flightstack.core.controller import Controller, state_class
 from flightstack.core.parameters.robust import VelocityLoop
 from flightstack.core.strategies.velocity_tracking import VelocityTracking
 from flightstack.onboard.state_text import StateText
@@ -112,7 +111,7 @@ def test_a_landing_drifts_farther_with_a_dead_time():
 
 
 def test_a_flight_restored_from_its_text_goes_on_to_the_bit():
-    world, text = World(config(**LATE)), StateText(LateState)
+    world, text = World(config(**LATE)), StateText(state_class(config(**LATE)))
     for _ in range(300):
         world.step()
     again = Controller(config(**LATE))
