@@ -8,8 +8,7 @@ from importlib.util import find_spec
 from flightstack.compiled.jit import is_kept, is_off, keep, telling
 from flightstack.core.controller import Controller
 from flightstack.core.numeric import hypot_is_known
-from flightstack.core.parameters.ends import TouchdownRule
-from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.parameters.flight import FlightConfig, TouchdownRule
 from flightstack.core.safety.qp_filter import SafetyFilter
 
 

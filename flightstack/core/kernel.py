@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from flightstack.core.fleet.exact import Row
 from flightstack.core.fleet.member import NO_ROWS, FleetMember, Rows
 from flightstack.core.fleet.program import Cone
+from flightstack.core.fleet.solution import Row
 from flightstack.core.memory import Memory
 from flightstack.core.mission.conditions import LANDED_SETTLE_S
 from flightstack.core.mission.guidance import towards_pad

@@ -18,7 +18,7 @@ from dataclasses import fields
 from itertools import combinations
 from typing import NamedTuple
 
-from flightstack.core.fleet.ellipsoid import barrier
+from flightstack.core.fleet.pair import barrier
 from flightstack.core.parameters.fleet import HOLD_LATENCIES, KEPT_PART, PART_OF_LAG, ZERO_LATENCIES, Fleet
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.robust import RobustFilter

@@ -19,8 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flightstack.core.parameters.ends import Contact, Touchdown
-from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.parameters.flight import Contact, FlightConfig, Touchdown
 from flightstack.core.strategies.strategy import packaged_strategy_of
 from flightstack.core.types import Phase
 from logs.reader.flight_data import Flight, Floats, Ints, Steps

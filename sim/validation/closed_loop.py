@@ -19,8 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flightstack.core.parameters.ends import Takeoff
-from flightstack.core.parameters.flight import BarrierShape, FlightConfig
+from flightstack.core.parameters.flight import BarrierShape, FlightConfig, Takeoff
 from sim.flights.recording import Floats, Recording
 from sim.flights.screening import Mask, Screened
 from sim.plant.params import STEP_S, Params, Plant

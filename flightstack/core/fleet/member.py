@@ -7,12 +7,21 @@ from collections.abc import Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
-from flightstack.core.fleet.beside import place_beside
-from flightstack.core.fleet.ellipsoid import barrier, estimate, faster, jump
-from flightstack.core.fleet.exact import Row
-from flightstack.core.fleet.precedence import Pad, Way, decide, heard
+from flightstack.core.fleet.pair import (
+    NONE,
+    Near,
+    barrier,
+    estimate,
+    faster,
+    jump,
+    row,
+    share,
+    sidestep,
+    wider,
+)
+from flightstack.core.fleet.precedence import Pad, Way, decide, heard, place_beside
 from flightstack.core.fleet.program import FleetProgram
-from flightstack.core.fleet.shares import NONE, Near, row, share, sidestep, wider
+from flightstack.core.fleet.solution import Row
 from flightstack.core.memory import AbortWay, FleetMemory, Heard, Memory
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.safety.position_loop import limit

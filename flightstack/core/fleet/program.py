@@ -1,7 +1,7 @@
 """Quadratic program of a fleet member: landing barrier, box, and one row for each neighbour within reach.
 
 It is the program of ``safety/qp_filter.py`` with more rows (constraints). OSQP starts from the exact solution
-(``dual.py``; if that is not confirmed, ``exact.py``), and its result is used only if it meets all rows and
+(``solution.py``), and its result is used only if it meets all rows and
 equals that solution. If no point meets all rows, the rows of silent vehicles are relaxed first; then all rows
 of neighbours together by the least common slack. Landing barrier and box are never relaxed.
 
@@ -18,8 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from flightstack.core.fleet import dual, exact
-from flightstack.core.fleet.exact import Nearest, Row
+from flightstack.core.fleet.solution import Nearest, Row, least_slack, nearest, prepare
 from flightstack.core.parameters.fleet import OTHERS_MAX
 from flightstack.core.safety.position_loop import clip, clip_to_box
 from flightstack.core.safety.projection import best_corner
@@ -43,30 +42,11 @@ class FleetResult(NamedTuple):
     given_m_s: float  # slack of the neighbours' rows; 0 unless CROWDED
 
 
-def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
-    """Return the minimiser of the program, or ``None`` if no point of the box meets all rows."""
-    x, y, z = point = clip_to_box(nominal, lower, upper)
-    for (gx, gy, gz), bound_m_s in rows:
-        if gx * x + gy * y + gz * z < bound_m_s:
-            break
-    else:
-        return Nearest(point, (0.0,) * len(rows))
-    found = dual.solve(nominal, rows, lower, upper)
-    if found is None:
-        return exact.nearest(nominal, rows, lower, upper)
-    return None if found.point is None else Nearest(found.point, found.multipliers)
-
-
-def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3) -> tuple[float, Vec3]:
-    """Return the least common slack of the soft rows and its velocity, as ``exact.least_slack`` does."""
-    return dual.least_slack(firm, soft, lower, upper) or exact.least_slack(firm, soft, lower, upper)
-
-
 class FleetProgram:
     """Quadratic program whose memory is allocated once."""
 
     def __init__(self, neighbours: int = OTHERS_MAX) -> None:
-        exact.prepare(neighbours)
+        prepare(neighbours)
         osqp = compiled_solver()
         size, self._infinite, self._used = _ROWS + 3, float(osqp.OSQP_INFTY), _ROWS
         self._q, self._x, self._y = np.zeros(3), np.zeros(3), np.zeros(size)

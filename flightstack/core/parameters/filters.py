@@ -19,7 +19,7 @@ from flightstack.common.strict_toml import ConfigError
 
 FILTERS: Mapping[str, str] = MappingProxyType(
     {
-        "paper": "flightstack.core.strategies.paper:PaperFilter",  # eq. 11 as printed
+        "paper": "flightstack.core.strategies.strategy:PaperFilter",  # eq. 11 as printed
         "robust": "flightstack.core.strategies.robust:RobustFilter",
     }
 )

@@ -1,4 +1,4 @@
-"""Landing barrier function h, its gradient and its time derivative (paper eq. 5, 7, 9, 10).
+"""Landing barrier function h, its gradient and its time derivative (paper eq. 5, 7, 9, 10), and its margin.
 
     h(e) = e_z - b(d),   b(d) = beta * alpha * d * exp(-alpha * d)
 
@@ -9,13 +9,20 @@ sqrt(d^2 + smoothing^2)``, which only shortens the gradient. Within a few ``smoo
 therefore uses less slope than the cone has; h itself is never smoothed. See docs/how_it_works/method.md.
 
 The geometry gives the shape (eq. 7): the boundary peaks at distance ``d* = 1/alpha``, height ``e* = beta/e``.
+
+The robust filter enforces a barrier with a margin, to keep the barrier without it:
+
+    h_r(e) = h(e) - m (1 - exp(-(d / w)^2))
+
+The margin m fades within the radius w around the landing spot; otherwise the vehicle would hover over the pad
+for ever. m is chosen such that the faded margin is still sufficient at the pad's edge.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from flightstack.core.numeric import numeric
 from flightstack.core.types import Vec3
@@ -150,3 +157,43 @@ def boundary_height(alpha_1_m: float, beta_m: float, d_m: float) -> float:
 def barrier_h(alpha_1_m: float, beta_m: float, e_m: Vec3) -> float:
     """Return the barrier value; numeric form of ``Barrier.h``."""
     return e_m[2] - boundary_height(alpha_1_m, beta_m, math.sqrt(e_m[0] * e_m[0] + e_m[1] * e_m[1]))
+
+
+@numeric
+class RobustBarrier(NamedTuple):
+    """Barrier with a margin, with the interface that gate and filter use."""
+
+    barrier: Barrier
+    margin_m: float
+    fade_radius_m: float
+
+    @property
+    def slope_max(self) -> float:
+        """Bound of the boundary's slope: the steepest slope of the barrier plus that of the margin."""
+        return self.barrier.slope_max + self.margin_m / self.fade_radius_m * math.sqrt(2.0 / math.e)
+
+    def linearisation_bound_m(self, e_m: Vec3, moved_m: float) -> float:
+        """Return how far h may fall below its linear prediction; see ``Barrier.linearisation_bound_m``.
+
+        The curvature of the margin is at most 2 m / w^2 exp(-(d/w)^2), at the nearest point of the motion.
+        """
+        d_m = math.sqrt(e_m[0] * e_m[0] + e_m[1] * e_m[1])
+        near = max(0.0, d_m - moved_m) / self.fade_radius_m
+        share = moved_m / self.fade_radius_m
+        bend_m = self.margin_m * share * share * math.exp(-near * near)
+        return self.barrier.linearisation_bound_m(e_m, moved_m) + bend_m
+
+    def h(self, e_m: Vec3) -> float:
+        """Return the value in metres at the relative position ``e_m``."""
+        x = (e_m[0] * e_m[0] + e_m[1] * e_m[1]) / (self.fade_radius_m * self.fade_radius_m)
+        return self.barrier.h(e_m) - self.margin_m * (1.0 - math.exp(-x))
+
+    def evaluate(self, e_m: Vec3, target_velocity_enu_m_s: Vec3) -> tuple[float, Vec3, float]:
+        """Return value, gradient and time derivative, as ``Barrier.evaluate`` does."""
+        h, (gx, gy, _), _ = self.barrier.evaluate(e_m, target_velocity_enu_m_s)
+        w2 = self.fade_radius_m * self.fade_radius_m
+        decay = math.exp(-(e_m[0] * e_m[0] + e_m[1] * e_m[1]) / w2)
+        slope = 2.0 * self.margin_m / w2 * decay
+        gx, gy = gx - slope * e_m[0], gy - slope * e_m[1]
+        vx, vy, vz = target_velocity_enu_m_s
+        return h - self.margin_m * (1.0 - decay), (gx, gy, 1.0), -(gx * vx + gy * vy + vz)

@@ -14,9 +14,8 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.core.memory import MotionMemory
 from flightstack.core.numeric import hypot, rare
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.safety.barrier import Barrier
+from flightstack.core.safety.barrier import Barrier, RobustBarrier
 from flightstack.core.safety.position_loop import limit, nominal_velocity
-from flightstack.core.safety.robust_barrier import RobustBarrier
 from flightstack.core.snapshot import Relative
 from flightstack.core.strategies.strategy import Filter
 from flightstack.core.strategies.velocity_tracking import VelocityTracking

@@ -28,9 +28,8 @@ from flightstack.core.memory import (
     TrackingMemory,
 )
 from flightstack.core.numeric import UNSEEN
-from flightstack.core.parameters.ends import TouchdownRule
 from flightstack.core.parameters.filters import FILTERS, file_of, named
-from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.parameters.flight import FlightConfig, TouchdownRule
 from flightstack.core.safety.barrier import ActiveBarrier, Barrier
 from flightstack.core.safety.position_loop import nominal_velocity
 from flightstack.core.safety.qp_filter import FilterResult, Program, SafetyFilter
@@ -333,6 +332,14 @@ class Filter:
             least_z_m_s: lowest vertical velocity that the set-point may cause if it is the last one.
         """
         return wanted_m_s
+
+
+class PaperFilter(Filter):
+    """Filter of eq. 11 as printed: it assumes a perfect velocity loop, and estimates nothing."""
+
+    certificate = "flightstack.verify.certificate:paper_checks"
+    watches_swinging = False  # the paper's filter has no model of the velocity loop
+    waits_filtered = False
 
 
 def strategy_class(name: str) -> type[Filter]:

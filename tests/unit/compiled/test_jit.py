@@ -13,8 +13,7 @@ import pytest
 from flightstack.compiled import jit
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Record, cell, new
-from flightstack.core.parameters.ends import Takeoff
-from flightstack.core.parameters.flight import BarrierShape, FlightConfig
+from flightstack.core.parameters.flight import BarrierShape, FlightConfig, Takeoff
 from sim.clock import TickGrid
 from sim.robot.target_motion import TargetMotion
 from sim.scenarios import scenario

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from flightstack.common.strict_toml import from_table
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.parameters.robust import Robust
-from flightstack.core.safety.barrier import Barrier
-from flightstack.core.safety.robust_barrier import RobustBarrier
+from flightstack.core.safety.barrier import Barrier, RobustBarrier
 
 STILL = (0.0, 0.0, 0.0)
 lengths = st.floats(-3.0, 3.0)

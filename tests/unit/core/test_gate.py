@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flightstack.core.safety.barrier import Barrier
+from flightstack.core.safety.barrier import Barrier, RobustBarrier
 from flightstack.core.safety.gate import (
     BOX_TOLERANCE_M_S,
     SOLVER_TOLERANCE_M_S,
@@ -21,7 +21,6 @@ from flightstack.core.safety.gate import (
     GateVerdict,
 )
 from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S, SafetyFilter
-from flightstack.core.safety.robust_barrier import RobustBarrier
 from flightstack.core.types import ZERO, FilterStatus
 
 CONE = Barrier(1.0, 1.5)

@@ -13,8 +13,7 @@ from bridge.zenoh.zenoh_link import PATIENCE_S
 from flightstack.common.pacing import Tick
 from flightstack.config.files import load
 from flightstack.config.options import OnboardOptions
-from flightstack.core.parameters.ends import Retreat
-from flightstack.core.parameters.flight import BarrierShape, Checks, FlightConfig
+from flightstack.core.parameters.flight import BarrierShape, Checks, FlightConfig, Retreat
 from flightstack.core.snapshot import Snapshot
 from flightstack.core.types import Inputs, Landed, Mode, OwnState, Phase, VehicleStatus
 from flightstack.onboard.log import BATTERY_AGE_MAX_S, health_row

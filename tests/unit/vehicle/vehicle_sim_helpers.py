@@ -2,8 +2,7 @@
 
 import math
 
-from flightstack.core.parameters.ends import Takeoff
-from flightstack.core.parameters.flight import BarrierShape, FlightConfig
+from flightstack.core.parameters.flight import BarrierShape, FlightConfig, Takeoff
 from sim.scenarios.scenario import (
     OdometryLink,
     Scenario,

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flightstack.core.parameters.robust import TargetLink
+from flightstack.core.safety.barrier import RobustBarrier
 from flightstack.core.safety.projection import best_corner
 from flightstack.core.safety.qp_filter import SafetyFilter
-from flightstack.core.safety.robust_barrier import RobustBarrier
 from flightstack.core.strategies.robust import RobustFilter
 from flightstack.core.target.track import TargetTrack
 from flightstack.core.types import FilterStatus, TargetSample

@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 
 from flightstack.core.parameters.filters import FILTERS
+from flightstack.core.safety.barrier import RobustBarrier
 from flightstack.core.safety.position_loop import nominal_velocity
 from flightstack.core.safety.qp_filter import SafetyFilter
-from flightstack.core.safety.robust_barrier import RobustBarrier
 from flightstack.core.snapshot import Snapshot
 from flightstack.core.strategies.robust import RobustFilter
 from flightstack.core.target.track import TargetState

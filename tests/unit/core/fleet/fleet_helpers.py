@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from flightstack.core.controller import Controller
-from flightstack.core.fleet.ellipsoid import barrier
+from flightstack.core.fleet.pair import barrier
 from flightstack.core.types import (
     Inputs,
     Landed,

@@ -6,8 +6,10 @@ import random
 import pytest
 from hypothesis import given, settings
 
-from flightstack.core.fleet import dual, exact
-from flightstack.core.fleet.ellipsoid import (
+from flightstack.core.fleet import solution
+from flightstack.core.fleet.member import HELD_BACK_M_S, FleetMember
+from flightstack.core.fleet.pair import (
+    ALL,
     DRIFT_M_S,
     DRIFT_MAX_M,
     LEAD_S,
@@ -15,12 +17,12 @@ from flightstack.core.fleet.ellipsoid import (
     barrier,
     estimate,
     faster,
+    row,
+    wider,
 )
-from flightstack.core.fleet.exact import Row
-from flightstack.core.fleet.member import HELD_BACK_M_S, FleetMember
 from flightstack.core.fleet.precedence import decide
 from flightstack.core.fleet.program import FleetProgram
-from flightstack.core.fleet.shares import ALL, row, wider
+from flightstack.core.fleet.solution import Row
 from flightstack.core.memory import FleetMemory, Heard
 from flightstack.core.parameters.fleet import CARRIED_AGES, Fleet
 from flightstack.core.types import ZERO, FilterStatus, Intent, Neighbour, OwnState, Phase
@@ -32,7 +34,7 @@ FLEET = Fleet(3, (3, 7))
 @settings(max_examples=300, deadline=None)
 @given(VECTORS, rows(), boxes())
 def test_it_finds_the_point_that_trying_all_sets_finds(nominal, found, box):
-    quick, slow = dual.solve(nominal, found, *box), exact.nearest(nominal, found, *box)
+    quick, slow = solution.by_active_set(nominal, found, *box), solution.by_all_sets(nominal, found, *box)
     if quick is None:  # not confirmed: the caller tries all active sets
         return
     assert (quick.point is None) == (slow is None)
@@ -47,7 +49,10 @@ def test_it_finds_the_point_that_trying_all_sets_finds(nominal, found, box):
 @settings(max_examples=300, deadline=None)
 @given(rows(0, 1), rows(), boxes())
 def test_it_finds_the_least_slack_that_trying_all_corners_finds(firm, soft, box):
-    quick, (slack, _) = dual.least_slack(firm, soft, *box), exact.least_slack(firm, soft, *box)
+    quick, (slack, _) = (
+        solution._slack_by_active_set(firm, soft, *box),
+        solution.slack_by_all_sets(firm, soft, *box),
+    )
     if quick is None:
         return
     assert quick[0] == pytest.approx(slack, abs=1e-6)
@@ -63,13 +68,16 @@ def test_nearly_all_programs_are_confirmed():
             g = [chance.gauss(0.0, 1.0) for _ in range(3)]
             made.append(Row(tuple(x / math.hypot(*g) for x in g), chance.uniform(-1.0, 0.3)))
         unsure += (
-            dual.solve(tuple(chance.uniform(-1, 1) for _ in range(3)), made, (-0.6,) * 3, (0.6,) * 3) is None
+            solution.by_active_set(
+                tuple(chance.uniform(-1, 1) for _ in range(3)), made, (-0.6,) * 3, (0.6,) * 3
+            )
+            is None
         )
     assert unsure <= 2
 
 
 def test_a_gradient_without_a_direction_is_left_to_the_slow_way():
-    assert dual.solve(ZERO, [Row(ZERO, -1.0)], (-1.0,) * 3, (1.0,) * 3) is None
+    assert solution.by_active_set(ZERO, [Row(ZERO, -1.0)], (-1.0,) * 3, (1.0,) * 3) is None
     found = FleetProgram(2).solve(
         ZERO, (), [Row(ZERO, -1.0), Row((1.0, 0.0, 0.0), 0.5)], (-1.0,) * 3, (1.0,) * 3
     )

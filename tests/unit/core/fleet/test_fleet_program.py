@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from flightstack.core.fleet import program as program_module
-from flightstack.core.fleet.exact import Row, least_slack, nearest
 from flightstack.core.fleet.program import AGREES_M_S, FleetProgram
+from flightstack.core.fleet.solution import Row, by_all_sets, slack_by_all_sets
 from flightstack.core.parameters.fleet import OTHERS_MAX
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.types import FilterStatus
@@ -75,9 +75,9 @@ LEVEL, AGAINST = Row((1.0, 0.0, 4.2e-145), 0.0), ((-0.04, -0.5, -0.5), (0.0, 0.5
 @example((0.0, 0.0, -1.0), FLAT, UNIT_BOX)
 def test_the_exact_solution_is_that_of_scipy(nominal, found, box):
     lower, upper = box
-    slack, _ = least_slack([], found, lower, upper)
+    slack, _ = slack_by_all_sets([], found, lower, upper)
     assert slack == pytest.approx(least_by_scipy(found, [], lower, upper), abs=AGREES_M_S)
-    exact = nearest(nominal, found, lower, upper)
+    exact = by_all_sets(nominal, found, lower, upper)
     if exact is None:
         assert met_nowhere(found, lower, upper)
         return
@@ -115,7 +115,7 @@ def test_the_program_holds_barrier_and_box_and_gives_way_no_more_than_it_must(no
         assert status in (FilterStatus.SOLVED, FilterStatus.CLOSED_FORM)
         assert found.given_m_s == 0.0
         assert missing([*firm, *soft], lower, upper, point) <= 1e-6
-        exact = nearest(nominal, [*firm, *soft], lower, upper)
+        exact = by_all_sets(nominal, [*firm, *soft], lower, upper)
         if exact is None:
             assert met_nowhere([*firm, *soft], lower, upper)
         elif max(exact.multipliers, default=0.0) > 1e6:  # rounding may bring the solution much nearer
@@ -196,7 +196,7 @@ def test_a_solver_that_did_not_solve_is_not_believed(monkeypatch):
 
 def test_no_slack_helps_where_the_firm_row_is_met_nowhere(monkeypatch):
     firm, soft, box = Row((0.0, 0.0, 1.0), 2.0), Row((1.0, 0.0, 0.0), 2.0), ((-1.0,) * 3, (1.0,) * 3)
-    assert least_slack([firm], [soft], *box)[0] == math.inf
+    assert slack_by_all_sets([firm], [soft], *box)[0] == math.inf
     # a violation by rounding: the corner that raises h fastest is flown
     monkeypatch.setattr(program_module, "least_slack", lambda *_: (math.inf, (0.0, 0.0, 0.0)))
     found = PROGRAM.solve((0.0, 0.0, 0.0), [Row((0.0, 0.0, 1.0), 0.5)], [soft], *box)

@@ -9,10 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flightstack.core.fleet.ellipsoid import barrier, estimate, growth, jump
 from flightstack.core.fleet.member import FleetMember
+from flightstack.core.fleet.pair import ALL, HALF, NONE, barrier, estimate, growth, jump, row, share
 from flightstack.core.fleet.program import FleetProgram
-from flightstack.core.fleet.shares import ALL, HALF, NONE, row, share
 from flightstack.core.memory import AbortWay, Heard, Memory
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.types import (

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.fleet.assignment import UNIT_M, assign
-from flightstack.core.fleet.beside import APART, KEPT_M, place_beside
 from flightstack.core.fleet.member import STAYS_S, FleetMember
-from flightstack.core.fleet.precedence import Pad, Way
+from flightstack.core.fleet.precedence import APART, KEPT_M, Pad, Way, place_beside
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.target.track import TargetState
 from flightstack.core.types import ZERO, Intent, Neighbour, OwnState, Phase

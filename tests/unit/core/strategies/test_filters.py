@@ -7,11 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flightstack.core.memory import TrackingMemory
-from flightstack.core.safety.barrier import Barrier
-from flightstack.core.safety.robust_barrier import RobustBarrier
+from flightstack.core.safety.barrier import Barrier, RobustBarrier
 from flightstack.core.snapshot import Snapshot
-from flightstack.core.strategies.paper import PaperFilter
 from flightstack.core.strategies.robust import RobustFilter
+from flightstack.core.strategies.strategy import PaperFilter
 from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import Inputs, OwnState, TargetSample
 from tests.unit.core.core_helpers import config

@@ -28,7 +28,7 @@ CONE = "examples.own_boundary:ConeFilter"
 # an external module that prints its import, and a filter without most of its methods
 OUTSIDE = """
 from flightstack.common.strict_toml import ConfigError
-from flightstack.core.strategies.paper import PaperFilter
+from flightstack.core.strategies.strategy import PaperFilter
 from flightstack.core.strategies.strategy import Filter
 print("imported")
 class Bare(Filter):

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from flightstack.core.parameters.ends import Contact, Touchdown
-from flightstack.core.parameters.flight import BarrierShape, FlightConfig
+from flightstack.core.parameters.flight import BarrierShape, Contact, FlightConfig, Touchdown
 from flightstack.core.types import Phase
 from logs.reader.flight import load_flight
 from logs.verdict.estimate import find_touchdown

@@ -11,8 +11,8 @@ from click.testing import CliRunner
 
 from flightstack.cli.main import main
 from flightstack.config.files import load, path_of
+from flightstack.core.safety.barrier import RobustBarrier
 from flightstack.core.safety.qp_filter import SafetyFilter
-from flightstack.core.safety.robust_barrier import RobustBarrier
 from flightstack.core.types import FilterStatus, Phase
 from flightstack.launch.run_options import RunOptions
 from logs.reader.flight import load_flight

@@ -1,0 +1,333 @@
+"""Exact solution of the quadratic program with several rows.
+
+    min |u - u'|^2   subject to   lower <= u <= upper,   g_k . u >= b_k
+
+``by_active_set`` is a fast dual active-set method in plain floats (Goldfarb and Idnani, Mathematical
+Programming 27, 1983): it starts at the clipped u', where sides of the box are active, adds the constraint
+with the largest violation until no constraint is violated, and removes a constraint whose multiplier would
+become negative. Its result is used only if it meets the Karush-Kuhn-Tucker conditions, which are checked
+here; else ``by_all_sets`` tries all active sets: in three dimensions at most three constraints are active at
+the minimiser. If no point meets all rows, the least common slack is the lowest vertex of a linear program in
+four variables. The result depends only on the numbers of this tick, and OSQP shares no code with this module.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from flightstack.core.safety.position_loop import clip_to_box
+from flightstack.core.safety.projection import EMPTY, projected
+from flightstack.core.types import ZERO, Vec3
+
+TOLERANCE_M_S = 1e-9  # allowed violation of a constraint, m/s
+_PARALLEL = 1e-10  # determinant of unit vectors below which the vectors count as dependent
+_MULTIPLIER_LEAST = -1e-9
+_FACES = np.vstack([np.eye(3), -np.eye(3)])  # sides of the box
+
+
+class Row(NamedTuple):
+    """A linear constraint g . u >= b on the velocity u."""
+
+    g: Vec3  # gradient g, without unit
+    bound_m_s: float  # bound b
+
+    def missing_m_s(self, u: Vec3) -> float:
+        """Return the violation of the row by a velocity, m/s; it is not positive if the row is met."""
+        return self.bound_m_s - (self.g[0] * u[0] + self.g[1] * u[1] + self.g[2] * u[2])
+
+
+class Nearest(NamedTuple):
+    point: Vec3  # minimiser, m/s
+    multipliers: tuple[float, ...]  # one multiplier for each row; 0 for inactive rows
+
+
+def by_all_sets(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
+    """Return the minimiser of the program, or ``None`` if no point of the box meets all rows."""
+    point = clip_to_box(nominal, lower, upper)
+    missed = [k for k, row in enumerate(rows) if row.missing_m_s(point) > 0.0]
+    if not missed:
+        return Nearest(point, (0.0,) * len(rows))
+    for k in missed:
+        at, multiplier = projected(nominal, rows[k].g, rows[k].bound_m_s, lower, upper)
+        if multiplier == EMPTY:
+            return None
+        if all(row.missing_m_s(at) <= TOLERANCE_M_S for row in rows) and multiplier < np.inf:
+            return Nearest(at, tuple(multiplier if n == k else 0.0 for n in range(len(rows))))
+    return _of_all_sets(nominal, rows, lower, upper)
+
+
+@cache
+def _sets(rows: int, size: int) -> Any:
+    """Return the sets of ``size`` rows and sides (rows, lower, upper), without two sides of one axis."""
+    sides = [(rows + k, rows + 3 + k) for k in range(3)]
+    every = itertools.combinations(range(rows + 6), size)
+    return np.array([s for s in every if not any(low in s and high in s for low, high in sides)])
+
+
+def prepare(neighbours: int) -> None:
+    """Compute the sets of all programs with at most this number of neighbours before the flight."""
+    for rows in range(1, neighbours + 3):
+        for size in (1, 2, 3):
+            _sets(rows, size)
+    for soft in range(1, neighbours + 1):
+        for firm in (0, 1, 2):
+            _corners(soft, firm)
+
+
+def _of_all_sets(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
+    count, start = len(rows), np.array(nominal)
+    normals = np.vstack([np.array([row.g for row in rows]).reshape(-1, 3), _FACES])
+    bounds = np.array([*(row.bound_m_s for row in rows), *lower, *(-side for side in upper)])
+    lengths = np.linalg.norm(normals, axis=1)
+    lengths[lengths == 0.0] = 1.0
+    unit, limit = normals / lengths[:, None], bounds / lengths
+    best, least = None, np.inf
+    for size in (1, 2, 3):
+        chosen = _sets(count, size)
+        a = unit[chosen]
+        gram = a @ a.transpose(0, 2, 1)
+        with np.errstate(divide="ignore"):  # the determinant of a dependent set is zero
+            kept = np.linalg.det(gram) > _PARALLEL
+        chosen, a, gram = chosen[kept], a[kept], gram[kept]
+        lacking = limit[chosen] - a @ start
+        multipliers = np.linalg.solve(gram, lacking[..., None])[..., 0]
+        steps = np.einsum("ks,ksx->kx", multipliers, a)
+        points = start + steps
+        meets = (points @ unit.T >= limit - TOLERANCE_M_S).all(axis=1)
+        good = np.flatnonzero(meets & (multipliers >= _MULTIPLIER_LEAST).all(axis=1))
+        for k in good:
+            far = float(steps[k] @ steps[k])
+            if far < least:
+                least, best = far, (points[k], chosen[k], multipliers[k])
+    if best is None:
+        return None
+    at, members, factors = best
+    found = [0.0] * count
+    for member, factor in zip(members.tolist(), factors.tolist(), strict=True):
+        if member < count:
+            found[member] = max(0.0, factor) / float(lengths[member])
+    return Nearest(clip_to_box(at.tolist(), lower, upper), tuple(found))
+
+
+def slack_by_all_sets(
+    firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3
+) -> tuple[float, Vec3]:
+    """Return the least slack s >= 0 of all soft rows, g . u + s >= b, and a velocity that meets them."""
+    rows = [*soft, *firm]
+    slack = [1.0] * len(soft) + [0.0] * (len(firm) + 6) + [1.0]
+    normals = np.vstack([np.array([row.g for row in rows]).reshape(-1, 3), _FACES, np.zeros((1, 3))])
+    bounds = np.array([*(row.bound_m_s for row in rows), *lower, *(-side for side in upper), 0.0])
+    matrix = np.column_stack([normals, np.array(slack)])
+    chosen = _corners(len(soft), len(firm))
+    a = matrix[chosen]
+    with np.errstate(divide="ignore"):
+        kept = np.abs(np.linalg.det(a)) > _PARALLEL
+    points = np.linalg.solve(a[kept], bounds[chosen[kept]][..., None])[..., 0]
+    meets = (points @ matrix.T >= bounds - TOLERANCE_M_S).all(axis=1)
+    points = points[meets]
+    if not len(points):
+        return np.inf, lower
+    x, y, z, s = points[int(np.argmin(points[:, 3]))].tolist()
+    return max(0.0, s), clip_to_box((x, y, z), lower, upper)
+
+
+@cache
+def _corners(soft: int, firm: int) -> Any:
+    """Return the sets of four constraints that can form a vertex; one of each set bounds the slack s."""
+    rows = soft + firm
+    last, sides = rows + 6, [(rows + k, rows + 3 + k) for k in range(3)]
+    every = itertools.combinations(range(rows + 7), 4)
+    bounded = (s for s in every if s[0] < soft or s[-1] == last)
+    return np.array([s for s in bounded if not any(low in s and high in s for low, high in sides)])
+
+
+STEPS_MAX = 60  # greatest number of added constraints; with more, there is no result
+_CONFIRMED_M_S = 2e-9  # allowed violation of an optimality condition, m/s
+_DEPENDS = 1e-12  # squared length of the orthogonal part below which a unit vector depends on others
+_LEAST_LENGTH = 1e-9  # least length of a gradient that has a direction
+_SIDES: tuple[Vec3, ...] = (
+    (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0),  # lower sides of the box
+    (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0),  # upper sides of the box
+)  # fmt: skip
+
+
+class Found(NamedTuple):
+    """The minimiser, or constraints that no velocity meets together."""
+
+    point: Vec3 | None  # minimiser, m/s; ``None``: no point meets all constraints
+    # multipliers of the rows, in the order of the input; if point is None: multipliers of contradictory
+    # constraints, whose gradients times these multipliers sum to 0
+    multipliers: tuple[float, ...]
+    lacking_m_s: float = 0.0  # violation of the contradictory constraints if point is None
+
+
+def by_active_set(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Found | None:
+    """Return the minimiser of the program, or ``None`` if the result cannot be confirmed."""
+    count = len(rows)
+    normals, bounds, lengths = [], [], []
+    for (gx, gy, gz), bound in rows:
+        length = math.sqrt(gx * gx + gy * gy + gz * gz)
+        if not length > _LEAST_LENGTH:
+            return None
+        lengths.append(length)
+        normals.append((gx / length, gy / length, gz / length))
+        bounds.append(bound / length)
+    normals.extend(_SIDES)
+    bounds.extend((*lower, -upper[0], -upper[1], -upper[2]))
+    point = clip_to_box(nominal, lower, upper)
+    active: list[int] = []
+    factors: list[float] = []
+    for axis in (0, 1, 2):
+        beyond = point[axis] - nominal[axis]
+        if beyond != 0.0:
+            active.append(count + axis if beyond > 0.0 else count + 3 + axis)
+            factors.append(abs(beyond))
+    x, y, z = point
+    for _ in range(STEPS_MAX):
+        worst, most = -1, TOLERANCE_M_S
+        for k, (nx, ny, nz) in enumerate(normals):
+            missing = bounds[k] - (nx * x + ny * y + nz * z)
+            if missing > most and k not in active:
+                worst, most = k, missing
+        if worst < 0:
+            return _confirmed(nominal, (x, y, z), active, factors, normals, bounds, lengths)
+        nx, ny, nz = normals[worst]
+        factor, leaves = 0.0, 0
+        while leaves >= 0:
+            parts, (zx, zy, zz) = _split((nx, ny, nz), [normals[k] for k in active])
+            left = zx * zx + zy * zy + zz * zz
+            whole = most / left if left > _DEPENDS else math.inf
+            step, leaves = whole, -1
+            for n, part in enumerate(parts):
+                if part > 0.0 and factors[n] < step * part:
+                    step, leaves = factors[n] / part, n
+            if step == math.inf:
+                return _impossible(worst, active, parts, bounds, lengths)
+            factor += step
+            factors = [each - step * part for each, part in zip(factors, parts, strict=True)]
+            if whole < math.inf:
+                x, y, z = x + step * zx, y + step * zy, z + step * zz
+            if leaves >= 0:
+                del active[leaves], factors[leaves]
+                most = max(0.0, bounds[worst] - (nx * x + ny * y + nz * z))
+        active.append(worst)
+        factors.append(factor)
+    return None
+
+
+def _split(n: Vec3, others: Sequence[Vec3]) -> tuple[tuple[float, ...], Vec3]:
+    """Return the components of a unit vector along up to three independent ones, and the orthogonal part."""
+    if not others:
+        return (), n
+    (nx, ny, nz), (ax, ay, az) = n, others[0]
+    if len(others) == 1:
+        p = ax * nx + ay * ny + az * nz
+        return (p,), (nx - p * ax, ny - p * ay, nz - p * az)
+    a, b = others[0], others[1]
+    wx, wy, wz = w = _cross(a, b)
+    along = nx * wx + ny * wy + nz * wz
+    if len(others) == 2:
+        square = wx * wx + wy * wy + wz * wz
+        p, q = _dot(_cross(n, b), w) / square, _dot(_cross(a, n), w) / square
+        along /= square
+        return (p, q), (along * wx, along * wy, along * wz)
+    c = others[2]
+    volume = _dot(c, w)
+    p, q = _dot(_cross(n, b), c) / volume, _dot(_cross(a, n), c) / volume
+    return (p, q, along / volume), ZERO
+
+
+def _cross(a: Vec3, b: Vec3) -> Vec3:
+    (ax, ay, az), (bx, by, bz) = a, b
+    return (ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx)
+
+
+def _dot(a: Vec3, b: Vec3) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _confirmed(
+    nominal: Vec3, point: Vec3, active: Sequence[int], factors: Sequence[float], normals: Sequence[Vec3],
+    bounds: Sequence[float], lengths: Sequence[float],
+) -> Found | None:  # fmt: skip
+    """Return the minimiser if all constraints are met and those with a multiplier are active."""
+    x, y, z = nominal
+    multipliers = [0.0] * len(lengths)
+    scale = _CONFIRMED_M_S
+    for k, factor in zip(active, factors, strict=True):
+        nx, ny, nz = normals[k]
+        x, y, z = x + factor * nx, y + factor * ny, z + factor * nz
+        scale += _CONFIRMED_M_S * factor
+        if factor < 0.0 or abs(bounds[k] - _dot(normals[k], point)) > _CONFIRMED_M_S:
+            return None
+        if k < len(lengths):
+            multipliers[k] = factor / lengths[k]
+    if max(abs(x - point[0]), abs(y - point[1]), abs(z - point[2])) > scale:
+        return None
+    return Found(point, tuple(multipliers))
+
+
+def _impossible(
+    worst: int, active: Sequence[int], parts: Sequence[float], bounds: Sequence[float],
+    lengths: Sequence[float],
+) -> Found:  # fmt: skip
+    """Return the result for a constraint that contradicts a sum of others: no velocity meets all of them."""
+    multipliers, lacking_m_s = [0.0] * len(lengths), bounds[worst]
+    if worst < len(lengths):
+        multipliers[worst] = 1.0 / lengths[worst]
+    for k, part in zip(active, parts, strict=True):
+        lacking_m_s -= part * bounds[k]
+        if k < len(lengths):
+            multipliers[k] = max(0.0, -part) / lengths[k]
+    return Found(None, tuple(multipliers), lacking_m_s)
+
+
+def _slack_by_active_set(
+    firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3
+) -> tuple[float, Vec3] | None:
+    """Return the least common slack of the soft rows and its velocity, or ``None`` if not confirmed.
+
+    Each set of contradictory constraints gives a lower bound of the slack. The search is repeated with this
+    slack until no such set is left: then the slack is sufficient and least.
+    """
+    slack_m_s, middle, free = 0.0, clip_to_box(ZERO, lower, upper), len(firm)
+    for _ in range(STEPS_MAX):
+        eased = [*firm, *(Row(g, bound - slack_m_s) for g, bound in soft)]
+        found = by_active_set(middle, eased, lower, upper)
+        if found is None:
+            return None
+        if found.point is not None:
+            return slack_m_s, clip_to_box(found.point, lower, upper)
+        gives = sum(found.multipliers[free:])
+        if not gives > 0.0:
+            return None
+        more = found.lacking_m_s / gives
+        if not more > 0.0:
+            return None
+        slack_m_s += more
+    return None
+
+
+def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
+    """Return the minimiser of the program, or ``None`` if no point of the box meets all rows."""
+    x, y, z = point = clip_to_box(nominal, lower, upper)
+    for (gx, gy, gz), bound_m_s in rows:
+        if gx * x + gy * y + gz * z < bound_m_s:
+            break
+    else:
+        return Nearest(point, (0.0,) * len(rows))
+    found = by_active_set(nominal, rows, lower, upper)
+    if found is None:
+        return by_all_sets(nominal, rows, lower, upper)
+    return None if found.point is None else Nearest(found.point, found.multipliers)
+
+
+def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3) -> tuple[float, Vec3]:
+    """Return the least common slack of the soft rows and its velocity."""
+    return _slack_by_active_set(firm, soft, lower, upper) or slack_by_all_sets(firm, soft, lower, upper)
