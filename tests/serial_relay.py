@@ -179,11 +179,8 @@ class Line:
 class Relay:
     """Runs in a thread until it is closed.
 
-    Args:
-        near: factory of the onboard process's end.
-        vehicle: UDP port on loopback at which the simulated vehicle listens.
-        baud: bit rate, None without a limit.
-        noise_bytes_s: random bytes a second, inserted into the vehicle's bytes.
+    ``near``: the onboard process's end; ``vehicle``: UDP port on loopback of the simulated vehicle; ``baud``:
+    None without a limit; ``noise_bytes_s``: random bytes a second, inserted into the vehicle's bytes.
     """
 
     def __init__(

@@ -30,12 +30,8 @@ class Block:
 class Firmware:
     """One Crazyflie.
 
-    Args:
-        plant: simulated vehicle; a ``Point`` by default.
-        protocol: CRTP's. Before 12 it is CrazySim's firmware of 2024: no arming by the supervisor's
-            port.
-        auto_arm: as with brushed motors.
-        tables: entries of the tables of logs and parameters; the real ones have 567 and 334.
+    ``protocol``: CRTP's; before 12 it is CrazySim's firmware of 2024: no arming by the supervisor's port;
+    ``tables``: entries of the tables of logs and parameters; the real ones have 567 and 334.
     """
 
     def __init__(

@@ -22,12 +22,8 @@ class SimPlant:
 
     The simulated firmware levels out and stops by its own watchdog, so only new set-points are handed over.
 
-    Args:
-        scenario: scenario of the vehicle, as name or object.
-        seed: seed of the run.
-        session: Zenoh session of the robot's poses; None: the deck stays at its start.
-        namespace: namespace of the robot.
-        by_poses: it receives external poses instead of the scenario's motion capture.
+    ``session``: Zenoh session of the poses of the robot in ``namespace``; None: the deck stays at its start;
+    ``by_poses``: it receives external poses instead of the scenario's motion capture.
     """
 
     def __init__(

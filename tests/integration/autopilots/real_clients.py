@@ -150,14 +150,7 @@ class Program:
         within_s: float = STEP_MAX_S,
         each: Callable[[], None] | None = None,
     ) -> None:
-        """Continue until a condition is true.
-
-        Args:
-            done: condition, evaluated after each message or line.
-            what: text of the error after a time-out.
-            within_s: time-out, wall time.
-            each: called after each message or line, and every 0.05 s.
-        """
+        """Continue until ``done``, evaluated after each message or line; so is ``each``, and every 0.05 s."""
         deadline_s = time.monotonic() + within_s
         while not done():
             assert time.monotonic() < deadline_s, f"{what}: not within {within_s:g} s"

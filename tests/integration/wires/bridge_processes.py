@@ -56,12 +56,7 @@ def member_behind_the_bridge(
 ) -> Iterator[SimPlant]:
     """Run a Crazyflie with simulated physics as a member of a fleet: the firmware model, and its bridge.
 
-    Args:
-        scenario: scenario of this member.
-        seed: seed of this member.
-        number: number of this member, which is its system id.
-        url: MAVLink URL of the bridge.
-        robots: Zenoh endpoint of the robots; its deck follows its own robot.
+    ``number``: its system id; ``robots``: Zenoh endpoint of the robots; its deck follows its own robot.
     """
     session = zenoh_link.open_session([], [robots])
     try:

@@ -123,13 +123,8 @@ SLOW = 57_600  # baud
 def land_over(folder, make_near, baud, *, noise_bytes_s=0.0, cut_s=(), config="sitl-1kg"):
     """Fly scenario ``large`` in real time; return exit status, output and relay.
 
-    Args:
-        folder: folder of the processes' outputs.
-        make_near: creates the relay's end at the onboard process.
-        baud: bit rate of the line, None without a limit.
-        noise_bytes_s: random bytes a second, inserted into the vehicle's.
-        cut_s: (time, duration) of a disconnected cable, s of flight.
-        config: configuration of the onboard process.
+    ``make_near``: creates the relay's end at the onboard process; ``cut_s``: (time, duration) of a pulled
+    cable, s of flight; the others are those of ``Relay``.
     """
     with ExitStack() as stack:
         room = stack.enter_context(simulated(folder, "large"))
