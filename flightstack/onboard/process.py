@@ -9,7 +9,8 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from bridge.mavlink.client.companion import Origin
-from bridge.mavlink.client.link import VehicleLink
+from bridge.mavlink.client.link import COMPONENT_ID, VehicleLink
+from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.profiles import profile
 from bridge.mavlink.signing import load_key
 from bridge.mavlink.transport.address import baud_of, is_local, parse_url, resolve
@@ -73,14 +74,17 @@ class Onboard:
         line = preflight.line_plan(
             baud_of(options.vehicle_url), config, signed=options.signing_key is not None
         )
+        endpoint = Endpoint(  # the companion shares the vehicle's system id
+            options.vehicle_url, options.system_id, COMPONENT_ID,
+            signing_key=load_key(options.signing_key) if options.signing_key else None,
+            allow_unsigned=options.allow_unsigned,
+        )  # fmt: skip
         self.link = VehicleLink(
-            options.vehicle_url,
+            endpoint,
             takeoff_height_m=config.takeoff.height_m,
             rate_hz=rate_hz,
             system_id=options.system_id,
             defer_timesync=options.lockstep,
-            signing_key=load_key(options.signing_key) if options.signing_key else None,
-            allow_unsigned=options.allow_unsigned,
             profile=chosen,
             origin=Origin(*origin) if origin is not None else None,
             line=line,

@@ -82,14 +82,13 @@ class WireReplay:
         self._endpoint = RecordedEndpoint(system_id)
         self._heard, self._refusals = False, Refusals()
         self._link = VehicleLink(
-            "",
+            self._endpoint,
             takeoff_height_m=config.takeoff.height_m,
             rate_hz=config.loop.rate_hz,
             system_id=system_id,
             defer_timesync=lockstep,
             profile=profile(autopilot),
             origin=Origin(*origin) if origin is not None else None,
-            endpoint=self._endpoint,
             line=line,
             power=config.reserve is not None,
         )

@@ -62,13 +62,12 @@ class Companion:
         target = DirectTarget(scenario, seed if target_seed is None else target_seed, grid)
         here, there = wires((system_id, COMPONENT_ID), (system_id, COMPANION_ID))
         self._link = VehicleLink(
-            "",
+            there,
             takeoff_height_m=config.takeoff.height_m,
             profile=OWN_SITL,
             rate_hz=rate_hz,
             system_id=system_id,
             defer_timesync=True,
-            endpoint=there,
             power=config.reserve is not None,
         )
         self.vehicle = vehicle = VehicleSim(scenario, seed)  # the simulated vehicle

@@ -163,8 +163,8 @@ class Flight:
         self._ended = False
         here, self._there = wires((SYSTEM_ID, COMPONENT_ID), (SYSTEM_ID, COMPANION_ID))
         self.link = VehicleLink(
-            "", takeoff_height_m=config.takeoff.height_m, rate_hz=rate_hz, defer_timesync=True,
-            endpoint=self._there, profile=OWN_SITL,
+            self._there, takeoff_height_m=config.takeoff.height_m, rate_hz=rate_hz, defer_timesync=True,
+            profile=OWN_SITL,
         )  # fmt: skip
         self.vehicle = VehicleSim(scenario, seed)  # its ``faults`` can start at any time
         self._autopilot = Autopilot(self.vehicle, rate_hz, trim_enu_m_s=self.vehicle.trim_velocity_enu_m_s)

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from types import TracebackType
 
 from bridge.mavlink.client.companion import Origin
-from bridge.mavlink.client.link import VehicleLink
+from bridge.mavlink.client.link import COMPONENT_ID, VehicleLink
+from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.profiles import profile
 from bridge.mavlink.signing import load_key
 from flightstack.common.pacing import FastClock, RealTimePacer
@@ -42,10 +43,11 @@ class Pilot:
         self._room = room
         place = load(room.config).vehicle.origin_wgs84
         # the companion's end of the vehicle link
+        key = load_key(room.signing_key) if room.signing_key else None
         self.link = VehicleLink(
-            room.url, takeoff_height_m=room.takeoff_height_m, rate_hz=float(RATE_HZ),
+            Endpoint(room.url, room.system_id, COMPONENT_ID, signing_key=key),
+            takeoff_height_m=room.takeoff_height_m, rate_hz=float(RATE_HZ),
             profile=profile(room.autopilot), system_id=room.system_id,
-            signing_key=load_key(room.signing_key) if room.signing_key else None,
             origin=Origin(*place) if place is not None else None,
         )  # fmt: skip
         clock = FastClock(room.speed)

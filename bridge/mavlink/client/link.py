@@ -24,7 +24,6 @@ from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.endpoint import Endpoint, LinkCounters
 from bridge.mavlink.line_budget import LinePlan
 from bridge.mavlink.profiles import PX4, Profile, found, refusal
-from bridge.mavlink.signing import SigningKey
 from flightstack.core.safety.gate import ApprovedSetpoint
 from flightstack.core.types import Landed, OwnState, Request
 
@@ -51,29 +50,24 @@ class VehicleLink:
 
     def __init__(
         self,
-        url: str,
+        endpoint: Endpoint,
         *,
         takeoff_height_m: float,
         rate_hz: float = 100.0,
         profile: Profile | None = PX4,
         system_id: int = 1,
         defer_timesync: bool = False,
-        signing_key: SigningKey | None = None,
-        allow_unsigned: bool = False,
         origin: Origin | None = None,
-        endpoint: Endpoint | None = None,
         line: LinePlan | None = None,
         power: bool = False,
     ) -> None:
-        """Open the link to the vehicle.
+        """Set up the link over an endpoint of the vehicle's system id, which it closes.
 
         ``takeoff_height_m``: climb of ``Request.TAKEOFF``; ``rate_hz``: rate of the loop, requested for
         position and attitude; ``profile`` None: the first heartbeat selects it; ``defer_timesync``: lockstep,
-        see below; ``origin``: sent to a vehicle that needs one and has none; ``endpoint``: used instead of
-        opening one from URL and key; ``line``: rates for a slow serial line; ``power``: request the throttle,
-        for ``VehicleState.power``. The others are those of ``Endpoint``. Raises ValueError: bad URL or id, a
-        rate or height that is not positive, or a network without a key;
-        OSError: the address cannot be opened.
+        see below; ``origin``: sent to a vehicle that needs one and has none; ``line``: rates for a slow
+        serial line; ``power``: request the throttle, for ``VehicleState.power``.
+        Raises ValueError: a rate or height that is not positive.
         """
         if not (rate_hz > 0.0 and math.isfinite(rate_hz)):
             raise ValueError(f"loop rate is {rate_hz} Hz: a positive number is needed")
@@ -95,9 +89,7 @@ class VehicleLink:
         self._requests = self._senders_for(profile) if profile is not None else None
         self._kill = CommandSequencer(PX4, *self._target, takeoff_height_m)
         self._assembler = TextAssembler()
-        self.endpoint = endpoint or Endpoint(  # the companion shares the vehicle's system id
-            url, system_id, COMPONENT_ID, signing_key=signing_key, allow_unsigned=allow_unsigned
-        )
+        self.endpoint = endpoint
         self._texts: list[tuple[int, str]] = []
         self._outgoing: list[Message] = []
         self._held: list[Message] = []

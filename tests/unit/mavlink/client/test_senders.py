@@ -3,20 +3,19 @@
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.client.senders import SILENT_S, Kind, Senders
 from bridge.mavlink.codec.messages import decode, pack
 from bridge.mavlink.preflight.examine import examine
 from flightstack.core.types import Mode, Request
 from flightstack.onboard.runner import LinkedVehicle
 from tests.unit.mavlink.client.vehicle_link_fakes import (
-    HEIGHT,
     LAND,
     LOITER,
     OFFBOARD,
     FakeAutopilot,
     attitude,
     heartbeat,
+    linked,
     poll,
     position,
 )
@@ -192,7 +191,7 @@ def test_a_stream_that_a_router_filters_is_believed_at_once():
 
 @pytest.fixture
 def listening():
-    link = VehicleLink("udpin:127.0.0.1:0", takeoff_height_m=HEIGHT)
+    link = linked()
     ends = [FakeAutopilot(f"udpout:127.0.0.1:{link.endpoint.local_port}") for _ in range(2)]
     yield link, *ends
     for end in (*ends, link):

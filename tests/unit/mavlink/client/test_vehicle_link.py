@@ -5,17 +5,16 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.endpoint import Endpoint
 from flightstack.core.types import Request
 from tests.unit.mavlink.client.vehicle_link_fakes import (
-    HEIGHT,
     OFFBOARD,
     FakeAutopilot,
     Setpoint,
     attitude,
     heartbeat,
     home,
+    linked,
     poll,
     position,
 )
@@ -30,16 +29,14 @@ def vehicle():
 
 @pytest.fixture
 def link(vehicle):
-    opened = VehicleLink(f"udpout:127.0.0.1:{vehicle.endpoint.local_port}", takeoff_height_m=HEIGHT)
-    opened.poll(0.0)  # sends a heartbeat, so that the vehicle has our address
-    vehicle.take("HEARTBEAT")
+    opened = linked(vehicle)
     yield opened
     opened.close()
 
 
 @pytest.mark.parametrize("ids", [(2, 1), (1, 190), (255, 190)])
 def test_others_are_counted_and_ignored(ids):
-    link = VehicleLink("udpin:127.0.0.1:0", takeoff_height_m=HEIGHT)
+    link = linked()
     other = Endpoint(f"udpout:127.0.0.1:{link.endpoint.local_port}", *ids)
     other.send([heartbeat(OFFBOARD, armed=True), attitude(1), position(1)])
     poll(link, 1.0)
@@ -104,11 +101,7 @@ def test_timesync_is_answered_at_once_in_real_time(vehicle, link):
 
 
 def test_lockstep_stamps_what_came_with_the_time_of_the_request(vehicle):
-    link = VehicleLink(
-        f"udpout:127.0.0.1:{vehicle.endpoint.local_port}", takeoff_height_m=HEIGHT, defer_timesync=True
-    )
-    link.poll(0.0)
-    vehicle.take("HEARTBEAT")
+    link = linked(vehicle, defer_timesync=True)
     vehicle.send(heartbeat(), attitude(30), position(30))
     poll(link, 77.0)
     assert link.state.own is None  # no tick has read it yet
@@ -125,11 +118,7 @@ def test_lockstep_stamps_what_came_with_the_time_of_the_request(vehicle):
 
 
 def test_lockstep_holds_a_bounded_number_of_messages(vehicle):
-    link = VehicleLink(
-        f"udpout:127.0.0.1:{vehicle.endpoint.local_port}", takeoff_height_m=HEIGHT, defer_timesync=True
-    )
-    link.poll(0.0)
-    vehicle.take("HEARTBEAT")
+    link = linked(vehicle, defer_timesync=True)
     batch = [position(i) for i in range(30)]
     for _ in range(200):
         vehicle.send(*batch)

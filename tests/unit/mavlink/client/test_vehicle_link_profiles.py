@@ -6,18 +6,17 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.companion import Origin
-from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.client.texts import EVENT
 from bridge.mavlink.codec.wide_messages import MESSAGES
 from bridge.mavlink.line_budget import LineTooSlowError, plan
 from bridge.mavlink.profiles import PX4
 from flightstack.core.types import Mode, Request
 from tests.unit.mavlink.client.vehicle_link_fakes import (
-    HEIGHT,
     FakeAutopilot,
     Setpoint,
     attitude,
     heartbeat,
+    linked,
     poll,
     position,
 )
@@ -32,14 +31,7 @@ def vehicle():
 
 @pytest.fixture
 def auto(vehicle):
-    opened = VehicleLink(
-        f"udpout:127.0.0.1:{vehicle.endpoint.local_port}",
-        takeoff_height_m=HEIGHT,
-        profile=None,
-        origin=Origin(47.4, 8.5, 10.0),
-    )
-    opened.poll(0.0)
-    vehicle.take("HEARTBEAT")
+    opened = linked(vehicle, profile=None, origin=Origin(47.4, 8.5, 10.0))
     yield opened
     opened.close()
 
@@ -170,9 +162,7 @@ def test_ardupilot_gets_no_set_point_on_the_ground_and_follows_from_the_first_in
 
 
 def joined(vehicle, line=None):
-    link = VehicleLink(f"udpout:127.0.0.1:{vehicle.endpoint.local_port}", takeoff_height_m=HEIGHT, line=line)
-    link.poll(0.0)
-    vehicle.take("HEARTBEAT")
+    link = linked(vehicle, line=line)
     vehicle.beat()
     poll(link, 0.0)
     return link

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.commands import CommandSequencer
+from bridge.mavlink.client.link import COMPONENT_ID, VehicleLink
 from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.profiles import PX4
 from flightstack.core.types import Landed, Mode, VehicleStatus
@@ -75,6 +76,17 @@ class FakeAutopilot:
             assert self.endpoint.wait(5.0), f"no {until} came"
             received += [r.message for r in self.endpoint.receive()]
         return received
+
+
+def linked(to="udpin:127.0.0.1:0", signing_key=None, **options):
+    """Return a companion's link at a URL, or to a ``FakeAutopilot``, which has its address then."""
+    url = to if isinstance(to, str) else f"udpout:127.0.0.1:{to.endpoint.local_port}"
+    endpoint = Endpoint(url, 1, COMPONENT_ID, signing_key=signing_key)
+    link = VehicleLink(endpoint, takeoff_height_m=HEIGHT, **options)
+    if url is not to:
+        link.poll(0.0)
+        to.take("HEARTBEAT")
+    return link
 
 
 def poll(link, now_s):

@@ -6,7 +6,6 @@ import socket
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.codec.framing import split_frames
 from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.signing import (
@@ -15,7 +14,7 @@ from bridge.mavlink.signing import (
     Signer,
     StaleAnswers,
 )
-from tests.unit.mavlink.client.vehicle_link_fakes import HEIGHT
+from tests.unit.mavlink.client.vehicle_link_fakes import linked
 from tests.unit.mavlink.signing.signing_helpers import COMPANION, KEY, S, forged, heartbeat, signed, theirs
 
 
@@ -192,7 +191,7 @@ class Vehicle:
 
 @pytest.fixture
 def link():
-    opened = VehicleLink("udpin:127.0.0.1:0", takeoff_height_m=HEIGHT, signing_key=KEY)
+    opened = linked(signing_key=KEY)
     yield opened
     opened.close()
 
