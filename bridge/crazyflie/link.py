@@ -30,7 +30,6 @@ from bridge.crazyflie.outbox import Outbox
 from bridge.crazyflie.settings import DRAG
 from bridge.crazyflie.types import (
     ArmReply,
-    Arrived,
     Connected,
     Event,
     Lost,
@@ -82,7 +81,7 @@ class CrazyflieLink:
         """Start connecting; a ``cache`` folder for tables of contents makes a second connection fast."""
         self.events_lost = 0  # number of events dropped from a full queue, oldest first
         self._uri, self._tables = uri, _Tables(rw_cache=str(cache) if cache else None)
-        self._events: deque[Arrived] = deque()
+        self._events: deque[tuple[float, Event]] = deque()
         self._lock = threading.Lock()
         self._outbox = Outbox()
         self._closing = threading.Event()
@@ -105,8 +104,8 @@ class CrazyflieLink:
         """Return a descriptor for ``select`` that is readable while events wait."""
         return self._read_fd
 
-    def poll(self) -> list[Arrived]:
-        """Return all events, oldest first; never blocks."""
+    def poll(self) -> list[tuple[float, Event]]:
+        """Return all events with their times on ``time.monotonic``, oldest first; never blocks."""
         try:
             while os.read(self._read_fd, 4096):
                 pass
@@ -130,7 +129,7 @@ class CrazyflieLink:
         os.close(self._write_fd)
 
     def _put(self, event: Event) -> None:
-        arrived = Arrived(time.monotonic(), event)
+        arrived = time.monotonic(), event
         with self._lock:
             if len(self._events) >= EVENTS_MAX:
                 self._events.popleft()

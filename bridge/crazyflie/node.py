@@ -22,7 +22,7 @@ from bridge.crazyflie.state import (
     decode_outside,
     decode_state,
 )
-from bridge.crazyflie.types import ArmReply, Arrived, Connected, LogPacket, Lost, ParamValue
+from bridge.crazyflie.types import ArmReply, Connected, Event, LogPacket, Lost, ParamValue
 from bridge.crazyflie.vehicle import Vehicle
 from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.profiles import CRAZYFLIE_MARK
@@ -100,9 +100,9 @@ class Node(Server[Vehicle]):
             LogPacket: self._on_log,
         }
 
-    def take(self, arrived: Arrived, at_s: float) -> None:
+    def take(self, event: Event, at_s: float) -> None:
         """Handle an event of the link; ``at_s`` is its arrival time on the bridge's clock."""
-        self._events[type(arrived.event)](arrived.event, at_s)
+        self._events[type(event)](event, at_s)
 
     def step(self, now_s: float) -> tuple[list[Message], list[Reply]]:
         """Run one step; return the telemetry for all clients, and delayed acknowledgements of arming."""

@@ -89,8 +89,8 @@ class Loop:
         """Sleep until data arrives or a tick ends, then process all data."""
         select.select((self._endpoint.fileno(), self._link.fileno()), (), (), self._tick_s)
         node, endpoint = self._node, self._endpoint
-        for arrived in self._link.poll():
-            node.take(arrived, arrived.at_s - self._start_s)
+        for at_s, event in self._link.poll():
+            node.take(event, at_s - self._start_s)
         now_s = self.now_s
         for received in endpoint.receive():
             header = received.message.get_header()

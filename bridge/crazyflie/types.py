@@ -104,11 +104,6 @@ class ParamValue(NamedTuple):
 Event = Connected | Lost | LogPacket | ArmReply | ParamValue
 
 
-class Arrived(NamedTuple):
-    at_s: float  # arrival time on time.monotonic()
-    event: Event
-
-
 @dataclass(frozen=True, slots=True)
 class CrazyflieState:
     """State of one log packet; all values have the same time."""

@@ -101,26 +101,17 @@ TIMESTAMP_MAX = 2**48 - 1
 _STATE_READ_MAX = 65536  # greatest number of bytes read; 64 streams need 3000
 
 
-@dataclass(slots=True)
-class SigningState:
-    """Signing state; times in units of 10 us since 2015-01-01 UTC, as in MAVLink 2 signing."""
-
-    clock: int = 0  # clock of this process at the time of writing
-    sent: int = 0  # timestamp of the last signed frame
-    # timestamp of the last accepted frame of each stream; the least recent stream is first
-    streams: dict[Stream, int] = field(default_factory=dict)
-
-
 _Byte = Annotated[int, msgspec.Meta(ge=0, le=255)]
 _Timestamp = Annotated[int, msgspec.Meta(ge=0, le=TIMESTAMP_MAX)]
 _Row = tuple[_Byte, _Byte, _Byte, _Timestamp]  # stream ids and newest timestamp
 
 
-class _Stored(msgspec.Struct):
-    """Format of the state file."""
+class SigningState(msgspec.Struct):
+    """Content of the state file; times in units of 10 us since 2015-01-01 UTC, as in MAVLink 2 signing."""
 
-    clock: _Timestamp
-    sent: _Timestamp
+    clock: _Timestamp  # clock of this process at the time of writing
+    sent: _Timestamp  # timestamp of the last signed frame
+    # last accepted frame of each stream; the least recent stream is first
     streams: Annotated[list[_Row], msgspec.Meta(max_length=STREAMS_MAX)]
 
 
@@ -133,21 +124,19 @@ def load_state(path: Path) -> SigningState:
         with path.open("rb") as file:
             data = file.read(_STATE_READ_MAX)
     except FileNotFoundError:
-        return SigningState()
+        return SigningState(0, 0, [])
     try:
-        stored = msgspec.json.decode(data, type=_Stored)
+        return msgspec.json.decode(data, type=SigningState)
     except (ValueError, RecursionError) as error:
         raise ValueError(
             f"signing state {path} cannot be read ({error}): delete it, and frames of the minute before "
             "could be replayed once"
         ) from error
-    return SigningState(stored.clock, stored.sent, {row[:3]: row[3] for row in stored.streams})
 
 
 def save_state(path: Path, state: SigningState) -> None:
     """Write a state atomically, readable only by its owner. Raises OSError: it cannot be written."""
-    rows = [(*stream, timestamp) for stream, timestamp in state.streams.items()]
-    data = msgspec.json.encode(_Stored(state.clock, state.sent, rows))
+    data = msgspec.json.encode(state)
     new = path.with_name(f"{path.name}.{os.getpid()}")
     descriptor = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
     try:
@@ -205,7 +194,10 @@ class Signer:
         self._keyed = hashlib.sha256(key.secret)
         self._unix_ns, self._monotonic_ns = unix_ns, monotonic_ns
         self._path = _state_path(key, system_id, component_id)
-        self._state = load_state(self._path) if self._path is not None else SigningState()
+        state = load_state(self._path) if self._path is not None else SigningState(0, 0, [])
+        self._stored, self._sent = state.clock, state.sent
+        # timestamp of the last accepted frame of each stream; the least recent stream is first
+        self._streams: dict[Stream, int] = {row[:3]: row[3] for row in state.streams}
         self._start_ns = monotonic_ns()
         self._start = self._first_time()
         self._saved_s = self._start_ns / 1e9
@@ -214,7 +206,7 @@ class Signer:
 
     @property
     def streams(self) -> int:
-        return len(self._state.streams)
+        return len(self._streams)
 
     def now(self) -> int:
         """Return the signing clock in ticks; it never goes back, not even after a restart."""
@@ -223,9 +215,8 @@ class Signer:
 
     def sign(self, frame: bytes) -> bytes:
         """Sign an unsigned frame; timestamps follow the clock and always increase."""
-        state = self._state
-        state.sent = max(state.sent + 1, self.now())
-        body = with_signed_flag(frame) + _LINK + state.sent.to_bytes(6, "little")
+        self._sent = max(self._sent + 1, self.now())
+        body = with_signed_flag(frame) + _LINK + self._sent.to_bytes(6, "little")
         return body + self._tag(body)
 
     def refusal(self, frame: bytes) -> Refusal | None:
@@ -236,7 +227,7 @@ class Signer:
             return Refusal.BAD_SIGNATURE
         stamp = int.from_bytes(frame[-_STAMP:-_TAG], "little")
         stream = (frame[-_STAMP - 1], frame[5], frame[6])
-        streams, now = self._state.streams, self.now()
+        streams, now = self._streams, self.now()
         if stamp > now + AHEAD_TICKS:
             return Refusal.AHEAD
         last = streams.get(stream)
@@ -271,8 +262,7 @@ class Signer:
             self.state_errors += 1
 
     def _snapshot(self) -> SigningState:
-        self._state.clock = self.now()
-        return self._state
+        return SigningState(self.now(), self._sent, [(*ids, stamp) for ids, stamp in self._streams.items()])
 
     def _tag(self, data: bytes) -> bytes:
         keyed = self._keyed.copy()
@@ -283,7 +273,7 @@ class Signer:
         return max(0, (self._unix_ns() - EPOCH_NS) // TICK_NS)
 
     def _first_time(self) -> int:
-        system, stored = self._system(), self._state.clock
+        system, stored = self._system(), self._stored
         if system >= stored:
             return system
         behind_s = (stored - system) / _S
@@ -296,9 +286,9 @@ class Signer:
 
     def _make_room(self, now: int) -> bool:
         """Drop the least recent stream if its age alone rejects its frames; return False if there is none."""
-        for stream, stamp in self._state.streams.items():
+        for stream, stamp in self._streams.items():
             if stamp < now - STALE_TICKS:
-                del self._state.streams[stream]
+                del self._streams[stream]
                 return True
         return False
 

@@ -11,7 +11,6 @@ from bridge.crazyflie.rules import Rules
 from bridge.crazyflie.state import BLOCKS
 from bridge.crazyflie.types import (
     ArmReply,
-    Arrived,
     Connected,
     LogPacket,
     Lost,
@@ -164,7 +163,7 @@ class Bench:
         return [(t, p) for t, p in self.sent if isinstance(p, Velocity)]
 
     def _take(self, event) -> None:
-        self.node.take(Arrived(self.now_s, event), self.now_s)
+        self.node.take(event, self.now_s)
         self._send()
 
     def _log(self, raw: bytes) -> None:

@@ -127,8 +127,8 @@ def test_log_blocks_of_an_earlier_connection_are_no_answer():
         try:
             events = []
             wait_for(lambda: events.extend(link.poll()) or len(events) > 0, "the end of the attempt")
-            assert [type(arrived.event) for arrived in events] == [Lost]
-            assert events[0].event.reason.startswith("no answer from udp://")
+            assert [type(event) for _, event in events] == [Lost]
+            assert events[0][1].reason.startswith("no answer from udp://")
         finally:
             link.close()
 
@@ -138,7 +138,7 @@ def test_what_nobody_takes_is_bounded(tmp_path):
         link = CrazyflieLink(server.uri, tmp_path)
         try:
             wait_for(lambda: link.events_lost > 50, "more events than there is room for")
-            events = [arrived.event for arrived in link.poll()]
+            events = [event for _, event in link.poll()]
             assert len(events) <= EVENTS_MAX
             assert Connected not in {type(event) for event in events}  # the oldest event was dropped first
             times_ms = [

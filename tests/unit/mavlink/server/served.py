@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
@@ -39,34 +38,16 @@ def setpoint(n=0.0, e=0.0, d=0.0, *, frame=1, mask=2503, yaw=0.0, rate=0.0, targ
     )
 
 
-class Served(ABC):
-    """A vehicle behind a server."""
+class Served:
+    """A vehicle behind a server.
+
+    A subclass has ``now_s``; ``velocity_enu_m_s``, the velocity last passed to the vehicle; ``tick``, 10 ms;
+    ``fly``, to hold after a take-off; and ``homed``, disarmed with its own home.
+    """
 
     server: Server
     telemetry: list  # messages to all clients since the start
     silence_s: float  # time without set-points after which another client may take control
-
-    @property
-    @abstractmethod
-    def now_s(self) -> float:
-        """Time of the vehicle, s."""
-
-    @property
-    @abstractmethod
-    def velocity_enu_m_s(self) -> tuple[float, float, float]:
-        """Velocity last passed to the vehicle."""
-
-    @abstractmethod
-    def tick(self) -> None:
-        """Advance by 10 ms."""
-
-    @abstractmethod
-    def fly(self) -> Served:
-        """Arm, take off and hold."""
-
-    @abstractmethod
-    def homed(self) -> Served:
-        """Return it disarmed, with its own home."""
 
     def state(self) -> list[object]:
         """Return all state that commands change."""

@@ -204,10 +204,10 @@ def test_state_is_written_every_ten_seconds_and_at_the_end(clock, key):
     clock.advance(9.9)
     assert signer.refusal(signed(secret=key.secret, stamp=clock.ticks)) is None
     signer.save_if_due()
-    assert load_state_of(key).streams == {}
+    assert load_state_of(key).streams == []
     clock.advance(0.2)
     signer.save_if_due()
-    assert load_state_of(key).streams == {(0, 1, 191): clock.ticks - round(0.2 * S)}
+    assert load_state_of(key).streams == [(0, 1, 191, clock.ticks - round(0.2 * S))]
     path = state_of(key)
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert [p.name for p in path.parent.iterdir() if p.name != "fleet.key"] == [path.name]
