@@ -1,4 +1,4 @@
-"""Commands ``campaign`` and ``rare``: many seeds of a scenario, and the rate of its rare failures."""
+"""Command ``campaign``: many seeds of a scenario."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from sim.campaign.run import Flown, Plan
 
 COMPLETE, INCOMPLETE, WRONG_INPUT = 0, 1, 2
-_EVENTS = ("violation", "miss")
 _TIERS = ("lab", "room", "field", "storm", "deck")
 
 
@@ -152,80 +151,3 @@ def _check(flown: Flown, require: str, against: Path | None) -> int:
     if not found:
         click.echo(f"all limits of {require} are met in {len(flown.rows)} landings", err=True)
     return INCOMPLETE if found else COMPLETE
-
-
-@dataclass(frozen=True, kw_only=True)
-class RareOptions:
-    """Options of ``rare``."""
-
-    scenario: Annotated[str, Argument(metavar="SCENARIO")]
-    event: Annotated[str, Option(
-        "--of", "The failure: a violation of the barrier, or a crash or touch beyond the pad.",
-        choices=_EVENTS
-    )] = _EVENTS[0]  # fmt: skip
-    landings: Annotated[int, Option(
-        "--landings", "Landings per level, a multiple of 10; each level is a factor of 10 in the rate.",
-        span=(100, 1_000_000)
-    )] = 500  # fmt: skip
-    seed: Annotated[
-        int, Option("--seed", "Seed of the estimate; each one is independent.", span=(0, 2**62))
-    ] = 0
-    filter: Annotated[str | None, shared.safety_filter("Safety filter; default: the scenario's")] = None
-    workers: shared.Workers = None
-    out: Annotated[Path | None, Option(
-        "--out", "Folder; an estimate that it holds in part is continued. Default: a new folder in runs/.",
-        path="folder"
-    )] = None  # fmt: skip
-    as_json: shared.AsJson = False
-
-
-@click.command()
-@takes(RareOptions)
-def rare(options: RareOptions) -> None:
-    """Estimate the rate of a rare failure of a SCENARIO by subset simulation, and give seeds that show it.
-
-    The landings of the first level are free; those of each further level are drawn among landings ten times
-    as near to the failure. Ctrl-C keeps the finished landings; the same call with the same --out continues.
-
-    Exit status: 0 complete, 1 interrupted or a landing could not be flown, 2 wrong input.
-    """
-    from flightstack.onboard.recording import new_folder
-    from sim.campaign import rare as core
-    from sim.campaign.run import plan
-
-    wanted = core.Rare(
-        plan(options.scenario, options.landings, options.seed, options.filter), core.Event(options.event)
-    )
-    scenario = wanted.plan.scenario
-    folder = options.out or new_folder(f"rare-{scenario.name}-{short_name(wanted.plan.filter_name)}")
-    console = Terminal(stderr=options.as_json)
-    title = f"{scenario.name}, filter {wanted.plan.filter_name}, {options.event}"
-    try:
-        with Bar(console, title, None) as bar:
-            found = core.fly(
-                wanted, folder, workers=options.workers or os.cpu_count() or 1,
-                on_row=bar.row,
-            )  # fmt: skip
-    except KeyboardInterrupt:
-        click.echo(f"flightstack: interrupted; the same command with --out {folder} continues", err=True)
-        sys.exit(INCOMPLETE)
-    if options.as_json:
-        click.echo(json.dumps(found))
-        return
-    console.print(_levels(title, found))
-    low, high = found["interval_95"]
-    rate = f"rate {found['rate']:.2g}" if found["rate"] else "no failure found: rate"
-    console.print(f"{rate}, 95 % interval {low:.2g} to {high:.2g}, {found['landings']} landings")
-    for one in found["failures"]:
-        console.print(f"{one['why']}\n  {one['command']}", soft_wrap=True)
-    console.print(f"rows    {folder / 'rows.csv'}", soft_wrap=True)
-
-
-def _levels(title: str, found: dict[str, Any]) -> Table:
-    columns = [Column(name, justify="right") for name in ("from, mm", "to, mm", "share", "moves accepted")]
-    table = Table("level", *columns, title=title, title_justify="left")
-    for number, level in enumerate(found["levels"]):
-        begins, ends = (f"{1e3 * level[key]:.1f}" for key in ("begins_at", "ends_at"))
-        accepted = f"{100.0 * level['accepted']:.0f} %" if number else "-"
-        table.add_row(str(number), begins, ends, f"{100.0 * level['share']:.1f} %", accepted)
-    return table

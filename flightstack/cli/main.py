@@ -67,7 +67,6 @@ GROUPS = {
     "Prove": {
         "check": Verb("check:check", "Prove a configuration before flight."),
         "campaign": Verb("campaign:campaign", "Fly many seeds; give rates with bounds."),
-        "rare": Verb("campaign:rare", "Estimate the rate of a rare failure."),
         "replay": Verb("replay:replay", "Run a log through today's controller."),
         "validate": Verb("validate:validate", "Compare the simulator with recorded flights."),
         "identify": Verb("identify:identify", "Identify velocity loop and noise from logs."),
@@ -107,7 +106,6 @@ FLIES = (
     "bridge",
     "px4-sim",
     "campaign",
-    "rare",
 )
 VERBS = {name: verb for group in GROUPS.values() for name, verb in group.items()}
 

@@ -9,10 +9,8 @@ from pathlib import Path
 from typing import Annotated
 
 from flightstack.common.options import BadOptionError, Option, declared
-from flightstack.common.strict_toml import decoded
 from flightstack.core.parameters.filters import ALLOWED, look_here
 
-_SEED_DIGITS_MAX = 4000  # more digits than the longest seed of ``rare``; Python reads 4,300
 # copied here, so that a command need not load the packages that define them; a test compares both
 AUTOPILOTS = ("auto", "sitl", "crazyflie", "px4", "ardupilot")
 TARGET_TYPES = ("odometry", "pose", "pose-covariance", "tf")
@@ -41,21 +39,6 @@ def numbers(given: tuple[str, ...]) -> Mapping[str, float]:
             )
         found[name] = number
     return found
-
-
-def seed(given: str) -> int:
-    """Return a seed from its number or from a file with it. Raises BadOptionError: it is neither."""
-    text, file = given, Path(given)
-    if not given.isdecimal() and file.is_file():
-        try:
-            text = decoded(file.read_bytes()).strip()
-        except (OSError, ValueError) as error:
-            raise BadOptionError(f"{given}: cannot be read: {error}") from None
-    if not (text.isascii() and text.isdecimal()) or len(text) > _SEED_DIGITS_MAX:
-        raise BadOptionError(
-            f"found {given[:60]!r}; a whole number from 0 on, or a file with one of `rare`, is needed"
-        )
-    return int(text)
 
 
 def _filter_name(given: str) -> str:
@@ -171,7 +154,7 @@ class Simulated:
     scenario: Annotated[str | Path, Option(
         "--scenario", "Scenario: a name (see `scenarios`) or a file.", "NAME_OR_FILE"
     )]  # fmt: skip
-    seed: Annotated[int, Option("--seed", "Random seed or a file with one.", "NUMBER_OR_FILE", read=seed)] = 0
+    seed: Annotated[int, Option("--seed", "Random seed.", span=(0, 2**64 - 1))] = 0
 
 
 @dataclass(frozen=True, kw_only=True)

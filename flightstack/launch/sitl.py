@@ -39,7 +39,6 @@ from flightstack.launch.vehicles import (
 from flightstack.onboard.recording import Described, describe, end_recorder, log_in, new_folder
 from flightstack.verify.certificate import problems
 from logs.schema.names import NO_PAD, TEAM, Names, member_name
-from sim.chance import name as seed_name
 from sim.options import TargetOptions
 from sim.robot.course import try_out
 from sim.scenarios.scenario import Scenario
@@ -145,7 +144,7 @@ def run(options: RunOptions, console: Console) -> Flown:
     """
     team = prepare(options)
     name = short_name(team.member[0].onboard.filter)
-    folder = options.out or new_folder(f"{team.name}-seed{seed_name(options.seed)}-{name}")
+    folder = options.out or new_folder(f"{team.name}-seed{options.seed}-{name}")
     log = log_in(folder)
     scenario_file(folder, team).write_text(text(team), encoding="utf-8")
     with Launcher(folder, console, tells=options.live) as launcher:
@@ -206,7 +205,7 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
         _hint(launcher, f"robots: {robots_at}")
     speed = LOCKSTEP_SLOWEST / len(vehicles) if options.lockstep else min(1.0, options.speed)
     filters = ", ".join(sorted({each.scenario.onboard.filter for each in vehicles}))
-    title = f"{team.name}  seed {seed_name(options.seed)}  filter {filters}"
+    title = f"{team.name}  seed {options.seed}  filter {filters}"
     live = options.live and launcher.console.is_terminal and not options.lockstep
     shown = Shown([each.endpoint for each in vehicles], title, [each.space for each in vehicles])
     flights = tuple(

@@ -300,11 +300,8 @@ def write_rows(path: Path, rows: Iterable[Row]) -> None:
     beside.replace(path)
 
 
-def write_parquet(path: Path, *, long_seeds: bool = False) -> Path | None:
-    """Write a file's rows in pieces to a Parquet file next to it; return its path, None without pyarrow.
-
-    ``path``: file of the rows; ``long_seeds``: seeds may have more than 63 bits, and are written as text.
-    """
+def write_parquet(path: Path) -> Path | None:
+    """Write a file's rows in pieces to a Parquet file next to it; return its path, None without pyarrow."""
     try:
         from pyarrow import bool_, float64, int64, parquet, string
         from pyarrow import csv as arrow_csv
@@ -312,8 +309,6 @@ def write_parquet(path: Path, *, long_seeds: bool = False) -> Path | None:
         return None
     kinds = {"str": string(), "bool": bool_(), "int": int64(), "float": float64()}
     types = {name: kinds[kind] for name, kind in _KINDS.items()}
-    if long_seeds:
-        types["seed"] = string()
     beside, made = path.with_suffix(".parquet.tmp"), path.with_suffix(".parquet")
     lines = arrow_csv.ParseOptions(newlines_in_values=True)
     options = arrow_csv.ConvertOptions(column_types=types, strings_can_be_null=False)

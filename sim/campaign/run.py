@@ -105,11 +105,11 @@ class Flown:
     summary: dict[str, Any] | None  # None without rows
 
 
-def known_rows(now: dict[str, Any], folder: Path) -> list[Row]:
+def _known_rows(wanted: Plan, now: dict[str, Any], folder: Path) -> list[Row]:
     """Return the rows that a folder already has.
 
     ``now``: data that all rows must share (``identity``).
-    Raises RowsError: rows of another campaign, or damaged ones.
+    Raises RowsError: rows of another campaign or of other seeds, or damaged ones.
     """
     path, about = folder / ROWS, folder / ABOUT
     if not path.exists() and not about.exists():
@@ -123,11 +123,7 @@ def known_rows(now: dict[str, Any], folder: Path) -> list[Row]:
         if before.get(key) != text:
             shown = "" if "\n" in str(text) else f" (was {before.get(key)}, is {text})"
             raise RowsError(f"{folder}: holds a campaign with another {key}{shown}; give another --out")
-    return read_rows(path) if path.exists() else []
-
-
-def _seeds_wanted(wanted: Plan, folder: Path, rows: list[Row]) -> list[Row]:
-    """Return the rows, if the plan includes all of them."""
+    rows = read_rows(path) if path.exists() else []
     last = wanted.first_seed + wanted.runs - 1
     beyond = sum(not wanted.first_seed <= row.seed <= last for row in rows)
     if beyond:
@@ -150,7 +146,7 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
     folder.mkdir(parents=True, exist_ok=True)
     with alone(folder), of_file(folder):
         about = identity(wanted)
-        rows = _seeds_wanted(wanted, folder, known_rows(about, folder))
+        rows = _known_rows(wanted, about, folder)
         (folder / ABOUT).write_text(json.dumps(about, indent=1) + "\n")
         for row in rows:
             on_row(row)

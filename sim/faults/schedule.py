@@ -7,7 +7,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from sim.chance import Chance, stream
+from numpy.random import Generator
+
+from sim.chance import stream
 from sim.plant.sensors import NEVER_NS, NS
 from sim.scenarios.fault_spec import After, Fault
 
@@ -19,7 +21,7 @@ class Running:
     """A scheduled or active fault, with its random stream."""
 
     fault: Fault
-    rng: Chance
+    rng: Generator
     start_ns: int = NEVER_NS
     end_ns: int = NEVER_NS
     active: bool = False

@@ -15,7 +15,6 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
-from sim.chance import Chance
 from sim.flights.recording import Floats, Recording, RecordingError, find_recordings, read_columns
 from sim.flights.screening import Screened, load
 
@@ -154,7 +153,7 @@ def read_tape(path: Path, *, raw: bool = False) -> Tape | None:
     return tape_of(load(path, read_columns()), raw=raw)
 
 
-def draw_tape(folder: Path, rng: Chance, *, raw: bool = False) -> Tape:
+def draw_tape(folder: Path, rng: np.random.Generator, *, raw: bool = False) -> Tape:
     """Draw flights until one gives a tape; the others are not read.
 
     Raises RecordingError: the folder does not exist, or no flight in it gives a tape.

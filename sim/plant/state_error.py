@@ -14,7 +14,7 @@ import numpy as np
 
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Cell, Record
-from sim.chance import Chance, stream
+from sim.chance import stream
 from sim.scenarios.scenario import StateError, TapeKind
 
 if TYPE_CHECKING:
@@ -122,7 +122,9 @@ class Noise:
     ``width``: number of values; ``time_s``: T; ``smooth_s``: S; ``step_s``: time between samples.
     """
 
-    def __init__(self, rng: Chance, width: int, time_s: float, smooth_s: float, step_s: float) -> None:
+    def __init__(
+        self, rng: np.random.Generator, width: int, time_s: float, smooth_s: float, step_s: float
+    ) -> None:
         p, q = math.exp(-step_s / time_s), math.exp(-step_s / smooth_s)
         self._rng, self._width, self._lag = rng, width, [1.0, -p - q, p * q]
         self._gain = math.sqrt((1.0 - p * q) * (1.0 - p * p) * (1.0 - q * q) / (1.0 + p * q))
@@ -196,7 +198,7 @@ def _within(draw: float) -> float:
 class TapeRows:
     """Errors of one recorded flight: random segments of it, joined."""
 
-    def __init__(self, tape: Tape, rng: Chance, rate_hz: float) -> None:
+    def __init__(self, tape: Tape, rng: np.random.Generator, rate_hz: float) -> None:
         self._rng = rng
         self._step = 1.0 / (rate_hz * tape.step_s)  # recorded samples per simulated sample
         self._pieces = [_rows(piece) for piece in tape.pieces]

@@ -6,7 +6,6 @@ import pytest
 
 from flightstack.common.strict_toml import ConfigError
 from logs.verdict.types import Outcome
-from sim.campaign.rare import Event, Rare
 from sim.campaign.rows import judge_team, read_rows, row_of, vehicle_row, write_rows
 from sim.campaign.run import plan
 from sim.campaign.summary import summary
@@ -112,5 +111,3 @@ def test_a_plan_of_a_team_is_checked_for_all_members_and_says_how_to_repeat_a_se
     assert wanted.duration_max_s == 270.0
     with pytest.raises(ConfigError, match=r"one of: ardupilot_47, deck, .*; of several .*: fleet_3, fleet_8"):
         plan("fleet_4", 2, 0, None)
-    with pytest.raises(ConfigError, match="found a team, allowed: the scenario of one vehicle"):
-        Rare(wanted, Event.MISS)

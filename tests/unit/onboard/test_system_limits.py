@@ -117,9 +117,6 @@ def test_files_of_windows_editors_are_read(encode, tmp_path):
     file.write_bytes(encode(text))
     assert read_toml(file) == read_toml(SHIPPED)
     assert decoded(encode("1,2\n")).split() == ["1,2"]
-    seed = tmp_path / "seed"
-    seed.write_bytes(encode("123\n"))
-    assert options.seed(str(seed)) == 123
     printed = CliRunner().invoke(main, ["config", str(file)])
     assert (printed.exit_code, printed.output.splitlines()) == (0, text.splitlines())
     zenoh = tmp_path / "z.json5"
@@ -144,7 +141,6 @@ def test_what_is_no_text_names_the_encoding(data, said):
 
 @pytest.mark.parametrize("words", [
     ["watch", "--once", "--zenoh-config"], ["validate", ".", "--columns"],
-    ["sitl", "--scenario", "lab", "--seed"],
     ["check"], ["sitl", "--scenario"], ["replay"], ["log", "info"], ["log", "diff", "x"],
 ])  # fmt: skip
 def test_a_pipe_where_a_file_is_needed_is_refused_and_not_waited_for(tmp_path, words):
@@ -152,12 +148,6 @@ def test_a_pipe_where_a_file_is_needed_is_refused_and_not_waited_for(tmp_path, w
     result = CliRunner().invoke(main, [*words, str(tmp_path / "pipe")])
     assert result.exit_code == 2
     assert re.search("pipe|neither a file|cannot open", result.output)
-
-
-def test_a_seed_that_is_no_text_names_its_file(tmp_path):
-    (tmp_path / "seed").write_bytes(b"\xff\xff")
-    with pytest.raises(options.BadOptionError, match="seed: cannot be read: not text in the encoding utf-8"):
-        options.seed(str(tmp_path / "seed"))
 
 
 def test_files_are_utf_8_whatever_the_locale_is(tmp_path):
