@@ -239,25 +239,23 @@ def end_with_parent() -> None:
 
 
 class Port:
-    """Loopback port for a later server, reserved against other runs while this object is open.
+    """TCP port of loopback for a later server, reserved against other runs while this object is open.
 
     A free port from a bind to port 0 is in the range of outgoing connections, and may be used a moment later.
-    The ports here are below that range; the reservation is the same number of the other protocol (TCP or
-    UDP). ``udp``: whether the server uses UDP.
+    The ports here are below that range; the reservation is the same number of UDP.
     """
 
     _RANGE = range(20_000, 32_000)  # Linux uses outgoing ports from 32768 on (ip_local_port_range)
     _TRIES = 200
 
-    def __init__(self, *, udp: bool = False) -> None:
+    def __init__(self) -> None:
         chance = random.SystemRandom()
-        wanted, other = (socket.SOCK_DGRAM, socket.SOCK_STREAM)[:: 1 if udp else -1]
         for _ in range(self._TRIES):
             self.number = chance.choice(self._RANGE)
-            self._reservation = socket.socket(socket.AF_INET, other)
+            self._reservation = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             try:
                 self._reservation.bind(("127.0.0.1", self.number))
-                with socket.socket(socket.AF_INET, wanted) as probe:
+                with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
                     probe.bind(("127.0.0.1", self.number))
             except OSError:
                 self._reservation.close()

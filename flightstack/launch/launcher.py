@@ -108,13 +108,6 @@ class Launcher:
         """
         return self.reserved.enter_context(contextlib.closing(Port())).endpoint
 
-    def udp_port(self) -> int:
-        """Return the number of a UDP port of loopback that is reserved for this flight.
-
-        Raises LaunchError: no port is free.
-        """
-        return self.reserved.enter_context(contextlib.closing(Port(udp=True))).number
-
     def start(self, verb: str, options: object, of: str = "") -> Child:
         """Start a command of ``flightstack`` with the options of its process.
 

@@ -12,12 +12,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
-from typing import Any
 
 from rich.console import Console
 from rich.table import Column, Table
 
 from flightstack.common.hangup import CalledOffError
+from flightstack.common.options import shared
 from flightstack.common.processes import Child, LaunchError
 from flightstack.common.strict_toml import ConfigError, dumps
 from flightstack.common.text import failed_code
@@ -31,14 +31,13 @@ from flightstack.launch.run_options import Flies, RunOptions
 from flightstack.launch.vehicles import (
     VEHICLES,
     Flying,
-    common_options,
     longest_s,
     others_s,
-    scenario_file,
+    plugged,
 )
 from flightstack.onboard.recording import Described, describe, end_recorder, log_in, new_folder
 from flightstack.verify.certificate import problems
-from logs.schema.names import NO_PAD, TEAM, Names, member_name
+from logs.schema.names import NO_PAD, Names, member_name
 from sim.options import TargetOptions
 from sim.robot.course import try_out
 from sim.scenarios.scenario import Scenario
@@ -146,7 +145,7 @@ def run(options: RunOptions, console: Console) -> Flown:
     name = short_name(team.member[0].onboard.filter)
     folder = options.out or new_folder(f"{team.name}-seed{options.seed}-{name}")
     log = log_in(folder)
-    scenario_file(folder, team).write_text(text(team), encoding="utf-8")
+    (folder / team.file).write_text(text(team), encoding="utf-8")
     with Launcher(folder, console, tells=options.live) as launcher:
         if line := not_proven(team):
             _hint(launcher, line)
@@ -174,26 +173,16 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
     _describe(launcher.socket, options, team, vehicles)
     kind = VEHICLES[options.flies]
     flying = kind.start(launcher, options, team, robots_at)
-    both: Mapping[str, Any] = {
-        **flying.clock, "ros2_where": options.ros2_where, "ros_domain": options.ros_domain,
-    }  # fmt: skip
     robots = []
     if not kind.with_robots:
-        plugged = TargetOptions(
-            **common_options(launcher, options, team), **both, rate_hz=team.rate_hz,
+        own = plugged(
+            TargetOptions, launcher, options, team, **flying.clock, rate_hz=team.rate_hz,
             duration_s=others_s(team), listen=(robots_at,), connect=(vehicles[0].endpoint,),
         )  # fmt: skip
-        robots.append(launcher.start("target", plugged))
-    loading: list[Child] = [*flying.pending, *robots]
-    if not options.lockstep:  # in lockstep, the onboard process itself reports a missing vehicle
-        for child in loading:
-            child.wait_ready()
-        loading = []
-    onboards = [
-        _start(launcher, options, each, vehicles, flying, robots_at, {**both, "lockstep": options.lockstep})
-        for each in vehicles
-    ]
-    for child in (*loading, *onboards):  # the processes load at the same time
+        robots.append(launcher.start("target", own))
+        robots[0].wait_ready()
+    onboards = [_start(launcher, options, each, vehicles, flying, robots_at) for each in vehicles]
+    for child in onboards:  # the processes load at the same time
         child.wait_ready()
     if not options.lockstep:
         recorder.yield_to_others(RECORDER_YIELDS // len(vehicles))  # a recorder without CPU loses records
@@ -234,43 +223,33 @@ def _start(
     vehicles: Sequence[_Vehicle],
     flying: Flying,
     robots_at: str,
-    both: Mapping[str, Any],
 ) -> Child:
     """Start the onboard process of a vehicle; in real time, each one connects to all earlier ones."""
     member = vehicle.names.member
     earlier = () if options.lockstep else vehicles[: vehicle.number - 1]
-    own = {"system_id": vehicle.number, **flying.options[vehicle.number - 1]}
-    plugged = OnboardOptions(
-        **own, **both, target_key=f"{vehicle.space}/target/odom",
+    own = {"system_id": vehicle.number, **flying.clock, **flying.options[vehicle.number - 1]}
+    onboard = shared(
+        options, OnboardOptions, **own, target_key=f"{vehicle.space}/target/odom",
         connect=(robots_at, *(each.endpoint for each in earlier)), namespace=member or None,
         shared_log=bool(member),
         listen=(vehicle.endpoint, *options.listen), config_file=vehicle.config,
         duration_s=vehicle.scenario.duration_max_s, recorder=launcher.socket,
-        zenoh_config=options.zenoh_config, accept_release=options.accept_release,
         unproven=True,  # the vehicle is simulated
     )  # fmt: skip
-    return launcher.start("onboard", plugged, of=member)
+    return launcher.start("onboard", onboard, of=member)
 
 
 def _describe(recorder: Path, options: RunOptions, team: TeamScenario, vehicles: Sequence[_Vehicle]) -> None:
     """Write scenario, configuration and options of the run to the log."""
-    source, alone = path_of(options.scenario).read_bytes(), team.is_alone
     flights = [
-        Described(
-            each.scenario.onboard,
-            _run_metadata(options, each.scenario, each.seed),
-            {"scenario.toml": dumps(each.scenario).encode()}
-            | ({"scenario_source.toml": source} if alone else {}),
-            each.names,
-        )
+        Described(each.scenario.onboard, _run_metadata(options, each.scenario, each.seed), each.names)
         for each in vehicles
     ]
-    members = ",".join(each.space for each in vehicles)
-    files = {TEAM: text(team).encode(), "team_source.toml": source}
-    describe(
-        recorder, *flights, attachments={} if alone else files,
-        fleet={} if alone else {"members": members, **_about(options, team, options.seed)},
-    )  # fmt: skip
+    files = {each.names.record("scenario.toml"): dumps(each.scenario).encode() for each in vehicles}
+    files[team.file] = text(team).encode()
+    files[team.file.replace(".", "_source.")] = path_of(options.scenario).read_bytes()
+    about = {"members": ",".join(each.space for each in vehicles), **_about(options, team, options.seed)}
+    describe(recorder, *flights, fleet={} if team.is_alone else about, attachments=files)
 
 
 def _about(options: RunOptions, scenario: Scenario | TeamScenario, seed: int) -> dict[str, str]:

@@ -13,16 +13,16 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from bridge.mavlink.profiles import ARDUPILOT, AUTO, OWN_SITL
 from bridge.mavlink.profiles import PX4 as PX4_PROFILE
+from flightstack.common.options import shared
 from flightstack.common.processes import Child, Running
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.types import Vec3
 from flightstack.launch.launcher import Launcher
 from flightstack.launch.run_options import Flies, RunOptions
-from logs.schema.names import TEAM
 from sim.autopilot.ground import ORIGIN_WGS84
 from sim.options import Px4SimOptions, WorldOptions
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
@@ -30,6 +30,7 @@ from sim.scenarios.scenario import Scenario, StartKind
 from sim.scenarios.team import TeamScenario
 from sim.vehicle.vehicle import compile_first
 
+T = TypeVar("T")
 _EAST_DEG = 90.0  # heading of the nose, degrees
 SIMULATOR_PORT = 4560  # port to which PX4 of instance 0 connects
 _ARDUPILOT_TCP = 5760  # TCP port of SERIAL0 of instance 0; each further instance adds 10
@@ -42,35 +43,31 @@ class Flying:
     options: Sequence[Mapping[str, Any]]  # options of the onboard process of each vehicle
     children: list[Running]  # processes that must outlive the flight
     teller: Child | None = None  # process that reports arming and disarming
-    # options with which robot and onboard process follow the vehicle's clock
+    # options with which robot and onboard process follow the vehicle's clock; else the run's --speed
     clock: Mapping[str, Any] = field(default_factory=dict)
-    pending: Sequence[Child] = ()  # processes that are not ready yet
 
 
 def _own(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at: str) -> Flying:
     """Start the simulated vehicles with their own autopilot, and the robots, in one process."""
     compile_first(team.member[0])
-    several, elsewhere = not team.is_alone, options.members
-    place = f"127.0.0.1:{0 if several else launcher.udp_port()}"
+    elsewhere = options.members
     child = launcher.start(
         "world",
-        WorldOptions(
-            **common_options(launcher, options, team), lockstep=options.lockstep,
-            signing_key=options.signing_key, rate_hz=team.rate_hz, duration_s=others_s(team),
-            listen=(robots_at,), url=f"udpin:{place}", leave_out=tuple(elsewhere),
-            ros2_where=options.ros2_where, ros_domain=options.ros_domain,
+        plugged(
+            WorldOptions, launcher, options, team, rate_hz=team.rate_hz, duration_s=others_s(team),
+            listen=(robots_at,), url="udpin:127.0.0.1:0", leave_out=tuple(elsewhere),
         ),
     )  # fmt: skip
-    urls = iter(child.wait_ready().replace("udpin", "udpout").split() if several else [f"udpout:{place}"])
+    urls = iter(child.wait_ready().replace("udpin", "udpout").split())
     # the simulated vehicle sends the heartbeat of PX4
     autopilot = OWN_SITL.name if options.autopilot == AUTO else options.autopilot
     given = [
-        {"vehicle_url": elsewhere[number], "autopilot": options.autopilot}
+        {"vehicle_url": elsewhere[number], "signing_key": None}
         if number in elsewhere
-        else {"vehicle_url": next(urls), "signing_key": options.signing_key, "autopilot": autopilot}
+        else {"vehicle_url": next(urls), "autopilot": autopilot}
         for number in range(1, len(team.member) + 1)
     ]
-    return Flying(given, [child], child, pending=() if several else [child])
+    return Flying(given, [child], child)
 
 
 class _Px4Start:
@@ -108,9 +105,9 @@ def _px4(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at:
     poses = scenario.vehicle.mocap if options.mocap else None
     simulator = launcher.start(
         "px4-sim",
-        Px4SimOptions(
-            **common_options(launcher, options, team), connect=(robots_at,), once=True, **clock,
-            tcp=f"127.0.0.1:{SIMULATOR_PORT + px4.number}", speed=options.speed, mocap=options.mocap,
+        plugged(
+            Px4SimOptions, launcher, options, team, duration_s=None, connect=(robots_at,), once=True,
+            tcp=f"127.0.0.1:{SIMULATOR_PORT + px4.number}", **clock,
         ),
     )  # fmt: skip
     simulator.wait_ready()
@@ -120,7 +117,7 @@ def _px4(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at:
 
     wanted = parameters(params.load(scenario.vehicle.airframe), poses)
     child, given = px4.run(Px4Model.NONE_IRIS, wanted)
-    return Flying([given], [simulator, child], simulator, clock)
+    return Flying([given], [simulator, child], simulator, {**clock, "speed": 1.0})
 
 
 def _px4_sih(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at: str) -> Flying:
@@ -130,7 +127,7 @@ def _px4_sih(launcher: Launcher, options: RunOptions, team: TeamScenario, robots
 
     child, given = _Px4Start(launcher, options).run(Px4Model.SIHSIM_QUADX, SAFE_PARAMETERS)
     given["target_offset_m"] = _to_the_floor_m(team.member[0])
-    return Flying([given], [child], clock={"speed": options.speed})
+    return Flying([given], [child])
 
 
 def _ardupilot(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at: str) -> Flying:
@@ -154,7 +151,7 @@ def _ardupilot(launcher: Launcher, options: RunOptions, team: TeamScenario, robo
         "vehicle_url": url, "autopilot": ARDUPILOT.name,
         "target_offset_m": _to_the_floor_m(team.member[0]),
     }  # fmt: skip
-    return Flying([given], [child], clock={"speed": options.speed})
+    return Flying([given], [child])
 
 
 # Parameters that ArduCopter's simulated quadrotor needs beyond its defaults: frame, battery, calibrations of
@@ -224,15 +221,10 @@ VEHICLES: Mapping[Flies, Vehicle] = {
 }
 
 
-def scenario_file(folder: Path, team: TeamScenario) -> Path:
-    """Return the path of the scenario file in the folder of a run."""
-    return folder / ("scenario.toml" if team.is_alone else TEAM)
-
-
-def common_options(launcher: Launcher, options: RunOptions, team: TeamScenario) -> dict[str, Any]:
-    """Return the options that every process of the simulator has."""
-    file = scenario_file(launcher.folder, team)
-    return {"scenario": file, "seed": options.seed, "recorder": launcher.socket}
+def plugged(cls: type[T], launcher: Launcher, options: RunOptions, team: TeamScenario, **own: Any) -> T:
+    """Return the options of a process of the simulator: those of the run, then the process's own."""
+    both = {"scenario": launcher.folder / team.file, "recorder": launcher.socket, "zenoh_config": None}
+    return shared(options, cls, **both, **own)
 
 
 def longest_s(team: TeamScenario) -> float:

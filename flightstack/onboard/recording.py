@@ -101,7 +101,6 @@ class Described(NamedTuple):
 
     config: FlightConfig  # configuration of the onboard process
     run: Mapping[str, str]  # entries about the run; they replace the default entries
-    attachments: Mapping[str, bytes] = MappingProxyType({})  # files (TOML) by name
     names: Names = OWN  # names of the flight's records in the log
 
 
@@ -114,7 +113,7 @@ def describe(
     """Write the data to the log that is needed to read and replay it, except that of the onboard process.
 
     ``recorder``: socket of the recorder; ``fleet``: metadata of all flights, empty for one flight;
-    ``attachments``: files (TOML) of all flights, by name.
+    ``attachments``: files (TOML) by name.
     Raises FeedError: no recorder listens.
     """
     feed = Feed.connect(str(recorder), "launcher", lossless=True)
@@ -156,8 +155,6 @@ def _describe(feed: Feed, flight: Described) -> None:
     if boundary := own_boundary(config.filter):
         told["own_boundary"] = boundary
     feed.metadata(names.record("run"), {**told, **flight.run})
-    for name, data in flight.attachments.items():
-        feed.attachment(names.record(name), "application/toml", data)
 
 
 def _revision() -> str:

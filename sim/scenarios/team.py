@@ -29,7 +29,7 @@ from flightstack.common.strict_toml import (
 from flightstack.config import files as configurations
 from flightstack.core.fleet.assignment import assign
 from flightstack.core.types import Vec3
-from logs.schema.names import OWN, Names, member_name
+from logs.schema.names import OWN, TEAM, Names, member_name
 from sim.chance import member as seed_of
 from sim.chance import stream
 from sim.scenarios import scenario as scenarios
@@ -117,6 +117,11 @@ class TeamScenario:
     def names(self, number: int) -> Names:
         """Return the names in the log of a vehicle; a single vehicle has no prefix."""
         return OWN if self.is_alone else Names(member_name(number), number)
+
+    @property
+    def file(self) -> str:
+        """Name of the scenario's file in a folder and in a log."""
+        return "scenario.toml" if self.is_alone else TEAM
 
     @property
     def rate_hz(self) -> int:

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import socket
+
 from flightstack.common.processes import Port
 
-_KEPT: list[Port] = []  # kept until this worker ends, because a server may restart
+_KEPT: list[Port | socket.socket] = []  # kept until this worker ends, because a server may restart
 
 
 def free_port(*, udp: bool = False) -> int:
     """Return a port for a TCP or UDP server."""
-    _KEPT.append(Port(udp=udp))
-    return _KEPT[-1].number
+    port = Port()
+    _KEPT.append(port)
+    if udp:  # the number of TCP is reserved instead
+        _KEPT[-1] = socket.create_server(("127.0.0.1", port.number))
+        port.close()
+    return port.number
 
 
 def free_endpoint() -> str:
