@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -26,21 +25,13 @@ DIFFERENCES_MAX = 20  # largest number of printed differences; the first ones ar
 
 _log = click.argument("log_file", metavar="LOG", type=click.Path(path_type=Path))
 _member = click.option("--member", metavar="NAME", help="Only the part of this member of a fleet, e.g. cf2.")
-_force = click.option("--force", is_flag=True, help="Replace OUT if it exists.")
-
-
-def _out(command: Callable[..., None]) -> Callable[..., None]:
-    option = click.option(
-        "--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="File to write."
-    )
-    return option(_force(command))
 
 
 @click.group()
 def log() -> None:
-    """Inspect, judge, compare, repair and export flight logs. The readable part of a broken LOG is used.
+    """Inspect, judge and export flight logs. The readable part of a broken LOG is used.
 
-    Exit status: 0 done, 1 the LOG is broken (its readable part was used) or differs, 2 wrong input.
+    Exit status: 0 done, 1 the LOG is broken (its readable part was used), 2 wrong input.
     """
 
 
@@ -88,17 +79,17 @@ def show_verdict(values: dict[str, Any], *, as_json: bool) -> None:
     Terminal().print(result_table(values, values["reason"]))
 
 
-@log.command()
+@click.command()
 @click.argument("log_a", type=click.Path(path_type=Path))
 @click.argument("log_b", type=click.Path(path_type=Path))
-def diff(log_a: Path, log_b: Path) -> None:
+def compare(log_a: Path, log_b: Path) -> None:
     """Compare two logs message by message; exit status 0 equal, 1 different.
 
     Wall-clock measurements (loop timing) are not compared.
     """
-    from logs.tools.compare import compare
+    from logs.tools.compare import compare as differences_of
 
-    differences = compare(log_a, log_b)
+    differences = differences_of(log_a, log_b)
     for difference in differences[:DIFFERENCES_MAX]:
         click.echo(plain(str(difference)))
     if len(differences) > DIFFERENCES_MAX:
@@ -110,21 +101,10 @@ def diff(log_a: Path, log_b: Path) -> None:
 @log.command()
 @_log
 @_member
-@_out
-def recover(log_file: Path, member: str | None, out: Path, force: bool) -> None:
-    """Repair a broken LOG: write all readable messages and a new index."""
-    from logs.tools.recover import recover as recovered
-
-    new = recovered(_open(log_file, member), out, force=force)
-    click.echo(plain(f"{out}: {new.messages} messages; {new.problem or 'the log was whole'}"))
-
-
-@log.command()
-@_log
-@_member
 @click.option("--topic", metavar="TOPIC", required=True, help="Topic to export; `log info` lists them.")
 @click.option("--format", "kind", type=click.Choice(["csv", "parquet"]), required=True)
-@_out
+@click.option("--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="File to write.")
+@click.option("--force", is_flag=True, help="Replace OUT if it exists.")
 def export(log_file: Path, member: str | None, topic: str, kind: str, out: Path, force: bool) -> None:
     """Write one topic of a LOG as a table for other programs."""
     from logs.tools.export import export_csv, export_parquet

@@ -25,12 +25,10 @@ from logs.schema.mavlink import MAVLINK_PEERS
 from logs.schema.names import LOSSES, split
 from logs.schema.rows import LogRow
 from logs.schema.schemas import CONTROLLER_STEP, DIAGNOSTIC_ARRAY, LOG, LOOP_TIMING, store_for
-from logs.tools.recover import LOG_TOOL
 
 WALL_CLOCK_SCHEMAS = frozenset({LOOP_TIMING, DIAGNOSTIC_ARRAY})
 WALL_CLOCK_EVENTS = frozenset({RECORDER_NAME})  # sources of events on /rosout
 WALL_CLOCK_METADATA = frozenset({LOSSES, RECORDER, MAVLINK_PEERS})  # complete records; ports are random
-PROVENANCE_METADATA = frozenset({LOG_TOOL})  # records on the origin of the file, not its content
 WALL_CLOCK_METADATA_KEYS = frozenset(
     {"started", "started_unix_s", "ended", "wall_time_s", "realtime_factor", "host", "out", "log", "pid"}
 )
@@ -167,7 +165,7 @@ def _text(value: Any) -> str:
 
 def _metadata(a: dict[str, dict[str, str]], b: dict[str, dict[str, str]]) -> Iterator[MessageDifference]:
     for name in sorted(a.keys() | b.keys()):
-        if split(name)[1] in WALL_CLOCK_METADATA | PROVENANCE_METADATA:
+        if split(name)[1] in WALL_CLOCK_METADATA:
             continue
         values_a, values_b = a.get(name, {}), b.get(name, {})
         for key in sorted((values_a.keys() | values_b.keys()) - WALL_CLOCK_METADATA_KEYS):

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from mcap.reader import make_reader
 
 from logs.reader.reader import LogFile
 from logs.schema.schemas import CONTROLLER_STEP
@@ -40,7 +39,6 @@ class Crash:
     lockstep: bool
     complete: bool
     messages: int
-    recovered: int
     missing_s: float  # wall time between the kill and the victim's last message in the log
 
 
@@ -83,18 +81,13 @@ def _look(folder: Path, victim: str, lockstep: bool, killed_s: float) -> Crash:
     assert info.code == (0 if log.complete else 1), info.err
     replayed = flightstack("replay", path, "--check")
     assert replayed.code == 0, replayed.out + replayed.err
-    recovered = flightstack("log", "recover", path, "--out", folder / "recovered.mcap")
-    assert recovered.code == 0, recovered.err
-    with (folder / "recovered.mcap").open("rb") as stream:
-        indexed = sum(1 for _ in make_reader(stream, validate_crcs=True).iter_messages())
-    assert indexed == len(messages)
     topic = OWN_TOPIC[victim]
     last_s = max(m.log_time_ns for m in messages if topic in (None, m.topic)) / NS
     if lockstep:  # log times are simulated; use the wall time of the last write
         missing_s = killed_s - written_s if victim == "record" else 0.0
     else:
         missing_s = max(0.0, killed_s - last_s)
-    return Crash(victim, lockstep, log.complete, len(messages), indexed, missing_s)
+    return Crash(victim, lockstep, log.complete, len(messages), missing_s)
 
 
 MISSING_MAX_S = 0.5
@@ -115,7 +108,7 @@ def test_a_kill_costs_half_a_second_of_the_log_at_most(tmp_path, victim, lockste
     else:
         pytest.fail("the flight was always over before the kill")
     assert found.missing_s <= MISSING_MAX_S, found
-    assert found.recovered == found.messages > 100
+    assert found.messages > 100
     assert found.complete == (victim != "record")  # if another process dies, the recorder closes the file
 
 

@@ -196,7 +196,7 @@ def test_the_table_is_what_a_flight_records(folder):
 @log_docs
 def test_the_commands_run(folder):
     lines = re.findall(r"^\.venv/bin/flightstack log .*$", PAGE.read_text(), re.MULTILINE)
-    verbs = {"info", "verdict", "diff", "recover", "export"}
+    verbs = {"info", "verdict", "export"}
     assert {shlex.split(line)[2] for line in lines} == verbs
     for line in lines:
         done = subprocess.run(

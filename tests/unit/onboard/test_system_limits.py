@@ -141,7 +141,7 @@ def test_what_is_no_text_names_the_encoding(data, said):
 
 @pytest.mark.parametrize("words", [
     ["watch", "--once", "--zenoh-config"], ["validate", ".", "--columns"],
-    ["check"], ["sitl", "--scenario"], ["replay"], ["log", "info"], ["log", "diff", "x"],
+    ["check"], ["sitl", "--scenario"], ["replay"], ["log", "info"], ["compare", "x"],
 ])  # fmt: skip
 def test_a_pipe_where_a_file_is_needed_is_refused_and_not_waited_for(tmp_path, words):
     os.mkfifo(tmp_path / "pipe")

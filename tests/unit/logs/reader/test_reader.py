@@ -1,4 +1,4 @@
-"""Logs, also recovered and truncated ones, are readable by other programs; broken ones as far as possible."""
+"""Logs are readable by other programs; broken ones as far as possible."""
 
 from __future__ import annotations
 
@@ -32,7 +32,6 @@ from logs.recorder.mcap_file import McapFile
 from logs.report.report import write_report
 from logs.schema import schemas
 from logs.schema.events import Severity, pack_log
-from logs.tools.recover import recover
 from logs.verdict.verdict import judged
 from tests.unit.logs.helpers import CHANNELS, EPOCH_NS, payloads, record
 
@@ -68,20 +67,6 @@ RERUN = Path(sys.executable).parent / "rerun"
 PATIENCE_S = 120.0
 
 
-@pytest.fixture(scope="module", params=["recorded", "recovered"])
-def log(request, tmp_path_factory):
-    folder = tmp_path_factory.mktemp(request.param)
-    whole = record(folder / "whole.mcap")
-    if request.param == "recorded":
-        return whole
-    out = folder / f"{request.param}.mcap"
-    killed = record(folder / "killed.mcap", close=False)
-    data = killed.read_bytes()
-    killed.write_bytes(data[:-100])
-    recover(LogFile(killed), out)
-    return out
-
-
 def counts(log):
     found: dict[str, int] = {}
     for message in LogFile(log).messages():
@@ -102,9 +87,9 @@ def same(a, b):
     return a == b or (a != a and b != b)
 
 
-def test_two_cdr_libraries_agree_on_every_message(log):
+def test_two_cdr_libraries_agree_on_every_message(recorded):
     """Read with the MCAP project's indexed reader and ROS 2 decoder, and with rosbags."""
-    with log.open("rb") as stream, AnyReader([log]) as bags:
+    with recorded.open("rb") as stream, AnyReader([recorded]) as bags:
         reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
         theirs: dict[str, list] = {}
         for _, channel, message, decoded in reader.iter_decoded_messages():
@@ -113,7 +98,7 @@ def test_two_cdr_libraries_agree_on_every_message(log):
         for connection, log_time_ns, data in bags.messages():
             decoded = bags.deserialize(data, connection.msgtype)
             other.setdefault(connection.topic, []).append((log_time_ns, decoded))
-    assert {topic: len(messages) for topic, messages in theirs.items()} == counts(log)
+    assert {topic: len(messages) for topic, messages in theirs.items()} == counts(recorded)
     for topic, messages in theirs.items():
         for (time_a, a), (time_b, b) in zip(messages, other[topic], strict=True):
             assert time_a == time_b
@@ -129,14 +114,14 @@ def rerun(tmp_path, *arguments):
     )  # fmt: skip
 
 
-def test_rerun_finds_nothing_wrong_and_converts_every_message(log, tmp_path):
-    checked = rerun(tmp_path, "mcap", "check", log)
+def test_rerun_finds_nothing_wrong_and_converts_every_message(recorded, tmp_path):
+    checked = rerun(tmp_path, "mcap", "check", recorded)
     assert checked.returncode == 0, checked.stderr
     lines = re.findall(r"^(\w+)\s+\d+\s+\d+\s+(/\S+)", checked.stdout, re.MULTILINE)
     states = {topic: state for state, topic in lines}
-    expected = counts(log)
+    expected = counts(recorded)
     assert states == dict.fromkeys(expected, "ok")
-    converted = rerun(tmp_path, "mcap", "convert", log, "-o", tmp_path / "log.rrd")
+    converted = rerun(tmp_path, "mcap", "convert", recorded, "-o", tmp_path / "log.rrd")
     assert converted.returncode == 0, converted.stderr
     verified = rerun(tmp_path, "rrd", "verify", tmp_path / "log.rrd")
     assert verified.returncode == 0, verified.stderr

@@ -8,8 +8,6 @@ from flightstack.cli.main import main
 from logs.reader.reader import LogFile
 from logs.recorder.mcap_file import McapFile
 from logs.replay.read import FlightInputs, ReplayError
-from logs.replay.replay import replay
-from logs.tools.recover import recover
 
 pytestmark = pytest.mark.xdist_group("fleet_log")
 MEMBERS = ("cf1", "cf2", "cf3")
@@ -36,12 +34,6 @@ def copied(source, target, change):
             file.write(file.channel(m.topic, m.schema), m.log_time_ns, m.publish_time_ns, m.sequence, data)
     file.close()
     return target
-
-
-def test_the_part_of_a_member_is_a_log_of_its_own(fleet, tmp_path):
-    recover(LogFile(fleet.log, "cf2"), tmp_path / "cf2.mcap")
-    assert LogFile(tmp_path / "cf2.mcap").members == ()
-    assert replay(tmp_path / "cf2.mcap").equal
 
 
 def test_each_member_replays_bit_by_bit_and_the_command_tells_of_all(fleet, capsys):
