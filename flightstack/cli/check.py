@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import click
 
 from flightstack.cli.options import takes
-from flightstack.common.options import Argument
+from flightstack.common.options import Argument, Option
 from flightstack.common.strict_toml import ConfigError, from_table, read_toml
 from flightstack.config import options as shared
 from flightstack.config.files import load, names, path_of
@@ -36,6 +36,9 @@ class CheckOptions:
     filter: Annotated[
         str | None, shared.safety_filter("Check it for this safety filter; default: the configuration's")
     ] = None
+    every: Annotated[
+        bool, Option("--all", "Show each claim with its worst point, also those that are proven")
+    ] = False
     as_json: shared.AsJson = False
 
 
@@ -45,9 +48,10 @@ def check(options: CheckOptions) -> None:
     """Prove before a flight that the filter's guarantees hold in the whole range that CONFIG declares.
 
     CONFIG is the name or file of an `onboard` configuration or of a scenario; a scenario of several vehicles
-    is checked for each member, and for all of them together. Each line shows a claim, its worst point, and
-    the distance to its limit there (docs/how_it_works/robust_filter.md, docs/how_it_works/fleet.md). For a
-    scenario, the configuration's barrier, robot, pad and links are also compared with the simulated ones.
+    is checked for each member, and for all of them together. The output contains each claim that is not
+    proven, with what was found and what to change; --all also shows the proven ones, with the distance to
+    their limit (docs/how_it_works/robust_filter.md, docs/how_it_works/fleet.md). For a scenario, the
+    configuration's barrier, robot, pad and links are also compared with the simulated ones.
 
     Exit status: 0 all claims proven, 1 at least one not proven, 2 wrong input.
     """
@@ -56,10 +60,10 @@ def check(options: CheckOptions) -> None:
         click.echo(json.dumps(_as_json(options.config, parts)))
     else:
         for part in parts:
-            _show(f"{options.config}{part.of}, filter {part.filter}", part.checks)
+            _show(f"{options.config}{part.of}, filter {part.filter}", part.checks, options.every)
             for text in part.ignored:
                 click.echo(text)
-        click.echo(_summary(parts))
+        click.echo(_summary(parts) + ("" if options.every else "; --all shows each claim"))
     sys.exit(PROVEN if all(each.proven for part in parts for each in part.checks) else NOT_PROVEN)
 
 
@@ -169,25 +173,35 @@ def _row(result: Check) -> dict[str, object]:
     }
 
 
-def _show(name: str, results: Sequence[Check]) -> None:
+def _show(name: str, results: Sequence[Check], every: bool) -> None:
     from rich.table import Column, Table
     from rich.text import Text
 
     from flightstack.common.terminal import Terminal
 
-    columns = [Column(heading, overflow="fold") for heading in ("", "claim", "room", "worst point")]
-    columns[2].justify = "right"
-    table = Table(*columns, title=name, title_justify="left")
-    for result in results:
-        word, colour = _WORDS[result.proven, result.need.value]
-        room = "no bound" if math.isinf(result.room) else f"{result.room:.3g} {result.unit}".strip()
-        claim = f"{result.name}: {result.claim}"
-        table.add_row(Text(word, style=colour), Text(claim), Text(room), Text(result.worst))
     console = Terminal()
-    console.print(table)
-    for result in results:
-        if not result.proven:
-            console.print(Text(f"{result.name}: {result.remedy}"), soft_wrap=True)
+    if every:
+        columns = [
+            Column(heading, overflow="fold") for heading in ("", "claim", "distance to limit", "worst point")
+        ]
+        columns[2].justify = "right"
+        table = Table(*columns, title=name, title_justify="left")
+        for result in results:
+            word, colour = _WORDS[result.proven, result.need.value]
+            room = "no bound" if math.isinf(result.room) else f"{result.room:.3g} {result.unit}".strip()
+            claim = f"{result.name}: {result.claim}"
+            table.add_row(Text(word, style=colour), Text(claim), Text(room), Text(result.worst))
+        console.print(table)
+    else:
+        console.print(Text(name), soft_wrap=True)
+    for result in (each for each in results if not each.proven):
+        word, colour = _WORDS[False, result.need.value]
+        console.print(Text.assemble((word, colour), f": {result.name}: {result.claim}"), soft_wrap=True)
+        missing = (
+            f"; short by {-result.room:.3g} {result.unit}".rstrip() if math.isfinite(result.room) else ""
+        )
+        console.print(Text(f"  worst point: {result.worst}{missing}"), soft_wrap=True)
+        console.print(Text(f"  remedy: {result.remedy}"), soft_wrap=True)
 
 
 _WORDS = {

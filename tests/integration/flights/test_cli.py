@@ -106,8 +106,13 @@ def write(tmp_path, settings, name="onboard.toml"):
     return path
 
 
-def test_a_proven_configuration_exits_0_and_shows_each_room(tmp_path):
-    result = run("check", write(tmp_path, config()))
+def test_a_proven_configuration_exits_0_and_all_shows_each_room(tmp_path):
+    file = write(tmp_path, config())
+    short = run("check", file)
+    assert short.exit_code == 0
+    assert len(short.output.splitlines()) == 2
+    assert "proven: all" in short.output
+    result = run("check", "--all", file)
     assert result.exit_code == 0
     assert "must not fly" not in result.output
     assert "not proven" not in result.output
@@ -118,7 +123,8 @@ def test_a_proven_configuration_exits_0_and_shows_each_room(tmp_path):
 def test_what_is_not_proven_exits_1_and_says_what_to_change(tmp_path):
     result = run("check", write(tmp_path, config(robust={"commit_speed_m_s": 0.5})))
     assert result.exit_code == 1
-    assert "not proven" in result.output
+    assert "not proven: drift: " in result.output
+    assert "proven: barrier" not in result.output  # only what is not proven
     assert "lower robust.commit_speed_m_s" in result.output
     result = run("check", write(tmp_path, config(robust={"rate_1_s": 9.0})))
     assert result.exit_code == 1
