@@ -25,8 +25,7 @@ from bridge.mavlink.server.commands import (
 )
 from bridge.mavlink.server.parameters import Parameters
 from bridge.mavlink.server.profile import FlightMode
-from bridge.mavlink.server.server import SYSTEM_ID, Server
-from bridge.mavlink.server.services import Handler
+from bridge.mavlink.server.server import SYSTEM_ID, Handler, Server
 from bridge.mavlink.server.telemetry import Snapshot
 from flightstack.core.types import ZERO, Vec3
 from sim.autopilot.flight import Flight
