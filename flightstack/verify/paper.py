@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.parameters.flight import FlightConfig, TouchdownRule
 from flightstack.core.types import Vec3
 from flightstack.verify.bound import Cell, Most, Shape, Span, most
 from flightstack.verify.types import PROOF, Check
@@ -18,6 +18,9 @@ from flightstack.verify.types import PROOF, Check
 TICK_S = 0.05  # longest tick for a vehicle whose lag is shorter, s
 QUICKER = 1.25  # required ratio of the position loop's gain to omega
 FASTER = 1.4  # required ratio of the vehicle's speed to the target's
+# Required ratio of the boundary at half the pad's radius to contact.gap_m. With a ratio of 1 two of 100
+# landings touched the pad's edge, with 1.6 none.
+CENTRES = 1.5
 QUARTER = Span(0.0, math.pi / 2.0)  # checked directions: box and target are symmetric
 ANYWHERE = Span(0.0, math.inf)  # checked distances
 
@@ -111,13 +114,24 @@ def answers(config: FlightConfig) -> list[Check]:
     centre, or faster than its vertical velocity settles, the vehicle descends into the narrow part of the
     cone and remains there while the robot moves on. So does a vehicle that is hardly faster than a robot that
     turns back. With these factors 60 landings in ``reversing`` stayed above the barrier.
+
+    Horizontal motion lags behind a robot that turns back, so the vehicle must be able to climb as fast as the
+    boundary rises below it: slopes of 4.5 and more, a rise of twice the vertical speed, ended below the
+    barrier. A cone that is too flat allows a touchdown on the pad's edge.
     """
     loop, slower, tick_s = config.velocity_loop, 1.0 + config.envelope.lag_spread, 1.0 / config.loop.rate_hz
     (kx, ky, kz), (ax, ay, _) = config.position_loop.gain_1_s, config.limits.slew_max_m_s2
-    (vx, vy, _), target_m_s = config.limits.velocity_max_m_s, config.touchdown.target_speed_max_m_s
+    (vx, vy, vz), target_m_s = config.limits.velocity_max_m_s, config.touchdown.target_speed_max_m_s
     lag_s, settles_s, omega_1_s = slower * loop.lag_xy_s, slower * loop.lag_z_s, config.barrier.omega_1_s
     quick_s, target_m_s2 = max(loop.lag_xy_s, TICK_S), config.envelope.target_acceleration_max_m_s2
     speed, overtakes_m_s, pad_m = max(vx, vy), min(vx, vy), config.touchdown.pad_radius_m
+    barrier, by_contact = config.barrier.build(), config.touchdown.rule is TouchdownRule.CONTACT
+    rises_m_s, half_m = barrier.slope_max * target_m_s, barrier.height(0.5 * pad_m)
+    key, touch_m = (
+        (f"{CENTRES:g} times contact.gap_m", CENTRES * config.contact.gap_m)
+        if by_contact
+        else ("touchdown.height_m", config.touchdown.height_m)
+    )
     return [
         Check(
             "lag",
@@ -148,6 +162,18 @@ def answers(config: FlightConfig) -> list[Check]:
             overtakes_m_s - FASTER * target_m_s,
             "m/s", f"found {overtakes_m_s:g}, the target has {target_m_s:g}",
             f"raise it to {FASTER:g} times touchdown.target_speed_max_m_s", PROOF,
+        ),
+        Check(
+            "climb", "the vehicle climbs as fast as the boundary rises over a target that turns back",
+            vz - rises_m_s, "m/s",
+            f"slope {barrier.slope_max:.3g} at {target_m_s:g} m/s, the vehicle climbs with {vz:g} m/s",
+            "lower the slope alpha * beta, or raise limits.velocity_max_m_s", PROOF,
+        ),
+        Check(
+            "cone", "as low as a touchdown, a vehicle above the barrier is within half the pad's radius",
+            half_m - touch_m, "m",
+            f"there the boundary is {half_m:.3g} m high, {key} is {touch_m:g} m",
+            f"raise the slope alpha * beta, or lower {key.split()[-1]}", PROOF,
         ),
         Check(
             "barrier.omega_1_s", "h may fall more slowly than the vertical velocity settles",

@@ -1,10 +1,11 @@
 """Tests the certificate by flight: changes each parameter over its span and flies what `check` proves.
 
-``python -m tests.benchmarks proven [KEY ...] [--scenario NAME ...] [--filter NAME ...] [--values N]``
+``python -m tests.benchmarks proven [KEY ...] [--scenario NAME[+VARIANT] ...] [--filter NAME ...]``
 
 KEY: start of a parameter's name, for example ``velocity_loop.`` or ``robust.gain_1_s``. A configuration is
 rejected, not proven, or proven. A proven one that crashes or violates the barrier is a failure. Exit status 1
-after a failure. The scenario's environment does not change.
+after a failure. The scenario's environment does not change. A variant (``deck+feedback``) adds an optional
+part of the configuration, so that its parameters act, too.
 """
 
 import argparse
@@ -22,6 +23,7 @@ import msgspec
 from flightstack.common.strict_toml import ConfigError, from_table, to_table
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.verify.certificate import checks
+from flightstack.verify.feedback import BANDWIDTH
 from logs.verdict.types import Outcome
 from sim.runners.landing import land
 from sim.scenarios.scenario import Scenario, load
@@ -30,6 +32,23 @@ from sim.vehicle.declared import declared
 SCENARIOS = ("lab", "field", "reversing", "deck")
 FILTERS = ("robust", "paper")
 DURATION_MAX_S = 60.0
+
+
+def base(name: str, kind: str) -> Scenario:
+    """Return a scenario with a filter; after a "+" with velocity feedback or another touchdown rule."""
+    name, _, variant = name.partition("+")
+    scenario = load(name).with_filter(kind)
+    if not variant:
+        return scenario
+    table = to_table(scenario)
+    if variant == "feedback":  # the default rates, or the highest ones that the certificate allows
+        rate_1_s = scenario.onboard.velocity_loop.rate_xy_1_s
+        rates = {"error_rate_1_s": min(5.0, rate_1_s), "tilt_rate_1_s": min(13.0, BANDWIDTH * rate_1_s)}
+        rates |= {f"far_{key}": value for key, value in rates.items()} | {"far_m": 1.0, "horizontal": True}
+        table["onboard"]["velocity_feedback"].update(rates)
+    else:
+        table["onboard"]["touchdown"]["rule"] = variant
+    return from_table(Scenario, table)
 
 
 class Parameter(NamedTuple):
@@ -75,7 +94,7 @@ def changed(name: str, kind: str, path: tuple[str, ...], value: Any) -> Scenario
 
     Raises ConfigError: the configuration rejects it.
     """
-    table = to_table(load(name).with_filter(kind))
+    table = to_table(base(name, kind))
     table["duration_max_s"] = DURATION_MAX_S
     place = table["onboard"]
     for key in path[:-1]:
@@ -99,7 +118,7 @@ class Result(NamedTuple):
     failures: tuple[int, ...]  # seeds of crashes and violations
 
 
-def fly(case: Case, runs: int, stop: int = 3) -> Result:
+def fly(case: Case, first_seed: int, runs: int, stop: int = 3) -> Result:
     """Check one changed configuration; if it is proven, fly it until three failures."""
     name, kind, path, value = case
     key = ".".join(path)
@@ -113,7 +132,7 @@ def fly(case: Case, runs: int, stop: int = 3) -> Result:
         return Result(name, kind, key, value, "not proven", ", ".join(missing), {}, ())
     outcomes: Counter[str] = Counter()
     failures: list[int] = []
-    for seed in range(runs):
+    for seed in range(first_seed, first_seed + runs):
         found = land(scenario, seed).verdict
         outcomes[found.outcome.name] += 1
         if found.violation or found.outcome is Outcome.CRASHED:
@@ -136,7 +155,7 @@ def cases(keys: list[str], names: list[str], kinds: list[str], count: int) -> It
                         continue
                     vector = [value] * parameter.components
                     yield name, kind, parameter.path, vector
-                    place: Any = to_table(load(name).onboard)
+                    place: Any = to_table(base(name, kind).onboard)
                     for key in parameter.path:
                         place = place.get(key) if place is not None else None
                     if place is not None:
@@ -151,13 +170,16 @@ def main() -> None:
     parser.add_argument("--filter", nargs="*", default=FILTERS)
     parser.add_argument("--values", type=int, default=5)
     parser.add_argument("--runs", type=int, default=20)
+    parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     asked = parser.parse_args()
     wanted = list(cases(asked.keys, asked.scenario, asked.filter, asked.values))
     told: Counter[str] = Counter()
     failed = []
     with multiprocessing.get_context("spawn").Pool(asked.workers) as pool:
-        for each in pool.imap(partial(fly, runs=asked.runs), wanted, chunksize=1):
+        for each in pool.imap(
+            partial(fly, first_seed=asked.first_seed, runs=asked.runs), wanted, chunksize=1
+        ):
             told[each.verdict] += 1
             line = f"{each.scenario} {each.filter} {each.key} = {each.value}: {each.verdict} {each.because}"
             print(line, each.outcomes or "", f"FAILS {each.failures}" if each.failures else "", flush=True)
