@@ -12,7 +12,7 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import cache
@@ -64,10 +64,7 @@ class Files(Generic[T]):
         path = Path(name_or_file)
         if path.is_file():
             return path
-        known = ", ".join(self.names())
-        raise ConfigError(
-            f"{self._kind} {str(name_or_file)!r}: neither a file nor one of: {known}{self._hint}"
-        )
+        raise not_found(self._kind, path, self.names(), self._hint)
 
     def load(self, name_or_file: str | Path) -> T:
         """Read and check a file. Raises ConfigError: the text gives file, key, value and allowed values."""
@@ -107,6 +104,21 @@ class Files(Generic[T]):
             return self.path_of(path.parent / name if (path.parent / name).is_file() else name)
         except ConfigError as error:
             raise ConfigError(f"{path}: {key}: {error}") from None
+
+
+def not_found(kind: str, name_or_file: str | Path, names: Sequence[str], hint: str = "") -> ConfigError:
+    """Return the error for a text that is neither a file nor one of ``names``."""
+    what = f"{kind} {str(name_or_file)!r}"
+    if Path(name_or_file).suffix == ".toml":
+        return ConfigError(f"{what}: there is no file {Path(name_or_file).absolute()}")
+    close = meant(str(name_or_file), names)
+    return ConfigError(f"{what}: neither a file nor one of: {', '.join(names)}{hint}{close and f'; {close}'}")
+
+
+def meant(word: str, known: Iterable[str]) -> str:
+    """Return a question with the known word that is nearest to an unknown one; empty: none is near."""
+    close = difflib.get_close_matches(word, list(known), n=1)
+    return f"did you mean {close[0]}?" if close else ""
 
 
 def over(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
@@ -193,7 +205,13 @@ def _places(kind: inspect.Type, value: object, at: str) -> Iterator[tuple[str, t
         known = {field.name: field for field in kind.fields}
         for key in value:
             if key not in known:
-                raise ConfigError(_unknown(key, list(known), at))
+                inside = [
+                    f"{name}.{key}"
+                    for name, field in known.items()
+                    if isinstance(field.type, inspect.DataclassType)
+                    and any(key == each.name for each in field.type.fields)
+                ]
+                raise ConfigError(_unknown(key, list(known), inside, at))
         for name, field in known.items():
             below = f"{at}.{name}" if at else name
             if name in value:
@@ -226,7 +244,8 @@ def allowed(kind: inspect.Type, at: str) -> str:
     return {"StrType": "a string", "BoolType": "true or false"}.get(type(kind).__name__, "an array")
 
 
-def _unknown(key: str, known: Sequence[str], where: str) -> str:
+def _unknown(key: str, known: Sequence[str], inside: Sequence[str], where: str) -> str:
+    """Return the error for an unknown key; ``inside``: the same key in the tables of this table."""
     at = f"{where}.{key}" if where else key
     found, unit = stem(key)
     for name in known:
@@ -234,9 +253,8 @@ def _unknown(key: str, known: Sequence[str], where: str) -> str:
         if wanted_stem == found and wanted != unit:
             needed = f"the key is {f'{where}.{name}' if where else name}"
             return f"{at}: wrong unit: found [{unit}], {needed}" if unit else f"{at}: no unit; {needed}"
-    close = difflib.get_close_matches(key, known, n=1)
-    hint = f"did you mean {close[0]}? " if close else ""
-    return f"{at}: unknown key; {hint}allowed: {', '.join(sorted(known))}"
+    hint = f"did you mean {inside[0]}?" if inside else meant(key, known)
+    return f"{at}: unknown key; {hint}{' ' if hint else ''}allowed: {', '.join(sorted(known))}"
 
 
 def stem(key: str) -> tuple[str, str]:

@@ -8,7 +8,8 @@ from flightstack.common.strict_toml import Files
 from flightstack.core.parameters.filters import look_here
 from flightstack.core.parameters.flight import FlightConfig
 
-FILES = Files(FlightConfig, "flightstack.config", "configuration", "; `flightstack config NAME` prints one")
+_PRINTS = "; `flightstack config NAME` prints one, `flightstack scenarios NAME` prints a scenario"
+FILES = Files(FlightConfig, "flightstack.config", "configuration", _PRINTS)
 names, path_of = FILES.names, FILES.path_of
 
 

@@ -20,6 +20,7 @@ from flightstack.common.strict_toml import (
     Files,
     dumps,
     from_table,
+    not_found,
     over,
     parse_toml,
     read_toml,
@@ -202,8 +203,7 @@ def path_of(name_or_file: str | Path) -> Path:
         return _FILES.path_of(name_or_file)
     if name_or_file in scenarios.names() or Path(name_or_file).is_file():
         return scenarios.path_of(name_or_file)
-    known = f"{', '.join(scenarios.names())}; of several vehicles: {', '.join(names())}"
-    raise ConfigError(f"scenario {str(name_or_file)!r}: neither a file nor one of: {known}")
+    raise not_found("scenario", name_or_file, [*scenarios.names(), *names()])
 
 
 def load(name_or_file: str | Path) -> TeamScenario:

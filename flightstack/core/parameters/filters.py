@@ -15,7 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from flightstack.common.strict_toml import ConfigError
+from flightstack.common.strict_toml import ConfigError, meant
 
 FILTERS: Mapping[str, str] = MappingProxyType(
     {
@@ -30,8 +30,10 @@ _REFERENCE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", re.ASCII)
 
 def check_name(name: str) -> None:
     """Reject a text that cannot be the name of a filter; nothing is imported."""
-    if name not in FILTERS and not _REFERENCE.fullmatch(name):
-        raise ConfigError(f"filter: found {name!r}, allowed: {ALLOWED}")
+    if name not in FILTERS and (".py:" in name or not _REFERENCE.fullmatch(name)):
+        module = name.replace(".py:", ":").replace("/", ".")
+        close = f"did you mean {module}?" if module != name else meant(name, FILTERS)
+        raise ConfigError(f"filter: found {name!r}, allowed: {ALLOWED}{close and f'; {close}'}")
 
 
 def look_here(name: str) -> None:

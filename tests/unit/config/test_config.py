@@ -11,12 +11,13 @@ import pytest
 from flightstack.cli.main import VERBS, main
 from flightstack.common.strict_toml import ConfigError, dumps, from_table, to_table
 from flightstack.config.files import load, names, path_of
+from flightstack.core.parameters.filters import check_name
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.robust import RobustFilter
 from flightstack.verify.certificate import problems
 from logs.verdict.types import Outcome
 from sim.runners.landing import land
-from sim.scenarios import scenario
+from sim.scenarios import scenario, team
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.scenario import load as load_scenario
 
@@ -104,6 +105,28 @@ def test_infeasible_sets_are_found(sections, word):
 def test_what_does_not_exist_is_refused_with_the_names(read, known):
     with pytest.raises(ConfigError, match=f"'nowhere': neither a file nor one of: .*{known}"):
         read("nowhere")
+
+
+@pytest.mark.parametrize(
+    ("read", "name", "error"),
+    [
+        (load, "crazyfly", "; did you mean crazyflie[?]$"),
+        (team.load, "fleet3", "; did you mean fleet_3[?]$"),
+        (team.load, "mine.toml", "'mine.toml': there is no file /.*mine.toml$"),
+        (check_name, "robst", "; did you mean robust[?]$"),
+        (check_name, "a/mine.py:Slower", "; did you mean a.mine:Slower[?]$"),
+    ],
+)
+def test_a_name_that_is_nearly_right_is_answered_with_the_right_one(read, name, error):
+    with pytest.raises(ConfigError, match=error):
+        read(name)
+
+
+def test_a_table_of_the_configuration_at_the_top_of_a_scenario_is_answered_with_its_place(tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text('base = "lab"\n[barrier]\nalpha_1_m = 1.0\n')
+    with pytest.raises(ConfigError, match=r"barrier: unknown key; did you mean onboard\.barrier[?] "):
+        scenario.load(file)
 
 
 @pytest.mark.parametrize("name", scenario.names())
