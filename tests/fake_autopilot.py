@@ -128,8 +128,8 @@ class FakeAutopilot:
         return [dialect.MAVLink_param_value_message(name.encode(), number, kind, len(self._parameters), 0)]
 
 
-class OnUdp(FakeAutopilot):
-    """The fake autopilot on a socket, served by a thread until closed."""
+class Served:
+    """An autopilot with ``step`` and ``handle`` on a socket, served by a thread until closed."""
 
     def __init__(self, *given, **options):
         super().__init__(*given, **options)
@@ -151,3 +151,7 @@ class OnUdp(FakeAutopilot):
         self._over.set()
         self._thread.join(10.0)
         self.endpoint.close()
+
+
+class OnUdp(Served, FakeAutopilot):
+    """The fake autopilot on a socket."""

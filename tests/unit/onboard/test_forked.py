@@ -17,7 +17,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="forks on Linux 
 BEGIN = """
 import os, signal, sys, threading, time
 from pathlib import Path
-from flightstack.common.forked import Forked, may_fork
+from flightstack.common.forked import Forked
 from flightstack.common.processes import Child
 folder = Path(sys.argv[1])
 def forked(run):
@@ -86,18 +86,6 @@ print(child.wait(), signal.getsignal(signal.SIGTERM) is signal.SIG_DFL)
     assert last.split() == ["0", "False"]
 
 
-def test_a_thread_that_is_no_daemon_is_waited_for(tmp_path):
-    program = """
-def run():
-    threading.Thread(target=lambda: (time.sleep(0.2), print("the thread"))).start()
-    threading.Thread(target=time.sleep, args=(600.0,), daemon=True).start()
-    print("the function")
-child = forked(run)
-print(child.stdout.read().decode(), child.wait())
-"""
-    assert python(program, tmp_path).split("\n") == ["the function", "the thread", " 0", ""]
-
-
 def test_it_ends_with_a_parent_that_is_killed(tmp_path):
     program = BEGIN + "child = forked(lambda: time.sleep(600.0)); print(child.pid, flush=True); child.wait()"
     parent = subprocess.Popen(
@@ -114,23 +102,6 @@ def test_it_ends_with_a_parent_that_is_killed(tmp_path):
             time.sleep(0.01)  # polls another process, which has no event
     finally:
         killed(parent)
-
-
-def test_only_the_only_thread_may_fork(tmp_path):
-    program = """
-over = threading.Event()
-thread = threading.Thread(target=over.wait)
-print(may_fork())
-thread.start()
-print(may_fork())
-over.set()
-thread.join()
-until_s = time.monotonic() + 60.0
-while not may_fork() and time.monotonic() < until_s:
-    time.sleep(0.01)  # the kernel may know of it for longer than Python
-print(may_fork())
-"""
-    assert python(program, tmp_path).split() == ["True", "False", "True"]
 
 
 @pytest.mark.parametrize("threads", [0, 1])

@@ -1,7 +1,6 @@
 """The pre-flight check: unsafe and accepted parameters, and the bounded dialogue."""
 
 import math
-import threading
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -17,7 +16,7 @@ from flightstack.onboard.preflight import check, lines, needs_of, record, verdic
 from sim.autopilot.autopilot import Autopilot
 from sim.autopilot.parameters import px4_parameters
 from sim.scenarios import scenario
-from tests.fake_autopilot import OnUdp
+from tests.fake_autopilot import OnUdp, Served
 from tests.unit.autopilot.autopilot_fakes import RATE_HZ, FakeVehicle
 from tests.unit.onboard.safe_parameters import ARDUPILOT_46_DEFAULT, SAFE, packed
 
@@ -93,41 +92,27 @@ def test_accepted_names_are_checked():
             from_table(FlightConfig, section | {"vehicle": wrong})
 
 
-class Vehicle:
-    """Run the simulated autopilot on a socket, served by a thread until closed."""
+class Simulated:
+    """The simulated autopilot, a tick for each call of ``step``; replies of the types ``mute`` are lost."""
 
     def __init__(self, *, mute=(), heartbeat=None, fake=None):
-        self.endpoint = Endpoint("udpin:127.0.0.1:0", 1, 1)
-        self.autopilot = Autopilot(fake or FakeVehicle(), RATE_HZ)
-        self.asked = []
-        self._mute, self._heartbeat = mute, heartbeat
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
+        self.autopilot, self.asked = Autopilot(fake or FakeVehicle(), RATE_HZ), []
+        self._mute, self._heartbeat, self._ticks = mute, heartbeat, -1
 
-    @property
-    def url(self):
-        return f"udpout:127.0.0.1:{self.endpoint.local_port}"
+    def step(self, _):
+        self._ticks += 1
+        beat = self._heartbeat
+        return [beat] if beat is not None else self.autopilot.telemetry(self._ticks / RATE_HZ)
 
-    def _run(self):
-        tick = 0
-        while not self._over.is_set():
-            beat = self._heartbeat
-            self.endpoint.send([beat] if beat is not None else self.autopilot.telemetry(tick / RATE_HZ))
-            self.endpoint.wait(0.01)
-            for received in self.endpoint.receive():
-                self.asked.append(received.message)
-                header = received.message.get_header()
-                sender = (header.srcSystem, header.srcComponent)
-                replies = self.autopilot.handle(received.message, sender, tick / RATE_HZ)
-                kept = [m for m in replies if m.get_type() not in self._mute]
-                self.endpoint.send(kept, received.peer)
-            tick += 1
+    def handle(self, m):
+        self.asked.append(m)
+        sender = (m.get_srcSystem(), m.get_srcComponent())
+        replies = self.autopilot.handle(m, sender, self._ticks / RATE_HZ)
+        return [reply for reply in replies if reply.get_type() not in self._mute]
 
-    def close(self):
-        self._over.set()
-        self._thread.join(10.0)
-        self.endpoint.close()
+
+class Vehicle(Served, Simulated):
+    """The simulated autopilot on a socket."""
 
 
 def talk(vehicle, chosen=None, wait_s=10.0, accepted=(), system_id=1, stopped=lambda: False):
