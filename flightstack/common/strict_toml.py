@@ -233,6 +233,8 @@ def allowed(kind: inspect.Type, at: str) -> str:
             return "a finite number" if low is None else f"{low:g} to {high:g}"
         case inspect.EnumType(cls=cls):
             return ", ".join(str(member.value) for member in cls)
+        case inspect.LiteralType(values=values):
+            return ", ".join(map(str, values))
         case inspect.TupleType(item_types=items):
             return f"an array of {len(items)} values"
         case inspect.VarTupleType(item_type=inspect.DataclassType()):

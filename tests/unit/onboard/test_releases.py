@@ -200,7 +200,7 @@ RULE = {"means": "m", "names": [{"name": "A"}], "text": "t", "low": 1.0}
         ({"names": [{"name": "ABCDEFGHIJKLMNOPQ"}]}, "names of 1 to 16"),
         ({"names": [{"name": "A", "since": "9.9"}]}, "A: since and before are of 1.0, 1.1"),
         ({"names": [{"name": "A"}, {"name": "A", "since": "1.1"}]}, "A: two rules for release 1.1"),
-        ({"severity": "bad"}, "severity: found 'bad', allowed: unsafe, note, info, ignored"),
+        ({"severity": "bad"}, "severity: found 'bad', allowed: ok, info, note, UNSAFE, accepted, ignored"),
         ({"low": "speed"}, "low: found 'speed', allowed: .*horizontal_m_s"),
         ({"values": ["land"], "low": None}, "whole numbers with their meaning"),
         ({"scales": 2.0}, "scales: unknown key"),
