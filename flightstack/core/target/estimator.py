@@ -106,15 +106,24 @@ class TargetEstimator:
             if before_rad is not None and memory.yaw_rad is not None:
                 turned_rad_s = turn_rate(before_rad, memory.yaw_rad, dt_s)
             memory.turn_rate_rad_s += dt_s / (dt_s + TURN_TIME_S) * (turned_rad_s - memory.turn_rate_rad_s)
-        state, covariance_xy, covariance_z, innovation2 = updated(
+        fades, lasts = fading(dt_s, self._fade_s), lasting(dt_s)
+        (p, q, r), (u, v, w), (a, b, c) = _moved(
             (memory.position_enu_m, memory.velocity_enu_m_s, memory.acceleration_enu_m_s2),
-            (memory.covariance_xy, memory.covariance_z),
-            turn(memory.turn_rate_rad_s, dt_s), fading(dt_s, self._fade_s), lasting(dt_s),
-            (xy.position2, xy.velocity2, self._jerk2_xy()), (z.position2, z.velocity2, z.jerk2),
-            position_enu_m, velocity_enu_m_s,
+            turn(memory.turn_rate_rad_s, dt_s), fades, lasts,
         )  # fmt: skip
-        memory.position_enu_m, memory.velocity_enu_m_s, memory.acceleration_enu_m_s2 = state
-        memory.covariance_xy, memory.covariance_z = covariance_xy, covariance_z
+        memory.covariance_xy, gains_xy, weights = _correct(
+            _propagate(memory.covariance_xy, fades, self._jerk2_xy()), xy.position2, xy.velocity2
+        )
+        memory.covariance_z, gains_z, _ = _correct(
+            _propagate(memory.covariance_z, lasts, z.jerk2), z.position2, z.velocity2
+        )
+        ax = _corrected(gains_xy, p, u, a, position_enu_m[0], velocity_enu_m_s[0])
+        ay = _corrected(gains_xy, q, v, b, position_enu_m[1], velocity_enu_m_s[1])
+        az = _corrected(gains_z, r, w, c, position_enu_m[2], velocity_enu_m_s[2])
+        memory.position_enu_m, memory.velocity_enu_m_s = (ax[0], ay[0], az[0]), (ax[1], ay[1], az[1])
+        memory.acceleration_enu_m_s2 = (ax[2], ay[2], az[2])
+        # mean of four normalised innovations: position and velocity on x and on y
+        innovation2 = 0.25 * (weights[0] * (ax[3] + ay[3]) + weights[1] * (ax[4] + ay[4]))
         memory.surprise += dt_s / (dt_s + INNOVATION_TIME_S) * (innovation2 - memory.surprise)
 
     @rare
@@ -142,7 +151,10 @@ class TargetEstimator:
 
         A mean of 2, which is rare by chance, already gives four times the jerk.
         """
-        return raised_jerk2(self.noise_xy.jerk2, self.growth2_max, self.memory.surprise)
+        surprise = self.memory.surprise
+        return self.noise_xy.jerk2 * max(
+            1.0, min(self.growth2_max, surprise * surprise * surprise * surprise)
+        )
 
     def at(self, time_s: float) -> TargetMotion:
         """Predict the newest estimate to another time, on the sender's clock."""
@@ -150,19 +162,22 @@ class TargetEstimator:
         dt_s = time_s - memory.time_s
         if math.isnan(dt_s):
             raise ValueError("no target sample yet: there is no motion to carry on")
-        place, moves, speeds_up, sigma_m, sigma_z_m, sigma_m_s = carried(
+        fades, lasts = fading(dt_s, self._fade_s), lasting(dt_s)
+        position, velocity, acceleration = _moved(
             (memory.position_enu_m, memory.velocity_enu_m_s, memory.acceleration_enu_m_s2),
-            (memory.covariance_xy, memory.covariance_z),
-            turn(memory.turn_rate_rad_s, dt_s), fading(dt_s, self._fade_s), lasting(dt_s),
-            self._jerk2_xy(), self.noise_z.jerk2,
+            turn(memory.turn_rate_rad_s, dt_s), fades, lasts,
         )  # fmt: skip
-        return TargetMotion(place, moves, speeds_up, sigma_m, sigma_z_m, sigma_m_s)
-
-
-@numeric
-def raised_jerk2(jerk2: float, growth2_max: float, surprise: float) -> float:
-    """Return the squared jerk on x and y for a low-pass filtered innovation squared."""
-    return jerk2 * max(1.0, min(growth2_max, surprise * surprise * surprise * surprise))
+        if dt_s < 0.0:  # an earlier state was no less certain
+            fades = lasts = _NOW
+        jerk2_xy = self._jerk2_xy()
+        return TargetMotion(
+            position,
+            velocity,
+            acceleration,
+            math.sqrt(_position_variance(memory.covariance_xy, fades, jerk2_xy)),
+            math.sqrt(_position_variance(memory.covariance_z, lasts, self.noise_z.jerk2)),
+            math.sqrt(_velocity_variance(memory.covariance_xy, fades, jerk2_xy)),
+        )
 
 
 @numeric
@@ -312,56 +327,3 @@ def _corrected(
     p, v, a = p + kp * missed_p, v + kv * missed_p, a + ka * missed_p
     missed_v = measured_v - v
     return p + lp * missed_v, v + lv * missed_v, a + la * missed_v, missed_p * missed_p, missed_v * missed_v
-
-
-@numeric
-def carried(
-    state: _State,
-    covariances: tuple[Covariance, Covariance],
-    turned_rad: float,
-    fading: _Time,
-    lasting: _Time,
-    jerk2_xy: float,
-    jerk2_z: float,
-) -> tuple[Vec3, Vec3, Vec3, float, float, float]:
-    """Return the state at another time, and the deviations of position on x and y, on z, and of velocity."""
-    position, velocity, acceleration = _moved(state, turned_rad, fading, lasting)
-    if fading[0] < 0.0:  # an earlier state was no less certain
-        fading = lasting = _NOW
-    return (
-        position,
-        velocity,
-        acceleration,
-        math.sqrt(_position_variance(covariances[0], fading, jerk2_xy)),
-        math.sqrt(_position_variance(covariances[1], lasting, jerk2_z)),
-        math.sqrt(_velocity_variance(covariances[0], fading, jerk2_xy)),
-    )
-
-
-@numeric
-def updated(
-    state: _State,
-    covariances: tuple[Covariance, Covariance],
-    turned_rad: float,
-    fading: _Time,
-    lasting: _Time,
-    noise_xy: Vec3,
-    noise_z: Vec3,
-    measured_m: Vec3,
-    measured_m_s: Vec3,
-) -> tuple[_State, Covariance, Covariance, float]:
-    """Return state and covariances after a sample, and the mean normalised innovation squared on x and y."""
-    (p, q, r), (u, v, w), (a, b, c) = _moved(state, turned_rad, fading, lasting)
-    covariance_xy, gains_xy, weights = _correct(
-        _propagate(covariances[0], fading, noise_xy[2]), noise_xy[0], noise_xy[1]
-    )
-    covariance_z, gains_z, _ = _correct(
-        _propagate(covariances[1], lasting, noise_z[2]), noise_z[0], noise_z[1]
-    )
-    x = _corrected(gains_xy, p, u, a, measured_m[0], measured_m_s[0])
-    y = _corrected(gains_xy, q, v, b, measured_m[1], measured_m_s[1])
-    z = _corrected(gains_z, r, w, c, measured_m[2], measured_m_s[2])
-    # mean of four normalised innovations: position and velocity on x and on y
-    innovation2 = 0.25 * (weights[0] * (x[3] + y[3]) + weights[1] * (x[4] + y[4]))
-    corrected = ((x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2]))
-    return corrected, covariance_xy, covariance_z, innovation2

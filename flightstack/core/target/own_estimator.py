@@ -150,9 +150,9 @@ class OwnEstimator:
 
     def told(self, velocity_m_s: Vec3, most_m_s: Vec3) -> Vec3:
         """Return the set-point to send: the velocity that the vehicle reports when it flies the given one."""
-        memory = self.memory
-        errors_m_s = (memory.x_now[3], memory.y_now[3], memory.z_error_m_s)
-        memory.sent_m_s = to_be_told(velocity_m_s, errors_m_s, most_m_s)
+        memory, (x, y, z), (mx, my, mz) = self.memory, velocity_m_s, most_m_s
+        ex, ey, ez = memory.x_now[3], memory.y_now[3], memory.z_error_m_s
+        memory.sent_m_s = (clip(x + ex, -mx, mx), clip(y + ey, -my, my), clip(z + ez, -mz, mz))
         return memory.sent_m_s
 
     def forget(self) -> None:
@@ -243,10 +243,3 @@ def drifted_apart(
     missed = told_m - q
     error_m_s = clip(error_m_s - rate_1_s * rate_1_s * elapsed_s * missed, -most_m_s, most_m_s)
     return q + min(1.0, 2.0 * rate_1_s * elapsed_s) * missed, error_m_s
-
-
-@numeric
-def to_be_told(velocity_m_s: Vec3, errors_m_s: Vec3, most_m_s: Vec3) -> Vec3:
-    """Return the velocity that a vehicle with these errors reports when it flies this velocity."""
-    (x, y, z), (ex, ey, ez), (mx, my, mz) = velocity_m_s, errors_m_s, most_m_s
-    return (clip(x + ex, -mx, mx), clip(y + ey, -my, my), clip(z + ez, -mz, mz))
