@@ -9,7 +9,7 @@ import pytest
 
 from flightstack.core.memory import AbortWay
 from flightstack.core.parameters.filters import FILTERS
-from flightstack.core.types import FilterStatus, Landed, Mode, OwnState, Phase, Request
+from flightstack.core.types import FilterStatus, Mode, OwnState, Phase
 from tests.point_mass import DT_S, World, each_sample
 from tests.unit.core.core_helpers import SLOW, config
 
@@ -138,30 +138,6 @@ def test_a_vehicle_that_comes_back_is_flown_on():
     world = flown(silent, seconds=0.3).run(60.0)
     assert any("own state lost" in text for text in world.texts)
     assert world.phase is Phase.LANDED
-
-
-def test_disarmed_by_someone_else_ends_it():
-    world = flown(lambda w, i: i._replace(status=replace(i.status, armed=False)))
-    out = world.step()
-    assert out.phase is Phase.ABORT
-    assert out.request is Request.LAND  # it does not arm again; in the air the two inputs contradict
-    assert out.setpoint is None
-
-
-def test_a_mode_changed_under_us_is_left_to_whoever_changed_it():
-    world = flown(lambda w, i: i._replace(status=replace(i.status, mode=Mode.OTHER)))
-    out = world.step()
-    assert (out.phase, out.request, out.setpoint) == (Phase.ABORT, Request.NONE, None)
-    assert world.controller.memory.abort_way is AbortWay.HANDS_OFF
-
-
-def test_without_a_target_it_never_takes_off():
-    world = World(CONFIG, armed=False, landed=Landed.ON_GROUND)
-    world.fault, world.fault_from_s = no_samples, 0.0
-    world.run(CONFIG.checks.wait_time_max_s + 5.0)
-    assert world.phase is Phase.ABORT
-    assert not world.sent
-    assert {o.request for o in world.outputs} == {Request.NONE}
 
 
 def test_a_solver_that_fails_in_flight_is_replaced_and_the_landing_goes_on(monkeypatch):

@@ -68,11 +68,6 @@ def test_the_time_derivative_is_that_of_a_moving_target(barrier, e, velocity):
     assert dh_dt == pytest.approx((later - sooner) / (2 * step), abs=close)
 
 
-def test_at_the_apex_itself_the_gradient_is_vertical():
-    h, gradient, dh_dt = Barrier(1.0, 1.5).evaluate((0.0, 0.0, 0.1), (0.3, -0.2, 0.0))
-    assert (h, gradient, dh_dt) == (0.1, (0.0, 0.0, 1.0), 0.0)
-
-
 @given(st.floats(0.1, 2.0), st.floats(0.1, 3.0))
 def test_a_peak_stands_where_it_was_asked_for(height, distance):
     barrier = Barrier.from_peak(height, distance)

@@ -226,14 +226,6 @@ def height_at(world, phase):
     return next(o.snapshot.e_m[2] for o in world.outputs if o.phase is phase)
 
 
-def test_by_the_papers_rule_the_motors_go_off_below_five_centimetres_inside_the_cone():
-    world = landed("paper")
-    assert world.phase is Phase.LANDED
-    off = next(o for o in world.outputs if o.request is Request.MOTORS_OFF)
-    assert 0.045 < off.snapshot.e_m[2] < 0.05
-    assert world.controller.barrier.h(off.snapshot.e_m) >= 0.0
-
-
 @pytest.mark.parametrize("says_standing", [True, False])
 def test_by_contact_they_go_off_after_it_stands(says_standing):
     world = landed("contact", says_standing=says_standing)

@@ -208,14 +208,6 @@ def test_numbers_that_are_not_finite_are_refused(bad):
         assert math.isnan(result.residual_m_s)
 
 
-def test_when_nothing_in_the_box_holds_the_barrier_it_says_so_and_rises():
-    result = FILTER.solve((0.2, 0.0, -0.5), -1.0, (1.0, -0.5, 1.0), -0.5, low(BOX), BOX)
-    assert result.status is FilterStatus.INFEASIBLE
-    assert result.velocity_enu_m_s == (0.2, -0.2, 0.5)
-    assert result.slack_m_s == pytest.approx(0.2 + 0.1 + 0.5 - 1.2)
-    assert (result.active, result.residual_m_s, result.iterations, result.solve_s) == (True, 0.0, 0, 0.0)
-
-
 def test_a_nominal_on_the_barrier_itself_is_not_changed():
     result = FILTER.solve((0.0, 0.0, 0.25), 0.0, (0.0, 0.0, 1.0), -0.25, low(BOX), BOX)
     assert not result.active

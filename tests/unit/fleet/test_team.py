@@ -15,11 +15,6 @@ from tests.unit.fleet.fleet_helpers import FIELD, at, same, team_of
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize("seed", [3])
-def test_a_team_of_one_is_a_landing_to_the_last_bit(seed):
-    assert same(land_team(team_of(FIELD), seed).landings[0], land(FIELD, seed))
-
-
 def test_vehicles_far_apart_are_single_landings_to_the_last_bit():
     far = team_of(FIELD, at(20.0, 0.0), at(0.0, -15.0))
     flown = land_team(far, 1)

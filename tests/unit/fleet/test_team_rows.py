@@ -6,7 +6,7 @@ import pytest
 
 from flightstack.common.strict_toml import ConfigError
 from logs.verdict.types import Outcome
-from sim.campaign.rows import judge_team, read_rows, row_of, vehicle_row, write_rows
+from sim.campaign.rows import judge_team, read_rows, row_of, write_rows
 from sim.campaign.run import plan
 from sim.campaign.summary import summary
 from sim.campaign.workers import fly_seed
@@ -63,11 +63,6 @@ def test_a_collision_after_a_landing_is_a_crash_of_both(flown):
     assert verdict.reason == "cf1: collision; cf3: collision"
     assert (verdict.collisions, verdict.ellipsoid_violations) == (1, 2)
     assert (verdict.ellipsoid_min, verdict.distance_min_m) == (0.8, 0.1)
-
-
-def test_the_row_of_a_team_of_one_is_that_of_its_landing(landing, flown):
-    alone = replace(landing, verdict=replace(landing.verdict, outcome=LANDED, reason="was landed"))
-    assert row_of(flown((LANDED,))) == vehicle_row(alone)
 
 
 def test_the_row_of_a_team_has_the_worst_of_its_members(flown, landing):

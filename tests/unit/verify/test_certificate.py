@@ -25,71 +25,62 @@ from tests.unit.verify.certificate_helpers import config, one, rooms
 
 pytestmark = pytest.mark.slow
 
-# name of a check, changed key, the last value that passes and the first that fails
+BOX, AT_REST = {"velocity_max_m_s": [0.05, 0.05, 1.0]}, {"target_speed_max_m_s": 0.0}
+GAIN_1_S = config().robust.gain_over_pad_1_s
+
+
+def own(share):
+    """Return a vehicle whose velocity error is estimated in this share of the position loop's time."""
+    return {"own": {"velocity_error_m_s": 0.05, "velocity_error_time_s": share / GAIN_1_S}}
+
+
+# name of a check, the last configuration that passes and the first that fails
 LIMITS = [
-    ("barrier", "touchdown", "target_speed_max_m_s", 1.0, None),
-    ("robust.rate_1_s", "robust", "rate_1_s", 4.524, 4.525),  # 1 / (1.3 * 0.17 s)
-    ("sampling, robust.rate_1_s", "loop", "rate_hz", None, None),
-    ("follow", "touchdown", "target_speed_max_m_s", 1.0, 1.0001),
-    ("descent on a heaving pad", "envelope", "target_climb_max_m_s", 0.78, 0.7801),
-    ("checks.target_speed_max_m_s", "checks", "target_speed_max_m_s", 0.5401, 0.5399),
-    ("wait height", "robust", "wait_height_m", 0.214, 0.22),
-    ("touch height", "robust", "touch_height_m", 0.02, 0.0145),
-    ("corridor", "robust", "corridor_m", 0.1, 0.1001),
-    ("descent time", "robust", "descent_m_s", 0.17, 0.15),
-    ("altitude", "limits", "altitude_max_m", 0.853, 0.851),
-    ("position loop", "robust", "gain_over_pad_1_s", 2.848, 2.850),  # 1 / (1.3 * 0.27 s)
-]
+    ("barrier", {"touchdown": {"target_speed_max_m_s": 1.0}}, None),
+    *(
+        (name, {section: {key: passes}}, {section: {key: fails}})
+        for name, section, key, passes, fails in (
+            ("robust.rate_1_s", "robust", "rate_1_s", 4.524, 4.525),  # 1 / (1.3 * 0.17 s)
+            ("follow", "touchdown", "target_speed_max_m_s", 1.0, 1.0001),
+            ("descent on a heaving pad", "envelope", "target_climb_max_m_s", 0.78, 0.7801),
+            ("checks.target_speed_max_m_s", "checks", "target_speed_max_m_s", 0.5401, 0.5399),
+            ("wait height", "robust", "wait_height_m", 0.214, 0.22),
+            ("touch height", "robust", "touch_height_m", 0.02, 0.0145),
+            ("corridor", "robust", "corridor_m", 0.1, 0.1001),
+            ("descent time", "robust", "descent_m_s", 0.17, 0.15),
+            ("altitude", "limits", "altitude_max_m", 0.853, 0.851),
+            ("position loop", "robust", "gain_over_pad_1_s", 2.848, 2.850),  # 1 / (1.3 * 0.27 s)
+            ("estimator", "target", "jerk_xy_m_s3_sqrthz", 0.2501, 0.2499),
+        )
+    ),
+    *(
+        (name, {**more, section: {**more.get(section, {}), key: passes}},
+         {**more, section: {**more.get(section, {}), key: fails}})
+        for name, more, section, key, passes, fails in (
+            ("sampling, robust.rate_1_s", {"loop": {"rate_hz": 10}}, "robust", "rate_1_s", 5.0, 5.01),
+            ("robust.acceleration_max_m_s2[0]", {"limits": BOX, "touchdown": AT_REST}, "robust",
+             "acceleration_max_m_s2", [10.0, 5.0, 2.5], [10.01, 5.0, 2.5]),
+            ("barrier's peak", {"barrier": {"alpha_1_m": 2.0, "beta_m": 1.0}}, "touchdown", "pad_radius_m",
+             1.0, 1.001),
+            ("estimator", {"target": {"jerk_growth_max": 5.0}}, "target", "jerk_xy_m_s3_sqrthz", 0.0501,
+             0.0499),
+            ("estimator", {"target": {"jerk_z_m_s3_sqrthz": 0.02}}, "envelope", "target_climb_max_m_s", 0.0,
+             0.1),
+        )
+    ),
+    ("own.velocity_error_time_s", own(0.499), own(0.501)),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "section", "key", "passes", "fails"), LIMITS)
-def test_each_limit_from_both_sides(name, section, key, passes, fails):
-    if passes is not None:
-        assert one(name, **{section: {key: passes}}).proven
+@pytest.mark.parametrize(("name", "passes", "fails"), LIMITS)
+def test_each_limit_from_both_sides(name, passes, fails):
+    assert one(name, **passes).proven
     if fails is not None:
-        found = one(name, **{section: {key: fails}})
+        found = one(name, **fails)
         assert not found.proven
         assert found.remedy
         if found.need is Need.FLIGHT:
-            assert found.text in problems(config(**{section: {key: fails}}))
-
-
-def test_sampling_from_both_sides():
-    assert one("sampling, robust.rate_1_s", loop={"rate_hz": 10}, robust={"rate_1_s": 5.0}).proven
-    assert not one("sampling, robust.rate_1_s", loop={"rate_hz": 10}, robust={"rate_1_s": 5.01}).proven
-
-
-def test_the_slew_limit_must_limit_from_both_sides():
-    name = "robust.acceleration_max_m_s2[0]"
-    box = {"velocity_max_m_s": [0.05, 0.05, 1.0]}
-    low = {"target_speed_max_m_s": 0.0}
-    assert one(name, limits=box, touchdown=low, robust={"acceleration_max_m_s2": [10.0, 5.0, 2.5]}).proven
-    assert not one(
-        name, limits=box, touchdown=low, robust={"acceleration_max_m_s2": [10.01, 5.0, 2.5]}
-    ).proven
-
-
-def test_the_peak_must_clear_the_pad_from_both_sides():
-    shape = {"alpha_1_m": 2.0, "beta_m": 1.0}
-    assert one("barrier's peak", barrier=shape, touchdown={"pad_radius_m": 1.0}).proven
-    assert not one("barrier's peak", barrier=shape, touchdown={"pad_radius_m": 1.001}).proven
-
-
-def test_the_estimator_must_believe_the_target_from_both_sides():
-    assert one("estimator", target={"jerk_xy_m_s3_sqrthz": 0.2501}).proven
-    assert not one("estimator", target={"jerk_xy_m_s3_sqrthz": 0.2499}).proven
-    assert one("estimator", target={"jerk_xy_m_s3_sqrthz": 0.0501, "jerk_growth_max": 5.0}).proven
-    assert not one("estimator", target={"jerk_xy_m_s3_sqrthz": 0.0499, "jerk_growth_max": 5.0}).proven
-    still = {"jerk_z_m_s3_sqrthz": 0.02}
-    assert one("estimator", target=still).proven  # the target does not heave
-    assert not one("estimator", target=still, envelope={"target_climb_max_m_s": 0.1}).proven
-
-
-def test_an_error_of_the_own_velocity_must_be_learned_faster_than_the_position_loop_acts():
-    name, gain = "own.velocity_error_time_s", config().robust.gain_over_pad_1_s
-    learns = {"velocity_error_m_s": 0.05}
-    assert one(name, own={**learns, "velocity_error_time_s": 0.499 / gain}).proven
-    assert not one(name, own={**learns, "velocity_error_time_s": 0.501 / gain}).proven
+            assert found.text in problems(config(**fails))
 
 
 def test_the_commit_height_is_where_the_vehicle_would_hover():
