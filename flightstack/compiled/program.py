@@ -14,8 +14,14 @@ from flightstack.compiled.jit import forbid_compiling, jitted
 from flightstack.compiled.objects import Objects
 from flightstack.core.numeric import twin
 from flightstack.core.safety import qp_filter
-from flightstack.core.safety.qp_filter import FilterResult, SafetyFilter, solver_settings
-from flightstack.core.safety.solver import Columns, columns, compiled_solver
+from flightstack.core.safety.qp_filter import (
+    Columns,
+    FilterResult,
+    SafetyFilter,
+    columns,
+    compiled_solver,
+    solver_settings,
+)
 from flightstack.core.types import FilterStatus, Vec3
 
 NUMBERS = 24  # number of values of ``data_and_start``

@@ -22,8 +22,13 @@ from flightstack.core.fleet.solution import Nearest, Row, least_slack, nearest, 
 from flightstack.core.parameters.fleet import OTHERS_MAX
 from flightstack.core.safety.position_loop import clip, clip_to_box
 from flightstack.core.safety.projection import best_corner
-from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S, FilterResult, solver_settings
-from flightstack.core.safety.solver import compiled_solver, matrix
+from flightstack.core.safety.qp_filter import (
+    RESIDUAL_MAX_M_S,
+    FilterResult,
+    compiled_solver,
+    matrix,
+    solver_settings,
+)
 from flightstack.core.types import ZERO, FilterStatus, Vec3
 
 FIRM_MAX = 2  # largest number of rows that are never relaxed

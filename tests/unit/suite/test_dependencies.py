@@ -25,7 +25,7 @@ EXTRAS = {
     "sim.campaign": {"sim", "cluster", "report", "export"},
 }
 # distributions whose extension is loaded by name, without an import statement
-BY_NAME = {"osqp": "flightstack/core/safety/solver.py"}
+BY_NAME = {"osqp": "flightstack/core/safety/qp_filter.py"}
 
 
 def names(requirements):

@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from flightstack.core.fleet import program as program_module
-from flightstack.core.fleet.program import AGREES_M_S, FleetProgram
+from flightstack.core.fleet.program import AGREES_M_S, OUTWARD_PART, Cone, FleetProgram
 from flightstack.core.fleet.solution import Row, by_all_sets, slack_by_all_sets
 from flightstack.core.parameters.fleet import OTHERS_MAX
+from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.types import FilterStatus
 
@@ -201,3 +202,37 @@ def test_no_slack_helps_where_the_firm_row_is_met_nowhere(monkeypatch):
     monkeypatch.setattr(program_module, "least_slack", lambda *_: (math.inf, (0.0, 0.0, 0.0)))
     found = PROGRAM.solve((0.0, 0.0, 0.0), [Row((0.0, 0.0, 1.0), 0.5)], [soft], *box)
     assert found.filter.velocity_enu_m_s[2] == 1.0
+
+
+BARRIER = Barrier(1.0, 1.5)
+CONE = Cone(1.5, BARRIER.slope_max, 0.3, 0.01)
+speeds = st.floats(-1.0, 1.0)
+velocities3 = st.tuples(speeds, speeds, speeds)
+
+
+@given(st.floats(0.0, 2.0), st.floats(-0.1, 1.0), velocities3, velocities3, velocities3)
+def test_nothing_sinks_faster_than_wanted_or_than_h_alone_allows(d_m, h_m, nominal, target, before):
+    reached = tuple(v - 0.05 for v in before), tuple(v + 0.05 for v in before)
+    lower, upper = CONE.box(d_m, h_m, nominal, target, *reached)
+    for axis in range(3):
+        assert reached[0][axis] <= lower[axis] <= upper[axis] <= reached[1][axis]
+    allowed = target[2] - CONE.rate_1_s * max(0.0, h_m)
+    assert lower[2] >= min(allowed, reached[1][2])
+    assert lower[2] >= min(nominal[2], target[2], reached[1][2])
+    assert lower[2] <= max(target[2], reached[0][2])  # its current height above the pad is always high enough
+    assert upper[2] == reached[1][2]
+
+
+@given(st.floats(0.05, 0.9), st.floats(0.0, math.tau), st.floats(0.0, 0.3), velocities3, velocities3)
+def test_velocity_out_of_the_cone_grows_by_half_of_what_the_rate_allows(d_m, azimuth, h_m, before, target):
+    x, y = d_m * math.cos(azimuth), d_m * math.sin(azimuth)
+    _, gradient, _ = BARRIER.evaluate((x, y, BARRIER.height(d_m) + h_m), target)
+
+    def lowers_m_s(velocity):
+        return sum(g * (t - v) for g, t, v in zip(gradient[:2], target, velocity, strict=False))
+
+    row = CONE.outward(h_m, gradient, before, target)
+    most_m_s = lowers_m_s((0.0, 0.0)) - row.bound_m_s  # part of the velocity that fulfils the row
+    grows_m_s = OUTWARD_PART * CONE.period_s * CONE.rate_1_s * h_m / CONE.lag_s
+    assert row.g == (*gradient[:2], 0.0)
+    assert math.isclose(most_m_s, max(0.0, lowers_m_s(before)) + grows_m_s, abs_tol=1e-9)
