@@ -29,7 +29,7 @@ _member = click.option("--member", metavar="NAME", help="Only the part of this m
 
 @click.group()
 def log() -> None:
-    """Inspect, judge and export flight logs. The readable part of a broken LOG is used.
+    """Inspect and judge flight logs. The readable part of a broken LOG is used.
 
     Exit status: 0 done, 1 the LOG is broken (its readable part was used), 2 wrong input.
     """
@@ -96,26 +96,6 @@ def compare(log_a: Path, log_b: Path) -> None:
         click.echo(f"... and {len(differences) - DIFFERENCES_MAX} more")
     click.echo("equal" if not differences else f"{len(differences)} differences")
     sys.exit(1 if differences else 0)
-
-
-@log.command()
-@_log
-@_member
-@click.option("--topic", metavar="TOPIC", required=True, help="Topic to export; `log info` lists them.")
-@click.option("--format", "kind", type=click.Choice(["csv", "parquet"]), required=True)
-@click.option("--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="File to write.")
-@click.option("--force", is_flag=True, help="Replace OUT if it exists.")
-def export(log_file: Path, member: str | None, topic: str, kind: str, out: Path, force: bool) -> None:
-    """Write one topic of a LOG as a table for other programs."""
-    from logs.tools.export import export_csv, export_parquet
-
-    opened = _open(log_file, member)
-    write = export_csv if kind == "csv" else export_parquet
-    rows = write(opened, topic, out, force=force)
-    click.echo(plain(f"{out}: {rows} rows"))
-    if problem := opened.why_broken:
-        click.echo(plain(f"flightstack: the log is broken; what can be read was used: {problem}"), err=True)
-    sys.exit(BROKEN if problem else DONE)
 
 
 def _open(path: Path, member: str | None) -> LogFile:

@@ -167,7 +167,6 @@ class LogFile:
         self.path = Path(path)  # the log file
         self.member = member  # fleet member whose part is read; None: the whole log
         self._last: Records | None = None
-        self._refused, self._first_refused = 0, ""
         try:
             if self.path.exists() and not self.path.is_file():
                 raise LogError(f"{self.path} {no_file(self.path)}")
@@ -219,13 +218,6 @@ class LogFile:
         """Whether the recorder closed the file properly and every byte of it was understood."""
         return not self._outline.problem
 
-    @property
-    def why_broken(self) -> str:
-        """Parts of the log that could not be read or decoded; empty for a complete log."""
-        more = f" and {self._refused - 1} more" if self._refused > 1 else ""
-        refused = f"{self._first_refused}{more}" if self._refused else ""
-        return "; ".join(filter(None, (self._outline.problem, refused)))
-
     def need(self, *schemas: str) -> None:
         """Raise LogError if one of these types has other fields in the log than in this version."""
         foreign = [name.rpartition("/")[2] for name in schemas if name in self._outline.foreign]
@@ -234,7 +226,7 @@ class LogFile:
                 f"{self.path} was recorded by another version of this stack: {self.made_by}. "
                 f"The fields of its {' and '.join(foreign)} messages are not those of this version, "
                 f"{version('crazyflie-flightstack')}. Read it with the version that recorded it; "
-                "`flightstack log info` and `log export` read it as it is"
+                "`flightstack log info` and the tools of MCAP read it as it is"
             )
 
     @property
@@ -243,12 +235,6 @@ class LogFile:
         made = self._outline.metadata.get("made", {})
         revision = f" (git {made['git_revision']})" if made.get("git_revision") else ""
         return f"version {made['version']}{revision}" if "version" in made else repr(self._outline.library)
-
-    def refuse(self, message: Message, error: Exception) -> None:
-        """Count a message that its reader could not decode, for ``why_broken``."""
-        self._refused += 1
-        what = f"{message.topic}, sequence {message.sequence}, cannot be decoded"
-        self._first_refused = self._first_refused or f"{what} ({type(error).__name__}: {error})"
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """Yield the readable messages in the order in which they were written."""

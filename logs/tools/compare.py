@@ -83,7 +83,7 @@ def _by_topic(log: LogFile) -> dict[str, list[Message]]:
             topics.setdefault(message.topic, []).append(message)
     if not log.complete:
         raise LogError(
-            f"{log.path} is not a whole log ({log.why_broken}); only logs closed by the recorder compare"
+            f"{log.path} is not a whole log ({log.problem}); only logs closed by the recorder compare"
         )
     if not steps:
         raise LogError(f"{log.path} holds no controller step, so there is nothing to compare")

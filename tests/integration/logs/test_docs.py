@@ -196,13 +196,10 @@ def test_the_table_is_what_a_flight_records(folder):
 @log_docs
 def test_the_commands_run(folder):
     lines = re.findall(r"^\.venv/bin/flightstack log .*$", PAGE.read_text(), re.MULTILINE)
-    verbs = {"info", "verdict", "export"}
+    verbs = {"info", "verdict"}
     assert {shlex.split(line)[2] for line in lines} == verbs
     for line in lines:
         done = subprocess.run(
             shlex.split(line), cwd=folder, capture_output=True, text=True, timeout=WALL_MAX_S, check=False
         )
         assert done.returncode == 0, (line, done.stdout, done.stderr)
-        if "--out" in line:
-            assert (folder / shlex.split(line)[-1]).stat().st_size > 1000
-    assert not [p for p in Path(folder / "runs/first").iterdir() if p.name.endswith(".part")]

@@ -17,7 +17,6 @@ EXTRAS = {
     "flightstack.cli": {"view"},
     "flightstack.compiled": {"sim"},  # optional: tests/unit/compiled/test_core.py
     "logs.report": {"report"},
-    "logs.tools": {"export"},
     "logs.view": {"view"},
     "sim": {"sim"},
     "sim.flights": {"sim", "export"},

@@ -1,4 +1,4 @@
-"""The verbs info and export, on complete logs and on broken ones."""
+"""The verb info, on complete logs and on broken ones."""
 
 from __future__ import annotations
 
@@ -122,15 +122,3 @@ def test_every_byte_offset_of_a_small_log(tmp_path):
 
 
 TIMING = LoopTimingRow(EPOCH_NS, 0, 0.01, 0.0, 0.0, 0.0, 0, 0)
-
-
-def test_files_that_exist_are_not_written_over_unless_forced(tool, whole, tmp_path):
-    out = tmp_path / "mine.csv"
-    out.write_bytes(b"mine")
-    words = ("export", whole, "--topic", "/cf1/loop/timing", "--format", "csv", "--out", out)
-    code, _, err = tool(*words)
-    assert code == 2
-    assert "--force" in err
-    assert out.read_bytes() == b"mine"
-    assert tool(*words, "--force")[0] == 0
-    assert len(out.read_text().splitlines()) == 301

@@ -1,0 +1,121 @@
+"""Equal flights compare equal, and any difference is named."""
+
+from __future__ import annotations
+
+import pytest
+
+from logs.reader.reader import LogError
+from logs.recorder.mcap_file import McapFile
+from logs.recorder.recording import RECORDER_NAME
+from logs.schema import schemas
+from logs.schema.events import pack_log
+from logs.schema.rows import ControllerStepRow, LoopTimingRow
+from logs.tools.compare import ABSENT, compare
+
+ZERO = (0.0, 0.0, 0.0)
+STEP_TOPIC = "/cf1/controller/step"
+
+
+def step(tick, **changes):
+    row = ControllerStepRow(
+        tick, tick, 3, 2, 1, 0, True, False, True, True, 0.0, 0.0, (1.0, 2.0, 3.0), ZERO, 0.0, ZERO, ZERO,
+        0.0, float("nan"), ZERO, 0.0, ZERO, ZERO, ZERO, 0.0, 0.0, 1, 1, 0, True, False, ZERO, 0.0,
+    )  # fmt: skip
+    return row._replace(**changes).pack()
+
+
+def timing(tick, exec_s):
+    return LoopTimingRow(tick, tick, 0.01, 0.0, exec_s, 0.0, 0, 0).pack()
+
+
+def steps(*replaced):
+    """Return ten steps; each of ``replaced`` is (topic, schema, log time, publish time, sequence, data)."""
+    rows = {i: (STEP_TOPIC, schemas.CONTROLLER_STEP, 10 * i, 10 * i, i, step(i)) for i in range(10)}
+    rows.update({row[4]: row for row in replaced})
+    return list(rows.values())
+
+
+def write(path, messages, run=(("seed", "1"),), attachments=(("s.toml", b"x"),), close=True):
+    file = McapFile(path)
+    file.metadata("run", dict(run))
+    for name, data in attachments:
+        file.attachment(name, "application/toml", 0, data)
+    for topic, schema, log_time_ns, publish_time_ns, sequence, data in messages:
+        file.write(file.channel(topic, schema), log_time_ns, publish_time_ns, sequence, data)
+    file.flush()
+    if close:
+        file.close()
+    return path
+
+
+@pytest.fixture
+def differ(tmp_path):
+    """Compare ten plain steps with other ones; return the differences as text."""
+
+    def run(messages, **options):
+        a = write(tmp_path / "a.mcap", steps())
+        b = write(tmp_path / "b.mcap", messages, **options)
+        forward, backward = compare(a, b), compare(b, a)
+        assert len(forward) == len(backward)
+        assert compare(b, b) == []
+        return [str(difference) for difference in forward]
+
+    return run
+
+
+def replaced(number=4, log_ns=None, publish_ns=None, **changes):
+    """Return ten steps, one of them changed."""
+    log_ns, publish_ns = (10 * number if t is None else t for t in (log_ns, publish_ns))
+    return steps((STEP_TOPIC, schemas.CONTROLLER_STEP, log_ns, publish_ns, number, step(number, **changes)))
+
+
+EVENT = ("/rosout", schemas.LOG, 1, 1, 1, pack_log(1, 20, "onboard", "phase LAND"))
+
+
+@pytest.mark.parametrize(
+    ("messages", "expected"),
+    [
+        (steps(), []),
+        (steps()[::-1], []),  # the order in the file does not matter
+        (
+            replaced(own_position_enu_m=(1.0, 2.5, 3.0)),
+            [f"{STEP_TOPIC}[4] own_position_enu_m.y: 2.0 != 2.5"],
+        ),
+        (replaced(slack_m_s=-0.0), [f"{STEP_TOPIC}[4] slack_m_s: 0.0 != -0.0"]),  # h_m is NaN in all
+        (replaced(log_ns=41), [f"{STEP_TOPIC}[4] log_time_ns: 40 != 41"]),
+        (replaced(publish_ns=39), [f"{STEP_TOPIC}[4] publish_time_ns: 40 != 39"]),
+        ([*steps()[:9], (*steps()[9][:4], 12, steps()[9][5])], [f"{STEP_TOPIC}[9] sequence: 9 != 12"]),
+        (steps()[:9], [f"{STEP_TOPIC} count: 10 != 9"]),
+        ([*steps(), EVENT], ["/rosout count: 0 != 1"]),
+    ],
+)
+def test_differences_are_named(differ, messages, expected):
+    assert differ(messages) == expected
+
+
+def test_wall_clock_is_declared_and_left_out(differ):
+    extra = [
+        ("/cf1/loop/timing", schemas.LOOP_TIMING, 1, 1, 1, timing(1, 0.123)),
+        ("/rosout", schemas.LOG, 1, 1, 1, pack_log(1, 30, RECORDER_NAME, "onboard dropped 3")),
+    ]
+    run = (("seed", "1"), ("started", "today"), ("realtime_factor", "33"))
+    assert differ(steps() + extra, run=run) == []
+
+
+def test_metadata_and_attachments(differ):
+    found = differ(steps(), run=(("seed", "2"),), attachments=(("s.toml", b"y"), ("o.toml", b"")))
+    assert found == [
+        "metadata run seed: 1 != 2",
+        f"attachment o.toml presence: {ABSENT} != present",
+        "attachment s.toml content: application/toml 1 bytes != application/toml 1 bytes",
+    ]
+
+
+def test_a_log_that_shows_nothing_is_an_error(tmp_path):
+    a = write(tmp_path / "a.mcap", steps())
+    b = write(tmp_path / "b.mcap", [])
+    with pytest.raises(LogError, match="no controller step"):
+        compare(a, b)
+    c = write(tmp_path / "c.mcap", steps(), close=False)
+    with pytest.raises(LogError, match="not a whole log"):
+        compare(a, c)
