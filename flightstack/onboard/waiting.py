@@ -17,6 +17,7 @@ from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.client.silence import Arrivals, why_silent
 from flightstack.core.controller import WARN, Outputs
 from flightstack.core.memory import Memory
+from flightstack.core.mission.conditions import target_below
 from flightstack.core.mission.machine import DRIFT_CAUSES
 from flightstack.core.parameters.flight import Checks, FlightConfig
 from flightstack.core.types import Landed, Mode, Phase, VehicleStatus
@@ -57,6 +58,7 @@ class TargetSeen(NamedTuple):
     keys: tuple[str, ...]  # other keys that might be a target
     contradicts: bool = False  # whether positions contradict the velocity
     every_s: float = 0.0  # longest interval between two accepted samples since the last report
+    below: str = ""  # why the landing spot is implausible; empty: plausible
 
 
 def missing(vehicle: VehicleSeen, target: TargetSeen, checks: Checks) -> tuple[str, ...]:
@@ -132,7 +134,7 @@ def _of_target(seen: TargetSeen, checks: Checks) -> tuple[str, ...]:
     if seldom := _seldom(name, seen.every_s, seen.age_s, "target_age_max_s", most_s):
         return seldom
     if seen.age_s is not None and seen.age_s <= most_s:
-        return ()
+        return (seen.below,) if seen.below else ()
     problems = f": {' | '.join(seen.problems)}" if seen.problems else ""
     if seen.arrived:
         return (f"{seen.arrived} samples on {seen.name}, none accepted{problems}",)
@@ -319,4 +321,5 @@ class WaitReport:
             keys=wires.search.keys() if search else (),
             contradicts=out.snapshot.target_placed,
             every_s=self._samples.report(),
+            below=target_below(self._config, out.snapshot),
         )

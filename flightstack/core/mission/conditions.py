@@ -137,7 +137,7 @@ def condition_flags(
         flags |= C.CUT_OFF
     status, fit = inputs.status, snapshot.charge is Charge.FIT and snapshot.way.may_begin
     if status is not None and snapshot.good and (status.ready_to_arm or status.armed) and fit:
-        flags |= C.READY
+        flags |= C.READY if phase is not Phase.WAIT or not target_below(config, snapshot) else 0
     flags |= time_flags(config.checks, times_s, memory, now_s)
     if snapshot.way.waited and memory.started_s < math.inf:
         flags |= C.LANDING_TIME_OVER
@@ -185,6 +185,24 @@ def _steady(checks: Checks, memory: Memory, snapshot: Snapshot, now_s: float) ->
         return False
     came_s = min(own.arrival_s, now_s - target.age_s) - memory.good_since_s
     return came_s >= checks.recovery_time_s and status.arrival_s > memory.good_since_s
+
+
+def target_below(config: FlightConfig, snapshot: Snapshot) -> str:
+    """Return why the landing spot is implausible while the vehicle stands on the ground; or an empty text.
+
+    A target whose z axis points down has its landing spot below the ground, where the vehicle would fly.
+    """
+    status, e_m, most_m = snapshot.inputs.status, snapshot.e_m, config.checks.target_below_max_m
+    if status is None or status.landed is not Landed.ON_GROUND or e_m is None:
+        return ""
+    below_m = e_m[2] - config.touchdown.feet_below_reference_m
+    if below_m <= most_m:
+        return ""
+    return (
+        f"the landing spot is {below_m:.2f} m below the ground on which the vehicle stands; "
+        f"checks.target_below_max_m allows {most_m:g}; usual cause: a target whose z axis points down (NED "
+        "or FRD instead of ENU), or another origin of its heights"
+    )
 
 
 def _better_beside(barrier: Barrier, memory: Memory, snapshot: Snapshot) -> bool:

@@ -21,6 +21,7 @@ from flightstack.core.mission.conditions import (
     high_enough_m,
     landing_flags,
     phase_times_s,
+    target_below,
     time_flags,
 )
 from flightstack.core.mission.phases import ABORT_TABLE, START_LATE, TABLE, TIME_OVER, C, Rule, first
@@ -285,7 +286,8 @@ class Mission:
         told = [say() for condition, say in numbers if asked & condition]
         if not told and rule.about & ~flags & C.READY:
             others = "" if seen.way.may_begin else seen.way.text
-            told = [battery or others or "the vehicle does not say that it is ready to arm"]
+            below = target_below(self._config, seen)
+            told = [battery or others or below or "the vehicle does not say that it is ready to arm"]
         if not told and rule.about & ~flags & C.RECOVERED:
             least_s = checks.recovery_time_s
             told = [f"not all of them were good for {least_s:g} s without a gap (checks.recovery_time_s)"]

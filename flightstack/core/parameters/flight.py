@@ -209,6 +209,8 @@ class Checks:
     # largest difference of the target's positions and integrated velocity
     target_drift_max_m: Annotated[float, span(0.02, 2.0)] = 0.1
     target_drift_memory_s: Annotated[float, span(0.2, 20.0)] = 2.0  # decay time of the position difference
+    # largest height of a vehicle on the ground above the landing spot; more for a take-off from a table
+    target_below_max_m: Annotated[float, span(0.02, 100.0)] = 0.15
     target_frame: str = "map"  # frame_id of the target's odometry
     target_child_frame: str = "target"  # child_frame_id of the target's odometry
     hold_time_s: Annotated[float, span(0.1, 10.0)] = 1.0  # time in HOLD before the climb

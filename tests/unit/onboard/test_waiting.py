@@ -82,6 +82,7 @@ def test_each_lack_of_the_vehicle_has_its_sentence(changed, words):
         ),
         ({"every_s": 0.33}, "odom: one every 0.33 s (3.0 Hz); checks.target_age_max_s allows 0.25"),
         ({"contradicts": True}, "do not agree; checks.target_drift_max_m is 0.1; usual causes: a twist in"),
+        ({"below": "the landing spot is 0.40 m below the ground"}, "0.40 m below the ground"),
         ({"age_s": 1.04, "arrived": 0}, "is 1.0 s old; checks.target_age_max_s allows 0.25"),
     ],
 )

@@ -44,7 +44,7 @@ def test_when_all_is_well():
         ({"without": ("own",)}, {"OWN_LOST"}, {"READY"}),
         ({"without": ("target",)}, {"TARGET_LOST"}, {"READY", "TARGET_KNOWN"}),
         ({"without": ("status",)}, {"LINK_LOST"}, WELL - {"RETRIES_LEFT", "TARGET_KNOWN"}),
-        ({"landed": Landed.ON_GROUND}, {"STANDING"}, set()),
+        ({"landed": Landed.ON_GROUND, "e": (1.0, 0.0, 0.0)}, {"STANDING"}, set()),
         # PX4 is disarmed in external mode after a landing by set-points: this is not part of the flight
         ({"armed": False}, set(), {"ARMED", "WAS_ARMED", "WAS_EXTERNAL"}),
         ({"armed": False, "ready": False}, set(), {"ARMED", "WAS_ARMED", "WAS_EXTERNAL", "READY"}),
@@ -54,6 +54,27 @@ def test_when_all_is_well():
 )
 def test_one_thing_at_a_time(changes, more, less):
     assert names(tick(memory=Memory(phase_since_s=NOW_S), **changes)) == (WELL | more) - less
+
+
+@pytest.mark.parametrize(
+    ("below_m", "landed", "phase", "ready"),
+    [
+        (0.14, Landed.ON_GROUND, Phase.WAIT, True),
+        (0.16, Landed.ON_GROUND, Phase.WAIT, False),
+        (0.16, Landed.IN_AIR, Phase.WAIT, True),
+        (0.16, Landed.ON_GROUND, Phase.HOLD, True),
+    ],
+)
+def test_a_landing_spot_below_the_ground_allows_no_take_off(below_m, landed, phase, ready):
+    e = (1.0, 0.0, ROBUST.touchdown.feet_below_reference_m + below_m)
+    flags = names(tick(e=e, landed=landed, memory=Memory(phase=phase, phase_since_s=NOW_S)))
+    assert ("READY" in flags) is ready
+
+
+def test_a_vehicle_on_a_table_takes_off_where_the_configuration_allows_it():
+    table = starting(checks={"target_below_max_m": 0.8})
+    flags = tick(table, e=(1.0, 0.0, 0.75), landed=Landed.ON_GROUND, memory=Memory(phase_since_s=NOW_S))
+    assert "READY" in names(flags)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 """A change of phase is data; one place writes and reads its text."""
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -131,6 +133,11 @@ def test_waiting_in_vain_says_everything_that_is_missing():
         "no sample of the target has been accepted"
     )
     assert told(Phase.WAIT, over, known()).endswith("the vehicle does not say that it is ready to arm")
+    ground = VehicleStatus(NOW_S, False, Mode.EXTERNAL, Landed.ON_GROUND, True)
+    mission, view = known()
+    below = replace(view, inputs=Inputs(None, ground), e_m=(1.0, 0.0, 0.4144))
+    said = told(Phase.WAIT, over, (mission, below))
+    assert "spot is 0.40 m below the ground on which the vehicle stands; checks.target_below_max_m" in said
     ready = over | Condition.READY
     assert told(Phase.WAIT, ready | Condition.RECOVERED, known()) == "inputs did not become ready in time"
     assert "good for 0.3 s without a gap (checks.recovery_time_s)" in told(Phase.WAIT, ready, known())
