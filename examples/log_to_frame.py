@@ -1,7 +1,7 @@
 """Read a flight log into a table of columns, print some of its numbers, and save the table as CSV.
 
 python examples/log_to_frame.py runs/first/flight.mcap [OUT.csv]
-The CSV file needs pandas: pip install "crazyflie-flightstack[export]"
+The CSV file needs pandas: pip install -e '.[export]'
 """
 
 import sys

@@ -1,6 +1,6 @@
 """Train a landing by PPO (stable-baselines3), then compare it with and without the safety filter.
 
-    pip install "crazyflie-flightstack[sim,env,rl]"
+    pip install -e '.[sim,env,rl]'
     python examples/train_ppo.py [DECISIONS [SEEDS]]
 
 The agent trains without a filter; 200,000 decisions take some minutes. The table shows the outcomes of its

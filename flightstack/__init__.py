@@ -62,9 +62,10 @@ def __getattr__(name: str) -> Any:
         missing = (error.name or "").partition(".")[0]
         if missing not in _EXTRAS:
             raise
+        from flightstack.common.text import pip_install
+
         raise ModuleNotFoundError(
-            f"flightstack.{name} needs {missing}, which is not installed: "
-            f'pip install "crazyflie-flightstack[{_EXTRAS[missing]}]"',
+            f"flightstack.{name} needs {missing}, which is not installed: {pip_install(_EXTRAS[missing])}",
             name=error.name,
         ) from error
     globals()[name] = found

@@ -26,6 +26,7 @@ from bridge.mavlink.transport.address import parse_url
 from bridge.mocap.checks import Passed
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import run_promptly
+from flightstack.common.text import pip_install
 from flightstack.core.types import Vec3
 
 if TYPE_CHECKING:
@@ -179,9 +180,7 @@ def run(
         from bridge.crazyflie.link import CrazyflieLink
     except ModuleNotFoundError as error:
         package = (error.name or "cflib").partition(".")[0]
-        raise ValueError(
-            f"{package} is not installed: pip install 'crazyflie-flightstack[crazyflie]'"
-        ) from error
+        raise ValueError(f"{package} is not installed: {pip_install('crazyflie')}") from error
     check_uri(options.uri)
     rules = Rules(
         options.speed_max_m_s, options.land_on_silence, poses is not None, drag_1_s, options.restore

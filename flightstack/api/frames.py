@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from flightstack.common.text import pip_install
 from flightstack.core.safety.gate import GateVerdict
 from flightstack.core.types import FilterStatus, Phase, Request
 
@@ -69,8 +70,7 @@ def _made(flat: dict[str, Any]) -> Any:
 
         return pyarrow.table(flat)
     warnings.warn(
-        "no DataFrame but a dict of columns: pandas is not installed; "
-        'pip install "crazyflie-flightstack[export]"',
+        f"no DataFrame but a dict of columns: pandas is not installed; {pip_install('export')}",
         stacklevel=3,
     )
     return flat

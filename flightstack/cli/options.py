@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import click
 
 from flightstack.common.options import Argument, BadOptionError, Declared, Option, declared
+from flightstack.common.text import pip_install
 
 T = TypeVar("T")
 
@@ -117,11 +118,11 @@ def without(error: ModuleNotFoundError, text: str, *packages: str) -> Exception:
 
 def without_recordings(error: ModuleNotFoundError, what: str) -> Exception:
     """Return the error to raise if the command ``what`` cannot read or simulate recorded flights."""
-    text = f"`{what}` needs {{}}: pip install 'crazyflie-flightstack[sim,export]'"
+    text = f"`{what}` needs {{}}: {pip_install('sim,export')}"
     return without(error, text, "pyarrow", "mujoco", "numba")
 
 
 def without_rerun(error: ModuleNotFoundError, what: str) -> Exception:
     """Return the error to raise if the command or option ``what`` cannot import a viewer."""
-    text = f"`{what}` needs Rerun: pip install 'crazyflie-flightstack[view]', or `make view` in a checkout; "
+    text = f"`{what}` needs Rerun: {pip_install('view')}; "
     return without(error, text + "or open the log itself in another viewer (docs/how_to/viewing.md)", "rerun")

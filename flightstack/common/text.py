@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import shlex
+import sys
 
 # C0 and C1 except tab and line feed, marks of writing direction, line separators, and surrogates (bytes of a
 # path that are not UTF-8)
@@ -10,6 +12,11 @@ _HIDDEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202
 
 
 ROBOT_FAILED, FILTER_FAILED = "the robot's function", "the filter returned no velocity"
+
+
+def pip_install(extras: str) -> str:
+    """Return the command that installs extras for the running Python, from an index or into a checkout."""
+    return f"{shlex.quote(sys.executable)} -m pip install 'crazyflie-flightstack[{extras}]'"
 
 
 def failed_code(reason: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from enum import Enum
 from importlib.util import find_spec
 
+from flightstack.common.text import pip_install
 from flightstack.compiled.jit import is_kept, is_off, keep, telling
 from flightstack.core.controller import Controller
 from flightstack.core.numeric import hypot_is_known
@@ -54,7 +55,7 @@ def chosen_core(core: Core, config: FlightConfig, *, lockstep: bool) -> Core:
     if core is Core.COMPILED and not is_possible():
         raise ValueError(
             "--core compiled: numba is not installed, or switched off by NUMBA_DISABLE_JIT; "
-            "pip install 'crazyflie-flightstack[sim]', or leave it out"
+            f"{pip_install('sim')}, or leave it out"
         )
     if core is Core.AUTO:
         warm = not lockstep and is_possible() and is_kept(_stamp(config))

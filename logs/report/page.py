@@ -14,6 +14,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from flightstack.common.text import pip_install
+
 _LEVEL = 9  # gzip level; the library is compressed once per process
 
 
@@ -132,7 +134,7 @@ def need_libraries() -> None:
         if missing not in ("plotly", "jinja2"):
             raise
         raise ReportError(
-            f'the page needs {missing}, which is not installed: pip install "crazyflie-flightstack[report]"'
+            f"the page needs {missing}, which is not installed: {pip_install('report')}"
         ) from error
 
 

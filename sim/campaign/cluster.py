@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from flightstack.common.processes import LaunchError
+from flightstack.common.text import pip_install
 from sim.campaign.rows import Row, error_row
 from sim.campaign.workers import code_fingerprint, fly_seed_as
 
@@ -28,8 +29,7 @@ class Cluster:
             from distributed import Client
         except ModuleNotFoundError as error:
             raise ClusterError(
-                f"--cluster needs Dask ({error.name} is missing): "
-                'pip install "crazyflie-flightstack[sim,cluster]"'
+                f"--cluster needs Dask ({error.name} is missing): {pip_install('sim,cluster')}"
             ) from None
         self._scenario_toml, self._code = scenario_toml, code_fingerprint()
         try:

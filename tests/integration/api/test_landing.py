@@ -25,7 +25,7 @@ def test_the_import_is_light_and_names_what_is_missing():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "flightstack.land needs mujoco" in done.stdout
-    assert 'pip install "crazyflie-flightstack[sim]"' in done.stdout
+    assert "-m pip install 'crazyflie-flightstack[sim]'" in done.stdout
     with pytest.raises(AttributeError, match="it has At, Campaign"):
         _ = fs.nothing
 
@@ -57,7 +57,7 @@ def test_a_table_has_a_column_for_each_axis():
 
 def test_without_a_library_for_tables_the_extra_is_named(monkeypatch):
     monkeypatch.setattr("flightstack.api.frames.find_spec", lambda name: None)
-    with pytest.warns(UserWarning, match=r"pandas is not installed; pip install .*\[export\]"):
+    with pytest.warns(UserWarning, match=r"pandas is not installed; .*-m pip install '.*\[export\]'"):
         assert fs.frame({"h_m": np.zeros((2, 3))}).keys() == {"h_m_x", "h_m_y", "h_m_z"}
 
 
