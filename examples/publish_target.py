@@ -1,10 +1,12 @@
 """Publish the odometry of a simulated robot that drives a circle, over Zenoh, 50 times a second.
 
 python examples/publish_target.py [--key KEY] [--speed M/S] [--listen ENDPOINT] [--connect ENDPOINT]
+                                   [--deck KEY]
 
 ``flightstack fly --target KEY --connect ENDPOINT ...`` lands on this target. The message is
 nav_msgs/msg/Odometry in CDR: the pose of the pad's centre in the frame "map" (x east, y north, z up, metres),
-and the twist in the robot's own frame.
+and the twist in the robot's own frame. A simulated vehicle does not see this target; with ``--deck`` the
+same message moves the pad on which it lands.
 """
 
 import argparse
@@ -23,10 +25,12 @@ options.add_argument("--key", default="cf1/target/odom")
 options.add_argument("--speed", type=float, default=0.1, help="speed along the circle, m/s; 0: at rest")
 options.add_argument("--listen", action="append", default=[], help="e.g. tcp/127.0.0.1:7447")
 options.add_argument("--connect", action="append", default=[], help="e.g. tcp/127.0.0.1:7448")
+options.add_argument("--deck", help="pad of the simulated vehicle, e.g. cf1/sim/target/truth for cf1")
 given = options.parse_args()
 
 session = open_session(given.listen, given.connect)
 target = OdometryPublisher(session, given.key)
+deck = OdometryPublisher(session, given.deck) if given.deck else None
 turn_rate_rad_s = given.speed / RADIUS_M
 start_s = due_s = time.monotonic()
 try:
@@ -41,6 +45,8 @@ try:
             angular_rad_s=(0.0, 0.0, turn_rate_rad_s),
         )
         target.put(message, source_time_ns=now_ns)
+        if deck is not None:
+            deck.put(message, source_time_ns=now_ns)
         due_s += PERIOD_S
         time.sleep(max(0.0, due_s - time.monotonic()))
 except KeyboardInterrupt:

@@ -18,6 +18,7 @@ import flightstack as fs
 from bridge.target.odometry import raw_sample
 from bridge.zenoh.zenoh_link import drain, open_session, ring_subscriber
 from logs.reader.flight import load_flight
+from sim.runners.deck import deck_state
 from tests.integration.runs import WALL_MAX_S, flightstack
 from tests.integration.sim_processes import PATIENCE_S, verb, wait_for
 from tests.processes.ports import free_endpoint, free_port
@@ -125,14 +126,16 @@ def test_a_log_becomes_a_table(flown, tmp_path):
 @pytest.mark.xdist_group("real-time")
 def test_the_target_drives_a_circle_and_says_so():
     endpoint = free_endpoint()
-    samples = []
-    with running("publish_target.py", "--key", "demo/odom", "--speed", "0.5", "--listen", endpoint):
+    samples, pads = [], []
+    keys = ("--key", "demo/odom", "--deck", "demo/deck")
+    with running("publish_target.py", *keys, "--speed", "0.5", "--listen", endpoint):
         session = open_session([], [endpoint])
         try:
-            subscriber = ring_subscriber(session, "demo/odom")
+            subscriber, deck = (ring_subscriber(session, key) for key in ("demo/odom", "demo/deck"))
 
             def enough():
                 samples.extend(map(raw_sample, drain(subscriber)))
+                pads.extend(deck_state(sample.payload.to_bytes()) for sample in drain(deck))
                 return len(samples) >= 60
 
             wait_for(enough, "60 samples")
@@ -147,6 +150,8 @@ def test_the_target_drives_a_circle_and_says_so():
         assert math.hypot(x, y - 1.0) == pytest.approx(1.0)
     way_m = sum(math.dist(a, b) for a, b in pairwise(places))
     assert way_m / (times_s[-1] - times_s[0]) == pytest.approx(0.5, rel=0.02)
+    # the simulated pad follows the same circle; a message may be lost at either end
+    assert len({pad.position_enu_m[:2] for pad in pads} & set(places)) >= 50
     last = messages[-1]
     heading_rad = 2.0 * math.atan2(last.pose.pose.orientation.z, last.pose.pose.orientation.w)
     assert (math.sin(heading_rad), 1.0 - math.cos(heading_rad)) == pytest.approx(places[-1])
