@@ -12,7 +12,7 @@ import math
 
 from flightstack.core.parameters.filters import referred
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.strategies.strategy import strategy_class
+from flightstack.core.strategies.strategy import checked_class, strategy_class
 from flightstack.verify import ends, feedback, late, paper, robust, touchdown
 from flightstack.verify.bound import Shape, Span
 from flightstack.verify.envelope import extremes
@@ -36,8 +36,7 @@ def checks(config: FlightConfig) -> list[Check]:
     Raises ConfigError: there is no such filter, or it rejects the configuration; ValueError: a parameter
     leads to a bound that is not a number.
     """
-    strategy = strategy_class(config.filter)
-    strategy.check_config(config)
+    checked_class(config)
     own = certificate_of(config)
     found: list[Check] = referred(own)(config) if own else [_no_certificate(config.filter)]
     return [*found, *fleet_checks(config)]

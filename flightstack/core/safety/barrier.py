@@ -22,10 +22,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from flightstack.core.numeric import numeric
-from flightstack.core.types import Vec3
+from flightstack.core.types import ZERO, Vec3
 
 E = math.e
 _BEND_MOST = math.exp(-3.0)  # maximum of (x - 2) exp(-x), which is at x = 3
@@ -42,6 +42,19 @@ class ActiveBarrier(Protocol):
 
     def evaluate(self, e_m: Vec3, target_velocity_enu_m_s: Vec3) -> tuple[float, Vec3, float]:
         """Return value, gradient with respect to the vehicle's position, and time derivative."""
+
+
+def problem_of(boundary: Any, e_m: Vec3) -> str:
+    """Return what is wrong with a user's boundary, tried at one place; empty: nothing."""
+    name = type(boundary).__name__
+    if missing := [each for each in vars(ActiveBarrier) if each[0] != "_" and not hasattr(boundary, each)]:
+        return f"{name} has no {', '.join(missing)}"
+    try:
+        h_m, (gx, gy, gz), dh_dt_m_s = boundary.evaluate(e_m, ZERO)
+        numbers = (h_m, gx, gy, gz, dh_dt_m_s, boundary.h(e_m), boundary.linearisation_bound_m(e_m, 0.01))
+        return "" if math.isfinite(sum(numbers)) else f"{name} gives no finite numbers at {e_m}: {numbers}"
+    except Exception as error:  # any exception of the user's code
+        return f"{name} raised {type(error).__name__}: {error}"
 
 
 @dataclass(frozen=True, slots=True)

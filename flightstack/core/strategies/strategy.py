@@ -30,7 +30,7 @@ from flightstack.core.memory import (
 from flightstack.core.numeric import UNSEEN
 from flightstack.core.parameters.filters import FILTERS, file_of, named
 from flightstack.core.parameters.flight import FlightConfig, TouchdownRule
-from flightstack.core.safety.barrier import ActiveBarrier, Barrier
+from flightstack.core.safety.barrier import ActiveBarrier, Barrier, problem_of
 from flightstack.core.safety.position_loop import nominal_velocity
 from flightstack.core.safety.qp_filter import FilterResult, Program, SafetyFilter
 from flightstack.core.snapshot import Relative
@@ -377,9 +377,20 @@ def strategy_of(config: FlightConfig) -> Filter:
 
     Raises ConfigError: there is no such filter, or it rejects the configuration.
     """
-    found = strategy_class(config.filter)
+    return checked_class(config)(config, config.barrier.build())
+
+
+def checked_class(config: FlightConfig) -> type[Filter]:
+    """Return the class of a configuration's filter. Raise ConfigError: see ``strategy_of``."""
+    found, e_m = strategy_class(config.filter), (1.0, 0.0, 1.0)
     found.check_config(config)
-    return found(config, config.barrier.build())
+    if own_boundary(config.filter):
+        at = Relative(OwnState(0.0, 0.0, e_m, ZERO, 0.0), TargetState(0.0, ZERO, ZERO, 0.0), e_m, 1.0)
+        boundary = found(config, config.barrier.build()).barrier(at)  # the state of this object is not used
+        if problem := problem_of(boundary, e_m):
+            needed = "h, evaluate and linearisation_bound_m are needed, as in examples/own_boundary.py"
+            raise ConfigError(f"filter {file_of(config.filter)}: its boundary {problem}; {needed}")
+    return found
 
 
 def packaged_strategy_of(config: FlightConfig) -> Filter | None:

@@ -160,6 +160,28 @@ def test_a_boundary_of_its_own_is_named():
     assert own_boundary("robust") == own_boundary("examples.own_filter:Smooth") == ""
 
 
+def test_a_boundary_that_cannot_fly_is_refused_before_a_flight(outside):
+    (outside / "edges.py").write_text(
+        "import flightstack as fs\n"
+        "class Flat:\n"
+        "    def h(self, e_m): return e_m[2]\n"
+        "    def evaluate(self, e_m, v): return self.h(e_m), (0.0, 0.0, 1.0), -v[2]\n"
+        "class Whole(Flat):\n"
+        "    def linearisation_bound_m(self, e_m, moved_m): return 0.0\n"
+        "class Mine(fs.Filter):\n"
+        "    def barrier(self, at): return Flat()\n"
+        "class Better(fs.Filter):\n"
+        "    def barrier(self, at): return Whole()\n"
+    )
+    look_here("edges:Mine")
+    for use in (strategy_of, checks, problems):
+        with pytest.raises(
+            ConfigError, match=r"edges\.py:Mine: its boundary Flat has no linearisation_bound_m; "
+        ):
+            use(config("edges:Mine"))
+    assert isinstance(strategy_of(config("edges:Better")), strategy_class("edges:Better"))
+
+
 def test_the_base_class_is_safe_and_proves_nothing():
     assert Filter.watches_swinging  # a vehicle that swings over the pad aborts
     assert not Filter.certificate
