@@ -18,12 +18,11 @@ from typing import TYPE_CHECKING
 from bridge.crazyflie.condition import ESTIMATOR, KALMAN
 from bridge.crazyflie.node import Node
 from bridge.crazyflie.rules import CrazyflieOptions, Rules
-from bridge.crazyflie.types import Link, Packet, Pose, SetParam
+from bridge.crazyflie.types import Pose, SetParam
 from bridge.frames import yaw_from_quaternion
 from bridge.mavlink.endpoint import Endpoint, open_endpoint
 from bridge.mavlink.server.server import COMPONENT_ID
 from bridge.mavlink.transport.address import parse_url
-from bridge.mocap.checks import Passed
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import run_promptly
 from flightstack.common.text import pip_install
@@ -35,28 +34,6 @@ if TYPE_CHECKING:
 
 INITIAL = "kalman.initial"
 RESET = "kalman.resetEstimation"
-
-
-class PoseFeed:
-    def __init__(self) -> None:
-        self._begun: tuple[int, int] | None = None  # link and series with which the estimator was started
-
-    def packets(self, passed: Passed, link: Link, *, armed: bool) -> list[Packet]:
-        """Return the packets of one pose; none without a link.
-
-        A new connection has a new ``link`` object. While armed, the estimator is not restarted.
-        """
-        if link.protocol is None:
-            return []
-        pose = Pose(passed.pose.position_m, passed.pose.orientation_wxyz)
-        key = (id(link), passed.resets)
-        if armed or self._begun == key or link.params.get(ESTIMATOR) != KALMAN:
-            return [pose]
-        self._begun = key
-        x, y, z = pose.position_enu_m
-        values = {"X": x, "Y": y, "Z": z, "Yaw": yaw_from_quaternion(pose.quaternion)}
-        start = [SetParam(INITIAL + name, value) for name, value in values.items()]
-        return [*start, SetParam(RESET, 1.0), SetParam(RESET, 0.0), pose]
 
 
 _URI = re.compile(
@@ -79,7 +56,7 @@ class Loop:
     ) -> None:
         self._node, self._link, self._endpoint, self._poses, self._say = node, link, endpoint, poses, say
         self._start_s = time.monotonic()
-        self._feed = PoseFeed()
+        self._begun: tuple[int, int] | None = None  # link and series with which the estimator was started
         self._tick_s = TICK_S if poses is None else POSE_TICK_S
 
     @property
@@ -115,9 +92,20 @@ class Loop:
         vehicle = self._node.vehicle
         passed = poses.poll(now_s, armed=vehicle.armed)
         vehicle.mocap(poses.problem, passed, now_s)
-        if passed is not None:
-            for packet in self._feed.packets(passed, vehicle.link, armed=vehicle.armed):
-                self._link.send(packet)
+        if passed is None or vehicle.link.protocol is None:
+            return
+        pose = Pose(passed.pose.position_m, passed.pose.orientation_wxyz)
+        key = (id(vehicle.link), passed.resets)  # a new connection has a new ``Link``
+        starts = self._begun != key and vehicle.link.params.get(ESTIMATOR) == KALMAN
+        if starts and not vehicle.armed:
+            self._begun = key
+            x, y, z = pose.position_enu_m
+            values = {"X": x, "Y": y, "Z": z, "Yaw": yaw_from_quaternion(pose.quaternion)}
+            for name, value in values.items():
+                self._link.send(SetParam(INITIAL + name, value))
+            self._link.send(SetParam(RESET, 1.0))
+            self._link.send(SetParam(RESET, 0.0))
+        self._link.send(pose)
 
     def run(self, stop: Stop, duration_s: float | None) -> int:
         """Loop until a signal; in flight the first signal lands, the second ends. Return the exit status.

@@ -51,22 +51,20 @@ class CommandSequencer:
         # arrival time, s, and newest height above home, m, for autopilots with that datum; arming moves home
         # to the vehicle unless home is locked
         self.above_home: tuple[float, float] | None = None
-        self._entered_s = -math.inf  # start time of the current step
-        self._datum_tries = 0
-        self._datum_s = -math.inf
         self._offset_m = 0.0  # height of the vehicle above the datum of its take-off command
         self.failed: str | None = None  # reason why the current request failed, or None
         self.reached = False  # a heartbeat has shown the requested status
         self._request = Request.NONE
         self._since_s = -math.inf
-        self._step: Step | None = None
-        self._tries = 0
-        self._first_try_s = -math.inf
-        self._last_try_s = -math.inf
-        self._last_result: str | None = None
-        self._working = False
-        self._finals = 0
         self._begun = False  # a request was made before
+        self._enter(None, -math.inf)
+
+    def _enter(self, step: Step | None, now_s: float) -> None:
+        self._step, self._entered_s = step, now_s
+        self._tries, self._first_try_s, self._last_try_s = 0, -math.inf, -math.inf
+        self._datum_tries, self._datum_s = 0, -math.inf
+        self._last_result: str | None = None
+        self._working, self._finals = False, 0
         self._texts: list[str] = []
 
     @property
@@ -155,11 +153,6 @@ class CommandSequencer:
         self._datum_s = now_s
         self._datum_tries += 1
         return [request_message(self._target, message_id, self._profile.unset)]
-
-    def _enter(self, step: Step | None, now_s: float) -> None:
-        self._step, self._tries, self._last_try_s = step, 0, -math.inf
-        self._entered_s, self._datum_tries, self._datum_s = now_s, 0, -math.inf
-        self._last_result, self._working, self._finals, self._texts = None, False, 0, []
 
     def _next_step(self, status: VehicleStatus | None) -> Step | None:
         steps = self._profile.sequences[self._request] if self._begun else self._profile.prepare
