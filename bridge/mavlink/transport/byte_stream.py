@@ -8,12 +8,9 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import os
 import select
 import socket
-import struct
-import termios
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -243,12 +240,6 @@ def _bytes_in(time_s: float, baud: int) -> int:
     return max(_FRAME_MAX, round(baud / _BITS_PER_BYTE * time_s))
 
 
-def _number(device: int, request: int) -> int:
-    """Return the integer result of an ioctl request."""
-    (answer,) = struct.unpack("i", fcntl.ioctl(device, request, bytes(4)))
-    return int(answer)
-
-
 # Channels have a non-blocking descriptor; their methods raise OSError when the connection is lost.
 
 
@@ -265,37 +256,23 @@ class _SerialChannel:
             number = getattr(error, "errno", None) or errno.EINVAL
             reason = _REASONS.get(number, str(error))
             raise OSError(number, f"serial port {device}: {reason}") from error
-        try:
-            self._fd: int = self._port.fileno()
-            attributes = termios.tcgetattr(self._fd)
-            attributes[6][termios.VMIN] = 1  # distinguishes an empty line from a hang-up
-            termios.tcsetattr(self._fd, termios.TCSANOW, attributes)
-        except (OSError, termios.error) as error:
-            self._port.close()
-            raise OSError(errno.EIO, f"{device} cannot be set up: {error}") from error
 
     def fileno(self) -> int:
-        return self._fd
+        return int(self._port.fileno())
 
     def established(self) -> bool:
         return True
 
     def read(self, size: int) -> bytes | None:
         # Reading an empty line waits for a kernel worker (n_tty_read), up to 0.3 s on a busy machine.
-        if _number(self._fd, termios.FIONREAD) == 0:  # OSError: the device is gone
-            return None
-        try:
-            data = os.read(self._fd, size)
-        except BlockingIOError:
-            return None
-        if not data:
-            raise OSError(errno.EIO, "the device has gone")
-        return data
+        waiting: int = self._port.in_waiting  # OSError: the device is gone
+        return bytes(self._port.read(min(waiting, size))) if waiting else None
 
     def write(self, data: bytes) -> int:
         # Only a small part of the kernel's buffer is used, because the full buffer holds seconds of frames.
-        room = self._queue_max - _number(self._fd, termios.TIOCOUTQ)
-        return os.write(self._fd, data[:room]) if room > 0 else 0
+        # pyserial's write would wait for a full buffer for ever.
+        room = self._queue_max - self._port.out_waiting
+        return os.write(self._port.fileno(), data[:room]) if room > 0 else 0
 
     def close(self) -> None:
         # The kernel's buffer is nearly empty; closing does not wait for a missing device.
