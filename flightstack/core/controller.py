@@ -2,8 +2,9 @@
 
 newest inputs -> mission machine -> position loop (u') -> CBF program (u*) -> lag correction -> gate
 
-Live flight, lockstep simulation and log replay all call ``step``. A simulated campaign computes ordinary
-ticks with the compiled ``LandingKernel.land``; its results are equal to the last bit.
+``Controller`` inherits the parts of an ordinary tick from ``LandingKernel`` (``kernel.py``). Live flight,
+lockstep simulation and log replay all call ``step``. A simulated campaign computes ordinary ticks with the
+compiled ``LandingKernel.land``; its results are equal to the last bit.
 """
 
 from __future__ import annotations

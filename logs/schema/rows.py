@@ -1,12 +1,13 @@
 """Rows of the log: a named tuple for each message type, made from its definition.
 
-A row has the fields of its ``.msg`` file, whose comments state units and frames; the header becomes
+The ``.msg`` files in ``msg/`` are written by hand; this module makes the rows from them at import. A row has
+the fields of its file, whose comments state units and frames; the header becomes
 ``stamp_ns``, integer nanoseconds (Unix time, or simulated time from 2020-01-01 on in lockstep).
 ``row.pack()`` returns the message as CDR, ``Row.unpack(data)`` the row. The columns are the same fields for
 numpy: arrays of shape (n,), or (n, 3) for a vector and (n, 4) for a quaternion.
 
-``rows.pyi`` has the types for mypy. After a change of a definition ``python -m tests.unit.logs.row_stubs``
-makes it anew; a test fails as long as it differs.
+``rows.pyi`` has the types for mypy and is generated: run ``python -m tests.unit.logs.row_stubs`` after a
+change of a definition. A test compares both.
 """
 
 from __future__ import annotations

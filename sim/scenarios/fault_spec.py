@@ -87,7 +87,7 @@ _SAMPLES: Mapping[Kind, Cell] = {
     Kind.WRONG: Cell("position and heading are wrong by `offset_m`, `yaw_rad`", offset=True),
     Kind.SLOW: Cell("only every n-th sample arrives", _EACH_NTH),
     Kind.DELAYED: Cell(
-        "samples arrive late, in order; at the end all delayed samples arrive at once", _EXTRA
+        "samples arrive late, in order; at the end all delayed samples arrive together", _EXTRA
     ),
     Kind.INTERMITTENT: Cell("pauses without samples", _PAUSE, _REST),
     Kind.GARBAGE: Cell(
@@ -112,7 +112,7 @@ _RANDOM: Mapping[Kind, Cell] = {
 _LINK: Mapping[Kind, Cell] = {
     **_MESSAGES,
     **_RANDOM,
-    Kind.STUCK: Cell("no message arrives; at the end all messages arrive at once"),
+    Kind.STUCK: Cell("no message arrives; at the end all messages arrive together"),
     Kind.BURST_LOSS: Cell(
         "all messages are lost in bursts (two-state model, exponential times)",
         Number("mean length of a burst", "s", 0.005, 10.0, 0.1),
@@ -132,10 +132,10 @@ TABLE: Mapping[What, Mapping[Kind, Cell]] = MappingProxyType(
             Kind.STUCK: Cell("the motor keeps its present speed for any command, also after disarming"),
         },
         What.BATTERY: {
-            Kind.OFF: Cell("the battery is empty at once"),
+            Kind.OFF: Cell("the battery is suddenly empty"),
             Kind.DROP: Cell("the voltage is lower", Number("difference", "V", 0.05, 2.5, 0.5)),
             Kind.LOSS: Cell(
-                "a part of the charge is lost at once",
+                "a part of the charge is suddenly lost",
                 Number("fraction of a full charge", "1", 0.01, 1.0, 0.5),
                 healable=False,
             ),
@@ -144,7 +144,7 @@ TABLE: Mapping[What, Mapping[Kind, Cell]] = MappingProxyType(
         What.OWN_STATE: _SAMPLES,
         What.TARGET_ODOMETRY: _SAMPLES,
         What.ROBOT: {
-            Kind.STUCK: Cell("the wheels lock: the robot stops at once, and drives again at the end")
+            Kind.STUCK: Cell("the wheels lock: the robot stops suddenly, and drives again at the end")
         },
         What.LINK_OUT: _LINK,
         What.LINK_IN: _LINK,

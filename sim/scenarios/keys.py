@@ -82,7 +82,7 @@ wrong unit and a value out of range are refused. Positions are east, north, up. 
 configuration of the onboard process (`flightstack config`).
 
 The tables `judge`, `vehicle.own`, `odometry.error`, `onboard.reserve` and `onboard.fleet` are optional. Without `judge`
-the verdict uses the barrier of the configuration; without the other tables the part does not exist.
+the verdict uses the barrier of the configuration. If one of the other tables is missing, that feature is not used.
 
 `python -m sim.scenarios.keys` writes this page from the declarations."""  # noqa: E501
 _HEAD = "| key | unit | default | allowed | meaning |\n|---|---|---|---|---|"

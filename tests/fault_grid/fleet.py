@@ -26,7 +26,7 @@ class Way(StrEnum):
     SILENT = "radio silent"
     CUT = "network cut in two"
     LIES = "sends a position half a metre off"
-    STOPS = "its robot stops at once"
+    STOPS = "its robot stops suddenly"
 
 
 def _lying(exchange: Words, from_tick: int) -> Exchange:
@@ -80,11 +80,11 @@ permanently at {", ".join(f"{at_s:g} s ({moment})" for moment, at_s in MOMENTS_S
 Requirements: no two vehicles collide, none comes inside the [ellipsoid](../how_it_works/fleet.md) around
 another one, and the other two land on their pads.
 
-- If a process is killed, the fail-safe of its autopilot lands the vehicle at once, by chance on its robot.
+- If a process is killed, its autopilot's fail-safe immediately lands the vehicle, by chance on its robot.
 - If a sent position jumps, the ellipsoid around it grows by the jump. So the other vehicles keep clear of
   the previous position, too. A vehicle whose pad is inside the ellipsoid may abort its landing.
 - A position that is wrong from the start does not jump and cannot be detected.
-- The vehicle of a robot that stops at once detects this in the robot's odometry.
+- If a robot stops suddenly, its vehicle detects this in the odometry of the robot.
 
 | fault of the second member | moment | outcomes of the members \
 | least distance in the measure of the ellipsoid | least distance, m |

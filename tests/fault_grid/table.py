@@ -98,11 +98,11 @@ _PAUSES = _need(
 _NO_OWN = _need(
     ABORTED,
     VEHICLE_LANDS,
-    why="without a valid vehicle state no set-point is sent, and the autopilot lands at once",
+    why="without a valid vehicle state no set-point is sent, and the autopilot lands immediately",
 )
 _NO_OWN_OVER = _need(
     ABORTED, VEHICLE_LANDS, LANDED,
-    why="without a valid vehicle state the autopilot lands at once; whether on the pad is chance",
+    why="without a valid vehicle state the autopilot lands immediately; whether on the pad is chance",
     falls_short="the vehicle may hit the edge of a robot that drives off slowly, because without a vehicle "
     "state no set-point can lead it away", short_ends=_CRASHED,
 )  # fmt: skip
@@ -121,7 +121,7 @@ _LATE_LOOP = _need(
     why="a dead time of 0.2 s makes the loop oscillate; whether it reaches the pad in time is chance",
     within_s=None, h_min_m=-0.05, undetectable=True,
     falls_short="with a growing oscillation the vehicle counts as not following its set-points; the "
-    "autopilot then lands at once, by chance on the robot", short_ends=_CRASHED,
+    "autopilot then lands immediately, by chance on the robot", short_ends=_CRASHED,
 )  # fmt: skip
 _LATE_OVER = _need(
     LANDED, why="the time to contact is too short for an oscillation", within_s=None, undetectable=True
@@ -144,7 +144,7 @@ _CONTRADICTS = _need(
 _CONTRADICTS_OVER = _need(
     LANDED, ABORTED, VEHICLE_LANDS,
     why="the heartbeat reports disarmed or another mode in the air; whether the vehicle lands on the pad is "
-    "chance", falls_short="the vehicle lands at once, by chance on the edge of a robot that drives off",
+    "chance", falls_short="the vehicle lands immediately, by chance on the edge of a robot that drives off",
     short_ends=_CRASHED,
 )  # fmt: skip
 _STREAM_LOST = _need(VEHICLE_LANDS, why="the autopilot lands after 0.5 s without set-points")

@@ -93,14 +93,14 @@ class Retreat:
 
     # horizon of the drift prediction: response time of the horizontal loop
     drift_time_s: Annotated[float, span(0.05, 5.0)] = 0.3
-    # least h for a go-around; below it the descent continues
+    # smallest h for a go-around; below it the descent continues
     h_left_m: Annotated[float, span(0.01, 3.0)] = 0.08
     hold_climb_m_s: Annotated[float, span(0.02, 5.0)] = 0.4  # climb rate of the robust filter's hold
     # height above the barrier's peak that counts as clear of the target
     climb_margin_m: Annotated[float, span(0.05, 5.0)] = 0.2
     # maximum time to fly clear; after it the vehicle lands at its position
     clear_time_max_s: Annotated[float, span(5.0, 600.0)] = 30.0
-    # least sink rate of the autopilot's landing: it bounds the time in which a target can approach
+    # minimum sink rate of the autopilot's landing: it bounds the time in which a target can approach
     landing_speed_m_s: Annotated[float, span(0.05, 5.0)] = 0.3
     # maximum time of an abort; after it the stack exits
     abort_time_max_s: Annotated[float, span(5.0, 1800.0)] = 60.0
