@@ -12,7 +12,7 @@ from flightstack.config import options as shared
 
 
 @dataclass(frozen=True, kw_only=True)
-class VehicleOptions(shared.Signing, shared.Zenoh, shared.Simulated):
+class VehicleOptions(shared.Signing, shared.Simulator):
     """Options of the process that simulates vehicles.
 
     Without Zenoh the deck stays where the scenario puts it.
@@ -26,9 +26,6 @@ class VehicleOptions(shared.Signing, shared.Zenoh, shared.Simulated):
     )] = field(default_factory=dict)  # fmt: skip
     rate_hz: shared.Rate = 100
     lockstep: shared.Lockstep = False
-    duration_s: shared.Duration = None
-    namespace: shared.Namespace = "cf1"
-    recorder: shared.Recorder = None
     system_id: shared.SystemId = 1
     member: shared.OneMember = None
     leave_out: Annotated[tuple[int, ...], Option(
@@ -43,19 +40,14 @@ class WorldOptions(shared.Ros2, VehicleOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TargetOptions(shared.Ros2, shared.Zenoh, shared.Simulated):
+class TargetOptions(shared.Ros2, shared.Clocked, shared.Simulator):
     """Options of the process that simulates the ground robot."""
 
     rate_hz: shared.Rate = 100
-    speed: shared.Speed = 1.0
-    clock: shared.Clock = None
-    duration_s: shared.Duration = None
-    namespace: shared.Namespace = "cf1"
-    recorder: shared.Recorder = None
 
 
 @dataclass(frozen=True, kw_only=True)
-class Px4SimOptions(shared.Zenoh, shared.Simulated):
+class Px4SimOptions(shared.Simulator):
     """Options of the process that serves PX4's simulation link.
 
     Without Zenoh the deck stays where the scenario puts it.
@@ -84,10 +76,7 @@ class Px4SimOptions(shared.Zenoh, shared.Simulated):
         choices=("env", "airframe", "console")
     )] = None  # fmt: skip
     mocap: shared.Mocap = False
-    duration_s: shared.Duration = None
-    namespace: shared.Namespace = "cf1"
     member: shared.OneMember = None
-    recorder: shared.Recorder = None
     allow_unsigned: shared.AllowUnsigned = False
 
 

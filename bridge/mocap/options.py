@@ -30,16 +30,14 @@ class PoseOptions(shared.Zenoh, shared.Signing):
 
 
 @dataclass(frozen=True, kw_only=True)
-class MocapOptions(PoseOptions):
+class MocapOptions(PoseOptions, shared.Vehicle):
     pose_key: Annotated[str, Option(
         "--key",
         "Source of the poses: a Zenoh key, ros2:/TOPIC (rmw_zenoh), ros2dds:/TOPIC (docs/how_to/mocap.md).",
         "KEY"
     )]  # fmt: skip
-    vehicle_url: shared.VehicleUrl
     origin: Annotated[tuple[float, float, float] | None, Option(
         "--origin",
         "Position on earth of the room's origin, degrees and m; ArduPilot needs one for its position.",
         "LAT LON ALT"
     )] = None  # fmt: skip
-    system_id: shared.SystemId = 1

@@ -34,13 +34,9 @@ _PAPER = FlightConfig(barrier=BarrierShape(alpha_1_m=1.0, beta_m=1.5))  # limits
 
 
 @dataclass(frozen=True, kw_only=True)
-class PreflightOptions(shared.Signing):
+class PreflightOptions(shared.Signing, shared.Piloted, shared.Vehicle):
     """Options of ``preflight``."""
 
-    vehicle_url: shared.VehicleUrl
-    system_id: shared.SystemId = 1
-    autopilot: shared.Autopilot = "auto"
-    accept_release: shared.AcceptRelease = False
     config_file: Annotated[Path | None, shared.config(
         "Configuration of the flight; default: the paper's limits, no parameter accepted"
     )] = None  # fmt: skip

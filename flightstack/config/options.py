@@ -97,27 +97,12 @@ Speed = Annotated[float, Option(
     "--speed", "Stack time against real time, for a simulator of the same speed; never for a real vehicle.",
     "X", span=(0.1, 20.0)
 )]  # fmt: skip
-Clock = Annotated[Path | None, Option(
-    "--clock", "Use the clock of `px4-sim --clock FILE` instead of the wall clock; never for a real vehicle.",
-    "FILE", path="file"
-)]  # fmt: skip
 Url = Annotated[str, Option("--url", "MAVLink URL to serve; port 0 takes a free one.")]
 Peers = Annotated[tuple[str, ...], Option(
     "--peer", "Send telemetry there without a request, e.g. 127.0.0.1:14540 for MAVSDK, 127.0.0.1:14550 "
     "for a ground station; repeatable.", "HOST:PORT"
 )]  # fmt: skip
-VehicleUrl = Annotated[str, Option(
-    "--vehicle", "MAVLink URL: udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE[:BAUD], by "
-    "default at 921600 baud.", "URL"
-)]  # fmt: skip
 SystemId = Annotated[int, Option("--system-id", "MAVLink system id of the vehicle.", span=(1, 255))]
-Autopilot = Annotated[str, Option(
-    "--autopilot", "Autopilot of the vehicle; auto: as the heartbeat reports (docs/how_to/autopilots.md).",
-    choices=AUTOPILOTS
-)]  # fmt: skip
-AcceptRelease = Annotated[bool, Option(
-    "--accept-release", "Fly an unknown release of the autopilot with the rules of the nearest one."
-)]  # fmt: skip
 SigningKey = Annotated[Path | None, Option(
     "--signing-key", "Sign MAVLink with this key and ignore unsigned frames (see `key`).", "FILE"
 )]  # fmt: skip
@@ -169,6 +154,53 @@ class Zenoh:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Simulator(Zenoh, Simulated):
+    """Options of every process of the simulator."""
+
+    duration_s: Duration = None
+    recorder: Recorder = None
+    namespace: Namespace = "cf1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Piloted:
+    """Options about the autopilot of a vehicle."""
+
+    autopilot: Annotated[str, Option(
+        "--autopilot",
+        "Autopilot of the vehicle; auto: as the heartbeat reports (docs/how_to/autopilots.md).",
+        choices=AUTOPILOTS
+    )] = "auto"  # fmt: skip
+    accept_release: Annotated[bool, Option(
+        "--accept-release", "Fly an unknown release of the autopilot with the rules of the nearest one."
+    )] = False  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Vehicle:
+    """Options to reach a vehicle over MAVLink."""
+
+    vehicle_url: Annotated[str, Option(
+        "--vehicle",
+        "MAVLink URL: udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE[:BAUD], by default "
+        "at 921600 baud.", "URL"
+    )]  # fmt: skip
+    system_id: SystemId = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clocked:
+    """Options about the clock of a process in real time."""
+
+    speed: Speed = 1.0
+    clock: Annotated[Path | None, Option(
+        "--clock",
+        "Use the clock of `px4-sim --clock FILE` instead of the wall clock; never for a real vehicle.",
+        "FILE", path="file"
+    )] = None  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
 class Signing:
     """Options about the MAVLink senders that are accepted."""
 
@@ -189,14 +221,12 @@ class Ros2:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Repeated:
+class Repeated(Piloted):
     """Options of ``sitl`` that change bytes or timing: the log contains them, and the report repeats them."""
 
-    autopilot: Autopilot = "auto"
     speed: Speed = 1.0
     duration_s: Duration = None
     signing_key: SigningKey = None
-    accept_release: AcceptRelease = False
     mocap: Mocap = False
 
     def described(self) -> dict[str, str]:
@@ -230,10 +260,9 @@ class Result:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FlightOptions(Signing, Ros2, Zenoh):
+class FlightOptions(Signing, Ros2, Zenoh, Piloted, Vehicle):
     """Options to fly any vehicle: vehicle, target, configuration, links."""
 
-    vehicle_url: VehicleUrl
     target_key: Annotated[str, Option(
         "--target",
         "Source of the target: a Zenoh key, ros2:/TOPIC (rmw_zenoh), ros2dds:/TOPIC (docs/how_to/ros2.md).",
@@ -253,9 +282,6 @@ class FlightOptions(Signing, Ros2, Zenoh):
     )] = None  # fmt: skip
     no_record: Annotated[bool, Option("--no-record", "Record nothing.")] = False
     duration_s: Duration = None
-    system_id: SystemId = 1
-    autopilot: Autopilot = "auto"
-    accept_release: AcceptRelease = False
     unproven: Annotated[
         bool, Option("--unproven", "Fly a filter whose class has no certificate of its own.")
     ] = False
@@ -266,13 +292,11 @@ class FlightOptions(Signing, Ros2, Zenoh):
 
 
 @dataclass(frozen=True, kw_only=True)
-class OnboardOptions(FlightOptions):
+class OnboardOptions(Clocked, FlightOptions):
     """All options of the onboard process."""
 
     recorder: Recorder = None
     lockstep: Lockstep = False
-    speed: Speed = 1.0
-    clock: Clock = None
     shared_log: Annotated[bool, Option(
         "--shared-log", "The recorder writes several flights: names in the log begin with the namespace."
     )] = False  # fmt: skip

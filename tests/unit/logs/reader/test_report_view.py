@@ -159,7 +159,7 @@ def test_every_option_that_changes_a_run_is_in_its_log_and_in_the_command():
     assert options.described().keys() - {"vehicle"} == {names.get(name, name) for name in given}
     assert command({"seed": "7", **options.described()}, "scenario.toml") == (
         "flightstack sitl --scenario scenario.toml --seed 7 --px4 px4 "
-        "--autopilot ardupilot --speed 2 --duration 20 --signing-key 'a key' --accept-release --mocap"
+        "--autopilot ardupilot --accept-release --speed 2 --duration 20 --signing-key 'a key' --mocap"
     )
 
 
