@@ -12,14 +12,14 @@ import numpy as np
 from flightstack.compiled.foreign import ask, doubles, whole
 from flightstack.compiled.jit import forbid_compiling, jitted
 from flightstack.compiled.objects import Objects
-from flightstack.core.numeric import twin
-from flightstack.core.safety import qp_filter
 from flightstack.core.safety.qp_filter import (
     Columns,
     FilterResult,
     SafetyFilter,
+    clipped,
     columns,
     compiled_solver,
+    data_and_start,
     solver_settings,
 )
 from flightstack.core.types import FilterStatus, Vec3
@@ -27,8 +27,6 @@ from flightstack.core.types import FilterStatus, Vec3
 NUMBERS = 24  # number of values of ``data_and_start``
 _STATUS_AT, _ITERATIONS_AT = 32, 80  # byte offsets in OSQPInfo (osqp_api_types.h)
 _DOUBLE = 8  # bytes of a double
-
-_data_and_start, _clipped = twin(qp_filter.data_and_start, jitted), twin(qp_filter.clipped, jitted)
 
 
 class _Csc(ctypes.Structure):
@@ -55,7 +53,7 @@ def _osqp(
     multiplier: float,
 ) -> tuple[Vec3, float, int]:  # fmt: skip
     """Compiled form of ``SafetyFilter._osqp``."""
-    given = _data_and_start(nominal, gradient, bound, lower, upper, one.infinity, start, multiplier)
+    given = data_and_start(nominal, gradient, bound, lower, upper, one.infinity, start, multiplier)
     numbers, at, solver = doubles(one.numbers), one.numbers, one.solver
     for i in range(NUMBERS):
         numbers[i] = given[i]
@@ -67,7 +65,7 @@ def _osqp(
     point = (found[0], found[1], found[2])
     if whole(one.status) != one.solved or not np.isfinite(point[0] + point[1] + point[2]):
         return point, np.inf, iterations
-    point, residual = _clipped(point, gradient, bound, lower, upper)
+    point, residual = clipped(point, gradient, bound, lower, upper)
     return point, residual, iterations
 
 

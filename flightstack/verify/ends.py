@@ -16,13 +16,10 @@ def contact(config: FlightConfig, descent_m_s: float, key: str) -> Check:
     """Check that the descent speed of this key, m/s, is above the speed limit of a standing vehicle."""
     found = config.contact.speed_m_s
     return Check(
-        "contact.speed_m_s",
-        "a vehicle that descends as commanded is not taken for one that stands",
-        descent_m_s - found,
-        "m/s",
-        f"found {found:g}, {key} is {descent_m_s:g}",
+        "contact.speed_m_s", "a vehicle that descends as commanded is not taken for one that stands",
+        descent_m_s - found, "m/s", f"found {found:g}, {key} is {descent_m_s:g}",
         f"lower contact.speed_m_s or raise {key}",
-    )
+    )  # fmt: skip
 
 
 def reaches_touchdown(config: FlightConfig) -> Check:
@@ -31,11 +28,8 @@ def reaches_touchdown(config: FlightConfig) -> Check:
     return Check(
         "touchdown.height_m",
         "a vehicle standing on the pad is below the height at which the touchdown begins",
-        found - stands_m,
-        "m",
-        f"found {found:g}, it stands at {stands_m:g} m",
-        "raise touchdown.height_m",
-    )
+        found - stands_m, "m", f"found {found:g}, it stands at {stands_m:g} m", "raise touchdown.height_m",
+    )  # fmt: skip
 
 
 def notices(config: FlightConfig) -> Check:
@@ -45,13 +39,10 @@ def notices(config: FlightConfig) -> Check:
     """
     found, most_s = config.checks.follow_lag_max_s, config.checks.follow_memory_s
     return Check(
-        "checks.follow_lag_max_s",
-        "a vehicle that does not move at a full-speed command is detected",
-        most_s - found,
-        "s",
-        f"found {found:g}, the tracking lag converges to {most_s:g} s of flight",
+        "checks.follow_lag_max_s", "a vehicle that does not move at a full-speed command is detected",
+        most_s - found, "s", f"found {found:g}, the tracking lag converges to {most_s:g} s of flight",
         "raise checks.follow_memory_s or lower checks.follow_lag_max_s",
-    )
+    )  # fmt: skip
 
 
 def any_filter(config: FlightConfig, descent_m_s: float, key: str) -> list[Check]:

@@ -41,15 +41,6 @@ class Verdict(TextEnum):
     FROZEN = "not measured anew"
 
 
-_REFUSED = {
-    Reading.UNUSABLE: Verdict.BAD_STAMP,
-    Reading.REPEATED: Verdict.REPEATED,
-    Reading.OUT_OF_ORDER: Verdict.OUT_OF_ORDER,
-    Reading.AHEAD: Verdict.AHEAD,
-    Reading.LATE: Verdict.LATE,
-}
-
-
 class TargetState(NamedTuple):
     """State of the target at the requested time."""
 
@@ -164,7 +155,7 @@ class TargetTrack:
 
     @rare
     def _refused(self, reading: Reading) -> Verdict:
-        return _REFUSED[reading]
+        return Verdict.BAD_STAMP if reading is Reading.UNUSABLE else Verdict[reading.name]
 
     @rare
     def _judge_anew(
