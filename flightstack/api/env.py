@@ -55,7 +55,8 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
     command of the last tick (3); positions in m, velocities in m/s, as the controller estimates them.
 
     Action, (3,): nominal velocity of the vehicle, m/s ENU, within ``limits.velocity_max_m_s``. The stack
-    limits it to box and slew rate and, with a ``filter``, to the barrier.
+    limits it to box and slew rate and, with a ``filter``, to the barrier. The robust filter also limits the
+    horizontal velocity relative to the target to ``robust.gain_1_s`` times the distance.
 
     Reward: 10 for each metre that the distance to the landing spot decreases, -0.001 for each step, and -0.1
     for each step with a negative barrier value outside the pad; at the end 10 for a landing, -10 for a crash,
@@ -177,10 +178,10 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
     def _ask(self, at: Relative, own: Vec3) -> Vec3:
         """Stop the flight until the agent has chosen a velocity."""
         self._builtin = own
-        flight = self._flight
+        flight, companion = self._flight, self._companion
         assert flight is not None
-        chosen: Vec3 = flight.parent.switch(at)
-        return chosen
+        assert companion is not None
+        return companion.controller.strategy.permitted_m_s(flight.parent.switch(at), own, at)
 
     def _observed(self, at: Relative) -> np.ndarray:
         companion = self._companion

@@ -186,6 +186,25 @@ class RobustFilter(Filter):
             z = min(max(z, t[2] - fastest_m_s), t[2] - robust.descent_min_m_s)
         return (x, y, z)
 
+    def permitted_m_s(self, nominal: Vec3, own: Vec3, at: Relative) -> Vec3:
+        """Limit an agent's velocity to what the certificate assumes of ``own``, the nominal velocity.
+
+        The program keeps the barrier by the vertical velocity, for a horizontal velocity that the position
+        loop commands. So the velocity relative to the target is at most gain times distance, h falls by no
+        more than its rate from horizontal motion, and the vehicle sinks no faster than ``own``, which
+        contains the height of the boundary ahead.
+        """
+        if nominal == own:
+            return own
+        (x, y, z), (tx, ty, _), e = nominal, at.target.velocity_enu_m_s, at.e_m
+        vx, vy = x - tx, y - ty
+        h_m, (gx, gy, _), _ = self.barrier(at).evaluate(e, at.target.velocity_enu_m_s)
+        falls_m_s, speed_m_s = -(gx * vx + gy * vy), hypot(vx, vy)
+        share = min(1.0, self._config.robust.gain_1_s * at.d_m / max(speed_m_s, 1e-9))
+        if vx * e[0] + vy * e[1] > 0.0 and falls_m_s > 0.0:  # outwards, inside the peak of the boundary
+            share = min(share, self.rate_1_s * max(0.0, h_m) / falls_m_s)
+        return (tx + share * vx, ty + share * vy, max(z, own[2]))
+
     @rare
     def _then(self, at: Relative) -> tuple[Vec3, tuple[float, float]]:
         """Return position and horizontal velocity relative to the target when a set-point takes effect."""

@@ -249,6 +249,16 @@ class Filter:
         answer, self.answer = self.answer, None
         return self.ask(at, own) if answer is None else answer
 
+    def permitted_m_s(self, nominal: Vec3, own: Vec3, at: Relative) -> Vec3:
+        """Return an agent's nominal velocity within what the filter allows for. Default: unchanged.
+
+        Args:
+            nominal: velocity that the agent chose.
+            own: velocity that ``approach_m_s`` chose.
+            at: vehicle relative to target.
+        """
+        return nominal
+
     def descent_m_s(self, at: Relative) -> Vec3:
         """Return the unfiltered velocity of the touchdown. Default: straight down over the pad's centre."""
         t = at.target.velocity_enu_m_s

@@ -64,6 +64,18 @@ def test_gymnasium_finds_it_and_its_checker_passes():
     assert env.action_space.high.tolist() == list(fs.scenario("lab").onboard.limits.velocity_max_m_s)
 
 
+@pytest.mark.parametrize("seed", [1, 2, 5])
+def test_the_robust_filter_keeps_an_agent_safe_that_flies_at_the_pad_at_full_speed(seed: int):
+    env = fs.make_env("lab", filter="robust")
+    seen, _ = env.reset(seed=seed)
+    over = False
+    while not over:
+        seen, _, terminated, truncated, info = env.step(-np.sign(seen[:3]) * env.action_space.high)
+        over = terminated or truncated
+    assert info["outcome"] == "landed"
+    assert info["violation"] is False
+
+
 def test_an_agent_without_a_filter_violates_and_with_one_does_not():
     down = np.array([0.0, 0.0, -0.5])
     rewards, bare = flown(fs.make_env("lab"), 1, down)
