@@ -20,7 +20,7 @@ from logs.schema.events import CONTROLLER, pack_log
 from logs.schema.rows import LogRow
 from sim.campaign.rows import judge_team
 from sim.runners import landing as team_runner
-from sim.runners.companion import Companion
+from sim.runners.landing import Companion
 from sim.runners.log import VehicleLog
 from sim.runners.room import Room
 from sim.scenarios.team import ExchangeLink, TeamScenario, load

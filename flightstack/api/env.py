@@ -26,8 +26,7 @@ from flightstack.core.types import ZERO, Vec3
 from logs.reader.flight_data import Truth
 from logs.verdict.truth import judge_truth
 from logs.verdict.types import VIOLATION_LIMIT_M, Outcome, Verdict
-from sim.runners.companion import Companion
-from sim.runners.landing import warm_up
+from sim.runners.landing import Companion, warm_up
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.team import alone
 

@@ -58,7 +58,7 @@ GROUPS = {
         "target": Verb(
             "simulator:target",
             "Run the simulated ground robot alone.",
-            ("sim.runners.target_process", _MACHINE_CODE),
+            ("sim.runners.published_robot", _MACHINE_CODE),
         ),
         "watch": Verb("watch:watch", "Show a flight while it flies."),
         "scenarios": Verb("simulator:scenarios", "List the scenarios, or print one."),

@@ -61,10 +61,10 @@ def target(options: TargetOptions) -> None:
     # The robot computes only a hundred short steps a second: loading numba would take longer than it saves.
     if "numba" not in sys.modules:
         os.environ.setdefault(OFF, "1")
-    from sim.runners import target_process
+    from sim.runners.published_robot import target_main
     from sim.scenarios.team import load
 
-    sys.exit(target_process.target_main(load(options.scenario), options))
+    sys.exit(target_main(load(options.scenario), options))
 
 
 @click.command("px4-sim")

@@ -29,10 +29,8 @@ SOURCES = (
     "flightstack/core/**/*.py",
     "bridge/frames.py",
     "sim/autopilot/watches.py",
-    *(
-        f"sim/{room}/*.py"
-        for room in ("plant", "world", "firmware", "vehicle", "robot", "validation", "runners/stretch")
-    ),
+    *(f"sim/{room}/*.py" for room in ("plant", "world", "firmware", "vehicle", "robot", "validation")),
+    *(f"sim/runners/{name}.py" for name in ("ticks", "robot", "room")),
 )
 OFF = "NUMBA_DISABLE_JIT"  # numba's own environment variable
 _NEEDLESS = ("scipy.linalg", "coverage")

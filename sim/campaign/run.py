@@ -29,7 +29,7 @@ from flightstack.verify.certificate import problems
 from logs.tools.file import of_file
 from sim.campaign.rows import Row, RowsError, RowsFile, missing, read_rows, write_parquet, write_rows
 from sim.campaign.summary import repeat_command, summary
-from sim.campaign.workers import Workers, code_fingerprint
+from sim.campaign.workers import Cluster, Workers, code_fingerprint
 from sim.robot.course import try_out
 from sim.runners.landing import warm_up
 from sim.scenarios.scenario import Scenario
@@ -183,8 +183,6 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
 
 def _rows(wanted: Plan, todo: list[int], workers: int, cluster: str | None) -> Iterator[Row]:
     if cluster is not None:
-        from sim.campaign.cluster import Cluster
-
         with Cluster(cluster, wanted.scenario_toml) as there:
             yield from there.fly(todo)
         return

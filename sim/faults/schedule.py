@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable
+from collections import deque
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from numpy.random import Generator
 
 from sim.chance import stream
 from sim.plant.sensors import NEVER_NS, NS
-from sim.scenarios.fault_spec import After, Fault
+from sim.scenarios.fault_spec import After, Fault, What
 
+TEXTS_MAX = 256  # maximum stored starts and ends until ``take_texts``; the oldest are dropped
 RUNNING_MAX = 64  # maximum active faults; further commands are rejected
 
 
@@ -38,20 +40,13 @@ class Running:
 
 
 class Change(NamedTuple):
-    """Start (``running.active``) or end of a fault."""
+    """Start or end of a fault."""
 
     running: Running
     begins: bool
 
-
-class FaultText(NamedTuple):
-    """Message about the start or end of a fault."""
-
-    begins: bool
-    text: str
-
     def __str__(self) -> str:
-        return f"Fault: {self.text}" if self.begins else f"Fault over: {self.text}"
+        return f"Fault{'' if self.begins else ' over'}: {self.running.fault.text}"
 
 
 @dataclass(slots=True)
@@ -99,13 +94,9 @@ class Schedule:
         while self._due and self._due[0][0] <= now_ns:
             _, _, begins, running = heapq.heappop(self._due)
             if not running.over:  # an injected command has not ended it before
-                changes.append(self._begin(running) if begins else self._end(running))
+                changes.append(self._begin(running) if begins else self.end(running))
         self.next_ns = self._due[0][0] if self._due else NEVER_NS
         return changes
-
-    def heal(self, running: Running) -> Change:
-        """End an active fault now."""
-        return self._end(running)
 
     def _plan(self, running: Running, start_ns: int) -> None:
         running.start_ns = start_ns
@@ -123,7 +114,46 @@ class Schedule:
         self._active.append(running)
         return Change(running, begins=True)
 
-    def _end(self, running: Running) -> Change:
+    def end(self, running: Running) -> Change:
+        """End an active fault now."""
         running.active, running.over = False, True
         self._active.remove(running)
         return Change(running, begins=False)
+
+
+class Effect(Protocol):
+    """Applies the faults of one component."""
+
+    def begin(self, running: Running) -> None: ...
+
+    def end(self, running: Running, now_ns: int) -> None: ...
+
+
+class ScheduledFaults:
+    """Schedule and effects of the faults of some components; faults of other components are ignored."""
+
+    def __init__(self, faults: Iterable[Fault], seed: int, effects: Mapping[What, Effect]) -> None:
+        self._schedule, self._effects = Schedule(seed), effects
+        self._schedule.add(fault for fault in faults if fault.what in effects)
+        self._texts: deque[Change] = deque(maxlen=TEXTS_MAX)
+
+    def run(self, now_ns: int) -> None:
+        """Start and end due faults."""
+        for change in self._schedule.due(now_ns):
+            self._apply(change, now_ns)
+
+    def take_texts(self) -> list[Change]:
+        """Return the starts and ends since the last call; as text they are messages."""
+        if not self._texts:
+            return []
+        texts = list(self._texts)
+        self._texts.clear()
+        return texts
+
+    def _apply(self, change: Change, now_ns: int) -> None:
+        effect = self._effects[change.running.fault.what]
+        if change.begins:
+            effect.begin(change.running)
+        else:
+            effect.end(change.running, now_ns)
+        self._texts.append(change)

@@ -6,18 +6,92 @@ This code runs only when a fault starts, ends or is active; the compiled loop ha
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Callable, Iterable
-from typing import Protocol
+from collections.abc import Callable, Iterable, Sequence
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from flightstack.compiled.records import F64
 from flightstack.core.types import Vec3
-from sim.faults.drive import BatteryFaults, MotorFaults
 from sim.faults.link import CONCERNS, LinkFaults
 from sim.faults.samples import EstimateFaults, SampleFaults, Shape
-from sim.faults.schedule import RUNNING_MAX, Change, FaultText, Running, Schedule
+from sim.faults.schedule import RUNNING_MAX, Effect, Running, ScheduledFaults
+from sim.plant.params import Rotor
+from sim.plant.rotors import BatteryRecord, RotorRecord
 from sim.scenarios.fault_spec import After, Fault, Kind, What
+
+EMPTY_V = 3.0  # cell voltage at rest; firmware platform_defaults_cf2.h: DEFAULT_BAT_CRITICAL_LOW_VOLTAGE
+
+
+class MotorFaults:
+    """Motor faults: target speed = share * command + held; without a fault share is 1 and held 0.
+
+    ``share`` and ``held`` (rpm) of M1..M4 are changed in place. ``hover_rpm``: speed at which the thrust of a
+    weak motor is exact. At other speeds the error is some per cent, because thrust is not exactly quadratic.
+    """
+
+    def __init__(self, share: F64, held: F64, rotors: RotorRecord, rotor: Rotor, hover_rpm: float) -> None:
+        self._share, self._held, self._rpm = share, held, rotors.rpm
+        self._rotor, self._hover_rpm = rotor, hover_rpm
+        self._running: list[tuple[Running, float, float]] = []
+        share[:], held[:] = 1.0, 0.0
+
+    def begin(self, running: Running) -> None:
+        """Start a fault; if a motor has several, the newest applies."""
+        fault = running.fault
+        assert fault.motor is not None
+        share = held = 0.0
+        if fault.kind is Kind.WEAK:
+            thrust_n = fault.amount * self._rotor.thrust_n(self._hover_rpm)
+            share = self._rotor.rpm(thrust_n) / self._hover_rpm
+        elif fault.kind is Kind.STUCK:
+            held = float(self._rpm[fault.motor - 1])
+        self._running.append((running, share, held))
+        self._apply()
+
+    def end(self, running: Running, now_ns: int) -> None:
+        del now_ns
+        self._running = [one for one in self._running if one[0] is not running]
+        self._apply()
+
+    def _apply(self) -> None:
+        self._share[:], self._held[:] = 1.0, 0.0
+        for running, share, held in self._running:
+            motor = running.fault.motor
+            assert motor is not None
+            self._share[motor - 1], self._held[motor - 1] = share, held
+
+
+class BatteryFaults:
+    """Changes the battery's record at the start of a fault, and restores it at the end."""
+
+    def __init__(self, record: BatteryRecord) -> None:
+        self._record = record
+        self._taken: dict[Running, tuple[float, float]] = {}  # removed charge (A s) and voltage (V)
+
+    def begin(self, running: Running) -> None:
+        b, fault = self._record, running.fault
+        left_a_s = float(b.charge_a_s - b.used_a_s)
+        charge_a_s, volts = {
+            Kind.DROP: (0.0, fault.amount),
+            Kind.LOSS: (min(left_a_s, fault.amount * float(b.charge_a_s)), 0.0),
+            Kind.OFF: (left_a_s, max(0.0, float(b.empty_v) - EMPTY_V)),
+        }[fault.kind]
+        self._taken[running] = (charge_a_s, volts)
+        self._take(charge_a_s, volts)
+
+    def end(self, running: Running, now_ns: int) -> None:
+        """Restore charge and voltage."""
+        del now_ns
+        charge_a_s, volts = self._taken.pop(running)
+        self._take(-charge_a_s, -volts)
+
+    def _take(self, charge_a_s: float, volts: float) -> None:
+        b = self._record
+        b.full_v -= volts
+        b.empty_v -= volts
+        b.used_a_s += charge_a_s
+        b.voltage_v -= volts + (b.full_v - b.empty_v) * charge_a_s / b.charge_a_s
+
 
 MOTORS = (1, 2, 3, 4)
 OK: int = dialect.FAILURE_TYPE_OK
@@ -111,17 +185,7 @@ def faults_of(unit: int, kind: int, instance: int) -> list[Fault] | str:
     return kinds[kind](motors)
 
 
-TEXTS_MAX = 256  # maximum stored messages until ``take_texts``; the oldest are dropped
-
 MocapSample = tuple[float, ...]  # x, y, z (ENU, m), yaw (rad)
-
-
-class Effect(Protocol):
-    """Applies the faults of one component."""
-
-    def begin(self, running: Running) -> None: ...
-
-    def end(self, running: Running, now_ns: int) -> None: ...
 
 
 def _move_mocap(sample: MocapSample, offset: Vec3, turn: float) -> MocapSample:
@@ -132,27 +196,25 @@ def _move_mocap(sample: MocapSample, offset: Vec3, turn: float) -> MocapSample:
 MOCAP: Shape[MocapSample] = Shape(_move_mocap, lambda first, _: first)
 
 
-class Faults:
+class Faults(ScheduledFaults):
     """Schedule and effects of one vehicle's faults; faults of the robot are ignored."""
 
     def __init__(
-        self, faults: Iterable[Fault], seed: int, motors: MotorFaults, battery: BatteryFaults
+        self, faults: Sequence[Fault], seed: int, motors: MotorFaults, battery: BatteryFaults
     ) -> None:
-        self._schedule = Schedule(seed)
-        ours = [fault for fault in faults if not fault.of_the_robot]
-        self._schedule.add(ours)
-        self.quiet = not ours  # there was no fault and none is scheduled
         self.mocap = SampleFaults(MOCAP)  # faults of motion capture before the estimator
         self.own_state = EstimateFaults()  # faults of the estimate before the autopilot
         self.link = LinkFaults()  # used by the owner of the MAVLink connection
-        self._effects: dict[What, Effect] = {
+        effects: dict[What, Effect] = {
             What.MOTOR: motors,
             What.BATTERY: battery,
             What.MOCAP: self.mocap,
             What.OWN_STATE: self.own_state,
             **dict.fromkeys(CONCERNS, self.link),
         }
-        self._texts: deque[FaultText] = deque(maxlen=TEXTS_MAX)
+        super().__init__(faults, seed, effects)
+        # there was no fault and none is scheduled
+        self.quiet = not any(fault.what in effects for fault in faults)
 
     @property
     def next_ns(self) -> int:
@@ -167,11 +229,6 @@ class Faults:
     def took_off(self, now_ns: int) -> None:
         """Start faults that are relative to the first take-off."""
         self._schedule.refer(After.TAKEOFF, now_ns)
-
-    def run(self, now_ns: int) -> None:
-        """Start and end due faults."""
-        for change in self._schedule.due(now_ns):
-            self._apply(change, now_ns)
 
     def inject(self, unit: int, kind: int, instance: int, now_ns: int) -> str | None:
         """Apply MAV_CMD_INJECT_FAILURE; return the reason of a rejection. OK also ends scheduled faults."""
@@ -194,27 +251,10 @@ class Faults:
         self._schedule.add(faults, now_ns)
         self.run(now_ns)
 
-    def take_texts(self) -> list[FaultText]:
-        """Return the messages about starts and ends since the last call."""
-        if not self._texts:
-            return []
-        texts = list(self._texts)
-        self._texts.clear()
-        return texts
-
     def _heal(self, unit: int, instance: int, now_ns: int) -> None:
         motors = motors_of(unit, instance)
         for running in self._schedule.active:
             fault = running.fault
             meant = fault.what in PARTS[unit] and (fault.motor is None or fault.motor in motors)
             if meant and fault.cell.healable:
-                self._apply(self._schedule.heal(running), now_ns)
-
-    def _apply(self, change: Change, now_ns: int) -> None:
-        running, begins = change
-        effect = self._effects[running.fault.what]
-        if begins:
-            effect.begin(running)
-        else:
-            effect.end(running, now_ns)
-        self._texts.append(FaultText(begins, running.fault.text))
+                self._apply(self._schedule.end(running), now_ns)

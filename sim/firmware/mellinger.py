@@ -2,7 +2,7 @@
 
     F = m a + kp e + kd de/dt + ki int(e),   e = set-point minus estimate, thrust = F along body z
 
-It follows firmware controller_mellinger.c of release 2025.12 (attitude: ``sim.firmware.attitude``) and
+It follows firmware controller_mellinger.c of release 2025.12 (attitude: ``sim.firmware.paper_loop``) and
 accepts only position set-points. As in the firmware, the integrals are bounded (a vehicle heavier than
 ``MASS_KG`` stays below its set-point) and grow while the set-point is out of reach. Zero thrust sets the
 moments to zero and resets the integrals. When the supervisor levels out, the height of the newest set-point
@@ -15,8 +15,7 @@ import math
 
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import Record, Vector, new
-from sim.firmware.attitude import AttitudeRecord, Counts, attitude_moments
-from sim.firmware.paper_loop import axes_from_force
+from sim.firmware.paper_loop import AttitudeRecord, Counts, attitude_moments, axes_from_force
 from sim.firmware.setpoint import SensedState, SetpointRecord
 from sim.plant.params import CONTROL_STEP_S
 from sim.plant.rotation import nine
@@ -27,7 +26,7 @@ GRAVITY_M_S2 = 9.81  # value in the firmware's physicalConstants.h
 KP_XY, KD_XY, KI_XY = 0.4, 0.2, 0.05  # horizontal gains, N/m, N s/m, N/(m s)
 KP_Z, KD_Z, KI_Z = 1.25, 0.4, 0.05
 I_RANGE_XY, I_RANGE_Z = 2.0, 0.4  # limits of the integrals, m s
-K_R_Z, K_W_Z = 60000.0, 12000.0  # yaw gains kR_z, kw_z; roll and pitch gains: ``sim.firmware.attitude``
+K_R_Z, K_W_Z = 60000.0, 12000.0  # yaw gains kR_z, kw_z; roll and pitch gains: ``sim.firmware.paper_loop``
 
 
 class MellingerRecord(Record):

@@ -17,7 +17,7 @@ from typing import Annotated
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Record, new
 from flightstack.core.types import Vec3
-from sim.firmware.attitude import Counts
+from sim.firmware.paper_loop import Counts
 from sim.firmware.setpoint import SensedState, SetpointRecord
 from sim.plant.params import CONTROL_STEP_S, Params
 

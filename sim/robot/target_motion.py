@@ -10,7 +10,7 @@ from flightstack.compiled.records import F64
 from flightstack.core.types import Vec3
 from sim.clock import TickGrid
 from sim.faults.samples import SampleFaults, Shape
-from sim.faults.schedule import FaultText, Schedule
+from sim.faults.schedule import Change, Running, ScheduledFaults
 from sim.plant.sensors import NS
 from sim.robot.target import TargetMeasurement, TargetModel, TargetOdometry, numbers, wrap
 from sim.scenarios.fault_spec import After, Fault, What
@@ -26,18 +26,34 @@ def _move(sample: TargetMeasurement, offset: Vec3, turn: float) -> TargetMeasure
 SHAPE: Shape[TargetMeasurement] = Shape(_move, lambda first, now: first._replace(time_s=now.time_s))
 
 
-class TargetFaults:
+class Wheels:
+    """Faults that lock the robot's wheels."""
+
+    locked = 0  # number of active faults
+
+    def begin(self, running: Running) -> None:
+        del running
+        self.locked += 1
+
+    def end(self, running: Running, now_ns: int) -> None:
+        del running, now_ns
+        self.locked -= 1
+
+
+class TargetFaults(ScheduledFaults):
     """Schedule and effects of the robot's faults; a delayed sample is returned by a later call.
 
     ``faults``: faults of the scenario; those of the vehicle are ignored.
     """
 
     def __init__(self, faults: Iterable[Fault], seed: int) -> None:
-        self._schedule = Schedule(seed)
-        self._schedule.add(fault for fault in faults if fault.of_the_robot)
-        self._samples = SampleFaults(SHAPE)
-        self._texts: list[FaultText] = []
-        self.locked = 0  # number of active faults that lock the robot's wheels
+        self._samples, self._wheels = SampleFaults(SHAPE), Wheels()
+        super().__init__(faults, seed, {What.ROBOT: self._wheels, What.TARGET_ODOMETRY: self._samples})
+
+    @property
+    def locked(self) -> bool:
+        """Whether a fault locks the robot's wheels."""
+        return self._wheels.locked > 0
 
     @property
     def waits_for_landing(self) -> bool:
@@ -59,20 +75,8 @@ class TargetFaults:
     def deliver(self, now_ns: int, samples: list[TargetMeasurement]) -> list[TargetMeasurement]:
         """Return the samples that the robot sends now; without faults these are ``samples``."""
         if now_ns >= self._schedule.next_ns:
-            for running, begins in self._schedule.due(now_ns):
-                if running.fault.what is What.ROBOT:
-                    self.locked += 1 if begins else -1
-                elif begins:
-                    self._samples.begin(running)
-                else:
-                    self._samples.end(running, now_ns)
-                self._texts.append(FaultText(begins, running.fault.text))
+            self.run(now_ns)
         return self._samples.deliver(now_ns, samples) if self._samples.active else samples
-
-    def take_texts(self) -> list[FaultText]:
-        """Return messages about faults that started or ended since the last call."""
-        texts, self._texts = self._texts, []
-        return texts
 
 
 class TargetMotion:
@@ -88,7 +92,7 @@ class TargetMotion:
         # substeps per tick; the odometry measures at most one sample per substep
         self._substeps = -(-round(scenario.odometry.rate_hz) // grid.rate_hz)
         self._step_s = grid.period_s / self._substeps
-        self._texts: list[tuple[int, FaultText]] = []
+        self._texts: list[tuple[int, Change]] = []
         self.due = self._measure()  # samples that were released but not yet taken
 
     def step(self, driving: bool) -> None:
@@ -127,7 +131,7 @@ class TargetMotion:
         self._texts += [(self.tick, text) for text in self.faults.take_texts()]
         return delivered
 
-    def take_texts(self) -> list[tuple[int, FaultText]]:
+    def take_texts(self) -> list[tuple[int, Change]]:
         """Return messages about faults that started or ended since the last call, each with its tick."""
         texts, self._texts = self._texts, []
         return texts

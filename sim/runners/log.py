@@ -1,15 +1,32 @@
-"""Log entries of the simulator: events, true states of the vehicle and of the deck."""
+"""Log entries of the simulator: events, true states of the vehicle and of the deck.
+
+A landing in one process has no log: ``Notes`` records its steps, true states and events. Their content equals
+the log of the same flight with separate processes, so the same judge reads both.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from itertools import chain
+from typing import Any
+
+import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from flightstack.common.pacing import EPOCH_NS, Tick
+from flightstack.core.controller import Outputs
+from flightstack.core.parameters.flight import FlightConfig
+from flightstack.core.types import Phase
+from logs.reader.flight_data import Event, Floats, Ints, Truth
 from logs.recorder.feed import Feed
 from logs.schema import schemas
 from logs.schema.events import ContactBit, Severity, pack_log
 from logs.schema.names import OWN, Names
 from logs.schema.rows import TrueStateRow
-from sim.plant.vehicle_types import Truth
+from sim.plant import vehicle_types
 
 _LEVELS: dict[int, Severity] = {
     dialect.MAV_SEVERITY_EMERGENCY: Severity.FATAL,
@@ -64,7 +81,7 @@ class VehicleLog(EventLog):
         self._contact_s: dict[int, float] = {}
         self._targets = 0
 
-    def truth(self, tick: int, now_ns: int, truth: Truth) -> None:
+    def truth(self, tick: int, now_ns: int, truth: vehicle_types.Truth) -> None:
         """Write the true state, and new contacts as events."""
         stamp_ns = self.epoch_ns + now_ns
         w, x, y, z = truth.quaternion
@@ -94,3 +111,159 @@ class VehicleLog(EventLog):
                 if last_s is None or now_s - last_s > _CONTACT_GAP_S:
                     self.event(now_ns, level, text)
                 self._contact_s[bit] = now_s
+
+
+# size of each field of a true state
+_WIDTHS = dict.fromkeys(vehicle_types.Truth._fields, 1) | {
+    "position_enu_m": 3, "velocity_enu_m_s": 3, "quaternion": 4, "angular_velocity_flu_rad_s": 3,
+    "rotor_rpm": 4,
+    "pad_position_enu_m": 3, "pad_velocity_enu_m_s": 3, "first_touch_relative_position_enu_m": 3,
+    "first_touch_relative_velocity_enu_m_s": 3, "wind_enu_m_s": 3,
+}  # fmt: skip
+# fields that the vehicle's true state and the log's have in common
+_SHARED = tuple(f.name for f in fields(Truth) if f.type == "Floats" and f.name in vehicle_types.Truth._fields)
+
+
+@dataclass(frozen=True)
+class SeenSteps:
+    """Data of n controller steps."""
+
+    t_s: Floats  # (n,) time since the first tick
+    phase: Ints  # (n,) value of ``Phase``
+    own_age_s: Floats  # (n,) age of the vehicle's state estimate, NaN without one
+    target_age_s: Floats  # (n,) age of the target's state estimate, NaN without one
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Data of a complete flight for the judge (``logs.verdict.types.Judged``)."""
+
+    steps: SeenSteps
+    truth: Truth
+    events: tuple[Event, ...]
+    config: FlightConfig
+    pad_radius_m: float
+    complete: bool = True
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+
+    @cached_property
+    def landing_start_s(self) -> float | None:
+        """Time of the first step in phase APPROACH."""
+        begun = np.flatnonzero(self.steps.phase == Phase.APPROACH)
+        return float(self.steps.t_s[begun[0]]) if len(begun) else None
+
+
+class Notes:
+    """Collects the data of a flight while it runs."""
+
+    def __init__(self, config: FlightConfig, pad_radius_m: float) -> None:
+        self._config, self._pad_radius_m = config, pad_radius_m
+        self._steps: list[tuple[int, int, float, float]] = []
+        self._truth_ticks: list[tuple[int, int]] = []
+        self._truth: list[vehicle_types.Truth] = []  # true states since the newest block
+        self._blocks: list[Floats] = []  # blocks of true states, one row each
+        self._events: list[Event] = []
+
+    def step(self, tick: Tick, out: Outputs) -> None:
+        """Record a controller step."""
+        seen = out.snapshot
+        own, target = seen.inputs.own, seen.target
+        own_age_s = tick.now_s - own.arrival_s if own is not None else math.nan
+        target_age_s = target.age_s if target is not None else math.nan
+        self._steps.append((tick.unix_ns - EPOCH_NS, int(out.phase), own_age_s, target_age_s))
+        for event in out.events:
+            self.event(tick.now_s, event.level, "controller", event.text)
+
+    def truth(self, tick: int, now_ns: int, truth: vehicle_types.Truth) -> None:
+        """Record a true state."""
+        self._truth_ticks.append((tick, now_ns))
+        self._truth.append(truth)
+
+    def batch(
+        self, first: int, times_ns: Sequence[int], phase: Phase, ages_s: Floats, truths: Floats
+    ) -> None:
+        """Record the steps and true states of consecutive ticks, each with a vehicle state estimate.
+
+        ``first``: number of the first tick; ``times_ns``: times of the n ticks; ``phase``: phase of all
+        ticks; ``ages_s``: (n,) age of the target state; ``truths``: (n, 41) numbers of the true states.
+        """
+        number = int(phase)
+        self._steps += [(t, number, 0.0, age_s) for t, age_s in zip(times_ns, ages_s.tolist(), strict=True)]
+        self._truth_ticks += enumerate(times_ns, first)
+        self._close_block()
+        self._blocks.append(truths)
+
+    def _close_block(self) -> None:
+        if self._truth:
+            columns = [_rows(values) for values in zip(*self._truth, strict=True)]
+            self._blocks.append(np.column_stack(columns))
+            self._truth = []
+
+    def event(self, t_s: float, level: int, source: str, text: str) -> None:
+        """Record an event."""
+        self._events.append(Event(t_s, level, source, text))
+
+    def seen(self) -> Seen:
+        """Return all recorded data."""
+        times_ns, phases, own_age_s, target_age_s = zip(*self._steps, strict=True)
+        return Seen(
+            SeenSteps(_seconds(times_ns), np.array(phases), np.array(own_age_s), np.array(target_age_s)),
+            self._arrays(),
+            tuple(sorted(self._events, key=lambda event: event.t_s)),
+            self._config,
+            self._pad_radius_m,
+        )
+
+    def _arrays(self) -> Truth:
+        self._close_block()
+        numbers = np.concatenate(self._blocks)
+        ends = np.cumsum([_WIDTHS[name] for name in vehicle_types.Truth._fields])
+        of = {
+            name: np.ascontiguousarray(part if part.shape[1] > 1 else part[:, 0])
+            for name, part in zip(
+                vehicle_types.Truth._fields, np.split(numbers, ends[:-1], axis=1), strict=True
+            )
+        }
+        columns = {name: of[name] for name in _SHARED}
+        ticks, times_ns = zip(*self._truth_ticks, strict=True)
+        return Truth(
+            t_s=_seconds(times_ns),
+            tick=np.array(ticks),
+            orientation=np.roll(of["quaternion"], -1, axis=1),  # reordered to x, y, z, w
+            contacts=of["contacts"].astype(np.int64),
+            motors_running=of["motors_running"].astype(np.bool_),
+            **columns,
+        )
+
+
+class VehicleNotes(VehicleLog):
+    """Replaces the log of the vehicle's process."""
+
+    def __init__(self, notes: Notes, namespace: str = "cf1") -> None:
+        super().__init__(Feed.connect(None, "vehicle", lossless=False), EPOCH_NS, namespace)
+        self._notes = notes
+
+    def truth(self, tick: int, now_ns: int, truth: vehicle_types.Truth) -> None:
+        """Record the true state."""
+        self._notes.truth(tick, now_ns, truth)
+
+    def target(self, now_ns: int, payload: bytes) -> None:
+        """Do nothing: the true state contains the deck's state."""
+
+    def event(self, now_ns: int, level: int, text: str) -> None:
+        """Record an event of the vehicle."""
+        self._notes.event(now_ns * 1e-9, level, "vehicle", text)
+
+
+def _seconds(times_ns: Sequence[int]) -> Floats:
+    """Return seconds since the first tick, as in a log."""
+    return np.asarray(np.array(times_ns, dtype=np.int64) * 1e-9, dtype=np.float64)
+
+
+def _rows(values: Sequence[Any]) -> Floats:
+    """Return an array from numbers, or from tuples of equal length; four times as fast as ``np.array``."""
+    if isinstance(values[0], tuple):
+        width = len(values[0])
+        flat = np.fromiter(chain.from_iterable(values), np.float64, len(values) * width)
+        return flat.reshape(-1, width)
+    return np.array(values, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""The ground robot of the world process: it publishes its odometry on Zenoh.
+"""The ground robot of the world process, or of a process without vehicles: odometry on Zenoh.
 
 Keys under the namespace of each robot (``cf1`` by default):
 
@@ -11,10 +11,12 @@ Keys under the namespace of each robot (``cf1`` by default):
 
 from __future__ import annotations
 
+import sys
 from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
+from functools import partial
 from typing import ClassVar, TypeVar
 
 from bridge.frames import quaternion_from_yaw
@@ -24,11 +26,21 @@ from bridge.target.odometry import OdometryPublisher
 from bridge.target.ros2_target import ROS_TYPES, TargetType
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import COMPANION_SILENT_S, EPOCH_NS, NO_GO, PAIR, RUN_AHEAD_TICKS
+from flightstack.common.pacing import (
+    COMPANION_SILENT_S,
+    EPOCH_NS,
+    NO_GO,
+    PAIR,
+    RUN_AHEAD_TICKS,
+    RealTimePacer,
+    quiet_garbage_collector,
+    run_promptly,
+)
+from flightstack.common.simulation_clock import Follower, chosen_clock
 from flightstack.compiled.records import F64
 from flightstack.core.types import Phase
 from flightstack.onboard.lockstep import ALIVE
-from logs.recorder.feed import Feed
+from logs.recorder.feed import Feed, FeedError
 from logs.schema.events import Severity
 from logs.schema.rows import ControllerStepRow
 from sim.clock import STARTUP_S, NoAnswerError, TickGrid, wait_until
@@ -232,7 +244,11 @@ class RealTimeRobot(PublishedRobot):
         return deck
 
     def _landing_began(self) -> bool:
-        return any(phase_of(each.payload.to_bytes()) in _LANDING for each in zenoh_link.drain(self._steps))
+        for sample in zenoh_link.drain(self._steps):
+            with suppress(ValueError):  # not a ControllerStep
+                if ControllerStepRow.unpack(sample.payload.to_bytes()).phase in _LANDING:
+                    return True
+        return False
 
 
 def robots_of(
@@ -266,9 +282,50 @@ def robots_of(
     return robots
 
 
-def phase_of(payload: bytes) -> int | None:
-    """Return the phase in a serialised ControllerStep; None for another payload."""
+def target_main(team: TeamScenario, options: TargetOptions) -> int:
+    """Run the robots until SIGTERM, SIGINT or ``duration_s``; print ``ready`` when they can be reached.
+
+    Returns the exit status: 0 if ended in order, 1 after a time-out, 2 for bad input.
+    """
+    stop = Stop()
     try:
-        return ControllerStepRow.unpack(payload).phase
-    except ValueError:
-        return None
+        with ExitStack() as stack:
+            _drive(team, options, stop, stack)
+    except ValueError as error:
+        print(f"target: {error}", file=sys.stderr)
+        return 2
+    except (zenoh_link.ZenohLinkError, FeedError) as error:
+        print(f"target: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _drive(team: TeamScenario, options: TargetOptions, stop: Stop, stack: ExitStack) -> None:
+    clock = chosen_clock(options.speed, options.clock, Follower.TARGET, lambda: stop.is_set)
+    grid = TickGrid(options.rate_hz)
+    session = zenoh_link.open_session(
+        options.listen, options.connect, config_file=options.zenoh_config, prompt=True
+    )
+    stack.callback(session.close)
+    feed = Feed.connect(options.recorder, "target", lossless=False, vehicles=len(team.member))
+    stack.callback(feed.close)
+    make = partial(RealTimeRobot, grid, session, stop)
+    robots = list(robots_of(team, options, feed, make, stack).values())
+    epoch_ns = clock.unix_ns()  # now, because the set-up has taken time
+    for robot in robots:
+        robot.be_followed()
+        robot.log.epoch_ns = epoch_ns
+        robot.begin()
+    stop.install()
+    print("ready", flush=True)
+    quiet_garbage_collector()
+    run_promptly()  # a late pose counts as lost
+    ticks, tick = grid.count(options.duration_s), 0
+    pacer = RealTimePacer(grid.rate_hz, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns)
+    while not stop.is_set and tick != ticks:
+        due = round(pacer.wait().now_s * grid.rate_hz)  # after a pause the robots jump ahead
+        while tick <= due and tick != ticks:
+            for robot in robots:
+                robot.take(tick)
+            tick += 1
+        feed.flush()

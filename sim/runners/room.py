@@ -1,8 +1,13 @@
-"""Interactions between the vehicles of a room: jets, collisions, distances and messages."""
+"""Interactions between the vehicles of a room: jets, collisions, distances and messages.
+
+Each call of ``Air.blow`` updates the rotor jets, which then stay constant until the next call. So a vehicle's
+motion acts on the others one tick later. Jets have no transport delay, and wind does not move them.
+"""
 
 from __future__ import annotations
 
 import math
+import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,22 +16,63 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from flightstack.compiled.records import F64, I64
+from bridge.zenoh import zenoh_link
+from flightstack.common.hangup import Stop
+from flightstack.common.pacing import COMPANION_SILENT_S, PAIR, Silence
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64, I64, Cell
 from flightstack.core.controller import Outputs
 from flightstack.core.types import Neighbour
+from flightstack.onboard.lockstep import HEARD, OVER, TOLD, joined
 from logs.recorder.feed import Feed
 from logs.schema.events import Severity
 from logs.schema.rows import FleetPairRow
 from logs.schema.schemas import FLEET_PAIR
 from sim.chance import member as seed_of
 from sim.chance import stream
-from sim.clock import NS_PER_S, TickGrid
+from sim.clock import NS_PER_S, STARTUP_S, NoAnswerError, TickGrid, wait_until
+from sim.plant.downwash import JET, feel, set_jet
+from sim.plant.rotation import rotation_axes
 from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.team import TeamScenario
-from sim.vehicle.air import Air
 from sim.vehicle.encounters import Shape, Team, overlapping
+from sim.vehicle.loop import VehicleRecord
+from sim.vehicle.physics import Physics
 from sim.vehicle.vehicle import VehicleSim
 from sim.vehicle.vehicle import warm_up as warm_up_vehicle
+
+
+@jitted
+def _blow(vehicle: Cell[VehicleRecord], jet: F64) -> None:
+    v = vehicle[0]
+    body = v.world.body
+    set_jet(v.downwash, v.rotors.thrust_n, body.position, rotation_axes(body.quaternion), jet)
+
+
+@jitted
+def _feel(vehicle: Cell[VehicleRecord], jets: F64, own: int) -> None:
+    v = vehicle[0]
+    body = v.world.body
+    feel(v.downwash, jets, own, body.position, rotation_axes(body.quaternion))
+
+
+class Air:
+    """Air flow between the vehicles of a team."""
+
+    def __init__(self, team: Sequence[Physics]) -> None:
+        self._team = tuple(team)
+        # (N, JET) jets of the vehicles at the last call of ``blow``
+        self.jets = np.zeros((len(self._team), JET))
+
+    def blow(self) -> None:
+        """Apply to each vehicle the current jets of the others, until the next call."""
+        if len(self._team) < 2:
+            return
+        for number, each in enumerate(self._team):
+            _blow(each.vehicle, self.jets[number])
+        for number, each in enumerate(self._team):
+            _feel(each.vehicle, self.jets, number)
+
 
 T = TypeVar("T")
 
@@ -35,6 +81,9 @@ NEVER = -1  # value in FleetPair.msg if there was no collision
 _LOG_HZ = 10
 _MS_PER_S = 1000.0
 _BLOCK = 256  # random numbers per draw
+_YIELDS = 20  # polls that only yield the processor; the message usually arrives within them
+_PAUSE_S = 50e-6  # time between later polls, s
+_MATCH_PAUSE_S = 0.002  # time between two checks for subscribers
 
 
 @dataclass(slots=True)
@@ -251,3 +300,71 @@ def warm_up_room(team: TeamScenario) -> None:
     Air([physics, physics]).blow()
     shape = Shape.of(physics.params)
     overlapping((shape, shape), np.zeros((2, 3)))
+
+
+class MemberWords:
+    """Transmits the messages of one member without decoding them.
+
+    ``flightstack.onboard.lockstep.LockstepWords`` is the other end.
+    """
+
+    def __init__(self, session: zenoh_link.Session, namespace: str) -> None:
+        self.namespace, self.tick = namespace, 0  # namespace of the member; current tick of the vehicles
+        self._told = zenoh_link.fifo_subscriber(session, f"{namespace}/{TOLD}")
+        self._heard = zenoh_link.blocking_publisher(session, f"{namespace}/{HEARD}")
+        self._tick, self._payload = -1, b""
+        self._last: int | None = None  # tick after which the member's process ended
+        self._silent = False
+
+    @property
+    def left(self) -> bool:
+        """Whether the onboard process has announced its end before this tick."""
+        self._poll()
+        return self._last is not None and self._last < self.tick
+
+    def take(self, silence: Silence, stop: Stop) -> bytes | None:
+        """Wait for the member's message of this tick and return it; None: no message.
+
+        A member that answers its vehicle but sends no message is waited for only once.
+
+        ``silence``: time without messages of all members in this tick.
+        """
+        looks = 0
+        while not self._told_now() and not self._silent and not stop.is_set:
+            if silence.look() > COMPANION_SILENT_S:
+                self._silent = True
+            looks += 1
+            time.sleep(0.0 if looks <= _YIELDS else _PAUSE_S)
+        return self._payload if self._tick == self.tick and self._payload else None
+
+    def hear(self, words: list[bytes]) -> None:
+        """Send the messages that the member receives with the next tick."""
+        self._heard.put(joined(words), attachment=PAIR.pack(self.tick + 1, len(words)))
+
+    def await_listener(self, stop: Stop) -> None:
+        """Wait until the member has subscribed, because earlier messages are lost and not repeated.
+
+        Raises NoAnswerError: time-out.
+        """
+
+        def matched() -> bool:
+            return zenoh_link.is_matched(self._heard)
+
+        if not wait_until(matched, stop, STARTUP_S, pause_s=_MATCH_PAUSE_S):
+            raise NoAnswerError(
+                f"nobody subscribed to {self.namespace}/{HEARD} within {STARTUP_S:g} s; is its onboard "
+                "process running in lockstep, with a table [fleet], and connected to this process's endpoint?"
+            )
+
+    def _told_now(self) -> bool:
+        self._poll()
+        return self._tick >= self.tick or self._last is not None
+
+    def _poll(self) -> None:
+        for sample in zenoh_link.drain(self._told):
+            tick, over = PAIR.unpack(sample.attachment.to_bytes())
+            if over == OVER:
+                self._last = tick
+            else:
+                self._tick, self._payload = tick, sample.payload.to_bytes()
+                self._silent = False

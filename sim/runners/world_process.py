@@ -27,10 +27,9 @@ from sim.options import VehicleOptions, WorldOptions
 from sim.runners.deck import RealTimeDeck
 from sim.runners.lockstep import LockstepVehicle, LockstepWorld
 from sim.runners.log import VehicleLog
-from sim.runners.member_words import MemberWords
 from sim.runners.published_robot import LockstepRobot, RealTimeRobot, robots_of
 from sim.runners.real_time import RealTimeVehicle, RealTimeWorld
-from sim.runners.room import Room, Words, warm_up_room
+from sim.runners.room import MemberWords, Room, Words, warm_up_room
 from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.team import TeamScenario
 from sim.vehicle.vehicle import VehicleSim

@@ -1,7 +1,7 @@
 """The faults of a scenario, ``[[fault]]``: what fails, how, and when.
 
 One table holds all faults with their values, units and ranges. These modules implement them:
-``sim.faults.drive`` (motors, battery), ``sim.faults.samples`` (motion capture, vehicle state, target
+``sim.faults.vehicle_faults`` (motors, battery), ``sim.faults.samples`` (motion capture, vehicle state, target
 odometry), ``sim.faults.link`` (all MAVLink messages) and ``sim.robot.target_motion`` (the robot).
 """
 

@@ -8,8 +8,7 @@ from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Record, Vector
 from flightstack.core.numeric import twin
 from flightstack.core.safety.barrier import boundary_height
-from sim.world.contact import GROUND, PAD
-from sim.world.step import WorldRecord, tumbled
+from sim.world.step import GROUND, PAD, WorldRecord, tumbled
 
 GAP_MS = 30  # gap in a contact, ms; a shorter bounce does not end the contact
 NONE_MS = -1_000_000

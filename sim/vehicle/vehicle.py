@@ -11,8 +11,7 @@ from flightstack.compiled.jit import is_kept, is_off, keep, telling
 from flightstack.compiled.records import Values, reader, scalars
 from flightstack.core.types import ZERO, Vec3
 from sim.chance import stream
-from sim.faults.drive import BatteryFaults, MotorFaults
-from sim.faults.vehicle_faults import Faults
+from sim.faults.vehicle_faults import BatteryFaults, Faults, MotorFaults
 from sim.firmware.mixer import OFF
 from sim.firmware.paper_loop import axes_from_force
 from sim.firmware.setpoint import STOP, Setpoint

@@ -38,7 +38,7 @@ from sim.robot.target import TargetMeasurement, measurement
 from sim.runners.deck import DeckState
 from sim.runners.landing_wire import wires
 from sim.runners.lockstep import LockstepVehicle
-from sim.runners.notes import Notes, Seen, VehicleNotes
+from sim.runners.log import Notes, Seen, VehicleNotes
 from sim.runners.robot import DirectTarget
 from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.fault_spec import Fault

@@ -21,7 +21,7 @@ UNITS = {  # suffixes of the parameters' names
 }  # fmt: skip
 MODULES = (
     "sim.plant.params", "sim.plant.ground_effect", "sim.plant.rotors",
-    "sim.firmware.attitude", "sim.firmware.paper_loop",
+    "sim.firmware.paper_loop",
     "sim.firmware.mellinger", "sim.firmware.pid", "sim.firmware.mixer", "sim.firmware.estimator",
     "sim.firmware.supervisor", "sim.firmware.stack", "sim.robot.target", "sim.world.rest",
 )  # fmt: skip

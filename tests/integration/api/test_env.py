@@ -50,7 +50,7 @@ def test_an_agent_sees_and_flies_the_same_without_compiled_ticks(name, monkeypat
         return rows
 
     compiled = seen()
-    monkeypatch.setattr("sim.runners.companion.suited", lambda *_: False)
+    monkeypatch.setattr("sim.runners.landing.suited", lambda *_: False)
     plain = seen()
     assert len(compiled) == len(plain)
     assert all(np.array_equal(a, b) for a, b in zip(compiled, plain, strict=True))

@@ -21,7 +21,7 @@ from flightstack.compiled.program import CompiledFilter
 from flightstack.core.controller import Controller
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.types import FilterStatus, Phase
-from sim.runners.companion import Companion
+from sim.runners.landing import Companion
 from sim.scenarios.scenario import load
 from sim.scenarios.team import load as load_team
 
@@ -52,7 +52,7 @@ def flown(scenario, make, monkeypatch):
         rows.append((repr((out._replace(barrier=barrier, setpoint=None), told)), state))
 
     monkeypatch.setattr(
-        "sim.runners.companion.with_compiled_program", lambda controller: make(controller.config)
+        "sim.runners.landing.with_compiled_program", lambda controller: make(controller.config)
     )
     flight = Companion(scenario, 3, note)
     flight.fly()

@@ -9,8 +9,8 @@ from flightstack.compiled.records import new
 from sim.plant import downwash
 from sim.plant.downwash import JET, DownwashRecord, feel, jet_speed, press, set_jet, set_up_downwash
 from sim.plant.params import load
+from sim.runners.room import Air
 from sim.scenarios.scenario import Start, StartKind
-from sim.vehicle.air import Air
 from sim.vehicle.vehicle import VehicleSim
 from tests.unit.vehicle.vehicle_sim_helpers import scenario
 

@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 from logs.verdict.types import Outcome
-from sim.runners.companion import Companion
-from sim.runners.landing import land, land_team
+from sim.runners.landing import Companion, land, land_team
 from sim.scenarios import team
 from sim.scenarios.team import TeamScenario
 from tests.fault_grid.fleet import MOMENTS_S, SEED, WHO, Way, fly, row

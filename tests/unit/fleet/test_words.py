@@ -17,10 +17,9 @@ from flightstack.onboard.lockstep import LockstepWords
 from logs.schema.rows import FleetWordRow
 from logs.verdict.types import Outcome
 from sim.clock import NoAnswerError, TickGrid
-from sim.runners import member_words as words_wire
+from sim.runners import room as words_wire
 from sim.runners.landing import land_team
-from sim.runners.member_words import MemberWords
-from sim.runners.room import Words
+from sim.runners.room import MemberWords, Words
 from sim.scenarios import team
 from sim.scenarios.team import ExchangeLink
 from tests.processes.ports import free_endpoint

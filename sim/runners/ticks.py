@@ -13,24 +13,85 @@ import numpy as np
 
 from bridge import frames
 from flightstack.compiled.jit import jitted
-from flightstack.compiled.records import F64, I64, Cell
+from flightstack.compiled.records import F64, I64, Cell, Record, Vector, scalars, writer
 from flightstack.compiled.tick import take
 from flightstack.core.kernel import Landing, LandingKernel
 from flightstack.core.numeric import NotOrdinary, numeric, twin, wrapped
 from flightstack.core.safety.barrier import barrier_h
 from flightstack.core.snapshot import Relative
 from flightstack.core.types import OwnState, Vec3
+from sim.autopilot import watches
+from sim.autopilot.watches import PERIOD_S, Watches, WatchRecord
 from sim.clock import NS_PER_S
 from sim.firmware.estimator import INNOVATION_AGE_MAX_S
 from sim.firmware.setpoint import ROOM, WIDTH, InboxRecord
 from sim.firmware.stack import running
 from sim.plant.params import STEP_S
-from sim.runners.stretch.records import RulesRecord
-from sim.runners.stretch.watch import looks
+from sim.plant.rotors import speed_limit
 from sim.vehicle.judge import GAP_MS, NONE_MS
 from sim.vehicle.loop import VehicleRecord, fly
 from sim.vehicle.physics import TUMBLED
 from sim.world.bodies import arc_of_step
+
+
+class RulesRecord(Record):
+    """Constants of a batch of ticks; times are on the controller's clock."""
+
+    flies: bool  # set-points are sent
+    lasting: int  # flags of the mission
+    status_s: float  # arrival of the newest heartbeat
+    status_age_max_s: float
+    ends_s: float  # time limit of the flight
+    # inputs of the vehicle's autopilot
+    yaw_told_rad: float  # commanded heading as received
+    cos_yaw: float
+    sin_yaw: float
+    speeds: Vector  # speed limits, m/s: horizontal, up, down
+    delay_ms: int  # delay of the radio
+    armed: bool
+    standing: bool
+    supervisor: int  # state of the firmware's supervisor
+    stream_until_s: float  # end of the autopilot's wait for set-points; used while none are sent
+    watch: WatchRecord
+
+
+_smoothed = twin(watches.smoothed, jitted)
+
+
+@jitted
+def looks(w: WatchRecord, v: VehicleRecord, now_s: float) -> bool:
+    """Run the checks if they are due; if one may have a result, do nothing and return False."""
+    if now_s < w.due_s:
+        return True
+    if now_s >= w.until_s:
+        return False
+    limit, total = speed_limit(v.battery), 0.0
+    for command in v.firmware.commands:
+        total += min(1.0, max(0.0, command / limit))
+    dt_s = now_s - w.last_s
+    voltage_v = _smoothed(w.voltage_v, v.battery.voltage_v, dt_s)
+    throttle = _smoothed(w.throttle, total / 4.0, dt_s)
+    w.last_s, w.due_s, w.voltage_v, w.throttle = now_s, now_s + PERIOD_S, voltage_v, throttle
+    return True
+
+
+class WatchBook:
+    """Copies the state of the watches to a record and back."""
+
+    def __init__(self, record: WatchRecord) -> None:
+        self._write = writer(record)
+        self._seen = scalars(record, "last_s", "voltage_v", "throttle")
+
+    def write(self, of: Watches) -> None:
+        """Copy the watches to the record."""
+        self._write(*of.calm())
+
+    def read(self, of: Watches) -> None:
+        """Copy the record to the watches, if the checks have run."""
+        last_s, voltage_v, throttle = (view[0] for view in self._seen)
+        if last_s + PERIOD_S > of.due_s:
+            of.passed(last_s, voltage_v, throttle)
+
 
 END, BEFORE, MIDDLE = 0, 1, 2  # end of a call: all ticks done; Python runs the next tick, or the rest
 TRUTH = 41  # numbers of a true state

@@ -35,11 +35,9 @@ from flightstack.onboard.lockstep import VehicleTicks
 from sim.clock import TickGrid
 from sim.runners.landing_wire import PEER
 from sim.runners.lockstep import LockstepVehicle
-from sim.runners.notes import Notes
+from sim.runners.log import Notes
 from sim.runners.robot import DirectTarget
-from sim.runners.stretch.records import RulesRecord
-from sim.runners.stretch.ticks import BEFORE, MIDDLE, TRUTH, fly_ticks, look, narrow
-from sim.runners.stretch.watch import WatchBook
+from sim.runners.ticks import BEFORE, MIDDLE, TRUTH, RulesRecord, WatchBook, fly_ticks, look, narrow
 from sim.runners.vehicle_node import VehicleNode
 
 TICKS = 20  # maximum ticks in one call; the robot drives ahead by as many
@@ -66,7 +64,7 @@ def suits(config: FlightConfig) -> bool:
     )
 
 
-class Stretch:
+class Batches:
     """Flies batches of ticks of one landing.
 
     ``link``, ``ticks``: link and runner of the companion; ``target``: the robot; ``node``: the vehicle;
@@ -270,7 +268,7 @@ class Stretch:
         last = tick + done - 1
         times_ns = [grid.ns(each) for each in range(tick, last + 1)]
         now_s = times_ns[-1] / 1e9
-        self._notes.stretch(tick, times_ns, self._controller.memory.phase, self._ages[:done], truths[:done])
+        self._notes.batch(tick, times_ns, self._controller.memory.phase, self._ages[:done], truths[:done])
         self._target.skip(done)
         self._ticks.passed(times_ns[-1])
         node.autopilot.streams.skip([each / 1e9 for each in times_ns])

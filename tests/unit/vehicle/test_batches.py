@@ -10,37 +10,36 @@ from examples.own_filter import Smooth
 from flightstack.compiled.jit import is_off
 from flightstack.compiled.program import CompiledFilter, layout_is_known
 from flightstack.core.strategies.strategy import compiled_as
-from sim.runners.companion import Companion
-from sim.runners.landing import warm_up
+from sim.runners.landing import Companion, warm_up
 from sim.scenarios.scenario import Start, load
 from sim.scenarios.team import alone
 
 
 def flown(scenario, seed, on_step=None, parameters=()):
     """Fly; return the record, and the ticks flown in batches."""
-    flight, stretched = Companion(scenario, seed, on_step), 0
+    flight, in_batches = Companion(scenario, seed, on_step), 0
     for name, value in parameters:
         flight.node.autopilot.parameters.preset(name, value)
-    if flight.stretch is not None:
-        fly = flight.stretch.fly
+    if flight.batches is not None:
+        fly = flight.batches.fly
 
         def counted(tick):
-            nonlocal stretched
+            nonlocal in_batches
             done = fly(tick)
-            stretched += done
+            in_batches += done
             return done
 
-        flight.stretch.fly = counted
+        flight.batches.fly = counted
     flight.fly()
-    return flight, flight.seen(), stretched
+    return flight, flight.seen(), in_batches
 
 
 def assert_equal(scenario, seed, least, *parameters):
     """Compare tick by tick with batches, which must fly at least this share of the ticks; none
     without numba."""
-    one, seen, stretched = flown(scenario, seed, None, parameters)
+    one, seen, in_batches = flown(scenario, seed, None, parameters)
     other, wanted, none = flown(scenario, seed, lambda tick, out: None, parameters)
-    assert stretched == 0 if is_off() else stretched >= least * len(wanted.steps.t_s)
+    assert in_batches == 0 if is_off() else in_batches >= least * len(wanted.steps.t_s)
     assert none == 0
     for part in ("truth", "steps"):
         for field in fields(getattr(wanted, part)):
@@ -54,13 +53,13 @@ def assert_equal(scenario, seed, least, *parameters):
 
 @pytest.mark.parametrize(("filter_name", "least"), [("robust", 0.8), ("paper", 0.68)])
 @pytest.mark.parametrize(("name", "seed"), [("field", 3), ("lab", 4), ("storm", 5), ("deck", 6), ("room", 7)])
-def test_a_landing_in_stretches_is_the_same_to_the_last_bit(name, seed, filter_name, least):
+def test_a_landing_in_batches_is_the_same_to_the_last_bit(name, seed, filter_name, least):
     assert_equal(load(name).with_filter(filter_name), seed, least)
 
 
 @pytest.mark.parametrize("filter_name", ["robust", "paper"])
 @pytest.mark.parametrize("rate_hz", [10, 15, 37, 144, 500])
-def test_at_every_rate_a_landing_in_stretches_is_the_same(rate_hz, filter_name):
+def test_at_every_rate_a_landing_in_batches_is_the_same(rate_hz, filter_name):
     """Telemetry streams as fast as the ticks, and slower ones that must catch up."""
     room = load("room")
     config = replace(room.onboard, loop=replace(room.onboard.loop, rate_hz=rate_hz))
@@ -68,7 +67,7 @@ def test_at_every_rate_a_landing_in_stretches_is_the_same(rate_hz, filter_name):
     assert_equal(replace(room, onboard=config).with_filter(filter_name), 5, least)
 
 
-def test_stretches_and_python_alternate_where_the_target_is_lost():
+def test_batches_and_python_alternate_where_the_target_is_lost():
     field = load("field")
     rare = replace(field, odometry=replace(field.odometry, loss=0.3, dropout_every_s=0.5, dropout_max_s=0.6))
     assert_equal(rare, 7, 0.3)
@@ -81,7 +80,7 @@ def test_from_the_ground_at_another_rate():
     assert_equal(replace(field, start=Start(ground_position_m=(-1.2, 0.3)), onboard=config), 1, 0.3)
 
 
-def test_a_thrust_reserve_that_ends_in_a_stretch_is_seen_at_the_same_tick():
+def test_a_thrust_reserve_that_ends_in_a_batch_is_seen_at_the_same_tick():
     room = load("room")
     reserve = replace(room.onboard.reserve, lowest_voltage_v=3.12, start_margin_v=0.0)
     vehicle = replace(room.vehicle, battery_charge=(0.1, 0.1), hover_reserve=0.0)
@@ -91,8 +90,8 @@ def test_a_thrust_reserve_that_ends_in_a_stretch_is_seen_at_the_same_tick():
 
 
 @pytest.mark.parametrize("name", ["paper_moving_1", "fault_motor_dead"])
-def test_what_a_stretch_does_not_know_is_flown_tick_by_tick(name):
-    assert Companion(load(name), 0).stretch is None
+def test_what_a_batch_does_not_know_is_flown_tick_by_tick(name):
+    assert Companion(load(name), 0).batches is None
 
 
 @pytest.mark.skipif(is_off(), reason="nothing is compiled")
@@ -105,11 +104,11 @@ def test_another_layout_of_the_solvers_memory_is_noticed(monkeypatch):
 
 def test_it_is_compiled_before_the_first_landing():
     warm_up(alone(load("field")))
-    stretch = Companion(load("field"), 0).stretch
-    assert (stretch is None) == is_off()
-    if stretch is not None:
-        stretch.warm_up()
-        assert stretch.fly(0) == 0  # no message has been received yet
+    batches = Companion(load("field"), 0).batches
+    assert (batches is None) == is_off()
+    if batches is not None:
+        batches.warm_up()
+        assert batches.fly(0) == 0  # no message has been received yet
 
 
 class Slower(fs.Filter):
@@ -155,6 +154,6 @@ def test_which_filters_of_a_user_are_compiled_but_for_their_method():
 @pytest.mark.parametrize(
     ("filter", "least"), [(Slower, 0.7), (Smooth, 0.7), (Restless, 0.05), (Failing, 0.0), (Curious, 0.0)]
 )
-def test_a_filter_of_ones_own_flies_the_same_in_stretches_and_is_called_once_in_a_tick(filter, least):
+def test_a_filter_of_ones_own_flies_the_same_in_batches_and_is_called_once_in_a_tick(filter, least):
     """``Smooth`` stores the velocity of the last tick: a second call in one tick would change it."""
     assert_equal(fs.scenario("lab", filter=filter), 4, least)
