@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -223,6 +224,8 @@ def _flown(
     """Fly the seeds at all points."""
     if not isinstance(given, Iterable) or not (seeds := [whole("seeds", seed) for seed in given]):
         raise ConfigError(f"seeds: found {given!r:.60}; whole numbers from 0 on are needed, one at least")
+    if twice := [seed for seed, times in Counter(seeds).items() if times > 1]:
+        raise ConfigError(f"seeds: found {twice[0]} more than once; each seed is flown and counted once")
     number = (os.cpu_count() or 1) if workers is None else whole("workers", workers, 1)
     first, done = points[0][1], []
     console = Terminal(stderr=True)

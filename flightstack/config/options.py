@@ -91,7 +91,7 @@ Rate = Annotated[int, Option("--rate", "Ticks a second.", span=(10, 500))]
 Recorder = Annotated[Path | None, Option("--recorder", "Socket of a running `record`.", metavar="SOCKET")]
 Namespace = Annotated[str, Option("--namespace", "First part of all Zenoh keys and topics.")]
 Duration = Annotated[
-    float | None, seconds("--duration", "End after this time in seconds of stack time.", 0.1)
+    float | None, seconds("--duration", "End after this time in seconds of stack time.", 0.1, 604_800.0)
 ]
 Speed = Annotated[float, Option(
     "--speed", "Stack time against real time, for a simulator of the same speed; never for a real vehicle.",
@@ -274,7 +274,7 @@ class FlightOptions(Signing, Ros2, Zenoh, Piloted, Vehicle):
     )] = "odometry"  # fmt: skip
     target_offset_m: Annotated[tuple[float, float, float], Option(
         "--target-offset", "Landing spot from the tracked frame, in that frame's axes, m: forward, left, up.",
-        "X Y Z"
+        "X Y Z", span=(-100.0, 100.0)
     )] = (0.0, 0.0, 0.0)  # fmt: skip
     config_file: Annotated[Path, config()]
     namespace: Annotated[str | None, Option(

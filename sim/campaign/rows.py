@@ -284,6 +284,9 @@ def read_rows(path: Path) -> list[Row]:
         except RowsError:
             raise
         except (ValueError, KeyError, csv.Error) as error:
+            if isinstance(error, UnicodeDecodeError) and not rows and error.start == 0:
+                text = "found UTF-16 or another encoding; save it as UTF-8, or give another --out"
+                raise RowsError(f"{path}: {text}") from None
             where = f"{path}, line {len(rows) + 2}"
             raise RowsError(f"{where}: not a row ({error}); give another --out") from None
     return list({row.seed: row for row in rows}.values())

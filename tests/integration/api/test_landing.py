@@ -146,6 +146,7 @@ def test_a_sweep_judges_by_the_barrier_that_flew():
         (lambda: fs.sweep("lab", {}), "a key and values"),
         (lambda: fs.sweep("lab", {"wind.mean": [1]}), "the key is wind.mean_m_s"),
         (lambda: fs.campaign("lab", seeds=[]), "whole numbers"),
+        (lambda: fs.campaign("lab", seeds=[2, 1, 2]), "seeds: found 2 more than once"),
         *((partial(fs.land, "lab", bad), "seed: found .*a whole number from 0") for bad in NO_SEEDS),
         *((partial(fs.campaign, "lab", [bad]), "seeds: found .*a whole number") for bad in NO_SEEDS),
         *((partial(fs.campaign, "lab", bad), "seeds: found .*whole numbers from") for bad in (5, None)),

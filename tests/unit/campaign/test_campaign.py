@@ -186,6 +186,14 @@ def test_a_damaged_line_is_refused_with_its_number(tmp_path, old, new):
         read_rows(path)
 
 
+def test_rows_in_utf_16_are_refused_with_what_to_do(tmp_path):
+    path = tmp_path / "rows.csv"
+    write_rows(path, [FULL])
+    path.write_text(path.read_text(encoding="utf-8"), encoding="utf-16")
+    with pytest.raises(RowsError, match="UTF-16 or another encoding; save it as UTF-8"):
+        read_rows(path)
+
+
 @pytest.mark.parametrize(
     "change",
     [
