@@ -32,9 +32,6 @@ class IdentifyOptions:
         "With --flights: TOML with the recordings' columns, units and signs; default: NanoBench's.", "FILE",
         path="file", exists=True
     )] = None  # fmt: skip
-    leave_out: Annotated[bool, Option(
-        "--leave-out", "With --flights: also predict each kind of path by a fit to the other kinds."
-    )] = False  # fmt: skip
     out: Annotated[Path | None, Option(
         "--out", "With --flights: write the vehicle's file there.", "FILE", path="file"
     )] = None  # fmt: skip
@@ -83,28 +80,20 @@ def _identify_vehicle(options: IdentifyOptions, folder: Path) -> None:
     columns, params = read_columns(options.columns or COLUMNS), load(options.vehicle)
     console = Terminal(stderr=True)
     with Bar(console, "flights", len(find_recordings(folder))) as bar:
-        found = identified.gather(folder, columns, params, bar.done)
-    for name, reason in found.left_out:
+        fits, left_out = identified.gather(folder, columns, params, bar.done)
+    for name, reason in left_out.items():
         console.print(f"left out {name}: {reason}", soft_wrap=True)
-    fit = together(found.fits)
+    fit = together(fits)
     text = identified.toml(fit, params, options.vehicle)
-    left = identified.leave_one_out(found, params) if options.leave_out else []
     if options.out is not None:
         options.out.write_text(text, encoding="utf-8")
     if options.as_json:
         values = {
-            "flights": len(found.flights) + len(found.left_out),
-            "used": len(found.flights),
-            "left_out": dict(found.left_out),
+            "flights": len(fits) + len(left_out),
+            "used": len(fits),
+            "left_out": left_out,
             "numbers": {name: asdict(number) for name, number in fit.numbers.items()},
-            "leave_out": [asdict(row) for row in left],
         }
         click.echo(json.dumps(values))
-        return
-    click.echo(text, nl=False)
-    for row in left:
-        numbers = "; ".join(
-            f"{name} {' '.join(f'{ratio:.2f}' for ratio in ratios)}"
-            for name, ratios in (("position", row.position), ("velocity", row.velocity))
-        )
-        click.echo(f"# without {row.kind} ({row.flights}): errors over those of constant velocity: {numbers}")
+    else:
+        click.echo(text, nl=False)

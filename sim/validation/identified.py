@@ -1,104 +1,46 @@
-"""Fits a vehicle's file to a folder of recorded flights, and tests the fit on paths outside its data."""
+"""Fits a vehicle's file to a folder of recorded flights."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from sim.flights.recording import Group, RecordingError, find_recordings
-from sim.flights.screening import Screened
 from sim.flights.screening import load as load_flight
 from sim.plant.params import Params
 from sim.scenarios.scenario import VEHICLE_FILES
-from sim.validation.fit import LEVEL, Fit, FlightFit, Number, fit_flight, fitted, together
-from sim.validation.open_loop import HORIZONS_S, Compared, compare
+from sim.validation.fit import LEVEL, Fit, FlightFit, Number, fit_flight, fitted
 
 FULL_V = 3.7  # voltage under load to which ``thrust_max_n`` refers
 
 
-@dataclass(frozen=True, slots=True)
-class Gathered:
-    """Flights of a folder and their fits."""
-
-    flights: tuple[tuple[Screened, FlightFit], ...]  # fitted flights with their fits
-    left_out: tuple[tuple[str, str], ...]  # names of the other flights, each with the reason
-
-    @property
-    def fits(self) -> list[FlightFit]:
-        return [fit for _, fit in self.flights]
-
-
 def gather(
     folder: Path, columns: Mapping[str, Group], params: Params, done: Callable[[], object] = lambda: None
-) -> Gathered:
+) -> tuple[list[FlightFit], dict[str, str]]:
     """Fit each flight of a folder separately; ``done`` is called after each flight.
+
+    Returns the fits, and the names of the other flights, each with the reason.
 
     Raises RecordingError: the folder has no recordings, or none that can be fitted.
     """
-    flights, left_out = [], []
+    fits, left_out = [], dict[str, str]()
     for path in find_recordings(folder):
         try:
             flight = load_flight(path, columns)
             found = fit_flight(flight, params) if flight.usable else None
         except RecordingError as error:
-            left_out.append((path.stem, str(error)))
+            left_out[path.stem] = str(error)
         else:
             if found is None:
                 reasons = "; ".join(reason.text for reason in flight.left_out) or "too short"
-                left_out.append((path.stem, reasons))
+                left_out[path.stem] = reasons
             else:
-                flights.append((flight, found))
+                fits.append(found)
         done()
-    if not flights:
-        told = "\n".join(f"  {name}: {reason}" for name, reason in left_out)
+    if not fits:
+        told = "\n".join(f"  {name}: {reason}" for name, reason in left_out.items())
         raise RecordingError(f"{folder}: none of {len(left_out)} flights can be fitted:\n{told}")
-    return Gathered(tuple(flights), tuple(left_out))
-
-
-def kind(name: str) -> str:
-    """Return the path in a flight's file name, e.g. B2_circle for B2_circle_fast_rep1."""
-    return re.sub(r"(_(slow|medium|fast))?(_rep\d+)?$", "", name)
-
-
-@dataclass(frozen=True, slots=True)
-class LeftOut:
-    """Prediction error on one kind of path, by a fit to the other kinds."""
-
-    kind: str  # kind of path
-    flights: int  # number of flights
-    # ratios of errors to constant velocity at ``HORIZONS_S``, medians over the flights; ideal: rigid body
-    position: list[float]
-    ideal_position: list[float]
-    velocity: list[float]
-    ideal_velocity: list[float]
-
-
-def _ratios(errors: Compared) -> tuple[float, float]:
-    return errors.model / errors.constant_velocity, errors.ideal / errors.constant_velocity
-
-
-def leave_one_out(gathered: Gathered, params: Params) -> list[LeftOut]:
-    """Predict each kind of path by a fit to the other kinds. Raises ValueError: only one kind."""
-    kinds = sorted({kind(fit.name) for fit in gathered.fits})
-    if len(kinds) < 2:
-        raise ValueError(f"found flights of one path only ({kinds[0]}), to leave one out takes two at least")
-    rows = []
-    for left in kinds:
-        fit = together([one for one in gathered.fits if kind(one.name) != left])
-        vehicle = fitted(params, fit.values)
-        found = [compare(flight, vehicle) for flight, one in gathered.flights if kind(one.name) == left]
-        compared = [one.horizons for one in found if one is not None]
-        ratios = np.array(
-            [[_ratios(h.position_m), _ratios(h.velocity_m_s)] for flight in compared for h in flight]
-        )
-        shape = (len(compared), len(HORIZONS_S), 2, 2)
-        position, velocity = np.median(ratios.reshape(shape), axis=0).transpose(1, 2, 0).tolist()
-        rows.append(LeftOut(left, len(compared), *position, *velocity))
-    return rows
+    return fits, left_out
 
 
 def toml(fit: Fit, params: Params, base: str) -> str:
