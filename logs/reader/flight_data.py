@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,8 +102,39 @@ class Event:
     text: str
 
 
-@dataclass(frozen=True)
-class Flight:
+class JudgedSteps(Protocol):
+    """The fields of controller steps that a verdict by true states needs."""
+
+    @property
+    def t_s(self) -> Floats: ...
+
+    @property
+    def phase(self) -> Ints: ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judged:
+    """The part of a flight that a verdict by true states needs; also of a landing in a campaign."""
+
+    steps: JudgedSteps | None = None
+    truth: Truth | None = None
+    events: tuple[Event, ...] = ()
+    config: FlightConfig | None = None
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    complete: bool = True
+    pad_radius_m: float = PAD_RADIUS_M
+
+    @cached_property
+    def landing_start_s(self) -> float | None:
+        """Time of the first controller step in phase APPROACH: the landing and its verdict start there."""
+        if self.steps is None:
+            return None
+        begun = np.flatnonzero(self.steps.phase == Phase.APPROACH)
+        return float(self.steps.t_s[begun[0]]) if len(begun) else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flight(Judged):
     """All data of one flight in a log.
 
     Attributes:
@@ -127,30 +159,16 @@ class Flight:
     path: Path
     origin_ns: int
     duration_s: float
-    complete: bool = True
     damage: tuple[str, ...] = ()
     problems: tuple[str, ...] = ()
     steps: Steps | None = None
     timing: Timing | None = None
-    truth: Truth | None = None
     target: TargetOdometry | None = None
-    events: tuple[Event, ...] = ()
-    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
-    config: FlightConfig | None = None
     barrier: Barrier | None = None
     velocity_max_m_s: Vec3 | None = None
-    pad_radius_m: float = PAD_RADIUS_M
     member: str | None = None
     pad_carries: bool = True
-
-    @cached_property
-    def landing_start_s(self) -> float | None:
-        """Time of the first controller step in phase APPROACH: the landing and its verdict start there."""
-        if self.steps is None:
-            return None
-        begun = np.flatnonzero(self.steps.phase == Phase.APPROACH)
-        return float(self.steps.t_s[begun[0]]) if len(begun) else None
 
     def phase_spans(self) -> list[tuple[Phase | int, float, float]]:
         """Return the phases in order, each with its first time and the first time of the next one, s."""

@@ -10,13 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from logs.reader.flight_data import Truth
+from logs.reader.flight_data import Judged, Truth
 from logs.schema.events import ContactBit
 from logs.verdict.types import (
     GAP_MAX_S,
     REST_TIME_S,
     TRUTH,
-    Judged,
     Outcome,
     Verdict,
     abort_declared,

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 from enum import StrEnum
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Phase
-from logs.reader.flight_data import Event, Floats, Ints
+from logs.reader.flight_data import Floats, Judged
 from logs.schema.events import CAUSE
 
 VIOLATION_LIMIT_M = -0.005  # limit, m; a lower h outside the pad is a violation
@@ -34,41 +33,6 @@ FALLS = (
     'centimetres above the pad, as the paper does; with "contact" they run until contact'
 )
 _SAID_WITHIN_S = 0.1  # greatest time between an event and its tick, s, including a margin for another clock
-
-
-class JudgedSteps(Protocol):
-    """The fields of controller steps that a verdict by true states needs."""
-
-    @property
-    def t_s(self) -> Floats: ...
-
-    @property
-    def phase(self) -> Ints: ...
-
-
-class Judged(Protocol):
-    """The fields of a flight that a verdict by true states needs; also of a landing in a campaign."""
-
-    @property
-    def landing_start_s(self) -> float | None: ...
-
-    @property
-    def steps(self) -> JudgedSteps | None: ...
-
-    @property
-    def events(self) -> tuple[Event, ...]: ...
-
-    @property
-    def config(self) -> FlightConfig | None: ...
-
-    @property
-    def metadata(self) -> dict[str, dict[str, str]]: ...
-
-    @property
-    def complete(self) -> bool: ...
-
-    @property
-    def pad_radius_m(self) -> float: ...
 
 
 class Outcome(StrEnum):

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
-from functools import cached_property
+from dataclasses import dataclass, fields
 from itertools import chain
 from typing import Any
 
@@ -20,7 +19,7 @@ from flightstack.common.pacing import EPOCH_NS, Tick
 from flightstack.core.controller import Outputs
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Phase
-from logs.reader.flight_data import Event, Floats, Ints, Truth
+from logs.reader.flight_data import Event, Floats, Ints, Judged, Truth
 from logs.recorder.feed import Feed
 from logs.schema import schemas
 from logs.schema.events import ContactBit, Severity, pack_log
@@ -134,23 +133,13 @@ class SeenSteps:
     target_age_s: Floats  # (n,) age of the target's state estimate, NaN without one
 
 
-@dataclass(frozen=True)
-class Seen:
-    """Data of a complete flight for the judge (``logs.verdict.types.Judged``)."""
+@dataclass(frozen=True, kw_only=True)
+class Seen(Judged):
+    """Data of a complete flight for the judge."""
 
     steps: SeenSteps
     truth: Truth
-    events: tuple[Event, ...]
     config: FlightConfig
-    pad_radius_m: float
-    complete: bool = True
-    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-
-    @cached_property
-    def landing_start_s(self) -> float | None:
-        """Time of the first step in phase APPROACH."""
-        begun = np.flatnonzero(self.steps.phase == Phase.APPROACH)
-        return float(self.steps.t_s[begun[0]]) if len(begun) else None
 
 
 class Notes:
@@ -207,11 +196,13 @@ class Notes:
         """Return all recorded data."""
         times_ns, phases, own_age_s, target_age_s = zip(*self._steps, strict=True)
         return Seen(
-            SeenSteps(_seconds(times_ns), np.array(phases), np.array(own_age_s), np.array(target_age_s)),
-            self._arrays(),
-            tuple(sorted(self._events, key=lambda event: event.t_s)),
-            self._config,
-            self._pad_radius_m,
+            steps=SeenSteps(
+                _seconds(times_ns), np.array(phases), np.array(own_age_s), np.array(target_age_s)
+            ),
+            truth=self._arrays(),
+            events=tuple(sorted(self._events, key=lambda event: event.t_s)),
+            config=self._config,
+            pad_radius_m=self._pad_radius_m,
         )
 
     def _arrays(self) -> Truth:
