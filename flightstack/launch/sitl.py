@@ -111,12 +111,9 @@ def adapted(options: RunOptions, scenario: Scenario) -> Scenario:
 
 def _begun_as(scenario: Scenario, config: FlightConfig) -> FlightConfig:
     """Add the scenario's start of the landing and its fleet, unless the configuration sets them."""
-    if config.fleet is None:  # the configuration of a fleet member has its own table
-        config = replace(config, fleet=scenario.onboard.fleet)
-    if config.takeoff.start_offset_m is not None:
-        return config
-    start_offset_m = scenario.onboard.takeoff.start_offset_m
-    return replace(config, takeoff=replace(config.takeoff, start_offset_m=start_offset_m))
+    start_offset_m = config.takeoff.start_offset_m or scenario.onboard.takeoff.start_offset_m
+    takeoff = replace(config.takeoff, start_offset_m=start_offset_m)
+    return replace(config, takeoff=takeoff, fleet=config.fleet or scenario.onboard.fleet)
 
 
 @dataclass(frozen=True)
