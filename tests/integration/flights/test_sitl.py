@@ -98,10 +98,3 @@ def test_a_killed_world_ends_the_run(tmp_path):
     kill(run.children()["world"])
     assert run.end() == 1
     assert any("world ended in flight" in line for line in run.lines), run.lines
-
-
-def events(folder, *words):
-    """Return the log's texts with one of these words, in order of time, without the companion's echoes."""
-    flight = load_flight(folder / "flight.mcap")
-    told = [e.text for e in flight.events if e.source != "onboard"]
-    return [text for text in told if any(word in text for word in words)]

@@ -10,8 +10,6 @@ import pytest
 from flightstack.compiled.records import new
 from sim.firmware.estimator import ACCEL_XY_M_S2, ACCEL_Z_M_S2, Estimator, axis_gains, predict
 from sim.firmware.mixer import MapRecord, mix, motor_speed, set_up_map
-from sim.firmware.paper_loop import PaperLoop, paper_update
-from sim.firmware.setpoint import SetpointRecord
 from sim.plant.params import CONTROL_STEP_S, STEP_S, Plant, load
 from sim.plant.rotation import rotation_axes
 from sim.plant.rotors import Rotors, turn_rotors
@@ -60,10 +58,6 @@ class TestMixer:
             rpm = speeds_of((counts,) * 4)[2]
             assert PARAMS.rotor.thrust_n(rpm) == pytest.approx(0.12 * counts / 65535.0, rel=1e-12)
         assert speeds_of((65535.0,) * 4, 20000.0) == [20000.0] * 4
-
-
-def paper(sensed, setpoint, level):
-    return paper_update(PaperLoop(PARAMS).record, sensed, new(SetpointRecord, setpoint.fields()), level)
 
 
 class TestEstimator:

@@ -43,7 +43,3 @@ def fly(sim, velocity, seconds, yaw=0.0):
 def yaw_of(truth):
     w, x, y, z = truth.quaternion
     return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-
-
-def series(truths, axis):
-    return [t.velocity_enu_m_s[axis] for t in truths]
