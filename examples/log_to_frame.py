@@ -20,7 +20,7 @@ print(f"lowest h of the estimate: {1000.0 * np.nanmin(steps.h_m):+.0f} mm")
 if landing.truth is not None:  # a real vehicle has no true states
     print(f"lowest true h: {1000.0 * np.nanmin(landing.truth.h_min_m):+.0f} mm")
 
-table = fs.frame(steps)  # a DataFrame of pandas or polars: command_enu_m_s is command_enu_m_s_x, _y, _z
-print("columns:", ", ".join(list(table)[:8]), "...")  # d_m: horizontal distance; phase: its name
+table = fs.frame(steps)  # DataFrame of pandas or polars; a vector has a column for each axis, e.g. e_m_x
+print("columns:", ", ".join(list(table)[:8]), "...")  # d_m is the horizontal distance
 if len(sys.argv) > 2:
     table.to_csv(sys.argv[2], index=False)  # with polars: write_csv

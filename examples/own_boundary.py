@@ -44,7 +44,10 @@ class Cone:
         return self.h(e_m), (gx, gy, 1.0), -(gx * vx + gy * vy + vz)
 
     def linearisation_bound_m(self, e_m: Vec3, moved_m: float) -> float:
-        """Return the largest prediction error, slope times: m^2 / 2 d sideways, 2 (m - d) across the axis."""
+        """Return the largest error of a linear prediction of h after a horizontal motion of m = ``moved_m``.
+
+        It is slope * m^2 / (2 d) for a motion sideways, and slope * 2 (m - d) for a motion across the axis.
+        """
         d = math.hypot(e_m[0], e_m[1])
         if d == 0.0:
             return self.slope * moved_m

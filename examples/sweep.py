@@ -1,4 +1,4 @@
-"""Fly the same seeds with several rates of the barrier and winds; print a table and write a figure.
+"""Fly the same seeds with several barrier rates and several winds; print a table and write a figure.
 
 python examples/sweep.py [SEEDS [PLOT.html]]
 """

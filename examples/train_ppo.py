@@ -22,7 +22,7 @@ import flightstack as fs
 
 TICKS = 10  # ticks of 0.01 s for each decision
 TRAINING = {"duration_max_s": 25.0}  # a landing takes 5 to 10 s; an untrained agent flies away
-GAMMA = 0.95  # discount of each decision: the vehicle follows a velocity within 0.5 s
+GAMMA = 0.95  # discount of a decision (0.1 s); small, because the vehicle responds within 0.5 s
 
 
 class Decisions(gymnasium.Wrapper[np.ndarray, np.ndarray, np.ndarray, np.ndarray]):

@@ -76,6 +76,6 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-# Gymnasium, if imported before, knows the short name at once; else ``flightstack.api.env`` registers it.
+# Gymnasium, if imported before, knows the short name immediately; else ``flightstack.api.env`` registers it.
 if "gymnasium" in sys.modules:
     sys.modules["gymnasium"].register("flightstack/Landing-v0", "flightstack.api.env:LandingEnv")

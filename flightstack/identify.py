@@ -28,8 +28,8 @@ HIGH_PASS_S = 2.0  # time constant of the high-pass, s; slower changes count as 
 BLOCK_S = 1.0  # duration for which differences count as correlated, s
 SEGMENT_MIN_S = 1.5  # shortest segment, s; shorter ones depend mostly on their initial state
 TIME_MIN_S = 3.0  # shortest time of all segments together, s
-EXCITATION_MIN_M_S = 0.04  # least standard deviation of the high-passed command, m/s
-EXPLAINED_MIN = 0.6  # least share of the velocity's variance that the model must explain
+EXCITATION_MIN_M_S = 0.04  # minimum standard deviation of the high-passed command, m/s
+EXPLAINED_MIN = 0.6  # minimum fraction of the velocity's variance that the model must explain
 ERROR_MAX = 0.2  # largest relative standard error of the lag
 START = (1.0, 6.0, 0.7, 0.02)  # start values: gain, rate, damping, dead time
 LOW, HIGH = (0.2, 0.5, 0.1, 0.0), (2.0, 50.0, 2.0, 0.6)
@@ -57,7 +57,7 @@ class Loop(NamedTuple):
     dead_time_s: float
     lag_s: float  # 2 damping / rate + dead time: group delay at low frequency
     errors: tuple[float, float, float, float, float]
-    explained: float  # share of the velocity's variance that the model explains
+    explained: float  # fraction of the velocity's variance that the model explains
     time_s: float  # duration that was compared, s
 
     @property
@@ -167,7 +167,7 @@ class Link(NamedTuple):
     """Statistics of a link's samples."""
 
     rate_hz: float
-    loss: float  # share of missing samples
+    loss: float  # fraction of missing samples
     delay_spread_s: float  # 95 % quantile of the delay above its minimum
     delay_s: float | None  # minimum delay; None if the clocks disagree
     position_noise_m: float  # standard deviation on an axis

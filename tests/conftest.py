@@ -138,7 +138,7 @@ def pytest_make_parametrize_id(config: pytest.Config, val: object) -> str | None
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Repeat a test that has the argument ``flight_number``, a whole flight."""
+    """Run each test that has the argument ``flight_number`` ``--flights`` times."""
     config = metafunc.config
     if "flight_number" in metafunc.fixturenames:
         metafunc.parametrize("flight_number", range(config.getoption("--flights")))

@@ -2,7 +2,7 @@
 
 A virtual machine whose host gives its processors to others stands still for tenths of a second; then states
 are too old, and the stack rightly aborts. A thread on each processor measures how late it wakes. A failure
-without such a pause counts at once. All other tests give way to those in real time.
+without such a pause counts immediately. All other tests give way to those in real time.
 """
 
 from __future__ import annotations

@@ -131,7 +131,7 @@ _FIRST = frozenset({
 
 
 class Line:
-    """One direction: bytes enter at once and leave at the bit rate; excess bytes are lost."""
+    """One direction: bytes enter immediately and leave at the bit rate; excess bytes are lost."""
 
     def __init__(self, baud: int | None) -> None:
         self._rate = baud / 10 if baud else None

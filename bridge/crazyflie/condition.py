@@ -82,7 +82,7 @@ class Condition:
         return yaw_from_quaternion(self.state.quaternion) if self.state is not None else None
 
     def sensors_healthy(self, now_s: float) -> int:
-        """Return the position sensor's bit while the position estimate is good."""
+        """Return the position sensor's bit as long as the position estimate is good."""
         return POSITION_SOURCE if self.position_known(now_s) else 0
 
     @property

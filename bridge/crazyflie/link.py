@@ -101,7 +101,7 @@ class CrazyflieLink:
         self._thread.start()
 
     def fileno(self) -> int:
-        """Return a descriptor for ``select`` that is readable while events wait."""
+        """Return a descriptor for ``select`` that is readable as long as events wait."""
         return self._read_fd
 
     def poll(self) -> list[tuple[float, Event]]:
@@ -250,7 +250,7 @@ class CrazyflieLink:
             for _ in range(3):  # repeated because a packet may be lost
                 crazyflie.commander.send_notify_setpoint_stop()
         crazyflie.commander.send_setpoint = lambda *_: None
-        self._current = None  # ignores later events of the closed link's threads
+        self._current = None  # later events of the closed link's threads are ignored
         closer = threading.Thread(
             target=_close_quietly, args=(crazyflie,), name="crazyflie-close", daemon=True
         )

@@ -38,7 +38,7 @@ READINESS_S = 1.0  # time between two checks of the conditions for arming, s
 _RATE_HZ = 1000.0 / STATE.period_ms  # rate of new states, Hz
 _M = dialect
 _NOTHING: frozenset[int] = frozenset()
-# The position is sent only while its estimate is good, as in PX4.
+# The position is sent only as long as its estimate is good, as in PX4.
 _NEED_POSITION = frozenset({_M.MAVLINK_MSG_ID_LOCAL_POSITION_NED})
 _GAP_S = 0.05  # age of the state, s (five packets), above which only messages without state values are sent
 _OF_STATE = _NEED_POSITION | {_M.MAVLINK_MSG_ID_ATTITUDE, _M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION}
@@ -117,7 +117,7 @@ class Node(Server[Vehicle]):
         return messages, self.commands.finish(ACCEPTED if vehicle.armed else REJECTED)
 
     def snapshot(self, now_s: float) -> Snapshot[Vehicle] | None:
-        """Return the state of the Crazyflie; None while no state arrives."""
+        """Return the state of the Crazyflie; None if no state arrives."""
         vehicle = self.vehicle
         if vehicle.state is None or not vehicle.alive(now_s):
             return None
@@ -130,7 +130,7 @@ class Node(Server[Vehicle]):
         return messages + self.stream(snapshot) if self._gap(snapshot.now_s) else messages
 
     def hidden(self, now_s: float) -> frozenset[int]:
-        """Hide the position while its estimate is bad, and all messages of a state that is too old."""
+        """Hide the position if its estimate is bad, and all messages of a state that is too old."""
         if self._gap(now_s):
             return _OF_STATE
         return _NOTHING if self.vehicle.position_known(now_s) else _NEED_POSITION

@@ -22,7 +22,7 @@ CARRIED_MAX_M_S = 1.0  # greatest velocity of a moving deck that the take-off fo
 # Descent rate without a position, m/s: an accelerometer bias makes the firmware's vertical velocity drift by
 # 0.05 m/s per second, until the vehicle climbs while the estimate shows a descent.
 UNPLACED_M_S = 0.4
-STOPPED_SHARE = 0.3  # share of the descent rate; a slower vehicle stands on something
+STOPPED_SHARE = 0.3  # fraction of the descent rate; a slower vehicle stands on something
 LANDING_MIN_S = 1.0  # time of a landing before a stop counts, s: a climb must end first
 STOPPED_TIME_S = 0.4  # time that the stop must last, s; longer than the descent takes to begin
 SINKING_M_S = -0.1  # limit of a descent command, m/s; a set-point between it and 0 may be a control error
@@ -43,7 +43,7 @@ class Stopped:
         self._since_s = math.inf
 
     def lasts_s(self, wanted_z_m_s: float, state: CrazyflieState | None, now_s: float) -> float:
-        """Return the time since it stopped following, s; -inf while it follows. Call with every set-point."""
+        """Return the time since it stopped following, s; -inf if it follows. Call with every set-point."""
         sinks = state is None or state.velocity_enu_m_s[2] < STOPPED_SHARE * wanted_z_m_s
         if wanted_z_m_s > SINKING_M_S or sinks:
             self._since_s = math.inf

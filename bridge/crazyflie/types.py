@@ -41,7 +41,7 @@ class Power(Enum):
 
 
 class Velocity(NamedTuple):
-    """A velocity set-point: one packet that is sent at once or dropped."""
+    """A velocity set-point: one packet that is sent immediately or dropped."""
 
     velocity_enu_m_s: Vec3
     yaw_rate_rad_s: float  # yaw rate, counter-clockwise

@@ -1,6 +1,6 @@
 """A Crazyflie as a vehicle with flight modes; pure: events and commands in, packets and texts out.
 
-A client's velocity is sent to the radio at once and never repeated: when the client stops, the firmware's
+A client's velocity is immediately sent to the radio and never repeated: when the client stops, the firmware's
 watchdog levels the vehicle after 0.5 s and stops the motors after 2 s (firmware supervisor.c). The bridge
 makes set-points only in its own modes (take-off, hold, landing), and only while clients send heartbeats, or
 to land.

@@ -11,10 +11,10 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.codec.wide_messages import MESSAGES
 
 _BITS_PER_BYTE = 10  # bits per byte on a serial line, 8N1
-_USABLE = 0.9  # usable share of the line; replies, texts and other messages of the autopilot need the rest
+_USABLE = 0.9  # usable fraction of the line; replies, texts and other messages of the autopilot need the rest
 _FRAME = 12  # length of a MAVLink 2 header and checksum, bytes
 _SIGNATURE = 13  # length of a signature, bytes
-_IN_A_ROW = 3  # number of message periods within the state's greatest age: two messages may be lost
+_IN_A_ROW = 3  # minimum number of message periods in the greatest age of the state: two may be lost
 _BAUDS = (9_600, 19_200, 38_400, 57_600, 115_200, 230_400, 460_800, 921_600, 1_500_000, 3_000_000)
 # rates requested in addition to position and attitude, Hz
 _ASKED_HZ = {dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0, dialect.MAVLINK_MSG_ID_SYS_STATUS: 2.0}

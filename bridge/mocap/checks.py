@@ -46,7 +46,7 @@ class Limits:
     room_m: float = 100.0  # half side of the room, m; the Crazyflie's estimator resets beyond 100 m
     gap_counted_s: float = 1.0  # longest part of a gap that counts as motion of the vehicle, s
     return_m: float = 0.5  # allowed distance from the last good pose after rejected poses, m
-    settle_s: float = 1.0  # time at a new place after which a jump is accepted, s; only while disarmed
+    settle_s: float = 1.0  # time at a new place after which a jump is accepted, s; only if disarmed
 
 
 class Sample(NamedTuple):
@@ -101,7 +101,7 @@ class PoseChecks:
         self._clock = SenderClock(self.limits.late_max_s, self.limits.clock_proof_s)
 
     def step(self, samples: Sequence[Sample], now_s: float, *, armed: bool) -> Step:
-        """Check samples in their order; no jump is accepted while the vehicle is armed."""
+        """Check samples in their order; no jump is accepted if the vehicle is armed."""
         good = [passed for sample in samples if (passed := self._judge(sample, armed)) is not None]
         self._count_rate(len(good), now_s)
         kept = tuple(passed for passed in good if self._due(passed.measured_s))

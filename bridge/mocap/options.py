@@ -13,7 +13,7 @@ POSE_TYPES = ("pose", "pose-covariance")
 
 @dataclass(frozen=True, kw_only=True)
 class PoseOptions(shared.Zenoh, shared.Signing):
-    """Settings of the motion capture poses, and of the links of a bridge."""
+    """Options of a bridge: motion-capture poses, and MAVLink and Zenoh links."""
 
     pose_type: Annotated[
         str, Option("--pose-type", "PoseStamped or PoseWithCovarianceStamped.", choices=POSE_TYPES)

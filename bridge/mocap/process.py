@@ -129,7 +129,7 @@ class Bridge:
         return time.monotonic() - self._start_s
 
     def run(self, stop: Stop, duration_s: float | None) -> None:
-        """Run until a signal arrives; while the vehicle is armed, until a second signal arrives."""
+        """Run until a signal arrives; if the vehicle is armed, until a second signal arrives."""
         told = False
         while stop.count < 2:
             self.turn()
@@ -182,7 +182,7 @@ def limits(options: PoseOptions) -> Limits:
 
 
 def run(options: MocapOptions, say: Callable[[str], None] = print) -> int:
-    """Run until a signal arrives; while the vehicle is armed, until a second signal arrives."""
+    """Run until a signal arrives; if the vehicle is armed, until a second signal arrives."""
     origin = None
     if options.origin is not None:
         check_origin("--origin", options.origin)

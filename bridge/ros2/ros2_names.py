@@ -222,7 +222,7 @@ class Ros2Node:
         return publisher
 
     def close(self) -> None:
-        """Undeclare node and publishers; they disappear from the graph at once."""
+        """Undeclare node and publishers; they disappear from the graph immediately."""
         for token in reversed(self._tokens):
             token.undeclare()
         for publisher in self._publishers:

@@ -40,7 +40,7 @@ class PoseTrack:
         self.withheld = 0  # number of poses without odometry: unsettled, outliers, repeated or out of order
 
     def take(self, pose: Pose) -> Odometry | None:
-        """Return the odometry of a pose; None while the velocity is unknown."""
+        """Return the odometry of a pose; None if the velocity is unknown."""
         odometry = self._take(pose)
         self.withheld += odometry is None
         return odometry

@@ -30,7 +30,7 @@ Sample = Any
 LOOPBACK = "tcp/127.0.0.1:0"  # any free port; only this machine can connect
 LOOPBACK_ROUTER = "tcp/127.0.0.1:7447"  # default address of a router for clients and ROS 2 nodes
 _LEASE_MS = 2000  # time without messages before a peer is disconnected, then connected again
-# a process in lockstep may pause for longer without losing a message; a killed one disconnects at once
+# a process in lockstep may pause for longer without losing a message; a killed one disconnects immediately
 _LOCKSTEP_WAIT_MS = 60_000
 _ALIVE_TIMEOUT_S = 1.0  # time-out, s; the reply comes from tables of this process
 _CLIENT_WAIT_MS = 10_000  # wait for a router that has not started
@@ -97,8 +97,8 @@ def open_session(
     """Open a session with these endpoints and no others.
 
     A configuration file provides the settings; endpoints given here replace those of the file. A peer, the
-    default, returns at once even without a connection, and retries in the background every 0.05 to 0.5 s. A
-    client needs its router within 10 s, and continues after a loss. A rejected connection is not reported;
+    default, returns immediately even without a connection, and retries in the background every 0.05 to 0.5 s.
+    A client needs its router within 10 s, and continues after a loss. A rejected connection is not reported;
     see ``transports`` and the age of messages. Close the session after use.
 
     Args:
@@ -237,7 +237,7 @@ def kept_subscriber(session: Session, key: str, capacity: int = 256) -> Subscrib
 
 
 def liveliness_token(session: Session, key: str) -> Any:
-    """Declare a token that connected sessions see while this one is open. Raises ValueError: bad key."""
+    """Declare a token that connected sessions see as long as this one is open. Raises ValueError: bad key."""
     return session.liveliness().declare_token(_key(key))
 
 

@@ -99,7 +99,7 @@ class Sweep:
         return frame(swept | {f.name: [getattr(row, f.name) for _, row in lines] for f in _shown()})
 
     def rates(self) -> list[dict[str, Any]]:
-        """Return keys, number of runs, share of landings and share of violations of each point."""
+        """Return keys, number of runs, fraction of landings and fraction of violations of each point."""
         found = []
         for values, campaign in self.points:
             rows, runs = campaign.rows, len(campaign.rows)

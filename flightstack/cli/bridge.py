@@ -27,7 +27,7 @@ def crazyflie(options: CrazyflieOptions) -> None:
     """Run a stock Crazyflie as a MAVLink vehicle with PX4's modes (docs/how_to/crazyflie.md).
 
     Ctrl-C, or closing the terminal, lands a flying Crazyflie before the bridge ends. A second Ctrl-C ends the
-    bridge at once, which stops the motors.
+    bridge immediately, which stops the motors.
     """
     from bridge.crazyflie import process
 

@@ -57,7 +57,7 @@ def onboard(options: OnboardOptions) -> None:
     """Run the onboard process with any vehicle and target; `fly` adds a live view and a report.
 
     The log is in runs/ unless --recorder or --no-record is given. Ctrl-C, or closing the terminal, aborts:
-    the vehicle flies clear and lands. A second Ctrl-C requests a landing at once and ends the process.
+    the vehicle flies clear and lands. A second Ctrl-C requests an immediate landing and ends the process.
     """
     from flightstack.common.processes import LaunchError
     from flightstack.config.files import load

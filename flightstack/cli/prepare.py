@@ -67,7 +67,7 @@ def router(options: RouterOptions) -> None:
 
     config_file = options.zenoh_config
     ends = {signal.SIGINT, signal.SIGTERM}
-    signal.pthread_sigmask(signal.SIG_BLOCK, ends)  # also blocks signals in Zenoh's threads
+    signal.pthread_sigmask(signal.SIG_BLOCK, ends)  # Zenoh's later threads inherit this
     role = zenoh_link.Role.ROUTER
     try:
         if config_file is not None and zenoh_link.dialled(config_file=config_file, role=role)[0] is not role:

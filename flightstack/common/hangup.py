@@ -58,7 +58,7 @@ def _call_off(number: int, frame: FrameType | None) -> None:
 
 
 class Stop:
-    """Requests to end: the first signal ends in order, a second SIGTERM or SIGINT ends at once."""
+    """Requests to end: the first signal ends in order, a second SIGTERM or SIGINT ends immediately."""
 
     __slots__ = ("count",)
 

@@ -239,7 +239,7 @@ def end_with_parent() -> None:
 
 
 class Port:
-    """TCP port of loopback for a later server, reserved against other runs while this object is open.
+    """TCP port of loopback for a later server, reserved against other runs as long as this object is open.
 
     A free port from a bind to port 0 is in the range of outgoing connections, and may be used a moment later.
     The ports here are below that range; the reservation is the same number of UDP.

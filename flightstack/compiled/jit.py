@@ -91,7 +91,7 @@ def _own_folder() -> Path:
 
 
 def _take_over(shipped: Path, found: Path) -> None:
-    """Copy machine code into an empty directory; other processes see all of it at once."""
+    """Copy machine code into an empty directory; other processes see all of it or none."""
     with contextlib.suppress(OSError):  # after an error, the functions are compiled again
         if any(found.iterdir()):
             return

@@ -19,7 +19,7 @@ class AbortWay(IntEnum):
     """Way in which phase ABORT ends the flight."""
 
     NONE = 0
-    MOTORS_OFF = 1  # motors off at once: emergency stop
+    MOTORS_OFF = 1  # motors off immediately: emergency stop
     HANDS_OFF = 2  # no commands: another client controls the vehicle, or it never flew
     LAND_HERE = 3  # landing by the autopilot: the position of vehicle or target is unknown
     FLY_CLEAR = 4  # climb, fly clear of the target, then land
@@ -126,7 +126,7 @@ class PlausibilityMemory:
     """State of the plausibility checks of vehicle state and set-points."""
 
     last: OwnState | None = None  # newest vehicle state that is a new measurement
-    moved_s: float = 0.0  # arrival time of the newest state that moved, or was not flying, s
+    moved_s: float = 0.0  # arrival time of the newest state that differed or was not of a flight, s
     drift_m: Vec3 = ZERO  # position change that the reported velocity does not explain
     distrusted: bool = False
     missed_m: Vec3 = ZERO  # distance by which the vehicle lags behind the commanded velocity

@@ -61,7 +61,7 @@ class SenderClock:
     ahead_max_s: float
     _late_max_s: float  # lateness above which a message is rejected
     _proof_s: float  # time for which rejected messages must agree until their clock is adopted
-    # a clock that falls back by more than this after a pause, s, is adopted at once: the sender has restarted
+    # step back after a pause from which on a clock is adopted immediately, s: the sender has restarted
     _reboot_s: float
 
     def __init__(

@@ -50,7 +50,7 @@ class FilterStatus(IntEnum):
     CLOSED_FORM = 2  # the solver failed, or its result was rejected: the exact projection is used
     INFEASIBLE = 3  # no velocity in the box meets the barrier; the one that raises h fastest is used
     REJECTED = 4  # an input of the program is not finite: there is no result
-    CROWDED = 5  # neighbours' constraints are relaxed by the least common slack; barrier and box are met
+    CROWDED = 5  # neighbours' constraints are relaxed by the smallest common slack; barrier and box are met
     OWN = 6  # a user's class with its own ``filter``: limits are checked, the barrier is not
 
 

@@ -251,7 +251,7 @@ class Launcher:
     def _let_it_land(self, teller: Child | None, until: float) -> None:
         """Wait until the vehicles have landed by themselves after the onboard processes have ended.
 
-        The unread output of ``teller`` shows at once a vehicle that never armed, or already stands.
+        The unread output of ``teller`` immediately shows a vehicle that never armed, or already stands.
         """
         until, armed = min(until, time.monotonic() + LAND_ALONE_MAX_S), set[str]()
         while teller is not None and teller.alive() and not self.interrupted and time.monotonic() < until:

@@ -83,7 +83,7 @@ _FLEET_ROWS = (
 
 
 def _fleet_table(values: Mapping[str, Any], reason: str) -> Group:
-    """Return the tables of a fleet: for each member least h outside the pad, errors, speeds and times."""
+    """Return the tables of a fleet: for each member lowest h outside the pad, errors, speeds and times."""
     table = Table("vehicle", *(Column(name, justify="right") for name, _, _ in _MEMBER_COLUMNS))
     for member, each in values["vehicles"].items():
         table.add_row(Text(member), *(shown(each[key], factor) for _, key, factor in _MEMBER_COLUMNS))

@@ -45,7 +45,7 @@ from sim.scenarios.team import TeamScenario, load, path_of, text
 from sim.vehicle.declared import not_proven, outside
 
 GRACE_S = 60.0  # wall time beyond the scenario's duration after which a run is given up, s
-LOCKSTEP_SLOWEST = 0.05  # share of real time below which a lockstep run is given up
+LOCKSTEP_SLOWEST = 0.05  # fraction of real time below which a lockstep run is given up
 RECORDER_YIELDS = 10  # nice value of the recorder, divided by the number of vehicles that send it data
 Row = Mapping[str, object]
 _COLUMNS = (

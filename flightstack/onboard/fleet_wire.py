@@ -13,7 +13,7 @@ With d = own clock - other clock at the same moment:
     arrival here  - stamp of the other one  >=  d      the minimum is ``ahead_ns``
     arrival there - own stamp               >= -d      the other process reports its minimum, ``echo_ns``
 
-So d lies between -echo_ns and ahead_ns. The estimate is the middle, and its bound is half of the width: half
+So d lies between -echo_ns and ahead_ns. The estimate is the centre, and its bound is half of the width: half
 of the sum of the minimum delays of both directions. The delays need not be known or equal. This is the method
 of Cristian (1989), with the minimum delay of each direction instead of one round trip.
 

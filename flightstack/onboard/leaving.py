@@ -29,11 +29,11 @@ class Person:
     """Requests of the operator to the process; this base class makes none."""
 
     operator = Operator.NONE  # request to the controller
-    stop = False  # whether the process has to end at once
+    stop = False  # whether the process has to end immediately
 
 
 class Signals(Person):
-    r"""Ctrl-C, or a terminal that closes, requests an abort; Ctrl-\ requests that the motors stop at once.
+    r"""Ctrl-C, or a terminal that closes, requests an abort; Ctrl-\ requests an immediate stop of the motors.
 
     A second Ctrl-C, or SIGTERM, ends the process after the vehicle was commanded to land.
     """

@@ -281,7 +281,7 @@ def fly(ticks: Runner, vehicle: LinkedVehicle, leaving: Leaving, failed: Callabl
 
     Autopilots differ when set-points stop: PX4 lands, ArduPilot hovers. A process that ends in flight
     therefore requests the autopilot's landing until a heartbeat confirms it, for a bounded time: through the
-    controller while ticks can run, or directly after an exception.
+    controller as long as ticks can run, or directly after an exception.
 
     ``leaving``: decides when the flight is over; ``failed``: receives the text of an exception.
     """

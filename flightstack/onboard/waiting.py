@@ -167,7 +167,7 @@ class _Pace:
 
 
 # Phases that continue without messages of the vehicle: the setting that limits each, and what happens then.
-# Any other phase ends at once.
+# Any other phase ends immediately.
 _BOUNDS: Mapping[Phase, tuple[str, str]] = {
     Phase.WAIT: ("checks.wait_time_max_s", "gives up"),
     Phase.HOLD: ("checks.hold_time_s", "aborts"),
@@ -194,7 +194,7 @@ class WaitReport:
     def __init__(
         self, config: FlightConfig, system_id: int, link: VehicleLink, wires: ZenohWires, *, searches: bool
     ) -> None:
-        """Set up. ``wires``: Zenoh connections; ``searches``: search other keys while no sample arrives."""
+        """Set up. ``wires``: Zenoh connections; ``searches``: search other keys if no sample arrives."""
         # missing inputs at the last report, during the wait and after its end
         self.lacking: tuple[str, ...] = ()
         self._config, self._system_id, self._link, self._wires = config, system_id, link, wires

@@ -96,7 +96,7 @@ def most(
 
 
 def _weight(span: Span, whole: Span) -> float:
-    """Return the cell's share of the coordinate's range; unbounded cells are cut first."""
+    """Return the cell's fraction of the coordinate's range; unbounded cells are cut first."""
     if math.isinf(span.high):
         return math.inf
     return span.width() / (whole.width() if math.isfinite(whole.high) else 1.0)

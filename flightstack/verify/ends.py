@@ -8,7 +8,7 @@ from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.parameters.reserve import GRAVITY_M_S2
 from flightstack.verify.types import PROOF, Check
 
-STEADY_ERROR = 0.25  # velocity error that must be tolerated, gusts included, as a share of full speed
+STEADY_ERROR = 0.25  # velocity error that must be tolerated, gusts included, as a fraction of full speed
 FALL_MAX_M_S = 1.0  # allowed speed of a fall, m/s: twice the landing speed, which landing gears withstand
 
 

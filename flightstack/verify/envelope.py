@@ -23,7 +23,7 @@ class Extremes:
 
     barrier: Barrier  # the paper's barrier
     shape: Shape  # boundary; margins from that of ``usual`` to that at the age limit of the target
-    usual: Shape  # boundary with the margin while all samples arrive
+    usual: Shape  # boundary with the margin as long as all samples arrive
     pad_radius_m: float  # radius outside which the barrier must hold
     box_speed_m_s: float  # fastest approach to the target that velocity box and target allow together
     target_speed_m_s: float  # horizontal speed of the target, also relative to a hovering vehicle

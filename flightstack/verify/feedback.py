@@ -13,8 +13,8 @@ the error q of the commanded velocity (error of the estimated velocity plus the 
 position). The absolute value of an output is at most the bounds of the inputs times the integrals of the
 absolute impulse responses. The command is assumed to stay within the limits of the feedback.
 
-The vehicles between two factors are compared with the one in the middle. The difference is a third input of
-the middle's loop, (W - W0) (u - v) - (D - D0) a. The bounds of u - v and a bound it, and contain it (small
+The vehicles between two factors are compared with the one at the centre. The difference is a third input of
+the centre's loop, (W - W0) (u - v) - (D - D0) a. The bounds of u - v and a bound it, and contain it (small
 gain theorem). A piece of the spread with a large or no bound is halved.
 """
 
@@ -34,8 +34,8 @@ from flightstack.verify.types import PROOF, Check
 
 F64 = npt.NDArray[np.float64]
 TICKS_LATE = 1.5  # delay of a set-point in ticks: a mean of half a tick, and one tick after its inputs
-SHARE = 0.5  # required decay rate of a piece, as a share of the rate at its middle
-PIECE_MIN = 1e-6  # least size of a piece, in the spread's factor; if it fails, the loop is unstable
+SHARE = 0.5  # required decay rate on a piece of the spread, divided by the rate at its centre
+PIECE_MIN = 1e-6  # smallest size of a piece, as a difference of factors; if it fails, the loop is unstable
 PIECES_MAX = 10_000
 # Largest ratio of feedback rate to velocity loop rate. The model omits motors and attitude loop: at a ratio
 # of 3 the 1 kg quadrotor oscillates at 1.8 Hz (tilts of 45 degrees), with 2.5 it lands (150 of 150).
@@ -146,7 +146,7 @@ def decay_1_s(config: FlightConfig, slower: float, faster: float) -> tuple[float
 
 def _decays(config: FlightConfig, centre: F64, rate_1_s: float, low: float, high: float) -> bool:
     """Return whether one quadratic function decays at this rate in the whole rectangle of (W, D)."""
-    # Lyapunov function: the sum of squares of the modes at the middle
+    # Lyapunov function: the sum of squares of the modes at the centre
     modes = np.linalg.inv(np.linalg.eig(centre).eigenvectors)
     shape: F64 = (modes.conj().T @ modes).real
     if not float(np.linalg.eigvalsh(shape)[0]) > 0.0:
@@ -213,8 +213,8 @@ def _bandwidth(config: FlightConfig) -> float:
 
 STEP_S = 3e-3  # step of the impulse responses, s; their values between two steps are bounded
 DOUBLINGS = (11, 14)  # numbers of doublings: responses of 6 s, or up to 49 s; the rest is bounded
-SLACK = 0.03  # largest share of a piece's result that the vehicles beside its middle cause
-FOLLOW_PIECE_MIN = 1e-4  # least size of a piece, in units of the spread's factor
+SLACK = 0.03  # largest fraction of a piece's result that the vehicles beside its centre cause
+FOLLOW_PIECE_MIN = 1e-4  # smallest size of a piece, as a difference of the spread's factors
 _POSITION, _VELOCITY, _PULL, _HELD, _MODEL, _MODEL_PULL, _, _SLOPE = range(8)  # states of ``linear``
 _TARGET, _ERROR, _OTHER = range(3)  # inputs of the loop
 
@@ -240,13 +240,13 @@ def follow_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
 
 
 def _reach_m(config: FlightConfig, x: Extremes, low: float, high: float) -> tuple[float, float]:
-    """Return minus the largest distance of all vehicles of a piece, and the distance of its middle one."""
+    """Return minus the largest distance of all vehicles of a piece, and the distance of its central one."""
     own_m, beside_m = _piece_m(config, x, low, high)
     return -(own_m + beside_m), own_m
 
 
 def _piece_m(config: FlightConfig, x: Extremes, low: float, high: float) -> tuple[float, float]:
-    """Return the bound of the vehicle in the middle of a piece, and the additional distance of the others."""
+    """Return the bound of the vehicle at the centre of a piece, and the additional distance of the others."""
     middle, loop = 0.5 * (low + high), config.velocity_loop
     inputs, outputs, through = _ports(config, middle)
     gains = _gains(linear(config, middle), inputs, outputs)

@@ -148,7 +148,7 @@ def _slew(config: FlightConfig, fleet: Fleet, slew_m_s2: Vec3, who: str, part: f
 
     For an active row g . (u - c) = -rate h: g . u has to grow by rate times the closing speed plus the
     acceleration of the other vehicle; the curvature of h reduces this. With half of the share it is half of
-    this. The remaining room is homogeneous in g and concave, so it is least along an axis.
+    this. The remaining room is homogeneous in g and concave, so it is smallest along an axis.
     """
     speeds, most = config.limits.velocity_max_m_s, fleet.speed_max_m_s
     needed = [part * (fleet.rate_1_s * (m + most) + fleet.acceleration_max_m_s2) for m in speeds]
@@ -254,7 +254,7 @@ def up_the_slope_m_s(config: FlightConfig, c: Crowd) -> float:
 def one_short_m_s(config: FlightConfig, c: Crowd, aside_m_s: float, lowest: float) -> tuple[float, float]:
     """Return the largest violation of one neighbour's row at h = 0, and the elevation of its g (rad).
 
-    ``aside_m_s``: largest horizontal speed of evasion; ``lowest``: least elevation of g; -pi / 2 is a
+    ``aside_m_s``: largest horizontal speed of evasion; ``lowest``: smallest elevation of g; -pi / 2 is a
     neighbour directly above a vehicle that has to climb.
     """
     vz = config.limits.velocity_max_m_s[2]
@@ -326,7 +326,7 @@ def team_checks(
 
     ``configs``: configurations of the members, each with a table [fleet]; ``starts_enu_m``: known start
     places in the air; ``touch_m``: largest offset of two vehicles at which they overlap; ``pads_apart_m``:
-    least distance of any two pads.
+    smallest distance of any two pads.
     """
     fleets = [config.fleet for config in configs if config.fleet is not None]
     first, config, ids = fleets[0], configs[0], sorted(fleet.id for fleet in fleets)

@@ -26,7 +26,7 @@ from flightstack.verify.envelope import Extremes
 from flightstack.verify.feedback import F64, matrix_exp
 from flightstack.verify.types import PROOF, Check
 
-DAMPING_MIN = 0.5  # least damping of the position loop around the lagging velocity loop
+DAMPING_MIN = 0.5  # minimum damping of the position loop around the lagging velocity loop
 LATE_TICKS = 1  # number of ticks between the inputs and their set-point
 MIN_DECAY_1_S = 0.1  # required decay rate, half of an error in 7 s; half the gain of a slow position loop
 SLOWER = (-1.0, -0.5, 0.0, 0.5, 1.0)  # lags of the checked vehicles, as shares of the spread

@@ -19,7 +19,7 @@ TOPIC = "/diagnostics"
 PERIOD_NS = 1_000_000_000
 FILTER_BAD = 3  # smallest filter_status of ControllerStep that is a problem: FILTER_INFEASIBLE
 LATE_S = 0.002  # greatest normal delay of a tick after its deadline, s: a fifth of 10 ms
-LOST_MAX = 0.02  # share of the vehicle's frames that may be missing by their sequence numbers
+LOST_MAX = 0.02  # fraction of the vehicle's frames that may be missing by their sequence numbers
 
 
 class Level(IntEnum):
@@ -55,7 +55,7 @@ class Health:
         del self._steps[:-1000]  # without timings no call empties the list
 
     def timing(self, log_time_ns: int, row: LoopTimingRow) -> list[tuple[str, str, bytes]]:
-        """Add the timing of a tick; at the end of a second, return its diagnostics.
+        """Add the timing of a tick; at the end of a second, return the diagnostics of this second.
 
         The result is (topic, schema, CDR), at most one.
         """

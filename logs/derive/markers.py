@@ -17,7 +17,7 @@ ARROW, CUBE, SPHERE, CYLINDER, LINE_STRIP, TRIANGLE_LIST = 0, 1, 2, 3, 4, 11  # 
 LIFETIME_S = 0.5  # lifetime of 2.5 periods of 5 Hz; a marker that is not sent again disappears
 PATH_POINTS = 200  # greatest number of points of a path; a full path loses every second point
 PATH_PERIOD_NS = 100_000_000  # initial period, 10 Hz
-REACH = 2.5  # radius of the barrier surface, in units of the distance of the barrier's peak
+REACH = 2.5  # radius of the barrier surface, divided by the distance of the barrier's peak
 FLEET_REACH = 1.0  # radius of the barrier surface in a fleet, in the same unit
 SECTORS, RINGS = 24, 8  # grid of the barrier surface: 24 x 8 x 2 triangles
 _GRID_1_M = 1024.0  # grid of surface points, 1/1024 m: finer than a millimetre, and compresses well
@@ -56,7 +56,7 @@ class Marker(NamedTuple):
 
 
 class Path:
-    """Path with a limited number of points: fine while it is short, coarser as it grows."""
+    """Path with a limited number of points: fine as long as it is short, coarser as it grows."""
 
     def __init__(self) -> None:
         self._points: list[bytes] = []

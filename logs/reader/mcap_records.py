@@ -90,7 +90,7 @@ class Records:
 
     @property
     def problem(self) -> str:
-        """First unreadable part and its place; empty while everything could be read."""
+        """First unreadable part and its place; empty if everything could be read."""
         more = self._places - 1
         return self._first + (f"; so in {more} more place{'s' * (more > 1)}" if more > 0 else "")
 

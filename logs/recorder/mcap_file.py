@@ -156,7 +156,7 @@ class SafeStream:
         self._position = 0
         self._reserved = RESERVE_BYTES
         self._stopped = False
-        self.failure = ""  # reason why writing stopped; empty while writing works
+        self.failure = ""  # reason why writing stopped; empty as long as writing works
 
     def tell(self) -> int:
         return self._position
@@ -174,7 +174,7 @@ class SafeStream:
         return len(data)
 
     def flush(self) -> None:
-        """Do nothing: each write is passed to the system at once."""
+        """Do nothing: each write is passed to the system immediately."""
 
     def descriptor(self) -> int:
         return self._raw.fileno()
@@ -223,7 +223,7 @@ class McapFile:
 
     @property
     def failure(self) -> str:
-        """Reason why the disk stopped accepting data; empty while it works."""
+        """Reason why the disk stopped accepting data; empty as long as it works."""
         return self._stream.failure
 
     def fail(self, why: str) -> None:

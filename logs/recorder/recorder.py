@@ -1,8 +1,8 @@
 """The flight recorder: one process, many clients on a local socket, one MCAP file.
 
 A separate process survives a crash of the others and then closes the file, and its disk and compressor never
-delay the control loop. Written data survive a crash of the recorder at once, but the kernel may hold them for
-half a minute. A thread syncs the file to the disk, since this may take long on a memory card; the loop
+delay the control loop. Written data immediately survive a crash of the recorder, but the kernel may hold them
+for half a minute. A thread syncs the file to the disk, since this may take long on a memory card; the loop
 continues to read meanwhile.
 """
 
@@ -71,7 +71,7 @@ class RecorderProcess:
         self._gone = 0
 
     def stop(self) -> None:
-        """Request the end after the last client; a second call ends at once. For signal handlers."""
+        """Request the end after the last client; a second call ends immediately. For signal handlers."""
         with contextlib.suppress(OSError):
             self._wake_out.send(b"\x00")
 
@@ -229,7 +229,7 @@ class Syncer:
     """Calls ``fdatasync`` on one open file on request, one call at a time."""
 
     def __init__(self, descriptor: int, path: Path) -> None:
-        """Start the thread; sync the directory entry of the file to the disk at once."""
+        """Start the thread; sync the directory entry of the file to the disk immediately."""
         _sync_directory(path.parent)
         self._descriptor = os.dup(descriptor)  # the file may be closed before the last sync
         self._wanted = threading.Event()

@@ -163,7 +163,7 @@ class FlightInputs:
 
 
 def changed(table: dict[str, Any], settings: Sequence[str]) -> FlightConfig:
-    """Return the configuration of ``table`` with ``section.key=value`` set; a non-TOML value is a string."""
+    """Return the configuration with each ``section.key=value`` set; a value that is not TOML is a string."""
     table = copy.deepcopy(table)
     for setting in settings:
         key, equals, text = setting.partition("=")

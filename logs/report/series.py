@@ -246,13 +246,13 @@ def vehicle_state(flight: Flight) -> go.Figure | None:
 
 
 def share_active(steps: Steps) -> float | None:
-    """Return the share of filtered ticks in which the barrier changed the velocity; ``None`` without any."""
+    """Return the fraction of filtered ticks in which the barrier changed the velocity; ``None``: no ticks."""
     ran = np.isfinite(steps.slack_m_s)
     return float(steps.barrier_active[ran].mean()) if ran.any() else None
 
 
 _BINS = 80
-_EDGE_SHARE = 0.05  # margin at both sides of a histogram, as a share of the median
+_EDGE_SHARE = 0.05  # margin at both sides of a histogram, as a fraction of the median
 _LOG_FLOOR = -0.3  # lower end of the logarithmic axis, so that a single count is visible
 _WALL_US = [m * 10**n for n in range(6) for m in (1, 2, 5)]  # labels of the axis of wall times
 _INTERVAL_MAX_MS = 100.0  # longest separate interval; longer ones are in the last bar

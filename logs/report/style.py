@@ -51,8 +51,8 @@ _SPACE_PX = 640  # height of a spatial figure
 _TOP_PX, _BOTTOM_PX, _LEGEND_PX = 40, 96, 54  # margins, and the legend's distance below the axis
 POINTS_MAX = 4000  # greatest number of points per line; more are not visible and make the page large
 _EVEN_S = 1e-3  # tolerance, s; more evenly spaced times are written as start and step
-_FAULT_STRIP = 0.965  # share of a row's height above which a fault is marked
-LABEL_SHARE = 0.05  # smallest share of the axis for a band with a name
+_FAULT_STRIP = 0.965  # fraction of a row's height above which a fault is marked
+LABEL_SHARE = 0.05  # smallest fraction of the axis for a band with a name
 BEFORE_S, AFTER_S = 1.0, 3.0  # time shown before and after the landing, s; zooming out shows all
 
 
@@ -138,7 +138,7 @@ def add_phases(figure: go.Figure, flight: Flight, *, rows: int = 1) -> None:
 
 
 def _bands(rows: int, begin_s: float, end_s: float, bottom: float, color: str) -> list[dict[str, Any]]:
-    """Return a band in each row, from a share of its height to the top."""
+    """Return a band in each row, from a fraction of its height to the top."""
     axes = ["" if row == 1 else str(row) for row in range(1, rows + 1)]
     return [
         {

@@ -31,7 +31,7 @@ from logs.schema.events import Severity
 _EVENTS_MAX = 500
 _SILENT_MAX = 16  # greatest number of lanes for members without messages
 _ROW_PX = 26
-_LETTER_SHARE = 0.009  # share of the axis per letter of a label; a shorter bar has no label
+_LETTER_SHARE = 0.009  # fraction of the axis per letter of a label; a shorter bar has no label
 _INTENT_COLORS = {
     Intent.STANDING: "#d5d9de",
     Intent.WAITING: "#f5e3b3",
@@ -70,7 +70,7 @@ class _Lanes:
             self.bar(lane, (begin_s + side.offset_s, end_s + side.offset_s), color, f"{side.of}{name}", name)
 
     def mask(self, lane: str, t: Floats, mask: Bools, color: str) -> None:
-        """Add bars while the mask is true, as one line with breaks."""
+        """Add bars where the mask is true, as one line with breaks."""
         self._names[lane] = None
         edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
         begins, ends = edges[::2], np.minimum(edges[1::2], len(t) - 1)

@@ -153,7 +153,7 @@ class FleetVerdict:
     collisions: int | None  # pairs whose shapes overlapped; None: data are missing
     # number of times that two flying vehicles came inside their ellipsoid; None: data are missing
     ellipsoid_violations: int | None
-    # smallest distance of two flying vehicles in its measure; None: never two at once, or unknown
+    # smallest distance of two flying vehicles in its measure; None: never two at the same time, or unknown
     ellipsoid_min: float | None
     # smallest distance of two centres of mass; None: unknown, or a single member
     distance_min_m: float | None

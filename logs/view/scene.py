@@ -28,7 +28,7 @@ from logs.verdict.verdict import PairSeries
 from logs.view.canvas import PAIRS, WORLD, Canvas, every, rgba, run_of, times
 
 SCENE_PERIOD_NS = 20_000_000  # period of 50 Hz
-PATH_PERIOD_NS = 200_000_000  # period of 5 Hz: each row is a complete path
+PATH_PERIOD_NS = 200_000_000  # period of the paths, 5 Hz; each row stores the whole path again
 BODY_HALF_M = tuple(0.5 * size for size in BODY_SIZE_M)
 ARROW_RADIUS_M, LINE_RADIUS_M, ELLIPSOID_LINE_M = 0.006, 0.004, 0.001
 SPOT = f"{WORLD}/target_spot"

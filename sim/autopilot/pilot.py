@@ -185,7 +185,7 @@ class Pilot:
     def fly(
         self, mode: FlightMode, takeoff_z_m: float, estimate: CheckedEstimate, standing: bool, dt_s: float
     ) -> Event | None:
-        """Run one control step; only while armed."""
+        """Run one control step of an armed vehicle."""
         self._takeoff_z_m = takeoff_z_m
         if self._version != self._parameters.version:
             self._read_limits()

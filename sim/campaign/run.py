@@ -214,7 +214,7 @@ def _filter(name: str) -> dict[str, str]:
 
 @contextmanager
 def _interrupts() -> Iterator[list[int]]:
-    """Handle Ctrl-C at once, or after the next row if a library suppressed the exception."""
+    """Handle Ctrl-C immediately, or after the next row if a library suppressed the exception."""
     came: list[int] = []
 
     def interrupt(number: int, frame: FrameType | None) -> None:

@@ -221,8 +221,8 @@ class Tier(Enum):
 class Limits:
     """Limits of a campaign; crashes and undeclared misses are never allowed."""
 
-    landed_min: float  # share of all landings
-    violations_max: float  # share of all landings
+    landed_min: float  # fraction of all landings
+    violations_max: float  # fraction of all landings
     error_m: tuple[float, float]  # touchdown error, median and 95 %
     vertical_m_s: float  # vertical touchdown speed relative to the pad, 95 %
     horizontal_m_s: float  # horizontal touchdown speed relative to the pad, 95 %

@@ -170,6 +170,6 @@ class Firmware:
         return refused
 
     def disarm(self, now_ms: int) -> None:
-        """Disarm and stop the motors at once."""
+        """Disarm and stop the motors immediately."""
         self.supervisor.disarm(now_ms)
         self.commands = OFF

@@ -2,8 +2,8 @@
 
 It follows firmware supervisor.c and supervisor_state_machine.c (2026.08), evaluated at 25 Hz, for a build
 that requires arming. It omits the checks before arming and the spin-up (part of DISARMED), emergency stop and
-deck faults, and the intermediate states before DISARMED and LOCKED. A disarm command acts at once and also
-ends CRASHED; the firmware has a separate request for that.
+deck faults, and the intermediate states before DISARMED and LOCKED. A disarm command acts immediately and
+also ends CRASHED; the firmware has a separate request for that.
 
 Compiled code evaluates it in flight with a table of numbers, where a state is its index in ``STATES``.
 """
@@ -205,6 +205,6 @@ class Supervisor:
         return None
 
     def disarm(self, now_ms: int) -> None:
-        """Disarm at once; a locked vehicle remains locked."""
+        """Disarm immediately; a locked vehicle remains locked."""
         if self.state is not State.DISARMED and self.state is not State.LOCKED:
             self._enter(State.DISARMED, now_ms)

@@ -134,7 +134,7 @@ def _signs(name: str, values: Floats, reference: Floats, kind: str) -> Iterator[
 
 
 def _spread(values: Floats) -> float:
-    """Return the median distance from the median over all axes, which is robust against damaged samples."""
+    """Return the median distance of the rows from their median. Damaged samples have little effect on it."""
     good = values[np.isfinite(values).all(axis=1)]
     return float(np.median(np.linalg.norm(good - np.median(good, axis=0), axis=1))) if len(good) else 0.0
 
@@ -157,7 +157,7 @@ def _roll_pitch(r: Recording) -> Floats:
 BAND_HZ = (0.5, 6.0)  # frequency band of a Crazyflie's attitude; above it the attitude's derivative is noise
 WINDOW_S = 4.0  # time window of one lag estimate
 LAG_MAX_S = 0.25  # largest lag of the search
-CORRELATION_MIN = 0.7  # smallest correlation for a known lag
+CORRELATION_MIN = 0.7  # correlation below which the lag counts as unknown
 
 
 def rates_rad_s(recording: Recording) -> Floats:

@@ -29,7 +29,7 @@ VOLTAGE_V = (2.5, 4.4)  # voltage range of one LiPo cell under load
 ABOVE_GROUND_M = 0.15  # height of flight without ground effect (3 propeller diameters)
 START_S = 0.5  # time after lift-off and before landing in which contact is possible
 MARGIN_S = 0.1  # excluded time on both sides of a marked sample
-DAMAGED_MAX = 0.05  # largest allowed share of damaged time in the air; gaps do not count
+DAMAGED_MAX = 0.05  # largest allowed fraction of damaged time in the air; gaps do not count
 PIECE_MIN_S = 2.0
 FLIGHT_MIN_S = 3.0  # minimum usable time in the air
 

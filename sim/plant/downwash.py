@@ -40,7 +40,7 @@ JET = 8
 
 
 class DownwashRecord(Record):
-    """Air velocity at a vehicle from others' jets; ``air`` and ``along`` are valid while ``on``."""
+    """Air velocity at a vehicle from others' jets; ``air`` and ``along`` are valid if ``on``."""
 
     on: bool
     air: Vector  # air velocity at the centre of mass, world ENU, m/s

@@ -2,7 +2,7 @@
 
 ``gain`` multiplies the increase: measured increases of small quadrotors are 1 to 4 times the formula's
 (Sanchez-Cuevas 2017). Heights below 20 mm are treated as 20 mm. The effect fades out between 3 R and 4 R.
-Over the pad's edge, the share of a rotor's disc that is over the pad is linear across the diameter.
+Over the pad's edge, the fraction of a rotor's disc that is over the pad is linear across the diameter.
 """
 
 from __future__ import annotations

@@ -36,8 +36,8 @@ class Body:
 class Rotor:
     """One motor with its propeller.
 
-    ``volt_map``: the firmware's map from mean motor voltage V to the share of full counts, which is the sum
-    of volt_map[k] V^k. The firmware commands V as a share of the battery voltage, so a low battery saturates.
+    ``volt_map``: the firmware's map from mean motor voltage V to the fraction of full counts, which is the
+    sum of volt_map[k] V^k. The firmware commands V over the battery voltage, so a low battery saturates.
     None: the map is exact, counts are linear in thrust, and the battery limits only the speed.
     """
 

@@ -174,7 +174,7 @@ class MeasurementChannel:
     def run(
         self, times_ns: Sequence[int], values: F64, worsen: Callable[[int], None] | None = None
     ) -> tuple[list[int], F64]:
-        """Run ``sample`` and ``release`` for many times at once, which is much faster.
+        """Run ``sample`` and ``release`` for many times together, which is much faster.
 
         ``times_ns``: times in increasing order; ``values``: (n, width) at each time, used where a sample is
         due; ``worsen``: called before each measurement with the index of its time.

@@ -36,7 +36,7 @@ def share(control: float) -> float:
 def rotor_speeds(controls: Sequence[float], armed: bool, rotor: Rotor) -> Four:
     """Return the commanded speeds of M1..M4, rpm.
 
-    With THR_MDL_FAC = 0 an output is a share of the highest thrust, as in PX4's allocation. Below the
+    With THR_MDL_FAC = 0 an output is a fraction of the highest thrust, as in PX4's allocation. Below the
     smallest thrust a motor stops. So the vehicle's thrust map gives the speed, as for the simulated firmware.
     ``controls``: four or more outputs in PX4's order (HIL_ACTUATOR_CONTROLS).
     """
@@ -55,7 +55,7 @@ _DAMPING = 0.8
 _SLOWER = 4.0  # ratio of this natural frequency to the attitude loop's bandwidth
 _INTEGRAL_1_S = 1.3  # ratio of I to P, as in PX4's defaults 0.2 and 0.15
 _YAW_1_S, _YAW_ATTITUDE_1_S = 6.0, 2.0  # bandwidths of yaw rate and yaw
-_THRUST: dict[str, float] = {"THR_MDL_FAC": 0.0}  # an output is a share of the highest thrust
+_THRUST: dict[str, float] = {"THR_MDL_FAC": 0.0}  # an output is a fraction of the highest thrust
 # values that the pre-flight check requires of every PX4 in a simulation without a radio
 SAFE_PARAMETERS: dict[str, float] = {
     "COM_RC_IN_MODE": 4,  # no stick input
@@ -77,7 +77,7 @@ _MOCAP: dict[str, float] = {
 
 
 def hover_share(params: Params) -> float:
-    """Return the thrust of hover as share of the highest thrust."""
+    """Return the thrust of hover as fraction of the highest thrust."""
     return params.body.mass_kg * params.contact.gravity_m_s2 / (4.0 * params.rotor.thrust_max_n)
 
 

@@ -36,8 +36,8 @@ _ALIAS = re.compile(r"^alias \w+='(px4-\w+) ", re.MULTILINE)
 # rcS multiplies these by the speed, for clients that run in real time; our clients run at the simulation's
 # speed. PX4 1.18 has no COM_OBC_LOSS_T: its value there is always 5 s.
 _SCALED_WITH_SPEED = ("COM_DL_LOSS_T", "COM_RC_LOSS_T", "COM_OF_LOSS_T", "COM_OBC_LOSS_T")
-# Waits for the program. SIGHUP, sent when this process is killed, kills the whole group at once: during its
-# start script PX4 ignores SIGTERM, and the script's commands would wait for a killed PX4 without end.
+# Waits for the program. SIGHUP, sent when this process is killed, immediately kills the whole group: during
+# its start script PX4 ignores SIGTERM, and the script's commands would wait for a killed PX4 without end.
 _END_TOGETHER = """
 trap 'kill -KILL 0' HUP
 trap : TERM INT

@@ -208,7 +208,7 @@ class TargetModel:
         drive_on(cell_of_numbers(new(MotionRecord)), step_s, False, np.empty((1, len(self.pad))))
 
     def stop(self) -> None:
-        """Stop at once, as with locked wheels; visible after the next step."""
+        """Stop suddenly, as with locked wheels; visible after the next step."""
         self._record.v = self._record.w = 0.0
 
     def step(self, dt_s: float, driving: bool) -> None:

@@ -105,7 +105,7 @@ class TargetMotion:
             self.due += self._measure()
 
     def run(self, ticks: int, driving: bool) -> tuple[F64, list[int], F64]:
-        """Advance by several ticks, in compiled calls while no fault is active.
+        """Advance by several ticks, in compiled calls as long as no fault is active.
 
         Returns the pad's motion at each tick, (ticks, 12) numbers of a PadRecord; the index of the tick at
         which each sample was released; and (m, 9) numbers of the samples. ``due`` is left empty.

@@ -1,7 +1,7 @@
 """The world process: the simulated vehicles of a scenario and their robots, in lockstep or in real time.
 
 Each vehicle has a MAVLink endpoint, each robot its keys on Zenoh. All share one process, because their
-interaction is physical: decks, jets and collisions need all states at once. ``vehicle`` is a world without
+interaction is physical: decks, jets and collisions need all states together. ``vehicle`` is a world without
 robots: in real time its decks follow the true poses of robots in another process.
 """
 

@@ -159,11 +159,11 @@ class StateError:
     position_error_m: Annotated[float, span(0.0, 0.2)] = 0.0009  # position error on each axis
     velocity_error_m_s: Annotated[float, span(0.0, 0.5)] = 0.02  # error on horizontal axes, at any speed
     velocity_z_m_s: Annotated[float, span(0.0, 0.5)] = 0.019  # error on the vertical axis
-    # velocity error as share of the speed, constant in a flight
+    # velocity error as fraction of the speed, constant in a flight
     velocity_scale: Annotated[float, span(0.0, 1.0)] = 0.056
-    # varying velocity error along the horizontal velocity, as share of the speed
+    # varying velocity error along the horizontal velocity, as fraction of the speed
     velocity_along: Annotated[float, span(0.0, 1.0)] = 0.064
-    # varying velocity error across the horizontal velocity, as share of the speed
+    # varying velocity error across the horizontal velocity, as fraction of the speed
     velocity_across: Annotated[float, span(0.0, 1.0)] = 0.016
     tilt_rad: Annotated[float, span(0.0, 0.2)] = 0.015  # misalignment about body x and y, fixed in a flight
     yaw_rad: Annotated[float, span(0.0, 0.2)] = 0.0013  # misalignment about body z, fixed in a flight
@@ -191,11 +191,11 @@ class VehicleSpec:
 
     airframe: str = "crazyflie20"  # name of a file in sim/vehicles, or path of a file
     velocity_loop: VelocityLoop = VelocityLoop.PAPER  # `paper`: eq. 8; `pid`: the firmware's loop
-    mass_spread: Annotated[float, span(0.0, 0.5)] = 0.0  # half-width of the random mass error, as share
-    # half-width of the random error of the motors' time constant, as share
+    mass_spread: Annotated[float, span(0.0, 0.5)] = 0.0  # half-width of the relative random mass error
+    # half-width of the relative random error of the motors' time constant
     motor_lag_spread: Annotated[float, span(0.0, 0.9)] = 0.0
-    thrust_spread: Annotated[float, span(0.0, 0.5)] = 0.0  # half-width of the random thrust error, as share
-    # half-width of each motor's random thrust error around their mean, as share
+    thrust_spread: Annotated[float, span(0.0, 0.5)] = 0.0  # half-width of the relative random thrust error
+    # half-width of each motor's relative random thrust error around their mean
     motor_spread: Annotated[float, span(0.0, 0.3)] = 0.0
     battery_charge: tuple[Share, Share] = (1.0, 1.0)  # state of charge at the start, drawn between these
     # smallest thrust-to-weight ratio of the weakest motor at the start; a lower one raises the charge

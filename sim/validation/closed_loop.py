@@ -47,7 +47,7 @@ class Flown(NamedTuple):
     horizontal_m: float  # rms of the horizontal distance between position and set-point
     vertical_m: float  # rms of the vertical distance between position and set-point
     duty: float  # mean duty cycle of the motors, 0 to 1
-    saturated: float  # share of samples with a motor at full duty
+    saturated: float  # fraction of samples with a motor at full duty
     tilt_rms_rad: float  # rms tilt of body z from the vertical
     tilt_p95_rad: float  # 95th percentile of the tilt
     sag_v_s: float  # rate of the voltage drop

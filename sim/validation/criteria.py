@@ -91,7 +91,7 @@ def median_difference(a: Floats, b: Floats, axis: int) -> Any:
 
 
 def share_within(a: Floats, b: Floats, axis: int) -> Any:
-    """Return the share of flights in which two numbers differ by at most ``TRACKING_WITHIN``."""
+    """Return the fraction of flights in which two numbers differ by at most ``TRACKING_WITHIN``."""
     return (np.abs(a / b - 1.0) <= TRACKING_WITHIN).mean(axis=axis)
 
 

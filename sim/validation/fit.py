@@ -117,8 +117,8 @@ def _innovations(
 
     ``torque``: (n,) angular acceleration by the rotors until the next sample, rad/s^2; ``aside``: (n,) body
     velocity that causes the drag's moment, m/s; ``moment``: angular acceleration per m/s of this velocity;
-    ``gains``: gain of the rate, gains of the fading and the constant unknown torque (1/s), and the share of
-    the fading torque that remains after a sample.
+    ``gains``: gain of the rate, gains of the fading and the constant unknown torque (1/s), and the fraction
+    of the fading torque that remains after a sample.
     """
     rate, fades, stays = rates[0], 0.0, 0.0
     for i in range(len(rates)):

@@ -150,8 +150,8 @@ def _observe(acceleration: F64, rates: F64, fade: float, fast: F64, slow: F64) -
     """Estimate the missing angular acceleration at each sample: ``fast`` and ``slow`` part (n, 3).
 
     Only earlier samples are used. ``acceleration``: (n, 3) angular acceleration of the plant at the recorded
-    rates, until the next sample, rad/s^2; ``rates``: (n, 3) gyro rates; ``fade``: share of the fast part that
-    remains after a sample.
+    rates, until the next sample, rad/s^2; ``rates``: (n, 3) gyro rates; ``fade``: fraction of the fast part
+    that remains after a sample.
     """
     for axis in range(3):
         rate, fades, stays = rates[0, axis], 0.0, 0.0
@@ -172,7 +172,7 @@ def _predict(
     """Simulate the plant from each start.
 
     ``commands``: (n, 4) rpm; ``starts``: (m,) samples; ``states``: (m, 24) position, velocity, quaternion,
-    rates, rotor speeds, thrust factor, slow and fast missing angular acceleration; ``fade``: share of the
+    rates, rotor speeds, thrust factor, slow and fast missing angular acceleration; ``fade``: fraction of the
     fast part that remains after a step; ``ends``: (h,) samples after the start at which states are stored, in
     increasing order; ``found``: (m, h, 10) receives position, velocity, quaternion.
     """

@@ -86,7 +86,7 @@ def run(
 
 
 def _each(work: Callable[[Path], Compared], paths: Sequence[Path], workers: int) -> Iterator[Compared]:
-    """Yield results as they arrive; Ctrl-C ends the processes at once."""
+    """Yield results as they arrive; Ctrl-C ends the processes immediately."""
     if workers == 1 or len(paths) <= 1:
         yield from map(work, paths)
         return

@@ -24,7 +24,7 @@ from sim.scenarios.scenario import StateError
 DELAY_S = (-0.1, 0.2)  # search range of the delay; clocks of radio and cameras may differ by tens of ms
 SPEED_EDGES_M_S = (0.0, 0.35, 0.65, 0.85, 1.5)  # edges of the speed bands around 0.2, 0.5, 0.75 and 1 m/s
 DRAWS = 6  # number of simulated estimates per flight; the model's errors differ between flights
-SLOWEST = 10.0  # share of the slowest samples that determine the offset, percent
+SLOWEST = 10.0  # fraction of the slowest samples that determine the offset, percent
 CORRELATION_S = 1.0  # longest lag of the correlation
 CORRELATED = 1.0 / np.e  # the correlation time is the first lag with a smaller correlation
 BANDS_HZ = ((0.0, 0.5), (0.5, 2.0), (2.0, 8.0), (8.0, 50.0))  # bands of the spectrum
@@ -53,7 +53,7 @@ class Error:
     p95: float  # 95th percentile of the error's norm
     by_speed: tuple[float, ...]  # rms of the horizontal error by ``SPEED_EDGES_M_S``; NaN: not flown
     correlation_s: float  # correlation time of the horizontal error
-    spectrum: tuple[float, ...]  # share of the horizontal error's power in each band of ``BANDS_HZ``
+    spectrum: tuple[float, ...]  # fraction of the horizontal error's power in each band of ``BANDS_HZ``
 
     @property
     def rms_norm(self) -> float:

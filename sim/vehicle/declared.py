@@ -22,11 +22,11 @@ from sim.scenarios.team import TeamScenario
 from sim.vehicle.encounters import Shape
 
 DELAY_M_S = 0.02  # allowed difference of a declared delay, s; smaller than the errors from noise
-NOISE_SHARE = 0.5  # smallest declared share of a link's noise; an estimator filters the noise
+NOISE_SHARE = 0.5  # smallest declared fraction of a link's noise; an estimator filters the noise
 SPEED_SHARE = 0.01  # allowed relative excess of a declared speed or acceleration, within their errors
-# smallest declared error of the vertical velocity as share of the gusts' rms; the lowest of the tiers (lab)
+# smallest declared error of the vertical velocity, divided by the gusts' rms; the lowest of the tiers (lab)
 GUST_SHARE = 0.066
-RADIO_SHARE = 0.5  # largest share of the declared lag spread that the radio's delay may use
+RADIO_SHARE = 0.5  # largest fraction of the declared lag spread that the radio's delay may use
 STEP_M, FAR_M = 0.005, 10.0  # step and largest distance at which the barriers are compared, m
 
 
@@ -84,7 +84,7 @@ def not_proven(team: TeamScenario) -> str:
 
 
 def _at_most(key: str, declared: float, there: str, found: float, unit: str, share: float = 1.0) -> _Row:
-    """Return a row with margin >= 0 while the scenario's value is at most ``share`` of the declared one."""
+    """Return a comparison; its margin is >= 0 if the declared value is at least ``share * found``."""
     return _Row(key, declared, there, found, declared - share * found, unit)
 
 
@@ -93,7 +93,7 @@ def _near(key: str, declared: float, there: str, found: float, most: float, unit
 
 
 def _rows(scenario: Scenario) -> Iterator[_Row]:
-    """Yield the rows of robot, feet and altitude, which every filter declares."""
+    """Yield the comparisons of declared with simulated robot, feet and altitude, for every filter."""
     config, target, start = scenario.onboard, scenario.target, scenario.start
     touchdown, envelope = config.touchdown, config.envelope
     feet_m = -load(scenario.vehicle.airframe).geometry.foot_bottom_m

@@ -236,7 +236,7 @@ class VehicleSim:
         self._firmware.estimator.know_drag(drag_1_s)
 
     def stop_setpoint(self) -> None:
-        """Send a stop set-point, which turns the motors off while it is the newest; it times out as usual."""
+        """Send a stop set-point; the motors are off as long as it is the newest and not too old."""
         self._firmware.send(STOP, self._ms - self.sent_before_ms)
 
     def begin_judging(self) -> None:

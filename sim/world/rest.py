@@ -19,8 +19,8 @@ STILL_M = 1e-4  # largest motion relative to the pad in these steps, m
 DIAGONAL = 1.4143  # ratio of a square's diagonal to its side, rounded up: the feet are at the corners
 SAME_RAD = 0.002  # largest change of attitude in these steps, rad
 UPRIGHT = 0.99  # smallest cosine of the tilt at which the vehicle stands on all feet
-LOADED = 0.5  # smallest share of the weight that loads the feet
-HOLDS = 0.25  # largest used share of what friction and weight can hold; above it MuJoCo computes the step
+LOADED = 0.5  # smallest fraction of the weight that loads the feet
+HOLDS = 0.25  # largest used fraction of what friction and weight can hold; above it MuJoCo computes the step
 TICK_S = 0.01  # time in which the deck adopts a new velocity, s; the velocity is set in steps
 MOVED_M, TURNED_RAD = 1e-4, 1e-3  # a larger jump of the deck in one step means that it was placed elsewhere
 

@@ -98,7 +98,7 @@ def fly(
         seed: seed of robot, vehicle and wind.
         options: additional options of ``bridge crazyflie``.
         flights: number of consecutive flights.
-        loss: share of lost packets in each direction.
+        loss: fraction of lost packets in each direction.
         tilt_rad: rotation of the markers relative to the body, about body y.
         fault: called once in each flight.
         firmware: additional arguments of ``Firmware``.

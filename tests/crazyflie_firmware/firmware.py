@@ -46,7 +46,7 @@ class Firmware:
     ):
         self.plant = plant if plant is not None else Point()
         self.protocol = protocol
-        self.needs_poses = needs_poses  # whether it has a position only while poses arrive
+        self.needs_poses = needs_poses  # whether it has a position only as long as poses arrive
         self.clock_rate = clock_rate  # seconds of its clock per second of the host; 0.97 measured in CrazySim
         self.battery_v = 4.1
         self.power_state = 0

@@ -21,7 +21,7 @@ class Server:
 
     def __init__(self, firmware: Firmware, *, loss: float = 0.0, seed: int = 0) -> None:
         self.firmware = firmware
-        self.loss = loss  # share of lost packets in each direction
+        self.loss = loss  # fraction of lost packets in each direction
         self.mute = self.deaf = False
         self.lost = 0
         self.error: BaseException | None = None

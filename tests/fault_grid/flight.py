@@ -82,7 +82,7 @@ class Flown:
 class _Target(DirectTarget):
     """Robot whose samples are serialised as over Zenoh, and which drives ahead as little as possible.
 
-    So a fault starts at once, not after the ticks driven ahead.
+    So a fault starts immediately, not after the ticks driven ahead.
     """
 
     def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:

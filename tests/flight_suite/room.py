@@ -38,7 +38,7 @@ class Limits:
     drift_m: float  # largest motion in five seconds of zero velocity
     step_m_s: float  # speed of the step to the north and back
     step_s: float  # duration of each of the two
-    moved_share: tuple[float, float]  # range of the step's distance, as a share of speed times duration
+    moved_share: tuple[float, float]  # range of the step's distance, as a fraction of speed times duration
     lost: Lost  # reaction without set-points
     lost_s: float  # time until this reaction
 

@@ -56,7 +56,7 @@ def _simulate(name: str, options: dict[str, object]) -> None:
 
 
 def terminate(child: Started, number: signal.Signals = signal.SIGTERM) -> None:
-    """Request its end; it must end at once and in order."""
+    """Request its end; it must end immediately and in order."""
     child.send_signal(number)
     assert child.wait(AT_ONCE_S) == 0
 

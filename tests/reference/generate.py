@@ -42,7 +42,7 @@ def quaternions(euler_deg):
 
 
 def walk(rng, shape, start, step):
-    """Sequences along axis 1: a start and steps of given size, on a grid so that they compress."""
+    """Return random walks along axis 1; values are multiples of 1/256, so that the file compresses well."""
     begin = rng.uniform(-1.0, 1.0, (shape[0], 1, shape[2])) * start
     steps = rng.standard_normal(shape) * step
     steps[:, 0] = 0.0
@@ -50,7 +50,7 @@ def walk(rng, shape, start, step):
 
 
 def mellinger(lib, rng):
-    """Attitude loop: smooth and wild sequences, any attitude, forces within the paper loop's limits."""
+    """Return cases of the attitude loop: smooth and wild, any attitude, forces of the paper loop's range."""
     shape = (400, 10, 3)
     wild = np.arange(400)[:, None, None] % 2 == 1
     euler = np.where(

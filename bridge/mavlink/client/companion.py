@@ -30,7 +30,7 @@ class Origin(NamedTuple):
 
 
 class OriginSender:
-    """Sends SET_GPS_GLOBAL_ORIGIN until the vehicle reports its origin; only while disarmed on the ground."""
+    """Sends SET_GPS_GLOBAL_ORIGIN until the vehicle reports its origin, if it is disarmed on the ground."""
 
     def __init__(self, origin: Origin | None, target_system: int) -> None:
         """``origin`` None: no message is sent."""
@@ -91,10 +91,10 @@ def velocity_setpoint(
 
 _SET_MESSAGE_INTERVAL = 511  # MAV_CMD number of SET_MESSAGE_INTERVAL
 _CHECK_S = 1.0  # time over which a rate is measured, s
-_ENOUGH = 0.7  # sufficient share of the requested rate; loss and the autopilot's ticks reduce it
+_ENOUGH = 0.7  # sufficient fraction of the requested rate; loss and the autopilot's ticks reduce it
 _ROUNDING_S = 1e-6  # margin above the rounding error of a time, s
 _KIND_TRIES = 5  # tries of each kind of request, one every _CHECK_S
-_AGAIN_S = 3.0  # time between two later tries, s, while no message arrives
+_AGAIN_S = 3.0  # time between two later tries, s, as long as no message arrives
 
 
 @dataclass(slots=True)
@@ -107,9 +107,9 @@ class _Stream:
 
 
 class StreamRequests:
-    """Counts messages and returns SET_MESSAGE_INTERVAL commands while their rate is too low. Pure.
+    """Counts messages and returns SET_MESSAGE_INTERVAL commands as long as their rate is too low. Pure.
 
-    It requests every second at first, then less often while no message arrives: an autopilot may have no
+    It requests every second at first, then less often as long as no message arrives: an autopilot may have no
     position for minutes (no satellites, no origin).
     If the profile has a data stream for a message, REQUEST_DATA_STREAM and SET_MESSAGE_INTERVAL alternate
     after ``_KIND_TRIES``.
@@ -140,7 +140,7 @@ class StreamRequests:
         return tuple(self._streams)
 
     def restart(self) -> None:
-        """Request missing messages again at once: a restarted vehicle has lost the requests."""
+        """Immediately request missing messages again: a restarted vehicle has lost the requests."""
         for stream in self._streams.values():
             stream.tries = min(stream.tries, 1)
         self.quiet_until_s = -math.inf
@@ -165,7 +165,7 @@ class StreamRequests:
             return False
         if stream.tries < (2 * _KIND_TRIES if stream.message_id in self._data_streams else _KIND_TRIES):
             return True
-        if stream.seen:  # a lower rate is the limit of this vehicle or line
+        if stream.seen:  # the vehicle or its line is slower than requested: accept this
             stream.seen, stream.since_s = 0, now_s
             return False
         return elapsed_s >= _AGAIN_S

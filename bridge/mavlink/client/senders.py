@@ -2,8 +2,8 @@
 
 Ids do not identify a sender: a script or router with default ids, or a second vehicle, may use the same. So a
 sender is an address with ids, and a heartbeat adds its kind (type and autopilot). Frames that contradict the
-known sender are ignored while it is alive, counted, and reported whenever the count has doubled. A frame that
-arrives a second time, over a slower path or a line that duplicates, contains an outdated state.
+known sender are ignored as long as it is alive, counted, and reported whenever the count has doubled. A frame
+that arrives a second time, over a slower path or a line that duplicates, contains an outdated state.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Senders:
     known: Peer | None = None  # address of the vehicle; None before its first frame
     ignored: int = 0  # number of rejected frames with the vehicle's ids
     repeated: int = 0  # number of frames that arrived again
-    doubled: str | None = None  # error text while a second address with the same ids is alive
+    doubled: str | None = None  # error text as long as a second address with the same ids is alive
     _now_s: float = -math.inf  # arrival of the newest frame
     _kind: Kind | None = None
     _beat_s: float = -math.inf  # time of the known sender's newest frame after its first heartbeat

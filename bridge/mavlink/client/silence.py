@@ -16,8 +16,8 @@ class _Cause(NamedTuple):
     text: str  # text with the count as {n}
 
 
-# The first cause that applies is reported. Every vehicle sends some unknown messages, so other senders are
-# checked first.
+# The first cause that applies is reported. Every vehicle sends some unknown messages, so the causes by other
+# senders come first.
 _SIGNING = (
     _Cause(("bad_signature",), "{n} frames are signed with another key than --signing-key"),
     _Cause(("unsigned",), "{n} frames have no signature: with --signing-key only signed ones are accepted"),

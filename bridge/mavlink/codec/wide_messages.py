@@ -40,7 +40,7 @@ class WideField(NamedTuple):
 
 
 class Definition(NamedTuple):
-    """One line of the table: fields in the order of the definition."""
+    """One line of the table; its fields have the order of the XML definition, not that of the wire."""
 
     id: int
     name: str

@@ -62,7 +62,7 @@ _ERRORS = {number: entry.name.removeprefix("MAV_PARAM_ERROR_") for number, entry
 class ParameterReader:
     """Reads parameters by name (mavlink.io, services/parameter); the number of tries is limited.
 
-    A parameter without a reply is missing, with a reason. A lost reply raises the limit of tries.
+    A parameter without a reply is listed as missing, with the reason. After a lost reply more tries are made.
     """
 
     def __init__(

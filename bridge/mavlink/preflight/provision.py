@@ -1,7 +1,7 @@
 """Sets or removes the MAVLink signing key of a vehicle on the ground by SETUP_SIGNING. Bounded in time.
 
 PX4 from 1.18 on accepts a first key unsigned on any link; a key of zeros, signed with the current key, ends
-signing. ArduPilot accepts a key, too, but never signs on its first USB link. Both reject a key while armed.
+signing. ArduPilot accepts a key, too, but never signs on its first USB link. Both reject a key if armed.
 """
 
 from __future__ import annotations

@@ -84,7 +84,7 @@ def read_setpoint(message: Any, yaw_rad: Callable[[], float | None]) -> Setpoint
 
 
 class Right(Enum):
-    """Senders that may send a command while one sender has control."""
+    """Senders that may send a command if one sender has control."""
 
     ANYBODY = "anybody"  # right to queries, telemetry and landing, which change nothing or increase safety
     OWNER = "owner"  # right to commands that change the motion of the vehicle
@@ -104,7 +104,7 @@ class Commander(ABC):
     height_range_m: ClassVar[tuple[float, float]]  # allowed take-off height above home
 
     def __init__(self) -> None:
-        self.mode = FlightMode.HOLD  # mode; also valid while disarmed
+        self.mode = FlightMode.HOLD  # mode; also valid if the vehicle is disarmed
         self.failsafe = False  # a failure, not a client, has set the mode
         self.texts = Texts()
         self.home_enu_m: Vec3 = ZERO
@@ -182,7 +182,7 @@ class Commander(ABC):
         return int(dialect.MAV_LANDED_STATE_ON_GROUND) if self.standing else AIRBORNE_STATE[self.mode]
 
     def forbids(self, sender: Sender, right: Right, now_s: float) -> str | None:
-        """Return the reason why this sender may not do this now; while disarmed every sender may."""
+        """Return the reason why this sender may not do this now; a disarmed vehicle accepts every sender."""
         ground = right is Right.OWNER_OR_GROUND and sender[0] in GROUND_STATIONS
         if not self.armed or right is Right.ANYBODY or ground:
             return None

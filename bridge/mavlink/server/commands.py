@@ -54,7 +54,7 @@ class Command:
         return None if math.isnan(value) else value
 
     def local_z_m(self, height_m: float, home_enu_m: Vec3) -> float:
-        """Return the local height of a height in this command; local heights count from sea level."""
+        """Convert a height of this command into the local z; local z = 0 is at sea level."""
         return height_m + (home_enu_m[2] if self.frame in _HOME_FRAMES else 0.0)
 
     @property
@@ -81,7 +81,7 @@ def answer(reason: str | None, result: int = REJECTED) -> Answer:
 
 class Entry(NamedTuple):
     run: Callable[[Command], Answer]
-    right: Right  # senders that may send it while one of them has control
+    right: Right  # senders that may send it if one of them has control
     place: bool = False  # the command has a position or height, so the frame of COMMAND_INT matters
     right_of: Callable[[Command], Right] | None = None  # used if the right depends on the parameters
 

@@ -113,7 +113,7 @@ class Server(ABC, Generic[V]):
         return {}
 
     def condition(self, snapshot: Snapshot[V]) -> object:
-        """Return a value; when it changes, HEARTBEAT and SYS_STATUS are sent at once."""
+        """Return a value; when it changes, HEARTBEAT and SYS_STATUS are sent immediately."""
         vehicle = snapshot.vehicle
         return vehicle.mode, vehicle.armed, vehicle.failsafe, snapshot.valid
 
@@ -168,7 +168,7 @@ class Server(ABC, Generic[V]):
         return [*self._announced(snapshot, now_s), *self.streams.pass_over(snapshot, heeded)]
 
     def _calm(self, now_s: float) -> Snapshot[V] | None:
-        """Return the state of the vehicle if no change must be sent at once; else None."""
+        """Return the state of the vehicle if no change must be sent immediately; else None."""
         snapshot, texts = self.snapshot(now_s), self.vehicle.texts.waiting or self._texts_to_log
         if snapshot is None or texts or self.parameters.left_to_list:
             return None
@@ -188,7 +188,7 @@ class Server(ABC, Generic[V]):
         return texts
 
     def _announced(self, snapshot: Snapshot[V], now_s: float) -> list[Message]:
-        """Return HEARTBEAT if it is due, or at once if the condition has changed."""
+        """Return HEARTBEAT if it is due or if the condition has changed."""
         shown, landed_state = self.condition(snapshot), self.vehicle.landed_state
         messages = []
         if shown != self._shown or now_s >= self._heartbeat_due_s:

@@ -98,7 +98,7 @@ class Streams(Generic[V]):
             self._sort()
 
     def hasten(self, message_id: int) -> None:
-        """Make a message due at once, unless its stream is off."""
+        """Make a message due immediately, unless its stream is off."""
         stream = self._streams[message_id]
         if stream.interval_s < _OFF:
             stream.due_s = self._lazy_due_s = 0.0

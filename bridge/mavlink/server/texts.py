@@ -14,7 +14,7 @@ _WAITING_MAX = 64  # greatest number of texts between two ticks
 _SAME_GAP_S = (
     1.0  # time between two refusals on one topic, s; a wrong stream repeats its error 100 times a second
 )
-_BURST = 20  # refusals on different topics at once; a ground station sends a dozen requests at its start
+_BURST = 20  # refusals on different topics in a row; a ground station sends a dozen requests at its start
 _PER_S = 5.0  # rate of further refusals, 1/s
 _TOPICS_MAX = 64
 

@@ -144,7 +144,7 @@ class ByteStream:
         self._never.close()
 
     def _ready(self) -> Channel | None:
-        """Return the connection, reopened when due; None while there is none."""
+        """Return the connection, reopened when due; None if there is none."""
         if self._channel is None:
             now_s = time.monotonic()
             if self._closed or now_s < self._retry_s:
@@ -192,7 +192,7 @@ class ByteStream:
         self._say(f"{self._name} {what} ({error.strerror or error}): tried again every {RETRY_S:g} s")
 
     def _write(self) -> None:
-        """Write pending bytes while there is room; the rest of a started frame is first."""
+        """Write pending bytes as long as there is room; the rest of a started frame is first."""
         channel = self._channel
         if channel is None:
             return
@@ -289,7 +289,7 @@ _REASONS = {
 
 
 class _TcpChannel:
-    """A connecting or established TCP connection. Raises OSError: it is refused at once."""
+    """A connecting or established TCP connection. Raises OSError: it is refused immediately."""
 
     def __init__(self, address: Peer) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)

@@ -30,7 +30,7 @@ from flightstack.core.target.track import TargetState
 from flightstack.core.types import ZERO, Intent, Landed, Neighbour, OwnState, Phase, Vec3, VehicleStatus
 
 FUTURE_MAX_S = 0.05  # largest lead of a stamp over this clock, in addition to the bound of its clock, s
-# longest flight of another member (a wait and a landing), in units of the longest wait
+# longest flight of another member (a wait and a landing), divided by the longest wait
 FLIGHTS_OF_OTHERS = 2.0
 TOLD_M_S = 0.005  # smallest slack that is reported, m/s
 CALM_S = 1.0  # time without slack after which the end of the relaxation is reported, s
@@ -46,7 +46,7 @@ _INTENTS = MappingProxyType(
         Phase.LANDED: Intent.DOWN,
         Phase.HOLD: Intent.CLEARING,
         Phase.CLIMB: Intent.CLEARING,
-        Phase.ABORT: Intent.DOWN,  # CLEARING while it flies clear
+        Phase.ABORT: Intent.DOWN,  # CLEARING as long as it flies clear
         Phase.LEAVE: Intent.CLEARING,  # STANDING before the take-off, DOWN once it lands
     }
 )
@@ -151,7 +151,7 @@ class FleetMember:
     def way(self, phase: Phase, target: TargetState | None, now_s: float, own: OwnState | None = None) -> Way:
         """Return the permissions for the mission in this tick.
 
-        The call advances claim, right of way and landing place by one tick.
+        The call also updates claim, right of way and landing place; call it once in each tick.
         """
         pad = Pad(target.position_enu_m, target.velocity_enu_m_s) if target is not None else None
         way = decide(self.memory, self.slots, phase, pad, now_s, self._fleet)

@@ -24,7 +24,7 @@ from flightstack.core.memory import Heard
 from flightstack.core.parameters.fleet import CARRIED_AGES, HOLD_LATENCIES, ZERO_LATENCIES, Fleet
 from flightstack.core.types import ZERO, Intent, Neighbour, Vec3
 
-LEAST_M = 1e-6  # least distance from the centre at which the gradient has a direction, m
+LEAST_M = 1e-6  # smallest distance from the centre at which the gradient has a direction, m
 # If its companion fails, a vehicle follows its last set-point until its autopilot lands it.
 LEAD_S = 0.2  # lead of a set-point over the velocity command, s: multiplied by the acceleration
 SMOOTH_S = 0.03  # time constant of the smoothed acceleration, s
@@ -83,7 +83,7 @@ def jump(before: Neighbour, word: Neighbour, fleet: Fleet) -> Vec3:
 
     The velocity may have changed with the fleet's maximum acceleration. Both messages may err by their
     reported standard deviations and clock errors, and by the margin of the ellipsoid, because a landing stops
-    a vehicle at once.
+    a vehicle immediately.
     """
     gone_s = word.stamp_s - before.stamp_s
     (x, y, z), (px, py, pz), v = word.position_enu_m, before.position_enu_m, before.velocity_enu_m_s
@@ -218,9 +218,9 @@ def row(
 def wider(lax: Row, outer_m: float, now: Estimate, fleet: Fleet) -> Row:
     """Return the constraint for a vehicle whose messages are late: it may be anywhere in a larger ellipsoid.
 
-    While the other vehicle may fly, this vehicle stays out of the ellipsoid or, inside it, does not approach
-    its centre. After that the other vehicle lies in the ellipsoid: a vehicle outside remains outside, and one
-    inside keeps only the row ``lax``, since it has to land, too.
+    As long as the other vehicle may fly, this vehicle remains outside the ellipsoid or, inside it, does not
+    approach its centre. After that the other vehicle lies in the ellipsoid: a vehicle outside remains
+    outside, and one inside keeps only the row ``lax``, since it has to land, too.
     """
     bound_m_s = -fleet.rate_1_s * outer_m
     if now.age_s <= fleet.silent_flight_s:

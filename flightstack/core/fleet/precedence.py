@@ -49,7 +49,7 @@ class Pad(NamedTuple):
 
 
 def nearest_m(pad: Pad, place_enu_m: Vec3, moves_m_s: Vec3, ahead_s: float) -> float:
-    """Return the least horizontal distance of a pad and a place within a time, at constant velocities."""
+    """Return the smallest horizontal distance of a pad and a place within a time, at constant velocities."""
     (x, y, _), (vx, vy, _) = pad
     x, y, vx, vy = place_enu_m[0] - x, place_enu_m[1] - y, moves_m_s[0] - vx, moves_m_s[1] - vy
     speed2 = vx * vx + vy * vy
@@ -221,8 +221,8 @@ def _names(what: str, ids: Sequence[int]) -> str:
 
 
 DIRECTIONS = 16  # number of directions of the candidate places around the pad
-RINGS = (1.4, 2.0, 2.6)  # distances of the candidate places from the pad, in units of ``wait_distance_m``
-APART = 3.0  # required distance from a vehicle on the ground, in units of ``radius_xy_m``
+RINGS = (1.4, 2.0, 2.6)  # distances of the candidate places from the pad, divided by ``wait_distance_m``
+APART = 3.0  # required distance from a vehicle on the ground, divided by ``radius_xy_m``
 KEPT_M = 0.2  # reduction of the required distances for a place that is already chosen, m
 
 

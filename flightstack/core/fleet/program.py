@@ -36,7 +36,7 @@ AGREES_M_S = 1e-6  # largest distance of the solver's result from the exact solu
 _ROWS = FIRM_MAX + OTHERS_MAX
 INWARD_RATE_1_S = 2.5  # allowed horizontal velocity per distance from the pad's centre, 1/s
 OUTWARD_PART = 0.5  # share of the landing barrier's rate that horizontal velocities may use
-RELAXED_M_S = 1e-8  # addition to the least slack, m/s, so that the feasible set is more than one point
+RELAXED_M_S = 1e-8  # addition to the smallest slack, m/s, so that the feasible set is more than one point
 
 
 class FleetResult(NamedTuple):

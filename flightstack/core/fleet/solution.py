@@ -7,8 +7,9 @@ Programming 27, 1983): it starts at the clipped u', where sides of the box are a
 with the largest violation until no constraint is violated, and removes a constraint whose multiplier would
 become negative. Its result is used only if it meets the Karush-Kuhn-Tucker conditions, which are checked
 here; else ``by_all_sets`` tries all active sets: in three dimensions at most three constraints are active at
-the minimiser. If no point meets all rows, the least common slack is the lowest vertex of a linear program in
-four variables. The result depends only on the numbers of this tick, and OSQP shares no code with this module.
+the minimiser. If no point meets all rows, the smallest common slack is the lowest vertex of a linear program
+in four variables. The result depends only on the numbers of this tick, and OSQP shares no code with this
+module.
 """
 
 from __future__ import annotations
@@ -118,7 +119,7 @@ def _of_all_sets(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -
 def slack_by_all_sets(
     firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3
 ) -> tuple[float, Vec3]:
-    """Return the least slack s >= 0 of all soft rows, g . u + s >= b, and a velocity that meets them."""
+    """Return the smallest slack s >= 0 of all soft rows, g . u + s >= b, and a velocity that meets them."""
     rows = [*soft, *firm]
     slack = [1.0] * len(soft) + [0.0] * (len(firm) + 6) + [1.0]
     normals = np.vstack([np.array([row.g for row in rows]).reshape(-1, 3), _FACES, np.zeros((1, 3))])
@@ -150,7 +151,7 @@ def _corners(soft: int, firm: int) -> Any:
 STEPS_MAX = 60  # greatest number of added constraints; with more, there is no result
 _CONFIRMED_M_S = 2e-9  # allowed violation of an optimality condition, m/s
 _DEPENDS = 1e-12  # squared length of the orthogonal part below which a unit vector depends on others
-_LEAST_LENGTH = 1e-9  # least length of a gradient that has a direction
+_LEAST_LENGTH = 1e-9  # smallest length of a gradient that has a direction
 _SIDES: tuple[Vec3, ...] = (
     (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0),  # lower sides of the box
     (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0),  # upper sides of the box
@@ -291,10 +292,11 @@ def _impossible(
 def _slack_by_active_set(
     firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3
 ) -> tuple[float, Vec3] | None:
-    """Return the least common slack of the soft rows and its velocity, or ``None`` if not confirmed.
+    """Return the smallest common slack of the soft rows and a velocity that meets them with it.
 
     Each set of contradictory constraints gives a lower bound of the slack. The search is repeated with this
-    slack until no such set is left: then the slack is sufficient and least.
+    slack until no such set is left: then the slack is sufficient and the smallest. None: the search found
+    none.
     """
     slack_m_s, middle, free = 0.0, clip_to_box(ZERO, lower, upper), len(firm)
     for _ in range(STEPS_MAX):
@@ -329,5 +331,5 @@ def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nea
 
 
 def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3) -> tuple[float, Vec3]:
-    """Return the least common slack of the soft rows and its velocity."""
+    """Return the smallest common slack of the soft rows and its velocity."""
     return _slack_by_active_set(firm, soft, lower, upper) or slack_by_all_sets(firm, soft, lower, upper)

@@ -18,7 +18,7 @@ from flightstack.core.target.track import TargetState
 from flightstack.core.types import Charge, Landed, Mode, Operator, OwnState, Phase, Vec3, VehicleStatus
 
 OVER_PAD_LEFT = 1.5  # factor on the pad's radius within which phase LAND continues
-TAKEOFF_DONE = 0.85  # share of the take-off height above which the take-off climb is over
+TAKEOFF_DONE = 0.85  # fraction of the take-off height above which the take-off climb is over
 LANDED_SETTLE_S = 2.2  # time at rest on the pad until the flight is over, s; the verdict requires 2 s
 _ASKED: dict[Operator, int] = {
     Operator.NONE: 0,
@@ -82,7 +82,7 @@ def flown_clear(config: FlightConfig, memory: Memory, own: OwnState) -> bool:
 def _landing_distance_m(
     config: FlightConfig, memory: Memory, own: OwnState, away_m: tuple[float, float]
 ) -> float:
-    """Return the least horizontal distance from the target in a landing that starts now.
+    """Return the smallest horizontal distance from the target in a landing that starts now.
 
     The vehicle brakes with its velocity loop, then descends vertically; the target continues with its last
     known velocity.

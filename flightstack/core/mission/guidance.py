@@ -20,8 +20,8 @@ from flightstack.core.snapshot import Relative, Snapshot
 from flightstack.core.strategies.strategy import Filter
 from flightstack.core.types import ZERO, Landed, Operator, Phase, Request, Vec3
 
-CLIMB_OVER = 0.5  # share of the climb margin by which a climb aims above the required height
-CLEAR_BELOW = 0.25  # share of the climb margin by which the vehicle may be too low while it flies clear
+CLIMB_OVER = 0.5  # fraction of the climb margin by which a climb aims above the required height
+CLEAR_BELOW = 0.25  # fraction of the climb margin by which the vehicle may be too low while it flies clear
 
 
 class NominalCommand(NamedTuple):

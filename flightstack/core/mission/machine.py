@@ -74,7 +74,7 @@ class Transition(NamedTuple):
 
 
 def parse(text: str) -> Transition | None:
-    """Read ``Transition.text`` or ``Transition.told``; ``None`` for any other text."""
+    """Parse a text of ``Transition.text`` or ``Transition.told``; return None for any other text."""
     found = _TEXT.fullmatch(text)
     if found is None:
         return None
@@ -153,7 +153,7 @@ class Mission:
             )
 
     def flags_at(self, at: Relative, now_s: float) -> int:
-        """Return the flags that may change in every tick while all inputs are good, without neighbours."""
+        """Return the flags that may change in a tick with good inputs, without neighbours."""
         memory, config = self.memory, self._config
         flags = time_flags(config.checks, self._times_s, memory, now_s)
         return flags | landing_flags(config, self._strategy, self._barrier, memory, at, now_s, True, True)
@@ -195,7 +195,7 @@ class Mission:
             memory.good_since_s = now_s
         if status is not None and status.armed:
             memory.was_armed = True
-            if status.mode is Mode.EXTERNAL:  # only while armed: PX4 remains in this mode after a landing
+            if status.mode is Mode.EXTERNAL:  # only if armed: PX4 remains in this mode after a landing
                 memory.was_external = True
 
     def _stopped(self, at: Relative, now_s: float) -> bool:

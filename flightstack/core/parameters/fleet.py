@@ -18,8 +18,8 @@ PART_OF_LAG = 0.25  # largest rate times lag of a first-order loop without overs
 HOLD_LATENCIES = 3.0
 ZERO_LATENCIES = 2.0  # latencies for which a neighbour relies on an announcement; less, to cover delays
 DECIDE_LATENCIES = 4.0  # time until the higher id yields if two members both assume to be first, in latencies
-CARRIED_AGES = 2.2  # extrapolation time of a silent vehicle, in units of ``age_max_s``
-KEPT_PART = 0.2  # horizon of a vehicle with the right of way, in units of ``descent_s``
+CARRIED_AGES = 2.2  # extrapolation time of a silent vehicle, divided by ``age_max_s``
+KEPT_PART = 0.2  # horizon of a vehicle with the right of way, divided by ``descent_s``
 CIRCLE_LATENCIES = 8.0  # latencies, times one plus the number of higher ids, until a cycle is broken
 
 

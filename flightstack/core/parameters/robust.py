@@ -27,8 +27,8 @@ class VelocityLoop:
     rate_xy_1_s: Annotated[float, span(0.5, 50.0)] = 5.2  # natural frequency of the second-order model
     rate_z_1_s: Annotated[float, span(0.5, 50.0)] = 8.0  # vertical natural frequency
     damping: Annotated[float, span(0.1, 2.0)] = 0.68  # damping ratio of the model
-    gain_xy: Annotated[float, span(0.0, 2.0)] = 0.6  # share of the tracking error added to the set-point
-    gain_z: Annotated[float, span(0.0, 2.0)] = 0.5  # vertical share of the tracking error in the set-point
+    gain_xy: Annotated[float, span(0.0, 2.0)] = 0.6  # fraction of the tracking error added to the set-point
+    gain_z: Annotated[float, span(0.0, 2.0)] = 0.5  # vertical fraction of the tracking error in the set-point
     error_max_m_s: Annotated[float, span(0.05, 10.0)] = (
         0.6  # largest difference of horizontal set-point and velocity: it bounds the tilt
     )
@@ -104,7 +104,8 @@ class TargetLink:
     # largest factor on the jerk of x and y while innovations are larger than expected; 1: constant jerk
     jerk_growth_max: Annotated[float, span(1.0, 100.0)] = 1.0
     acceleration_xy_m_s2: Annotated[float, span(0.001, 10.0)] = 0.3  # initial standard deviation on x and y
-    acceleration_time_s: Annotated[float, span(0.05, 1000.0)] = 0.5  # time constant of the decay on x and y
+    # time constant of the decay of the estimated acceleration on x and y
+    acceleration_time_s: Annotated[float, span(0.05, 1000.0)] = 0.5
     turns_with_yaw: bool = True  # the velocity turns with the yaw; false for a robot that moves sideways
     acceleration_z_m_s2: Annotated[float, span(0.001, 10.0)] = 0.01  # initial standard deviation, vertical
 

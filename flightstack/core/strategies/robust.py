@@ -24,10 +24,10 @@ from flightstack.core.target.own_estimator import OwnEstimator
 from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import OwnState, TargetSample, Vec3
 
-COMMANDED_SHARE = 0.6  # share of the descent speed above which a command counts as a descent
-STOPPED_SHARE = 0.4  # share of the descent speed below which the vehicle has stopped
-DRIFT_SHARE = 0.6  # share of the corridor's radius within which no drift is detected
-BRAKING = 0.5  # share of the acceleration for braking: the velocity lags, and the target may speed up
+COMMANDED_SHARE = 0.6  # fraction of the descent speed above which a command counts as a descent
+STOPPED_SHARE = 0.4  # fraction of the descent speed below which the vehicle has stopped
+DRIFT_SHARE = 0.6  # fraction of the corridor's radius within which no drift is detected
+BRAKING = 0.5  # fraction of the acceleration for braking: the velocity lags, and the target may speed up
 
 
 class RobustFilter(Filter):
@@ -46,7 +46,7 @@ class RobustFilter(Filter):
     motion: MotionMemory
     brakes_m_s2: float
     slope: float  # steepest slope of the barrier outside the pad
-    full: float  # share of the margin that is left at the pad's edge; the margin is divided by it
+    full: float  # fraction of the margin that is left at the pad's edge; the margin is divided by it
     estimator: TargetEstimator
     own_estimator: OwnEstimator
     _tracking: VelocityTracking

@@ -275,7 +275,7 @@ class Filter:
         return low and self._barrier.h(at.e_m) >= 0.0
 
     def motors_off(self, at: Relative) -> bool:
-        """Whether the motors stop in the touchdown before contact; the paper's rule stops them at once."""
+        """Whether the motors stop in the touchdown before contact: by the paper's rule, immediately."""
         return self._by_rule
 
     def program(self) -> Program:

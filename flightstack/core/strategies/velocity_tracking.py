@@ -38,8 +38,8 @@ from flightstack.core.types import ZERO, Vec3
 # numbers of the lead: period, lag, rate, gain, largest error, damping, largest disturbance,
 # shares of slope and disturbance
 Lead = tuple[float, float, float, float, float, float, float, float, float]
-# numbers of the feedback: period, delay, rate, drag, push, largest disturbance and error, share of the slope,
-# gains of the observer on velocity and disturbance, rates of error and tilt, largest acceleration
+# numbers of the feedback: period, delay, rate, drag, push, largest disturbance and error, fraction of the
+# slope, gains of the observer on velocity and disturbance, rates of error and tilt, largest acceleration
 Feedback = tuple[float, float, float, float, float, float, float, float, float, float, float, float, float]
 
 

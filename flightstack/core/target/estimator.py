@@ -12,7 +12,7 @@ gap, would exceed the speed of any robot. The vertical acceleration does not dec
 The covariances of x and y are equal, so a turn does not change them.
 
 While the innovations of the samples are larger than expected, the jerk on x and y is raised, up to a factor:
-the estimate follows a braking robot at once, and is more exact at constant speed than with a fixed jerk.
+the estimate follows a robot that brakes suddenly, and is more exact at constant speed than with a fixed jerk.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class TargetMotion(NamedTuple):
     velocity_sigma_m_s: float
 
 
-# time, s; effect of an acceleration in it on position, s^2, and velocity, s; share of it that is left
+# time, s; effect of an acceleration in it on position, s^2, and velocity, s; fraction of it that is left
 _Time = tuple[float, float, float, float]
 _NOW: _Time = (0.0, 0.0, 0.0, 1.0)
 _State = tuple[Vec3, Vec3, Vec3]  # position, velocity, acceleration

@@ -24,7 +24,7 @@ from flightstack.core.parameters.flight import Checks, FlightConfig
 from flightstack.core.types import ZERO, OwnState, Vec3
 
 SMOOTHING_S = 0.2  # time constant, s: it reduces a noise of 2 cm at 20 samples a second to 1 cm
-TRUSTED_AGAIN = 0.5  # share of the bound below which a state is trusted again
+TRUSTED_AGAIN = 0.5  # fraction of the bound below which a state is trusted again
 # Speed below which equal positions may be a vehicle at rest, m/s: firmware truncates to millimetres and shows
 # the bias of its accelerometer as a velocity, 9 mm/s on a Crazyflie.
 STANDING_M_S = 0.05

@@ -1,6 +1,6 @@
 """Estimate of the thrust reserve in flight; it limits accelerations and decides whether to land.
 
-In flight the estimate uses the throttle: the upward part of throttle^p is the thrust as a share of the
+In flight the estimate uses the throttle: the upward part of throttle^p is the thrust as a fraction of the
 largest thrust. Its average over a few seconds is the weight plus the mean acceleration. The same low-pass of
 the vertical velocity gives this mean without a derivative: it is (v - smoothed v) / smoothing time. Before
 the flight, and without a reported throttle, the estimate uses the voltage. Without data the lowest reserve is
@@ -17,14 +17,14 @@ from flightstack.core.numeric import numeric
 from flightstack.core.parameters.reserve import GRAVITY_M_S2, Reserve, left, level_m_s2, up_m_s2
 from flightstack.core.types import Charge, Landed, Power, Vec3, VehicleStatus
 
-# least averaged lift as a share of the weight; below it the vehicle falls, which shows no reserve
+# minimum averaged lift divided by the weight; below it the vehicle falls, which shows no reserve
 LEAST_LIFT = 0.1
 AGE_MAX_S = 3.0  # longest age of power data, s; the voltage arrives once a second, two messages may be lost
 
 
 @dataclass(slots=True)
 class Told:
-    """Reported state of battery and motors as efforts; NaN where the vehicle reports nothing."""
+    """Reported battery and motor state. An effort is a thrust over that at ``throttle_max``. NaN: unknown."""
 
     arrival_s: float = math.nan
     standing: bool = False
@@ -44,7 +44,7 @@ class ReserveEstimate:
     share: float  # weight of a tick in the average
     lasting_m_s: float  # velocity that gravity causes in the averaging time
     least: float  # lowest reserve that allows a landing
-    reserve: float  # largest thrust over weight; NaN while unknown
+    reserve: float  # largest thrust over weight; NaN if unknown
     charge: Charge  # state of the battery
     acceleration_max_m_s2: Vec3  # limit of the commanded acceleration, ENU; z limits the upward one
     _part: float  # usable fraction of the reserve (``Reserve.share``)
@@ -105,7 +105,7 @@ class ReserveEstimate:
                 memory.effort, memory.rise_m_s = effort, rise_m_s
             memory.effort += self.share * (effort - memory.effort)
             memory.rise_m_s += (self.share if flies else 1.0) * (rise_m_s - memory.rise_m_s)
-            # mean acceleration in the averaging time, as a share of gravity
+            # mean acceleration in the averaging time, divided by gravity
             gained = (rise_m_s - memory.rise_m_s) / self.lasting_m_s
             self.reserve = left(memory.effort / max(LEAST_LIFT, 1.0 + gained), told.sags, told.most)
         if math.isnan(self.reserve):

@@ -64,7 +64,7 @@ def mavproxy(port: int, directory: Path, watch: Observer, *more: str) -> Iterato
 
 
 class Repeat:
-    """Types a line repeatedly while it is called."""
+    """Types a line repeatedly as long as it is called."""
 
     def __init__(self, program: Program, line: Callable[[], str], period_s: float) -> None:
         self._program, self._line, self._period_s = program, line, period_s
@@ -91,7 +91,7 @@ def take_off(program: Program) -> None:
     program.expect(r"\bARMED")
     program.send("takeoff 0.5")
     program.expect("Got COMMAND_ACK: NAV_TAKEOFF: ACCEPTED")
-    # It prints "Mode" at most every 2 s; its prompt changes at once.
+    # It prints "Mode" at most every 2 s; its prompt changes immediately.
     program.expect("Mode TAKEOFF|TAKEOFF>")
     program.expect("Mode LOITER")
 
@@ -137,7 +137,7 @@ def documented() -> set[str]:
 
 
 def parameters(program: Program) -> None:
-    """Parameters are written, read back, and rejected with a reason."""
+    """A valid parameter is written and read back; an invalid one is rejected with a reason."""
     program.send("param set COM_OF_LOSS_T 2")  # prints nothing, and sends the value later
     read = Repeat(program, lambda: "param fetch COM_OF_LOSS_T", FETCH_S)
     program.expect(r"COM_OF_LOSS_T = 2\.0", each=read)

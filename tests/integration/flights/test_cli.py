@@ -176,7 +176,7 @@ def flights(flown):
 
 
 def step_lag_s(axis):
-    """Return the vehicle's group delay from a step response: area to the final value, divided by it."""
+    """Return the group delay: the area between final value and step response, over the final value."""
     still = replace(scenario.load("lab"), wind=scenario.Wind())
     plant = VehicleSim(still, 1)
     plant.arm()

@@ -43,7 +43,7 @@ class Crash:
 
 
 def crash(folder: Path, victim: str, seed: int, *, lockstep: bool, sooner: float = 1.0) -> Crash:
-    """Fly, kill after this share of the random wait, and read the log."""
+    """Fly, kill after this fraction of the random wait, and read the log."""
     wires = ["--lockstep"] if lockstep else []
     run = Flying(folder, "--scenario", "paper_moving_1", "--seed", seed, *wires)
     try:

@@ -48,7 +48,7 @@ def test_the_grid_is_whole():
 
 
 def written(part: Part) -> dict[tuple[str, str], list[str]]:
-    """Rows of the page by way and moment, as cells."""
+    """Return the table rows of a part, split into cells; key: kind of failure and moment."""
     text = PAGE.read_text().partition(f"\n## {part[0].upper()}{part[1:]}\n")[2].partition("\n## ")[0]
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if "|" in line]
     return {(cells[0], cells[1]): cells for cells in rows[2:]}

@@ -121,7 +121,7 @@ def test_who_dials_a_router_as_its_peer_is_told_why_nothing_comes():
     ):
         session = zenoh_link.open_session(connect=[port.endpoint], role=role)
         watch = Watch(session, "cf1", role=role)
-        until(watch, lambda: watch.connections == 1, "no connection")  # noqa: B023 (called at once)
+        until(watch, lambda: watch.connections == 1, "no connection")  # noqa: B023 (called immediately)
         assert words in shown(watch, port.endpoint)
         session.close()
     router.close()

@@ -47,7 +47,7 @@ def test_its_time_is_that_of_the_wall() -> None:
         while len(times_ms) < 101:
             assert client.receive(), "no telemetry"
             times_ms = [m.time_boot_ms for m in client.log if m.get_type() == "LOCAL_POSITION_NED"]
-        assert time.monotonic() - start_s > 0.8  # a delay of 0.1 s delivers messages at once
+        assert time.monotonic() - start_s > 0.8  # after a delay of 0.1 s, messages arrive together
         assert {b - a for a, b in itertools.pairwise(times_ms)} == {10}
         terminate(child)
 
@@ -206,7 +206,7 @@ def test_real_time_rate_and_start_with_the_landing() -> None:
             start_s = time.monotonic()
             wait_for(lambda: reader.poll() or len(reader.truths) > 100, "a hundred poses")
             wait_for(lambda: reader.poll() or len(reader.samples) > 100, "a hundred samples")
-            assert time.monotonic() - start_s > 0.5  # after a delay, messages arrive at once
+            assert time.monotonic() - start_s > 0.5  # after a delay, messages arrive together
             steps.put(controller_step(Phase.TAKEOFF))
             steps.put(b"rubbish")
             last = decode_odometry(reader.truths[-1])

@@ -41,7 +41,7 @@ def test_home_moves_with_all_that_counts_from_it() -> None:
     rig.run(0.5)
     assert rig.command(179, 0.0, NAN, NAN, NAN, *NEAR, 0.25) == ACCEPTED
     rig.run(0.02)
-    home = rig.seen(mav.MAVLINK_MSG_ID_HOME_POSITION)[-1]  # sent at once
+    home = rig.seen(mav.MAVLINK_MSG_ID_HOME_POSITION)[-1]  # sent immediately
     assert (home.x, home.y, home.z) == pytest.approx((2.0, 1.0, -0.25), abs=0.01)
     assert home.altitude == pytest.approx(250, abs=1)
     rig.run(0.5)

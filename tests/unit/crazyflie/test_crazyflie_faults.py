@@ -183,7 +183,7 @@ def test_a_firmware_that_restarts_in_the_air_is_noticed(flown, uptime_s):
 def test_one_that_restarts_within_a_blind_landing_is_flown_no_more():
     bench = Bench().hover()
     bench.lose()
-    bench.firmware._start()  # at once
+    bench.firmware._start()  # immediately
     bench.run(0.5)
     assert bench.vehicle.armed
     bench.connect()

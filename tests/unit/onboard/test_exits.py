@@ -38,7 +38,7 @@ class Breaks(Enum):
 
 @dataclass
 class Flight:
-    """Minimal clock, vehicle, target and log in one object; the vehicle executes commands at once."""
+    """Minimal clock, vehicle, target and log in one object; the vehicle executes commands immediately."""
 
     exits: object  # called in the tick of the exit
     armed: bool = True

@@ -1,4 +1,4 @@
-"""The pad carries a vehicle at rest as MuJoCo's contact does, and only while friction holds it."""
+"""The pad carries a vehicle at rest as MuJoCo's contact does, and only as long as friction holds it."""
 
 import itertools
 import math

@@ -179,7 +179,7 @@ def test_pushed_beyond_the_cone_it_gains_what_friction_leaves():
 
 
 def test_feet_that_catch_trip_it_beyond_the_analytic_speed():
-    """Feet that cannot slide stop at once: angular momentum about them is conserved, energy lifts the centre.
+    """Feet that cannot slide stop suddenly: their angular momentum is conserved, energy lifts the centre.
 
     m v h = I w and I w^2 / 2 = m g (r - h) about the front feet; the propellers touch the ground on the way.
     """

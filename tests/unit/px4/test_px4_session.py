@@ -138,7 +138,7 @@ def test_a_silent_px4_is_called_dead_with_the_time_and_hardly_anything_moves_mea
 def test_one_lost_answer_does_not_end_the_flight(pair, short):
     pair.begin()
     pair.session._silent_max_s = 5.0
-    pair.session.step()  # continues after a while, because PX4 may wait for a sensor
+    pair.session.step()  # continues later, because PX4 may wait for a sensor
     assert pair.session.nudges == 1
     pair.fake.sensor()
     pair.answering([(0.7,) * 4] * 10)

@@ -35,7 +35,7 @@ def flown(scenario, seed, on_step=None, parameters=()):
 
 
 def assert_equal(scenario, seed, least, *parameters):
-    """Compare tick by tick with batches, which must fly at least this share of the ticks; none
+    """Compare tick by tick with batches, which must fly at least this fraction of the ticks; none
     without numba."""
     one, seen, in_batches = flown(scenario, seed, None, parameters)
     other, wanted, none = flown(scenario, seed, lambda tick, out: None, parameters)

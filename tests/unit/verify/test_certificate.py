@@ -30,7 +30,7 @@ GAIN_1_S = config().robust.gain_over_pad_1_s
 
 
 def own(share):
-    """Return a vehicle whose velocity error is estimated in this share of the position loop's time."""
+    """Return a vehicle whose velocity error is estimated in this fraction of the position loop's time."""
     return {"own": {"velocity_error_m_s": 0.05, "velocity_error_time_s": share / GAIN_1_S}}
 
 

@@ -37,7 +37,7 @@ def test_every_vehicle_of_the_spread_comes_to_rest_at_least_as_fast_as_proven(sh
 
 @pytest.mark.parametrize("factor", [1.0 / 1.3, 1.0, 1.2])
 def test_the_matrix_is_the_loop_that_flies(factor):
-    """Compare the first 1.5 s of the return to the middle, with the ticks of the code."""
+    """Compare the first 1.5 s of the return to the centre, with the ticks of the code."""
     settings_ = fed_back()
     period_s = 1.0 / settings_.loop.rate_hz
     state, step = np.zeros(8), expm(linear(settings_, factor) * period_s)

@@ -284,7 +284,7 @@ def flown(phase, keys, place, words):
 
 
 def beside(place, way, h_m):
-    """Return a hovering vehicle in this direction, at the distance with this h."""
+    """Return a hovering vehicle in the direction ``way`` of ``place``, where the barrier is ``h_m``."""
     far_m = (0.75 if way[2] else 0.25) + (3.0 if way[2] else 1.0) * h_m
     at = tuple(p + far_m * w for p, w in zip(place, way, strict=True))
     return Neighbour(7, 2 * DT_S, 2 * DT_S, at, ZERO, ZERO, intent=Intent.WAITING)

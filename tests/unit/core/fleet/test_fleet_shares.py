@@ -128,7 +128,7 @@ def test_the_barrier_is_convex_with_the_gradient_of_finite_differences(p, q):
     h_m, g = barrier(p, 0.25, 0.75)
     assert math.hypot(*g) <= 1.0 + 1e-12
     then_m, _ = barrier(tuple(a + b for a, b in zip(p, q, strict=True)), 0.25, 0.75)
-    assert then_m >= h_m + sum(a * b for a, b in zip(g, q, strict=True)) - 1.1e-6  # zero slope in the middle
+    assert then_m >= h_m + sum(a * b for a, b in zip(g, q, strict=True)) - 1.1e-6  # zero slope at the centre
     if h_m > -0.2:
         for axis in range(3):
             ahead, back = list(p), list(p)

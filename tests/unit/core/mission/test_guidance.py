@@ -168,7 +168,7 @@ near = st.tuples(st.floats(-0.7, 0.7), st.floats(-0.7, 0.7), st.floats(0.0, 2.0)
 
 @given(near, st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0)))
 def test_who_comes_to_rest_beyond_the_middle_does_not_sink_below_the_barrier_there(e, slip):
-    """Find the position by small steps; on this side of the middle nothing changes."""
+    """Find the position by small steps; on this side of the centre nothing changes."""
     r = ROBUST.robust
     brakes = BRAKING * r.acceleration_max_m_s2[0]
     speed, (x, y), passed = math.hypot(*slip), e[:2], False
@@ -283,7 +283,7 @@ def test_it_does_not_land_while_it_closes_in():
     sinks_s = 0.3 / ROBUST.retreat.landing_speed_m_s
     coming = {"velocity": (-0.4, 0.0, 0.0)}
     still = clearing((far + 0.4 * lag_s - 1e-6, 0.0, z), **coming)[0]
-    assert still == Command(Request.EXTERNAL, (vx, 0.0, vz))  # away at once: clear of the barrier
+    assert still == Command(Request.EXTERNAL, (vx, 0.0, vz))  # it still flies outwards
     assert clearing((far + 0.4 * lag_s + 1e-6, 0.0, z), **coming)[0] == Command(Request.LAND)
     followed = (0.0, -0.2, 0.0)
     reach_m = far + 0.2 * sinks_s
@@ -326,7 +326,7 @@ def test_a_pad_is_left_upwards_with_the_pad_below():
     assert leaves((0.02, 0.0, 0.015), armed=False).request is Request.TAKEOFF
     low = leaves((0.02, 0.0, 0.3))
     assert low.request is Request.EXTERNAL
-    assert low.velocity[0] < MOVING[0]  # back over the middle
+    assert low.velocity[0] < MOVING[0]  # back over the centre
     assert low.velocity[1] == pytest.approx(MOVING[1])
     place = (PAD[0] + 2.0, PAD[1] - 1.0, 0.0)
     flown = leaves((0.0, 0.0, high_m + 0.01), place, was_external=True)

@@ -19,7 +19,7 @@ ALL = (1 << len(Condition)) - 1
 
 
 class Word:
-    """All words at once, or those given: ``word.armed`` is an array of booleans; notes what was asked."""
+    """All words together, or those given: ``word.armed`` is an array of booleans; notes what was asked."""
 
     def __init__(self, words):
         self.words, self.asked = words, 0

@@ -75,7 +75,7 @@ def flown_behind(settings, factor, accelerations, errors=None, start_m=0.0):
         factor: ratio of the vehicle's velocity loop rate to the declared one.
         accelerations: acceleration of the target at each tick, m/s^2.
         errors: errors of the commanded velocity, m/s; none by default.
-        start_m: initial distance from the middle.
+        start_m: initial distance from the centre.
     """
     errors = np.zeros(len(accelerations)) if errors is None else errors
     period_s, gain = 1.0 / settings.loop.rate_hz, settings.robust.gain_over_pad_1_s

@@ -29,7 +29,7 @@ LOOP = VelocityLoop(rate_xy_1_s=5.8, damping=0.6)
 LINK = OwnStateLink(delay_s=0.02, position_noise_m=0.01, velocity_error_m_s=0.02, velocity_error_time_s=0.7)
 QUICK = OwnStateLink(delay_s=0.0, position_noise_m=0.002, velocity_error_m_s=0.05, velocity_error_time_s=0.15)
 MOST = (0.7, 0.7, 0.7)
-LEFT = 0.3  # remaining share of a constant error, which the filter treats as decaying
+LEFT = 0.3  # remaining fraction of a constant error, which the filter treats as decaying
 
 
 class Vehicle:

@@ -30,7 +30,7 @@ pytestmark = pytest.mark.slow
 LIMITS = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({0}, {0}));"  # bytes of a file
 RECORD = (
     "import sys; from pathlib import Path; from logs.recorder import recorder;"
-    "recorder.GRACE_S = 600.0;"  # longer than the test waits: only a second signal ends it at once
+    "recorder.GRACE_S = 600.0;"  # longer than the test waits: only a second signal ends it immediately
     "sys.exit(recorder.record_main(Path(sys.argv[1]), Path(sys.argv[2]), None))"
 )
 
@@ -61,7 +61,7 @@ def test_told_to_stop_it_takes_what_is_in_the_sockets(tmp_path):
         client.write(channel, i, i, i, timing(i))
     client.flush()
     process.send_signal(signal.SIGTERM)
-    process.send_signal(signal.SIGINT)  # the second signal: end at once, without waiting for the client
+    process.send_signal(signal.SIGINT)  # the second signal: end immediately, without waiting for the client
     process.send_signal(signal.SIGCONT)
     _, errors = process.communicate(timeout=DEADLINE_S)
     assert process.returncode == 1
