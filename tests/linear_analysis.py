@@ -218,7 +218,7 @@ def vertical_loop(lag: float, k_v: float = K_V_N_S_M) -> Loop:
 
 
 def prony_poles(y: F64, step_s: float, order: int) -> C128:
-    """Poles in 1/s of a response that has settled at its last value, slowest decay first.
+    """Return the poles of a response that has settled at its last value, 1/s; the slowest decay is first.
 
     Singular values of the Hankel matrix (matrix pencil): ``order`` exponentials by least squares.
     """

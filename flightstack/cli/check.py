@@ -68,7 +68,7 @@ def check(options: CheckOptions) -> None:
 
 
 def _summary(parts: Sequence[Part]) -> str:
-    """The last line: proven, or which claims are not."""
+    """Return the last line of the output: all is proven, or the claims that are not."""
     every = [(part.of, result) for part in parts for result in part.checks]
     found = [f"{result.name}{of}" for of, result in every if not result.proven]
     if not found:

@@ -106,7 +106,7 @@ class Flight(Commander):
         self.pilot.begin(self._goal)
 
     def arm(self, now_s: float) -> str | None:
-        """Arm; the motors idle until a mode commands thrust."""
+        """Arm, and return the reason of a refusal. The motors idle until a mode commands thrust."""
         if self.vehicle.armed:
             return None
         problems = self.problems(now_s)

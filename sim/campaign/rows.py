@@ -207,7 +207,7 @@ def error_row(seed: int, reason: str) -> Row:
 
 
 def failed_rows(rows: Iterable[Row]) -> str:
-    """The first row in which code of the user failed, and how many did; empty: none."""
+    """Return the first row in which code of the user failed, and the number of such rows; empty: none."""
     found = [(row.seed, text) for row in rows if (text := failed_code(row.reason))]
     return f"seed {found[0][0]}: {found[0][1]}; {len(found)} landings ended so" if found else ""
 

@@ -64,7 +64,7 @@ def outside(scenarios: Iterable[Scenario]) -> str:
 
 
 def judged_apart(scenario: Scenario) -> str:
-    """The barrier of the verdict and the flown one, if they differ; else an empty text."""
+    """Return a text with the barriers of verdict and flight if they differ; otherwise an empty text."""
     judge, flown = (
         (shape.alpha_1_m, shape.beta_m) for shape in (scenario.judged_by, scenario.onboard.barrier.build())
     )

@@ -52,7 +52,7 @@ def fault(part: Part, way: Way) -> Fault:
 
 
 def disturb(part: Part, way: Way, seed: int) -> Callable[[Flight], None]:
-    """Starts the fault of a cell in a flight."""
+    """Return a function that starts the fault of a cell in a flight."""
     if part is Part.ZENOH:
         return lambda flight: setattr(flight.target, "mangle", _mangle(way, np.random.default_rng(seed)))
     if part is Part.TARGET_STATE:

@@ -78,7 +78,7 @@ def mellinger(lib, rng):
 
 
 def pid(lib, rng):
-    """PID cascade: short sequences with level-outs and yaw steps, long ones that wind the integrals up."""
+    """Return cases of the PIDs: short ones level out and step in yaw, long ones wind the integrals up."""
     sets = {}
     for name, count, length, tilt, drift in (("short", 240, 15, 8.0, 0.3), ("long", 8, 400, 25.0, 0.02)):
         shape = (count, length, 3)
@@ -106,7 +106,7 @@ def pid(lib, rng):
 
 
 def mixer(lib, rng):
-    """Mixer: from no thrust to twice the largest, moments over the whole range."""
+    """Return cases of the mixer: thrust from zero to twice the maximum, all moments."""
     count = 4000
     thrust = np.round(rng.uniform(0.0, 90000.0, count) * 16.0).astype(np.float32) / np.float32(16.0)
     moments = (rng.uniform(-1.0, 1.0, (count, 3)) * rng.choice([500, 8000, 16000, 32000], (count, 1))).astype(

@@ -50,7 +50,7 @@ class EndpointCounters(FrameCounters):
         setattr(self, name, getattr(self, name) + 1)
 
     def dropped(self) -> str:
-        """Numbers of all dropped data as one line; empty if no data was dropped."""
+        """Return the numbers of all dropped data as one line; empty if no data was dropped."""
         counts = asdict(self)
         return ", ".join(f"{name} {n}" for name, n in counts.items() if n and name not in _PASSED)
 

@@ -3,7 +3,7 @@
 It is the program of ``safety/qp_filter.py`` with more rows (constraints). OSQP starts from the exact solution
 (``solution.py``), and its result is used only if it meets all rows and equals that solution. If no point
 meets all rows, the rows of silent vehicles are relaxed first; then all rows of neighbours together by the
-least common slack. Landing barrier and box are never relaxed.
+smallest common slack. Landing barrier and box are never relaxed.
 
 Over the pad, ``Cone`` reduces the box first. A single vehicle flies inwards, where the boundary falls; one
 that gives way may fly outwards or past the centre, where the boundary may rise faster than a climb.

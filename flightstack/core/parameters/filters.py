@@ -52,7 +52,7 @@ def short_name(name: str) -> str:
 
 
 def file_of(reference: str) -> str:
-    """``MODULE:NAME`` that was imported, as FILE:NAME."""
+    """Return an imported ``MODULE:NAME`` as FILE:NAME."""
     module, _, name = reference.rpartition(":")
     file = getattr(sys.modules.get(module), "__file__", None)
     return f"{Path(file).name if file else module}:{name}"

@@ -63,7 +63,7 @@ class At(NamedTuple):
 
 
 def three_finite(found: Any) -> Vector | None:
-    """What a filter returned, as an array; None: it is no velocity."""
+    """Return the result of a filter as an array; None if it is not a velocity."""
     try:
         velocity = np.asarray(found, dtype=np.float64)
     except (TypeError, ValueError):

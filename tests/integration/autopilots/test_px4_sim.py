@@ -27,7 +27,7 @@ def simulator(name, *more, speed="0"):
 
 
 def pilot_for(name):
-    """A pilot with the parameters that the verb prints for this vehicle."""
+    """Return a pilot with the parameters that ``px4-sim`` prints for this vehicle."""
     done = CliRunner().invoke(main, ["px4-sim", "--scenario", name, "--parameters", "env"])
     assert done.exit_code == 0
     return Pilot(parameters_of(done.output))

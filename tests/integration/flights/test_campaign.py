@@ -117,7 +117,7 @@ def test_the_command_of_a_seed_repeats_it(whole, tmp_path):
 
 
 def begun(folder, *arguments):
-    """A campaign in the background that has flown two landings."""
+    """Return a campaign in the background that has flown two landings."""
     running, path = Background("campaign", *arguments, "--out", folder), folder / "rows.csv"
 
     def some():

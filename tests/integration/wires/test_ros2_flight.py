@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[3]
 
 
 def commands():
-    """The page's commands, on free ports."""
+    """Return the commands of docs/how_to/ros2.md, on free ports."""
     page = (ROOT / "docs" / "how_to" / "ros2.md").read_text()
     block = re.search(r"^```bash\n(.*?)^```", page, re.MULTILINE | re.DOTALL)[1].replace("\\\n", " ")
     lines = on_free_ports(block).splitlines()

@@ -88,7 +88,7 @@ FLIGHTS, DRIVES = "[flight(*case) for case in CASES]", "drives()"
 
 
 def in_a_process(what=FLIGHTS, **environment):
-    """Results are equal in a fresh interpreter."""
+    """Return the results of a fresh interpreter, which must be equal."""
     here = "from tests.unit.compiled.test_jit import CASES, drives, flight"
     needless = "import sys; assert not {'coverage', 'glfw'} & sys.modules.keys()"
     code = f"import json; {here}; print(json.dumps({what})); {needless}"

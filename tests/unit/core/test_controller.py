@@ -252,7 +252,7 @@ def test_a_target_lost_in_the_last_centimetres_is_landed_on_all_the_same():
 
 
 def blown_off(_, inputs):
-    """The vehicle is 7 cm beside the centre and moves away from it."""
+    """Return inputs of a vehicle 7 cm beside the centre that moves away from it."""
     x, y, z = inputs.target_samples[0].position_enu_m
     vx, vy, vz = inputs.target_samples[0].velocity_enu_m_s
     own = inputs.own

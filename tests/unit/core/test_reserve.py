@@ -165,7 +165,7 @@ CONFIG = config(reserve=TABLE, checks={"wait_time_max_s": 2.0})
 
 
 def told(volts, throttle, from_s=0.0):
-    """Adds battery reports of a vehicle to the inputs of ``World``."""
+    """Return a fault of ``World`` that adds battery reports to the inputs."""
 
     def fault(world, inputs):
         said = Power(world.t_s, volts, throttle, 1.0) if world.t_s >= from_s else None

@@ -35,7 +35,7 @@ class Said(NamedTuple):
 
 
 def words(number=3, seed=5, **link):
-    """An exchange of plain texts; a text arrives with its time."""
+    """Return an exchange of plain texts between the members; a text arrives with its time."""
     exchange = Words(replace(team_of(*[FIELD] * number), exchange=ExchangeLink(**link)), seed)
 
     def told(tick, texts):

@@ -36,6 +36,6 @@ OFFICIAL, DEV = 255, 0
 
 
 def packed(release, kind=OFFICIAL):
-    """``flight_sw_version`` of a release such as 4.7."""
+    """Return ``flight_sw_version`` of a release such as 4.7."""
     major, minor = map(int, release.split("."))
     return major << 24 | minor << 16 | kind

@@ -104,7 +104,7 @@ def test_both_hear_each_other_and_the_log_has_it(onboard, other, feed):
     step, heard = onboard.controller.step, []
 
     def placed(inputs, now_s, **named):
-        """The vehicle of this test does not send its position; its message is given here."""
+        """Run a tick, and add the status message, because the vehicle of this test sends no position."""
         heard.extend(inputs.neighbours)
         return step(inputs, now_s, **named)._replace(own_word=word(3, now_s))
 

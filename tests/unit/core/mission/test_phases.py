@@ -19,7 +19,7 @@ ALL = (1 << len(Condition)) - 1
 
 
 class Word:
-    """All words together, or those given: ``word.armed`` is an array of booleans; notes what was asked."""
+    """Sets of condition flags: ``word.armed`` is an array of booleans. ``asked``: flags that were read."""
 
     def __init__(self, words):
         self.words, self.asked = words, 0
@@ -32,9 +32,9 @@ class Word:
 
 @cache
 def everything(phase):
-    """All words of the conditions that either writing asks about, with all others clear, and with them set.
+    """Return all combinations of the flags that one of the two implementations reads.
 
-    What neither asks about changes neither.
+    All other flags are clear in one half of them and set in the other half: they must have no effect.
     """
     word = Word(np.zeros(1, np.int64))
     expected_rules(phase, word)

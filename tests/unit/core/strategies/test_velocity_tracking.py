@@ -141,7 +141,7 @@ def test_while_somebody_else_flies_the_model_follows_and_nothing_is_learned():
 @settings(max_examples=20)
 def test_the_model_is_stable_up_to_the_rate_that_is_allowed_and_not_above(period_s, damping, axis, start):
     def left(share):
-        """The remaining effect of a disturbed model, with vehicle and set-point at rest."""
+        """Return the remaining effect of a disturbed model, with vehicle and set-point at rest."""
         rate = share * replace(LOOP, damping=damping).rate_max_1_s(period_s)
         loop = replace(LOOP, damping=damping, rate_xy_1_s=rate, rate_z_1_s=rate)
         tracking = VelocityTracking(loop, period_s)
