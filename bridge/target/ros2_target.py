@@ -315,7 +315,7 @@ class KeySearch:
         self._found: dict[str, None] = {}
 
     def keys(self) -> tuple[str, ...]:
-        """Return the names found so far, in order; the first call finds none. Keys of rmw_zenoh: ``ros2:/TOPIC``."""
+        """Return the names found so far in order, of rmw_zenoh ``ros2:/TOPIC``. The first call finds none."""
         if not self._subscribers:
             self._subscribers = [
                 zenoh_link.remote_subscriber(self._session, key, _CAPACITY) for key in _LIKELY

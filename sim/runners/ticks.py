@@ -51,7 +51,7 @@ class RulesRecord(Record):
     armed: bool
     standing: bool
     supervisor: int  # state of the firmware's supervisor
-    stream_until_s: float  # end of the autopilot's wait for set-points; used while none are sent
+    stream_until_s: float  # end of the autopilot's wait for set-points; used if none are sent
     watch: WatchRecord
 
 
