@@ -15,7 +15,8 @@ from flightstack.core.types import ZERO
 SETTLED_M_S = 0.05  # greatest standard deviation of a usable velocity; a quarter of the Burger's
 UNKNOWN_M_S = 100.0  # standard deviation of a velocity that was not measured, far above robot speeds
 GATE_SIGMAS = 6.0  # distance from the expected pose that makes an outlier: 1 in 10^8 by chance
-OUTLIERS_MAX = 5  # outliers in a row after which the estimate restarts at their position
+# outliers, or poses behind the newest stamp, in a row after which the estimate restarts with them
+OUTLIERS_MAX = 5
 UNSETTLED_MAX = 50  # poses without a velocity after which a warning is sent
 EDGE_AGE_MAX_S = 1.0  # s; AMCL sends map -> odom at the rate of the laser, 5 Hz on a TurtleBot3
 FRAMES_MAX = 256  # further frames are ignored
@@ -35,6 +36,7 @@ class PoseTrack:
         self._noise_m, self._child = link.position_noise_m, child_frame_id
         self._last: Pose | None = None  # last accepted pose
         self._outliers = 0
+        self._behind, self._behind_ns = 0, 0  # poses in a row behind the newest stamp; the last one's stamp
         self._unsettled = 0  # poses since the last restart
         self.problem = ""  # reason why poses are withheld, or ""
         self.withheld = 0  # number of poses without odometry: unsettled, outliers, repeated or out of order
@@ -56,11 +58,11 @@ class PoseTrack:
         if step_s == 0.0:
             return None
         if not 0.0 < step_s <= RESTART_S:
-            if last is not None and -RESTART_S <= step_s < 0.0:
+            if last is not None and -RESTART_S <= step_s < 0.0 and not self._continues(pose.stamp_ns):
                 return None  # out of order; a greater step back is a restart of the sender's clock
             self._estimator.memory.time_s = math.nan
             last = None
-        self._outliers, self._last = 0, pose
+        self._outliers, self._behind, self._last = 0, 0, pose
         q = pose.orientation_wxyz
         yaw_rad = yaw_from_quaternion(q)
         self._estimator.update(time_s, pose.position_m, ZERO, yaw_rad)
@@ -87,6 +89,12 @@ class PoseTrack:
             body_from_world(q, (0.0, 0.0, turned_rad / step_s)),
             pose.covariance,
         )
+
+    def _continues(self, stamp_ns: int) -> bool:
+        """Whether several poses in order are behind the newest stamp: that stamp was wrong."""
+        self._behind = self._behind + 1 if self._behind and stamp_ns > self._behind_ns else 1
+        self._behind_ns = stamp_ns
+        return self._behind >= OUTLIERS_MAX
 
     def _is_outlier(self, pose: Pose, time_s: float) -> bool:
         expected = self._estimator.at(time_s)

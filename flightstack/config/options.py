@@ -274,7 +274,7 @@ class FlightOptions(Signing, Ros2, Zenoh, Piloted, Vehicle):
     )] = "odometry"  # fmt: skip
     target_offset_m: Annotated[tuple[float, float, float], Option(
         "--target-offset", "Landing spot from the tracked frame, in that frame's axes, m: forward, left, up.",
-        "X Y Z", span=(-100.0, 100.0)
+        "X Y Z", span=(-5.0, 5.0)
     )] = (0.0, 0.0, 0.0)  # fmt: skip
     config_file: Annotated[Path, config()]
     namespace: Annotated[str | None, Option(

@@ -28,7 +28,7 @@ from tests.unit.verify.certificate_helpers import config
         (["sitl", "--scenario", "paper_moving_1", "--filter", "best"], ["best", "paper", "robust"]),
         (["sitl", "--scenario", "paper_moving_1", "--duration", "0"], ["--duration"]),
         (["sitl", "--scenario", "paper_moving_1", "--duration", "1e9"], ["--duration", "604800"]),
-        (["onboard", "--target-offset", "0", "0", "1e3"], ["--target-offset", "1000", "100"]),
+        (["onboard", "--target-offset", "0", "0", "1e3"], ["--target-offset", "1000", "5.0"]),
         (["vehicle", "--scenario", "paper_moving_1", "--url", "serial:/dev/x"], ["serial:", "udpin:HOST"]),
         (["target", "--scenario", "paper_moving_1", "--listen", "here"], ["here", "tcp/127.0.0.1:7447"]),
         (["report", "absent.mcap"], ["absent.mcap"]),

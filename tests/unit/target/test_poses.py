@@ -107,6 +107,21 @@ def test_a_target_that_was_carried_away_is_followed_anew():
     assert velocity_error_m_s(2.0 + 49 / 50, late) < 0.02
 
 
+@pytest.mark.parametrize("ahead_s", [0.05, 0.3, 0.9])
+def test_one_stamp_from_the_future_does_not_silence_a_target(ahead_s):
+    track = PoseTrack(LINK, "base")
+    assert list(drive(track, 0.0, 3.0))
+    track.take(circle(3.0)._replace(stamp_ns=round((3.0 + ahead_s) * 1e9)))
+    (t_s, first), *_, last = drive(track, 3.0, 5.0)
+    assert t_s < 3.0 + 0.3
+    assert velocity_error_m_s(t_s, first) < 3.0 * SETTLED_M_S
+    assert velocity_error_m_s(*last) < 0.02
+    # single poses out of order restart nothing
+    for k in range(20):
+        assert list(drive(track, 5.0 + 0.1 * k, 5.1 + 0.1 * k))
+        assert track.take(circle(5.0 + 0.1 * k)) is None
+
+
 def test_a_gap_or_a_new_clock_begins_anew():
     for begin_s in (2.0 + 2.0 * RESTART_S, 0.0):
         track = PoseTrack(LINK, "base")
