@@ -91,8 +91,9 @@ DISARMED, MODE_CHANGED = (
 )
 _IN_FLIGHT = (
     *_OPERATOR,
-    Rule(C.WAS_ARMED, Phase.ABORT, DISARMED, unless=C.ARMED | C.LINK_LOST),
-    Rule(C.WAS_EXTERNAL, Phase.ABORT, MODE_CHANGED, unless=C.EXTERNAL | C.LINK_LOST),
+    # an estimate that jumps makes the autopilot land the vehicle itself, so the reason names the jump, too
+    Rule(C.WAS_ARMED, Phase.ABORT, DISARMED, unless=C.ARMED | C.LINK_LOST, about=C.OWN_LOST),
+    Rule(C.WAS_EXTERNAL, Phase.ABORT, MODE_CHANGED, unless=C.EXTERNAL | C.LINK_LOST, about=C.OWN_LOST),
     Rule(C.COMMAND_FAILED, Phase.ABORT, "the vehicle refused a command"),
     Rule(C.NOT_FOLLOWING, Phase.ABORT, "vehicle does not follow its velocity set-points"),
     Rule(C.NO_RESULT, Phase.ABORT, FILTER_FAILED),

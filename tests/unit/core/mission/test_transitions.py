@@ -125,6 +125,16 @@ def test_a_target_says_how_old_it_is_and_why_it_was_refused():
     )
 
 
+@pytest.mark.parametrize("was", [Condition.WAS_EXTERNAL, Condition.WAS_ARMED])
+def test_a_landing_by_the_autopilot_after_a_jump_of_its_estimate_names_the_jump(was):
+    jumped = known(own(), distrusted=True, drift_m=(0.0, 0.0, -1.2))
+    plain = told(Phase.LAND, was, jumped)
+    assert told(Phase.LAND, was | Condition.OWN_LOST, jumped) == (
+        f"{plain}: drift, the position went 1.20 m where no velocity took it; checks.own_drift_max_m is "
+        f"{CHECKS.own_drift_max_m:g}"
+    )
+
+
 def test_waiting_in_vain_says_everything_that_is_missing():
     over = Condition.PHASE_TIME_OVER
     lost = over | Condition.OWN_LOST | Condition.TARGET_LOST
