@@ -116,6 +116,9 @@ def _outcome(flight: Flight, steps: Steps, touch: EstimatedTouchdown | None) -> 
     feet_m, gap_m = feet_and_gap_m(flight.config)
     d_m, height_m = float(steps.d_m[at]), float(steps.e_m[at, 2]) - feet_m
     carried = flight.pad_carries
+    if not carried:  # the target moves on, up and down, too; the floor does not
+        sank_m = steps.own_position_enu_m[touch.index, 2] - steps.own_position_enu_m[at, 2]
+        height_m = float(touch.e_m[2] - sank_m) - feet_m
     velocity_m_s = steps.relative_velocity_m_s if carried else steps.own_velocity_enu_m_s
     speed_m_s = float(np.linalg.norm(velocity_m_s[at]))
     on_pad = (d_m <= flight.pad_radius_m or not carried) and abs(height_m) <= gap_m + REST_HEIGHT_MAX_M

@@ -174,6 +174,22 @@ def test_on_a_floor_without_a_pad_the_vehicle_rests_in_the_world(flight, pad_car
     assert judged(replace(flight, pad_carries=pad_carries), low).violation is True
 
 
+@pytest.mark.parametrize(
+    ("heave_m", "floor_m", "outcome"),
+    [(0.3, 0.0, Outcome.LANDED), (-0.3, 0.0, Outcome.LANDED), (0.0, -0.2, Outcome.TIMEOUT)],
+)
+def test_a_floor_without_a_pad_neither_heaves_with_the_target_nor_is_lower(flight, heave_m, floor_m, outcome):
+    """After the contact the target heaves, or the whole descent ends on a floor below the landing spot."""
+    steps = descent(flight)
+    down = steps.t_s >= CONTACT_S
+    at_m = steps.own_position_enu_m[np.flatnonzero(down)[0]]
+    own_m = np.where(down[:, None], at_m, steps.own_position_enu_m) + np.array([0.0, 0.0, floor_m])
+    still = np.where(down[:, None], 0.0, steps.own_velocity_enu_m_s)
+    pad_m = steps.target_position_enu_m + np.where(steps.t_s > 4.0, heave_m, 0.0)[:, None] * [0, 0, 1]
+    flown = replace(steps, own_position_enu_m=own_m, own_velocity_enu_m_s=still, target_position_enu_m=pad_m)
+    assert judged(replace(flight, pad_carries=False), flown).outcome is outcome
+
+
 @pytest.mark.parametrize("lost", ["own_valid", "target_valid"])
 def test_a_state_that_is_missing_at_the_contact_and_after_is_never_a_landing(flight, lost):
     steps = descent(flight)
