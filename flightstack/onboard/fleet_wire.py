@@ -77,7 +77,7 @@ class NoFleet:
         """Return the newest message of each member since the last call."""
         return ()
 
-    def say(self, word: Neighbour | None) -> bytes | None:
+    def say(self, message: Neighbour | None) -> bytes | None:
         """Send ``Outputs.own_word`` to the others; return the bytes for the log, None if there are none."""
 
     def texts(self) -> list[str]:
@@ -227,21 +227,21 @@ class FleetWire(NoFleet):
         newest: dict[int, Neighbour] = {}
         for row in rows:
             if self._is_of_member(row, now_ns):
-                word = self._taken(row, now_s, now_ns)
-                if word is not None:
-                    newest[row.id] = word
+                message = self._taken(row, now_s, now_ns)
+                if message is not None:
+                    newest[row.id] = message
         return tuple(newest[n] for n in sorted(newest))
 
-    def say(self, word: Neighbour | None) -> bytes | None:
-        if word is None:
+    def say(self, message: Neighbour | None) -> bytes | None:
+        if message is None:
             return None
-        now_ns = self._epoch_ns + round(word.stamp_s * 1e9)
+        now_ns = self._epoch_ns + round(message.stamp_s * 1e9)
         echoes = []
         for n, member in self._members.items():
             ahead_ns = member.clock.ahead_ns(now_ns)
             if member.process is not None and ahead_ns is not None:
                 echoes.append(Echo(n, member.process, ahead_ns))
-        payload = word_row(word, self._epoch_ns, self._process, echoes).pack()
+        payload = word_row(message, self._epoch_ns, self._process, echoes).pack()
         self._publisher.put(payload)
         return payload
 

@@ -239,17 +239,17 @@ class LockstepWords(NoFleet):
         payload = self._inbox.pop(tick.number, b"") if tick is not None else b""
         if tick is None or not payload:
             return ()
-        found = [word for each in split(payload) for word in unpack_neighbours(each)]
-        return tuple(word._replace(arrival_s=tick.now_s) for word in found)
+        found = [message for each in split(payload) for message in unpack_neighbours(each)]
+        return tuple(message._replace(arrival_s=tick.now_s) for message in found)
 
-    def say(self, word: Neighbour | None) -> bytes | None:
+    def say(self, message: Neighbour | None) -> bytes | None:
         """Send the message of this tick, an empty one if there is none."""
         tick = self._tick
         if tick is None:
             return None
-        payload = pack_neighbours(tick, (word,)) if word is not None else b""
+        payload = pack_neighbours(tick, (message,)) if message is not None else b""
         self._told.put(payload, attachment=PAIR.pack(tick.number, 0))
-        return word_row(word, EPOCH_NS, 0).pack() if word is not None else None
+        return word_row(message, EPOCH_NS, 0).pack() if message is not None else None
 
     def texts(self) -> list[str]:
         texts, self._texts = self._texts, []

@@ -94,24 +94,24 @@ class FleetMember:
         """Return id and state of each other member."""
         return list(zip(self._index, self.memory.slots, strict=False))  # a smaller fleet uses fewer slots
 
-    def take(self, words: Sequence[Neighbour], now_s: float) -> list[str]:
+    def take(self, messages: Sequence[Neighbour], now_s: float) -> list[str]:
         """Store the newest message of each member; return texts on rejected messages and jumped positions."""
         texts = []
-        for word in words:
-            why = self._refusal(word, now_s)
+        for message in messages:
+            why = self._refusal(message, now_s)
             if why:
-                texts.append(f"word of vehicle {word.id} refused: {why}")
+                texts.append(f"word of vehicle {message.id} refused: {why}")
                 continue
-            slot = self.memory.slots[self._index[word.id]]
+            slot = self.memory.slots[self._index[message.id]]
             before = slot.word
             if before is not None:
-                if word.stamp_s <= before.stamp_s:
+                if message.stamp_s <= before.stamp_s:
                     continue  # a newer message has overtaken this one
-                slot.faster_m_s2 = faster(slot.faster_m_s2, before, word)
-                by_m = jump(before, word, self._fleet)
+                slot.faster_m_s2 = faster(slot.faster_m_s2, before, message)
+                by_m = jump(before, message, self._fleet)
                 if by_m != ZERO:
-                    texts.append(self._jumped(slot, word.id, by_m))
-            slot.word = word
+                    texts.append(self._jumped(slot, message.id, by_m))
+            slot.word = message
         return texts
 
     def _jumped(self, slot: Heard, who: int, by_m: Vec3) -> str:
@@ -123,11 +123,11 @@ class FleetMember:
             f"{math.hypot(*slot.jumped_m):.2f} m now, since either place may be wrong"
         )
 
-    def _refusal(self, word: Neighbour, now_s: float) -> str:
-        if word.id not in self._index:
+    def _refusal(self, message: Neighbour, now_s: float) -> str:
+        if message.id not in self._index:
             return "it is no other member"
         _, stamp_s, _, (x, y, z), (vx, vy, vz), (wx, wy, wz), sigma_m, bound_s, _, claim_s, pad, moves, _ = (
-            word
+            message
         )
         if not math.isfinite(x + y + z + vx + vy + vz + wx + wy + wz + stamp_s + sigma_m + bound_s):
             return "a number is not finite"
@@ -145,8 +145,8 @@ class FleetMember:
         fleet = self._fleet
         if since_s > FLIGHTS_OF_OTHERS * fleet.wait_max_s:
             return True
-        words = [slot.word for _, slot in self.slots if slot.word is not None]
-        return all(w.intent is Intent.DOWN or now_s - w.stamp_s > fleet.silent_flight_s for w in words)
+        messages = [slot.word for _, slot in self.slots if slot.word is not None]
+        return all(w.intent is Intent.DOWN or now_s - w.stamp_s > fleet.silent_flight_s for w in messages)
 
     def way(self, phase: Phase, target: TargetState | None, now_s: float, own: OwnState | None = None) -> Way:
         """Return the permissions for the mission in this tick.
@@ -156,9 +156,11 @@ class FleetMember:
         pad = Pad(target.position_enu_m, target.velocity_enu_m_s) if target is not None else None
         way = decide(self.memory, self.slots, phase, pad, now_s, self._fleet)
         if phase is Phase.LEAVE and pad is not None and own is not None:
-            memory, words = self.memory, [slot.word for _, slot in self.slots if slot.word is not None]
+            memory, messages = self.memory, [slot.word for _, slot in self.slots if slot.word is not None]
             memory.left = True
-            memory.place_enu_m = place_beside(memory.place_enu_m, own.position_enu_m, pad, words, self._fleet)
+            memory.place_enu_m = place_beside(
+                memory.place_enu_m, own.position_enu_m, pad, messages, self._fleet
+            )
             way = way._replace(place_enu_m=memory.place_enu_m)
         return way
 
@@ -176,13 +178,13 @@ class FleetMember:
         fleet, (x, y, z), found, held_back = self._fleet, own.position_enu_m, [], False
         reach_m = fleet.reach_m - fleet.radius_xy_m
         for n, slot in self.slots:
-            word = slot.word
-            if word is None:
+            message = slot.word
+            if message is None:
                 continue
-            part = share(slot, word, now_s, fleet)
+            part = share(slot, message, now_s, fleet)
             if part == NONE:
                 continue
-            now = estimate(word, now_s, self._sigma_m, fleet, slot.faster_m_s2)
+            now = estimate(message, now_s, self._sigma_m, fleet, slot.faster_m_s2)
             px, py, pz = now.position_enu_m
             away, late, grown_m = (x - px, y - py, z - pz), now.late, now.grown_m
             if late:
@@ -199,7 +201,7 @@ class FleetMember:
                 continue
             if late and outer_m < 0.0:
                 held_back |= fleet.age_max_s < now.age_s <= fleet.silent_flight_s
-            lax = row(part, h_m, gradient, wanted_m_s, word, now, fleet)
+            lax = row(part, h_m, gradient, wanted_m_s, message, now, fleet)
             made = wider(lax, outer_m, now, fleet) if late else lax
             found.append((h_m, n, made, lax, Near(h_m, gradient, away, now.velocity_enu_m_s)))
         if not found:

@@ -78,31 +78,31 @@ def growth(age_s: float, speed_m_s: float, fleet: Fleet) -> tuple[float, float]:
     return most_m_s * (age_s - 0.5 * speeds_up_s), most_m_s
 
 
-def jump(before: Neighbour, word: Neighbour, fleet: Fleet) -> Vec3:
+def jump(before: Neighbour, message: Neighbour, fleet: Fleet) -> Vec3:
     """Return the offset of a reported position from the predicted one; zero if the position is reachable.
 
     The velocity may have changed with the fleet's maximum acceleration. Both messages may err by their
     reported standard deviations and clock errors, and by the margin of the ellipsoid, because a landing stops
     a vehicle immediately.
     """
-    gone_s = word.stamp_s - before.stamp_s
-    (x, y, z), (px, py, pz), v = word.position_enu_m, before.position_enu_m, before.velocity_enu_m_s
+    gone_s = message.stamp_s - before.stamp_s
+    (x, y, z), (px, py, pz), v = message.position_enu_m, before.position_enu_m, before.velocity_enu_m_s
     away = x, y, z = x - px - v[0] * gone_s, y - py - v[1] * gone_s, z - pz - v[2] * gone_s
     if abs(x) + abs(y) + abs(z) < fleet.margin_m:  # true for most messages
         return ZERO
     speed_m_s = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-    clocks_s = before.clock_bound_s + word.clock_bound_s
+    clocks_s = before.clock_bound_s + message.clock_bound_s
     allowed_m, _ = growth(gone_s + clocks_s, speed_m_s, fleet)
     allowed_m += speed_m_s * clocks_s + fleet.margin_m
-    allowed_m += fleet.sigma_factor * math.hypot(before.position_sigma_m, word.position_sigma_m)
+    allowed_m += fleet.sigma_factor * math.hypot(before.position_sigma_m, message.position_sigma_m)
     return away if math.hypot(x, y, z) > allowed_m else ZERO
 
 
-def faster(before_m_s2: Vec3, before: Neighbour, word: Neighbour) -> Vec3:
+def faster(before_m_s2: Vec3, before: Neighbour, message: Neighbour) -> Vec3:
     """Return the smoothed acceleration of another vehicle's commanded velocity."""
-    t = word.stamp_s - before.stamp_s
+    t = message.stamp_s - before.stamp_s
     share = 1.0 / (t + SMOOTH_S)
-    (x, y, z), (ox, oy, oz), (ax, ay, az) = word.wanted_enu_m_s, before.wanted_enu_m_s, before_m_s2
+    (x, y, z), (ox, oy, oz), (ax, ay, az) = message.wanted_enu_m_s, before.wanted_enu_m_s, before_m_s2
     return (
         ax + share * (x - ox - t * ax),
         ay + share * (y - oy - t * ay),
@@ -111,7 +111,7 @@ def faster(before_m_s2: Vec3, before: Neighbour, word: Neighbour) -> Vec3:
 
 
 def estimate(
-    word: Neighbour, now_s: float, own_sigma_m: float, fleet: Fleet, faster_m_s2: Vec3 = ZERO
+    message: Neighbour, now_s: float, own_sigma_m: float, fleet: Fleet, faster_m_s2: Vec3 = ZERO
 ) -> Estimate:
     """Estimate the current position of another vehicle, and the possible distance from this estimate.
 
@@ -120,13 +120,13 @@ def estimate(
     ground. Its region grows until ``silent_flight_s``, when its own fail-safe has ended the flight. A vehicle
     that is down stands still, or moves with a pad that may have stopped since.
     """
-    v, p = word.velocity_enu_m_s, word.position_enu_m
+    v, p = message.velocity_enu_m_s, message.position_enu_m
     speed_m_s = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-    gone_s = max(0.0, now_s - word.stamp_s)
-    age_s = gone_s + word.clock_bound_s
-    base_m = speed_m_s * word.clock_bound_s + fleet.margin_m
-    base_m += fleet.sigma_factor * math.hypot(own_sigma_m, word.position_sigma_m)
-    if word.intent is Intent.DOWN:
+    gone_s = max(0.0, now_s - message.stamp_s)
+    age_s = gone_s + message.clock_bound_s
+    base_m = speed_m_s * message.clock_bound_s + fleet.margin_m
+    base_m += fleet.sigma_factor * math.hypot(own_sigma_m, message.position_sigma_m)
+    if message.intent is Intent.DOWN:
         carried_s, moves = min(gone_s, RIDES_S), age_s <= RIDES_S
         place = (p[0] + v[0] * carried_s, p[1] + v[1] * carried_s, p[2] + v[2] * carried_s)
         grown_m = base_m + speed_m_s * min(age_s, RIDES_S)
@@ -134,17 +134,21 @@ def estimate(
             age_s, place, v if moves else ZERO, grown_m, speed_m_s if moves else 0.0, False, grown_m
         )
     if age_s > fleet.latency_max_s:
-        return _late(word, age_s, base_m, speed_m_s, fleet, faster_m_s2)
+        return _late(message, age_s, base_m, speed_m_s, fleet, faster_m_s2)
     place = (p[0] + v[0] * gone_s, p[1] + v[1] * gone_s, p[2] + v[2] * gone_s)
     grown_m, growth_m_s = growth(age_s, speed_m_s, fleet)
     return Estimate(age_s, place, v, base_m + grown_m, growth_m_s, False, base_m + grown_m)
 
 
 def _late(
-    word: Neighbour, age_s: float, base_m: float, speed_m_s: float, fleet: Fleet, faster_m_s2: Vec3
+    message: Neighbour, age_s: float, base_m: float, speed_m_s: float, fleet: Fleet, faster_m_s2: Vec3
 ) -> Estimate:
     """Estimate the position of a vehicle whose messages are late."""
-    (x, y, z), (vx, vy, vz), (wx, wy, wz) = word.position_enu_m, word.velocity_enu_m_s, word.wanted_enu_m_s
+    (x, y, z), (vx, vy, vz), (wx, wy, wz) = (
+        message.position_enu_m,
+        message.velocity_enu_m_s,
+        message.wanted_enu_m_s,
+    )
     ax, ay, az = faster_m_s2
     wx, wy, wz = wx + LEAD_S * ax, wy + LEAD_S * ay, wz + LEAD_S * az
     latency_s, carried_max_s = fleet.latency_max_s, CARRIED_AGES * fleet.age_max_s
@@ -177,16 +181,16 @@ FIRM = frozenset({Intent.STANDING, Intent.COMMITTED, Intent.CLEARING, Intent.DOW
 NONE, HALF, ALL = 0.0, 0.5, 1.0
 
 
-def share(slot: Heard, word: Neighbour, now_s: float, fleet: Fleet) -> float:
+def share(slot: Heard, message: Neighbour, now_s: float, fleet: Fleet) -> float:
     """Return the share of the avoidance that this vehicle takes: none, half or all of it."""
     if slot.yields or now_s - slot.yielded_s <= HOLD_LATENCIES * fleet.latency_max_s:
         return ALL
-    age_s = now_s - word.stamp_s + word.clock_bound_s
-    if word.intent in FIRM or age_s > fleet.age_max_s:
+    age_s = now_s - message.stamp_s + message.clock_bound_s
+    if message.intent in FIRM or age_s > fleet.age_max_s:
         return ALL
     if slot.jumped_m != ZERO and math.hypot(*slot.jumped_m) > fleet.margin_m:
         return ALL  # the position estimate of the other vehicle may be wrong
-    if fleet.id in word.yields_to and age_s <= ZERO_LATENCIES * fleet.latency_max_s:
+    if fleet.id in message.yields_to and age_s <= ZERO_LATENCIES * fleet.latency_max_s:
         return NONE
     return HALF
 
@@ -196,7 +200,7 @@ def row(
     h_m: float,
     gradient: Vec3,
     own_wanted_m_s: Vec3,
-    word: Neighbour,
+    message: Neighbour,
     now: Estimate,
     fleet: Fleet,
 ) -> Row:
@@ -209,7 +213,7 @@ def row(
     if part == ALL:
         c = now.velocity_enu_m_s
     else:
-        (x, y, z), (ox, oy, oz) = word.wanted_enu_m_s, own_wanted_m_s
+        (x, y, z), (ox, oy, oz) = message.wanted_enu_m_s, own_wanted_m_s
         c = (0.5 * (x + ox), 0.5 * (y + oy), 0.5 * (z + oz))
     along = gradient[0] * c[0] + gradient[1] * c[1] + gradient[2] * c[2]
     return Row(gradient, along + part * (now.growth_m_s - fleet.rate_1_s * h_m))

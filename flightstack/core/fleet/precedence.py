@@ -97,7 +97,7 @@ def _in_a_circle(memory: FleetMemory, slots: Sequence[tuple[int, Heard]], now_s:
     Clocks that disagree can form a cycle of three. A new, youngest claim breaks it; the highest id is first.
     """
     first = [slot.word for _, slot in slots if slot.yields and slot.word is not None]
-    if not first or not all(word.yields_to and word.intent not in GOES for word in first):
+    if not first or not all(message.yields_to and message.intent not in GOES for message in first):
         return False
     higher = sum(n > fleet.id for n, _ in slots)
     return now_s - memory.claim_s > (1 + higher) * CIRCLE_LATENCIES * fleet.latency_max_s
@@ -111,9 +111,9 @@ def drop(memory: FleetMemory, slots: Sequence[tuple[int, Heard]]) -> None:
         slot.yields = False
 
 
-def heard(word: Neighbour | None, now_s: float, fleet: Fleet) -> bool:
+def heard(message: Neighbour | None, now_s: float, fleet: Fleet) -> bool:
     """Whether the newest message of a member is recent."""
-    return word is not None and now_s - word.stamp_s <= fleet.age_max_s
+    return message is not None and now_s - message.stamp_s <= fleet.age_max_s
 
 
 def _cut_off(slots: Sequence[tuple[int, Heard]], now_s: float, fleet: Fleet) -> bool:
@@ -128,90 +128,96 @@ def _cut_off(slots: Sequence[tuple[int, Heard]], now_s: float, fleet: Fleet) -> 
     return (len(ours), -min(ours)) < (len(lost), -min(lost, default=0))
 
 
-def _is_down(word: Neighbour | None) -> bool:
-    return word is not None and word.intent is Intent.DOWN
+def _is_down(message: Neighbour | None) -> bool:
+    return message is not None and message.intent is Intent.DOWN
 
 
-def _present(word: Neighbour | None, now_s: float, fleet: Fleet) -> bool:
+def _present(message: Neighbour | None, now_s: float, fleet: Fleet) -> bool:
     """Whether a member sends messages or is down; a landed member may stop sending."""
-    return word is not None and (word.intent is Intent.DOWN or now_s - word.stamp_s <= fleet.age_max_s)
+    return message is not None and (
+        message.intent is Intent.DOWN or now_s - message.stamp_s <= fleet.age_max_s
+    )
 
 
 def _blocks(memory: FleetMemory, slot: Heard, pad: Pad, now_s: float, fleet: Fleet) -> bool:
     """Whether a member blocks the landing of this vehicle; updates whether this vehicle yields to it."""
-    word = slot.word
-    if word is None:
+    message = slot.word
+    if message is None:
         return True
-    if word.intent in ON_GROUND:
+    if message.intent in ON_GROUND:
         slot.yields = False
-        near = _distance_m(pad, word) < fleet.radius_xy_m
+        near = _distance_m(pad, message) < fleet.radius_xy_m
         # a silent vehicle on a moving pad has left its last reported position
-        slot.on_pad = near or (slot.on_pad and now_s - word.stamp_s > fleet.age_max_s)
+        slot.on_pad = near or (slot.on_pad and now_s - message.stamp_s > fleet.age_max_s)
         if slot.on_pad:
             return True
-    elif fleet.frees_pad and word.intent is Intent.CLEARING and _distance_m(pad, word) < fleet.pad_distance_m:
+    elif (
+        fleet.frees_pad
+        and message.intent is Intent.CLEARING
+        and _distance_m(pad, message) < fleet.pad_distance_m
+    ):
         slot.yields = slot.on_pad = False
         return True
-    if word.intent is not Intent.DOWN and now_s - word.stamp_s > fleet.silent_flight_s:
+    if message.intent is not Intent.DOWN and now_s - message.stamp_s > fleet.silent_flight_s:
         slot.yields = False  # the flight of this member has ended; it may stand on the same pad
-        return _conflict(word, pad, 0.0, fleet)
+        return _conflict(message, pad, 0.0, fleet)
     ahead_s = fleet.descent_s * (KEPT_PART if memory.granted else 1.0)
-    if not (slot.yields and slot.claim_s == word.claim_s) and not _conflict(word, pad, ahead_s, fleet):
+    if not (slot.yields and slot.claim_s == message.claim_s) and not _conflict(message, pad, ahead_s, fleet):
         slot.yields = False
         return False
-    if word.intent is Intent.DOWN:
+    if message.intent is Intent.DOWN:
         return False
-    since_s = word.stamp_s - word.clock_bound_s - memory.claim_s
-    answered = since_s >= fleet.latency_max_s and now_s - word.stamp_s <= fleet.age_max_s
-    if not math.isfinite(word.claim_s):
+    since_s = message.stamp_s - message.clock_bound_s - memory.claim_s
+    answered = since_s >= fleet.latency_max_s and now_s - message.stamp_s <= fleet.age_max_s
+    if not math.isfinite(message.claim_s):
         slot.yields = False
         return not answered
-    gives_way = answered and fleet.id in word.yields_to
-    slot.yields = _yields(memory, slot, word, now_s, fleet, answered=answered, gives_way=gives_way)
-    slot.claim_s = word.claim_s
+    gives_way = answered and fleet.id in message.yields_to
+    slot.yields = _yields(memory, slot, message, now_s, fleet, answered=answered, gives_way=gives_way)
+    slot.claim_s = message.claim_s
     return slot.yields or not gives_way
 
 
-def _distance_m(pad: Pad, word: Neighbour) -> float:
+def _distance_m(pad: Pad, message: Neighbour) -> float:
     """Return the horizontal distance of a vehicle from a pad."""
-    return nearest_m(pad, word.position_enu_m, word.velocity_enu_m_s, 0.0)
+    return nearest_m(pad, message.position_enu_m, message.velocity_enu_m_s, 0.0)
 
 
-def _waits_for(word: Neighbour | None, pad: Pad, now_s: float, fleet: Fleet) -> bool:
+def _waits_for(message: Neighbour | None, pad: Pad, now_s: float, fleet: Fleet) -> bool:
     """Whether a member claims the pad on which this vehicle stands."""
-    if word is None or word.pad_position_enu_m is None or now_s - word.stamp_s > fleet.age_max_s:
+    if message is None or message.pad_position_enu_m is None or now_s - message.stamp_s > fleet.age_max_s:
         return False
-    place, moves = word.pad_position_enu_m, word.pad_velocity_enu_m_s or ZERO
-    return math.isfinite(word.claim_s) and nearest_m(pad, place, moves, 0.0) < fleet.radius_xy_m
+    place, moves = message.pad_position_enu_m, message.pad_velocity_enu_m_s or ZERO
+    return math.isfinite(message.claim_s) and nearest_m(pad, place, moves, 0.0) < fleet.radius_xy_m
 
 
 def _yields(
-    memory: FleetMemory, slot: Heard, word: Neighbour, now_s: float, fleet: Fleet, *,
+    memory: FleetMemory, slot: Heard, message: Neighbour, now_s: float, fleet: Fleet, *,
     answered: bool, gives_way: bool,
 ) -> bool:  # fmt: skip
-    goes, lower = word.intent in GOES, fleet.id < word.id
+    goes, lower = message.intent in GOES, fleet.id < message.id
     if memory.granted:  # only an older right of way revokes a granted one
-        return goes and (word.claim_s, word.id) < (memory.claim_s, fleet.id) and not gives_way
+        return goes and (message.claim_s, message.id) < (memory.claim_s, fleet.id) and not gives_way
     if lower and gives_way and not goes:
         return False
-    if goes or (slot.yields and slot.claim_s == word.claim_s):
+    if goes or (slot.yields and slot.claim_s == message.claim_s):
         return True
-    both_s = max(memory.claim_s, word.claim_s) + DECIDE_LATENCIES * fleet.latency_max_s
-    if (word.claim_s, word.id) < (memory.claim_s, fleet.id):
+    both_s = max(memory.claim_s, message.claim_s) + DECIDE_LATENCIES * fleet.latency_max_s
+    if (message.claim_s, message.id) < (memory.claim_s, fleet.id):
         return True
     return not lower and answered and not gives_way and now_s > both_s
 
 
-def _conflict(word: Neighbour, pad: Pad, ahead_s: float, fleet: Fleet) -> bool:
+def _conflict(message: Neighbour, pad: Pad, ahead_s: float, fleet: Fleet) -> bool:
     """Whether two pads are too near to each other for two landings; a claim for an unknown pad conflicts.
 
     The horizon is shorter for a vehicle with the right of way: velocities of pads have errors, and an aborted
     descent costs more than a delayed one.
     """
-    place = word.pad_position_enu_m
+    place = message.pad_position_enu_m
     if place is None:
-        return math.isfinite(word.claim_s)
-    return nearest_m(pad, place, word.pad_velocity_enu_m_s or ZERO, ahead_s) < fleet.pad_distance_m
+        return math.isfinite(message.claim_s)
+    return nearest_m(pad, place, message.pad_velocity_enu_m_s or ZERO, ahead_s) < fleet.pad_distance_m
 
 
 def _names(what: str, ids: Sequence[int]) -> str:
@@ -227,7 +233,7 @@ KEPT_M = 0.2  # reduction of the required distances for a place that is already 
 
 
 def place_beside(
-    kept: Vec3 | None, own_enu_m: Vec3, pad: Pad, words: Sequence[Neighbour], fleet: Fleet
+    kept: Vec3 | None, own_enu_m: Vec3, pad: Pad, messages: Sequence[Neighbour], fleet: Fleet
 ) -> Vec3:
     """Return the chosen place on the ground, or a new one if pads or vehicles come too near to it.
 
@@ -236,10 +242,10 @@ def place_beside(
     while it is free of the path of ``descent_s``: errors of a pad's velocity rotate the longer path too much.
     """
     pads = [pad]
-    for word in words:
-        if word.pad_position_enu_m is not None:
-            pads.append(Pad(word.pad_position_enu_m, word.pad_velocity_enu_m_s or ZERO))
-    grounded = [word.position_enu_m for word in words if word.intent in ON_GROUND]
+    for message in messages:
+        if message.pad_position_enu_m is not None:
+            pads.append(Pad(message.pad_position_enu_m, message.pad_velocity_enu_m_s or ZERO))
+    grounded = [message.position_enu_m for message in messages if message.intent in ON_GROUND]
 
     def room_m(place: Vec3, ahead_s: float) -> float:
         least_m = min(_from_way_m(each, place, ahead_s) for each in pads) - fleet.wait_distance_m
