@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import Enum
 from typing import Any
 
@@ -81,12 +81,7 @@ def summary(
     counts = count(rows)
     lowest = [row.h_min_outside_pad_m for row in rows if row.h_min_outside_pad_m is not None]
     return {
-        "runs": counts.runs,
-        "landed": counts.landed,
-        "declared_aborts": counts.declared_aborts,
-        "undeclared_misses": counts.undeclared_misses,
-        "crashes": counts.crashes,
-        "violations": counts.violations,
+        **asdict(counts),
         "upper_95_violation_rate": upper_bound(counts.violations, counts.runs),
         "h_min_outside_pad_m": min(lowest, default=None),
         **{

@@ -143,7 +143,9 @@ class LockstepVehicle:
         if self.words is not None:
             self.words.tick = tick
         if self._robot is not None:
-            deck = self._robot.take(tick, wait=self.answers)
+            if self.answers:
+                self._robot.await_credit(tick)
+            deck = self._robot.take(tick)
             node.move_deck(deck)
             node.log.target(now_ns, deck.payload)
         if self.over:

@@ -93,9 +93,8 @@ class PublishedRobot(Robot):
         """Publish tick 0."""
         self._keep_first()
 
-    def take(self, tick: int, *, wait: bool = True) -> DeckState:
+    def take(self, tick: int) -> DeckState:
         """Advance to the next tick; return the true pose there."""
-        del wait
         self._drive(tick)
         pad, (x, y, z, yaw, vx, vy, vz, rate) = self._waiting.popleft()
         px, py, pz, pad_yaw, forward, left, up = pad[1:8]
@@ -177,13 +176,12 @@ class LockstepRobot(PublishedRobot):
                 )
         super().begin()
 
-    def take(self, tick: int, *, wait: bool = True) -> DeckState:
-        """Advance to the next tick; return the true pose there.
+    def await_credit(self, tick: int) -> None:
+        """Wait for the companion's credit, but only once.
 
-        Without credit the landing may have started before this tick. So wait for a companion's credit, but
-        only once.
+        Without it the landing may have started before this tick.
         """
-        if tick >= self._driven and not self._covers(tick) and wait and not self._silent:
+        if tick >= self._driven and not self._covers(tick) and not self._silent:
             self._silent = not wait_until(
                 lambda: self._covers(tick), self._stop, COMPANION_SILENT_S, yields=_CREDIT_YIELDS
             )
@@ -191,7 +189,6 @@ class LockstepRobot(PublishedRobot):
                 waited = f"no credit from the onboard process for {COMPANION_SILENT_S:g} s"
                 text = f"{waited}: the robot continues without"
                 self.log.event(self._grid.ns(tick), Severity.WARN, text)
-        return super().take(tick)
 
     def run_ahead(self, tick: int) -> None:
         """Drive ahead of the current tick while the companion computes, so that it need not wait later."""
@@ -233,9 +230,8 @@ class RealTimeRobot(PublishedRobot):
         """Start to publish the true pose, for a vehicle in another process."""
         self._truth = OdometryPublisher(self._session, truth_key(self.namespace))
 
-    def take(self, tick: int, *, wait: bool = True) -> DeckState:
+    def take(self, tick: int) -> DeckState:
         """Advance to the next tick; return the true pose there."""
-        del wait
         deck = super().take(tick)
         if self._truth is not None:
             self._truth.put(deck.payload, self.log.epoch_ns + self._grid.ns(tick), PAIR.pack(tick, 0))

@@ -111,9 +111,12 @@ class Robot(ABC):
     def _keep(self, pads: F64, due: Sequence[int], new: F64) -> None:
         """Store the motion of the next n ticks (``TargetMotion.run``)."""
 
+    def await_credit(self, tick: int) -> None:  # noqa: B027
+        """Wait until the companion permits to drive at this tick, if the robot depends on it."""
+
     @abstractmethod
-    def take(self, tick: int, *, wait: bool = True) -> DeckState:
-        """Advance to the next tick; return the true pose. ``wait``: whether to wait for the companion."""
+    def take(self, tick: int) -> DeckState:
+        """Advance to the next tick; return the true pose there."""
 
     def run_ahead(self, tick: int) -> None:  # noqa: B027
         """Drive ahead of the current tick while the companion computes, if that saves time."""
@@ -143,9 +146,8 @@ class DirectTarget(Robot):
         super().__init__(scenario, seed, grid)
         self._keep_first()
 
-    def take(self, tick: int, *, wait: bool = True) -> DeckState:
+    def take(self, tick: int) -> DeckState:
         """Advance to this tick; return the true pose there."""
-        del wait
         if self._at == len(self._come):
             self._drive(tick + self._ahead_ticks - 1)
         first, end = self._come_before, self._come[self._at]

@@ -101,18 +101,22 @@ class Pair:
     collided_ms: int | None = None  # time of the first overlap of their shapes; None: no overlap
 
 
-class Pairs:
-    """Tracks all pairs; the propellers of colliding vehicles break at the end of that tick.
+class Room:
+    """Connects the vehicles tick by tick: call ``begin``, simulate the tick of each vehicle, call ``end``.
+
+    Vehicles act on each other with a delay of one tick. The propellers of colliding vehicles break at the end
+    of that tick.
 
     Raises ValueError: two vehicles overlap at the start.
     """
 
-    def __init__(self, members: Sequence[VehicleNode], grid: TickGrid) -> None:
-        self._members, self._grid = members, grid
+    def __init__(self, members: Sequence[VehicleNode], grid: TickGrid, feed: Feed) -> None:
+        self._members, self._grid, self._feed = members, grid, feed
+        self._air = Air([member.vehicle.physics for member in members])
         shapes = [Shape.of(member.vehicle.physics.params) for member in members]
         # all pairs, (1, 2) first; ``found`` fills in their smallest distances
-        self.all = [Pair(i, j) for i, j in combinations(range(1, len(members) + 1), 2)]
-        self._team, self._inside = Team(shapes), [False] * len(self.all)
+        self._pairs = [Pair(i, j) for i, j in combinations(range(1, len(members) + 1), 2)]
+        self._team, self._inside = Team(shapes), [False] * len(self._pairs)
         self._before, self._flew = self._states(), self._flying()
         for one, other in overlapping(shapes, self._before[:, :3]):
             place = ", ".join(f"{each:.2f}" for each in members[one].vehicle.body()[:3])
@@ -120,10 +124,19 @@ class Pairs:
                 f"{members[one].name} and {members[other].name} begin inside each other, at ({place}) m; "
                 "give them other start places"
             )
+        self._channel = feed.channel(TOPIC, FLEET_PAIR) if self._pairs else 0
+        self._every, self._written = max(1, round(grid.rate_hz / _LOG_HZ)), 0
 
-    def end(self, tick: int) -> None:
-        """Evaluate the last tick, which all vehicles have flown. ``tick``: its number."""
-        if not self.all:
+    def begin(self) -> None:
+        """Update the jets before a tick."""
+        self._air.blow()
+
+    def end(self, tick: int, epoch_ns: int) -> None:
+        """Evaluate a tick that all vehicles have flown; write the distances about ten times a second.
+
+        ``tick``: its number; ``epoch_ns``: Unix time of tick 0.
+        """
+        if not self._pairs:
             return
         grid, before, flew = self._grid, self._before, self._flew
         begin_ms, steps = grid.ms(tick), grid.ms(tick + 1) - grid.ms(tick)
@@ -131,19 +144,33 @@ class Pairs:
         if self._team.follow(before, self._before, flew & self._flew, steps):
             self._note(begin_ms, steps)
         else:
-            self._inside = [False] * len(self.all)
+            self._inside = [False] * len(self._pairs)
+        if (tick + 1) % self._every == 0:
+            self.write(tick, epoch_ns)
 
     def found(self) -> tuple[Pair, ...]:
-        """Return the pairs with their smallest distances."""
-        for pair, least in zip(self.all, self._team.least.tolist(), strict=True):
+        """Return all pairs with their smallest distances."""
+        for pair, least in zip(self._pairs, self._team.least.tolist(), strict=True):
             pair.distance_min_m, pair.flying_distance_min_m, pair.ellipsoid_min = least
-        return tuple(self.all)
+        return tuple(self._pairs)
+
+    def write(self, tick: int, epoch_ns: int) -> None:
+        """Write the smallest distances of all pairs up to a tick's end; arguments as in ``end``."""
+        stamp_ns, members = epoch_ns + self._grid.ns(tick + 1), self._members
+        for pair in self.found():
+            self._written += 1
+            collided_ms = NEVER if pair.collided_ms is None else pair.collided_ms
+            row = FleetPairRow(
+                stamp_ns, members[pair.one - 1].number, members[pair.other - 1].number, pair.distance_min_m,
+                pair.flying_distance_min_m, pair.ellipsoid_min, pair.violations, pair.inside_ms, collided_ms,
+            )  # fmt: skip
+            self._feed.write(self._channel, stamp_ns, stamp_ns, self._written, row.pack())
 
     def _note(self, begin_ms: int, steps: int) -> None:
         """Count the pairs inside their ellipsoid; the first overlap of a pair is a collision."""
         now, hits = [bool(each) for each in self._team.inside], []
         for pair, inside, was, overlap_ms in zip(
-            self.all, now, self._inside, self._team.overlap_ms.tolist(), strict=True
+            self._pairs, now, self._inside, self._team.overlap_ms.tolist(), strict=True
         ):
             pair.violations += inside and not was
             pair.inside_ms += steps * inside
@@ -171,51 +198,6 @@ class Pairs:
         return np.array(
             [each.motors_running and not (each.on_pad or each.on_ground) for each in vehicles], "i8"
         )
-
-
-class Room:
-    """Connects the vehicles tick by tick: call ``begin``, simulate the tick of each vehicle, call ``end``.
-
-    Vehicles act on each other with a delay of one tick.
-
-    Raises ValueError: two vehicles overlap at the start.
-    """
-
-    def __init__(self, members: Sequence[VehicleNode], grid: TickGrid, feed: Feed) -> None:
-        self._grid, self._feed = grid, feed
-        self._air = Air([member.vehicle.physics for member in members])
-        self._pairs, self._numbers = Pairs(members, grid), [member.number for member in members]
-        self._channel = feed.channel(TOPIC, FLEET_PAIR) if len(members) > 1 else 0
-        self._every, self._written = max(1, round(grid.rate_hz / _LOG_HZ)), 0
-
-    def begin(self) -> None:
-        """Update the jets before a tick."""
-        self._air.blow()
-
-    def end(self, tick: int, epoch_ns: int) -> None:
-        """Evaluate a tick that all vehicles have flown; write the distances about ten times a second.
-
-        ``tick``: its number; ``epoch_ns``: Unix time of tick 0.
-        """
-        self._pairs.end(tick)
-        if (tick + 1) % self._every == 0:
-            self.write(tick, epoch_ns)
-
-    def found(self) -> tuple[Pair, ...]:
-        """Return the smallest distances of all pairs."""
-        return self._pairs.found()
-
-    def write(self, tick: int, epoch_ns: int) -> None:
-        """Write the smallest distances of all pairs up to a tick's end; arguments as in ``end``."""
-        stamp_ns = epoch_ns + self._grid.ns(tick + 1)
-        for pair in self.found():
-            self._written += 1
-            collided_ms = NEVER if pair.collided_ms is None else pair.collided_ms
-            row = FleetPairRow(
-                stamp_ns, self._numbers[pair.one - 1], self._numbers[pair.other - 1], pair.distance_min_m,
-                pair.flying_distance_min_m, pair.ellipsoid_min, pair.violations, pair.inside_ms, collided_ms,
-            )  # fmt: skip
-            self._feed.write(self._channel, stamp_ns, stamp_ns, self._written, row.pack())
 
 
 class Words:

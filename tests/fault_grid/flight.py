@@ -90,10 +90,10 @@ class _Target(DirectTarget):
         self.mangle: Mangle | None = None  # changes samples in transit; None: no change
         super().__init__(scenario, seed, grid)
 
-    def take(self, tick: int, *, wait: bool = True) -> DeckState:
+    def take(self, tick: int) -> DeckState:
         """Advance to this tick; return the true pose."""
         self._drive(tick)
-        return super().take(tick, wait=wait)
+        return super().take(tick)
 
     def _keep(self, pads: F64, due: Sequence[int], new: F64) -> None:
         self._measured += [measurement(row) for row in new.tolist()]

@@ -22,6 +22,7 @@ def test_no_estimate_clears_health_and_refuses_arming_and_take_off() -> None:
     assert rig.command(400, 1.0) == mav.MAV_RESULT_TEMPORARILY_REJECTED
     assert rig.command(22) == mav.MAV_RESULT_TEMPORARILY_REJECTED
     assert rig.texts() == ["Arming refused: no position estimate", "Take-off refused: no position estimate"]
+    assert rig.command(400, 1.0, 21196.0) == mav.MAV_RESULT_TEMPORARILY_REJECTED  # forced
     assert not rig.vehicle.armed
 
 
@@ -46,12 +47,6 @@ def test_take_off_without_a_height_takes_the_parameter_and_order_does_not_matter
     assert rig.command(400, 1.0) == mav.MAV_RESULT_ACCEPTED
     rig.run(6.0)
     assert rig.vehicle.state.position_enu_m[2] == pytest.approx(0.5, abs=0.03)
-
-
-def test_forced_arming_does_not_skip_the_checks() -> None:
-    rig = Rig()
-    rig.vehicle.state.valid = False
-    assert rig.command(400, 1.0, 21196.0) == mav.MAV_RESULT_TEMPORARILY_REJECTED
 
 
 def test_landing_waits_for_lasting_contact_and_works_on_the_pad() -> None:

@@ -39,7 +39,7 @@ def quaternion(yaw, pitch, roll):
     return tuple(times(times(half(yaw, 3), half(pitch, 2)), half(roll, 1)))
 
 
-def matrix_flu_enu(q):
+def rotation(q):
     w, r = q[0], np.array(q[1:])
     cross = np.array([[0, -r[2], r[1]], [r[2], 0, -r[0]], [-r[1], r[0], 0]])
     return np.eye(3) + 2 * w * cross + 2 * cross @ cross
@@ -69,7 +69,7 @@ def test_at_rest_in_any_attitude_accelerometer_and_magnetometer_show_the_world_t
 ):
     q = quaternion(yaw, pitch, roll)
     readings = many(body(q), 50)
-    ned_of_frd = NED_OF_ENU @ matrix_flu_enu(q) @ FRD
+    ned_of_frd = NED_OF_ENU @ rotation(q) @ FRD
     accel = mean(r.accel_frd_m_s2 for r in readings)
     assert ned_of_frd @ accel == pytest.approx([0.0, 0.0, -G], abs=0.2)
     mag = mean(r.slow.mag_frd_gauss for r in readings if r.slow is not None)
@@ -157,13 +157,7 @@ def test_shows_the_pose_of_frd_in_ned(position, raw):
     q = np.array(raw) / math.hypot(*raw)
     _, m = poses(SOUND, posed(position, tuple(q)), 1)[0]
     assert (m.x, m.y, m.z) == pytest.approx((position[1], position[0], -position[2]))
-
-    def matrix(w, x, y, z):
-        r = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        return np.eye(3) + 2 * w * r + 2 * r @ r
-
-    ned_of_enu = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
-    assert matrix(*m.q) == pytest.approx(ned_of_enu @ matrix(*q) @ np.diag([1, -1, -1]), abs=1e-6)
+    assert rotation(m.q) == pytest.approx(NED_OF_ENU @ rotation(q) @ FRD, abs=1e-6)
     assert (m.frame_id, m.child_frame_id, m.estimator_type) == (1, 12, 2)  # NED, body FRD, vision
     assert math.isnan(m.vx)
     assert math.isnan(m.rollspeed)

@@ -69,6 +69,7 @@ def fly(ends, name, chosen_at):
     for tick in range(TICKS):
         if tick % 10 == 0:
             ends.credit.put(PAIR.pack(tick, NO_GO))
+        robot.await_credit(tick)
         decks.append(robot.take(tick))
         robot.run_ahead(tick)
         if tick == chosen_at:
@@ -108,12 +109,14 @@ def test_it_drives_ahead_of_the_credit_by_a_fixed_number_of_ticks_and_waits_for_
     log = Log()
     robot = robot_of(ends, "reversing", log)
     for tick in range(RUN_AHEAD_TICKS + 1):
+        robot.await_credit(tick)
         robot.take(tick)
         robot.run_ahead(tick)
     markers = received(ends.marker, RUN_AHEAD_TICKS + 1)
     assert PAIR.unpack(markers[-1].payload.to_bytes())[0] == RUN_AHEAD_TICKS
     monkeypatch.setattr(published_robot, "COMPANION_SILENT_S", 0.05)
     for tick in range(RUN_AHEAD_TICKS + 1, RUN_AHEAD_TICKS + 4):
+        robot.await_credit(tick)
         robot.take(tick)
     (text,) = (text for _, text in log.texts)
     assert text == "no credit from the onboard process for 0.05 s: the robot continues without"
