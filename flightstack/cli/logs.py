@@ -44,8 +44,8 @@ def info(log_file: Path, member: str | None, as_json: bool) -> None:
     from logs.tools import info as tools_info
 
     found = tools_info.gather(_open(log_file, member))
-    click.echo(json.dumps(found.as_json()) if as_json else plain("\n".join(tools_info.lines(found))))
-    sys.exit(DONE if found.complete else BROKEN)
+    click.echo(json.dumps(found) if as_json else plain("\n".join(tools_info.lines(found))))
+    sys.exit(DONE if found["complete"] else BROKEN)
 
 
 @log.command()

@@ -27,13 +27,14 @@ from logs.report.style import (
     TARGET,
     TRUE,
     add_line,
+    chart,
     layout,
     light,
     line,
     low_envelope,
+    marks,
     over_time,
     rows_of,
-    thin,
     value_range,
     zero_s,
 )
@@ -188,22 +189,20 @@ def filter_activity(flight: Flight) -> go.Figure | None:
     ran = np.isfinite(steps.slack_m_s)
     changed = np.where(ran, np.linalg.norm(steps.filtered_enu_m_s - steps.nominal_enu_m_s, axis=1), np.nan)
     slack = np.where(ran, steps.slack_m_s, np.nan)
-    figure = rows_of(2, 0.07)
-    add_line(figure, 1, t, changed, "change |u* − u'|", FILTERED, width=1.8)
-    add_line(figure, 2, t, slack, "slack of the constraint at u*", COMMAND, width=1.6)
     active = np.where(steps.barrier_active, 0.0, np.nan)
-    add_line(figure, 2, t, active, "barrier active", BOUNDARY, width=5, hoverinfo="skip")
+    traces = [
+        (1, line(t, changed, "change |u* − u'|", FILTERED, width=1.8)),
+        (2, line(t, slack, "slack of the constraint at u*", COMMAND, width=1.6)),
+        (2, line(t, active, "barrier active", BOUNDARY, width=5, hoverinfo="skip")),
+    ]
     for status, (name, symbol) in _ODD.items():
         at = np.flatnonzero(steps.filter_status == status)
         if len(at):
-            at = at[thin(len(at))]
-            style = {"symbol": symbol, "size": 7, "color": BOUNDARY}
-            marks = go.Scatter(x=light(t[at]), y=light(slack[at]), mode="markers", name=name, marker=style)
-            figure.add_trace(marks, row=2, col=1)
-    over_time(figure, flight, 480, rows=2)
-    figure.update_yaxes(title_text="change [m/s]", rangemode="tozero", row=1, col=1)
-    figure.update_yaxes(title_text="slack [m/s]", range=value_range(flight, [(t, slack)]), row=2, col=1)
-    return figure
+            traces.append((2, marks(at, t, slack, name, symbol=symbol, size=7, color=BOUNDARY)))
+    return chart(
+        flight, 480, 0.07, traces, {"title_text": "change [m/s]", "rangemode": "tozero"},
+        {"title_text": "slack [m/s]", "range": value_range(flight, [(t, slack)])},
+    )  # fmt: skip
 
 
 def estimate_error(flight: Flight) -> go.Figure | None:
@@ -212,20 +211,18 @@ def estimate_error(flight: Flight) -> go.Figure | None:
     if errors is None or not (np.isfinite(errors.own_m).any() or np.isfinite(errors.target_m).any()):
         return None
     t = errors.t_s - zero_s(flight)
-    figure = rows_of(3, 0.05)
     looks = (("east", NOMINAL), ("north", TRUE), ("up", COMMAND))
-    for row, values in ((1, errors.own_m), (2, errors.target_m)):
-        for axis, (name, color) in enumerate(looks):
-            y = 1e3 * values[:, axis]
-            add_line(figure, row, t, y, name, color, width=1.3, legendgroup=name, showlegend=row == 1)
-        shown = [(t, 1e3 * values[:, axis]) for axis in range(3)]
-        figure.update_yaxes(range=value_range(flight, shown), row=row, col=1)
-    add_line(figure, 3, t, 1e3 * errors.h_m, "h", INK, width=1.3)
-    figure.update_yaxes(range=value_range(flight, [(t, 1e3 * errors.h_m)]), row=3, col=1)
-    for row, title in ((1, "vehicle [mm]"), (2, "target [mm]"), (3, "h [mm]")):
-        figure.update_yaxes(title_text=title, row=row, col=1)
-    over_time(figure, flight, 640, rows=3)
-    return figure
+    traces, axes = [], []
+    for row, title, values in ((1, "vehicle [mm]", errors.own_m), (2, "target [mm]", errors.target_m)):
+        columns = 1e3 * values.T
+        for y, (name, color) in zip(columns, looks, strict=True):
+            look = {"width": 1.3, "legendgroup": name, "showlegend": row == 1}
+            traces.append((row, line(t, y, name, color, **look)))
+        axes.append({"title_text": title, "range": value_range(flight, [(t, y) for y in columns])})
+    h_mm = 1e3 * errors.h_m
+    traces.append((3, line(t, h_mm, "h", INK, width=1.3)))
+    axes.append({"title_text": "h [mm]", "range": value_range(flight, [(t, h_mm)])})
+    return chart(flight, 640, 0.05, traces, *axes)
 
 
 def vehicle_state(flight: Flight) -> go.Figure | None:
@@ -234,15 +231,14 @@ def vehicle_state(flight: Flight) -> go.Figure | None:
     if truth is None or tilt is None or not len(tilt):
         return None
     t = truth.t_s - zero_s(flight)
-    figure = rows_of(2, 0.08)
-    add_line(figure, 1, t, tilt, "tilt", TRUE, width=1.4)
-    add_line(figure, 2, t, truth.battery_v, "battery", TARGET, width=1.4)
     off = np.where(truth.motors_running, np.nan, 0.0)
-    add_line(figure, 1, t, off, "motors off", LIMIT, width=5, hoverinfo="skip")
-    over_time(figure, flight, 420, rows=2)
-    figure.update_yaxes(title_text="tilt [°]", rangemode="tozero", row=1, col=1)
-    figure.update_yaxes(title_text="battery [V]", row=2, col=1)
-    return figure
+    traces = [
+        (1, line(t, tilt, "tilt", TRUE, width=1.4)),
+        (2, line(t, truth.battery_v, "battery", TARGET, width=1.4)),
+        (1, line(t, off, "motors off", LIMIT, width=5, hoverinfo="skip")),
+    ]
+    tilt_axis = {"title_text": "tilt [°]", "rangemode": "tozero"}
+    return chart(flight, 420, 0.08, traces, tilt_axis, {"title_text": "battery [V]"})
 
 
 def share_active(steps: Steps) -> float | None:
@@ -262,27 +258,20 @@ def loop_timing(flight: Flight) -> go.Figure | None:
     timing = flight.timing
     if timing is None:
         return None
-    t = timing.t_s - zero_s(flight)
-    figure = rows_of(2, 0.07)
-    add_line(figure, 1, t, timing.period_s * 1e3, "period", TRUE, width=1.2)
+    t, period_ms = timing.t_s - zero_s(flight), timing.period_s * 1e3
+    traces = [(1, line(t, period_ms, "period", TRUE, width=1.2))]
     missed = np.flatnonzero(np.diff(timing.overruns) > 0) + 1
     if len(missed):
-        keep = missed[thin(len(missed))]
-        style = {"symbol": "x", "size": 8, "color": BOUNDARY}
-        marks = go.Scatter(
-            x=light(t[keep]), y=light(timing.period_s[keep] * 1e3), mode="markers", name="overrun",
-            marker=style,
-        )  # fmt: skip
-        figure.add_trace(marks, row=1, col=1)
-    add_line(figure, 2, t, timing.exec_s * 1e6, "whole tick", COMMAND, width=1.4)
+        traces.append((1, marks(missed, t, period_ms, "overrun", symbol="x", size=8, color=BOUNDARY)))
     solve_us = np.where(timing.solve_s > 0.0, timing.solve_s * 1e6, np.nan)  # 0: the program did not run
-    add_line(figure, 2, t, solve_us, "quadratic program", NOMINAL, width=1.4)
-    late_us = timing.lateness_s * 1e6
-    add_line(figure, 2, t, late_us, "start after deadline", LIMIT, width=1.0, visible="legendonly")
-    over_time(figure, flight, 480, rows=2)
-    figure.update_yaxes(title_text="period [ms]", row=1, col=1)
-    figure.update_yaxes(title_text="wall time [µs]", type="log", tickvals=_WALL_US, row=2, col=1)
-    return figure
+    late_us, hidden = timing.lateness_s * 1e6, "legendonly"
+    traces += [
+        (2, line(t, timing.exec_s * 1e6, "whole tick", COMMAND, width=1.4)),
+        (2, line(t, solve_us, "quadratic program", NOMINAL, width=1.4)),
+        (2, line(t, late_us, "start after deadline", LIMIT, width=1.0, visible=hidden)),
+    ]
+    wall_axis = {"title_text": "wall time [µs]", "type": "log", "tickvals": _WALL_US}
+    return chart(flight, 480, 0.07, traces, {"title_text": "period [ms]"}, wall_axis)
 
 
 def histograms(flight: Flight, streams: Sequence[Stream]) -> go.Figure | None:
@@ -347,13 +336,9 @@ def data_age(flight: Flight) -> go.Figure | None:
             high = max(high, 1.1e3 * limit_s)
     refused = np.flatnonzero(np.diff(steps.target_rejected) > 0) + 1
     if len(refused):
-        keep = refused[thin(len(refused))]
-        figure.add_trace(
-            go.Scatter(
-                x=light(t[keep]), y=np.zeros(len(keep), np.float32), mode="markers", name="sample refused",
-                marker={"symbol": "x-thin", "size": 8, "line": {"color": BOUNDARY, "width": 1.5}},
-            )
-        )  # fmt: skip
+        thick = {"color": BOUNDARY, "width": 1.5}
+        at_zero = np.zeros_like(t)
+        figure.add_trace(marks(refused, t, at_zero, "sample refused", symbol="x-thin", size=8, line=thick))
     over_time(figure, flight, 380)
     figure.update_yaxes(title_text="age at the tick [ms]", range=[low, high])
     return figure

@@ -7,7 +7,7 @@ has the same meaning in every figure; true and estimated values also differ by d
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from plotly.subplots import make_subplots
 
 from flightstack.common.text import one_line
 from flightstack.core.types import Phase
-from logs.reader.flight_data import Fleet, Flight, Floats, phase_name
+from logs.reader.flight_data import Fleet, Flight, Floats, Ints, phase_name
 from logs.report.derived import fault_spans
 
 TRUE = "#0072B2"  # blue
@@ -193,6 +193,20 @@ def over_time(figure: go.Figure, flight: Flight, height_px: int, *, rows: int = 
     time_axis(figure, axis_of([flight]), rows)
 
 
+def chart(
+    flight: Flight, height_px: int, spacing: float, traces: Iterable[tuple[int, go.Scatter]],
+    *axes: dict[str, Any],
+) -> go.Figure:  # fmt: skip
+    """Draw traces, each in its row (1 is the top), over the flight's time; ``axes``: y axis of each row."""
+    figure = rows_of(len(axes), spacing)
+    for row, trace in traces:
+        figure.add_trace(trace, row=row, col=1)
+    over_time(figure, flight, height_px, rows=len(axes))
+    for row, axis in enumerate(axes, 1):
+        figure.update_yaxes(**axis, row=row, col=1)
+    return figure
+
+
 def rows_of(rows: int, spacing: float) -> go.Figure:
     return make_subplots(rows=rows, cols=1, shared_xaxes=True, vertical_spacing=spacing)
 
@@ -206,6 +220,12 @@ def line(x: Floats, y: Floats, name: str, color: str, **more: Any) -> go.Scatter
     keep = thin(len(x))
     style = {"color": color, "width": more.pop("width", 1.8), "dash": more.pop("dash", "solid")}
     return go.Scatter(**_places(x[keep]), y=light(y[keep]), name=name, mode="lines", line=style, **more)
+
+
+def marks(at: Ints, x: Floats, y: Floats, name: str, **marker: Any) -> go.Scatter:
+    """Return markers at these samples, thinned."""
+    at = at[thin(len(at))]
+    return go.Scatter(x=light(x[at]), y=light(y[at]), mode="markers", name=name, marker=marker)
 
 
 def _places(x: Floats) -> dict[str, Any]:

@@ -27,14 +27,7 @@ DUTY = 0.5  # typical duty cycle in flight, within a factor of 2
 TILT_MAX_DEG = 60.0  # largest median tilt of a flight
 OPPOSITE = -0.5  # correlation below which an axis has the wrong sign
 # smallest motion that is compared, SI units; less is only noise
-# smallest motion that is compared, SI units; less is only noise
-# smallest motion that is compared, SI units; less is only noise
-MOVES = {
-    "attitude": 0.05,
-    "position": 0.05,
-    "velocity": 0.05,
-    "tilt": 0.01,
-}
+MOVES = {"attitude": 0.05, "position": 0.05, "velocity": 0.05, "tilt": 0.01}
 
 
 class _Scale(NamedTuple):

@@ -111,10 +111,10 @@ def test_every_byte_offset_of_a_small_log(tmp_path):
         log = LogFile(cut)
         info = gather(log)
         messages = rows(cut)
-        assert not info.complete
-        assert info.problem
-        assert info.readable_bytes <= at
-        assert info.messages == len(messages)
+        assert not info["complete"]
+        assert info["problem"]
+        assert info["readable_bytes"] <= at
+        assert info["messages"] == len(messages)
         assert messages == all_rows[: len(messages)]
         assert len(messages) >= max((n for end, n in ends.items() if end <= at), default=0)
         counts.add(len(messages))
