@@ -127,13 +127,13 @@ class Child:
         errors: IO[bytes],
     ) -> subprocess.Popen[bytes]:
         if program is None:
-            words, told = [sys.executable, "-m", CLI], {_PARENT: f"{os.getpid()} {self.name}"}
+            words, variables = [sys.executable, "-m", CLI], {_PARENT: f"{os.getpid()} {self.name}"}
         else:
-            words, told = tied(program), {}  # a program would pass the variable on to its children
+            words, variables = tied(program), {}  # a program would pass the variable on to its children
         process = subprocess.Popen(
             [*words, *arguments],
             cwd=works_in,
-            env=os.environ | told,
+            env=os.environ | variables,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=errors,
@@ -198,8 +198,8 @@ class Child:
 def _processor_s(pid: int) -> float:
     """Return the processor time of a process, s; 0 if it is not available."""
     try:
-        told = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-        return sum(map(int, told[_STAT_TIMES])) / os.sysconf("SC_CLK_TCK")
+        stat = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        return sum(map(int, stat[_STAT_TIMES])) / os.sysconf("SC_CLK_TCK")
     except (OSError, ValueError):
         return 0.0
 

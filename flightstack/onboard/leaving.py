@@ -95,8 +95,8 @@ class Leaving:
         vehicle; ``now_s``: time on the stack's clock.
         """
         if out.finished:
-            told = f"; {self._duration_s:g} s are over" if self._over(now_s) else ""
-            return Ended(out.phase, memory.reason + told, 0 if out.phase is Phase.LANDED else 1)
+            suffix = f"; {self._duration_s:g} s are over" if self._over(now_s) else ""
+            return Ended(out.phase, memory.reason + suffix, 0 if out.phase is Phase.LANDED else 1)
         armed = status is not None and status.armed
         self.arms = self.arms or memory.phase not in (Phase.WAIT, Phase.ABORT)
         self._theirs = armed and memory.phase is Phase.WAIT and not memory.was_external

@@ -153,8 +153,8 @@ class OnboardLog:
             power = power_row(tick, taken.inputs.power, out.reserve).pack()
             self._feed.write(self._power, unix_ns, unix_ns, tick.number, power)
         if self._neighbours is not None:
-            told = pack_neighbours(tick, taken.inputs.neighbours)
-            self._feed.write(self._neighbours, unix_ns, unix_ns, tick.number, told)
+            payload = pack_neighbours(tick, taken.inputs.neighbours)
+            self._feed.write(self._neighbours, unix_ns, unix_ns, tick.number, payload)
         for event in out.events:
             self.event(unix_ns, event.level, event.text, CONTROLLER)
         row = step_row(tick, out)

@@ -141,7 +141,7 @@ def describe(
 def _describe(feed: Feed, flight: Described) -> None:
     config, names = flight.config, flight.names
     shape, limits = config.barrier.build(), config.limits.velocity_max_m_s
-    told = {
+    metadata = {
         "filter": config.filter,
         "mode": "real-time",
         "rate_hz": str(config.loop.rate_hz),
@@ -153,8 +153,8 @@ def _describe(feed: Feed, flight: Described) -> None:
         "pad_radius_m": repr(config.touchdown.pad_radius_m),
     }
     if boundary := own_boundary(config.filter):
-        told["own_boundary"] = boundary
-    feed.metadata(names.record("run"), {**told, **flight.run})
+        metadata["own_boundary"] = boundary
+    feed.metadata(names.record("run"), {**metadata, **flight.run})
 
 
 def _revision() -> str:

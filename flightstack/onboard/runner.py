@@ -191,8 +191,8 @@ class LiveTarget:
         messages = self._source.poll()
         stall_s = self._clock() - now_s
         if messages and stall_s > STALL_MAX_S:
-            told = f"target samples not used: the process stalled for {stall_s:.2f} s before it had read them"
-            return Arrived((), [told], messages)
+            text = f"target samples not used: the process stalled for {stall_s:.2f} s before it had read them"
+            return Arrived((), [text], messages)
         return decoded(messages, now_s)
 
     def landing_began(self, tick: int) -> None:

@@ -166,15 +166,16 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
     )
     # one setting, unless the gains in the final descent or far away differ
     flown = {config, config.descending, config.far}
-    told = min(decay_1_s(one, 1.0, 1.0)[0] for one in flown)
+    decay = min(decay_1_s(one, 1.0, 1.0)[0] for one in flown)
     fastest = max(_bandwidth(one) for one in flown)
     observer = config.velocity_feedback.observer_rate_1_s / config.velocity_loop.rate_xy_1_s
     wanted_m_s2, most_m_s2 = max(config.slew_max_m_s2[:2]), config.velocity_feedback.acceleration_max_m_s2
     least, where = min(decay_1_s(one, 1.0 / (1.0 + spread), 1.0 / (1.0 - spread)) for one in flown)
     return [
         Check(
-            "velocity feedback", "the feedback loop is stable for the declared vehicle", told - MIN_DECAY_1_S,
-            "1/s", f"decays at {told:.3g} 1/s at least, {MIN_DECAY_1_S:g} are needed", remedy,
+            "velocity feedback", "the feedback loop is stable for the declared vehicle",
+            decay - MIN_DECAY_1_S, "1/s", f"decays at {decay:.3g} 1/s at least, {MIN_DECAY_1_S:g} are needed",
+            remedy,
         ),
         Check(
             "velocity feedback, spread", "the feedback loop is stable for each vehicle of the spread",

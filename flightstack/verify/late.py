@@ -130,7 +130,7 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
         robust.to_contact_1_s: "gain_descent_1_s" if descent else "gain_over_pad_1_s",
     }
     least_1_s = {gain: min(MIN_DECAY_1_S, 0.5 * gain) for gain in gains}
-    told, told_gain = min((decay_1_s(config, gain, 1.0, 1.0) - least_1_s[gain], gain) for gain in gains)
+    slack, slack_gain = min((decay_1_s(config, gain, 1.0, 1.0) - least_1_s[gain], gain) for gain in gains)
     room, needed, gain, slower, response = min(
         (decay_1_s(config, gain, slower, response) - needed, needed, gain, slower, response)
         for gain in gains
@@ -150,9 +150,9 @@ def comes_to_rest(config: FlightConfig) -> list[Check]:
             f"lower robust.{key}", PROOF,
         ),
         Check(
-            "lead", "the loop of position and lead is stable for the declared vehicle", told, "1/s",
-            f"an error decays at {told + least_1_s[told_gain]:.3g} 1/s, least: {least_1_s[told_gain]:g}",
-            remedy.format(gains[told_gain]),
+            "lead", "the loop of position and lead is stable for the declared vehicle", slack, "1/s",
+            f"an error decays at {slack + least_1_s[slack_gain]:.3g} 1/s, least: {least_1_s[slack_gain]:g}",
+            remedy.format(gains[slack_gain]),
         ),
         Check(
             "lead, spread", "the loop of position and lead is stable for each vehicle of the spread", room,

@@ -50,8 +50,8 @@ def modelled(config: FlightConfig) -> Check:
         ("z", loop.lag_z_s, 2.0 * loop.damping / loop.rate_z_1_s),
     )
     factor, axis, told_s, model_s = max(
-        (max(told / model, model / told) if told > 0.0 else math.inf, axis, told, model)
-        for axis, told, model in axes
+        (max(declared / model, model / declared) if declared > 0.0 else math.inf, axis, declared, model)
+        for axis, declared, model in axes
     )
     made = f"2 damping / rate_{axis}_1_s {'+ dead_time_s ' if axis == 'xy' else ''}make {model_s:.3g} s"
     return Check(

@@ -181,8 +181,8 @@ def _health(health: HealthRow, fresh: bool) -> Table:
 
 
 def _age(name: str, age_s: float, valid: bool, fresh: bool) -> Text:
-    told = f"{1e3 * age_s:.0f} ms" if age_s == age_s else "never"
-    return Text(f"{name} {told}", style=_dim("green" if valid else "bold red", fresh))
+    age = f"{1e3 * age_s:.0f} ms" if age_s == age_s else "never"
+    return Text(f"{name} {age}", style=_dim("green" if valid else "bold red", fresh))
 
 
 def _timing(timings: Sequence[LoopTimingRow], fresh: bool) -> Text:

@@ -283,21 +283,21 @@ class Mission:
             (C.TIRED, lambda: battery),
             (C.NO_RESULT, lambda: self._strategy.memory.refusal),
         )
-        told = [say() for condition, say in numbers if asked & condition]
-        if not told and rule.about & ~flags & C.READY:
+        details = [say() for condition, say in numbers if asked & condition]
+        if not details and rule.about & ~flags & C.READY:
             others = "" if seen.way.may_begin else seen.way.text
             below = target_below(self._config, seen)
-            told = [battery or others or below or "the vehicle does not say that it is ready to arm"]
-        if not told and rule.about & ~flags & C.RECOVERED:
+            details = [battery or others or below or "the vehicle does not say that it is ready to arm"]
+        if not details and rule.about & ~flags & C.RECOVERED:
             least_s = checks.recovery_time_s
-            told = [f"not all of them were good for {least_s:g} s without a gap (checks.recovery_time_s)"]
+            details = [f"not all of them were good for {least_s:g} s without a gap (checks.recovery_time_s)"]
         if rule is START_LATE and target is not None:
             speed_m_s = math.hypot(*target.velocity_enu_m_s[:2])
             most_m_s = min(self._config.limits.velocity_max_m_s[:2])
-            told = [f"the target drives at {speed_m_s:.2f} m/s; limits.velocity_max_m_s is {most_m_s:g}"]
+            details = [f"the target drives at {speed_m_s:.2f} m/s; limits.velocity_max_m_s is {most_m_s:g}"]
         if rule.when & C.LANDING_TIME_OVER and seen.way.waited:
-            told = [seen.way.text]
-        return f"{rule.reason}: {', '.join(told)}" if told else rule.reason
+            details = [seen.way.text]
+        return f"{rule.reason}: {', '.join(details)}" if details else rule.reason
 
     def _own_lost(self, seen: Snapshot, now_s: float) -> str:
         checks, watched, own = self._config.checks, self._plausibility, seen.inputs.own

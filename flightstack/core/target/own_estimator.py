@@ -164,8 +164,8 @@ class OwnEstimator:
         memory = self.memory
         memory.time_s, memory.z_m, memory.z_error_m_s = own.source_time_s, pz, 0.0
         memory.x, memory.y = (px, vx, 0.0, 0.0, 0.0), (py, vy, 0.0, 0.0, 0.0)
-        told = (vx, vy, 0.0)
-        memory.pending = (told, told, told, told)
+        reported = (vx, vy, 0.0)
+        memory.pending = (reported, reported, reported, reported)
 
     def _learn(self, own: OwnState, elapsed_s: float) -> None:
         (px, py, pz), (vx, vy, vz), memory = own.position_enu_m, own.velocity_enu_m_s, self.memory
