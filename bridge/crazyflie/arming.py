@@ -21,7 +21,7 @@ _OFF = (Order.STOP, Order.NOTIFY_STOP, Order.DISARM)
 
 
 @dataclass(slots=True)
-class _Asked:
+class _Request:
     since_s: float
     sent_s: float
     forced: bool = False
@@ -33,8 +33,8 @@ class Arming:
 
     def __init__(self) -> None:
         self.armed = False  # armed by a client of this bridge and confirmed by the firmware
-        self._arm: _Asked | None = None
-        self._off: _Asked | None = None
+        self._arm: _Request | None = None
+        self._off: _Request | None = None
         self._latched = False
         self._notices, self._notice_s = 0, 0.0
         self._arms_itself = False
@@ -54,7 +54,7 @@ class Arming:
         if state.info & Info.ARMED:
             self.armed = True
             return []
-        self._arm, self._arms_itself = _Asked(now_s, now_s), bool(state.info & Info.AUTO_ARM)
+        self._arm, self._arms_itself = _Request(now_s, now_s), bool(state.info & Info.AUTO_ARM)
         return [Order.ARM]
 
     def reply(self, reply: ArmReply) -> str | None:
@@ -74,7 +74,7 @@ class Arming:
         """Stop the motors now; a repeated request sends the packets again, in case they were lost."""
         self.armed, self._arm = False, None
         since_s = self._off.since_s if self._off is not None and self._off.forced else now_s
-        self._off = _Asked(since_s, now_s, forced or (self._off is not None and self._off.forced))
+        self._off = _Request(since_s, now_s, forced or (self._off is not None and self._off.forced))
         return list(_OFF)
 
     def emergency(self, now_s: float) -> list[Packet]:
@@ -99,21 +99,21 @@ class Arming:
         return [], None
 
     def _step_arm(
-        self, asked: _Asked, state: CrazyflieState | None, now_s: float
+        self, request: _Request, state: CrazyflieState | None, now_s: float
     ) -> tuple[list[Packet], str | None]:
-        if state is not None and state.at_s > asked.since_s and state.info & Info.ARMED:
+        if state is not None and state.at_s > request.since_s and state.info & Info.ARMED:
             self.armed, self._arm = True, None
             return [], None
-        if now_s - asked.since_s > ARM_MAX_S:
+        if now_s - request.since_s > ARM_MAX_S:
             self._arm = None
-            return [], REFUSED if asked.refused else "the supervisor did not answer"
-        return self._repeat(asked, (Order.ARM,), now_s), None
+            return [], REFUSED if request.refused else "the supervisor did not answer"
+        return self._repeat(request, (Order.ARM,), now_s), None
 
     def _step_off(
-        self, asked: _Asked, state: CrazyflieState | None, now_s: float
+        self, request: _Request, state: CrazyflieState | None, now_s: float
     ) -> tuple[list[Packet], str | None]:
-        after_s = now_s - asked.since_s
-        fresh = state is not None and state.at_s > asked.since_s + REPEAT_S  # measured after the request
+        after_s = now_s - request.since_s
+        fresh = state is not None and state.at_s > request.since_s + REPEAT_S  # measured after the request
         if fresh and state is not None and not state.info & Info.FLYING:
             self._off, self._latched = None, False
             # If the notice is lost, the supervisor reports a lost link two seconds later.
@@ -121,16 +121,16 @@ class Arming:
             return [Order.NOTIFY_STOP], None
         if after_s > OFF_MAX_S:
             self._off, self._latched = None, False
-            return [], "Motors off was not confirmed" if asked.forced else None
-        if asked.forced and after_s > KILL_UNSEEN_S and not self._latched:
+            return [], "Motors off was not confirmed" if request.forced else None
+        if request.forced and after_s > KILL_UNSEEN_S and not self._latched:
             self._latched = True
             return [Order.EMERGENCY_STOP], "Disarming had no effect: emergency stop, restart needed"
         orders = (Order.EMERGENCY_STOP, *_OFF) if self._latched else _OFF
-        return self._repeat(asked, orders, now_s), None
+        return self._repeat(request, orders, now_s), None
 
     @staticmethod
-    def _repeat(asked: _Asked, orders: tuple[Packet, ...], now_s: float) -> list[Packet]:
-        if now_s - asked.sent_s < REPEAT_S - 1e-9:
+    def _repeat(request: _Request, orders: tuple[Packet, ...], now_s: float) -> list[Packet]:
+        if now_s - request.sent_s < REPEAT_S - 1e-9:
             return []
-        asked.sent_s = now_s
+        request.sent_s = now_s
         return list(orders)

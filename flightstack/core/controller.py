@@ -155,16 +155,16 @@ class Controller(LandingKernel):
         transition = self._mission.step(snapshot, command_failed=command_failed, now_s=now_s)
         if transition is not None:
             events.append(Event(_level(transition), transition.text))
-        asked = nominal_command(Situation(self.config, self.barrier, memory, snapshot, strategy))
+        nominal = nominal_command(Situation(self.config, self.barrier, memory, snapshot, strategy))
         rows, own_word = NO_ROWS, None
         placed = inputs.own if snapshot.own_ok else None
-        if fleet is not None and asked.velocity is not None and placed is not None:
+        if fleet is not None and nominal.velocity is not None and placed is not None:
             rows = fleet.rows(memory.phase, placed, self.base(placed.velocity_enu_m_s), now_s)
             most = self.config.limits.velocity_max_m_s
             if rows.near:
-                asked = asked._replace(velocity=fleet.aside(limit(asked.velocity, most), rows))
+                nominal = nominal._replace(velocity=fleet.aside(limit(nominal.velocity, most), rows))
         self._rows, self.crowded = rows, fleet is not None and bool(rows.rows or not way.may_land)
-        barrier, wanted, gate, setpoint = self._command(asked, snapshot)
+        barrier, wanted, gate, setpoint = self._command(nominal, snapshot)
         if fleet is not None:
             events += [Event(WARN, text) for text in fleet.crowded(now_s)]
             why = self.reserve_estimate.text if self.reserve_estimate else ""
@@ -174,7 +174,7 @@ class Controller(LandingKernel):
                 own_word = fleet.word(memory, placed, inputs.status, base, target, now_s)
         return Outputs(
             phase=memory.phase,
-            request=asked.request,
+            request=nominal.request,
             setpoint=setpoint,
             gate=gate,
             snapshot=snapshot,
@@ -218,21 +218,21 @@ class Controller(LandingKernel):
         return events
 
     def _command(
-        self, asked: NominalCommand, snapshot: Snapshot
+        self, nominal: NominalCommand, snapshot: Snapshot
     ) -> tuple[Barriers | None, Vec3 | None, GateVerdict, ApprovedSetpoint | None]:
         """Return barrier values, velocity command, the gate's verdict and the approved set-point."""
         memory, own, at = self.memory, snapshot.inputs.own, snapshot.relative
-        if asked.velocity is None:
+        if nominal.velocity is None:
             memory.commanding = memory.lifting = False
             barriers = self.unsent(at) if at is not None else None
             return barriers, None, GateVerdict.NOT_IN_CONTROL, None
         barriers, check = None, None
         if at is not None:
             fresh = snapshot.own_ok and snapshot.target_ok
-            barriers, wanted, setpoint, check = self.command(at, asked.velocity, asked.filtered, fresh)
+            barriers, wanted, setpoint, check = self.command(at, nominal.velocity, nominal.filtered, fresh)
         else:
             base = self.base(own.velocity_enu_m_s) if own is not None else memory.command
-            wanted, target = self.slewed(base, asked.velocity), snapshot.target
+            wanted, target = self.slewed(base, nominal.velocity), snapshot.target
             velocity = own.velocity_enu_m_s if own is not None else wanted
             least_z_m_s = self.least_z_m_s(target.velocity_enu_m_s) if target is not None else -math.inf
             setpoint = self.strategy.setpoint(base, wanted, velocity, math.nan, least_z_m_s)
@@ -242,9 +242,9 @@ class Controller(LandingKernel):
             setpoint,
             yaw_rad,
             own_fresh=snapshot.own_ok,
-            target_fresh=snapshot.target_ok or not asked.filtered,
+            target_fresh=snapshot.target_ok or not nominal.filtered,
             altitude_m=own.position_enu_m[2] if own is not None else math.nan,
-            barrier_check=check if asked.filtered else None,
+            barrier_check=check if nominal.filtered else None,
         )
         if approved is None:
             approved = self._gate.stop(yaw_rad, own_fresh=snapshot.own_ok)

@@ -68,12 +68,12 @@ def prepare(options: RunOptions) -> TeamScenario:
     team = load(options.scenario)
     for each in team.member:
         try_out(each.target)
-    number, asked = len(team.member), options.members
+    number, requested = len(team.member), options.members
     options.check(number)
-    if any(not 1 <= n <= number for n in asked) or len(asked) == number:
+    if any(not 1 <= n <= number for n in requested) or len(requested) == number:
         raise ConfigError(
-            f"--member: found {', '.join(map(str, asked))}; allowed are 1 to {number}, and one at least is "
-            "simulated here"
+            f"--member: found {', '.join(map(str, requested))}; allowed are 1 to {number}, and one at least "
+            "is simulated here"
         )
     members = tuple(VEHICLES[options.flies].adapt(adapted(options, each)) for each in team.member)
     for n, each in enumerate(members, 1):

@@ -79,14 +79,14 @@ class Leaving:
 
         ``status``: newest status of the vehicle; ``now_s``: the stack's clock.
         """
-        asked = self.person.operator
-        if asked is Operator.EMERGENCY_STOP or status is None or not status.armed:
-            return asked
+        requested = self.person.operator
+        if requested is Operator.EMERGENCY_STOP or status is None or not status.armed:
+            return requested
         if self.leaves:
             return Operator.LAND
         if self._theirs:
             return Operator.NONE
-        return Operator.TIME_OVER if self._over(now_s) and asked is Operator.NONE else asked
+        return Operator.TIME_OVER if self._over(now_s) and requested is Operator.NONE else requested
 
     def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> Ended | None:
         """Return how the flight ended; None if it has not ended.

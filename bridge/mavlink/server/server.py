@@ -328,11 +328,11 @@ def _log_list(_message: Any, _sender: Sender, _now_s: float) -> list[Message]:
 
 
 def _file_transfer(message: Any, sender: Sender, _now_s: float) -> list[Message]:
-    asked = bytes(message.payload)
-    sequence = (int.from_bytes(asked[:2], "little") + 1) & 0xFFFF
+    request = bytes(message.payload)
+    sequence = (int.from_bytes(request[:2], "little") + 1) & 0xFFFF
     reply = bytearray(_FTP_BYTES)
     reply[:2] = sequence.to_bytes(2, "little")
-    reply[2:6] = bytes((asked[2], _FTP_NAK, 1, asked[3]))
+    reply[2:6] = bytes((request[2], _FTP_NAK, 1, request[3]))
     reply[_FTP_HEADER] = _FTP_FAIL
     return [dialect.MAVLink_file_transfer_protocol_message(0, *sender[:2], reply)]
 

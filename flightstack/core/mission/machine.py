@@ -273,7 +273,7 @@ class Mission:
             seen.target,
             self._reserve.text if self._reserve else "",
         )
-        asked = (rule.when | rule.about) & flags
+        raised = (rule.when | rule.about) & flags
         numbers: tuple[tuple[int, Callable[[], str]], ...] = (
             (C.OWN_LOST, lambda: self._own_lost(seen, now_s)),
             (C.LINK_LOST, lambda: self._link_lost(seen, now_s)),
@@ -283,7 +283,7 @@ class Mission:
             (C.TIRED, lambda: battery),
             (C.NO_RESULT, lambda: self._strategy.memory.refusal),
         )
-        details = [say() for condition, say in numbers if asked & condition]
+        details = [say() for condition, say in numbers if raised & condition]
         if not details and rule.about & ~flags & C.READY:
             others = "" if seen.way.may_begin else seen.way.text
             below = target_below(self._config, seen)
