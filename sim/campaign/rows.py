@@ -303,27 +303,6 @@ def write_rows(path: Path, rows: Iterable[Row]) -> None:
     beside.replace(path)
 
 
-def write_parquet(path: Path) -> Path | None:
-    """Write a file's rows in pieces to a Parquet file next to it; return its path, None without pyarrow."""
-    try:
-        from pyarrow import bool_, float64, int64, parquet, string
-        from pyarrow import csv as arrow_csv
-    except ImportError:  # the extra "export" is not installed
-        return None
-    kinds = {"str": string(), "bool": bool_(), "int": int64(), "float": float64()}
-    types = {name: kinds[kind] for name, kind in _KINDS.items()}
-    beside, made = path.with_suffix(".parquet.tmp"), path.with_suffix(".parquet")
-    lines = arrow_csv.ParseOptions(newlines_in_values=True)
-    options = arrow_csv.ConvertOptions(column_types=types, strings_can_be_null=False)
-    with (
-        arrow_csv.open_csv(path, parse_options=lines, convert_options=options) as reader,
-        parquet.ParquetWriter(beside, reader.schema, compression="zstd") as writer,
-    ):
-        for batch in reader:
-            writer.write_batch(batch)
-    return beside.replace(made)
-
-
 class RowsFile:
     """Appends rows; they survive any crash after ``add`` has returned."""
 

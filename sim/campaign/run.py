@@ -27,7 +27,7 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.core.parameters.filters import FILTERS, named
 from flightstack.verify.certificate import problems
 from logs.tools.file import of_file
-from sim.campaign.rows import Row, RowsError, RowsFile, missing, read_rows, write_parquet, write_rows
+from sim.campaign.rows import Row, RowsError, RowsFile, missing, read_rows, write_rows
 from sim.campaign.summary import repeat_command, summary
 from sim.campaign.workers import Cluster, Workers, code_fingerprint
 from sim.robot.course import try_out
@@ -167,7 +167,6 @@ def fly(wanted: Plan, folder: Path, *, workers: int, cluster: str | None, on_row
             rows.clear()
             rows = sorted(read_rows(folder / ROWS), key=lambda row: row.seed)
         write_rows(folder / ROWS, rows)
-        write_parquet(folder / ROWS)
         told = None
         if rows:
             told = summary(

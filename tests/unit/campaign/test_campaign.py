@@ -5,7 +5,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import pyarrow.parquet
 import pytest
 from scipy.stats import binom
 
@@ -20,7 +19,6 @@ from sim.campaign.rows import (
     cell_map,
     error_row,
     read_rows,
-    write_parquet,
     write_rows,
 )
 from sim.campaign.summary import Tier, count, misses, summary, upper_bound
@@ -136,18 +134,6 @@ def test_rows_read_back_the_same_to_the_last_bit(tmp_path):
     rows = [FULL, error_row(3, "ended\nits worker"), replace(FULL, seed=1, violation=None)]
     write_rows(tmp_path / "rows.csv", rows)
     assert read_rows(tmp_path / "rows.csv") == sorted(rows, key=lambda r: r.seed)
-
-
-def test_parquet_holds_the_same_rows_to_the_last_bit(tmp_path):
-    path = tmp_path / "rows.csv"
-    lost = error_row(3, "ended\nits worker")
-    rows = [replace(FULL, seed=1, violation=None), lost, FULL]
-    write_rows(path, rows)
-    made = write_parquet(path)
-    assert made == tmp_path / "rows.parquet"
-    assert sorted(each.name for each in tmp_path.iterdir()) == ["rows.csv", "rows.parquet"]
-    read = pyarrow.parquet.read_table(made).to_pylist()
-    assert [Row(**row) for row in read] == rows
 
 
 def test_appended_rows_survive_and_a_cut_line_is_dropped(tmp_path):
