@@ -238,10 +238,19 @@ def _start(
 
 def _describe(recorder: Path, options: RunOptions, team: TeamScenario, vehicles: Sequence[_Vehicle]) -> None:
     """Write scenario, configuration and options of the run to the log."""
-    flights = [
-        Described(each.scenario.onboard, _run_metadata(options, each.scenario, each.seed), each.names)
-        for each in vehicles
-    ]
+    pad = {"pad": NO_PAD} if options.flies in (Flies.PX4_SIH, Flies.ARDUPILOT) else {}
+    flights = []
+    for each in vehicles:
+        scenario = each.scenario
+        run = {
+            **_about(options, scenario, each.seed),
+            "judge_alpha_1_m": repr(scenario.judged_by.alpha_1_m),
+            "judge_beta_m": repr(scenario.judged_by.beta_m),
+            "outside_envelope": outside([scenario]),
+            "pad_radius_m": repr(scenario.target.pad_radius_m),
+            **pad,
+        }
+        flights.append(Described(scenario.onboard, run, each.names))
     files = {each.names.record("scenario.toml"): dumps(each.scenario).encode() for each in vehicles}
     files[team.file] = text(team).encode()
     files[team.file.replace(".", "_source.")] = path_of(options.scenario).read_bytes()
@@ -256,18 +265,6 @@ def _about(options: RunOptions, scenario: Scenario | TeamScenario, seed: int) ->
         "seed": str(seed),
         "mode": "lockstep" if options.lockstep else "real-time",
         **options.described(),
-    }
-
-
-def _run_metadata(options: RunOptions, scenario: Scenario, seed: int) -> dict[str, str]:
-    """Return the log's metadata about the run of a scenario."""
-    return {
-        **_about(options, scenario, seed),
-        "judge_alpha_1_m": repr(scenario.judged_by.alpha_1_m),
-        "judge_beta_m": repr(scenario.judged_by.beta_m),
-        "outside_envelope": outside([scenario]),
-        "pad_radius_m": repr(scenario.target.pad_radius_m),
-        **({"pad": NO_PAD} if options.flies in (Flies.PX4_SIH, Flies.ARDUPILOT) else {}),
     }
 
 

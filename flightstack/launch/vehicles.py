@@ -75,10 +75,10 @@ class _Px4Start:
 
     def __init__(self, launcher: Launcher, options: RunOptions) -> None:
         self._launcher, self._options, self._binary = launcher, options, _program_of(options)
-        self.number = options.instance if options.instance is not None else self._claim()
-
-    def _claim(self) -> int:
-        return self._launcher.reserved.enter_context(contextlib.closing(InstanceClaim())).number
+        if options.instance is not None:
+            self.number = options.instance
+        else:
+            self.number = launcher.reserved.enter_context(contextlib.closing(InstanceClaim())).number
 
     def run(self, model: Px4Model, wanted: Mapping[str, float]) -> tuple[Px4Program, dict[str, Any]]:
         """Start PX4 and wait until it can arm; return the process, and the options of the onboard process."""

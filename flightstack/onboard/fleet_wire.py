@@ -155,11 +155,6 @@ class OtherClock:
         return Offset((ahead_ns - echo_ns) // 2, (width_ns + 1) // 2)
 
 
-def _not_begun() -> float:
-    """Stand-in for the stack clock before the first tick."""
-    return 0.0
-
-
 class _Counts:
     """Counts of rejected messages; a text is added whenever a count has doubled."""
 
@@ -203,7 +198,7 @@ class FleetWire(NoFleet):
         self._members = {n: _Member(fleet) for n in fleet.others}
         self._counts = _Counts()
         self._epoch_ns = 0
-        self._now_s: Callable[[], float] = _not_begun
+        self._now_s: Callable[[], float] = lambda: 0.0
         self._publisher = zenoh_link.dropping_publisher(
             session, f"{namespace}/{KEY}", f"application/cdr;{FLEET_WORD}"
         )
