@@ -31,29 +31,23 @@ def broken(whole, tmp_path_factory):
     return path
 
 
-@pytest.fixture
-def tool(tmp_path):
-    """Run ``flightstack log ...``; return exit status, output and error text."""
-
-    def run(*arguments):
-        result = CliRunner().invoke(main, ["log", *map(str, arguments)])
-        assert not isinstance(result.exception, Exception) or isinstance(result.exception, SystemExit)
-        assert [p for p in tmp_path.iterdir() if p.name.startswith(".")] == []  # no temporary file remains
-        return result.exit_code, result.stdout, result.stderr
-
-    return run
+def info(*arguments):
+    """Run ``flightstack log info``; return exit status and output."""
+    result = CliRunner().invoke(main, ["log", "info", *map(str, arguments)])
+    assert result.exception is None or isinstance(result.exception, SystemExit)
+    return result.exit_code, result.stdout
 
 
 def rows(path):
     return [(m.topic, m.log_time_ns, m.sequence, m.data) for m in LogFile(path).messages()]
 
 
-def test_info_of_a_whole_log(tool, whole):
-    code, out, _ = tool("info", whole)
+def test_info_of_a_whole_log(whole):
+    code, out = info(whole)
     assert code == 0
     assert "complete" in out.splitlines()
     assert "seed = 1" in out
-    code, out, _ = tool("info", "--json", whole)
+    code, out = info("--json", whole)
     found = json.loads(out)
     topics = {t["topic"]: t for t in found["topics"]}
     assert code == 0
@@ -73,8 +67,8 @@ def test_info_of_a_whole_log(tool, whole):
     assert found["attachments"] == [{"name": "s.toml", "media_type": "t", "bytes": 5}]
 
 
-def test_info_of_a_broken_log_says_where_it_breaks(tool, whole, broken):
-    code, out, _ = tool("info", "--json", broken)
+def test_info_of_a_broken_log_says_where_it_breaks(whole, broken):
+    code, out = info("--json", broken)
     found = json.loads(out)
     assert code == 1
     assert not found["complete"]
@@ -84,7 +78,7 @@ def test_info_of_a_broken_log_says_where_it_breaks(tool, whole, broken):
     readable = broken.parent / "readable.mcap"
     readable.write_bytes(data[: found["readable_bytes"]])
     assert rows(readable) == rows(broken)  # nothing is lost
-    code, out, _ = tool("info", broken)
+    code, out = info(broken)
     assert code == 1
     assert "BROKEN" in out
 
@@ -109,12 +103,12 @@ def test_every_byte_offset_of_a_small_log(tmp_path):
     for at in range(8, len(data)):
         cut.write_bytes(data[:at])
         log = LogFile(cut)
-        info = gather(log)
+        told = gather(log)
         messages = rows(cut)
-        assert not info["complete"]
-        assert info["problem"]
-        assert info["readable_bytes"] <= at
-        assert info["messages"] == len(messages)
+        assert not told["complete"]
+        assert told["problem"]
+        assert told["readable_bytes"] <= at
+        assert told["messages"] == len(messages)
         assert messages == all_rows[: len(messages)]
         assert len(messages) >= max((n for end, n in ends.items() if end <= at), default=0)
         counts.add(len(messages))

@@ -48,38 +48,29 @@ def judged(tmp_path):
     return judged
 
 
+WIDE = replace(CONFIG, checks=Checks(clearance_m=2.0))
+
+
 # the first state that shows it clear has the minimum of the physics steps before it, which still counts
 @pytest.mark.parametrize(
-    ("low_tick", "violation"),
+    ("low_tick", "violation", "how"),
     [
-        (550, True),
-        (650, True),
-        (CLEAR_TICK - 1, True),
-        (CLEAR_TICK, True),
-        (CLEAR_TICK + 1, False),
-        (800, False),
+        (550, True, {}),
+        (650, True, {}),
+        (CLEAR_TICK - 1, True, {}),
+        (CLEAR_TICK, True, {}),
+        (CLEAR_TICK + 1, False, {}),
+        (800, False, {}),
+        (800, True, {"declared": False}),
+        (800, True, {"config": None}),  # the clearance distance is unknown: all counts
+        (800, True, {"config": WIDE}),
     ],
 )
-def test_h_counts_until_it_is_clear(judged, low_tick, violation):
-    verdict = judged(low_tick)
-    assert verdict.outcome is Outcome.ABORTED
+def test_h_counts_until_it_is_clear(judged, low_tick, violation, how):
+    verdict = judged(low_tick, **how)
+    assert verdict.outcome is (Outcome.ABORTED if how.get("declared", True) else Outcome.TIMEOUT)
     assert verdict.violation is violation
     assert verdict.h_min_m == (-0.2 if violation else 0.3)
-
-
-def test_without_a_declared_abort_all_counts(judged):
-    verdict = judged(800, declared=False)
-    assert verdict.outcome is Outcome.TIMEOUT
-    assert verdict.violation is True
-
-
-def test_with_an_unknown_clearance_distance_all_counts(judged):
-    assert judged(800, config=None).violation is True
-
-
-def test_a_wider_clearance_distance_counts_longer(judged):
-    wide = replace(CONFIG, checks=Checks(clearance_m=2.0))
-    assert judged(800, config=wide).violation is True
 
 
 def left_at(rows, tick, contacts=lambda r: 0, down_m_s=0.3):
