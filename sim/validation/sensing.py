@@ -18,10 +18,10 @@ from scipy.signal import correlate
 from flightstack.compiled.records import cell, new
 from sim.flights.recording import Floats
 from sim.flights.screening import Screened
+from sim.flights.tape import DELAY_S
 from sim.plant.state_error import PastRecord, mismeasured_path, state_errors
 from sim.scenarios.scenario import StateError
 
-DELAY_S = (-0.1, 0.2)  # search range of the delay; clocks of radio and cameras may differ by tens of ms
 SPEED_EDGES_M_S = (0.0, 0.35, 0.65, 0.85, 1.5)  # edges of the speed bands around 0.2, 0.5, 0.75 and 1 m/s
 DRAWS = 6  # number of simulated estimates per flight; the model's errors differ between flights
 SLOWEST = 10.0  # fraction of the slowest samples that determine the offset, percent
