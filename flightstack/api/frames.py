@@ -30,7 +30,7 @@ def frame(columns: Any) -> Any:
 
     Args:
         columns: arrays of a landing (``landing.log``, ``landing.truth``), a dict of arrays, or a list of
-            dataclasses, each of which becomes a row.
+            dataclasses or dicts, each of which becomes a row.
 
     Returns:
         A pandas DataFrame; without pandas one of polars; without both a ``pyarrow.Table``; else a dict, with
@@ -41,6 +41,8 @@ def frame(columns: Any) -> Any:
     """
     if isinstance(columns, list | tuple) and all(is_dataclass(row) for row in columns) and columns:
         columns = {f.name: [getattr(row, f.name) for row in columns] for f in fields(columns[0])}
+    elif isinstance(columns, list | tuple) and all(isinstance(row, Mapping) for row in columns) and columns:
+        columns = {name: [row[name] for row in columns] for name in columns[0]}
     elif is_dataclass(columns) and not isinstance(columns, type):
         names = [*(f.name for f in fields(columns)), *(name for name in _DERIVED if hasattr(columns, name))]
         found = {name: getattr(columns, name) for name in names}

@@ -137,6 +137,7 @@ def test_a_sweep_judges_by_the_barrier_that_flew():
         (member,) = campaign.scenario.member
         assert member.judged_by.alpha_1_m == member.onboard.barrier.build().alpha_1_m == alpha_1_m
     assert [point["landed"] for point in sweep.rates()] == [1.0, 1.0]
+    assert list(fs.frame(sweep.rates())["landed"]) == [1.0, 1.0]
     assert len(sweep.plot().data) == 2
 
 
