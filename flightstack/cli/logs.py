@@ -143,7 +143,7 @@ def record(options: RecordOptions) -> None:
 @click.option(
     "--out",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="HTML file; default: next to the log, flight.html for flight.mcap, or comparison.html.",
+    help="HTML file; default: next to the log, report.html for flight.mcap, or comparison.html.",
 )
 @click.option(
     "--json",

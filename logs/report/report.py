@@ -83,7 +83,7 @@ def write_report(fleet: Fleet, verdict: FleetVerdict, out: Path | None = None) -
     if "" in fleet.flights:
         return {"": write_page(fleet.flights[""], verdict.members[""], out)}
     need_libraries()
-    target = fleet.path.with_suffix(".html") if out is None else out
+    target = _beside(fleet.path) if out is None else out
     members = {name: target.with_name(f"{target.stem}_{name}{target.suffix}") for name in fleet.flights}
     for name, place in members.items():
         write_page(fleet.flights[name], verdict.members[name], place, of=target.name)
@@ -93,9 +93,14 @@ def write_report(fleet: Fleet, verdict: FleetVerdict, out: Path | None = None) -
 def write_page(flight: Flight, verdict: Verdict, out: Path | None = None, of: str | None = None) -> Path:
     """Write the page of a flight with its verdict, by default beside its log; ``of``: its fleet's page."""
     need_libraries()
-    name = flight.path.stem if flight.member is None else f"{flight.path.stem}_{flight.member}"
-    target = out if out is not None else flight.path.with_name(f"{name}.html")
+    of_member = "" if flight.member is None else f"_{flight.member}"
+    target = out if out is not None else _beside(flight.path, of_member)
     return write(target, flight_page(flight, verdict, of))
+
+
+def _beside(log: Path, of_member: str = "") -> Path:
+    """Return the default page of a log: the one that ``sitl`` and ``fly`` write, or one named as the log."""
+    return log.with_name(f"{'report' if log.name == 'flight.mcap' else log.stem}{of_member}.html")
 
 
 def write_comparison(log_a: Path, log_b: Path, out: Path | None = None, member: str | None = None) -> Path:

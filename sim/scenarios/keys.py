@@ -100,7 +100,9 @@ def commented(name: str, base: str = "lab") -> str:
         f"# Fly it: flightstack sitl --scenario {name}.toml --lockstep",
         "# Prove it: flightstack check FILE; many seeds: flightstack campaign FILE --runs 100",
         f"# To change a key, remove the # before it and before its table; all else is as in {base}.",
-        "# Tables [onboard.…] are the configuration of the onboard process: docs/reference/scenario_keys.md.",
+        "# The tables [onboard.…], such as [onboard.limits], configure the onboard process. They are not",
+        "# in this list; docs/reference/scenario_keys.md has all of them, and this prints those of the base:",
+        f"# flightstack scenarios {base}",
         f'base = "{base}"', f'name = "{name}"', 'description = "What this scenario is for"',
     ]  # fmt: skip
     table = ""

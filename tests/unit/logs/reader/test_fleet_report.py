@@ -133,7 +133,7 @@ def test_the_page_of_all_links_those_of_the_members(told):
 
 def test_the_command_writes_all_or_one(fleet, told):
     done = run("report", fleet.log, "--member", "cf3", "--json")
-    assert json.loads(done.stdout)["report"] == str(fleet.log.with_name("flight_cf3.html"))
+    assert json.loads(done.stdout)["report"] == str(fleet.log.with_name("report_cf3.html"))
     done = run("report", fleet.log, "--member", "cf4")
     assert done.exit_code == 2
     table = run("log", "verdict", fleet.log)
