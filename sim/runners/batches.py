@@ -29,7 +29,8 @@ from flightstack.core.kernel import FLYING
 from flightstack.core.mission.conditions import lasting_flags
 from flightstack.core.numeric import NotOrdinary, hypot_is_known
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.strategies.strategy import compiled_as, strategy_class
+from flightstack.core.strategies.answers import compiled_as
+from flightstack.core.strategies.strategy import strategy_class
 from flightstack.core.types import FilterStatus, OwnState, Phase, Request
 from flightstack.onboard.lockstep import VehicleTicks
 from sim.clock import TickGrid

@@ -9,9 +9,9 @@ descent. A filter overrides what it does differently; one method, ``filter``, is
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from types import CodeType, FunctionType, MappingProxyType
+from types import MappingProxyType
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -34,63 +34,10 @@ from flightstack.core.safety.barrier import ActiveBarrier, Barrier, problem_of
 from flightstack.core.safety.position_loop import nominal_velocity
 from flightstack.core.safety.qp_filter import FilterResult, Program, SafetyFilter
 from flightstack.core.snapshot import Relative
+from flightstack.core.strategies.answers import Ask, chosen, compiled_as, filtered
 from flightstack.core.strategies.at import At, Vector, three_finite
 from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import ZERO, FilterStatus, OwnState, TargetSample, Vec3
-
-Ask = Callable[[Relative, Vec3], Vec3]  # vehicle relative to target, nominal velocity -> agent's velocity
-
-
-def _chosen(one: Filter, _at: Relative, own: Vec3) -> Vec3:
-    """Compiled form of ``Filter.choose``: the agent's answer is given before the tick."""
-    asked = one.asked
-    if not asked.agent:
-        return own
-    asked.nominal = own
-    return asked.chosen
-
-
-def _answered(
-    one: Filter, _at: Relative, h_m: float, gradient: Vec3, dh_dt_m_s: float, nominal: Vec3, lower: Vec3,
-    upper: Vec3,
-) -> FilterResult:  # fmt: skip
-    """Compiled form of ``Filter.filtered``: the result of the user's filter is given before the tick."""
-    asked = one.asked
-    asked.nominal, asked.h_m, asked.gradient, asked.dh_dt_m_s = nominal, h_m, gradient, dh_dt_m_s
-    asked.lower_m_s, asked.upper_m_s = lower, upper
-    return FilterResult(asked.chosen, 0.0, False, FilterStatus.OWN, 0.0, 0, 0.0)
-
-
-_PLAIN = {"filter", "State", "certificate", "__init__", "__doc__", "__module__", "__annotations__"}
-_STATE = {"motion", "tracking", "own", "late", "memory", "asked", "estimator", "own_estimator", "_tracking"}
-
-
-def compiled_as(cls: type[Filter]) -> type[Filter] | None:
-    """Return the packaged class whose flights differ from this class only in ``filter``.
-
-    It returns None if the class overrides more, or may read estimators, whose state is only in compiled code.
-    """
-    own: list[type] = []
-    for base in cls.__mro__:
-        if base.__module__.partition(".")[0] == "flightstack":
-            break
-        own.append(base)
-    for name, value in ((name, value) for each in own for name, value in vars(each).items()):
-        if hasattr(base, name) and name not in _PLAIN and not name.startswith("__static"):
-            return None
-        function = getattr(value, "__func__", value)
-        if isinstance(function, FunctionType) and name != "__init__":
-            if _names(function.__code__) & (_STATE | {"getattr", "vars", "__dict__"}):
-                return None
-        elif name == "filter":
-            return None
-    return base if issubclass(base, Filter) else None
-
-
-def _names(code: CodeType) -> set[str]:
-    """Return the names of attributes and globals in a function and in the functions inside it."""
-    inner = (_names(each) for each in code.co_consts if isinstance(each, CodeType))
-    return set(code.co_names).union(*inner)
 
 
 class Filter:
@@ -127,7 +74,7 @@ class Filter:
     watches_swinging: ClassVar[bool] = True
     ignores: ClassVar[Mapping[str, str]] = MappingProxyType({})
     waits_filtered: ClassVar[bool] = True
-    compiled: ClassVar = MappingProxyType({"choose": _chosen, "filtered": _answered})
+    compiled: ClassVar = MappingProxyType({"choose": chosen, "filtered": filtered})
     rate_1_s: float
     acceleration_max_m_s2: Vec3
     contact_speed_max_m_s: float

@@ -9,7 +9,7 @@ import flightstack as fs
 from examples.own_filter import Smooth
 from flightstack.compiled.jit import is_off
 from flightstack.compiled.program import CompiledFilter, layout_is_known
-from flightstack.core.strategies.strategy import compiled_as
+from flightstack.core.strategies.answers import compiled_as
 from sim.runners.landing import Companion, warm_up
 from sim.scenarios.scenario import Start, load
 from sim.scenarios.team import alone

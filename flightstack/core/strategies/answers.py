@@ -1,0 +1,70 @@
+"""Answers of an agent, or of a user's method ``filter``, in a tick that is compiled code.
+
+Compiled code cannot call them. It computes what they need, Python calls them, and the tick is flown with the
+answer, which stands in ``Filter.asked``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import CodeType, FunctionType
+from typing import Any
+
+from flightstack.core.safety.qp_filter import FilterResult
+from flightstack.core.snapshot import Relative
+from flightstack.core.types import FilterStatus, Vec3
+
+Ask = Callable[[Relative, Vec3], Vec3]  # vehicle relative to target, nominal velocity -> agent's velocity
+
+
+def chosen(one: Any, _at: Relative, own: Vec3) -> Vec3:
+    """Compiled form of ``Filter.choose``: the agent's answer is given before the tick."""
+    asked = one.asked
+    if not asked.agent:
+        return own
+    asked.nominal = own
+    answer: Vec3 = asked.chosen
+    return answer
+
+
+def filtered(
+    one: Any, _at: Relative, h_m: float, gradient: Vec3, dh_dt_m_s: float, nominal: Vec3, lower: Vec3,
+    upper: Vec3,
+) -> FilterResult:  # fmt: skip
+    """Compiled form of ``Filter.filtered``: the result of the user's filter is given before the tick."""
+    asked = one.asked
+    asked.nominal, asked.h_m, asked.gradient, asked.dh_dt_m_s = nominal, h_m, gradient, dh_dt_m_s
+    asked.lower_m_s, asked.upper_m_s = lower, upper
+    return FilterResult(asked.chosen, 0.0, False, FilterStatus.OWN, 0.0, 0, 0.0)
+
+
+_PLAIN = {"filter", "State", "certificate", "__init__", "__doc__", "__module__", "__annotations__"}
+_STATE = {"motion", "tracking", "own", "late", "memory", "asked", "estimator", "own_estimator", "_tracking"}
+
+
+def compiled_as(cls: type) -> type | None:
+    """Return the packaged class whose flights differ from this class only in ``filter``.
+
+    It returns None if the class overrides more, or may read estimators, whose state is only in compiled code.
+    """
+    own: list[type] = []
+    for base in cls.__mro__:
+        if base.__module__.partition(".")[0] == "flightstack":
+            break
+        own.append(base)
+    for name, value in ((name, value) for each in own for name, value in vars(each).items()):
+        if hasattr(base, name) and name not in _PLAIN and not name.startswith("__static"):
+            return None
+        function = getattr(value, "__func__", value)
+        if isinstance(function, FunctionType) and name != "__init__":
+            if _names(function.__code__) & (_STATE | {"getattr", "vars", "__dict__"}):
+                return None
+        elif name == "filter":
+            return None
+    return base if hasattr(base, "certificate") else None
+
+
+def _names(code: CodeType) -> set[str]:
+    """Return the names of attributes and globals in a function and in the functions inside it."""
+    inner = (_names(each) for each in code.co_consts if isinstance(each, CodeType))
+    return set(code.co_names).union(*inner)
