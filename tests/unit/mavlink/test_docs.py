@@ -87,7 +87,7 @@ def rows(section: str) -> list[list[str]]:
 
 def rate(message_id: int) -> str:
     if message_id == mav.MAVLINK_MSG_ID_HEARTBEAT:
-        return "1 Hz, at once on a change; not settable"
+        return "1 Hz, immediately after a change; not settable"
     if message_id not in PX4.streams:
         return "on request; not settable"
     if message_id in EVERY_TICK:

@@ -68,6 +68,13 @@ def test_what_is_proven_neither_crashes_nor_violates(case):
         ("reversing", "paper", "contact.gap_m", 0.1, "contact.gap_m"),
         ("ardupilot_47", "robust", "velocity_loop.error_max_m_s", 1.0, "velocity_loop.error_max_m_s"),
         ("large", "robust", "velocity_feedback.horizontal", True, "velocity feedback, model"),
+        (
+            "large+feedback",
+            "robust",
+            "velocity_loop.error_max_m_s",
+            2.659,
+            "velocity_loop.error_max_m_s, feedback",
+        ),
         ("field", "robust", "target.velocity_noise_m_s", 1e-4, "declared, target.velocity_noise_m_s"),
     ],
 )
