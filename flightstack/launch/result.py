@@ -139,7 +139,8 @@ def conclude(flown: Flown, console: Console, *, as_json: bool, with_report: bool
         console.print(Text(f"log     {values['log'] or 'none, as asked for'}"), soft_wrap=True)
         if values["report"] is not None:
             console.print(Text(f"report  {values['report']}"), soft_wrap=True)
-    if problem := flown.problem or failed_code(_reasons(values)):
+    last = "\n".join(each.last_line for each in flown.flights)  # of the onboard processes
+    if problem := flown.problem or failed_code(_reasons(values)) or failed_code(last):
         print(f"flightstack: {problem}", file=sys.stderr)
     return 2 if failed_code(problem or "") else 0 if landed(values, flown) else 1
 

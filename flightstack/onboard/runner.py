@@ -20,6 +20,7 @@ from bridge.target.odometry import RawSample, SampleSource, sample_of
 from flightstack.common.pacing import RealTimePacer, Tick
 from flightstack.core.controller import Controller, Outputs
 from flightstack.core.memory import AbortWay, Memory
+from flightstack.core.parameters.filters import failed_in
 from flightstack.core.types import (
     Inputs,
     Mode,
@@ -136,6 +137,11 @@ class Runner:
     def memory(self) -> Memory:
         """State of the controller's mission and commands."""
         return self._controller.memory
+
+    @property
+    def filter_name(self) -> str:
+        """Name of the filter that flies."""
+        return self._controller.config.filter
 
     def tick(self) -> Ended | None:
         """Run one tick; the outputs are sent to the vehicle before anything is written.
@@ -293,7 +299,8 @@ def fly(ticks: Runner, vehicle: LinkedVehicle, leaving: Leaving, failed: Callabl
     except ClockStoppedError as error:
         ended, works = Ended(ticks.memory.phase, str(error), 1), False
     except BaseException as error:  # any exception: a library may even raise SystemExit
-        ended, works = Ended(ticks.memory.phase, f"internal error: {error!r}", 1), False
+        reason = failed_in(ticks.filter_name, error) or f"internal error: {error!r}"
+        ended, works = Ended(ticks.memory.phase, reason, 1), False
         with contextlib.suppress(Exception):
             failed(f"{ended.reason}\n{traceback.format_exc()}")
     return _leave(ended, ticks, vehicle, leaving, works=works)

@@ -36,7 +36,7 @@ from flightstack.common.pacing import quiet_garbage_collector
 from flightstack.common.processes import LaunchError
 from flightstack.common.strict_toml import ConfigError
 from flightstack.common.text import pip_install
-from flightstack.core.parameters.filters import give
+from flightstack.core.parameters.filters import failed_in, give
 from sim.campaign.rows import Row, error_row, row_of
 from sim.runners.landing import land_team, warm_up
 from sim.scenarios.team import TeamScenario, from_text
@@ -77,7 +77,8 @@ def fly_seed(scenario_toml: str, seed: int) -> Row:
         except ConfigError as error:
             return error_row(seed, str(error))
         except Exception as error:
-            return error_row(seed, f"{type(error).__name__}: {error}")
+            own = next(filter(None, (failed_in(each.onboard.filter, error) for each in scenario.member)), "")
+            return error_row(seed, own or f"{type(error).__name__}: {error}")
         finally:
             gc.collect()  # never during a landing
 

@@ -16,6 +16,7 @@ from types import MappingProxyType
 from typing import Any
 
 from flightstack.common.strict_toml import ConfigError, meant
+from flightstack.common.text import FILTER_FAILED
 
 FILTERS: Mapping[str, str] = MappingProxyType(
     {
@@ -56,6 +57,16 @@ def file_of(reference: str) -> str:
     module, _, name = reference.rpartition(":")
     file = getattr(sys.modules.get(module), "__file__", None)
     return f"{Path(file).name if file else module}:{name}"
+
+
+def failed_in(name: str, error: BaseException) -> str:
+    """Return the reason of an exception that came from an external filter's module; empty: it did not."""
+    module, frame = name.rpartition(":")[0], error.__traceback__
+    while module and frame is not None:
+        if frame.tb_frame.f_globals.get("__name__") == module:
+            return f"{FILTER_FAILED}: {file_of(name)} raised {type(error).__name__}: {error}"
+        frame = frame.tb_next
+    return ""
 
 
 def give(found: Any) -> str:

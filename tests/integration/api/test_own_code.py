@@ -19,6 +19,10 @@ def drive(t_s, x_m, y_m, yaw_rad):
 class Down(fs.Filter):
     def filter(self, nominal, at):
         return {{}}["down"] if at.h_m < 0.5 else at.enforced(nominal)
+
+class Nominal(fs.Filter):
+    def approach_m_s(self, at, over_pad):
+        return {{}}["down"]
 """
 SCENARIO = """
 base = "lab"
@@ -69,6 +73,16 @@ def test_a_robots_function_that_fails_ends_every_flight_with_a_whole_log(tmp_pat
     monkeypatch.chdir(folder)
     with pytest.raises(ConfigError, match="raised ZeroDivisionError"):
         fs.land("mine.toml")
+
+
+def test_another_method_of_a_filter_that_fails_ends_every_flight(tmp_path):
+    folder, failing = written(tmp_path, "(0.1, 0.0)"), ("--filter", "failing:Nominal")
+    text = FILTER.replace("Down", "Nominal")
+    one_line(
+        flightstack("sitl", "--scenario", "lab", "--lockstep", *failing, "--out", "run", cwd=folder), text
+    )
+    many = flightstack("campaign", "lab", "--runs", "1", *failing, "--out", "many", cwd=folder)
+    one_line(many, text)
 
 
 def test_a_filter_that_fails_aborts_every_flight(tmp_path):
