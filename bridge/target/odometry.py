@@ -169,6 +169,7 @@ class OdometryPublisher:
         self._publisher.put(payload, attachment=attachment)
 
     def close(self) -> None:
+        """End the publisher; the session stays open."""
         self._publisher.undeclare()
 
 

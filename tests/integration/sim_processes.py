@@ -18,6 +18,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from flightstack.common.pacing import ask_for_priority, give_up_priority
+from sim.runners.published_robot import target_main
+from sim.runners.world_process import world_main
 from sim.scenarios.team import load
 from tests.processes.bounded import AT_ONCE_S, PATIENCE_S, killed, line_of
 from tests.processes.started import Started, run_verb
@@ -50,9 +52,11 @@ def process(name: str, **options: object):
 
 def _simulate(name: str, options: dict[str, object]) -> None:
     kind = getattr(import_module("sim.options"), f"{name.title()}Options")
-    plugged, room = kind(scenario="paper_moving_1", **options), "target" if name == "target" else "world"
-    module = import_module(f"sim.runners.{room}_process")
-    sys.exit(getattr(module, f"{room}_main")(load("paper_moving_1"), plugged))
+    plugged, main = (
+        kind(scenario="paper_moving_1", **options),
+        target_main if name == "target" else world_main,
+    )
+    sys.exit(main(load("paper_moving_1"), plugged))
 
 
 def terminate(child: Started, number: signal.Signals = signal.SIGTERM) -> None:
