@@ -13,8 +13,10 @@ import click
 
 from flightstack.cli.options import takes
 from flightstack.common.options import Argument, Option
+from flightstack.common.strict_toml import ConfigError
 from flightstack.common.text import plain
 from flightstack.config import options as shared
+from flightstack.core.parameters.filters import FILTERS
 
 if TYPE_CHECKING:
     from logs.replay.replay import PhaseChange, Result
@@ -103,6 +105,11 @@ def _one(options: ReplayOptions, member: str | None) -> tuple[dict[str, Any], li
         result = run(log, config, member)
     except ReplayError as error:
         return {"result": "unusable", "path": str(log), "reason": str(error)}, [f"unusable: {error}"]
+    except ConfigError as error:
+        if options.filter is not None or table["filter"] in FILTERS:
+            raise
+        hint = f"a log starts no code of the working folder; to start it, add --filter {table['filter']}"
+        raise ConfigError(f"{error}; {hint}") from error
     if config is not None:
         result.notes += [f"settings refused before take-off: {text}" for text in problems(config)]
     word = "equal" if result.equal else "different"

@@ -90,5 +90,10 @@ def test_a_filter_that_fails_aborts_every_flight(tmp_path):
     flown = flightstack("sitl", "--scenario", "lab", "--lockstep", *failing, "--out", "run", cwd=folder)
     one_line(flown, FILTER)
     assert "aborted" in flown.out
+    log = folder / "run/flight.mcap"
+    unnamed = flightstack("replay", log, "--check", cwd=folder)
+    assert unnamed.code == 2
+    assert "to start it, add --filter failing:Down" in unnamed.err
+    assert flightstack("replay", log, "--check", "--filter", "failing:Down", cwd=folder).code == 0
     many = flightstack("campaign", "lab", "--runs", "2", *failing, "--out", "many", cwd=folder)
     one_line(many, FILTER)
