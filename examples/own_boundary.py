@@ -46,7 +46,8 @@ class Cone:
     def linearisation_bound_m(self, e_m: Vec3, moved_m: float) -> float:
         """Return the largest error of a linear prediction of h after a horizontal motion of m = ``moved_m``.
 
-        It is slope * m^2 / (2 d) for a motion sideways, and slope * 2 (m - d) for a motion across the axis.
+        With d, the distance from the axis, the error is slope * m^2 / (2 d) for a motion around the axis, and
+        slope * 2 (m - d) for a motion across it.
         """
         d = math.hypot(e_m[0], e_m[1])
         if d == 0.0:

@@ -98,7 +98,7 @@ class StatusPrinter:
         self._last: dict[str, tuple[str | None, float]] = {}
 
     def about(self, topic: str, text: str | None, now_s: float, *, good: str | None = None) -> None:
-        """Print a text of a topic when it is due; None ends the topic and prints ``good``."""
+        """Print a message about a topic at most once a period; None ends the topic and prints ``good``."""
         before, said_s = self._last.get(topic, (None, 0.0))
         changed = (text is None) != (before is None)
         if text is not None and (changed or now_s - said_s >= _SAY_S):

@@ -89,7 +89,9 @@ class SenderClock:
         if not 0.0 <= stamp_s <= STAMP_MAX_S:  # also rejects NaN
             return Reading.UNUSABLE
         if stamp_s > memory.stamp_s:
-            known = arrival_s - memory.began_s >= self._proof_s  # at first, a queue may drain
+            known = (
+                arrival_s - memory.began_s >= self._proof_s
+            )  # earlier samples may come from a queue that empties
             if known and way_s < memory.floor_s - self.ahead_max_s:
                 reading = Reading.AHEAD
             elif way_s - memory.offset_s > self._late_max_s or self._goes_on_late(way_s, arrival_s):

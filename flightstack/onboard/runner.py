@@ -181,7 +181,7 @@ class RealTimeClock:
 
 
 class LiveTarget:
-    """Target in real time; it needs no message about the landing.
+    """Target in real time. The robot receives no message about the landing.
 
     Samples of a tick in which the process stalled are not used, because they may have arrived after the tick
     started. They would reduce the minimum delay too much, and later samples would count as too late.

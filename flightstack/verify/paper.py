@@ -2,8 +2,9 @@
 
 At the slope s, with the horizontal unit vector n away from the target, the best velocity in the box gives
 ``v_z + |s| (|n_x| v_x + |n_y| v_y)``; the worst target takes ``|s| w + w_z``. The difference must not be
-negative at any distance and in any direction. Near the apex the filter's gradient is shorter, between s and
-0; the rest is linear in |s|, and s = 0 occurs at the peak, too, so the bound covers it.
+negative at any distance and in any direction. Near the apex the filter's gradient is smaller than s. The
+difference is linear in |s| there, and it is checked at s = 0, too, at the
+peak. So the bound holds at the apex.
 """
 
 from __future__ import annotations

@@ -98,7 +98,7 @@ class MemberView:
     def event(self, data: bytes) -> bytes | None:
         """Return an event of /rosout with its logger's name; None for another member's event.
 
-        An unreadable event belongs to all members, unchanged.
+        An event that cannot be decoded is shown for all members, as recorded.
         """
         try:
             row = LogRow.unpack(data)

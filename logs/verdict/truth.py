@@ -188,7 +188,7 @@ def _log_time(truth: Truth, index: int, simulated_s: float) -> float:
 
 
 def _gentle_landing_away(truth: Truth, touch: _Touch) -> bool:
-    """Whether a contact is with the ground only, upright and slow: the end of a declared abort."""
+    """Whether the vehicle touched only the ground, upright and slowly, as a declared abort may end."""
     falling_m_s = -float(truth.velocity_enu_m_s[max(touch.index - 1, 0), 2])
     return truth.contacts[touch.index] == ContactBit.GROUND and falling_m_s <= LAND_AWAY_SPEED_MAX_M_S
 

@@ -24,7 +24,7 @@ def layout(name: str, namespace: str = SHIPPED_NAMESPACE) -> str:
 
 
 def fleet_layout(name: str, namespace: str, members: Sequence[str]) -> str:
-    """Return the text of one of ``NAMES`` for the curves of a member, with the scene of the whole fleet."""
+    """Return a layout file: the curves of one member, and the scene of the whole fleet."""
     text = layout(name, namespace)
     if name != FOXGLOVE:
         return text

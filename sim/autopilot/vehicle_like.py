@@ -55,7 +55,7 @@ class VehicleLike(Protocol):
     def set_velocity(self, velocity_enu_m_s: Vec3, yaw_rad: float) -> None: ...
 
     def stop_setpoint(self) -> None:
-        """Send a stop set-point to the firmware: no other set-point is active."""
+        """Send a stop set-point to the firmware; it replaces the velocity set-point."""
 
     def estimate(self) -> CheckedEstimate: ...
 

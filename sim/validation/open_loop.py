@@ -12,8 +12,8 @@ three quantities are calibrated from earlier samples:
 The recorded commands contain the controller's reaction to the missing torque, so the missing torque opposes
 the rates that the commands alone would cause. ``ANSWER_1_S`` models this.
 
-The ideal rigid body has no motor lag, drag or battery sag, and gets the same calibration. Constant velocity
-means velocity and rates of the start.
+The result is compared with two simpler predictions: an ideal rigid body without motor lag, drag and battery
+sag, with the same calibration; and a motion with the velocity and the body rates of the start.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ COMMAND_DELAY_MS = 8  # delay from a logged command to the gyro, in addition to 
 RATE_GAIN = 1.4  # correction of the rate per rate error in a sample; above 1 because of the gyro's filter
 FAST_GAIN, SLOW_GAIN = 40.0, 10.0  # gains of the missing angular acceleration's fast and slow part, 1/s
 FADES_S = 0.1  # correlation time of the fast part
-ANSWER_1_S = 9.0  # missing angular acceleration per body rate, in the opposite direction
+ANSWER_1_S = 9.0  # angular acceleration against a body rate, divided by that rate, 1/s
 
 
 class Compared(NamedTuple):

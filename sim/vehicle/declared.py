@@ -118,7 +118,7 @@ def _rows(scenario: Scenario) -> Iterator[_Row]:
 
 
 def _links(scenario: Scenario) -> Iterator[_Row]:
-    """Yield the rows of vehicle, wind and links, which the filter "paper" does not declare."""
+    """Yield the comparisons of vehicle, wind and links; a configuration of the paper's filter has none."""
     config, target, spec, link = scenario.onboard, scenario.target, scenario.vehicle, scenario.odometry
     envelope, sent, state, mocap = config.envelope, config.target, config.own, spec.mocap
     yield _at_most(

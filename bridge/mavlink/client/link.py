@@ -204,7 +204,7 @@ class VehicleLink:
 
     @staticmethod
     def timesync_reply(ts1_ns: int) -> Message:
-        """Return the reply to the request of lockstep tick ``ts1_ns``; tc1 is 1 ns later: 0 is a request."""
+        """Return the TIMESYNC reply for tick ``ts1_ns``; tc1 is 1 ns later, since tc1 = 0 marks a request."""
         return dialect.MAVLink_timesync_message(ts1_ns + 1, ts1_ns)
 
     def take_texts(self) -> list[tuple[int, str]]:

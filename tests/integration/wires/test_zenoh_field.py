@@ -94,7 +94,7 @@ def who_hears(sessions, sender, key):
     found, marked = set(), set()  # of this sample only: earlier ones may still be in transit
 
     def passed():
-        # The robot's sample passes and follows the tested one, so it marks the time to check.
+        # This valid sample follows the tested one, so its arrival is the time to check.
         publisher.put(asked)
         mark.put(marks)
         for name, subscriber in heard.items():

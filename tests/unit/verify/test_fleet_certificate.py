@@ -159,7 +159,7 @@ BOX = ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
 
 
 def landing_row(slope, bearing, pad):
-    """Return the landing barrier's row at 0, for a pad with this horizontal velocity."""
+    """Return the constraint of the landing barrier at h = 0, for a pad with this horizontal velocity."""
     g = (-slope * math.cos(bearing), -slope * math.sin(bearing), 1.0)
     return Row(g, g[0] * pad[0] + g[1] * pad[1])
 
