@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 
 class BadOptionError(ValueError):
-    """Error of an option with a wrong value; the text names the value and what is allowed."""
+    """An option has a wrong value. The text names the value found and what is allowed."""
 
 
 @dataclass(frozen=True)
