@@ -1,5 +1,6 @@
 """Code of the user that fails in flight: in every command one clear line, exit status 2 and a whole log."""
 
+import sys
 import textwrap
 
 import pytest
@@ -35,6 +36,14 @@ function = "failing:drive"
 random_speed = false
 random_heading = false
 """
+
+
+@pytest.fixture(autouse=True)
+def forgotten(monkeypatch):
+    """Each test starts without the module that the test before it imported, and without its folder."""
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    yield
+    sys.modules.pop("failing", None)
 
 
 def written(folder, result):
