@@ -116,12 +116,6 @@ def without(error: ModuleNotFoundError, text: str, *packages: str) -> Exception:
     return ValueError(text.format(package)) if package in packages else error
 
 
-def without_recordings(error: ModuleNotFoundError, what: str) -> Exception:
-    """Return the error to raise if the command ``what`` cannot read or simulate recorded flights."""
-    text = f"`{what}` needs {{}}: {pip_install('sim,export')}"
-    return without(error, text, "pyarrow", "mujoco", "numba")
-
-
 def without_rerun(error: ModuleNotFoundError, what: str) -> Exception:
     """Return the error to raise if the command or option ``what`` cannot import a viewer."""
     text = f"`{what}` needs Rerun: {pip_install('view')}; "

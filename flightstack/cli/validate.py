@@ -14,8 +14,9 @@ from rich.box import SIMPLE
 from rich.table import Table
 from rich.text import Text
 
-from flightstack.cli.options import takes, without_recordings
+from flightstack.cli.options import takes, without
 from flightstack.common.terminal import Terminal
+from flightstack.common.text import pip_install
 from sim.campaign.progress import Bar
 from sim.options import ValidateOptions
 
@@ -40,7 +41,8 @@ def validate(options: ValidateOptions) -> None:
         from sim.validation.criteria import judge
         from sim.validation.summary import reasons, summary
     except ModuleNotFoundError as error:
-        raise without_recordings(error, "validate") from None
+        text = f"`validate` needs {{}}: {pip_install('sim,export')}"
+        raise without(error, text, "pyarrow", "mujoco", "numba") from None
 
     options = replace(options, vehicle=options.vehicle or core.VEHICLE)
     console = Terminal(stderr=options.as_json)

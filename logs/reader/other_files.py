@@ -34,9 +34,7 @@ _FORMATS = (
     _Format(None, (".tlog",), f"a telemetry log of MAVLink; {_OURS}"),
     _Format(b"FMT, ", (), f"a DataFlash log of ArduPilot as text; {_OURS}"),
     _Format(b"RRF", (".rrd",), "a recording of Rerun; open it with `rerun`, or give the log it was made of"),
-    _Format(
-        b"PAR1", (".parquet",), "a table in Parquet; `validate` and `identify --flights` take its folder"
-    ),
+    _Format(b"PAR1", (".parquet",), "a table in Parquet; `validate` takes its folder"),
     _Format(b"<", (".html",), "a page of HTML or XML, as of a download that failed; fetch the file again"),
 )
 
