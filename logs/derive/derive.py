@@ -19,16 +19,14 @@ from types import MappingProxyType
 from bridge.ros2.cdr import NO_COVARIANCE
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.types import ZERO, Vec3
-from logs.derive.diagnostics import Health
 from logs.derive.frames import FrameDecoder
 from logs.derive.markers import FLEET_REACH, REACH, Scene
 from logs.reader.flight_data import ATTACHMENT, read_config, shape
 from logs.schema.events import pack_string
 from logs.schema.names import Names, split
-from logs.schema.rows import ControllerStepRow, LoopTimingRow
+from logs.schema.rows import ControllerStepRow
 from logs.schema.schemas import (
     CONTROLLER_STEP,
-    LOOP_TIMING,
     MARKER_ARRAY,
     MAVLINK,
     ODOMETRY,
@@ -42,8 +40,7 @@ from logs.schema.schemas import (
 PERIOD_NS = 20_000_000  # period of 50 Hz, the refresh rate of a screen
 MARKER_PERIOD_NS = 200_000_000  # period of 5 Hz, since marker messages are large
 STATIC_PERIOD_NS = 5_000_000_000  # period of static transforms; a viewer needs them after a jump in the log
-STEP_SUFFIX, TIMING_SUFFIX = "/controller/step", "/loop/timing"
-SOURCE_SUFFIX = "/mavlink_source"  # end of the topic of frames that the vehicle sent
+STEP_SUFFIX = "/controller/step"
 
 Derived = tuple[str, str, bytes]  # fields: topic, schema, CDR payload
 Derive = Callable[[int, bytes], list[Derived]]  # function: log time in ns and CDR payload -> messages
@@ -54,14 +51,13 @@ _NED_IN_ENU = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
 
 
 class Deriver:
-    def __init__(self, step_topic: str, health: Health | None = None, *, shares_log: bool = False) -> None:
+    def __init__(self, step_topic: str, *, shares_log: bool = False) -> None:
         """Take the name space from the topic of the steps, for example ``/cf1/controller/step``."""
         self._space = step_topic.removesuffix(STEP_SUFFIX)
         name = self._space.strip("/")
         self._base = f"{name}/base_link".lstrip("/")
         self._target = f"{name}/target" if shares_log else "target"
         self._run_text = b""
-        self._health = health
         # created early, since the first packer of a type takes milliseconds
         self._pack = {kind: packer(kind) for kind in (TF_MESSAGE, ODOMETRY, POSE_STAMPED, TWIST_STAMPED)}
         self._scene = Scene(self._base, self._target, FLEET_REACH if shares_log else REACH)
@@ -74,8 +70,6 @@ class Deriver:
 
     def step(self, log_time_ns: int, row: ControllerStepRow) -> list[Derived]:
         """Return the messages of one controller step; none between two periods."""
-        if self._health is not None:
-            self._health.step(row)
         if not self._due(PERIOD_NS, log_time_ns):
             return []
         stamp_ns, space = row.stamp_ns, self._space
@@ -151,7 +145,6 @@ class Derivers:
         self._told: dict[str, _Told] = {}  # metadata by member; empty key: the only flight
         self._steps: dict[str, Deriver] = {}
         self._frames: dict[str, FrameDecoder] = {}
-        self._health: dict[str, Health] = {}
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Handle the metadata of a run or of an onboard process."""
@@ -178,22 +171,16 @@ class Derivers:
             if topic not in self._steps:
                 space = topic.removesuffix(STEP_SUFFIX)
                 fleet = space.strip("/") in self._told
-                self._steps[topic] = Deriver(topic, self._health_of(space), shares_log=fleet)
+                self._steps[topic] = Deriver(topic, shares_log=fleet)
                 self._configure_steps()
             step = self._steps[topic].step
             return lambda log_time_ns, payload: step(log_time_ns, ControllerStepRow.unpack(payload))
-        if schema == LOOP_TIMING:
-            health = self._health_of(topic.removesuffix(TIMING_SUFFIX))
-            return lambda log_time_ns, payload: health.timing(log_time_ns, LoopTimingRow.unpack(payload))
         if schema == MAVLINK:
             if topic not in self._frames:
                 self._frames[topic] = FrameDecoder(topic)
                 self._configure(self._frames[topic])
             return self._frames[topic].step
         return None
-
-    def _health_of(self, space: str) -> Health:
-        return self._health.setdefault(space, Health(space))
 
     def _of(self, member: str) -> _Told:
         return self._told.setdefault(member, _Told())
@@ -213,5 +200,3 @@ class Derivers:
             if member and frames.topic.rpartition("/")[0] != names.frames("").rstrip("/"):
                 continue
             frames.configure(onboard)
-            health = self._health_of("/" + onboard["namespace"].strip("/"))
-            frames.counter = health.incoming if frames.topic.endswith(SOURCE_SUFFIX) else health.outgoing

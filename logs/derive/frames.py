@@ -1,6 +1,6 @@
-"""Decodes recorded MAVLink frames into messages with named fields, and counts the frames.
+"""Decodes recorded MAVLink frames into messages with named fields.
 
-Both read the bytes of the raw record (``logs.schema.mavlink``) directly: frames are most of a log.
+The decoder reads the bytes of the raw record (``logs.schema.mavlink``) directly: frames are most of a log.
 """
 
 from __future__ import annotations
@@ -12,48 +12,18 @@ from typing import NamedTuple
 from logs.schema.mavlink import PEER_CHARACTERS, FrameError, Type, of
 
 TOPICS_MAX = 512  # greatest number of topics, since a sender can invent system ids
-_HALF = 128  # half of the 256 sequence numbers; a number that is this far ahead or further counts as late
-SENDERS_MAX = 256  # greatest number of senders whose sequence numbers are checked
 _HEADER_BYTES = 20  # length of encapsulation, stamp and frame_id of three characters; fields follow aligned
 _NOBODY = struct.pack("<I", PEER_CHARACTERS + 1) + b"p--\x00"  # frame_id of a frame with unknown peer
 # Offsets in the raw record.
 _NAME_LENGTH_AT = 12
 _FIXED_AT, _FIXED_NOBODY_AT = 20, 17  # offset of framing_status with a peer name, and without one
-_LENGTH, _SEQUENCE, _SENDER = 2, 5, 6  # offsets from there: payload length, sequence number, system+component
+_LENGTH, _SENDER = 2, 6  # offsets from there: payload length, system and component
 _ID_AT = 28  # offset of the message id
 _WORDS_END, _PAYLOAD_AT = 40, 44
 
 
 def _fixed_at(payload: bytes) -> int:
     return _FIXED_AT if payload[_NAME_LENGTH_AT] == PEER_CHARACTERS + 1 else _FIXED_NOBODY_AT
-
-
-class FrameCounter:
-    """Counts the frames of one direction, and the gaps in their sequence numbers."""
-
-    def __init__(self) -> None:
-        self._last: dict[int, int] = {}
-        self.frames = 0
-        self.lost = 0
-
-    def add(self, payload: bytes) -> None:
-        """Count one record of :func:`logs.schema.mavlink.pack_mavlink`."""
-        at = _fixed_at(payload)
-        sequence, sender = payload[at + _SEQUENCE], payload[at + _SENDER] << 8 | payload[at + _SENDER + 1]
-        last = self._last.get(sender)
-        ahead = (sequence - last) & 0xFF if last is not None else 1
-        if ahead >= _HALF:
-            self.lost = max(0, self.lost - 1)  # a late frame was counted as lost
-        elif last is not None or len(self._last) < SENDERS_MAX:
-            self.lost += max(0, ahead - 1)
-            self._last[sender] = sequence
-        self.frames += 1
-
-    def take(self) -> tuple[int, int]:
-        """Return (frames, lost) since the last call."""
-        taken = self.frames, self.lost
-        self.frames = self.lost = 0
-        return taken
 
 
 class Decoded(NamedTuple):
@@ -67,7 +37,6 @@ class FrameDecoder:
     def __init__(self, topic: str) -> None:
         """Set the topic of the raw frames; its first part is the name space until the run sets one."""
         self.topic = topic  # topic of the raw frames
-        self.counter = FrameCounter()  # counter of frames; the vehicle's diagnostics replace it
         self._space = "/" + topic.strip("/").partition("/")[0]
         self._known: dict[bytes, Decoded | None] = {}
 
@@ -82,7 +51,6 @@ class FrameDecoder:
         del log_time_ns
         if len(payload) < _WORDS_END:
             raise FrameError(f"frame record of {len(payload)} bytes is cut short")
-        self.counter.add(payload)
         at = _fixed_at(payload)
         key = payload[at + _SENDER : at + _SENDER + 2] + payload[_ID_AT : _ID_AT + 4]
         known = self._known[key] if key in self._known else self._meet(key)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -14,7 +14,6 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from flightstack.core.strategies.strategy import packaged_strategy_of
 from flightstack.core.types import FilterStatus
-from logs.derive.frames import FrameCounter
 from logs.reader.flight import TARGET_TOPIC_END
 from logs.reader.flight_data import Flight, Floats
 from logs.reader.reader import LogFile
@@ -147,6 +146,7 @@ _SHOWN = {
 }
 _ALL = {_SOURCE: "vehicle, all MAVLink", _SINK: "onboard, all MAVLink"}
 _V2 = 0xFD
+_HALF = 128  # half of the 256 sequence numbers; a number that is this far ahead or further counts as late
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,7 @@ class Stream:
 def load_streams(path: Path, origin_ns: int, member: str | None = None) -> list[Stream]:
     """Read the message traffic of a log, up to its break; damaged frames are skipped."""
     times: dict[str, list[int]] = defaultdict(list)
-    frames = {side: FrameCounter() for side in _ALL}
+    frames: dict[str, list[tuple[int, int]]] = {side: [] for side in _ALL}
     target: list[int] = []
     for message in LogFile(path, member).messages():
         if message.schema == ODOMETRY and message.topic.endswith(TARGET_TOPIC_END):
@@ -185,17 +185,33 @@ def load_streams(path: Path, origin_ns: int, member: str | None = None) -> list[
                 _, frame = unpack_mavlink(message.data)
             except (FrameError, struct.error):
                 continue
-            frames[side].add(message.data)
-            number = int.from_bytes(frame[7:10], "little") if frame[0] == _V2 else frame[5]
+            second = frame[0] == _V2
+            sequence, sender = (frame[4], frame[5:7]) if second else (frame[2], frame[3:5])
+            frames[side].append((int.from_bytes(sender), sequence))
+            number = int.from_bytes(frame[7:10], "little") if second else frame[5]
             for name in filter(None, (_ALL[side], _SHOWN.get((side, number)))):
                 times[name].append(message.log_time_ns)
-    lost = {_ALL[side]: counter.lost for side, counter in frames.items()} | {TARGET: missing(target)}
+    lost = {_ALL[side]: frames_lost(seen) for side, seen in frames.items()} | {TARGET: missing(target)}
     order = (*_ALL.values(), *_SHOWN.values(), TARGET)
     return [
         Stream(name, np.asarray((np.array(times[name]) - origin_ns) * 1e-9, np.float64), lost.get(name))
         for name in order
         if name in times
     ]
+
+
+def frames_lost(frames: Iterable[tuple[int, int]]) -> int:
+    """Return the number of missing MAVLink frames, from sender and sequence number of each frame."""
+    last: dict[int, int] = {}
+    lost = 0
+    for sender, sequence in frames:
+        ahead = (sequence - last.get(sender, sequence - 1)) & 0xFF
+        if ahead >= _HALF:
+            lost = max(0, lost - 1)  # a late frame was counted as lost
+        else:
+            lost += max(0, ahead - 1)
+            last[sender] = sequence
+    return lost
 
 
 def missing(numbers: Sequence[int]) -> int | None:

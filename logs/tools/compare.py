@@ -24,9 +24,9 @@ from logs.recorder.recording import RECORDER, RECORDER_NAME
 from logs.schema.mavlink import MAVLINK_PEERS
 from logs.schema.names import LOSSES, split
 from logs.schema.rows import LogRow
-from logs.schema.schemas import CONTROLLER_STEP, DIAGNOSTIC_ARRAY, LOG, LOOP_TIMING, store_for
+from logs.schema.schemas import CONTROLLER_STEP, LOG, LOOP_TIMING, store_for
 
-WALL_CLOCK_SCHEMAS = frozenset({LOOP_TIMING, DIAGNOSTIC_ARRAY})
+WALL_CLOCK_SCHEMAS = frozenset({LOOP_TIMING})
 WALL_CLOCK_EVENTS = frozenset({RECORDER_NAME})  # sources of events on /rosout
 WALL_CLOCK_METADATA = frozenset({LOSSES, RECORDER, MAVLINK_PEERS})  # complete records; ports are random
 WALL_CLOCK_METADATA_KEYS = frozenset(

@@ -50,7 +50,7 @@ def test_the_members_together_are_the_fleet(fleet):
     """Every message of a member is in its part only; one pass finds the same flights."""
     parts = {member: LogFile(fleet.log, member) for member in MEMBERS}
     counts = {member: sum(1 for _ in part.messages()) for member, part in parts.items()}
-    shared = ("/tf", "/tf_static", "/diagnostics", "/fleet/pairs")
+    shared = ("/tf", "/tf_static", "/fleet/pairs")
     assert sum(counts.values()) == sum(m.topic not in shared for m in LogFile(fleet.log).messages())
     read = load_fleet(fleet.log)
     assert read.ids == {1: "cf1", 2: "cf2", 3: "cf3"}

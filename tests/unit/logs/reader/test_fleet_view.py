@@ -93,14 +93,7 @@ def bag(fleet):
     found = {}
     with AnyReader([fleet.log]) as reader:
         for connection, log_time_ns, data in reader.messages():
-            if connection.topic.split("/")[-1] in (
-                "tf",
-                "tf_static",
-                "pose",
-                "markers",
-                "run",
-                "diagnostics",
-            ):
+            if connection.topic.endswith("/markers"):
                 message = reader.deserialize(data, connection.msgtype)
                 found.setdefault(connection.topic, []).append((log_time_ns, message))
     return found
@@ -136,7 +129,7 @@ def test_layouts_show_the_whole_scene_and_the_curves_of_each(fleet, tmp_path):
     assert scene["transforms"].keys() == {"frame:map_ned", *(f"frame:{m}/target_pad" for m in MEMBERS)}
     paths = [path["value"] for config in panels.values() for path in config.get("paths", [])]
     assert paths
-    assert {path.split("/")[1] for path in paths} <= {"cf2", "diagnostics"}
+    assert {path.split("/")[1] for path in paths} <= {"cf2"}
     one = tmp_path / "one"
     assert run("view", fleet.log, "--layouts", one, "--member", "cf3").exit_code == 0
     assert {path.name for path in one.iterdir()} == {"foxglove_cf3.json", "plotjuggler_cf3.xml"}

@@ -1,4 +1,4 @@
-"""Topics for viewers derived from controller steps; once a second the health of all links."""
+"""Topics for viewers derived from controller steps and MAVLink frames."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ from hypothesis import strategies as st
 
 from flightstack.core.safety.barrier import Barrier
 from logs.derive.derive import Deriver, Derivers
-from logs.derive.diagnostics import Health
-from logs.derive.frames import FrameCounter
 from logs.derive.markers import PATH_POINTS, surface
+from logs.report.derived import frames_lost
 from logs.schema import schemas
 from logs.schema.mavlink import pack_mavlink
-from logs.schema.rows import ControllerStepRow, LoopTimingRow
+from logs.schema.rows import ControllerStepRow
 from logs.schema.schemas import codec
 
 STORE = schemas.typestore()
@@ -167,76 +166,8 @@ def test_surface_lies_on_the_boundary(alpha, beta):
     assert points[:, 2].max() > 0.9 * barrier.peak_height_m - 2e-3
 
 
-DT_NS = 10_000_000
-OK, WARN, ERROR, STALE = 0, 1, 2, 3
-
-
-def frame(sequence, system=1, peer=b"p00"):
-    return pack_mavlink(1, bytes([0xFD, 1, 0, 0, sequence, system, 1, 0, 0, 0, 7, 1, 2]), peer)
-
-
-def second(row=None, timing=None, frames=(), sent=0, ticks=100):
-    """Return diagnostics of one second: name without name space -> (level, message, values)."""
-    health = Health("/cf1")
-    for data in frames:
-        health.incoming.add(data)
-    for i in range(sent):
-        health.outgoing.add(frame(i))
-    made = []
-    for tick in range(ticks + 1):
-        t_ns = EPOCH_NS + tick * DT_NS
-        if tick < ticks:
-            health.step(row(tick) if row else step(tick * DT_NS, link_valid=True))
-        timed = LoopTimingRow(t_ns, tick, 0.01, 1e-4, 1e-3, 2e-4, 0, 0)
-        made += health.timing(t_ns, timing(tick, timed) if timing else timed)
-    ((topic, schema, data),) = made
-    assert (topic, schema) == ("/diagnostics", schemas.DIAGNOSTIC_ARRAY)
-    array = STORE.deserialize_cdr(data, schema)
-    assert bytes(STORE.serialize_cdr(array, schema)) == data
-    assert array.header.stamp.sec == (EPOCH_NS + ticks * DT_NS) // 10**9
-    assert all(s.hardware_id == "cf1" for s in array.status)
-    return {
-        s.name.removeprefix("cf1: "): (s.level, s.message, {v.key: v.value for v in s.values})
-        for s in array.status
-    }
-
-
-def test_a_good_second():
-    found = second(frames=[frame(i) for i in range(5)], sent=7)
-    assert {name: level for name, (level, _, _) in found.items()} == {
-        "loop": OK, "vehicle link": OK, "inputs": OK, "safety": OK,
-    }  # fmt: skip
-    assert found["loop"][2]["exec_max_s"] == "0.001"
-    assert found["vehicle link"][2] == {"frames_in": "5", "frames_out": "7", "lost": "0", "lost_share": "0"}
-    assert found["inputs"][2]["target_age_max_s"] == "0.02"
-    assert found["safety"][2]["h_min_m"] == "0.4"
-
-
-@pytest.mark.parametrize(
-    ("name", "level", "changes"),
-    [
-        ("inputs", WARN, {50: {"own_valid": False}}),
-        ("inputs", STALE, {99: {"target_valid": False}}),
-        ("safety", WARN, {50: {"filter_status": 3}}),
-        ("safety", WARN, {50: {"gate": 2}}),
-        ("safety", ERROR, {50: {"h_m": -0.001}}),
-        ("vehicle link", ERROR, {99: {"link_valid": False}}),
-    ],
-)
-def test_what_one_tick_does(name, level, changes):
-    good = {"link_valid": True}
-    found = second(lambda tick: step(tick * DT_NS, **(good | changes.get(tick, {}))))
-    assert found[name][0] == level
-    assert all(other[0] == OK for key, other in found.items() if key != name)
-
-
-@pytest.mark.parametrize(
-    ("level", "change"),
-    [(WARN, {"lateness_s": 0.003}), (WARN, {"overruns": 1}), (ERROR, {"feed_dropped": 4})],
-)
-def test_what_the_loop_does(level, change):
-    found = second(timing=lambda tick, row: row._replace(**change) if tick >= 50 else row)
-    assert found["loop"][0] == level
+def frame(sequence, system=1):
+    return pack_mavlink(1, bytes([0xFD, 1, 0, 0, sequence, system, 1, 0, 0, 0, 7, 1, 2]), b"p00")
 
 
 @pytest.mark.parametrize(
@@ -244,17 +175,8 @@ def test_what_the_loop_does(level, change):
     [([7], 0), ([250, 251, 254, 255, 0, 2], 3), ([1, 3, 2, 4], 0), ([5, 5, 6], 0), ([1, 3, 5, 2, 6], 1)],
 )
 def test_lost_frames_by_sequence_numbers(numbers, lost):
-    counter = FrameCounter()
-    for sequence in numbers:
-        counter.add(frame(sequence))
-        counter.add(frame(sequence, system=2, peer=b""))  # frames of another sender are counted separately
-    assert counter.take() == (2 * len(numbers), 2 * lost)
-    assert counter.take() == (0, 0)
-
-
-def test_lost_frames_warn():
-    assert second(frames=[frame(i) for i in range(0, 20, 2)])["vehicle link"][0] == WARN
-    assert second()["vehicle link"][2]["lost_share"] == "nan"  # without any frame no share is known
+    both = [(sender, n) for n in numbers for sender in (1, 2)]  # each sender counts its own frames
+    assert frames_lost(both) == 2 * lost
 
 
 def test_members_of_a_fleet_keep_their_frames_their_pads_and_their_scenes_apart():
