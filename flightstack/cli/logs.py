@@ -14,7 +14,6 @@ import click
 from flightstack.cli.options import takes, without_rerun
 from flightstack.common.options import Option
 from flightstack.common.text import plain
-from flightstack.config import options as shared
 
 if TYPE_CHECKING:
     from logs.reader.reader import LogFile
@@ -115,11 +114,6 @@ class RecordOptions:
     until_clients: Annotated[int | None, Option(
         "--until-clients", "End when this number of clients have disconnected.", span=(1, None)
     )] = None  # fmt: skip
-    connect: shared.Connect = ()
-    zenoh_config: shared.ZenohConfig = None
-    keys: Annotated[tuple[str, ...], Option(
-        "--key", "Additional Zenoh keys to record, e.g. 'cf1/**'; repeatable.", "EXPR"
-    )] = ()  # fmt: skip
 
 
 @click.command()
@@ -128,12 +122,7 @@ def record(options: RecordOptions) -> None:
     """Record the data that the other processes send, until Ctrl-C; the log is readable at any time."""
     from logs.recorder.recorder import record_main
 
-    sys.exit(
-        record_main(
-            options.socket_path, options.out, options.until_clients, connect=options.connect,
-            keys=options.keys, config_file=options.zenoh_config,
-        )
-    )  # fmt: skip
+    sys.exit(record_main(options.socket_path, options.out, options.until_clients))
 
 
 @click.command()

@@ -17,19 +17,14 @@ import stat
 import sys
 import threading
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING
 
 from flightstack.common.hangup import ASK, begun, on_hangup
 from logs.recorder.feed import SOCKET_PATH_MAX, Splitter, WireError
 from logs.recorder.mcap_file import McapFile
 from logs.recorder.recording import Recorder, RecorderError, Statistics
 from logs.schema.schemas import typestore
-
-if TYPE_CHECKING:
-    from logs.recorder.record_zenoh import ZenohSource
 
 # Wall time, s; `recording` flushes by log time. A killed recorder loses the data of this time, of the sockets
 # and of the clients' buffers (0.1 s in lockstep); a power cut also those of the disk's delay: 0.5 s in all.
@@ -42,14 +37,14 @@ _RECEIVE_BYTES = 2**18
 class RecorderProcess:
     """Listening socket, its clients, and the file."""
 
-    def __init__(self, socket_path: Path | None, out: Path, source: ZenohSource | None = None) -> None:
+    def __init__(self, socket_path: Path, out: Path) -> None:
         """Listen and create the file."""
         self._selector = selectors.DefaultSelector()
         self._wake_in, self._wake_out = socket.socketpair()
         self._wake_in.setblocking(False)
         self._wake_out.setblocking(False)
         self._socket_path = socket_path
-        self._listener = _listen(socket_path) if socket_path else None
+        self._listener = _listen(socket_path)
         try:
             file = McapFile(out)
             self._syncer = Syncer(file.descriptor(), out)
@@ -62,10 +57,8 @@ class RecorderProcess:
             what = "exists already; choose another name" if taken else error.strerror
             raise RecorderError(f"cannot write the log {out}: {what}") from error
         self._recorder = Recorder(file)
-        if self._listener:
-            self._selector.register(self._listener, selectors.EVENT_READ)
+        self._selector.register(self._listener, selectors.EVENT_READ)
         self._selector.register(self._wake_in, selectors.EVENT_READ)
-        self._source = source
         self._splitters: dict[socket.socket, Splitter] = {}
         self._stops = 0
         self._gone = 0
@@ -104,8 +97,6 @@ class RecorderProcess:
 
     def _pass(self, patience_s: float) -> None:
         """Wait for input, then read all of it."""
-        if self._source:  # Zenoh has no descriptor for the selector
-            patience_s = min(patience_s, READ_PERIOD_S)
         ready = [key.fileobj for key, _ in self._selector.select(patience_s)]
         for fileobj in ready:
             if fileobj is self._wake_in:
@@ -114,9 +105,7 @@ class RecorderProcess:
                 self._accept()
             elif isinstance(fileobj, socket.socket):
                 self._receive(fileobj)
-        if self._source:
-            self._source.poll(self._recorder)
-        if ready and not self._stops and not self._source:
+        if ready and not self._stops:
             self._pause()
 
     def _pause(self) -> None:
@@ -126,7 +115,6 @@ class RecorderProcess:
             selector.select(READ_PERIOD_S)
 
     def _accept(self) -> None:
-        assert self._listener is not None
         while True:
             try:
                 client, _ = self._listener.accept()
@@ -166,17 +154,13 @@ class RecorderProcess:
 
     def _finish(self) -> Statistics:
         """Read the sockets to their end, in bounded time, and close everything."""
-        if self._listener:
-            self._accept()
+        self._accept()
         deadline_s = time.monotonic() + GRACE_S
         for client in list(self._splitters):
             while time.monotonic() < deadline_s and self._receive(client):
                 pass
         for client in list(self._splitters):
             self._drop(client)
-        if self._source:
-            self._source.poll(self._recorder)
-            self._source.close()
         self._stop_listening()
         self._selector.close()
         self._wake_in.close()
@@ -189,9 +173,8 @@ class RecorderProcess:
         return counts
 
     def _stop_listening(self) -> None:
-        if self._listener and self._socket_path:
-            self._listener.close()
-            self._socket_path.unlink(missing_ok=True)
+        self._listener.close()
+        self._socket_path.unlink(missing_ok=True)
 
 
 def _listen(path: Path) -> socket.socket:
@@ -278,32 +261,14 @@ def _sync_directory(directory: Path) -> None:
 __all__ = ["RecorderError", "RecorderProcess", "problems", "record_main"]
 
 
-def record_main(
-    socket_path: Path | None,
-    out: Path,
-    until_clients: int | None = None,
-    *,
-    connect: Sequence[str] = (),
-    keys: Sequence[str] = (),
-    config_file: Path | None = None,
-) -> int:
+def record_main(socket_path: Path, out: Path, until_clients: int | None = None) -> int:
     """Run the recorder as the main program of a process; print "ready" once it listens.
 
     Return the exit status: 0 all data are in the file, 1 some are not, 2 it could not start.
     """
-    if socket_path is None and not keys:
-        print("record: nothing to record; give a socket or Zenoh keys", file=sys.stderr)
-        return 2
-    source: ZenohSource | None = None
     try:
-        if keys:
-            from logs.recorder.record_zenoh import ZenohSource
-
-            source = ZenohSource(connect, keys, config_file)
-        process = RecorderProcess(socket_path, out, source)
+        process = RecorderProcess(socket_path, out)
     except RecorderError as error:
-        if source:
-            source.close()
         print(f"record: {error}", file=sys.stderr)
         return 2
 

@@ -18,7 +18,7 @@ from logs.schema.schemas import LOG, UnknownSchemaError
 FLUSH_LOG_TIME_NS = 250_000_000
 RECORDER_NAME = "flight_recorder"  # source of the recorder's events on /rosout; these depend on wall time
 RECORDER = "recorder"  # metadata: counts and failures of the recorder
-_TOLD = ("clients", "invalid", "refused", "skipped", "unfinished_bytes", "crashed", "syncs", "sync_worst_s",
+_TOLD = ("clients", "invalid", "refused", "unfinished_bytes", "crashed", "syncs", "sync_worst_s",
          "failure")  # fmt: skip
 # Errors of records with invalid content; the recorder must survive them to keep the other records.
 _NONSENSE = (ValueError, KeyError, TypeError, AttributeError, RecursionError, struct.error)
@@ -35,7 +35,6 @@ class Statistics:
     clients: int = 0
     invalid: int = 0  # records that could not be interpreted
     refused: int = 0  # messages after the disk was full
-    skipped: int = 0  # samples of unknown encoding
     unfinished_bytes: int = 0  # bytes of records that their sender's crash cut off
     crashed: int = 0  # clients that ended without a goodbye
     dropped: dict[str, int] = field(default_factory=dict)  # dropped records by client, reported by the client
@@ -97,20 +96,11 @@ class Recorder:
             cut = f"; {unfinished_bytes} bytes of an unfinished record lost" if unfinished_bytes else ""
             self.event(Severity.ERROR, f"{state.name} ended without a goodbye{cut}")
 
-    def message(
-        self, topic: str, schema: str, log_time_ns: int, publish_time_ns: int, sequence: int, payload: bytes
-    ) -> None:
-        """Write one message that was not sent through a feed."""
-        if log_time_ns < 0 or publish_time_ns < 0:
-            raise ValueError(f"times {log_time_ns} and {publish_time_ns}; they begin at 0 (1970)")
-        self._log_time_ns = max(self._log_time_ns, log_time_ns)
-        channel = self._file.channel(topic, schema)
-        self._file.write(channel, log_time_ns, publish_time_ns, sequence, payload)
-
     def event(self, level: Severity, text: str) -> None:
         now = self._log_time_ns
         self._events += 1
-        self.message("/rosout", LOG, now, now, self._events, pack_log(now, level, RECORDER_NAME, text))
+        packed = pack_log(now, level, RECORDER_NAME, text)
+        self._file.write(self._file.channel("/rosout", LOG), now, now, self._events, packed)
 
     @property
     def failure(self) -> str:

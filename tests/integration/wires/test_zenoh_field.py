@@ -19,9 +19,9 @@ from bridge.zenoh.zenoh_link import Role, ZenohLinkError
 from logs.reader.reader import LogFile
 from tests.integration.runs import WALL_MAX_S, flightstack
 from tests.integration.sim_processes import verb
-from tests.processes.bounded import AT_ONCE_S, killed, line_of
+from tests.processes.bounded import AT_ONCE_S, killed
 from tests.processes.ports import free_endpoint, free_port
-from tests.unit.target.ros2_helpers import PATIENCE_S, odometry, rmw_session, until
+from tests.unit.target.ros2_helpers import PATIENCE_S, rmw_session, until
 
 ROOT = Path(__file__).parents[3]
 FILES = ROOT / "docs" / "how_to" / "zenoh"
@@ -282,32 +282,3 @@ def test_sitl_is_watched_by_certificate_and_seen_by_ros_2(at_home, tmp_path):
     assert result["outcome"] == "landed"
     refused = [one for one in LogFile(Path(result["log"])).messages() if one.topic == "/rosout"]
     assert not any(b"target sample refused" in one.data for one in refused)  # no forged sample arrived
-
-
-def test_the_recorder_looks_on_by_certificate(at_home, tmp_path):
-    """`record --zenoh-config` through the router with access rules: the file has the robot's odometry."""
-    out = tmp_path / "flight.mcap"
-    with router("tls") as endpoint, ExitStack() as stack:
-        robot = zenoh_link.open_session(connect=[endpoint], config_file=client_file("tls", "robot"))
-        stack.callback(robot.close)
-        put = zenoh_link.dropping_publisher(robot, TARGET, "application/cdr;nav_msgs/msg/Odometry")
-        words = ["--socket", str(tmp_path / "socket"), "--out", str(out), "--key", "cf1/**"]
-        words += ["--connect", endpoint, "--zenoh-config", str(client_file("tls", "watcher"))]
-        record = subprocess.Popen(
-            [sys.executable, "-m", "flightstack.cli.main", "record", *words],
-            cwd=at_home, env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, text=True,
-        )  # fmt: skip
-        stack.callback(killed, record)
-        assert line_of(record.stdout).strip() == "ready"
-        until(lambda: zenoh_link.is_matched(put), "the recorder's subscription")
-        payload = odometry(1_700_000_000_000_000_000)
-        for _ in range(5):
-            put.put(payload)
-        until(lambda: out.exists() and len(kept(out)) == 5, "the samples in the file")
-        record.send_signal(signal.SIGTERM)
-        assert record.wait(PATIENCE_S) == 0
-    assert {one.data for one in kept(out)} == {payload}
-
-
-def kept(file):
-    return [one for one in LogFile(file).messages() if one.topic == "/" + TARGET]

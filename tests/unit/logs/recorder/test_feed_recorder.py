@@ -24,10 +24,10 @@ from tests.unit.logs.helpers import DEADLINE_S, EPOCH_NS, timing
 class InThread:
     """Run a recorder process' loop in a thread, joined at the end of the block."""
 
-    def __init__(self, tmp_path, until=None, source=None):
+    def __init__(self, tmp_path, until=None):
         self.socket = tmp_path / "feed.sock"
         self.out = tmp_path / "flight.mcap"
-        self.process = RecorderProcess(self.socket, self.out, source)
+        self.process = RecorderProcess(self.socket, self.out)
         self.until = until
         self.statistics = None
         self.thread = threading.Thread(target=self._run)

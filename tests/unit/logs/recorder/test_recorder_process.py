@@ -1,4 +1,4 @@
-"""The recorder as a process: killed, stopped, on a full disk, and with data from Zenoh."""
+"""The recorder as a process: killed, stopped, and on a full disk."""
 
 from __future__ import annotations
 
@@ -8,21 +8,17 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
 
-from bridge.zenoh.zenoh_link import blocking_publisher, is_matched, open_session, pack_attachment
 from logs.reader.reader import LogFile
 from logs.recorder.feed import Feed
 from logs.recorder.mcap_file import McapFile, SafeStream
-from logs.recorder.record_zenoh import ZenohSource
 from logs.recorder.recorder import RecorderProcess, Syncer, problems
 from logs.schema import schemas
 from tests.processes.bounded import line_of
-from tests.processes.ports import free_endpoint
 from tests.unit.logs.helpers import DEADLINE_S, timing, wait_until
 
 pytestmark = pytest.mark.slow
@@ -169,34 +165,3 @@ def test_full_disk_with_reserve_still_closes_the_file(tmp_path):
     assert [m.sequence for m in log.messages()] == list(range(file.messages))
     with (tmp_path / "x.mcap").open("rb") as stream:
         assert make_reader(stream).get_summary().statistics.message_count == file.messages
-
-
-def test_recording_straight_from_zenoh(tmp_path):
-    endpoint = free_endpoint()
-    session = open_session(listen=[endpoint])
-    try:
-        source = ZenohSource([endpoint], ["cf1/**"])
-        process = RecorderProcess(None, tmp_path / "flight.mcap", source)
-        thread = threading.Thread(target=process.run)
-        thread.start()
-        try:
-            known = blocking_publisher(session, "cf1/loop/timing", f"application/cdr;{schemas.LOOP_TIMING}")
-            plain = blocking_publisher(session, "cf1/plain", "text/plain")
-            wait_until(lambda: is_matched(known) and is_matched(plain), "the recorder's subscription")
-            plain.put(b"hello")
-            before_ns = time.time_ns()
-            known.put(timing(3), attachment=pack_attachment(17, 123_000, bytes(16)))
-            known.put(timing(4))
-            counts = process._recorder.statistics
-            wait_until(lambda: process._recorder._file.messages == 2, "both samples")
-            wait_until(lambda: counts.skipped == 1, "the other sample")
-        finally:
-            process.stop()
-            thread.join(DEADLINE_S)
-    finally:
-        session.close()
-    first, second = LogFile(tmp_path / "flight.mcap").messages()
-    assert (first.topic, first.schema, first.data) == ("/cf1/loop/timing", schemas.LOOP_TIMING, timing(3))
-    assert (first.sequence, first.publish_time_ns) == (17, 123_000)
-    assert before_ns <= first.log_time_ns <= time.time_ns()
-    assert second.publish_time_ns == second.log_time_ns
