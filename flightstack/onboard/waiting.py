@@ -277,7 +277,8 @@ class WaitReport:
         if out.snapshot.link_ok or status is None:
             return None
         heard_s = now_s - status.arrival_s
-        text = why_silent(self._system_id, grown, self._link.counters.senders, heard_s=heard_s)
+        time = f" for {heard_s:.0f} s"
+        text = why_silent(self._system_id, grown, self._link.counters.senders, time=time)
         left = countdown(self._config, out.phase, now_s - memory.phase_since_s)
         return f"{text}; {left}" if left else text
 
@@ -285,11 +286,12 @@ class WaitReport:
         link, own, status = self._link, out.snapshot.inputs.own, out.snapshot.inputs.status
         grown = self._arrivals.grown(link.endpoint.counters)
         heard_s = now_s - status.arrival_s if status is not None else None
+        time = f" for {heard_s:.0f} s" if heard_s is not None else ""
         own_age_s = now_s - own.arrival_s if own is not None else None
         before, self._refused = self._refused, asdict(link.state.counters)
         return VehicleSeen(
             heartbeat_age_s=heard_s,
-            silence=why_silent(self._system_id, grown, link.counters.senders, heard_s=heard_s),
+            silence=why_silent(self._system_id, grown, link.counters.senders, time=time),
             own_age_s=own_age_s,
             own_believed=out.snapshot.own_ok
             or own_age_s is None

@@ -33,6 +33,8 @@ _DAMAGE = (
     _Cause(("garbage_bytes",), "{n} bytes are no MAVLink 2 frames"),
 )
 
+_NO_DATA = "no data arrives; check that the vehicle is on and that its link leads to the address of --vehicle"
+
 
 class Arrivals:
     """Increments of an endpoint's counters since the last call."""
@@ -52,15 +54,14 @@ def why_silent(
     grown: Mapping[str, int],
     senders: Mapping[tuple[int, int], int],
     *,
-    heard_s: float | None = None,
+    time: str = "",
 ) -> str:
     """Return a sentence about the missing heartbeat of a vehicle with the likely reason.
 
     ``grown``: increments of the endpoint's counters; ``senders``: number of frames of each other sender
-    (system, component); ``heard_s``: seconds since the last heartbeat, None if there was none.
+    (system, component); ``time``: how long none arrived, such as " for 5 s".
     """
-    since = "" if heard_s is None else f" for {heard_s:.0f} s"
-    text = f"no heartbeat of system {system_id}, component 1{since}: "
+    text = f"no heartbeat of system {system_id}, component 1{time}: "
     cause = _first(_SIGNING, grown)
     if cause:
         return text + cause
@@ -69,8 +70,8 @@ def why_silent(
         more = ", ..." if len(senders) > _SENDERS_SHOWN else ""
         return text + f"frames come from system/component {shown}{more}; --system-id names the vehicle's"
     if grown.get("received"):
-        return text + "other frames of it come"
-    return text + (_first(_DAMAGE, grown) or "nothing arrives")
+        return text + "only its other messages arrive"
+    return text + (_first(_DAMAGE, grown) or _NO_DATA)
 
 
 def _first(causes: Sequence[_Cause], grown: Mapping[str, int]) -> str:

@@ -183,7 +183,7 @@ def examine(
             break
         if now_s - said_s >= _SAY_S:
             said_s = now_s
-            say(f"waiting: {check.waits_for()}; for {until_s - now_s:.0f} s more")
+            say(f"waiting up to {until_s - now_s:.0f} s more: {check.waits_for()}")
         check.turn(now_s)
     reader, profile = check.reader, check.profile
     if stopped():
@@ -191,7 +191,7 @@ def examine(
     if check.refused is not None:
         return Report(profile, check.version, (), check.refused)
     if profile is None or reader is None:
-        return Report(None, None, (), f"{check.waits_for()}; within {wait_s:g} s, is the vehicle's link up?")
+        return Report(None, None, (), check.waits_for(f" within {wait_s:g} s"))
     findings = tuple(judge(check.asked, reader.values, reader.missing, needs, accepted))
     rules, problem, note = check.choice or (None, None, None)
     notes = (note,) if note is not None else ()
@@ -221,7 +221,7 @@ class _Check:
         self._version_over = False
         self._foreign = LinkCounters()
         self._arrivals = Arrivals()
-        self._why = ""  # reason of the silence, from the last increase of the counters
+        self._grown: Mapping[str, int] = {}  # last increase of the counters by received data
 
     @property
     def version(self) -> str | None:
@@ -232,13 +232,13 @@ class _Check:
         read = self.reader is not None and self.reader.done
         return self.refused is not None or (read and not self._senders.suspects)
 
-    def waits_for(self) -> str:
-        """Text about the message that has not arrived yet."""
+    def waits_for(self, time: str = "") -> str:
+        """Return a text about the message that has not arrived yet; ``time`` is that of ``why_silent``."""
         if not self.heard:
             grown = self._arrivals.grown(self._endpoint.counters)
-            if grown.keys() - {"sent"} or not self._why:
-                self._why = why_silent(self._target[0], grown, self._foreign.senders)
-            return self._why
+            if grown.keys() - {"sent", "bytes_out", "send_errors"}:
+                self._grown = grown
+            return why_silent(self._target[0], self._grown, self._foreign.senders, time=time)
         if self.reader is None:
             return "the vehicle does not send its version (AUTOPILOT_VERSION)"
         names = [each.name.name for each in self.asked]

@@ -166,7 +166,7 @@ def test_a_target_on_another_key_then_in_another_frame_then_a_vehicle_that_dies(
     )
     robot.close()
     vehicle.kill()
-    waits.until("no heartbeat of system 1, component 1 for", "nothing arrives", "gives up within")
+    waits.until("no heartbeat of system 1, component 1 for", "no data arrives", "gives up within")
     assert waits.end() == 1
     last = waits.lines[-1]
     assert last.startswith("ABORT: inputs did not become ready in time: the own state is ")

@@ -152,7 +152,7 @@ def test_samples_that_never_decoded_do_not_disturb_and_their_refusal_is_compared
         ([refusal + "!"], 1),
         (["frames of other systems ignored: 2"], 1),
         ([refusal, "waiting: no sample on cf1/target/odom; gives up within 9 s (checks.wait_time_max_s)"], 0),
-        ([refusal, "no heartbeat of system 1, component 1 for 4 s: nothing arrives"], 0),
+        ([refusal, "no heartbeat of system 1, component 1 for 4 s: no data arrives"], 0),
     ):
         record = tick_of([b"\x00\x01\x02", payload], said)
         wire = WireReplay(CONFIG, 1, lockstep=False)

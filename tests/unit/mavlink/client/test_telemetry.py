@@ -245,8 +245,8 @@ def test_integers_are_decoded_as_the_autopilot_sends_them(encoding, wire, type_,
 @pytest.mark.parametrize(
     ("grown", "words"),
     [
-        ({}, "component 1: nothing arrives"),
-        ({"sent": 10}, "nothing arrives"),
+        ({}, "component 1: no data arrives; check that the vehicle is on"),
+        ({"sent": 10}, "no data arrives"),
         ({"bad_signature": 3, "unsigned": 1}, "3 frames are signed with another key than --signing-key"),
         ({"unsigned": 4, "received": 2}, "4 frames have no signature"),
         ({"stale": 1, "ahead": 2}, "3 signed frames are rejected by their time stamps"),
@@ -254,7 +254,7 @@ def test_integers_are_decoded_as_the_autopilot_sends_them(encoding, wire, type_,
         ({"version_1": 5, "garbage_bytes": 9}, "5 frames are MAVLink 1"),
         ({"bad_crc": 1, "unknown_id": 1}, "2 frames are damaged or of unknown messages"),
         ({"garbage_bytes": 9}, "9 bytes are no MAVLink 2 frames"),
-        ({"received": 9}, "other frames of it come"),
+        ({"received": 9}, "only its other messages arrive"),
     ],
 )
 def test_the_cause_is_named_with_its_count(grown, words):
@@ -270,7 +270,7 @@ def test_who_speaks_instead_is_named():
     )
     many = {(system, 1): 1 for system in range(10, 20)}
     assert "10/1, 11/1, 12/1, 13/1, ...;" in why_silent(1, {"received": 7}, many)
-    assert "for 12 s: nothing" in why_silent(1, {}, senders, heard_s=12.3)  # they are now silent, too
+    assert "for 12 s: no data" in why_silent(1, {}, senders, time=" for 12 s")  # they are now silent, too
 
 
 def test_battery_throttle_and_tilt_are_kept_once_asked_for(state):
