@@ -16,7 +16,7 @@ from typing import Any
 from pymavlink.dialects.v20 import all as everything
 from pymavlink.dialects.v20 import ardupilotmega
 
-from bridge.mavlink.codec.wide_messages import Definition, WideField, definitions
+from bridge.mavlink.codec.messages import Definition, WideField, definitions
 
 MESSAGES = Path(__file__).parents[1] / "bridge" / "mavlink" / "codec" / "wide_messages.csv"
 _HEAD = """\

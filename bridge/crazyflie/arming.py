@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bridge.crazyflie.types import ArmReply, CrazyflieState, Info, Order, Packet
+from bridge.crazyflie.packets import Order, Packet
+from bridge.crazyflie.state import ArmReply, CrazyflieState, Info
 
 REPEAT_S = 0.05  # time between two repeats of a request, s: the period of two state packets
 ARM_MAX_S = 0.6  # time-out of an arming request without an answer, s

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from bridge.crazyflie.rules import LOST_S, POSE_AGE_MAX_S, REARM_S
-from bridge.crazyflie.types import PROTOCOL_MIN, CrazyflieState, Health, Info, Link, Outside, Power
+from bridge.crazyflie.rules import ESTIMATOR, KALMAN, LOST_S, POSE_AGE_MAX_S, REARM_S
+from bridge.crazyflie.state import PROTOCOL_MIN, CrazyflieState, Health, Info, Link, Outside, Power
 from bridge.frames import Quat, body_from_world, yaw_from_quaternion
 from bridge.mavlink.server.commander import Battery
 from bridge.mavlink.server.profile import POSITION_SOURCE
@@ -18,7 +18,6 @@ HEALTH_AGE_MAX_S = 1.0  # maximum age of the health packet, s; ten packets are m
 VARIANCE_MAX_M2 = 0.01  # maximum position variance of an axis, m2; settled: 0.001 (cflib reset_estimator)
 TILT_MAX_DEG = 2.0  # maximum tilt, degrees; 1 degree causes 6.8 cm/s of drift and is a usual sensor bias
 BATTERY_MIN_V = 3.7  # lowest voltage at rest, V, a sixth of the charge; the firmware does not land when empty
-ESTIMATOR, KALMAN = "stabilizer.estimator", "2"
 # Values of stabilizer.controller that follow velocity set-points; 0 is the default, PID (controller.c). For
 # such a set-point Mellinger (2) holds height zero or gives full thrust (controller_mellinger.c).
 CONTROLLERS = {"0": "default", "1": "PID"}

@@ -21,24 +21,23 @@ from typing import Any
 
 import cflib.crtp
 from cflib.crazyflie import Crazyflie
+from cflib.crazyflie.log import LogConfig
 from cflib.crazyflie.toccache import TocCache
 from cflib.crtp.crtpstack import CRTPPort
 
-from bridge.crazyflie.blocks import LogBlocks
 from bridge.crazyflie.condition import too_old
-from bridge.crazyflie.outbox import Outbox
-from bridge.crazyflie.settings import DRAG
-from bridge.crazyflie.types import (
+from bridge.crazyflie.packets import Order, Outbox, Packet, Pose, SetParam, Velocity
+from bridge.crazyflie.rules import DRAG
+from bridge.crazyflie.state import (
+    BLOCKS,
+    FETCHED_AS,
     ArmReply,
+    Block,
     Connected,
     Event,
+    LogPacket,
     Lost,
-    Order,
-    Packet,
     ParamValue,
-    Pose,
-    SetParam,
-    Velocity,
 )
 
 PARAMS = (  # parameters that are checked before arming
@@ -46,7 +45,8 @@ PARAMS = (  # parameters that are checked before arming
     *DRAG,
 )  # fmt: skip
 EVENTS_MAX = 512  # five seconds of packets; older ones are useless
-SILENT_S = 2.0  # time without any answer after which an attempt to connect is given up, s
+BLOCK_SILENT_S = 1.0  # time without a packet after which a log block is requested again, s
+ANSWER_MAX_S = 2.0  # time without any answer after which an attempt to connect is given up, s
 UNANSWERED_S = 0.5  # time-out of the first answer in a blind landing, s: cflib requests the answer only once
 CONNECT_MAX_S = 120.0  # time-out of one attempt, s; 1,235 requests, one in five lost, take 40 s
 RESEND_S = 0.05  # time-out before cflib repeats a request over UDP, s; cflib's default of 0.2 s suits a radio
@@ -72,6 +72,66 @@ class _Tables(TocCache):  # type: ignore[misc]
     def insert(self, crc: int, toc: Any) -> None:
         self._read[crc] = toc
         super().insert(crc, toc)
+
+
+class _Requested:
+    def __init__(self, block: Block, put: Callable[[Event], None]) -> None:
+        self.block, self._put = block, put
+        self.heard_s = self.asked_s = -math.inf
+        self._config: Any = None
+
+    def ask(self, crazyflie: Any) -> None:
+        """Request the block under a new number; packets with the old number are no longer decoded."""
+        if self._config is not None:
+            self._config.delete()
+            crazyflie.log.log_blocks.remove(self._config)
+        self.asked_s = time.monotonic()
+        self._config = LogConfig(self.block.name, self.block.period_ms)
+        for variable in self.block.variables:
+            self._config.add_variable(variable, FETCHED_AS.get(variable))
+        crazyflie.log.add_config(self._config)
+        self._config.data_received_cb.add_callback(self._take)
+        self._config.start()
+
+    def _take(self, time_ms: int, values: dict[str, Any], _config: Any) -> None:
+        self.heard_s = time.monotonic()
+        self._put(LogPacket(self.block.name, time_ms, values))
+
+
+class LogBlocks:
+    """Keeps the log blocks requested: call ``step`` often. The blocks do not wait for each other.
+
+    The firmware deletes its log blocks when it has received nothing for a second (crtp.c, log.c); cflib does
+    not check that blocks arrive. cflib requests a long block in two packets and does not check that the
+    second one arrived; a block without it is too short and is never decoded.
+    """
+
+    def __init__(self, crazyflie: Any, put: Callable[[Event], None]) -> None:
+        """Send no request yet. cflib's thread calls ``put``."""
+        self._crazyflie = crazyflie
+        known = crazyflie.log.toc.get_element_by_complete_name
+        self._requested = []
+        for block in BLOCKS:
+            there = tuple(name for name in block.variables if known(name) is not None)
+            if block.needed and there != block.variables:
+                missing = next(name for name in block.variables if name not in there)
+                raise ValueError(f"the firmware has no log variable {missing}: update it")
+            if there:
+                self._requested.append(_Requested(block._replace(variables=there), put))
+
+    def step(self) -> None:
+        """Request each block that has sent no packet for a second."""
+        since_s = time.monotonic() - BLOCK_SILENT_S
+        for requested in self._requested:
+            if max(requested.heard_s, requested.asked_s) <= since_s:
+                requested.ask(self._crazyflie)
+
+    @property
+    def waits_for(self) -> str | None:
+        """Name of a required block that has not arrived yet; None: all have arrived."""
+        return next(
+            (r.block.name for r in self._requested if r.block.needed and r.heard_s == -math.inf), None
+        )
 
 
 class CrazyflieLink:
@@ -234,7 +294,7 @@ class CrazyflieLink:
             if self._closing.is_set():
                 return "closed"
             unanswered = self._flies and self._heard_s < begin_s
-            if now_s - self._heard_s > (UNANSWERED_S if unanswered else SILENT_S) or now_s > deadline_s:
+            if now_s - self._heard_s > (UNANSWERED_S if unanswered else ANSWER_MAX_S) or now_s > deadline_s:
                 return f"no answer from {self._uri}: is it switched on, and are channel and address right?"
         return None
 

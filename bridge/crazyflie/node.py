@@ -17,12 +17,17 @@ from bridge.crazyflie.state import (
     HEALTH,
     LATE_MAX_S,
     STATE,
+    ArmReply,
     BootClock,
+    Connected,
+    Event,
+    LogPacket,
+    Lost,
+    ParamValue,
     decode_health,
     decode_outside,
     decode_state,
 )
-from bridge.crazyflie.types import ArmReply, Connected, Event, LogPacket, Lost, ParamValue
 from bridge.crazyflie.vehicle import Vehicle
 from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.profiles import CRAZYFLIE_MARK

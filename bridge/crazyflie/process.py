@@ -15,10 +15,9 @@ from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING
 
-from bridge.crazyflie.condition import ESTIMATOR, KALMAN
 from bridge.crazyflie.node import Node
-from bridge.crazyflie.rules import CrazyflieOptions, Rules
-from bridge.crazyflie.types import Pose, SetParam
+from bridge.crazyflie.packets import Pose, SetParam
+from bridge.crazyflie.rules import ESTIMATOR, KALMAN, CrazyflieOptions, Rules
 from bridge.frames import yaw_from_quaternion
 from bridge.mavlink.endpoint import Endpoint, open_endpoint
 from bridge.mavlink.server.server import COMPONENT_ID

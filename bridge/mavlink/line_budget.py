@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.wide_messages import MESSAGES
+from bridge.mavlink.codec.messages import MESSAGES
 
 _BITS_PER_BYTE = 10  # bits per byte on a serial line, 8N1
 _USABLE = 0.9  # usable fraction of the line; replies, texts and other messages of the autopilot need the rest

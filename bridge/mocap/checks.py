@@ -1,4 +1,4 @@
-"""Checks the order, age, rate and jumps of motion capture poses. Pure: no input or output.
+"""Checks the order, age, rate and jumps of motion capture poses; options of the bridges that receive them.
 
 The Crazyflie's estimator does not reject outliers (firmware mm_pose.c): one pair of swapped markers makes the
 vehicle flip. So a pose is forwarded only if the vehicle can have moved there from the last good pose.
@@ -10,10 +10,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 from bridge.frames import Quat
 from bridge.ros2.cdr import Pose
+from flightstack.common.options import Option
+from flightstack.config import options as shared
 from flightstack.core.sender_clock import PATIENCE_S, Reading, SenderClock
 
 
@@ -200,3 +202,38 @@ def angle_between(a: Quat, b: Quat) -> float:
     along = abs(sum(x * y for x, y in zip(a, b, strict=True)))
     across = math.sqrt(max(0.0, 1.0 - along * along))
     return 2.0 * math.atan2(across, along)
+
+
+POSE_TYPES = ("pose", "pose-covariance")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseOptions(shared.Zenoh, shared.Signing):
+    """Options of a bridge: motion-capture poses, and MAVLink and Zenoh links."""
+
+    pose_type: Annotated[
+        str, Option("--pose-type", "PoseStamped or PoseWithCovarianceStamped.", choices=POSE_TYPES)
+    ] = POSE_TYPES[0]
+    frame_id: Annotated[str | None, Option("--frame", "Required frame of the poses.", "NAME")] = None
+    offset_flu_m: Annotated[tuple[float, float, float], Option(
+        "--offset", "Offset from the markers' centre to the vehicle's, m, forward left up.", "X Y Z"
+    )] = (0.0, 0.0, 0.0)  # fmt: skip
+    pose_speed_m_s: Annotated[float, Option(
+        "--pose-speed-max", "Reject a pose beyond this speed as a jump.", "M/S", span=(0.1, 50.0)
+    )] = 5.0  # fmt: skip
+    ros_domain: shared.RosDomain = 0
+    duration_s: shared.Duration = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class MocapOptions(PoseOptions, shared.Vehicle):
+    pose_key: Annotated[str, Option(
+        "--key",
+        "Source of the poses: a Zenoh key, ros2:/TOPIC (rmw_zenoh), ros2dds:/TOPIC (docs/how_to/mocap.md).",
+        "KEY"
+    )]  # fmt: skip
+    origin: Annotated[tuple[float, float, float] | None, Option(
+        "--origin",
+        "Position on earth of the room's origin, degrees and m; ArduPilot needs one for its position.",
+        "LAT LON ALT"
+    )] = None  # fmt: skip

@@ -12,8 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.client.senders import Senders
 from bridge.mavlink.endpoint import Endpoint, open_endpoint
-from bridge.mocap.checks import Limits, Passed, PoseChecks, Sample
-from bridge.mocap.options import MocapOptions, PoseOptions
+from bridge.mocap.checks import Limits, MocapOptions, Passed, PoseChecks, PoseOptions, Sample
 from bridge.mocap.vehicle import COMPONENT_ID, MocapVehicle
 from bridge.ros2.cdr import OdometryError, decode_pose, decode_pose_with_covariance
 from bridge.ros2.ros2_names import parse_topic_key

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from bridge.crazyflie.rules import CrazyflieOptions
-from bridge.mocap.options import MocapOptions
+from bridge.mocap.checks import MocapOptions
 from flightstack.cli.options import takes
 from flightstack.common.hangup import say
 

@@ -14,7 +14,7 @@ from operator import attrgetter
 from typing import NamedTuple
 
 from bridge.mavlink.client.link import VehicleLink
-from bridge.mavlink.client.silence import Arrivals, why_silent
+from bridge.mavlink.client.senders import Arrivals, why_silent
 from flightstack.core.controller import WARN, Outputs
 from flightstack.core.memory import Memory
 from flightstack.core.mission.conditions import target_below
@@ -36,7 +36,7 @@ class VehicleSeen(NamedTuple):
     """Data that the vehicle link has received so far."""
 
     heartbeat_age_s: float | None  # age of the newest heartbeat; None: none received
-    silence: str  # sentence about a missing heartbeat (``bridge.mavlink.client.silence``)
+    silence: str  # sentence about a missing heartbeat (``senders.why_silent``)
     own_age_s: float | None  # age of the newest vehicle state; None: none received
     own_believed: bool  # whether position and velocity agree
     # positions rejected since the last report, by cause (fields of ``StateCounters``)

@@ -15,8 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.client.link import COMPONENT_ID, VehicleLink
-from bridge.mavlink.codec.messages import Message, decode, message_id
-from bridge.mavlink.codec.wide_messages import MESSAGES
+from bridge.mavlink.codec.messages import MESSAGES, Message, decode, message_id
 from bridge.mavlink.endpoint import Endpoint, Received
 from bridge.mavlink.line_budget import LinePlan
 from bridge.mavlink.profiles import PX4, profile

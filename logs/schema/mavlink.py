@@ -91,7 +91,7 @@ def definition(schema: str) -> str:
 @cache
 def _dialect() -> dict[int, Any]:
     """Return the classes of all known messages by number; the import is slow, so it waits until needed."""
-    from bridge.mavlink.codec.wide_messages import MESSAGES
+    from bridge.mavlink.codec.messages import MESSAGES
 
     return MESSAGES
 

@@ -15,8 +15,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple
 
-from bridge.mavlink.codec.messages import Message
-from bridge.mavlink.codec.wide_messages import CODES
+from bridge.mavlink.codec.messages import CODES, Message
 
 _CHUNK = 50  # characters per message; a shorter chunk is the last one
 _CHUNKS_MAX = 16  # greatest number of chunks of a text: 800 characters

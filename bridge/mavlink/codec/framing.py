@@ -15,9 +15,7 @@ from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from enum import IntEnum
 
-from pymavlink.dialects.v20 import ardupilotmega as dialect
-
-from bridge.mavlink.codec.wide_messages import MESSAGES
+from bridge.mavlink.codec.messages import CRC_EXTRA, MESSAGES, checksum
 
 _MARKER_V1 = 0xFE
 _MARKER_V2 = 0xFD
@@ -31,11 +29,6 @@ _UNKNOWN_RUN_MAX = 4  # greatest number of frames of unknown messages in a row
 # buffered bytes of a stream: four frames of the greatest length, for unknown frames and for those that
 # confirm their end
 REST_MAX = 1120
-
-# CRC_EXTRA of every known message: the checksum also covers the message's definition.
-CRC_EXTRA: dict[int, bytes] = {id_: bytes([cls.crc_extra]) for id_, cls in MESSAGES.items()}
-# fastcrc computes CRC-16/MCRF4XX; where it has no build, pymavlink's slow class does.
-checksum = dialect.mcrf4xx or (lambda data: dialect.x25crc(data).crc)
 
 
 @dataclass(slots=True)

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.companion import companion_heartbeat, request_message
-from bridge.mavlink.client.senders import Senders
-from bridge.mavlink.client.silence import Arrivals, why_silent
+from bridge.mavlink.client.senders import Arrivals, Senders, why_silent
 from bridge.mavlink.codec.messages import Message, parameter_name
 from bridge.mavlink.endpoint import Endpoint, LinkCounters
 from bridge.mavlink.preflight.table import (

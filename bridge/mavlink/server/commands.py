@@ -18,8 +18,7 @@ from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.profiles import FORCE
 from bridge.mavlink.server.commander import Right, Sender
 from bridge.mavlink.server.profile import FlightMode, mode_of, why_no_mode
-from bridge.mavlink.server.streams import Streams
-from bridge.mavlink.server.telemetry import Builder, Snapshot, V
+from bridge.mavlink.server.telemetry import Builder, Snapshot, Streams, V
 from flightstack.core.types import Vec3
 
 ACCEPTED: int = dialect.MAV_RESULT_ACCEPTED

@@ -14,13 +14,11 @@ from typing import Any, Generic
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.messages import Message, parameter_name
-from bridge.mavlink.server.commander import Right, Sender, read_setpoint
+from bridge.mavlink.server.commander import Right, Sender, Text, read_setpoint
 from bridge.mavlink.server.commands import Commands, Entry
 from bridge.mavlink.server.parameters import NOT_NOW, Parameters, Refused
 from bridge.mavlink.server.profile import FlightMode, ServerProfile, mode_numbers, mode_of, why_no_mode
-from bridge.mavlink.server.streams import Streams
-from bridge.mavlink.server.telemetry import Builder, Snapshot, V, autopilot_version, heartbeat
-from bridge.mavlink.server.texts import Text
+from bridge.mavlink.server.telemetry import Builder, Snapshot, Streams, V, autopilot_version, heartbeat
 
 SYSTEM_ID = 1
 COMPONENT_ID = dialect.MAV_COMP_ID_AUTOPILOT1  # clients look for the autopilot only at this component id

@@ -1,9 +1,9 @@
-"""Messages that every vehicle sends, each built from a snapshot."""
+"""Messages that every vehicle sends, each built from a snapshot, and the schedule of their streams."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
@@ -22,6 +22,7 @@ from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.server.commander import Battery, Commander
 from bridge.mavlink.server.profile import (
     CAPABILITIES,
+    EVERY_TICK,
     POSITION_SOURCE,
     PX4_CODES,
     VERSION,
@@ -165,3 +166,144 @@ def autopilot_version(s: Snapshot[V]) -> Message:
 
 def _millivolts(battery: Battery) -> int:
     return min(max(round(1000 * battery.voltage_v), 0), 0xFFFE)
+
+
+_OFF = float("inf")
+_INTERVAL_MAX_S = 2000.0  # longest interval, s; MESSAGE_INTERVAL counts microseconds in 32 bits, up to 2147 s
+
+
+@dataclass(slots=True)
+class _Stream(Generic[V]):
+    message_id: int
+    build: Builder[V]
+    interval_s: float  # period; infinite: off
+    due_s: float
+    passed_s: float = -_OFF  # time when the message was sent last; it is sent at most once per tick
+
+    def passes(self, now_s: float, limit_s: float) -> bool:
+        """Whether the message is due until ``limit_s``; if so, schedule it again one interval later."""
+        if self.due_s > limit_s or now_s == self.passed_s:
+            return False
+        self.passed_s = now_s
+        self.due_s += self.interval_s
+        if self.due_s <= now_s:  # missed messages are not sent later
+            self.due_s = now_s + self.interval_s
+        return True
+
+
+class Streams(Generic[V]):
+    """Intervals of all messages, and the messages that are due; all peers share them, as on a PX4 port."""
+
+    def __init__(self, rate_hz: float, profile: ServerProfile) -> None:
+        """Set the default rates of all messages.
+
+        No request can raise a rate above ``rate_hz``. A datagram starts with attitude and position.
+        """
+        self._period_s = 1.0 / rate_hz
+        self._hidden: frozenset[int] = frozenset()
+        self._default_s = dict.fromkeys(EVERY_TICK, self._period_s)
+        streams = profile.streams
+        self._default_s |= {
+            id_: max(self._period_s, 1.0 / hz) for id_, (_, hz) in streams.items() if hz is not None
+        }
+        self._streams: dict[int, _Stream[V]] = {
+            id_: _Stream(id_, streams[id_][0], self._default_s.get(id_, _OFF), 0.0)
+            for id_ in dict.fromkeys((*EVERY_TICK, *streams))
+        }
+        self._busy: list[_Stream[V]] = []  # streams sent at every tick
+        self._lazy: list[_Stream[V]] = []  # streams with longer intervals
+        self._lazy_due_s = 0.0  # earliest due time of these streams
+        for stream in self._streams.values():
+            if stream.interval_s == _OFF:
+                stream.due_s = _OFF
+        self._sort()
+
+    def known(self, message_id: int) -> bool:
+        return message_id in self._streams
+
+    def interval_us(self, message_id: int) -> int:
+        """Return the interval as in MESSAGE_INTERVAL: microseconds, -1: off."""
+        interval_s = self._streams[message_id].interval_s
+        return -1 if interval_s == _OFF else round(interval_s * 1e6)
+
+    def set_interval(self, message_id: int, interval_us: float, now_s: float) -> None:
+        """Set an interval: microseconds, 0 for the default, negative for off."""
+        interval_s = self._interval_s(message_id, interval_us)
+        stream = self._streams[message_id]
+        if interval_s != stream.interval_s:
+            stream.interval_s = interval_s
+            stream.due_s = now_s if interval_s < _OFF else _OFF
+            self._sort()
+
+    def rarer(self, message_id: int, interval_us: float) -> bool:
+        return self._interval_s(message_id, interval_us) > self._streams[message_id].interval_s
+
+    def _interval_s(self, message_id: int, interval_us: float) -> float:
+        if interval_us < 0.0:
+            return _OFF
+        if interval_us == 0.0:
+            return self._default_s.get(message_id, _OFF)
+        return min(max(self._period_s, interval_us * 1e-6), _INTERVAL_MAX_S)
+
+    def reset(self, now_s: float) -> None:
+        for message_id in self._streams:
+            self.set_interval(message_id, 0.0, now_s)
+
+    def hide(self, message_ids: frozenset[int]) -> None:
+        """Stop these messages from now on, and send all others at their rates."""
+        if message_ids != self._hidden:
+            self._hidden = message_ids
+            self._sort()
+
+    def hasten(self, message_id: int) -> None:
+        """Make a message due immediately, unless its stream is off."""
+        stream = self._streams[message_id]
+        if stream.interval_s < _OFF:
+            stream.due_s = self._lazy_due_s = 0.0
+            stream.passed_s = -_OFF
+
+    def due(self, snapshot: Snapshot[V]) -> list[Message]:
+        messages = [stream.build(snapshot) for stream in self._busy]
+        return messages + [stream.build(snapshot) for stream in self._passed(snapshot.now_s)]
+
+    def next_s(self, message_ids: frozenset[int]) -> float:
+        """Return a lower bound of the next due time of these messages, except those sent at every tick.
+
+        It is -inf unless exactly position and attitude, of these messages, are sent at every tick.
+        """
+        busy = {stream.message_id for stream in self._busy}
+        if not busy.issuperset(EVERY_TICK) or busy & message_ids - set(EVERY_TICK):
+            return -_OFF
+        due_s = [
+            stream.due_s
+            for id_, stream in self._streams.items()
+            if stream.interval_s > self._period_s and id_ in message_ids
+        ]
+        return min(due_s, default=_OFF) - 0.5 * self._period_s
+
+    def pass_over(self, snapshot: Snapshot[V], message_ids: frozenset[int]) -> list[Message]:
+        """Advance as ``due`` does, but build only these messages, and none of those sent at every tick."""
+        passed = self._passed(snapshot.now_s)
+        return [stream.build(snapshot) for stream in passed if stream.message_id in message_ids]
+
+    def _passed(self, now_s: float) -> list[_Stream[V]]:
+        """Return the due streams, except those of every tick, and schedule them one interval later."""
+        limit_s = now_s + 0.5 * self._period_s  # streams are sent at the tick nearest to their due time
+        if self._lazy_due_s > limit_s:
+            return []
+        passed = [stream for stream in self._lazy if stream.passes(now_s, limit_s)]
+        self._lazy_due_s = min((stream.due_s for stream in self._lazy), default=_OFF)
+        return passed
+
+    def skip(self, ticks_s: Sequence[float]) -> None:
+        """Advance as ``due`` does at each of these times, without building messages."""
+        half_s = 0.5 * self._period_s
+        for now_s in ticks_s:
+            if self._lazy_due_s <= now_s + half_s:
+                self._passed(now_s)
+
+    def _sort(self) -> None:
+        streams = [stream for id_, stream in self._streams.items() if id_ not in self._hidden]
+        self._busy = [stream for stream in streams if stream.interval_s <= self._period_s]
+        self._lazy = [stream for stream in streams if stream.interval_s > self._period_s]
+        self._lazy_due_s = 0.0

@@ -7,9 +7,9 @@ from itertools import pairwise
 
 import pytest
 
+from bridge.crazyflie.packets import Order
 from bridge.crazyflie.rules import Rules
 from bridge.crazyflie.state import LATE_MAX_S, BootClock
-from bridge.crazyflie.types import Order
 from bridge.mavlink.server.profile import FlightMode
 from tests.crazyflie_firmware.bench import Bench
 from tests.crazyflie_firmware.firmware import Firmware

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 
+from bridge.crazyflie.packets import Order
 from bridge.crazyflie.pilot import CARRIED_MAX_M_S, CLEAR_M, GAIN_1_S, Pilot
-from bridge.crazyflie.types import Order
 from bridge.mavlink.client.commands import CommandSequencer
 from bridge.mavlink.client.vehicle_state import VehicleState
 from bridge.mavlink.profiles import CRAZYFLIE

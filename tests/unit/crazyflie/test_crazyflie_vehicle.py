@@ -5,9 +5,9 @@ import struct
 
 import pytest
 
+from bridge.crazyflie.packets import Order
 from bridge.crazyflie.pilot import UNPLACED_M_S
 from bridge.crazyflie.rules import LOST_S, RECONNECT_S, Rules
-from bridge.crazyflie.types import Order
 from bridge.mavlink.server.profile import FlightMode
 from tests.crazyflie_firmware.bench import CLIENT, GROUND, OTHER, Bench
 from tests.crazyflie_firmware.firmware import Firmware

@@ -9,10 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from bridge.crazyflie.outbox import ORDERS_MAX, VELOCITY_AGE_MAX_S, Outbox
+from bridge.crazyflie.packets import ORDERS_MAX, VELOCITY_AGE_MAX_S, Order, Outbox, Pose, SetParam, Velocity
 from bridge.crazyflie.process import Loop
-from bridge.crazyflie.state import BootClock, decode_state, decompress_quaternion
-from bridge.crazyflie.types import Info, Order, Pose, SetParam, Velocity
+from bridge.crazyflie.state import BootClock, Info, decode_state, decompress_quaternion
 from bridge.frames import enu_from_ned, yaw_ned_from_enu
 from bridge.mavlink.client.vehicle_state import VehicleState
 from bridge.mavlink.codec.messages import pack

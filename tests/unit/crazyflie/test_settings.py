@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from bridge.crazyflie.rules import Rules
-from bridge.crazyflie.settings import DRAG, ECHO_MAX_S, UNKNOWN_DRAG
-from bridge.crazyflie.types import SetParam
+from bridge.crazyflie.packets import SetParam
+from bridge.crazyflie.rules import DRAG, ECHO_MAX_S, UNKNOWN_DRAG, Rules
 from flightstack.cli.bridge import _drag_1_s
 from flightstack.common.strict_toml import ConfigError
 from tests.crazyflie_firmware.bench import Bench

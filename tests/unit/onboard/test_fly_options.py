@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from bridge.crazyflie.rules import CrazyflieOptions
-from bridge.mocap.options import MocapOptions
+from bridge.mocap.checks import MocapOptions
 from flightstack.cli.main import main
 from flightstack.cli.options import takes
 from flightstack.common.options import argv, declared

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as everything
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from bridge.mavlink.codec.messages import decode
-from bridge.mavlink.codec.wide_messages import MESSAGES
+from bridge.mavlink.codec.messages import MESSAGES, decode
 from logs.derive.frames import TOPICS_MAX, FrameDecoder
 from logs.schema import mavlink, schemas
 from logs.schema.mavlink import (

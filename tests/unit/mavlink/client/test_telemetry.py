@@ -7,10 +7,10 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client import texts
-from bridge.mavlink.client.silence import why_silent
+from bridge.mavlink.client.senders import why_silent
 from bridge.mavlink.client.texts import EVENT, event_text
 from bridge.mavlink.client.vehicle_state import VehicleState
-from bridge.mavlink.codec.wide_messages import MESSAGES
+from bridge.mavlink.codec.messages import MESSAGES
 from bridge.mavlink.preflight.examine import ParameterReader
 from bridge.mavlink.profiles import PX4, Encoding
 from flightstack.core.types import Landed, Mode, VehicleStatus

@@ -7,7 +7,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.client.texts import EVENT
-from bridge.mavlink.codec.wide_messages import MESSAGES
+from bridge.mavlink.codec.messages import MESSAGES
 from bridge.mavlink.line_budget import LineTooSlowError, plan
 from bridge.mavlink.profiles import PX4
 from flightstack.core.types import Mode, Request

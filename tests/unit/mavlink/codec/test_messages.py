@@ -10,8 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega, common, development, standard
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.framing import intact, split_frames
-from bridge.mavlink.codec.messages import decode, pack
-from bridge.mavlink.codec.wide_messages import MESSAGES, definitions, make_class
+from bridge.mavlink.codec.messages import MESSAGES, decode, definitions, make_class, pack
 from tests import tables
 
 CLASSES = [dialect.mavlink_map[id_] for id_ in sorted(dialect.mavlink_map)]

@@ -13,8 +13,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.codec.messages import decode
+from bridge.mavlink.server.commander import Texts
 from bridge.mavlink.server.profile import PX4_CODES, FlightMode
-from bridge.mavlink.server.texts import Texts
 from tests.crazyflie_firmware.bench import CLIENT, Bench
 from tests.unit.mavlink.server.served import GROUND_STATION, STRANGER, setpoint
 

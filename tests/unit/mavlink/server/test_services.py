@@ -7,7 +7,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.client.texts import TextAssembler
 from bridge.mavlink.codec.messages import pack
-from bridge.mavlink.server.texts import Text, Texts
+from bridge.mavlink.server.commander import Text, Texts
 from tests.unit.mavlink.server.served import ACCEPTED, COMPANION, DENIED, FAILED, NAN, UNSUPPORTED, as_long
 
 

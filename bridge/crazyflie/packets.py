@@ -1,12 +1,45 @@
-"""Queue of packets for the radio: urgent packets first; old velocities are dropped."""
+"""Packets for the Crazyflie, and their queue: urgent packets first; old velocities are dropped."""
 
 from __future__ import annotations
 
 import threading
 from collections import deque
 from collections.abc import Callable
+from enum import Enum
+from typing import NamedTuple
 
-from bridge.crazyflie.types import Order, Packet, Pose, SetParam, Velocity
+from bridge.frames import Quat
+from flightstack.core.types import Vec3
+
+
+class Velocity(NamedTuple):
+    """A velocity set-point: one packet that is sent immediately or dropped."""
+
+    velocity_enu_m_s: Vec3
+    yaw_rate_rad_s: float  # yaw rate, counter-clockwise
+
+
+class Pose(NamedTuple):
+    position_enu_m: Vec3
+    quaternion: Quat  # order w, x, y, z; attitude of FLU in ENU
+
+
+class Order(Enum):
+    STOP = "stop set-point: motors off"
+    NOTIFY_STOP = "no more set-points will come"
+    ARM = "arm"
+    DISARM = "disarm"
+    EMERGENCY_STOP = "emergency stop, latched until restart"
+    RECOVER = "crash recovery"
+    RECONNECT = "close the link and open it again"
+
+
+class SetParam(NamedTuple):
+    name: str
+    value: float
+
+
+Packet = Velocity | Pose | Order | SetParam
 
 ORDERS_MAX = 64
 VELOCITY_AGE_MAX_S = 0.1  # maximum age of a velocity, s; without one the firmware's watchdog acts
