@@ -236,7 +236,7 @@ class Judge:
 class Scenario:
     """A scenario with all its parts."""
 
-    name: str  # name of the scenario
+    name: str  # name of the scenario; a file with `base` may leave it out and has its own file name then
     description: str  # purpose of the scenario, one sentence
     onboard: FlightConfig
     # time limit of a flight, after which it aborts
@@ -296,6 +296,11 @@ class _Files(Files[Scenario]):
     def table(self, path: Path) -> dict[str, Any]:
         """Parse a file as ``Files.table`` does, and copy the pad's radius to the configuration."""
         return one_pad(super().table(path))
+
+    def over_base(self, path: Path, table: dict[str, Any], above: tuple[Path, ...] = ()) -> dict[str, Any]:
+        """Merge as ``Files.over_base`` does; a file without ``name`` has its own, not that of its base."""
+        own = {"name": path.stem} if "base" in table and "name" not in table else {}
+        return {**super().over_base(path, table, above), **own}
 
 
 FILES = _Files(Scenario, "sim.scenarios", "scenario")

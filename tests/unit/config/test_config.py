@@ -143,11 +143,14 @@ def test_a_file_has_what_it_leaves_out_from_its_base(tmp_path):
     lab = scenario.load("lab")
     wanted = dataclasses.replace(
         lab,
-        name="windy",
+        name="late",
         wind=dataclasses.replace(lab.wind, mean_m_s=1.0),
         odometry=dataclasses.replace(lab.odometry, delay_s=0.1),
     )
     assert scenario.load(late) == wanted
+    windy.write_text('base = "late.toml"\n')
+    late.write_text('base = "lab"\nname = "own"\n')
+    assert (scenario.load(windy).name, scenario.load(late).name) == ("windy", "own")
 
 
 @pytest.mark.parametrize(
