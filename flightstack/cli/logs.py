@@ -84,9 +84,11 @@ def show_verdict(values: dict[str, Any], *, as_json: bool) -> None:
 def compare(log_a: Path, log_b: Path) -> None:
     """Compare two logs message by message; exit status 0 equal, 1 different.
 
-    Wall-clock measurements (loop timing) are not compared.
+    The last line names the first tick with a difference. Wall-clock measurements (loop timing) are not
+    compared.
     """
     from logs.tools.compare import compare as differences_of
+    from logs.tools.compare import first_tick
 
     differences = differences_of(log_a, log_b)
     for difference in differences[:DIFFERENCES_MAX]:
@@ -94,6 +96,8 @@ def compare(log_a: Path, log_b: Path) -> None:
     if len(differences) > DIFFERENCES_MAX:
         click.echo(f"... and {len(differences) - DIFFERENCES_MAX} more")
     click.echo("equal" if not differences else f"{len(differences)} differences")
+    if differences and (tick := first_tick(log_a, log_b)) is not None:
+        click.echo(f"the first tick that differs: {tick}")
     sys.exit(1 if differences else 0)
 
 

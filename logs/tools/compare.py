@@ -8,11 +8,13 @@ is compared separately, ordered by log time and sequence number.
 from __future__ import annotations
 
 import dataclasses
+import math
 import struct
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +65,21 @@ def compare(a: Path | str, b: Path | str, limit: int = MAX_DIFFERENCES) -> list[
         if len(found) >= limit:
             break
     return found
+
+
+def first_tick(a: Path | str, b: Path | str) -> int | None:
+    """Return the number of the first tick with a difference in a message; None: no message differs."""
+    first, second = _by_topic(LogFile(a)), _by_topic(LogFile(b))
+    differ_ns = [
+        min(message.log_time_ns for message in both if message is not None)
+        for topic in first.keys() | second.keys()
+        for both in zip_longest(first.get(topic, []), second.get(topic, []))
+        if both[0] != both[1]
+    ]
+    steps = [each for log in (first, second) for messages in log.values() for each in messages]
+    from_ns = min(differ_ns, default=math.inf)
+    later = [each for each in steps if each.schema == CONTROLLER_STEP and each.log_time_ns >= from_ns]
+    return min(later, key=lambda each: each.log_time_ns).sequence if later else None
 
 
 def _all(

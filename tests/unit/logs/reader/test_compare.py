@@ -10,7 +10,7 @@ from logs.recorder.recording import RECORDER_NAME
 from logs.schema import schemas
 from logs.schema.events import pack_log
 from logs.schema.rows import ControllerStepRow, LoopTimingRow
-from logs.tools.compare import ABSENT, compare
+from logs.tools.compare import ABSENT, compare, first_tick
 
 ZERO = (0.0, 0.0, 0.0)
 STEP_TOPIC = "/cf1/controller/step"
@@ -91,6 +91,20 @@ EVENT = ("/rosout", schemas.LOG, 1, 1, 1, pack_log(1, 20, "onboard", "phase LAND
 )
 def test_differences_are_named(differ, messages, expected):
     assert differ(messages) == expected
+
+
+@pytest.mark.parametrize(
+    ("messages", "tick"),
+    [
+        (steps(), None),
+        (replaced(slack_m_s=-0.0), 4),
+        (steps()[:9], 9),
+        ([*steps(), (*EVENT[:2], 25, 25, *EVENT[4:])], 3),  # an event between ticks 2 and 3
+    ],
+)
+def test_the_first_tick_that_differs_is_named(tmp_path, messages, tick):
+    a, b = write(tmp_path / "a.mcap", steps()), write(tmp_path / "b.mcap", messages)
+    assert first_tick(a, b) == first_tick(b, a) == tick
 
 
 def test_wall_clock_is_declared_and_left_out(differ):
