@@ -145,19 +145,22 @@ class _Run:
         last: int | None = None
         cut: TickRecord | None = None
         for record in ticks:
-            damaged = bool(self.flight.log.problem) and last is not None
             if cut is not None and last is not None:
-                if damaged:
-                    break
-                raise self._gap(cut, last)
+                what = "inputs" if cut.given is None else "decisions"
+                raise self._gap(f"the {what} of a tick after tick {last} are")
             if record.given is None or record.step is None:
                 cut = record
                 continue
             tick = record.given.tick
+            if last is not None and tick <= last:
+                raise ReplayError(
+                    f"{self.flight.log.path}: tick {tick} comes after tick {last}; these are two flights in "
+                    "one log"
+                )
             if last is not None and tick != last + 1:
-                if damaged:
-                    break  # after the damage the state is unknown
-                raise self._missing(last, tick)
+                raise self._gap(
+                    f"tick {last + 1} is" if tick == last + 2 else f"ticks {last + 1} to {tick - 1} are"
+                )
             last, cut = tick, None
             yield record
         if last is None:
@@ -165,23 +168,10 @@ class _Run:
         if cut is not None and cut.given is not None and cut.given.tick == last + 1:
             self.result.notes.append(f"tick {cut.given.tick}, the last one, is not whole and was left out")
 
-    def _gap(self, cut: TickRecord, last: int) -> ReplayError:
-        what = "inputs" if cut.given is None else "decisions"
+    def _gap(self, lacks: str) -> ReplayError:
         return ReplayError(
-            f"{self.flight.log.path}: the {what} of a tick after tick {last} are missing; a replay over a "
-            "gap proves nothing"
-        )
-
-    def _missing(self, last: int, tick: int) -> ReplayError:
-        path = self.flight.log.path
-        if tick <= last:
-            return ReplayError(
-                f"{path}: tick {tick} comes after tick {last}; these are two flights in one log"
-            )
-        gap = f"tick {last + 1} is" if tick == last + 2 else f"ticks {last + 1} to {tick - 1} are"
-        return ReplayError(
-            f"{path}: {gap} missing; a replay over a gap proves nothing. Cut the log behind it: the replay "
-            "then begins at the next snapshot"
+            f"{self.flight.log.path}: {lacks} missing; a replay over a gap proves nothing. Cut the log "
+            "behind it: the replay then begins at the next snapshot"
         )
 
     def tick(self, record: TickRecord) -> None:
