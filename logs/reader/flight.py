@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
+from bridge.ros2.codec import Unpack
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
@@ -30,6 +32,7 @@ from logs.reader.flight_data import (
     Timing,
     Truth,
     read_config,
+    shape,
 )
 from logs.reader.reader import LogError, LogFile, Message
 from logs.schema.names import NO_PAD
@@ -51,6 +54,7 @@ TARGET_TOPIC_END = "/target/odom"  # end of the topic in any namespace
 
 _DTYPES = {"Floats": np.float64, "Ints": np.int64, "Bools": np.bool_}
 _Columns = TypeVar("_Columns", Steps, Timing, Truth)
+_Data = TypeVar("_Data")
 
 
 def load_flight(path: Path | str, member: str | None = None) -> Flight:
@@ -108,45 +112,46 @@ def _read(whole: LogFile) -> Fleet:
 
 
 def _flight(log: LogFile, by_kind: Mapping[str, list[Message]], problem: str) -> Flight:
-    path = log.path
     for messages in by_kind.values():
         messages.sort(key=lambda message: message.log_time_ns)
     damage = [f"the log is cut short or damaged ({problem})"] if problem else []
     spine = by_kind.get(CONTROLLER_STEP, []) + by_kind.get(TRUE_STATE, [])
-    if not spine:
+    origin_ns = min((m.log_time_ns for m in spine), default=0)
+    attachments = {a.name: a.data for a in log.attachments()}
+    config, problems = _config(attachments)
+    run = log.metadata().get("run", {})
+    told = ({} if config is None else shape(config)) | run
+
+    def read(kind: str, convert: Callable[[Sequence[Any], Floats], _Data], unpack: Unpack) -> _Data | None:
+        rows, t_s = _unpacked(by_kind.get(kind, []), unpack, origin_ns, damage)
+        return convert(rows, t_s) if rows else None
+
+    steps = read(CONTROLLER_STEP, partial(columns, Steps), ControllerStepRow.unpack)
+    truth = read(TRUE_STATE, partial(columns, Truth), TrueStateRow.unpack)
+    if steps is None and truth is None:
         found = ", ".join(sorted(by_kind)) or "nothing this stack writes"
         of = f", {log.member}" if log.member else ""
         raise LogError(
-            f"{path}{of}: found {found}; a flight needs controller steps ({CONTROLLER_STEP}) or true states "
-            f"({TRUE_STATE})" + (f"; {damage[0]}" if damage else "")
+            f"{log.path}{of}: found {found}; a flight needs controller steps ({CONTROLLER_STEP}) or true "
+            f"states ({TRUE_STATE})" + "".join(f"; {each}" for each in damage)
         )
-    times_ns = [m.log_time_ns for m in spine]
-    origin_ns = min(times_ns)
-    attachments = {a.name: a.data for a in log.attachments()}
-    run = log.metadata().get("run", {})
-    config, problems = _config(attachments)
-    steps = _columns(Steps, ControllerStepRow, by_kind.get(CONTROLLER_STEP, []), origin_ns, damage)
-    timing = _columns(Timing, LoopTimingRow, by_kind.get(LOOP_TIMING, []), origin_ns, damage)
-    truth = _columns(Truth, TrueStateRow, by_kind.get(TRUE_STATE, []), origin_ns, damage)
-    target = _target(by_kind.get(ODOMETRY, []), origin_ns, damage)
-    events = _events(by_kind.get(LOG, []), origin_ns, damage)
     return Flight(
-        path=path,
+        path=log.path,
         member=log.member,
         complete=log.complete,
         origin_ns=origin_ns,
-        duration_s=(max(times_ns) - origin_ns) * 1e-9,
+        duration_s=(max(m.log_time_ns for m in spine) - origin_ns) * 1e-9,
         steps=steps,
-        timing=timing,
+        timing=read(LOOP_TIMING, partial(columns, Timing), LoopTimingRow.unpack),
         truth=truth,
-        target=target,
-        events=events,
+        target=read(ODOMETRY, _target, codec(ODOMETRY, frame_id=None)[1]),
+        events=_events(by_kind.get(LOG, []), origin_ns, damage),
         metadata=log.metadata(),
         attachments=attachments,
         config=config,
-        barrier=_barrier(run, config),
+        barrier=_barrier(told),
         velocity_max_m_s=_velocity_max(run, config),
-        pad_radius_m=_pad_radius(run, config),
+        pad_radius_m=PAD_RADIUS_M if (radius_m := _number(told, "pad_radius_m")) is None else radius_m,
         pad_carries=run.get("pad") != NO_PAD,
         damage=tuple(damage),
         problems=(*damage, *problems),
@@ -161,9 +166,9 @@ def _kind(message: Message) -> str:
 
 
 def _unpacked(
-    schema: str, messages: Sequence[Message], unpack: Callable[[bytes], Any], damage: list[str]
-) -> tuple[list[Any], Ints]:
-    """Return the readable messages, and their log times in ns, (n,)."""
+    messages: Sequence[Message], unpack: Unpack, origin_ns: int, damage: list[str]
+) -> tuple[list[Any], Floats]:
+    """Return the readable messages and their times since the origin, s, (n,); count the unreadable ones."""
     rows, times_ns, refused = [], [], []
     for message in messages:
         try:
@@ -171,26 +176,9 @@ def _unpacked(
             times_ns.append(message.log_time_ns)
         except ValueError as error:
             refused.append(str(error))
-    if not rows:
-        raise LogError(refused[0])
     if refused:
-        damage.append(f"{len(refused)} messages of {schema} cannot be read; first: {refused[0]}")
-    return rows, np.array(times_ns, dtype=np.int64)
-
-
-def _columns(
-    cls: type[_Columns], row: Any, messages: Sequence[Message], origin_ns: int, damage: list[str]
-) -> _Columns | None:
-    if not messages:
-        return None
-    try:
-        rows, times_ns = _unpacked(messages[0].schema, messages, row.unpack, damage)
-    except LogError as error:
-        if cls is not Timing:
-            raise
-        damage.append(f"loop timing: {error}")
-        return None
-    return columns(cls, rows, since(times_ns, origin_ns))
+        damage.append(f"{len(refused)} messages of {messages[0].schema} cannot be read; first: {refused[0]}")
+    return rows, since(np.array(times_ns, dtype=np.int64), origin_ns)
 
 
 def columns(cls: type[_Columns], rows: Sequence[Any], t_s: Floats) -> _Columns:
@@ -205,19 +193,10 @@ def since(times_ns: Ints, origin_ns: int) -> Floats:
     return np.asarray((times_ns - origin_ns) * 1e-9, dtype=np.float64)
 
 
-def _target(messages: Sequence[Message], origin_ns: int, damage: list[str]) -> TargetOdometry | None:
-    """Return the samples of external senders; unreadable ones are counted and skipped."""
-    if not messages:
-        return None
-    _, unpack = codec(ODOMETRY, frame_id=None)
-    try:
-        rows, times_ns = _unpacked(ODOMETRY, messages, unpack, damage)
-    except LogError as error:
-        damage.append(f"target odometry: {error}")
-        return None
+def _target(rows: Sequence[Any], t_s: Floats) -> TargetOdometry:
     headers, _, poses, twists = zip(*rows, strict=True)
     return TargetOdometry(
-        t_s=since(times_ns, origin_ns),
+        t_s=t_s,
         stamp_ns=np.array([stamp_ns for stamp_ns, _ in headers], dtype=np.int64),
         position_enu_m=np.array([position for (position, _), _ in poses]),
         velocity_child_m_s=np.array([linear for (linear, _), _ in twists]),
@@ -226,16 +205,10 @@ def _target(messages: Sequence[Message], origin_ns: int, damage: list[str]) -> T
 
 
 def _events(messages: Sequence[Message], origin_ns: int, damage: list[str]) -> tuple[Event, ...]:
-    events: list[Event] = []
-    for message in messages:
-        try:
-            row = LogRow.unpack(message.data)
-        except ValueError as error:
-            damage.append(f"event: {error}")
-            continue
-        t_s = (message.log_time_ns - origin_ns) * 1e-9
-        events.append(Event(t_s, row.level, row.name, row.msg))
-    return tuple(events)
+    rows, times_s = _unpacked(messages, LogRow.unpack, origin_ns, damage)
+    return tuple(
+        Event(t_s, row.level, row.name, row.msg) for t_s, row in zip(times_s.tolist(), rows, strict=True)
+    )
 
 
 def _config(attachments: dict[str, bytes]) -> tuple[FlightConfig | None, tuple[str, ...]]:
@@ -249,21 +222,13 @@ def _config(attachments: dict[str, bytes]) -> tuple[FlightConfig | None, tuple[s
         return None, (f"{ATTACHMENT} in the log: {error}",)
 
 
-def _barrier(run: dict[str, str], config: FlightConfig | None) -> Barrier | None:
+def _barrier(told: dict[str, str]) -> Barrier | None:
     """Return the barrier of the scenario's verdict, else the controller's barrier."""
-    for alpha, beta in (("judge_alpha_1_m", "judge_beta_m"), ("barrier_alpha_1_m", "barrier_beta_m")):
-        alpha_1_m, beta_m = _number(run, alpha), _number(run, beta)
+    for whose in ("judge", "barrier"):
+        alpha_1_m, beta_m = _number(told, f"{whose}_alpha_1_m"), _number(told, f"{whose}_beta_m")
         if alpha_1_m is not None and beta_m is not None:
             return Barrier(alpha_1_m, beta_m)
-    return config.barrier.build() if config is not None else None
-
-
-def _pad_radius(run: dict[str, str], config: FlightConfig | None) -> float:
-    """Return the pad radius of the scenario, else of the configuration, which real flights always have."""
-    told_m = _number(run, "pad_radius_m")
-    if told_m is not None:
-        return told_m
-    return config.touchdown.pad_radius_m if config is not None else PAD_RADIUS_M
+    return None
 
 
 def _velocity_max(run: dict[str, str], config: FlightConfig | None) -> Vec3 | None:

@@ -1,7 +1,7 @@
 """Reads a flight log, complete or damaged; of a fleet's log all data, or the part of one member.
 
 A killed recorder leaves a file without its index, truncated at any byte; a disk or a transfer may damage any
-byte. All readable data are read, and unreadable parts are reported.
+byte. The data up to there are read, and the place is reported.
 
 The log of a fleet has a metadata record ``fleet`` with its members. The data of a member have its namespace
 in front: ``/cf2/controller/step``, the logger ``cf2.onboard`` on /rosout, the metadata ``cf2/run``, the
@@ -13,23 +13,22 @@ except for ``fleet`` and ``team.toml``; these, and topics of no member, belong o
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from mcap.records import Attachment as AttachmentRecord
 from mcap.records import Channel, Header, Metadata, Schema
 from mcap.records import Message as MessageRecord
 
-from logs.reader.mcap_records import MAGIC, Records
-from logs.reader.other_files import named, no_file
+from logs.reader.mcap_records import MAGIC, Records, named, no_file
 from logs.schema.names import FLEET, LOSSES, TEAM
 from logs.schema.rows import LogRow
-from logs.schema.schemas import LOG, same_fields, store_for
+from logs.schema.schemas import LOG, same_fields
 
 ROSOUT = "/rosout"
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
@@ -95,23 +94,20 @@ class MemberView:
         whose = {who: self._members.split(who, ".") for who in values}
         return {whose[who][1]: text for who, text in values.items() if whose[who][0] in (None, self._member)}
 
-    def event(self, data: bytes) -> bytes | None:
-        """Return an event of /rosout with its logger's name; None for another member's event.
+    def data(self, schema: str, data: bytes) -> bytes | None:
+        """Return the data of a message on one of this member's topics, an event with its logger's name.
 
-        An event that cannot be decoded is shown for all members, as recorded.
+        The result is None for the event of another member. An event that cannot be decoded belongs to all
+        members, as recorded.
         """
         try:
-            row = LogRow.unpack(data)
+            row = LogRow.unpack(data) if schema == LOG else None
         except ValueError:
             return data
-        owner, logger = self._members.split(row.name, ".")
-        if owner is None:
+        owner, logger = (None, "") if row is None else self._members.split(row.name, ".")
+        if row is None or owner is None:
             return data
         return row._replace(name=logger).pack() if owner == self._member else None
-
-    def data(self, schema: str, data: bytes) -> bytes | None:
-        """Return the data of a message on one of this member's topics; None: an event of another member."""
-        return self.event(data) if schema == LOG else data
 
 
 _HEAD_BYTES = 32
@@ -129,14 +125,6 @@ class Message(NamedTuple):
     sequence: int
     data: bytes  # CDR payload with its four-byte header
 
-    def decode(self) -> Any:
-        """Return the message as an object with the fields of its definition (slow, uses ``rosbags``)."""
-        try:
-            return store_for(self.schema).deserialize_cdr(self.data, self.schema)
-        except Exception as error:  # a library may raise any exception for damaged bytes
-            where = f"{self.topic}, sequence {self.sequence}: not a {self.schema}"
-            raise LogError(f"{where} ({type(error).__name__}: {error})") from error
-
 
 class Attachment(NamedTuple):
     name: str
@@ -145,14 +133,18 @@ class Attachment(NamedTuple):
     data: bytes
 
 
-class _Outline(NamedTuple):
-    """Result of a pass, without the messages."""
+@dataclass
+class Outline:
+    """Content of a file without its messages."""
 
-    metadata: dict[str, dict[str, str]]
-    attachments: list[Attachment]
-    problem: str
-    library: str  # program that wrote the file
-    foreign: frozenset[str]  # message types of this stack whose definitions in the file have other fields
+    profile: str = ""
+    library: str = ""  # program that wrote the file
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    attachments: list[Attachment] = field(default_factory=list)
+    # message types of this stack whose definitions in the file have other fields
+    foreign: set[str] = field(default_factory=set)
+    problem: str = ""  # first unreadable record, its place and the reason; empty: none
+    broken_at: int = 0  # first unreadable byte; the size of the file if there is none
 
 
 class LogFile:
@@ -166,7 +158,6 @@ class LogFile:
         """
         self.path = Path(path)  # the log file
         self.member = member  # fleet member whose part is read; None: the whole log
-        self._last: Records | None = None
         try:
             if self.path.exists() and not self.path.is_file():
                 raise LogError(f"{self.path} {no_file(self.path)}")
@@ -205,22 +196,17 @@ class LogFile:
 
     @property
     def problem(self) -> str:
-        """First unreadable part that the last pass has found, and its place; empty: none."""
-        return self._last.problem if self._last is not None else ""
-
-    @property
-    def broken_at(self) -> int:
-        """First byte that the last pass could not read; the file size if all bytes were read."""
-        return self._last.broken_at if self._last is not None else 0
+        """First unreadable record, its place and the reason; empty: none."""
+        return self.outline.problem
 
     @property
     def complete(self) -> bool:
         """Whether the recorder closed the file properly and every byte of it was understood."""
-        return not self._outline.problem
+        return not self.problem
 
     def need(self, *schemas: str) -> None:
         """Raise LogError if one of these types has other fields in the log than in this version."""
-        foreign = [name.rpartition("/")[2] for name in schemas if name in self._outline.foreign]
+        foreign = [name.rpartition("/")[2] for name in schemas if name in self.outline.foreign]
         if foreign:
             raise LogError(
                 f"{self.path} was recorded by another version of this stack: {self.made_by}. "
@@ -232,45 +218,43 @@ class LogFile:
     @property
     def made_by(self) -> str:
         """Version of this stack that recorded the log, if the log contains it."""
-        made = self._outline.metadata.get("made", {})
+        made = self.outline.metadata.get("made", {})
         revision = f" (git {made['git_revision']})" if made.get("git_revision") else ""
-        return f"version {made['version']}{revision}" if "version" in made else repr(self._outline.library)
+        return f"version {made['version']}{revision}" if "version" in made else repr(self.outline.library)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """Yield the readable messages in the order in which they were written."""
-        channels: dict[int, Channel] = {}
-        schemas: dict[int, str] = {}
-        for record in self.records():
-            if isinstance(record, MessageRecord):
-                channel = channels[record.channel_id]
-                if topics is None or channel.topic in topics:
-                    yield Message(
-                        channel.topic, schemas.get(channel.schema_id, ""),
-                        record.log_time, record.publish_time, record.sequence, record.data,
-                    )  # fmt: skip
-            elif isinstance(record, Schema):
-                schemas[record.id] = record.name
-            elif isinstance(record, Channel):
-                channels[record.id] = record
+        view, schemas = self.view, dict[int, str]()
+        wanted: dict[int, tuple[str, str]] = {}  # topic and schema by channel
+        with self.path.open("rb") as stream:
+            for record in Records(stream, messages=True):
+                if isinstance(record, MessageRecord):
+                    if record.channel_id not in wanted:
+                        continue
+                    topic, schema = wanted[record.channel_id]
+                    data = record.data if view is None else view.data(schema, record.data)
+                    if data is not None:
+                        yield Message(
+                            topic, schema, record.log_time, record.publish_time, record.sequence, data
+                        )
+                elif isinstance(record, Schema):
+                    schemas[record.id] = record.name
+                elif isinstance(record, Channel):
+                    seen = record.topic if view is None else view.topic(record.topic)
+                    if seen is not None and (topics is None or seen in topics):
+                        wanted[record.id] = seen, schemas.get(record.schema_id, "")
 
     def part_of(self, message: Message) -> Message | None:
         """Return a message of the whole log under this member's names; None for one of another member."""
-        if self.view is None or self.view.topic(message.topic) is None:
+        topic = None if self.view is None else self.view.topic(message.topic)
+        if self.view is None or topic is None:
             return None
         data = self.view.data(message.schema, message.data)
-        return None if data is None else message._replace(data=data)
-
-    def records(self) -> Iterator[Any]:
-        """Yield the readable MCAP records, including those in chunks, in the order of writing.
-
-        A message never precedes its channel. The summary repeats the schemas and channels.
-        """
-        records = self._records()
-        return records if self.view is None else _seen(records, self.view)
+        return None if data is None else message._replace(topic=topic, data=data)
 
     def metadata(self) -> dict[str, dict[str, str]]:
         """Return the metadata records by name; of several with one name the last value of each key."""
-        view, found = self.view, self._outline.metadata
+        view, found = self.view, self.outline.metadata
         if view is None:
             return found
         return {
@@ -281,7 +265,7 @@ class LogFile:
 
     def attachments(self) -> list[Attachment]:
         """Return the files stored in the log, in the order in which they were written."""
-        view, found = self.view, self._outline.attachments
+        view, found = self.view, self.outline.attachments
         if view is None:
             return found
         return [each._replace(name=seen) for each in found if (seen := view.name(each.name)) is not None]
@@ -292,7 +276,7 @@ class LogFile:
 
     @cached_property
     def parts(self) -> Members:
-        return Members(self._outline.metadata)
+        return Members(self.outline.metadata)
 
     @cached_property
     def view(self) -> MemberView | None:
@@ -300,57 +284,22 @@ class LogFile:
         return None if self.member is None else MemberView(self.parts, self.member)
 
     @cached_property
-    def _outline(self) -> _Outline:
-        for _ in self._records(messages=False):
-            pass
-        return self.__dict__["_outline"]  # type: ignore[no-any-return]  # result of the pass that has ended
-
-    def _records(self, *, messages: bool = True) -> Iterator[Any]:
-        """Yield the readable MCAP records, and store the place and reason of unreadable ones."""
-        metadata: dict[str, dict[str, str]] = {}
-        attachments: list[Attachment] = []
-        library, foreign = "", set()
+    def outline(self) -> Outline:
+        """Content of the whole file without its messages, from a pass over all records."""
+        found = Outline()
         with self.path.open("rb") as stream:
-            self._last = records = Records(stream, messages=messages)
+            records = Records(stream, messages=False)
             for record in records:
                 if isinstance(record, Metadata):
-                    metadata.setdefault(record.name, {}).update(record.metadata)
+                    found.metadata.setdefault(record.name, {}).update(record.metadata)
                 elif isinstance(record, AttachmentRecord):
-                    kept = Attachment(record.name, record.media_type, record.log_time, record.data)
-                    attachments.append(kept)
+                    stored = Attachment(record.name, record.media_type, record.log_time, record.data)
+                    found.attachments.append(stored)
                 elif isinstance(record, Header):
-                    library = record.library
+                    found.profile, found.library = record.profile, record.library
                 elif isinstance(record, Schema) and not same_fields(
                     record.name, record.data.decode(errors="replace")
                 ):
-                    foreign.add(record.name)
-                yield record
-        self._outline = _Outline(metadata, attachments, records.problem, library, frozenset(foreign))
-
-
-def _seen(records: Iterable[Any], view: MemberView) -> Iterator[Any]:
-    """Yield a member's records, under the names of a log of one flight."""
-    schemas: dict[int, str] = {}
-    channels: dict[int, str] = {}  # schema of each channel of the member
-    for record in records:
-        if isinstance(record, MessageRecord):
-            schema = channels.get(record.channel_id)
-            data = None if schema is None else view.data(schema, record.data)
-            if data is None:
-                continue
-            yield record if data is record.data else replace(record, data=data)
-            continue
-        if isinstance(record, Schema):
-            schemas[record.id] = record.name
-        elif isinstance(record, Channel):
-            topic = view.topic(record.topic)
-            if topic is None:
-                continue
-            record = replace(record, topic=topic)
-            channels[record.id] = schemas.get(record.schema_id, "")
-        elif isinstance(record, Metadata | AttachmentRecord):
-            name = view.name(record.name)
-            if name is None:
-                continue
-            record = replace(record, name=name)
-        yield record
+                    found.foreign.add(record.name)
+        found.problem, found.broken_at = records.problem, records.broken_at
+        return found

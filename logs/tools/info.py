@@ -2,33 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
-
-from mcap.records import Channel, Header, Schema
-from mcap.records import Message as MessageRecord
 
 from flightstack.common.text import one_line
 from logs.reader.reader import LogFile
 
 _NS = 1e9  # nanoseconds per second
-
-
-@dataclass
-class Topic:
-    topic: str
-    schema: str
-    encoding: str
-    messages: int = 0
-    first_ns: int = 0  # log time of the first message, ns
-    last_ns: int = 0
-
-    @property
-    def rate_hz(self) -> float | None:
-        """Mean rate between the first and the last message; None: fewer than two, or no time between them."""
-        span_s = (self.last_ns - self.first_ns) / _NS
-        return (self.messages - 1) / span_s if span_s > 0.0 else None
 
 
 def gather(log: LogFile) -> dict[str, Any]:
@@ -37,43 +17,28 @@ def gather(log: LogFile) -> dict[str, Any]:
     ``problem``: unreadable part, empty for a complete log; ``readable_bytes``: from the start to the first
     damage, the size of a complete file; ``start_ns``, ``end_ns``: log times of the messages, Unix.
     """
-    schemas: dict[int, str] = {}
-    channels: dict[int, Topic] = {}
-    topics: dict[tuple[str, str], Topic] = {}
-    profile = library = ""
-    for record in log.records():
-        if isinstance(record, MessageRecord):
-            topic, now_ns = channels[record.channel_id], record.log_time
-            topic.first_ns = min(topic.first_ns, now_ns) if topic.messages else now_ns
-            topic.last_ns = max(topic.last_ns, now_ns)
-            topic.messages += 1
-        elif isinstance(record, Schema):
-            schemas[record.id] = record.name
-        elif isinstance(record, Channel):
-            schema = schemas.get(record.schema_id, "")
-            new = Topic(record.topic, schema, record.message_encoding)
-            channels[record.id] = topics.setdefault((record.topic, schema), new)
-        elif isinstance(record, Header):
-            profile, library = record.profile, record.library
-    problem, readable_bytes = log.problem, log.broken_at
-    known = [topic for topic in topics.values() if topic.messages]
-    start_ns = min((topic.first_ns for topic in known), default=0)
-    end_ns = max((topic.last_ns for topic in known), default=0)
+    found: dict[tuple[str, str], tuple[int, int, int]] = {}  # number, first and last log time, by topic
+    for message in log.messages():
+        key, now_ns = (message.topic, message.schema), message.log_time_ns
+        number, first_ns, last_ns = found.get(key, (0, now_ns, now_ns))
+        found[key] = number + 1, min(first_ns, now_ns), max(last_ns, now_ns)
+    outline = log.outline
+    start_ns = min((first_ns for _, first_ns, _ in found.values()), default=0)
+    end_ns = max((last_ns for *_, last_ns in found.values()), default=0)
     return {
         "path": str(log.path),
         "size_bytes": log.path.stat().st_size,
         "complete": log.complete,
-        "problem": problem,
-        "readable_bytes": readable_bytes,
-        "profile": profile,
-        "library": library,
+        "problem": outline.problem,
+        "readable_bytes": outline.broken_at,
+        "profile": outline.profile,
+        "library": outline.library,
         "start_ns": start_ns,
         "end_ns": end_ns,
-        "messages": sum(topic.messages for topic in known),
+        "messages": sum(number for number, *_ in found.values()),
         "topics": [
-            {"topic": t.topic, "schema": t.schema, "encoding": t.encoding, "messages": t.messages,
-             "rate_hz": t.rate_hz}
-            for t in sorted(topics.values(), key=lambda t: t.topic)
+            {"topic": topic, "schema": schema, "messages": number, "rate_hz": _rate_hz(number, last - first)}
+            for (topic, schema), (number, first, last) in sorted(found.items())
         ],
         "metadata": log.metadata(),
         "attachments": [
@@ -82,7 +47,12 @@ def gather(log: LogFile) -> dict[str, Any]:
         "start": _utc(start_ns),
         "end": _utc(end_ns),
         "duration_s": (end_ns - start_ns) / _NS,
-    }  # fmt: skip
+    }
+
+
+def _rate_hz(number: int, span_ns: int) -> float | None:
+    """Return the mean rate between two messages; None: fewer than two, or no time between them."""
+    return (number - 1) * _NS / span_ns if span_ns > 0 else None
 
 
 def lines(info: dict[str, Any]) -> list[str]:

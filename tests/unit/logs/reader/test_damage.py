@@ -120,7 +120,7 @@ def test_what_is_before_a_damaged_chunk_is_read(logs, kind, place, tmp_path):
     assert 0 < len(whole) - len(found) <= 4 * len(whole) // len(spans)
     assert not log.complete
     assert f"nothing after byte {begin} of " in log.problem
-    assert log.broken_at == begin
+    assert log.outline.broken_at == begin
 
 
 def message(channel, number):

@@ -58,7 +58,7 @@ def test_info_of_a_whole_log(whole):
     assert found["start"] == "2020-01-01T00:00:00Z"
     assert found["profile"] == "ros2"
     assert topics["/cf1/loop/timing"] == {
-        "topic": "/cf1/loop/timing", "schema": schemas.LOOP_TIMING, "encoding": "cdr", "messages": 300,
+        "topic": "/cf1/loop/timing", "schema": schemas.LOOP_TIMING, "messages": 300,
         "rate_hz": pytest.approx(100.0),
     }  # fmt: skip
     assert topics["/tf_static"]["rate_hz"] is None

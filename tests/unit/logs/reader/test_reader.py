@@ -32,6 +32,7 @@ from logs.recorder.mcap_file import McapFile
 from logs.report.report import write_report
 from logs.schema import schemas
 from logs.schema.events import Severity, pack_log
+from logs.schema.rows import ControllerStepRow
 from logs.verdict.verdict import judged
 from tests.unit.logs.helpers import CHANNELS, EPOCH_NS, payloads, record
 
@@ -57,7 +58,7 @@ def test_our_reader_reads_the_same(recorded):
     assert sorted((m.topic, m.log_time_ns, m.data) for m in log.messages()) == theirs
     (step,) = [m for m in log.messages({"/cf1/controller/step"}) if m.sequence == 7]
     assert step.publish_time_ns == EPOCH_NS + 70_000_000
-    assert step.decode().own_position_enu_m.x == 0.07
+    assert ControllerStepRow.unpack(step.data).own_position_enu_m[0] == 0.07
     assert {m.topic for m in log.messages({"/tf", "/rosout"})} == {"/tf", "/rosout"}
     assert log.metadata()["run"]["seed"] == "1"
     assert [(a.name, a.data) for a in log.attachments()] == [("s.toml", b"x = 1")]
