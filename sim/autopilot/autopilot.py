@@ -33,7 +33,7 @@ from sim.autopilot.ground import degrees_e7, x_of, y_of
 from sim.autopilot.parameters import px4_parameters
 from sim.autopilot.pilot import Goal
 from sim.autopilot.telemetry import PX4
-from sim.autopilot.vehicle_like import VehicleLike
+from sim.vehicle.vehicle import VehicleSim
 
 _HOME_REACH_M = 100.0  # largest distance of the home from the room's origin
 _CHANGE_MODE = 1  # MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
@@ -49,7 +49,7 @@ class Autopilot(Server[Flight]):
 
     def __init__(
         self,
-        vehicle: VehicleLike,
+        vehicle: VehicleSim,
         rate_hz: float,
         *,
         system_id: int = SYSTEM_ID,

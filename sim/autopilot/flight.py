@@ -13,8 +13,8 @@ from bridge.mavlink.server.parameters import Parameters
 from bridge.mavlink.server.profile import POSITION_SOURCE, FlightMode
 from flightstack.core.types import ZERO, Vec3
 from sim.autopilot.pilot import Event, Goal, Pilot
-from sim.autopilot.vehicle_like import Standing, VehicleLike
-from sim.autopilot.watches import STATION_LOST, Watches
+from sim.autopilot.watches import STATION_LOST, Standing, Watches
+from sim.vehicle.vehicle import VehicleSim
 
 HEIGHT_RANGE_M = (0.1, 20.0)  # range of height above home for take-off and reposition; the room is lower
 _REACH_M = 50.0  # largest horizontal distance from home of a reposition
@@ -28,7 +28,7 @@ class Flight(Commander):
     height_range_m = HEIGHT_RANGE_M
 
     def __init__(
-        self, vehicle: VehicleLike, parameters: Parameters, period_s: float, trim_enu_m_s: Vec3 = ZERO
+        self, vehicle: VehicleSim, parameters: Parameters, period_s: float, trim_enu_m_s: Vec3 = ZERO
     ) -> None:
         super().__init__()
         self.vehicle = vehicle

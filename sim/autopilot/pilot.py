@@ -17,7 +17,8 @@ from bridge.mavlink.server.commander import Setpoint
 from bridge.mavlink.server.parameters import Parameters
 from bridge.mavlink.server.profile import FlightMode
 from flightstack.core.types import ZERO, Vec3
-from sim.autopilot.vehicle_like import CheckedEstimate, VehicleLike
+from sim.plant.vehicle_types import Estimate
+from sim.vehicle.vehicle import VehicleSim
 
 _INTEGRAL_GAIN_1_S2 = 0.25  # cancels wind and mass error within some seconds; slower than the position loop
 _INTEGRAL_MAX_M_S = 0.4  # larger than the steady velocity error at 10 % mass error and 2 m/s of wind
@@ -134,7 +135,7 @@ class Goal(NamedTuple):
 class Pilot:
     """Computes velocity set-points for the firmware from mode, estimate and received set-point."""
 
-    def __init__(self, vehicle: VehicleLike, parameters: Parameters, trim_enu_m_s: Vec3 = ZERO) -> None:
+    def __init__(self, vehicle: VehicleSim, parameters: Parameters, trim_enu_m_s: Vec3 = ZERO) -> None:
         self.goal: Goal | None = None  # point to hold; None: the point where the vehicle stops
         self.velocity_setpoint_enu_m_s: Vec3 | None = None  # last one sent to the firmware; None: none active
         self._vehicle = vehicle
@@ -148,7 +149,7 @@ class Pilot:
         self._version = -1  # version of the parameters from which the limits were read
         self._limits = OwnLimits(1.0, 1.0, 0.0, 0.0, 0.0)
         self._clip = (0.0, 0.0, 0.0)  # speed limits in m/s: horizontal, up, down
-        self._fly: dict[FlightMode, Callable[[CheckedEstimate, bool, float], Event | None]] = {
+        self._fly: dict[FlightMode, Callable[[Estimate, bool, float], Event | None]] = {
             FlightMode.HOLD: self._fly_hold,
             FlightMode.TAKEOFF: self._fly_takeoff,
             FlightMode.LAND: self._fly_land,
@@ -183,7 +184,7 @@ class Pilot:
         self._engaged = False
 
     def fly(
-        self, mode: FlightMode, takeoff_z_m: float, estimate: CheckedEstimate, standing: bool, dt_s: float
+        self, mode: FlightMode, takeoff_z_m: float, estimate: Estimate, standing: bool, dt_s: float
     ) -> Event | None:
         """Run one control step of an armed vehicle."""
         self._takeoff_z_m = takeoff_z_m
@@ -202,7 +203,7 @@ class Pilot:
 
     def _approach(
         self,
-        estimate: CheckedEstimate,
+        estimate: Estimate,
         limits: OwnLimits,
         dt_s: float,
         *,
@@ -218,7 +219,7 @@ class Pilot:
         self.velocity_setpoint_enu_m_s = velocity
         self._vehicle.set_velocity(velocity, self._yaw_rad)
 
-    def _engage(self, estimate: CheckedEstimate) -> bool:
+    def _engage(self, estimate: Estimate) -> bool:
         """Start the position loop at the current motion; return True the first time in a mode."""
         if self._engaged:
             return False
@@ -227,7 +228,7 @@ class Pilot:
         self._engaged = True
         return True
 
-    def _fly_hold(self, estimate: CheckedEstimate, standing: bool, dt_s: float) -> Event | None:
+    def _fly_hold(self, estimate: Estimate, standing: bool, dt_s: float) -> Event | None:
         if standing:
             # Sent repeatedly: without set-points after a flight the firmware assumes a lost link and locks.
             self.stop()
@@ -242,7 +243,7 @@ class Pilot:
         self._approach(estimate, limits, dt_s)
         return None
 
-    def _fly_takeoff(self, estimate: CheckedEstimate, standing: bool, dt_s: float) -> Event | None:
+    def _fly_takeoff(self, estimate: Estimate, standing: bool, dt_s: float) -> Event | None:
         self._engage(estimate)
         goal_m = self._takeoff_z_m
         self._hold.aim(goal_m)
@@ -254,14 +255,14 @@ class Pilot:
         """Hold the end point of the take-off; the integral is kept."""
         self._engaged = True
 
-    def _fly_land(self, estimate: CheckedEstimate, standing: bool, dt_s: float) -> Event | None:
+    def _fly_land(self, estimate: Estimate, standing: bool, dt_s: float) -> Event | None:
         if standing:
             return Event.LANDED
         self._engage(estimate)
         self._approach(estimate, self._limits, dt_s, vertical_m_s=-self._limits.speed_down_m_s)
         return None
 
-    def _fly_offboard(self, estimate: CheckedEstimate, _standing: bool, dt_s: float) -> Event | None:
+    def _fly_offboard(self, estimate: Estimate, _standing: bool, dt_s: float) -> Event | None:
         setpoint = self._setpoint
         if setpoint is None:  # the check of the stream runs first
             return None
@@ -281,7 +282,7 @@ class Pilot:
         return None if velocity == wanted else Event.CLIPPED
 
 
-def _at_height(estimate: CheckedEstimate, height_m: float) -> bool:
+def _at_height(estimate: Estimate, height_m: float) -> bool:
     error_m = height_m - estimate.position_enu_m[2]
     return abs(error_m) < _ARRIVED_M and abs(estimate.velocity_enu_m_s[2]) < _ARRIVED_M_S
 

@@ -1,4 +1,4 @@
-"""Checks at ten times a second: battery charge and connection to the ground station.
+"""Checks of battery charge and ground station, ten times a second, and of the contact, at every tick.
 
 The charge is computed as in PX4 battery.cpp. The voltage under load plus the voltage drop at this throttle is
 compared with the voltages of an empty and a full cell. Voltage and throttle are low-pass filtered, because
@@ -16,7 +16,7 @@ from bridge.mavlink.server.parameters import Parameters
 from bridge.mavlink.server.profile import FlightMode
 from flightstack.compiled.records import Record
 from flightstack.core.numeric import numeric
-from sim.autopilot.vehicle_like import VehicleLike
+from sim.vehicle.vehicle import VehicleSim
 
 PERIOD_S = 0.1 - 1e-6  # period of the checks
 _SMOOTH_S = 1.0  # time constant of the low-pass filter
@@ -51,7 +51,7 @@ class WatchRecord(Record):
 class Watches:
     """Filters voltage and throttle, and detects a lost ground station."""
 
-    def __init__(self, parameters: Parameters, vehicle: VehicleLike) -> None:
+    def __init__(self, parameters: Parameters, vehicle: VehicleSim) -> None:
         self._parameters = parameters
         self._vehicle = vehicle
         self.due_s = -math.inf  # time of the next check, s
@@ -102,7 +102,40 @@ class Watches:
         self._voltage_v, self._throttle = voltage_v, throttle
 
 
-def throttle(vehicle: VehicleLike) -> float:
+def throttle(vehicle: VehicleSim) -> float:
     """Return the mean of the motor commands, 0 to 1."""
     m1, m2, m3, m4 = vehicle.motor_commands
     return (m1 + m2 + m3 + m4) / 4.0  # not sum(), which rounds differently from Python 3.12 on
+
+
+_CONTACT_S = 0.3  # time of unbroken contact after which the vehicle counts as standing; bounces are shorter
+_NO_CONTACT_S = 0.1  # time without contact after which it counts as flying
+
+
+class Standing:
+    """Detects from lasting contact that the vehicle stands on a surface."""
+
+    def __init__(self, vehicle: VehicleSim) -> None:
+        self._vehicle = vehicle
+        self.now = vehicle.landed or vehicle.on_pad or vehicle.on_ground  # standing, not in brief contact
+        self.since_s = 0.0  # start of the current state
+        self._contact = self.now
+        self._changed_s = 0.0
+
+    @property
+    def settled(self) -> bool:
+        """Whether the newest contact reading agrees with ``now``."""
+        return self._contact == self.now
+
+    def watch(self, now_s: float, armed: bool) -> None:
+        """Read the contacts; call it at every tick."""
+        vehicle = self._vehicle
+        contact = vehicle.on_pad or vehicle.on_ground or vehicle.landed
+        if contact != self._contact:
+            self._contact, self._changed_s = contact, now_s
+        if contact == self.now:
+            return
+        lasted_s = now_s - self._changed_s
+        if not armed or lasted_s >= (_CONTACT_S if contact else _NO_CONTACT_S) - 1e-9:
+            self.now = contact or not armed
+            self.since_s = now_s
