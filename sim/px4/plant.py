@@ -103,4 +103,4 @@ class Px4Plant:
 
     def truth(self) -> Truth:
         """Return the current true state, and extremes and contacts since the last call, then reset these."""
-        return self._physics.truth(self._ms, bool(self.wanted.any()))
+        return self._physics.truth(self._ms)

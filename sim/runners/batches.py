@@ -34,11 +34,12 @@ from flightstack.core.strategies.strategy import strategy_class
 from flightstack.core.types import FilterStatus, OwnState, Phase, Request
 from flightstack.onboard.lockstep import VehicleTicks
 from sim.clock import TickGrid
+from sim.plant.vehicle_types import TRUTH
 from sim.runners.landing_wire import PEER
 from sim.runners.lockstep import LockstepVehicle
 from sim.runners.log import Notes
 from sim.runners.robot import DirectTarget
-from sim.runners.ticks import BEFORE, MIDDLE, TRUTH, RulesRecord, WatchBook, fly_ticks, look, narrow
+from sim.runners.ticks import BEFORE, MIDDLE, RulesRecord, WatchBook, fly_ticks, look, narrow
 from sim.runners.vehicle_node import VehicleNode
 
 TICKS = 20  # maximum ticks in one call; the robot drives ahead by as many

@@ -7,8 +7,6 @@ controller's answer and the radio's delay, if the autopilot has to do more than 
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from bridge import frames
@@ -16,8 +14,7 @@ from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, I64, Cell, Record, Vector, scalars, writer
 from flightstack.compiled.tick import take
 from flightstack.core.kernel import Landing, LandingKernel
-from flightstack.core.numeric import NotOrdinary, numeric, twin, wrapped
-from flightstack.core.safety.barrier import barrier_h
+from flightstack.core.numeric import NotOrdinary, twin
 from flightstack.core.snapshot import Relative
 from flightstack.core.types import OwnState, Vec3
 from sim.autopilot import watches
@@ -25,12 +22,10 @@ from sim.autopilot.watches import PERIOD_S, Watches, WatchRecord
 from sim.clock import NS_PER_S
 from sim.firmware.estimator import INNOVATION_AGE_MAX_S
 from sim.firmware.setpoint import ROOM, WIDTH, InboxRecord
-from sim.firmware.stack import running
-from sim.plant.params import STEP_S
 from sim.plant.rotors import speed_limit
-from sim.vehicle.judge import GAP_MS, NONE_MS
+from sim.vehicle.judge import GAP_MS
 from sim.vehicle.loop import VehicleRecord, fly
-from sim.vehicle.physics import TUMBLED
+from sim.vehicle.physics import write_truth
 from sim.world.bodies import arc_of_step
 
 
@@ -94,17 +89,10 @@ class WatchBook:
 
 
 END, BEFORE, MIDDLE = 0, 1, 2  # end of a call: all ticks done; Python runs the next tick, or the rest
-TRUTH = 41  # numbers of a true state
 _LARGEST = 1e6  # m, m/s: larger values mean a damaged message (bridge.mavlink.client.vehicle_state)
 _POLE = 0.999  # sine of the pitch limit, near vertical; beyond it Python runs the tick
 
 
-@numeric
-def _turned_back(angle_rad: float) -> float:
-    return wrapped(angle_rad)
-
-
-_remainder, _h = twin(_turned_back, jitted), twin(barrier_h, jitted)
 _frd, _euler = twin(frames.ned_frd_from_enu_flu, jitted), twin(frames.euler_from_quaternion, jitted)
 _yaw_enu = twin(frames.yaw_enu_from_ned, jitted)
 
@@ -139,36 +127,6 @@ def _place_deck(v: VehicleRecord, deck: F64) -> None:
         d.position[i], d.velocity[i] = deck[i], deck[4 + i]
     d.yaw, d.rate = deck[3], deck[7]
     d.cos_turn, d.sin_turn, d.along, d.across = arc_of_step(d.rate)
-
-
-@jitted
-def _write_truth(v: VehicleRecord, now_ms: int, row: F64) -> None:
-    """Compiled form of ``Physics.truth``; its numbers are written to ``row``."""
-    body, deck, j, c = v.world.body, v.world.deck, v.judge, v.contact
-    p, d = body.position, deck.position
-    h = _h(j.alpha_1_m, j.beta_m, (p[0] - d[0], p[1] - d[1], p[2] - d[2]))
-    row[0] = now_ms * STEP_S
-    for i in range(3):
-        row[1 + i], row[4 + i], row[11 + i] = p[i], body.velocity[i], body.rates[i]
-        row[18 + i], row[21 + i], row[38 + i] = d[i], deck.velocity[i], v.wind.now[i]
-    for i in range(4):
-        row[7 + i], row[14 + i] = body.quaternion[i], v.rotors.rpm[i]
-    row[24], row[25], row[26], row[27] = (
-        _remainder(deck.yaw),
-        h,
-        j.h_min if j.h_min < h else h,
-        j.h_min_outside,
-    )
-    row[28] = c.bits | (TUMBLED if j.tumbled else 0)
-    touched = c.touch_ms != NONE_MS
-    for i in range(3):
-        row[29 + i] = c.touch_e[i] if touched else math.nan
-        row[32 + i] = c.touch_velocity[i] if touched else math.nan
-    row[35] = c.touch_ms * STEP_S if touched else math.nan
-    row[36], row[37] = 1.0 if running(v.firmware.commands) else 0.0, v.battery.voltage_v
-    j.h_min = j.h_min_outside = math.inf
-    j.tumbled = False
-    c.bits = 0
 
 
 @jitted
@@ -312,7 +270,7 @@ def fly_ticks(
         told[6], told[7] = own.yaw_rad, own.source_time_s
         plan[5] = n + 1
         _place_deck(v, decks[n])
-        _write_truth(v, now_ms, truths[n])
+        write_truth(v, now_ms, truths[n])
         ahead_ms = min(end_ms - now_ms, radio_ms)
         fly(vehicle, now_ms, now_ms + ahead_ms)
         if _needs_autopilot(p, v, now_ms + ahead_ms, now_s) or not looks(p.watch, v, now_s):

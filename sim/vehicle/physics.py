@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import math
 
-from flightstack.compiled.records import Values, cell, new, reader, scalars
-from flightstack.core.types import Vec3
+import numpy as np
+
+from flightstack.compiled.jit import jitted
+from flightstack.compiled.records import F64, Cell, Values, cell, new, reader, scalars
+from flightstack.core.numeric import numeric, twin, wrapped
+from flightstack.core.safety.barrier import barrier_h
 from logs.schema.events import ContactBit
+from sim.firmware.stack import running
 from sim.plant.correlated_noise import CorrelatedNoise
 from sim.plant.downwash import set_up_downwash
 from sim.plant.ground_effect import set_up_ground
 from sim.plant.params import STEP_S, Params, Plant, able_to_hover, load
 from sim.plant.rotors import BatteryModel, Rotors
-from sim.plant.vehicle_types import Truth
+from sim.plant.vehicle_types import TRUTH, Truth, truth_of
 from sim.plant.wind import WindModel
 from sim.robot.target import TargetModel
 from sim.scenarios.scenario import Scenario
@@ -23,7 +28,50 @@ from sim.world.world import World
 AIRBORNE_AFTER_MS = 200  # time without contact after which the flight is judged
 TUMBLED = ContactBit.TUMBLED.value
 _VEHICLE = ContactBit.VEHICLE.value
-_NAN3: Vec3 = (math.nan, math.nan, math.nan)
+
+
+@numeric
+def _turned_back(angle_rad: float) -> float:
+    return wrapped(angle_rad)
+
+
+_wrapped, _h = twin(_turned_back, jitted), twin(barrier_h, jitted)
+
+
+@jitted
+def write_truth(v: VehicleRecord, now_ms: int, row: F64) -> None:
+    """Write the current true state, and extremes and contacts since the last call, to ``TRUTH`` numbers."""
+    body, deck, j, c = v.world.body, v.world.deck, v.judge, v.contact
+    p, d = body.position, deck.position
+    h = _h(j.alpha_1_m, j.beta_m, (p[0] - d[0], p[1] - d[1], p[2] - d[2]))
+    row[0] = now_ms * STEP_S
+    for i in range(3):
+        row[1 + i], row[4 + i], row[11 + i] = p[i], body.velocity[i], body.rates[i]
+        row[18 + i], row[21 + i], row[38 + i] = d[i], deck.velocity[i], v.wind.now[i]
+    for i in range(4):
+        row[7 + i], row[14 + i] = body.quaternion[i], v.rotors.rpm[i]
+    row[24], row[25], row[26], row[27] = (
+        _wrapped(deck.yaw),
+        h,
+        j.h_min if j.h_min < h else h,
+        j.h_min_outside,
+    )
+    row[28] = c.bits | (TUMBLED if j.tumbled else 0)
+    touched = c.touch_ms != NONE_MS
+    for i in range(3):
+        row[29 + i] = c.touch_e[i] if touched else math.nan
+        row[32 + i] = c.touch_velocity[i] if touched else math.nan
+    row[35] = c.touch_ms * STEP_S if touched else math.nan
+    row[36], row[37] = 1.0 if running(v.firmware.commands) else 0.0, v.battery.voltage_v
+    j.h_min = j.h_min_outside = math.inf
+    j.tumbled = False
+    c.bits = 0
+
+
+@jitted
+def read_truth(vehicle: Cell[VehicleRecord], now_ms: int, row: F64) -> None:
+    """Call ``write_truth``."""
+    write_truth(vehicle[0], now_ms, row)
 
 
 class Physics:
@@ -62,18 +110,14 @@ class Physics:
         set_up_downwash(r.downwash, params.body, params.rotor, params.geometry)
         self.barrier = judge = scenario.judged_by
         cell(r.judge)[0] = (judge.alpha_1_m, judge.beta_m, pad_radius, math.inf, math.inf, False)
-        self._h_min, self._h_min_outside, self._tumbled = scalars(
-            r.judge, "h_min", "h_min_outside", "tumbled"
-        )
         # arrays with one element: start of the current contact, last contact with pad and with floor
         self.since_ms, self.pad_ms, self.ground_ms = scalars(r.contact, "since_ms", "pad_ms", "ground_ms")
         # arrays with one element: first touch, whether touches count, contact bits
         self._touch_ms, self.judging, self._contacts = scalars(r.contact, "touch_ms", "judging", "bits")
         for times in (self.since_ms, self.pad_ms, self.ground_ms, self._touch_ms):
             times[0] = NONE_MS
-        self._read_body, self._read_deck = reader(r.world.body), reader(r.world.deck)
-        self._read_contact, self._read_wind = reader(r.contact), reader(r.wind.now)
-        self._read_rpm, (self._voltage_v,) = reader(r.rotors.rpm), scalars(r.battery, "voltage_v")
+        self._read_body, self._row = reader(r.world.body), np.empty(TRUTH)
+        self._read_row = reader(self._row)
         target = TargetModel(scenario.target, seed)
         pose = target.pose
         self.world.set_deck(pose.position_enu_m, pose.yaw_rad, target.velocity_enu_m_s, target.yaw_rate_rad_s)
@@ -113,37 +157,7 @@ class Physics:
         """Position (3), velocity (3), quaternion (4, w first) and angular velocity (3), in record order."""
         return self._read_body()
 
-    def truth(self, now_ms: int, motors_running: bool) -> Truth:
+    def truth(self, now_ms: int) -> Truth:
         """Return the current true state, and extremes and contacts since the last call."""
-        body, deck = self._read_body(), self._read_deck()  # values in the order of the record's fields
-        position, pad = body[:3], deck[:3]
-        h = self.barrier.h((position[0] - pad[0], position[1] - pad[1], position[2] - pad[2]))
-        touch_s, touch_e, touch_v = math.nan, _NAN3, _NAN3
-        if self._touch_ms[0] != NONE_MS:
-            contact = self._read_contact()  # its last six values are position and velocity
-            touch_s, touch_e, touch_v = self._touch_ms[0] * STEP_S, contact[-6:-3], contact[-3:]
-        h_min = self._h_min[0]
-        truth = Truth(
-            now_ms * STEP_S,
-            position,
-            body[3:6],
-            body[6:10],
-            body[10:13],
-            self._read_rpm(),
-            pad,
-            deck[3:6],
-            math.remainder(deck[6], 2.0 * math.pi),
-            h,
-            h_min if h_min < h else h,
-            self._h_min_outside[0],
-            self._contacts[0] | (TUMBLED if self._tumbled[0] else 0),
-            touch_e,
-            touch_v,
-            touch_s,
-            motors_running,
-            self._voltage_v[0],
-            self._read_wind(),
-        )
-        self._h_min[0] = self._h_min_outside[0] = math.inf
-        self._tumbled[0] = self._contacts[0] = 0
-        return truth
+        read_truth(self.vehicle, now_ms, self._row)
+        return truth_of(self._read_row())

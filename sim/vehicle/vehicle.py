@@ -334,7 +334,7 @@ class VehicleSim:
 
     def truth(self) -> Truth:
         """Return the current true state, and extremes and contacts since the last call."""
-        return self._physics.truth(self._ms, self._read_commands() != OFF)
+        return self._physics.truth(self._ms)
 
 
 def warm_up(scenario: Scenario) -> None:

@@ -120,7 +120,7 @@ def flown(*vehicles, seconds=1.0):
         for each in vehicles:
             each.set_velocity((0.0, 0.0, 0.0), 0.0)
             each.advance(10)
-    return [each.truth() for each in vehicles]
+    return [repr(each.truth()) for each in vehicles]
 
 
 def test_a_vehicle_below_another_gives_more_thrust_to_stay():
