@@ -6,6 +6,7 @@ import contextlib
 import sys
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import Silence
@@ -18,6 +19,24 @@ _PAUSE_S = 50e-6  # sleep between two polls, s; with the system's timer slack ab
 
 class NoAnswerError(RuntimeError):
     """Another process of the run did not start or stopped answering; the message names it and the wait."""
+
+
+def run_process(verb: str, work: Callable[[Stop, ExitStack], None]) -> int:
+    """Run ``work`` as a process of the simulator, and print its errors after the name of its command.
+
+    Returns the exit status: 0 if ended in order, 1 after a time-out, 2 for bad input.
+    """
+    stop = Stop()
+    try:
+        with ExitStack() as stack:
+            work(stop, stack)
+    except ValueError as error:
+        print(f"{verb}: {error}", file=sys.stderr)
+        return 2
+    except (OSError, NoAnswerError) as error:
+        print(f"{verb}: {error}", file=sys.stderr)
+        return 1
+    return 0
 
 
 def told(what: str) -> str:

@@ -12,15 +12,15 @@ from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import FastClock, ask_for_priority, give_up_priority, quiet_garbage_collector
 from flightstack.common.simulation_clock import SimulationClock
-from logs.recorder.feed import Feed, FeedError
-from sim.clock import NS_PER_S, NoAnswerError
+from logs.recorder.feed import Feed
+from sim.clock import NS_PER_S, run_process
 from sim.options import Px4SimOptions
 from sim.plant.vehicle_types import Truth
 from sim.px4.link import LinkClosedError, Px4Link, Px4Server, parse_endpoint
 from sim.px4.messages import Px4Mocap
 from sim.px4.plant import Px4Plant
 from sim.px4.sensors import STEP_MS
-from sim.px4.session import STEP_S, Event, NoLockstepError, NotPx4Error, Px4Session
+from sim.px4.session import STEP_S, Event, NotPx4Error, Px4Session
 from sim.runners.deck import RealTimeDeck
 from sim.runners.log import VehicleLog
 from sim.scenarios.scenario import Scenario
@@ -111,53 +111,46 @@ def px4_sim_main(scenario: Scenario, options: Px4SimOptions) -> int:
     """Serve PX4 until SIGTERM, SIGINT or ``duration_s``; print ``ready tcp:HOST:PORT`` when it can connect.
 
     Each PX4 that connects starts with the vehicle at its start position; PX4 does not reconnect, so a new
-    connection is a new flight. Exit status: 0 if ended in order, 1 when PX4 or another process did not reply,
-    2 for bad input.
+    connection is a new flight. Returns the exit status.
     """
+    return run_process("px4-sim", partial(_run, scenario, options))
+
+
+def _run(scenario: Scenario, options: Px4SimOptions, stop: Stop, stack: ExitStack) -> None:
     speed = options.speed
-    stop = Stop()
-    try:
-        with ExitStack() as stack:
-            host, port = parse_endpoint(options.tcp, allow_unsigned=options.allow_unsigned)
-            with_robot = bool(options.connect or options.listen or options.zenoh_config is not None)
-            _check_speed(speed, with_robot and options.clock is None)
-            Px4Plant(scenario, options.seed).advance(STEP_MS)  # checks the scenario and compiles
-            session = None
-            if with_robot:
-                session = zenoh_link.open_session(
-                    options.listen, options.connect, config_file=options.zenoh_config, prompt=True
-                )
-                stack.callback(session.close)
-            server = Px4Server(host, port)
-            stack.callback(server.close)
-            feed = Feed.connect(options.recorder, "vehicle", lossless=False)
-            stack.callback(feed.close)
-            deck = RealTimeDeck(session, options.namespace) if session is not None else None
-            # without a robot and at full speed no other process needs the simulated time
-            paced = SimulationClock(options.clock) if options.clock is not None else FastClock(speed or 1.0)
-            node = Px4Node(deck, VehicleLog(feed, paced.unix_ns(), options.namespace), paced, stop)
-            stop.install()
-            _say(f"ready tcp:{host}:{server.port}")
-            quiet_garbage_collector()
-            while not stop.is_set:
-                link = server.accept()
-                if link is None:
-                    continue
-                plant = Px4Plant(scenario, options.seed)
-                poses = Px4Mocap(scenario.vehicle.mocap, options.seed) if options.mocap else None
-                flight = Px4Session(
-                    link, plant, options.seed, stop, speed=speed, silent_max_s=options.silent_max_s,
-                    tell=partial(_tell, paced=speed > 0.0), mocap=poses,
-                )  # fmt: skip
-                if _serve(flight, link, node, stop, options.duration_s) or (options.once and flight.steps):
-                    break
-    except ValueError as error:
-        print(f"px4-sim: {error}", file=sys.stderr)
-        return 2
-    except (OSError, zenoh_link.ZenohLinkError, FeedError, NoAnswerError, NoLockstepError) as error:
-        print(f"px4-sim: {error}", file=sys.stderr)
-        return 1
-    return 0
+    host, port = parse_endpoint(options.tcp, allow_unsigned=options.allow_unsigned)
+    with_robot = bool(options.connect or options.listen or options.zenoh_config is not None)
+    _check_speed(speed, with_robot and options.clock is None)
+    Px4Plant(scenario, options.seed).advance(STEP_MS)  # checks the scenario and compiles
+    session = None
+    if with_robot:
+        session = zenoh_link.open_session(
+            options.listen, options.connect, config_file=options.zenoh_config, prompt=True
+        )
+        stack.callback(session.close)
+    server = Px4Server(host, port)
+    stack.callback(server.close)
+    feed = Feed.connect(options.recorder, "vehicle", lossless=False)
+    stack.callback(feed.close)
+    deck = RealTimeDeck(session, options.namespace) if session is not None else None
+    # without a robot and at full speed no other process needs the simulated time
+    paced = SimulationClock(options.clock) if options.clock is not None else FastClock(speed or 1.0)
+    node = Px4Node(deck, VehicleLog(feed, paced.unix_ns(), options.namespace), paced, stop)
+    stop.install()
+    _say(f"ready tcp:{host}:{server.port}")
+    quiet_garbage_collector()
+    while not stop.is_set:
+        link = server.accept()
+        if link is None:
+            continue
+        plant = Px4Plant(scenario, options.seed)
+        poses = Px4Mocap(scenario.vehicle.mocap, options.seed) if options.mocap else None
+        flight = Px4Session(
+            link, plant, options.seed, stop, speed=speed, silent_max_s=options.silent_max_s,
+            tell=partial(_tell, paced=speed > 0.0), mocap=poses,
+        )  # fmt: skip
+        if _serve(flight, link, node, stop, options.duration_s) or (options.once and flight.steps):
+            break
 
 
 def _check_speed(speed: float, with_robot: bool) -> None:

@@ -23,7 +23,7 @@ from sim.px4.sensors import STEP_MS, Px4Sensors
 FIRST_US = 1_000_000  # time of the first HIL_SENSOR; PX4 treats zero as "not set"
 
 
-class NoLockstepError(RuntimeError):
+class NoLockstepError(NoAnswerError):
     """PX4 was built without lockstep; its clock is the wall clock."""
 
 

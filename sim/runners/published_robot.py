@@ -11,7 +11,6 @@ Keys under the namespace of each robot (``cf1`` by default):
 
 from __future__ import annotations
 
-import sys
 from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -40,10 +39,10 @@ from flightstack.common.simulation_clock import Follower, chosen_clock
 from flightstack.compiled.records import F64
 from flightstack.core.types import Phase
 from flightstack.onboard.lockstep import ALIVE
-from logs.recorder.feed import Feed, FeedError
+from logs.recorder.feed import Feed
 from logs.schema.events import Severity
 from logs.schema.rows import ControllerStepRow
-from sim.clock import STARTUP_S, NoAnswerError, TickGrid, wait_until
+from sim.clock import STARTUP_S, NoAnswerError, TickGrid, run_process, wait_until
 from sim.options import TargetOptions, WorldOptions
 from sim.runners.deck import DeckState, truth_key
 from sim.runners.log import EventLog
@@ -281,19 +280,9 @@ def robots_of(
 def target_main(team: TeamScenario, options: TargetOptions) -> int:
     """Run the robots until SIGTERM, SIGINT or ``duration_s``; print ``ready`` when they can be reached.
 
-    Returns the exit status: 0 if ended in order, 1 after a time-out, 2 for bad input.
+    Returns the exit status.
     """
-    stop = Stop()
-    try:
-        with ExitStack() as stack:
-            _drive(team, options, stop, stack)
-    except ValueError as error:
-        print(f"target: {error}", file=sys.stderr)
-        return 2
-    except (zenoh_link.ZenohLinkError, FeedError) as error:
-        print(f"target: {error}", file=sys.stderr)
-        return 1
-    return 0
+    return run_process("target", partial(_drive, team, options))
 
 
 def _drive(team: TeamScenario, options: TargetOptions, stop: Stop, stack: ExitStack) -> None:

@@ -20,9 +20,9 @@ from bridge.mavlink.transport.address import parse_udp_url
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import EPOCH_NS, quiet_garbage_collector
-from logs.recorder.feed import Feed, FeedError
+from logs.recorder.feed import Feed
 from sim.autopilot.autopilot import Autopilot
-from sim.clock import NoAnswerError, TickGrid
+from sim.clock import TickGrid, run_process
 from sim.options import VehicleOptions, WorldOptions
 from sim.runners.deck import RealTimeDeck
 from sim.runners.lockstep import LockstepVehicle, LockstepWorld
@@ -46,19 +46,10 @@ def world_main(team: TeamScenario, options: VehicleOptions) -> int:
     that of cf1; the other vehicles use the next ports. System id and namespace apply to a single vehicle;
     members of a team have their own.
 
-    Returns the exit status: 0 if ended in order, 1 after a time-out, 2 for bad input.
+    Returns the exit status.
     """
-    stop, verb = Stop(), "world" if isinstance(options, WorldOptions) else "vehicle"
-    try:
-        with ExitStack() as stack:
-            _fly(team, options, stop, stack)
-    except ValueError as error:
-        print(f"{verb}: {error}", file=sys.stderr)
-        return 2
-    except (OSError, zenoh_link.ZenohLinkError, FeedError, NoAnswerError) as error:
-        print(f"{verb}: {error}", file=sys.stderr)
-        return 1
-    return 0
+    verb = "world" if isinstance(options, WorldOptions) else "vehicle"
+    return run_process(verb, partial(_fly, team, options))
 
 
 def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitStack) -> None:
