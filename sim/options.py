@@ -93,9 +93,6 @@ class ValidateOptions(shared.Result):
         "--vehicle", "Vehicle to simulate: a name of sim/vehicles or a file; default: crazyflie21_room.",
         "NAME_OR_FILE"
     )] = None  # fmt: skip
-    shuffle_pwm: Annotated[
-        bool, Option("--shuffle-pwm", "Control experiment: the motor commands in random order; it must fail.")
-    ] = False
     seed: Annotated[int, Option("--seed", "Random seed.", span=(0, 2**31))] = 0
     workers: shared.Workers = None
     out: Annotated[Path | None, Option(

@@ -10,7 +10,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from logs.report.style import BOUNDARY, COMMAND, ESTIMATED, FLOWN, LIMIT, NOMINAL, TRUE, layout
+from logs.report.style import BOUNDARY, FLOWN, LIMIT, NOMINAL, TRUE, layout
 
 Summary = dict[str, Any]
 DEGREES = 57.29578
@@ -59,29 +59,6 @@ def open_loop(told: Summary) -> go.Figure | None:
     return _titled(layout(figure, 400))
 
 
-def ratios(told: Summary) -> go.Figure | None:
-    """Return the ratio of the model's errors of position and velocity to constant velocity, by flight."""
-    flights = [one for one in told["by_flight"] if one["open_loop"]]
-    if not flights:
-        return None
-    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06)
-    names = [one["name"] for one in flights]
-    for row, (quantity, text) in enumerate((("position_m", "position"), ("velocity_m_s", "velocity")), 1):
-        for place, color in enumerate((ESTIMATED, TRUE, COMMAND)):
-            each = [one["open_loop"]["horizons"][place] for one in flights]
-            figure.add_scatter(
-                x=names, y=[h[quantity]["model"] / h[quantity]["constant_velocity"] for h in each],
-                mode="markers", marker={"color": color, "size": 7}, name=f"{each[0]['seconds']:g} s",
-                legendgroup=str(place), showlegend=row == 1, row=row, col=1,
-            )  # fmt: skip
-        figure.add_hline(y=0.5, line={"color": BOUNDARY, "dash": "dash", "width": 1}, row=row, col=1)
-        figure.update_yaxes(title_text=text, rangemode="tozero", row=row, col=1)
-    layout(figure, 620)
-    figure.update_layout(margin={"b": 170}, legend={"y": 1.0, "yanchor": "bottom"})
-    figure.update_xaxes(tickangle=90, tickfont={"size": 10}, automargin=True)
-    return figure
-
-
 _FLOWN = (
     ("tracking error, level [mm]", "horizontal_m", 1000.0, (0.75, 1.25)),
     ("tracking error, vertical [mm]", "vertical_m", 1000.0, (0.75, 1.25)),
@@ -127,7 +104,7 @@ def closed_loop(told: Summary) -> go.Figure | None:
 
 
 def sensing(told: Summary) -> go.Figure | None:
-    """Return the error by speed, spectrum, and delay of each flight, for position and velocity."""
+    """Return the error by speed, and the delay of each flight, for position and velocity."""
     flights = [one for one in told["by_flight"] if one["sensing"]]
     if not flights:
         return None
@@ -135,26 +112,18 @@ def sensing(told: Summary) -> go.Figure | None:
     titles = [
         text
         for name, unit in rows
-        for text in (
-            f"{name}: level error [{unit}] by speed [m/s]",
-            f"{name}: share of power by band [Hz]",
-            f"{name}: delay [ms]",
-        )
+        for text in (f"{name}: level error [{unit}] by speed [m/s]", f"{name}: delay [ms]")
     ]
-    figure = make_subplots(rows=2, cols=3, subplot_titles=titles, vertical_spacing=0.2)
+    figure = make_subplots(rows=2, cols=2, subplot_titles=titles, vertical_spacing=0.2)
     for row, (name, _) in enumerate(rows, 1):
         found = told["sensing"][name]
-        edges, bands = found["speed_m_s"], found["bands_hz"]
-        parts = [f"{low:g}–{high:g}" for low, high in bands]
-        speeds = [f"{low:g}–{high:g}" for low, high in pairwise(edges)]
+        speeds = [f"{low:g}–{high:g}" for low, high in pairwise(found["speed_m_s"])]
         for side, color in zip(_SIDES, (FLOWN, TRUE), strict=True):
-            shown = {"showlegend": row == 1}
-            by_speed, spectrum = found[side]["by_speed"], found[side]["spectrum"]
-            figure.add_trace(_bars(speeds, by_speed, color, side, 1000.0, **shown), row=row, col=1)
-            figure.add_trace(_bars(parts, spectrum, color, side, 1.0, showlegend=False), row=row, col=2)
+            bars = _bars(speeds, found[side]["by_speed"], color, side, 1000.0, showlegend=row == 1)
+            figure.add_trace(bars, row=row, col=1)
             figure.add_box(
                 y=[1000.0 * one["sensing"][side][name]["delay_s"] for one in flights], name=side,
                 boxpoints="all", text=[one["name"] for one in flights], marker={"color": color, "size": 4},
-                showlegend=False, legendgroup=side, row=row, col=3,
+                showlegend=False, legendgroup=side, row=row, col=2,
             )  # fmt: skip
     return _titled(layout(figure, 720))

@@ -17,10 +17,6 @@ _OPEN_LOOP = (
     "Started every 0.1 s from the recorded state, with the recorded motor commands and voltage. "
     "Bars: median over flights of the rms error in a flight; lines on them: 95 % interval."
 )
-_RATIOS = (
-    "Each flight: error of the model over that of constant velocity. Dashed: the limit for the median flight "
-    "after 0.1 and 0.25 s."
-)
 _CLOSED_LOOP = (
     "Each flight, flown again by the simulated firmware from the recorded set-points. On the line "
     "simulation and recording agree; dashed: the limits of the criteria."
@@ -30,8 +26,8 @@ _FLIGHTS = (
     "position: recorded / simulated."
 )
 _SENSING = (
-    "Error of the estimated vehicle state along the same true path, recorded and simulated; constant delay "
-    "and offset are taken out of errors and spectrum. Lines on the bars: 95 % interval."
+    "Error of the estimated vehicle state along the same true path, recorded and simulated, without its "
+    "constant delay and offset. Lines on the bars: 95 % interval."
 )
 
 
@@ -63,7 +59,6 @@ def validation_page(summary: Summary) -> Page:
             *([Panel("causes", "Why it did not pass", "", causes)] if summary["causes"] else []),
             Panel("criteria", "Criteria", _CRITERIA, table(head, rows, numbers=(2, 3), row_class=4)),
             Panel("left_out", "Left out", "What was not compared, and why.", _left_out(summary)),
-            Panel("ratios", "Open loop, flight by flight", _RATIOS, figures.ratios(summary)),
             Panel("closed_loop", "Closed loop", _CLOSED_LOOP, figures.closed_loop(summary)),
             Panel("sensing", "Vehicle state", _SENSING, figures.sensing(summary)),
             Panel("flights", "Flights", _FLIGHTS, _flights(summary)),

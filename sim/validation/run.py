@@ -61,7 +61,7 @@ def compare(path: Path, columns: dict[str, Group], params: Params, options: Vali
         path.stem,
         flight.seconds,
         flight.left_out,
-        open_loop.compare(flight, params, shuffle_seed=seed if options.shuffle_pwm else None),
+        open_loop.compare(flight, params),
         closed_loop.fly(flight, params, seed),
         sensing.compare(flight, seed),
         open_loop.compare(flight, params, shuffle_seed=seed + 1),

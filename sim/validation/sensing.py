@@ -1,4 +1,4 @@
-"""Error of the estimated vehicle state: delay, error by axis and speed, correlation, spectrum.
+"""Error of the estimated vehicle state: its delay, and its size in bands of speed.
 
 The error has three parts. Least squares give a constant delay, then a constant offset. The remainder grows
 with speed, because the delay varies. ``compare`` analyses the recorded estimate of a flight and simulated
@@ -8,12 +8,10 @@ estimates along the same true path.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize_scalar
-from scipy.signal import correlate
 
 from flightstack.compiled.records import cell, new
 from sim.flights.recording import Floats
@@ -25,9 +23,6 @@ from sim.scenarios.scenario import StateError
 SPEED_EDGES_M_S = (0.0, 0.35, 0.65, 0.85, 1.5)  # edges of the speed bands around 0.2, 0.5, 0.75 and 1 m/s
 DRAWS = 6  # number of simulated estimates per flight; the model's errors differ between flights
 SLOWEST = 10.0  # fraction of the slowest samples that determine the offset, percent
-CORRELATION_S = 1.0  # longest lag of the correlation
-CORRELATED = 1.0 / np.e  # the correlation time is the first lag with a smaller correlation
-BANDS_HZ = ((0.0, 0.5), (0.5, 2.0), (2.0, 8.0), (8.0, 50.0))  # bands of the spectrum
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,25 +37,11 @@ class Trace:
 
 @dataclass(frozen=True, slots=True)
 class Error:
-    """Error of an estimate in a flight; m for positions, m/s for velocities."""
+    """Error of an estimate in a flight."""
 
     delay_s: float  # delay of the estimate behind the truth with the best fit
-    offset: tuple[float, ...]  # (3,) error at low speed
-    rms: tuple[float, ...]  # (3,) error on each axis without delay and offset
-    along: float  # rms of the error along the horizontal velocity
-    across: float  # rms of the horizontal error across the velocity
-    median: float  # median of the error's norm, with delay and offset
-    p95: float  # 95th percentile of the error's norm
-    by_speed: tuple[float, ...]  # rms of the horizontal error by ``SPEED_EDGES_M_S``; NaN: not flown
-    correlation_s: float  # correlation time of the horizontal error
-    spectrum: tuple[float, ...]  # fraction of the horizontal error's power in each band of ``BANDS_HZ``
-
-    @property
-    def rms_norm(self) -> float:
-        return math.sqrt(sum(each**2 for each in self.rms))
-
-
-_SIZES = ("rms", "along", "across", "by_speed")  # fields of ``Error`` that are averaged as root mean squares
+    # rms of the horizontal error without delay and offset by ``SPEED_EDGES_M_S``, m or m/s; NaN: not flown
+    by_speed: tuple[float, ...]
 
 
 def analyse(traces: list[Trace]) -> Error:
@@ -83,66 +64,20 @@ def analyse(traces: list[Trace]) -> Error:
     speed = np.concatenate([t.speed_m_s[inner] for t in traces])
     slow = speed <= np.percentile(speed, SLOWEST)  # a delay has little effect at these samples
     offset = np.median(np.concatenate(parts)[slow], axis=0)
-    parts = [part - offset for part in parts]
-    left = np.concatenate(parts)
-    raw = np.linalg.norm(np.concatenate([t.estimate - t.truth for t in traces]), axis=1)
-    horizontal = np.sum(left[:, :2] ** 2, axis=1)
-    moves = np.concatenate([np.gradient(t.truth[:, :2], axis=0)[inner] for t in traces])
-    ahead = moves / np.maximum(np.linalg.norm(moves, axis=1), 1e-12)[:, None]
-    moving = speed > SPEED_EDGES_M_S[1]
-    if not moving.any():
-        moving = np.ones(len(left), dtype=bool)
-    along = left[:, 0] * ahead[:, 0] + left[:, 1] * ahead[:, 1]
-    across = left[:, 1] * ahead[:, 0] - left[:, 0] * ahead[:, 1]
+    horizontal = np.sum((np.concatenate(parts) - offset)[:, :2] ** 2, axis=1)
     bands = np.digitize(speed, SPEED_EDGES_M_S) - 1
     return Error(
         delay_s,
-        tuple(offset.tolist()),
-        tuple(np.sqrt((left**2).mean(axis=0)).tolist()),
-        float(np.sqrt((along[moving] ** 2).mean())),
-        float(np.sqrt((across[moving] ** 2).mean())),
-        float(np.median(raw)),
-        float(np.percentile(raw, 95.0)),
         tuple(
             float(np.sqrt(horizontal[bands == band].mean())) if np.any(bands == band) else float("nan")
             for band in range(len(SPEED_EDGES_M_S) - 1)
         ),
-        _correlation_s(parts, step_s),
-        _spectrum(parts, step_s),
     )
 
 
 def _delayed(values: Floats, samples: float) -> Floats:
     at = np.arange(len(values)) - samples
     return np.stack([np.interp(at, np.arange(len(values)), column) for column in values.T], axis=1)
-
-
-def _correlation_s(parts: list[Floats], step_s: float) -> float:
-    longest = round(CORRELATION_S / step_s)
-    products, counts = np.zeros(longest + 1), np.zeros(longest + 1)
-    for part in parts:
-        last = min(longest, len(part) - 1)
-        for column in part[:, :2].T:
-            products[: last + 1] += correlate(column, column, method="fft")[len(part) - 1 :][: last + 1]
-        counts[: last + 1] += len(part) - np.arange(last + 1)
-    correlation = products / np.maximum(counts, 1.0)
-    if correlation[0] <= 0.0:
-        return 0.0
-    below = np.flatnonzero(correlation / correlation[0] < CORRELATED)
-    return float(below[0] * step_s) if len(below) else CORRELATION_S
-
-
-def _spectrum(parts: list[Floats], step_s: float) -> tuple[float, ...]:
-    longest = max(parts, key=len)[:, :2]
-    window = np.hanning(len(longest))[:, None]
-    power = np.sum(np.abs(np.fft.rfft(window * longest, axis=0)) ** 2, axis=1)
-    frequency_hz = np.fft.rfftfreq(len(longest), step_s)
-    total = float(power.sum())
-    if total <= 0.0:
-        return tuple(0.0 for _ in BANDS_HZ)
-    return tuple(
-        float(power[(frequency_hz >= low) & (frequency_hz < high)].sum()) / total for low, high in BANDS_HZ
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,11 +143,6 @@ def _errors(flight: Screened, pieces: list[slice], estimates: list[Floats]) -> E
 
 
 def _mean(errors: list[Error]) -> Error:
-    """Return the mean of several errors; root mean square for ``_SIZES``."""
-    made: dict[str, Any] = {}
-    for field in fields(Error):
-        values = np.array([getattr(error, field.name) for error in errors])
-        square = field.name in _SIZES
-        mean = (np.sqrt(np.mean(np.square(values), axis=0)) if square else values.mean(axis=0)).tolist()
-        made[field.name] = tuple(mean) if isinstance(mean, list) else mean
-    return Error(**made)
+    """Return the mean delay, and the root mean square of each size."""
+    sizes = np.sqrt(np.mean(np.square([error.by_speed for error in errors]), axis=0))
+    return Error(float(np.mean([error.delay_s for error in errors])), tuple(sizes.tolist()))

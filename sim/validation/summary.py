@@ -16,14 +16,11 @@ from sim.validation.closed_loop import Flown
 from sim.validation.criteria import Estimate, Statistic, Verdict, causes, estimate
 from sim.validation.open_loop import HORIZONS_S
 from sim.validation.run import Compared
-from sim.validation.sensing import BANDS_HZ, SPEED_EDGES_M_S
+from sim.validation.sensing import SPEED_EDGES_M_S
 
 QUANTITIES = ("position_m", "velocity_m_s", "attitude_rad")
 PREDICTORS = ("model", "constant_velocity", "ideal")
 SIDES = ("recorded", "simulated")
-_SENSED = {"rms": "rms_norm"} | {
-    name: name for name in ("delay_s", "along", "across", "median", "p95", "correlation_s")
-}
 
 
 def summary(
@@ -33,12 +30,9 @@ def summary(
     used = [flight for flight in flights if flight.used]
     met = bool(used) and all(verdict.met for verdict in verdicts)
     told = causes(verdicts) if used else ["nothing is left to compare with"]
-    if options.shuffle_pwm and not met:
-        told.insert(0, "the motor commands were shuffled in time (--shuffle-pwm)")
     return {
         "folder": str(options.folder),
         "vehicle": options.vehicle,
-        "shuffle_pwm": options.shuffle_pwm,
         "seed": options.seed,
         "flights": len(flights),
         "used": len(used),
@@ -105,14 +99,14 @@ def _closed_loop(used: Sequence[Compared]) -> dict[str, Any]:
 
 
 def _sensing(used: Sequence[Compared], name: str) -> dict[str, Any]:
-    """Summarise errors of position or velocity: medians over flights; by speed, rms over flights."""
-    told: dict[str, Any] = {"speed_m_s": list(SPEED_EDGES_M_S), "bands_hz": [list(band) for band in BANDS_HZ]}
+    """Summarise errors of position or velocity: median delay; by speed, rms over flights."""
+    told: dict[str, Any] = {"speed_m_s": list(SPEED_EDGES_M_S)}
     for side in SIDES:
         where = f"sensing.{side}.{name}"
-        speeds, bands = range(len(SPEED_EDGES_M_S) - 1), range(len(BANDS_HZ))
-        told[side] = {key: _numbers(used, f"{where}.{path}") for key, path in _SENSED.items()} | {
-            "by_speed": [_numbers(used, f"{where}.by_speed.{speed}", _rms) for speed in speeds],
-            "spectrum": [_numbers(used, f"{where}.spectrum.{band}") for band in bands],
+        bands = range(len(SPEED_EDGES_M_S) - 1)
+        told[side] = {
+            "delay_s": _numbers(used, f"{where}.delay_s"),
+            "by_speed": [_numbers(used, f"{where}.by_speed.{band}", _rms) for band in bands],
         }
     return told
 

@@ -20,10 +20,7 @@ from sim.validation.summary import summary
 
 PLAN = ValidateOptions(folder=Path("flights"), vehicle=VEHICLE)
 FLOWN = closed_loop.Flown(0.1, 0.02, 0.85, 0.05, 0.1, 0.2, 0.01)
-ERROR = sensing.Error(
-    0.02, (0.0, 0.0, 0.0), (0.013, 0.013, 0.006), 0.018, 0.002, 0.016, 0.05, (0.002, 0.01, 0.014, 0.025), 0.1,
-    (0.3, 0.4, 0.2, 0.1),
-)  # fmt: skip
+ERROR = sensing.Error(0.02, (0.002, 0.01, 0.014, 0.025))
 
 
 def horizon(seconds, position=0.35, velocity=0.4):
