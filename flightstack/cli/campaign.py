@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from sim.campaign.run import Flown, Plan
 
 COMPLETE, INCOMPLETE, WRONG_INPUT = 0, 1, 2
-_TIERS = ("lab", "room", "field", "storm", "deck")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,13 +42,6 @@ class CampaignOptions(shared.Result):
         "Folder; a campaign that it already holds in part is continued. Default: a new folder in runs/.",
         path="folder"
     )] = None  # fmt: skip
-    require: Annotated[
-        str | None, Option("--require", "Check the limits of a tier; status 1 on a miss.", choices=_TIERS)
-    ] = None
-    against: Annotated[Path | None, Option(
-        "--against", "Campaign with the paper's filter: --require compares the landing time with it.", "DIR",
-        exists=True, path="folder"
-    )] = None  # fmt: skip
 
 
 @click.command()
@@ -59,8 +51,8 @@ def campaign(options: CampaignOptions) -> None:
 
     Ctrl-C keeps the finished landings; the same call with the same --out continues.
 
-    Exit status: 0 complete, whatever the result, 1 landings are missing or a --require is not met, 2 wrong
-    input, or your own code failed in a landing.
+    Exit status: 0 complete, whatever the result, 1 landings are missing, 2 wrong input, or your own code
+    failed in a landing.
     """
     from flightstack.onboard.recording import new_folder
     from sim.campaign import run as core
@@ -77,10 +69,7 @@ def campaign(options: CampaignOptions) -> None:
             wanted, folder, workers=options.workers or os.cpu_count() or 1, cluster=options.cluster,
             on_row=bar.row,
         )  # fmt: skip
-    status = _print(console, wanted, folder, flown, as_json=options.as_json, with_report=options.with_report)
-    if options.require is not None:
-        status = max(status, _check(flown, options.require, options.against))
-    sys.exit(status)
+    sys.exit(_print(console, wanted, folder, flown, as_json=options.as_json, with_report=options.with_report))
 
 
 def _print(
@@ -134,20 +123,3 @@ def _table(wanted: Plan, found: dict[str, Any]) -> Table:
     for name, value, unit in lines(found):
         table.add_row(name, value, unit)
     return table
-
-
-def _check(flown: Flown, require: str, against: Path | None) -> int:
-    """Check the limits of a tier; print each limit that is not met."""
-    from sim.campaign.rows import read_rows
-    from sim.campaign.run import ROWS
-    from sim.campaign.summary import Tier, misses
-
-    if not flown.rows:
-        return INCOMPLETE
-    paper = read_rows(against / ROWS) if against is not None else None
-    found = misses(Tier(require), flown.rows, paper)
-    for text in found:
-        click.echo(f"not met, {require}: {text}", err=True)
-    if not found:
-        click.echo(f"all limits of {require} are met in {len(flown.rows)} landings", err=True)
-    return INCOMPLETE if found else COMPLETE

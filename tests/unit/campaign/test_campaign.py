@@ -21,7 +21,8 @@ from sim.campaign.rows import (
     read_rows,
     write_rows,
 )
-from sim.campaign.summary import Tier, count, misses, summary, upper_bound
+from sim.campaign.summary import count, summary, upper_bound
+from tests.benchmarks.tiers import Tier, misses
 
 GOOD = Row(
     0, "landed", "rests on the pad", False, True, 0.0, 0.03, 0.2, 0.4, 0.008, 0.2, 0.05, 5.0, 0, 3.0, 1.0,
