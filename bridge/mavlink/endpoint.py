@@ -181,7 +181,7 @@ class Endpoint:
 
     def _take(self, frame: bytes, peer: Peer, received: list[Received]) -> None:
         """Check and decode a frame and record its sender; count it if it is rejected."""
-        counters, size = self.counters, len(frame)
+        counters = self.counters
         refused = self._refused(frame)
         if refused is not None:
             counters.add(refused.value)
@@ -199,7 +199,7 @@ class Endpoint:
             counters.setup_signing += 1
             return
         counters.received += 1
-        if not self._peers.heard(peer, size, heartbeat=frame[7:10] == _HEARTBEAT):
+        if not self._peers.heard(peer, heartbeat=frame[7:10] == _HEARTBEAT):
             counters.peers_refused += 1
         if self.tap is not None:
             self.tap(Direction.IN, frame, peer)
@@ -245,8 +245,7 @@ class Endpoint:
     def send(self, messages: Sequence[Message], peer: Peer | None = None) -> None:
         """Send messages in order; by UDP in one datagram (in several if they exceed 1400 bytes).
 
-        ``peer`` None: all known peers; without any peer no message is sent or numbered. A peer without a
-        heartbeat receives at most as many bytes as it has sent; the rest is dropped.
+        ``peer`` None: all known peers; without any peer no message is sent or numbered.
         Raises struct.error: a field does not fit its type on the wire.
         """
         if self._signer is not None:
@@ -254,14 +253,11 @@ class Endpoint:
         peers = (peer,) if peer is not None else self.peers
         if not messages or not peers:
             return
-        allowance_bytes = self._peers.allowance_bytes(peer) if peer is not None else None
-        frames, wire = self._pack(messages, allowance_bytes)
-        if not frames:
-            return
+        frames = wire = [self.pack(message) for message in messages]
+        if self._signer is not None:
+            wire = [self._signer.sign(frame) for frame in frames]
         for to in peers:
             self._transport.send(wire, to)
-        if allowance_bytes is not None:
-            self._peers.spend(peers[0], sum(map(len, wire)))
         self.counters.sent += len(frames) * len(peers)
         if self.tap is not None:
             for frame in frames:
@@ -275,11 +271,6 @@ class Endpoint:
         """
         wire = self._signer.sign(frame) if self._signer is not None and intact(frame) else frame
         for to in (peer,) if peer is not None else self.peers:
-            allowance_bytes = self._peers.allowance_bytes(to)
-            if allowance_bytes is not None and allowance_bytes < len(wire):
-                self.counters.withheld += 1
-                continue
-            self._peers.spend(to, len(wire))
             self._transport.send((wire,), to)
 
     def close(self) -> None:
@@ -287,27 +278,6 @@ class Endpoint:
         self._transport.close()
         if self._signer is not None:
             self._signer.close()
-
-    def _pack(
-        self, messages: Sequence[Message], allowance_bytes: int | None
-    ) -> tuple[list[bytes], list[bytes]]:
-        """Return the frames for the log and for the wire, as many as the allowance covers."""
-        if self._signer is None and allowance_bytes is None:
-            frames = [self.pack(message) for message in messages]
-            return frames, frames
-        frames, wire, size = [], [], 0
-        for message in messages:
-            number = self._mav.seq
-            frame = self.pack(message)
-            signed = self._signer.sign(frame) if self._signer is not None else frame
-            size += len(signed)
-            if allowance_bytes is not None and size > allowance_bytes:
-                self._mav.seq = number  # the frame is not sent, so the next frame has this number
-                self.counters.withheld += len(messages) - len(frames)
-                break
-            frames.append(frame)
-            wire.append(signed)
-        return frames, wire
 
 
 def open_endpoint(

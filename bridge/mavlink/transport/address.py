@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import socket
 import time
-from dataclasses import dataclass
 from ipaddress import IPv4Address
 
 Peer = tuple[str, int]
@@ -140,69 +139,36 @@ def check_policy(
 
 
 EXPIRY_S = 10.0  # wall time without a heartbeat (1 Hz) after which a peer expires, s
-_STRANGERS_MAX = 16  # greatest number of senders without heartbeat; the least recent is replaced
-
-
-@dataclass(slots=True)
-class _Stranger:
-    heard_s: float
-    credit_bytes: int  # received bytes minus sent bytes
 
 
 class PeerTable:
-    """Bounded tables of senders; further senders are received but get no replies.
+    """Receivers of telemetry: at most ``peers_max`` senders of heartbeats, and the ``configured`` peers.
 
-    ``configured``: peers that receive all frames from the start and never expire; ``peers_max``: greatest
-    number of other peers, which have sent a heartbeat.
+    Configured peers receive all frames from the start and never expire.
     """
 
     def __init__(self, configured: tuple[Peer, ...], peers_max: int) -> None:
         self._configured = configured
         self._peers_max = peers_max
-        self._beating: dict[Peer, float] = {}  # time of the last heartbeat
-        self._strangers: dict[Peer, _Stranger] = {}
+        self._beating: dict[Peer, float] = {}  # time of the last frame of a peer that has sent a heartbeat
 
     @property
     def reached(self) -> tuple[Peer, ...]:
-        """Receivers of telemetry: configured peers, and peers that sent a heartbeat in the last 10 s."""
+        """Configured peers, and peers that sent a heartbeat and then a frame in the last 10 s."""
         oldest_s = time.monotonic() - EXPIRY_S
         alive = [peer for peer, heard_s in self._beating.items() if heard_s >= oldest_s]
-        if not self._configured:
-            return tuple(alive)
-        return (*self._configured, *(peer for peer in alive if peer not in self._configured))
+        return tuple(dict.fromkeys((*self._configured, *alive)))
 
-    def heard(self, peer: Peer, size: int, *, heartbeat: bool) -> bool:
+    def heard(self, peer: Peer, *, heartbeat: bool) -> bool:
         """Record a valid frame; False: the table has no room for the new peer of this heartbeat."""
         now_s = time.monotonic()
-        if peer in self._beating:
-            self._beating[peer] = now_s
-            return True
-        if heartbeat and (peer in self._configured or self._room(now_s)):
-            self._beating[peer] = now_s
-            self._strangers.pop(peer, None)
-            return True
-        known = self._strangers.pop(peer, None)
-        credit_bytes = known.credit_bytes if known and now_s - known.heard_s <= EXPIRY_S else 0
-        if known is None and len(self._strangers) >= _STRANGERS_MAX:
-            del self._strangers[next(iter(self._strangers))]
-        self._strangers[peer] = _Stranger(now_s, credit_bytes + size)
-        return not heartbeat
-
-    def allowance_bytes(self, peer: Peer) -> int | None:
-        """Return the number of bytes that may be sent to a peer now; None: no limit."""
-        if peer in self._configured or peer in self._beating:
-            return None
-        stranger = self._strangers.get(peer)
-        return 0 if stranger is None else stranger.credit_bytes
-
-    def spend(self, peer: Peer, size: int) -> None:
-        stranger = self._strangers.get(peer)
-        if stranger is not None:
-            stranger.credit_bytes -= size
-
-    def _room(self, now_s: float) -> bool:
-        """Whether there is room for a peer; expired peers are removed."""
-        for peer, heard_s in list(self._beating.items()):
-            if len(self._beating) >= self._peers_max and now_s - heard_s > EXPIRY_S:
-                del self._beating[peer]
-        return len(self._beating) < self._peers_max
+        if peer not in self._beating:
+            if not heartbeat:
+                return True
+            for other, heard_s in list(self._beating.items()):
+                if len(self._beating) >= self._peers_max and now_s - heard_s > EXPIRY_S:
+                    del self._beating[other]
+            if peer not in self._configured and len(self._beating) >= self._peers_max:
+                return False
+        self._beating[peer] = now_s
+        return True

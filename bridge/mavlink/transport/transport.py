@@ -33,7 +33,6 @@ class EndpointCounters(FrameCounters):
     connections_lost: int = 0  # serial and TCP: lost connections
     peers_refused: int = 0  # heartbeats of senders without room in the peer table
     oversize: int = 0  # datagrams longer than 4096 bytes
-    withheld: int = 0  # dropped replies: more bytes than a sender without heartbeat had sent
     setup_signing: int = 0  # ignored attempts to set a key over the network
     unchecked: int = 0  # without a key: signed frames, accepted like unsigned ones
     # These counters need a key:

@@ -119,10 +119,6 @@ def test_closed_port_of_the_other_side_is_survived(pair):
     again.close()
 
 
-def remembered(endpoint):
-    return len(endpoint._peers._beating) + len(endpoint._peers._strangers)
-
-
 class Caller:
     """A plain socket with unsigned MAVLink."""
 
@@ -133,28 +129,12 @@ class Caller:
         self.mav = dialect.MAVLink(None, *ids)
         self.server = server
         self.address = self.socket.getsockname()
-        self.sent = 0
 
     def send(self, *messages):
         data = b"".join(message.pack(self.mav) for message in messages)
-        self.sent += len(data)
         self.socket.sendto(data, ("127.0.0.1", self.server.local_port))
         assert self.server.wait(5.0)
         return self.server.receive()
-
-    def waiting(self, at_least=0):
-        """Wait for this many bytes, and return the unread ones."""
-        size = 0
-        while size < at_least:
-            size += len(self.socket.recv(65536))
-        self.socket.setblocking(False)
-        try:
-            while True:
-                size += len(self.socket.recv(65536))
-        except BlockingIOError:
-            return size
-        finally:
-            self.socket.settimeout(5.0)
 
 
 @pytest.fixture
@@ -190,64 +170,23 @@ def test_heartbeat_makes_a_peer_and_numbers_begin_with_it(server, call):
     assert frame[4] == 0
 
 
-def test_sender_without_heartbeat_gets_no_more_bytes_than_it_sent(server, call):
-    caller = call()
-    received = 0
-    for _ in range(5):
-        (request,) = caller.send(dialect.MAVLink_param_request_list_message(1, 1))
-        server.send([position()] * 80, request.peer)
-        received += caller.waiting()
-        assert received <= caller.sent
-    assert server.counters.withheld > 300
-    ack = dialect.MAVLink_command_ack_message(400, 0, 0, 0, 1, 191)
-    (command,) = caller.send(dialect.MAVLink_command_long_message(1, 1, 400, 0, 1, *[float("nan")] * 6))
-    server.send([ack], command.peer)
-    assert caller.waiting(21) > 20  # enough for the reply to a single command
-    caller.send(heartbeat())
-    server.send([position()] * 80, caller.address)
-    assert caller.waiting(80 * 30 + 1) > 80 * 30
-
-
-def test_repeats_count_against_the_allowance_too(server, call):
-    caller = call()
-    (received,) = caller.send(position())
-    for _ in range(10):
-        server.repeat(received.raw, caller.address)
-    assert caller.waiting(caller.sent) == caller.sent
-    assert server.counters.withheld == 9
-
-
-def test_nobody_unheard_is_answered(server, call):
-    server.send([position()], call().address)
-    assert (server.counters.sent, server.counters.withheld) == (0, 1)
-
-
-def test_tables_are_bounded_and_expire(server, call, monkeypatch):
+def test_the_table_is_bounded_and_peers_expire(server, call, monkeypatch):
     now = 100.0
     monkeypatch.setattr("bridge.mavlink.transport.address.time.monotonic", lambda: now)
-    callers = [call() for _ in range(30)]
-    for caller in callers:
-        caller.send(position())
-    assert remembered(server) == 16
+    callers = [call() for _ in range(4)]
     for caller in callers[:3]:
         caller.send(heartbeat())
     assert server.peers == (callers[0].address, callers[1].address)
     assert server.counters.peers_refused == 1
-    assert remembered(server) <= 18
+    callers[3].send(position())
+    server.send([position()], callers[3].address)  # a sender without a heartbeat gets replies, no telemetry
+    assert callers[3].socket.recv(2048)
     now = 111.0  # all have been silent for longer than 10 s
     assert server.peers == ()
-    server.send([position()] * 60, callers[0].address)  # a message to one of them is still possible
-    assert callers[0].waiting(60 * 30 + 1) > 60 * 30
+    server.send([position()], callers[0].address)  # a message to one of them is still possible
+    assert callers[0].socket.recv(2048)
     callers[2].send(heartbeat())
     assert server.peers == (callers[2].address,)
-
-
-def test_strangers_cannot_keep_a_peer_out(server, call):
-    for _ in range(40):
-        call().send(position())
-    caller = call()
-    caller.send(heartbeat())
-    assert server.peers == (caller.address,)
 
 
 def test_configured_peers_get_telemetry_before_they_speak():
