@@ -20,7 +20,7 @@ from bridge.mavlink.codec.framing import (
     without_signature,
 )
 from bridge.mavlink.codec.messages import Message, decode, pack
-from bridge.mavlink.signing import ANSWERED, Refusal, Signer, SigningKey, StaleAnswers, load_key
+from bridge.mavlink.signing import Refusal, Signer, SigningKey, load_key
 from bridge.mavlink.transport.address import Peer, PeerTable, check_policy, parse_peer, parse_url, resolve
 from bridge.mavlink.transport.byte_stream import ByteStream, open_stream
 from bridge.mavlink.transport.transport import DatagramTransport, EndpointCounters
@@ -46,7 +46,9 @@ class LinkCounters:
 _CHUNKS_PER_CALL = 512  # greatest number of chunks in one call of receive()
 _RECEIVE_MAX_S = 0.004  # limit of processor time in one call, s
 _UNTIMED_BYTES = 4096  # bytes read before the first clock reading, which costs as much as a datagram
-_HEARTBEAT = bytes(3)  # message id 0 as sent on the wire
+_HEARTBEAT: int = dialect.MAVLINK_MSG_ID_HEARTBEAT
+_OLD = frozenset({Refusal.STALE, Refusal.REPLAYED})  # correct signature, old timestamp
+_ANSWER_S = 1.0  # time between two replies to frames with old timestamps, which may be replayed, s
 _SETUP_SIGNING: int = dialect.MAVLINK_MSG_ID_SETUP_SIGNING
 
 
@@ -122,7 +124,8 @@ class Endpoint:
             self._transport.close()
             raise
         self._framer = StreamFramer(self.counters) if self._transport.is_stream else None
-        self._answers = StaleAnswers()
+        self._heartbeat: Message | None = None  # newest heartbeat of this endpoint, kept with a key
+        self._answered_s = -math.inf  # time of the last reply to a frame with an old timestamp
         self._unknown: list[bytes] = []  # frames of unknown messages in the current chunk
         self.local_port = self._transport.local_port  # UDP port of the socket; 0 for other links
         self.baud = self._transport.baud  # speed of a serial line, bit/s; None for other links
@@ -185,7 +188,7 @@ class Endpoint:
         refused = self._refused(frame)
         if refused is not None:
             counters.add(refused.value)
-            if refused in ANSWERED:
+            if refused in _OLD:
                 self._answer_stale(peer)
             return
         if frame[2] & FLAG_SIGNED:
@@ -199,7 +202,7 @@ class Endpoint:
             counters.setup_signing += 1
             return
         counters.received += 1
-        if not self._peers.heard(peer, heartbeat=frame[7:10] == _HEARTBEAT):
+        if not self._peers.heard(peer, heartbeat=message.get_msgId() == _HEARTBEAT):
             counters.peers_refused += 1
         if self.tap is not None:
             self.tap(Direction.IN, frame, peer)
@@ -215,12 +218,14 @@ class Endpoint:
 
     def _answer_stale(self, peer: Peer) -> None:
         """Send a heartbeat to a peer whose clock is late: a signed frame advances an autopilot's clock."""
-        heartbeat = self._answers.due(peer)
-        if heartbeat is not None and self._signer is not None:
-            mav = self._mav  # the reply has no new number and is not recorded: it depends on wall time
-            frame = pack(heartbeat, mav.seq, mav.srcSystem, mav.srcComponent)
-            self._transport.send((self._signer.sign(frame),), peer)
-            self.counters.stale_answered += 1
+        now_s = time.monotonic()
+        if self._heartbeat is None or self._signer is None or now_s - self._answered_s < _ANSWER_S:
+            return
+        self._answered_s = now_s
+        mav = self._mav  # the reply has no new number and is not recorded: it depends on wall time
+        frame = pack(self._heartbeat, mav.seq, mav.srcSystem, mav.srcComponent)
+        self._transport.send((self._signer.sign(frame),), peer)
+        self.counters.stale_answered += 1
 
     def wait(self, timeout_s: float) -> bool:
         return self._transport.wait(max(0.0, timeout_s))
@@ -249,7 +254,8 @@ class Endpoint:
         Raises struct.error: a field does not fit its type on the wire.
         """
         if self._signer is not None:
-            self._answers.note(messages)
+            beats = (message for message in messages if message.get_msgId() == _HEARTBEAT)
+            self._heartbeat = next(beats, self._heartbeat)
         peers = (peer,) if peer is not None else self.peers
         if not messages or not peers:
             return

@@ -13,7 +13,7 @@ import re
 import secrets
 import stat
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
@@ -22,8 +22,6 @@ from typing import Annotated
 import msgspec
 
 from bridge.mavlink.codec.framing import with_signed_flag
-from bridge.mavlink.codec.messages import Message
-from bridge.mavlink.transport.address import Peer
 
 KEY_BYTES = 32  # length of the secret key in MAVLink 2 signing, bytes
 _KEY_READ_MAX = 4096  # greatest number of bytes read; far more than any valid file has
@@ -297,38 +295,3 @@ def _state_path(key: SigningKey, system_id: int, component_id: int) -> Path | No
     if key.path is None:
         return None
     return key.path.with_name(f"{key.path.name}.{system_id}-{component_id}-{_LINK[0]}.state")
-
-
-ANSWERED = frozenset({Refusal.STALE, Refusal.REPLAYED})  # correct signature, wrong timestamp
-ANSWER_S = 1.0  # time between two replies to one address, s
-_PEERS_MAX = 4  # greatest number of addresses with replies, a limit for replies to replayed frames
-_HEARTBEAT = 0  # message id of HEARTBEAT
-
-
-class StaleAnswers:
-    """Chooses the peers that receive this endpoint's newest heartbeat as a reply to a stale frame."""
-
-    def __init__(self, clock_s: Callable[[], float] = time.monotonic) -> None:
-        self._clock_s = clock_s
-        self._heartbeat: Message | None = None
-        self._answered_s: dict[Peer, float] = {}
-
-    def note(self, messages: Sequence[Message]) -> None:
-        """Store this endpoint's heartbeat from the messages to send, also without peers."""
-        for message in messages:
-            if message._header.msgId == _HEARTBEAT:
-                self._heartbeat = message
-
-    def due(self, peer: Peer) -> Message | None:
-        """Return the heartbeat for the sender of a signed but too old frame; None: no reply is due."""
-        now_s = self._clock_s()
-        said_s = self._answered_s.get(peer)
-        if self._heartbeat is None or (said_s is not None and now_s - said_s < ANSWER_S):
-            return None
-        for other, other_s in list(self._answered_s.items()):
-            if now_s - other_s >= ANSWER_S:
-                del self._answered_s[other]
-        if len(self._answered_s) >= _PEERS_MAX:
-            return None
-        self._answered_s[peer] = now_s
-        return self._heartbeat
