@@ -83,8 +83,6 @@ class Profile:
     time_sync: str  # text about the use of TIMESYNC
     prepare: tuple[Step, ...] = ()  # steps on the ground before the first request
     asked_hz: Mapping[int, float] = field(default_factory=dict)  # extra rates by message id
-    # MAV_DATA_STREAM by message id, for versions without SET_MESSAGE_INTERVAL
-    data_streams: Mapping[int, int] = field(default_factory=dict)
     setpoint_mask: int = VELOCITY_AND_YAW
     frame: int = 1  # MAV_FRAME_LOCAL_NED of the set-points
 
@@ -288,11 +286,6 @@ ARDUPILOT = Profile(
     # change in the first seconds after boot, so the step repeats during the whole wait.
     prepare=(Step(_DO_SET_MODE, "switch to GUIDED", _GUIDED, _guided_or_armed, period_s=1.0, tries=3600),),
     asked_hz={dialect.MAVLINK_MSG_ID_SYS_STATUS: 2.0},  # all SRx_ rates may be 0
-    data_streams={
-        dialect.MAVLINK_MSG_ID_SYS_STATUS: dialect.MAV_DATA_STREAM_EXTENDED_STATUS,
-        dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: dialect.MAV_DATA_STREAM_POSITION,
-        dialect.MAVLINK_MSG_ID_ATTITUDE: dialect.MAV_DATA_STREAM_EXTRA1,
-    },
 )
 
 PROFILES: Mapping[str, Profile] = {p.name: p for p in (OWN_SITL, CRAZYFLIE, PX4, ARDUPILOT)}

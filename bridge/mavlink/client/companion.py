@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -93,7 +92,7 @@ _SET_MESSAGE_INTERVAL = 511  # MAV_CMD number of SET_MESSAGE_INTERVAL
 _CHECK_S = 1.0  # time over which a rate is measured, s
 _ENOUGH = 0.7  # sufficient fraction of the requested rate; loss and the autopilot's ticks reduce it
 _ROUNDING_S = 1e-6  # margin above the rounding error of a time, s
-_KIND_TRIES = 5  # tries of each kind of request, one every _CHECK_S
+_REQUESTS = 5  # number of requests that follow each other every _CHECK_S
 _AGAIN_S = 3.0  # time between two later tries, s, as long as no message arrives
 
 
@@ -110,24 +109,15 @@ class StreamRequests:
     """Counts messages and returns SET_MESSAGE_INTERVAL commands as long as their rate is too low. Pure.
 
     It requests every second at first, then less often as long as no message arrives: an autopilot may have no
-    position for minutes (no satellites, no origin).
-    If the profile has a data stream for a message, REQUEST_DATA_STREAM and SET_MESSAGE_INTERVAL alternate
-    after ``_KIND_TRIES``.
+    position for minutes (no satellites, no origin). ``rates_hz`` has message ids as keys.
     """
 
     def __init__(
-        self,
-        rates_hz: Mapping[int, float],
-        target_system: int,
-        target_component: int,
-        unset: float,
-        data_streams: Mapping[int, int] = MappingProxyType({}),
+        self, rates_hz: Mapping[int, float], target_system: int, target_component: int, unset: float
     ) -> None:
-        """``rates_hz`` and ``data_streams`` (MAV_DATA_STREAM) have message ids as keys."""
         self._streams = {id_: _Stream(id_, rate) for id_, rate in rates_hz.items()}
         self._target = (target_system, target_component)
         self._unset = unset
-        self._data_streams = data_streams
         self.quiet_until_s = -math.inf  # time before which ``step`` returns no message
 
     def seen(self, message_id: int, count: int = 1) -> None:
@@ -163,7 +153,7 @@ class StreamRequests:
             stream.tries = 1  # the stream arrives; if it stops, requests start again
             stream.seen, stream.since_s = 0, now_s
             return False
-        if stream.tries < (2 * _KIND_TRIES if stream.message_id in self._data_streams else _KIND_TRIES):
+        if stream.tries < _REQUESTS:
             return True
         if stream.seen:  # the vehicle or its line is slower than requested: accept this
             stream.seen, stream.since_s = 0, now_s
@@ -173,10 +163,6 @@ class StreamRequests:
     def _ask(self, stream: _Stream, now_s: float) -> Message:
         stream.tries += 1
         stream.seen, stream.since_s = 0, now_s
-        by_group = (stream.tries - 1) // _KIND_TRIES % 2 == 1  # the two kinds of requests alternate
-        if by_group and stream.message_id in self._data_streams:
-            group, rate_hz = self._data_streams[stream.message_id], round(stream.rate_hz)
-            return dialect.MAVLink_request_data_stream_message(*self._target, group, rate_hz, 1)
         interval_us = float(round(1e6 / stream.rate_hz))
         rest = (self._unset,) * 4
         return dialect.MAVLink_command_long_message(

@@ -262,7 +262,7 @@ class VehicleLink:
         }
         return _Requests(
             CommandSequencer(profile, *self._target, self._takeoff_height_m),
-            StreamRequests(rates_hz, *self._target, profile.unset, profile.data_streams),
+            StreamRequests(rates_hz, *self._target, profile.unset),
             OriginSender(self._origin if profile.needs_origin else None, self._target[0]),
         )
 

@@ -48,8 +48,7 @@ def _answers(profile, reading):
 
 def _streams(profile):
     extra = [dialect.mavlink_map[n].msgname for n in profile.asked_hz]
-    way = "SET_MESSAGE_INTERVAL" + (", then REQUEST_DATA_STREAM" if profile.data_streams else "")
-    return way + (f"; also {', '.join(extra)}" if extra else "")
+    return "SET_MESSAGE_INTERVAL" + (f"; also {', '.join(extra)}" if extra else "")
 
 
 def profiles():

@@ -261,15 +261,6 @@ def test_a_stream_is_asked_for_while_it_does_not_come(wanted, seen, expected):
     assert asked_s == pytest.approx(expected)
 
 
-def test_what_never_comes_is_asked_for_in_both_ways():
-    streams = StreamRequests({32: 50.0}, 1, 1, 0.0, {32: 6})
-    found = [m for tick in range(1000) for m in streams.step(tick * 0.01)]
-    assert [m.get_type() for m in found] == ["COMMAND_LONG"] * 5 + ["REQUEST_DATA_STREAM"] * 5
-    assert (found[-1].req_stream_id, found[-1].req_message_rate, found[-1].start_stop) == (6, 50, 1)
-    later = [m.get_type() for tick in range(6000, 12000) for m in streams.step(tick * 0.01)]
-    assert (len(later), set(later)) == (20, {"COMMAND_LONG", "REQUEST_DATA_STREAM"})
-
-
 def test_the_origin_is_told_once_a_second_on_the_ground_until_it_is_known():
     sender = OriginSender(Origin(47.0, 8.5, 400.0), 1)
     assert sender.step(None, False, 0.0) == []
