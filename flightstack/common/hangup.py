@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 from types import FrameType
 
 import click
@@ -28,9 +29,9 @@ def start() -> None:
     A signal is also stored for ``begun``, because some callbacks drop exceptions.
     """
     _came.clear()
-    for number in ASK:
-        signal.signal(number, _call_off)
-    on_hangup(_call_off)
+    for number in (*ASK, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN or number in ASK:
+            signal.signal(number, _call_off)
 
 
 def called_off() -> CalledOffError | None:
@@ -76,28 +77,26 @@ class Stop:
 
     def install(self) -> Stop:
         """Install the handlers after the slow part of a start; main thread only. Raises as ``begun`` does."""
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, self._set)
         signal.signal(signal.SIGQUIT, signal.SIG_DFL)
-        on_hangup(self._hang_up)
+        handle({signal.SIGTERM: self._count, signal.SIGINT: self._count, signal.SIGHUP: self.ask})
         begun()
         return self
 
-    def _set(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
+    def _count(self) -> None:
         self.count += 1
-
-    def _hang_up(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
-        self.ask()
 
 
 def say(text: str) -> None:
     click.echo(plain(text))
 
 
-def on_hangup(handler: Callable[[int, FrameType | None], None]) -> None:
-    """Call ``handler`` on SIGHUP, unless SIGHUP is ignored (``nohup``). Main thread only."""
-    number = getattr(signal, "SIGHUP", None)  # some systems have no SIGHUP
-    if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
-        signal.signal(number, handler)
+def handle(handlers: Mapping[signal.Signals, Callable[[], object]]) -> None:
+    """Call a function on each of these signals; an ignored SIGHUP (``nohup``) stays so. Main thread only."""
+    for number, handler in handlers.items():
+        if number is not signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, partial(_call, handler))
+
+
+def _call(handler: Callable[[], object], number: int, frame: FrameType | None) -> None:
+    del number, frame
+    handler()

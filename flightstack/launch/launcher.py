@@ -9,13 +9,14 @@ import signal
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import TracebackType
 
 from rich.console import Console
 
 from bridge.zenoh import zenoh_link
-from flightstack.common.hangup import begun, on_hangup
+from flightstack.common.hangup import begun, handle
 from flightstack.common.options import argv
 from flightstack.common.pacing import COMPANION_SILENT_S
 from flightstack.common.processes import (
@@ -85,11 +86,9 @@ class Launcher:
 
     def _take_over(self) -> None:
         """Handle signals from now on; before this call a signal cancels the run."""
-        end = self._hand_on if self._real else self._interrupt
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, end)
-        signal.signal(signal.SIGQUIT, self._hand_on)
-        on_hangup(end)
+        for number in _SIGNALS:
+            ends = number is not signal.SIGQUIT and not self._real
+            handle({number: self._interrupt if ends else partial(self._hand_on, number)})
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -226,13 +225,11 @@ class Launcher:
             self._print(problem, style="red")
         return problem
 
-    def _interrupt(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
+    def _interrupt(self) -> None:
         self.interrupted = True
 
-    def _hand_on(self, number: int, frame: FrameType | None) -> None:
+    def _hand_on(self, number: int) -> None:
         """Send a signal on to the onboard process, which handles it according to its phase."""
-        del frame
         for child in self.children:
             if isinstance(child, Child) and child.name.startswith("onboard") and child.alive():
                 child.process.send_signal(number)

@@ -95,31 +95,23 @@ class Offset(NamedTuple):
     bound_ns: int  # bound of the error of ``ns``
 
 
-class Least:
+class Least(NamedTuple):
     """Minimum of several values, which grows with its age."""
 
-    def __init__(self) -> None:
-        self._value_ns: int | None = None
-        self._at_ns = 0
+    value_ns: int
+    at_ns: int  # time of ``value_ns`` on this process's clock
 
-    def note(self, value_ns: int, now_ns: int) -> None:
-        """Add the value of a message at the time ``now_ns`` of this process's clock."""
-        least_ns = self.at(now_ns)
-        self._value_ns = value_ns if least_ns is None else min(value_ns, least_ns)
-        self._at_ns = now_ns
-
-    def at(self, now_ns: int) -> int | None:
-        """Return the minimum with its growth until now; None before the first value."""
-        if self._value_ns is None:
-            return None
-        return self._value_ns + round(DRIFT * max(0, now_ns - self._at_ns))
+    def grown_ns(self, now_ns: int) -> int:
+        """Return the minimum with its growth until now."""
+        return self.value_ns + round(DRIFT * max(0, now_ns - self.at_ns))
 
 
 class OtherClock:
     """Estimate of the clock of another process; call ``heard`` with each of its messages."""
 
     def __init__(self) -> None:
-        self._ahead, self._echo = Least(), Least()
+        self._ahead: Least | None = None
+        self._echo: Least | None = None
 
     def heard(self, stamp_ns: int, arrival_ns: int, echo_ns: int | None) -> bool:
         """Add the times of a message; return whether they agree with the earlier ones.
@@ -129,28 +121,28 @@ class OtherClock:
         ``stamp_ns``: stamp on the other clock; ``arrival_ns``: arrival on this process's clock; ``echo_ns``:
         minimum that the other process reports; None: it has received nothing from this process.
         """
-        self._ahead.note(arrival_ns - stamp_ns, arrival_ns)
-        if echo_ns is not None:
-            self._echo = Least()  # the other process keeps the minimum itself
-            self._echo.note(echo_ns, arrival_ns)
+        ahead_ns, before_ns = arrival_ns - stamp_ns, self.ahead_ns(arrival_ns)
+        self._ahead = Least(ahead_ns if before_ns is None else min(ahead_ns, before_ns), arrival_ns)
+        if echo_ns is not None:  # the other process keeps the minimum itself
+            self._echo = Least(echo_ns, arrival_ns)
         offset = self.offset(arrival_ns)
         if offset is None or offset.bound_ns >= 0:
             return True
-        self._ahead, self._echo = Least(), Least()
+        self._ahead = self._echo = None
         return False
 
     def ahead_ns(self, now_ns: int) -> int | None:
         """Return the value to send to the other process as its ``echo_ns``; None: nothing was received."""
-        return self._ahead.at(now_ns)
+        return self._ahead.grown_ns(now_ns) if self._ahead is not None else None
 
     def offset(self, now_ns: int) -> Offset | None:
         """Return this clock minus the other clock; None until both directions are known.
 
         ``now_ns``: time on this process's clock.
         """
-        ahead_ns, echo_ns = self._ahead.at(now_ns), self._echo.at(now_ns)
-        if ahead_ns is None or echo_ns is None:
+        if self._ahead is None or self._echo is None:
             return None
+        ahead_ns, echo_ns = self._ahead.grown_ns(now_ns), self._echo.grown_ns(now_ns)
         width_ns = ahead_ns + echo_ns
         return Offset((ahead_ns - echo_ns) // 2, (width_ns + 1) // 2)
 
@@ -174,7 +166,6 @@ class _Member:
     def __init__(self, fleet: Fleet) -> None:
         self.process: int | None = None
         self.clock = OtherClock()
-        self.stamp_ns = 0  # stamp of the member's newest message, on its clock
         self.stamps = SenderClock(fleet.age_max_s, PROOF_S, fleet.latency_max_s)
         self.heard_ns = 0  # arrival of the newest message, on this clock
         self.claim_ns: int | None = None
@@ -299,7 +290,7 @@ class FleetWire(NoFleet):
             return None
         if reading is Reading.STEPPED:
             member.clock = OtherClock()
-        member.stamp_ns, member.heard_ns = row.stamp_ns, now_ns
+        member.heard_ns = now_ns
         echoes = [ns for n, process, ns in row.echoes if (n, process) == (fleet.id, self._process)]
         if not member.clock.heard(row.stamp_ns, now_ns, echoes[0] if echoes else None):
             self._counts.add(f"the clock of vehicle {row.id}, or of this one, has jumped")

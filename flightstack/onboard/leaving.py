@@ -6,10 +6,9 @@ After the end, ``runner.fly`` leaves the vehicle, but never in the air without a
 from __future__ import annotations
 
 import signal
-from types import FrameType
 from typing import NamedTuple
 
-from flightstack.common.hangup import begun, on_hangup
+from flightstack.common.hangup import begun, handle
 from flightstack.core.controller import Outputs
 from flightstack.core.memory import AbortWay, Memory
 from flightstack.core.types import Operator, Phase, VehicleStatus
@@ -39,26 +38,27 @@ class Signals(Person):
     """
 
     def __init__(self) -> None:
-        signal.signal(signal.SIGINT, self._interrupt)
-        signal.signal(signal.SIGTERM, self._terminate)
-        signal.signal(signal.SIGQUIT, self._emergency)
-        on_hangup(self._abort)
+        handle(
+            {
+                signal.SIGINT: self._interrupt,
+                signal.SIGTERM: self._terminate,
+                signal.SIGQUIT: self._emergency,
+                signal.SIGHUP: self._abort,
+            }
+        )
         begun()
 
-    def _interrupt(self, number: int, frame: FrameType | None) -> None:
+    def _interrupt(self) -> None:
         self.stop = self.operator is not Operator.NONE
-        self._abort(number, frame)
+        self._abort()
 
-    def _abort(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
+    def _abort(self) -> None:
         self.operator = max(self.operator, Operator.ABORT)
 
-    def _emergency(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
+    def _emergency(self) -> None:
         self.operator = Operator.EMERGENCY_STOP
 
-    def _terminate(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
+    def _terminate(self) -> None:
         self.stop = True
 
 

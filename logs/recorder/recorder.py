@@ -18,9 +18,8 @@ import sys
 import threading
 import time
 from pathlib import Path
-from types import FrameType
 
-from flightstack.common.hangup import ASK, begun, on_hangup
+from flightstack.common.hangup import ASK, begun, handle
 from logs.recorder.feed import SOCKET_PATH_MAX, Splitter, WireError
 from logs.recorder.mcap_file import McapFile
 from logs.recorder.recording import Recorder, RecorderError, Statistics
@@ -271,13 +270,7 @@ def record_main(socket_path: Path, out: Path, until_clients: int | None = None) 
     except RecorderError as error:
         print(f"record: {error}", file=sys.stderr)
         return 2
-
-    def stop(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
-        process.stop()
-
-    for number in ASK:
-        signal.signal(number, stop)
-    on_hangup(stop)
+    handle(dict.fromkeys((*ASK, signal.SIGHUP), process.stop))
     begun()
     typestore()  # call it before the flight, since the first call takes half a second
     print("ready", flush=True)

@@ -16,7 +16,7 @@ from flightstack.config.options import OnboardOptions
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.types import Intent, Neighbour, Operator, Phase
 from flightstack.onboard import process
-from flightstack.onboard.fleet_wire import DRIFT, FleetWire, Least, Offset, OtherClock
+from flightstack.onboard.fleet_wire import DRIFT, FleetWire, Offset, OtherClock
 from flightstack.onboard.process import Onboard
 from flightstack.onboard.runner import LinkedVehicle
 from logs.schema import schemas
@@ -219,14 +219,13 @@ def test_with_one_direction_nothing_is_known():
 
 
 def test_the_least_value_ages():
-    least = Least()
-    assert least.at(0) is None
-    least.note(5 * MS, 0)
-    least.note(9 * MS, 1000 * MS)
-    assert least.at(1000 * MS) == 6 * MS
-    assert least.at(5000 * MS) == 10 * MS
-    least.note(7 * MS, 5000 * MS)
-    assert least.at(5000 * MS) == 7 * MS
+    clock = OtherClock()
+    clock.heard(-5 * MS, 0, None)
+    clock.heard(991 * MS, 1000 * MS, None)
+    assert clock.ahead_ns(1000 * MS) == 6 * MS
+    assert clock.ahead_ns(5000 * MS) == 10 * MS
+    clock.heard(4993 * MS, 5000 * MS, None)
+    assert clock.ahead_ns(5000 * MS) == 7 * MS
 
 
 def test_a_clock_that_jumps_is_told_and_learned_anew():

@@ -83,10 +83,11 @@ def greet(a, b):
 
     def in_turn():
         for teller, hearer in ((a, b), (b, a)):
-            said = FleetWordRow.unpack(teller.wire.say(told(teller.id, teller.now_s)))
+            teller.wire.say(told(teller.id, teller.now_s))
+            before_ns = hearer.wire._members[teller.id].heard_ns
             pass_time(a, b)
             end_s = time.monotonic() + 0.5  # the connection may not be complete yet
-            while hearer.wire._members[said.id].stamp_ns < said.stamp_ns and time.monotonic() < end_s:
+            while hearer.wire._members[teller.id].heard_ns == before_ns and time.monotonic() < end_s:
                 heard.update(word.id for word in hearer.wire.words())
                 time.sleep(0.001)
         return heard == {a.id, b.id}
