@@ -12,13 +12,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.framing import (
-    FLAG_SIGNED,
-    StreamFramer,
-    intact,
-    split_frames,
-    without_signature,
-)
+from bridge.mavlink.codec.framing import FLAG_SIGNED, StreamFramer, intact, split_frames, without_signature
 from bridge.mavlink.codec.messages import Message, decode, pack
 from bridge.mavlink.signing import Refusal, Signer, SigningKey, load_key
 from bridge.mavlink.transport.address import Peer, PeerTable, check_policy, parse_peer, parse_url, resolve

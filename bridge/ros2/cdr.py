@@ -1,7 +1,7 @@
-"""Odometry, poses and transforms in CDR, the encoding of ROS 2 messages.
+"""Odometry and poses in CDR, the encoding of ROS 2 messages.
 
-Odometry is ``nav_msgs/msg/Odometry``; poses without a velocity are ``PoseStamped``,
-``PoseWithCovarianceStamped`` and ``TFMessage``, of which only the fields for a tracker are decoded.
+Odometry is ``nav_msgs/msg/Odometry``; poses without a velocity are ``PoseStamped`` and
+``PoseWithCovarianceStamped``.
 """
 
 from __future__ import annotations
@@ -17,13 +17,11 @@ from bridge.ros2.codec import CDR_HEADER, Unpack, codec
 from flightstack.core.types import ZERO, Vec3
 
 NO_COVARIANCE: tuple[float, ...] = (0.0,) * 36  # ROS convention: all zeros means unknown
-TRANSFORMS_MAX = 1000  # greatest number in one message; a robot has a few dozen
 _UNIT_TOLERANCE = 0.01  # tolerance of the squared norm, as in odometry.py
 _LARGEST_M = 1e9  # limit, m; a larger number is damaged data, not a measurement
 _ODOMETRY = "nav_msgs/msg/Odometry"
 _POSE = "geometry_msgs/msg/PoseStamped"
 _POSE_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
-_TRANSFORMS = "tf2_msgs/msg/TFMessage"
 _pack_odometry, _unpack_odometry = codec(_ODOMETRY, frame_id=None, foreign=True)
 _ENCODINGS = {
     (0, 0): "CDR, big endian",
@@ -107,13 +105,6 @@ def _sum(a: Vec3, b: Vec3) -> Vec3:
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
-class Transform(NamedTuple):
-    """Pose of the frame ``child_frame_id`` in another frame."""
-
-    child_frame_id: str
-    pose: Pose
-
-
 def decode_odometry(payload: bytes) -> Odometry:
     """Decode a serialised odometry message.
 
@@ -141,18 +132,6 @@ def decode_pose_with_covariance(payload: bytes) -> Pose:
     """Decode a ``geometry_msgs/msg/PoseWithCovarianceStamped``; raises as ``decode_pose``."""
     (stamp_ns, frame_id), ((position_m, turn), covariance) = _decoded(_unpacker(_POSE_COVARIANCE), payload)
     return _checked(stamp_ns, frame_id, position_m, turn)._replace(covariance=covariance)
-
-
-def decode_transforms(payload: bytes) -> list[Transform]:
-    """Decode a ``tf2_msgs/msg/TFMessage``. Raises OdometryError: cut short, too long, or no transforms."""
-    count = int.from_bytes(payload[4:8], "little")
-    if payload[:2] == CDR_HEADER[:2] and count > TRANSFORMS_MAX:
-        raise OdometryError(f"{_TRANSFORMS} holds {count} transforms: {TRANSFORMS_MAX} are allowed")
-    (found,) = _decoded(_unpacker(_TRANSFORMS), payload)
-    return [
-        Transform(child, _checked(stamp_ns, frame_id, position_m, turn))
-        for (stamp_ns, frame_id), child, (position_m, turn) in found
-    ]
 
 
 @cache

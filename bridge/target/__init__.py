@@ -1,1 +1,1 @@
-"""Receives target samples as odometry, poses or transforms."""
+"""Receives target samples as odometry or poses."""

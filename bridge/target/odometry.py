@@ -11,12 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 from bridge.frames import Quat, world_from_body, yaw_from_quaternion
-from bridge.ros2.cdr import (
-    NO_COVARIANCE,
-    Odometry,
-    OdometryError,
-    decode_odometry,
-)
+from bridge.ros2.cdr import NO_COVARIANCE, Odometry, OdometryError, decode_odometry
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import GID_BYTES, pack_attachment, parse_attachment
 from flightstack.core.parameters.robust import TargetLink

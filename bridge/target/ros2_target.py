@@ -8,7 +8,7 @@ decoded if this module made it.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
@@ -20,15 +20,10 @@ from bridge.ros2.cdr import (
     decode_odometry,
     decode_pose,
     decode_pose_with_covariance,
-    decode_transforms,
 )
 from bridge.ros2.ros2_names import NO_HASH, any_type_key, bridge_key, parse_topic_key
-from bridge.target.odometry import (
-    RawSample,
-    excess_noise,
-    raw_sample,
-)
-from bridge.target.poses import PoseTrack, TransformChain
+from bridge.target.odometry import RawSample, excess_noise, raw_sample
+from bridge.target.poses import PoseTrack
 from bridge.zenoh import zenoh_link
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.types import ZERO, Vec3
@@ -54,7 +49,6 @@ class TargetType(Enum):
     ODOMETRY = "odometry"
     POSE = "pose"
     POSE_COVARIANCE = "pose-covariance"
-    TF = "tf"
 
 
 class RosType(NamedTuple):
@@ -73,9 +67,6 @@ ROS_TYPES = {
     TargetType.POSE_COVARIANCE: RosType(
         "geometry_msgs/msg/PoseWithCovarianceStamped",
         "RIHS01_26432f9803e43727d3c8f668d1fdb3c630f548af631e2f4e31382371bfea3b6e",
-    ),
-    TargetType.TF: RosType(
-        "tf2_msgs/msg/TFMessage", "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"
     ),
 }
 
@@ -112,11 +103,6 @@ class TargetSpec:
             return any_type_key(self.domain, self.name)
         return bridge_key(self.name) if self.dialect is Dialect.ROS2DDS else self.name
 
-    @property
-    def fixed_key(self) -> str:
-        """Key expression of the fixed transforms: ``/tf_static`` beside ``/tf``."""
-        return replace(self, name=f"{self.name}_static").key
-
     def described(self) -> dict[str, str]:
         """Return the source and processing of the odometry as text for the log."""
         x, y, z = self.offset_m
@@ -133,7 +119,7 @@ class TargetSource:
     """Receives the target's motion; the owner polls it, there are no callbacks.
 
     ``session``: owned by the caller; ``frame_id``: frame of the poses; ``child_frame_id``: frame of the
-    target in ``/tf``, and its name if it sends only poses; ``link``: noise of poses, to estimate their
+    target, also if it sends only poses; ``link``: noise of poses, to estimate their
     velocity; ``lossless``: block the sender when full instead of dropping the oldest (lockstep). Raises
     ValueError: the key is not allowed.
     """
@@ -150,13 +136,9 @@ class TargetSource:
     ) -> None:
         declare = zenoh_link.fifo_subscriber if lossless else zenoh_link.ring_subscriber
         self._subscriber = declare(session, spec.key, CAPACITY)
-        self._fixed = (
-            zenoh_link.kept_subscriber(session, spec.fixed_key) if spec.type is TargetType.TF else None
-        )
         self._spec, self._frame, self._child = spec, frame_id, child_frame_id
         self._link, self._until_look = link, 0
         self._track = PoseTrack(link, child_frame_id)
-        self._chain = TransformChain(frame_id, child_frame_id)
         self._texts: list[str] = []
         self._told: dict[str, None] = {}
         self.refused = 0  # samples without odometry, except for poses before the velocity is known
@@ -164,23 +146,17 @@ class TargetSource:
             TargetType.ODOMETRY: self._odometry,
             TargetType.POSE: lambda payload: self._pose(decode_pose(payload)),
             TargetType.POSE_COVARIANCE: lambda payload: self._pose(decode_pose_with_covariance(payload)),
-            TargetType.TF: self._transforms,
         }[spec.type]
 
     def poll(self) -> list[RawSample]:
         """Return all samples that have arrived, oldest first, as odometry; never blocks."""
-        if self._fixed is not None:
-            self._take(self._fixed, self._fixed_transforms)
-        return self._take(self._subscriber, self._convert)
-
-    def _take(self, subscriber: zenoh_link.Subscriber, convert: Callable[[bytes], _Made]) -> list[RawSample]:
         taken: list[RawSample] = []
-        for sample in zenoh_link.drain(subscriber):
+        for sample in zenoh_link.drain(self._subscriber):
             raw = raw_sample(sample)
             if self._spec.dialect is Dialect.RMW_ZENOH and not self._is_wanted(str(sample.key_expr)):
                 continue
             try:
-                made = convert(raw.payload)
+                made = self._convert(raw.payload)
                 samples = [raw._replace(payload=one.pack(), odometry=one) for one in made or ()]
             except OdometryError as error:
                 self._refuse(f"{self._spec.text}: {error}")
@@ -200,8 +176,6 @@ class TargetSource:
 
     def close(self) -> None:
         self._subscriber.undeclare()
-        if self._fixed is not None:
-            self._fixed.undeclare()
 
     def _is_wanted(self, key: str) -> bool:
         """Whether a key of the topic has the expected message type."""
@@ -257,23 +231,10 @@ class TargetSource:
             self.refused += 1
             return []
         self._compare(pose.covariance, NO_COVARIANCE)
-        return self._followed([pose])
-
-    def _transforms(self, payload: bytes) -> list[Odometry]:
-        poses = self._chain.take(decode_transforms(payload))
-        if self._chain.problem:
-            self._tell(f"{self._spec.text}: {self._chain.problem}")
-        return self._followed(poses)
-
-    def _fixed_transforms(self, payload: bytes) -> list[Odometry]:
-        self._chain.take_fixed(decode_transforms(payload))
-        return []
-
-    def _followed(self, poses: list[Pose]) -> list[Odometry]:
-        found = [self._track.take(pose.shifted(self._spec.offset_m)) for pose in poses]
+        odometry = self._track.take(pose.shifted(self._spec.offset_m))
         if self._track.problem:
             self._tell(f"{self._spec.text}: {self._track.problem}")
-        return [odometry for odometry in found if odometry is not None]
+        return [odometry] if odometry is not None else []
 
     def _is_framed(self, frame_id: str) -> bool:
         if frame_id == self._frame:
@@ -298,12 +259,12 @@ KEYS_MAX = 8  # greatest number of keys
 _CAPACITY = 64  # samples between two polls
 # A chunk of the key contains the name: robot1/odom, 0/odom/nav_msgs::msg::dds_::Odometry_/RIHS01_...
 _LIKELY = (
-    "**/$*odom$*/**", "**/$*Odometry$*/**", "**/$*pose$*/**", "**/$*Pose$*/**", "**/tf/**",
+    "**/$*odom$*/**", "**/$*Odometry$*/**", "**/$*pose$*/**", "**/$*Pose$*/**",
 )  # fmt: skip
 
 
 class KeySearch:
-    """Lists keys whose names contain odometry, a pose or tf, from the first ``keys`` until ``stop``.
+    """Lists keys whose names contain odometry or a pose, from the first ``keys`` until ``stop``.
 
     During the search this process receives all samples of such keys, so do not use it in flight. Keys that
     the session itself publishes are not found.

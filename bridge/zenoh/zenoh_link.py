@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
-import zenoh.ext
 
 from flightstack.common.pacing import ask_for_priority, give_up_priority
 from flightstack.common.strict_toml import decoded
@@ -221,19 +220,6 @@ def remote_subscriber(session: Session, key: str, capacity: int = 256) -> Subscr
 def fifo_subscriber(session: Session, key: str, capacity: int = 1024) -> Subscriber:
     """Declare a subscriber without losses: when it is full, it blocks the sender (lockstep)."""
     return session.declare_subscriber(_key(key), zenoh.handlers.FifoChannel(capacity))
-
-
-def kept_subscriber(session: Session, key: str, capacity: int = 256) -> Subscriber:
-    """Declare a ring subscriber that also receives the samples cached for late subscribers.
-
-    ROS 2 calls this *transient local*: rmw_zenoh and zenoh-bridge-ros2dds use advanced publishers for it.
-    """
-    return zenoh.ext.declare_advanced_subscriber(
-        session,
-        _key(key),
-        zenoh.handlers.RingChannel(capacity),
-        history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
-    )
 
 
 def liveliness_token(session: Session, key: str) -> Any:

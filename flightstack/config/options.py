@@ -13,7 +13,7 @@ from flightstack.core.parameters.filters import ALLOWED, look_here
 
 # copied here, so that a command need not load the packages that define them; a test compares both
 AUTOPILOTS = ("auto", "sitl", "crazyflie", "px4", "ardupilot")
-TARGET_TYPES = ("odometry", "pose", "pose-covariance", "tf")
+TARGET_TYPES = ("odometry", "pose", "pose-covariance")
 CORES = ("auto", "plain", "compiled")
 WATCHED = "tcp/127.0.0.1:7448"  # endpoint of the onboard process in README and docs
 

@@ -143,7 +143,7 @@ def _of_target(seen: TargetSeen, checks: Checks) -> tuple[str, ...]:
         return (f"the newest sample on {seen.name} is {age}; checks.target_age_max_s allows {most}",)
     if problems:
         return (f"no sample on {seen.name} any more; of earlier ones{problems}",)
-    there = f"there are {', '.join(seen.keys)}" if seen.keys else "nor on any key like odometry, pose or tf"
+    there = f"there are {', '.join(seen.keys)}" if seen.keys else "nor on any key like odometry or pose"
     return (f"no sample on {seen.name}; {there}",)
 
 

@@ -17,7 +17,6 @@ PATIENCE_S = 20.0
 ODOMETRY = "nav_msgs/msg/Odometry"
 POSE = "geometry_msgs/msg/PoseStamped"
 POSE_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
-TF = "tf2_msgs/msg/TFMessage"
 GID = bytes(range(16))
 
 
@@ -67,19 +66,6 @@ def pose_stamped(stamp_ns, frame_id, position, q=(1.0, 0.0, 0.0, 0.0)):
 def pose_covariance(stamp_ns, frame_id, position, covariance, q=(1.0, 0.0, 0.0, 0.0)):
     body = space(pose=pose(position, q), covariance=list(covariance))
     return encode(POSE_COVARIANCE, space(header=header(stamp_ns, frame_id), pose=body))
-
-
-def transforms(*edges):
-    """Return a TF message; edges are (stamp_ns, parent, child, position, quaternion)."""
-    made = [
-        space(
-            header=header(stamp_ns, parent),
-            child_frame_id=child,
-            transform=space(translation=vector(position), rotation=quaternion(q)),
-        )
-        for stamp_ns, parent, child, position, q in edges
-    ]
-    return encode(TF, space(transforms=made))
 
 
 def odometry(

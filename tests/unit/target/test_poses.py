@@ -1,4 +1,4 @@
-"""Targets that send poses: velocity, another point of the body, chains of transforms."""
+"""Targets that send poses: velocity, and another point of the body."""
 
 import math
 import re
@@ -6,23 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from bridge.frames import quaternion_from_yaw
-from bridge.ros2.cdr import Odometry, Pose, Transform
-from bridge.target.odometry import (
-    RawSample,
-    excess_noise,
-    sample_of,
-)
-from bridge.target.poses import (
-    DEPTH_MAX,
-    EDGE_AGE_MAX_S,
-    OUTLIERS_MAX,
-    SETTLED_M_S,
-    PoseTrack,
-    TransformChain,
-)
+from bridge.ros2.cdr import Odometry, Pose
+from bridge.target.odometry import RawSample, excess_noise, sample_of
+from bridge.target.poses import OUTLIERS_MAX, SETTLED_M_S, PoseTrack
 from bridge.target.ros2_target import OFFSET_MAX_M, TargetSource, TargetSpec, TargetType
 from bridge.zenoh.zenoh_link import dropping_publisher, open_session
 from flightstack.core.parameters.robust import TargetLink
@@ -210,89 +198,3 @@ def test_a_source_shifts_what_it_hears(kind):
 def test_an_offset_that_is_none_is_refused(offset):
     with pytest.raises(ValueError, match="up to 5 m"):
         TargetSpec.parse("x/y", offset_m=offset)
-
-
-ONE = (1.0, 0.0, 0.0, 0.0)
-SECOND = 10**9
-
-
-def edge(stamp_ns, parent, child, position=(0.0, 0.0, 0.0), q=ONE):
-    return Transform(child, Pose(stamp_ns, parent, position, q))
-
-
-def matrix(position, q):
-    out = np.eye(4)
-    out[:3, :3] = Rotation.from_quat([*q[1:], q[0]]).as_matrix()
-    out[:3, 3] = position
-    return out
-
-
-def placed(chance, count):
-    """Return random positions and unit quaternions."""
-    turns = chance.normal(size=(count, 4))
-    turns /= np.linalg.norm(turns, axis=1)[:, None]
-    return [
-        (tuple(place), tuple(q))
-        for place, q in zip(chance.normal(size=(count, 3)).tolist(), turns.tolist(), strict=True)
-    ]
-
-
-def test_edges_come_in_messages_of_their_own_and_the_tracked_one_sets_the_time():
-    chain = TransformChain("map", "foot")
-    assert chain.take([edge(9, "odom", "foot", (1.0, 0.0, 0.0))]) == []
-    assert "there is no transform from that to 'map'" in chain.problem
-    assert chain.take([edge(10, "map", "odom", (0.0, 0.0, 0.0), quaternion_from_yaw(math.pi / 2))]) == []
-    [found] = chain.take([edge(11, "odom", "foot", (2.0, 0.0, 0.0))])
-    assert (found.stamp_ns, found.position_m) == (11, pytest.approx((0.0, 2.0, 0.0)))
-
-
-def test_an_edge_that_died_is_not_followed():
-    chain = TransformChain("map", "foot")
-    chain.take([edge(0, "map", "odom")])
-    late_ns = round(EDGE_AGE_MAX_S * SECOND)
-    assert len(chain.take([edge(late_ns, "odom", "foot")])) == 1
-    assert chain.take([edge(late_ns + SECOND // 10, "odom", "foot")]) == []
-    assert "1.1 s older" in chain.problem
-    assert len(chain.take([edge(late_ns + 2, "map", "odom"), edge(late_ns + 3, "odom", "foot")])) == 1
-
-
-def test_circles_and_long_chains_end():
-    chain = TransformChain("map", "foot")
-    assert chain.take([edge(0, "b", "a"), edge(0, "a", "b"), edge(0, "a", "foot")]) == []
-    assert "circle" in chain.problem
-    chain = TransformChain("map", "foot")
-    long = [edge(0, f"f{i + 1}", f"f{i}") for i in range(DEPTH_MAX)]
-    assert chain.take([*long, edge(0, "f0", "foot")]) == []
-    assert "circle" in chain.problem
-
-
-def test_a_frame_fixed_to_one_that_moves_goes_with_it_and_has_its_time():
-    chance = np.random.default_rng(4)
-    for _ in range(50):
-        poses = placed(chance, 5)
-        frames = [
-            "map",
-            "room",
-            "foot",
-            "base",
-            "mast",
-            "pad",
-        ]  # the room is fixed in the map, the robot moves
-        edges = [edge(7, frames[i], frames[i + 1], *poses[i]) for i in range(5)]
-        chain = TransformChain("map", "pad")
-        assert chain.take([edges[1]]) == []
-        assert "no transform of 'pad' yet" in chain.problem
-        chain.take_fixed([edges[4], edges[0]])
-        chain.take_fixed([edges[2]._replace(child_frame_id="/base"), edges[3]])
-        late = 100 * SECOND  # a static transform has no age
-        [found] = chain.take([edge(late, "room", "foot", *poses[1])])
-        wanted = np.linalg.multi_dot([matrix(*one) for one in poses])
-        assert (found.stamp_ns, found.frame_id, chain.problem) == (late, "map", "")
-        assert matrix(found.position_m, found.orientation_wxyz) == pytest.approx(wanted, abs=1e-12)
-
-
-def test_a_frame_that_moves_is_not_held_by_what_was_said_of_it_before():
-    chain = TransformChain("map", "foot")
-    chain.take_fixed([edge(0, "map", "foot", (9.0, 9.0, 9.0)), edge(0, "map", "odom", (9.0, 9.0, 9.0))])
-    [found] = chain.take([edge(3, "odom", "foot", (1.0, 0.0, 0.0)), edge(3, "map", "odom", (0.0, 2.0, 0.0))])
-    assert found.position_m == (1.0, 2.0, 0.0)

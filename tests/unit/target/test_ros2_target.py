@@ -5,7 +5,7 @@ import struct
 from contextlib import contextmanager
 
 import pytest
-from zenoh.ext import CacheConfig, declare_advanced_publisher
+from zenoh.ext import declare_advanced_publisher
 
 from bridge.frames import quaternion_from_yaw
 from bridge.ros2.ros2_names import topic_key
@@ -156,16 +156,11 @@ def poses(kind):
         position, stamp_ns = moving(i)
         if kind is TargetType.POSE:
             yield ros.pose_stamped(stamp_ns, FRAME, position)
-        elif kind is TargetType.POSE_COVARIANCE:
-            yield ros.pose_covariance(stamp_ns, FRAME, position, [0.0] * 36)
         else:
-            wheel = (stamp_ns, CHILD, "wheel", (9.0, 9.0, 9.0), (1.0, 0.0, 0.0, 0.0))
-            half = (stamp_ns, FRAME, "half", tuple(0.5 * p for p in position), (1.0, 0.0, 0.0, 0.0))
-            rest = (stamp_ns, "half", CHILD, tuple(0.5 * p for p in position), (1.0, 0.0, 0.0, 0.0))
-            yield ros.transforms(wheel, rest, half)
+            yield ros.pose_covariance(stamp_ns, FRAME, position, [0.0] * 36)
 
 
-@pytest.mark.parametrize("kind", [TargetType.POSE, TargetType.POSE_COVARIANCE, TargetType.TF])
+@pytest.mark.parametrize("kind", [TargetType.POSE, TargetType.POSE_COVARIANCE])
 def test_a_target_without_a_velocity_gets_one(kind):
     with source("ros2:/pose", kind) as (robot, listening):
         for payload in poses(kind):
@@ -180,58 +175,14 @@ def test_a_target_without_a_velocity_gets_one(kind):
         assert listening.refused == 0
 
 
-@pytest.mark.parametrize("prefix", ["ros2:", "ros2dds:"])
-@pytest.mark.parametrize("early", [True, False])
-def test_a_landing_spot_fixed_to_the_robot_is_found_by_tf_alone(prefix, early):
-    """A transform published once, cached for late subscribers, as by robot_state_publisher (transient
-    local)."""
-    with ros.network(2) as (_, ours, robot_session, state_session):
-        spec = TargetSpec.parse(f"{prefix}/tf", TargetType.TF)
-        typed = ROS_TYPES[TargetType.TF]
-        keys = [
-            topic_key(0, name, *typed) if prefix == "ros2:" else name.removeprefix("/")
-            for name in ("/tf", "/tf_static")
-        ]
-        kept = declare_advanced_publisher(
-            state_session, keys[1], cache=CacheConfig(1), publisher_detection=True
-        )
-        place = ros.transforms((0, "wheels", CHILD, (0.1, 0.0, 0.3), (1.0, 0.0, 0.0, 0.0)))
-        if early:
-            kept.put(place, attachment=attachment(1, STAMP))
-        listening = TargetSource(ours, spec, FRAME, CHILD, TargetLink())
-        robot = Robot(robot_session, keys[0])
-        robot.wait()
-        if not early:
-            kept.put(place, attachment=attachment(1, STAMP))
-        until(lambda: listening.poll() == [] and CHILD in listening._chain._fixed, "the fixed transform")
-        for i in range(60):
-            position, stamp_ns = moving(i)
-            robot.put(ros.transforms((stamp_ns, FRAME, "wheels", position, quaternion_from_yaw(math.pi / 2))))
-        samples = collect(listening, 50)
-        until(lambda: samples.extend(listening.poll()) or samples[-1].sequence == 60, "the last")
-        last = sample_of(RawSample(samples[-1].payload), 0.0)
-        x, y, z = moving(59)[0]
-        assert last.position_enu_m == pytest.approx((x, y + 0.1, z + 0.3))
-        assert last.velocity_enu_m_s == pytest.approx((0.2, 0.0, 0.0), abs=0.01)
-        assert last.source_time_s == pytest.approx(moving(59)[1] / 1e9)
-        assert listening.refused == 0
-        listening.close()
-
-
-def one_edge(parent, child):
-    return ros.transforms((STAMP, parent, child, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
-
-
 @pytest.mark.parametrize(
     ("kind", "payload", "words"),
     [
         (TargetType.POSE, ros.pose_stamped(STAMP, "camera", (0.0, 0.0, 0.0)), "frame_id is 'camera'"),
         (TargetType.POSE, ros.pose_stamped(STAMP, FRAME, (0.0, 0.0, 0.0), (0.0,) * 4), "never set"),
         (TargetType.POSE, b"\x00\x01\x00\x00", "cut short"),
-        (TargetType.TF, one_edge(FRAME, "other"), "no transform of 'base_footprint'"),
-        (TargetType.TF, one_edge("map", CHILD), "there is no transform from that"),
     ],
-    ids=["other frame", "no quaternion", "cut short", "other child", "no chain"],
+    ids=["other frame", "no quaternion", "cut short"],
 )  # fmt: skip
 def test_poses_that_lead_nowhere_are_told(kind, payload, words):
     with source("ros2:/pose", kind) as (robot, listening):

@@ -3,14 +3,7 @@
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.profiles import (
-    ARDUPILOT,
-    AUTO,
-    CHOICES,
-    PROFILES,
-    PX4,
-    refusal,
-)
+from bridge.mavlink.profiles import ARDUPILOT, AUTO, CHOICES, PROFILES, PX4, refusal
 from bridge.target.ros2_target import TargetType
 from flightstack.compiled.core import Core
 from flightstack.config.options import AUTOPILOTS, CORES, TARGET_TYPES

@@ -8,11 +8,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.codec.framing import split_frames
 from bridge.mavlink.endpoint import Endpoint
-from bridge.mavlink.signing import (
-    AHEAD_TICKS,
-    STALE_TICKS,
-    Signer,
-)
+from bridge.mavlink.signing import AHEAD_TICKS, STALE_TICKS, Signer
 from tests.unit.mavlink.client.vehicle_link_fakes import linked
 from tests.unit.mavlink.signing.signing_helpers import COMPANION, KEY, S, forged, heartbeat, signed, theirs
 
