@@ -1,8 +1,10 @@
-"""Commands that fly: ``sitl`` in simulation, ``fly`` a real vehicle, ``onboard`` only the onboard process."""
+"""Commands that fly: ``sitl``, ``fly``, and the processes of a flight: ``onboard``, ``world``, ``target``."""
 
 from __future__ import annotations
 
+import os
 import sys
+from dataclasses import replace
 
 import click
 
@@ -10,6 +12,7 @@ from flightstack.cli.options import takes
 from flightstack.common.hangup import say
 from flightstack.config.options import OnboardOptions
 from flightstack.launch.run_options import FlyOptions, RunOptions
+from sim.options import Px4SimOptions, TargetOptions, VehicleOptions, WorldOptions
 
 
 @click.command()
@@ -69,3 +72,78 @@ def onboard(options: OnboardOptions) -> None:
         raise LaunchError(f"{error}; --no-record flies without a log") from error
     say(f"{ended.phase.name}: {ended.reason}")
     sys.exit(ended.exit_code)
+
+
+@click.command()
+@takes(WorldOptions)
+def world(options: WorldOptions) -> None:
+    """Run the simulated vehicles and ground robots of a scenario, as `sitl` does.
+
+    A client controls a vehicle over MAVLink; a robot drives the scenario's path and sends odometry on Zenoh.
+    """
+    _run_world(options)
+
+
+@click.command()
+@takes(VehicleOptions)
+def vehicle(options: VehicleOptions) -> None:
+    """Run the simulated Crazyflie as a MAVLink vehicle; its deck follows the target's true pose on Zenoh.
+
+    With a scenario of several vehicles the command runs all of them, each with its own port and namespace, or
+    with --member one of them.
+    """
+    _run_world(options)
+
+
+def _run_world(options: VehicleOptions) -> None:
+    from logs.schema.names import member_name
+    from sim.runners import world_process
+    from sim.scenarios.team import alone, load
+
+    team = load(options.scenario)
+    if options.member is not None:
+        single, seed = team.one(options.seed, options.member)
+        name = member_name(options.member)
+        team, options = alone(single), replace(options, seed=seed, namespace=name, system_id=options.member)
+    sys.exit(world_process.world_main(team, options))
+
+
+@click.command()
+@takes(TargetOptions)
+def target(options: TargetOptions) -> None:
+    """Run the simulated ground robot: it drives the scenario's path and publishes its odometry on Zenoh.
+
+    With a scenario of several vehicles the command runs the robots of all.
+    """
+    from flightstack.compiled.jit import OFF
+
+    # The robot computes only a hundred short steps a second: loading numba would take longer than it saves.
+    if "numba" not in sys.modules:
+        os.environ.setdefault(OFF, "1")
+    from sim.runners.published_robot import target_main
+    from sim.scenarios.team import load
+
+    sys.exit(target_main(load(options.scenario), options))
+
+
+@click.command("px4-sim")
+@takes(Px4SimOptions)
+def px4_sim(options: Px4SimOptions) -> None:
+    """Simulate body, rotors, wind and moving deck for PX4, which runs as the autopilot (SITL).
+
+    PX4 connects over TCP, and both run in lockstep. Exit status: 0 normal end, 1 PX4 no longer replies, 2
+    wrong input.
+    """
+    from logs.schema.names import member_name
+    from sim.plant import params
+    from sim.px4 import process
+    from sim.px4.airframe import parameter_text
+    from sim.scenarios.team import load
+
+    loaded, seed = load(options.scenario).one(options.seed, options.member)
+    if options.form is not None:
+        poses = loaded.vehicle.mocap if options.mocap else None
+        click.echo(parameter_text(params.load(loaded.vehicle.airframe), options.form, poses))
+        return
+    namespace = options.namespace if options.member is None else member_name(options.member)
+    sys.exit(process.px4_sim_main(loaded, replace(options, seed=seed, namespace=namespace)))

@@ -1,9 +1,11 @@
-"""Commands that prepare a machine: configurations, signing keys, a Zenoh router."""
+"""Commands that prepare a flight: configurations, scenarios, signing keys, a Zenoh router."""
 
 from __future__ import annotations
 
+import shutil
 import signal
 import sys
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -32,6 +34,53 @@ def config(name: str | None) -> None:
 def _first_line(text: str) -> str:
     """Return the first comment of a configuration, which gives its purpose."""
     return text.partition("\n")[0].removeprefix("#").strip()
+
+
+@click.command()
+@click.argument("what", type=click.Choice(["scenario"]))
+@click.argument("name")
+@click.option("--base", default="lab", show_default=True, help="Name of the scenario from which it starts.")
+def new(what: str, name: str, base: str) -> None:
+    """Write NAME.toml to this folder: a scenario based on another one, with a comment for each key.
+
+    Exit status: 0 written, 2 wrong name, or the file exists.
+    """
+    del what
+    from flightstack.common.strict_toml import ConfigError
+    from sim.scenarios.keys import commented
+
+    file, text = Path(f"{name}.toml"), commented(name, base)
+    try:
+        with file.open("x", encoding="utf-8") as out:
+            out.write(text)
+    except FileExistsError:
+        raise ConfigError(f"{file}: exists and is not overwritten; choose another name") from None
+    except OSError as error:
+        file.unlink(missing_ok=True)
+        raise ConfigError(f"{file}: cannot be written: {error.strerror}") from None
+    click.echo(f"{file}: fly it with `flightstack sitl --scenario {file} --lockstep`")
+
+
+@click.command()
+@click.argument("name", required=False)
+def scenarios(name: str | None) -> None:
+    """List the scenarios of the simulator, or print the one with the given NAME.
+
+    Scenarios of several vehicles are listed last.
+    """
+    from flightstack.common.strict_toml import decoded
+    from sim.scenarios import scenario, team
+
+    if name is not None:
+        click.echo(decoded(team.path_of(name).read_bytes()), nl=False)
+        return
+    listed = {known: scenario.load(known).description for known in scenario.names()}
+    listed |= {known: team.load(known).description for known in team.names()}
+    wide = max(map(len, listed)) + 2
+    columns = max(shutil.get_terminal_size().columns, wide + 40)
+    for known, description in listed.items():
+        lines = textwrap.wrap(description, columns - wide)
+        click.echo("\n".join([f"{known:{wide}}{lines[0]}", *(" " * wide + line for line in lines[1:])]))
 
 
 @click.command()

@@ -17,7 +17,7 @@ from flightstack.common.streams import reader_gone
 from flightstack.config.options import WATCHED, WatchOptions
 
 if TYPE_CHECKING:
-    from flightstack.watch.state import Watch
+    from flightstack.watch import Watch
 
 FRESH, NOTHING = 0, 1
 LOOK_S = 0.05  # time between two polls of --once, s
@@ -34,7 +34,7 @@ def watch(options: WatchOptions) -> None:
     The command only receives data. Exit status: 0 normal end, 1 no recent data with --once, 2 wrong input.
     """
     from bridge.zenoh import zenoh_link
-    from flightstack.watch.state import Watch
+    from flightstack.watch import Watch
 
     if options.view is not None and (options.once or options.as_json):
         raise click.UsageError("--view draws until it is ended; --once and --json print: give one of them")
@@ -59,8 +59,7 @@ def watch(options: WatchOptions) -> None:
 
 def _once(options: WatchOptions, flight: Watch, endpoint: str, stop: Stop) -> int:
     from flightstack.common.terminal import Terminal
-    from flightstack.watch.live import draw
-    from flightstack.watch.state import News, snapshot
+    from flightstack.watch import News, draw, snapshot
 
     until_s = time.monotonic() + options.timeout_s
     while not (flight.news is News.FRESH and flight.health is not None) and time.monotonic() < until_s:
@@ -76,7 +75,7 @@ def _once(options: WatchOptions, flight: Watch, endpoint: str, stop: Stop) -> in
 
 
 def _print(flight: Watch, stop: Stop) -> None:
-    from flightstack.watch.state import snapshot
+    from flightstack.watch import snapshot
 
     while not stop.is_set and not reader_gone():
         time.sleep(PRINT_S)
@@ -86,7 +85,7 @@ def _print(flight: Watch, stop: Stop) -> None:
 
 def _live(flight: Watch, namespace: str, endpoint: str, stop: Stop) -> None:
     from flightstack.common.terminal import Terminal
-    from flightstack.watch.live import REFRESH_HZ, LiveView
+    from flightstack.watch import REFRESH_HZ, LiveView
 
     view = LiveView({namespace: flight}, f"{namespace} at {endpoint}", Terminal(), endpoint)
     with view.live:

@@ -32,8 +32,7 @@ from flightstack.config.options import WatchOptions
 from flightstack.core.mission.machine import parse
 from flightstack.core.types import Phase
 from flightstack.onboard.recording import start_recorder
-from flightstack.watch.live import REFRESH_HZ, LiveView
-from flightstack.watch.state import Watch
+from flightstack.watch import REFRESH_HZ, LiveView, Watch
 
 NAMESPACE = "cf1"
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT, signal.SIGHUP)

@@ -15,8 +15,14 @@ from bridge.mavlink.profiles import profile
 from bridge.mavlink.signing import load_key
 from bridge.mavlink.transport.address import baud_of, is_local, parse_url, resolve
 from bridge.zenoh import zenoh_link
-from flightstack.common.pacing import RealTimePacer, Tick, quiet_garbage_collector, run_promptly
-from flightstack.common.simulation_clock import Follower, chosen_clock
+from flightstack.common.pacing import (
+    Follower,
+    RealTimePacer,
+    Tick,
+    chosen_clock,
+    quiet_garbage_collector,
+    run_promptly,
+)
 from flightstack.common.strict_toml import ConfigError, dumps
 from flightstack.compiled.core import Core, chosen_core, compiled
 from flightstack.config.options import OnboardOptions

@@ -10,8 +10,13 @@ from functools import partial
 
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import FastClock, ask_for_priority, give_up_priority, quiet_garbage_collector
-from flightstack.common.simulation_clock import SimulationClock
+from flightstack.common.pacing import (
+    FastClock,
+    SimulationClock,
+    ask_for_priority,
+    give_up_priority,
+    quiet_garbage_collector,
+)
 from logs.recorder.feed import Feed
 from sim.clock import NS_PER_S, run_process
 from sim.options import Px4SimOptions

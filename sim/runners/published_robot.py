@@ -31,11 +31,12 @@ from flightstack.common.pacing import (
     NO_GO,
     PAIR,
     RUN_AHEAD_TICKS,
+    Follower,
     RealTimePacer,
+    chosen_clock,
     quiet_garbage_collector,
     run_promptly,
 )
-from flightstack.common.simulation_clock import Follower, chosen_clock
 from flightstack.compiled.records import F64
 from flightstack.core.types import Phase
 from flightstack.onboard.lockstep import ALIVE

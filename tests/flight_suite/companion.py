@@ -15,7 +15,7 @@ from types import TracebackType
 from bridge.zenoh import zenoh_link
 from flightstack.common.processes import END_TIME_MAX_S, Child
 from flightstack.core.types import Phase
-from flightstack.watch.state import News, Watch
+from flightstack.watch import News, Watch
 from tests.flight_suite.room import Room
 from tests.processes.started import StartedChild
 

@@ -14,8 +14,7 @@ from rich.console import Console
 from bridge.zenoh import zenoh_link
 from flightstack.common.processes import Port
 from flightstack.core.types import Phase
-from flightstack.watch.live import draw
-from flightstack.watch.state import STALE_S, News, Watch, snapshot
+from flightstack.watch import STALE_S, News, Watch, draw, snapshot
 from logs.schema.rows import HealthRow
 from tests.integration.runs import called
 from tests.integration.sim_processes import ROOT

@@ -9,11 +9,17 @@ from types import SimpleNamespace
 
 import pytest
 
-from flightstack.common import pacing, processes, simulation_clock
+from flightstack.common import pacing, processes
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import FastClock, RealTimePacer
+from flightstack.common.pacing import (
+    FastClock,
+    FollowedClock,
+    Follower,
+    RealTimePacer,
+    SimulationClock,
+    chosen_clock,
+)
 from flightstack.common.processes import Child, LaunchError
-from flightstack.common.simulation_clock import FollowedClock, Follower, SimulationClock, chosen_clock
 from flightstack.onboard import lockstep
 from flightstack.onboard.runner import ClockStoppedError
 from sim import clock
@@ -155,7 +161,7 @@ def test_a_follower_makes_every_tick_however_fast_the_simulator_is(file):
 
 
 def test_the_simulator_stops_where_a_follower_waits(file, monkeypatch):
-    monkeypatch.setattr(simulation_clock, "_FOLLOWER_MAX_S", 60.0)
+    monkeypatch.setattr(pacing, "_FOLLOWER_MAX_S", 60.0)
     clock, followed = SimulationClock(file), FollowedClock(file, Follower.TARGET)
     followed._cells[followed._place] = 2 * STEP_NS  # end of the follower's wait
     simulator = threading.Thread(target=run, args=(clock, 10))
@@ -170,7 +176,7 @@ def test_the_simulator_stops_where_a_follower_waits(file, monkeypatch):
 
 
 def test_a_follower_that_was_killed_is_not_waited_for_again(file, monkeypatch):
-    monkeypatch.setattr(simulation_clock, "_FOLLOWER_MAX_S", 0.01)
+    monkeypatch.setattr(pacing, "_FOLLOWER_MAX_S", 0.01)
     clock = SimulationClock(file)
     followed = FollowedClock(file, Follower.ONBOARD)
     run(clock, 1)
@@ -180,7 +186,7 @@ def test_a_follower_that_was_killed_is_not_waited_for_again(file, monkeypatch):
 
 
 def test_time_goes_on_for_the_followers_of_a_simulator_that_was_killed(file, monkeypatch):
-    monkeypatch.setattr(simulation_clock, "_STALL_MAX_S", 0.01)
+    monkeypatch.setattr(pacing, "_STALL_MAX_S", 0.01)
     clock, followed = SimulationClock(file), FollowedClock(file, Follower.ONBOARD)
     clock.advance(STEP_NS, never)
     before_s = followed.monotonic()

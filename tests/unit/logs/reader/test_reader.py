@@ -24,8 +24,7 @@ from flightstack.cli.main import main
 from flightstack.common.terminal import Terminal
 from flightstack.common.text import one_line, plain
 from flightstack.onboard.recording import new_folder
-from flightstack.watch.live import draw_fleet
-from flightstack.watch.state import News
+from flightstack.watch import News, draw_fleet
 from logs.reader.flight import load_flight
 from logs.reader.reader import LogFile
 from logs.recorder.mcap_file import McapFile

@@ -1,1 +1,0 @@
-"""Terminal view of a running onboard process."""
