@@ -3,27 +3,22 @@
 Every channel is CDR with a ros2msg schema and the file has the profile "ros2", which rosbag2, Foxglove, Rerun
 and PlotJuggler open without further information (MCAP format registry, profile "ros2").
 
-The writer extends the ``mcap`` package's, which builds a message from a dataclass and seven small pieces (two
-thirds of the recorder's time) and stores the index of ten hours as 10^5 objects. Here a message is one
-``struct`` call, and the index is compressed.
+The writer extends the ``mcap`` package's, which builds a message from a dataclass and seven small pieces: two
+thirds of the recorder's time. Here a message is one ``struct`` call.
 """
 
 from __future__ import annotations
 
 import contextlib
-import os
 import struct
-import tempfile
-import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO
 
-from mcap._chunk_builder import ChunkBuilder
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, ChunkIndex, McapRecord, Metadata, Statistics
+from mcap.records import Attachment, Channel, McapRecord, MessageIndex, Metadata
 from mcap.writer import CompressionType, Writer
 
 from logs.schema.schemas import schema_text, type_hash
@@ -31,76 +26,6 @@ from logs.schema.schemas import schema_text, type_hash
 _MESSAGE = struct.Struct("<BQHIQQ")  # fields: opcode, length, channel, sequence, log time, publish time
 _MESSAGE_OVERHEAD = 22  # bytes of a message record besides its data
 _MESSAGE_OPCODE = int(Opcode.MESSAGE)
-_INDEX = struct.Struct("<BQHI")  # fields: opcode, length, channel, bytes of entries
-_BLOCK_BYTES = 2**18  # number of index bytes that are compressed together
-
-
-class _Encoded(NamedTuple):
-    """Records of the summary in their encoded form."""
-
-    data: bytes
-
-    def write(self, stream: RecordBuilder) -> None:
-        stream.write(self.data)
-
-
-class _ChunkIndexes:
-    """The indexes of the chunks, for the summary."""
-
-    def __init__(self) -> None:
-        self._blocks: list[bytes] = []
-        self._open = RecordBuilder()
-        self._closed_bytes = 0
-
-    @property
-    def size(self) -> int:
-        """Size of the indexes in the file, bytes."""
-        return self._closed_bytes + int(self._open.count)
-
-    def append(self, index: ChunkIndex) -> None:
-        index.write(self._open)
-        if self._open.count > _BLOCK_BYTES:
-            self._closed_bytes = self.size
-            self._blocks.append(zlib.compress(self._open.end(), 1))
-
-    def __iter__(self) -> Iterator[_Encoded]:
-        for block in self._blocks:
-            yield _Encoded(zlib.decompress(block))
-        yield _Encoded(self._open.end())
-
-
-class _MessageIndex:
-    """Log time and offset of each message of a channel in a chunk."""
-
-    def __init__(self, channel: int) -> None:
-        self.channel = channel
-        self.entries: list[int] = []  # log time, offset, log time, offset, ...
-
-    def write(self, stream: RecordBuilder) -> None:
-        size = 8 * len(self.entries)
-        stream.write(_INDEX.pack(Opcode.MESSAGE_INDEX, 6 + size, self.channel, size))
-        stream.write(struct.pack(f"<{len(self.entries)}Q", *self.entries))
-
-
-class _Chunk(ChunkBuilder):  # type: ignore[misc]
-    """The open chunk; it counts its messages when it is closed."""
-
-    def __init__(self, statistics: Statistics) -> None:
-        super().__init__()
-        self._statistics = statistics
-
-    def end(self) -> bytes:
-        counts, indexes = self._statistics, self.message_indices
-        self.message_start_time = min(min(index.entries[0::2]) for index in indexes.values())
-        self.message_end_time = max(max(index.entries[0::2]) for index in indexes.values())
-        if not counts.message_count or self.message_start_time < counts.message_start_time:
-            counts.message_start_time = self.message_start_time
-        counts.message_end_time = max(counts.message_end_time, self.message_end_time)
-        for channel, index in indexes.items():
-            counts.channel_message_counts[channel] += len(index.entries) // 2
-        counts.message_count += self.num_messages
-        data: bytes = super().end()
-        return data
 
 
 class ChunkedWriter(Writer):  # type: ignore[misc]
@@ -110,36 +35,37 @@ class ChunkedWriter(Writer):  # type: ignore[misc]
         """Write to ``output``; a chunk is closed when it holds more than ``chunk_bytes`` uncompressed."""
         super().__init__(output, chunk_bytes, CompressionType.LZ4, enable_data_crcs=True)
         # the package uses these names; its version is pinned
-        self._Writer__chunk_builder = self._chunk = _Chunk(self._Writer__statistics)
-        self._Writer__chunk_indices = self._indexes = _ChunkIndexes()
+        self._chunk, self._counts = self._Writer__chunk_builder, self._Writer__statistics
         self._chunk_bytes = chunk_bytes
 
     def add_message(
         self, channel_id: int, log_time: int, data: bytes, publish_time: int, sequence: int = 0
     ) -> None:
-        chunk = self._chunk
+        chunk, counts = self._chunk, self._counts
         index = chunk.message_indices.get(channel_id)
         if index is None:
-            index = chunk.message_indices[channel_id] = _MessageIndex(channel_id)
+            index = chunk.message_indices[channel_id] = MessageIndex(channel_id, [])
         buffer = chunk.record_writer._buffer
-        index.entries += (log_time, buffer.tell())
+        index.records.append((log_time, buffer.tell()))
         length = _MESSAGE_OVERHEAD + len(data)
         buffer.write(_MESSAGE.pack(_MESSAGE_OPCODE, length, channel_id, sequence, log_time, publish_time))
         buffer.write(data)
+        if not chunk.num_messages or log_time < chunk.message_start_time:
+            chunk.message_start_time = log_time
+        if log_time > chunk.message_end_time:
+            chunk.message_end_time = log_time
+        if not counts.message_count or log_time < counts.message_start_time:
+            counts.message_start_time = log_time
+        if log_time > counts.message_end_time:
+            counts.message_end_time = log_time
+        counts.channel_message_counts[channel_id] += 1
+        counts.message_count += 1
         chunk.num_messages += 1
         if buffer.tell() > self._chunk_bytes:
             self.flush()
 
-    @property
-    def index_bytes(self) -> int:
-        """Size of the part of the summary that grows with the file."""
-        return self._indexes.size
-
 
 CHUNK_BYTES = 256 * 1024  # a killed recorder loses at most the open chunk
-# Disk space reserved for the end of the file: the open chunk, schemas and the growing index.
-RESERVE_BYTES = 2 * 2**20
-_RESERVE_STEP = 2**20  # step of the reserve's growth: it grows every ten minutes instead of at every flush
 _QOS = "[]"  # empty, as in rosbags: the sender's quality of service is unknown
 
 
@@ -150,11 +76,9 @@ class SafeStream:
     readable up to the last complete one. ``tell`` still counts afterwards, since the writer needs it.
     """
 
-    def __init__(self, raw: BinaryIO, reserve: BinaryIO | None = None) -> None:
+    def __init__(self, raw: BinaryIO) -> None:
         self._raw = raw
-        self._reserve = reserve
         self._position = 0
-        self._reserved = RESERVE_BYTES
         self._stopped = False
         self.failure = ""  # reason why writing stopped; empty as long as writing works
 
@@ -163,13 +87,7 @@ class SafeStream:
 
     def write(self, data: bytes) -> int:
         """Write all bytes or none; after a permanent failure, none."""
-        if not self._stopped and not self._try(data):
-            if self._reserve is not None:
-                self._reserve.close()  # frees space for the failed record and the end of the file
-                self._reserve = None
-                self._stopped = not self._try(data)
-            else:
-                self._stopped = True
+        self._stopped = self._stopped or not self._try(data)
         self._position += len(data)
         return len(data)
 
@@ -179,18 +97,7 @@ class SafeStream:
     def descriptor(self) -> int:
         return self._raw.fileno()
 
-    def reserve(self, size: int) -> None:
-        """Reserve this many bytes of disk space; it grows in steps, and less if the disk is full."""
-        if self._reserve is None or size <= self._reserved:
-            return
-        self._reserved = size + _RESERVE_STEP
-        with contextlib.suppress(OSError):
-            os.posix_fallocate(self._reserve.fileno(), 0, self._reserved)
-
     def close(self) -> None:
-        """Close the file and release the reserved space."""
-        if self._reserve is not None:
-            self._reserve.close()
         with contextlib.suppress(OSError):
             self._raw.close()
 
@@ -215,7 +122,7 @@ class McapFile:
         """Create the file; ``stream`` replaces the disk in tests."""
         self.path = path
         self.messages = 0  # messages written so far
-        self._stream = stream or SafeStream(path.open("xb", buffering=0), _reserved_space(path.parent))
+        self._stream = stream or SafeStream(path.open("xb", buffering=0))
         self._writer = ChunkedWriter(self._stream, CHUNK_BYTES)
         self._writer.start("ros2", _library())
         self._schemas: dict[str, int] = {}
@@ -270,7 +177,6 @@ class McapFile:
         """Close the open chunk, so that a crash cannot lose data written so far."""
         if not self._stream.failure:
             self._writer.flush()
-            self._stream.reserve(RESERVE_BYTES + self._writer.index_bytes)
 
     def close(self) -> None:
         self._writer.finish()
@@ -280,20 +186,6 @@ class McapFile:
 def _encodable(record: McapRecord) -> None:
     """Raise an error before the writer has stored a part of a record that cannot be encoded."""
     record.write(RecordBuilder())
-
-
-def _reserved_space(directory: Path) -> BinaryIO | None:
-    """Return an open nameless file that occupies space on the same disk; it vanishes with the process."""
-    try:
-        reserve = tempfile.TemporaryFile(dir=directory)  # noqa: SIM115
-    except OSError:
-        return None
-    try:
-        os.posix_fallocate(reserve.fileno(), 0, RESERVE_BYTES)
-    except OSError:  # a full disk, or one that cannot reserve space: recording may still work
-        reserve.close()
-        return None
-    return reserve
 
 
 def _library() -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import socket
 import threading
 
@@ -12,7 +11,7 @@ from mcap.reader import make_reader
 from logs.reader.reader import LogFile
 from logs.recorder import feed
 from logs.recorder.feed import HEADER, Feed, FeedError, Kind, Splitter, encode, encode_json
-from logs.recorder.mcap_file import ChunkedWriter, McapFile
+from logs.recorder.mcap_file import McapFile
 from logs.recorder.recorder import RecorderError, RecorderProcess, problems
 from logs.recorder.recording import Recorder
 from logs.schema import schemas
@@ -274,40 +273,6 @@ def test_drops_reported_by_a_client_are_in_the_log(tmp_path):
     assert texts == [f"onboard dropped {n} records so far: the recorder did not keep up" for n in (3, 8)]
     assert log.metadata()["losses"] == {"onboard": "8"}
     assert problems(counts) == ["onboard dropped 8 records, the recorder did not keep up"]
-
-
-CHANNELS = 18  # topics of a flight
-
-
-def write_chunks(writer, numbers):
-    for chunk in numbers:
-        for channel in range(1, CHANNELS + 1):
-            writer.add_message(channel, chunk * 250_000_000 + channel, b"payload", 0, chunk)
-        writer.flush()
-
-
-def started(output):
-    writer = ChunkedWriter(output, 2**20)
-    writer.start("ros2", "test")
-    for number in range(CHANNELS):
-        writer.register_channel(f"/topic{number}", "cdr", writer.register_schema(f"T{number}", "x", b""), {})
-    return writer
-
-
-def test_an_index_of_many_compressed_blocks_finds_every_message():
-    chunks = 3000  # 680 kB of index: more than two blocks
-    output = io.BytesIO()
-    writer = started(output)
-    write_chunks(writer, range(chunks))
-    assert writer.index_bytes > 2 * 2**18
-    writer.finish()
-    reader = make_reader(io.BytesIO(output.getvalue()), validate_crcs=True)
-    summary = reader.get_summary()
-    assert len(summary.chunk_indexes) == summary.statistics.chunk_count == chunks
-    found = [(c.topic, m.sequence) for _, c, m in reader.iter_messages(topics=["/topic7"])]
-    assert found == [("/topic7", i) for i in range(chunks)]
-    late = reader.iter_messages(starting_at=2990 * 250_000_000)
-    assert {m.sequence for _, _, m in late} == set(range(2990, chunks))
 
 
 def test_no_recorder_is_a_clear_error(tmp_path):
