@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from flightstack.core.strategies.strategy import packaged_strategy_of
 from flightstack.core.types import FilterStatus
 from logs.reader.flight import TARGET_TOPIC_END
-from logs.reader.flight_data import Flight, Floats
+from logs.reader.flight_data import Flight, Floats, Steps
 from logs.reader.reader import LogFile
 from logs.schema.events import ContactBit
 from logs.schema.mavlink import FrameError, unpack_mavlink
@@ -249,3 +249,9 @@ def touch_index(flight: Flight) -> int | None:
         return None
     found = np.flatnonzero((truth.contacts & ContactBit.PAD > 0) & (truth.t_s > start_s))
     return int(found[0]) if len(found) else None
+
+
+def share_active(steps: Steps) -> float | None:
+    """Return the fraction of filtered ticks in which the barrier changed the velocity; ``None``: no ticks."""
+    ran = np.isfinite(steps.slack_m_s)
+    return float(steps.barrier_active[ran].mean()) if ran.any() else None

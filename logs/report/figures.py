@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from logs.reader.fleet_messages import FleetMessages
-from logs.reader.flight_data import Fleet, Flight, Floats
-from logs.report.derived import Errors, Side, estimate_errors, root_mean_square
+from logs.reader.flight_data import Fleet, Flight
+from logs.report.derived import Side
 from logs.report.page import Panel
 from logs.report.series import (
     barrier_over_time,
     data_age,
     estimate_error,
     filter_activity,
-    histograms,
     loop_timing,
-    share_active,
     tracking,
     vehicle_state,
     velocities,
@@ -26,8 +22,6 @@ from logs.report.several import (
     best_h,
     distances,
     h_error_mm,
-    plan,
-    room_3d,
     series,
     target_age_ms,
     tick_us,
@@ -35,7 +29,7 @@ from logs.report.several import (
     velocity_flown,
     velocity_sent,
 )
-from logs.report.space import altitude_over_distance, plan_view, trajectory_3d
+from logs.report.space import altitude_over_distance, plan, room_3d, trajectory_3d
 from logs.report.style import axis_of, fleet_axis
 from logs.report.timeline import timeline
 from logs.verdict.types import RADIUS_ABOVE_M, RADIUS_BESIDE_M
@@ -74,14 +68,13 @@ def panels(side: Side) -> list[Panel]:
             _VELOCITY + (_SWITCH if flight.truth is not None else ""),
             velocities(flight), "Fig. 9b–d, 13b–d",
         ),
-        Panel("filter", "What the filter does", _filter_note(flight), filter_activity(flight)),
+        Panel("filter", "What the filter does", _FILTER, filter_activity(flight)),
         Panel("tracking", "Velocity: wanted, set-point, flown", _TRACKING, tracking(flight)),
-        Panel("error", "Error of the estimates", _error_note(flight), estimate_error(flight)),
-        Panel("plan", "Paths from above", f"{source} {_PLAN}", plan_view(flight), "Fig. 12"),
+        Panel("error", "Error of the estimates", _ERROR, estimate_error(flight)),
+        Panel("plan", "Paths from above", f"{source} {_PLAN}", plan([side]), "Fig. 12"),
         Panel("vehicle", "The vehicle", _VEHICLE, vehicle_state(flight)),
-        Panel("timing", "Loop timing", _timing_note(flight), loop_timing(flight)),
-        Panel("periods", "Periods and intervals", _PERIODS, histograms(flight, side.streams)),
-        Panel("age", "Age of the data at each tick", _age_note(flight), data_age(flight)),
+        Panel("timing", "Loop timing", _TIMING, loop_timing(flight)),
+        Panel("age", "Age of the data at each tick", "As the controller saw it.", data_age(flight)),
     ]  # fmt: skip
 
 
@@ -132,7 +125,7 @@ _LANES = (
 )
 _ROOM = (
     "True paths, or the vehicles' own estimates where the log has no true states. Dotted: the pads. Circle: "
-    "start. Square: end."
+    "start. Square: end. From above, triangle: first contact; ring: the pad at the end."
 )
 _NEAR = (
     f"By true states. The ellipsoid of two vehicles has the semi-axes {2 * RADIUS_BESIDE_M:g} m sideways and "
@@ -151,15 +144,19 @@ _TRACKING = (
     "(filter robust). Flown: velocity of the vehicle."
 )
 _VEHICLE = "True tilt of the body and voltage of the battery; a bar at the bottom while the motors are off."
-_PERIODS = (
-    "Counts on a logarithmic axis; intervals are between arrivals, those of 100 ms and more in the last bar."
+_FILTER = (
+    "Above: distance of u* from u', by barrier and admissible box. Below: slack of the barrier's constraint "
+    "at u*; a negative slack violates it. The bar shows when this constraint changes the velocity; the "
+    "robust filter also keeps the barrier by the box's lower limit of z."
 )
+_ERROR = "State used by the controller minus true state."
+_TIMING = "Wall clock. A run in lockstep is as fast as the machine can: its period is not that of a flight."
 _VELOCITY = (
     "Computed by the controller from its estimates. The bar at the bottom shows when the constraint of the "
     "barrier changed the command; the robust filter also keeps the barrier by the box's lower limit of z."
 )
 _SWITCH = " The vehicle's true velocity can be switched on in the legend."
-_PLAN = "Circles: where the landing began. Triangle: first contact with the pad. Squares: end of the log."
+_PLAN = "Circle: where the landing began. Triangle: first contact with the pad. Square, ring: end of the log."
 
 
 def _barrier_source(flight: Flight) -> str:
@@ -169,64 +166,3 @@ def _barrier_source(flight: Flight) -> str:
         "Solid: h from the true states, the lowest of the physics steps between two ticks. "
         "Dashed: h as the controller computed it."
     )
-
-
-def _timing_note(flight: Flight) -> str:
-    timing = flight.timing
-    if timing is None or len(timing.period_s) < 3:
-        return "No loop timing."
-    period_s = timing.period_s[2:]  # the first period does not exist, the second one may include the start
-    period_s = period_s[np.isfinite(period_s)]
-    exec_us = timing.exec_s[np.isfinite(timing.exec_s)] * 1e6
-    p50, p99 = (float(v) for v in np.percentile(exec_us, (50, 99)))
-    text = (
-        f"Wall clock. Period mean {period_s.mean() * 1e3:.3f} ms, standard deviation "
-        f"{period_s.std() / period_s.mean() * 100:.2f} %; whole tick median {p50:.0f} µs, 99th percentile "
-        f"{p99:.0f} µs; overruns {int(timing.overruns[-1])}; log records dropped "
-        f"{int(timing.feed_dropped[-1])}."
-    )
-    if flight.metadata.get("run", {}).get("mode") == "lockstep":
-        text += " The run was in lockstep, as fast as the machine can: its period is not that of a flight."
-    return text
-
-
-def _age_note(flight: Flight) -> str:
-    steps = flight.steps
-    if steps is None:
-        return "No controller steps."
-    received = 0 if flight.target is None else len(flight.target.t_s)
-    return (
-        f"As the controller saw it. Target samples received {received}, accepted "
-        f"{int(steps.target_accepted[-1])}, "
-        f"refused {int(steps.target_rejected[-1])}."
-    )
-
-
-def _filter_note(flight: Flight) -> str:
-    text = (
-        "Above: distance of u* from u', by barrier and admissible box. Below: slack of the barrier's "
-        "constraint at u*; a negative slack violates it. The bar shows when this constraint changes the "
-        "velocity; the robust filter also keeps the barrier by the box's lower limit of z."
-    )
-    share = share_active(flight.steps) if flight.steps is not None else None
-    return text if share is None else f"{text} It covers {100.0 * share:.0f} % of the ticks with a filter."
-
-
-def _error_note(flight: Flight) -> str:
-    errors, start_s = estimate_errors(flight), flight.landing_start_s or 0.0
-    if errors is None:
-        return "Needs controller steps and true states."
-    since = errors.t_s >= start_s
-    told = [f"{name} {_rms_mm(values[since])}" for name, values in _named(errors)]
-    said = ", ".join(told)
-    return f"State used by the controller minus true state. Root mean square since the landing began: {said}."
-
-
-def _named(errors: Errors) -> tuple[tuple[str, Floats], ...]:
-    own, target = np.linalg.norm(errors.own_m, axis=1), np.linalg.norm(errors.target_m, axis=1)
-    return (("vehicle", own), ("target", target), ("h", errors.h_m))
-
-
-def _rms_mm(values: Floats) -> str:
-    found_m = root_mean_square(values)
-    return "not known" if found_m is None else f"{1e3 * found_m:.1f} mm"

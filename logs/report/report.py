@@ -6,8 +6,6 @@ import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
-
 from flightstack.config.options import repeated
 from logs.reader.fleet_messages import FleetMessages, load_messages
 from logs.reader.flight_data import ATTACHMENT, Fleet, Flight
@@ -27,7 +25,6 @@ from logs.report.page import (
 )
 from logs.report.tables import (
     HEADLINES,
-    ages_table,
     compared_settings,
     events_table,
     faults_table,
@@ -46,10 +43,9 @@ from logs.report.tables import (
     waits_table,
 )
 from logs.schema.names import FLEET, TEAM
-from logs.verdict.types import RADIUS_BESIDE_M, SOURCES, TRUTH, Outcome, Verdict
+from logs.verdict.types import SOURCES, TRUTH, Outcome, Verdict
 from logs.verdict.verdict import (
     FleetVerdict,
-    PairSeries,
     judged,
     judged_apart,
     outside_envelope,
@@ -59,15 +55,11 @@ from logs.verdict.verdict import (
 
 __all__ = ["ReportError", "write_comparison", "write_page", "write_report"]
 
-_H_TOLERANCE_M = 1e-6  # largest difference between the drawn barrier and the simulator's barrier
 _SCENARIO = "scenario.toml"
 _FILES = ((ATTACHMENT, "Configuration of the onboard process"), (_SCENARIO, "Scenario, whole"))
 _FAULTS = "Injected by the scenario; in the figures a red strip on top."
 _NEAR = "Measured in every physics step while both flew."
 _EVENTS = "wide events"  # style of the tables of events
-_TICK_S = 0.011  # greatest time between true states, s; the ellipsoid is checked every millisecond
-_SPEED_M_S = 4.0  # largest closing speed of two vehicles between two true states, m/s
-_EQUAL = 1e-3  # tolerance of the measure: the log has no true states between two ticks
 _WAITS = "Times in which a member flew and gave way to neighbours, by its own messages."
 _WAYS = (
     "Used: messages that a tick of the receiver used. The others were lost, or a newer one replaced them. "
@@ -120,7 +112,6 @@ def flight_page(flight: Flight, verdict: Verdict, of: str | None = None) -> Page
     if flight.member is not None and flight.member not in title:
         title = f"{title}, {flight.member}"
     sources = [(what, flight.attachments.get(name), name) for name, what in _FILES]
-    links = links_table(side.streams) + ages_table(flight)
     return Page(
         title, headline(verdict), " · ".join([*_flown(run), verdict.reason]), key_numbers(side),
         [
@@ -134,7 +125,7 @@ def flight_page(flight: Flight, verdict: Verdict, of: str | None = None) -> Page
                 Panel("faults", "Faults", _FAULTS, faults_table(flight)),
             ],
             *figures,
-            Panel("links", "Links", "Counted from the recorded traffic.", links),
+            Panel("links", "Links", "Counted from the recorded traffic.", links_table(side.streams)),
             _events(side, "events", "Events", "Times since the landing began; each is a link."),
             repeat_section(flight),
             [
@@ -190,7 +181,7 @@ def fleet_page(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path]) -
             Panel("versions", "Versions", "", versions_table(fleet.metadata)),
             *_configuration("Configurations", sources, fleet.path),
         ],
-        _fleet_warnings(fleet, verdict, messages, pairs),
+        _fleet_warnings(fleet, verdict, messages),
     )  # fmt: skip
 
 
@@ -285,19 +276,10 @@ def warnings(flight: Flight, verdict: Verdict) -> list[str]:
         texts.append("no controller steps in this log: phases, velocities and the estimate are missing")
     if verdict.violation is None:
         texts.append("data is missing, so that a barrier violation cannot be excluded")
-    if flight.barrier is not None and flight.truth is not None:
-        from_page = np.array(
-            [flight.barrier.h((float(x), float(y), float(z))) for x, y, z in flight.truth.e_m[::50]]
-        )
-        differs = np.abs(from_page - flight.truth.h_m[::50])
-        if np.nanmax(differs, initial=0.0) > _H_TOLERANCE_M:
-            texts.append("the boundary drawn here is not the one the simulator computed h with")
     return texts
 
 
-def _fleet_warnings(
-    fleet: Fleet, verdict: FleetVerdict, words: FleetMessages, series: Sequence[PairSeries]
-) -> list[str]:
+def _fleet_warnings(fleet: Fleet, verdict: FleetVerdict, words: FleetMessages) -> list[str]:
     texts = [
         f"{name}: {text}"
         for name, flight in fleet.flights.items()
@@ -309,13 +291,6 @@ def _fleet_warnings(
             "the simulator did not follow all pairs to the end: a collision or an ellipsoid violation cannot "
             "be excluded"
         )
-    drawn = min(
-        (float(np.min(pair.measure[pair.flying])) for pair in series if pair.flying.any()), default=None
-    )
-    if drawn is not None and verdict.ellipsoid_min is not None:
-        passed = _SPEED_M_S * _TICK_S / (2.0 * RADIUS_BESIDE_M)
-        if not -_EQUAL <= drawn - verdict.ellipsoid_min <= passed:
-            texts.append("the ellipsoid drawn here is not the one that the simulator judged by")
     return texts
 
 

@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
 from flightstack.core.types import FilterStatus
 from logs.reader.flight_data import Flight, Floats, Steps
-from logs.report.derived import POSITION, Stream, estimate_errors, held_margin_m, tilt_deg
-from logs.report.derived import TARGET as TARGET_STREAM
+from logs.report.derived import estimate_errors, held_margin_m, tilt_deg
 from logs.report.space import marker
 from logs.report.style import (
     BOUNDARY,
@@ -28,8 +26,6 @@ from logs.report.style import (
     TRUE,
     add_line,
     chart,
-    layout,
-    light,
     line,
     low_envelope,
     marks,
@@ -241,17 +237,7 @@ def vehicle_state(flight: Flight) -> go.Figure | None:
     return chart(flight, 420, 0.08, traces, tilt_axis, {"title_text": "battery [V]"})
 
 
-def share_active(steps: Steps) -> float | None:
-    """Return the fraction of filtered ticks in which the barrier changed the velocity; ``None``: no ticks."""
-    ran = np.isfinite(steps.slack_m_s)
-    return float(steps.barrier_active[ran].mean()) if ran.any() else None
-
-
-_BINS = 80
-_EDGE_SHARE = 0.05  # margin at both sides of a histogram, as a fraction of the median
-_LOG_FLOOR = -0.3  # lower end of the logarithmic axis, so that a single count is visible
 _WALL_US = [m * 10**n for n in range(6) for m in (1, 2, 5)]  # labels of the axis of wall times
-_INTERVAL_MAX_MS = 100.0  # longest separate interval; longer ones are in the last bar
 
 
 def loop_timing(flight: Flight) -> go.Figure | None:
@@ -272,42 +258,6 @@ def loop_timing(flight: Flight) -> go.Figure | None:
     ]
     wall_axis = {"title_text": "wall time [µs]", "type": "log", "tickvals": _WALL_US}
     return chart(flight, 480, 0.07, traces, {"title_text": "period [ms]"}, wall_axis)
-
-
-def histograms(flight: Flight, streams: Sequence[Stream]) -> go.Figure | None:
-    """Draw histograms of loop periods and of intervals between messages; counts are logarithmic."""
-    shown: list[tuple[str, str, Floats]] = []
-    if flight.timing is not None:
-        shown.append(("loop period [ms]", TRUE, flight.timing.period_s[2:] * 1e3))
-    for stream, title, color in (
-        (POSITION, "between vehicle positions [ms]", COMMAND),
-        (TARGET_STREAM, "between target samples [ms]", TARGET),
-    ):
-        found = next((s for s in streams if s.name == stream), None)
-        if found is not None and len(found.t_s) > 2:
-            shown.append((title, color, np.minimum(np.diff(found.t_s) * 1e3, _INTERVAL_MAX_MS)))
-    shown = [(title, color, values[np.isfinite(values)]) for title, color, values in shown]
-    shown = [each for each in shown if len(each[2])]
-    if not shown:
-        return None
-    figure = make_subplots(
-        rows=len(shown), cols=1, vertical_spacing=0.5 / len(shown) if len(shown) > 1 else 0
-    )
-    for row, (title, color, values) in enumerate(shown, 1):
-        edge_ms = _EDGE_SHARE * float(np.median(values))  # margin that keeps the bar of equal values visible
-        low, high = float(values.min()) - edge_ms, float(values.max()) + edge_ms
-        counts, edges = np.histogram(values, bins=_BINS, range=(low, high))
-        bars = go.Bar(
-            x=light((edges[:-1] + edges[1:]) / 2), y=counts, width=float(edges[1] - edges[0]),
-            marker_color=color, showlegend=False, name=title,
-        )  # fmt: skip
-        figure.add_trace(bars, row=row, col=1)
-        figure.update_xaxes(title_text=title, row=row, col=1)
-        top = float(np.log10(1.6 * counts.max()))
-        figure.update_yaxes(title_text="count", type="log", dtick=1, range=[_LOG_FLOOR, top], row=row, col=1)
-    layout(figure, 120 + 170 * len(shown))
-    figure.update_layout(margin={"t": 16, "b": 56}, bargap=0.0)
-    return figure
 
 
 def data_age(flight: Flight) -> go.Figure | None:

@@ -1,4 +1,4 @@
-"""Figures with several flights: two compared flights, or the members of a fleet."""
+"""Figures of several flights over time: two compared flights, or the members of a fleet."""
 
 from __future__ import annotations
 
@@ -12,19 +12,15 @@ from logs.palette import COLORS, PAIR_COLORS
 from logs.reader.flight_data import Flight, Floats
 from logs.report.derived import Side, estimate_errors
 from logs.report.series import AXES, sent_m_s
-from logs.report.space import circle, marker
 from logs.report.style import (
     BOUNDARY,
     UNSAFE,
     Axis,
     add_line,
     layout,
-    layout_3d,
-    light,
     line,
     low_envelope,
     rows_of,
-    thin,
     time_axis,
     value_range,
 )
@@ -117,79 +113,6 @@ def vectors(sides: Sequence[Side], axis: Axis, values: Values) -> go.Figure | No
     for row, name in enumerate(AXES, 1):
         figure.update_yaxes(title_text=f"{name} [m/s]", row=row, col=1)
     time_axis(figure, axis, rows=3)
-    return figure
-
-
-def _paths(flight: Flight) -> list[tuple[str, str, Floats]]:
-    """Return name, dash and positions (n, 3) of vehicle and pad: true ones, else estimated."""
-    truth, steps = flight.truth, flight.steps
-    if truth is not None:
-        return [("", "solid", truth.position_enu_m), (" pad", "dot", truth.pad_position_enu_m)]
-    if steps is None:
-        return []
-    own = np.where(steps.own_valid[:, None], steps.own_position_enu_m, np.nan)
-    target = np.where(steps.target_valid[:, None], steps.target_position_enu_m, np.nan)
-    return [("", "dash", own), (" pad", "dot", target)]
-
-
-def _ends(points_m: Floats) -> Floats:
-    """Return the first and last known position, (2, 3); empty without any."""
-    known = points_m[np.isfinite(points_m).all(1)]
-    return known[[0, -1]] if len(known) else known
-
-
-def room_3d(sides: Sequence[Side]) -> go.Figure:
-    """Draw all paths in 3-D, with heights and distances at the same scale."""
-    figure = go.Figure()
-    for number, side in enumerate(sides):
-        color = COLORS[number % len(COLORS)]
-        for name, dash, points_m in _paths(side.flight):
-            x, y, z = light(points_m[thin(len(points_m))]).T
-            style = {"color": color, "width": 4 if name else 6, "dash": dash}
-            figure.add_trace(
-                go.Scatter3d(
-                    x=x, y=y, z=z, mode="lines", line=style, name=f"{side.name}{name}", legendgroup=side.name
-                )
-            )
-            if name:
-                continue
-            x, y, z = light(_ends(points_m)).T
-            marks = {"symbol": ["circle", "square"], "size": 4, "color": color}
-            figure.add_trace(
-                go.Scatter3d(
-                    x=x, y=y, z=z, mode="markers", marker=marks, name=side.name, legendgroup=side.name,
-                    showlegend=False, hovertext=["start", "end"],
-                )
-            )  # fmt: skip
-    return layout_3d(
-        figure,
-        ("x, east [m]", "y, north [m]", "z, up [m]"),
-        zaxis={"rangemode": "tozero"},
-        aspectmode="data",
-        camera={"eye": {"x": 0.9, "y": -1.5, "z": 0.9}, "center": {"x": 0.0, "y": 0.0, "z": -0.15}},
-    )
-
-
-def plan(sides: Sequence[Side]) -> go.Figure:
-    """Draw all paths from above: circles at the start, squares at the end, pads at the end of the log."""
-    figure = go.Figure()
-    for number, side in enumerate(sides):
-        color = COLORS[number % len(COLORS)]
-        for name, dash, points_m in _paths(side.flight):
-            width, x, y = 1.4 if name else 2.4, points_m[:, 0], points_m[:, 1]
-            figure.add_trace(
-                line(x, y, f"{side.name}{name}", color, dash=dash, width=width, legendgroup=side.name)
-            )
-            ends = _ends(points_m)
-            if name and len(ends):
-                circle(figure, ends[-1], side.flight.pad_radius_m, color)
-            for end, what, symbol in zip(ends, ("start", "end"), ("circle", "square"), strict=False):
-                if not name:
-                    more = {"showlegend": False, "legendgroup": side.name, "hovertext": [what]}
-                    marker(figure, end[0], end[1], side.name, symbol, color, **more)
-    layout(figure, 560)
-    figure.update_xaxes(title_text="east x [m]", constrain="domain")
-    figure.update_yaxes(title_text="north y [m]", scaleanchor="x", scaleratio=1)
     return figure
 
 

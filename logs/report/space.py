@@ -1,10 +1,9 @@
-"""Spatial figures: the landing relative to the pad (paper Fig. 7, 8, 10, 11) and from above (Fig. 12)."""
+"""Spatial figures: the landing relative to the pad (paper Fig. 7, 8, 10, 11), and paths in the world (12)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import plotly.graph_objects as go
@@ -35,8 +34,7 @@ _BEFORE = "#9aa5b1"
 _SYMBOLS_3D = {"circle": "circle", "square-open": "square", "triangle-up": "diamond"}
 
 
-@dataclass(frozen=True)
-class Track:
+class Track(NamedTuple):
     """A path to draw: name, colour, dash, positions since the landing began (n, 3) in m."""
 
     name: str
@@ -71,20 +69,14 @@ def trajectory_3d(flight: Flight) -> go.Figure | None:
     if flight.barrier is not None:
         figure.add_trace(_surface(flight, _distance_max_m(tracks)))
     angle = np.linspace(0.0, 2.0 * np.pi, 61)
-    x, y = light(flight.pad_radius_m * np.cos(angle)), light(flight.pad_radius_m * np.sin(angle))
-    rim = {"color": TARGET, "width": 6}
-    figure.add_trace(
-        go.Scatter3d(x=x, y=y, z=np.zeros(61, np.float32), mode="lines", line=rim, name="rim of the pad")
-    )
+    rim_m = flight.pad_radius_m * np.column_stack((np.cos(angle), np.sin(angle), np.zeros(61)))
+    _line_3d(figure, rim_m, "rim of the pad", TARGET, 6)
     for track in tracks:
-        x, y, z = light(track.points_m[thin(len(track.points_m))]).T
-        style = {"color": track.color, "width": 7 if track.dash == "solid" else 4, "dash": track.dash}
-        figure.add_trace(
-            go.Scatter3d(x=x, y=y, z=z, mode="lines", line=style, name=f"vehicle ({track.name})")
-        )
+        width = 7 if track.dash == "solid" else 4
+        _line_3d(figure, track.points_m, f"vehicle ({track.name})", track.color, width, track.dash)
     places = _places(flight, tracks[-1].points_m)
     for name, at_m, symbol in places:
-        _marker_3d(figure, at_m, name, _SYMBOLS_3D[symbol])
+        _marker_3d(figure, at_m, name, _SYMBOLS_3D[symbol], INK)
     return layout_3d(
         figure,
         ("e<sub>x</sub>, east [m]", "e<sub>y</sub>, north [m]", "e<sub>z</sub>, up [m]"),
@@ -117,15 +109,6 @@ def _surface(flight: Flight, distance_max_m: float) -> go.Surface:
         x=light(np.outer(d, np.cos(angle))), y=light(np.outer(d, np.sin(angle))), z=light(height),
         colorscale=_SURFACE_COLORS, showscale=False, opacity=0.55, name="h = 0", showlegend=True,
         contours={"z": contour}, hoverinfo="skip",
-    )  # fmt: skip
-
-
-def _marker_3d(figure: go.Figure, at_m: Floats, name: str, symbol: str) -> None:
-    figure.add_trace(
-        go.Scatter3d(
-            x=[float(at_m[0])], y=[float(at_m[1])], z=[float(at_m[2])], mode="markers", name=name,
-            marker={"symbol": symbol, "size": 6, "color": INK, "line": {"color": "white", "width": 1}},
-        )
     )  # fmt: skip
 
 
@@ -182,53 +165,110 @@ def _places(flight: Flight, path_m: Floats) -> list[tuple[str, Floats, str]]:
     return found
 
 
-def plan_view(flight: Flight) -> go.Figure | None:
-    """Draw both paths from above: circles at the start, triangles at touchdown, squares at the end."""
-    paths = _ground_paths(flight)
-    if not paths:
+class Path(NamedTuple):
+    """A path of vehicle or target in the world."""
+
+    body: str  # "vehicle" or "target"
+    source: str  # "true" or "estimate"
+    t_s: Floats
+    points_m: Floats  # (n, 3), NaN where unknown
+
+
+def paths(flight: Flight) -> list[Path]:
+    """Return the known paths of vehicle and target, true ones first."""
+    steps, truth, found = flight.steps, flight.truth, []
+    if truth is not None:
+        found.append(Path("vehicle", "true", truth.t_s, truth.position_enu_m))
+        found.append(Path("target", "true", truth.t_s, truth.pad_position_enu_m))
+    if steps is not None:
+        own = np.where(steps.own_valid[:, None], steps.own_position_enu_m, np.nan)
+        target = np.where(steps.target_valid[:, None], steps.target_position_enu_m, np.nan)
+        found.append(Path("vehicle", "estimate", steps.t_s, own))
+        found.append(Path("target", "estimate", steps.t_s, target))
+    return [path for path in found if np.isfinite(path.points_m).all(1).any()]
+
+
+def plan(sides: Sequence[Side]) -> go.Figure | None:
+    """Draw the paths from above; a single flight since its landing began, others whole and the best known."""
+    figure, alone = go.Figure(), len(sides) == 1
+    for number, side in enumerate(sides):
+        flight, found = side.flight, paths(side.flight)
+        for path in found if alone else found[:2]:
+            best, vehicle, points_m = path.source == found[0].source, path.body == "vehicle", path.points_m
+            if alone:
+                color = TARGET if not vehicle else TRUE if path.source == "true" else ESTIMATED
+                name, dash = f"{path.body} ({path.source})", "solid" if best else "dash"
+                since = path.t_s >= (flight.landing_start_s or 0.0)
+                before, points_m = points_m[~since], points_m[since]
+                if vehicle and best and len(before):
+                    x, y = before[:, 0], before[:, 1]
+                    figure.add_trace(line(x, y, "before the landing", _BEFORE, dash="dot", width=1.2))
+            else:
+                color, name = COLORS[number % len(COLORS)], f"{side.name}{'' if vehicle else ' pad'}"
+                dash = "dot" if not vehicle else "solid" if path.source == "true" else "dash"
+            look = {"dash": dash, "width": 2.2 if dash == "solid" else 1.5, "legendgroup": side.name or name}
+            figure.add_trace(line(points_m[:, 0], points_m[:, 1], name, color, **look))
+            known = points_m[np.isfinite(points_m).all(1)]
+            if not best or not len(known):
+                continue
+            if not vehicle:
+                circle(figure, known[-1], flight.pad_radius_m, color)
+                continue
+            for at_m, what, symbol in zip(
+                known[[0, -1]], ("start", "end"), ("circle", "square"), strict=True
+            ):
+                more = {"showlegend": False, "legendgroup": look["legendgroup"]}
+                marker(figure, at_m[0], at_m[1], f"{name}: {what}", symbol, color, **more)
+        touch = touch_index(flight)
+        if touch is not None and flight.truth is not None:
+            x, y, _ = flight.truth.position_enu_m[touch]
+            marker(figure, x, y, f"{side.of}touchdown", "triangle-up", INK, showlegend=alone)
+    if not figure.data:
         return None
-    figure, touch = go.Figure(), touch_index(flight)
-    start_s = flight.landing_start_s or 0.0
-    for name, color, dash, t_s, position in paths:
-        since = t_s >= start_s
-        before = position[~since]
-        if len(before) and name.startswith("vehicle") and dash == "solid":
-            figure.add_trace(
-                line(before[:, 0], before[:, 1], "before the landing", _BEFORE, dash="dot", width=1.2)
-            )
-        now = position[since]
-        figure.add_trace(
-            line(now[:, 0], now[:, 1], name, color, dash=dash, width=2.2 if dash == "solid" else 1.5)
-        )
-        known = now[np.isfinite(now).all(1)]
-        if dash != "solid" or not len(known):
-            continue
-        marker(figure, known[0, 0], known[0, 1], f"{name}: start", "circle", color)
-        marker(figure, known[-1, 0], known[-1, 1], f"{name}: end", "square", color)
-    if touch is not None and flight.truth is not None:
-        x, y = flight.truth.position_enu_m[touch, :2]
-        marker(figure, x, y, "touchdown", "triangle-up", INK)
-        circle(figure, flight.truth.pad_position_enu_m[touch], flight.pad_radius_m, TARGET)
-    layout(figure, 520)
+    layout(figure, 540)
     figure.update_xaxes(title_text="east x [m]", constrain="domain")
     figure.update_yaxes(title_text="north y [m]", scaleanchor="x", scaleratio=1)
     return figure
 
 
-def _ground_paths(flight: Flight) -> list[tuple[str, str, str, Floats, Floats]]:
-    """Return name, colour, dash, times and positions of moving bodies; the best known path is solid."""
-    steps, truth = flight.steps, flight.truth
-    paths = []
-    if truth is not None:
-        paths.append(("vehicle (true)", TRUE, "solid", truth.t_s, truth.position_enu_m))
-        paths.append(("target (true)", TARGET, "solid", truth.t_s, truth.pad_position_enu_m))
-    if steps is not None:
-        dash = "dash" if truth is not None else "solid"
-        own = np.where(steps.own_valid[:, None], steps.own_position_enu_m, np.nan)
-        target = np.where(steps.target_valid[:, None], steps.target_position_enu_m, np.nan)
-        paths.append(("vehicle (estimate)", ESTIMATED, dash, steps.t_s, own))
-        paths.append(("target (estimate)", TARGET, "dash" if dash == "dash" else "solid", steps.t_s, target))
-    return [p for p in paths if np.isfinite(p[4]).all(1).any()]
+def room_3d(sides: Sequence[Side]) -> go.Figure:
+    """Draw all paths in 3-D, with heights and distances at the same scale."""
+    figure = go.Figure()
+    for number, side in enumerate(sides):
+        color, group = COLORS[number % len(COLORS)], {"legendgroup": side.name}
+        for path in paths(side.flight)[:2]:
+            if path.body == "target":
+                _line_3d(figure, path.points_m, f"{side.name} pad", color, 4, "dot", **group)
+                continue
+            dash = "solid" if path.source == "true" else "dash"
+            _line_3d(figure, path.points_m, side.name, color, 6, dash, **group)
+            known = path.points_m[np.isfinite(path.points_m).all(1)]
+            for at_m, what, symbol in zip(
+                known[[0, -1]], ("start", "end"), ("circle", "square"), strict=True
+            ):
+                more = {"showlegend": False, "hovertext": what, **group}
+                _marker_3d(figure, at_m, side.name, symbol, color, **more)
+    return layout_3d(
+        figure,
+        ("x, east [m]", "y, north [m]", "z, up [m]"),
+        zaxis={"rangemode": "tozero"},
+        aspectmode="data",
+        camera={"eye": {"x": 0.9, "y": -1.5, "z": 0.9}, "center": {"x": 0.0, "y": 0.0, "z": -0.15}},
+    )
+
+
+def _line_3d(
+    figure: go.Figure, points_m: Floats, name: str, color: str, width: float, dash: str = "solid", **more: Any
+) -> None:
+    x, y, z = light(points_m[thin(len(points_m))]).T
+    style = {"color": color, "width": width, "dash": dash}
+    figure.add_trace(go.Scatter3d(x=x, y=y, z=z, mode="lines", line=style, name=name, **more))
+
+
+def _marker_3d(figure: go.Figure, at_m: Floats, name: str, symbol: str, color: str, **more: Any) -> None:
+    x, y, z = ([float(v)] for v in at_m)
+    style = {"symbol": symbol, "size": 6, "color": color, "line": {"color": "white", "width": 1}}
+    figure.add_trace(go.Scatter3d(x=x, y=y, z=z, mode="markers", name=name, marker=style, **more))
 
 
 def marker(figure: go.Figure, x: float, y: float, name: str, symbol: str, color: str, **more: Any) -> None:

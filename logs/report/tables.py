@@ -10,8 +10,16 @@ import numpy as np
 from flightstack.common.strict_toml import to_table
 from flightstack.core.mission.machine import parse
 from logs.reader.fleet_messages import FleetMessages, waited_s
-from logs.reader.flight_data import Bools, Event, Fleet, Flight, Floats, phase_name
-from logs.report.derived import Side, Stream, estimate_errors, fault_spans, root_mean_square
+from logs.reader.flight_data import Event, Fleet, Flight, Floats, Steps, Timing, phase_name
+from logs.report.derived import (
+    Errors,
+    Side,
+    Stream,
+    estimate_errors,
+    fault_spans,
+    root_mean_square,
+    share_active,
+)
 from logs.report.page import html, paragraph, table, time_link
 from logs.schema.events import Severity
 from logs.verdict.types import BELOW_ON_PAD, ESTIMATE, FALL_M_S, FALLS, Outcome, Verdict
@@ -139,29 +147,6 @@ def links_table(streams: Sequence[Stream]) -> str:
     return table(head, rows, numbers=(1, 2, 3, 4), empty="No traffic in this log.")
 
 
-def ages_table(flight: Flight) -> str:
-    """Return the ages of the states that the controller used, since the landing began."""
-    steps, start_s = flight.steps, flight.landing_start_s or 0.0
-    if steps is None:
-        return ""
-    since = steps.t_s >= start_s
-    limits = (None, None) if flight.config is None else (
-        flight.config.checks.target_age_max_s, flight.config.checks.own_age_max_s
-    )  # fmt: skip
-    rows = [
-        _age_row("target state", steps.target_age_s[since], limits[0], ~steps.target_valid[since]),
-        _age_row("own state", steps.own_age_s[since], limits[1], ~steps.own_valid[since]),
-    ]
-    head = ("age at the tick", "median [ms]", "99 % [ms]", "highest [ms]", "limit [ms]", "ticks not usable")
-    return table(head, rows, numbers=(1, 2, 3, 4, 5))
-
-
-def _age_row(name: str, age_s: Floats, limit_s: float | None, bad: Bools) -> tuple[str, ...]:
-    known = age_s[np.isfinite(age_s)] * 1e3
-    told = [f"{v:.1f}" for v in (*np.percentile(known, (50, 99)), known.max())] if len(known) else ["–"] * 3
-    return (name, *told, number(limit_s, 0, 1e3), str(int(bad.sum())))
-
-
 def definitions() -> str:
     """Return the definitions of the verdict's terms, to open on demand."""
     shown = table(("word", "meaning"), _DEFINITIONS)
@@ -183,9 +168,24 @@ def _p99(values: Floats) -> float | None:
     return float(np.percentile(known, 99)) if len(known) else None
 
 
-def _error_m(side: Side) -> float | None:
+def _error_m(side: Side, of: Callable[[Errors], Floats]) -> float | None:
     errors = estimate_errors(side.flight)
-    return None if errors is None else root_mean_square(errors.h_m)
+    return None if errors is None else root_mean_square(of(errors))
+
+
+def _of_steps(side: Side, value: Callable[[Steps], float | None]) -> float | None:
+    return None if side.flight.steps is None else value(side.flight.steps)
+
+
+def _of_timing(side: Side, value: Callable[[Timing], float | None]) -> float | None:
+    return None if side.flight.timing is None else value(side.flight.timing)
+
+
+def _spread(timing: Timing) -> float | None:
+    """Return the standard deviation of the loop's period, divided by its mean."""
+    period_s = timing.period_s[2:]  # the first period does not exist, the second one may include the start
+    known = period_s[np.isfinite(period_s)]
+    return float(known.std() / known.mean()) if len(known) else None
 
 
 def _lost(side: Side) -> float | None:
@@ -194,6 +194,7 @@ def _lost(side: Side) -> float | None:
 
 
 _RELATIVE, _VERTICAL = "relative to the pad", "touchdown speed, vertical"
+_AGAINST = "of the controller's estimate against the true one"
 _KEYS = ("lowest h outside the pad", "touchdown error", _VERTICAL, "time to land")
 # name, unit, digits, factor, value, meaning
 _NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None], str], ...] = (
@@ -206,13 +207,22 @@ _NUMBERS: tuple[tuple[str, str, int, float, Callable[[Side], float | None], str]
     ("time to land", "s", 2, 1.0, lambda s: s.verdict.time_to_land_s,
      "begin of the landing to first contact"),
     ("length of the log", "s", 2, 1.0, lambda s: s.flight.duration_s, ""),
-    ("error of h, root mean square", "mm", 1, 1e3, _error_m, "of the controller's h against the true one"),
-    ("age of the target state, 99 %", "ms", 1, 1e3,
-     lambda s: None if s.flight.steps is None else _p99(s.flight.steps.target_age_s), "at the ticks"),
-    ("whole tick, 99 %", "µs", 0, 1e6,
-     lambda s: None if s.flight.timing is None else _p99(s.flight.timing.exec_s), "wall time"),
-    ("overruns", "", 0, 1.0,
-     lambda s: None if s.flight.timing is None else float(s.flight.timing.overruns[-1]), "deadlines missed"),
+    ("error of h, root mean square", "mm", 1, 1e3, lambda s: _error_m(s, lambda e: e.h_m),
+     "of the controller's h against the true one"),
+    ("error of the vehicle's position, root mean square", "mm", 1, 1e3,
+     lambda s: _error_m(s, lambda e: np.linalg.norm(e.own_m, axis=1)), _AGAINST),
+    ("error of the target's position, root mean square", "mm", 1, 1e3,
+     lambda s: _error_m(s, lambda e: np.linalg.norm(e.target_m, axis=1)), _AGAINST),
+    ("barrier active", "%", 0, 100.0, lambda s: _of_steps(s, share_active), "of the ticks with a filter"),
+    ("age of the target state, 99 %", "ms", 1, 1e3, lambda s: _of_steps(s, lambda v: _p99(v.target_age_s)),
+     "at the ticks"),
+    ("age of the own state, 99 %", "ms", 1, 1e3, lambda s: _of_steps(s, lambda v: _p99(v.own_age_s)),
+     "at the ticks"),
+    ("target samples refused", "", 0, 1.0, lambda s: _of_steps(s, lambda v: float(v.target_rejected[-1])),
+     "by the controller"),
+    ("whole tick, 99 %", "µs", 0, 1e6, lambda s: _of_timing(s, lambda v: _p99(v.exec_s)), "wall time"),
+    ("loop period, standard deviation", "%", 2, 100.0, lambda s: _of_timing(s, _spread), "of its mean"),
+    ("overruns", "", 0, 1.0, lambda s: _of_timing(s, lambda v: float(v.overruns[-1])), "deadlines missed"),
     ("messages lost", "", 0, 1.0, _lost, "by their numbers"),
     ("faults injected", "", 0, 1.0, lambda s: float(len(fault_spans(s.flight))), ""),
 )  # fmt: skip

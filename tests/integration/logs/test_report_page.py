@@ -17,7 +17,7 @@ from tests.synthetic_flight import landing, write_log
 
 pytest.importorskip("plotly", reason="the report needs plotly: install the extra [report]")
 
-FIGURES = 13
+FIGURES = 12
 FLEET_FIGURES = 5
 SIZE_MAX = 6e6  # maximum bytes, including the drawing library
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
