@@ -8,37 +8,35 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 
-# name -> module in this folder and its function
-BENCHMARKS = {
-    "campaign_speed": "campaign_speed:main",
+BENCH = {  # name: module in this folder and its function
+    "campaign_speed": "speed:campaign_speed",
     "codec": "speed:codec_times",
     "control_step": "speed:control_step",
     "environment": "speed:environment",
     "lockstep": "speed:lockstep",
-    # benchmarks that take hours, or whose result is a figure or a page
-    "crazyflie_faults": "crazyflie_landings:faults",
+}
+LONG = {  # benchmarks that take hours, or whose result is a figure or a page
     "crazyflie_landings": "crazyflie_landings:main",
-    "crazyflie_rows": "crazyflie_landings:rows",
-    "fault_grid": "fault_grid:main",
     "equal_rows": "equal_rows:main",
+    "fault_grid": "fault_grid:main",
     "fleet_faults": "fleet_faults:main",
     "landing_animation": "landing_figure:animation",
     "landing_figure": "landing_figure:main",
-    "paper_runs": "flights:paper_runs",
+    "paper_runs": "speed:paper_runs",
     "proven": "proven:main",
     "px4_faults": "px4:faults",
     "px4_speed": "px4:speed",
     "tier_results": "tier_results:main",
-    "vehicle_figures": "vehicle.figures:main",
+    "vehicle_tables": "vehicle.tables:main",
 }
-BENCH = list(BENCHMARKS)[: list(BENCHMARKS).index("crazyflie_faults")]
 
 
 def run(name: str) -> None:
     """Run the benchmark with this name; an unknown name exits with the list of names."""
-    if name not in BENCHMARKS:
-        sys.exit(f"no benchmark is named {name!r}; choose one of {', '.join(BENCHMARKS)}")
-    module, _, function = BENCHMARKS[name].partition(":")
+    known = BENCH | LONG
+    if name not in known:
+        sys.exit(f"no benchmark is named {name!r}; choose one of {', '.join(known)}")
+    module, _, function = known[name].partition(":")
     getattr(import_module(f"tests.benchmarks.{module}"), function)()
 
 

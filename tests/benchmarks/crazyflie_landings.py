@@ -2,22 +2,24 @@
 
 The stand-in for firmware 2026.08 flies the simulated physics by poses of ``bridge crazyflie --mocap``;
 ``onboard --config crazyflie`` lands it on a robot of up to 0.3 m/s, which drives before the take-off already.
-``python -m tests.benchmarks crazyflie_landings [LANDINGS [FIRST_SEED [BRIDGE_OPTION ...]]]``: a row each.
-``crazyflie_rows SEED ...`` flies four in a row. ``crazyflie_faults`` flies the faults of which the effects
-were measured: each has to end on pad or floor.
+``python -m tests.benchmarks crazyflie_landings [SEED ...] [--in-a-row N] [--faults [WORD ...]]``
+
+``--faults`` flies the faults whose effects were measured; each must end on pad or floor.
 """
 
 from __future__ import annotations
 
+import argparse
 import math
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from bridge.zenoh import zenoh_link
 from flightstack.common.processes import ended
@@ -34,7 +36,6 @@ from tests.integration.sim_processes import ROOT
 from tests.integration.wires.bridge_processes import KEY, Mocap, verb
 from tests.processes.ports import free_endpoint
 
-LANDINGS, IN_A_ROW = 100, 4
 FLIGHT_MAX_S = 120.0
 REST_S = 2.5  # time after the end before the vehicle is judged
 DOWN_MAX_S = 30.0  # time-out for motors off on pad or floor after the onboard process has ended
@@ -93,15 +94,8 @@ def fly(
 ) -> list[Landing]:  # fmt: skip
     """Fly consecutive flights with the same firmware and bridge.
 
-    Args:
-        one: scenario of the flights.
-        seed: seed of robot, vehicle and wind.
-        options: additional options of ``bridge crazyflie``.
-        flights: number of consecutive flights.
-        loss: fraction of lost packets in each direction.
-        tilt_rad: rotation of the markers relative to the body, about body y.
-        fault: called once in each flight.
-        firmware: additional arguments of ``Firmware``.
+    ``options``: of ``bridge crazyflie``; ``loss``: fraction of lost packets in each direction; ``tilt_rad``:
+    rotation of the markers relative to the body, about body y; ``fault``: called once in each flight.
     """
     here, there = free_endpoint(), free_endpoint()
     with tempfile.TemporaryDirectory() as folder:
@@ -192,54 +186,48 @@ FAULTS: dict[str, tuple[dict[str, Any], Callable[[Flying], None] | None]] = {
 }
 
 
-def faults() -> None:
-    """Fly each fault once and print the result; arguments select faults by a part of their name."""
-    chosen = [name for name in FAULTS if not sys.argv[1:] or any(word in name for word in sys.argv[1:])]
+def down(landing: Landing) -> str:
+    return "down" if landing.place in ("pad", "floor") and landing.motors_off else "NOT DOWN"
+
+
+def line(seed: int, name: str, landing: Landing) -> str:
+    return (
+        f"{seed} {name}: {'good' if landing.good else down(landing)}, {landing.place} "
+        f"{100.0 * landing.error_m:.1f} cm, {'locked, ' if landing.locked else ''}{landing.seconds:.0f} s: "
+        f"{landing.reason}"
+    )
+
+
+def faults(words: list[str]) -> None:
+    """Fly the faults with one of these words in their name once, and print the results."""
+    chosen = [name for name in FAULTS if not words or any(word in name for word in words)]
     for seed, name in enumerate(chosen, 1):
         more, fault = FAULTS[name]
         options = more.get("options", ())
         others = {key: value for key, value in more.items() if key != "options"}
-        landing = fly(scenario(seed), seed, *options, fault=fault, **others)[0]
-        down = landing.place in ("pad", "floor") and landing.motors_off
-        print(
-            f"{name}: {'down' if down else 'NOT DOWN'}, {landing.place}, "
-            f"{'locked, ' if landing.locked else ''}{landing.seconds:.0f} s: {landing.reason}",
-            flush=True,
-        )
-
-
-def rows() -> None:
-    """Fly four consecutive landings for each given seed; later ones take off from the driving pad."""
-    good = 0
-    for seed in map(int, sys.argv[1:]):
-        landings = fly(scenario(seed), seed, flights=IN_A_ROW)
-        good += sum(each.good for each in landings)
-        told = ", ".join(
-            f"{100.0 * each.error_m:.1f} cm" if each.good else f"{each.place}: {each.reason}"
-            for each in landings
-        )
-        print(f"{seed} {scenario(seed).target.path.value} {told}", flush=True)
-    print(f"{good} of {IN_A_ROW * len(sys.argv[1:])} landed")
+        print(line(seed, name, fly(scenario(seed), seed, *options, fault=fault, **others)[0]), flush=True)
 
 
 def main() -> None:
-    """Print one row per landing, then the totals."""
-    given = sys.argv[1:]
-    numbers = [int(word) for word in given[:2]]
-    count, first, options = (*numbers, *(LANDINGS, 1)[len(numbers) :], given[2:])
+    """Print a line for each landing, then the totals."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("seeds", nargs="*", type=int, help="none: 1 to 100")
+    parser.add_argument("--in-a-row", type=int, default=1, help="landings of each seed, from pad to pad")
+    parser.add_argument("--faults", nargs="*", metavar="WORD", help="fly the faults with such a name instead")
+    parser.add_argument("--bridge", nargs=argparse.REMAINDER, default=[], help="options of bridge crazyflie")
+    asked = parser.parse_args()
+    if asked.faults is not None:
+        faults(asked.faults)
+        return
     landings = []
-    for seed in range(first, first + count):
-        landing = fly(scenario(seed), seed, *options)[0]
-        landings.append(landing)
-        print(
-            f"{seed} {scenario(seed).target.path.value} {'good' if landing.good else 'BAD'} {landing.place} "
-            f"{100.0 * landing.error_m:.1f} cm {landing.seconds:.1f} s: {landing.reason}",
-            flush=True,
-        )
-    errors = sorted(each.error_m for each in landings if each.good)
-    p95_m = errors[math.ceil(0.95 * len(errors)) - 1] if errors else math.nan
-    median_m = errors[len(errors) // 2] if errors else math.nan
+    for seed in asked.seeds or range(1, 101):
+        one = scenario(seed)
+        for landing in fly(one, seed, *asked.bridge, flights=asked.in_a_row):
+            landings.append(landing)
+            print(line(seed, one.target.path.value, landing), flush=True)
+    errors_cm = [100.0 * each.error_m for each in landings if each.good]
     print(
-        f"{len(errors)} of {count} landed, {sum(each.locked for each in landings)} crashed or locked; "
-        f"error median {100.0 * median_m:.1f} cm, p95 {100.0 * p95_m:.1f} cm"
+        f"{len(errors_cm)} of {len(landings)} landed, "
+        f"{sum(each.locked for each in landings)} crashed or locked; "
+        f"error median, 95 %: {np.percentile(errors_cm, (50, 95)).round(1) if errors_cm else '-'} cm"
     )

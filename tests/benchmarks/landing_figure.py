@@ -20,11 +20,10 @@ from matplotlib.patches import Rectangle
 
 from flightstack.core.safety.barrier import Barrier
 from logs.reader.flight_data import Truth
-from logs.report.style import BOUNDARY, TARGET, TRUE
+from logs.report.style import BOUNDARY, GRID, INK, TARGET, TRUE
 from sim.plant.params import load as load_plant
 from sim.runners.landing import Landing, land
 from sim.scenarios.scenario import Scenario, StartKind, load
-from tests.benchmarks.vehicle import plots as vehicle_plots
 
 F64 = npt.NDArray[np.float64]
 FILE = Path(__file__).parents[2] / "docs" / "figures" / "landing.svg"
@@ -36,7 +35,13 @@ START_OFFSET_M = (-1.3, 0.0, 0.8)  # offset from the landing spot, ENU; the robo
 BEFORE_S = (4.0, 2.0, 0.0)  # times before the first contact at which robot and barrier are drawn, s
 REACH_M = 1.0  # distance on both sides of the robot over which a barrier is drawn, m
 POINTS_MAX = 300  # maximum points of a line; more are not visible
-STYLE = {**vehicle_plots.STYLE, "svg.hashsalt": "landing"}
+STYLE = {
+    "svg.hashsalt": "landing",  # makes the file reproducible
+    "font.size": 9.0, "axes.titlesize": 9.5, "legend.fontsize": 8.0, "legend.frameon": False,
+    "axes.edgecolor": "#9aa5b1", "axes.labelcolor": INK, "text.color": INK,
+    "xtick.color": INK, "ytick.color": INK, "axes.grid": True, "grid.color": GRID, "axes.axisbelow": True,
+    "axes.spines.top": False, "axes.spines.right": False, "lines.linewidth": 1.5,
+}  # fmt: skip
 
 
 def scenario() -> Scenario:

@@ -1,6 +1,7 @@
 """Flies a real PX4 on the simulated vehicle: results of failures, and simulation speed.
 
-The fault table is in docs/reference/results.md.
+``python -m tests.benchmarks px4_faults [WORD]``: faults with this part in their name; the table is in
+docs/reference/results.md. ``python -m tests.benchmarks px4_speed``: the speed of px4-sim.
 """
 
 from __future__ import annotations
@@ -13,183 +14,159 @@ import tempfile
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from flightstack.common.processes import LaunchError
+from flightstack.common.processes import Child, LaunchError
 from flightstack.config.files import path_of
 from sim.plant import params
 from sim.px4.airframe import parameters
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
 from sim.scenarios.scenario import load
-from tests.flight_suite.companion import Radio
+from tests.flight_suite.companion import Companion, Radio, companion
+from tests.flight_suite.room import Room, on_px4
 from tests.integration.runs import COMMAND
-from tests.px4_flight import PX4_PLACE, Px4Flying, flying, px4_place
+from tests.processes.started import StartedChild
+from tests.px4_place import PX4_PLACE, px4_place
 
 SCENARIO = "large"
-CONFIG = path_of("px4-1kg")
-PHASE_MAX_S = 90.0  # time-out for the phase of the fault, stack time
-DOWN_MAX_S = 180.0  # time-out for motors off after the fault, stack time
+PHASE_MAX_S = 90.0  # time-out for the phase of the fault
+DOWN_MAX_S = 180.0  # time-out for motors off after the fault
 REST_M_S = 0.1  # largest vertical velocity estimated by PX4 on the ground
 FLOOR_M = 0.25  # largest height on the floor (feet at 0.12 m, plus drift); on the robot it is 0.62 m
-
-Act = Callable[[Px4Flying, Radio], None]
-
-
-class Fault(NamedTuple):
-    """A fault, and the phase of the flight in which it starts."""
-
-    name: str
-    phase: str
-    act: Act
+LOOK_S = 0.02
 
 
-class Result(NamedTuple):
-    place: str
-    down_s: float | None  # stack time from the fault to motors off
-    phases: str
-    reason: str
+class Flying(NamedTuple):
+    """Objects that a fault can change."""
+
+    room: Room
+    onboard: Companion
+    radio: Radio
+    recorder: Child
 
 
-def _sleep(one: Px4Flying, seconds: float) -> None:
-    """Wait for this stack time."""
-    one.until(lambda: False, seconds)
+Act = Callable[[Flying], None]
 
 
-def _kill_onboard(one: Px4Flying, radio: Radio) -> None:
-    assert one.onboard is not None
-    one.onboard.process.kill()
-
-
-def _interrupt(one: Px4Flying, radio: Radio) -> None:
-    one.interrupt()
-
-
-def _terminate(one: Px4Flying, radio: Radio) -> None:
-    assert one.onboard is not None
-    one.onboard.process.terminate()
-
-
-def _kill_target(one: Px4Flying, radio: Radio) -> None:
-    one.target.process.kill()
-
-
-def _kill_recorder(one: Px4Flying, radio: Radio) -> None:
-    one.recorder.process.kill()
+def _signal(number: signal.Signals) -> Act:
+    return lambda one: one.onboard.signal(number)
 
 
 def _pause(seconds: float) -> Act:
-    def act(one: Px4Flying, radio: Radio) -> None:
-        os.killpg(one.px4.process.pid, signal.SIGSTOP)
-        _sleep(one, seconds)
-        os.killpg(one.px4.process.pid, signal.SIGCONT)
+    def act(one: Flying) -> None:
+        group = one.room.px4.process.pid
+        os.killpg(group, signal.SIGSTOP)
+        time.sleep(seconds)
+        os.killpg(group, signal.SIGCONT)
 
     return act
 
 
 def _cut(seconds: float) -> Act:
-    def act(one: Px4Flying, radio: Radio) -> None:
-        radio.cut()
-        _sleep(one, seconds)
-        radio.mend()
+    def act(one: Flying) -> None:
+        one.radio.cut()
+        time.sleep(seconds)
+        one.radio.mend()
 
     return act
 
 
-_KILLED_IN = ("TAKEOFF", "APPROACH", "LAND", "TOUCHDOWN")
-FAULTS = [
-    *(Fault("onboard process killed", phase, _kill_onboard) for phase in _KILLED_IN),
-    Fault("onboard process told to end (SIGTERM)", "APPROACH", _terminate),
-    Fault("Ctrl-C", "TAKEOFF", _interrupt),
-    Fault("Ctrl-C", "APPROACH", _interrupt),
-    Fault("target lost for good", "APPROACH", _kill_target),
-    Fault("PX4 paused 1 s", "APPROACH", _pause(1.0)),
-    Fault("PX4 paused 5 s", "APPROACH", _pause(5.0)),
-    Fault("link cut 1 s", "APPROACH", _cut(1.0)),
-    Fault("link cut 5 s", "APPROACH", _cut(5.0)),
-    Fault("recorder killed", "APPROACH", _kill_recorder),
+FAULTS: list[tuple[str, str, Act]] = [  # name, phase of the flight in which it starts, and effect
+    *(
+        ("onboard process killed", phase, _signal(signal.SIGKILL))
+        for phase in ("TAKEOFF", "APPROACH", "LAND", "TOUCHDOWN")
+    ),
+    ("SIGTERM to the onboard process", "APPROACH", _signal(signal.SIGTERM)),
+    ("Ctrl-C", "TAKEOFF", _signal(signal.SIGINT)),
+    ("Ctrl-C", "APPROACH", _signal(signal.SIGINT)),
+    ("target lost permanently", "APPROACH", lambda one: one.room.target.process.kill()),
+    ("PX4 paused 1 s", "APPROACH", _pause(1.0)),
+    ("PX4 paused 5 s", "APPROACH", _pause(5.0)),
+    ("link cut 1 s", "APPROACH", _cut(1.0)),
+    ("link cut 5 s", "APPROACH", _cut(5.0)),
+    ("recorder killed", "APPROACH", lambda one: one.recorder.process.kill()),
 ]
 
 
-def fly(place: Path, fault: Fault, speed: float, folder: Path) -> Result:
-    """Fly once with the fault.
+def fly(place: Path, phase: str, act: Act, folder: Path) -> str:
+    """Fly once with a fault; return the end, the time to motors off, and later phases as table cells.
 
-    Raises LaunchError: a process did not start, or the flight did not reach the phase.
+    Raises LaunchError or AssertionError: a process did not start, or the flight did not reach the phase.
     """
+    folder.mkdir()
+    socket = folder / "feed"
     with ExitStack() as stack:
-        radios: list[Radio] = []
+        words = [
+            "record",
+            "--socket",
+            str(socket),
+            "--out",
+            str(folder / "flight.mcap"),
+            "--until-clients",
+            "2",
+        ]
+        recorder = StartedChild("record", words, folder)
+        stack.callback(recorder.end, 30.0)
+        recorder.wait_ready()
+        room = stack.enter_context(on_px4(folder, place, SCENARIO, 1, recorder=socket))
+        # PX4's rule: its local port is 14,580 plus its instance, which is its system id minus 1
+        radio = stack.enter_context(
+            Radio(f"udpout:127.0.0.1:{14_579 + room.system_id}", int(room.url.rpartition(":")[2]))
+        )
+        flown = replace(room, url=radio.url, config=path_of("px4-1kg"), recorder=socket)
+        onboard = stack.enter_context(companion(flown))
+        onboard.until(f"-> {phase}", PHASE_MAX_S)
+        time.sleep(0.0 if phase == "TOUCHDOWN" else 1.0)
+        said = room.vehicle.lines(0.0)
+        before, began_s = len(onboard.said), time.monotonic()
+        act(Flying(room, onboard, radio, recorder))
+        while [line for line in said if line in ("armed", "disarmed")][-1:] != ["disarmed"]:
+            if time.monotonic() - began_s > DOWN_MAX_S:
+                return "| STAYS ARMED | | |"
+            said += room.vehicle.lines(LOOK_S)
+            onboard.said += onboard.child.lines(0.0)
+        down_s = time.monotonic() - began_s
+        after = [line.split("-> ")[1].split(":")[0] for line in onboard.said[before:] if "-> " in line]
+        return f"| {_place(room, said)} | {down_s:.0f} s | {' '.join(after)} |"
 
-        def by_radio(px4: Px4Program) -> str:
-            radio = Radio(f"udpout:127.0.0.1:{px4.onboard_local_port}", px4.onboard_port)
-            radios.append(stack.enter_context(radio))
-            return radio.url
 
-        one = stack.enter_context(flying(place, SCENARIO, CONFIG, folder, speed, by_radio))
-        one.take_off()
-        if not one.until(lambda: one.in_phase(fault.phase) and one.armed, PHASE_MAX_S):
-            raise LaunchError(f"it did not come to {fault.phase}: {one.told[-3:]}")
-        _sleep(one, 0.0 if fault.phase == "TOUCHDOWN" else 1.0)
-        before = len(one.told)
-        fault.act(one, radios[0])
-        began_s = time.monotonic()
-        down = one.until(lambda: one.disarmed, DOWN_MAX_S)
-        down_s = (time.monotonic() - began_s) * speed if down else None
-        one.until(one.ended, 5.0)
-        after = [line.split("-> ")[1].split(":")[0] for line in one.told[before:] if "-> " in line]
-        said = one.told[-1] if one.ended() and one.told[before:] else ""
-        return Result(_place(one), down_s, " ".join(after), said)
-
-
-def _place(one: Px4Flying) -> str:
+def _place(room: Room, said: list[str]) -> str:
     """Return the position, from PX4's estimate and from the simulator's contacts."""
-    said = one.px4.console("listener", "vehicle_local_position", "-n", "1").splitlines()
-    found = {words[0]: words[1] for words in map(str.split, said) if len(words) > 1}
+    listed = room.px4.console("listener", "vehicle_local_position", "-n", "1").splitlines()
+    found = {words[0]: words[1] for words in map(str.split, listed) if len(words) > 1}
     if abs(float(found["vz:"])) > REST_M_S:
         return "IN THE AIR"
     if -float(found["z:"]) < FLOOR_M:
         return "on the floor"
-    touched = any(line.startswith("touched the pad") for line in one.said)
-    return "on the pad" if touched else "IN THE AIR"
+    return "on the pad" if any(line.startswith("touched the pad") for line in said) else "IN THE AIR"
 
 
 def faults() -> None:
-    """Fly and print: [SPEED [FOLDER [WORD]]]: ratio to real time, folder of logs, part of the fault's
-    name."""
+    """Fly the faults and print a table row for each."""
     place = px4_place()
     if place is None:
-        print(f"no PX4 here: {PX4_PLACE} names none; nothing flown")
-        return
-    given = dict(enumerate(sys.argv[1:]))
-    speed, word = float(given.get(0, "1")), given.get(2, "")
-    folder = Path(given[1]) if 1 in given else Path(tempfile.mkdtemp(prefix="px4-faults-"))
+        sys.exit(f"no PX4 here: {PX4_PLACE} names none; nothing flown")
+    folder = Path(tempfile.mkdtemp(prefix="px4-faults-"))
     print(f"logs: {folder}", flush=True)
-    print("| fault | in | ends | motors off after | phases after it | said |", flush=True)
-    print("|---|---|---|---|---|---|", flush=True)
-    for number, fault in enumerate(FAULTS):
-        if word not in fault.name:
-            continue
-        try:
-            result = fly(place, fault, speed, folder / str(number))
-        except LaunchError as error:
-            print(f"| {fault.name} | {fault.phase} | not flown: {error} |", flush=True)
-            continue
-        print(_row(fault, result), flush=True)
-
-
-def _row(fault: Fault, result: Result) -> str:
-    down = f"{result.down_s:.0f} s" if result.down_s is not None else "STAYS ARMED"
-    return f"| {fault.name} | {fault.phase} | {result.place} | {down} | {result.phases} | {result.reason} |"
+    for number, (name, phase, act) in enumerate(FAULTS):
+        if not sys.argv[1:] or sys.argv[1] in name:
+            try:
+                result = fly(place, phase, act, folder / str(number))
+            except (LaunchError, AssertionError) as error:
+                result = f"| not flown: {error} | | |"
+            print(f"| {name} | {phase} {result}", flush=True)
 
 
 SIMULATED_S = 60.0
 WALL_MAX_S = 300.0
-_TICKS_1_S = os.sysconf("SC_CLK_TCK")
 
 
 def processor_s(pid: int) -> float:
     """Return the processor time of a process, all threads, including system time."""
     fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
-    return (int(fields[11]) + int(fields[12])) / _TICKS_1_S
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _first_child(pid: int) -> int:
@@ -201,24 +178,15 @@ def speed() -> None:
     """Measure px4-sim --speed 0 with a PX4 on the ground: speed, and which process limits it."""
     place = px4_place()
     if place is None:
-        print(f"no PX4 here: {PX4_PLACE} names none; nothing measured")
-        return
+        sys.exit(f"no PX4 here: {PX4_PLACE} names none; nothing measured")
     wanted = parameters(params.load(load(SCENARIO).vehicle.airframe))
     with tempfile.TemporaryDirectory() as folder, closing(InstanceClaim()) as claim:
         px4 = Px4Program(place, Path(folder), Px4Model.NONE_IRIS, instance=claim.number, parameters=wanted)
-        words = [
-            "px4-sim",
-            "--scenario",
-            SCENARIO,
-            "--speed",
-            "0",
-            "--duration",
-            f"{SIMULATED_S:g}",
-            "--once",
-        ]
+        words = ["--scenario", SCENARIO, "--speed", "0", "--duration", f"{SIMULATED_S:g}", "--once"]
         simulator = subprocess.Popen(
-            [*COMMAND, *words, "--tcp", f"127.0.0.1:{px4.simulator_port}"], stdout=subprocess.PIPE, text=True
-        )
+            [*COMMAND, "px4-sim", *words, "--tcp", f"127.0.0.1:{px4.simulator_port}"],
+            stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
         try:
             assert simulator.stdout is not None
             while "lockstep" not in simulator.stdout.readline():

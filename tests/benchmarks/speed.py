@@ -1,4 +1,7 @@
-"""Cost of a control step, its solver, a message, the loop and a lockstep run, compared with references."""
+"""Cost of a control step, its solver, a message, a lockstep run, a campaign and the environment.
+
+``paper_runs`` flies the paper's four runs for docs/reference/paper_runs.md.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +22,7 @@ from bridge.mavlink.client.companion import velocity_setpoint
 from bridge.mavlink.client.link import COMPONENT_ID
 from bridge.mavlink.codec.messages import pack
 from bridge.mavlink.profiles import PX4
+from flightstack.common.pacing import quiet_garbage_collector
 from flightstack.common.strict_toml import from_table
 from flightstack.compiled.core import compiled
 from flightstack.core.controller import Controller
@@ -40,6 +44,8 @@ from logs.schema.controller_rows import TickInputs, pack_controller_input
 from logs.schema.mavlink import pack_mavlink
 from logs.schema.rows import ControllerStepRow
 from logs.schema.schemas import codec
+from sim.runners.landing import land_team, warm_up
+from sim.scenarios.team import TeamScenario, load
 from tests.integration.runs import flightstack
 from tests.synthetic_flight import landing
 
@@ -221,3 +227,64 @@ def environment() -> None:
     print(f"Pendulum-v1: {flown(pendulum, range(20), pendulum.action_space.sample):,.0f} steps/s of CPU time")
     for python in sys.argv[1:]:
         subprocess.run([python, "-W", "ignore", "-c", CRAZYFLOW], check=True, timeout=600)
+
+
+PAPER_RUNS = ("paper_static_1", "paper_static_2", "paper_moving_1", "paper_moving_2")
+
+
+def paper_row(scenario: str, seeds: int, filter_name: str) -> str:
+    runs = []
+    for seed in range(seeds):
+        with tempfile.TemporaryDirectory() as folder:
+            runs.append(sitl(folder, scenario, seed, "--lockstep", "--filter", filter_name))
+    landed = sum(run["outcome"] == "landed" for run in runs)
+    violations = sum(run["violation"] is not False for run in runs)  # unknown counts as a violation
+    median = {
+        key: statistics.median(run[key] for run in runs if run[key] is not None)
+        for key in ("touchdown_error_m", "touchdown_speed_vertical_m_s", "time_to_land_s")
+    }
+    lowest, outside = (1e3 * min(run[k] for run in runs) for k in ("h_min_m", "h_min_outside_pad_m"))
+    return (
+        f"| `{scenario}` | {landed} of {seeds} | {violations} | {outside:+.1f} mm | {lowest:+.0f} mm "
+        f"| {1e3 * median['touchdown_error_m']:.0f} mm | {median['touchdown_speed_vertical_m_s']:.2f} m/s "
+        f"| {median['time_to_land_s']:.1f} s |"
+    )
+
+
+def paper_runs() -> None:
+    """Fly the paper's four runs in lockstep for docs/reference/paper_runs.md: [SEEDS [FILTER ...]]."""
+    seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 20
+    for filter_name in sys.argv[2:] or ("paper", "robust"):
+        print(f"filter {filter_name}")
+        for scenario in PAPER_RUNS:
+            print(paper_row(scenario, seeds, filter_name), flush=True)
+
+
+def flown_s(scenario: TeamScenario, seed: int) -> float:
+    """Fly a landing or a team; return the simulated time of all its vehicles."""
+    return sum(each.simulated_s for each in land_team(scenario, seed).landings)
+
+
+def campaign_speed(scenario_name: str = "lab") -> None:
+    """Fly, measure, print; arguments: the scenario, and a filter that replaces the scenario's filter."""
+    if len(sys.argv) > 1:
+        scenario_name = sys.argv[1]
+    scenario = load(scenario_name)
+    if len(sys.argv) > 2:
+        scenario = scenario.with_filter(sys.argv[2])
+        scenario_name += f", {sys.argv[2]}"
+    warm_up(scenario)
+    flown_s(scenario, 0)
+    quiet_garbage_collector()
+    factors, spent = [], []
+    for seed in range(APPROACHES):
+        began_s = time.process_time()
+        simulated_s = flown_s(scenario, seed)
+        spent.append(time.process_time() - began_s)
+        factors.append(simulated_s / spent[-1])
+        gc.collect()
+    print(
+        f"{scenario_name}: {statistics.median(factors):.0f} x real time on one core (asked 200), "
+        f"{min(factors):.0f} to {max(factors):.0f} in {APPROACHES} flights of one seed, vehicle by vehicle; "
+        f"{statistics.median(spent):.3f} s of processor time a flight"
+    )

@@ -174,7 +174,10 @@ def onboard_words(room: Room) -> list[str]:
     words += ["--speed", str(room.speed)] if room.speed != 1.0 else []
     words += ["--clock", str(room.clock)] if room.clock is not None else []
     words += [word for endpoint in room.connect for word in ("--connect", endpoint)]
-    words += ["--no-record"] if room.target is not None else []  # a real flight is recorded
+    if room.recorder is not None:
+        words += ["--recorder", str(room.recorder)]
+    elif room.target is not None:  # a real flight is recorded
+        words += ["--no-record"]
     return words + (["--signing-key", str(room.signing_key)] if room.signing_key else [])
 
 

@@ -103,6 +103,8 @@ class Room:
     clock: Path | None = None  # simulator clock that the onboard process uses; None: wall clock
     target: Child | None = None  # the simulated robot; None on hardware
     vehicle: Child | None = None  # the simulated vehicle; None on hardware
+    px4: Px4Program | None = None  # the program that flies it; None without PX4
+    recorder: Path | None = None  # socket of the onboard process's recorder; None: as ``target`` says
 
 
 def configured(scenario: Scenario, folder: Path) -> Path:
@@ -225,5 +227,5 @@ def on_px4(
             f"udpin:127.0.0.1:{px4.onboard_port}", AUTO, "cf1/target/odom", (target_at,), onboard_at,
             configured(scenario, folder), folder, FENCE, system_id=claim.number + 1,  # PX4's rule for it
             takeoff_height_m=scenario.onboard.takeoff.height_m, target=target, vehicle=simulator,
-            speed=1.0 if clocked else speed, clock=folder / "clock" if clocked else None,
+            speed=1.0 if clocked else speed, clock=folder / "clock" if clocked else None, px4=px4,
         )  # fmt: skip

@@ -93,8 +93,3 @@ def descend(
         z += v * step_s
         t += step_s
     return t, -v
-
-
-def gust_density(frequency_hz: F64, rms_m_s: float, time_s: float) -> F64:
-    """Return the one-sided power density of a first-order gust, m^2/s^2/Hz (MIL-F-8785C, Dryden)."""
-    return 4.0 * rms_m_s**2 * time_s / (1.0 + (2.0 * math.pi * frequency_hz * time_s) ** 2)

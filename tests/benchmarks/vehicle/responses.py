@@ -1,4 +1,4 @@
-"""Flights of ``runs`` compared with the linear models, flown once for tables and figures."""
+"""Flights of ``runs`` compared with the linear models, each flown once."""
 
 from __future__ import annotations
 
@@ -134,6 +134,6 @@ def gusts() -> F64:
     return runs.gusts(GUST_S, GUST_STEP_S, GUST_RMS_M_S)
 
 
-def increase(height_m: float, gain: float = 1.0) -> float:
+def increase(height_m: float) -> float:
     """Return T/T0 - 1 of the simulated rotor above a wide surface."""
-    return thrust_increase(set_up_ground(new(GroundRecord), ROTOR, gain, 0.1), height_m)
+    return thrust_increase(set_up_ground(new(GroundRecord), ROTOR, 1.0, 0.1), height_m)

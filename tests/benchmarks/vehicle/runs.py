@@ -97,9 +97,9 @@ def hold(sim: VehicleSim, velocity: tuple[float, float, float], yaw: float = 0.0
 
 
 def hover_until_empty(seconds: float) -> Run:
-    """Hover, recorded every 10 ms."""
+    """Hover, recorded every 100 ms."""
     sim = make()
-    return record(sim, seconds, hold(sim, (0.0, 0.0, 0.0)), every_ms=10)
+    return record(sim, seconds, hold(sim, (0.0, 0.0, 0.0)), every_ms=100)
 
 
 def motor_step(slow: bool, from_rpm: float, to_rpm: float, seconds: float) -> tuple[F64, F64]:

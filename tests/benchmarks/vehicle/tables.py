@@ -1,10 +1,15 @@
-"""Tables of docs/how_it_works/vehicle.md: each row has a simulated number, a reference and the deviation."""
+"""Tables of docs/how_it_works/vehicle.md: each row has a simulated number, a reference and the deviation.
+
+``python -m tests.benchmarks vehicle_tables`` writes them into the page.
+"""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -35,6 +40,8 @@ from tests.benchmarks.vehicle.responses import (
 )
 
 F64 = npt.NDArray[np.float64]
+PAGE = Path(__file__).parents[3] / "docs" / "how_it_works" / "vehicle.md"
+BLOCK = re.compile(r"(<!-- table (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 STANDING_ROTORS_M = ROTOR.above_com_m - analysis.PARAMS.geometry.foot_bottom_m
 
 
@@ -232,3 +239,14 @@ def tables() -> dict[str, str]:
     }
     numbers = {"parameters": parameter_table(), "constants": constant_table(), "pid": pid_table()}
     return {**numbers, **compared}
+
+
+def written_tables() -> dict[str, str]:
+    """Return the current tables of the page, by name."""
+    return {match[2]: match[3].rstrip("\n") for match in BLOCK.finditer(PAGE.read_text())}
+
+
+def main() -> None:
+    fresh = tables()
+    PAGE.write_text(BLOCK.sub(lambda match: f"{match[1]}{fresh[match[2]]}\n{match[4]}", PAGE.read_text()))
+    print(f"{PAGE}: {len(fresh)} tables")

@@ -19,7 +19,7 @@ from sim.scenarios.scenario import PathKind, load
 from tests.integration.flights.test_sitl import KEYS
 from tests.integration.runs import WALL_MAX_S, called, flightstack
 from tests.integration.sim_processes import ROOT, verb
-from tests.px4_flight import px4_or_skip
+from tests.px4_place import px4_or_skip
 
 
 @contextmanager

@@ -34,7 +34,7 @@ from tests.flight_suite.room import on_px4
 from tests.integration.sim_processes import wait_for
 from tests.processes.bounded import AT_ONCE_S, killed, line_of
 from tests.processes.started import StartedChild
-from tests.px4_flight import px4_or_skip
+from tests.px4_place import px4_or_skip
 
 ROOT = Path(__file__).parents[3]
 pytestmark = [pytest.mark.xdist_group("real-time"), pytest.mark.xdist_group("stream 0")]  # one flight

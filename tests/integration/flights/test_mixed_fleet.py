@@ -28,7 +28,7 @@ from tests.integration.runs import Flying
 from tests.integration.sim_processes import verb
 from tests.integration.wires.bridge_processes import member_behind_the_bridge
 from tests.processes.ports import free_port
-from tests.px4_flight import px4_or_skip
+from tests.px4_place import px4_or_skip
 
 ROOT = Path(__file__).parents[3]
 TEAM, PAGE = ROOT / "examples" / "mixed_fleet.toml", ROOT / "docs" / "how_to" / "mixed_fleet.md"

@@ -9,8 +9,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.server.profile import FlightMode
 from sim.autopilot.autopilot import Autopilot
-from tests.unit.autopilot.autopilot_fakes import FEET_M, RATE_HZ, FakeVehicle, Rig, set_real
-from tests.unit.mavlink.server.served import HOLD, NAN, setpoint
+from tests.unit.autopilot.autopilot_fakes import RATE_HZ, FakeVehicle, Rig, set_real
+from tests.unit.mavlink.server.served import HOLD, setpoint
 
 
 def test_no_estimate_clears_health_and_refuses_arming_and_take_off() -> None:
@@ -24,19 +24,6 @@ def test_no_estimate_clears_health_and_refuses_arming_and_take_off() -> None:
     assert rig.texts() == ["Arming refused: no position estimate", "Take-off refused: no position estimate"]
     assert rig.command(400, 1.0, 21196.0) == mav.MAV_RESULT_TEMPORARILY_REJECTED  # forced
     assert not rig.vehicle.armed
-
-
-def test_take_off_climbs_at_half_a_metre_a_second_at_most_and_holds() -> None:
-    rig = Rig()
-    rig.command(400, 1.0)
-    rig.command(22, *[NAN] * 6, 1.0)
-    fastest = 0.0
-    for _ in range(800):
-        rig.run(0.01)
-        fastest = max(fastest, rig.vehicle.state.velocity_enu_m_s[2])
-    assert 0.4 < fastest <= 0.5 + 1e-9
-    assert rig.mode is FlightMode.HOLD
-    assert rig.vehicle.state.position_enu_m[2] == pytest.approx(1.0, abs=0.03)
 
 
 def test_take_off_without_a_height_takes_the_parameter_and_order_does_not_matter() -> None:
@@ -83,17 +70,6 @@ def test_landed_state_follows_mode_and_contact() -> None:
     assert states == [1, 3, 2, 4, 1]
     shown = [m.landed_state for m in rig.seen(mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE)]
     assert [s for i, s in enumerate(shown) if i == 0 or shown[i - 1] != s] == states
-
-
-def test_lost_estimate_in_flight_lands_without_a_position() -> None:
-    rig = Rig().fly()
-    rig.vehicle.state.valid = False
-    rig.run(0.45)
-    assert rig.mode is FlightMode.HOLD
-    rig.run(1.0)
-    assert rig.mode is FlightMode.LAND
-    assert rig.vehicle.setpoint == pytest.approx((0.0, 0.0, -0.3), abs=0.02)
-    assert "No position estimate: landing" in rig.texts()
 
 
 def test_disarms_itself_when_nothing_happens_and_after_landing_in_offboard() -> None:
@@ -143,17 +119,6 @@ def test_hold_takes_over_a_moving_vehicle_without_a_step() -> None:
     assert math.hypot(*rig.vehicle.state.velocity_enu_m_s) < 0.02
 
 
-def test_offboard_hands_on_each_set_point_once_in_enu() -> None:
-    rig = Rig().offboard()
-    rig.run(0.01)
-    before = rig.vehicle.setpoints
-    rig.handle(setpoint(0.1, 0.2, -0.3, yaw=0.0))
-    rig.run(0.05)
-    assert rig.vehicle.setpoints == before + 1
-    assert rig.vehicle.setpoint == pytest.approx((0.2, 0.1, 0.3))
-    assert rig.vehicle.yaw_rad == pytest.approx(math.pi / 2)  # nose to the north
-
-
 def test_yaw_rate_is_integrated_and_no_yaw_holds_the_heading() -> None:
     rig = Rig().offboard()
     rig.handle(setpoint(mask=3527))
@@ -163,31 +128,6 @@ def test_yaw_rate_is_integrated_and_no_yaw_holds_the_heading() -> None:
         rig.handle(setpoint(mask=1479, rate=0.5))
         rig.run(0.01)
     assert rig.vehicle.yaw_rad == pytest.approx(-0.5, abs=0.01)  # clockwise in NED
-
-
-@pytest.mark.parametrize("limit_s", [0.5, 0.3])
-def test_loss_of_set_points_lands_and_disarms_in_simulated_time(limit_s: float) -> None:
-    rig = Rig()
-    set_real(rig, "COM_OF_LOSS_T", limit_s)
-    rig.offboard()
-    rig.run(1.0, (0.2, 0.0, 0.0))
-    lost_s = rig.now_s - 0.01
-    while rig.mode is FlightMode.OFFBOARD:
-        rig.run(0.01)
-    assert rig.now_s - 0.01 - lost_s == pytest.approx(limit_s + 0.01, abs=0.005)
-    assert f"No set-points for {limit_s:g} s: landing" in rig.texts()
-    assert rig.autopilot.flight.failsafe
-    slowest = 0.0
-    while rig.vehicle.armed:
-        rig.run(0.01)
-        slowest = min(slowest, rig.vehicle.state.velocity_enu_m_s[2])
-        assert rig.now_s < lost_s + 6.0
-    assert slowest == pytest.approx(-0.3, abs=0.02)
-    assert rig.vehicle.state.position_enu_m[2] == pytest.approx(FEET_M)
-    assert rig.texts()[-2:] == ["Landed, disarmed", "Mode hold"]
-    beats = [b.system_status for b in rig.seen(mav.MAVLINK_MSG_ID_HEARTBEAT)]
-    assert mav.MAV_STATE_CRITICAL in beats
-    assert beats[-1] == mav.MAV_STATE_STANDBY
 
 
 def test_stream_that_comes_back_does_not_take_over_by_itself() -> None:

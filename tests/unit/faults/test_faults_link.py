@@ -1,13 +1,9 @@
 """Faults of the MAVLink connection: lost, late, duplicated, damaged or rewritten messages, and exceptions."""
 
-import itertools
-import statistics
-
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.codec.framing import split_frames
-from bridge.mavlink.endpoint import Received
 from bridge.mavlink.transport.transport import EndpointCounters
 from sim.faults.link import CONCERNS, LinkFaults, Way, clock_ns
 from sim.plant.sensors import NS
@@ -43,12 +39,6 @@ def position(ms):
 
 def heartbeat(base_mode=157):
     return mav.MAVLink_heartbeat_message(2, 12, base_mode, 0x00060000, 4, 3)
-
-
-def setpoint(north):
-    return mav.MAVLink_set_position_target_local_ned_message(
-        0, 1, 1, 1, 2503, 0.0, 0.0, 0.0, north, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    )
 
 
 def out(*faults, make=position, seconds=10.0, end_s=None):
@@ -87,52 +77,6 @@ def test_a_fault_that_is_over_leaves_nothing_behind(what, kind):
     assert wire.sound
 
 
-def numbers(got):
-    return [m.get_header().seq for _, m in got]
-
-
-@pytest.mark.parametrize("p", [0.02, 0.3])
-def test_loss_has_its_probability_and_leaves_gaps_in_the_numbers(p):
-    _, got = out(late(Kind.LOSS, value=p), seconds=101.0)
-    lost = 1.0 - (len(got) - 100) / 10_000
-    assert lost == pytest.approx(p, abs=4 * (p * (1 - p) / 10_000) ** 0.5)
-    gaps = sum((b - a) % 256 - 1 for a, b in itertools.pairwise(numbers(got)))
-    assert gaps == pytest.approx(10_100 - len(got), abs=3)  # losses at the end show no gap
-
-
-@pytest.mark.slow
-def test_bursts_have_their_mean_lengths():
-    _, got = out(late(Kind.BURST_LOSS, value=0.2, period_s=1.0), seconds=301.0)
-    arrived = {ms for ms, _ in got}
-    runs = [(lost, len(list(group))) for lost, group in itertools.groupby(
-        ms not in arrived for ms in range(1000, 301_000, 10)
-    )]  # fmt: skip
-    bad = [n * 0.01 for lost, n in runs if lost]
-    good = [n * 0.01 for lost, n in runs if not lost]
-    assert len(bad) > 150
-    assert statistics.mean(bad) == pytest.approx(0.2, rel=0.2)
-    assert statistics.mean(good) == pytest.approx(1.0, rel=0.2)
-
-
-def test_off_slow_intermittent_and_delayed():
-    _, got = out(late(Kind.OFF))
-    assert [ms for ms, _ in got] == list(range(0, 1000, 10))
-    _, got = out(late(Kind.SLOW, value=5))
-    assert {b - a for (a, _), (b, _) in itertools.pairwise(got) if a > 1100} == {50}
-    _, got = out(late(Kind.INTERMITTENT, value=0.2, period_s=0.5))
-    assert {(ms - 1000) % 500 for ms, _ in got if ms >= 1000} == set(range(200, 500, 10))
-    _, got = out(late(Kind.DELAYED, value=0.3))
-    assert {ms - m.time_boot_ms for ms, m in got if ms >= 1300} == {300}
-
-
-def test_reordered_messages_arrive_after_later_ones_and_none_is_lost():
-    _, got = out(late(Kind.REORDER, value=0.2))
-    stamps = [m.time_boot_ms for ms, m in got if ms < 9900]
-    assert stamps != sorted(stamps)
-    assert sorted(stamps)[:980] == list(range(0, 9800, 10))
-    assert {ms - m.time_boot_ms for ms, m in got} == {0, 30}
-
-
 def test_a_stalled_wire_lets_everything_go_at_the_end_within_its_bound():
     _, got = out(late(Kind.STUCK), end_s=3.0)
     assert not [ms for ms, _ in got if 1000 <= ms < 3000]
@@ -140,61 +84,6 @@ def test_a_stalled_wire_lets_everything_go_at_the_end_within_its_bound():
     wire, got = out(late(Kind.STUCK), seconds=60.0)
     assert wire._leaving.size == HELD_MAX
     assert wire._leaving.overflows == 5900 - HELD_MAX
-
-
-def test_damaged_messages_do_not_pass_the_checksum():
-    _, got = out(late(Kind.GARBAGE, value=1.0), end_s=5.0)
-    assert [ms for ms, _ in got] == [*range(0, 1000, 10), *range(5000, 10_000, 10)]
-
-
-def test_the_heartbeat_lies_while_the_rest_is_sound():
-    def both(ms):
-        return heartbeat() if ms % 20 else position(ms)
-
-    _, got = out(late(Kind.WRONG, What.HEARTBEAT), make=both)
-    beats = [m.base_mode for ms, m in got if m.get_type() == "HEARTBEAT" and ms > 1000]
-    assert set(beats) == {157 ^ 128}
-    _, got = out(late(Kind.GARBAGE, What.HEARTBEAT), make=both)
-    beats = {m.custom_mode for ms, m in got if m.get_type() == "HEARTBEAT" and ms > 1000}
-    assert len(beats) > 400
-    assert len([m for _, m in got if m.get_type() == "LOCAL_POSITION_NED"]) == 500
-    _, got = out(late(Kind.OFF, What.HEARTBEAT), make=both)
-    assert {m.get_type() for ms, m in got if ms > 1000} == {"LOCAL_POSITION_NED"}
-
-
-def received(message):
-    return Received(message, b"", PEER)
-
-
-def through(*faults, values=range(100)):
-    """Return the northward velocities that reach the autopilot, with one set-point every 10 ms."""
-    link = LinkFaults()
-    for one in faults:
-        link.begin(one)
-    wire, got = Wire(FakeEndpoint(), link), []
-    for k, north in enumerate(values):
-        got += [r.message.vx for r in wire.late(k * 10 * MS)]
-        got += [r.message.vx for r in wire.receive(received(setpoint(float(north))), k * 10 * MS)]
-    return got
-
-
-def test_set_points_are_lost_late_twice_or_changed():
-    def one(kind, **values):
-        return running(What.SETPOINTS, kind, **values)
-
-    assert through() == list(range(100))
-    assert through(one(Kind.OFF)) == []
-    assert through(one(Kind.STUCK)) == [0.0] * 100
-    assert through(one(Kind.WRONG, value=-0.5)) == [-0.5 * k for k in range(100)]
-    assert through(one(Kind.DELAYED, value=0.1)) == list(range(90))
-    assert through(one(Kind.DUPLICATE, value=1.0)) == [k // 2 for k in range(200)]
-    assert len(through(one(Kind.LOSS, value=0.5))) == pytest.approx(50, abs=20)
-    assert through(one(Kind.SLOW, value=10)) == list(range(9, 100, 10))
-    garbage = through(one(Kind.GARBAGE, value=0.3))
-    assert len(set(garbage)) == 100
-    assert max(map(abs, garbage)) <= 0.3
-    assert sorted(through(one(Kind.REORDER, value=0.3))) != through(one(Kind.REORDER, value=0.3))
-    assert through(running(What.LINK_IN, Kind.GARBAGE, value=1.0)) == []
 
 
 def test_faults_of_set_points_leave_commands_alone():

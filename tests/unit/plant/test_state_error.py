@@ -1,7 +1,6 @@
 """Errors as in recorded flights: correlated noise, delays of both signs, the draws of a flight."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,20 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.compiled.records import new
-from sim.chance import stream
 from sim.plant.state_error import (
     AHEAD,
     ASIDE,
     DELAY,
-    DELAY_MAX_S,
-    DELAY_MIN_S,
     POSITION,
     STILL_AHEAD,
     STILL_ASIDE,
     VELOCITY,
     VELOCITY_DELAY,
     WIDTH,
-    Noise,
     PastRecord,
     mismeasure,
     state_errors,
@@ -42,40 +37,11 @@ def drawn(spec, seed=1, count=400, purpose="own"):
     return state_errors(spec, seed, purpose, RATE_HZ).take(count)
 
 
-@pytest.mark.parametrize(
-    ("smooth_s", "law"),
-    [
-        (0.02, lambda t_s: (0.1 * math.exp(-t_s / 0.1) - 0.02 * math.exp(-t_s / 0.02)) / 0.08),
-        (0.1, lambda t_s: (1.0 + t_s / 0.1) * math.exp(-t_s / 0.1)),
-    ],
-)
-def test_noise_has_variance_one_and_its_correlation(smooth_s, law):
-    noise = Noise(stream(3, "test"), 8, 0.1, smooth_s, 0.001).take(200_000)
-    assert noise.std() == pytest.approx(1.0, rel=0.03)
-    for steps in (10, 50, 100, 200, 600):
-        found = np.mean(noise[steps:] * noise[:-steps])
-        assert found == pytest.approx(law(0.001 * steps), abs=0.03), steps
-    assert abs(np.mean(noise[:, 0] * noise[:, 1])) < 0.1
-
-
 @given(parts=st.lists(st.integers(1, 90), min_size=1, max_size=6), seed=st.integers(0, 2**64 - 1))
 def test_rows_do_not_depend_on_how_many_are_taken_at_once(parts, seed):
     rows = state_errors(StateError(), seed, "own", RATE_HZ)
     taken = np.concatenate([rows.take(count) for count in parts])
     assert np.array_equal(taken, drawn(StateError(), seed, sum(parts)))
-
-
-def test_flights_have_the_delays_of_the_parameters():
-    spec = replace(FINE, delay_s=0.03, delay_spread_s=0.01)
-    bases = [drawn(spec, seed, 1)[0, DELAY] for seed in range(400)]
-    assert np.mean(bases) == pytest.approx(0.03, abs=0.002)
-    assert np.std(bases) == pytest.approx(0.01, rel=0.15)
-    spec = replace(FINE, delay_s=0.05, delay_fast_s=0.02, delay_fast_varies=0.3)
-    rows = [drawn(spec, seed, 1500)[:, DELAY] for seed in range(300)]
-    assert np.median([row.std() for row in rows]) == pytest.approx(0.02, rel=0.1)
-    wild = drawn(replace(FINE, delay_s=0.1, delay_fast_s=0.1), count=3000)[:, DELAY]
-    assert wild.min() >= DELAY_MIN_S
-    assert wild.max() == DELAY_MAX_S
 
 
 def measured(row, truth, *, samples=60, rate_hz=RATE_HZ):

@@ -3,6 +3,7 @@
 import itertools
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 from pymavlink.dialects.v20 import common as mav
@@ -12,6 +13,7 @@ from sim.clock import NoAnswerError
 from sim.px4 import session as px4_session
 from sim.px4.link import LinkClosedError, Px4Server
 from sim.px4.plant import Px4Plant
+from sim.px4.process import Px4Node
 from sim.px4.session import STEP_S, Event, NoLockstepError, NotPx4Error, Px4Session
 from sim.scenarios.scenario import Start
 from tests.processes.bounded import AT_ONCE_S
@@ -200,3 +202,18 @@ def test_a_stop_signal_ends_the_wait(pair):
     began_s = time.monotonic()
     pair.session.step()
     assert time.monotonic() - began_s < AT_ONCE_S
+
+
+def test_the_first_contact_with_the_pad_is_announced_once_with_its_place(capsys):
+    truth = SimpleNamespace(
+        first_touch_time_s=1.5, first_touch_relative_position_enu_m=(0.03, -0.01, 0.0),
+        first_touch_relative_velocity_enu_m_s=(0.0, 0.0, -0.4),
+    )  # fmt: skip
+    flight = SimpleNamespace(steps=0, plant=SimpleNamespace(truth=lambda: truth))
+    log = SimpleNamespace(truth=lambda *_: None, feed=SimpleNamespace(flush=lambda: None), epoch_ns=0)
+    node = Px4Node(None, log, SimpleNamespace(unix_ns=time.time_ns), Stop())
+    node.begin()
+    for _ in range(2):
+        node.before_step(flight)
+    expected = "touched the pad at 1.500 s, +0.030 m east and -0.010 m north of its centre, 0.40 m/s down\n"
+    assert capsys.readouterr().out == expected

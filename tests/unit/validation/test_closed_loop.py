@@ -9,14 +9,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from sim.flights.recording import Recording, read_columns
-from sim.flights.screening import load as load_flight
+from sim.flights.recording import Recording
 from sim.flights.screening import screen
 from sim.plant.params import Plant, TorqueNoiseShape, load
 from sim.scenarios.scenario import Start, StartKind, StateError, VehicleSpec, VelocityLoop
 from sim.validation.closed_loop import fly
 from sim.vehicle.vehicle import VehicleSim
-from tests.recorded import flights
 from tests.unit.vehicle.vehicle_sim_helpers import scenario
 
 ROOM = replace(load("crazyflie21_room"), torque_noise=TorqueNoiseShape())  # without random torques
@@ -107,18 +105,3 @@ def test_a_plant_of_less_thrust_is_named():
 )
 def test_without_set_points_from_the_ground_on_nothing_is_flown(change):
     assert fly(screen(replace(recorded(AIRFRAME), **change)), ROOM, 0) is None
-
-
-@pytest.mark.parametrize(
-    ("name", "controller"),
-    [("B3_figure8_slow_rep1", "pid"), ("B2_circle_fast_rep2", "pid"), ("B9_trefoil_slow_rep2", "mellinger")],
-)
-def test_a_real_flight_is_flown_as_it_was(name, controller):
-    found = fly(load_flight(flights(name)[0], read_columns()), load("crazyflie21_room"), 0)
-    assert found is not None
-    assert found.controller == controller
-    assert 0.9 < found.thrust < 1.1
-    a, b = found.recorded, found.simulated
-    assert math.hypot(*b[:2]) == pytest.approx(math.hypot(*a[:2]), rel=0.25)
-    assert b.duty == pytest.approx(a.duty, rel=0.03)
-    assert b.tilt_rms_rad == pytest.approx(a.tilt_rms_rad, rel=0.3)

@@ -9,13 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.flights.recording import read_columns
-from sim.flights.screening import load as load_flight
 from sim.flights.screening import screen
 from sim.plant.params import load
 from sim.validation.open_loop import HORIZONS_S, commanded_rpm, compare
 from sim.validation.sensing import Trace, analyse
-from tests.recorded import flights
 from tests.unit.validation.test_closed_loop import AIRFRAME, recorded
 
 ROOM = load("crazyflie21_room")
@@ -69,19 +66,6 @@ def test_a_compensated_motor_gets_the_thrust_that_is_asked_for_until_the_battery
     half, full = commanded_rpm(params, np.array([[0.5] * 4, [1.0] * 4]), np.array([3.7, 2.8]))
     assert params.rotor.thrust_n(half[0]) == pytest.approx(0.5 * params.rotor.thrust_max_n)
     assert full[0] == params.battery.speed_rpm(2.8)
-
-
-NAMES = ("B3_figure8_slow_rep1", "B2_circle_fast_rep2", "B7_oval_medium_rep2", "B9_trefoil_slow_rep2")
-
-
-def test_real_flights_are_predicted():
-    found = [compare(load_flight(path, read_columns()), ROOM) for path in flights(*NAMES)]
-    for end, limit in enumerate((0.5, 0.5, 0.8)):  # unknown torque limits the last one
-        for name in ("position_m", "velocity_m_s"):
-            errors = [getattr(one.horizons[end], name) for one in found]
-            assert np.median([e.model / e.constant_velocity for e in errors]) < limit
-            assert all(e.model < e.ideal for e in errors)
-    assert all(0.9 < one.thrust_ratio < 1.1 for one in found)
 
 
 STEP_S = 0.01

@@ -3,8 +3,6 @@
 import math
 import random
 import struct
-import tomllib
-from dataclasses import replace
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
@@ -14,15 +12,10 @@ from bridge.mavlink.codec.messages import decode
 from bridge.ros2.cdr import Odometry
 from bridge.target.odometry import RawSample, sample_of
 from flightstack.common.pacing import EPOCH_NS
-from flightstack.common.strict_toml import dumps, from_table, to_table
 from flightstack.core.types import TargetSample
-from logs.verdict.verdict import Outcome
-from sim.campaign.rows import vehicle_row
 from sim.robot.target import TargetMeasurement
-from sim.runners.landing import land
 from sim.runners.landing_wire import PEER, wires
 from sim.runners.robot import in_world
-from sim.scenarios.scenario import Scenario, load
 
 pytestmark = pytest.mark.slow
 
@@ -84,23 +77,3 @@ def test_a_target_sample_is_what_cdr_makes_of_it():
             quaternion_from_yaw(sample.yaw_rad), sample.velocity_body_m_s, (0.0, 0.0, sample.yaw_rate_rad_s),
         ).pack()  # fmt: skip
         assert TargetSample(1.25, *in_world(sample)) == sample_of(RawSample(payload), 1.25)
-
-
-def short(name, **changes):
-    """Return a scenario parsed from its text, as workers receive it."""
-    text = dumps(to_table(replace(load(name), **changes)))
-    return from_table(Scenario, tomllib.loads(text))
-
-
-def test_equal_seeds_are_equal_and_others_are_not():
-    scenario = short("lab")
-    first, again, other = (vehicle_row(land(scenario, seed)).untimed() for seed in (4, 4, 5))
-    assert first == again
-    assert first.outcome == Outcome.LANDED
-    assert other.h_min_outside_pad_m != first.h_min_outside_pad_m
-
-
-def test_a_landing_that_is_not_over_in_time_is_aborted():
-    landing = land(short("lab", duration_max_s=1.0), 4)
-    assert landing.verdict.outcome is Outcome.ABORTED
-    assert 1.0 < landing.simulated_s < 61.0

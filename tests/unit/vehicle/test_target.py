@@ -31,29 +31,6 @@ def drive(spec, seed=1, seconds=20.0, driving=True):
     return model, states
 
 
-def test_a_figure_of_eight_comes_back_to_its_middle():
-    spec = TargetSpec(path=PathKind.FIGURE_OF_EIGHT, speed_m_s=0.2, turn_rate_rad_s=0.5)
-    _, states = drive(spec, seconds=8.0 * math.pi)
-    norths = [pose.position_enu_m[1] for _, pose, _, _ in states]
-    assert max(norths) == pytest.approx(0.8, abs=0.05)  # two adjacent circles of 0.4 m
-    assert min(norths) == pytest.approx(-0.8, abs=0.05)
-    assert math.hypot(*states[-1][1].position_enu_m[:2]) < 0.1
-
-
-def test_waypoints_are_reached_in_order_again_and_again():
-    points = ((1.0, 0.0), (1.0, 1.0), (0.0, 0.0))
-    spec = TargetSpec(path=PathKind.WAYPOINTS, speed_m_s=0.2, turn_rate_rad_s=1.0, waypoints_m=points)
-    _, states = drive(spec, seconds=60.0)
-    reached = []
-    for _, pose, velocity, rate in states:
-        assert math.hypot(*velocity[:2]) <= 0.2 + 1e-9
-        assert abs(rate) <= 1.0 + 1e-9
-        near = [n for n, point in enumerate(points) if math.dist(point, pose.position_enu_m[:2]) < 0.06]
-        if near and near[0] != (reached or [2])[-1]:
-            reached.append(near[0])
-    assert reached[:5] == [0, 1, 2, 0, 1]
-
-
 def zigzag(t_s, x_m, y_m, yaw_rad):
     if t_s > 5.0:
         raise ZeroDivisionError("beyond the end")
@@ -82,22 +59,6 @@ def test_a_path_without_what_it_needs_is_refused(spec, text):
         TargetSpec(**spec)
 
 
-def test_circle_has_the_radius_speed_over_turn_rate_and_closes():
-    spec = TargetSpec(path=PathKind.CIRCLE, speed_m_s=0.1, turn_rate_rad_s=0.1)
-    _, states = drive(spec, seconds=90.0)
-    late = states[500:]  # after the drive has settled
-    x0, y0, _ = late[0][1].position_enu_m
-    yaw0 = late[0][1].yaw_rad
-    centre = (x0 - math.sin(yaw0), y0 + math.cos(yaw0))  # 1 m to the left
-    for time_s, pose, velocity, rate in late:
-        yaw = yaw0 + 0.1 * (time_s - late[0][0])
-        x, y, z = pose.position_enu_m
-        assert (x, y) == pytest.approx((centre[0] + math.sin(yaw), centre[1] - math.cos(yaw)), abs=1e-9)
-        assert z == spec.pad_height_m
-        assert rate == pytest.approx(0.1)
-        assert math.hypot(*velocity[:2]) == pytest.approx(0.1)
-
-
 @pytest.mark.parametrize("path", DEMANDS)
 @pytest.mark.parametrize("seed", range(5))
 def test_limits_are_never_passed(path, seed):
@@ -117,29 +78,6 @@ def test_limits_are_never_passed(path, seed):
         before = now
 
 
-def test_reversing_reverses_and_stop_and_go_stops():
-    for path, slowest in ((PathKind.REVERSING, -0.2), (PathKind.STOP_AND_GO, 0.0)):
-        model = TargetModel(TargetSpec(path=path, speed_m_s=0.2, stop_period_s=2.0), 1)
-        speeds = []
-        for _ in range(1000):
-            model.step(DT, True)
-            speeds.append(model.velocity_body_m_s[0])
-        assert max(speeds) == pytest.approx(0.2, abs=1e-3)
-        assert min(speeds) == pytest.approx(slowest, abs=1e-3)
-
-
-def test_waits_until_told_and_brakes_when_told():
-    spec = TargetSpec(path=PathKind.STRAIGHT, speed_m_s=0.2, position_m=(1.0, 2.0), heading_rad=0.3)
-    model, states = drive(spec, driving=False, seconds=2.0)
-    assert {s[1].position_enu_m for s in states} == {(1.0, 2.0, spec.pad_height_m)}
-    for _ in range(200):
-        model.step(DT, True)
-    assert math.hypot(*model.velocity_enu_m_s[:2]) == pytest.approx(0.2, abs=1e-6)
-    for _ in range(200):
-        model.step(DT, False)
-    assert math.hypot(*model.velocity_enu_m_s[:2]) == pytest.approx(0.0, abs=1e-6)
-
-
 def test_pose_follows_from_the_twist_given_before():
     """Moving the pad on an arc with the twist from an interval's start ends at its true pose."""
     spec = TargetSpec(
@@ -153,24 +91,6 @@ def test_pose_follows_from_the_twist_given_before():
         x, y, z = pose.position_enu_m
         expected = (x + sx * v[0] - sy * v[1], y + sx * v[1] + sy * v[0], z + DT * v[2])
         assert after.position_enu_m == pytest.approx(expected, abs=1e-12)
-
-
-def test_pad_behind_the_axle_swings():
-    spec = TargetSpec(path=PathKind.CIRCLE, speed_m_s=0.0, turn_rate_rad_s=1.0, pad_behind_axle_m=0.032)
-    model, _ = drive(spec)
-    assert model.velocity_body_m_s == pytest.approx((0.0, -0.032, 0.0))
-    x, y, _ = model.pose.position_enu_m
-    assert math.hypot(x, y) == pytest.approx(0.032)
-
-
-def test_heave_has_its_amplitude_and_rate():
-    spec = TargetSpec(heave_amplitude_m=0.15, heave_rate_hz=0.25)
-    _, states = drive(spec, seconds=8.0, driving=False)
-    heights = [s[1].position_enu_m[2] for s in states]
-    assert max(heights) == pytest.approx(0.35, abs=1e-4)
-    assert min(heights) == pytest.approx(0.05, abs=1e-4)
-    assert heights[0] == pytest.approx(heights[400], abs=1e-9)  # 4 s later
-    assert max(abs(s[2][2]) for s in states) == pytest.approx(0.15 * 2 * math.pi * 0.25, rel=1e-3)
 
 
 TICKS = 400

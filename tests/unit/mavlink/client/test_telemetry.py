@@ -15,7 +15,7 @@ from bridge.mavlink.preflight.examine import ParameterReader
 from bridge.mavlink.profiles import PX4, Encoding
 from flightstack.core.types import Landed, Mode, VehicleStatus
 from tests import tables
-from tests.px4_flight import px4_or_skip
+from tests.px4_place import px4_or_skip
 from tests.unit.mavlink.client.vehicle_link_fakes import (
     LAND,
     LOITER,

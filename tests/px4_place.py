@@ -1,0 +1,33 @@
+"""Location of a real PX4 for the tests."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from sim.px4.program import find_px4
+
+PX4_PLACE = "FLIGHTSTACK_PX4"  # environment variable: the program or its folder (sim.px4.program.find_px4)
+ROOT = Path(__file__).parents[1]
+
+
+def px4_place() -> Path | None:
+    """Return program or folder; None if there is none and none is named.
+
+    A named place without PX4 is an error where it is used; the test is not skipped.
+    """
+    named = os.environ.get(PX4_PLACE)
+    if named:
+        return Path(named)
+    beside = [up / "shared" / "px4" for up in ROOT.parents]  # a worktree may be one folder deeper
+    return next((place for place in beside if (place / "px4").is_file()), None)
+
+
+def px4_or_skip() -> Path:
+    """Return the program; skip the test if there is none."""
+    place = px4_place()
+    if place is None:
+        pytest.skip(f"no PX4 here: {PX4_PLACE} names none, and there is no folder shared/px4 beside this one")
+    return find_px4(place).binary
