@@ -26,11 +26,9 @@ def sitl(options: RunOptions) -> None:
     """
     from flightstack.common.terminal import Terminal
     from flightstack.launch.result import conclude
-    from flightstack.launch.sitl import fly_all, run
+    from flightstack.launch.sitl import run
 
     console = Terminal(stderr=options.as_json)
-    if options.runs > 1:
-        sys.exit(fly_all(options, console))
     flown = run(options, console)
     sys.exit(conclude(flown, console, as_json=options.as_json, with_report=options.with_report))
 

@@ -41,7 +41,7 @@ def result_table(values: Mapping[str, Any], reason: str) -> Group:
         return _fleet_table(values, reason)
     table = Table("result", Column("value", justify="right"), "unit")
     for name, key, unit in _ROWS:
-        table.add_row(name, shown(values.get(key)), unit)
+        table.add_row(name, _shown(values.get(key)), unit)
     lowest_m = values.get("h_min_m")
     falls = values.get("outcome") == "landed" and (values["touchdown_speed_vertical_m_s"] or 0.0) > FALL_M_S
     notes = [BELOW_ON_PAD] if lowest_m is not None and lowest_m < 0.0 else []
@@ -86,10 +86,10 @@ def _fleet_table(values: Mapping[str, Any], reason: str) -> Group:
     """Return the tables of a fleet: for each member lowest h outside the pad, errors, speeds and times."""
     table = Table("vehicle", *(Column(name, justify="right") for name, _, _ in _MEMBER_COLUMNS))
     for member, each in values["vehicles"].items():
-        table.add_row(Text(member), *(shown(each[key], factor) for _, key, factor in _MEMBER_COLUMNS))
+        table.add_row(Text(member), *(_shown(each[key], factor) for _, key, factor in _MEMBER_COLUMNS))
     fleet = Table("fleet", Column("value", justify="right"), "unit")
     for name, key, unit in (("outcome", "outcome", ""), ("violation", "violation", ""), *_FLEET_ROWS):
-        fleet.add_row(name, shown(values[key]), unit)
+        fleet.add_row(name, _shown(values[key]), unit)
     judged = dict.fromkeys(SOURCES.get(each["judged_from"], "") for each in values["vehicles"].values())
     source = Text(f"judged from {', '.join(judged)}")
     return Group(_title(values), table, fleet, source, Text(reason), *_apart(values["vehicles"].values()))
@@ -100,7 +100,7 @@ def _title(values: Mapping[str, Any]) -> Text:
     return Text(", ".join(about), style="italic")
 
 
-def shown(value: object, factor: float = 1.0) -> str:
+def _shown(value: object, factor: float = 1.0) -> str:
     """Return a value of a result as text for a table."""
     return "-" if value is None else f"{value * factor:.3f}" if isinstance(value, float) else str(value)
 
@@ -122,7 +122,6 @@ class Flown:
     wall_s: float  # wall time from the first tick to the end
     flights: Sequence[Followed]  # onboard processes, one for each vehicle
     problem: str | None  # error of a process; None: no error
-    interrupted: bool = False  # whether the operator ended the run
 
 
 def conclude(flown: Flown, console: Console, *, as_json: bool, with_report: bool) -> int:
@@ -130,7 +129,7 @@ def conclude(flown: Flown, console: Console, *, as_json: bool, with_report: bool
 
     0: landed, 2: code of the user failed, 1: any other end.
     """
-    values = concluded(flown, with_report=with_report)
+    values = _concluded(flown, with_report=with_report)
     if as_json:
         print(json.dumps(values))
     else:
@@ -140,12 +139,13 @@ def conclude(flown: Flown, console: Console, *, as_json: bool, with_report: bool
         if values["report"] is not None:
             console.print(Text(f"report  {values['report']}"), soft_wrap=True)
     last = "\n".join(each.last_line for each in flown.flights)  # of the onboard processes
+    landed = values["outcome"] == "landed" and flown.problem is None
     if problem := flown.problem or failed_code(_reasons(values)) or failed_code(last):
         print(f"flightstack: {problem}", file=sys.stderr)
-    return 2 if failed_code(problem or "") else 0 if landed(values, flown) else 1
+    return 2 if failed_code(problem or "") else 0 if landed else 1
 
 
-def concluded(flown: Flown, *, with_report: bool) -> dict[str, Any]:
+def _concluded(flown: Flown, *, with_report: bool) -> dict[str, Any]:
     """Judge a run and write its report; return the keys of ``--json``, with ``None`` for unknown values.
 
     Without a log, the outcome is that of the onboard process, and there are no measured values.
@@ -177,11 +177,6 @@ def concluded(flown: Flown, *, with_report: bool) -> dict[str, Any]:
     longest_s = max((float(t_s[-1] - t_s[0]) for t_s in times), default=None)
     factor = longest_s / flown.wall_s if longest_s is not None and flown.wall_s > 0.0 else None
     return fleet_result(log, verdict, pages, flown.about, factor)
-
-
-def landed(values: Mapping[str, object], flown: Flown) -> bool:
-    """Return whether all vehicles landed and no process failed."""
-    return values["outcome"] == "landed" and flown.problem is None
 
 
 def _reasons(values: Mapping[str, Any]) -> str:

@@ -42,16 +42,13 @@ def _program(flies: Flies, help: str) -> Option:
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
-    """Options of one run, or of several."""
+    """Options of ``sitl``."""
 
     filter: Annotated[str | None, shared.safety_filter("Safety filter; default: the configuration's")] = None
     config_file: Annotated[Path | None, shared.config(
         "Configuration instead of the scenario's, or of the one for an autopilot"
     )] = None  # fmt: skip
     lockstep: shared.Lockstep = False
-    runs: Annotated[int, Option(
-        "--runs", "Fly N times, with the seeds from --seed on, and print a summary.", "N", span=(1, None)
-    )] = 1  # fmt: skip
     view: shared.View = None
     px4: Annotated[Path | None, _program(
         Flies.PX4, "Fly this PX4 (SITL program or build folder) on the simulated vehicle."
@@ -92,11 +89,6 @@ class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
     def program(self) -> Path | None:
         """Path of the autopilot's program; None if the run starts no such program."""
         return self._programs.get(self.flies)
-
-    @property
-    def live(self) -> bool:
-        """Whether the terminal shows the flight."""
-        return not self.as_json and self.runs == 1
 
     def described(self) -> dict[str, str]:
         """Return values for the log; the logged scenario already contains filter and configuration."""

@@ -1,32 +1,26 @@
-"""One run of ``sitl``, or several: it starts and watches vehicles, robots, onboard processes and recorder.
+"""One run of ``sitl``: it starts and watches vehicles, robots, onboard processes and recorder.
 
 A run with one vehicle and one robot has no vehicle names in its log, its files and its lines.
 """
 
 from __future__ import annotations
 
-import json
 import time
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from statistics import median
 
 from rich.console import Console
-from rich.table import Column, Table
 
-from flightstack.common.hangup import CalledOffError
 from flightstack.common.options import shared
-from flightstack.common.processes import Child, LaunchError
+from flightstack.common.processes import Child
 from flightstack.common.strict_toml import ConfigError, dumps
-from flightstack.common.text import failed_code
 from flightstack.config.files import load as load_config
 from flightstack.config.options import OnboardOptions
 from flightstack.core.parameters.filters import short_name
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.launch.launcher import Followed, Launcher, Shown
-from flightstack.launch.result import Flown, concluded, landed, shown
+from flightstack.launch.result import Flown
 from flightstack.launch.run_options import Flies, RunOptions
 from flightstack.launch.vehicles import (
     VEHICLES,
@@ -47,17 +41,6 @@ from sim.vehicle.declared import not_proven, outside
 GRACE_S = 60.0  # wall time beyond the scenario's duration after which a run is given up, s
 LOCKSTEP_SLOWEST = 0.05  # fraction of real time below which a lockstep run is given up
 RECORDER_YIELDS = 10  # nice value of the recorder, divided by the number of vehicles that send it data
-Row = Mapping[str, object]
-_COLUMNS = (
-    ("seed", "seed"),
-    ("outcome", "outcome"),
-    ("violation", "violation"),
-    ("error, m", "touchdown_error_m"),
-    ("speed down, m/s", "touchdown_speed_vertical_m_s"),
-    ("lowest h outside the pad, m", "h_min_outside_pad_m"),
-    ("time, s", "time_to_land_s"),
-    ("real-time factor", "realtime_factor"),
-)
 
 
 def prepare(options: RunOptions) -> TeamScenario:
@@ -143,7 +126,7 @@ def run(options: RunOptions, console: Console) -> Flown:
     folder = options.out or new_folder(f"{team.name}-seed{options.seed}-{name}")
     log = log_in(folder)
     (folder / team.file).write_text(text(team), encoding="utf-8")
-    with Launcher(folder, console, tells=options.live) as launcher:
+    with Launcher(folder, console, tells=not options.as_json) as launcher:
         if line := not_proven(team):
             _hint(launcher, line)
         return _fly(launcher, options, team, log)
@@ -192,7 +175,7 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
     speed = LOCKSTEP_SLOWEST / len(vehicles) if options.lockstep else min(1.0, options.speed)
     filters = ", ".join(sorted({each.scenario.onboard.filter for each in vehicles}))
     title = f"{team.name}  seed {options.seed}  filter {filters}"
-    live = options.live and launcher.console.is_terminal and not options.lockstep
+    live = not options.as_json and launcher.console.is_terminal and not options.lockstep
     shown = Shown([each.endpoint for each in vehicles], title, [each.space for each in vehicles])
     flights = tuple(
         Followed(child, each.names.member) for child, each in zip(onboards, vehicles, strict=True)
@@ -206,7 +189,7 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
     launcher.end_all()
     problem = problem or end_recorder(recorder)  # the recorder may end after the flight
     about = {"scenario": team.name, "seed": options.seed, "filter": filters}
-    return Flown(about, launcher.folder, log, wall_s, flights, problem, launcher.interrupted)
+    return Flown(about, launcher.folder, log, wall_s, flights, problem)
 
 
 def _hint(launcher: Launcher, line: str) -> None:
@@ -266,80 +249,3 @@ def _about(options: RunOptions, scenario: Scenario | TeamScenario, seed: int) ->
         "mode": "lockstep" if options.lockstep else "real-time",
         **options.described(),
     }
-
-
-def fly_all(options: RunOptions, console: Console) -> int:
-    """Fly the seeds from ``options.seed`` on, each in its own folder; print a table and a summary.
-
-    A run that does not start counts as not landed, and the next one is flown; Ctrl-C ends after the current
-    one. The exit status is returned: 0 if all landed, 2 if code of the user failed, otherwise 1.
-
-    Raises ConfigError: an input is wrong.
-    """
-    runs = options.runs
-    prepare(options)  # a wrong input must not create a folder
-    base = options.out or new_folder(f"{Path(options.scenario).stem}-{runs}-runs")
-    rows: list[Row] = []
-    for seed in range(options.seed, options.seed + runs):
-        try:
-            flown = run(replace(options, seed=seed, out=base / f"seed{seed}"), console)
-        except CalledOffError:
-            break
-        except LaunchError as error:
-            console.print(f"seed {seed}: {error}", style="red", markup=False)
-            rows.append({"seed": seed, "outcome": None, "reason": str(error), "problem": str(error)})
-            continue
-        values = concluded(flown, with_report=options.with_report)
-        rows.append({**values, "problem": flown.problem, "landed": landed(values, flown)})
-        line = "  ".join(f"{name} {shown(values.get(key))}" for name, key in _COLUMNS)
-        console.print(line, soft_wrap=True, markup=False)
-        if flown.interrupted:
-            break
-    summary = sum_up(rows, runs)
-    console.print(_table(rows))
-    if options.as_json:
-        print(json.dumps(summary))
-    else:
-        console.print(
-            "  ".join(f"{name} {shown(value)}" for name, value in summary.items() if name != "rows")
-        )
-    failed = any(failed_code(f"{row['reason']}{row['problem'] or ''}") for row in rows)
-    return 2 if failed else 0 if summary["landed"] == runs else 1
-
-
-def sum_up(rows: Sequence[Row], runs: int) -> dict[str, object]:
-    """Return counts and medians of several runs.
-
-    ``rows``: values of each run, including ``landed``; ``runs``: number of requested runs.
-    """
-    counts = Counter(row.get("outcome") for row in rows)
-    return {
-        "runs": runs,
-        "flown": len(rows),
-        "landed": sum(row.get("landed") is True for row in rows),
-        "crashed": counts["crashed"],
-        "aborted": counts["aborted"],
-        "violations": sum(row.get("violation") is True for row in rows),
-        "touchdown_error_m": _median(rows, "touchdown_error_m"),
-        "touchdown_error_max_m": max(_numbers(rows, "touchdown_error_m"), default=None),
-        "touchdown_speed_vertical_m_s": _median(rows, "touchdown_speed_vertical_m_s"),
-        "time_to_land_s": _median(rows, "time_to_land_s"),
-        "realtime_factor": _median(rows, "realtime_factor"),
-        "rows": list(rows),
-    }
-
-
-def _numbers(rows: Sequence[Row], key: str) -> list[float]:
-    return [value for row in rows if isinstance(value := row.get(key), float)]
-
-
-def _median(rows: Sequence[Row], key: str) -> float | None:
-    found = _numbers(rows, key)
-    return median(found) if found else None
-
-
-def _table(rows: Sequence[Row]) -> Table:
-    table = Table(*(Column(name, justify="right") for name, _ in _COLUMNS))
-    for row in rows:
-        table.add_row(*(shown(row.get(key)) for _, key in _COLUMNS))
-    return table

@@ -164,18 +164,3 @@ def test_what_does_not_go_together_is_refused(tmp_path, words, said):
             files.append(str(each.readlink()))
     assert files
     assert not [name for name in files if "flightstack-px4-" in name]  # no instance number is left reserved
-
-
-def test_several_runs_are_summed_up(tmp_path):
-    done = flightstack(
-        "sitl", "--scenario", "paper_static_2", "--lockstep", "--runs", 2, "--seed", 3, "--no-report",
-        "--json", "--out", tmp_path,
-    )  # fmt: skip
-    assert done.code == 0, done.out + done.err
-    found = done.json
-    assert (found["runs"], found["flown"], found["landed"], found["violations"]) == (2, 2, 2, 0)
-    assert [row["seed"] for row in found["rows"]] == [3, 4]
-    errors = sorted(row["touchdown_error_m"] for row in found["rows"])
-    assert found["touchdown_error_m"] == pytest.approx(sum(errors) / 2)
-    assert found["touchdown_error_max_m"] == errors[1]
-    assert (tmp_path / "seed4" / "flight.mcap").exists()

@@ -34,11 +34,9 @@ def verb(name, port):
         "--config",
         "crazyflie",
     ]
-    sitl = ["sitl", "--scenario", "paper_static_1", "--no-report", "--out", "out"]
     return {
         "fly": ["fly", *vehicle, "--no-report", "--out", "out"],
-        "sitl": sitl,
-        "runs": [*sitl, "--lockstep", "--runs", "3"],
+        "sitl": ["sitl", "--scenario", "paper_static_1", "--no-report", "--out", "out"],
         "onboard": ["onboard", *vehicle],
     }[name]
 
@@ -49,9 +47,8 @@ def children(pid):
 
 @pytest.mark.parametrize(
     ("name", "number"),
-    [("fly", signal.SIGTERM), ("sitl", signal.SIGINT), ("runs", signal.SIGTERM),
-     ("onboard", signal.SIGQUIT)],
-)  # fmt: skip
+    [("fly", signal.SIGTERM), ("sitl", signal.SIGINT), ("onboard", signal.SIGQUIT)],
+)
 def test_a_signal_while_the_recorder_starts_calls_the_flight_off(name, number, tmp_path):
     child = subprocess.Popen(
         [*COMMAND, *verb(name, free_port(udp=True))], cwd=tmp_path, start_new_session=True,
