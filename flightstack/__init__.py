@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from flightstack.api.landing import read_log as read_log
     from flightstack.api.scenario import scenario as scenario
     from flightstack.core.strategies.at import At as At
+    from flightstack.core.strategies.robust import RobustFilter as RobustFilter
     from flightstack.core.strategies.strategy import Filter as Filter
 
 _HOME = {
@@ -30,6 +31,7 @@ _HOME = {
     "Filter": "flightstack.core.strategies.strategy",
     "Landing": "flightstack.api.landing",
     "LandingEnv": "flightstack.api.env",
+    "RobustFilter": "flightstack.core.strategies.robust",
     "Sweep": "flightstack.api.campaign",
     "campaign": "flightstack.api.campaign",
     "frame": "flightstack.api.frames",

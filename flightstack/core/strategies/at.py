@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from flightstack.core.safety.projection import best_corner, project
+from flightstack.core.types import Vec3
 
 Vector = NDArray[np.float64]
 
@@ -29,6 +31,7 @@ class At(NamedTuple):
         rate_1_s: largest relative rate at which h may fall.
         lower_m_s: lowest velocity that may be commanded in this tick, by limits and slew.
         upper_m_s: highest velocity that may be commanded in this tick.
+        permitted: limits a velocity to what the margin of the barrier allows for; the paper's has no margin.
     """
 
     t_s: float
@@ -44,6 +47,7 @@ class At(NamedTuple):
     rate_1_s: float
     lower_m_s: Vector
     upper_m_s: Vector
+    permitted: Callable[[Vec3], Vec3]
 
     @property
     def bound_m_s(self) -> float:
@@ -51,14 +55,15 @@ class At(NamedTuple):
         return -self.rate_1_s * self.h_m - self.dh_dt_m_s
 
     def enforced(self, velocity_m_s: ArrayLike) -> Vector:
-        """Return the nearest velocity in the limits that keeps the barrier, or the one that raises h most.
+        """Return the nearest permitted velocity that keeps the barrier, or the one that raises h most.
 
         Args:
             velocity_m_s: (3,) ENU.
         """
         x, y, z = np.asarray(velocity_m_s, dtype=np.float64).tolist()
+        permitted = self.permitted((x, y, z))
         gradient, lower, upper = self.gradient.tolist(), self.lower_m_s.tolist(), self.upper_m_s.tolist()
-        found = project((x, y, z), tuple(gradient), self.bound_m_s, tuple(lower), tuple(upper))
+        found = project(permitted, tuple(gradient), self.bound_m_s, tuple(lower), tuple(upper))
         return np.array(found if found is not None else best_corner(gradient, lower, upper))
 
 

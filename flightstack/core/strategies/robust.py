@@ -187,7 +187,7 @@ class RobustFilter(Filter):
         return (x, y, z)
 
     def permitted_m_s(self, nominal: Vec3, own: Vec3, at: Relative) -> Vec3:
-        """Limit an agent's velocity to what the certificate assumes of ``own``, the nominal velocity.
+        """Limit a chosen velocity to what the certificate assumes of ``own``, the nominal velocity.
 
         The program keeps the barrier by the vertical velocity, for a horizontal velocity that the position
         loop commands. So the velocity relative to the target is at most gain times distance, h falls by no

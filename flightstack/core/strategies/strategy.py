@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
+from functools import partial
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar
 
@@ -171,6 +172,7 @@ class Filter:
             self.rate_1_s,
             np.array(lower),
             np.array(upper),
+            partial(self.permitted_m_s, own=nominal, at=at),
         )
         return self.result(nominal, seen)
 
@@ -197,10 +199,10 @@ class Filter:
         return self.ask(at, own) if answer is None else answer
 
     def permitted_m_s(self, nominal: Vec3, own: Vec3, at: Relative) -> Vec3:
-        """Return an agent's nominal velocity within what the filter allows for. Default: unchanged.
+        """Return a velocity within what the margin of the filter allows for. Default: unchanged.
 
         Args:
-            nominal: velocity that the agent chose.
+            nominal: velocity that an agent or a user's method ``filter`` chose.
             own: velocity that ``approach_m_s`` chose.
             at: vehicle relative to target.
         """

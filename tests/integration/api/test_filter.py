@@ -79,6 +79,20 @@ def test_what_keeps_no_barrier_is_judged_by_the_flight():
     assert landing.verdict.violation
 
 
+class Hasty(fs.RobustFilter):
+    """Flies at the pad as fast as the limits allow; ``enforced`` keeps the barrier with the robust margin."""
+
+    def filter(self, nominal, at):
+        return at.enforced(at.target_velocity_enu_m_s - 2.0 * at.e_m)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_filter_that_extends_the_robust_one_keeps_its_margin(seed):
+    landing = fs.land("field", seed, filter=Hasty)
+    assert not landing.verdict.violation
+    assert landing.verdict.outcome in ("landed", "aborted")
+
+
 @pytest.mark.parametrize(
     ("value", "text"),
     [
