@@ -1,8 +1,8 @@
-"""Reads the records of an MCAP file up to its end or to the first unreadable record.
+"""Reads the readable records of an MCAP file, and reports the first unreadable one.
 
 A record is readable if it ends within the file, its kind is known, its fields fill it to the last byte and
-its checksum is correct. ``mcap recover`` also reads the data behind an unreadable record. A file of another
-kind is named, with what to do.
+its checksum is correct. Reading continues behind an unreadable record, unless its length is wrong. A file of
+another kind is named, with what to do.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from typing import Any, BinaryIO, NamedTuple
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
+from mcap.reader import make_reader
 from mcap.records import (
     Attachment,
     AttachmentIndex,
@@ -75,8 +76,20 @@ class Records:
         self._stream, self._messages = stream, messages
         self._size = os.fstat(stream.fileno()).st_size
         self._declared: dict[tuple[type, int], Any] = {}  # declarations by kind and id
-        self.problem = ""  # first unreadable record, its place and the reason; empty: none
+        self._repeated: dict[tuple[type, int], Any] | None = None  # those in the summary
+        self._first, self._places = "", 0  # first unreadable record; number of unreadable records
         self.broken_at = self._size  # first unreadable byte; the size of the file if there is none
+
+    @property
+    def problem(self) -> str:
+        """First unreadable record, its place and the reason; empty if all records are readable."""
+        more = self._places - 1
+        return self._first + (f"; so in {more} more place{'s' * (more > 1)}" if more > 0 else "")
+
+    def _damaged(self, what: str, at: int, error: Exception) -> None:
+        if not self._places:
+            self._first, self.broken_at = f"{what} ({_reason(error)})", at
+        self._places += 1
 
     def __iter__(self) -> Iterator[Any]:
         """Yield the readable records, including those in chunks, in the order in which they were written."""
@@ -88,17 +101,19 @@ class Records:
                 head = self._stream.read(_HEAD.size)
                 kind, length = self._head(head, at)
                 body = self._stream.read(length)
-                records = self._taken(kind, body)
-                if kind in (Opcode.DATA_END, Opcode.FOOTER):
-                    _check_crc(crc if kind == Opcode.DATA_END else zlib.crc32(head, crc), body)
-                yield from records
+                try:
+                    yield from self._taken(kind, body, at)
+                    if kind in (Opcode.DATA_END, Opcode.FOOTER):
+                        _check_crc(crc if kind == Opcode.DATA_END else zlib.crc32(head, crc), body)
+                except Exception as error:  # a library may raise any exception for damaged bytes
+                    end = at + len(head) + length
+                    self._damaged(f"bytes {at} to {end} of {self._size} cannot be read", at, error)
                 crc = 0 if kind == Opcode.DATA_END else zlib.crc32(body, zlib.crc32(head, crc))
                 at += len(head) + length
             if self._stream.read(len(MAGIC) + 1) != MAGIC:
                 raise DamageError("the closing magic is needed there")
-        except Exception as error:  # a library may raise any exception for damaged bytes
-            self.problem = f"nothing after byte {at} of {self._size} can be read ({_reason(error)})"
-            self.broken_at = at
+        except DamageError as error:
+            self._damaged(f"nothing after byte {at} of {self._size} can be read", at, error)
 
     def _head(self, head: bytes, at: int) -> tuple[int, int]:
         """Return the kind of the record at a byte of the file, and the length of its content."""
@@ -111,16 +126,16 @@ class Records:
             raise DamageError("no record begins with a zero byte")
         return kind, length
 
-    def _taken(self, kind: int, body: bytes) -> list[Any]:
+    def _taken(self, kind: int, body: bytes, place: int) -> list[Any]:
         """Return the records of a file record: itself, or the records in a chunk."""
         if kind == Opcode.MESSAGE or kind in _DECLARED:
-            return self._in_chunk(_HEAD.pack(kind, len(body)) + body)
+            return self._in_chunk(_HEAD.pack(kind, len(body)) + body, place)
         record = _understood(kind, body)
         if isinstance(record, Chunk):
-            return self._in_chunk(_unpacked(record))
+            return self._in_chunk(_unpacked(record), place)
         return [] if record is None else [record]
 
-    def _in_chunk(self, data: bytes) -> list[Any]:
+    def _in_chunk(self, data: bytes, place: int) -> list[Any]:
         """Return the records in the data of a chunk, in a tenth of the package's time."""
         found: list[Any] = []
         at, size = 0, len(data)
@@ -128,30 +143,55 @@ class Records:
             kind, length = _HEAD.unpack_from(data, at) if size - at >= _HEAD.size else (0, size)
             begin = at + _HEAD.size
             at = begin + length
-            if at > size:
-                raise DamageError("a record is longer than its chunk")
-            if kind == Opcode.MESSAGE and length >= _MESSAGE.size:
-                channel, sequence, logged_ns, published_ns = _MESSAGE.unpack_from(data, begin)
-                if (Channel, channel) not in self._declared:
-                    raise DamageError(f"channel {channel} was never declared")
-                if logged_ns > _TIME_MAX_NS or published_ns > _TIME_MAX_NS:
-                    raise DamageError(f"the time of a message of channel {channel} is behind the year 2262")
-                if self._messages:
-                    payload = data[begin + _MESSAGE.size : at]
-                    found.append(Message(channel, logged_ns, payload, published_ns, sequence))
-            else:
-                found.append(self._declare(_understood(kind, data[begin:at], _DECLARED)))
+            try:
+                if at > size:
+                    raise DamageError("a record is longer than its chunk")
+                if kind == Opcode.MESSAGE and length >= _MESSAGE.size:
+                    channel, sequence, logged_ns, published_ns = _MESSAGE.unpack_from(data, begin)
+                    if (Channel, channel) not in self._declared:
+                        self._from_summary(channel, found)
+                    if logged_ns > _TIME_MAX_NS or published_ns > _TIME_MAX_NS:
+                        raise DamageError(
+                            f"the time of a message of channel {channel} is behind the year 2262"
+                        )
+                    if self._messages:
+                        payload = data[begin + _MESSAGE.size : at]
+                        found.append(Message(channel, logged_ns, payload, published_ns, sequence))
+                else:
+                    self._declare(_understood(kind, data[begin:at], _DECLARED), found)
+            except Exception as error:  # a library may raise any exception for damaged bytes
+                self._damaged(f"a record at byte {place} cannot be read", place, error)
         return found
 
-    def _declare(self, record: Any) -> Any:
-        """Store and return a declaration; a channel needs its schema, and neither may change."""
+    def _from_summary(self, channel: int, found: list[Any]) -> None:
+        """Declare a channel as the summary does, because its first declaration is unreadable."""
+        if self._repeated is None:
+            here = self._stream.tell()
+            self._stream.seek(0)
+            try:
+                summary = make_reader(self._stream).get_summary()
+            except Exception:  # there is no summary, or it is damaged; the pass itself reports this
+                summary = None
+            self._stream.seek(here)
+            self._repeated = {}
+            if summary is not None:
+                self._repeated.update(((Schema, number), each) for number, each in summary.schemas.items())
+                self._repeated.update(((Channel, number), each) for number, each in summary.channels.items())
+        if (record := self._repeated.get((Channel, channel))) is None:
+            raise DamageError(f"channel {channel} was never declared")
+        schema = self._repeated.get((Schema, record.schema_id))
+        for each in filter(None, (schema, record)):
+            self._declare(each, found)
+
+    def _declare(self, record: Any, found: list[Any]) -> None:
+        """Store and yield a declaration; a channel needs its schema, and neither may change."""
         kind = type(record)
         if self._declared.setdefault((kind, record.id), record) != record:
             raise DamageError(f"{kind.__name__} {record.id} is declared a second time, and differs")
+        found.append(record)
         needed = record.schema_id if kind is Channel else 0
         if needed and (Schema, needed) not in self._declared:
             raise DamageError(f"schema {needed} of {record.topic} was never declared")
-        return record
 
 
 def _understood(kind: int, body: bytes, kinds: dict[int, Any] = _KINDS) -> Any:

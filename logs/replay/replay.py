@@ -145,6 +145,8 @@ class _Run:
         last: int | None = None
         cut: TickRecord | None = None
         for record in ticks:
+            if self.flight.log.problem and last is not None and self._ends(record, last):
+                break  # behind the damage the state is unknown
             if cut is not None and last is not None:
                 what = "inputs" if cut.given is None else "decisions"
                 raise self._gap(f"the {what} of a tick after tick {last} are")
@@ -167,6 +169,11 @@ class _Run:
             raise ReplayError(f"{self.flight.log.path}: no tick with both inputs and decisions")
         if cut is not None and cut.given is not None and cut.given.tick == last + 1:
             self.result.notes.append(f"tick {cut.given.tick}, the last one, is not whole and was left out")
+
+    @staticmethod
+    def _ends(record: TickRecord, last: int) -> bool:
+        """Whether a record is not the complete next tick."""
+        return record.given is None or record.step is None or record.given.tick != last + 1
 
     def _gap(self, lacks: str) -> ReplayError:
         return ReplayError(

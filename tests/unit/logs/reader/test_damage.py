@@ -108,19 +108,31 @@ def test_every_verb_ends_with_a_sentence_whatever_is_damaged(logs, kind, tmp_pat
 
 
 @pytest.mark.parametrize("kind", ["ours", "zstd", "none"])
-@pytest.mark.parametrize("place", ["data", "length", "kind"])
-def test_what_is_before_a_damaged_chunk_is_read(logs, kind, place, tmp_path):
+@pytest.mark.parametrize("place", ["data", "kind"])
+@pytest.mark.parametrize("number", [0, -2])
+def test_what_is_before_and_behind_a_damaged_chunk_is_read(logs, kind, place, number, tmp_path):
+    """The first chunk contains the declarations, which the summary repeats."""
     data, spans = bytearray(logs[kind].read_bytes()), chunks(logs[kind])
-    begin, end = spans[-2]
-    data[{"data": (begin + end) // 2, "length": begin + 4, "kind": begin}[place]] ^= 0x40
+    begin, end = spans[number]
+    data[{"data": (begin + end) // 2, "kind": begin}[place]] ^= 0x40
     bad = tmp_path / "bad.mcap"
     bad.write_bytes(data)
     log, found, whole = LogFile(bad), rows(bad), rows(logs[kind])
-    assert found == whole[: len(found)]
-    assert 0 < len(whole) - len(found) <= 4 * len(whole) // len(spans)
+    assert 0 < len(whole) - len(found) <= 3 * len(whole) // len(spans)
+    assert (found[0] == whole[0], found[-1] == whole[-1]) == (number != 0, True)
     assert not log.complete
-    assert f"nothing after byte {begin} of " in log.problem
+    assert f"bytes {begin} to " in log.problem
     assert log.outline.broken_at == begin
+
+
+def test_behind_a_wrong_length_nothing_is_read(logs, tmp_path):
+    data, (begin, _) = bytearray(logs["ours"].read_bytes()), chunks(logs["ours"])[-2]
+    data[begin + 4] ^= 0x40
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(data)
+    found = rows(bad)
+    assert found == rows(logs["ours"])[: len(found)] != []
+    assert f"nothing after byte {begin} of " in LogFile(bad).problem
 
 
 def message(channel, number):
@@ -154,35 +166,35 @@ TEN, MORE = b"".join(message(1, n) for n in range(10)), b"".join(message(1, n) f
 
 
 @pytest.mark.parametrize(
-    ("between", "problem"),
+    ("between", "messages", "problem"),
     [
-        (b"", ""),
-        (message(7, 3), "channel 7 was never declared"),
-        (chunk(message(7, 3) + message(7, 4) + message(1, 5)), "channel 7 was never"),
-        (channel(2, 9, "/y") + message(2, 3), "schema 9 of /y was never declared"),
-        (channel(1, 1, "/z"), "Channel 1 is declared a second time"),
-        (frame(0x21, b"abc"), "kind 0x21 is not known"),
-        (chunk(chunk(message(1, 3))), "kind 0x06 is not known"),
-        (frame(5, struct.pack("<HIQQ", 1, 3, 2**63, 3) + bytes(12)), "behind the year 2262"),
-        (chunk(message(1, 3), "brotli"), "compression 'brotli'"),
-        (chunk(message(1, 3), size=7), "a chunk of .* bytes instead of 7"),
-        (chunk(message(1, 3), crc=7), "crc validation failed"),
-        (chunk(message(1, 3) + message(1, 4)[:-3]), "a record is longer than its chunk"),
-        (chunk(b"\xff" * 50, "zstd"), "ZstdError"),
-        (chunk(b"\xff" * 50, "lz4"), "RuntimeError"),
-        (frame(9, bytes(40)), "a checksum|unexpected bytes"),
-        (frame(12, text("m") + struct.pack("<I", 99)), "a field is longer than its record"),
-        (frame(5, b"abc"), "kind 0x05"),
-        (frame(7, b"abc"), "an index of messages"),
-        (bytes(500), "no record begins with a zero byte"),
-        (END + END, "closing magic"),
+        (b"", 20, ""),
+        (message(7, 3), 20, "a record at byte .*channel 7 was never declared"),
+        (chunk(message(7, 3) + message(7, 4) + message(1, 5)), 21, "channel 7 .*in 1 more place"),
+        (channel(2, 9, "/y") + message(2, 3), 21, "schema 9 of /y was never declared"),
+        (channel(1, 1, "/z"), 20, "Channel 1 is declared a second time"),
+        (frame(0x21, b"abc"), 20, "kind 0x21 is not known"),
+        (chunk(chunk(message(1, 3))), 20, "kind 0x06 is not known"),
+        (frame(5, struct.pack("<HIQQ", 1, 3, 2**63, 3) + bytes(12)), 20, "behind the year 2262"),
+        (chunk(message(1, 3), "brotli"), 20, "compression 'brotli'"),
+        (chunk(message(1, 3), size=7), 20, "a chunk of .* bytes instead of 7"),
+        (chunk(message(1, 3), crc=7), 20, "crc validation failed"),
+        (chunk(message(1, 3) + message(1, 4)[:-3]), 21, "a record is longer than its chunk"),
+        (chunk(b"\xff" * 50, "zstd"), 20, "ZstdError"),
+        (chunk(b"\xff" * 50, "lz4"), 20, "RuntimeError"),
+        (frame(9, bytes(40)), 20, "a checksum|unexpected bytes"),
+        (frame(12, text("m") + struct.pack("<I", 99)), 20, "a field is longer than its record"),
+        (frame(5, b"abc"), 20, "kind 0x05"),
+        (frame(7, b"abc"), 20, "an index of messages"),
+        (bytes(500), 10, "no record begins with a zero byte"),
+        (END + END, 10, "closing magic"),
     ],
 )  # fmt: skip
-def test_a_log_is_complete_only_if_every_byte_was_understood(tmp_path, between, problem):
+def test_a_log_is_complete_only_if_every_byte_was_understood(tmp_path, between, messages, problem):
     path = tmp_path / "log.mcap"
     path.write_bytes(HEAD + TEN + between + MORE + END)
     log = LogFile(path)
-    assert len(list(log.messages())) == (10 if problem else 20)
+    assert len(list(log.messages())) == messages
     assert log.complete == (not problem)
     assert bool(log.problem) == bool(problem)
     result = CliRunner().invoke(main, ["log", "info", str(path)])
