@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from bridge.ros2.cdr import NO_COVARIANCE
@@ -126,15 +126,6 @@ def _body_velocity(row: ControllerStepRow) -> Vec3:
     return (cos_yaw * x + sin_yaw * y, cos_yaw * y - sin_yaw * x, z)
 
 
-@dataclass
-class _Told:
-    """Metadata and attachments of one flight."""
-
-    run: dict[str, str] = field(default_factory=dict)  # metadata of the run
-    shape: dict[str, str] = field(default_factory=dict)  # barrier and pad from the configuration
-    onboard: dict[str, str] = field(default_factory=dict)  # metadata of the onboard process
-
-
 class Derivers:
     """Derivations for all clients of one recorder, by topic: a client that reconnects continues.
 
@@ -142,61 +133,49 @@ class Derivers:
     """
 
     def __init__(self) -> None:
-        self._told: dict[str, _Told] = {}  # metadata by member; empty key: the only flight
+        # metadata of each member by record, with barrier and pad of its configuration as ``shape``; the
+        # member of a log of one flight is empty
+        self._told: dict[str, dict[str, dict[str, str]]] = defaultdict(lambda: defaultdict(dict))
         self._steps: dict[str, Deriver] = {}
         self._frames: dict[str, FrameDecoder] = {}
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Handle the metadata of a run or of an onboard process."""
         member, name = split(name)
-        if name == "run":
-            self._of(member).run.update(values)
-            self._configure_steps()
-        elif name == "onboard":
-            self._of(member).onboard.update(values)
-            for frames in self._frames.values():
-                self._configure(frames)
+        if name in ("run", "onboard"):
+            self._told[member][name].update(values)
+            self._configure()
 
     def attachment(self, name: str, data: bytes) -> None:
         member, name = split(name)
-        if name != ATTACHMENT:
-            return
-        with contextlib.suppress(ConfigError):  # another version's configuration gives no barrier and pad
-            self._of(member).shape = shape(read_config(data))
-        self._configure_steps()
+        if name == ATTACHMENT:
+            with contextlib.suppress(ConfigError):  # another version's configuration gives no barrier and pad
+                self._told[member]["shape"] = shape(read_config(data))
+            self._configure()
 
     def declare(self, topic: str, schema: str) -> Derive | None:
         """Return the function that derives messages from a channel; None: no messages are derived."""
         if schema == CONTROLLER_STEP:
             if topic not in self._steps:
-                space = topic.removesuffix(STEP_SUFFIX)
-                fleet = space.strip("/") in self._told
+                fleet = topic.removesuffix(STEP_SUFFIX).strip("/") in self._told
                 self._steps[topic] = Deriver(topic, shares_log=fleet)
-                self._configure_steps()
+                self._configure()
             step = self._steps[topic].step
             return lambda log_time_ns, payload: step(log_time_ns, ControllerStepRow.unpack(payload))
         if schema == MAVLINK:
             if topic not in self._frames:
                 self._frames[topic] = FrameDecoder(topic)
-                self._configure(self._frames[topic])
+                self._configure()
             return self._frames[topic].step
         return None
 
-    def _of(self, member: str) -> _Told:
-        return self._told.setdefault(member, _Told())
-
-    def _configure_steps(self) -> None:
+    def _configure(self) -> None:
         for topic, deriver in self._steps.items():
             space = topic.removesuffix(STEP_SUFFIX).strip("/")
-            told = self._told.get(space) or self._of("")
-            deriver.configure(told.run, told.shape)
-
-    def _configure(self, frames: FrameDecoder) -> None:
+            told = self._told[space if space in self._told else ""]
+            deriver.configure(told["run"], told["shape"])
         for member, told in self._told.items():
-            onboard = told.onboard
-            if "namespace" not in onboard:
-                continue
-            names = Names(member, int(onboard.get("system_id", "1")))
-            if member and frames.topic.rpartition("/")[0] != names.frames("").rstrip("/"):
-                continue
-            frames.configure(onboard)
+            whose = Names(member, int(told["onboard"].get("system_id", "1"))).frames("") if member else ""
+            for frames in self._frames.values():
+                if frames.topic.startswith(whose):
+                    frames.configure(told["onboard"])

@@ -35,6 +35,12 @@ NOMINAL_COLOR: Color = (1.0, 0.5, 0.05, 1.0)
 FILTERED_COLOR: Color = (0.17, 0.63, 0.17, 1.0)
 COMMAND_COLOR: Color = (0.58, 0.40, 0.74, 1.0)
 
+# Colours of several flights; a member has the same one in report and viewer.
+# Okabe and Ito (2008), dark ones first, then two of Tol; the ninth flight has the first colour again
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#882255", "#44AA99")
+# other colours of Tol for pairs of flights, so that each colour has one meaning
+PAIR_COLORS = ("#332288", "#AA4499", "#117733", "#999933", "#661100", "#6699CC", "#DDCC77", "#888888")
+
 _NO_ROTATION = (0.0, 0.0, 0.0, 1.0)
 _ADD = 0  # value of Marker.action
 _LIFETIME_NS = round(LIFETIME_S * 1e9)

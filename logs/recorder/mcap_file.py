@@ -28,43 +28,6 @@ _MESSAGE_OVERHEAD = 22  # bytes of a message record besides its data
 _MESSAGE_OPCODE = int(Opcode.MESSAGE)
 
 
-class ChunkedWriter(Writer):  # type: ignore[misc]
-    """Writes one MCAP file; not thread-safe."""
-
-    def __init__(self, output: SafeStream | BinaryIO, chunk_bytes: int) -> None:
-        """Write to ``output``; a chunk is closed when it holds more than ``chunk_bytes`` uncompressed."""
-        super().__init__(output, chunk_bytes, CompressionType.LZ4, enable_data_crcs=True)
-        # the package uses these names; its version is pinned
-        self._chunk, self._counts = self._Writer__chunk_builder, self._Writer__statistics
-        self._chunk_bytes = chunk_bytes
-
-    def add_message(
-        self, channel_id: int, log_time: int, data: bytes, publish_time: int, sequence: int = 0
-    ) -> None:
-        chunk, counts = self._chunk, self._counts
-        index = chunk.message_indices.get(channel_id)
-        if index is None:
-            index = chunk.message_indices[channel_id] = MessageIndex(channel_id, [])
-        buffer = chunk.record_writer._buffer
-        index.records.append((log_time, buffer.tell()))
-        length = _MESSAGE_OVERHEAD + len(data)
-        buffer.write(_MESSAGE.pack(_MESSAGE_OPCODE, length, channel_id, sequence, log_time, publish_time))
-        buffer.write(data)
-        if not chunk.num_messages or log_time < chunk.message_start_time:
-            chunk.message_start_time = log_time
-        if log_time > chunk.message_end_time:
-            chunk.message_end_time = log_time
-        if not counts.message_count or log_time < counts.message_start_time:
-            counts.message_start_time = log_time
-        if log_time > counts.message_end_time:
-            counts.message_end_time = log_time
-        counts.channel_message_counts[channel_id] += 1
-        counts.message_count += 1
-        chunk.num_messages += 1
-        if buffer.tell() > self._chunk_bytes:
-            self.flush()
-
-
 CHUNK_BYTES = 256 * 1024  # a killed recorder loses at most the open chunk
 _QOS = "[]"  # empty, as in rosbags: the sender's quality of service is unknown
 
@@ -115,43 +78,47 @@ class SafeStream:
         return True
 
 
-class McapFile:
-    """The open log file of one flight or fleet."""
+class McapFile(Writer):  # type: ignore[misc]
+    """The open log file of one flight or fleet; not thread-safe."""
 
     def __init__(self, path: Path, *, stream: SafeStream | None = None) -> None:
         """Create the file; ``stream`` replaces the disk in tests."""
         self.path = path
-        self.messages = 0  # messages written so far
-        self._stream = stream or SafeStream(path.open("xb", buffering=0))
-        self._writer = ChunkedWriter(self._stream, CHUNK_BYTES)
-        self._writer.start("ros2", _library())
+        self._output = stream or SafeStream(path.open("xb", buffering=0))
+        super().__init__(self._output, CHUNK_BYTES, CompressionType.LZ4, enable_data_crcs=True)
+        # the package uses these names; its version is pinned
+        self._chunk, self._counts = self._Writer__chunk_builder, self._Writer__statistics
+        self.start("ros2", _library())
         self._schemas: dict[str, int] = {}
         self._channels: dict[tuple[str, str], int] = {}
 
     @property
+    def messages(self) -> int:
+        """Messages written so far."""
+        return int(self._counts.message_count)
+
+    @property
     def failure(self) -> str:
         """Reason why the disk stopped accepting data; empty as long as it works."""
-        return self._stream.failure
+        return self._output.failure
 
     def fail(self, why: str) -> None:
         """Stop writing: the disk has lost earlier data."""
-        self._stream.failure = self._stream.failure or why
+        self._output.failure = self._output.failure or why
 
     def descriptor(self) -> int:
         """Return the descriptor of the open file, for :class:`logs.recorder.recorder.Syncer`."""
-        return self._stream.descriptor()
+        return self._output.descriptor()
 
     def channel(self, topic: str, schema: str) -> int:
         """Return the channel of a topic; senders of the same topic and type share it."""
         number = self._channels.get((topic, schema))
         if number is None:
             if schema not in self._schemas:
-                self._schemas[schema] = self._writer.register_schema(
-                    schema, "ros2msg", schema_text(schema).encode()
-                )
+                self._schemas[schema] = self.register_schema(schema, "ros2msg", schema_text(schema).encode())
             properties = {"offered_qos_profiles": _QOS, "topic_type_hash": type_hash(schema)}
             _encodable(Channel(0, topic, "cdr", properties, 0))
-            number = self._writer.register_channel(topic, "cdr", self._schemas[schema], properties)
+            number = self.register_channel(topic, "cdr", self._schemas[schema], properties)
             self._channels[topic, schema] = number
         return number
 
@@ -159,28 +126,49 @@ class McapFile:
         self, channel: int, log_time_ns: int, publish_time_ns: int, sequence: int, payload: bytes
     ) -> None:
         """Add one message; ignored once the disk is full."""
-        if not self._stream.failure:
-            self._writer.add_message(channel, log_time_ns, payload, publish_time_ns, sequence)
-            self.messages += 1
+        if self._output.failure:
+            return
+        chunk, counts = self._chunk, self._counts
+        index = chunk.message_indices.get(channel)
+        if index is None:
+            index = chunk.message_indices[channel] = MessageIndex(channel, [])
+        buffer = chunk.record_writer._buffer
+        index.records.append((log_time_ns, buffer.tell()))
+        length = _MESSAGE_OVERHEAD + len(payload)
+        buffer.write(_MESSAGE.pack(_MESSAGE_OPCODE, length, channel, sequence, log_time_ns, publish_time_ns))
+        buffer.write(payload)
+        if not chunk.num_messages or log_time_ns < chunk.message_start_time:
+            chunk.message_start_time = log_time_ns
+        if log_time_ns > chunk.message_end_time:
+            chunk.message_end_time = log_time_ns
+        if not counts.message_count or log_time_ns < counts.message_start_time:
+            counts.message_start_time = log_time_ns
+        if log_time_ns > counts.message_end_time:
+            counts.message_end_time = log_time_ns
+        counts.channel_message_counts[channel] += 1
+        counts.message_count += 1
+        chunk.num_messages += 1
+        if buffer.tell() > CHUNK_BYTES:
+            self.flush()
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         _encodable(Metadata(name, dict(values)))
-        self._writer.add_metadata(name, dict(values))
+        self.add_metadata(name, dict(values))
 
     def attachment(self, name: str, media_type: str, log_time_ns: int, data: bytes) -> None:
         """Add a file; ignored once the disk is full."""
-        if not self._stream.failure:
+        if not self._output.failure:
             _encodable(Attachment(log_time_ns, log_time_ns, name, media_type, data))
-            self._writer.add_attachment(log_time_ns, log_time_ns, name, media_type, data)
+            self.add_attachment(log_time_ns, log_time_ns, name, media_type, data)
 
     def flush(self) -> None:
         """Close the open chunk, so that a crash cannot lose data written so far."""
-        if not self._stream.failure:
-            self._writer.flush()
+        if not self._output.failure:
+            super().flush()
 
     def close(self) -> None:
-        self._writer.finish()
-        self._stream.close()
+        self.finish()
+        self._output.close()
 
 
 def _encodable(record: McapRecord) -> None:

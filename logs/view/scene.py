@@ -16,13 +16,13 @@ from logs.derive.markers import (
     FLEET_REACH,
     NOMINAL_COLOR,
     PAD_COLOR,
+    PAIR_COLORS,
     REACH,
     TARGET_COLOR,
     Color,
     Path,
     surface,
 )
-from logs.palette import PAIR_COLORS
 from logs.reader.flight_data import PAD_RADIUS_M, Flight, Floats
 from logs.verdict.verdict import PairSeries
 from logs.view.canvas import PAIRS, WORLD, Canvas, every, rgba, run_of, times

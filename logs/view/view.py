@@ -17,8 +17,7 @@ import numpy as np
 import rerun as rr
 
 from flightstack.common.text import one_line
-from logs.derive.markers import FILTERED_COLOR, NOMINAL_COLOR, OWN_COLOR, TARGET_COLOR, Color
-from logs.palette import COLORS
+from logs.derive.markers import COLORS, FILTERED_COLOR, NOMINAL_COLOR, OWN_COLOR, TARGET_COLOR, Color
 from logs.reader.flight import load_fleet
 from logs.reader.flight_data import Event, Flight, Floats, Ints, phase_name
 from logs.schema.events import Severity
