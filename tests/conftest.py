@@ -19,19 +19,6 @@ from tests.real_time import pytest_runtest_setup as pytest_runtest_setup
 STREAMS = int(os.environ.get("FLIGHTSTACK_TEST_STREAMS", "3"))
 STREAM_NAMES = [f"stream {number}" for number in range(STREAMS)]  # the first one flies a real PX4
 
-# Tests of a given vehicle that the simulated vehicle can skip: another test covers each.
-SHOWN_BY = {
-    "test_connects_and_tells_who_and_where_it_is": "test_a_given_vehicle_is_flown",
-    "test_follows_and_lands_on_the_target": "test_a_given_vehicle_is_flown",
-    "test_its_parameters_are_safe": "test_preflight_tells_safe_from_unsafe",
-}
-# Those with several phases: test_stops.py and the grid of faults fly the abort and a silent companion in
-# every phase, without MAVLink.
-PHASES_HERE = {
-    "test_an_abort_brings_it_down_clear_of_the_target": "TAKEOFF",
-    "test_a_killed_companion_leaves_a_safe_vehicle": "LAND",
-}
-
 # A shell's background job ignores Ctrl-C, and so would all processes that the tests start and interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # a process started by nohup ignores a closed terminal
@@ -73,6 +60,7 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "slow: not run by `make quick`")
     config.addinivalue_line("markers", "flaky: repeated by pytest-rerunfailures, where that is installed")
     config.addinivalue_line("markers", "vehicle: flies our simulated vehicle, or the one of --vehicle")
+    config.addinivalue_line("markers", "given: only run on a given vehicle")
     config.addinivalue_line("markers", "arms: not run on a vehicle that was given without --arm-ok")
     config.addinivalue_line("markers", "simulated: needs the simulated room")
     config.addinivalue_line("markers", "xdist_group(name): run by one worker, also where there is no xdist")
@@ -90,8 +78,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """With a given vehicle, run only the tests made for it, and arm only with permission."""
     px4 = config.getoption("--px4") is not None
     if config.getoption("--vehicle") is None and not px4:
-        items[:] = [item for item in items if not _flown_otherwise(item)]
-        if config.getoption("--flights") == 1:
+        if config.getoption("--flights") == 1:  # other tests fly the simulated vehicle in the same way
+            items[:] = [item for item in items if not _marked(item, "given")]
             _deal_out(items)
         return
     arm_ok = px4 or config.getoption("--arm-ok")
@@ -115,15 +103,6 @@ def _deal_out(items: list[pytest.Item]) -> None:
             item.add_marker(repeated_after_a_pause())
             if not any(name in mark.args for mark in item.iter_markers() for name in STREAM_NAMES):
                 item.add_marker(pytest.mark.xdist_group(next(turn)))
-
-
-def _flown_otherwise(item: pytest.Item) -> bool:
-    """Skip tests of our simulated vehicle that another test covers; see ``SHOWN_BY``."""
-    given = item.callspec.params if hasattr(item, "callspec") else {}
-    if "flight_number" not in given:
-        return False
-    name = item.name.partition("[")[0]
-    return name in SHOWN_BY or given.get("phase", PHASES_HERE.get(name)) != PHASES_HERE.get(name)
 
 
 def _marked(item: pytest.Item, name: str) -> bool:

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import math
 import signal
-import subprocess
-import sys
 from dataclasses import replace
 
 import pytest
@@ -18,8 +16,7 @@ from flightstack.core.types import ZERO, Landed, Mode, Request
 from tests.flight_suite.companion import companion
 from tests.flight_suite.pilot import Pilot
 from tests.flight_suite.room import Fence, Lost, given, on_px4, simulated
-from tests.integration.runs import WALL_MAX_S, flightstack
-from tests.integration.sim_processes import ROOT
+from tests.integration.runs import flightstack
 
 pytestmark = pytest.mark.vehicle
 STANDING_M_S = 0.15  # largest estimated speed of a vehicle that stands on the ground
@@ -71,6 +68,7 @@ def test_connects_and_tells_who_and_where_it_is(pilot):
     assert speed_m_s(pilot) < STANDING_M_S
 
 
+@pytest.mark.given  # test_preflight_tells_safe_from_unsafe checks the simulated one
 def test_its_parameters_are_safe(room):
     words = ["--vehicle", room.url, "--autopilot", room.autopilot, "--config", room.config]
     words += ["--signing-key", room.signing_key] if room.signing_key else []
@@ -131,6 +129,7 @@ def stands(pilot) -> bool:
     return not pilot.status.armed and pilot.status.landed is Landed.ON_GROUND
 
 
+@pytest.mark.given  # test_fly.py lands the simulated one
 @pytest.mark.arms
 def test_follows_and_lands_on_the_target(room):
     with companion(room) as flying:
@@ -140,8 +139,11 @@ def test_follows_and_lands_on_the_target(room):
     assert down(room)
 
 
+# the fault grid and test_stops.py fly the simulated one in the other phases, without MAVLink's wires
 @pytest.mark.arms
-@pytest.mark.parametrize("phase", ["TAKEOFF", "APPROACH", "LAND"])
+@pytest.mark.parametrize(
+    "phase", ["TAKEOFF", *(pytest.param(p, marks=pytest.mark.given) for p in ("APPROACH", "LAND"))]
+)
 def test_an_abort_brings_it_down_clear_of_the_target(room, phase):
     with companion(room) as flying:
         flying.until(f"-> {phase}", FLIGHT_MAX_S)
@@ -153,7 +155,9 @@ def test_an_abort_brings_it_down_clear_of_the_target(room, phase):
 
 
 @pytest.mark.arms
-@pytest.mark.parametrize("phase", ["TAKEOFF", "APPROACH", "LAND"])
+@pytest.mark.parametrize(
+    "phase", [*(pytest.param(p, marks=pytest.mark.given) for p in ("TAKEOFF", "APPROACH")), "LAND"]
+)
 def test_a_killed_companion_leaves_a_safe_vehicle(room, phase):
     with companion(room) as flying:
         flying.until(f"-> {phase}", FLIGHT_MAX_S)
@@ -204,16 +208,3 @@ def test_a_companion_beyond_the_fence_is_called_off(room):
             flying.ended(FLIGHT_MAX_S)
         assert "-> ABORT" in " ".join(flying.said)
     assert down(room)
-
-
-@pytest.mark.simulated
-def test_a_given_vehicle_is_flown(room):
-    words = ["--vehicle", room.url, "--config", room.config, "--target", room.target_key, "--arm-ok"]
-    words += ["--connect", room.connect[0], "--listen", room.listen, "-k", "test_connects or test_follows"]
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider", __file__,
-         *map(str, words)],
-        cwd=ROOT, capture_output=True, text=True, timeout=WALL_MAX_S, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout
-    assert "2 passed" in done.stdout

@@ -32,7 +32,7 @@ from tests.flight_suite.companion import companion
 from tests.flight_suite.pilot import Pilot
 from tests.flight_suite.room import on_px4
 from tests.integration.sim_processes import wait_for
-from tests.processes.bounded import AT_ONCE_S, killed, line_of
+from tests.processes.bounded import AT_ONCE_S
 from tests.processes.started import StartedChild
 from tests.px4_place import px4_or_skip
 
@@ -93,38 +93,6 @@ def test_a_px4_without_a_simulator_is_given_up_with_its_last_lines(tmp_path, ins
             px4.console("commander", "check")
     finally:
         px4.end()
-
-
-def _members(group: int) -> list[str]:
-    """Return the command lines of the processes of a process group, without zombies."""
-    found = []
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        with contextlib.suppress(OSError):
-            state, _, its_group = stat.read_text().rpartition(") ")[2].split()[:3]
-            if int(its_group) == group and state not in "ZX":
-                found.append(stat.with_name("cmdline").read_text().replace("\0", " "))
-    return found
-
-
-@pytest.mark.parametrize("after", [1, 2, 4])  # processes: shell, PX4, a command of its start script
-def test_dies_with_its_parent(tmp_path, instance, after):
-    code = (
-        "import sys, time; from pathlib import Path; from sim.px4.program import Px4Model, Px4Program; "
-        "p = Px4Program(Path(sys.argv[1]), Path(sys.argv[2]), Px4Model.NONE_IRIS, instance=int(sys.argv[3]));"
-        "print(p.process.pid, flush=True); time.sleep(600)"
-    )
-    parent = subprocess.Popen(
-        [sys.executable, "-c", code, px4_or_skip(), tmp_path, str(instance)],
-        cwd=ROOT, stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    group = int(line_of(parent.stdout))
-    until_s = time.monotonic() + PATIENCE_S
-    while len(_members(group)) < after and time.monotonic() < until_s:
-        time.sleep(0.001)
-    killed(parent)
-    while left := _members(group):
-        assert time.monotonic() < until_s, f"PX4 outlived its parent: {left}"
-        time.sleep(0.05)
 
 
 def test_places_without_a_px4_are_refused_with_what_is_missing(tmp_path):

@@ -8,11 +8,8 @@ import pytest
 
 from flightstack.core.types import Phase
 from logs.reader.flight import load_flight
-from sim.campaign.run import plan
-from sim.runners.landing import land
 from tests.integration.runs import Flying, flightstack, fly, gone, kill, replayed
 
-SCENARIOS = ["paper_static_1", "paper_static_2", "paper_moving_1", "paper_moving_2", "reversing"]
 PAPER = {("paper_static_1", "paper"): (), ("paper_moving_2", "robust"): ("--filter", "robust")}
 KEYS = {
     "scenario", "seed", "filter", "outcome", "violation", "h_min_m", "h_min_outside_pad_m",
@@ -39,14 +36,6 @@ def test_the_papers_runs_land_and_replay_bit_by_bit(flown, scenario, filter_name
     assert found["touchdown_error_m"] <= 0.10
     assert -0.2 < found["h_min_outside_pad_m"] < 1.0
     assert_decided_again(result.log)
-
-
-@pytest.mark.parametrize("filter_name", ["paper", "robust"])
-@pytest.mark.parametrize("scenario", SCENARIOS)
-def test_the_papers_runs_land_in_one_process_which_flies_the_same_as_the_wires(scenario, filter_name):
-    verdict = land(plan(scenario, 1, 0, filter_name).first, 0).verdict
-    assert verdict.outcome == "landed"
-    assert verdict.touchdown_error_m <= 0.10
 
 
 def test_a_robot_that_stops_and_a_start_in_hover_land_by_contact_and_replay(flown):

@@ -1,12 +1,10 @@
 """The Crazyflie as a vehicle, tested with the firmware model on a simulated clock."""
 
 import random
-import struct
 
 import pytest
 
 from bridge.crazyflie.packets import Order
-from bridge.crazyflie.pilot import UNPLACED_M_S
 from bridge.crazyflie.rules import LOST_S, RECONNECT_S, Rules
 from bridge.mavlink.server.profile import FlightMode
 from tests.crazyflie_firmware.bench import CLIENT, GROUND, OTHER, Bench
@@ -17,7 +15,6 @@ from tests.crazyflie_firmware.supervisor import State
 pytestmark = pytest.mark.slow
 
 ARMED = 128
-OFFBOARD, TAKEOFF, HOLD, LAND = 0x00060000, 0x02040000, 0x03040000, 0x06040000
 
 
 @pytest.mark.parametrize("auto_arm", [True, False])
@@ -138,33 +135,6 @@ def test_the_supervisor_may_refuse_or_not_answer():
     assert len(bench.orders(Order.ARM)) >= 5
     assert any("Arming failed: the supervisor did not answer" in text for text in bench.texts)
     assert [r.result for r in bench.replies] == [1, 1]
-
-
-def test_without_a_position_it_sends_none_and_lands_straight_down():
-    firmware = Firmware(Point(0.5, 0.5), needs_poses=True)
-    bench = Bench(firmware, Rules(mocap=True))
-    bench.vehicle.mocap(None)
-    step = bench.step
-
-    def with_poses():
-        pose = (*firmware.plant.position, 0.0, 0.0, 0.0, 1.0)
-        firmware.packet(b"\x6d\x08" + struct.pack("<7f", *pose), bench.now_s)
-        step()
-
-    bench.step = with_poses
-    bench.hover()
-    bench.step, lost_s = step, bench.now_s
-    bench.vehicle.mocap("mocap: no pose for 0.3 s")
-    bench.until(lambda: not bench.vehicle.armed)
-    assert any("No position estimate: landing" in text for text in bench.texts)
-    assert "mocap: no pose for 0.3 s" in bench.texts
-    unsure_s = 0.4  # independent of the filter's own variance
-    assert bench.times("LOCAL_POSITION_NED")[-1] < lost_s + unsure_s
-    assert bench.times("ATTITUDE")[-1] > bench.now_s - 0.1
-    descent = [p.velocity_enu_m_s for t, p in bench.velocities() if t > lost_s + unsure_s]
-    assert set(descent) == {(0.0, 0.0, -UNPLACED_M_S)}
-    assert firmware.plant.on_surface
-    assert bench.vehicle.problems(bench.now_s)[0] == "mocap: no pose for 0.3 s"
 
 
 def test_a_take_off_that_something_holds_ends_in_a_landing():

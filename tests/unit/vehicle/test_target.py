@@ -2,22 +2,15 @@
 
 import itertools
 import math
-from dataclasses import replace
 
 import pytest
 
-from bridge.frames import quaternion_from_yaw, world_from_body, yaw_from_quaternion
+from bridge.frames import quaternion_from_yaw
 from bridge.ros2.cdr import Odometry
-from flightstack.common.pacing import RUN_AHEAD_TICKS
 from flightstack.common.strict_toml import ConfigError
-from flightstack.core.types import TargetSample
-from sim.clock import TickGrid
 from sim.robot.target import DEMANDS, TargetModel
-from sim.robot.target_motion import TargetMotion
 from sim.runners.deck import DeckState, deck_state, follow, reckon
-from sim.runners.robot import DirectTarget, in_world
-from sim.scenarios.scenario import PathKind, StateError, TargetLink, TargetSpec
-from sim.scenarios.scenario import load as load_scenario
+from sim.scenarios.scenario import PathKind, TargetSpec
 
 DT = 0.01
 
@@ -91,55 +84,6 @@ def test_pose_follows_from_the_twist_given_before():
         x, y, z = pose.position_enu_m
         expected = (x + sx * v[0] - sy * v[1], y + sx * v[1] + sy * v[0], z + DT * v[2])
         assert after.position_enu_m == pytest.approx(expected, abs=1e-12)
-
-
-TICKS = 400
-SCENARIOS = {
-    name: replace(load_scenario(name), target=replace(load_scenario(name).target, wait_for_landing=waits))
-    for name, waits in (("fault_target_dropout", True), ("reversing", True), ("deck", False))
-}
-SCENARIOS["captured"] = replace(SCENARIOS["reversing"], odometry=TargetLink(error=StateError()))
-
-
-def tick_by_tick(scenario, seed, chosen_at):
-    """Yield deck and samples of every tick, by the interpreted formulas of both ends."""
-    grid = TickGrid(100)
-    motion = TargetMotion(scenario, seed, grid)
-    driving, go_tick = motion.drives_at_once, chosen_at + RUN_AHEAD_TICKS + 1
-    for tick in range(TICKS):
-        if tick > 0:
-            if go_tick <= tick:
-                motion.faults.landing_began(grid.ns(go_tick))
-                driving = True
-            motion.step(driving)
-        model, q = motion.model, quaternion_from_yaw(motion.model.pose.yaw_rad)
-        deck = (
-            model.pose.position_enu_m,
-            yaw_from_quaternion(q),
-            world_from_body(q, model.velocity_body_m_s),
-            model.yaw_rate_rad_s,
-            b"",
-        )
-        due, motion.due = motion.due, []
-        yield deck, tuple(TargetSample(0.01 * tick, *in_world(sample)) for sample in due)
-
-
-def ahead(scenario, seed, chosen_at):
-    """Yield the same by ``DirectTarget``; the onboard side decides while it answers for a tick."""
-    target = DirectTarget(scenario, seed, TickGrid(100))
-    for tick in range(TICKS):
-        yield tuple(target.take(tick)), target.samples(0.01 * tick).samples
-        if tick == chosen_at:
-            target.landing_began(tick)
-
-
-@pytest.mark.parametrize("name", SCENARIOS)
-@pytest.mark.parametrize("chosen_at", [0, 19, 20, 137])
-def test_the_same_as_tick_by_tick(name, chosen_at):
-    expected = list(tick_by_tick(SCENARIOS[name], 3, chosen_at))
-    assert repr(list(ahead(SCENARIOS[name], 3, chosen_at))) == repr(expected)
-    assert expected[-1][0][2] != (0.0, 0.0, 0.0)
-    assert any(samples for _, samples in expected)
 
 
 Q_NORTH = quaternion_from_yaw(math.pi / 2)
