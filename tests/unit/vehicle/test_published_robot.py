@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
+import flightstack as fs
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import open_session
 from flightstack.common.hangup import Stop
@@ -15,7 +16,6 @@ from sim.firmware.setpoint import ROOM, STOP, Inbox, InboxRecord, Setpoint, Setp
 from sim.runners import published_robot
 from sim.runners.log import EventLog
 from sim.runners.published_robot import LockstepRobot
-from sim.scenarios.scenario import load
 from tests.processes.ports import free_endpoint
 from tests.unit.target.ros2_helpers import until
 
@@ -46,8 +46,9 @@ def ends():
     ours.close()
 
 
-def robot_of(ends, name, log):
-    made = LockstepRobot(GRID, ends.ours, Stop(), load(name), 3, "t", log)
+def robot_of(ends, log):
+    waits = fs.scenario("reversing", {"target.wait_for_landing": True})
+    made = LockstepRobot(GRID, ends.ours, Stop(), waits, 3, "t", log)
     until(lambda: zenoh_link.is_matched(ends.credit))
     made.begin()
     return made
@@ -62,7 +63,7 @@ def received(subscriber, number):
 
 def test_it_drives_ahead_of_the_credit_by_a_fixed_number_of_ticks_and_waits_for_more_once(ends, monkeypatch):
     log = Log()
-    robot = robot_of(ends, "reversing", log)
+    robot = robot_of(ends, log)
     for tick in range(RUN_AHEAD_TICKS + 1):
         robot.await_credit(tick)
         robot.take(tick)
