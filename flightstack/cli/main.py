@@ -28,38 +28,18 @@ class Verb(NamedTuple):
 
     place: str
     help: str
-    # modules that its function loads, and functions ``module:function`` that it calls first; a launcher loads
-    # and calls them once for all its children
-    needs: tuple[str, ...] = ()
 
 
-_MACHINE_CODE = "flightstack.compiled.jit:make_ready"
 # subcommands in the groups of ``--help``
 GROUPS = {
     "Fly": {
         "sitl": Verb("flight:sitl", "Fly a scenario in software, with everything it needs."),
         "fly": Verb("flight:fly", "Fly a real vehicle onto a real target."),
         "preflight": Verb("preflight:preflight", "Check the vehicle's safety parameters."),
-        "onboard": Verb(
-            "flight:onboard",
-            "Run the onboard process alone.",
-            ("flightstack.onboard.process", "flightstack.compiled.core"),
-        ),
-        "world": Verb(
-            "flight:world",
-            "Run the simulated vehicles and robots.",
-            ("sim.runners.world_process", _MACHINE_CODE),
-        ),
-        "vehicle": Verb(
-            "flight:vehicle",
-            "Run the simulated Crazyflie alone.",
-            ("sim.runners.world_process", _MACHINE_CODE),
-        ),
-        "target": Verb(
-            "flight:target",
-            "Run the simulated ground robot alone.",
-            ("sim.runners.published_robot", _MACHINE_CODE),
-        ),
+        "onboard": Verb("flight:onboard", "Run the onboard process alone."),
+        "world": Verb("flight:world", "Run the simulated vehicles and robots."),
+        "vehicle": Verb("flight:vehicle", "Run the simulated Crazyflie alone."),
+        "target": Verb("flight:target", "Run the simulated ground robot alone."),
         "watch": Verb("watch:watch", "Show a flight while it flies."),
         "scenarios": Verb("prepare:scenarios", "List the scenarios, or print one."),
         "new": Verb("prepare:new", "Write a scenario of your own."),
@@ -76,44 +56,21 @@ GROUPS = {
         "compare": Verb("logs:compare", "Compare two logs message by message."),
         "view": Verb("logs:view", "Show a log in 3-D."),
         "log": Verb("logs:log", "Inspect, judge, export logs."),
-        "record": Verb(
-            "logs:record",
-            "Run the recorder alone.",
-            ("logs.recorder.recorder", "logs.schema.schemas:typestore"),
-        ),
+        "record": Verb("logs:record", "Run the recorder alone."),
     },
     "Real things": {
         "config": Verb("prepare:config", "List the configurations, or print one."),
         "bridge": Verb("bridge:bridge", "Connect a Crazyflie or motion capture."),
-        "px4-sim": Verb(
-            "flight:px4_sim",
-            "Simulate the vehicle for PX4's autopilot.",
-            ("sim.px4.process", _MACHINE_CODE),
-        ),
+        "px4-sim": Verb("flight:px4_sim", "Simulate the vehicle for PX4's autopilot."),
         "router": Verb("prepare:router", "Run a Zenoh router."),
         "key": Verb("prepare:key", "Make a MAVLink signing key."),
     },
 }
 # subcommands whose exit status is that of the flight, even if their output is lost
 FLIES = (
-    "sitl",
-    "fly",
-    "onboard",
-    "world",
-    "vehicle",
-    "target",
-    "record",
-    "bridge",
-    "px4-sim",
-    "campaign",
-)
+    "sitl", "fly", "onboard", "world", "vehicle", "target", "record", "bridge", "px4-sim", "campaign"
+)  # fmt: skip
 VERBS = {name: verb for group in GROUPS.values() for name, verb in group.items()}
-
-
-def _command(verb: Verb) -> click.Command:
-    module, _, name = verb.place.partition(":")
-    command: click.Command = getattr(import_module(f"flightstack.cli.{module}"), name)
-    return command
 
 
 def _hidden(error: BaseException) -> str | None:
@@ -130,20 +87,6 @@ def _hidden(error: BaseException) -> str | None:
         f"the Python package {name!r} at {found[0]} belongs to another project and hides the one at {ours}: "
         "take it out of PYTHONPATH, or uninstall it from this environment"
     )
-
-
-def load(name: str) -> click.Command:
-    """Load a subcommand with all its dependencies; return the command that runs it.
-
-    Raises ImportError: a dependency is not installed.
-    """
-    _command(VERBS[name])
-    for need in VERBS[name].needs:
-        module, _, function = need.partition(":")
-        loaded = import_module(module)
-        if function:
-            getattr(loaded, function)()
-    return main
 
 
 class Verbs(click.Group):
@@ -175,7 +118,9 @@ class Verbs(click.Group):
         if cmd_name not in VERBS:
             return None
         self.verb = cmd_name
-        return _command(VERBS[cmd_name])
+        module, _, name = VERBS[cmd_name].place.partition(":")
+        command: click.Command = getattr(import_module(f"flightstack.cli.{module}"), name)
+        return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the subcommands in their groups."""

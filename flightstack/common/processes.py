@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -88,7 +88,7 @@ class Running(Protocol):
 class Child:
     """One process of the run; its standard error is written to a file.
 
-    A command is forked from this process, which has loaded the modules (``Forked``); if a fork is not
+    A command is forked from this process and need not load its modules again (``Forked``); if a fork is not
     possible, the command is started as a program.
 
     ``name``: name of the process and its file; ``folder``: folder of that file; ``program``: words before the
@@ -107,8 +107,8 @@ class Child:
         self.name = name
         self.output = folder / f"{name}.txt"
         with self.output.open("wb") as errors:
-            run = _loaded(arguments) if program is None and may_fork() else None
-            if run is not None:
+            if program is None and may_fork():
+                run = partial(import_module(CLI).main, list(arguments), prog_name="flightstack")
                 self.process: subprocess.Popen[bytes] | Forked = Forked(name, run, errors)
             else:
                 self.process = self._program(arguments, program, works_in, errors)
@@ -202,15 +202,6 @@ def _processor_s(pid: int) -> float:
         return sum(map(int, stat[_STAT_TIMES])) / os.sysconf("SC_CLK_TCK")
     except (OSError, ValueError):
         return 0.0
-
-
-def _loaded(arguments: Sequence[str]) -> Callable[[], object] | None:
-    """Load a command; None: a dependency is missing, which the started program then explains."""
-    try:
-        main = import_module(CLI).load(arguments[0])
-    except ImportError:
-        return None
-    return partial(main, list(arguments), prog_name="flightstack")
 
 
 def ended(process: subprocess.Popen[Any] | Forked, within_s: float = END_TIME_MAX_S) -> int:

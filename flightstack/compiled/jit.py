@@ -201,19 +201,6 @@ def _say(text: str) -> None:
         print(f"flightstack: {text}", file=sys.stderr, flush=True)
 
 
-def _first(numbers: Any) -> float:
-    number: float = numbers[0]
-    return number
-
-
-@cache
-def make_ready() -> None:
-    """Initialise numba, which takes 0.2 s at the first call of any compiled code."""
-    import numpy as np
-
-    jitted(_first)(np.zeros(1))
-
-
 def forbid_compiling(machine: Callable[..., Any]) -> None:
     """Make a compiled function raise TypeError instead of compiling again, which takes seconds.
 

@@ -29,6 +29,7 @@ from flightstack.launch.vehicles import (
     others_s,
     plugged,
 )
+from flightstack.onboard import process  # noqa: F401  # forked onboard processes need not load it
 from flightstack.onboard.recording import Described, describe, end_recorder, log_in, new_folder
 from flightstack.verify.certificate import problems
 from logs.schema.names import NO_PAD, Names, member_name

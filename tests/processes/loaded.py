@@ -1,9 +1,20 @@
 """Imports everything that flying verbs need, in the process from which the tests' processes are forked."""
 
 import os
-
-from flightstack.cli.main import load
+from importlib import import_module
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-for verb in ("record", "world", "vehicle", "target", "onboard", "sitl", "campaign", "px4-sim"):
-    load(verb)
+for module in (
+    "flightstack.cli.campaign", "flightstack.cli.flight", "flightstack.cli.logs", "flightstack.cli.main",
+    "flightstack.launch.sitl", "logs.recorder.recorder", "sim.px4.process", "sim.runners.published_robot",
+    "sim.runners.world_process",
+):  # fmt: skip
+    import_module(module)
+import_module("logs.schema.schemas").typestore()
+
+
+def first(numbers):
+    return numbers[0]
+
+
+import_module("flightstack.compiled.jit").jitted(first)(import_module("numpy").zeros(1))  # starts numba

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from flightstack.cli.main import VERBS, load
 from flightstack.common.processes import Child
 from tests.processes.bounded import PATIENCE_S, killed, line_of
 
@@ -152,9 +151,3 @@ def test_lines_that_come_with_the_one_that_is_waited_for_are_kept(tmp_path):
         assert child.lines(0.0) == ["first"]
     finally:
         child.end()
-
-
-@pytest.mark.parametrize("name", [name for name, verb in VERBS.items() if verb.needs])
-def test_what_a_verb_needs_is_there(name):
-    """Otherwise its children would be new programs with an unexplained slow start."""
-    assert load(name).name == "main"
