@@ -1,8 +1,5 @@
 """The controller: take-off by set-points, descent at a bounded speed, immediate landing on command."""
 
-import math
-import random
-
 import pytest
 
 from flightstack.core.controller import Controller
@@ -149,40 +146,6 @@ def test_a_take_off_that_does_not_rise_is_given_up_once_the_ramp_must_be_over():
     assert bench.memory.reason.startswith("vehicle does not follow its velocity set-points: it lags 0.")
 
 
-def test_a_take_off_that_rises_faster_than_wanted_goes_on():
-    bench = Bench()
-    for _ in range(round(RISE_FREE_S / TICK_S) + 1):
-        bench.step(0.0, armed=True, mode=Mode.EXTERNAL)
-    most_m_s = CONFIG.limits.velocity_max_m_s[2]
-    for tick in range(20):
-        out = bench.step(0.01 * tick, (0.0, 0.0, 2.0 * most_m_s), **FLIES)
-        assert out.phase is Phase.TAKEOFF
-    assert bench.memory.lifting
-    assert bench.controller.plausibility.tracking_lag_m == pytest.approx(0.0, abs=1e-6)
-
-
-def test_high_enough_it_is_under_control_as_a_whole():
-    bench = Bench()
-    bench.wait(armed=True, mode=Mode.EXTERNAL)
-    for tick in range(120):
-        out = bench.step(0.005 * tick, (0.0, 0.0, 0.5), **FLIES)
-    assert bench.memory.climbed
-    assert bench.memory.commanding
-    assert not bench.memory.lifting
-    assert out.request is Request.EXTERNAL
-
-
-def test_told_to_end_it_lands_where_it_is():
-    bench = Bench()
-    for _ in range(3):
-        bench.step(1.0, **FLIES)
-    assert bench.memory.phase is Phase.APPROACH
-    out = bench.step(1.0, operator=Operator.LAND, **FLIES)
-    assert (out.phase, out.request) == (Phase.ABORT, Request.LAND)
-    assert bench.memory.abort_way is AbortWay.LAND_HERE
-    assert bench.step(1.0, operator=Operator.LAND, **FLIES).events == ()
-
-
 def test_told_to_end_while_it_flies_clear_it_lands_and_the_emergency_stop_is_still_above():
     bench = Bench()
     for _ in range(3):
@@ -196,20 +159,6 @@ def test_told_to_end_while_it_flies_clear_it_lands_and_the_emergency_stop_is_sti
     out = bench.step(1.0, xy=(0.5, 0.0), operator=Operator.EMERGENCY_STOP, **FLIES)
     assert out.request is Request.MOTORS_OFF
     assert bench.step(1.0, operator=Operator.EMERGENCY_STOP, **FLIES).events == ()
-
-
-def test_the_set_point_of_the_touchdown_leads_to_a_bounded_speed():
-    """The lead for the lag alone would exceed the limit."""
-    bench = Bench()
-    height_m = 0.2 + CONFIG.robust.commit_height_m - 0.02
-    sent = []
-    for _ in range(200):
-        out = bench.step(height_m, xy=(0.0, 0.0), **FLIES)
-        if out.phase is Phase.TOUCHDOWN and out.setpoint is not None:
-            learned_m_s = bench.controller.state.tracking.disturbance_m_s[2]
-            sent.append(out.setpoint.velocity_enu_m_s[2] + learned_m_s)
-    most_m_s = CONFIG.robust.descent_m_s + CONFIG.robust.descent_lead_max_m_s
-    assert min(sent) == pytest.approx(-most_m_s, abs=5e-3)  # the pad's velocity is an estimate
 
 
 def ruled(rule):
@@ -236,21 +185,6 @@ def test_by_contact_they_go_off_after_it_stands(says_standing):
     assert off.snapshot.inputs.own.arrival_s - world.touched_s < 0.5
 
 
-def test_a_pad_that_is_not_where_it_was_said_to_be_ends_in_an_abort():
-    world = World(ruled("contact"))  # there is no surface to stand on
-    world.run(60.0, until=lambda w: w.phase is Phase.ABORT)
-    assert world.phase is Phase.ABORT
-    assert any("no contact" in text for text in world.texts)
-
-
-def test_a_target_lost_in_the_last_centimetres_is_landed_on_all_the_same():
-    world = World(ruled("contact"), solid_pad=True)
-    world.fault_in(Phase.TOUCHDOWN, lambda _, inputs: inputs._replace(target_samples=()))
-    world.run(10.0, until=lambda w: w.phase in (Phase.LANDED, Phase.ABORT))
-    assert world.phase is Phase.LANDED
-    assert math.dist(world.position[:2], world.pad[:2]) < 0.1
-
-
 def blown_off(_, inputs):
     """Return inputs of a vehicle 7 cm beside the centre that moves away from it."""
     x, y, z = inputs.target_samples[0].position_enu_m
@@ -269,59 +203,3 @@ def test_the_robust_filter_goes_around_when_it_is_blown_off_and_lands_then():
     assert out.request is Request.EXTERNAL
     world.run(60.0, until=lambda w: w.phase in (Phase.LANDED, Phase.ABORT))
     assert world.phase is Phase.LANDED
-
-
-def test_a_new_descent_forgets_what_the_last_one_had_begun_to_see():
-    """A short stop, then a go-around: in the next descent the old stop must not count."""
-
-    def stopped(w, inputs):
-        return inputs._replace(own=inputs.own._replace(velocity_enu_m_s=(*w.velocity[:2], 0.0)))
-
-    world = World(ruled("contact"), solid_pad=True)
-    world.fault_in(Phase.TOUCHDOWN, stopped, seconds=1.0)
-    memory = world.controller.memory
-    world.run(1.0, until=lambda _: memory.stopped_since_s < math.inf)
-    world.fault, world.fault_from_s = blown_off, world.t_s
-    world.run(0.1, until=lambda w: w.phase is not Phase.TOUCHDOWN)
-    assert world.phase is Phase.APPROACH
-    assert memory.stopped_since_s < world.t_s
-    memory.contact_since_s = memory.stopped_since_s  # as after a touch of the pad's edge
-    world.fault = None
-    world.run(60.0, until=lambda w: w.phase is Phase.TOUCHDOWN)
-    assert world.phase is Phase.TOUCHDOWN
-    assert memory.stopped_since_s == memory.contact_since_s == math.inf
-    world.run(60.0, until=lambda w: w.phase in (Phase.LANDED, Phase.ABORT))
-    assert world.phase is Phase.LANDED
-
-
-def test_it_goes_around_no_more_often_than_allowed_and_then_flies_clear():
-    world = World(ruled("contact"), solid_pad=True)
-    world.fault = lambda w, inputs: blown_off(w, inputs) if w.phase is Phase.TOUCHDOWN else inputs
-    world.fault_from_s = 0.0
-    world.run(90.0, until=lambda w: w.phase in (Phase.LANDED, Phase.ABORT))
-    assert world.phase is Phase.ABORT
-    assert world.controller.memory.retries == world.config.checks.retries_max
-    assert sum("go around" in text for text in world.texts) == world.config.checks.retries_max
-    assert any("no retry left" in text for text in world.texts)
-
-
-@pytest.mark.parametrize("end", [Phase.LANDED, Phase.ABORT])
-def test_nothing_that_comes_in_leads_out_of_the_end(end):
-    world = World(ruled("contact"), solid_pad=end is Phase.LANDED)
-    world.run(60.0, until=lambda w: w.phase is end)
-    assert world.phase is end
-    chance = random.Random(9)
-    for _ in range(2000):
-        world.armed, world.mode = chance.random() < 0.5, chance.choice(list(Mode))
-        world.landed = chance.choice(list(Landed))
-        world.position = tuple(chance.uniform(-1.0, 2.0) for _ in range(3))
-        inputs = world.inputs()
-        if chance.random() < 0.2:
-            inputs = inputs._replace(target_samples=())
-        if chance.random() < 0.2:
-            inputs = inputs._replace(operator=Operator.ABORT)
-        out = world.controller.step(inputs, world.t_s, command_failed=chance.random() < 0.1)
-        world.t_s += 0.05
-        assert out.phase is end
-        if end is Phase.LANDED:
-            assert (out.setpoint, out.request) == (None, Request.NONE)

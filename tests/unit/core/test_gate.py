@@ -206,15 +206,6 @@ def test_what_the_barrier_bends_away_by_is_allowed_for_and_no_more(target, sidew
         assert lowest_approved(gate, ask, sideways) == pytest.approx(lowest, abs=1e-10)
 
 
-def test_what_is_missed_by_just_what_is_allowed_passes():
-    sinking = (0.25, 0.0, -0.5)
-    missing_m = 0.5 - SOLVER_TOLERANCE_M_S  # missing height in one second, from h = 0
-    gate = Gate(0.5, (9.0, 9.0, 9.0), 3.0, 1.0)
-    for allowed_m, verdict in ((missing_m, APPROVED), (math.nextafter(missing_m, 0.0), GateVerdict.BARRIER)):
-        ask = plane_check((1.0, 0.0, 0.0), bend_1_m=4.0 * allowed_m)  # a quarter of a metre of motion
-        assert gate.check(sinking, sinking, 0.0, **{**GOOD, "barrier_check": ask})[0] is verdict
-
-
 speeds = st.floats(-1.5, 1.5)
 
 
@@ -238,33 +229,6 @@ def test_no_valid_result_of_the_filter_is_refused(
     u = result.velocity_enu_m_s
     verdict, _ = Gate(omega, box, 9.0, 1.0 / rate_hz).check(u, u, 0.0, **{**GOOD, "barrier_check": ask})
     assert verdict is APPROVED
-
-
-def test_straight_out_of_the_apex_the_gate_asks_for_no_less_than_the_filters_gradient():
-    gate, e = Gate(0.7, (9e9, 9e9, 9e9), 3.0, 0.01), (0.004, 0.0, 0.02)
-    h, gradient, _ = CONE.evaluate(e, STILL)
-    lowest = lowest_approved(gate, BarrierCheck(CONE, e, STILL, FilterStatus.SOLVED), (0.2, 0.0))
-    assert lowest == pytest.approx(-0.7 * h - 0.2 * gradient[0], abs=0.003)
-
-
-@pytest.mark.parametrize("barrier", [CONE, RobustBarrier(CONE, 0.05, 0.06)])
-@pytest.mark.parametrize(("axis", "sign"), [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)])
-def test_the_vehicles_and_the_targets_motion_both_count(barrier, axis, sign):
-    """The boundary rises outward: flying out reduces h, a target that moves along restores it."""
-    gate = Gate(0.7, (1.0, 1.0, 1.0), 3.0, 0.01)
-    place, outward = [0.0, 0.0, CONE.height(0.5)], [0.0, 0.0, 0.0]
-    place[axis], outward[axis] = 0.5 * sign, 0.5 * sign
-    place[2] -= barrier.h(tuple(place))
-    outward, inward = tuple(outward), tuple(-v for v in outward)
-
-    def verdict(velocity, target):
-        ask = BarrierCheck(barrier, tuple(place), target, FilterStatus.SOLVED)
-        return gate.check(velocity, velocity, 0.0, **{**GOOD, "barrier_check": ask})[0]
-
-    assert verdict(outward, STILL) is GateVerdict.BARRIER
-    assert verdict(STILL, inward) is GateVerdict.BARRIER
-    assert verdict(inward, STILL) is APPROVED
-    assert verdict(outward, outward) is APPROVED
 
 
 @pytest.mark.parametrize("status", [*FilterStatus, 7, -1, None, "SOLVED", math.nan])

@@ -1,6 +1,5 @@
 """The thrust reserve: from voltage, in flight from throttle, and the allowed flight with a low battery."""
 
-import itertools
 import math
 from dataclasses import replace
 
@@ -11,7 +10,7 @@ from hypothesis import strategies as st
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.parameters.reserve import GRAVITY_M_S2, LEAST_M_S2, Reserve, level_m_s2, up_m_s2
 from flightstack.core.target.reserve import AGE_MAX_S, ReserveEstimate, too_low
-from flightstack.core.types import Charge, Inputs, Landed, Mode, Phase, Power, VehicleStatus
+from flightstack.core.types import Charge, Landed, Mode, Phase, Power, VehicleStatus
 from tests.point_mass import World
 from tests.unit.core.core_helpers import config
 
@@ -100,16 +99,6 @@ def test_neither_climbs_nor_tilt_disturb_the_estimate(hover, sway_m_s, rate_1_s,
     assert found.reserve == pytest.approx(RESERVE.left(RESERVE.effort(hover), 3.7), rel=2e-3)
 
 
-def test_before_the_throttle_tells_the_voltage_does():
-    found = estimate()
-    found.step(power(volts=3.9), STANDS, 0.0, 0.0, flies=False)
-    assert found.reserve == pytest.approx(RESERVE.at(3.9 - RESERVE.sag_v))  # it will sag in flight
-    found.step(power(volts=3.5, throttle=math.nan), FLIES, 0.0, 0.01, flies=True)
-    found = estimate()
-    found.step(power(volts=3.5, throttle=math.nan), FLIES, 0.0, 0.0, flies=True)
-    assert found.reserve == pytest.approx(RESERVE.at(3.5))
-
-
 def test_a_heavier_vehicle_than_declared_shows_in_flight():
     """At the same voltage it needs more throttle, which the voltage alone does not show."""
     found = fly(estimate(), 10.0, 0.9)
@@ -181,18 +170,6 @@ def flown(seconds, **changes):
     return world
 
 
-def upward(world):
-    """Return upward accelerations of the commanded velocity, with the reserve of each tick."""
-    ticks = [(o.wanted[2], o.reserve) for o in world.outputs if o.wanted is not None]
-    return [((b - a) / STEP_S, reserve) for (a, _), (b, reserve) in itertools.pairwise(ticks)]
-
-
-def test_no_upward_acceleration_beyond_the_reserve_is_commanded():
-    fresh, tired = upward(flown(6.0, **told(4.0, 0.6))), upward(flown(6.0, **told(3.3, 0.89)))
-    assert all(up <= up_m_s2(reserve, RESERVE.share) + 1e-9 for up, reserve in fresh + tired)
-    assert max(up for up, _ in tired) < 0.5 < max(up for up, _ in fresh)
-
-
 def test_a_tired_battery_keeps_a_vehicle_on_the_ground_and_the_reason_says_why():
     ground = {"position": (-1.5, 0.2, 0.0), "armed": False, "landed": Landed.ON_GROUND}
     world = World(CONFIG, **ground, **told(3.5, 0.0))
@@ -206,27 +183,6 @@ def test_a_tired_battery_keeps_a_vehicle_on_the_ground_and_the_reason_says_why()
         silent.step()
     assert silent.phase is Phase.ABORT
     assert "no battery voltage received" in silent.texts[-1]
-
-
-def test_found_in_the_air_too_tired_it_flies_clear_at_once():
-    world = flown(1.0, mode=Mode.EXTERNAL, **told(3.1, 0.95))
-    assert world.phase is Phase.ABORT
-    assert "the battery is too low to land on the target: the thrust reserve is" in world.texts[0]
-
-
-def test_outside_the_ring_a_vehicle_that_tires_lands_beside_and_inside_on_the_pad():
-    def tires(distance_m):
-        def fault(world, inputs):
-            near = math.hypot(*world.relative()[:2]) < distance_m
-            return inputs._replace(power=Power(world.t_s, 3.6 if not near else 3.1, math.nan, 1.0))
-
-        return {"fault": fault, "fault_from_s": 0.0, "fault_to_s": math.inf}
-
-    ring_m = CONFIG.barrier.build().peak_distance_m
-    beside, onto = flown(30.0, **tires(1.4)), flown(30.0, solid_pad=True, **tires(0.6 * ring_m))
-    assert beside.phase is Phase.ABORT
-    assert not any(o.phase is Phase.ABORT for o in onto.outputs)
-    assert onto.phase is Phase.LANDED
 
 
 def test_no_go_around_is_left_for_a_tired_battery():
@@ -244,14 +200,3 @@ def test_no_go_around_is_left_for_a_tired_battery():
 def replace_charge(snapshot, charge):
     snapshot.charge = charge
     return snapshot
-
-
-def test_without_the_table_battery_and_throttle_change_nothing():
-    bare = config(checks={"wait_time_max_s": 2.0})
-    worlds = [World(bare, **told(v, u)) for v, u in ((4.1, 0.5), (3.0, 1.0))]
-    for _ in range(300):
-        a, b = (world.step() for world in worlds)
-        assert a.wanted == b.wanted
-        assert a.phase is b.phase
-        assert math.isnan(a.reserve)
-    assert Inputs().power is None

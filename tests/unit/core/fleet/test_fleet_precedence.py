@@ -95,29 +95,6 @@ def test_where_both_believe_to_be_first_the_higher_id_gives_way_in_the_end():
         assert higher.memory.slots[0].yields is yields
 
 
-def test_it_gives_way_until_the_claim_ends_and_to_no_new_claim():
-    member = claimed(claim_s=0.9)
-    member.way(Phase.APPROACH, HERE, 1.2)
-    slot = member.memory.slots[0]
-    slot.word = slot.word._replace(stamp_s=1.4, pad_position_enu_m=AWAY)  # no conflict for a moment
-    assert not member.way(Phase.APPROACH, HERE, 1.4).may_land
-    slot.word = slot.word._replace(stamp_s=1.6, claim_s=math.nan)
-    assert member.way(Phase.APPROACH, HERE, 1.6).may_land
-    slot.word = slot.word._replace(stamp_s=1.7, claim_s=1.65, pad_position_enu_m=ZERO)
-    assert member.way(Phase.APPROACH, HERE, 1.7).may_land
-    assert not slot.yields
-
-
-@pytest.mark.parametrize("phase", [Phase.HOLD, Phase.CLIMB, Phase.ABORT, Phase.LANDED])
-def test_who_clears_drops_its_claim_and_may_claim_again(phase):
-    member = claimed()
-    assert member.way(Phase.APPROACH, HERE, 1.2).may_land
-    assert not member.way(phase, HERE, 1.3).may_land
-    assert math.isnan(member.memory.claim_s)
-    assert not member.way(Phase.APPROACH, HERE, 1.4).may_land
-    assert member.memory.claim_s == 1.4
-
-
 def test_without_a_pad_in_sight_there_is_no_right_of_way_but_the_claim_stands():
     member = claimed()
     assert not member.way(Phase.APPROACH, None, 1.2).may_land
@@ -182,13 +159,6 @@ def test_a_word_that_says_nothing_usable_is_refused_with_the_reason(keys, why):
     (told,) = member.take([Neighbour(7, 1.0, 1.0, AWAY, ZERO, ZERO)._replace(**keys)], 1.0)
     assert why in told
     assert member.memory.slots[0].word is None
-
-
-def test_a_word_that_was_overtaken_is_no_news():
-    member = FleetMember(FLEET, 0.0)
-    for stamp_s in (1.0, 0.9):
-        assert member.take([Neighbour(7, stamp_s, 1.0, AWAY, ZERO, ZERO)], 1.0) == []
-    assert member.memory.slots[0].word.stamp_s == 1.0
 
 
 class Claimant:

@@ -138,13 +138,6 @@ def test_the_barrier_is_convex_with_the_gradient_of_finite_differences(p, q):
             assert slope == pytest.approx(g[axis], abs=1e-5)
 
 
-def test_the_ellipsoid_has_both_semi_axes_and_a_direction_in_its_middle():
-    for at, expected in (((0.25, 0.0, 0.0), 0.0), ((0.0, 0.0, 0.75), 0.0), ((0.5, 0.0, 0.0), 0.25)):
-        assert barrier(at, 0.25, 0.75)[0] == pytest.approx(expected)
-    assert barrier(ZERO, 0.25, 0.75) == (-0.25, (1.0, 0.0, 0.0))
-    assert barrier(ZERO, 0.25, 0.75, first=False)[1] == (-1.0, 0.0, 0.0)
-
-
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32), st.floats(0.0, 1.0))
 def test_no_vehicle_within_its_limits_leaves_what_its_ellipsoid_grew_by(seed, share_of_speed):
@@ -162,29 +155,6 @@ def test_no_vehicle_within_its_limits_leaves_what_its_ellipsoid_grew_by(seed, sh
         assert math.dist(p, now.position_enu_m) <= now.anywhere_m - A.margin_m + 0.01 * A.speed_max_m_s
         assert now.anywhere_m >= before_m
         before_m = now.anywhere_m
-
-
-def test_errors_that_are_told_make_the_ellipsoid_larger():
-    plain = estimate(word_of(), 0.1, 0.0, A)
-    unsure = estimate(word_of(position_sigma_m=0.03), 0.1, 0.04, A)
-    assert unsure.grown_m - plain.grown_m == pytest.approx(A.sigma_factor * 0.05)
-    at = estimate(word_of(clock_bound_s=0.04), 0.1, 0.0, A)
-    assert at.grown_m == pytest.approx(A.margin_m + growth(0.14, 0.0, A)[0])
-    moving = word_of()._replace(velocity_enu_m_s=(0.5, 0.0, 0.0), clock_bound_s=0.1)
-    at = estimate(moving, 0.0, 0.0, A)
-    assert at.grown_m == pytest.approx(A.margin_m + growth(0.1, 0.5, A)[0] + 0.05)
-    assert at.anywhere_m == at.grown_m
-
-
-def test_the_ellipsoid_of_a_silent_vehicle_ends_to_grow_with_its_flight_and_one_that_is_down_rests():
-    late = [estimate(word_of(), t, 0.0, A) for t in (A.silent_flight_s, A.silent_flight_s + 9.0)]
-    assert late[0].anywhere_m == late[1].anywhere_m
-    assert late[1].growth_m_s == 0.0
-    down = word_of(Intent.DOWN)
-    assert estimate(down, 100.0, 0.0, A).grown_m == A.margin_m
-    riding = down._replace(velocity_enu_m_s=(0.1, 0.0, 0.0))
-    assert estimate(riding, 1.0, 0.0, A).position_enu_m == pytest.approx((1.1, 0.0, 1.0))
-    assert estimate(riding, 1.0, 0.0, A).grown_m == pytest.approx(A.margin_m + 0.1)
 
 
 @settings(max_examples=60, deadline=None)

@@ -4,7 +4,6 @@ import itertools
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,7 +15,7 @@ from flightstack.core.fleet.precedence import APART, KEPT_M, Pad, Way, place_bes
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.target.track import TargetState
 from flightstack.core.types import ZERO, Intent, Neighbour, OwnState, Phase
-from tests.unit.core.fleet.fleet_helpers import Flyer, Sky, driving, settings_of
+from tests.unit.core.fleet.fleet_helpers import settings_of
 
 FLEET = Fleet(3, (3, 7), frees_pad=True)
 HERE = TargetState(0.0, ZERO, ZERO, 0.0)
@@ -130,73 +129,6 @@ def test_a_place_is_given_up_where_another_pad_comes():
 def test_a_place_nearer_than_what_counts_as_clear_is_refused():
     with pytest.raises(ConfigError, match=r"fleet\.wait_distance_m: found 1\.2; .* 1\.3 m"):
         settings_of(3, (3, 7), {"frees_pad": True}, checks={"clearance_m": 1.3})
-
-
-STARTS = [(2.0, 0.5, 1.0), (-2.0, 0.5, 1.0), (0.0, -2.0, 1.0)]
-CHECKS = {"landing_time_max_s": 150.0}
-
-
-def turns(**keys):
-    ids = (1, 2, 3)
-    table, pad = {"frees_pad": True, "wait_max_s": 100.0, **keys}, driving(0.0, 0.0, 0.05, 0.02)
-    return [
-        Flyer(settings_of(n, ids, table, checks=CHECKS), at, pad) for n, at in zip(ids, STARTS, strict=True)
-    ]
-
-
-def over_the_pad(sky, radius_m):
-    pad, _ = sky.flyers[0].pad(sky.t_s)
-    return [f for f in sky.flyers if math.dist(f.position[:2], pad[:2]) < radius_m]
-
-
-@pytest.mark.parametrize("seed", [1, 2])
-def test_three_land_on_one_pad_and_free_it(seed):
-    sky = Sky(turns(), seed=seed)
-
-    def over(sky):
-        assert len(over_the_pad(sky, 0.25)) <= 1
-        return all(f.phase is Phase.LANDED and not f.armed for f in sky.flyers) and len(sky.flyers) == sum(
-            f.phases.count(Phase.TOUCHDOWN) for f in sky.flyers
-        )
-
-    sky.run(150.0, over)
-    assert over(sky), [(f.id, f.phase, f.texts[-3:]) for f in sky.flyers]
-    assert sky.least_h_m >= 0.0, sky.least_at
-    (last,) = over_the_pad(sky, 0.1)
-    for flyer in sky.flyers:
-        end = [Phase.TOUCHDOWN, Phase.LANDED] if flyer is last else [Phase.LANDED, Phase.LEAVE, Phase.LANDED]
-        assert flyer.phases[-len(end) :] == end
-        if flyer is not last:
-            pad, _ = flyer.pad(sky.t_s)
-            assert flyer.position[2] < 0.02
-            assert math.dist(flyer.position[:2], pad[:2]) >= flyer.config.checks.clearance_m
-
-
-def test_one_that_does_not_arm_again_stays_and_the_others_land_beside():
-    flyers = turns(wait_max_s=15.0)
-    for flyer in flyers:
-        flyer.arms_again = False
-    sky = Sky(flyers).run(60.0, lambda s: all(not f.armed for f in s.flyers))
-    (first,) = over_the_pad(sky, 0.1)
-    assert first.phases[-3:] == [Phase.LANDED, Phase.LEAVE, Phase.LANDED]
-    assert "LEAVE -> LANDED: no further take-off: remains on the pad" in first.texts
-    for flyer in sky.flyers:
-        if flyer is not first:
-            assert flyer.phase is Phase.ABORT
-            (why,) = [
-                text for text in flyer.texts if "landing took too long: no right of way because of" in text
-            ]
-            assert str(first.id) in why
-    assert sky.least_h_m >= 0.0, sky.least_at
-
-
-def test_errors_of_the_velocity_of_a_robot_that_stands_do_not_move_the_place():
-    rng, own, place = np.random.default_rng(1), (0.0, 0.0, 1.0), None
-    for _ in range(200):
-        speed = rng.normal(0.0, 0.03, 2)
-        pad = Pad((0.0, 0.0, 0.2), (float(speed[0]), float(speed[1]), 0.0))
-        before, place = place, place_beside(place, own, pad, [], FLEET)
-        assert before in (None, place)
 
 
 PLACE = st.tuples(*[st.floats(-20.0, 20.0)] * 2, st.floats(0.0, 3.0))

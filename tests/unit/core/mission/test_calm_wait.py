@@ -1,16 +1,10 @@
 """Above a fast target the vehicle waits for a slower one, higher and for a limited time."""
 
-from dataclasses import replace
-
 import pytest
 
-from flightstack.config.files import load as load_config
 from flightstack.core.memory import Memory
-from flightstack.core.mission.phases import SWINGING, Condition
+from flightstack.core.mission.phases import Condition
 from flightstack.core.types import Phase
-from logs.verdict.types import Outcome
-from sim.runners.landing import land
-from sim.scenarios.scenario import load
 from tests.point_mass import World
 from tests.unit.core.core_helpers import config
 from tests.unit.core.mission.mission_helpers import NOW_S, PAPER, ROBUST, names, tick
@@ -37,18 +31,6 @@ def test_over_a_fast_target_it_waits_for_a_slower_one_but_not_for_ever():
     assert at_once_s < 9.0
     assert 12.0 <= waited_s < 15.0
     assert lowest_m > 0.1
-
-
-def test_while_it_waits_for_a_slower_target_it_stays_high():
-    world = World(CALM)
-    world.run(30.0, until=lambda w: w.controller.memory.started_s < w.t_s - 11.5)
-    heights_m = [o.snapshot.e_m[2] for o in world.outputs if o.phase is Phase.LAND]
-    assert min(heights_m) == pytest.approx(0.3, abs=0.03)
-
-
-def test_a_slow_target_is_not_waited_for():
-    slow = config(touchdown={"calm_wait_s": 12.0, "calm_speed_m_s": 0.2, "calm_height_m": 0.3})
-    assert touches_s(slow) == touches_s(config())
 
 
 @pytest.mark.parametrize(("height_m", "waits"), [(0.02, False), (0.1, True)])
@@ -99,53 +81,3 @@ def test_leaving_the_cone_again_and_again_and_staying_in_it_is_swinging(swings, 
     assert "SWINGS" not in names(tick(PAPER, e=e, memory=memory))  # the paper's filter has no such rule
     memory.phase = Phase.APPROACH
     assert "SWINGS" not in names(tick(e=e, memory=memory))
-
-
-def test_the_wait_for_a_calm_robot_does_not_count():
-    settings = replace(ROBUST, touchdown=replace(ROBUST.touchdown, calm_wait_s=10.0))
-    for over_s, expected in ((9.9, False), (10.1, True)):
-        began_s = NOW_S - CHECKS.over_pad_time_max_s - over_s
-        memory = Memory(phase=Phase.LAND, phase_since_s=began_s, started_s=began_s)
-        assert ("SWINGS" in names(tick(settings, e=IN, memory=memory))) is expected
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [2])
-def test_a_loop_slower_than_configured_ends_by_its_own_reason(seed):
-    """ArduCopter 4.7's loop with the configuration for the older release swung for two minutes."""
-    scenario = replace(load("ardupilot_47"), onboard=load_config("ardupilot-1kg"), duration_max_s=40.0)
-    landing = land(scenario, seed, on_step=lambda *_: None)  # tick by tick, so nothing else must be compiled
-    assert landing.verdict.outcome is Outcome.ABORTED
-    assert f"LAND -> ABORT: {SWINGING}: left the cone over it 4 times" in landing.verdict.reason
-    assert landing.simulated_s < 40.0
-
-
-LAB, GROUND = load("lab"), load("paper_moving_1")
-STRAIGHT, CIRCLE = load("straight").target.path, GROUND.target.path
-
-
-def take_off(path, speed_m_s, turn_rate_rad_s=0.0):
-    """Return the phases of a flight from the ground, with the reason for each."""
-    target = replace(
-        GROUND.target, path=path, speed_m_s=speed_m_s, speed_max_m_s=speed_m_s, heading_rad=2.0,
-        turn_rate_rad_s=turn_rate_rad_s, wait_for_landing=False,
-    )  # fmt: skip
-    onboard = replace(LAB.onboard, takeoff=replace(GROUND.onboard.takeoff, timeout_s=15.0))
-    phases = {}
-
-    def note(tick, out):
-        if out.transition is not None:
-            phases.setdefault(out.transition.after, (tick.now_s, out.transition.reason))
-
-    scenario = replace(LAB, start=GROUND.start, target=target, onboard=onboard, duration_max_s=40.0)
-    land(scenario, 5, on_step=note)
-    return phases
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("speed_m_s", [0.3])
-@pytest.mark.parametrize(("path", "turn_rate_rad_s"), [(STRAIGHT, 0.0), (CIRCLE, 0.5), (CIRCLE, -0.2)])
-def test_the_start_beside_a_driving_robot_is_reached(path, turn_rate_rad_s, speed_m_s):
-    phases = take_off(path, speed_m_s, turn_rate_rad_s)
-    assert phases[Phase.APPROACH][1] == "start reached"
-    assert Phase.LANDED in phases

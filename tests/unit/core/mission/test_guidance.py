@@ -107,17 +107,6 @@ def test_the_take_off_climbs_straight_up_until_it_is_high_and_armed():
         assert asked(Phase.TAKEOFF, settings, memory=Memory(climbed=True), **lost) == Command(Request.TAKEOFF)
 
 
-def test_once_it_has_lifted_off_by_set_points_nothing_is_left_to_ask_of_the_take_off():
-    flies = Memory(was_armed=True, was_external=True, ground_z_m=PAD[2])
-    for landed, request in ((Landed.ON_GROUND, Request.TAKEOFF), (Landed.TAKEOFF, Request.EXTERNAL)):
-        found = asked(Phase.TAKEOFF, e=(0.0, 0.0, 0.05), memory=flies, landed=landed)
-        assert found.request is request
-        assert found.velocity[2] > 0.0  # never zero velocity so close to the ground
-    assert not flies.climbed
-    silent = asked(Phase.TAKEOFF, e=(0.0, 0.0, 0.05), memory=flies, status=False)
-    assert silent.request is Request.TAKEOFF
-
-
 def test_to_the_start_it_goes_upwards_first():
     settings = config(
         takeoff={"start_offset_m": [-1.0, 0.5, 0.7]}, position_loop={"gain_1_s": [1.0, 2.0, 3.0]}
@@ -293,17 +282,6 @@ def test_it_does_not_land_while_it_closes_in():
     # The target passes at 0.9 of the clearance before the vehicle is down.
     assert clearing((0.9 * far, -0.5 * far, z), (0.0, -5.0, 0.0))[0].request is Request.EXTERNAL
     assert clearing((1.1 * far, -0.5 * far, z), (0.0, -5.0, 0.0))[0] == Command(Request.LAND)
-
-
-def test_from_the_ground_it_took_off_from_the_landing_takes_longer():
-    memory = Memory(
-        abort_way=AbortWay.FLY_CLEAR, target_position_enu_m=PAD, target_velocity_enu_m_s=(0.2, 0.0, 0.0),
-        ground_z_m=-1.0,
-    )  # fmt: skip
-    reach_m = ROBUST.checks.clearance_m + 0.2 * (1.0 + 0.3) / ROBUST.retreat.landing_speed_m_s
-    for more_m, request in ((-1e-6, Request.EXTERNAL), (1e-6, Request.LAND)):
-        e = (reach_m + more_m, 0.0, 0.3 - PAD[2])
-        assert asked(Phase.ABORT, ROBUST, e, memory).request is request
 
 
 @pytest.mark.parametrize("lost", [{"own": False}, {"own_ok": False}])

@@ -14,7 +14,6 @@ from flightstack.core.strategies.strategy import strategy_of
 from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.track import TargetState, TargetTrack
 from flightstack.core.types import ZERO, Inputs, Landed, Mode, OwnState, Phase, VehicleStatus
-from tests.point_mass import World
 from tests.unit.core.mission.test_guidance import BARRIER, ROBUST
 
 reasons = st.text(st.characters(codec="utf-8"), max_size=40).filter(lambda text: not text.endswith(")"))
@@ -32,46 +31,11 @@ def test_what_was_written_is_read(before, after, way, why):
 
 
 @pytest.mark.parametrize(
-    ("text", "change"),
-    [
-        (
-            "LAND -> HOLD: target lost: no sample (of it) has come",
-            Transition(Phase.LAND, Phase.HOLD, "target lost: no sample (of it) has come"),
-        ),
-        (
-            "CLIMB -> ABORT: target did not come back (fly clear)",
-            Transition(Phase.CLIMB, Phase.ABORT, "target did not come back", AbortWay.FLY_CLEAR),
-        ),
-        (
-            "ABORT: ended by the operator (land here)",
-            Transition(Phase.ABORT, Phase.ABORT, "ended by the operator", AbortWay.LAND_HERE),
-        ),
-    ],
-)
-def test_the_text_is_that_of_the_log(text, change):
-    assert change.text == text
-    assert parse(text) == change
-
-
-@pytest.mark.parametrize(
     "text",
     ["", "target sample refused: jumped", "LAND -> DANCE: why", "LAND: why", "No -> ABORT: x", "-> ABORT"],
 )
 def test_other_texts_are_no_changes(text):
     assert parse(text) is None
-
-
-def test_each_change_of_a_flight_is_an_output_and_an_event():
-    world = World(ROBUST, solid_pad=True).run(60.0)
-    changes = [out.transition for out in world.outputs if out.transition is not None]
-    assert changes[-1].after is Phase.LANDED
-    assert [parse(text) for text in world.texts] == changes
-    phase = Phase.WAIT
-    for out in world.outputs:
-        if out.transition is not None:
-            assert out.transition.before is phase
-            phase = out.transition.after
-        assert out.phase is phase
 
 
 NOW_S = 10.0

@@ -12,8 +12,7 @@ from flightstack.core.parameters.robust import VelocityLoop
 from flightstack.core.strategies.velocity_tracking import VelocityTracking
 from flightstack.onboard.state_text import StateText
 from flightstack.verify.certificate import checks
-from flightstack.verify.envelope import extremes
-from flightstack.verify.late import drift_m, tick_matrix
+from flightstack.verify.late import tick_matrix
 from tests.point_mass import World
 from tests.unit.core.core_helpers import config
 
@@ -101,13 +100,6 @@ def test_a_simulated_step_is_the_matrix():
     assert min(way) > -0.35  # it comes to rest
     assert abs(way[-1]) < 0.01
     assert all(w == 1.0 for w in way[:25])  # nothing moves before the dead time is over
-
-
-def test_a_landing_drifts_farther_with_a_dead_time():
-    settings = load_config("ardupilot47-1kg")
-    quick = replace(settings, velocity_loop=replace(settings.velocity_loop, dead_time_s=0.0, lag_xy_s=0.5))
-    late_m, quick_m = (drift_m(each, extremes(each), 1.5, 1.0, 1.0) for each in (settings, quick))
-    assert quick_m < late_m < settings.touchdown.pad_radius_m
 
 
 def test_a_flight_restored_from_its_text_goes_on_to_the_bit():

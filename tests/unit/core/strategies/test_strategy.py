@@ -1,24 +1,19 @@
 """Filters are found by name, inside and outside the package; no filter replaces another one."""
 
-import math
-import random
 import sys
 
 import pytest
 
-from examples.own_boundary import Cone, ConeFilter
 from flightstack.common.strict_toml import ConfigError
 from flightstack.config.files import load
 from flightstack.core.parameters.filters import FILTERS, look_here, named
 from flightstack.core.strategies.strategy import (
-    Filter,
     ignored,
     own_boundary,
     packaged_strategy_of,
     strategy_class,
     strategy_of,
 )
-from flightstack.core.types import FilterStatus, Phase
 from flightstack.verify.certificate import checks, problems
 from tests.integration.runs import called
 from tests.point_mass import World
@@ -180,44 +175,3 @@ def test_a_boundary_that_cannot_fly_is_refused_before_a_flight(outside):
         ):
             use(config("edges:Mine"))
     assert isinstance(strategy_of(config("edges:Better")), strategy_class("edges:Better"))
-
-
-def test_the_base_class_is_safe_and_proves_nothing():
-    assert Filter.watches_swinging  # a vehicle that swings over the pad aborts
-    assert not Filter.certificate
-    assert Filter.waits_filtered  # the safe default
-
-
-def test_the_cone_lands_and_the_program_holds_it():
-    world = World(config(CONE), solid_pad=True)
-    world.run(60.0)
-    assert world.phase is Phase.LANDED
-    ran = [
-        out for out in world.outputs if out.barrier and out.barrier.result.status is not FilterStatus.NOT_RUN
-    ]
-    assert {out.barrier.result.status for out in ran} == {FilterStatus.CLOSED_FORM}
-    assert any(out.barrier.result.active for out in ran)
-    assert min(out.barrier.result.slack_m_s for out in ran) > -1e-9
-    assert (
-        min(world.controller.strategy.barrier(out.snapshot.relative).h(out.snapshot.e_m) for out in ran)
-        > -1e-3
-    )
-
-
-def test_the_cones_linearisation_bound_is_one_and_is_reached():
-    cone, chance, reached = Cone(1.5, 0.5), random.Random(3), 0.0
-    for _ in range(5_000):
-        d, moved, angle = (
-            chance.choice((0.0, 1e-3, 0.1, 0.4)),
-            10.0 ** chance.uniform(-4.0, 0.0),
-            chance.uniform(0, 7),
-        )
-        e, v = (d, 0.0, 1.0), (moved * math.cos(angle), moved * math.sin(angle), 0.0)
-        h, gradient, _ = cone.evaluate(e, (0.0, 0.0, 0.0))
-        predicted = h + sum(g * step for g, step in zip(gradient, v, strict=True))
-        missing = predicted - cone.h(tuple(a + b for a, b in zip(e, v, strict=True)))
-        bound = cone.linearisation_bound_m(e, moved)
-        assert missing <= bound + 1e-12
-        reached = max(reached, missing / bound)
-    assert reached > 0.99
-    assert ConeFilter.waits_filtered is False

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flightstack.core.parameters.robust import VelocityFeedback, VelocityLoop
+from flightstack.core.parameters.robust import VelocityFeedback
 from flightstack.core.strategies.velocity_tracking import VelocityTracking
 from flightstack.core.types import ZERO
 from tests.unit.core.strategies.loop_helpers import AXES, LOOP, T_S, WIDE, Plant, constant, flown
@@ -83,41 +83,12 @@ def test_all_of_its_state_is_its_memory(made):
         plant.fly(tracking.memory.setpoint_m_s)
 
 
-@pytest.mark.parametrize("axis", AXES)
-@pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_a_push_that_is_too_strong_is_learned_up_to_the_limit(axis, sign):
-    push = [0.0, 0.0, 0.0]
-    push[axis] = 3.0 * sign
-    tracking, _, _ = flown(constant(ZERO, 5.0), Plant(push=tuple(push)))
-    expected = [0.0, 0.0, 0.0]
-    expected[axis] = sign * LOOP.disturbance_max_m_s
-    assert tracking.memory.disturbance_m_s == pytest.approx(expected, abs=1e-9)
-
-
 def test_horizontally_the_set_point_stays_near_the_velocity_so_that_the_tilt_is_bounded():
     tracking = VelocityTracking(replace(LOOP, error_max_m_s=0.3), T_S)
     tracking.observe((0.1, -0.1, 0.0), commanding=False)
     setpoint = tracking.command(ZERO, (3.0, -3.0, 3.0), (0.1, -0.1, 0.0), WIDE)
     assert setpoint[:2] == pytest.approx((0.4, -0.4))
     assert setpoint[2] > 3.0  # an upward acceleration needs no tilt
-
-
-def test_the_corrections_are_those_of_the_formula():
-    """u = r + lag s + k (r - v) - d, with s a low-pass of the wanted acceleration."""
-    loop = VelocityLoop(
-        lag_xy_s=0.2, lag_z_s=0.1, gain_xy=0.25, gain_z=0.5, slope_time_s=0.04, error_max_m_s=10.0
-    )  # fmt: skip
-    tracking = VelocityTracking(loop, T_S)
-    tracking.memory.slope_m_s2 = (1.0, -1.0, 0.5)
-    tracking.memory.disturbance_m_s = (0.05, -0.1, 0.2)
-    found = tracking.command((0.0, 0.1, 0.2), (0.02, 0.08, 0.2), (0.1, 0.0, -0.2), WIDE)
-    slope = (0.75 + 0.25 * 2.0, -0.75 - 0.25 * 2.0, 0.375)
-    assert tracking.memory.slope_m_s2 == pytest.approx(slope)
-    assert found == pytest.approx((
-        0.02 + 0.2 * slope[0] - 0.25 * 0.08 - 0.05,
-        0.08 + 0.2 * slope[1] + 0.25 * 0.08 + 0.1,
-        0.2 + 0.1 * slope[2] + 0.5 * 0.4 - 0.2,
-    ))  # fmt: skip
 
 
 def test_while_somebody_else_flies_the_model_follows_and_nothing_is_learned():
@@ -154,40 +125,6 @@ def test_the_model_is_stable_up_to_the_rate_that_is_allowed_and_not_above(period
 
     assert left(0.99) < 1e-3
     assert left(1.01) > 1.0
-
-
-def test_the_rate_allowed_is_that_of_the_criterion():
-    for damping in (0.1, 0.68, 2.0):
-        w_t = replace(LOOP, damping=damping).rate_max_1_s(0.01) * 0.01
-        assert w_t * w_t + 4.0 * damping * w_t == pytest.approx(4.0)
-
-
-def test_upwards_it_is_the_lead():
-    references = [(0.1, 0.1, 0.2)] * 50 + [(0.1, 0.1, -0.2)] * 50
-    push = (0.0, 0.0, 0.1)
-    _, setpoints, _ = flown(references, Plant(push=push), fed_back())
-    _, of_lead, _ = flown(references, Plant(push=push), VelocityTracking(EAGER, T_S))
-    assert [u[2] for u in setpoints] == [u[2] for u in of_lead]
-    assert [u[0] for u in setpoints] != [u[0] for u in of_lead]
-
-
-def test_the_fed_back_set_point_is_that_of_the_formula():
-    """u = v + (2 z w a + m (a* - a)) / w^2 with a* = s + l (r - v) - f, the state advanced by the delay."""
-    loop = VelocityLoop(rate_xy_1_s=5.0, damping=0.5, slope_time_s=0.04, error_max_m_s=10.0)
-    feedback = VelocityFeedback(
-        horizontal=True, error_rate_1_s=4.0, tilt_rate_1_s=10.0, acceleration_max_m_s2=20.0
-    )
-    tracking = VelocityTracking(loop, T_S, feedback, 0.02)
-    memory = tracking.memory
-    memory.slope_m_s2, memory.model_m_s, memory.model_m_s2 = (1.0, 0.0, 0.0), (0.2, 0.0, 0.0), (0.5, 0.0, 0.0)
-    memory.disturbance_m_s = (0.1, 0.0, 0.0)
-    found = tracking.command((0.1, 0.0, 0.0), (0.12, 0.0, 0.0), (9.9, 0.0, 0.0), WIDE)[0]
-    push = 0.1 * 5.0 / (2.0 * 0.5)
-    now = 0.2 + 0.02 * (0.5 + push)
-    slope = 1.0 + 0.25 * (0.02 / T_S - 1.0)
-    aim = slope + 4.0 * (0.12 - now) - push
-    assert found == pytest.approx(now + (2.0 * 0.5 * 5.0 * 0.5 + 10.0 * (aim - 0.5)) / 25.0)
-    assert memory.slope_m_s2[0] == pytest.approx(slope)
 
 
 def test_far_away_the_rates_are_those_of_far_away():

@@ -1,7 +1,6 @@
 """The target's estimator compared with a matrix Kalman filter, and its own error estimate."""
 
 import functools
-import itertools
 import math
 import random
 from dataclasses import replace
@@ -12,18 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from flightstack.common.strict_toml import from_table
-from flightstack.core.controller import Controller
 from flightstack.core.memory import MotionMemory
-from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.parameters.robust import TargetLink
-from flightstack.core.target.estimator import RESTART_S, TargetEstimator
-from flightstack.core.types import Inputs, TargetSample
+from flightstack.core.target.estimator import TargetEstimator
+from flightstack.core.types import TargetSample
 
 pytestmark = pytest.mark.slow
 
 LINK = TargetLink()
-ORIGIN = (0.0, 0.0, 0.0)
 links = st.builds(
     TargetLink,
     delay_s=st.just(0.02),
@@ -131,129 +126,10 @@ def test_it_is_the_text_book_filter_at_any_times(link, samples, ahead_s):
         assert_same(estimator, references, ahead_s)
 
 
-def driven(chance, link, times_s):
-    """Return a motion from the filter's model: lists of (t, state by axis, measurement)."""
-    state = np.array([[0.0, 0.0, chance.gauss(0.0, assumed(link, axis)[1])] for axis in range(3)])
-    before_s, found = times_s[0], []
-    for t_s in times_s:
-        if t_s > before_s:
-            state = state.copy()
-            for axis in range(3):
-                jerk, _, fade_s = assumed(link, axis)
-                f, q = carried(jerk, fade_s, round(t_s - before_s, 6))
-                noise = [chance.gauss(0.0, 1.0) for _ in range(3)]
-                state[axis] = f @ state[axis] + np.linalg.cholesky(q) @ noise
-        before_s = t_s
-        measured = [
-            tuple(x + chance.gauss(0.0, s) for x in state[:, n])
-            for n, s in enumerate((link.position_noise_m, link.velocity_noise_m_s))
-        ]
-        found.append((t_s, state, measured))
-    return found
-
-
-def test_its_error_is_as_large_as_it_says():
-    """The normalised estimation error squared of three states per axis is 3 on average if consistent."""
-    chance, errors, ahead = random.Random(4), [], []
-    for _ in range(100):
-        estimator = TargetEstimator(LINK)
-        times_s, t_s = [], 0.0
-        for _ in range(40):
-            t_s += chance.choice((0.02, 0.033, 0.05, 0.2))  # some samples are lost
-            times_s.append(t_s)
-        *past, (at_s, later, _) = driven(chance, LINK, times_s)
-        for t_s, _, measured in past:
-            estimator.update(t_s, *measured)
-        memory, (_, state, _) = estimator.memory, past[-1]
-        found = np.array([memory.position_enu_m, memory.velocity_enu_m_s, memory.acceleration_enu_m_s2]).T
-        for axis in range(3):
-            miss = found[axis] - state[axis]
-            errors.append(float(miss @ np.linalg.solve(covariance(estimator, axis), miss)))
-        motion = estimator.at(at_s)
-        ahead += [(motion.position_enu_m[axis] - later[axis, 0]) / motion.position_sigma_m for axis in (0, 1)]
-    assert np.mean(errors) == pytest.approx(3.0, abs=4.0 * math.sqrt(6.0 / len(errors)))  # 4 standard errors
-    assert np.mean(np.square(ahead)) == pytest.approx(1.0, abs=4.0 * math.sqrt(2.0 / len(ahead)))
-    assert abs(np.mean(ahead)) < 4.0 / math.sqrt(len(ahead))
-
-
 def circle(t_s, radius_m=0.5, speed_m_s=0.3):
     w = speed_m_s / radius_m
     c, s = math.cos(w * t_s), math.sin(w * t_s)
     return (radius_m * c, radius_m * s, 0.2), (-speed_m_s * s, speed_m_s * c, 0.0)
-
-
-def stop_and_go(t_s, speed_m_s=0.2):
-    """Reverse with a period of 4 s and 0.5 m/s2."""
-    ramp = min(1.0, max(-1.0, (abs(t_s % 4.0 - 2.0) - 1.0) / 0.4))
-    return ramp * speed_m_s
-
-
-def test_on_motions_that_it_does_not_know_it_is_no_worse_than_it_says():
-    chance, inside, total = random.Random(5), 0, 0
-    for _ in range(8):
-        estimator, x = TargetEstimator(LINK), 0.0
-        for n in range(400):
-            t_s = 0.02 * n
-            v = stop_and_go(t_s)
-            x += 0.02 * v
-            (cx, cy, cz), (vx, vy, vz) = circle(t_s)
-            truth = (cx + x, cy, cz)
-            moved = tuple(a + chance.gauss(0.0, LINK.position_noise_m) for a in truth)
-            speed = tuple(a + chance.gauss(0.0, LINK.velocity_noise_m_s) for a in (vx + v, vy, vz))
-            if n % 10 < 9:  # one of ten is lost
-                estimator.update(t_s, moved, speed)
-            if n > 20:
-                motion = estimator.at(t_s)
-                inside += (
-                    math.dist(motion.position_enu_m, truth) < 3.0 * math.sqrt(3.0) * motion.position_sigma_m
-                )
-                total += 1
-    assert inside / total > 0.99
-
-
-@pytest.mark.parametrize(
-    "link", [LINK, replace(LINK, jerk_xy_m_s3_sqrthz=6.0), replace(LINK, position_noise_m=0.02)]
-)
-def test_what_is_older_is_less_certain(link):
-    estimator = TargetEstimator(link)
-    for n in range(50):
-        estimator.update(0.05 * n, ORIGIN, ORIGIN)
-    motions = [estimator.at(estimator.memory.time_s + 0.01 * n) for n in range(300)]
-    for sooner, later in itertools.pairwise(motions):
-        assert later.position_sigma_m > sooner.position_sigma_m
-        assert later.position_sigma_z_m > sooner.position_sigma_z_m
-        assert later.velocity_sigma_m_s > sooner.velocity_sigma_m_s
-
-
-def test_before_the_newest_sample_it_is_as_certain_as_at_it():
-    estimator = TargetEstimator(LINK)
-    estimator.update(5.0, (1.0, 2.0, 3.0), (0.1, -0.2, 0.3))
-    motion = estimator.at(4.9)
-    assert motion.position_enu_m == pytest.approx((0.99, 2.02, 2.97))
-    assert motion.position_sigma_m == estimator.at(5.0).position_sigma_m == LINK.position_noise_m
-    assert motion.velocity_sigma_m_s == LINK.velocity_noise_m_s
-
-
-@pytest.mark.parametrize("gap_s", [RESTART_S + 1e-6, 30.0, 0.0, -0.01, -1e6])
-def test_after_a_gap_or_backwards_it_starts_anew(gap_s):
-    estimator, fresh = TargetEstimator(LINK), TargetEstimator(LINK)
-    for n in range(20):
-        estimator.update(7.0 + 0.05 * n, *circle(0.05 * n))
-    at_s = estimator.memory.time_s + gap_s
-    for either in (estimator, fresh):
-        either.update(at_s, (5.0, 6.0, 7.0), (0.1, 0.2, 0.3))
-    assert estimator.memory == fresh.memory
-    assert estimator.memory.acceleration_enu_m_s2 == ORIGIN
-    for axis in range(3):
-        expected = (LINK.position_noise_m, LINK.velocity_noise_m_s, assumed(LINK, axis)[1])
-        assert np.array_equal(covariance(estimator, axis), np.diag([sigma**2 for sigma in expected]))
-
-
-def test_a_gap_up_to_the_limit_goes_on():
-    estimator = TargetEstimator(LINK)
-    estimator.update(1.0, ORIGIN, ORIGIN)
-    estimator.update(1.0 + RESTART_S, (0.001, 0.0, 0.0), ORIGIN)
-    assert 0.0 < estimator.memory.position_enu_m[0] < 0.001
 
 
 def test_without_a_sample_there_is_no_motion():
@@ -266,31 +142,6 @@ def sample(t_s, **changes):
     position, velocity = circle(t_s)
     made = TargetSample(t_s, 1000.0 + t_s, "map", "target", position, velocity, 0.0, 0.0)
     return made._replace(**changes)
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"source_time_s": 1000.5},  # out of order
-        {"source_time_s": 1000.95},  # repeated
-        {"source_time_s": 1000.96, "arrival_s": 1.6},  # too late
-        {"position_enu_m": (math.nan, 0.0, 0.0)},
-        {"velocity_enu_m_s": (2.0, 0.0, 0.0)},  # faster than allowed
-        {"position_enu_m": (3.0, 3.0, 0.2)},  # jumped
-        {"child_frame_id": "other"},
-    ],
-)
-def test_a_sample_that_is_not_believed_changes_nothing(changes):
-    config = from_table(FlightConfig, {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}})
-    controller = Controller(config)
-    for n in range(20):
-        controller.step(Inputs(target_samples=(sample(0.05 * n),)), 0.05 * n)
-    before = replace(controller.state.motion)
-    assert before.time_s == 1000.95
-    controller.step(Inputs(target_samples=(sample(1.0, **changes),)), 1.0)
-    assert controller.state.motion == before
-    controller.step(Inputs(target_samples=(sample(1.0),)), 1.0)
-    assert controller.state.motion.time_s == 1001.0
 
 
 def fed(link, said=(0.0, 0.0), count=60):

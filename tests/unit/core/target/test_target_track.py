@@ -1,10 +1,8 @@
 """Which target samples are accepted."""
 
 import math
-import random
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,7 +11,7 @@ from flightstack.core.parameters.flight import Checks
 from flightstack.core.target.estimator import TURN_RATE_MAX_RAD_S, TargetEstimator
 from flightstack.core.target.track import TargetTrack, Verdict
 from flightstack.core.types import ZERO, TargetSample
-from tests.unit.core.target.test_target_estimator import LINK, circle, vectors
+from tests.unit.core.target.test_target_estimator import LINK, circle
 
 
 def within(most):
@@ -96,16 +94,6 @@ def test_a_robot_that_sets_off_in_a_gap_is_believed(gap_s, before_m_s, accelerat
     assert track.accept(sample) is Verdict.ACCEPTED
 
 
-def test_a_robot_that_jumps_is_refused_whatever_its_velocity_says(track):
-    fast = (1.4, 0.0, 0.0)  # the mean explains 0.15 m
-    assert (
-        track.accept(later(0.2, position_enu_m=(1.34, 2.0, 0.2), velocity_enu_m_s=fast)) is Verdict.ACCEPTED
-    )
-    track = TargetTrack(Checks())
-    track.accept(FIRST)
-    assert track.accept(later(0.2, position_enu_m=(1.36, 2.0, 0.2), velocity_enu_m_s=fast)) is Verdict.JUMP
-
-
 def test_of_a_lost_robot_the_velocity_of_now_proves_no_place(track):
     assert track.accept(later(0.2, position_enu_m=(2.0, 2.0, 0.2))) is Verdict.JUMP
     fast = (1.0, 0.0, 0.0)  # the mean of both predicts the reported position, 0.9 s after the last one
@@ -124,17 +112,6 @@ def test_the_age_counts_from_the_measurement_less_the_shortest_delay(track):
     slow = later(0.1)._replace(arrival_s=10.1 + 0.05)  # 50 ms more latency than the first sample
     track.accept(slow)
     assert track.at(10.15).age_s == pytest.approx(0.05)
-
-
-def test_the_target_is_moved_on_with_its_velocity(track):
-    assert track.at(10.1).position_enu_m == pytest.approx((1.01, 2.0, 0.2))
-
-
-def test_a_lost_track_takes_a_jump_but_no_older_sample(track):
-    assert track.accept(later(0.5, position_enu_m=(3.0, 2.0, 0.2))) is Verdict.ACCEPTED
-    track = TargetTrack(Checks())
-    track.accept(FIRST)
-    assert track.accept(later(0.5)._replace(source_time_s=999.0)) is Verdict.OUT_OF_ORDER
 
 
 @pytest.mark.parametrize("settled", [False, True])
@@ -163,32 +140,6 @@ def test_a_clock_that_was_set_is_followed_after_samples_that_agree(by_s, silent_
         elif not -0.4 <= by_s <= -0.3 or silent_s < 0.3:
             assert good or 0.02 * k < proof_s + 0.03
             assert not good or track.at(t_s).age_s < 1e-6
-
-
-def test_a_queue_that_drains_at_the_start_is_none_a_moment_later():
-    """Samples that waited during the start: 600 samples of 12 s in one tick."""
-    track = TargetTrack(Checks(), 0.01)
-    for stamp_s in ticks(0.0, 12.0):
-        moved = drives(stamp_s, stamp_s).position_enu_m
-        assert track.accept(drives(12.0, stamp_s)._replace(position_enu_m=moved)) is Verdict.ACCEPTED
-    track.memory.settled = True
-    for t_s in ticks(12.0, 14.0):
-        assert track.accept(drives(t_s, t_s)) is Verdict.ACCEPTED
-        assert track.at(t_s).age_s < 0.03
-
-
-def test_a_clock_and_a_place_that_begin_anew_are_not_followed_in_flight():
-    track = steady(2.0, True)
-    anew = [drives(t_s, t_s - 2.3)._replace(position_enu_m=(9.0, 0.0, 0.2)) for t_s in ticks(2.3, 10.0)]
-    assert {track.accept(sample) for sample in anew} == {Verdict.OUT_OF_ORDER, Verdict.JUMP}
-
-
-@pytest.mark.parametrize("by_s", [-30.0, -0.15, 0.15, 30.0])
-def test_of_two_senders_that_take_turns_one_is_never_believed(by_s):
-    track = steady(2.0, True)
-    for t_s in ticks(2.0, 20.0):
-        assert track.accept(drives(t_s, t_s)) is Verdict.ACCEPTED
-        assert track.accept(drives(t_s + 0.01, t_s + 0.01 + by_s)) is not Verdict.ACCEPTED
 
 
 @pytest.mark.parametrize("rate", [-0.03, -1e-4, 1e-4, 0.03])
@@ -247,81 +198,8 @@ def test_a_steady_bend_is_followed_without_an_error_that_stays(speed_m_s, rate, 
     assert sideways.at(t_s) == untold.at(t_s)
 
 
-@given(
-    st.lists(st.tuples(st.floats(1e-3, 0.9), vectors, vectors, st.floats(-math.pi, math.pi)), min_size=2),
-    st.floats(0.0, 1.0),
-    st.floats(0.1, 5.0),
-)
-def test_no_yaw_makes_the_target_faster_and_its_acceleration_fades(samples, ahead_s, fade_s):
-    estimator, t_s = TargetEstimator(replace(LINK, acceleration_time_s=fade_s)), 0.0
-    for step_s, position, velocity, yaw_rad in samples:
-        t_s += step_s
-        estimator.update(t_s, position, velocity, yaw_rad)
-    memory, ahead = estimator.memory, estimator.at(t_s + ahead_s)
-    (vx, vy, vz), (ax, ay, az) = memory.velocity_enu_m_s, memory.acceleration_enu_m_s2
-    fx, fy, fz = ahead.acceleration_enu_m_s2
-    left = math.exp(-ahead_s / fade_s)
-    assert math.hypot(fx, fy) == pytest.approx(left * math.hypot(ax, ay), rel=1e-4, abs=1e-12)
-    assert fz == az
-    gained_s = fade_s * (1.0 - left)
-    speed_m_s = math.hypot(*ahead.velocity_enu_m_s[:2])
-    assert speed_m_s == pytest.approx(math.hypot(vx + gained_s * ax, vy + gained_s * ay), rel=1e-4, abs=1e-9)
-    assert ahead.velocity_enu_m_s[2] == pytest.approx(vz + ahead_s * az, abs=1e-9)
-    assert abs(memory.turn_rate_rad_s) <= TURN_RATE_MAX_RAD_S
-
-
-@given(vectors, vectors, st.floats(-2.0, 2.0), st.floats(0.01, 0.12), st.floats(0.05, 100.0))
-def test_carried_on_twice_is_carried_on_once(position, velocity, rate, step_s, fade_s):
-    def started(estimator, position, velocity, acceleration):
-        memory = estimator.memory
-        memory.time_s, memory.position_enu_m, memory.velocity_enu_m_s = 0.0, position, velocity
-        memory.acceleration_enu_m_s2, memory.turn_rate_rad_s = acceleration, rate
-        return estimator.at(step_s)
-
-    estimator = TargetEstimator(replace(LINK, acceleration_time_s=fade_s))
-    half = started(estimator, position, velocity, (0.7, -0.4, 0.2))
-    twice = started(TargetEstimator(replace(LINK, acceleration_time_s=fade_s)), *half[:3])
-    started(estimator, position, velocity, (0.7, -0.4, 0.2))
-    once = estimator.at(2.0 * step_s)
-    assert np.allclose(twice[1:3], once[1:3], rtol=1e-5, atol=1e-5)
-    assert np.allclose(twice[0], once[0], rtol=1e-5, atol=4e-3 * step_s)
-
-
-def test_over_a_gap_a_robot_that_sets_off_is_not_made_faster_than_it_can_be():
-    """After 0.8 s at 1 m/s2 and a loss of half a second it has stopped accelerating."""
-    lasting, fading = (TargetEstimator(replace(LINK, acceleration_time_s=time_s)) for time_s in (1000.0, 0.5))
-    for n in range(41):
-        t_s = 0.02 * n
-        for estimator in (lasting, fading):
-            estimator.update(t_s, (0.5 * t_s * t_s, 0.0, 0.0), (t_s, 0.0, 0.0), 0.0)
-    too_fast = [one.at(0.8 + 0.58).velocity_enu_m_s[0] - 0.8 for one in (lasting, fading)]
-    assert 0.0 < too_fast[1] < 0.7 * too_fast[0]
-
-
 STEADY = replace(LINK, jerk_xy_m_s3_sqrthz=0.05)
 ROUSED = replace(STEADY, jerk_growth_max=10.0)
-
-
-def worst_m(link, brakes, seed):
-    """Return the largest error in the second after two seconds at 0.6 m/s, with or without braking."""
-    chance, estimator = random.Random(seed), TargetEstimator(link)
-    worst, x, v = 0.0, 0.0, 0.6
-    for n in range(150):
-        v = max(0.0, v - 0.02) if brakes and n >= 100 else v
-        x += 0.02 * v
-        place = (chance.gauss(x, link.position_noise_m), 0.0, 0.0)
-        estimator.update(0.02 * n, place, (chance.gauss(v, link.velocity_noise_m_s), 0.0, 0.0))
-        if n >= 100:
-            worst = max(worst, abs(estimator.at(0.02 * n + 0.1).position_enu_m[0] - x - 0.1 * v))
-    return worst
-
-
-def test_little_jerk_that_may_grow_follows_a_braking_target_and_knows_a_steady_one():
-    def mean(link, brakes):
-        return np.mean([worst_m(link, brakes, seed) for seed in range(30)])
-
-    assert mean(ROUSED, True) < 0.85 * mean(STEADY, True)
-    assert mean(ROUSED, False) < 0.8 * mean(replace(STEADY, jerk_xy_m_s3_sqrthz=0.5), False)
 
 
 def test_surprise_makes_it_less_sure_up_to_the_bound_and_passes():
