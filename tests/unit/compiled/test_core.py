@@ -16,11 +16,10 @@ from flightstack.compiled.core import (
     is_possible,
 )
 from flightstack.compiled.jit import OFF, is_off
-from flightstack.compiled.objects import Objects
 from flightstack.compiled.program import CompiledFilter
 from flightstack.core.controller import Controller
 from flightstack.core.safety.qp_filter import SafetyFilter
-from flightstack.core.types import FilterStatus, Phase
+from flightstack.core.types import Phase
 from sim.runners.landing import Companion
 from sim.scenarios.scenario import load
 from sim.scenarios.team import load as load_team
@@ -97,24 +96,6 @@ def test_any_program_is_answered_alike(filters, nominal, h_m, gradient, dh_dt_m_
         each.solve(nominal, h_m, gradient, dh_dt_m_s, lower, upper)._replace(solve_s=0.0) for each in filters
     )
     assert repr(by_machine) == repr(by_python)
-
-
-def test_where_the_solver_fails_the_exact_projection_is_the_answer(filters, monkeypatch):
-    program, machine = filters
-    monkeypatch.setattr(program, "_solved", -77)
-    monkeypatch.setattr(machine, "solved", -77)
-    objects = Objects(machine)
-    monkeypatch.setattr(machine, "_handle", objects.handle)
-    given_ = ((0.1, 0.0, -0.4), 0.1, (0.3, 0.4, 1.0), 0.0, (-0.2, -0.2, -0.5), (0.2, 0.2, 0.5))
-    found = [each.solve(*given_)._replace(solve_s=0.0) for each in filters]
-    assert {each.status for each in found} == {FilterStatus.CLOSED_FORM}
-    assert repr(found[0]) == repr(found[1])
-
-
-def test_numbers_of_another_kind_are_computed_by_python_and_nothing_is_compiled_in_flight(filters):
-    box = ([-0.2, -0.2, -0.5], [0.2, 0.2, 0.5])
-    found = [each.solve([0.1, 0.0, -0.4], 0.1, [0.3, 0.4, 1.0], 0.0, *box) for each in filters]
-    assert found[0]._replace(solve_s=0.0) == found[1]._replace(solve_s=0.0)
 
 
 def test_which_core_is_flown(monkeypatch):

@@ -124,16 +124,6 @@ def test_another_process_flies_the_same_bits(compiled):
     assert repr(in_a_process()) == repr(compiled)
 
 
-def test_without_a_writable_directory_there_is_no_cache(tmp_path, monkeypatch):
-    (tmp_path / "file").write_text("")
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file"))
-    assert jit.cache_directory.__wrapped__() is not None  # another folder that can be written
-    monkeypatch.setattr(jit, "_usable", lambda _: False)
-    assert jit.cache_directory.__wrapped__() is None
-    monkeypatch.setattr(jit, "cache_directory", lambda: None)
-    assert jit.jitted(lambda x: x + 1.0)(2.0) == 3.0
-
-
 def test_the_cache_belongs_to_these_sources(tmp_path, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     first = jit.cache_directory.__wrapped__()

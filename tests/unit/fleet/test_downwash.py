@@ -78,34 +78,6 @@ def test_nothing_above_and_nothing_far_beside():
         assert not torque.any()
 
 
-@pytest.mark.parametrize(
-    ("down_m", "percent"), [(0.2, 21.9), (0.3, 20.1), (0.4, 18.3), (0.5, 16.7), (1.0, 11.6), (2.0, 7.0)]
-)
-def test_a_crazyflie_below_another_loses_what_the_page_says(down_m, percent):
-    force, torque = below(0.0, 0.0, down_m)
-    assert -100.0 * force[2] / WEIGHT_N == pytest.approx(percent, abs=0.05)
-    assert np.abs(force[:2]).max() < 1e-12
-    assert np.abs(torque).max() < 1e-12
-
-
-def test_it_is_of_the_size_of_measurements():
-    """Neural-Swarm (arXiv 2003.02992), figure 3: 10, 8, 6 and 4 g at 0.2 to 0.5 m, for a 34 g Crazyflie."""
-    measured = {0.2: 10.0, 0.3: 8.0, 0.4: 6.0, 0.5: 4.0}
-    ours = {down: -below(0.0, 0.0, down)[0][2] / 9.81e-3 for down in measured}
-    assert all(0.6 < ours[down] / grams < 1.4 for down, grams in measured.items())
-    assert sum(ours.values()) == pytest.approx(sum(measured.values()), rel=0.15)
-
-
-def test_a_tilted_jet_blows_sideways():
-    tilt = math.radians(20.0)
-    tilted = np.array([[0.0, 0.0, 0.0, math.sin(tilt), 0.0, -math.cos(tilt), HOVER_M_S, SIZE_M]])
-    d = set_up_downwash(new(DownwashRecord), CRAZYFLIE.body, CRAZYFLIE.rotor, CRAZYFLIE.geometry)
-    feel(d, tilted, 9, np.array([0.5 * math.tan(tilt), 0.0, -0.5]), UPRIGHT)
-    assert d.air[0] / -d.air[2] == pytest.approx(math.tan(tilt))
-    force, _ = below(0.0, 0.0, 0.5, jets=tilted)
-    assert force[0] > 0.0
-
-
 def hovering(x, height):
     """Return a vehicle that hovers at x, m, above the pad."""
     start = Start(StartKind.HOVER, offset_m=(x, 0.0, height))
@@ -131,8 +103,3 @@ def test_a_vehicle_below_another_gives_more_thrust_to_stay():
     assert share[0] == pytest.approx(1.0, abs=0.01)
     assert share[1] == pytest.approx(1.0 - below(0.0, 0.0, gap_m)[0][2] / WEIGHT_N, abs=0.02)
     assert gap_m > 0.51  # it sinks until then
-
-
-def test_vehicles_far_apart_fly_the_same_bits_as_alone():
-    assert flown(hovering(0.0, 1.0)) == flown(hovering(0.0, 1.0), hovering(4.0, 2.0))[:1]
-    assert flown(hovering(0.0, 1.0)) != flown(hovering(0.0, 1.0), hovering(0.05, 1.6))[:1]

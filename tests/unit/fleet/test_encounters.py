@@ -8,7 +8,7 @@ import pytest
 
 from logs.schema.events import ContactBit
 from sim.plant.params import load
-from sim.vehicle.encounters import Shape, Team, overlapping
+from sim.vehicle.encounters import Shape, Team
 from sim.vehicle.vehicle import VehicleSim
 from tests.unit.vehicle.vehicle_sim_helpers import fly, scenario
 
@@ -35,11 +35,6 @@ def nearest(before, after, steps, one, other):
     return Nearest(distance_m, ellipsoid, team.overlap_ms[0])
 
 
-def overlaps(relative, one, other):
-    """Return whether a pair at rest overlaps."""
-    return overlapping((one, other), np.vstack((np.zeros(3), relative[:3]))) == [(0, 1)]
-
-
 def states(position, velocity, acceleration, seconds):
     """Return the relative state at start and end of a constant acceleration."""
     p, v, a = (np.array(each, dtype=float) for each in (position, velocity, acceleration))
@@ -56,17 +51,6 @@ def test_a_straight_pass_is_judged_between_the_ticks():
     assert found.overlap_ms == -1
 
 
-def test_an_accelerated_pass_is_the_parabola():
-    before, after = states((-0.04, 0.02, 0.5), (5.0, 1.0, -2.0), (30.0, -40.0, 20.0), 0.01)
-    found = nearest(before, after, 10, SMALL, SMALL)
-    times = np.arange(1, 11) * 1e-3
-    a = np.array([30.0, -40.0, 20.0])
-    path = before[:3] + times[:, None] * before[3:] + 0.5 * times[:, None] ** 2 * a
-    assert found.distance_m == pytest.approx(np.linalg.norm(path, axis=1).min(), rel=1e-12)
-    scaled = np.linalg.norm(path / np.array([0.25, 0.25, 0.75]), axis=1)
-    assert found.ellipsoid == pytest.approx(scaled.min(), rel=1e-12)
-
-
 @pytest.mark.parametrize("axis", range(3))
 def test_the_first_millisecond_of_an_overlap(axis):
     touch_m = (0.1, 0.1, 0.03)[axis]
@@ -74,16 +58,6 @@ def test_the_first_millisecond_of_an_overlap(axis):
     position[axis], velocity[axis] = touch_m + 0.0045, -1.0
     before, after = states(position, velocity, (0.0, 0.0, 0.0), 0.01)
     assert nearest(before, after, 10, SMALL, SMALL).overlap_ms == 5
-
-
-def test_shapes_that_differ_overlap_from_both_sides():
-    tall = Shape(0.02, -0.3, 0.1)
-    relative = np.array([0.069, 0.0, 0.319, 0.0, 0.0, 0.0])  # feet of the tall one in the small one's rotors
-    assert overlaps(relative, SMALL, tall)
-    assert overlaps(-relative, tall, SMALL)
-    assert not overlaps(relative + np.array([0.002, 0.0, 0.0, 0.0, 0.0, 0.0]), SMALL, tall)
-    assert not overlaps(relative + np.array([0.0, 0.0, 0.002, 0.0, 0.0, 0.0]), SMALL, tall)
-    assert not overlaps(-relative, SMALL, tall)
 
 
 def test_a_team_is_all_its_pairs_and_keeps_the_least_of_those_that_fly():

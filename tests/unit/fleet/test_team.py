@@ -5,22 +5,13 @@ from pathlib import Path
 import pytest
 
 from logs.verdict.types import Outcome
-from sim.runners.landing import Companion, land, land_team
+from sim.runners.landing import land, land_team
 from sim.scenarios import team
 from sim.scenarios.team import TeamScenario
 from tests.fault_grid.fleet import MOMENTS_S, SEED, WHO, Way, fly, row
-from tests.unit.fleet.fleet_helpers import FIELD, at, same, team_of
+from tests.unit.fleet.fleet_helpers import at, same, team_of
 
 pytestmark = pytest.mark.slow
-
-
-def test_vehicles_far_apart_are_single_landings_to_the_last_bit():
-    far = team_of(FIELD, at(20.0, 0.0), at(0.0, -15.0))
-    flown = land_team(far, 1)
-    for landing, (scenario, seed) in zip(flown.landings, far.singles(1), strict=True):
-        assert same(landing, land(scenario, seed))
-    assert [pair.distance_min_m > 10.0 for pair in flown.pairs] == [True] * 3
-    assert flown.simulated_s == max(landing.simulated_s for landing in flown.landings)
 
 
 def crossing():
@@ -69,41 +60,6 @@ def test_a_collision_is_a_crash_of_both():
         assert told.t_s == pair.collided_ms / 1000.0
         after = landing.seen.truth.t_s > told.t_s + 0.5
         assert landing.seen.truth.rotor_rpm[after].max() < 1000.0
-
-
-def test_who_has_landed_rides_on_and_can_still_be_hit():
-    """The second vehicle flies to a pad inside the first one's, which landed long before."""
-    still = {"speed_m_s": 0.0, "random_heading": False}
-    first, second = at(0.0, 0.0, (0.0, 0.0, 0.3), **still), at(0.08, 0.0, (-2.5, 0.0, 1.0), **still)
-    flown = land_team(team_of(first, second), 1)
-    assert flown.landings[0].verdict.outcome is Outcome.LANDED
-    assert flown.landings[0].simulated_s * 1000.0 < flown.pairs[0].collided_ms
-    assert flown.landings[1].verdict.outcome is Outcome.CRASHED
-
-
-def test_the_exchange_is_asked_once_a_tick_and_told_in_the_next(monkeypatch):
-    calls, seen = [], []
-    hears = Companion.hear
-
-    def hear(self, words):
-        seen.append((self.tick + 1, words))
-        hears(self, words)
-
-    monkeypatch.setattr(Companion, "hear", hear)
-
-    def exchange(tick, outputs):
-        calls.append((tick, [None if out is None else out.phase for out in outputs]))
-        return [(("from", 2, tick),), (("from", 1, tick),)]
-
-    flown = land_team(team_of(at(0.0, 0.0), at(9.0, 0.0)), 0, exchange=exchange)
-    ticks = [tick for tick, _ in calls]
-    assert ticks == list(range(len(calls)))
-    assert len(calls) >= round(flown.simulated_s * 100)
-    assert all(phase is not None for phase in calls[0][1])
-    assert calls[-1][1] == [None, None]
-    assert all(tick == number - 1 for number, ((_, _, tick),) in seen)
-    assert [(number, words[0][1]) for number, words in seen[:4]] == [(1, 2), (1, 1), (2, 2), (2, 1)]
-    assert len(seen) >= len(calls) - 1
 
 
 def test_vehicles_that_begin_inside_each_other_are_refused():

@@ -9,7 +9,7 @@ from flightstack.core.types import Phase
 from logs.verdict.types import Outcome
 from sim.campaign.rows import judge_team
 from sim.runners.landing import land_team
-from sim.scenarios import scenario, team
+from sim.scenarios import team
 
 pytestmark = pytest.mark.slow
 
@@ -26,14 +26,6 @@ def phases(landing):
     steps = landing.seen.steps
     at = np.concatenate(([0], np.flatnonzero(np.diff(steps.phase)) + 1))
     return [(Phase(steps.phase[n]), float(steps.t_s[n])) for n in at]
-
-
-def test_the_scenario_has_the_errors_of_field_and_one_robot():
-    found, field = team.load("turns_4"), scenario.load("field")
-    assert found.one_target
-    for number, each in enumerate(found.member, 1):
-        assert (each.odometry, each.vehicle, each.wind) == (field.odometry, field.vehicle, field.wind)
-        assert (each.onboard.fleet.id, each.onboard.fleet.frees_pad) == (number, True)
 
 
 def test_all_land_and_nobody_is_hit(flown):
@@ -75,14 +67,3 @@ def test_the_next_one_lands_when_the_one_before_has_left(flown):
     stays.sort()
     assert all(left_s < landed_s for (_, left_s), (landed_s, _) in pairwise(stays))
     assert not any(landed_s < t < left_s for t in lands for landed_s, left_s in stays)
-
-
-def test_who_has_left_lies_beside_the_way_of_the_robot(flown):
-    for landing in flown.landings:
-        truth, left = landing.seen.truth, [t for phase, t in phases(landing) if phase is Phase.LEAVE]
-        if not left:
-            continue
-        end = [t for phase, t in phases(landing) if phase is Phase.LANDED][-1]
-        assert truth.d_m[truth.t_s >= end].min() >= 1.0  # checks.clearance_m, while it was observed
-        assert truth.position_enu_m[-1, 2] < 0.02
-        assert not truth.motors_running[-1]

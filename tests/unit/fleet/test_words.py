@@ -99,17 +99,6 @@ def test_the_members_of_a_team_hear_each_other():
     assert all(same(a, b) for a, b in zip(flown.landings, again.landings, strict=True))
 
 
-@pytest.mark.slow
-def test_without_each_other_s_words_nobody_of_a_fleet_lands():
-    members = [at(0.0, 0.0), at(9.0, 0.0)]
-    members = [
-        replace(m, duration_max_s=12.0, onboard=replace(m.onboard, fleet=Fleet(id=n, members=(1, 2))))
-        for n, m in enumerate(members, 1)
-    ]
-    flown = land_team(replace(team_of(*members), exchange=ExchangeLink(0.0, 1.0)), 1)
-    assert all(landing.verdict.outcome is not Outcome.LANDED for landing in flown.landings)
-
-
 GRID = TickGrid(100)
 NAMES = ("cf1", "cf2", "cf3")
 

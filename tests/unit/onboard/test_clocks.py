@@ -4,8 +4,6 @@ import os
 import subprocess
 import sys
 import threading
-import time
-from types import SimpleNamespace
 
 import pytest
 
@@ -20,8 +18,6 @@ from flightstack.common.pacing import (
     chosen_clock,
 )
 from flightstack.common.processes import Child, LaunchError
-from flightstack.onboard import lockstep
-from flightstack.onboard.runner import ClockStoppedError
 from sim import clock
 
 
@@ -92,18 +88,6 @@ def test_a_clock_that_is_twice_as_fast_makes_twice_as_many_ticks_and_their_times
     assert later.wait().lateness_s == pytest.approx(0.012, abs=1e-6)
     assert later.overruns == 1
     assert FastClock().unix_ns() == pacing.time.time_ns()
-
-
-def test_ports_kept_for_a_run_are_not_given_to_another():
-    from flightstack.common.processes import Port
-
-    ports = [Port() for _ in range(20)]
-    try:
-        assert len({port.number for port in ports}) == 20
-        assert all(port.number < 32_768 for port in ports)
-    finally:
-        for port in ports:
-            port.close()
 
 
 @pytest.mark.parametrize("keeps", [True, False])
@@ -197,11 +181,6 @@ def test_time_goes_on_for_the_followers_of_a_simulator_that_was_killed(file, mon
     assert followed.monotonic() >= after_s
 
 
-def test_a_process_that_is_to_end_does_not_wait_for_the_simulator(file):
-    SimulationClock(file)
-    FollowedClock(file, Follower.ONBOARD, stopped=lambda: True).sleep(0.05)
-
-
 @pytest.mark.parametrize(
     ("speed", "clocked", "lockstep"), [(2.0, True, False), (2.0, False, True), (1.0, True, True)]
 )
@@ -289,18 +268,3 @@ def test_compiling_says_how_far_it_is(tmp_path):
     assert (shares[0], shares[-1], len(shares)) == (0, 90, 10)
     assert said[-1] == "flightstack: compiled"
     assert done.stdout == "True False\n"
-
-
-@pytest.mark.parametrize("asked_before", [False, True])
-def test_a_companion_says_that_it_waits_for_its_vehicle_and_not_for_ever(monkeypatch, capsys, asked_before):
-    for name, value in {"SAID_S": -1.0, "FIRST_WAIT_MAX_S": 0.1, "LOST_RUN_MAX_S": 0.1}.items():
-        monkeypatch.setattr(lockstep, name, value)
-    endpoint = SimpleNamespace(wait=lambda _: time.sleep(0.001))
-    link = SimpleNamespace(poll=lambda _: None, take_timesync=lambda: None, endpoint=endpoint)
-    ticks = lockstep.VehicleTicks(SimpleNamespace(link=link), 100, lambda: False)
-    if asked_before:
-        ticks.passed(0)
-    why = "no further message" if asked_before else "no vehicle requested a tick within 0.1 s"
-    with pytest.raises(ClockStoppedError, match=why):
-        ticks.wait()
-    assert capsys.readouterr().err.count("waits for the vehicle") == (not asked_before)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from flightstack.identify import SAMPLES_MIN, Segment, TooLittleError, identify, link, motion, noise
+from flightstack.identify import Segment, TooLittleError, identify, link, motion
 
 DT_S = 0.01
 
@@ -54,16 +54,6 @@ def test_known_parameters_are_found(truth):
         2.0 * found.damping / (found.lag_s - found.model_dead_time_s)
     )
     assert found.explained > 0.97
-
-
-def test_its_standard_errors_are_true():
-    """In nearly all of 24 windy flights the true lag is within two errors, which are not too large."""
-    lag = 2.0 * 0.68 / 5.2
-    found = [identify([made_up(seed, wind=0.05)], DT_S, "x") for seed in range(24)]
-    missed = [abs(one.lag_s - lag) / one.errors[4] for one in found]
-    assert sum(m < 2.0 for m in missed) >= 19
-    spread = np.std([one.lag_s for one in found])
-    assert 0.4 * spread < np.mean([one.errors[4] for one in found]) < 2.5 * spread
 
 
 def test_a_short_flight_is_refused():
@@ -122,12 +112,3 @@ def test_the_largest_motion_is_found():
     assert found.speed_m_s == pytest.approx(0.4, abs=0.03)
     assert found.climb_m_s == pytest.approx(0.15, abs=0.02)
     assert found.acceleration_m_s2 == pytest.approx(0.32, abs=0.08)
-
-
-def test_noise_is_not_fooled_by_outliers_and_refuses_little():
-    t = np.arange(0.0, 10.0, 0.01)
-    values = np.random.default_rng(1).normal(0.0, 0.01, (len(t), 3))
-    values[::200] += 1.0
-    assert noise(t, values) == pytest.approx(0.01, rel=0.25)
-    with pytest.raises(ValueError, match=f"at least {SAMPLES_MIN}"):
-        noise(t[:20], values[:20])

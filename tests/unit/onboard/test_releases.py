@@ -14,52 +14,6 @@ from tests.fake_autopilot import OnUdp
 from tests.unit.onboard.safe_parameters import DEV, SAFE, packed
 
 NEEDS = Needs(0.5 * math.sqrt(2.0), 0.5, 1.0, 1.5, 3.0)
-# by autopilot and name: level, and unsafe values; a name exists in the releases that have it
-BAD = {
-    "ardupilot": {
-        "GUID_TIMEOUT": (Level.UNSAFE, (0.0, 0.09, 1.01, 3.0)),
-        "GUID_OPTIONS": (Level.UNSAFE, (16, 32, 49)),
-        "WPNAV_SPEED": (Level.UNSAFE, (0.7072, 70.0)), "WP_SPD": (Level.UNSAFE, (0.0, 0.7)),
-        "WPNAV_SPEED_UP": (Level.UNSAFE, (0.5, 49.0)), "WP_SPD_UP": (Level.UNSAFE, (0.49,)),
-        "WPNAV_SPEED_DN": (Level.UNSAFE, (0.5, 49.0)), "WP_SPD_DN": (Level.UNSAFE, (0.49,)),
-        "WPNAV_ACCEL": (Level.NOTE, (99.0,)), "WP_ACC": (Level.NOTE, (0.99,)),
-        "WPNAV_ACCEL_Z": (Level.NOTE, (149.0,)), "WP_ACC_Z": (Level.NOTE, (1.0, 1.49)),
-        "ATC_INPUT_TC": (Level.INFO, (0.15, 0.06)),
-        "DISARM_DELAY": (Level.UNSAFE, (1, 4)),
-        "ARMING_CHECK": (Level.UNSAFE, (0,)), "ARMING_SKIPCHK": (Level.UNSAFE, (-1, 1, 64, 2**20)),
-        "FS_EKF_ACTION": (Level.UNSAFE, (0,)), "FS_GCS_ENABLE": (Level.UNSAFE, (0, 2, 7)),
-        "SYSID_MYGCS": (Level.UNSAFE, (0, 2, 255)), "MAV_GCS_SYSID": (Level.UNSAFE, (0, 2, 255)),
-        "MAV_GCS_SYSID_HI": (Level.UNSAFE, (2, 255)),
-        "FS_THR_ENABLE": (Level.NOTE, (1,)), "BATT_FS_CRT_ACT": (Level.NOTE, (0,)),
-        "BATT_FS_LOW_ACT": (Level.UNSAFE, (5,)),
-        "FENCE_ENABLE": (Level.NOTE, (1,)), "SYSID_ENFORCE": (Level.NOTE, (0,)),
-        "MAV_OPTIONS": (Level.NOTE, (0, 2)), "MAV1_OPTIONS": (Level.NOTE, (1, 4)),
-        "SERIAL1_OPTIONS": (Level.NOTE, (4096, 5120)),
-    },
-    "px4": {
-        "COM_OF_LOSS_T": (Level.UNSAFE, (0.0, 0.05, 1.01, 60.0)),
-        "MPC_XY_VEL_MAX": (Level.UNSAFE, (0.7, 0.0)), "MPC_Z_VEL_MAX_UP": (Level.UNSAFE, (0.49,)),
-        "MPC_Z_VEL_MAX_DN": (Level.UNSAFE, (0.49,)), "COM_DISARM_PRFLT": (Level.UNSAFE, (0.0, 4.9)),
-        "GF_MAX_VER_DIST": (Level.UNSAFE, (0.1, 2.9)), "GF_MAX_HOR_DIST": (Level.NOTE, (5.0,)),
-        "GF_ACTION": (Level.UNSAFE, (4,)), "NAV_DLL_ACT": (Level.UNSAFE, (5, 6)),
-        "COM_LOW_BAT_ACT": (Level.NOTE, (0,)), "SYS_FAILURE_EN": (Level.UNSAFE, (1,)),
-        "COM_OBL_RC_ACT": (Level.UNSAFE, (0, 1, 2, 3, 6, 7)), "COM_RC_IN_MODE": (Level.NOTE, (0, 3)),
-        "COM_RCL_EXCEPT": (Level.NOTE, (0, 3, 8)), "COM_RC_OVERRIDE": (Level.NOTE, (0, 1)),
-        "MAN_OVERRIDE_SPD": (Level.NOTE, (-1.0, 0.0, 100.0)), "FD_ALT_LOSS": (Level.UNSAFE, (0.5, 2.9)),
-        "NAV_RCL_ACT": (Level.UNSAFE, (5, 6)), "COM_ACT_FAIL_ACT": (Level.UNSAFE, (4,)),
-        "COM_WIND_MAX_ACT": (Level.UNSAFE, (4,)), "COM_POS_LOW_ACT": (Level.UNSAFE, (4,)),
-        "COM_ARM_ODID": (Level.UNSAFE, (5,)), "COM_GNSSLOSS_ACT": (Level.UNSAFE, (3,)),
-        "EKF2_SENS_EN": (Level.NOTE, (0, 8191 - 8, 8191 - 1)), "MAV_FWDEXTSP": (Level.UNSAFE, (0,)),
-    },
-}  # fmt: skip
-ALSO_SAFE = {
-    "ardupilot": {"GUID_TIMEOUT": (0.1, 1.0), "GUID_OPTIONS": (1, 64), "DISARM_DELAY": (0, 5),
-                  "ARMING_CHECK": (64,), "WPNAV_SPEED": (71.0,), "WP_SPD": (0.7072,),
-                  "MAV_GCS_SYSID_HI": (1,), "FS_GCS_ENABLE": (1,)},
-    "px4": {"COM_DISARM_PRFLT": (-1.0, 5.0), "GF_MAX_VER_DIST": (3.0,), "FD_ALT_LOSS": (3.0, 10.0),
-            "COM_OBL_RC_ACT": (5,), "COM_OF_LOSS_T": (0.1,), "COM_RC_OVERRIDE": (2,)},
-}  # fmt: skip
-NEWER = {"COM_LOW_BAT_ACT": 5}  # a value that another release lacks
 RELEASES = pytest.mark.parametrize(("autopilot", "release"), SAFE, ids=" ".join)
 
 
@@ -89,21 +43,39 @@ def test_a_safe_vehicle_of_any_release_may_arm(autopilot, release):
     assert {f.name for f in report.findings} == set(SAFE[autopilot, release])
 
 
+def sides(rule):
+    """Return values on the safe and on the unsafe side of a rule's condition, in the rule's unit."""
+    low, high = (getattr(NEEDS, end) if isinstance(end, str) else end for end in (rule.low, rule.high))
+    if rule.values:
+        allowed = {float(value.split()[0]) for value in rule.values}
+        return allowed, {*range(9)} - allowed
+    if rule.not_zero:
+        return {1.0, 64.0}, {0.0}
+    if rule.bits_set is not None:
+        return {rule.bits_set}, {rule.bits_set & ~(1 << n) for n in range(16) if rule.bits_set >> n & 1}
+    if rule.bits_clear is not None:
+        bits = [1 << n for n in range(16) if rule.bits_clear >> n & 1]
+        return {0, *(1 << n for n in range(4) if not rule.bits_clear >> n & 1)}, {*bits, sum(bits)}
+    good = {end for end in (low, high, rule.off) if end is not None}
+    return good, {0.97 * low} if high is None else {1.01 * high, *({0.9 * low} if low else ())}
+
+
 @RELEASES
-def test_every_value_that_is_not_safe_is_found_in_every_release(autopilot, release):
+def test_each_side_of_every_rule_is_told_apart_in_every_release(autopilot, release):
+    """The numbers of the rules are those of docs/reference/autopilots.md."""
     safe = SAFE[autopilot, release]
-    names = {each.name.name for each in table(autopilot).asked(autopilot, release)}
-    unasked = {"SERIAL0_OPTIONS", "SERIAL2_OPTIONS", "MAV2_OPTIONS", "MAV3_OPTIONS"}  # optional neighbours
-    assert names - unasked == {name for name in BAD[autopilot] if name in safe}
-    for name, (level, values) in BAD[autopilot].items():
-        for value in values if name in safe else ():
-            found = judged(autopilot, release, safe | {name: value})
-            assert {n: f.level for n, f in found.items() if f.level is not Level.OK} == {name: level}, value
-    for name, values in ALSO_SAFE[autopilot].items():
-        for value in values if name in safe else ():
-            assert judged(autopilot, release, safe | {name: value})[name].level is Level.OK, (name, value)
-    if autopilot == "px4" and release != "1.18":
-        assert judged(autopilot, release, safe | NEWER)["COM_LOW_BAT_ACT"].level is Level.NOTE
+    asked = table(autopilot).asked(autopilot, release)
+    assert len(asked) > 15
+    for (name, rule, _), (number, value) in (
+        (each, (number, value))
+        for each in asked
+        for number, side in enumerate(sides(each.rule))
+        for value in side
+    ):
+        found = judged(autopilot, release, safe | {name.name: value / name.scale})
+        expected = Level.UNSAFE if number and rule.stops_motors(value) else rule.severity
+        wrong = {n: f.level for n, f in found.items() if f.level is not Level.OK}
+        assert wrong == ({name.name: expected} if number else {}), (name.name, value)
 
 
 def test_a_battery_that_stops_the_motors_is_worse_than_one_that_only_warns():
@@ -117,14 +89,11 @@ def test_a_battery_that_stops_the_motors_is_worse_than_one_that_only_warns():
 
 
 @RELEASES
-def test_what_is_missing_is_as_bad_as_what_is_not_safe(autopilot, release):
-    found = judged(autopilot, release, {})
-    softer = {"MAV_GCS_SYSID_HI": Level.NOTE, "FD_ALT_LOSS": Level.NOTE}  # missing in some builds
-    ignored = {name for name in SAFE[autopilot, release] if name.endswith("_OPTIONS")}
-    ignored |= {"ATC_INPUT_TC", "BATT_FS_LOW_ACT", "NAV_RCL_ACT", "COM_ACT_FAIL_ACT", "COM_WIND_MAX_ACT",
-                "COM_POS_LOW_ACT", "COM_ARM_ODID", "COM_GNSSLOSS_ACT"}  # fmt: skip
-    assert set(found) == set(SAFE[autopilot, release]) - (ignored - {"GUID_OPTIONS", "MAV_OPTIONS"})
-    assert all(f.level is softer.get(name, BAD[autopilot][name][0]) for name, f in found.items())
+def test_what_is_missing_is_as_bad_as_what_is_not_safe_unless_the_rule_says_otherwise(autopilot, release):
+    asked = table(autopilot).asked(autopilot, release)
+    levels = {each.name.name: each.rule.missing or each.rule.severity for each in asked}
+    found = {name: each.level for name, each in judged(autopilot, release, {}).items()}
+    assert found == {name: level for name, level in levels.items() if level is not Level.IGNORED}
 
 
 @pytest.mark.parametrize(("autopilot", "release"), [("ardupilot", "4.7"), ("px4", "1.18")])

@@ -7,17 +7,15 @@ from typing import NamedTuple
 
 import pytest
 
-from bridge.mavlink.client.vehicle_state import Battery
 from bridge.zenoh import zenoh_link
-from bridge.zenoh.zenoh_link import PATIENCE_S
 from flightstack.common.pacing import Tick
 from flightstack.config.files import load
 from flightstack.config.options import OnboardOptions
-from flightstack.core.parameters.flight import BarrierShape, Checks, FlightConfig, Retreat
+from flightstack.core.parameters.flight import BarrierShape, Checks, FlightConfig
 from flightstack.core.snapshot import Snapshot
-from flightstack.core.types import Inputs, Landed, Mode, OwnState, Phase, VehicleStatus
-from flightstack.onboard.log import BATTERY_AGE_MAX_S, health_row
-from flightstack.onboard.waiting import TargetSeen, VehicleSeen, WaitReport, countdown, missing
+from flightstack.core.types import Inputs, Landed, Mode, OwnState, VehicleStatus
+from flightstack.onboard.log import health_row
+from flightstack.onboard.waiting import TargetSeen, VehicleSeen, WaitReport, missing
 from flightstack.onboard.zenoh_wires import ZenohWires
 from tests.integration.runs import called
 from tests.processes.ports import free_endpoint, free_port
@@ -91,22 +89,6 @@ def test_each_lack_of_the_target_has_its_sentence(changed, words):
     assert words in text
 
 
-def test_without_a_heartbeat_nothing_else_is_said_of_the_vehicle():
-    seen = VEHICLE._replace(heartbeat_age_s=None, own_age_s=None, status=None)
-    texts = missing(seen, TARGET._replace(age_s=None, arrived=0), CHECKS)
-    assert [text.split(" ")[:2] for text in texts] == [["no", "heartbeat"], ["no", "sample"]]
-
-
-def test_what_ends_a_wait_is_counted_down_with_its_setting():
-    config = FlightConfig(
-        barrier=BarrierShape(alpha_1_m=1.0, beta_m=1.5), retreat=Retreat(abort_time_max_s=40.0)
-    )
-    assert countdown(config, Phase.WAIT, 12.0) == "gives up within 48 s (checks.wait_time_max_s)"
-    assert countdown(config, Phase.ABORT, 12.0) == "ends within 28 s (retreat.abort_time_max_s)"
-    assert countdown(config, Phase.HOLD, 3.0) == "aborts within 0 s (checks.hold_time_s)"
-    assert countdown(config, Phase.APPROACH, 3.0) == ""  # left immediately
-
-
 NOW_S = 20.0
 TICK = Tick(2000, NOW_S, 1_700_000_000_000_000_000, 0.01, 0.0, overruns=3)
 
@@ -145,18 +127,6 @@ def test_ages_are_of_now_and_what_never_came_is_no_number():
     assert (nothing.armed, nothing.mode) == (False, Mode.UNKNOWN)
 
 
-@pytest.mark.parametrize(
-    ("age_s", "known"), [(0.0, True), (BATTERY_AGE_MAX_S, True), (BATTERY_AGE_MAX_S + 0.1, False)]
-)
-def test_an_old_battery_state_is_none(age_s, known):
-    found = row(Out(view()), Battery(NOW_S - age_s, 3.8, 0.5))
-    if known:
-        assert (found.battery_v, found.battery_share) == (3.8, 0.5)
-    else:
-        assert math.isnan(found.battery_v)
-        assert math.isnan(found.battery_share)
-
-
 ROOT = Path(__file__).parents[3]
 CONFIG = load("crazyflie")
 STAMP = 1_700_000_000_000_000_000
@@ -192,27 +162,6 @@ def test_a_target_of_ros_is_on_the_network_of_ros(wires):
         assert "frame_id is 'odom', checks.target_frame is 'map'" in text
         assert "checks.target_child_frame is 'target'" in other
         assert zenoh_link.transports(ours_.session) == 0  # independent of the flight's session
-
-
-def test_without_one_it_is_on_the_flight_s_own_session(wires):
-    with ros.network() as (endpoint, ours, _):
-        plain = wires("ros2dds:/odom", connect=[endpoint])
-        put = zenoh_link.dropping_publisher(ours, "odom")
-        until(lambda: zenoh_link.is_matched(put), "the subscription")
-        [text] = plain.texts(0.0)
-        assert "is a router, and we are its peer" in text
-        payload = ros.odometry(STAMP, "map", "target")
-        put.put(payload)
-        samples = until(plain.odometry.poll, "the sample")
-        assert [one.payload for one in samples] == [payload]
-
-
-def test_a_robot_that_is_not_there_is_told_in_real_time_alone(wires):
-    for lockstep in (False, True):
-        dialling = wires(connect=[free_endpoint()], lockstep=lockstep)
-        assert dialling.texts(0.0) == []
-        texts = dialling.texts(PATIENCE_S + 1.0)
-        assert [("no connection to" in text) for text in texts] == ([] if lockstep else [True])
 
 
 def test_a_door_to_the_network_without_rules_is_told_once(wires):

@@ -17,7 +17,6 @@ from bridge.ros2.ros2_names import (
     NO_HASH,
     TOPIC_LENGTH_MAX,
     Node,
-    Ros2Network,
     Ros2Node,
     TopicKey,
     any_type_key,
@@ -131,21 +130,6 @@ def test_a_topic_that_ros_does_not_allow_says_what_is(topic):
         bridge_key(topic)
 
 
-@pytest.mark.parametrize(
-    ("name", "type_hash", "words"),
-    [
-        ("Odometry", STRING_HASH, "PACKAGE/msg/NAME"),
-        ("nav_msgs/srv/Odometry", STRING_HASH, "PACKAGE/msg/NAME"),
-        ("std_msgs/msg/String", STRING_HASH[:-1], "64 hexadecimal"),
-        ("std_msgs/msg/String", STRING_HASH.upper(), "64 hexadecimal"),
-        ("std_msgs/msg/String", "", "64 hexadecimal"),
-    ],
-)
-def test_types_and_hashes_that_are_none(name, type_hash, words):
-    with pytest.raises(ValueError, match=words):
-        topic_key(0, "/odom", name, type_hash)
-
-
 ODOMETRY = ROS_TYPES[TargetType.ODOMETRY]
 
 
@@ -188,29 +172,3 @@ def test_a_node_its_topic_and_its_samples():
 
         node.close()
         until(lambda: graph(theirs, 3) == [], "the end of the tokens")
-
-
-def test_who_joins_late_finds_the_topic():
-    with ros.network(0) as (endpoint, ours):
-        node = Ros2Node(ours, "talker")
-        node.publisher("/odom", *ODOMETRY)
-        late = ros.rmw_session(endpoint)
-        try:
-            until(lambda: len(graph(late)) == 2, "both tokens")
-        finally:
-            late.close()
-        node.close()
-
-
-def test_a_network_is_an_endpoint_or_a_file(tmp_path):
-    with ros.network(0) as (endpoint, _):
-        file = tmp_path / "ros.json5"
-        file.write_text(f'{{connect: {{endpoints: ["{endpoint}"]}}}}')
-        for where in (endpoint, str(file)):
-            session = Ros2Network(where).open()
-            assert zenoh_link.transports(session) == 1
-            session.close()
-    with pytest.raises(ValueError, match="not understood"):
-        Ros2Network("localhost").open()
-    with pytest.raises(ValueError, match="0 to 232"):
-        Ros2Network(endpoint, 500).open()

@@ -93,26 +93,6 @@ def test_a_turtlebot_is_followed_by_its_topic():
         assert listening.take_problems() == []
 
 
-def test_a_robot_that_comes_late_and_one_that_comes_again():
-    with ros.network(2) as (_, ours, one, two):
-        listening = TargetSource(ours, TargetSpec.parse("ros2:/odom"), FRAME, CHILD, TargetLink())
-        for session in (one, two):  # a restarted node is another publisher
-            robot = Robot(session, topic_key(0, "/odom", *ROS_TYPES[TargetType.ODOMETRY]))
-            robot.wait()
-            robot.put(ros.odometry(STAMP, FRAME, CHILD))
-            assert len(collect(listening, 1)) == 1
-            session.close()
-
-
-@pytest.mark.parametrize("with_attachment", [True, False])
-def test_behind_the_dds_bridge_a_topic_is_its_name(with_attachment):
-    with source("ros2dds:/robot1/odom", key="robot1/odom") as (robot, listening):
-        robot.put(ros.odometry(STAMP, FRAME, CHILD, (1.0, 0.0, 0.0)), with_attachment)
-        [raw] = collect(listening, 1)
-        assert sample_of(RawSample(raw.payload), 0.0).position_enu_m == (1.0, 0.0, 0.0)
-        assert (raw.sequence is not None) == with_attachment
-
-
 @pytest.mark.parametrize(
     ("name", "type_hash", "words"),
     [

@@ -23,8 +23,6 @@ from tests.processes.ports import free_endpoint
 from tests.unit.target.ros2_helpers import until
 
 KEY = "cf1/target/odom"
-SCOUTING_S = 0.5  # time that Zenoh would wait for peers when it opens a session (its "scouting/delay"), s
-TRIES = 20  # a busy machine may take this long for other reasons, but not at each try
 
 
 @pytest.fixture
@@ -68,38 +66,6 @@ def test_odometry_arrives_in_order_with_its_attachment(sessions, lossless):
     publisher.close()
 
 
-def test_ring_drops_the_oldest_within_one_session():
-    session = open_session()
-    try:
-        ring = zenoh_link.ring_subscriber(session, "t/ring", capacity=3)
-        publisher = zenoh_link.dropping_publisher(session, "t/ring")
-        for i in range(10):  # delivered in this thread, because it is the same session
-            publisher.put(bytes([i]))
-        assert [sample.payload.to_bytes()[0] for sample in zenoh_link.drain(ring)] == [7, 8, 9]
-    finally:
-        session.close()
-
-
-def test_late_listener_is_found_by_retry():
-    endpoint = free_endpoint()
-    took_s = []
-    for _ in range(TRIES):
-        began_s = time.monotonic()
-        dialler = open_session(connect=[endpoint])
-        took_s.append(time.monotonic() - began_s)
-        if took_s[-1] < SCOUTING_S:
-            break
-        dialler.close()
-    assert min(took_s) < SCOUTING_S  # no wait for the missing peer
-    assert zenoh_link.transports(dialler) == 0
-    listener = open_session([endpoint])
-    try:
-        until(lambda: zenoh_link.transports(dialler) == 1)
-    finally:
-        dialler.close()
-        listener.close()
-
-
 def listening_addresses():
     """Return the local TCP addresses on which this process listens, in the kernel's format."""
     own = set()
@@ -138,18 +104,6 @@ def test_malformed_endpoint_is_refused_both_ways(endpoint):
     for arguments in ({"listen": [endpoint]}, {"connect": [endpoint]}):
         with pytest.raises(ValueError, match=r"tcp/127\.0\.0\.1:7447"):
             open_session(**arguments)
-
-
-@pytest.mark.parametrize("key", ["", "/a", "a//b", "a#b"])
-def test_bad_key_is_a_clear_error(key):
-    session = open_session()
-    try:
-        with pytest.raises(ValueError, match="cf1/target/odom"):
-            zenoh_link.ring_subscriber(session, key)
-        with pytest.raises(ValueError, match="cf1/target/odom"):
-            OdometryPublisher(session, key)
-    finally:
-        session.close()
 
 
 LIKELY = {
@@ -249,42 +203,6 @@ def test_a_client_without_a_router_is_told_so(file):
         open_session(connect=[free_endpoint()], config_file=path, role=Role.CLIENT)
 
 
-def test_a_router_passes_on_but_not_from_peer_to_peer():
-    endpoint = free_endpoint()
-    sessions = {"router": open_session([endpoint], role=Role.ROUTER)}
-    for name in ("client", "other client"):
-        sessions[name] = open_session(connect=[endpoint], role=Role.CLIENT)
-    for name in ("peer", "other peer"):
-        sessions[name] = open_session(connect=[endpoint])
-    try:
-        until(lambda: zenoh_link.transports(sessions["router"]) == 4, "all")
-        heard = {name: zenoh_link.ring_subscriber(session, "a/*") for name, session in sessions.items()}
-        puts = {
-            key: zenoh_link.dropping_publisher(sessions[name], f"a/{key}")
-            for key, name in (("from_peer", "peer"), ("from_client", "client"))
-        }
-        got = {name: set() for name in sessions}
-
-        def all_there():
-            for key, put in puts.items():  # the peer's first, then the client's, which arrives everywhere
-                put.put(key)
-            for name, subscriber in heard.items():
-                got[name] |= {str(sample.key_expr) for sample in zenoh_link.drain(subscriber)}
-            return all("a/from_client" in keys for keys in got.values())
-
-        until(all_there, "the client's")
-        until(lambda: all_there() and "a/from_peer" in got["other client"], "the peer's at a client")
-        assert got["other peer"] == {"a/from_client"}
-        alarm = ConnectionAlarm(sessions["peer"], [endpoint])
-        [text] = alarm.poll(0.0)
-        assert "is a router, and we are its peer" in text
-        assert alarm.poll(10.0) == []
-        assert ConnectionAlarm(sessions["client"], [endpoint], Role.CLIENT).poll(0.0) == []
-    finally:
-        for session in reversed(sessions.values()):
-            session.close()
-
-
 def test_a_connection_that_is_not_there_lost_and_back_is_told_once_each():
     endpoint = free_endpoint()
     session = open_session(connect=[endpoint])
@@ -307,15 +225,3 @@ def test_a_connection_that_is_not_there_lost_and_back_is_told_once_each():
         assert "no connection" in alarm.poll(208.0)[0]
     finally:
         session.close()
-
-
-def test_a_configuration_says_whether_its_session_can_listen(tmp_path):
-    (tmp_path / "peer.json5").write_text("{}")
-    pages = Path(__file__).parents[3] / "docs" / "how_to" / "zenoh"
-    assert [
-        zenoh_link.is_client(file) for file in (None, tmp_path / "peer.json5", pages / "client.json5")
-    ] == [
-        False,
-        False,
-        True,
-    ]

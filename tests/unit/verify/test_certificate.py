@@ -2,25 +2,21 @@
 
 import math
 import random
-from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.safety.barrier import RobustBarrier
 from flightstack.core.safety.projection import best_corner
 from flightstack.core.safety.qp_filter import SafetyFilter
-from flightstack.core.strategies.robust import RobustFilter
-from flightstack.core.target.track import TargetTrack
-from flightstack.core.types import FilterStatus, TargetSample
+from flightstack.core.types import FilterStatus
 from flightstack.verify.bound import Span
-from flightstack.verify.certificate import checks, problems
-from flightstack.verify.envelope import estimate_errors, extremes
+from flightstack.verify.certificate import problems
+from flightstack.verify.envelope import extremes
 from flightstack.verify.paper import shortfall
-from flightstack.verify.robust import between_ticks_m, demand, demand_change, depth_m, outside
-from flightstack.verify.types import Check, Need
+from flightstack.verify.robust import demand, demand_change, outside
+from flightstack.verify.types import Need
 from tests.unit.verify.certificate_helpers import config, one, rooms
 
 pytestmark = pytest.mark.slow
@@ -81,13 +77,6 @@ def test_each_limit_from_both_sides(name, passes, fails):
         assert found.remedy
         if found.need is Need.FLIGHT:
             assert found.text in problems(config(**fails))
-
-
-def test_the_commit_height_is_where_the_vehicle_would_hover():
-    base = one("commit height")
-    exact = config().robust.commit_height_m - base.room
-    assert one("commit height", robust={"commit_height_m": exact + 1e-4}).proven
-    assert not one("commit height", robust={"commit_height_m": exact - 1e-4}).proven
 
 
 def states(seed, x, count):
@@ -200,50 +189,6 @@ def test_demand_and_its_growth_stay_below_their_bounds(number):
     assert closest < 0.3  # m/s^2: the bound is close to the worst observed value
 
 
-def test_the_estimators_own_errors_are_used_and_shrink_with_its_rate():
-    slow, fast = (estimate_errors(TargetLink(), hz, 0.25)[0] for hz in (10.0, 100.0))
-    assert fast.position_sigma_m < slow.position_sigma_m < 0.02
-    errors = estimate_errors(TargetLink(), 50.0, 0.25)
-    for axis in ("position_sigma_m", "position_sigma_z_m"):
-        fresh, usual, lost = (getattr(error, axis) for error in errors)
-        assert 0.0 < fresh < usual < lost
-    # for a target that rarely changes its acceleration the first sample has the largest uncertainty
-    first = estimate_errors(TargetLink(jerk_xy_m_s3_sqrthz=0.01, acceleration_xy_m_s2=3.0), 50.0, 0.25)
-    gone_s = 0.5 - 0.5 * math.exp(-0.25 / 0.5)  # acceleration_time_s is 0.5
-    expected_m = math.hypot(0.005, 0.02 * 0.25, 3.0 * 0.5 * (0.25 - gone_s))
-    assert first.lost.position_sigma_m == pytest.approx(expected_m, rel=1e-3)
-
-
-def test_between_samples_the_margin_grows_by_what_is_counted_as_lost():
-    """The rest of the depth is independent of sampling: fewer samples cost their growth and larger errors."""
-    settled = config()
-    x = extremes(settled)
-    assert x.growth_m > 0.0
-    without, _ = depth_m(settled, replace(x, growth_m=0.0))
-    depth, _ = depth_m(settled, x)
-    assert depth == pytest.approx(without + x.growth_m)
-    law = RobustFilter(settled, x.barrier)
-    for n in range(400):
-        law.take(
-            TargetSample(0.02 * n, 0.02 * n, "map", "target", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0)
-        )
-    track = TargetTrack(settled.checks)
-    track.accept(TargetSample(7.98, 7.98, "map", "target", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0))
-    margins = [
-        law.margin_m(found.position_sigma_m, found.position_sigma_z_m)
-        for found in (law.target(track, 7.98 + 0.002 * n) for n in range(11))
-    ]
-    assert margins == sorted(margins)
-    assert margins[-1] - margins[0] == pytest.approx(x.growth_m, rel=1e-6)
-
-
-def test_between_ticks_h_loses_less_at_a_higher_rate_and_nothing_by_standing_still():
-    settled = config()
-    assert between_ticks_m(config(loop={"rate_hz": 200}), extremes(settled)) == pytest.approx(
-        0.5 * between_ticks_m(settled, extremes(settled))
-    )
-
-
 TIGHTER = [
     ("robust", "tracking_error_m_s", ("recovery", "climb", "h outside the pad", "commit height"), 1.0),
     ("own", "position_noise_m", ("h outside the pad", "drift", "commit height"), 0.1),
@@ -265,22 +210,6 @@ def test_more_of_what_is_bad_never_leaves_more_room(section, key, names, most, s
     good, bad = rooms(**{section: {key: less}}), rooms(**{section: {key: more}})
     for name in names:
         assert bad[name] <= good[name] + 2e-4, name
-
-
-def test_a_room_that_is_not_a_number_proves_nothing():
-    assert not Check("name", "claim", math.nan, "m", "worst", "remedy").proven
-
-
-def test_the_papers_filter_has_the_papers_checks_alone():
-    names = {check.name for check in checks(config(filter="paper"))}
-    assert "barrier" in names
-    assert not names & {"robust.rate_1_s", "drift", "h outside the pad"}
-
-
-def test_names_are_unique():
-    for kind in ("paper", "robust"):
-        names = [check.name for check in checks(config(filter=kind))]
-        assert len(names) == len(set(names))
 
 
 def test_the_voltage_that_the_reserve_check_names_is_the_lowest_that_it_proves():

@@ -20,13 +20,10 @@ from flightstack.verify.envelope import extremes
 from flightstack.verify.fleet import (
     anywhere_m,
     crowd,
-    first_attempt_s,
     one_short_m_s,
     team_checks,
     up_the_slope_m_s,
 )
-from flightstack.verify.touchdown import descent_time_s
-from sim.runners.landing import land
 from sim.scenarios import scenario, team
 from tests.unit.verify.certificate_helpers import config
 
@@ -79,16 +76,6 @@ def test_each_limit_from_both_sides(name, passes, fails, more):
     found = one(name, fails, **more)
     assert not found.proven
     assert found.remedy
-
-
-def test_less_is_missing_for_slow_neighbours():
-    for name in ("one neighbour", "several neighbours"):
-        assert one(name).room < one(name, {"speed_max_m_s": 0.05}).room < 0.0
-
-
-def test_a_configuration_without_others_has_none_of_these_checks():
-    names = {each.name for each in checks(config())}
-    assert {each.name for each in checks(with_fleet())} - names >= {"shares", "one neighbour", "waits"}
 
 
 def closest_m(rate_1_s, lag_s, seed, root_1_s):
@@ -243,21 +230,6 @@ def test_a_row_is_followed_if_the_slew_limit_is_proven_and_missed_if_it_is_far_t
     assert (missed < 0.01) is proven
 
 
-def test_a_landing_from_where_it_waits_takes_no_longer_than_waits_count_with():
-    """Excludes the time for informing the others, which a single vehicle does not need."""
-    field = scenario.load("field")
-    start = replace(field.start, offset_m=(1.2, 0.0, 1.0))
-    fleet = replace(CONFIG.fleet, wait_distance_m=1.2, wait_height_m=1.0)
-    count_s = first_attempt_s(
-        field.onboard, fleet, descent_time_s(field.onboard, extremes(field.onboard))
-    ) - (fleet.age_max_s + 2.0 * fleet.latency_max_s)
-    flown = [land(replace(field, start=start), seed) for seed in range(6)]
-    times = [each.verdict.time_to_land_s for each in flown if each.retries == 0]
-    assert len(times) >= 4
-    assert max(times) < count_s
-    assert min(times) > 0.4 * count_s
-
-
 X_FIELD = extremes(scenario.load("field").onboard)
 
 
@@ -287,21 +259,6 @@ def test_all_members_together():
     paper = [replace(each, filter="paper") for each in members]
     assert found(paper, apart_m=0.81 + 2.0 * (5.0 * 0.06 + 0.02))["pads"].proven
     assert not found(paper, apart_m=0.79 + 2.0 * (5.0 * 0.06 + 0.02))["pads"].proven
-
-
-def test_the_verb_checks_each_member_and_all_together():
-    done = CliRunner().invoke(check_verb, ["fleet_3", "--json"])
-    assert done.exit_code == 1
-    said = json.loads(done.output)
-    assert said["flies"]
-    assert [part["members"] for part in said["parts"]] == [["cf1", "cf2", "cf3"]] * 2
-    alone, together = ({each["name"]: each for each in part["checks"]} for part in said["parts"])
-    assert alone["shares"]["proven"]
-    assert not alone["several neighbours"]["proven"]
-    assert together["one table"]["proven"]
-    table = CliRunner().invoke(check_verb, ["fleet_8", "--filter", "paper"])
-    assert table.exit_code == 1
-    assert "fleet_8 (cf1, cf2, cf3, cf4, cf5, cf6, cf7, cf8), filter paper" in table.output.replace("\n", "")
 
 
 def test_members_that_differ_are_checked_apart(tmp_path):

@@ -5,8 +5,6 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.senders import SILENT_S, Kind, Senders
 from bridge.mavlink.codec.messages import decode, pack
-from bridge.mavlink.preflight.examine import examine
-from flightstack.core.types import Mode, Request
 from flightstack.onboard.runner import LinkedVehicle
 from tests.unit.mavlink.client.vehicle_link_fakes import (
     LAND,
@@ -19,7 +17,6 @@ from tests.unit.mavlink.client.vehicle_link_fakes import (
     poll,
     position,
 )
-from tests.unit.onboard.test_preflight import NEEDS
 
 HERE, THERE = ("127.0.0.1", 14580), ("127.0.0.1", 14590)
 QUADROTOR, STATION, PLANE = Kind(2, 12), Kind(6, 8), Kind(1, 12)
@@ -91,16 +88,6 @@ def test_another_address_is_counted_and_ignored_while_the_known_one_is_well(fore
     assert len(told) == 3  # one each for 1, 2 and 4
     words = ("from 127.0.0.1:14590", "the vehicle is at 127.0.0.1:14580", foreign.get_type())
     assert all(word in told[-1] for word in words)
-
-
-@pytest.mark.parametrize("kind", [STATION, PLANE, Kind(2, 3)])
-@pytest.mark.parametrize(("peer", "stream"), [(HERE, "script"), (THERE, "script")])
-def test_a_heartbeat_of_another_kind_never_outweighs_the_vehicles_in_flight(kind, peer, stream):
-    wire = Wire()
-    assert wire.beats(armed=True)
-    assert not wire.beats(kind, peer, 0.5, armed=True, stream=stream)
-    assert not wire.beats(kind, peer, 60.0, armed=True, stream=stream)  # independent of the silence's length
-    assert wire.admits(position(), now_s=60.0, armed=True)
 
 
 def test_a_vehicle_behind_a_new_port_is_followed_once_the_old_one_is_silent():
@@ -198,25 +185,6 @@ def listening():
         (end.endpoint if end is not link else end).close()
 
 
-def test_over_sockets_a_second_vehicle_changes_nothing_and_gets_nothing(listening):
-    link, vehicle, other = listening
-    vehicle.mode, vehicle.armed = OFFBOARD, True
-    for second in range(3):
-        vehicle.beat()
-        vehicle.send(attitude(1000 * second), position(1000 * second))
-        poll(link, second)
-        other.send(heartbeat(LAND), attitude(1000 * second + 500), position(1000 * second + 500, x=9.0), TEXT)
-        poll(link, second + 0.5)
-        assert (link.state.status.armed, link.state.status.mode) == (True, Mode.EXTERNAL)
-        assert link.state.own.position_enu_m[1] == 1.0
-        link.command(Request.LAND, second + 0.5)
-        link.flush()
-        assert vehicle.take("COMMAND_LONG")
-    assert link.take_texts() == []
-    assert not other.endpoint.wait(0.0)
-    assert link.refused is None
-
-
 def test_a_vehicle_is_not_ready_while_a_second_one_may_be_there(listening):
     link, vehicle, other = listening
     ready = dialect.MAVLink_sys_status_message(0, 0, 1 << 28, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
@@ -230,19 +198,6 @@ def test_a_vehicle_is_not_ready_while_a_second_one_may_be_there(listening):
     vehicle.beat()
     poll(link, 0.2 + SILENT_S)
     assert seen.read().status.ready_to_arm
-
-
-def test_the_check_before_the_flight_refuses_two_vehicles_with_one_id(listening):
-    link, vehicle, other = listening
-
-    def both_speak():
-        for each in (vehicle, other):
-            each.beat()
-        return False
-
-    report = examine(link.endpoint, 1, None, NEEDS, (), wait_s=5.0, stopped=both_speak, senders=link.senders)
-    assert report.problem.startswith("two senders have the vehicle's ids: 127.0.0.1:")
-    assert not report.safe
 
 
 def test_the_other_clock_of_the_flight_begins_with_the_address_of_the_check():

@@ -1,7 +1,6 @@
 """Requests into commands, as stories of what is shown and sent; streams asked for; the origin; texts."""
 
 import math
-from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -10,13 +9,11 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.client.commands import CommandSequencer
 from bridge.mavlink.client.companion import Origin, OriginSender, StreamRequests
 from bridge.mavlink.client.texts import TextAssembler
-from bridge.mavlink.client.vehicle_state import VehicleState
 from bridge.mavlink.profiles import ARDUPILOT, CRAZYFLIE, PROFILES, PX4
 from flightstack.core.types import Landed, Mode, Request
 from tests.unit.mavlink.client.vehicle_link_fakes import (
     HEIGHT,
     commands,
-    heartbeat,
     params,
     sequencer,
     status,
@@ -131,16 +128,6 @@ def test_ardupilot_climbs_from_where_it_stands_wherever_home_is(stands_m):
     assert again.param7 == takeoff.param7
 
 
-def test_ardupilots_take_off_is_over_only_in_the_air():
-    s, armed = sequencer(ARDUPILOT), status(0.0, **ARMED, **RISES)
-    s.above_home = (0.01, 0.0)
-    assert commands(s.step(TAKEOFF, armed, 0.0)) == [RISE]
-    assert s.step(TAKEOFF, armed, 3.9) == []
-    assert commands(s.step(TAKEOFF, armed, 4.1)) == [RISE]
-    assert s.step(TAKEOFF, replace(armed, arrival_s=4.5, landed=Landed.TAKEOFF), 4.5) == []
-    assert s.reached
-
-
 @pytest.mark.parametrize(
     ("profile", "shown", "asked", "said"),
     [
@@ -192,23 +179,6 @@ def test_motors_off_is_sent_on_whatever_is_answered():
     assert s.failed is None
 
 
-def test_arming_that_is_worked_on_is_left_alone_for_three_seconds():
-    s = sequencer(ARDUPILOT)
-
-    def note(tick):
-        if tick == 10:
-            s.note_ack(ARM, dialect.MAV_RESULT_IN_PROGRESS)
-
-    assert [now_s for now_s, _ in sent(s, TAKEOFF, 400, note=note, **RISES)] == pytest.approx([0.0, 3.0, 3.5])
-
-
-def test_an_interrupted_stream_counts_from_its_new_start():
-    s = sequencer()
-    s.note_setpoint(0.0)
-    s.note_setpoint(1.0)
-    assert s.step(EXTERNAL, status(1.0), 1.0) == []
-
-
 def test_an_old_heartbeat_does_not_prove_a_new_request():
     s = sequencer()
     assert s.step(DOWN, status(0.0, armed=True, mode=Mode.LAND), 0.5) == []
@@ -216,28 +186,10 @@ def test_an_old_heartbeat_does_not_prove_a_new_request():
     assert commands(s.step(DOWN, status(0.6, armed=True, mode=Mode.EXTERNAL), 0.6)) == [LAND]
 
 
-def test_a_vehicle_that_was_flown_is_not_prepared_again():
-    s = sequencer(ARDUPILOT)
-    s.step(DOWN, status(1.0, armed=True), 1.0)
-    assert s.step(NONE, status(2.0, mode=Mode.OTHER), 2.0) == []
-
-
 @pytest.mark.parametrize("height", [0.0, -1.0, math.nan, math.inf])
 def test_senseless_takeoff_height_is_refused(height):
     with pytest.raises(ValueError, match="take-off height"):
         CommandSequencer(PX4, 1, 1, height)
-
-
-def test_guided_is_a_take_off_until_it_follows_us():
-    state = VehicleState(ARDUPILOT)
-    for custom_mode, armed, mode in (
-        (4, True, Mode.TAKEOFF), (5, True, Mode.HOLD), (4, False, Mode.TAKEOFF), (0, False, Mode.OTHER)
-    ):  # fmt: skip
-        state.update(heartbeat(custom_mode, armed=armed, autopilot=3), 1.0)
-        assert state.status.mode is mode
-        if custom_mode == 4 and armed:
-            state.follow(True)
-            assert (state.status.mode, state.status.arrival_s) == (Mode.EXTERNAL, 1.0)  # no heartbeat's news
 
 
 @pytest.mark.parametrize(

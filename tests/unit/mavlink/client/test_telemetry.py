@@ -17,10 +17,7 @@ from flightstack.core.types import Landed, Mode, VehicleStatus
 from tests import tables
 from tests.px4_place import px4_or_skip
 from tests.unit.mavlink.client.vehicle_link_fakes import (
-    LAND,
-    LOITER,
     OFFBOARD,
-    TAKEOFF,
     attitude,
     heartbeat,
     position,
@@ -40,14 +37,6 @@ def test_position_and_attitude_become_own_state_in_enu(state):
     assert own.velocity_enu_m_s == pytest.approx((0.2, 0.1, 0.3))
     assert own.yaw_rad == pytest.approx(0.0)
     assert (own.arrival_s, own.source_time_s) == (5.0, pytest.approx(1.0))
-
-
-def test_own_state_stops_when_the_heading_stops(state):
-    state.update(attitude(1000), 1.0)
-    state.update(position(1400), 1.4)
-    state.update(position(1600), 1.6)
-    assert state.own.arrival_s == 1.4
-    assert state.counters.without_yaw == 1
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e30])
@@ -78,21 +67,6 @@ def test_repeated_and_late_positions_do_not_refresh_the_state(state, late_ms):
     assert state.counters.out_of_order == 1
 
 
-@pytest.mark.parametrize("shows", [attitude, position])
-def test_a_boot_clock_that_falls_back_is_a_restart(state, shows):
-    state.update(attitude(60_000), 1.0)
-    state.update(position(60_000), 1.0)
-    state.update(dialect.MAVLink_gps_global_origin_message(0, 0, 0, 0), 1.0)
-    state.update(attitude(60_000 + 100), 1.1)
-    state.update(attitude(60_000 - 100), 1.2)  # a late datagram
-    assert (state.restarted_s, state.origin_known) == (-math.inf, True)
-    state.update(attitude(59_000 - 600), 2.0)
-    if shows is position:
-        state.restarted_s = -math.inf
-        state.update(position(58_500), 2.0)
-    assert (state.restarted_s, state.origin_known) == (2.0, False)
-
-
 def fly(state, since_s, until_s, ahead_s=0.0):
     """Send positions at 50 Hz on a boot clock that is 60 s ahead; return when they were accepted."""
     taken = []
@@ -115,15 +89,6 @@ def test_a_boot_clock_that_steps_is_followed_after_some_messages_that_agree(stat
     assert state.restarted_s == taken[0]
 
 
-def test_a_heartbeat_after_a_silence_may_be_a_restart(state):
-    for second in range(4):
-        state.update(heartbeat(), 10.0 + second)
-    state.update(heartbeat(), 15.4)  # one was lost, the next is late
-    assert state.restarted_s == -math.inf
-    state.update(heartbeat(), 18.0)
-    assert state.restarted_s == 18.0
-
-
 def test_status_is_put_together_from_three_messages(state):
     state.update(dialect.MAVLink_extended_sys_state_message(0, 2), 0.5)
     assert state.status is None  # without a heartbeat the status is unknown
@@ -135,27 +100,6 @@ def test_status_is_put_together_from_three_messages(state):
     assert state.status == VehicleStatus(1.0, True, Mode.EXTERNAL, Landed.ON_GROUND, True)
     state.update(dialect.MAVLink_extended_sys_state_message(0, 77), 1.7)
     assert state.status.landed is Landed.UNKNOWN
-
-
-@pytest.mark.parametrize(
-    ("custom_mode", "mode"),
-    [
-        (OFFBOARD, Mode.EXTERNAL),
-        (LOITER, Mode.HOLD),
-        (TAKEOFF, Mode.TAKEOFF),
-        (LAND, Mode.LAND),
-        (3 << 16, Mode.OTHER),
-    ],
-)
-def test_px4_modes(state, custom_mode, mode):
-    state.update(heartbeat(custom_mode), 0.0)
-    assert state.status.mode is mode
-
-
-def test_heartbeat_of_another_autopilot_is_no_status(state):
-    state.update(heartbeat(4, armed=True, autopilot=3), 0.0)
-    assert state.status is None
-    assert state.counters.other_autopilot == 1
 
 
 REAL, INT32, INT8 = dialect.MAV_PARAM_TYPE_REAL32, dialect.MAV_PARAM_TYPE_INT32, dialect.MAV_PARAM_TYPE_INT8
@@ -196,17 +140,6 @@ def test_what_does_not_come_is_asked_for_five_times_and_is_missing():
     assert r.done
     assert r.values == {}
     assert "no answer to 5 requests" in r.missing["COM_OF_LOSS_T"]
-
-
-def test_where_answers_are_lost_a_parameter_is_asked_for_fifteen_times():
-    r = reader("LOST_ONCE", "LOST_LONG")
-    r.step(0.0)
-    r.step(0.4)
-    r.take(value("LOST_ONCE", 1.0))  # the answer to the second request
-    sent = [now for tick in range(41, 1000) for now in [tick * 0.01] if r.step(now)]
-    assert len(sent) == 13
-    assert r.done
-    assert "no answer to 15 requests in 6 s" in r.missing["LOST_LONG"]
 
 
 @pytest.mark.parametrize(
@@ -311,11 +244,6 @@ def event(number, log_levels=0x66, arguments=b""):
 )
 def test_event_is_told_in_px4s_words(number, levels, arguments, wanted):
     assert event_text(event(number, levels, bytes.fromhex(arguments))) == wanted
-
-
-@pytest.mark.parametrize("levels", [0x88, 0x09, 0x3F])
-def test_event_of_the_protocol_is_not_told(levels):
-    assert event_text(event(0x0190CAF3, levels)) is None
 
 
 def test_every_event_of_the_table_is_told_whatever_its_arguments():

@@ -13,7 +13,6 @@ from tests.unit.mavlink.client.vehicle_link_fakes import (
     Setpoint,
     attitude,
     heartbeat,
-    home,
     linked,
     poll,
     position,
@@ -74,24 +73,6 @@ def test_everything_of_a_tick_is_one_datagram(vehicle, link):
     assert vehicle.endpoint.receive() == []
 
 
-def test_a_refusal_is_explained(vehicle, link):
-    for tick in range(600):
-        now = tick * 0.01
-        vehicle.send(
-            heartbeat(OFFBOARD),
-            home(),
-            dialect.MAVLink_command_ack_message(400, 1),
-            dialect.MAVLink_statustext_message(2, b"no GPS", 0, 0),
-        )
-        poll(link, now)
-        link.send_setpoint(Setpoint((0.0, 0.0, 0.5), 0.0), now)
-        link.command(Request.TAKEOFF, now)
-    assert link.failed is not None
-    assert "arm (command 400)" in link.failed
-    assert "TEMPORARILY_REJECTED" in link.failed
-    assert "no GPS" in link.failed
-
-
 def test_timesync_is_answered_at_once_in_real_time(vehicle, link):
     vehicle.send(dialect.MAVLink_timesync_message(0, 123), dialect.MAVLink_timesync_message(9, 5))
     poll(link, 2.5)
@@ -114,14 +95,4 @@ def test_lockstep_stamps_what_came_with_the_time_of_the_request(vehicle):
     link.flush([link.timesync_reply(30_000_000)])
     sent = vehicle.take("TIMESYNC")
     assert (sent[-1].tc1, sent[-1].ts1) == (30_000_001, 30_000_000)
-    link.close()
-
-
-def test_lockstep_holds_a_bounded_number_of_messages(vehicle):
-    link = linked(vehicle, defer_timesync=True)
-    batch = [position(i) for i in range(30)]
-    for _ in range(200):
-        vehicle.send(*batch)
-        poll(link, 0.0)
-    assert link.counters.held_lost == 6000 - 4096
     link.close()

@@ -6,8 +6,6 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.client.companion import Origin
-from bridge.mavlink.client.texts import EVENT
-from bridge.mavlink.codec.messages import MESSAGES
 from bridge.mavlink.line_budget import LineTooSlowError, plan
 from bridge.mavlink.profiles import PX4
 from flightstack.core.types import Mode, Request
@@ -63,14 +61,6 @@ def test_auto_takes_the_profile_of_the_first_heartbeat(vehicle, auto):
         poll(auto, now_s)
     assert (auto.state.profile, auto.refused, auto.senders.ignored) == (PX4, None, 2)
     assert auto.state.status.mode is Mode.HOLD
-
-
-def test_the_motors_of_one_that_is_not_known_are_stopped_all_the_same(vehicle, auto):
-    for tick in range(200):
-        auto.command(Request.MOTORS_OFF, tick * 0.01)
-    auto.flush()
-    kills = [m for m in vehicle.take("COMMAND_LONG") if m.get_type() == "COMMAND_LONG"]
-    assert [(m.command, m.param1, m.param2) for m in kills] == [(400, 0.0, 21196.0)] * 4
 
 
 @pytest.mark.parametrize(("autopilot", "type_", "word"), [(0, 2, "GENERIC (0)"), (3, 1, "FIXED_WING (1)")])
@@ -181,43 +171,6 @@ def test_rates_are_those_of_the_line(vehicle, baud, interval_us, setpoints):
     sent = [m for m in received if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
     assert len(sent) == setpoints
     link.close()
-
-
-def test_event_of_px4_becomes_a_text(vehicle):
-    link = joined(vehicle)
-    arguments = [0, 64, 0, 0, 20, *[0] * 35]
-    vehicle.send(MESSAGES[EVENT](0, 0, 0x012F1DC7, 0, 1, 0x33, arguments))
-    poll(link, 0.1)
-    assert link.take_texts() == [(3, "No offboard signal")]
-    vehicle.send(MESSAGES[EVENT](0, 0, 0x01A893E0, 0, 2, 0x88, arguments), MESSAGES[411](2, 0))
-    poll(link, 0.2)
-    assert link.take_texts() == []
-    link.close()
-
-
-AGE_S = 0.2  # checks.own_age_max_s by default
-
-
-@pytest.mark.parametrize(
-    ("baud", "signed", "state_hz", "every"),
-    [
-        (None, False, 100.0, 1),
-        (921_600, False, 100.0, 1),
-        (921_600, True, 100.0, 1),
-        (115_200, False, 100.0, 1),
-        (57_600, False, 50.0, 2),
-        (57_600, True, 100.0 / 3.0, 2),
-        (38_400, False, 100.0 / 3.0, 3),
-    ],
-)
-def test_highest_rates_that_fit(baud, signed, state_hz, every):
-    chosen = plan(baud, 100.0, AGE_S, signed=signed)
-    assert (chosen.state_hz, chosen.setpoint_every) == (pytest.approx(state_hz), every)
-    assert chosen.setpoint_hz == pytest.approx(100.0 / every)
-    if baud is not None:
-        assert chosen.capacity_bytes_s == baud / 10
-        assert max(chosen.in_bytes_s, chosen.out_bytes_s) <= 0.9 * baud / 10
-        assert f"{chosen.in_bytes_s:.0f} B/s in" in chosen.text
 
 
 @pytest.mark.parametrize(

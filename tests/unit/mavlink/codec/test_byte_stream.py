@@ -6,11 +6,11 @@ import time
 import pytest
 
 from bridge.mavlink.codec.framing import FrameCounters, split_frames
-from bridge.mavlink.endpoint import Direction, Endpoint
+from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.transport.byte_stream import RETRY_S
 from tests.processes.bounded import AT_ONCE_S
 from tests.serial_relay import PtyEnd, TcpEnd
-from tests.unit.mavlink.codec.frames_of_messages import UNKNOWN, frames_of, position
+from tests.unit.mavlink.codec.frames_of_messages import frames_of, position
 
 PATIENCE_S = 10.0
 
@@ -32,15 +32,6 @@ def until(done, what):
         select.select((), (), (), 0.002)
 
 
-def feed(far, endpoint, data, received):
-    """Write all data at the far end while the endpoint receives."""
-    far.read()  # the TCP server accepts its client here
-    while data:
-        data = data[far.write(data) :]
-        endpoint.wait(0.01)
-        received += [one.raw for one in endpoint.receive()]
-
-
 def connected(far, endpoint):
     """Wait until bytes pass both ways."""
     came = []
@@ -56,23 +47,6 @@ def connected(far, endpoint):
     until(passed, "the line was not connected")
     while far.read():
         pass
-
-
-def take_more(endpoint, received):
-    endpoint.wait(0.01)
-    received += [one.raw for one in endpoint.receive()]
-    return len(received)
-
-
-def test_unknown_message_reaches_the_recorder_alone(wire):
-    far, endpoint = wire
-    connected(far, endpoint)
-    shown, received, (good,) = [], [], frames_of(1)
-    endpoint.tap = lambda direction, frame, peer: shown.append((direction, frame))
-    feed(far, endpoint, good + UNKNOWN + good, received)
-    until(lambda: take_more(endpoint, received) >= 2, "frames are missing")
-    assert received == [good, good]
-    assert sorted(shown) == sorted([(Direction.IN, good)] * 2 + [(Direction.IN, UNKNOWN)])
 
 
 def test_full_line_drops_whole_messages_and_never_blocks(wire):

@@ -5,7 +5,7 @@ import random
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.codec.framing import REST_MAX, FrameCounters, StreamFramer, split_frames
+from bridge.mavlink.codec.framing import FrameCounters, StreamFramer, split_frames
 from bridge.mavlink.codec.messages import decode
 from tests.unit.mavlink.codec.frames_of_messages import UNKNOWN, frames_of, position, raw_frame
 
@@ -108,14 +108,6 @@ def push_all(framer, pieces, unknown=None):
     return [frame for piece in pieces for frame in framer.push(piece, unknown)]
 
 
-@pytest.mark.parametrize("longest", [2, 7, 40, 600])
-def test_frames_cut_anywhere_come_whole_and_in_order(longest):
-    frames, counters = frames_of(300, seed=longest), FrameCounters()
-    found = push_all(StreamFramer(counters), pieces_of(b"".join(frames), random.Random(1), longest))
-    assert found == frames
-    assert counters == FrameCounters()
-
-
 def test_hundred_thousand_bytes_of_noise_lose_no_frame():
     """Noise between the frames, half of it start bytes; every good frame is found, in order."""
     rng, counters = random.Random(2), FrameCounters()
@@ -129,20 +121,6 @@ def test_hundred_thousand_bytes_of_noise_lose_no_frame():
     found = push_all(StreamFramer(counters), pieces_of(bytes(stream), rng))
     assert found == frames + frames_of(12, seed=4)
     assert counters.garbage_bytes == noise
-
-
-def test_buffer_is_bounded_whatever_comes():
-    rng, framer = random.Random(11), StreamFramer(FrameCounters())
-    for _ in range(3000):
-        header = bytes([0xFD, 255, 0, 0, 0, 1, 1, rng.randrange(256), rng.randrange(2), 0])
-        list(framer.push(header + rng.randbytes(rng.randrange(0, 60))))
-        assert len(framer._rest) <= REST_MAX + 280
-
-
-def test_false_start_behind_noise_keeps_nothing_back():
-    """A header without a known message does not delay the good frame after it."""
-    good, framer = frames_of(1)[0], StreamFramer(FrameCounters())
-    assert list(framer.push(b"\x00\xfd\xff\x00" + bytes(range(1, 8)) + good)) == [good]
 
 
 @pytest.mark.parametrize("longest", [2, 9, 100])

@@ -137,15 +137,6 @@ def test_infinite_parameters_and_nan_disguised_as_an_integer_are_denied(served) 
     assert served.mode is FlightMode.HOLD
 
 
-def test_disarming_in_the_air_needs_force(fresh) -> None:
-    flying = fresh("fly")
-    assert flying.command(400, 0.0) == 1
-    assert flying.texts()[-1] == "Disarming refused: not landed"
-    assert flying.armed
-    assert flying.command(400, 0.0, 21196.0) == ACCEPTED
-    assert not flying.armed
-
-
 @pytest.mark.parametrize(
     ("main", "sub", "word"),
     [(1, 0, "stick"), (3, 0, "stick"), (7, 2, "stick"), (4, 4, "missions"), (9, 9, "none")],

@@ -13,9 +13,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.codec.messages import decode
-from bridge.mavlink.server.commander import Texts
 from bridge.mavlink.server.profile import PX4_CODES, FlightMode
-from tests.crazyflie_firmware.bench import CLIENT, Bench
 from tests.unit.mavlink.server.served import GROUND_STATION, STRANGER, setpoint
 
 NAN = math.nan
@@ -92,19 +90,6 @@ def test_a_flood_of_different_refusals_says_little(served) -> None:
     assert any(t.endswith("refusals not shown") for t in texts)
 
 
-def test_texts_waiting_are_bounded_and_the_same_refusal_comes_once_a_second() -> None:
-    texts = Texts()
-    for i in range(1000):
-        texts.say(6, f"event {i}")
-    assert len(texts.take()) == 64
-    for tick in range(250):
-        texts.refuse("no", 0.01 * tick)
-    assert [t.text for t in texts.take()] == ["no"] * 3
-    for i in range(1000):
-        texts.refuse(f"no {i}", 100.0 + i)
-    assert len(texts._said_s) <= 64
-
-
 def test_asking_for_everything_at_the_highest_rate_is_bounded_by_the_loop(served) -> None:
     for id_ in mav.mavlink_map:
         served.command(511, float(id_), 1.0)
@@ -152,20 +137,6 @@ def test_a_stranger_can_neither_fly_it_nor_change_what_its_owner_has_set(flown, 
     assert flown.server.parameters._values == parameters._values
     rarer = zip(now_us, intervals_us, strict=True)  # -1: off
     assert all(0 < now <= before or before < 0 for now, before in rarer)
-
-
-def test_disarmed_nothing_but_an_arming_lets_a_packet_out():
-    chance = random.Random(7)
-    bench = Bench().ready()
-    bench.sent.clear()
-    commands = list(bench.node.commands.table)
-    for _ in range(1500):
-        wild = hostile(chance, chance.choice(list(mav.mavlink_map)), commands)
-        if getattr(wild, "command", 0) in (400, 185):
-            continue
-        bench.node.handle(wild, CLIENT, bench.now_s)
-        bench.step()
-    assert bench.sent == []
 
 
 def test_nothing_else_imports_cflib():

@@ -26,15 +26,6 @@ def test_heartbeat_comes_once_a_second_and_at_once_on_a_change(served) -> None:
     assert beat.system_status == mav.MAV_STATE_ACTIVE
 
 
-def test_what_clients_wait_for_is_there_in_the_first_two_seconds(served) -> None:
-    served.run(2.0)
-    status = served.seen(mav.MAVLINK_MSG_ID_SYS_STATUS)[-1]
-    wanted = 1 | 2 | 4 | 32 | mav.MAV_SYS_STATUS_PREARM_CHECK  # gyro, accelerometer, magnetometer, GPS
-    assert status.onboard_control_sensors_health & wanted == wanted
-    for name in ("HOME_POSITION", "BATTERY_STATUS", "EXTENDED_SYS_STATE", "ATTITUDE_QUATERNION"):
-        assert served.seen(getattr(mav, f"MAVLINK_MSG_ID_{name}")), name
-
-
 def test_message_intervals_are_bounded_by_the_loop_and_can_be_switched_off(served) -> None:
     assert served.command(511, 31.0, 1.0) == ACCEPTED  # requests 1 MHz
     assert served.command(511, 32.0, 50_000.0) == ACCEPTED
@@ -131,16 +122,6 @@ def test_missions_logs_and_files_are_refused_at_once(served) -> None:
     nak = first(mav.MAVLink_file_transfer_protocol_message(0, 1, 1, [7, 0, 3, 4, 0, *[0] * 246]))
     assert list(nak.payload[:6]) == [8, 0, 3, 129, 1, 4]
     assert nak.payload[12] == 1
-
-
-def test_old_stream_requests_do_not_starve_the_companion(served) -> None:
-    served.run(0.1)
-    for stream in range(13):
-        assert served.handle(mav.MAVLink_request_data_stream_message(1, 1, stream, 4, 1), (255, 0)) == []
-        assert served.handle(mav.MAVLink_request_data_stream_message(1, 0, stream, 0, 0), (255, 0)) == []
-    before = len(served.seen(mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED))
-    served.run(1.0)
-    assert len(served.seen(mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED)) - before == 100
 
 
 def test_messages_from_itself_and_of_no_interest_do_nothing(served) -> None:
