@@ -1,4 +1,4 @@
-"""Options that ``fly`` passes to the onboard process, and the number of summarised runs."""
+"""Options that ``fly`` passes to the onboard process."""
 
 from dataclasses import MISSING, replace
 from pathlib import Path
@@ -18,7 +18,7 @@ from flightstack.config.options import FlightOptions, OnboardOptions, WatchOptio
 from flightstack.launch import fly
 from flightstack.launch.launcher import Launcher
 from flightstack.launch.run_options import FlyOptions, RunOptions
-from flightstack.launch.sitl import prepare, sum_up
+from flightstack.launch.sitl import prepare
 from sim.options import Px4SimOptions, TargetOptions, VehicleOptions
 from sim.scenarios.scenario import load as load_scenario
 
@@ -100,23 +100,6 @@ def test_a_command_line_made_of_options_gives_the_same_options(cls, required, tm
     for given in (cls(**required), cls(**required, **others(cls, tmp_path))):
         command.main(argv(given), standalone_mode=False)
         assert found[-1] == given
-
-
-def test_runs_are_counted_and_what_did_not_fly_is_no_landing():
-    rows = [
-        {"outcome": "landed", "landed": True, "violation": False, "touchdown_error_m": 0.02},
-        # an incomplete log
-        {"outcome": "landed", "landed": False, "violation": True, "touchdown_error_m": 0.06},
-        {"outcome": "crashed", "landed": False, "violation": None, "touchdown_error_m": None},
-        {"outcome": None, "problem": "px4 did not start"},
-    ]
-    found = sum_up(rows, 5)
-    assert (found["runs"], found["flown"], found["landed"], found["crashed"]) == (5, 4, 1, 1)
-    assert (found["aborted"], found["violations"]) == (0, 1)
-    assert found["touchdown_error_m"] == pytest.approx(0.04)
-    assert found["touchdown_error_max_m"] == 0.06
-    assert found["time_to_land_s"] is None
-    assert found["rows"] == rows
 
 
 @pytest.mark.parametrize(("scenario", "config"), [("grid", "px4-crazyflie"), ("large", "px4-1kg")])
