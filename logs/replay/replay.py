@@ -82,59 +82,20 @@ def replay(path: Path | str, config: FlightConfig | None = None, member: str | N
     return run.result
 
 
-class _RecordedTick:
-    """A recorded tick that replaces clock, vehicle and target; recorded frames, if any, are compared."""
-
-    def __init__(self) -> None:
-        self.record: TickRecord
-        self.given: TickInputs
-        self.wire: WireReplay | None = None
-        self.wire_found: list[TickDifference] = []
-
-    def begin(self, record: TickRecord, given: TickInputs) -> None:
-        self.record, self.given, self.wire_found = record, given, []
-
-    def wait(self) -> Tick:
-        return Tick(self.given.tick, self.given.now_s, self.given.stamp_ns, 0.0, 0.0)
-
-    def samples(self, now_s: float) -> Arrived:
-        del now_s
-        return Arrived(self.given.inputs.target_samples)
-
-    def words(self) -> tuple[Neighbour, ...]:
-        return self.given.inputs.neighbours
-
-    def landing_began(self, tick: int) -> None: ...
-
-    def read(self) -> VehicleInputs:
-        """Return the recorded state; the replayed bridge does not affect it."""
-        inputs = self.given.inputs
-        if self.wire is not None:
-            self.wire_found += self.wire.take(self.record, self.given)
-        return VehicleInputs(inputs.own, inputs.status, self.given.command_failed, inputs.power)
-
-    def answer(self, out: Outputs, now_s: float) -> None:
-        del now_s
-        if self.wire is not None:
-            self.wire_found += self.wire.answer(self.record, self.given, out)
-
-    def operator(self, status: VehicleStatus | None, now_s: float) -> Operator:
-        del status, now_s
-        return self.given.inputs.operator
-
-    def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> None: ...
-
-
 class _Run:
+    """A replay: recorded ticks replace clock, vehicle and target, and the outputs are compared with them."""
+
     def __init__(self, flight: FlightInputs, config: FlightConfig | None) -> None:
         self.flight, self.changed = flight, config is not None
         self.config = config if config is not None else flight.config()
         self.controller = Controller(self.config)
         self.result = Result(flight.log.path)
         self.text = StateText[State](state_class(self.config))
-        self.recorded = _RecordedTick()
-        parts = (self.recorded,) * 4
-        self.runner = Runner(self.controller, *parts, sink=self, words=self.recorded.words)
+        self.runner = Runner(self.controller, *(self,) * 4, sink=self, words=self.words)
+        self.record: TickRecord
+        self.given: TickInputs
+        self.wire: WireReplay | None = None
+        self.wire_found: list[TickDifference] = []
         self.in_fleet = "fleet" in flight.table
         self.running = False
         self.acted = False
@@ -191,8 +152,38 @@ class _Run:
             )
         if not self.running and not self._begin(record, given):
             return
-        self.recorded.begin(record, given)
+        self.record, self.given, self.wire_found = record, given, []
         self.runner.tick()
+
+    def wait(self) -> Tick:
+        return Tick(self.given.tick, self.given.now_s, self.given.stamp_ns, 0.0, 0.0)
+
+    def samples(self, now_s: float) -> Arrived:
+        del now_s
+        return Arrived(self.given.inputs.target_samples)
+
+    def words(self) -> tuple[Neighbour, ...]:
+        return self.given.inputs.neighbours
+
+    def landing_began(self, tick: int) -> None: ...
+
+    def read(self) -> VehicleInputs:
+        """Return the recorded state; the replayed bridge does not affect it."""
+        inputs = self.given.inputs
+        if self.wire is not None:
+            self.wire_found += self.wire.take(self.record, self.given)
+        return VehicleInputs(inputs.own, inputs.status, self.given.command_failed, inputs.power)
+
+    def answer(self, out: Outputs, now_s: float) -> None:
+        del now_s
+        if self.wire is not None:
+            self.wire_found += self.wire.answer(self.record, self.given, out)
+
+    def operator(self, status: VehicleStatus | None, now_s: float) -> Operator:
+        del status, now_s
+        return self.given.inputs.operator
+
+    def ended(self, out: Outputs, memory: Memory, status: VehicleStatus | None, now_s: float) -> None: ...
 
     def _begin(self, record: TickRecord, given: TickInputs) -> bool:
         """Return whether this tick can be replayed; after a snapshot the next one can."""
@@ -220,7 +211,7 @@ class _Run:
         if "baud" in onboard:
             signed, age_max_s = onboard.get("signed") == "true", self.config.checks.own_age_max_s
             line = plan(int(onboard["baud"]), self.config.loop.rate_hz, age_max_s, signed=signed)
-        self.recorded.wire = WireReplay(self.config, int(onboard["system_id"]), lockstep, autopilot, line)
+        self.wire = WireReplay(self.config, int(onboard["system_id"]), lockstep, autopilot, line)
         self.result.wire = Tally()
 
     def _restore(self, snapshot: ControllerStateRow) -> None:
@@ -239,10 +230,10 @@ class _Run:
 
     def write(self, at: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
         del taken, exec_s
-        result, tick, record, given = self.result, at.number, self.recorded.record, self.recorded.given
+        result, tick, record, given = self.result, at.number, self.record, self.given
         assert record.step is not None
         if result.wire is not None:
-            result.wire.add(self.recorded.wire_found)
+            result.wire.add(self.wire_found)
         row = step_row(at, out)
         replayed = row.pack()
         topic = self.flight.topic("controller/step")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -24,13 +24,10 @@ from logs.report.style import (
     NOMINAL,
     TARGET,
     TRUE,
-    add_line,
     chart,
     line,
     low_envelope,
     marks,
-    over_time,
-    rows_of,
     value_range,
     zero_s,
 )
@@ -48,49 +45,45 @@ _ODD = {
 
 def barrier_over_time(flight: Flight, verdict: Verdict) -> go.Figure | None:
     """Draw h over time with h = 0, the violation limit, and the lowest h outside the pad."""
-    zero, figure = zero_s(flight), go.Figure()
+    zero, steps, truth = zero_s(flight), flight.steps, flight.truth
+    traces: list[tuple[int, go.Scatter]] = []
     shown: list[tuple[Floats, Floats]] = []
-    if flight.steps is not None:
-        t, h = flight.steps.t_s - zero, np.where(flight.steps.both_valid, flight.steps.h_m, np.nan)
+    lowest: list[tuple[Floats, Floats, str, str]] = []  # times, h, place and symbol
+    if steps is not None:
+        t, h = steps.t_s - zero, np.where(steps.both_valid, steps.h_m, np.nan)
         shown.append((t, h))
-        dash = "solid" if flight.truth is None else "dash"
-        figure.add_trace(line(t, h, "h (estimate)", ESTIMATED, dash=dash, width=1.5))
-    if flight.truth is not None:
-        t, h = low_envelope(flight.truth.t_s - zero, flight.truth.h_min_m)
+        dash = "solid" if truth is None else "dash"
+        traces.append((1, line(t, h, "h (estimate)", ESTIMATED, dash=dash, width=1.5)))
+        if truth is None:
+            outside = np.where((steps.d_m > flight.pad_radius_m) & (t >= 0.0), h, np.inf)
+            lowest.append((t, outside, "outside the pad", "triangle-down"))
+    if truth is not None:
+        t, h = low_envelope(truth.t_s - zero, truth.h_min_m)
         shown.append((t, h))
-        figure.add_trace(line(t, h, "h (true, lowest between ticks)", TRUE, width=2.2))
-        outside = np.where(flight.truth.t_s > zero, flight.truth.h_min_outside_pad_m, np.inf)
-        _mark_lowest(figure, flight.truth.t_s - zero, outside, "outside the pad", "triangle-down")
-        anywhere = np.where(flight.truth.t_s > zero, flight.truth.h_min_m, np.inf)
-        _mark_lowest(figure, flight.truth.t_s - zero, anywhere, "anywhere", "triangle-down-open")
-    elif flight.steps is not None:
-        outside = (flight.steps.d_m > flight.pad_radius_m) & (flight.steps.t_s >= zero)
-        h_m = np.where(outside, flight.steps.h_m, np.inf)
-        _mark_lowest(figure, flight.steps.t_s - zero, h_m, "outside the pad", "triangle-down")
+        traces.append((1, line(t, h, "h (true, lowest between ticks)", TRUE, width=2.2)))
+        t = truth.t_s - zero
+        outside = np.where(t > 0.0, truth.h_min_outside_pad_m, np.inf)
+        lowest.append((t, outside, "outside the pad", "triangle-down"))
+        lowest.append((t, np.where(t > 0.0, truth.h_min_m, np.inf), "anywhere", "triangle-down-open"))
     if not shown or all(np.isnan(h).all() for _, h in shown):
         return None
     margin_m = held_margin_m(flight)
-    if margin_m is not None and flight.steps is not None and np.nanmax(margin_m) > _MARGIN_SEEN_M:
-        figure.add_trace(line(flight.steps.t_s - zero, margin_m, "margin: lower limit of h", MARGIN, width=2))
+    if margin_m is not None and steps is not None and np.nanmax(margin_m) > _MARGIN_SEEN_M:
+        traces.append((1, line(steps.t_s - zero, margin_m, "margin: lower limit of h", MARGIN, width=2)))
+    figure = chart(flight, 420, traces, {"title_text": "h [m]", "range": value_range(flight, shown)})
+    for t, h, where, symbol in lowest:
+        known = np.where(np.isfinite(h), h, np.inf)
+        at = int(np.argmin(known))
+        if np.isfinite(known[at]):
+            name = f"lowest {where}: {h[at]:.4f} m".replace("-", "−")
+            marker(figure, t[at], h[at], name, symbol, INK)
     figure.add_hline(0.0, line={"color": BOUNDARY, "width": 1.8})
     if verdict.started_safe is not False:
         figure.add_hline(VIOLATION_LIMIT_M, line={"color": BOUNDARY, "width": 1, "dash": "dot"})
-    over_time(figure, flight, 420)
-    figure.update_yaxes(title_text="h [m]", range=value_range(flight, shown))
     return figure
 
 
-def _mark_lowest(figure: go.Figure, t: Floats, h: Floats, where: str, symbol: str) -> None:
-    known = np.where(np.isfinite(h), h, np.inf)
-    at = int(np.argmin(known))
-    if not np.isfinite(known[at]):
-        return
-    name = f"lowest {where}: {h[at]:.4f} m".replace("-", "−")
-    marker(figure, t[at], h[at], name, symbol, INK)
-
-
 _Drawn = tuple[str, Floats, str, str, float]  # fields: name, velocity (n, 3), colour, dash, width
-_Extra = Callable[[go.Figure, int, list[float]], list[float]]  # draws on an axis, returns a wider range
 
 
 def velocities(flight: Flight) -> go.Figure | None:
@@ -104,24 +97,23 @@ def velocities(flight: Flight) -> go.Figure | None:
         ("filtered u*", steps.filtered_enu_m_s, FILTERED, "solid", 2.4),
         ("sent, after slew limit and gate", sent_m_s(steps), COMMAND, "dot", 2.0),
     )
-    true = ("vehicle (true)", LIMIT, {"width": 1.0, "visible": "legendonly"})
-
-    def box_and_bar(figure: go.Figure, axis: int, values: list[float]) -> list[float]:
-        low, high = values
-        legend = axis == 0
+    traces, ranges = _components(flight, t, drawn, "vehicle (true)", LIMIT, width=1.0, visible="legendonly")
+    ends = np.array([-zero_s(flight), flight.duration_s - zero_s(flight)])
+    for row, (low, high) in enumerate(ranges, 1):
         if flight.velocity_max_m_s is not None:
-            limit = flight.velocity_max_m_s[axis]
+            limit = flight.velocity_max_m_s[row - 1]
             low, high = min(low, -1.15 * limit), max(high, 1.15 * limit)
-            _limits(figure, flight, limit, axis + 1, legend)
+            for sign in (-1.0, 1.0):
+                box = np.full(2, sign * limit)
+                look = {"dash": "dashdot", "width": 1.0, "legendgroup": "box", "hoverinfo": "skip"}
+                shown = row == 1 and sign > 0.0
+                traces.append((row, line(ends, box, "admissible box", LIMIT, showlegend=shown, **look)))
         floor = low - 0.03 * (high - low)
         active = np.where(steps.barrier_active, floor, np.nan)  # a bar along the bottom
-        add_line(
-            figure, axis + 1, t, active, "barrier active", BOUNDARY, width=5, legendgroup="active",
-            showlegend=legend, hoverinfo="skip",
-        )  # fmt: skip
-        return [floor - 0.02 * (high - low), high]
-
-    return _axes(flight, t, drawn, true, 760, box_and_bar)
+        look = {"width": 5, "legendgroup": "active", "hoverinfo": "skip"}
+        traces.append((row, line(t, active, "barrier active", BOUNDARY, showlegend=row == 1, **look)))
+        ranges[row - 1] = [floor - 0.02 * (high - low), high]
+    return chart(flight, 760, traces, *_of_axes(ranges), spacing=0.045)
 
 
 def tracking(flight: Flight) -> go.Figure | None:
@@ -135,45 +127,34 @@ def tracking(flight: Flight) -> go.Figure | None:
         ("sent set-point", sent_m_s(steps), COMMAND, "dot", 2.0),
         ("flown, by its own estimate", own, ESTIMATED, "solid", 1.3),
     )
-    true = ("flown (true)", FLOWN, {"width": 1.4})
-    return _axes(flight, steps.t_s - zero_s(flight), drawn, true, 720, lambda figure, axis, values: values)  # noqa: ARG005
+    t = steps.t_s - zero_s(flight)
+    traces, ranges = _components(flight, t, drawn, "flown (true)", FLOWN, width=1.4)
+    return chart(flight, 720, traces, *_of_axes(ranges), spacing=0.045)
 
 
 def sent_m_s(steps: Steps) -> Floats:
     return np.where(steps.setpoint_sent[:, None], steps.command_enu_m_s, np.nan)
 
 
-def _axes(
-    flight: Flight, t: Floats, drawn: Sequence[_Drawn], true: tuple[str, str, dict[str, Any]],
-    height_px: int, extra: _Extra,
-) -> go.Figure:  # fmt: skip
-    """Draw the velocities of each axis in a row; the true one, if known, by name, colour and style."""
-    figure = rows_of(3, 0.045)
-    for axis in range(3):
-        row, legend = axis + 1, axis == 0
-        for name, values, color, dash, width in drawn:
-            add_line(
-                figure, row, t, values[:, axis], name, color, dash=dash, width=width, legendgroup=name,
-                showlegend=legend,
-            )  # fmt: skip
+def _components(
+    flight: Flight, t: Floats, drawn: Sequence[_Drawn], true: str, color: str, **look: Any
+) -> tuple[list[tuple[int, go.Scatter]], list[list[float]]]:
+    """Return the velocities of each axis with its row, the true ones included, and the range of each row."""
+    traces, ranges = [], []
+    for row in (1, 2, 3):
+        for name, values, its_color, dash, width in drawn:
+            style = {"dash": dash, "width": width, "legendgroup": name, "showlegend": row == 1}
+            traces.append((row, line(t, values[:, row - 1], name, its_color, **style)))
         if flight.truth is not None:
-            name, color, look = true
-            t_true, v_true = flight.truth.t_s - zero_s(flight), flight.truth.velocity_enu_m_s[:, axis]
-            add_line(figure, row, t_true, v_true, name, color, legendgroup="true", showlegend=legend, **look)
-        shown = value_range(flight, [(t, values[:, axis]) for _, values, _, _, _ in drawn])
-        shown = extra(figure, axis, shown)
-        figure.update_yaxes(title_text=f"{AXES[axis]} [m/s]", range=shown, row=row, col=1)
-    over_time(figure, flight, height_px, rows=3)
-    return figure
+            t_true, v_true = flight.truth.t_s - zero_s(flight), flight.truth.velocity_enu_m_s[:, row - 1]
+            style = {"legendgroup": "true", "showlegend": row == 1, **look}
+            traces.append((row, line(t_true, v_true, true, color, **style)))
+        ranges.append(value_range(flight, [(t, values[:, row - 1]) for _, values, *_ in drawn]))
+    return traces, ranges
 
 
-def _limits(figure: go.Figure, flight: Flight, limit_m_s: float, row: int, legend: bool) -> None:
-    ends = np.array([-zero_s(flight), flight.duration_s - zero_s(flight)])
-    for sign in (-1.0, 1.0):
-        add_line(
-            figure, row, ends, np.full(2, sign * limit_m_s), "admissible box", LIMIT, dash="dashdot",
-            width=1.0, legendgroup="box", showlegend=legend and sign > 0.0, hoverinfo="skip",
-        )  # fmt: skip
+def _of_axes(ranges: Sequence[list[float]]) -> list[dict[str, Any]]:
+    return [{"title_text": f"{name} [m/s]", "range": shown} for name, shown in zip(AXES, ranges, strict=True)]
 
 
 def filter_activity(flight: Flight) -> go.Figure | None:
@@ -196,8 +177,8 @@ def filter_activity(flight: Flight) -> go.Figure | None:
         if len(at):
             traces.append((2, marks(at, t, slack, name, symbol=symbol, size=7, color=BOUNDARY)))
     return chart(
-        flight, 480, 0.07, traces, {"title_text": "change [m/s]", "rangemode": "tozero"},
-        {"title_text": "slack [m/s]", "range": value_range(flight, [(t, slack)])},
+        flight, 480, traces, {"title_text": "change [m/s]", "rangemode": "tozero"},
+        {"title_text": "slack [m/s]", "range": value_range(flight, [(t, slack)])}, spacing=0.07,
     )  # fmt: skip
 
 
@@ -218,7 +199,7 @@ def estimate_error(flight: Flight) -> go.Figure | None:
     h_mm = 1e3 * errors.h_m
     traces.append((3, line(t, h_mm, "h", INK, width=1.3)))
     axes.append({"title_text": "h [mm]", "range": value_range(flight, [(t, h_mm)])})
-    return chart(flight, 640, 0.05, traces, *axes)
+    return chart(flight, 640, traces, *axes, spacing=0.05)
 
 
 def vehicle_state(flight: Flight) -> go.Figure | None:
@@ -234,7 +215,7 @@ def vehicle_state(flight: Flight) -> go.Figure | None:
         (1, line(t, off, "motors off", LIMIT, width=5, hoverinfo="skip")),
     ]
     tilt_axis = {"title_text": "tilt [°]", "rangemode": "tozero"}
-    return chart(flight, 420, 0.08, traces, tilt_axis, {"title_text": "battery [V]"})
+    return chart(flight, 420, traces, tilt_axis, {"title_text": "battery [V]"}, spacing=0.08)
 
 
 _WALL_US = [m * 10**n for n in range(6) for m in (1, 2, 5)]  # labels of the axis of wall times
@@ -257,7 +238,7 @@ def loop_timing(flight: Flight) -> go.Figure | None:
         (2, line(t, late_us, "start after deadline", LIMIT, width=1.0, visible=hidden)),
     ]
     wall_axis = {"title_text": "wall time [µs]", "type": "log", "tickvals": _WALL_US}
-    return chart(flight, 480, 0.07, traces, {"title_text": "period [ms]"}, wall_axis)
+    return chart(flight, 480, traces, {"title_text": "period [ms]"}, wall_axis, spacing=0.07)
 
 
 def data_age(flight: Flight) -> go.Figure | None:
@@ -265,30 +246,29 @@ def data_age(flight: Flight) -> go.Figure | None:
     steps = flight.steps
     if steps is None or not np.isfinite(steps.target_age_s).any():
         return None
-    t, figure = steps.t_s - zero_s(flight), go.Figure()
-    ages = []
+    t = steps.t_s - zero_s(flight)
+    ages, traces, limits = [], [], []
     for name, values, color in (
         ("target state", steps.target_age_s, TARGET),
         ("own state", steps.own_age_s, TRUE),
     ):
         age_ms = np.where(np.isfinite(values), values, np.nan) * 1e3
         ages.append((t, age_ms))
-        figure.add_trace(line(t, age_ms, name, color, width=1.4))
+        traces.append((1, line(t, age_ms, name, color, width=1.4)))
     low, high = value_range(flight, ages)
     if flight.config is not None:
-        limits = {"target": flight.config.checks.target_age_max_s, "own": flight.config.checks.own_age_max_s}
-        for side, (name, limit_s) in zip(("right", "left"), limits.items(), strict=True):
-            figure.add_hline(
-                limit_s * 1e3, line={"color": LIMIT, "width": 1, "dash": "dash"},
-                annotation={"text": f"limit, {name} state", "font": {"size": 11, "color": LIMIT}},
-                annotation_position=f"top {side}",
-            )  # fmt: skip
-            high = max(high, 1.1e3 * limit_s)
+        checks = flight.config.checks
+        limits = [("target", "right", checks.target_age_max_s), ("own", "left", checks.own_age_max_s)]
+        high = max(high, *(1.1e3 * limit_s for *_, limit_s in limits))
     refused = np.flatnonzero(np.diff(steps.target_rejected) > 0) + 1
     if len(refused):
-        thick = {"color": BOUNDARY, "width": 1.5}
-        at_zero = np.zeros_like(t)
-        figure.add_trace(marks(refused, t, at_zero, "sample refused", symbol="x-thin", size=8, line=thick))
-    over_time(figure, flight, 380)
-    figure.update_yaxes(title_text="age at the tick [ms]", range=[low, high])
+        look = {"symbol": "x-thin", "size": 8, "line": {"color": BOUNDARY, "width": 1.5}}
+        traces.append((1, marks(refused, t, np.zeros_like(t), "sample refused", **look)))
+    figure = chart(flight, 380, traces, {"title_text": "age at the tick [ms]", "range": [low, high]})
+    for name, side, limit_s in limits:
+        figure.add_hline(
+            limit_s * 1e3, line={"color": LIMIT, "width": 1, "dash": "dash"},
+            annotation={"text": f"limit, {name} state", "font": {"size": 11, "color": LIMIT}},
+            annotation_position=f"top {side}",
+        )  # fmt: skip
     return figure

@@ -16,12 +16,9 @@ from logs.report.style import (
     BOUNDARY,
     UNSAFE,
     Axis,
-    add_line,
-    layout,
+    chart,
     line,
     low_envelope,
-    rows_of,
-    time_axis,
     value_range,
 )
 from logs.verdict.types import VIOLATION_LIMIT_M
@@ -76,19 +73,18 @@ def series(
     sides: Sequence[Side], axis: Axis, values: Values, title: str, hovermode: str = "x unified"
 ) -> go.Figure | None:
     """Draw one line per flight over time; a figure of h also has the boundary and the violation limit."""
-    figure, shown = go.Figure(), []
+    traces, shown = [], []
     for number, side in enumerate(sides):
         found = values(side.flight)
         if found is None or not np.isfinite(found[1]).any():
             continue
         t, y = found[0] + side.offset_s, np.where(np.isfinite(found[1]), found[1], np.nan)
         shown.append((t, y))
-        figure.add_trace(line(t, y, side.name, COLORS[number % len(COLORS)], width=1.6))
+        traces.append((1, line(t, y, side.name, COLORS[number % len(COLORS)], width=1.6)))
     if not shown:
         return None
-    layout(figure, 360)
-    figure.update_yaxes(title_text=title, range=value_range(axis, shown))
-    time_axis(figure, axis, hovermode=hovermode)
+    y_axis = {"title_text": title, "range": value_range(axis, shown)}
+    figure = chart(axis, 360, traces, y_axis, hovermode=hovermode)
     if values is best_h:
         figure.add_hrect(y0=-100.0, y1=0.0, fillcolor=UNSAFE, line={"width": 0}, layer="below")
         figure.add_hline(VIOLATION_LIMIT_M, line={"color": BOUNDARY, "width": 1, "dash": "dot"})
@@ -97,23 +93,18 @@ def series(
 
 def vectors(sides: Sequence[Side], axis: Axis, values: Values) -> go.Figure | None:
     """Draw three components of a velocity, one line per flight."""
-    figure = rows_of(3, 0.045)
+    traces = []
     for number, side in enumerate(sides):
         found = values(side.flight)
         if found is None:
             continue
         for row in (1, 2, 3):
-            add_line(
-                figure, row, found[0] + side.offset_s, found[1][:, row - 1], side.name,
-                COLORS[number % len(COLORS)], width=1.5, legendgroup=side.name, showlegend=row == 1,
-            )  # fmt: skip
-    if not figure.data:
+            look = {"width": 1.5, "legendgroup": side.name, "showlegend": row == 1}
+            t, y = found[0] + side.offset_s, found[1][:, row - 1]
+            traces.append((row, line(t, y, side.name, COLORS[number % len(COLORS)], **look)))
+    if not traces:
         return None
-    layout(figure, 640)
-    for row, name in enumerate(AXES, 1):
-        figure.update_yaxes(title_text=f"{name} [m/s]", row=row, col=1)
-    time_axis(figure, axis, rows=3)
-    return figure
+    return chart(axis, 640, traces, *({"title_text": f"{name} [m/s]"} for name in AXES), spacing=0.045)
 
 
 def distances(pairs: Sequence[PairSeries], axis: Axis) -> go.Figure | None:
@@ -123,35 +114,32 @@ def distances(pairs: Sequence[PairSeries], axis: Axis) -> go.Figure | None:
     """
     if not pairs:
         return None
-    figure, many = rows_of(2, 0.06), len(pairs) > _LIMITS_SHOWN
+    traces, many = [], len(pairs) > _LIMITS_SHOWN
     nearest = {pair.name for pair in sorted(pairs, key=_nearest)[:_PAIRS_SHOWN]}
     for number, pair in enumerate(pairs):
         color, dash = PAIR_COLORS[number % len(PAIR_COLORS)], _DASHES[number // len(PAIR_COLORS) % 3]
         for row, values in ((1, pair.measure), (2, pair.distance_m)):
             for both, width, opacity in ((pair.flying, 2.2, 1.0), (~pair.flying, 1.2, 0.35)):
                 t_s, shown = low_envelope(pair.t_s, np.where(both, values, np.nan))
-                listed = row == 1 and opacity == 1.0
-                seen = True if pair.name in nearest else "legendonly"
-                add_line(
-                    figure, row, t_s, shown, pair.name, color, width=width, dash=dash, opacity=opacity,
-                    showlegend=listed, legendgroup=pair.name, connectgaps=False, visible=seen,
-                )  # fmt: skip
-        if many:
-            continue
-        limit_m = pair.distance_m / np.maximum(pair.measure, 1e-9)
-        add_line(
-            figure, 2, pair.t_s, np.where(pair.flying, limit_m, np.nan), f"limit of {pair.name}", color,
-            dash="dot", width=1.2,
-        )  # fmt: skip
+                look = {
+                    "width": width, "dash": dash, "opacity": opacity, "legendgroup": pair.name,
+                    "showlegend": row == 1 and opacity == 1.0, "connectgaps": False,
+                    "visible": True if pair.name in nearest else "legendonly",
+                }  # fmt: skip
+                traces.append((row, line(t_s, shown, pair.name, color, **look)))
+        if not many:
+            limit_m = np.where(pair.flying, pair.distance_m / np.maximum(pair.measure, 1e-9), np.nan)
+            traces.append((2, line(pair.t_s, limit_m, f"limit of {pair.name}", color, dash="dot", width=1.2)))
     more_px = _LISTED_PX * ((len(pairs) - 1) // _LISTED)
-    layout(figure, 620 + more_px, more_px)
-    time_axis(figure, axis, rows=2, hovermode="closest")
     top = min(
         max(_MEASURE_SHOWN, 2.0 * min(float(p.measure.min()) for p in pairs)),
         max(float(p.measure.max()) for p in pairs),
     )
-    figure.update_yaxes(title_text="in the ellipsoid's measure [1]", range=[0.0, 1.05 * top], row=1, col=1)
-    figure.update_yaxes(title_text="distance [m]", rangemode="tozero", row=2, col=1)
+    measure = {"title_text": "in the ellipsoid's measure [1]", "range": [0.0, 1.05 * top]}
+    distance = {"title_text": "distance [m]", "rangemode": "tozero"}
+    figure = chart(
+        axis, 620 + more_px, traces, measure, distance, spacing=0.06, hovermode="closest", legend_px=more_px
+    )
     figure.add_hrect(y0=0.0, y1=1.0, fillcolor=UNSAFE, line={"width": 0}, layer="below", row=1, col=1)
     figure.add_hline(1.0, line={"color": BOUNDARY, "width": 1.5}, row=1, col=1)
     return figure

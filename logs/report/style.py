@@ -187,32 +187,25 @@ def time_axis(figure: go.Figure, axis: Axis, rows: int = 1, hovermode: str = "x 
     figure.update_xaxes(title_text=axis.title, **lowest)
 
 
-def over_time(figure: go.Figure, flight: Flight, height_px: int, *, rows: int = 1) -> None:
-    layout(figure, height_px)
-    add_phases(figure, flight, rows=rows)
-    time_axis(figure, axis_of([flight]), rows)
-
-
 def chart(
-    flight: Flight, height_px: int, spacing: float, traces: Iterable[tuple[int, go.Scatter]],
-    *axes: dict[str, Any],
+    of: Flight | Axis, height_px: int, traces: Iterable[tuple[int, go.Scatter]], *axes: dict[str, Any],
+    spacing: float = 0.0, hovermode: str = "x unified", legend_px: int = 0,
 ) -> go.Figure:  # fmt: skip
-    """Draw traces, each in its row (1 is the top), over the flight's time; ``axes``: y axis of each row."""
-    figure = rows_of(len(axes), spacing)
+    """Draw traces over time, each in its row (1 is the top); ``axes``: y axis of each row.
+
+    The chart of a flight also shows its phases and faults.
+    """
+    rows = len(axes)
+    figure = make_subplots(rows=rows, cols=1, shared_xaxes=True, vertical_spacing=spacing)
     for row, trace in traces:
         figure.add_trace(trace, row=row, col=1)
-    over_time(figure, flight, height_px, rows=len(axes))
+    layout(figure, height_px, legend_px)
+    if isinstance(of, Flight):
+        add_phases(figure, of, rows=rows)
+    time_axis(figure, axis_of([of]) if isinstance(of, Flight) else of, rows, hovermode)
     for row, axis in enumerate(axes, 1):
         figure.update_yaxes(**axis, row=row, col=1)
     return figure
-
-
-def rows_of(rows: int, spacing: float) -> go.Figure:
-    return make_subplots(rows=rows, cols=1, shared_xaxes=True, vertical_spacing=spacing)
-
-
-def add_line(figure: go.Figure, row: int, x: Floats, y: Floats, name: str, color: str, **more: Any) -> None:
-    figure.add_trace(line(x, y, name, color, **more), row=row, col=1)
 
 
 def line(x: Floats, y: Floats, name: str, color: str, **more: Any) -> go.Scatter:
