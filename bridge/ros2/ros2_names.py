@@ -230,19 +230,31 @@ class Ros2Node:
 
 
 class Ros2Publisher:
-    """Sends serialised messages in the form of rmw_zenoh."""
+    """Sends serialised messages with the attachment of rmw_zenoh."""
 
     def __init__(self, publisher: zenoh_link.Publisher, identity: bytes) -> None:
+        """``identity``: id of the publisher, 16 bytes."""
         self._publisher, self._identity = publisher, identity
-        self.sequence = 0  # number of the newest message; the first has 1, as in rmw_zenoh
+        self.sequence = 0  # number of the newest message, 0 before the first
 
     @property
     def matched(self) -> bool:
+        """Whether there is a subscriber; samples sent without one are lost."""
         return zenoh_link.is_matched(self._publisher)
 
-    def put(self, payload: bytes, time_ns: int) -> None:
+    def put(self, payload: bytes, source_time_ns: int, attachment: bytes | None = None) -> None:
+        """Send a serialised message.
+
+        Args:
+            payload: the message in CDR.
+            source_time_ns: time of sending, Unix time or simulated time.
+            attachment: replaces rmw_zenoh's attachment, for keys outside of ROS 2.
+        """
         self.sequence += 1
-        self._publisher.put(payload, attachment=pack_attachment(self.sequence, time_ns, self._identity))
+        if attachment is None:
+            attachment = pack_attachment(self.sequence, source_time_ns, self._identity)
+        self._publisher.put(payload, attachment=attachment)
 
     def close(self) -> None:
+        """End the publisher; the session stays open."""
         self._publisher.undeclare()

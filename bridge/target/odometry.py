@@ -12,8 +12,9 @@ from typing import NamedTuple, Protocol
 
 from bridge.frames import Quat, world_from_body, yaw_from_quaternion
 from bridge.ros2.cdr import NO_COVARIANCE, Odometry, OdometryError, decode_odometry
+from bridge.ros2.ros2_names import Ros2Publisher
 from bridge.zenoh import zenoh_link
-from bridge.zenoh.zenoh_link import GID_BYTES, pack_attachment, parse_attachment
+from bridge.zenoh.zenoh_link import GID_BYTES, parse_attachment
 from flightstack.core.parameters.robust import TargetLink
 from flightstack.core.types import TargetSample, Vec3
 
@@ -98,7 +99,7 @@ def excess_noise(
     )
 
 
-class OdometryPublisher:
+class OdometryPublisher(Ros2Publisher):
     """Publishes odometry under one key."""
 
     def __init__(
@@ -123,16 +124,9 @@ class OdometryPublisher:
             ValueError: the key is not allowed.
         """
         declare = zenoh_link.blocking_publisher if lossless else zenoh_link.dropping_publisher
-        self._publisher = declare(session, key, ENCODING)
-        self._gid = secrets.token_bytes(GID_BYTES)
+        super().__init__(declare(session, key, ENCODING), secrets.token_bytes(GID_BYTES))
         self.frame_id = frame_id
         self.child_frame_id = child_frame_id
-        self.sequence = 0  # number of the newest sample, 0 before the first
-
-    @property
-    def matched(self) -> bool:
-        """Whether there is a subscriber; samples sent without one are lost."""
-        return zenoh_link.is_matched(self._publisher)
 
     def encode(
         self,
@@ -149,23 +143,6 @@ class OdometryPublisher:
             stamp_ns, self.frame_id, self.child_frame_id, position_m, orientation_wxyz, linear_m_s,
             angular_rad_s, pose_covariance, twist_covariance,
         ).pack()  # fmt: skip
-
-    def put(self, payload: bytes, source_time_ns: int, attachment: bytes | None = None) -> None:
-        """Send a serialised message.
-
-        Args:
-            payload: result of ``encode``.
-            source_time_ns: time of sending, Unix time or simulated time.
-            attachment: replaces rmw_zenoh's attachment, for keys outside of ROS 2.
-        """
-        self.sequence += 1
-        if attachment is None:
-            attachment = pack_attachment(self.sequence, source_time_ns, self._gid)
-        self._publisher.put(payload, attachment=attachment)
-
-    def close(self) -> None:
-        """End the publisher; the session stays open."""
-        self._publisher.undeclare()
 
 
 def raw_sample(sample: zenoh_link.Sample) -> RawSample:
