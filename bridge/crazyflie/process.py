@@ -70,8 +70,7 @@ class Loop:
             node.take(event, at_s - self._start_s)
         now_s = self.now_s
         for received in endpoint.receive():
-            header = received.message.get_header()
-            sender = (header.srcSystem, header.srcComponent, received.peer)
+            sender = (*received.sender, received.peer)
             endpoint.send(node.handle(received.message, sender, now_s), received.peer)
         if self._poses is not None:
             self._pass_pose(self._poses, now_s)

@@ -58,6 +58,12 @@ class Received(NamedTuple):
     raw: bytes
     peer: Peer
 
+    @property
+    def sender(self) -> tuple[int, int]:
+        """System id and component id."""
+        header = self.message._header
+        return header.srcSystem, header.srcComponent
+
 
 Tap = Callable[[Direction, bytes, Peer], None]
 
@@ -81,13 +87,10 @@ class Endpoint:
     ) -> None:
         """Open the socket or line.
 
-        ``url``: ``udpin:HOST:PORT`` listens; ``udpout:HOST:PORT``, ``tcp:HOST:PORT`` and
-        ``serial:DEVICE:BAUD`` have one peer; ``system_id``, ``component_id``: ids of this endpoint, 1 to 255;
-        ``max_peers``: greatest number of peers that are known by a heartbeat; ``signing_key``: sign all
-        frames and accept only signed ones; ``always``: peers of ``udpin`` that receive telemetry from the
-        start and never expire; ``allow_unsigned``: permit listening to a network without a key. Raises
-        ValueError: bad URL or id, the host has no IPv4 address, a network without a key, or an invalid
-        signing state; OSError: the address cannot be bound (another process uses it), the device cannot be
+        ``max_peers``: greatest number of peers that are known by a heartbeat; ``always``: peers of ``udpin``
+        that receive telemetry from the start and never expire; ``allow_unsigned``: permit listening to a
+        network without a key. Raises ValueError: bad URL or id, the host has no IPv4 address, a network
+        without a key, or an invalid signing state; OSError: the address cannot be bound, the device cannot be
         opened, or the signing state cannot be read or written. A refused TCP connection is no error: the
         endpoint retries, and ``take_notices`` reports it.
         """
@@ -100,9 +103,8 @@ class Endpoint:
         warning = check_policy(
             url, address, configured, signed=signing_key is not None, allow_unsigned=allow_unsigned
         )
-        # The recorder's callback for every valid frame in both directions, once for an outgoing frame. These
-        # frames have no signature, since it would depend on the clock. Frames of unknown messages, whose
-        # checksum cannot be checked, are passed only to this callback.
+        # the recorder's callback for every valid frame in both directions, without a signature, which depends
+        # on the clock; only this callback gets frames of unknown messages, whose checksum cannot be checked
         self.tap: Tap | None = None
         self.counters = EndpointCounters()  # numbers of frames and bytes by outcome
         self._mav = dialect.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
@@ -123,9 +125,8 @@ class Endpoint:
         self._unknown: list[bytes] = []  # frames of unknown messages in the current chunk
         self.local_port = self._transport.local_port  # UDP port of the socket; 0 for other links
         self.baud = self._transport.baud  # speed of a serial line, bit/s; None for other links
-        signer_warning = self._signer.warning if self._signer else None
-        # texts for the operator before a flight
-        self.warnings = tuple(text for text in (warning, signer_warning) if text is not None)
+        warnings = (warning, self._signer.warning if self._signer else None)
+        self.warnings = tuple(filter(None, warnings))  # texts for the operator before a flight
 
     @property
     def peers(self) -> tuple[Peer, ...]:
@@ -283,13 +284,10 @@ class Endpoint:
 def open_endpoint(
     who: str, url: str, system_id: int, component_id: int, signing: Signing, peers: Sequence[str] = ()
 ) -> Endpoint:
-    """Open an endpoint with the options of a process, and print its warnings.
+    """Open an endpoint with the options of the process ``who``, and print its warnings.
 
-    ``who``: name of the process in warnings; ``url``, ``system_id``, ``component_id``: those of ``Endpoint``;
-    ``signing``: options with the key; ``peers``: HOST:PORT of peers that receive telemetry from the start.
-
-    Raises ValueError: a bad URL, peer or key, or a network without a key; OSError: the address cannot be
-    opened.
+    ``peers``: HOST:PORT of peers that receive telemetry from the start. Raises as ``Endpoint``, and
+    ValueError: bad peer or key.
     """
     endpoint = Endpoint(
         url, system_id, component_id,

@@ -14,9 +14,9 @@ from bridge.mavlink.client.senders import Senders
 from bridge.mavlink.endpoint import Endpoint, open_endpoint
 from bridge.mocap.checks import Limits, MocapOptions, Passed, PoseChecks, PoseOptions, Sample
 from bridge.mocap.vehicle import COMPONENT_ID, MocapVehicle
-from bridge.ros2.cdr import OdometryError, decode_pose, decode_pose_with_covariance
+from bridge.ros2.cdr import OdometryError
 from bridge.ros2.ros2_names import parse_topic_key
-from bridge.target.ros2_target import ROS_TYPES, Dialect, TargetSpec, TargetType
+from bridge.target.ros2_target import POSE_DECODERS, ROS_TYPES, Dialect, TargetSpec, TargetType
 from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import run_promptly
@@ -24,15 +24,14 @@ from flightstack.core.parameters.flight import check_origin
 from flightstack.core.types import ZERO, Vec3
 
 CAPACITY = 256  # maximum number of samples between two polls; the oldest are dropped
-_DECODERS = {TargetType.POSE: decode_pose, TargetType.POSE_COVARIANCE: decode_pose_with_covariance}
 
 
 def parse_spec(text: str, pose_type: str = TargetType.POSE.value, domain: int = 0) -> TargetSpec:
     """Parse ``KEY``, ``ros2:/TOPIC`` or ``ros2dds:/TOPIC``. Raises ValueError: topic or pose type is bad."""
     found = TargetType(pose_type)
-    if found not in _DECODERS:
+    if found not in POSE_DECODERS:
         raise ValueError(
-            f"{pose_type!r} is not a pose type: allowed is {', '.join(t.value for t in _DECODERS)}"
+            f"{pose_type!r} is not a pose type: allowed is {', '.join(t.value for t in POSE_DECODERS)}"
         )
     return TargetSpec.parse(text, found, domain)
 
@@ -42,7 +41,7 @@ class MocapSource:
         """``offset_flu_m``: from the markers' centre to the vehicle's. Raises ValueError: the key is bad."""
         self._subscriber = zenoh_link.ring_subscriber(session, spec.key, CAPACITY)
         self._spec, self._offset_flu_m = spec, offset_flu_m
-        self._decode = _DECODERS[spec.type]
+        self._decode = POSE_DECODERS[spec.type]
         self.problem_text: str | None = None  # reason why the newest sample is unreadable, or None
 
     def poll(self, now_s: float) -> list[Sample]:
@@ -147,9 +146,8 @@ class Bridge:
         now_s, vehicle = self.now_s, self._vehicle
         for received in self._endpoint.receive():
             message, peer = received.message, received.peer
-            header, armed = message.get_header(), vehicle.flies(now_s)
-            ours = (header.srcSystem, header.srcComponent) == (self._system_id, _AUTOPILOT)
-            if ours and self._senders.admits(message, peer, now_s, armed=armed):
+            ours = received.sender == (self._system_id, _AUTOPILOT)
+            if ours and self._senders.admits(message, peer, now_s, armed=vehicle.flies(now_s)):
                 self._endpoint.send(vehicle.handle(message, now_s), peer)
         messages, problem = vehicle.step(self._source.poll(now_s), now_s)
         self._endpoint.send(messages)

@@ -1,4 +1,4 @@
-"""Source of the target's motion: a Zenoh key, or a ROS 2 topic of one of four message types.
+"""Source of the target's motion: a Zenoh key, or a ROS 2 topic of one of three message types.
 
 ``KEY`` is a Zenoh key, ``ros2:/TOPIC`` a topic of rmw_zenoh, ``ros2dds:/TOPIC`` a topic behind
 zenoh-bridge-ros2dds. The output is ``nav_msgs/msg/Odometry``: serialised, for log and replay, and also
@@ -7,11 +7,13 @@ decoded if this module made it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import NamedTuple
 
+from bridge.frames import body_from_world, wrap_angle, yaw_from_quaternion
 from bridge.ros2.cdr import (
     NO_COVARIANCE,
     Odometry,
@@ -23,18 +25,15 @@ from bridge.ros2.cdr import (
 )
 from bridge.ros2.ros2_names import NO_HASH, any_type_key, bridge_key, parse_topic_key
 from bridge.target.odometry import RawSample, excess_noise, raw_sample
-from bridge.target.poses import PoseTrack
 from bridge.zenoh import zenoh_link
 from flightstack.core.parameters.robust import TargetLink
+from flightstack.core.target.estimator import RESTART_S, TargetEstimator
 from flightstack.core.types import ZERO, Vec3
 
 TEXTS_MAX = 32  # greatest number of different warnings per flight; the counters continue
 OFFSET_MAX_M = 5.0  # greatest offset of the landing spot per axis, m; a larger one has a wrong unit
 LOOK_EVERY = 100  # samples between two checks of frames and covariances
 CAPACITY = 1024  # samples between two polls
-
-
-_Made = list[Odometry] | None  # odometry made from a message; None: the message is the odometry
 
 
 class Dialect(Enum):
@@ -49,6 +48,9 @@ class TargetType(Enum):
     ODOMETRY = "odometry"
     POSE = "pose"
     POSE_COVARIANCE = "pose-covariance"
+
+
+POSE_DECODERS = {TargetType.POSE: decode_pose, TargetType.POSE_COVARIANCE: decode_pose_with_covariance}
 
 
 class RosType(NamedTuple):
@@ -115,6 +117,93 @@ class TargetSpec:
         return plain and self.offset_m == ZERO
 
 
+SETTLED_M_S = 0.05  # greatest standard deviation of a usable velocity; a quarter of the Burger's
+UNKNOWN_M_S = 100.0  # standard deviation of a velocity that was not measured, far above robot speeds
+GATE_SIGMAS = 6.0  # distance from the expected pose that makes an outlier: 1 in 10^8 by chance
+# outliers, or poses behind the newest stamp, in a row after which the estimate restarts with them
+OUTLIERS_MAX = 5
+UNSETTLED_MAX = 50  # poses without a velocity after which a warning is sent
+
+
+class PoseTrack:
+    """Converts poses of a target into odometry of ``child_frame_id`` by estimating the velocity.
+
+    The estimator is the stack's (it measures position and velocity), with so large a velocity noise that the
+    measured velocity has no influence. Odometry is the measured pose with the estimated velocity; there is
+    none before the estimate has settled, and none for an outlier. ``link``: noise of poses and motion.
+    """
+
+    def __init__(self, link: TargetLink, child_frame_id: str) -> None:
+        self._estimator = TargetEstimator(replace(link, velocity_noise_m_s=UNKNOWN_M_S))
+        self._noise_m, self._child = link.position_noise_m, child_frame_id
+        self._last: Pose | None = None  # last accepted pose
+        self._outliers = 0
+        self._behind, self._behind_ns = 0, 0  # poses in a row behind the newest stamp; the last one's stamp
+        self._unsettled = 0  # poses since the last restart
+        self.problem = ""  # reason why poses are withheld, or ""
+        self.withheld = 0  # number of poses without odometry: unsettled, outliers, repeated or out of order
+
+    def take(self, pose: Pose) -> Odometry | None:
+        """Return the odometry of a pose; None if the velocity is unknown."""
+        odometry = self._take(pose)
+        self.withheld += odometry is None
+        return odometry
+
+    def _take(self, pose: Pose) -> Odometry | None:
+        time_s, last = pose.stamp_ns / 1e9, self._last
+        step_s = (pose.stamp_ns - last.stamp_ns) / 1e9 if last is not None else math.inf
+        if last is not None and 0.0 < step_s <= RESTART_S and self._is_outlier(pose, time_s):
+            self._outliers += 1
+            if self._outliers < OUTLIERS_MAX:
+                return None
+            step_s = math.inf
+        if step_s == 0.0:
+            return None
+        if not 0.0 < step_s <= RESTART_S:
+            if last is not None and -RESTART_S <= step_s < 0.0 and not self._continues(pose.stamp_ns):
+                return None  # out of order; a greater step back is a restart of the sender's clock
+            self._estimator.memory.time_s = math.nan
+            last = None
+        self._outliers, self._behind, self._last = 0, 0, pose
+        q = pose.orientation_wxyz
+        yaw_rad = yaw_from_quaternion(q)
+        self._estimator.update(time_s, pose.position_m, ZERO, yaw_rad)
+        motion = self._estimator.at(time_s)
+        self._unsettled = 0 if last is None else self._unsettled + 1
+        if last is None or motion.velocity_sigma_m_s > SETTLED_M_S:
+            if self._unsettled >= UNSETTLED_MAX:
+                self.problem = (
+                    f"the velocity is known to {motion.velocity_sigma_m_s:.3f} m/s after so many poses, "
+                    f"{SETTLED_M_S:g} m/s are needed: send more of them, or set target.position_noise_m and "
+                    "target.jerk_xy_m_s3_sqrthz lower if that is true; no pose is used"
+                )
+            return None
+        self.problem = ""
+        # Yaw rate between two poses, unfiltered; only the log uses it.
+        turned_rad = wrap_angle(yaw_rad - yaw_from_quaternion(last.orientation_wxyz))
+        return Odometry(
+            pose.stamp_ns,
+            pose.frame_id,
+            self._child,
+            pose.position_m,
+            q,
+            body_from_world(q, motion.velocity_enu_m_s),
+            body_from_world(q, (0.0, 0.0, turned_rad / step_s)),
+            pose.covariance,
+        )
+
+    def _continues(self, stamp_ns: int) -> bool:
+        """Whether several poses in order are behind the newest stamp: that stamp was wrong."""
+        self._behind = self._behind + 1 if self._behind and stamp_ns > self._behind_ns else 1
+        self._behind_ns = stamp_ns
+        return self._behind >= OUTLIERS_MAX
+
+    def _is_outlier(self, pose: Pose, time_s: float) -> bool:
+        expected = self._estimator.at(time_s)
+        allowed_m = GATE_SIGMAS * math.hypot(expected.position_sigma_m, self._noise_m)
+        return not math.dist(pose.position_m, expected.position_enu_m) <= allowed_m  # NaN is an outlier, too
+
+
 class TargetSource:
     """Receives the target's motion; the owner polls it, there are no callbacks.
 
@@ -142,11 +231,6 @@ class TargetSource:
         self._texts: list[str] = []
         self._told: dict[str, None] = {}
         self.refused = 0  # samples without odometry, except for poses before the velocity is known
-        self._convert: Callable[[bytes], _Made] = {
-            TargetType.ODOMETRY: self._odometry,
-            TargetType.POSE: lambda payload: self._pose(decode_pose(payload)),
-            TargetType.POSE_COVARIANCE: lambda payload: self._pose(decode_pose_with_covariance(payload)),
-        }[spec.type]
 
     def poll(self) -> list[RawSample]:
         """Return all samples that have arrived, oldest first, as odometry; never blocks."""
@@ -156,12 +240,14 @@ class TargetSource:
             if self._spec.dialect is Dialect.RMW_ZENOH and not self._is_wanted(str(sample.key_expr)):
                 continue
             try:
-                made = self._convert(raw.payload)
-                samples = [raw._replace(payload=one.pack(), odometry=one) for one in made or ()]
+                made = self._odometry(raw.payload)
+                if made is not None:
+                    raw = raw._replace(payload=made.pack(), odometry=made)
             except OdometryError as error:
                 self._refuse(f"{self._spec.text}: {error}")
                 continue
-            taken += [raw] if made is None else samples
+            if made is not None or self._spec.type is TargetType.ODOMETRY:
+                taken.append(raw)
         return taken
 
     def take_problems(self) -> list[str]:
@@ -197,15 +283,16 @@ class TargetSource:
             return False
         return True
 
-    def _odometry(self, payload: bytes) -> _Made:
+    def _odometry(self, payload: bytes) -> Odometry | None:
+        """Return the odometry made from a message; None: none, or the message itself is the odometry."""
+        if self._spec.type is not TargetType.ODOMETRY:
+            return self._followed(POSE_DECODERS[self._spec.type](payload))
         # Rejected samples are returned, too: the controller counts them, and the log stores them unchanged.
         if self._until_look == 0:
             self._until_look = LOOK_EVERY
             self._look_at(payload)
         self._until_look -= 1
-        if self._spec.offset_m == ZERO:
-            return None
-        return [decode_odometry(payload).shifted(self._spec.offset_m)]
+        return None if self._spec.offset_m == ZERO else decode_odometry(payload).shifted(self._spec.offset_m)
 
     def _look_at(self, payload: bytes) -> None:
         """Report each difference between a sample and the configuration once."""
@@ -226,15 +313,15 @@ class TargetSource:
         if text:
             self._tell(f"{self._spec.text}: {text}")
 
-    def _pose(self, pose: Pose) -> list[Odometry]:
+    def _followed(self, pose: Pose) -> Odometry | None:
         if not self._is_framed(pose.frame_id):
             self.refused += 1
-            return []
+            return None
         self._compare(pose.covariance, NO_COVARIANCE)
         odometry = self._track.take(pose.shifted(self._spec.offset_m))
         if self._track.problem:
             self._tell(f"{self._spec.text}: {self._track.problem}")
-        return [odometry] if odometry is not None else []
+        return odometry
 
     def _is_framed(self, frame_id: str) -> bool:
         if frame_id == self._frame:

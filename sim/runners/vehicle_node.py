@@ -151,9 +151,7 @@ class VehicleNode:
 
     def answer(self, received: Received, now_s: float) -> list[Message]:
         """Pass a frame to the autopilot; return the replies to its sender."""
-        message = received.message
-        header = message.get_header()
-        return self.autopilot.handle(message, (header.srcSystem, header.srcComponent, received.peer), now_s)
+        return self.autopilot.handle(received.message, (*received.sender, received.peer), now_s)
 
     def control(self, now_s: float) -> None:
         """Run the autopilot; judging starts with its first flight by the companion's set-points."""

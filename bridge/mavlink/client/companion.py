@@ -1,9 +1,14 @@
-"""Messages of the companion: heartbeat, velocity set-point, origin, and requests for messages."""
+"""Messages and requests of the companion; each request is repeated until the vehicle shows its effect. Pure.
+
+Only telemetry counts: an acknowledgement does not prove that a command was executed (PX4 answers a mode
+change twice, the first time always with ACCEPTED, and either can be lost). A rejection only affects the
+retries.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -11,9 +16,9 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.frames import ned_from_enu, yaw_ned_from_enu
 from bridge.mavlink.codec.messages import Message
-from bridge.mavlink.profiles import Profile
+from bridge.mavlink.profiles import Profile, Reading, Step, TakeoffAltitude
 from flightstack.core.safety.gate import ApprovedSetpoint
-from flightstack.core.types import VehicleStatus
+from flightstack.core.types import Request, VehicleStatus
 
 _PERIOD_S = 1.0  # time between two tries, s
 _TRIES = 60
@@ -167,4 +172,171 @@ class StreamRequests:
         rest = (self._unset,) * 4
         return dialect.MAVLink_command_long_message(
             *self._target, _SET_MESSAGE_INTERVAL, 0, float(stream.message_id), interval_us, *rest, 0.0
+        )
+
+
+_NAV_TAKEOFF = dialect.MAV_CMD_NAV_TAKEOFF
+_STREAM_GAP_S = 0.3  # longest pause within a stream of set-points, s (PX4 itself allows 1.0 s)
+_RESULTS: dict[int, str] = {
+    value: entry.name.removeprefix("MAV_RESULT_") for value, entry in dialect.enums["MAV_RESULT"].items()
+}
+_TEXTS_KEPT = 4
+_WORKING_S = 3.0  # time until the next try after MAV_RESULT_IN_PROGRESS, s (as in MAVSDK)
+_DATUM_PERIOD_S = 1.0  # time between two requests for the datum of the take-off height, s
+_DATUM_TRIES = 30
+_FINALS = 2  # final rejections before a request fails: one may belong to an earlier try
+
+
+class CommandSequencer:
+    """Sends the commands of the current request. Pure: status and time in, messages out.
+
+    A request is complete when a heartbeat newer than the request shows its status: a later change of mode has
+    another cause, and the controller decides how to react.
+    """
+
+    def __init__(
+        self, profile: Profile, target_system: int, target_component: int, takeoff_height_m: float
+    ) -> None:
+        if not (takeoff_height_m > 0.0 and math.isfinite(takeoff_height_m)):
+            raise ValueError(f"take-off height is {takeoff_height_m} m: a positive number is needed")
+        self._profile = profile
+        self._target = (target_system, target_component)
+        self._height_m = takeoff_height_m
+        self._stream_start_s: float | None = None
+        self._stream_last_s = -math.inf
+        # height of home above sea level, for autopilots with that datum; None: requested before arming
+        self.home_amsl_m: float | None = None
+        # arrival time, s, and newest height above home, m, for autopilots with that datum; arming moves home
+        # to the vehicle unless home is locked
+        self.above_home: tuple[float, float] | None = None
+        self._offset_m = 0.0  # height of the vehicle above the datum of its take-off command
+        self.failed: str | None = None  # reason why the current request failed, or None
+        self.reached = False  # a heartbeat has shown the requested status
+        self._request = Request.NONE
+        self._since_s = -math.inf
+        self._begun = False  # a request was made before
+        self._enter(None, -math.inf)
+
+    def _enter(self, step: Step | None, now_s: float) -> None:
+        self._step, self._entered_s = step, now_s
+        self._tries, self._first_try_s, self._last_try_s = 0, -math.inf, -math.inf
+        self._datum_tries, self._datum_s = 0, -math.inf
+        self._last_result: str | None = None
+        self._working, self._finals = False, 0
+        self._texts: list[str] = []
+
+    @property
+    def request(self) -> Request:
+        return self._request
+
+    def idle(self, request: Request, status: VehicleStatus | None) -> bool:
+        """Whether ``step`` sends no message for this request until the status changes."""
+        if request is not self._request or self.failed is not None:
+            return False
+        return self.reached or (self._begun and self._step is None and self._next_step(status) is None)
+
+    def note_setpoint(self, now_s: float) -> None:
+        """Record that a set-point is sent now; some autopilots need a stream before a mode change."""
+        if self._stream_start_s is None or now_s - self._stream_last_s > _STREAM_GAP_S:
+            self._stream_start_s = now_s
+        self._stream_last_s = now_s
+
+    def note_ack(self, command: int, result: int) -> None:
+        """Record a COMMAND_ACK, as the reason of a failure and to decide on a retry."""
+        if self._step is None or command != self._step.command:
+            return
+        self._last_result = _RESULTS.get(result, f"result {result}")
+        reading = self._profile.answers.get(result, Reading.AGAIN)
+        self._working = reading is Reading.WORKING
+        self._finals += reading is Reading.FINAL
+
+    def note_text(self, text: str) -> None:
+        if self._step is not None and text not in self._texts:
+            self._texts = [*self._texts, text][-_TEXTS_KEPT:]
+
+    def step(self, request: Request, status: VehicleStatus | None, now_s: float) -> list[Message]:
+        """Return the commands to send now, at most one. A new request starts a new sequence."""
+        if request is not self._request:
+            self._request, self._since_s = request, now_s
+            self.failed, self.reached = None, False
+            self._begun = True
+            self._enter(None, now_s)
+        if self.reached or self.failed is not None:
+            return []
+        step = self._next_step(status)
+        if step is not self._step:
+            self._enter(step, now_s)
+        if step is None:
+            # Before the first request no status is required: the vehicle may leave the prepared mode.
+            self.reached = self._begun and status is not None and status.arrival_s > self._since_s
+            return []
+        datum = self._lacking(step)
+        if datum is not None:
+            return self._ask_datum(datum, now_s)
+        period_s = max(step.period_s, _WORKING_S) if self._working else step.period_s
+        if (step.prestream and not self._streaming(now_s)) or now_s - self._last_try_s < period_s:
+            return []
+        if self._tries >= step.tries or (self._finals >= _FINALS and not step.blind):
+            self.failed = self._reason(step, now_s)
+            return []
+        if self._tries == 0:
+            self._first_try_s = now_s
+        self._tries += 1
+        self._last_try_s, self._working = now_s, False
+        return [self._message(step)]
+
+    @property
+    def _counts_from_sea_level(self) -> bool:
+        own = any(step.command == _NAV_TAKEOFF for step in self._profile.sequences[Request.TAKEOFF])
+        return own and self._profile.takeoff_altitude is TakeoffAltitude.AMSL
+
+    def _lacking(self, step: Step) -> int | None:
+        """Return the id of the message that the take-off height still requires, or None."""
+        if self._request is not Request.TAKEOFF:
+            return None
+        if self._counts_from_sea_level:
+            return dialect.MAVLINK_MSG_ID_HOME_POSITION if self.home_amsl_m is None else None
+        if step.command != _NAV_TAKEOFF or self._tries > 0:  # a repeated command uses the first one's height
+            return None
+        newer = self.above_home is not None and self.above_home[0] > self._entered_s
+        return None if newer else dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
+
+    def _ask_datum(self, message_id: int, now_s: float) -> list[Message]:
+        if now_s - self._datum_s < _DATUM_PERIOD_S:
+            return []
+        if self._datum_tries >= _DATUM_TRIES:
+            name = dialect.mavlink_map[message_id].msgname
+            self.failed = f"the vehicle did not send {name} in {self._datum_tries} tries"
+            return []
+        self._datum_s = now_s
+        self._datum_tries += 1
+        return [request_message(self._target, message_id, self._profile.unset)]
+
+    def _next_step(self, status: VehicleStatus | None) -> Step | None:
+        steps = self._profile.sequences[self._request] if self._begun else self._profile.prepare
+        needed: Callable[[Step], bool] = (
+            (lambda step: step.blind) if status is None else (lambda step: not step.done(status))
+        )
+        return next(filter(needed, steps), None)
+
+    def _streaming(self, now_s: float) -> bool:
+        start_s = self._stream_start_s
+        if start_s is None or now_s - self._stream_last_s > _STREAM_GAP_S:
+            return False
+        return now_s - start_s >= self._profile.prestream_s - 1e-9
+
+    def _message(self, step: Step) -> Message:
+        if self._tries == 1:
+            stands_m = self.above_home[1] if self.above_home is not None else 0.0
+            self._offset_m = (self.home_amsl_m or 0.0) if self._counts_from_sea_level else stands_m
+        params = step.params(self._height_m + self._offset_m)
+        values = [self._profile.unset if value is None else value for value in params]
+        confirmation = min(self._tries - 1, 255)
+        return dialect.MAVLink_command_long_message(*self._target, step.command, confirmation, *values)
+
+    def _reason(self, step: Step, now_s: float) -> str:
+        said = f"; its texts: {' | '.join(self._texts)}" if self._texts else ""
+        return (
+            f"{step.name} (command {step.command}) had no visible effect after {self._tries} tries in "
+            f"{now_s - self._first_try_s:.1f} s; last answer: {self._last_result or 'none'}{said}"
         )

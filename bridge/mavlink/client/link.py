@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.client.commands import CommandSequencer
 from bridge.mavlink.client.companion import (
+    CommandSequencer,
     Origin,
     OriginSender,
     StreamRequests,
@@ -133,10 +133,8 @@ class VehicleLink:
         armed = status is not None and status.armed
         for received in self.endpoint.receive():
             message = received.message
-            header = message.get_header()
-            sender = (header.srcSystem, header.srcComponent)
-            if sender != target:
-                self.counters.add_foreign(sender)
+            if received.sender != target:
+                self.counters.add_foreign(received.sender)
                 continue
             if not self.senders.admits(message, received.peer, now_s, armed=armed):
                 continue
@@ -145,7 +143,7 @@ class VehicleLink:
                 self._handle(message, now_s)
                 continue
             self._held.append(message)
-            if header.msgId == dialect.MAVLINK_MSG_ID_TIMESYNC and message.tc1 == 0:
+            if message.get_msgId() == dialect.MAVLINK_MSG_ID_TIMESYNC and message.tc1 == 0:
                 tick_s = message.ts1 / 1e9
                 self._release(tick_s)
         if len(self._held) > _HELD_MAX:

@@ -256,10 +256,8 @@ class _Check:
         self._endpoint.send(messages, self._senders.known)
         self._endpoint.wait(_SLICE_S)
         for received in self._endpoint.receive():
-            header = received.message.get_header()
-            sender = (header.srcSystem, header.srcComponent)
-            if sender != self._target:
-                self._foreign.add_foreign(sender)
+            if received.sender != self._target:
+                self._foreign.add_foreign(received.sender)
             elif self._senders.admits(received.message, received.peer, now_s, armed=self._armed):
                 self._take(received.message)
         self.refused = self.refused or self._senders.doubled

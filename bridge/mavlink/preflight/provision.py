@@ -92,10 +92,9 @@ class _Provision:
                 self._endpoint.send([companion_heartbeat()])
             self._endpoint.wait(_SLICE_S)
             for received in self._endpoint.receive():
-                header, message = received.message.get_header(), received.message
-                if (header.srcSystem, header.srcComponent) != self._target:
-                    continue
-                if message.get_msgId() == dialect.MAVLINK_MSG_ID_HEARTBEAT:
+                message = received.message
+                beats = message.get_msgId() == dialect.MAVLINK_MSG_ID_HEARTBEAT
+                if beats and received.sender == self._target:
                     armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
                     self._heartbeat = (received.peer, armed)
         return True

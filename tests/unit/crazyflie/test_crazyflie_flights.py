@@ -7,7 +7,7 @@ import pytest
 
 from bridge.crazyflie.packets import Order
 from bridge.crazyflie.pilot import CARRIED_MAX_M_S, CLEAR_M, GAIN_1_S, Pilot
-from bridge.mavlink.client.commands import CommandSequencer
+from bridge.mavlink.client.companion import CommandSequencer
 from bridge.mavlink.client.vehicle_state import VehicleState
 from bridge.mavlink.profiles import CRAZYFLIE
 from bridge.mavlink.server.profile import FlightMode

@@ -8,8 +8,7 @@ import pytest
 from bridge.frames import quaternion_from_yaw
 from bridge.ros2.cdr import Odometry, Pose
 from bridge.target.odometry import RawSample, excess_noise, sample_of
-from bridge.target.poses import PoseTrack
-from bridge.target.ros2_target import OFFSET_MAX_M, TargetSource, TargetSpec, TargetType
+from bridge.target.ros2_target import OFFSET_MAX_M, PoseTrack, TargetSource, TargetSpec, TargetType
 from bridge.zenoh.zenoh_link import dropping_publisher, open_session
 from flightstack.core.parameters.robust import TargetLink
 from tests.unit.target import ros2_helpers as ros

@@ -6,8 +6,7 @@ from itertools import pairwise
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.client.commands import CommandSequencer
-from bridge.mavlink.client.companion import Origin, OriginSender, StreamRequests
+from bridge.mavlink.client.companion import CommandSequencer, Origin, OriginSender, StreamRequests
 from bridge.mavlink.client.texts import TextAssembler
 from bridge.mavlink.profiles import ARDUPILOT, CRAZYFLIE, PROFILES, PX4
 from flightstack.core.types import Landed, Mode, Request

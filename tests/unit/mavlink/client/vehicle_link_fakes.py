@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.client.commands import CommandSequencer
+from bridge.mavlink.client.companion import CommandSequencer
 from bridge.mavlink.client.link import COMPONENT_ID, VehicleLink
 from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.profiles import PX4
