@@ -29,7 +29,7 @@ from flightstack.core.types import Vec3
 
 if TYPE_CHECKING:
     from bridge.crazyflie.link import CrazyflieLink  # imported here because it needs cflib
-    from bridge.mocap.process import CheckedPoses
+    from bridge.mocap.process import MocapSource
 
 INITIAL = "kalman.initial"
 RESET = "kalman.resetEstimation"
@@ -50,7 +50,7 @@ class Loop:
         node: Node,
         link: CrazyflieLink,
         endpoint: Endpoint,
-        poses: CheckedPoses | None,
+        poses: MocapSource | None,
         say: Callable[[str], None],
     ) -> None:
         self._node, self._link, self._endpoint, self._poses, self._say = node, link, endpoint, poses, say
@@ -86,9 +86,9 @@ class Loop:
         for text in node.take_texts():
             self._say(f"crazyflie: {text.text}")
 
-    def _pass_pose(self, poses: CheckedPoses, now_s: float) -> None:
+    def _pass_pose(self, poses: MocapSource, now_s: float) -> None:
         vehicle = self._node.vehicle
-        passed = poses.poll(now_s, armed=vehicle.armed)
+        passed = next(reversed(poses.poll(now_s, armed=vehicle.armed)), None)
         vehicle.mocap(poses.problem, passed, now_s)
         if passed is None or vehicle.link.protocol is None:
             return
@@ -154,7 +154,7 @@ def check_uri(uri: str) -> None:
 def run(
     options: CrazyflieOptions,
     drag_1_s: Vec3 | None,
-    poses: CheckedPoses | None = None,
+    poses: MocapSource | None = None,
     say: Callable[[str], None] = print,
 ) -> int:
     """Serve clients until a signal arrives; print ``ready URL`` when clients can connect.

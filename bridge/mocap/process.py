@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -13,7 +14,7 @@ from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.client.senders import Senders
 from bridge.mavlink.endpoint import Endpoint, open_endpoint
 from bridge.mocap.checks import Limits, MocapOptions, Passed, PoseChecks, PoseOptions, Sample
-from bridge.mocap.vehicle import COMPONENT_ID, MocapVehicle
+from bridge.mocap.vehicle import COMPONENT_ID, RATE_MAX_HZ, MocapVehicle
 from bridge.ros2.cdr import OdometryError
 from bridge.ros2.ros2_names import parse_topic_key
 from bridge.target.ros2_target import POSE_DECODERS, ROS_TYPES, Dialect, TargetSpec, TargetType
@@ -37,50 +38,43 @@ def parse_spec(text: str, pose_type: str = TargetType.POSE.value, domain: int = 
 
 
 class MocapSource:
-    def __init__(self, session: zenoh_link.Session, spec: TargetSpec, offset_flu_m: Vec3 = ZERO) -> None:
+    """Receives poses and checks them."""
+
+    def __init__(
+        self,
+        session: zenoh_link.Session,
+        spec: TargetSpec,
+        checks: PoseChecks,
+        offset_flu_m: Vec3 = ZERO,
+    ) -> None:
         """``offset_flu_m``: from the markers' centre to the vehicle's. Raises ValueError: the key is bad."""
         self._subscriber = zenoh_link.ring_subscriber(session, spec.key, CAPACITY)
-        self._spec, self._offset_flu_m = spec, offset_flu_m
-        self._decode = POSE_DECODERS[spec.type]
-        self.problem_text: str | None = None  # reason why the newest sample is unreadable, or None
+        self._spec, self._offset_flu_m, self.checks = spec, offset_flu_m, checks
+        self.problem: str | None = "mocap: no pose yet"  # reason why there is no good pose, or None
+        self._unreadable: str | None = None  # reason why the newest sample is unreadable, or None
 
-    def poll(self, now_s: float) -> list[Sample]:
-        """Return all samples that have arrived, oldest first; never blocks."""
-        return [self._sample(sample, now_s) for sample in zenoh_link.drain(self._subscriber)]
-
-    def close(self) -> None:
-        self._subscriber.undeclare()
+    def poll(self, now_s: float, *, armed: bool) -> tuple[Passed, ...]:
+        """Return the good poses since the last call, oldest first; never blocks."""
+        samples = [self._sample(sample, now_s) for sample in zenoh_link.drain(self._subscriber)]
+        passed, self.problem = self.checks.step(samples, now_s, armed=armed)
+        if self.problem is not None and self._unreadable is not None:
+            self.problem = f"mocap: {self._unreadable}"
+        return passed
 
     def _sample(self, sample: zenoh_link.Sample, now_s: float) -> Sample:
         key = str(sample.key_expr)
         if self._spec.dialect is Dialect.RMW_ZENOH:
             found, wanted = parse_topic_key(key), ROS_TYPES[self._spec.type].name
             if found is None or found.type_name != wanted:
-                self.problem_text = f"{key} carries another type: {wanted} is needed"
+                self._unreadable = f"{key} carries another type: {wanted} is needed"
                 return Sample(None, now_s)
         try:
-            pose = self._decode(sample.payload.to_bytes())
+            pose = POSE_DECODERS[self._spec.type](sample.payload.to_bytes())
         except OdometryError as error:
-            self.problem_text = str(error)
+            self._unreadable = str(error)
             return Sample(None, now_s)
-        self.problem_text = None
+        self._unreadable = None
         return Sample(pose.shifted(self._offset_flu_m), now_s)
-
-
-class CheckedPoses:
-    """Poses of motion capture after their checks, for the Crazyflie bridge."""
-
-    def __init__(self, source: MocapSource, checks: PoseChecks) -> None:
-        self._source, self.checks = source, checks
-        self.problem: str | None = "mocap: no pose yet"  # reason why there is no good pose, or None
-
-    def poll(self, now_s: float, *, armed: bool) -> Passed | None:
-        """Return the newest good pose since the last call."""
-        step = self.checks.step(self._source.poll(now_s), now_s, armed=armed)
-        self.problem = step.problem
-        if self.problem is not None and self._source.problem_text is not None:
-            self.problem = f"mocap: {self._source.problem_text}"
-        return step.passed[-1] if step.passed else None
 
 
 TICK_S = 0.002  # longest delay that the loop adds to a pose, s
@@ -149,12 +143,10 @@ class Bridge:
             ours = received.sender == (self._system_id, _AUTOPILOT)
             if ours and self._senders.admits(message, peer, now_s, armed=vehicle.flies(now_s)):
                 self._endpoint.send(vehicle.handle(message, now_s), peer)
-        messages, problem = vehicle.step(self._source.poll(now_s), now_s)
-        self._endpoint.send(messages)
-        if problem is not None and self._source.problem_text is not None:
-            problem = f"mocap: {self._source.problem_text}"
+        passed = self._source.poll(now_s, armed=vehicle.flies(now_s))
+        self._endpoint.send(vehicle.step(passed, now_s))
         told = self._status
-        told.about("poses", problem, now_s, good="mocap: poses are good")
+        told.about("poses", self._source.problem, now_s, good="mocap: poses are good")
         told.about("vehicle", self._vehicle_problem(now_s), now_s, good=self._greeting())
 
     def _vehicle_problem(self, now_s: float) -> str | None:
@@ -192,15 +184,16 @@ def run(options: MocapOptions, say: Callable[[str], None] = print) -> int:
             options.listen, options.connect, config_file=options.zenoh_config, prompt=True
         )
         stack.callback(session.close)
-        vehicle = MocapVehicle(options.system_id, limits(options), origin)
-        source = MocapSource(session, spec, options.offset_flu_m)
+        checks = PoseChecks(replace(limits(options), rate_max_hz=RATE_MAX_HZ))
+        source = MocapSource(session, spec, checks, options.offset_flu_m)
+        vehicle = MocapVehicle(options.system_id, origin)
         bridge = Bridge(source, vehicle, endpoint, options.system_id, say)
         run_promptly()  # request a high priority: a delayed pose is useless
         stop = Stop().install()
         say("ready")
         sys.stdout.flush()
         bridge.run(stop, options.duration_s)
-    say(summary(vehicle.checks))
+    say(summary(checks))
     return 0
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -17,10 +17,11 @@ from bridge.frames import (
 )
 from bridge.mavlink.client.companion import Origin, OriginSender, companion_heartbeat
 from bridge.mavlink.codec.messages import Message
-from bridge.mocap.checks import Limits, Passed, PoseChecks, Sample
+from bridge.mocap.checks import Passed
 from flightstack.core.types import Landed, Mode, VehicleStatus
 
 COMPONENT_ID = dialect.MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY
+RATE_MAX_HZ = 50.0  # greatest rate of poses for PX4 and ArduPilot, Hz
 SILENT_S = 3.0  # time without a heartbeat after which the vehicle counts as absent, s
 _HEARTBEAT_S = 1.0
 _HELLO_S = 0.2  # time between heartbeats before the first message of the vehicle, s
@@ -65,19 +66,17 @@ def odometry(passed: Passed, time_us: int) -> Message:
 class PoseNeeds:
     title: str
     message: Callable[[Passed, int], Message]
-    rate_max_hz: float
     needs_origin: bool  # the autopilot has no position until it receives SET_GPS_GLOBAL_ORIGIN
     settings: str  # autopilot parameters to set, as text
 
 
 POSE_NEEDS: Mapping[int, PoseNeeds] = {
     dialect.MAV_AUTOPILOT_PX4: PoseNeeds(
-        "PX4", odometry, 50.0, False, "EKF2_EV_CTRL 11, EKF2_HGT_REF 3, EKF2_GPS_CTRL 0, EKF2_MAG_TYPE 5"
+        "PX4", odometry, False, "EKF2_EV_CTRL 11, EKF2_HGT_REF 3, EKF2_GPS_CTRL 0, EKF2_MAG_TYPE 5"
     ),
     dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: PoseNeeds(
         "ArduPilot",
         vision_position_estimate,
-        50.0,
         True,
         "VISO_TYPE 1, GPS1_TYPE 0, EK3_SRC1_POSXY, EK3_SRC1_POSZ and EK3_SRC1_YAW 6",
     ),
@@ -87,13 +86,12 @@ POSE_NEEDS: Mapping[int, PoseNeeds] = {
 class MocapVehicle:
     """Sends poses to a vehicle: call ``handle`` for each of its messages, then ``step``."""
 
-    def __init__(self, system_id: int, limits: Limits, origin: Origin | None) -> None:
+    def __init__(self, system_id: int, origin: Origin | None) -> None:
         """``origin`` is the position of the room's origin on earth, for an autopilot that needs it."""
-        self.checks = PoseChecks(limits)  # pose checks and their counters
         self.needs: PoseNeeds | None = None  # requirements of the vehicle; None before its first heartbeat
         # MAV_AUTOPILOT number of an unsupported autopilot; None: the autopilot is supported
         self.unknown_autopilot: int | None = None
-        self._limits, self._origin, self._system_id = limits, origin, system_id
+        self._origin, self._system_id = origin, system_id
         self._origin_sender = OriginSender(None, system_id)
         self._origin_known = False
         self._armed = False
@@ -127,20 +125,18 @@ class MocapVehicle:
             return [dialect.MAVLink_timesync_message(max(1, round(now_s * 1e9)), message.ts1)]
         return []
 
-    def step(self, samples: Sequence[Sample], now_s: float) -> tuple[list[Message], str | None]:
-        """Return the messages to send now, and the reason why there is no good pose."""
-        judged = self.checks.step(samples, now_s, armed=self.flies(now_s))
+    def step(self, poses: Sequence[Passed], now_s: float) -> list[Message]:
+        """Return the messages to send now; without a supported vehicle the poses are dropped."""
         messages: list[Message] = []
         if now_s - self._beat_s >= (_HEARTBEAT_S if self.heard(now_s) else _HELLO_S) - 1e-9:
             self._beat_s = now_s
             messages.append(companion_heartbeat())
         needs = self.needs
         if needs is None or not self.heard(now_s):
-            return messages, judged.problem
-        messages += [needs.message(p, round(p.measured_s * 1e6)) for p in judged.passed]
+            return messages
+        messages += [needs.message(p, round(p.measured_s * 1e6)) for p in poses]
         status = VehicleStatus(now_s, self._armed, Mode.UNKNOWN, Landed.UNKNOWN, False)
-        messages += self._origin_sender.step(status, self._origin_known, now_s)
-        return messages, judged.problem
+        return messages + self._origin_sender.step(status, self._origin_known, now_s)
 
     def _on_heartbeat(self, message: Message, now_s: float) -> None:
         self._armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
@@ -150,7 +146,4 @@ class MocapVehicle:
             self.needs, self._origin_known = needs, False
             origin = self._origin if needs is not None and needs.needs_origin else None
             self._origin_sender = OriginSender(origin, self._system_id)
-            if needs is not None:
-                rate_hz = min(self._limits.rate_max_hz, needs.rate_max_hz)
-                self.checks.limits = replace(self._limits, rate_max_hz=rate_hz)
         self._heard_s = now_s

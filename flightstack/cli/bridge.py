@@ -36,7 +36,7 @@ def crazyflie(options: CrazyflieOptions) -> None:
         sys.exit(process.run(options, drag_1_s, say=say))
 
     from bridge.mocap.checks import PoseChecks
-    from bridge.mocap.process import CheckedPoses, MocapSource, limits, parse_spec, summary
+    from bridge.mocap.process import MocapSource, limits, parse_spec, summary
     from bridge.zenoh import zenoh_link
 
     process.check_uri(options.uri)
@@ -45,8 +45,7 @@ def crazyflie(options: CrazyflieOptions) -> None:
         options.listen, options.connect, config_file=options.zenoh_config, prompt=True
     )
     try:
-        source = MocapSource(session, spec, options.offset_flu_m)
-        poses = CheckedPoses(source, PoseChecks(limits(options)))
+        poses = MocapSource(session, spec, PoseChecks(limits(options)), options.offset_flu_m)
         status = process.run(options, drag_1_s, poses, say)
         say(summary(poses.checks))
     finally:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import struct
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -176,7 +176,7 @@ def examine(
     heard = False
     while not check.over and not stopped():
         now_s = time.monotonic()
-        if check.heard and not heard:
+        if check.link.heard and not heard:
             heard, until_s = True, now_s + _READ_MAX_S
         if now_s >= until_s:
             break
@@ -197,28 +197,54 @@ def examine(
     return Report(profile, check.version, findings, problem, notes, rules, rest_v=check.rest_v)
 
 
+class Dialogue:
+    """Sends heartbeats and requests to one vehicle on the ground, and takes its messages."""
+
+    def __init__(
+        self, endpoint: Endpoint, system_id: int, take: Callable[[Message], None], senders: Senders
+    ) -> None:
+        """``take`` receives each message of the vehicle's autopilot."""
+        self.endpoint, self.target, self.senders = endpoint, (system_id, 1), senders
+        self.heard = self.armed = False  # heartbeat of the vehicle: whether one arrived, and its content
+        self.foreign = LinkCounters()
+        self._take, self._said_s = take, -math.inf
+
+    def turn(self, requests: Sequence[Message] = ()) -> None:
+        """Send a due heartbeat and the requests, wait briefly, and handle the received messages."""
+        now_s, messages = time.monotonic(), [*requests]
+        if now_s - self._said_s >= (_HEARTBEAT_S if self.heard else _HELLO_S):
+            self._said_s = now_s
+            messages.insert(0, companion_heartbeat())
+        self.endpoint.send(messages, self.senders.known)
+        self.endpoint.wait(_SLICE_S)
+        for received in self.endpoint.receive():
+            message = received.message
+            if received.sender != self.target:
+                self.foreign.add_foreign(received.sender)
+            elif self.senders.admits(message, received.peer, now_s, armed=self.armed):
+                if message.get_msgId() == dialect.MAVLINK_MSG_ID_HEARTBEAT:
+                    self.heard = True
+                    self.armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
+                self._take(message)
+
+
 class _Check:
     def __init__(
         self, endpoint: Endpoint, system_id: int, chosen: Profile | None, senders: Senders, *,
         accept_release: bool,
     ) -> None:  # fmt: skip
-        self._senders = senders
-        self._endpoint, self._target, self._chosen = endpoint, (system_id, 1), chosen
-        self._accept_release = accept_release
+        self.link = Dialogue(endpoint, system_id, self._take, senders)
+        self._chosen, self._accept_release = chosen, accept_release
         self.profile: Profile | None = None
         self._release: Release | None = None
         self.choice: Choice | None = None
         self.refused: str | None = None
         self.reader: ParameterReader | None = None
         self.asked: tuple[Asked, ...] = ()
-        self.heard = False
         self.rest_v: float | None = None
-        self._armed = False
-        self._said_s = -math.inf
         self._version_s = -math.inf
         self._version_tries = 0
         self._version_over = False
-        self._foreign = LinkCounters()
         self._arrivals = Arrivals()
         self._grown: Mapping[str, int] = {}  # last increase of the counters by received data
 
@@ -229,15 +255,16 @@ class _Check:
     @property
     def over(self) -> bool:
         read = self.reader is not None and self.reader.done
-        return self.refused is not None or (read and not self._senders.suspects)
+        return self.refused is not None or (read and not self.link.senders.suspects)
 
     def waits_for(self, time: str = "") -> str:
         """Return a text about the message that has not arrived yet; ``time`` is that of ``why_silent``."""
-        if not self.heard:
-            grown = self._arrivals.grown(self._endpoint.counters)
+        link = self.link
+        if not link.heard:
+            grown = self._arrivals.grown(link.endpoint.counters)
             if grown.keys() - {"sent", "bytes_out", "send_errors"}:
                 self._grown = grown
-            return why_silent(self._target[0], self._grown, self._foreign.senders, time=time)
+            return why_silent(link.target[0], self._grown, link.foreign.senders, time=time)
         if self.reader is None:
             return "the vehicle does not send its version (AUTOPILOT_VERSION)"
         names = [each.name.name for each in self.asked]
@@ -247,26 +274,14 @@ class _Check:
 
     def turn(self, now_s: float) -> None:
         """Send due requests, wait briefly, handle the received messages."""
-        messages: list[Message] = []
-        if now_s - self._said_s >= (_HEARTBEAT_S if self.heard else _HELLO_S):
-            self._said_s = now_s
-            messages.append(companion_heartbeat())
-        if self.profile is not None:
-            messages += self._ask(self.profile, now_s)
-        self._endpoint.send(messages, self._senders.known)
-        self._endpoint.wait(_SLICE_S)
-        for received in self._endpoint.receive():
-            if received.sender != self._target:
-                self._foreign.add_foreign(received.sender)
-            elif self._senders.admits(received.message, received.peer, now_s, armed=self._armed):
-                self._take(received.message)
-        self.refused = self.refused or self._senders.doubled
+        self.link.turn(self._ask(self.profile, now_s) if self.profile is not None else ())
+        self.refused = self.refused or self.link.senders.doubled
 
     def _ask(self, profile: Profile, now_s: float) -> list[Message]:
         if self._version_over and self.reader is None:
             self._choose(profile)
             names = (each.name.name for each in self.asked)
-            self.reader = ParameterReader(names, *self._target, profile.encoding)
+            self.reader = ParameterReader(names, *self.link.target, profile.encoding)
         if self.reader is not None:
             return self.reader.step(now_s)
         if now_s - self._version_s < _VERSION_S:
@@ -276,7 +291,7 @@ class _Check:
             return []
         self._version_s = now_s
         self._version_tries += 1
-        return [request_message(self._target, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION, profile.unset)]
+        return [request_message(self.link.target, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION, profile.unset)]
 
     def _choose(self, profile: Profile) -> None:
         """Choose the rules; for this project's vehicles they do not depend on the release."""
@@ -293,13 +308,10 @@ class _Check:
 
     def _take(self, message: Message) -> None:
         kind = message.get_msgId()
-        if kind == dialect.MAVLINK_MSG_ID_HEARTBEAT:
-            self._armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
-        elif kind == dialect.MAVLINK_MSG_ID_SYS_STATUS:
-            known = message.voltage_battery != _VOLTAGE_UNKNOWN and not self._armed
+        if kind == dialect.MAVLINK_MSG_ID_SYS_STATUS:
+            known = message.voltage_battery != _VOLTAGE_UNKNOWN and not self.link.armed
             self.rest_v = message.voltage_battery * 1e-3 if known else None
-        if kind == dialect.MAVLINK_MSG_ID_HEARTBEAT and not self.heard:
-            self.heard = True
+        elif kind == dialect.MAVLINK_MSG_ID_HEARTBEAT and self.profile is None and self.refused is None:
             self.refused = refusal(message.autopilot, message.type, self._chosen)
             if self.refused is None:
                 self.profile = self._chosen or found(message.autopilot)

@@ -6,21 +6,20 @@ signing. ArduPilot accepts a key, too, but never signs on its first USB link. Bo
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.client.companion import companion_heartbeat
+from bridge.mavlink.client.senders import Senders
 from bridge.mavlink.endpoint import Endpoint
+from bridge.mavlink.preflight.examine import Dialogue
 from bridge.mavlink.signing import EPOCH_NS, KEY_BYTES, TICK_NS, SigningKey
-from bridge.mavlink.transport.address import Peer, is_local, parse_url, resolve
+from bridge.mavlink.transport.address import is_local, parse_url, resolve
 
 _COMPONENT_ID = 191  # component id MAV_COMP_ID_ONBOARD_COMPUTER
 _PERIOD_S = 0.5  # time between two tries, s
 _TRIES = 12
-_SLICE_S = 0.02  # time between two polls, s
 
 
 def provision(url: str, system_id: int, key: SigningKey, *, remove: bool, wait_s: float) -> str | None:
@@ -38,63 +37,44 @@ def provision(url: str, system_id: int, key: SigningKey, *, remove: bool, wait_s
         )
     endpoint = Endpoint(url, system_id, _COMPONENT_ID, signing_key=key if remove else None)
     try:
-        return _Provision(endpoint, system_id, remove=remove).run(key, wait_s)
+        return _provision(endpoint, system_id, key, remove=remove, wait_s=wait_s)
     finally:
         endpoint.close()
 
 
-class _Provision:
-    def __init__(self, endpoint: Endpoint, system_id: int, *, remove: bool) -> None:
-        self._endpoint, self._target, self._remove = endpoint, (system_id, 1), remove
-        self._heartbeat: tuple[Peer, bool] | None = None  # sender; whether the vehicle is armed
-        self._said_s = -math.inf
+def _provision(
+    endpoint: Endpoint, system_id: int, key: SigningKey, *, remove: bool, wait_s: float
+) -> str | None:
+    link = Dialogue(endpoint, system_id, lambda _message: None, Senders())
 
-    def run(self, key: SigningKey, wait_s: float) -> str | None:
-        changed = self._changed
-        if (
-            not self._until(lambda: self._heartbeat is not None or changed() > 0, wait_s)
-            or not self._heartbeat
-        ):
-            if changed():
-                return "the vehicle does not sign: there is no key to remove"
-            return f"no heartbeat of system {self._target[0]} within {wait_s:g} s"
-        peer, armed = self._heartbeat
-        if armed:
-            return "the vehicle is armed: its key can be changed on the ground only"
-        if changed():
-            return "the vehicle signs already: remove its key first, with that key (--remove-signing)"
-        secret = bytes(KEY_BYTES) if self._remove else key.secret
-        stamp = 0 if self._remove else (time.time_ns() - EPOCH_NS) // TICK_NS
-        message = dialect.MAVLink_setup_signing_message(*self._target, list(secret), stamp)
-        for _ in range(_TRIES):
-            self._endpoint.send([message], peer)
-            if self._until(lambda: changed() > 0, _PERIOD_S):
-                return None
-        what = "still signs" if self._remove else "does not sign"
-        return (
-            f"the vehicle {what} after {_TRIES} tries in {_TRIES * _PERIOD_S:g} s: PX4 accepts keys "
-            "from 1.18 on, with an SD card; ArduPilot does not sign on USB"
-        )
+    def changed() -> bool:
+        """Whether frames show the change: signed ones, or unsigned ones after a removal."""
+        return bool(endpoint.counters.unsigned if remove else endpoint.counters.unchecked)
 
-    def _changed(self) -> int:
-        """Return the number of frames that show the change: signed ones, or unsigned ones after a removal."""
-        counters = self._endpoint.counters
-        return counters.unsigned if self._remove else counters.unchecked
-
-    def _until(self, done: Callable[[], bool], within_s: float) -> bool:
+    def until(done: Callable[[], bool], within_s: float) -> bool:
         until_s = time.monotonic() + within_s
-        while not done():
-            now_s = time.monotonic()
-            if now_s >= until_s:
-                return False
-            if now_s - self._said_s >= _PERIOD_S:
-                self._said_s = now_s
-                self._endpoint.send([companion_heartbeat()])
-            self._endpoint.wait(_SLICE_S)
-            for received in self._endpoint.receive():
-                message = received.message
-                beats = message.get_msgId() == dialect.MAVLINK_MSG_ID_HEARTBEAT
-                if beats and received.sender == self._target:
-                    armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
-                    self._heartbeat = (received.peer, armed)
-        return True
+        while not done() and time.monotonic() < until_s:
+            link.turn()
+        return done()
+
+    until(lambda: link.heard or changed(), wait_s)
+    if not link.heard:
+        if changed():
+            return "the vehicle does not sign: there is no key to remove"
+        return f"no heartbeat of system {system_id} within {wait_s:g} s"
+    if link.armed:
+        return "the vehicle is armed: its key can be changed on the ground only"
+    if changed():
+        return "the vehicle signs already: remove its key first, with that key (--remove-signing)"
+    secret = bytes(KEY_BYTES) if remove else key.secret
+    stamp = 0 if remove else (time.time_ns() - EPOCH_NS) // TICK_NS
+    message = dialect.MAVLink_setup_signing_message(*link.target, list(secret), stamp)
+    for _ in range(_TRIES):
+        link.endpoint.send([message], link.senders.known)
+        if until(changed, _PERIOD_S):
+            return None
+    what = "still signs" if remove else "does not sign"
+    return (
+        f"the vehicle {what} after {_TRIES} tries in {_TRIES * _PERIOD_S:g} s: PX4 accepts keys "
+        "from 1.18 on, with an SD card; ArduPilot does not sign on USB"
+    )

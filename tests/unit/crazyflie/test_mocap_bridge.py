@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.codec.messages import pack
 from bridge.mocap.checks import Limits, Passed, PoseChecks, Refusal, Sample, angle_between
-from bridge.mocap.process import CheckedPoses, MocapSource, parse_spec
-from bridge.mocap.vehicle import MocapVehicle, odometry, vision_position_estimate
+from bridge.mocap.process import MocapSource, parse_spec
+from bridge.mocap.vehicle import RATE_MAX_HZ, MocapVehicle, odometry, vision_position_estimate
 from bridge.ros2.cdr import Pose
 from bridge.zenoh import zenoh_link
 from tests.unit.target.ros2_helpers import pose_stamped
@@ -219,32 +219,35 @@ def kinds(messages):
 
 @pytest.mark.parametrize(("autopilot", "kind"), [(12, "ODOMETRY"), (3, "VISION_POSITION_ESTIMATE")])
 def test_each_autopilot_gets_what_it_wants_once_it_is_heard(autopilot, kind):
-    vehicle = MocapVehicle(1, Limits(), None)
-    messages, _ = vehicle.step([sample(0.0)], 0.004)
-    assert kinds(messages) == ["HEARTBEAT"]  # it sends heartbeats, and no poses yet
+    vehicle, checks = MocapVehicle(1, None), PoseChecks(Limits(rate_max_hz=RATE_MAX_HZ))
+
+    def step(at_s):
+        passed, problem = checks.step([sample(at_s)], at_s + 0.004, armed=False)
+        return kinds(vehicle.step(passed, at_s + 0.004)), problem
+
+    assert step(0.0)[0] == ["HEARTBEAT"]  # it sends heartbeats, and no poses yet
     vehicle.handle(heartbeat(autopilot), 0.005)
     sent = []
     for i in range(1, 200):
-        messages, problem = vehicle.step([sample(i / 100.0)], i / 100.0 + 0.004)
-        sent += kinds(messages)
+        messages, problem = step(i / 100.0)
+        sent += messages
     assert problem is None
     assert sent.count(kind) == pytest.approx(100, abs=3)  # sent at 50 Hz; poses arrive at 100 Hz
     assert set(sent) <= {kind, "HEARTBEAT"}
-    messages, _ = vehicle.step([sample(6.0)], 6.004)
-    assert kind not in kinds(messages)  # silent for 4 s
+    assert kind not in step(6.0)[0]  # silent for 4 s
 
 
 def test_only_an_autopilot_that_needs_one_gets_an_origin_until_it_shows_it():
     origin = Origin(47.4, 8.5, 430.0)
     for autopilot, wanted in ((12, 0), (3, 5)):
-        vehicle = MocapVehicle(1, Limits(), origin)
+        vehicle = MocapVehicle(1, origin)
         told = []
         for i in range(100):
             if i % 10 == 0:
                 vehicle.handle(heartbeat(autopilot), i / 10.0)
             if i == 45:
                 vehicle.handle(mav.MAVLink_gps_global_origin_message(1, 2, 3), i / 10.0)
-            told += [m for m in vehicle.step([], i / 10.0)[0] if m.get_type() == "SET_GPS_GLOBAL_ORIGIN"]
+            told += [m for m in vehicle.step([], i / 10.0) if m.get_type() == "SET_GPS_GLOBAL_ORIGIN"]
         assert len(told) == pytest.approx(wanted, abs=1) if wanted else told == []
         assert {(m.latitude, m.altitude) for m in told} <= {(474_000_000, 430_000)}
 
@@ -252,26 +255,21 @@ def test_only_an_autopilot_that_needs_one_gets_an_origin_until_it_shows_it():
 def test_why_poses_cannot_be_read_is_known_until_one_can():
     session = zenoh_link.open_session()
     try:
-        source = MocapSource(session, parse_spec("lab/pose"))
-        checked = CheckedPoses(source, PoseChecks())
+        source = MocapSource(session, parse_spec("lab/pose"), PoseChecks())
         session.put("lab/pose", b"no pose")
-        assert checked.poll(1.0, armed=False) is None
-        why = source.problem_text
-        assert why is not None
-        for now_s in (1.002, 1.5, 9.0):  # no further pose arrives
-            assert checked.poll(now_s, armed=False) is None
-            assert checked.problem == f"mocap: {why}"
+        for now_s in (1.0, 1.002, 1.5, 9.0):  # no further pose arrives
+            assert source.poll(now_s, armed=False) == ()
+            assert source.problem.startswith("mocap: odometry payload starts with 6e 6f 20 70")
         session.put("lab/pose", pose_stamped(S, "map", (1.0, 2.0, 0.5)))
-        assert checked.poll(9.1, armed=False) is not None
-        assert source.problem_text is None
-        checked.poll(12.0, armed=False)
-        assert checked.problem == "mocap: no pose for 2.9 s"
+        assert len(source.poll(9.1, armed=False)) == 1
+        source.poll(12.0, armed=False)
+        assert source.problem == "mocap: no pose for 2.9 s"
     finally:
         session.close()
 
 
 def test_px4s_clock_is_answered():
-    vehicle = MocapVehicle(1, Limits(), None)
+    vehicle = MocapVehicle(1, None)
     (answer,) = vehicle.handle(mav.MAVLink_timesync_message(0, 77), 2.5)
     assert (answer.tc1, answer.ts1) == (2_500_000_000, 77)
     assert vehicle.handle(mav.MAVLink_timesync_message(1, 77), 2.5) == []
