@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from operator import attrgetter
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -113,12 +114,7 @@ _MULTIROTORS = frozenset(
 )
 
 
-def _armed(status: VehicleStatus) -> bool:
-    return status.armed
-
-
-def _disarmed(status: VehicleStatus) -> bool:
-    return not status.armed
+_armed = attrgetter("armed")
 
 
 def _external(status: VehicleStatus) -> bool:
@@ -182,7 +178,7 @@ _HOLD = Step(
 )  # fmt: skip
 _OWN_TAKEOFF = (_ARM, Step(_NAV_TAKEOFF, "take off", _takeoff, _flying))
 # A forced disarm is repeated for a minute.
-_KILL = Step(_ARM_DISARM, "force disarm", _given(0.0, FORCE), _disarmed, blind=True, tries=120)
+_KILL = Step(_ARM_DISARM, "force disarm", _given(0.0, FORCE), lambda s: not s.armed, blind=True, tries=120)
 # PX4 answers a mode change twice, the first time always with ACCEPTED, so ACCEPTED proves nothing.
 _ANSWERS: Mapping[int, Reading] = {
     dialect.MAV_RESULT_ACCEPTED: Reading.NOTED,

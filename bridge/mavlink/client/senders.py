@@ -212,26 +212,23 @@ def _at(peer: Peer) -> str:
 _SENDERS_SHOWN = 4
 
 
-class _Cause(NamedTuple):
-    counters: tuple[str, ...]
-    text: str  # text with the count as {n}
-
+_Causes = Sequence[tuple[tuple[str, ...], str]]  # counters, and a text with their sum as {n}
 
 # The first cause that applies is reported. Every vehicle sends some unknown messages, so the causes by other
 # senders come first.
-_SIGNING = (
-    _Cause(("bad_signature",), "{n} frames are signed with another key than --signing-key"),
-    _Cause(("unsigned",), "{n} frames have no signature: with --signing-key only signed ones are accepted"),
-    _Cause(
+_SIGNING: _Causes = (
+    (("bad_signature",), "{n} frames are signed with another key than --signing-key"),
+    (("unsigned",), "{n} frames have no signature: with --signing-key only signed ones are accepted"),
+    (
         ("stale", "replayed", "ahead"),
         "{n} signed frames are rejected by their time stamps: its clock and ours differ",
     ),
-    _Cause(("reflected",), "{n} frames have our own ids: the link sends back what we send"),
+    (("reflected",), "{n} frames have our own ids: the link sends back what we send"),
 )
-_DAMAGE = (
-    _Cause(("version_1",), "{n} frames are MAVLink 1: set that link of the vehicle to MAVLink 2"),
-    _Cause(("bad_crc", "unknown_id", "undecodable"), "{n} frames are damaged or of unknown messages"),
-    _Cause(("garbage_bytes",), "{n} bytes are no MAVLink 2 frames"),
+_DAMAGE: _Causes = (
+    (("version_1",), "{n} frames are MAVLink 1: set that link of the vehicle to MAVLink 2"),
+    (("bad_crc", "unknown_id", "undecodable"), "{n} frames are damaged or of unknown messages"),
+    (("garbage_bytes",), "{n} bytes are no MAVLink 2 frames"),
 )
 
 _NO_DATA = "no data arrives; check that the vehicle is on and that its link leads to the address of --vehicle"
@@ -275,10 +272,10 @@ def why_silent(
     return text + (_first(_DAMAGE, grown) or _NO_DATA)
 
 
-def _first(causes: Sequence[_Cause], grown: Mapping[str, int]) -> str:
+def _first(causes: _Causes, grown: Mapping[str, int]) -> str:
     """Return the sentence of the first cause that applies; empty if none applies."""
-    for cause in causes:
-        n = sum(grown.get(name, 0) for name in cause.counters)
+    for counters, text in causes:
+        n = sum(grown.get(name, 0) for name in counters)
         if n:
-            return cause.text.format(n=n)
+            return text.format(n=n)
     return ""

@@ -38,7 +38,11 @@ _TYPES = frozenset(
 )
 _ALL = dialect.MAV_MISSION_TYPE_ALL
 _ITEM_REQUESTS = (dialect.MAVLINK_MSG_ID_MISSION_REQUEST, dialect.MAVLINK_MSG_ID_MISSION_REQUEST_INT)
-_ITEMS = (
+_MISSIONS = (
+    *_ITEM_REQUESTS,
+    dialect.MAVLINK_MSG_ID_MISSION_REQUEST_LIST,
+    dialect.MAVLINK_MSG_ID_MISSION_COUNT,
+    dialect.MAVLINK_MSG_ID_MISSION_CLEAR_ALL,
     dialect.MAVLINK_MSG_ID_MISSION_ITEM,
     dialect.MAVLINK_MSG_ID_MISSION_ITEM_INT,
     dialect.MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST,
@@ -294,30 +298,18 @@ def _ping(message: Any, sender: Sender, _now_s: float) -> list[Message]:
     return [dialect.MAVLink_ping_message(message.time_usec, message.seq, *sender[:2])]
 
 
-def _mission_list(message: Any, sender: Sender, _now_s: float) -> list[Message]:
-    """Reply to MISSION_REQUEST_LIST: there are no items."""
-    if message.mission_type not in _TYPES:
-        return _mission_ack(message, sender, dialect.MAV_MISSION_UNSUPPORTED)
-    return [dialect.MAVLink_mission_count_message(*sender[:2], 0, message.mission_type)]
-
-
-def _mission_change(message: Any, sender: Sender, _now_s: float) -> list[Message]:
-    """Reply to MISSION_COUNT (start of an upload) and MISSION_CLEAR_ALL: only an empty list is accepted."""
-    clears = message.get_msgId() == dialect.MAVLINK_MSG_ID_MISSION_CLEAR_ALL
-    known = message.mission_type in _TYPES or (clears and message.mission_type == _ALL)
-    taken = known and (clears or not message.count)
-    result = dialect.MAV_MISSION_ACCEPTED if taken else dialect.MAV_MISSION_UNSUPPORTED
-    return _mission_ack(message, sender, result)
-
-
-def _mission_refused(message: Any, sender: Sender, _now_s: float) -> list[Message]:
-    """Refuse mission items: none exists, and none was requested."""
-    wanted = message.get_msgId() in _ITEM_REQUESTS
-    result = dialect.MAV_MISSION_INVALID_SEQUENCE if wanted else dialect.MAV_MISSION_UNSUPPORTED
-    return _mission_ack(message, sender, result)
-
-
-def _mission_ack(message: Any, sender: Sender, result: int) -> list[Message]:
+def _mission(message: Any, sender: Sender, _now_s: float) -> list[Message]:
+    """Reply that there are no mission, fence or rally items; only an empty list is accepted."""
+    kind, known = message.get_msgId(), message.mission_type in _TYPES
+    if kind == dialect.MAVLINK_MSG_ID_MISSION_REQUEST_LIST and known:
+        return [dialect.MAVLink_mission_count_message(*sender[:2], 0, message.mission_type)]
+    uploads = kind == dialect.MAVLINK_MSG_ID_MISSION_COUNT and known and not message.count
+    clears = kind == dialect.MAVLINK_MSG_ID_MISSION_CLEAR_ALL and (known or message.mission_type == _ALL)
+    result = dialect.MAV_MISSION_UNSUPPORTED
+    if uploads or clears:
+        result = dialect.MAV_MISSION_ACCEPTED
+    elif kind in _ITEM_REQUESTS:
+        result = dialect.MAV_MISSION_INVALID_SEQUENCE
     return [dialect.MAVLink_mission_ack_message(*sender[:2], result, message.mission_type)]
 
 
@@ -340,10 +332,7 @@ def _file_transfer(message: Any, sender: Sender, _now_s: float) -> list[Message]
 # request at their start (4 Hz of every message) would slow down the companion's position stream.
 _REPLIES: dict[int, Handler] = {
     dialect.MAVLINK_MSG_ID_PING: _ping,
-    dialect.MAVLINK_MSG_ID_MISSION_REQUEST_LIST: _mission_list,
-    dialect.MAVLINK_MSG_ID_MISSION_COUNT: _mission_change,
-    dialect.MAVLINK_MSG_ID_MISSION_CLEAR_ALL: _mission_change,
-    **dict.fromkeys((*_ITEM_REQUESTS, *_ITEMS), _mission_refused),
+    **dict.fromkeys(_MISSIONS, _mission),
     dialect.MAVLINK_MSG_ID_LOG_REQUEST_LIST: _log_list,
     dialect.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: _file_transfer,
 }
