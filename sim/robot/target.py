@@ -8,7 +8,7 @@ same pose.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -33,14 +33,8 @@ class PadPose(NamedTuple):
     yaw_rad: float
 
 
-class TargetMeasurement(NamedTuple):
-    """One odometry sample; velocities in the body frame (x forward, y left)."""
-
-    time_s: float  # time of the measurement
-    position_enu_m: Vec3
-    yaw_rad: float
-    velocity_body_m_s: Vec3
-    yaw_rate_rad_s: float
+# an odometry sample: time of measurement, s; position, ENU, m; yaw; velocity in the body frame; yaw rate
+Sample = Sequence[float]
 
 
 # shares of full speed and turn rate: first for the path's first section, then for its second section
@@ -272,11 +266,10 @@ _MEASURED = [1, 2, 3, 4, 5, 6, 7, 11]  # indices in a PadRecord: position, headi
 class TargetOdometry:
     """Odometry of the target with the noise, loss and delay of its link.
 
-    Call ``step`` at time zero and after every step of the model: it measures when a sample is due and returns
-    the samples released by now, oldest first. A call measures at most one sample, so call it at least at the
-    link's rate. The noise of the yaw rate follows from speed noise of two wheels: velocity noise over half
-    the track width. With ``link.error`` a sample first gets the errors of a recorded flight, then noise, loss
-    and delay.
+    Call ``run`` for time zero and for every step of the model: each step measures at most one sample, so a
+    step must not be longer than the link's period. The noise of the yaw rate follows from speed noise of two
+    wheels: velocity noise over half the track width. With ``link.error`` a sample first gets the errors of a
+    recorded flight, then noise, loss and delay.
     """
 
     def __init__(self, link: TargetLink, seed: int) -> None:
@@ -285,22 +278,11 @@ class TargetOdometry:
         self.channel = MeasurementChannel(link, sigmas, seed, "target.odometry")
         self._error = None if link.error is None else TargetError(link.error, seed, link.rate_hz)
 
-    def step(self, model: TargetModel) -> list[TargetMeasurement]:
-        """Measure if a sample is due, and return the samples that have arrived."""
-        channel, pad = self.channel, model.pad
-        now_ns = pad[0]
-        if now_ns >= channel.due_ns:
-            channel.sample(now_ns, self._measured(pad))
-        if now_ns < channel.release_ns:
-            return []
-        released = channel.release(now_ns)
-        return [measurement((t_ns / NS, *v[:3], wrap(v[3]), *v[4:])) for t_ns, v in released]
-
     def run(self, pads: F64) -> tuple[list[int], F64]:
-        """Run ``step`` for several steps.
+        """Measure where a sample is due; return the samples released by then, oldest first.
 
         ``pads``: (n, 12) true motion after each step, numbers of a PadRecord.
-        Returns the index of the step in which each sample arrived, and (m, 9) numbers of TargetMeasurement.
+        Returns the index of the step in which each sample arrived, and the samples, (m, 9).
         """
         values = pads[:, _MEASURED]
 
@@ -325,15 +307,3 @@ def _finish(samples: F64) -> None:
     for sample in samples:
         sample[0] /= NS
         sample[4] = wrap(sample[4])
-
-
-def measurement(row: Sequence[float]) -> TargetMeasurement:
-    """Return the measurement made from its nine numbers."""
-    time_s, x, y, z, yaw, vx, vy, vz, rate = row
-    return TargetMeasurement(time_s, (x, y, z), yaw, (vx, vy, vz), rate)
-
-
-def numbers(samples: Iterable[TargetMeasurement]) -> F64:
-    """Return the (m, 9) numbers of samples."""
-    rows = [(s.time_s, *s.position_enu_m, s.yaw_rad, *s.velocity_body_m_s, s.yaw_rate_rad_s) for s in samples]
-    return np.array(rows, dtype=np.float64).reshape(len(rows), 9)

@@ -6,24 +6,23 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from flightstack.compiled.records import F64
+from flightstack.compiled.records import F64, Values
 from flightstack.core.types import Vec3
 from sim.clock import TickGrid
 from sim.faults.samples import SampleFaults, Shape
 from sim.faults.schedule import Change, Running, ScheduledFaults
 from sim.plant.sensors import NS
-from sim.robot.target import TargetMeasurement, TargetModel, TargetOdometry, numbers, wrap
+from sim.robot.target import Sample, TargetModel, TargetOdometry, wrap
 from sim.scenarios.fault_spec import After, Fault, What
 from sim.scenarios.scenario import Scenario
 
 
-def _move(sample: TargetMeasurement, offset: Vec3, turn: float) -> TargetMeasurement:
-    x, y, z = sample.position_enu_m
-    moved = (x + offset[0], y + offset[1], z + offset[2])
-    return sample._replace(position_enu_m=moved, yaw_rad=wrap(sample.yaw_rad + turn))
+def _move(sample: Sample, offset: Vec3, turn: float) -> Sample:
+    time_s, x, y, z, yaw, *twist = sample
+    return (time_s, x + offset[0], y + offset[1], z + offset[2], wrap(yaw + turn), *twist)
 
 
-SHAPE: Shape[TargetMeasurement] = Shape(_move, lambda first, now: first._replace(time_s=now.time_s))
+SHAPE: Shape[Sample] = Shape(_move, lambda first, now: (now[0], *first[1:]))
 
 
 class Wheels:
@@ -72,7 +71,7 @@ class TargetFaults(ScheduledFaults):
         """Add faults, effective from the next sample; those relative to ``time`` wait for their start."""
         self._schedule.add(faults, now_ns)
 
-    def deliver(self, now_ns: int, samples: list[TargetMeasurement]) -> list[TargetMeasurement]:
+    def deliver(self, now_ns: int, samples: list[Sample]) -> list[Sample]:
         """Return the samples that the robot sends now; without faults these are ``samples``."""
         if now_ns >= self._schedule.next_ns:
             self.run(now_ns)
@@ -93,41 +92,40 @@ class TargetMotion:
         self._substeps = -(-round(scenario.odometry.rate_hz) // grid.rate_hz)
         self._step_s = grid.period_s / self._substeps
         self._texts: list[tuple[int, Change]] = []
-        self.due = self._measure()  # samples that were released but not yet taken
-
-    def step(self, driving: bool) -> None:
-        """Advance to the next tick."""
-        self.tick += 1
-        for _ in range(self._substeps):
-            if self.faults.locked:
-                self.model.stop()
-            self.model.step(self._step_s, driving and not self.faults.locked)
-            self.due += self._measure()
+        # pad and samples of tick 0, in the form of ``run``
+        self.first = self._driven([self.model.pad], [(0, sample) for sample in self._measure()])
 
     def run(self, ticks: int, driving: bool) -> tuple[F64, list[int], F64]:
         """Advance by several ticks, in compiled calls as long as no fault is active.
 
         Returns the pad's motion at each tick, (ticks, 12) numbers of a PadRecord; the index of the tick at
-        which each sample was released; and (m, 9) numbers of the samples. ``due`` is left empty.
+        which each sample was released; and the samples, (m, 9).
         """
         steps = ticks * self._substeps
-        if not self.due and self.faults.quiet_until(self.model.pad[0] + steps * round(self._step_s * NS)):
+        if self.faults.quiet_until(self.model.pad[0] + steps * round(self._step_s * NS)):
             pads = self.model.run(steps, self._step_s, driving)
             self.tick += ticks
             at, samples = self._odometry.run(pads)
             every = self._substeps
             return np.ascontiguousarray(pads[every - 1 :: every]), [n // every for n in at], samples
-        pads, due = np.empty((ticks, len(self.model.pad))), []
+        decks, due = [], list[tuple[int, Sample]]()
         for n in range(ticks):
-            self.step(driving)
-            pads[n] = self.model.pad
-            due += [(n, sample) for sample in self.due]
-            self.due = []
-        return pads, [n for n, _ in due], numbers(sample for _, sample in due)
+            self.tick += 1
+            for _ in range(self._substeps):
+                if self.faults.locked:
+                    self.model.stop()
+                self.model.step(self._step_s, driving and not self.faults.locked)
+                due += [(n, sample) for sample in self._measure()]
+            decks.append(self.model.pad)
+        return self._driven(decks, due)
 
-    def _measure(self) -> list[TargetMeasurement]:
-        samples = self._odometry.step(self.model)
-        delivered = self.faults.deliver(round(self.model.time_s * 1e9), samples)
+    def _driven(self, pads: list[Values], due: list[tuple[int, Sample]]) -> tuple[F64, list[int], F64]:
+        samples = np.array([sample for _, sample in due], dtype=np.float64).reshape(len(due), 9)
+        return np.array(pads, dtype=np.float64), [n for n, _ in due], samples
+
+    def _measure(self) -> list[Sample]:
+        _, samples = self._odometry.run(np.array([self.model.pad], dtype=np.float64))
+        delivered = self.faults.deliver(round(self.model.time_s * 1e9), samples.tolist())
         self._texts += [(self.tick, text) for text in self.faults.take_texts()]
         return delivered
 

@@ -45,6 +45,7 @@ from logs.schema.events import Severity
 from logs.schema.rows import ControllerStepRow
 from sim.clock import STARTUP_S, NoAnswerError, TickGrid, run_process, wait_until
 from sim.options import TargetOptions, WorldOptions
+from sim.robot.target import Sample
 from sim.runners.deck import DeckState, truth_key
 from sim.runners.log import EventLog
 from sim.runners.robot import Robot, deck_rows
@@ -118,8 +119,8 @@ class PublishedRobot(Robot):
             level = Severity.WARN if fault.begins else Severity.INFO
             self.log.event(self._grid.ns(tick), level, str(fault))
 
-    def _put(self, tick: int, sample: Sequence[float]) -> None:
-        """Publish a sample, numbers of a ``TargetMeasurement``."""
+    def _put(self, tick: int, sample: Sample) -> None:
+        """Publish a sample."""
         epoch_ns = self.log.epoch_ns
         time_s, x, y, z, yaw, vx, vy, vz, rate = sample
         payload = self._odom.encode(

@@ -20,7 +20,6 @@ from flightstack.compiled.records import F64, I64
 from flightstack.core.types import TargetSample, Vec3
 from flightstack.onboard.runner import NOTHING, Arrived
 from sim.clock import TickGrid
-from sim.robot.target import TargetMeasurement, numbers
 from sim.robot.target_motion import TargetMotion
 from sim.runners.deck import DeckState
 from sim.scenarios.scenario import Scenario
@@ -84,9 +83,7 @@ class Robot(ABC):
 
     def _keep_first(self) -> None:
         """Store tick 0."""
-        motion = self._motion
-        due, motion.due = motion.due, []
-        self._keep(np.array([motion.model.pad], dtype=np.float64), [0] * len(due), numbers(due))
+        self._keep(*self._motion.first)
 
     @property
     def waits(self) -> bool:
@@ -152,7 +149,7 @@ class DirectTarget(Robot):
             self._drive(tick + self._ahead_ticks - 1)
         first, end = self._come_before, self._come[self._at]
         if first != end:
-            self._samples += [_world_sample(row) for row in self._ahead.samples[first:end].tolist()]
+            self._samples += [world_sample(row) for row in self._ahead.samples[first:end].tolist()]
         self._at += 1
         x, y, z, yaw, vx, vy, vz, rate = self._decks[self._at - 1]
         return DeckState((x, y, z), yaw, (vx, vy, vz), rate, b"")
@@ -204,19 +201,15 @@ class DirectTarget(Robot):
         self._go_tick = tick + RUN_AHEAD_TICKS + 1
 
 
-def in_world(sample: TargetMeasurement) -> WorldSample:
-    """Return the sample as ``bridge.target.odometry.sample_of`` decodes it; a test compares both."""
-    return _world_sample(sample_rows(numbers([sample]))[0].tolist())
-
-
 def sample_rows(samples: F64) -> F64:
-    """Return the numbers of ``in_world`` for several samples, (m, 9) to (m, 9)."""
+    """Return the numbers of samples, (m, 9), as ``bridge.target.odometry.sample_of`` decodes them."""
     rows = np.empty_like(samples)
     rows[:, 0] = (EPOCH_NS + np.rint(samples[:, 0] * 1e9).astype(np.int64)) / 1e9
     _turn_samples(samples, rows)
     return rows
 
 
-def _world_sample(row: Sequence[float]) -> WorldSample:
+def world_sample(row: Sequence[float]) -> WorldSample:
+    """Return the sample with these numbers."""
     source_time_s, x, y, z, vx, vy, vz, yaw, rate = row
     return source_time_s, "map", "target", (x, y, z), (vx, vy, vz), yaw, rate

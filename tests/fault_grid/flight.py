@@ -34,7 +34,7 @@ from logs.reader.flight_data import Truth
 from sim.autopilot.autopilot import Autopilot
 from sim.clock import TickGrid
 from sim.plant.vehicle_types import Truth as TrueState
-from sim.robot.target import TargetMeasurement, measurement
+from sim.robot.target import Sample
 from sim.runners.deck import DeckState
 from sim.runners.landing_wire import wires
 from sim.runners.lockstep import LockstepVehicle
@@ -86,7 +86,7 @@ class _Target(DirectTarget):
     """
 
     def __init__(self, scenario: Scenario, seed: int, grid: TickGrid) -> None:
-        self._measured: list[TargetMeasurement] = []
+        self._measured: list[Sample] = []
         self.mangle: Mangle | None = None  # changes samples in transit; None: no change
         super().__init__(scenario, seed, grid)
 
@@ -96,7 +96,7 @@ class _Target(DirectTarget):
         return super().take(tick)
 
     def _keep(self, pads: F64, due: Sequence[int], new: F64) -> None:
-        self._measured += [measurement(row) for row in new.tolist()]
+        self._measured += new.tolist()
         super()._keep(pads, due, new)
 
     def samples(self, now_s: float) -> Arrived:
@@ -112,10 +112,11 @@ class _Target(DirectTarget):
         self._motion.faults.fail([fault], now_ns)
 
 
-def _cdr(sample: TargetMeasurement) -> bytes:
+def _cdr(sample: Sample) -> bytes:
+    time_s, x, y, z, yaw, vx, vy, vz, rate = sample
     return Odometry(
-        EPOCH_NS + round(sample.time_s * 1e9), "map", "target", sample.position_enu_m,
-        quaternion_from_yaw(sample.yaw_rad), sample.velocity_body_m_s, (0.0, 0.0, sample.yaw_rate_rad_s),
+        EPOCH_NS + round(time_s * 1e9), "map", "target", (x, y, z), quaternion_from_yaw(yaw), (vx, vy, vz),
+        (0.0, 0.0, rate),
     ).pack()  # fmt: skip
 
 

@@ -77,10 +77,18 @@ def drives():
     for each in (*map(scenario.load, scenario.names()), captured):
         robot = TargetMotion(each, 3, TickGrid(100))
         for tick in range(STEPS):
-            robot.step(driving=tick > 20)
+            _, at, samples = robot.run(1, driving=tick > 20)
             model = robot.model
-            out.append([*model.pose, model.velocity_enu_m_s, model.velocity_body_m_s, model.yaw_rate_rad_s])
-        out.append(robot.due)
+            out.append(
+                [
+                    *model.pose,
+                    model.velocity_enu_m_s,
+                    model.velocity_body_m_s,
+                    model.yaw_rate_rad_s,
+                    at,
+                    samples.tolist(),
+                ]
+            )
     return out
 
 

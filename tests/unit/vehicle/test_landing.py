@@ -4,6 +4,7 @@ import math
 import random
 import struct
 
+import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
@@ -13,9 +14,8 @@ from bridge.ros2.cdr import Odometry
 from bridge.target.odometry import RawSample, sample_of
 from flightstack.common.pacing import EPOCH_NS
 from flightstack.core.types import TargetSample
-from sim.robot.target import TargetMeasurement
 from sim.runners.landing_wire import PEER, wires
-from sim.runners.robot import in_world
+from sim.runners.robot import sample_rows, world_sample
 
 pytestmark = pytest.mark.slow
 
@@ -63,17 +63,13 @@ def test_every_message_is_handed_over_as_it_would_arrive():
 
 
 def test_a_target_sample_is_what_cdr_makes_of_it():
-    for seed in range(50):
-        rng = random.Random(seed)
-        sample = TargetMeasurement(
-            rng.uniform(0.0, 90.0),
-            (rng.gauss(0, 2), rng.gauss(0, 2), rng.gauss(0, 1)),
-            rng.uniform(-math.pi, math.pi),
-            (rng.gauss(0, 1), rng.gauss(0, 1), rng.gauss(0, 1)),
-            rng.gauss(0, 1),
-        )
+    rng = np.random.default_rng(5)
+    samples = rng.normal(0.0, 1.5, (50, 9))
+    samples[:, 0], samples[:, 4] = rng.uniform(0.0, 90.0, 50), rng.uniform(-math.pi, math.pi, 50)
+    for sample, row in zip(samples.tolist(), sample_rows(samples).tolist(), strict=True):
+        time_s, x, y, z, yaw, vx, vy, vz, rate = sample
         payload = Odometry(
-            EPOCH_NS + round(sample.time_s * 1e9), "map", "target", sample.position_enu_m,
-            quaternion_from_yaw(sample.yaw_rad), sample.velocity_body_m_s, (0.0, 0.0, sample.yaw_rate_rad_s),
+            EPOCH_NS + round(time_s * 1e9), "map", "target", (x, y, z), quaternion_from_yaw(yaw), (vx, vy, vz),
+            (0.0, 0.0, rate),
         ).pack()  # fmt: skip
-        assert TargetSample(1.25, *in_world(sample)) == sample_of(RawSample(payload), 1.25)
+        assert TargetSample(1.25, *world_sample(row)) == sample_of(RawSample(payload), 1.25)
