@@ -10,7 +10,6 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.frames import yaw_enu_from_ned
 from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.server.commander import Right, Sender
 from bridge.mavlink.server.commands import (
@@ -31,7 +30,6 @@ from flightstack.core.types import ZERO, Vec3
 from sim.autopilot.flight import Flight
 from sim.autopilot.ground import degrees_e7, x_of, y_of
 from sim.autopilot.parameters import px4_parameters
-from sim.autopilot.pilot import Goal
 from sim.autopilot.telemetry import PX4
 from sim.vehicle.vehicle import VehicleSim
 
@@ -75,17 +73,12 @@ class Autopilot(Server[Flight]):
         estimate = self.flight.vehicle.estimate()
         return Snapshot(self.flight, self.profile, estimate, estimate.valid, now_s, now_s, self._epoch_ns)
 
-    def on_heartbeat(self, message: Any, _sender: Sender, now_s: float) -> list[Message]:
-        if self.flight.watches.heartbeat(message.type, now_s):
-            self.flight.texts.say(dialect.MAV_SEVERITY_INFO, "Ground station is back")
-        return []
-
     def own_commands(self) -> dict[int, Entry]:
         m, owner = dialect, Right.OWNER
         return {
             m.MAV_CMD_DO_SET_HOME: Entry(self._set_home, owner, place=True),
             m.MAV_CMD_DO_FLIGHTTERMINATION: Entry(self._terminate, Right.OWNER_OR_GROUND),
-            m.MAV_CMD_DO_REPOSITION: Entry(self._reposition, owner, place=True),
+            m.MAV_CMD_DO_REPOSITION: Entry(self._pause, owner, place=True),
             m.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: Entry(self._reboot, owner),
             m.MAV_CMD_INJECT_FAILURE: Entry(self._inject_failure, owner),
         }
@@ -127,31 +120,13 @@ class Autopilot(Server[Flight]):
         self.streams.hasten(dialect.MAVLINK_MSG_ID_HOME_POSITION)
         return Answer()
 
-    def _reposition(self, command: Command) -> Answer:
+    def _pause(self, command: Command) -> Answer:
+        """Hold the present position: the pause of QGroundControl is a reposition without a place."""
         if integer(command.given(2)) != _CHANGE_MODE:
             return Answer(UNSUPPORTED, "Reposition refused: only with flag 1, change mode")
-        latitude, longitude, height_m = command.given(5), command.given(6), command.given(7)
-        if latitude is None and longitude is None and height_m is None:
-            return answer(self.flight.set_mode(FlightMode.HOLD, command.now_s))
-        if (latitude is None) != (longitude is None):
-            return Answer(DENIED, "Reposition refused: latitude and longitude only together")
-        here = (
-            self.flight.pilot.goal.point_enu_m
-            if self.flight.pilot.goal
-            else self.flight.vehicle.estimate().position_enu_m
-        )
-        x, y, z = here
-        if latitude is not None and longitude is not None:
-            x, y = x_of(longitude), y_of(latitude)
-        if height_m is not None:
-            z = command.local_z_m(height_m, self.flight.home_enu_m)
-        yaw, speed_m_s = command.given(4), command.given(1)
-        goal = Goal(
-            (x, y, z),
-            None if yaw is None else yaw_enu_from_ned(yaw),
-            speed_m_s if speed_m_s is not None and speed_m_s > 0.0 else None,
-        )
-        return answer(self.flight.reposition(goal, command.now_s))
+        if any(command.given(number) is not None for number in (5, 6, 7)):
+            return Answer(UNSUPPORTED, "Reposition refused: only without a place, to hold the present one")
+        return answer(self.flight.set_mode(FlightMode.HOLD, command.now_s))
 
     def _reboot(self, command: Command) -> Answer:
         what = integer(command.given(1))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -12,12 +11,11 @@ from bridge.mavlink.server.commander import Battery, Commander, Sender, Setpoint
 from bridge.mavlink.server.parameters import Parameters
 from bridge.mavlink.server.profile import POSITION_SOURCE, FlightMode
 from flightstack.core.types import ZERO, Vec3
-from sim.autopilot.pilot import Event, Goal, Pilot
-from sim.autopilot.watches import STATION_LOST, Standing, Watches
+from sim.autopilot.pilot import Event, Pilot
+from sim.autopilot.watches import Standing, Watches
 from sim.vehicle.vehicle import VehicleSim
 
-HEIGHT_RANGE_M = (0.1, 20.0)  # range of height above home for take-off and reposition; the room is lower
-_REACH_M = 50.0  # largest horizontal distance from home of a reposition
+HEIGHT_RANGE_M = (0.1, 20.0)  # range of height of a take-off above home; the room is lower
 # Mode that COM_OBL_RC_ACT selects (PX4 failsafe.cpp). 0 is position mode: it cannot be flown without stick
 # input, so PX4 also lands.
 STREAM_LOST: Mapping[int, FlightMode] = {0: FlightMode.LAND, 4: FlightMode.LAND, 5: FlightMode.HOLD}
@@ -38,7 +36,6 @@ class Flight(Commander):
         self.watches = Watches(parameters, vehicle)
         self.ground = Standing(vehicle)
         self._parameters = parameters
-        self._goal: Goal | None = None  # goal of the next mode
         self._was_armed = vehicle.armed
         self._flew = vehicle.armed and not self.ground.now  # whether it has flown since arming
         self._control_s: float | None = None
@@ -103,7 +100,7 @@ class Flight(Commander):
         self.pilot.take(setpoint)
 
     def _begin(self, _now_s: float) -> None:
-        self.pilot.begin(self._goal)
+        self.pilot.begin()
 
     def arm(self, now_s: float) -> str | None:
         """Arm, and return the reason of a refusal. The motors idle until a mode commands thrust."""
@@ -143,21 +140,6 @@ class Flight(Commander):
         self.texts.say(dialect.MAV_SEVERITY_INFO, "Firmware restarted")
         return None
 
-    def reposition(self, goal: Goal, now_s: float) -> str | None:
-        """Fly to a point near home and hold there."""
-        if not self.positioned:
-            return "Reposition refused: no position estimate"
-        if not self.airborne:
-            return "Reposition refused: not in the air"
-        x, y, z = (a - b for a, b in zip(goal.point_enu_m, self.home_enu_m, strict=True))
-        low, high = HEIGHT_RANGE_M
-        if not low <= z <= high:
-            return f"Reposition refused: {z:.4g} m above home, {low:g} to {high:g}"
-        if math.hypot(x, y) > _REACH_M:
-            return f"Reposition refused: {math.hypot(x, y):.4g} m from home, at most {_REACH_M:g}"
-        self._enter(FlightMode.HOLD, now_s, goal=goal)
-        return None
-
     def flown(self, now_s: float, setpoint: Setpoint | None, sender: Sender) -> None:
         """Update the state after ticks that flew set-points without ``control``; ``setpoint``: the newest."""
         self._control_s = self._estimate_seen_s = now_s
@@ -188,10 +170,7 @@ class Flight(Commander):
         if self._was_armed and not armed:
             self._after_disarm("Disarmed by the firmware", now_s, dialect.MAV_SEVERITY_CRITICAL)
         self._failsafes(now_s)
-        if self.watches.step(now_s) and armed and not standing:
-            mode = STATION_LOST[int(self._parameters["NAV_DLL_ACT"])]
-            if mode is not None:
-                self._fall_back(now_s, mode, f"No ground station for {self._parameters['COM_DL_LOSS_T']:g} s")
+        self.watches.step(now_s)
         if armed and standing:
             self._disarm_idle(now_s)
             armed = vehicle.armed
@@ -208,18 +187,6 @@ class Flight(Commander):
             self._try_disarm("Landed, disarmed", now_s)
         else:
             self.texts.refuse("Set-point clipped to MPC_XY_VEL_MAX or MPC_Z_VEL_MAX", now_s)
-
-    def _enter(
-        self,
-        mode: FlightMode,
-        now_s: float,
-        *,
-        failsafe: bool = False,
-        restart: bool = False,
-        goal: Goal | None = None,
-    ) -> None:
-        self._goal = goal
-        super()._enter(mode, now_s, failsafe=failsafe, restart=restart or goal != self.pilot.goal)
 
     def _after_disarm(self, text: str, now_s: float, severity: int = dialect.MAV_SEVERITY_INFO) -> None:
         self.texts.say(severity, text)
@@ -245,9 +212,6 @@ class Flight(Commander):
         """Hold or land because of a failure; on the ground, or without a position, land."""
         if self.standing or not self.positioned:
             mode = FlightMode.LAND  # this mode disarms on the ground and needs no position
-        if self.mode is FlightMode.LAND:
-            self.texts.say(dialect.MAV_SEVERITY_CRITICAL, text)
-            return
         doing = "landing" if mode is FlightMode.LAND else "holding"
         self.texts.say(dialect.MAV_SEVERITY_CRITICAL, f"{text}: {doing}")
         self._enter(mode, now_s, failsafe=True, restart=True)

@@ -22,7 +22,7 @@ _FOR_QGROUNDCONTROL = (
     fixed("SYS_PARAM_VER", 1),
 )
 
-# The tables in sim.autopilot.flight and watches map the values of the ..._ACT parameters to modes.
+# A table in sim.autopilot.flight maps the values of COM_OBL_RC_ACT to modes.
 _OWN = (
     real("COM_OF_LOSS_T", 0.5, 0.1, 5.0),  # s without a set-point before COM_OBL_RC_ACT applies
     one_of("COM_OBL_RC_ACT", 4, 0, 4, 5),  # action on lost set-points: land, land, hold
@@ -31,8 +31,7 @@ _OWN = (
     fixed("COM_RC_IN_MODE", 4),  # no stick input
     fixed("MAN_OVERRIDE_SPD", -1.0, REAL32),  # stick input never overrides
     fixed("COM_LOW_BAT_ACT", 0),  # a low battery causes no action
-    integer("COM_DL_LOSS_T", 10, 1, 300),  # s without a ground station's heartbeat before NAV_DLL_ACT applies
-    one_of("NAV_DLL_ACT", 0, 0, 1, 3),  # action on a lost ground station: none, hold, land
+    fixed("NAV_DLL_ACT", 0),  # a lost ground station causes no action
     real("BAT1_V_EMPTY", 3.5, 2.5, 4.0),  # V at rest, of the simulated cell
     real("BAT1_V_CHARGED", 4.15, 3.5, 4.35),  # V at rest, of the simulated cell
     real("BAT1_V_LOAD_DROP", 0.37, 0.0, 1.0),  # voltage drop at full throttle, V; 0.25 V in hover at 0.67

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum, auto
-from typing import NamedTuple
 
 from bridge.frames import yaw_from_quaternion
 from bridge.mavlink.server.commander import Setpoint
@@ -124,19 +123,10 @@ class Event(Enum):
     CLIPPED = auto()  # a set-point exceeded the speed limits
 
 
-class Goal(NamedTuple):
-    """A position to fly to and hold."""
-
-    point_enu_m: Vec3
-    yaw_rad: float | None  # None: the current heading
-    speed_m_s: float | None  # horizontal; None: MPC_XY_CRUISE
-
-
 class Pilot:
     """Computes velocity set-points for the firmware from mode, estimate and received set-point."""
 
     def __init__(self, vehicle: VehicleSim, parameters: Parameters, trim_enu_m_s: Vec3 = ZERO) -> None:
-        self.goal: Goal | None = None  # point to hold; None: the point where the vehicle stops
         self.velocity_setpoint_enu_m_s: Vec3 | None = None  # last one sent to the firmware; None: none active
         self._vehicle = vehicle
         self._parameters = parameters
@@ -156,9 +146,9 @@ class Pilot:
             FlightMode.OFFBOARD: self._fly_offboard,
         }
 
-    def begin(self, goal: Goal | None = None) -> None:
+    def begin(self) -> None:
         """Start a mode from the current state."""
-        self._engaged, self._fresh, self.goal = False, True, goal
+        self._engaged, self._fresh = False, True
 
     def take(self, setpoint: Setpoint) -> None:
         """Store the newest received set-point; OFFBOARD flies it."""
@@ -204,7 +194,6 @@ class Pilot:
     def _approach(
         self,
         estimate: Estimate,
-        limits: OwnLimits,
         dt_s: float,
         *,
         vertical_m_s: float | None = None,
@@ -213,41 +202,34 @@ class Pilot:
         """Fly towards the hold point; without a position estimate fly level at the vertical velocity."""
         if estimate.valid:
             at = estimate.position_enu_m
-            velocity = self._hold.step(at, limits, dt_s, vertical_m_s=vertical_m_s, learn=learn)
+            velocity = self._hold.step(at, self._limits, dt_s, vertical_m_s=vertical_m_s, learn=learn)
         else:
             velocity = self._hold.sink(vertical_m_s or 0.0, dt_s)
         self.velocity_setpoint_enu_m_s = velocity
         self._vehicle.set_velocity(velocity, self._yaw_rad)
 
-    def _engage(self, estimate: Estimate) -> bool:
-        """Start the position loop at the current motion; return True the first time in a mode."""
+    def _engage(self, estimate: Estimate) -> None:
+        """Start the position loop at the current motion, the first time in a mode."""
         if self._engaged:
-            return False
+            return
         self._hold.engage(estimate.position_enu_m, estimate.velocity_enu_m_s, self._limits.gain_xy_1_s)
         self._yaw_rad = yaw_from_quaternion(estimate.quaternion)
         self._engaged = True
-        return True
 
     def _fly_hold(self, estimate: Estimate, standing: bool, dt_s: float) -> Event | None:
         if standing:
             # Sent repeatedly: without set-points after a flight the firmware assumes a lost link and locks.
             self.stop()
             return None
-        first, goal, limits = self._engage(estimate), self.goal, self._limits
-        if goal is not None:
-            self._hold.point_enu_m = goal.point_enu_m
-            if first and goal.yaw_rad is not None:
-                self._yaw_rad = goal.yaw_rad
-            if goal.speed_m_s is not None:
-                limits = replace(limits, speed_xy_m_s=min(goal.speed_m_s, self._clip[0]))
-        self._approach(estimate, limits, dt_s)
+        self._engage(estimate)
+        self._approach(estimate, dt_s)
         return None
 
     def _fly_takeoff(self, estimate: Estimate, standing: bool, dt_s: float) -> Event | None:
         self._engage(estimate)
         goal_m = self._takeoff_z_m
         self._hold.aim(goal_m)
-        self._approach(estimate, self._limits, dt_s, learn=not standing)
+        self._approach(estimate, dt_s, learn=not standing)
         arrived = estimate.valid and _at_height(estimate, goal_m)
         return Event.ARRIVED if arrived else None
 
@@ -259,7 +241,7 @@ class Pilot:
         if standing:
             return Event.LANDED
         self._engage(estimate)
-        self._approach(estimate, self._limits, dt_s, vertical_m_s=-self._limits.speed_down_m_s)
+        self._approach(estimate, dt_s, vertical_m_s=-self._limits.speed_down_m_s)
         return None
 
     def _fly_offboard(self, estimate: Estimate, _standing: bool, dt_s: float) -> Event | None:

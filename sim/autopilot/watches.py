@@ -1,4 +1,4 @@
-"""Checks of battery charge and ground station, ten times a second, and of the contact, at every tick.
+"""Filtered battery voltage and throttle for the charge, and standing on a surface.
 
 The charge is computed as in PX4 battery.cpp. The voltage under load plus the voltage drop at this throttle is
 compared with the voltages of an empty and a full cell. Voltage and throttle are low-pass filtered, because
@@ -8,21 +8,14 @@ otherwise every climb would indicate an empty battery.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-
-from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.server.parameters import Parameters
-from bridge.mavlink.server.profile import FlightMode
 from flightstack.compiled.records import Record
 from flightstack.core.numeric import numeric
 from sim.vehicle.vehicle import VehicleSim
 
 PERIOD_S = 0.1 - 1e-6  # period of the checks
 _SMOOTH_S = 1.0  # time constant of the low-pass filter
-
-# Mode that NAV_DLL_ACT selects when the ground station is lost (PX4 failsafe.cpp, commander_params.c)
-STATION_LOST: Mapping[int, FlightMode | None] = {0: None, 1: FlightMode.HOLD, 3: FlightMode.LAND}
 
 
 @numeric
@@ -39,17 +32,16 @@ def charge_left(voltage_v: float, throttle: float, empty_v: float, full_v: float
 
 
 class WatchRecord(Record):
-    """State of ``Watches``, and the time until which ``Watches.step`` has no new result."""
+    """State of ``Watches``."""
 
     due_s: float  # time of the next check
     last_s: float  # time of the last check
     voltage_v: float  # battery voltage, low-pass filtered
     throttle: float  # mean motor command, low-pass filtered
-    until_s: float  # earliest time at which a ground station can count as lost
 
 
 class Watches:
-    """Filters voltage and throttle, and detects a lost ground station."""
+    """Filters voltage and throttle ten times a second."""
 
     def __init__(self, parameters: Parameters, vehicle: VehicleSim) -> None:
         self._parameters = parameters
@@ -57,8 +49,6 @@ class Watches:
         self.due_s = -math.inf  # time of the next check, s
         self._voltage_v, self._throttle = vehicle.battery_v, throttle(vehicle)
         self._last_s: float | None = None
-        self._station_s: float | None = None  # time of the newest heartbeat of a ground station
-        self._station_lost = False
 
     @property
     def charge(self) -> float:
@@ -67,37 +57,21 @@ class Watches:
         curve = p["BAT1_V_EMPTY"], p["BAT1_V_CHARGED"], p["BAT1_V_LOAD_DROP"]
         return charge_left(self._voltage_v, self._throttle, *curve)
 
-    def heartbeat(self, type_: int, now_s: float) -> bool:
-        """Record a HEARTBEAT; return True when a ground station is back after a loss."""
-        if type_ != dialect.MAV_TYPE_GCS:
-            return False
-        back, self._station_lost, self._station_s = self._station_lost, False, now_s
-        return back
-
-    def step(self, now_s: float) -> bool:
-        """Run a due check; return True when the ground station has just been lost."""
+    def step(self, now_s: float) -> None:
+        """Filter voltage and throttle, if that is due."""
         if now_s < self.due_s:
-            return False
+            return
         dt_s = now_s - self._last_s if self._last_s is not None else 0.0
         self._last_s, self.due_s = now_s, now_s + PERIOD_S
         self._voltage_v = smoothed(self._voltage_v, self._vehicle.battery_v, dt_s)
         self._throttle = smoothed(self._throttle, throttle(self._vehicle), dt_s)
-        limit_s = self._parameters["COM_DL_LOSS_T"]
-        if self._station_lost or self._station_s is None or now_s - self._station_s <= limit_s:
-            return False
-        self._station_lost = True
-        return True
 
-    def calm(self) -> tuple[float, ...]:
-        """Return the values of a ``WatchRecord``; before the first check ``until_s`` is in the past."""
-        station_s = None if self._station_lost else self._station_s
-        until_s = math.inf if station_s is None else station_s + self._parameters["COM_DL_LOSS_T"]
-        if self._last_s is None:
-            return self.due_s, -math.inf, self._voltage_v, self._throttle, -math.inf
-        return self.due_s, self._last_s, self._voltage_v, self._throttle, until_s
+    def values(self) -> tuple[float, ...] | None:
+        """Return the values of a ``WatchRecord``; None before the first check."""
+        return None if self._last_s is None else (self.due_s, self._last_s, self._voltage_v, self._throttle)
 
     def passed(self, last_s: float, voltage_v: float, throttle: float) -> None:
-        """Store the values after a batch of ticks that ended before ``until_s``."""
+        """Store the values after a batch of ticks."""
         self._last_s, self.due_s = last_s, last_s + PERIOD_S
         self._voltage_v, self._throttle = voltage_v, throttle
 

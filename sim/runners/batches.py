@@ -221,7 +221,8 @@ class Batches:
             self._yaw_rad = memory.yaw_rad
             self._yaw_told_rad = yaw = yaw_enu_from_ned(narrow(yaw_ned_from_enu(memory.yaw_rad)))
             rules.yaw_told_rad, rules.cos_yaw, rules.sin_yaw = yaw, math.cos(yaw), math.sin(yaw)
-        self._watch_book.write(self._watches)
+        if not self._watch_book.write(self._watches):
+            return False
         if clip is not None and clip != self._clip:
             self._clip = clip
             rules.speeds[:] = clip

@@ -54,20 +54,17 @@ _smoothed = twin(watches.smoothed, jitted)
 
 
 @jitted
-def looks(w: WatchRecord, v: VehicleRecord, now_s: float) -> bool:
-    """Run the checks if they are due; if one may have a result, do nothing and return False."""
+def _watch(w: WatchRecord, v: VehicleRecord, now_s: float) -> None:
+    """Compiled form of ``Watches.step``."""
     if now_s < w.due_s:
-        return True
-    if now_s >= w.until_s:
-        return False
+        return
     limit, total = speed_limit(v.battery), 0.0
     for command in v.firmware.commands:
         total += min(1.0, max(0.0, command / limit))
     dt_s = now_s - w.last_s
-    voltage_v = _smoothed(w.voltage_v, v.battery.voltage_v, dt_s)
-    throttle = _smoothed(w.throttle, total / 4.0, dt_s)
-    w.last_s, w.due_s, w.voltage_v, w.throttle = now_s, now_s + PERIOD_S, voltage_v, throttle
-    return True
+    w.voltage_v = _smoothed(w.voltage_v, v.battery.voltage_v, dt_s)
+    w.throttle = _smoothed(w.throttle, total / 4.0, dt_s)
+    w.last_s, w.due_s = now_s, now_s + PERIOD_S
 
 
 class WatchBook:
@@ -77,9 +74,12 @@ class WatchBook:
         self._write = writer(record)
         self._seen = scalars(record, "last_s", "voltage_v", "throttle")
 
-    def write(self, of: Watches) -> None:
-        """Copy the watches to the record."""
-        self._write(*of.calm())
+    def write(self, of: Watches) -> bool:
+        """Copy the watches to the record; return False before their first check."""
+        values = of.values()
+        if values is not None:
+            self._write(*values)
+        return values is not None
 
     def read(self, of: Watches) -> None:
         """Copy the record to the watches, if the checks have run."""
@@ -273,8 +273,9 @@ def fly_ticks(
         write_truth(v, now_ms, truths[n])
         ahead_ms = min(end_ms - now_ms, radio_ms)
         fly(vehicle, now_ms, now_ms + ahead_ms)
-        if _needs_autopilot(p, v, now_ms + ahead_ms, now_s) or not looks(p.watch, v, now_s):
+        if _needs_autopilot(p, v, now_ms + ahead_ms, now_s):
             return MIDDLE
+        _watch(p.watch, v, now_s)
         if landing.sends:
             _send(p, f.inbox, setpoint, now_ms)
         fly(vehicle, now_ms + ahead_ms, end_ms)

@@ -104,8 +104,9 @@ class Server(ABC, Generic[V]):
     def snapshot(self, now_s: float) -> Snapshot[V] | None:
         """Return the present state of the vehicle; None if it is unknown, so that no telemetry is sent."""
 
-    @abstractmethod
-    def on_heartbeat(self, message: Any, sender: Sender, now_s: float) -> list[Message]: ...
+    def on_heartbeat(self, _message: Any, _sender: Sender, _now_s: float) -> list[Message]:
+        """Handle the heartbeat of a client; it has no effect here."""
+        return []
 
     def own_commands(self) -> dict[int, Entry]:
         """Return commands that extend or replace the common ones."""

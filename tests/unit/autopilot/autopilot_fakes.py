@@ -141,10 +141,9 @@ class Rig(Served):
         return self
 
     def state(self) -> list[object]:
-        flight, goal = self.autopilot.flight, self.autopilot.flight.pilot.goal
-        place = goal and (*[round(v, 4) for v in goal.point_enu_m], goal.yaw_rad, goal.speed_m_s)
+        flight = self.autopilot.flight
         home = [round(v, 4) for v in flight.home_enu_m]
-        rest = [place, home, round(flight.takeoff_z_m, 6), self.vehicle.reboots, dict(self.vehicle.failures)]
+        rest = [home, round(flight.takeoff_z_m, 6), self.vehicle.reboots, dict(self.vehicle.failures)]
         return [*super().state()[:-1], *rest]
 
 

@@ -13,7 +13,6 @@ from flightstack.cli.bridge import bridge
 from sim.autopilot.flight import STREAM_LOST
 from sim.autopilot.parameters import px4_parameters
 from sim.autopilot.telemetry import PX4
-from sim.autopilot.watches import STATION_LOST
 from sim.plant.params import load
 from sim.px4.airframe import parameters
 from sim.px4.sensors import DECLINATION_RAD, INCLINATION_RAD, STRENGTH_GAUSS
@@ -108,11 +107,10 @@ def test_parameters() -> None:
 
 
 def test_fail_safe_actions() -> None:
-    words = {None: "nothing", FlightMode.HOLD: "hold", FlightMode.LAND: "land"}
+    words = {FlightMode.HOLD: "hold", FlightMode.LAND: "land"}
     by_parameter = {row[1]: row[2] for row in rows("Fail-safes")}
-    for name, actions in (("NAV_DLL_ACT", STATION_LOST), ("COM_OBL_RC_ACT", STREAM_LOST)):
-        wanted = ", ".join(f"{value} {words[mode]}" for value, mode in actions.items())
-        assert by_parameter[name].split(";")[0] == wanted
+    wanted = ", ".join(f"{value} {words[mode]}" for value, mode in STREAM_LOST.items())
+    assert by_parameter["COM_OBL_RC_ACT"].split(";")[0] == wanted
 
 
 PX4_WIRE = (DOCS / "reference" / "px4_sim.md").read_text()
