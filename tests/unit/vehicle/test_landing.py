@@ -68,8 +68,6 @@ def test_a_target_sample_is_what_cdr_makes_of_it():
     samples[:, 0], samples[:, 4] = rng.uniform(0.0, 90.0, 50), rng.uniform(-math.pi, math.pi, 50)
     for sample, row in zip(samples.tolist(), sample_rows(samples).tolist(), strict=True):
         time_s, x, y, z, yaw, vx, vy, vz, rate = sample
-        payload = Odometry(
-            EPOCH_NS + round(time_s * 1e9), "map", "target", (x, y, z), quaternion_from_yaw(yaw), (vx, vy, vz),
-            (0.0, 0.0, rate),
-        ).pack()  # fmt: skip
-        assert TargetSample(1.25, *world_sample(row)) == sample_of(RawSample(payload), 1.25)
+        q, now_ns = quaternion_from_yaw(yaw), EPOCH_NS + round(time_s * 1e9)
+        sent = Odometry(now_ns, "map", "target", (x, y, z), q, (vx, vy, vz), (0.0, 0.0, rate))
+        assert TargetSample(1.25, *world_sample(row)) == sample_of(RawSample(sent.pack()), 1.25)
