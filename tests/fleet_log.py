@@ -9,7 +9,6 @@ from pathlib import Path
 
 from flightstack.common.pacing import EPOCH_NS
 from flightstack.common.strict_toml import dumps
-from flightstack.core.controller import state_class
 from flightstack.onboard.log import OnboardLog
 from logs.recorder.feed import Kind, Record, encode_json
 from logs.recorder.mcap_file import McapFile
@@ -104,8 +103,7 @@ class RecordedCompanion(Companion):
         self.feed.attachment(f"{ns}/onboard.toml", dumps(config))
         self.feed.attachment(f"{ns}/scenario.toml", dumps(scenario))
         self.log = OnboardLog(
-            self.feed, NoSession(), ns, config.loop.rate_hz, lockstep=True,
-            reserve=config.reserve is not None, state=state_class(config),
+            self.feed, NoSession(), ns, config, lockstep=True,
         )  # fmt: skip
         vehicle = VehicleLog(self.feed, EPOCH_NS, ns)
         rosout = self.feed.channel("/rosout", schemas.LOG)

@@ -6,6 +6,7 @@ After the end, ``runner.fly`` leaves the vehicle, but never in the air without a
 from __future__ import annotations
 
 import signal
+import time
 from typing import NamedTuple
 
 from flightstack.common.hangup import begun, handle
@@ -29,6 +30,16 @@ class Person:
 
     operator = Operator.NONE  # request to the controller
     stop = False  # whether the process has to end immediately
+    _seen_s: float | None = None  # wall time at which ``left`` has seen the stop
+
+    def left(self) -> bool:
+        """Whether a process that ends has waited for further ticks as long as its landing commands last."""
+        if not self.stop:
+            return False
+        now_s = time.monotonic()
+        if self._seen_s is None:
+            self._seen_s = now_s
+        return now_s - self._seen_s >= LAND_SHOWN_MAX_S
 
 
 class Signals(Person):

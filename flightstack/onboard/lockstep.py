@@ -29,7 +29,7 @@ from flightstack.common.pacing import (
 )
 from flightstack.core.types import Neighbour
 from flightstack.onboard.fleet_wire import NoFleet
-from flightstack.onboard.leaving import LAND_SHOWN_MAX_S, Person
+from flightstack.onboard.leaving import Person
 from flightstack.onboard.runner import Arrived, ClockStoppedError, LinkedVehicle, decoded
 from logs.schema.controller_rows import pack_neighbours, unpack_neighbours, word_row
 
@@ -43,26 +43,6 @@ ALIVE = "sim/target/alive"  # Zenoh liveliness token of the robot's process in l
 TOLD, HEARD = "sim/fleet/told", "sim/fleet/heard"  # keys in the namespace of a member, in lockstep
 OVER = 1  # second number of a message that is the last one
 _LENGTH = struct.Struct("<I")
-
-
-class Patience:
-    """Limit of the wall time for which an ending process in lockstep waits for further ticks.
-
-    ``person``: operator who may end the process.
-    """
-
-    def __init__(self, person: Person) -> None:
-        self._person = person
-        self._since_s: float | None = None
-
-    def over(self) -> bool:
-        """Return whether the wait is over."""
-        if not self._person.stop:
-            return False
-        now_s = time.monotonic()
-        if self._since_s is None:
-            self._since_s = now_s
-        return now_s - self._since_s >= LAND_SHOWN_MAX_S
 
 
 class VehicleTicks:
@@ -132,8 +112,8 @@ class LockstepWires:
         person: Person,
         fleet: NoFleet,
     ) -> None:
-        self._person, self._stopped, self._fleet = person, Patience(person).over, fleet
-        self._ticks = VehicleTicks(vehicle, rate_hz, self._stopped)
+        self._person, self._fleet = person, fleet
+        self._ticks = VehicleTicks(vehicle, rate_hz, person.left)
         self._odometry = odometry
         self._markers = zenoh_link.fifo_subscriber(session, f"{namespace}/sim/target/tick")
         self._credit = zenoh_link.blocking_publisher(session, f"{namespace}/sim/credit")
@@ -157,7 +137,7 @@ class LockstepWires:
                 raise ClockStoppedError("ended by the operator") from None
             raise
         self._released = self._release(tick.number)
-        self._fleet.await_tick(tick, self._stopped)
+        self._fleet.await_tick(tick, self._person.left)
         return tick
 
     def samples(self, now_s: float) -> Arrived:
@@ -180,7 +160,7 @@ class LockstepWires:
         repeat_at = time.monotonic() + WAIT_SLICE_S
         while not self._target_gone and not self._complete(tick):
             now, silent_s = time.monotonic(), silence.look()
-            if silent_s > most_s or self._stopped():
+            if silent_s > most_s or self._person.left():
                 self._target_gone = True
             if now > repeat_at:
                 self._give_credit(tick)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import fields
 
 from bridge.mavlink.client.vehicle_state import Battery
 from bridge.mavlink.endpoint import Direction
@@ -12,8 +11,9 @@ from bridge.mavlink.transport.address import Peer
 from bridge.target.odometry import RawSample
 from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import Tick
-from flightstack.core.controller import Outputs
+from flightstack.core.controller import Outputs, state_class
 from flightstack.core.memory import State
+from flightstack.core.parameters.flight import FlightConfig
 from flightstack.onboard.runner import Taken
 from flightstack.onboard.state_text import StateText
 from logs.recorder.feed import Feed
@@ -51,8 +51,8 @@ TIMESYNC_ID = 111  # low byte of the message id, at offset 7 of a MAVLink 2 fram
 class OnboardLog:
     """Writer of the log messages of each tick, and publisher of the live ones at lower rates.
 
-    ``session``: session of the live topics; ``reserve``: whether the thrust reserve is estimated; ``state``:
-    class of the controller's state; ``names``: names of the records, which differ if flights share a log.
+    ``session``: session of the live topics; ``config``: configuration that flies; ``names``: names of the
+    records, which differ if flights share a log.
     """
 
     def __init__(
@@ -60,28 +60,35 @@ class OnboardLog:
         feed: Feed,
         session: zenoh_link.Session,
         namespace: str,
-        rate_hz: int,
-        lockstep: bool,
+        config: FlightConfig,
         *,
-        reserve: bool = False,
-        state: type[State] = State,
+        lockstep: bool,
         names: Names = OWN,
     ) -> None:
-        self._feed, self._names = feed, names
-        self._odom = feed.channel(f"/{namespace}/target/odom", ODOMETRY)
+        self._feed, self._names, self._lockstep = feed, names, lockstep
+        state, rate_hz = state_class(config), config.loop.rate_hz
+
+        def topic(name: str, schema: str) -> int:
+            return feed.channel(f"/{namespace}/{name}", schema)
+
+        def live(name: str, kind: str) -> zenoh_link.Publisher:
+            encoding = f"application/cdr;flightstack_msgs/msg/{kind}"
+            return zenoh_link.dropping_publisher(session, f"{namespace}/{name}", encoding)
+
+        self._odom = topic("target/odom", ODOMETRY)
         self._mavlink = {
             Direction.IN: feed.channel(names.frames("mavlink_source"), MAVLINK),
             Direction.OUT: feed.channel(names.frames("mavlink_sink"), MAVLINK),
         }
-        self._input = feed.channel(f"/{namespace}/controller/input", CONTROLLER_INPUT)
-        self._step = feed.channel(f"/{namespace}/controller/step", CONTROLLER_STEP)
-        self._power = feed.channel(f"/{namespace}/controller/power", CONTROLLER_POWER) if reserve else None
-        fleet = "fleet" in {part.name for part in fields(state)}
-        neighbours = f"/{namespace}/controller/neighbours"
-        self._neighbours = feed.channel(neighbours, CONTROLLER_NEIGHBOURS) if fleet else None
-        self._word = feed.channel(f"/{namespace}/fleet/word", FLEET_WORD) if fleet else None
-        self._state = feed.channel(f"/{namespace}/controller/state", CONTROLLER_STATE)
-        self._timing = feed.channel(f"/{namespace}/loop/timing", LOOP_TIMING)
+        self._input = topic("controller/input", CONTROLLER_INPUT)
+        self._step = topic("controller/step", CONTROLLER_STEP)
+        self._power = topic("controller/power", CONTROLLER_POWER) if config.reserve is not None else None
+        self._neighbours = self._word = None
+        if config.fleet is not None:
+            self._neighbours = topic("controller/neighbours", CONTROLLER_NEIGHBOURS)
+            self._word = topic("fleet/word", FLEET_WORD)
+        self._state = topic("controller/state", CONTROLLER_STATE)
+        self._timing = topic("loop/timing", LOOP_TIMING)
         self._rosout = feed.channel("/rosout", LOG)
         self._frames: list[tuple[Direction, bytes, bytes]] = []  # direction, frame, name of the peer
         self._peer_names = PeerNames(feed.metadata, names.record(MAVLINK_PEERS))
@@ -89,19 +96,16 @@ class OnboardLog:
         self._asked = b""  # last TIMESYNC request that arrived
         self._sequence = self._unix_ns = 0
         self._flush_every = 10 if lockstep else 1  # ticks between flushes; fewer wake-ups of the recorder
-        self._lockstep = lockstep
         self._every = max(1, round(rate_hz / STATUS_HZ))
         self._state_every = max(1, round(rate_hz / STATE_HZ))
-        self._state_text = StateText[State](state)
-        encoding = "application/cdr;flightstack_msgs/msg/"
-        self._live_step = zenoh_link.dropping_publisher(
-            session, f"{namespace}/controller/step", encoding + "ControllerStep"
-        )
-        self._live_timing = zenoh_link.dropping_publisher(
-            session, f"{namespace}/loop/timing", encoding + "LoopTiming"
-        )
-        self._live_health = zenoh_link.dropping_publisher(session, f"{namespace}/health", encoding + "Health")
         self._health_every = max(1, round(rate_hz / HEALTH_HZ))
+        self._state_text = StateText[State](state)
+        self._live_step = live("controller/step", "ControllerStep")
+        self._live_timing = live("loop/timing", "LoopTiming")
+        self._live_health = live("health", "Health")
+
+    def _put(self, channel: int, tick: Tick, payload: bytes) -> None:
+        self._feed.write(channel, tick.unix_ns, tick.unix_ns, tick.number, payload)
 
     def tap(self, direction: Direction, frame: bytes, peer: Peer) -> None:
         """Store a MAVLink frame until its tick is known; the endpoint calls this method."""
@@ -148,28 +152,26 @@ class OnboardLog:
         unix_ns = self._unix_ns = tick.unix_ns
         self.frames()
         given = TickInputs(unix_ns, tick.number, tick.now_s, taken.inputs, taken.command_failed)
-        self._feed.write(self._input, unix_ns, unix_ns, tick.number, pack_controller_input(given))
+        self._put(self._input, tick, pack_controller_input(given))
         if self._power is not None:
-            power = power_row(tick, taken.inputs.power, out.reserve).pack()
-            self._feed.write(self._power, unix_ns, unix_ns, tick.number, power)
+            self._put(self._power, tick, power_row(tick, taken.inputs.power, out.reserve).pack())
         if self._neighbours is not None:
-            payload = pack_neighbours(tick, taken.inputs.neighbours)
-            self._feed.write(self._neighbours, unix_ns, unix_ns, tick.number, payload)
+            self._put(self._neighbours, tick, pack_neighbours(tick, taken.inputs.neighbours))
         for event in out.events:
             self.event(unix_ns, event.level, event.text, CONTROLLER)
         row = step_row(tick, out)
         self._packed_step = row.pack()
-        self._feed.write(self._step, unix_ns, unix_ns, tick.number, self._packed_step)
+        self._put(self._step, tick, self._packed_step)
         if tick.number % self._state_every == 0:
             text = self._state_text
             snapshot = ControllerStateRow(unix_ns, tick.number, text.layout, text.dumps(state))
-            self._feed.write(self._state, unix_ns, unix_ns, tick.number, snapshot.pack())
+            self._put(self._state, tick, snapshot.pack())
         return row
 
     def word(self, tick: Tick, payload: bytes | None) -> None:
         """Write this vehicle's message to its fleet as it was sent; None: no message was sent."""
         if self._word is not None and payload is not None:
-            self._feed.write(self._word, tick.unix_ns, tick.unix_ns, tick.number, payload)
+            self._put(self._word, tick, payload)
 
     def health(
         self, tick: Tick, out: Outputs, reason: str, battery: Battery | None, dropped: int
@@ -187,7 +189,7 @@ class OnboardLog:
         payload = LoopTimingRow(
             tick.unix_ns, tick.number, tick.period_s, tick.lateness_s, exec_s, solve_s, tick.overruns, dropped
         ).pack()
-        self._feed.write(self._timing, tick.unix_ns, tick.unix_ns, tick.number, payload)
+        self._put(self._timing, tick, payload)
         if tick.number % self._every == 0 or out.finished:
             self._live_step.put(self._packed_step)
             self._live_timing.put(payload)

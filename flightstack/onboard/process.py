@@ -26,7 +26,7 @@ from flightstack.common.pacing import (
 from flightstack.common.strict_toml import ConfigError, dumps
 from flightstack.compiled.core import Core, chosen_core, compiled
 from flightstack.config.options import OnboardOptions
-from flightstack.core.controller import ERROR, WARN, Controller, Outputs, state_class
+from flightstack.core.controller import ERROR, WARN, Controller, Outputs
 from flightstack.core.memory import Memory
 from flightstack.core.mission.phases import DISARMED, MODE_CHANGED
 from flightstack.core.parameters.flight import FlightConfig
@@ -73,7 +73,6 @@ class Onboard:
         rate_hz = config.loop.rate_hz
         self.core = chosen_core(Core(options.core), config, lockstep=options.lockstep)
         self.controller = compiled(config) if self.core is Core.COMPILED else Controller(config)
-        chosen = profile(options.autopilot)
         origin = config.vehicle.origin_wgs84
         self.wires = ZenohWires(config, options, self.namespace)
         self.fleet = _fleet(config, options, self.wires.session, self.namespace)
@@ -91,7 +90,7 @@ class Onboard:
             rate_hz=rate_hz,
             system_id=options.system_id,
             defer_timesync=options.lockstep,
-            profile=chosen,
+            profile=profile(options.autopilot),
             origin=Origin(*origin) if origin is not None else None,
             line=line,
             power=config.reserve is not None,
@@ -106,8 +105,8 @@ class Onboard:
         self.feed = Feed.connect(socket, self.names.logger(ONBOARD), lossless=options.lockstep)
         self._describe()
         self.log = OnboardLog(
-            self.feed, self.wires.session, self.namespace, rate_hz, options.lockstep,
-            reserve=config.reserve is not None, state=state_class(config), names=self.names,
+            self.feed, self.wires.session, self.namespace, config,
+            lockstep=options.lockstep, names=self.names,
         )  # fmt: skip
         self.link.endpoint.tap = self.log.tap
         lockstep = options.lockstep  # in lockstep no text may depend on wall time

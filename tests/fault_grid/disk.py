@@ -133,8 +133,7 @@ class Recording:
         self._log: OnboardLog | None = None
 
     def attach(self, flight: Flight) -> None:
-        rate_hz = flight.controller.config.loop.rate_hz
-        self._log = OnboardLog(self._feed, _NoSession(), "cf1", rate_hz, lockstep=False)
+        self._log = OnboardLog(self._feed, _NoSession(), "cf1", flight.controller.config, lockstep=False)
         controller, log = flight.controller, self._log
 
         def step(tick: Tick, taken: Taken, out: Outputs) -> None:

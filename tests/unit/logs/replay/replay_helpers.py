@@ -5,7 +5,6 @@ from pathlib import Path
 from bridge.mavlink.endpoint import Direction
 from flightstack.common.pacing import EPOCH_NS, Tick
 from flightstack.common.strict_toml import dumps, from_table
-from flightstack.core.controller import state_class
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.types import Phase
 from flightstack.onboard.log import OnboardLog
@@ -64,10 +63,8 @@ def record(
         feed,
         NoSession(),
         "cf1",
-        config.loop.rate_hz,
+        config,
         lockstep=True,
-        reserve=config.reserve is not None,
-        state=state_class(config),
     )
     for number in range(round(seconds / DT_S)):
         tick = Tick(number, world.t_s, EPOCH_NS + round(world.t_s * 1e9), 0.0, 0.0)
