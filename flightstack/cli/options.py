@@ -78,7 +78,7 @@ def _clicked(each: Declared) -> Callable[..., Any]:
         settings["default"] = default
     if option.read is not None:
         settings["callback"] = _callback(option.read)
-    return click.option(option.name, *option.also, name, show_default=True, **settings)
+    return click.option(option.name, name, show_default=True, **settings)
 
 
 def _type(each: Declared) -> Any:

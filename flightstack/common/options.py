@@ -40,7 +40,6 @@ class Option:
     path: str = "any"  # allowed kind of path: any, file or folder
     exists: bool = False  # whether the path has to exist
     read: Callable[[Any], Any] | None = None  # function from the text, or all texts of a Mapping, to a value
-    also: tuple[str, ...] = ()  # further names of the option
     bare: str | None = None  # value if the name is given without a value
     variable: str | None = None  # environment variable that is read if the option is not given
 

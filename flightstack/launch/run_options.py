@@ -60,9 +60,9 @@ class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
         Flies.ARDUPILOT, "Fly this ArduCopter (SITL program) with its own physics."
     )] = None  # fmt: skip
     instance: Annotated[int | None, Option(
-        "--px4-instance",
+        "--instance",
         "Number that selects the ports of PX4 or ArduPilot; default: a free one, ArduPilot 0.", "N",
-        span=(0, 9), also=("--instance",)
+        span=(0, 9)
     )] = None  # fmt: skip
     members: Annotated[Mapping[int, str], Option(
         "--member", "MAVLink URL of an external vehicle that flies as member N of a team; repeatable "
@@ -106,39 +106,22 @@ class RunOptions(shared.Ros2, shared.Result, shared.Repeated, shared.Simulated):
                 f"only one of {', '.join(flies.value for flies in Flies if flies.value)} can be flown"
             )
         flies, one, several = self.flies, vehicles == 1, "a scenario of several vehicles"
-        own, vehicle = flies is Flies.OWN, flies.value or "the simulated vehicle"
+        own, flown = flies is Flies.OWN, flies.value or "the simulated vehicle"
+        alone = "a scenario of one vehicle"
         shows_one = "shows one vehicle; open the log in a viewer after the flight"
         for name, given, allowed, other, why in (
-            ("--lockstep", self.lockstep, own, vehicle, f"{_SIMULATED}; --speed flies PX4 faster"),
-            (
-                "--signing-key",
-                self.signing_key,
-                own,
-                vehicle,
-                "is not given to a PX4 or ArduPilot in software",
-            ),
-            ("--speed", self.speed != 1.0, not own, vehicle, f"{_REAL}; --lockstep is faster"),
-            ("--instance", self.instance is not None, not own, vehicle, _REAL),
-            (
-                "--mocap",
-                self.mocap,
-                flies is Flies.PX4,
-                vehicle,
-                "works with --px4 only, not with satellites",
-            ),
+            ("--lockstep", self.lockstep, own, flown, f"{_SIMULATED}; --speed flies PX4 faster"),
+            ("--signing-key", self.signing_key, own, flown, "is not given to a PX4 or ArduPilot in software"),
+            ("--speed", self.speed != 1.0, not own, flown, f"{_REAL}; --lockstep is faster"),
+            ("--instance", self.instance is not None, not own, flown, _REAL),
+            ("--mocap", self.mocap, flies is Flies.PX4, flown, "works with --px4 only, not with satellites"),
             (flies.value, not own, one, several, "the vehicles of a team are simulated together"),
             ("--ros2", self.ros2_where, one, several, shows_one),
             ("--view", self.view, one, several, shows_one),
             ("--listen", self.listen, one, several, "each vehicle has its own endpoint, which is printed"),
-            (
-                "--member",
-                self.members,
-                not one,
-                "a scenario of one vehicle",
-                "it is for one of several vehicles",
-            ),
+            ("--member", self.members, not one, alone, "it is for one of several vehicles"),
             ("--member", self.members, not self.lockstep, "--lockstep", "it cannot run in lockstep"),
-        ):
+        ):  # fmt: skip
             if given and not allowed:
                 raise ConfigError(f"{name} with {other}: {why}; leave it out")
 

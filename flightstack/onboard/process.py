@@ -10,9 +10,8 @@ from pathlib import Path
 
 from bridge.mavlink.client.companion import Origin
 from bridge.mavlink.client.link import COMPONENT_ID, VehicleLink
-from bridge.mavlink.endpoint import Endpoint
+from bridge.mavlink.endpoint import open_endpoint
 from bridge.mavlink.profiles import profile
-from bridge.mavlink.signing import load_key
 from bridge.mavlink.transport.address import baud_of, is_local, parse_url, resolve
 from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import (
@@ -79,13 +78,9 @@ class Onboard:
         line = preflight.line_plan(
             baud_of(options.vehicle_url), config, signed=options.signing_key is not None
         )
-        endpoint = Endpoint(  # the companion shares the vehicle's system id
-            options.vehicle_url, options.system_id, COMPONENT_ID,
-            signing_key=load_key(options.signing_key) if options.signing_key else None,
-            allow_unsigned=options.allow_unsigned,
-        )  # fmt: skip
         self.link = VehicleLink(
-            endpoint,
+            # the companion shares the vehicle's system id
+            open_endpoint("onboard", options.vehicle_url, options.system_id, COMPONENT_ID, options),
             takeoff_height_m=config.takeoff.height_m,
             rate_hz=rate_hz,
             system_id=options.system_id,
@@ -228,8 +223,6 @@ def run(config: FlightConfig, options: OnboardOptions, say: Callable[[str], None
         onboard = Onboard(config, options, say, records)  # a signal before this point cancels the flight
         records.callback(onboard.close)
         signals = Signals()
-        for warning in onboard.link.endpoint.warnings:
-            _warn(warning)
         if onboard.log_file is not None:
             say(f"log {onboard.log_file}")
         say(f"core {onboard.core.value}")
