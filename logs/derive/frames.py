@@ -1,7 +1,4 @@
-"""Decodes recorded MAVLink frames into messages with named fields.
-
-The decoder reads the bytes of the raw record (``logs.schema.mavlink``) directly: frames are most of a log.
-"""
+"""Decodes recorded MAVLink frames into messages with named fields."""
 
 from __future__ import annotations
 
@@ -9,21 +6,12 @@ import struct
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from logs.schema.mavlink import PEER_CHARACTERS, FrameError, Type, of
+from logs.schema.mavlink import PEER_CHARACTERS, Type, of, parts, peer_of, unpack_mavlink
 
 TOPICS_MAX = 512  # greatest number of topics, since a sender can invent system ids
-_HEADER_BYTES = 20  # length of encapsulation, stamp and frame_id of three characters; fields follow aligned
+_STAMP_BYTES = 12  # length of encapsulation and stamp
+_HEADER_BYTES = 20  # the same with a frame_id of three characters; fields follow aligned
 _NOBODY = struct.pack("<I", PEER_CHARACTERS + 1) + b"p--\x00"  # frame_id of a frame with unknown peer
-# Offsets in the raw record.
-_NAME_LENGTH_AT = 12
-_FIXED_AT, _FIXED_NOBODY_AT = 20, 17  # offset of framing_status with a peer name, and without one
-_LENGTH, _SENDER = 2, 6  # offsets from there: payload length, system and component
-_ID_AT = 28  # offset of the message id
-_WORDS_END, _PAYLOAD_AT = 40, 44
-
-
-def _fixed_at(payload: bytes) -> int:
-    return _FIXED_AT if payload[_NAME_LENGTH_AT] == PEER_CHARACTERS + 1 else _FIXED_NOBODY_AT
 
 
 class Decoded(NamedTuple):
@@ -38,7 +26,7 @@ class FrameDecoder:
         """Set the topic of the raw frames; its first part is the name space until the run sets one."""
         self.topic = topic  # topic of the raw frames
         self._space = "/" + topic.strip("/").partition("/")[0]
-        self._known: dict[bytes, Decoded | None] = {}
+        self._known: dict[tuple[int, int, int], Decoded | None] = {}
 
     def configure(self, onboard: Mapping[str, str]) -> None:
         """Set the name space from the metadata of the onboard process."""
@@ -49,29 +37,25 @@ class FrameDecoder:
     def step(self, log_time_ns: int, payload: bytes) -> list[tuple[str, str, bytes]]:
         """Return (topic, schema, CDR) for one record of :func:`logs.schema.mavlink.pack_mavlink`."""
         del log_time_ns
-        if len(payload) < _WORDS_END:
-            raise FrameError(f"frame record of {len(payload)} bytes is cut short")
-        at = _fixed_at(payload)
-        key = payload[at + _SENDER : at + _SENDER + 2] + payload[_ID_AT : _ID_AT + 4]
-        known = self._known[key] if key in self._known else self._meet(key)
+        frame = parts(unpack_mavlink(payload)[1])
+        key = (frame.system, frame.component, frame.number)
+        known = self._known[key] if key in self._known else self._meet(*key)
         if known is None:
             return []
-        length, kind = payload[at + _LENGTH], known.type
-        body = payload[_PAYLOAD_AT : _PAYLOAD_AT + min(length, kind.size)]
-        head = payload[:_HEADER_BYTES] if at == _FIXED_AT else payload[:_NAME_LENGTH_AT] + _NOBODY
-        body = body.ljust(kind.size, b"\x00")
+        kind = known.type
+        head = payload[:_HEADER_BYTES] if peer_of(payload) else payload[:_STAMP_BYTES] + _NOBODY
+        body = frame.payload[: kind.size].ljust(kind.size, b"\x00")
         return [(known.topic, kind.schema, head + (body if kind.verbatim else repacked(kind, body)))]
 
-    def _meet(self, key: bytes) -> Decoded | None:
+    def _meet(self, system: int, component: int, number: int) -> Decoded | None:
         """Return the topic of a new sender or message; None: the dialect does not have the message."""
-        system, component, number = struct.unpack("<BBI", key)
         kind = of(number)
         found = None
         if len(self._known) < TOPICS_MAX:
             if kind is not None:
                 topic = f"{self._space}/mavlink/sys{system}/comp{component}/{kind.message}"
                 found = Decoded(topic, kind)
-            self._known[key] = found
+            self._known[system, component, number] = found
         return found
 
 

@@ -39,17 +39,6 @@ from logs.schema.names import NO_PAD
 from logs.schema.rows import ControllerStepRow, FleetPairRow, LogRow, LoopTimingRow, TrueStateRow
 from logs.schema.schemas import CONTROLLER_STEP, FLEET_PAIR, LOG, LOOP_TIMING, ODOMETRY, TRUE_STATE, codec
 
-__all__ = [
-    "Event",
-    "Flight",
-    "Steps",
-    "TargetOdometry",
-    "Timing",
-    "Truth",
-    "load_fleet",
-    "load_flight",
-]
-
 TARGET_TOPIC_END = "/target/odom"  # end of the topic in any namespace
 
 _DTYPES = {"Floats": np.float64, "Ints": np.int64, "Bools": np.bool_}

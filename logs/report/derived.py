@@ -18,7 +18,7 @@ from logs.reader.flight import TARGET_TOPIC_END
 from logs.reader.flight_data import Flight, Floats, Steps
 from logs.reader.reader import LogFile
 from logs.schema.events import ContactBit
-from logs.schema.mavlink import FrameError, unpack_mavlink
+from logs.schema.mavlink import FrameError, parts, unpack_mavlink
 from logs.schema.schemas import MAVLINK, ODOMETRY
 from logs.verdict.types import Verdict
 
@@ -145,7 +145,6 @@ _SHOWN = {
     (_SINK, dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED): "set-points sent",
 }
 _ALL = {_SOURCE: "vehicle, all MAVLink", _SINK: "onboard, all MAVLink"}
-_V2 = 0xFD
 _HALF = 128  # half of the 256 sequence numbers; a number that is this far ahead or further counts as late
 
 
@@ -185,11 +184,9 @@ def load_streams(path: Path, origin_ns: int, member: str | None = None) -> list[
                 _, frame = unpack_mavlink(message.data)
             except (FrameError, struct.error):
                 continue
-            second = frame[0] == _V2
-            sequence, sender = (frame[4], frame[5:7]) if second else (frame[2], frame[3:5])
-            frames[side].append((int.from_bytes(sender), sequence))
-            number = int.from_bytes(frame[7:10], "little") if second else frame[5]
-            for name in filter(None, (_ALL[side], _SHOWN.get((side, number)))):
+            head = parts(frame)
+            frames[side].append((head.system << 8 | head.component, head.sequence))
+            for name in filter(None, (_ALL[side], _SHOWN.get((side, head.number)))):
                 times[name].append(message.log_time_ns)
     lost = {_ALL[side]: frames_lost(seen) for side, seen in frames.items()} | {TARGET: missing(target)}
     order = (*_ALL.values(), *_SHOWN.values(), TARGET)

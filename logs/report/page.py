@@ -68,20 +68,20 @@ def write(path: Path, page: Page) -> Path:
     return path
 
 
-def _drawn(part: Panel | Sequence[Panel] | str) -> str:
-    if isinstance(part, str):
-        return part
-    if not isinstance(part, Panel):
-        return html('<div class="columns">{}</div>').format(html("".join(map(_drawn, part))))
+def _drawn(panel: Panel | Sequence[Panel] | str) -> str:
+    if isinstance(panel, str):
+        return panel
+    if not isinstance(panel, Panel):
+        return html('<div class="columns">{}</div>').format(html("".join(map(_drawn, panel))))
     figure = None
-    if hasattr(part.content, "to_json"):  # a "<" in a name could end the script element
-        figure = html(part.content.to_json().replace("<", "\\u003c"))
-    return _part("panel", part, figure)
+    if hasattr(panel.content, "to_json"):  # a "<" in a name could end the script element
+        figure = html(panel.content.to_json().replace("<", "\\u003c"))
+    return part("panel", panel, figure)
 
 
 def details(title: str, text: str, name: str = "") -> str:
     """Return a long text that opens on demand; with a file ``name`` it can be saved."""
-    return _part("details", title, text, name, base64.b64encode(text.encode()).decode("ascii"))
+    return part("details", title, text, name, base64.b64encode(text.encode()).decode("ascii"))
 
 
 def table(
@@ -95,22 +95,22 @@ def table(
 
     Columns ``numbers`` are right-aligned; column ``row_class`` is the style of its row.
     """
-    return _part("table", head, rows, numbers, row_class) if rows else paragraph(empty)
+    return part("table", head, rows, numbers, row_class) if rows else paragraph(empty)
 
 
 def time_bar(*, events: bool) -> str:
     """Return the buttons for the range of all time axes; with a hint if there are links to events."""
-    return _part("bar", events)
+    return part("bar", events)
 
 
 def time_link(t_s: float, text: str) -> str:
     """Return a time as a link to itself in the figures."""
-    return _part("at_link", f"{t_s:.2f}", text)
+    return part("at_link", f"{t_s:.2f}", text)
 
 
 def repeat_box(**values: Any) -> str:
     """Return the commands that repeat a flight; the names are those of the macro ``repeat``."""
-    return _part("repeat", **values)
+    return part("repeat", **values)
 
 
 def html(text: str) -> str:
@@ -152,6 +152,7 @@ def _templates() -> Any:
     return Environment(loader=FileSystemLoader(Path(__file__).parent), autoescape=True)
 
 
-def _part(macro: str, *values: Any, **named: Any) -> str:
+def part(macro: str, *values: Any, **named: Any) -> str:
+    """Return the HTML of a macro of ``parts.html``."""
     made: str = getattr(_templates().get_template("parts.html").module, macro)(*values, **named)
     return made

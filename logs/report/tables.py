@@ -20,7 +20,7 @@ from logs.report.derived import (
     root_mean_square,
     share_active,
 )
-from logs.report.page import html, paragraph, table, time_link
+from logs.report.page import html, paragraph, part, table, time_link
 from logs.schema.events import Severity
 from logs.verdict.types import BELOW_ON_PAD, ESTIMATE, FALL_M_S, FALLS, Outcome, Verdict
 from logs.verdict.verdict import FleetVerdict
@@ -43,22 +43,6 @@ _RUN_NAMES = {
     "velocity_max_y_m_s": "velocity box y [m/s]", "velocity_max_z_m_s": "velocity box z [m/s]",
     "pad_radius_m": "pad radius [m]", "outside_envelope": "outside the proven envelope",
 }  # fmt: skip
-
-_DEFINITIONS = (
-    ("landed", "first contact is with the pad within its radius, and 2 s after the motors stop the vehicle "
-     "rests on the pad"),
-    ("crashed", "contact before touchdown with ground, robot body or pad edge, a tumble, or a fall off the "
-     "pad"),
-    ("aborted", "the controller declared an abort (phase ABORT); a gentle landing on the ground after it is "
-     "no crash"),
-    ("timeout", "everything else, also a miss without a declared abort and a log that ends too early"),
-    ("violation", "h < −5 mm while d exceeds the pad's radius, in a run that began with h ≥ 0; missing data "
-     "is never taken for safe: then it is “not known”"),
-    ("h", "e_z − β α d exp(−α d), in metres: height of the vehicle above the boundary; safe is h ≥ 0"),
-    ("d, e_z", "horizontal distance and height of the vehicle relative to the centre of the pad's top"),
-    ("begin of the landing", "the first tick in phase APPROACH; judging begins there"),
-    ("overrun", "a tick whose deadline had passed by a whole period before it began"),
-)  # fmt: skip
 
 
 def headline(verdict: Verdict) -> tuple[str, str]:
@@ -145,12 +129,6 @@ def links_table(streams: Sequence[Stream]) -> str:
     ]  # fmt: skip
     head = ("stream", "messages", "rate [Hz]", "lost", "longest gap [ms]")
     return table(head, rows, numbers=(1, 2, 3, 4), empty="No traffic in this log.")
-
-
-def definitions() -> str:
-    """Return the definitions of the verdict's terms, to open on demand."""
-    shown = table(("word", "meaning"), _DEFINITIONS)
-    return html("<details><summary>Definitions</summary>{}</details>").format(shown)
 
 
 def severity(level: int) -> str:
@@ -265,8 +243,8 @@ def result_table(*sides: Side) -> str:
             meaning = f"{meaning}. {FALLS}"
         rows.append((name, *shown, unit, meaning))
     names = ("A", "B", "B − A") if both else ("value",)
-    return (
-        table(("result", *names, "unit", "meaning"), rows, numbers=range(1, 1 + len(names))) + definitions()
+    return table(("result", *names, "unit", "meaning"), rows, numbers=range(1, 1 + len(names))) + part(
+        "definitions"
     )
 
 
@@ -327,7 +305,7 @@ def fleet_result_table(verdict: FleetVerdict) -> str:
          "both in flight; below 1: inside"),
         ("smallest distance", number(v.distance_min_m, 3), "m", "of two centres of mass, at any time"),
     ]  # fmt: skip
-    return table(("fleet", "value", "unit", "meaning"), rows, numbers=(1,)) + definitions()
+    return table(("fleet", "value", "unit", "meaning"), rows, numbers=(1,)) + part("definitions")
 
 
 def _count(value: int | None) -> str:

@@ -220,6 +220,24 @@ def unpack_mavlink(data: bytes) -> tuple[int, bytes]:
     return seconds * _NS + nanoseconds, frame
 
 
+class Parts(NamedTuple):
+    """Header and payload of a frame."""
+
+    sequence: int
+    system: int
+    component: int
+    number: int  # message id
+    payload: bytes
+
+
+def parts(frame: bytes) -> Parts:
+    """Return header and payload of a frame of either version."""
+    if frame[0] == _V2:
+        number = int.from_bytes(frame[7:10], "little")
+        return Parts(frame[4], frame[5], frame[6], number, frame[10 : 10 + frame[1]])
+    return Parts(frame[2], frame[3], frame[4], frame[5], frame[6 : 6 + frame[1]])
+
+
 def peer_of(data: bytes) -> str:
     """Return the peer in a CDR payload of :func:`pack_mavlink`; empty: unknown."""
     return bytes(data[16:19]).decode("ascii", "replace") if data[12:13] == _NAMED else ""

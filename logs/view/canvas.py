@@ -15,14 +15,11 @@ from logs.reader.flight_data import Flight, Floats, Ints, shape
 FLIGHT = "flight"  # timeline: seconds since the first step
 LOG_TIME = "log_time"  # timeline: date and time of the log
 EVENTS, RUN, WORLD, PHASE = "/events", "/run", "/world", "/phase"
-PAIRS = "/pairs"  # entity of a fleet
 AXES = ("x", "y", "z")
 Corner = Literal["LeftTop", "RightTop", "RightBottom"]
 
 
-def blueprint(
-    center_m: tuple[float, float, float], size_m: float, members: Sequence[str] = (), *, pairs: bool = False
-) -> Any:
+def blueprint(center_m: tuple[float, float, float], size_m: float, members: Sequence[str] = ()) -> Any:
     """Return the layout of the viewer."""
     away_m = max(1.0, size_m)
     x, y, z = center_m
@@ -35,7 +32,7 @@ def blueprint(
         origin=WORLD, name="Scene: ENU, metres", eye_controls=eye, line_grid=rrb.LineGrid3D(spacing=0.25)
     )
     if members:
-        tabs = [_fleet(members, pairs=pairs), *(rrb.Tabs(*_tabs(m), name=m, active_tab=0) for m in members)]
+        tabs = [_fleet(members), *(rrb.Tabs(*_tabs(m), name=m, active_tab=0) for m in members)]
     else:
         tabs = list(_tabs(""))
     runs = [(of_member(RUN, m), f"Run of {m}") for m in members] or [(RUN, "Run")]
@@ -94,15 +91,10 @@ def _tabs(member: str) -> Iterator[Any]:
     )
 
 
-def _fleet(members: Sequence[str], *, pairs: bool) -> Any:
-    """Return the distances of all pairs, and the phases of all members."""
-    near = [
-        _plot(f"{PAIRS}/measure", "Pairs in the ellipsoid's measure [1], too near below 1"),
-        _plot(f"{PAIRS}/distance", "Distance of each pair [m]"),
-    ]
+def _fleet(members: Sequence[str]) -> Any:
+    """Return the phases of all members."""
     phases = [of_member(PHASE, member) for member in members]
-    states = rrb.StateTimelineView(origin="/", contents=[f"+ {each}" for each in phases], name="Phases")
-    return rrb.Vertical(*(near if pairs else ()), states, name="Fleet")
+    return rrb.StateTimelineView(origin="/", contents=[f"+ {each}" for each in phases], name="Fleet")
 
 
 def _plot(origin: str, name: str, legend: Corner = "RightTop") -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 import rerun as rr
@@ -16,7 +16,6 @@ from logs.derive.markers import (
     FLEET_REACH,
     NOMINAL_COLOR,
     PAD_COLOR,
-    PAIR_COLORS,
     REACH,
     TARGET_COLOR,
     Color,
@@ -24,8 +23,7 @@ from logs.derive.markers import (
     surface,
 )
 from logs.reader.flight_data import PAD_RADIUS_M, Flight, Floats
-from logs.verdict.verdict import PairSeries
-from logs.view.canvas import PAIRS, WORLD, Canvas, every, rgba, run_of, times
+from logs.view.canvas import WORLD, Canvas, every, rgba, run_of, times
 
 SCENE_PERIOD_NS = 20_000_000  # period of 50 Hz
 PATH_PERIOD_NS = 200_000_000  # period of the paths, 5 Hz; each row stores the whole path again
@@ -40,14 +38,6 @@ VELOCITIES = (
     ("command", "command_enu_m_s", COMMAND_COLOR),
     ("flown", "own_velocity_enu_m_s", FLOWN_COLOR),
 )
-
-LINE_PERIOD_S = 0.1  # time between two updates of the lines between vehicles
-NEAR = 3.0  # limit in the ellipsoid's measure; a line connects two nearer vehicles in flight
-WARN = 1.5  # limit in the ellipsoid's measure; a line below it is orange, inside the ellipsoid red
-PAIR_LINE_RADIUS_M = 0.003
-FAR_COLOR: Color = (0.6, 0.6, 0.6, 1.0)
-WARN_COLOR: Color = (0.9, 0.6, 0.0, 1.0)
-INSIDE_COLOR: Color = (0.84, 0.15, 0.16, 1.0)
 
 
 def scene(canvas: Canvas, flight: Flight) -> None:
@@ -180,34 +170,3 @@ def velocities(canvas: Canvas, flight: Flight) -> None:
         canvas.columns(f"{WORLD}/velocity/{name}", at_ns[shown], columns.partition(there.astype(int)))
         style = rr.Arrows3D.from_fields(radii=[ARROW_RADIUS_M], colors=[rgba(color)])
         canvas.style(f"{WORLD}/velocity/{name}", style)
-
-
-def pairs(canvas: Canvas, series: Sequence[PairSeries], origin_ns: int) -> None:
-    """Send the distances of all pairs and the lines between near vehicles."""
-    for number, pair in enumerate(series):
-        name = pair.name.replace("–", "_")
-        at_ns = times(origin_ns, pair.t_s)
-        color = [rgba(PAIR_COLORS[number % len(PAIR_COLORS)])]
-        for what, values in (("measure", pair.measure), ("distance", pair.distance_m)):
-            entity = f"{PAIRS}/{what}/{name}"
-            canvas.style(entity, rr.SeriesLines(colors=color, names=[name]))
-            canvas.columns(entity, at_ns, rr.Scalars.columns(scalars=values))
-        every = np.flatnonzero(np.diff(pair.t_s // LINE_PERIOD_S, prepend=-1.0))
-        near = (pair.flying & (pair.measure < NEAR))[every]
-        shown = every[near]
-        strips = np.stack([pair.one_m[shown], pair.other_m[shown]], axis=1)
-        colors = [rgba(_line_color(float(measure))) for measure in pair.measure[shown]]
-        lines = rr.LineStrips3D.columns(strips=list(strips), colors=colors)
-        entity = f"{WORLD}/pairs/{name}"
-        if len(shown):
-            canvas.columns(entity, at_ns[every], lines.partition(near.astype(int)))
-            canvas.style(entity, rr.LineStrips3D.from_fields(radii=[PAIR_LINE_RADIUS_M]))
-    if series:
-        ends = np.array([min(p.t_s[0] for p in series), max(p.t_s[-1] for p in series)])
-        limit = f"{PAIRS}/measure/limit"
-        canvas.style(limit, rr.SeriesLines(colors=[rgba(INSIDE_COLOR)], names=["limit"]))
-        canvas.columns(limit, times(origin_ns, ends), rr.Scalars.columns(scalars=np.ones(2)))
-
-
-def _line_color(measure: float) -> Color:
-    return INSIDE_COLOR if measure < 1.0 else WARN_COLOR if measure < WARN else FAR_COLOR

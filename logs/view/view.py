@@ -22,9 +22,8 @@ from logs.reader.flight import load_fleet
 from logs.reader.flight_data import Event, Flight, Floats, Ints, phase_name
 from logs.schema.events import Severity
 from logs.schema.names import FLEET
-from logs.verdict.verdict import pair_series
 from logs.view.canvas import AXES, EVENTS, PHASE, RUN, Canvas, blueprint, rgba, run_of, times
-from logs.view.scene import TRUE_COLOR, VELOCITIES, pairs, scene, truth, velocities
+from logs.view.scene import TRUE_COLOR, VELOCITIES, scene, truth, velocities
 
 ZERO_COLOR: Color = (0.84, 0.15, 0.16, 1.0)
 _LEVELS: dict[int, str] = {
@@ -50,7 +49,6 @@ _CURVES = (
 class Recording:
     def __init__(self, log: Path, member: str | None = None) -> None:
         self._fleet = load_fleet(log, member)
-        self._pairs = pair_series(self._fleet)
         first = next(iter(self._fleet.flights.values()))
         self.problem = "; ".join(first.damage)
         told = self._fleet.metadata.get(FLEET, run_of(first))
@@ -64,9 +62,7 @@ class Recording:
             color = COLORS[number % len(COLORS)] if name else OWN_COLOR
             draw(Canvas(self._stream, fleet.origin_ns, name, color), flight)
         if "" not in fleet.flights:
-            whole = Canvas(self._stream, fleet.origin_ns)
-            events(whole, fleet.origin_ns, fleet.events)
-            pairs(whole, self._pairs, fleet.origin_ns)
+            events(Canvas(self._stream, fleet.origin_ns), fleet.origin_ns, fleet.events)
         self._stream.flush()
         self._stream.disconnect()
 
@@ -83,10 +79,10 @@ class Recording:
         points = points[np.isfinite(points).all(axis=1)]
         members = [name for name in flights if name]
         if not len(points):
-            return blueprint((0.0, 0.0, 0.0), 1.0, members, pairs=bool(self._pairs))
+            return blueprint((0.0, 0.0, 0.0), 1.0, members)
         low, high = points.min(axis=0), points.max(axis=0)
         x, y, z = (float(v) for v in 0.5 * (low + high))
-        return blueprint((x, y, z), float(np.linalg.norm(high - low)), members, pairs=bool(self._pairs))
+        return blueprint((x, y, z), float(np.linalg.norm(high - low)), members)
 
 
 def open_viewer(recording: Path, *, web: bool) -> int:

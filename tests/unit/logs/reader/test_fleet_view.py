@@ -10,7 +10,6 @@ from rosbags.highlevel import AnyReader
 from flightstack.cli.main import main
 from logs.reader.flight import load_fleet
 from logs.reader.reader import LogFile
-from logs.verdict.verdict import pair_series
 
 pytest.importorskip("rerun", reason="needs the extra [view]")
 from rerun.chunk import RrdReader
@@ -71,20 +70,11 @@ def test_each_member_is_in_the_scene_at_its_place(fleet, saved):
     assert not {e for e in entities if e.startswith(("/world/vehicle", "/world/target", "/safety", "/phase"))}
 
 
-def test_pairs_are_drawn_as_far_as_they_are_near(fleet, saved):
-    for pair in pair_series(load_fleet(fleet.log)):
-        name = pair.name.replace("–", "_")
-        assert curve(saved, f"/pairs/measure/{name}") == pytest.approx(pair.measure.tolist())
-        assert curve(saved, f"/pairs/distance/{name}") == pytest.approx(pair.distance_m.tolist())
-        near = (pair.flying & (pair.measure < 3.0)).any()
-        assert near == any(chunk.entity_path == f"/world/pairs/{name}" for chunk in chunks(saved))
-
-
 def test_a_member_alone_is_as_a_single_flight(fleet, tmp_path):
     Recording(fleet.log, "cf2").save(tmp_path / "one.rrd")
     entities = {chunk.entity_path for chunk in chunks(tmp_path / "one.rrd")}
     assert {"/world/vehicle/body", "/safety/h/controller", "/phase", "/events", "/run"} <= entities
-    assert not {e for e in entities if "cf" in e or e.startswith("/pairs")}
+    assert not {e for e in entities if "cf" in e}
 
 
 @pytest.fixture(scope="module")
