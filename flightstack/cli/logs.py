@@ -205,28 +205,16 @@ def report(log: Path, other: Path | None, member: str | None, out: Path | None, 
 @click.option(
     "--web", is_flag=True, help="Serve Rerun to a browser of this machine, instead of opening a window."
 )
-@click.option(
-    "--layouts", type=click.Path(file_okay=False, path_type=Path), metavar="FOLDER",
-    help="Only write layouts for Foxglove and PlotJuggler there, with the topics of this LOG.",
-)  # fmt: skip
 @click.option("--member", metavar="NAME", help="Show the flight of this member of a fleet alone, e.g. cf2.")
 @click.option("--force", is_flag=True, help="Replace files that exist.")
-def view(
-    log_file: Path, save: Path | None, web: bool, layouts: Path | None, member: str | None, force: bool
-) -> None:
+def view(log_file: Path, save: Path | None, web: bool, member: str | None, force: bool) -> None:
     """Show a LOG in Rerun: the scene in 3-D, curves and events (docs/how_to/viewing.md).
 
     A fleet is shown in one scene.
 
-    The command needs the extra `view`, except for --layouts. Exit status: 0 shown or written, 1 shown or
-    written from a broken LOG, 2 wrong input or no window.
+    The command needs the extra `view`. Exit status: 0 shown or written, 1 shown or written from a broken
+    LOG, 2 wrong input or no window.
     """
-    if layouts is not None:
-        from logs.view.layout_files import write_layouts
-
-        for path in write_layouts(log_file, layouts, member, force=force):
-            click.echo(plain(path))
-        return
     try:
         from logs.view.view import Recording, open_viewer
     except ModuleNotFoundError as error:

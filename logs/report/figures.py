@@ -6,30 +6,9 @@ from collections.abc import Sequence
 
 from logs.reader.fleet_messages import FleetMessages
 from logs.reader.flight_data import Fleet, Flight
+from logs.report import series, several, space
 from logs.report.derived import Side
 from logs.report.page import Panel
-from logs.report.series import (
-    barrier_over_time,
-    data_age,
-    estimate_error,
-    filter_activity,
-    loop_timing,
-    tracking,
-    vehicle_state,
-    velocities,
-)
-from logs.report.several import (
-    best_h,
-    distances,
-    h_error_mm,
-    series,
-    target_age_ms,
-    tick_us,
-    vectors,
-    velocity_flown,
-    velocity_sent,
-)
-from logs.report.space import altitude_over_distance, plan, room_3d, trajectory_3d
 from logs.report.style import axis_of, fleet_axis
 from logs.report.timeline import timeline
 from logs.verdict.types import RADIUS_ABOVE_M, RADIUS_BESIDE_M
@@ -48,33 +27,33 @@ def panels(side: Side) -> list[Panel]:
     return [
         Panel(
             "relative", "Landing relative to the pad, over the barrier",
-            f"{source} Surface: h = 0; unsafe below it.{edge}", trajectory_3d(flight), "Fig. 7, 10",
+            f"{source} Surface: h = 0; unsafe below it.{edge}", space.trajectory_3d(flight), "Fig. 7, 10",
         ),
         Panel(
             "timeline", "The flight at a glance", _TIMELINE,
             timeline([side], axis, flight.events, -side.offset_s),
         ),
         Panel(
-            "altitude", _ALTITUDE, f"{source} Shaded: unsafe, h < 0.{edge}", altitude_over_distance([side]),
-            "Fig. 8, 11",
+            "altitude", _ALTITUDE, f"{source} Shaded: unsafe, h < 0.{edge}",
+            space.altitude_over_distance([side]), "Fig. 8, 11",
         ),
         Panel(
             "barrier", _BARRIER,
             f"{_barrier_source(flight)} Dotted: −5 mm, the limit of a violation outside the pad. {_MARGIN}",
-            barrier_over_time(flight, side.verdict), "Fig. 9a, 13a",
+            series.barrier_over_time(flight, side.verdict), "Fig. 9a, 13a",
         ),
         Panel(
             "velocity", "Velocity: nominal, filtered, sent",
             _VELOCITY + (_SWITCH if flight.truth is not None else ""),
-            velocities(flight), "Fig. 9b–d, 13b–d",
+            series.velocities(flight), "Fig. 9b–d, 13b–d",
         ),
-        Panel("filter", "What the filter does", _FILTER, filter_activity(flight)),
-        Panel("tracking", "Velocity: wanted, set-point, flown", _TRACKING, tracking(flight)),
-        Panel("error", "Error of the estimates", _ERROR, estimate_error(flight)),
-        Panel("plan", "Paths from above", f"{source} {_PLAN}", plan([side]), "Fig. 12"),
-        Panel("vehicle", "The vehicle", _VEHICLE, vehicle_state(flight)),
-        Panel("timing", "Loop timing", _TIMING, loop_timing(flight)),
-        Panel("age", "Age of the data at each tick", "As the controller saw it.", data_age(flight)),
+        Panel("filter", "What the filter does", _FILTER, series.filter_activity(flight)),
+        Panel("tracking", "Velocity: wanted, set-point, flown", _TRACKING, series.tracking(flight)),
+        Panel("error", "Error of the estimates", _ERROR, series.estimate_error(flight)),
+        Panel("plan", "Paths from above", f"{source} {_PLAN}", space.plan([side]), "Fig. 12"),
+        Panel("vehicle", "The vehicle", _VEHICLE, series.vehicle_state(flight)),
+        Panel("timing", "Loop timing", _TIMING, series.loop_timing(flight)),
+        Panel("age", "Age of the data at each tick", "As the controller saw it.", series.data_age(flight)),
     ]  # fmt: skip
 
 
@@ -84,18 +63,22 @@ def compared_panels(sides: Sequence[Side]) -> list[Panel]:
     both = "A is blue, B is orange; each on the time since its own landing began."
     best = f"{both} From true states where the log has them, else by the vehicle's estimate."
     return [
-        Panel("altitude", _ALTITUDE, best, altitude_over_distance(sides)),
+        Panel("altitude", _ALTITUDE, best, space.altitude_over_distance(sides)),
         Panel("timeline", "Phases and faults", both, timeline(sides, axis)),
-        Panel("barrier", _BARRIER, best, series(sides, axis, best_h, "h [m]")),
-        Panel("sent", "Velocity sent", both, vectors(sides, axis, velocity_sent)),
-        Panel("flown", "Velocity flown", best, vectors(sides, axis, velocity_flown)),
+        Panel("barrier", _BARRIER, best, several.series(sides, axis, several.best_h, "h [m]")),
+        Panel("sent", "Velocity sent", both, several.vectors(sides, axis, several.velocity_sent)),
+        Panel("flown", "Velocity flown", best, several.vectors(sides, axis, several.velocity_flown)),
         Panel(
             "error", "Error of the estimated h", f"{both} Needs true states.",
-            series(sides, axis, h_error_mm, "error of h [mm]"),
+            several.series(sides, axis, several.h_error_mm, "error of h [mm]"),
         ),
-        Panel("age", "Age of the target state", both, series(sides, axis, target_age_ms, "age [ms]")),
         Panel(
-            "tick", "Time spent in a tick", f"{both} Wall clock.", series(sides, axis, tick_us, "time [µs]")
+            "age", "Age of the target state", both,
+            several.series(sides, axis, several.target_age_ms, "age [ms]"),
+        ),
+        Panel(
+            "tick", "Time spent in a tick", f"{both} Wall clock.",
+            several.series(sides, axis, several.tick_us, "time [µs]"),
         ),
     ]  # fmt: skip
 
@@ -105,15 +88,15 @@ def fleet_panels(
 ) -> list[Panel]:
     """Return the figures of a fleet; the first is the main picture."""
     axis = fleet_axis(fleet)
-    h = series(sides, axis, best_h, "h [m]", hovermode="closest")
+    h = several.series(sides, axis, several.best_h, "h [m]", hovermode="closest")
     return [
-        Panel("room", "All paths in the room", _ROOM, room_3d(sides)),
+        Panel("room", "All paths in the room", _ROOM, space.room_3d(sides)),
         Panel(
             "timeline", "Who did what, and who waited for whom", _LANES,
             timeline(sides, axis, fleet.events, messages=messages),
         ),
-        Panel("plan", "Paths from above", _ROOM, plan(sides)),
-        Panel("pairs", "Distance of each pair", _NEAR, distances(pairs, axis)),
+        Panel("plan", "Paths from above", _ROOM, space.plan(sides)),
+        Panel("pairs", "Distance of each pair", _NEAR, several.distances(pairs, axis)),
         Panel("barriers", "Barrier value of each member", _BARRIERS, h),
     ]  # fmt: skip
 

@@ -10,6 +10,7 @@ from flightstack.config.options import repeated
 from logs.reader.fleet_messages import FleetMessages, load_messages
 from logs.reader.flight_data import ATTACHMENT, Fleet, Flight
 from logs.reader.reader import LogFile
+from logs.report import tables
 from logs.report.derived import Side, side_of
 from logs.report.page import (
     Page,
@@ -22,25 +23,6 @@ from logs.report.page import (
     repeat_box,
     time_bar,
     write,
-)
-from logs.report.tables import (
-    HEADLINES,
-    compared_settings,
-    events_table,
-    faults_table,
-    fleet_key_numbers,
-    fleet_result_table,
-    headline,
-    key_numbers,
-    links_table,
-    members_table,
-    messages_table,
-    pairs_table,
-    phases_table,
-    result_table,
-    run_table,
-    versions_table,
-    waits_table,
 )
 from logs.schema.names import FLEET, TEAM
 from logs.verdict.types import SOURCES, TRUTH, Outcome, Verdict
@@ -113,24 +95,24 @@ def flight_page(flight: Flight, verdict: Verdict, of: str | None = None) -> Page
         title = f"{title}, {flight.member}"
     sources = [(what, flight.attachments.get(name), name) for name, what in _FILES]
     return Page(
-        title, headline(verdict), " · ".join([*_flown(run), verdict.reason]), key_numbers(side),
+        title, tables.headline(verdict), " · ".join([*_flown(run), verdict.reason]), tables.key_numbers(side),
         [
             html('<p><a href="{}">The whole fleet</a></p>').format(of) if of is not None else "",
             picture,
-            Panel("result", "Result", _source(verdict), result_table(side)),
+            Panel("result", "Result", _source(verdict), tables.result_table(side)),
             time_bar(events=True),
             timeline,
             [
-                Panel("phases", "Phases", "Each with the reason it began.", phases_table(flight)),
-                Panel("faults", "Faults", _FAULTS, faults_table(flight)),
+                Panel("phases", "Phases", "Each with the reason it began.", tables.phases_table(flight)),
+                Panel("faults", "Faults", _FAULTS, tables.faults_table(flight)),
             ],
             *figures,
-            Panel("links", "Links", "Counted from the recorded traffic.", links_table(side.streams)),
+            Panel("links", "Links", "Counted from the recorded traffic.", tables.links_table(side.streams)),
             _events(side, "events", "Events", "Times since the landing began; each is a link."),
             repeat_section(flight),
             [
-                Panel("run", "Run", "", run_table(flight)),
-                Panel("versions", "Versions", "", versions_table(flight.metadata)),
+                Panel("run", "Run", "", tables.run_table(flight)),
+                Panel("versions", "Versions", "", tables.versions_table(flight.metadata)),
             ],
             *_configuration("Configuration", sources, flight.path),
         ],
@@ -154,12 +136,12 @@ def fleet_page(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path]) -
         (f"Configuration of {name}", flight.attachments.get(ATTACHMENT), f"{name}.toml")
         for name, flight in fleet.flights.items()
     ]
-    result = members_table(sides, messages, pages) + fleet_result_table(verdict)
+    result = tables.members_table(sides, messages, pages) + tables.fleet_result_table(verdict)
     return Page(
         told.get("scenario", fleet.path.stem),
         _fleet_headline(verdict),
         " · ".join([f"{len(verdict.members)} vehicles", *_flown(told), verdict.reason]),
-        fleet_key_numbers(verdict),
+        tables.fleet_key_numbers(verdict),
         [
             picture,
             Panel(
@@ -169,16 +151,16 @@ def fleet_page(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path]) -
             time_bar(events=True),
             *figures,
             [
-                Panel("near", "How near they came", _NEAR, pairs_table(fleet)),
-                Panel("waits", "Who waited for whom", _WAITS, waits_table(messages)),
+                Panel("near", "How near they came", _NEAR, tables.pairs_table(fleet)),
+                Panel("waits", "Who waited for whom", _WAITS, tables.waits_table(messages)),
             ],
-            Panel("words", "Messages between members", _WAYS, messages_table(messages)),
+            Panel("words", "Messages between members", _WAYS, tables.messages_table(messages)),
             Panel(
                 "events", "Events of all", "Times since the log began; each is a link.",
-                events_table(fleet.events), style=_EVENTS,
+                tables.events_table(fleet.events), style=_EVENTS,
             ),
             _repeat(fleet.path, told, fleet.metadata, fleet.attachments.get(TEAM), TEAM),
-            Panel("versions", "Versions", "", versions_table(fleet.metadata)),
+            Panel("versions", "Versions", "", tables.versions_table(fleet.metadata)),
             *_configuration("Configurations", sources, fleet.path),
         ],
         _fleet_warnings(fleet, verdict, messages),
@@ -189,21 +171,21 @@ def _comparison(a: Side, b: Side) -> Page:
     """Return the page of two flights."""
     from logs.report.figures import compared_panels
 
-    worse = max((headline(s.verdict)[1] for s in (a, b)), key=("good", "fair", "bad").index)
-    outcomes = " · ".join(f"{s.name} {headline(s.verdict)[0]}" for s in (a, b))
+    worse = max((tables.headline(s.verdict)[1] for s in (a, b)), key=("good", "fair", "bad").index)
+    outcomes = " · ".join(f"{s.name} {tables.headline(s.verdict)[0]}" for s in (a, b))
     runs = [(s, s.flight.metadata.get("run", {})) for s in (a, b)]
     picture, *figures = compared_panels((a, b))
     return Page(
         " and ".join(run.get("scenario", s.flight.path.stem) for s, run in runs) + ", compared",
         (outcomes, worse),
         " · ".join(", ".join([f"{s.name}: {s.flight.path}", *_flown(run)]) for s, run in runs),
-        key_numbers(a, b),
+        tables.key_numbers(a, b),
         [
             picture,
-            Panel("numbers", "Key numbers", "", result_table(a, b)),
+            Panel("numbers", "Key numbers", "", tables.result_table(a, b)),
             Panel(
                 "settings", "Different settings", "Run, versions and configuration.",
-                compared_settings(a.flight, b.flight),
+                tables.compared_settings(a.flight, b.flight),
             ),
             time_bar(events=False),
             *figures,
@@ -227,7 +209,7 @@ def _flown(run: Mapping[str, str]) -> list[str]:
 
 
 def _events(side: Side, key: str, title: str, note: str) -> Panel:
-    return Panel(key, title, note, events_table(side.flight.events, -side.offset_s), style=_EVENTS)
+    return Panel(key, title, note, tables.events_table(side.flight.events, -side.offset_s), style=_EVENTS)
 
 
 def _configuration(
@@ -243,7 +225,7 @@ def _configuration(
 
 
 def _fleet_headline(verdict: FleetVerdict) -> tuple[str, str]:
-    text, style = HEADLINES[verdict.outcome]
+    text, style = tables.HEADLINES[verdict.outcome]
     text = "All landed" if verdict.outcome is Outcome.LANDED else text
     also = ["a barrier violation"] if verdict.violation else []
     also += ["an ellipsoid violation"] if verdict.ellipsoid_violations else []

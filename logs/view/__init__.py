@@ -1,1 +1,1 @@
-"""3-D views in Rerun, and layouts for Foxglove and PlotJuggler."""
+"""3-D views in Rerun."""

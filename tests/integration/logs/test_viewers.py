@@ -22,12 +22,12 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Nodetype
 
 from logs.schema.mavlink import unpack_mavlink
-from logs.view.layout_files import layout
 from tests.integration.runs import COMMAND, flightstack
 from tests.processes.bounded import killed, lines_of
 
 ROOT = Path(__file__).parents[3]
 pytestmark = pytest.mark.xdist_group("viewers")  # they share a flight
+LAYOUTS = ROOT / "docs/how_to/layouts"
 RERUN = Path(sys.executable).parent / "rerun"
 PATIENCE_S = 180.0
 
@@ -153,7 +153,7 @@ def numeric(reader, topic, fields):
 
 
 def test_foxglove_layout_names_topics_and_fields_that_are_there(log):
-    panels = json.loads(layout("foxglove.json"))["configById"]
+    panels = json.loads((LAYOUTS / "foxglove.json").read_text())["configById"]
     with AnyReader([log]) as reader:
         topics = {c.topic for c in reader.connections}
         checked = 0
@@ -171,7 +171,7 @@ def test_foxglove_layout_names_topics_and_fields_that_are_there(log):
 
 
 def test_plotjuggler_layout_names_topics_and_fields_that_are_there(log):
-    curves = [c.get("name") for c in ElementTree.fromstring(layout("plotjuggler.xml")).iter("curve")]
+    curves = [c.get("name") for c in ElementTree.parse(LAYOUTS / "plotjuggler.xml").iter("curve")]
     assert len(curves) > 25
     with AnyReader([log]) as reader:
         topics = {c.topic for c in reader.connections}
@@ -185,8 +185,8 @@ def test_the_commands_of_the_page_run(log, tmp_path):
     lines = re.findall(r"^\.venv/bin/(flightstack view .*)$", page, re.MULTILINE)
     (tmp_path / "runs/first").mkdir(parents=True)
     (tmp_path / "runs/first/flight.mcap").symlink_to(log)
-    files = [line for line in lines if "--save" in line or "--layouts" in line]
-    assert (len(lines), len(files)) == (4, 2)
+    files = [line for line in lines if "--save" in line]
+    assert (len(lines), len(files)) == (3, 1)
     for line in files:
         done = flightstack(*line.split()[1:], cwd=tmp_path)
         assert done.code == 0, (line, done.err)

@@ -26,7 +26,6 @@ VERBS = (
     ("log", "info"),
     ("log", "verdict"),
     ("replay",),
-    ("view", "--layouts", "layouts", "--force"),
     ("identify",),
 )
 

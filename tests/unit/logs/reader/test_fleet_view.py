@@ -1,7 +1,5 @@
 """A fleet in Rerun and in Foxglove's layout: every member at its position, without name conflicts."""
 
-import json
-
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -9,7 +7,6 @@ from rosbags.highlevel import AnyReader
 
 from flightstack.cli.main import main
 from logs.reader.flight import load_fleet
-from logs.reader.reader import LogFile
 
 pytest.importorskip("rerun", reason="needs the extra [view]")
 from rerun.chunk import RrdReader
@@ -105,23 +102,3 @@ def test_pictures_of_a_member_are_in_its_own_frames(bag):
             "pad": {f"{member}/target"}, "barrier": {f"{member}/target_pad"},
             "path": {"map"}, "velocity": {"map"},
         }  # fmt: skip
-
-
-def test_layouts_show_scene_and_curves_of_each_member(fleet, tmp_path):
-    done = run("view", fleet.log, "--layouts", tmp_path)
-    assert done.exit_code == 0
-    names = {name for m in MEMBERS for name in (f"foxglove_{m}.json", f"plotjuggler_{m}.xml")}
-    assert {path.name for path in tmp_path.iterdir()} == names
-    topics = {m.topic for m in LogFile(fleet.log).messages()}
-    panels = json.loads((tmp_path / "foxglove_cf2.json").read_text())["configById"]
-    scene = panels["3D!scene"]
-    assert "/cf2/cbf/markers" in scene["topics"]
-    assert scene["topics"].keys() <= topics
-    assert scene["transforms"].keys() == {"frame:map_ned", "frame:cf2/target_pad"}
-    paths = [path["value"] for config in panels.values() for path in config.get("paths", [])]
-    assert paths
-    assert {path.split("/")[1] for path in paths} <= {"cf2"}
-    one = tmp_path / "one"
-    assert run("view", fleet.log, "--layouts", one, "--member", "cf3").exit_code == 0
-    assert {path.name for path in one.iterdir()} == {"foxglove_cf3.json", "plotjuggler_cf3.xml"}
-    assert run("view", fleet.log, "--layouts", tmp_path / "none", "--member", "cf9").exit_code == 2

@@ -205,13 +205,11 @@ def test_a_log_of_others_is_shown_and_not_obeyed(tmp_path):
 @pytest.mark.parametrize("name", ["../../evil", "a/b", "<b>", "a b", "x" * 65])
 def test_names_of_a_log_become_no_paths(tmp_path, name):
     log = evil_log(tmp_path / "a.mcap", {"fleet": {"members": f"{name},cf2"}})
-    for verb in (["report"], ["view", "--layouts", str(tmp_path / "l")], ["log", "verdict"]):
+    for verb in (["report"], ["log", "verdict"]):
         result = CliRunner().invoke(main, [*verb, str(log)])
         assert result.exit_code == 2
         assert repr(name)[1:-1] in result.output
     assert CliRunner().invoke(main, ["log", "info", str(log)]).exit_code == 0
-    other = evil_log(tmp_path / "b.mcap", {"onboard": {"namespace": '"><x/>'}})
-    assert CliRunner().invoke(main, ["view", "--layouts", str(tmp_path / "l"), str(other)]).exit_code == 2
 
 
 def test_the_view_of_a_fleet_takes_reasons_for_words(monkeypatch):

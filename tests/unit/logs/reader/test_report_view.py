@@ -1,4 +1,4 @@
-"""Values that the report computes from a log, data for viewers, and the packaged layouts."""
+"""Values that the report computes from a log, and data for viewers."""
 
 from __future__ import annotations
 
