@@ -32,8 +32,8 @@ from bridge.crazyflie.vehicle import Vehicle
 from bridge.mavlink.codec.messages import Message
 from bridge.mavlink.profiles import CRAZYFLIE_MARK
 from bridge.mavlink.server import telemetry
-from bridge.mavlink.server.commander import Right, Sender
-from bridge.mavlink.server.commands import ACCEPTED, DENIED, REJECTED, Answer, Command, Entry, Reply
+from bridge.mavlink.server.commander import Sender
+from bridge.mavlink.server.commands import ACCEPTED, REJECTED, Reply
 from bridge.mavlink.server.parameters import Parameters, fixed
 from bridge.mavlink.server.profile import ServerProfile
 from bridge.mavlink.server.server import COMPONENT_ID, SYSTEM_ID, Server
@@ -98,7 +98,7 @@ class Node(Server[Vehicle]):
         )
         super().__init__(Vehicle(rules), PROFILE, parameters, _RATE_HZ, system_id=system_id)
         self._events: dict[type, Callable[[Any, float], None]] = {
-            Connected: self._on_connected,
+            Connected: self.vehicle.connected,
             Lost: self.vehicle.lost,
             ArmReply: self.vehicle.arm_reply,
             ParamValue: self.vehicle.param,
@@ -107,6 +107,8 @@ class Node(Server[Vehicle]):
 
     def take(self, event: Event, at_s: float) -> None:
         """Handle an event of the link; ``at_s`` is its arrival time on the bridge's clock."""
+        if isinstance(event, Connected):
+            self.clock.begin()
         self._events[type(event)](event, at_s)
 
     def step(self, now_s: float) -> tuple[list[Message], list[Reply]]:
@@ -144,10 +146,6 @@ class Node(Server[Vehicle]):
         """Return the firmware's clock, ns; None before the first state."""
         return self.clock.now_ns(now_s) if self.clock.running else None
 
-    def own_commands(self) -> dict[int, Entry]:
-        """Return the emergency stop, which is allowed even if the Crazyflie appears disarmed."""
-        return {dialect.MAV_CMD_DO_FLIGHTTERMINATION: Entry(self._terminate, Right.OWNER_OR_GROUND)}
-
     def on_heartbeat(self, message: Any, _sender: Sender, now_s: float) -> list[Message]:
         """Register a client; heartbeats of other vehicles do not count."""
         if message.autopilot == dialect.MAV_AUTOPILOT_INVALID:
@@ -174,12 +172,6 @@ class Node(Server[Vehicle]):
         state = self.vehicle.state
         return state is None or now_s - state.at_s > _GAP_S
 
-    def _terminate(self, command: Command) -> Answer:
-        if not (command.given(1) or 0.0) > 0.5:
-            return Answer(DENIED, "Termination refused: param1 must be 1")
-        self.vehicle.emergency_stop(command.now_s)
-        return Answer()
-
     def _tell_readiness(self, now_s: float) -> None:
         """Report the reason against arming when more than its numbers change."""
         found = self.vehicle.problems(now_s)
@@ -188,10 +180,6 @@ class Node(Server[Vehicle]):
         if kind != self._readiness:
             self._readiness = kind
             self.vehicle.texts.say(dialect.MAV_SEVERITY_INFO, text)
-
-    def _on_connected(self, event: Connected, at_s: float) -> None:
-        self.clock.begin()
-        self.vehicle.connected(event, at_s)
 
     def _on_log(self, packet: LogPacket, at_s: float) -> None:
         if packet.block == STATE.name:

@@ -86,7 +86,9 @@ class Outbox:
     def get(self, timeout_s: float, clock: Callable[[], float]) -> Packet | None:
         """Return the next packet; None: no packet arrived within the time-out."""
         with self._ready:
-            self._ready.wait_for(self._anything, timeout_s)
+            self._ready.wait_for(
+                lambda: self._woken or self._orders or self._velocity or self._pose, timeout_s
+            )
             self._woken = False
             if self._orders:
                 return self._orders.popleft()
@@ -107,6 +109,3 @@ class Outbox:
         with self._ready:
             self._woken = True
             self._ready.notify()
-
-    def _anything(self) -> bool:
-        return bool(self._woken or self._orders or self._velocity or self._pose)

@@ -90,7 +90,7 @@ class Vehicle(Condition, Commander):
         self._connected_s = now_s
         self._arming.forget(armed=self.armed)
         if now_s - self._kill_s <= limits.KILL_KEPT_S:
-            self.emergency_stop(now_s)
+            self.terminate(now_s)
         self._kill_s = -math.inf
         self.texts.say(INFO, f"Crazyflie connected, CRTP {event.protocol}")
         packets, warning = self.settings.connected(event.params)
@@ -158,13 +158,14 @@ class Vehicle(Condition, Commander):
         rearms = on_ground and bool(state.info & Info.AUTO_ARM)
         return rearms and last is not None and state.at_s - last.at_s <= limits.REARM_S
 
-    def emergency_stop(self, now_s: float) -> None:
-        """Stop the motors; the stop is latched until a restart."""
+    def terminate(self, now_s: float) -> str | None:
+        """Stop the motors, even if disarmed; the stop is latched until a restart."""
         if self.link.protocol is None:
             self._kill_s = now_s
             self.texts.say(CRITICAL, "Emergency stop waits for the radio")
         self._packets += self._arming.emergency(now_s)
         self._end("emergency stop, restart needed")
+        return None
 
     def arm_reply(self, reply: ArmReply, now_s: float) -> None:
         reason = self._arming.reply(reply)
@@ -192,10 +193,6 @@ class Vehicle(Condition, Commander):
         if silence_s > limits.RECONNECT_S:
             self.lost(Lost(f"no packet for {limits.RECONNECT_S:g} s"), now_s)
             self._packets += [Order.RECONNECT] if self.armed else [Order.STOP, Order.RECONNECT]
-
-    def _has_sunk(self, now_s: float) -> bool:
-        """Whether a landing without a position has lasted longer than the last known height requires."""
-        return now_s - max(self._placed_s, self._pilot.since_s) > self._sink_s
 
     # Changes of the mode and of the armed state
 
@@ -350,7 +347,8 @@ class Vehicle(Condition, Commander):
             return
         state = self.fresh_state(now_s)
         placed = state is not None and self.position_known(now_s)
-        if not placed and self.mode is FlightMode.LAND and self._has_sunk(now_s):
+        blind_s = now_s - max(self._placed_s, self._pilot.since_s)
+        if not placed and self.mode is FlightMode.LAND and blind_s > self._sink_s:
             self._motors_off(now_s, "Blind landing over: motors off", forced=False)
             return
         if state is not None and not placed and self.mode is not FlightMode.LAND:

@@ -77,7 +77,6 @@ class Autopilot(Server[Flight]):
         m, owner = dialect, Right.OWNER
         return {
             m.MAV_CMD_DO_SET_HOME: Entry(self._set_home, owner, place=True),
-            m.MAV_CMD_DO_FLIGHTTERMINATION: Entry(self._terminate, Right.OWNER_OR_GROUND),
             m.MAV_CMD_DO_REPOSITION: Entry(self._pause, owner, place=True),
             m.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: Entry(self._reboot, owner),
             m.MAV_CMD_INJECT_FAILURE: Entry(self._inject_failure, owner),
@@ -94,13 +93,6 @@ class Autopilot(Server[Flight]):
         return [dialect.MAVLink_gps_global_origin_message(*degrees_e7(0.0, 0.0), 0, round(now_s * 1e6))]
 
     # Commands of this autopilot only, with PX4's results (Commander.cpp)
-
-    def _terminate(self, command: Command) -> Answer:
-        if not (command.given(1) or 0.0) > 0.5:
-            return Answer(DENIED, "Termination refused: param1 must be 1")
-        if not self.flight.armed:
-            return Answer(DENIED, "Termination refused: not armed")
-        return answer(self.flight.disarm(command.now_s, force=True))
 
     def _set_home(self, command: Command) -> Answer:
         if (command.given(1) or 0.0) > 0.5:

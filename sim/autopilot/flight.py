@@ -129,6 +129,9 @@ class Flight(Commander):
         self._after_disarm("Disarmed by force" if force else "Disarmed", now_s)
         return None
 
+    def terminate(self, now_s: float) -> str | None:
+        return self.disarm(now_s, force=True) if self.armed else "Termination refused: not armed"
+
     def reboot(self, now_s: float) -> str | None:
         """Restart the firmware, also if locked; parameters, home and boot clock do not change."""
         if self.vehicle.armed:

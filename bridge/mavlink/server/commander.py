@@ -226,6 +226,10 @@ class Commander(ABC):
         """Disarm; in the air only if ``force`` is set."""
 
     @abstractmethod
+    def terminate(self, now_s: float, /) -> str | None:
+        """Stop the motors at any height."""
+
+    @abstractmethod
     def _why_no_mode(self, mode: FlightMode, now_s: float) -> str | None:
         """Return the reason why the mode cannot start, or None; a change to LAND is not checked."""
 

@@ -136,6 +136,7 @@ class Commands(Generic[V]):
             m.MAV_CMD_NAV_TAKEOFF: Entry(self._take_off, owner, place=True),
             m.MAV_CMD_DO_SET_MODE: Entry(self._set_mode, owner, right_of=self._right_to_mode),
             m.MAV_CMD_COMPONENT_ARM_DISARM: Entry(self._arm_disarm, owner, right_of=_right_to_arm),
+            m.MAV_CMD_DO_FLIGHTTERMINATION: Entry(self._terminate, Right.OWNER_OR_GROUND),
             m.MAV_CMD_RUN_PREARM_CHECKS: Entry(self._prearm_checks, anybody),
             m.MAV_CMD_GET_MESSAGE_INTERVAL: Entry(self._get_interval, anybody),
             m.MAV_CMD_SET_MESSAGE_INTERVAL: Entry(
@@ -194,6 +195,11 @@ class Commands(Generic[V]):
         reason = self._vehicle.arm(command.now_s)  # force skips no check, as in PX4
         return answer(reason) if reason is not None else Answer(later=self._vehicle.arming)
 
+    def _terminate(self, command: Command) -> Answer:
+        if not (command.given(1) or 0.0) > 0.5:
+            return Answer(DENIED, "Termination refused: param1 must be 1")
+        return answer(self._vehicle.terminate(command.now_s), DENIED)
+
     def _take_off(self, command: Command) -> Answer:
         height_m = command.given(7)
         z_m = None if height_m is None else command.local_z_m(height_m, self._vehicle.home_enu_m)
@@ -224,25 +230,28 @@ class Commands(Generic[V]):
             self._vehicle.texts.refuse(f"Preflight fail: {problem}", command.now_s)
         return Answer()
 
+    def _stream(self, command: Command) -> int | None:
+        """Return the message id in param1; None: it has no stream."""
+        message_id = integer(command.given(1))
+        return message_id if message_id is not None and self._streams.known(message_id) else None
+
     def _set_interval(self, command: Command) -> Answer:
-        message_id, interval_us = integer(command.given(1)), command.given(2) or 0.0
-        if message_id is None or not self._streams.known(message_id):
-            return _no_stream(message_id)
-        self._streams.set_interval(message_id, interval_us, command.now_s)
+        message_id = self._stream(command)
+        if message_id is None:
+            return _no_stream(command)
+        self._streams.set_interval(message_id, command.given(2) or 0.0, command.now_s)
         return Answer()
 
     def _right_to_interval(self, command: Command) -> Right:
         """Return the sender's right: all peers share the rates; only the sender in control may lower them."""
-        message_id = integer(command.given(1))
-        if message_id is None or not self._streams.known(message_id):
-            return Right.ANYBODY
-        rarer = self._streams.rarer(message_id, command.given(2) or 0.0)
+        message_id = self._stream(command)
+        rarer = message_id is not None and self._streams.rarer(message_id, command.given(2) or 0.0)
         return Right.OWNER if rarer else Right.ANYBODY
 
     def _get_interval(self, command: Command) -> Answer:
-        message_id = integer(command.given(1))
-        if message_id is None or not self._streams.known(message_id):
-            return _no_stream(message_id)
+        message_id = self._stream(command)
+        if message_id is None:
+            return _no_stream(command)
         interval_us = self._streams.interval_us(message_id)
         return Answer(messages=(dialect.MAVLink_message_interval_message(message_id, interval_us),))
 
@@ -267,5 +276,7 @@ def _right_to_arm(command: Command) -> Right:
     return Right.OWNER_OR_GROUND if kill else Right.OWNER
 
 
-def _no_stream(message_id: int | None) -> Answer:
-    return Answer(FAILED, f"Message {message_id} has no rate to set")  # as in PX4, also for HEARTBEAT
+def _no_stream(command: Command) -> Answer:
+    return Answer(
+        FAILED, f"Message {integer(command.given(1))} has no rate to set"
+    )  # as in PX4, also for HEARTBEAT
