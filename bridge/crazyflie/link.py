@@ -74,30 +74,6 @@ class _Tables(TocCache):  # type: ignore[misc]
         super().insert(crc, toc)
 
 
-class _Requested:
-    def __init__(self, block: Block, put: Callable[[Event], None]) -> None:
-        self.block, self._put = block, put
-        self.heard_s = self.asked_s = -math.inf
-        self._config: Any = None
-
-    def ask(self, crazyflie: Any) -> None:
-        """Request the block under a new number; packets with the old number are no longer decoded."""
-        if self._config is not None:
-            self._config.delete()
-            crazyflie.log.log_blocks.remove(self._config)
-        self.asked_s = time.monotonic()
-        self._config = LogConfig(self.block.name, self.block.period_ms)
-        for variable in self.block.variables:
-            self._config.add_variable(variable, FETCHED_AS.get(variable))
-        crazyflie.log.add_config(self._config)
-        self._config.data_received_cb.add_callback(self._take)
-        self._config.start()
-
-    def _take(self, time_ms: int, values: dict[str, Any], _config: Any) -> None:
-        self.heard_s = time.monotonic()
-        self._put(LogPacket(self.block.name, time_ms, values))
-
-
 class LogBlocks:
     """Keeps the log blocks requested: call ``step`` often. The blocks do not wait for each other.
 
@@ -108,30 +84,49 @@ class LogBlocks:
 
     def __init__(self, crazyflie: Any, put: Callable[[Event], None]) -> None:
         """Send no request yet. cflib's thread calls ``put``."""
-        self._crazyflie = crazyflie
+        self._crazyflie, self._put = crazyflie, put
         known = crazyflie.log.toc.get_element_by_complete_name
-        self._requested = []
+        self._blocks: list[Block] = []
         for block in BLOCKS:
             there = tuple(name for name in block.variables if known(name) is not None)
             if block.needed and there != block.variables:
                 missing = next(name for name in block.variables if name not in there)
                 raise ValueError(f"the firmware has no log variable {missing}: update it")
             if there:
-                self._requested.append(_Requested(block._replace(variables=there), put))
+                self._blocks.append(block._replace(variables=there))
+        self._heard_s = dict.fromkeys((block.name for block in self._blocks), -math.inf)
+        self._asked_s = dict(self._heard_s)
+        self._configs: dict[str, Any] = {}
 
     def step(self) -> None:
         """Request each block that has sent no packet for a second."""
         since_s = time.monotonic() - BLOCK_SILENT_S
-        for requested in self._requested:
-            if max(requested.heard_s, requested.asked_s) <= since_s:
-                requested.ask(self._crazyflie)
+        for block in self._blocks:
+            if max(self._heard_s[block.name], self._asked_s[block.name]) <= since_s:
+                self._ask(block)
+
+    def _ask(self, block: Block) -> None:
+        """Request a block under a new number; packets with the old number are no longer decoded."""
+        if block.name in self._configs:
+            old = self._configs.pop(block.name)
+            old.delete()
+            self._crazyflie.log.log_blocks.remove(old)
+        self._asked_s[block.name] = time.monotonic()
+        config = self._configs[block.name] = LogConfig(block.name, block.period_ms)
+        for variable in block.variables:
+            config.add_variable(variable, FETCHED_AS.get(variable))
+        self._crazyflie.log.add_config(config)
+        config.data_received_cb.add_callback(self._take)
+        config.start()
+
+    def _take(self, time_ms: int, values: dict[str, Any], config: Any) -> None:
+        self._heard_s[config.name] = time.monotonic()
+        self._put(LogPacket(config.name, time_ms, values))
 
     @property
     def waits_for(self) -> str | None:
         """Name of a required block that has not arrived yet; None: all have arrived."""
-        return next(
-            (r.block.name for r in self._requested if r.block.needed and r.heard_s == -math.inf), None
-        )
+        return next((b.name for b in self._blocks if b.needed and self._heard_s[b.name] == -math.inf), None)
 
 
 class CrazyflieLink:
