@@ -117,3 +117,21 @@ def test_a_vehicle_that_slides_is_in_contact_at_once(d_m, slip_m_s, gap_m, headi
     on_pad = d_m < settings.touchdown.pad_radius_m
     slides = soon_m > settings.contact.sliding_radius_m
     assert memory.contact is (on_pad and slides and sliding_gap_m > max(0.0, gap_m))
+
+
+def test_a_target_out_of_sight_in_the_last_centimetres():
+    r = ROBUST.robust
+    gone = {"target_age_s": 9.0, "e": (0.02, 0.0, 0.9 * r.touch_height_m)}
+    told = (0.0, 0.0, -r.descent_m_s)
+    for settings in (PAPER, ROBUST):
+        memory = Memory(phase=Phase.TOUCHDOWN)
+        assert not contact_after(settings, memory, 1.0, **gone)
+        assert contact_after(settings, memory, 0.0, landed=Landed.ON_GROUND, **gone)
+        assert not contact_after(settings, Memory(phase=Phase.LAND), 1.0, landed=Landed.ON_GROUND, **gone)
+    stopped_s = ROBUST.contact.stopped_time_s
+    assert contact_after(ROBUST, Memory(phase=Phase.TOUCHDOWN, command=told), stopped_s + 0.01, **gone)
+    assert not contact_after(PAPER, Memory(phase=Phase.TOUCHDOWN, command=told), 1.0, **gone)
+    high = {**gone, "e": (0.02, 0.0, 1.1 * r.touch_height_m)}
+    assert not contact_after(ROBUST, Memory(phase=Phase.TOUCHDOWN, command=told), 1.0, **high)
+    blind = {**gone, "own_age_s": 9.0}
+    assert not contact_after(ROBUST, Memory(phase=Phase.TOUCHDOWN, command=told), 1.0, **blind)
