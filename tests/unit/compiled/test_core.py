@@ -9,12 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flightstack.compiled import core, jit
-from flightstack.compiled.core import (
-    Core,
-    chosen_core,
-    compiled,
-    is_possible,
-)
+from flightstack.compiled.core import Core, chosen_core, compiled, is_possible
 from flightstack.compiled.jit import OFF, is_off
 from flightstack.compiled.program import CompiledFilter
 from flightstack.core.controller import Controller

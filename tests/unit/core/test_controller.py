@@ -168,38 +168,3 @@ def ruled(rule):
 def landed(rule, **changes):
     world = World(ruled(rule), solid_pad=True, **changes)
     return world.run(60.0, until=lambda w: w.phase in (Phase.LANDED, Phase.ABORT))
-
-
-def height_at(world, phase):
-    """Return the relative height at the start of the phase."""
-    return next(o.snapshot.e_m[2] for o in world.outputs if o.phase is phase)
-
-
-@pytest.mark.parametrize("says_standing", [True, False])
-def test_by_contact_they_go_off_after_it_stands(says_standing):
-    world = landed("contact", says_standing=says_standing)
-    assert world.phase is Phase.LANDED
-    assert height_at(world, Phase.TOUCHDOWN) > 0.04
-    off = next(o for o in world.outputs if o.request is Request.MOTORS_OFF)
-    assert off.snapshot.inputs.own.arrival_s >= world.touched_s
-    assert off.snapshot.inputs.own.arrival_s - world.touched_s < 0.5
-
-
-def blown_off(_, inputs):
-    """Return inputs of a vehicle 7 cm beside the centre that moves away from it."""
-    x, y, z = inputs.target_samples[0].position_enu_m
-    vx, vy, vz = inputs.target_samples[0].velocity_enu_m_s
-    own = inputs.own
-    place = (x + 0.07, y, max(own.position_enu_m[2], z + 0.2))
-    return inputs._replace(own=own._replace(position_enu_m=place, velocity_enu_m_s=(vx + 0.5, vy, vz)))
-
-
-def test_the_robust_filter_goes_around_when_it_is_blown_off_and_lands_then():
-    world = World(ruled("contact"), solid_pad=True)
-    world.fault_in(Phase.TOUCHDOWN, blown_off, seconds=0.015)
-    out = world.step()
-    assert out.phase is Phase.APPROACH
-    assert world.controller.memory.retries == 1
-    assert out.request is Request.EXTERNAL
-    world.run(60.0, until=lambda w: w.phase in (Phase.LANDED, Phase.ABORT))
-    assert world.phase is Phase.LANDED

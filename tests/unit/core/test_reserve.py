@@ -99,13 +99,6 @@ def test_neither_climbs_nor_tilt_disturb_the_estimate(hover, sway_m_s, rate_1_s,
     assert found.reserve == pytest.approx(RESERVE.left(RESERVE.effort(hover), 3.7), rel=2e-3)
 
 
-def test_a_heavier_vehicle_than_declared_shows_in_flight():
-    """At the same voltage it needs more throttle, which the voltage alone does not show."""
-    found = fly(estimate(), 10.0, 0.9)
-    assert found.reserve < RESERVE.at(3.7) - 0.15
-    assert found.acceleration_max_m_s2[2] == pytest.approx(0.5 * (found.reserve - 1.0) * GRAVITY_M_S2)
-
-
 @pytest.mark.parametrize("said", [None, power(0.0, math.nan, math.nan)])
 def test_without_data_the_least_reserve_counts_and_nothing_is_begun(said):
     found = estimate()

@@ -9,10 +9,6 @@ from flightstack.compiled.records import new
 from sim.plant import downwash
 from sim.plant.downwash import JET, DownwashRecord, feel, jet_speed, press, set_jet, set_up_downwash
 from sim.plant.params import load
-from sim.runners.room import Air
-from sim.scenarios.scenario import Start, StartKind
-from sim.vehicle.vehicle import VehicleSim
-from tests.unit.vehicle.vehicle_sim_helpers import scenario
 
 CRAZYFLIE = load("crazyflie20")
 WEIGHT_N = CRAZYFLIE.body.mass_kg * 9.81
@@ -76,30 +72,3 @@ def test_nothing_above_and_nothing_far_beside():
         force, torque = below(*place)
         assert not force.any()
         assert not torque.any()
-
-
-def hovering(x, height):
-    """Return a vehicle that hovers at x, m, above the pad."""
-    start = Start(StartKind.HOVER, offset_m=(x, 0.0, height))
-    return VehicleSim(scenario(start=start), 1)
-
-
-def flown(*vehicles, seconds=1.0):
-    """Return all numbers of the vehicles after some time at zero commanded velocity."""
-    air = Air([each.physics for each in vehicles])
-    for _ in range(round(seconds * 100)):
-        air.blow()
-        for each in vehicles:
-            each.set_velocity((0.0, 0.0, 0.0), 0.0)
-            each.advance(10)
-    return [repr(each.truth()) for each in vehicles]
-
-
-def test_a_vehicle_below_another_gives_more_thrust_to_stay():
-    upper, lower = hovering(0.0, 1.5), hovering(0.0, 1.0)
-    flown(upper, lower)
-    gap_m = upper.body()[2] - lower.body()[2]
-    share = [float(each.physics.record.rotors.thrust_n) / each.physics.weight_n for each in (upper, lower)]
-    assert share[0] == pytest.approx(1.0, abs=0.01)
-    assert share[1] == pytest.approx(1.0 - below(0.0, 0.0, gap_m)[0][2] / WEIGHT_N, abs=0.02)
-    assert gap_m > 0.51  # it sinks until then

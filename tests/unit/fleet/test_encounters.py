@@ -6,11 +6,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from logs.schema.events import ContactBit
 from sim.plant.params import load
 from sim.vehicle.encounters import Shape, Team
-from sim.vehicle.vehicle import VehicleSim
-from tests.unit.vehicle.vehicle_sim_helpers import fly, scenario
 
 SHAPE = Shape.of(load("crazyflie20"))
 SMALL = Shape(0.05, -0.01, 0.02)
@@ -79,16 +76,3 @@ def test_a_team_is_all_its_pairs_and_keeps_the_least_of_those_that_fly():
             seen = seen or found[2] < 1.0 or one.overlap_ms >= 0
         assert told == seen
         assert (team.least == least).all()
-
-
-def test_who_collides_falls_and_the_contact_is_told_once():
-    sim = VehicleSim(scenario(), 1)
-    truths = fly(sim, (0.0, 0.0, 0.0), 0.2)
-    assert not any(truth.contacts for truth in truths)
-    sim.collide()
-    truths = fly(sim, (0.0, 0.0, 0.0), 1.5)
-    assert truths[0].contacts & ContactBit.VEHICLE
-    assert not any(truth.contacts & ContactBit.VEHICLE for truth in truths[1:])
-    assert truths[29].velocity_enu_m_s[2] < -1.5  # 0.3 s later; the rotors need 0.07 s to slow down
-    assert any(truth.contacts & (ContactBit.GROUND | ContactBit.PAD) for truth in truths)
-    assert max(truths[-1].rotor_rpm) < 100.0

@@ -7,7 +7,6 @@ import pytest
 from logs.verdict.types import Outcome
 from sim.runners.landing import land, land_team
 from sim.scenarios import team
-from sim.scenarios.team import TeamScenario
 from tests.fault_grid.fleet import MOMENTS_S, SEED, WHO, Way, fly, row
 from tests.unit.fleet.fleet_helpers import at, same, team_of
 
@@ -27,19 +26,6 @@ def test_a_team_is_the_same_every_time_and_near_vehicles_matter():
     assert one.pairs == two.pairs
     alone = [land(scenario, seed) for scenario, seed in near.singles(2)]
     assert not all(same(a, b) for a, b in zip(one.landings, alone, strict=True))
-
-
-def test_the_order_of_the_members_does_not_matter(monkeypatch):
-    singles = list(team_of(*crossing()).singles(2))
-    flown = []
-    for order in (singles, singles[::-1]):
-        monkeypatch.setattr(TeamScenario, "singles", lambda self, seed, order=order: iter(order))
-        flown.append(land_team(team_of(*crossing()), 2))
-    (a, b), (d, c) = (each.landings for each in flown)
-    assert same(a, c)
-    assert same(b, d)
-    assert flown[0].pairs == flown[1].pairs
-    assert flown[0].pairs[0].violations > 0
 
 
 def test_a_collision_is_a_crash_of_both():

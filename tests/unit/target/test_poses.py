@@ -59,15 +59,6 @@ def test_poses_that_are_too_few_or_too_bad_go_nowhere_and_it_is_said():
     assert "0.05 m/s are needed" in track.problem
 
 
-def test_an_outlier_goes_nowhere_and_does_not_move_the_velocity():
-    track = PoseTrack(LINK, "base")
-    list(drive(track, 0.0, 2.0))
-    assert track.take(circle(2.0, (0.25, 0.0, 0.0))) is None
-    after = list(drive(track, 2.02, 2.2))
-    assert len(after) == 9
-    assert max(velocity_error_m_s(*one) for one in after) < 0.02
-
-
 def covariance(xx=0.0, yy=0.0):
     out = [0.0] * 36
     out[0], out[7] = xx, yy

@@ -11,19 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flightstack.cli.check import check as check_verb
-from flightstack.core.fleet.pair import barrier, share
+from flightstack.core.fleet.pair import barrier
 from flightstack.core.fleet.solution import Row, by_all_sets
-from flightstack.core.memory import Heard
-from flightstack.core.types import ZERO, Intent, Neighbour
+from flightstack.core.types import ZERO
 from flightstack.verify.certificate import checks
 from flightstack.verify.envelope import extremes
-from flightstack.verify.fleet import (
-    anywhere_m,
-    crowd,
-    one_short_m_s,
-    team_checks,
-    up_the_slope_m_s,
-)
+from flightstack.verify.fleet import anywhere_m, crowd, one_short_m_s, team_checks, up_the_slope_m_s
 from sim.scenarios import scenario, team
 from tests.unit.verify.certificate_helpers import config
 
@@ -110,35 +103,6 @@ def test_two_that_lag_come_to_rest_outside_if_the_rate_is_proven_and_not_if_it_i
     assert min(closest_m(4.0 / lag_s, lag_s, seed, 4.0 / lag_s) for seed in range(25)) < -2e-2
 
 
-def least_sum(latency_s, period_s, seed):
-    """Return the smallest sum of shares after a vehicle last yields; one tick is late."""
-    table = replace(with_fleet().fleet, id=1, members=(1, 2), latency_max_s=latency_s)
-    rng = np.random.default_rng(seed)
-    said = Neighbour(2, 0.0, 0.0, ZERO, ZERO, ZERO, intent=Intent.WAITING, yields_to=(1,))
-    seen = Neighbour(1, 0.0, 0.0, ZERO, ZERO, ZERO, intent=Intent.LANDING)
-    shares = []
-    for me in (0, 1):
-        ticks = np.arange(rng.uniform(0.0, period_s), 6.0 * latency_s, period_s)
-        ticks = np.delete(ticks, rng.integers(1, len(ticks)))
-        held = []
-        for now_s in ticks.tolist():
-            if me == 0:
-                held.append(share(Heard(), said, now_s, table))
-            else:
-                held.append(share(Heard(yielded_s=0.0), seen._replace(stamp_s=now_s), now_s, table))
-        shares.append((ticks, held))
-    times = np.concatenate([ticks for ticks, _ in shares])
-    times = times[times >= max(ticks[0] for ticks, _ in shares)]
-    return min(sum(held[np.searchsorted(ticks, t, "right") - 1] for ticks, held in shares) for t in times)
-
-
-@pytest.mark.parametrize(("latency_s", "proven"), [(0.05, True), (0.041, True), (0.021, False)])
-def test_shares_held_by_processes_with_late_ticks(latency_s, proven):
-    assert one("shares", {"latency_max_s": latency_s}, loop={"rate_hz": 50}).proven is proven
-    least = min(least_sum(latency_s, 0.02, seed) for seed in range(600))
-    assert (least >= 1.0) is proven
-
-
 CONFIG = with_fleet()
 X = extremes(CONFIG)
 CROWD = crowd(CONFIG, CONFIG.fleet, X.shape, X.target_climb_m_s)
@@ -205,29 +169,6 @@ def test_two_from_opposite_sides_are_met_from_where_it_is_said_and_not_nearer():
     for nearer_m, found in ((0.01, False), (-0.01, True)):
         rows = [neighbour_row((x, 0.0, 0.0), from_m - nearer_m, 1.0) for x in (1.0, -1.0)]
         assert (by_all_sets(ZERO, rows, *BOX) is not None) is found
-
-
-def most_missed_m_s(slew_m_s2, start_m_s, after_s):
-    """Return the violation of an approaching, accelerating neighbour's row, along one direction."""
-    fleet, step_s = CONFIG.fleet, 0.002
-    h_m, own, other, missed = 5.0, -1.0, start_m_s, 0.0
-    for tick in range(4000):
-        if tick * step_s > after_s:
-            other = min(fleet.speed_max_m_s, other + fleet.acceleration_max_m_s2 * step_s)
-        bound = other - fleet.rate_1_s * h_m
-        own = min(max(bound, -1.0), own + slew_m_s2 * step_s)
-        missed = max(missed, bound - own)
-        h_m += (own - other) * step_s
-    return missed
-
-
-@pytest.mark.parametrize(("slew_m_s2", "proven"), [(2.61, True), (1.5, False)])
-def test_a_row_is_followed_if_the_slew_limit_is_proven_and_missed_if_it_is_far_too_low(slew_m_s2, proven):
-    slews = [slew_m_s2, slew_m_s2, 5.0]
-    assert one("slew, whole share", robust={"acceleration_max_m_s2": slews}).proven is proven
-    cases = [(s, t) for s in (-1.0, 0.0, 0.5, 0.9) for t in np.arange(0.0, 6.0, 0.3).tolist()]
-    missed = max(most_missed_m_s(slew_m_s2, start, after) for start, after in cases)
-    assert (missed < 0.01) is proven
 
 
 X_FIELD = extremes(scenario.load("field").onboard)

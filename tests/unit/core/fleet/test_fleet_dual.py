@@ -19,8 +19,6 @@ from flightstack.core.fleet.pair import (
     wider,
 )
 from flightstack.core.fleet.precedence import decide
-from flightstack.core.fleet.program import FleetProgram
-from flightstack.core.fleet.solution import Row
 from flightstack.core.memory import FleetMemory, Heard
 from flightstack.core.parameters.fleet import CARRIED_AGES, Fleet
 from flightstack.core.types import ZERO, Intent, Neighbour, OwnState, Phase
@@ -56,14 +54,6 @@ def test_it_finds_the_least_slack_that_trying_all_corners_finds(firm, soft, box)
     assert quick[0] == pytest.approx(slack, abs=1e-6)
     assert missing(firm, *box, quick[1]) <= 1e-8
     assert max(each.missing_m_s(quick[1]) for each in soft) <= quick[0] + 1e-8
-
-
-def test_a_gradient_without_a_direction_is_left_to_the_slow_way():
-    assert solution.by_active_set(ZERO, [Row(ZERO, -1.0)], (-1.0,) * 3, (1.0,) * 3) is None
-    found = FleetProgram(2).solve(
-        ZERO, (), [Row(ZERO, -1.0), Row((1.0, 0.0, 0.0), 0.5)], (-1.0,) * 3, (1.0,) * 3
-    )
-    assert found.filter.velocity_enu_m_s == pytest.approx((0.5, 0.0, 0.0))
 
 
 def word(stamp_s=0.0, velocity=ZERO, **keys):

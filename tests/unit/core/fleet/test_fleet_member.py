@@ -6,10 +6,7 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.core.controller import Controller
 from flightstack.core.types import Inputs, Intent, Landed, Mode, OwnState, VehicleStatus
 from tests.unit.core.core_helpers import config
-from tests.unit.core.fleet.fleet_helpers import (
-    fleet,
-    settings_of,
-)
+from tests.unit.core.fleet.fleet_helpers import fleet, settings_of
 
 
 def test_a_vehicle_that_does_not_know_where_it_is_says_nothing():

@@ -14,16 +14,7 @@ from flightstack.core.fleet.pair import ALL, HALF, NONE, barrier, estimate, grow
 from flightstack.core.fleet.program import FleetProgram
 from flightstack.core.memory import AbortWay, Heard, Memory
 from flightstack.core.parameters.fleet import Fleet
-from flightstack.core.types import (
-    ZERO,
-    Intent,
-    Landed,
-    Mode,
-    Neighbour,
-    OwnState,
-    Phase,
-    VehicleStatus,
-)
+from flightstack.core.types import ZERO, Intent, Landed, Mode, Neighbour, OwnState, Phase, VehicleStatus
 
 TICK_S = 0.02
 A, B = Fleet(3, (3, 7)), Fleet(7, (3, 7))

@@ -96,14 +96,6 @@ def test_a_state_from_the_future_is_as_wrong_as_an_old_one():
     assert "OWN_LOST" in names(tick(own_age_s=-0.051))
 
 
-def test_what_was_seen_once_is_remembered():
-    memory = Memory()
-    tick(memory=memory)
-    found = names(tick(memory=memory, armed=False, mode=Mode.HOLD))
-    assert {"WAS_ARMED", "WAS_EXTERNAL"} <= found
-    assert not {"ARMED", "EXTERNAL"} & found
-
-
 def test_recovered_is_good_for_long_enough_without_a_break():
     memory, wait_s = Memory(phase=Phase.HOLD), ROBUST.checks.recovery_time_s
     assert "RECOVERED" not in names(tick(memory=memory))
@@ -113,12 +105,6 @@ def test_recovered_is_good_for_long_enough_without_a_break():
         assert "RECOVERED" not in names(tick(memory=memory, now_s=NOW_S + 1.0, without=(without,)))
         assert "RECOVERED" not in names(tick(memory=memory, now_s=NOW_S + 1.01))
         assert "RECOVERED" in names(tick(memory=memory, now_s=NOW_S + 1.02 + wait_s))
-
-
-def test_retries_are_counted():
-    most = ROBUST.checks.retries_max
-    assert "RETRIES_LEFT" in names(tick(memory=Memory(retries=most - 1)))
-    assert "RETRIES_LEFT" not in names(tick(memory=Memory(retries=most)))
 
 
 @pytest.mark.parametrize(
@@ -154,11 +140,6 @@ def test_a_pad_is_left_after_the_rest_with_all_that_a_flight_needs(changes, want
     rested = Memory(phase=Phase.LANDED, phase_since_s=NOW_S - LANDED_SETTLE_S - 1e-6)
     found = tick(**{"memory": rested, "way": Way(pad_wanted=True), "armed": False, "ready": False, **changes})
     assert ("PAD_WANTED" in names(found)) is wanted
-
-
-def test_clear_is_remembered():
-    assert "CLEAR" in names(tick(memory=Memory(phase=Phase.LEAVE, clear=True)))
-    assert "CLEAR" not in names(tick(memory=Memory(phase=Phase.LEAVE)))
 
 
 def test_the_landing_has_its_time():
@@ -282,10 +263,3 @@ def test_it_goes_around_when_it_is_going_to_leave_the_corridor():
     near = DRIFT_SHARE * corridor
     for x, expected in ((near - 1e-6, False), (near + 1e-6, True)):
         assert drifted(ROBUST, (x, 0.0, 0.2), velocity=(5.0, 0.0, 0.0)) is expected
-
-
-def test_a_target_that_was_known_once_stays_known():
-    memory = Memory()
-    assert "TARGET_KNOWN" not in names(tick(memory=memory, target_age_s=9.0))
-    tick(memory=memory)
-    assert "TARGET_KNOWN" in names(tick(memory=memory, without=("target",)))

@@ -5,7 +5,7 @@ import math
 from dataclasses import replace
 
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.core.fleet.precedence import ALONE, Way
@@ -15,7 +15,6 @@ from flightstack.core.mission.guidance import NominalCommand as Command
 from flightstack.core.mission.guidance import Situation, nominal_command
 from flightstack.core.mission.machine import Mission
 from flightstack.core.snapshot import Snapshot
-from flightstack.core.strategies.robust import BRAKING
 from flightstack.core.strategies.strategy import strategy_of
 from flightstack.core.target.plausibility import Plausibility
 from flightstack.core.target.track import TargetState, TargetTrack
@@ -107,21 +106,6 @@ def test_the_take_off_climbs_straight_up_until_it_is_high_and_armed():
         assert asked(Phase.TAKEOFF, settings, memory=Memory(climbed=True), **lost) == Command(Request.TAKEOFF)
 
 
-def test_to_the_start_it_goes_upwards_first():
-    settings = config(
-        takeoff={"start_offset_m": [-1.0, 0.5, 0.7]}, position_loop={"gain_1_s": [1.0, 2.0, 3.0]}
-    )
-    near_m = settings.takeoff.level_first_m
-    low = asked(Phase.TAKEOFF, settings, (0.0, 0.0, 0.7 - near_m - 1e-6), Memory(climbed=True))
-    x, y, z = MOVING  # the start moves with the robot
-    assert low.velocity == pytest.approx((x, y, z + 3.0 * near_m), abs=1e-4)
-    level = asked(Phase.TAKEOFF, settings, (0.0, 0.0, 0.7 - near_m + 1e-6), Memory(climbed=True))
-    assert level.velocity == pytest.approx((x - 1.0, y + 1.0, z + 3.0 * near_m), abs=1e-4)
-    assert not level.filtered
-    anywhere = asked(Phase.TAKEOFF, config(), memory=Memory(climbed=True))
-    assert anywhere == Command(Request.EXTERNAL, ZERO)
-
-
 places = st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0), st.floats(0.0, 2.0))
 
 
@@ -153,28 +137,6 @@ def test_the_robust_landing_waits_low_over_the_middle(e):
 
 
 near = st.tuples(st.floats(-0.7, 0.7), st.floats(-0.7, 0.7), st.floats(0.0, 2.0))
-
-
-@given(near, st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0)))
-def test_who_comes_to_rest_beyond_the_middle_does_not_sink_below_the_barrier_there(e, slip):
-    """Find the position by small steps; on this side of the centre nothing changes."""
-    r = ROBUST.robust
-    brakes = BRAKING * r.acceleration_max_m_s2[0]
-    speed, (x, y), passed = math.hypot(*slip), e[:2], False
-    flown = (slip[0] + MOVING[0], slip[1] + MOVING[1], 0.0)
-    if speed > 0.0:
-        for n in range(2000):
-            share = (1.0 - (n + 0.5) / 2000) * speed / brakes / 2000
-            x, y = x + share * slip[0], y + share * slip[1]
-            passed = passed or x * slip[0] + y * slip[1] > 0.0
-    assume(speed == 0.0 or (speed > 1e-6 and abs(x * slip[0] + y * slip[1]) > 1e-5 * speed))
-    ahead = BARRIER.height(math.hypot(x, y)) if passed else 0.0
-    above = e[2] - r.wait_height_m - ahead
-    rising = asked(Phase.APPROACH, e=e, velocity=flown).velocity[2] - MOVING[2]
-    down = min(max(r.gain_1_s * above, r.descent_min_m_s), r.descent_max_m_s)
-    expected = -down if above > 0.0 else -r.gain_1_s * above
-    assume(abs(above) > 1e-4)
-    assert rising == pytest.approx(expected, abs=1e-4)
 
 
 def test_by_contact_it_descends_until_there_is_contact():

@@ -58,11 +58,7 @@ def operator(w):
 def in_flight(w):
     return [
         *operator(w),
-        (
-            w.was_armed & ~w.armed & ~w.link_lost,
-            Phase.ABORT,
-            DISARMED,
-        ),
+        (w.was_armed & ~w.armed & ~w.link_lost, Phase.ABORT, DISARMED),
         (
             w.was_external & ~w.external & ~w.link_lost,
             Phase.ABORT,

@@ -8,7 +8,6 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.config.files import load
 from flightstack.core.parameters.filters import FILTERS, look_here, named
 from flightstack.core.strategies.strategy import (
-    ignored,
     own_boundary,
     packaged_strategy_of,
     strategy_class,
@@ -16,7 +15,6 @@ from flightstack.core.strategies.strategy import (
 )
 from flightstack.verify.certificate import checks, problems
 from tests.integration.runs import called
-from tests.point_mass import World
 from tests.unit.core.core_helpers import config
 
 CONE = "examples.own_boundary:ConeFilter"
@@ -114,40 +112,6 @@ def test_a_subclass_does_not_inherit_the_proof_of_the_class_that_it_extends(outs
     done = called("check", "paper_static_1", "--filter", "outside:Slower", "--json")
     assert done.code == 1
     assert "outside:Slower has none" in done.json["checks"][0]["worst"]
-
-
-USUAL = {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}, "limits": {}, "touchdown": {}}
-OTHERS = {
-    "barrier.omega_1_s": {"alpha_1_m": 1.0, "beta_m": 1.5, "omega_1_s": 0.4},
-    "limits.slew_max_m_s2": {"slew_max_m_s2": [3.0, 3.0, 3.0]},
-    "touchdown.descent_m_s": {"descent_m_s": 0.3},
-}
-
-
-@pytest.mark.parametrize("key", strategy_class("robust").ignores)
-def test_a_key_that_the_filter_does_not_read_is_named_and_changes_nothing(key):
-    table = key.partition(".")[0]
-    changed = config("robust", **{table: OTHERS[key]})
-    (text,) = ignored(changed)
-    assert text.startswith(f"robust ignores {key}; it reads robust.")
-    assert ignored(config("robust")) == []
-    flown = [
-        World(settings, solid_pad=True) for settings in (changed, config("robust", **{table: USUAL[table]}))
-    ]
-    for world in flown:
-        world.run(20.0)
-    wanted = [[(out.phase, out.wanted) for out in world.outputs] for world in flown]
-    assert wanted[0] == wanted[1]
-
-
-def test_the_working_folder_comes_after_all_that_is_installed(outside):
-    (outside / "json.py").write_text("")
-    look_here("json:X")
-    assert sys.path[-1] == str(outside)
-    before = list(sys.path)
-    look_here("paper")
-    look_here("outside:Picky")
-    assert sys.path == before
 
 
 def test_a_boundary_of_its_own_is_named():

@@ -91,22 +91,6 @@ def test_horizontally_the_set_point_stays_near_the_velocity_so_that_the_tilt_is_
     assert setpoint[2] > 3.0  # an upward acceleration needs no tilt
 
 
-def test_while_somebody_else_flies_the_model_follows_and_nothing_is_learned():
-    references = [*constant((0.2, 0.1, -0.1), 3.0), (0.21, 0.11, -0.11)]
-    tracking, _, _ = flown(references, Plant(push=(0.1, 0.0, -0.1)))
-    learned = tracking.memory.disturbance_m_s
-    assert tracking.memory.slope_m_s2 != ZERO
-    for velocity in ((1.0, 0.0, 0.0), (0.3, -0.2, 0.1)):
-        tracking.observe(velocity, commanding=False)
-        assert tracking.memory.model_m_s == velocity
-        assert tracking.memory.model_m_s2 == tracking.memory.slope_m_s2 == ZERO
-    assert tracking.memory.disturbance_m_s == learned  # the wind continues
-    tracking.command((0.3, -0.2, 0.1), (0.3, -0.2, 0.1), (0.3, -0.2, 0.1), WIDE)
-    tracking.observe((0.3, -0.2, 0.1), commanding=True)
-    # after a take-over in flight there is no jump to estimate from
-    assert tracking.memory.disturbance_m_s == pytest.approx(learned, abs=0.01)
-
-
 @pytest.mark.parametrize("period_s", [0.1, 0.02, 0.002])
 @given(damping=st.floats(0.1, 2.0), axis=st.sampled_from(AXES), start=st.floats(-1.0, 1.0))
 @settings(max_examples=20)
@@ -125,21 +109,6 @@ def test_the_model_is_stable_up_to_the_rate_that_is_allowed_and_not_above(period
 
     assert left(0.99) < 1e-3
     assert left(1.01) > 1.0
-
-
-def test_far_away_the_rates_are_those_of_far_away():
-    feedback = VelocityFeedback(
-        horizontal=True, error_rate_1_s=6.0, tilt_rate_1_s=17.0,
-        far_m=1.0, far_error_rate_1_s=3.0, far_tilt_rate_1_s=7.0,
-    )  # fmt: skip
-    gentle = replace(feedback, error_rate_1_s=3.0, tilt_rate_1_s=7.0)
-    wanted = (0.02, -0.01, 0.1)
-    found, same, near = (
-        VelocityTracking(LOOP, T_S, each).command(wanted, wanted, ZERO, WIDE, far=far)
-        for each, far in ((feedback, True), (gentle, False), (feedback, False))
-    )
-    assert found == same
-    assert abs(found[0]) < abs(near[0])
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])

@@ -1,7 +1,6 @@
 """The estimator of the vehicle state: late positions, wrong velocities, and a model of the velocity loop."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,7 +18,6 @@ from flightstack.core.target.own_estimator import (
     steady_gains,
 )
 from flightstack.core.types import ZERO, OwnState
-from flightstack.verify.envelope import own_velocity_sigma_m_s
 from tests.point_mass import World
 from tests.unit.core.core_helpers import config
 
@@ -101,17 +99,6 @@ def test_without_the_loops_model_an_error_is_learned_whatever_the_loop(rate_1_s)
     memory = estimator.memory
     assert (memory.x[3], memory.y[3], memory.z_error_m_s) == pytest.approx(error_m_s, abs=5e-3)
     assert np.array((memory.x[1], memory.y[1])) == pytest.approx(vehicle.v[:2], abs=0.03)
-
-
-def test_without_the_loops_model_noise_of_positions_is_as_declared():
-    noise, tick_s = np.random.default_rng(5).normal(0.0, QUICK.position_noise_m, (4000, 3)), PERIOD_S
-    estimator = OwnEstimator(QUICK, LOOP, PERIOD_S, by_loop=False)
-    errors = []
-    for k, off in enumerate(noise, 1):
-        estimator.step(OwnState(k * tick_s, k * tick_s, tuple(off), ZERO, 0.0))
-        errors.append(estimator.memory.x[3])
-    flown = replace(config(), own=QUICK)
-    assert np.std(errors[200:]) == pytest.approx(own_velocity_sigma_m_s(flown), rel=0.15)
 
 
 def test_forgotten_it_believes_the_next_sample():

@@ -10,13 +10,7 @@ from bridge.mavlink.client.companion import CommandSequencer, Origin, OriginSend
 from bridge.mavlink.client.texts import TextAssembler
 from bridge.mavlink.profiles import ARDUPILOT, CRAZYFLIE, PROFILES, PX4
 from flightstack.core.types import Landed, Mode, Request
-from tests.unit.mavlink.client.vehicle_link_fakes import (
-    HEIGHT,
-    commands,
-    params,
-    sequencer,
-    status,
-)
+from tests.unit.mavlink.client.vehicle_link_fakes import HEIGHT, commands, params, sequencer, status
 
 MODE, ARM, RISE, LAND, ASK = 176, 400, 22, 21, 512  # MAV_CMD
 NONE, TAKEOFF, EXTERNAL, DOWN, KILL = (

@@ -16,12 +16,7 @@ from bridge.mavlink.profiles import PX4, Encoding
 from flightstack.core.types import Landed, Mode, VehicleStatus
 from tests import tables
 from tests.px4_place import px4_or_skip
-from tests.unit.mavlink.client.vehicle_link_fakes import (
-    OFFBOARD,
-    attitude,
-    heartbeat,
-    position,
-)
+from tests.unit.mavlink.client.vehicle_link_fakes import OFFBOARD, attitude, heartbeat, position
 
 
 @pytest.fixture
@@ -204,28 +199,6 @@ def test_who_speaks_instead_is_named():
     many = {(system, 1): 1 for system in range(10, 20)}
     assert "10/1, 11/1, 12/1, 13/1, ...;" in why_silent(1, {"received": 7}, many)
     assert "for 12 s: no data" in why_silent(1, {}, senders, time=" for 12 s")  # they are now silent, too
-
-
-def test_battery_throttle_and_tilt_are_kept_once_asked_for(state):
-    def messages(now_s, percent):
-        state.update(attitude(round(1000 * now_s), roll=0.3, pitch=0.4), now_s)
-        state.update(dialect.MAVLink_sys_status_message(0, 0, 0, 0, 3456, -1, -1, 0, 0, 0, 0, 0, 0), now_s)
-        if percent is not None:
-            state.update(dialect.MAVLink_vfr_hud_message(0, 0, 0, percent, 0, 0), now_s)
-
-    messages(1.0, 87)
-    assert state.power is None  # not requested
-    state.watch_power()
-    messages(2.0, None)
-    assert (state.power.arrival_s, state.power.voltage_v) == (2.0, 3.456)
-    assert math.isnan(state.power.throttle)
-    messages(2.5, 87)
-    assert state.power.throttle == pytest.approx(0.87)
-    assert state.power.cos_tilt == pytest.approx(math.cos(0.3) * math.cos(0.4))
-    messages(4.0, None)  # the throttle stops arriving
-    assert math.isnan(state.power.throttle)
-    state.update(dialect.MAVLink_sys_status_message(0, 0, 0, 0, 0xFFFF, -1, -1, 0, 0, 0, 0, 0, 0), 5.0)
-    assert math.isnan(state.power.voltage_v)
 
 
 def event(number, log_levels=0x66, arguments=b""):

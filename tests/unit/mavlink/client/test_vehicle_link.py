@@ -5,10 +5,8 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from bridge.mavlink.endpoint import Endpoint
 from flightstack.core.types import Request
 from tests.unit.mavlink.client.vehicle_link_fakes import (
-    OFFBOARD,
     FakeAutopilot,
     Setpoint,
     attitude,
@@ -31,18 +29,6 @@ def link(vehicle):
     opened = linked(vehicle)
     yield opened
     opened.close()
-
-
-@pytest.mark.parametrize("ids", [(2, 1), (1, 190), (255, 190)])
-def test_others_are_counted_and_ignored(ids):
-    link = linked()
-    other = Endpoint(f"udpout:127.0.0.1:{link.endpoint.local_port}", *ids)
-    other.send([heartbeat(OFFBOARD, armed=True), attitude(1), position(1)])
-    poll(link, 1.0)
-    other.close()
-    link.close()
-    assert (link.state.own, link.state.status, link.heard) == (None, None, False)
-    assert link.counters.foreign == 3
 
 
 def test_setpoint_on_the_wire(vehicle, link):
