@@ -55,16 +55,6 @@ def test_a_team_ends_as_its_worst_member(flown, outcomes, worst, reason):
     assert (verdict.ellipsoid_min, verdict.distance_min_m) == (3.0, 0.9)
 
 
-def test_a_collision_after_a_landing_is_a_crash_of_both(flown):
-    hit = Pair(1, 3, 0.1, 0.3, 1.2, violations=0, collided_ms=9000)
-    near = Pair(2, 3, 0.2, 0.2, 0.8, violations=2, inside_ms=120)
-    verdict = judge_team(flown((LANDED, LANDED, LANDED), FAR, hit, near))
-    assert verdict.outcomes == (CRASHED, LANDED, CRASHED)
-    assert verdict.reason == "cf1: collision; cf3: collision"
-    assert (verdict.collisions, verdict.ellipsoid_violations) == (1, 2)
-    assert (verdict.ellipsoid_min, verdict.distance_min_m) == (0.8, 0.1)
-
-
 def test_the_row_of_a_team_has_the_worst_of_its_members(flown, landing):
     team = flown((LANDED, LANDED), FAR)
     worse = replace(

@@ -160,22 +160,6 @@ def test_what_is_told_at_a_tick_is_heard_with_the_next_to_the_bit(ends):
             vehicle.hear(words)
 
 
-def test_who_leaves_is_gone_with_the_tick_after_its_last_one(ends):
-    vehicle, process = ends.vehicles[0], ends.processes[0]
-    first, second, _ = ticks(3)
-    process.await_tick(first, never)
-    process.say(word(1, 0.0))
-    process.close()
-    until(lambda: vehicle._poll() or vehicle._last == 0)
-    vehicle.tick = first.number
-    assert not vehicle.left  # its answer of this tick may still be in transit
-    assert vehicle.take(Silence(), Stop())
-    vehicle.tick = second.number
-    assert vehicle.left
-    assert vehicle.take(Silence(), Stop()) is None
-    ends.processes.remove(process)
-
-
 def test_who_dies_without_a_word_is_waited_for_once(ends):
     vehicle, process = ends.vehicles[1], ends.processes[1]
     looked = []

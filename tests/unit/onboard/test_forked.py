@@ -133,17 +133,6 @@ over.set()
     assert more[-2:] == ["record-x", " 0"]
 
 
-def test_a_parent_without_streams_has_children_with_streams(tmp_path):
-    program = BEGIN + (
-        "child = forked(lambda: (print('out'), print('err', file=sys.stderr)));"
-        "(folder / 'told').write_bytes(child.stdout.read()); sys.exit(child.wait())"
-    )
-    words = ["sh", "-c", 'exec "$0" -c "$1" "$2" <&- >&- 2>&-', sys.executable, program, str(tmp_path)]
-    assert subprocess.run(words, timeout=PATIENCE_S, check=False).returncode == 0
-    assert (tmp_path / "told").read_text() == "out\n"
-    assert (tmp_path / "errors").read_text() == "err\n"
-
-
 def test_lines_that_come_with_the_one_that_is_waited_for_are_kept(tmp_path):
     child = Child("printf", [r"hello\nready at once\nfirst\nsec"], tmp_path, program=["printf"])
     try:

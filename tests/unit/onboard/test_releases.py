@@ -78,16 +78,6 @@ def test_each_side_of_every_rule_is_told_apart_in_every_release(autopilot, relea
         assert wrong == ({name.name: expected} if number else {}), (name.name, value)
 
 
-def test_a_battery_that_stops_the_motors_is_worse_than_one_that_only_warns():
-    for value, level in ((0, Level.NOTE), (5, Level.UNSAFE)):
-        found = judged("ardupilot", "4.7", SAFE["ardupilot", "4.7"] | {"BATT_FS_CRT_ACT": value})
-        assert found["BATT_FS_CRT_ACT"].level is level
-    assert (
-        "BATT_FS_CRT_ACT is 5: in the air the motors stop; set it to 1 (land) or"
-        in found["BATT_FS_CRT_ACT"].text
-    )
-
-
 @RELEASES
 def test_what_is_missing_is_as_bad_as_what_is_not_safe_unless_the_rule_says_otherwise(autopilot, release):
     asked = table(autopilot).asked(autopilot, release)

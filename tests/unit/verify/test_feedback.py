@@ -150,11 +150,6 @@ def test_a_spike_that_a_grid_misses_is_found():
     assert most(upper, lambda p: spike(p[0]), (Span(0.0, 1.0),)).found > 0.9999
 
 
-def test_where_values_stay_open_the_bound_says_so():
-    found = most(lambda _: 1.0, lambda _: 0.0, (Span(0.0, 1.0),))  # a bound that never becomes tight
-    assert (found.bound, found.found) == (1.0, 0.0)
-
-
 def test_a_bound_that_is_not_a_number_is_refused():
     with pytest.raises(ValueError, match="not a number"):
         most(lambda _: math.nan, lambda _: 0.0, (Span(0.0, 1.0),))

@@ -121,16 +121,6 @@ def test_it_may_touch_when_all_know_that_it_gives_way_to_nobody():
     assert not member.way(Phase.LAND, HERE, 2.1).may_touch
 
 
-def test_nobody_begins_before_all_are_heard():
-    member = FleetMember(Fleet(3, (3, 7, 9)), 0.0)
-    assert member.way(Phase.WAIT, HERE, 0.0).text == "not heard members 7, 9"
-    for n in (7, 9):
-        member.take([Neighbour(n, 0.0, 0.0, AWAY, ZERO, ZERO)], 0.0)
-    assert member.way(Phase.WAIT, HERE, 0.1).may_begin
-    way = member.way(Phase.WAIT, HERE, 0.1 + FLEET.age_max_s)
-    assert (way.may_begin, way.text) == (False, "not heard members 7, 9")
-
-
 def test_pads_that_drive_towards_each_other_come_near_within_the_time():
     a, b = Pad(ZERO, (0.2, 0.0, 0.0)), Pad((2.0, 0.3, 0.0), (-0.2, 0.0, 0.0))
     assert nearest_m(a, *b, 10.0) == pytest.approx(0.3)

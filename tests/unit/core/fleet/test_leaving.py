@@ -14,7 +14,7 @@ from flightstack.core.fleet.member import STAYS_S, FleetMember
 from flightstack.core.fleet.precedence import APART, KEPT_M, Pad, Way, place_beside
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.target.track import TargetState
-from flightstack.core.types import ZERO, Intent, Neighbour, OwnState, Phase
+from flightstack.core.types import ZERO, Intent, Neighbour, Phase
 from tests.unit.core.fleet.fleet_helpers import settings_of
 
 FLEET = Fleet(3, (3, 7), frees_pad=True)
@@ -52,13 +52,6 @@ def test_the_pad_is_wanted_by_who_claims_it_now(fleet, phase, told, wanted):
         assert way.text == "waits member 7"
 
 
-def test_a_pad_is_left_once():
-    found, own = member(**WAITS), OwnState(1.0, 1.0, ZERO, ZERO, 0.0)
-    assert found.way(Phase.LANDED, HERE, 1.0, own).pad_wanted
-    assert found.way(Phase.LEAVE, HERE, 1.0, own).place_enu_m == found.memory.place_enu_m is not None
-    assert not found.way(Phase.LANDED, HERE, 1.0, own).pad_wanted
-
-
 def test_that_it_stays_though_others_wait_is_told_once():
     found, wanted = member(**WAITS), Way(pad_wanted=True, text="waits member 7")
     assert found.stays(wanted, STAYS_S - 0.1, "") == []
@@ -80,16 +73,6 @@ def test_who_flies_clear_is_waited_for_until_it_is_away_from_the_pad(away_m, may
     clears = {"intent": Intent.CLEARING, "position": (away_m, 0.0, 1.0)}
     assert claiming(**clears).way(Phase.APPROACH, HERE, 1.0).may_land is may_land
     assert claiming(replace(FLEET, frees_pad=False), **clears).way(Phase.APPROACH, HERE, 1.0).may_land
-
-
-@pytest.mark.parametrize(("heard_m", "may_land"), [(0.1, False), (0.4, True)])
-def test_a_silent_vehicle_that_was_heard_on_the_pad_rides_on_with_it(heard_m, may_land):
-    found = claiming(intent=Intent.DOWN, position=(heard_m, 0.0, 0.0))
-    assert found.way(Phase.APPROACH, HERE, 1.0).may_land is may_land
-    driven_on = TargetState(0.0, (3.0, 0.0, 0.0), ZERO, 0.0)
-    assert found.way(Phase.APPROACH, driven_on, 9.0).may_land is may_land
-    found.take([word(9.0, (heard_m, 0.0, 0.0), intent=Intent.DOWN)], 9.0)  # on the ground, unmoved
-    assert found.way(Phase.APPROACH, driven_on, 9.1).may_land
 
 
 coordinate = st.floats(-3.0, 3.0)
@@ -159,16 +142,6 @@ def by_trying(starts, pads):
 @given(fleets(PLACE) | fleets(GRID))  # on a grid many sums are equal
 def test_it_is_the_best_of_all_permutations(fleet):
     assert assign(*fleet) == by_trying(*fleet)
-
-
-def test_equal_sums_leave_each_vehicle_its_own_pad():
-    square = [(1.0, 1.0, 0.0), (1.0, -1.0, 0.0), (-1.0, -1.0, 0.0)]
-    assert assign([(0.0, 0.0, 1.0)] * 3, square) == (0, 1, 2)
-    assert assign([(0.0, 0.0, 1.0)], square[::-1]) == (0,)
-    # its own pad, the third, is far: then the lowest index applies
-    assert (
-        assign([(9.0, 9.0, 0.0), (9.0, -9.0, 0.0), (0.0, 0.0, 0.0)], [*square[:2], (-9.0, 0.0, 0.0)])[2] == 2
-    )
 
 
 @pytest.mark.parametrize(

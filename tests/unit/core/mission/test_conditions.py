@@ -7,18 +7,15 @@ import pytest
 
 from flightstack.core.fleet.precedence import ALONE, Way
 from flightstack.core.memory import Memory
-from flightstack.core.mission.conditions import LANDED_SETTLE_S, high_enough_m, start_point
+from flightstack.core.mission.conditions import LANDED_SETTLE_S, high_enough_m
 from flightstack.core.strategies.robust import DRIFT_SHARE
-from flightstack.core.target.track import TargetState
 from flightstack.core.types import Charge, Landed, Mode, Operator, Phase
-from tests.unit.core.core_helpers import config
 from tests.unit.core.mission.mission_helpers import (
     BARRIER,
     NOW_S,
     PAD,
     PAPER,
     ROBUST,
-    STILL,
     names,
     starting,
     tick,
@@ -162,34 +159,6 @@ def test_high_enough_is_above_the_peak_over_where_the_target_was_last():
         assert "HIGH_ENOUGH" not in names(tick(e=e, memory=replace(memory, phase=Phase.HOLD)))
 
 
-def test_the_start_is_reached_slowly_and_after_the_climb():
-    assert start_point(config(takeoff={}), TargetState(0.0, PAD, STILL, 0.0)) is None
-    memory, start = Memory(phase=Phase.TAKEOFF, climbed=True), (-1.4, 0.5, 0.72)
-    assert start_point(ROBUST, TargetState(0.0, PAD, STILL, 0.0)) == pytest.approx((1.6, -1.5, 0.92))
-    assert "AT_START" in names(tick(e=start, memory=memory))
-    assert "AT_START" not in names(tick(e=start, memory=Memory(phase=Phase.TAKEOFF)))
-    assert "AT_START" not in names(tick(e=start, memory=Memory(phase=Phase.HOLD, climbed=True)))
-    radius, speed = ROBUST.takeoff.arrival_radius_m, ROBUST.takeoff.arrival_speed_m_s
-    for share, expected in ((0.99, True), (1.01, False)):
-        beside = (start[0] + share * radius, *start[1:])
-        assert ("AT_START" in names(tick(e=beside, memory=memory))) is expected
-        assert (
-            "AT_START" in names(tick(e=start, velocity=(0.0, share * speed, 0.0), memory=memory))
-        ) is expected
-    assert "AT_START" in names(tick(config(takeoff={}), memory=memory, velocity=(1.0, 0.0, 0.0)))
-
-
-def test_over_the_pad_is_left_at_a_wider_radius_than_it_is_entered():
-    radius = ROBUST.touchdown.pad_radius_m
-    for phase, limit in ((Phase.APPROACH, radius), (Phase.LAND, 1.5 * radius)):
-        for d, expected in ((limit - 1e-9, True), (limit + 1e-9, False)):
-            found = names(tick(e=(0.0, -d, 0.3), memory=Memory(phase=phase)))
-            assert ("OVER_PAD" in found) is expected
-    peak = BARRIER.peak_height_m
-    for z, expected in ((peak - 1e-9, True), (peak + 1e-9, False)):
-        assert ("OVER_PAD" in names(tick(e=(0.01, 0.0, z), memory=Memory(phase=Phase.APPROACH)))) is expected
-
-
 def touch(settings, e, **changes):
     return "TOUCH" in names(tick(settings, e=e, memory=Memory(phase=Phase.LAND), **changes))
 
@@ -204,36 +173,6 @@ def test_the_papers_touchdown_rule():
     assert not touch(wide, (0.051, 0.0, 0.15))
     # touchdown does not depend on speed and uncertainty
     assert touch(PAPER, (0.0, 0.0, 0.049), velocity=(0.4, 0.0, 0.0), sigma_m=1.0)
-
-
-def test_the_robust_rule_commits_low_in_the_middle_and_moving_along():
-    r = ROBUST.robust
-    e = (0.5 * r.commit_radius_m, 0.0, 0.9 * r.commit_height_m)
-    assert touch(ROBUST, e)
-    assert not touch(ROBUST, (*e[:2], 1.01 * r.commit_height_m))
-    assert not touch(ROBUST, (0.0, 1.01 * r.commit_radius_m, e[2]))
-    for share, expected in ((0.99, True), (1.01, False)):
-        slip = (0.0, share * r.commit_speed_m_s, 0.0)
-        assert touch(ROBUST, e, velocity=slip) is expected
-        assert touch(ROBUST, e, target_velocity=slip) is expected
-        both = (0.3, share * r.commit_speed_m_s, 0.0)
-        assert touch(ROBUST, e, velocity=both, target_velocity=(0.3, 0.0, 0.0)) is expected
-    assert touch(ROBUST, e, velocity=(0.0, 0.0, -0.5))  # sinking is not slip
-    # without contact where the pad may be elsewhere
-    unsure = (r.corridor_m - e[0]) / r.sigma_factor
-    assert touch(ROBUST, e, sigma_m=0.99 * unsure)
-    assert not touch(ROBUST, e, sigma_m=1.01 * unsure)
-
-
-def test_a_gust_that_pressed_it_onto_the_pad_is_a_touchdown_all_the_same():
-    low = ROBUST.touchdown.feet_below_reference_m + ROBUST.contact.gap_m
-    edge = ROBUST.touchdown.pad_radius_m
-    for z, d, expected in (
-        (low - 1e-6, edge - 1e-6, True),
-        (low + 1e-6, edge - 1e-6, False),
-        (low - 1e-6, edge + 1e-6, False),
-    ):
-        assert touch(ROBUST, (0.0, d, z), velocity=(0.5, 0.0, 0.0), sigma_m=1.0) is expected
 
 
 def drifted(settings, e, **changes):

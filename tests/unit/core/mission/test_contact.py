@@ -63,14 +63,6 @@ def test_what_stands_on_the_pad_below_the_cone_has_landed(settings):
     assert not contact_after(settings, Memory(phase=Phase.APPROACH), 5.0, e=below, landed=Landed.ON_GROUND)
 
 
-def test_contact_starts_anew_when_it_bounces():
-    memory = Memory(phase=Phase.TOUCHDOWN)
-    for n in range(40):
-        up = n % 8 == 7
-        tick(PAPER, e=(*ON_PAD[:2], 0.05 if up else 0.0144), memory=memory, now_s=NOW_S + 0.01 * n)
-        assert not memory.contact
-
-
 def test_a_descent_that_stopped_low_over_the_pad_is_contact():
     r, stopped_s = ROBUST.robust, ROBUST.contact.stopped_time_s
     told = (0.0, 0.0, -1.01 * COMMANDED_SHARE * r.descent_m_s)

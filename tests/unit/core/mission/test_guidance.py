@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flightstack.core.fleet.precedence import ALONE, Way
+from flightstack.core.fleet.precedence import ALONE
 from flightstack.core.memory import AbortWay, Memory
-from flightstack.core.mission.conditions import TAKEOFF_DONE, high_enough_m
+from flightstack.core.mission.conditions import high_enough_m
 from flightstack.core.mission.guidance import NominalCommand as Command
 from flightstack.core.mission.guidance import Situation, nominal_command
 from flightstack.core.mission.machine import Mission
@@ -81,31 +81,6 @@ def test_waiting_is_doing_nothing_unless_it_is_found_in_the_air():
     assert asked(Phase.LANDED) == Command(Request.NONE)
 
 
-def test_the_take_off_climbs_straight_up_until_it_is_high_and_armed():
-    settings = config(takeoff={"height_m": 0.5, "start_offset_m": [-1.0, 0.0, 0.7]})
-    memory = Memory(was_armed=True)
-
-    def at(z, memory_=memory):
-        return asked(Phase.TAKEOFF, settings, (0.0, 0.0, z - PAD[2]), memory_)
-
-    def climbs(found, up_m_s):
-        return found.request is Request.TAKEOFF and found.velocity == pytest.approx(
-            (0.0, 0.0, up_m_s), abs=1e-5
-        )
-
-    gain_1_s = settings.position_loop.gain_1_s[2]
-    assert climbs(at(0.01), min(settings.limits.velocity_max_m_s[2], 0.5 * gain_1_s))
-    assert climbs(at(0.01 + TAKEOFF_DONE * 0.5 - 1e-6), (1.0 - TAKEOFF_DONE) * 0.5 * gain_1_s)
-    assert memory.ground_z_m == pytest.approx(0.01)
-    never_armed = Memory(ground_z_m=0.01)
-    assert climbs(at(0.01 + TAKEOFF_DONE * 0.5 + 1e-6, never_armed), (1.0 - TAKEOFF_DONE) * 0.5 * gain_1_s)
-    assert climbs(at(9.0, never_armed), 0.0)  # it never sinks
-    assert at(0.01 + TAKEOFF_DONE * 0.5 + 1e-6).request is Request.EXTERNAL
-    assert at(0.02).request is Request.EXTERNAL  # after the climb external mode remains
-    for lost in ({"own": False}, {"target": False}):
-        assert asked(Phase.TAKEOFF, settings, memory=Memory(climbed=True), **lost) == Command(Request.TAKEOFF)
-
-
 places = st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0), st.floats(0.0, 2.0))
 
 
@@ -134,37 +109,6 @@ def test_the_robust_landing_waits_low_over_the_middle(e):
         else:
             assert rising == pytest.approx(-r.gain_1_s * above)
         assert found.filtered
-
-
-near = st.tuples(st.floats(-0.7, 0.7), st.floats(-0.7, 0.7), st.floats(0.0, 2.0))
-
-
-def test_by_contact_it_descends_until_there_is_contact():
-    for settings in (config("paper"), config()):
-        found = asked(Phase.TOUCHDOWN, settings, (0.03, -0.02, 0.03))
-        assert found.request is Request.EXTERNAL
-        assert not found.filtered
-        assert found.velocity[2] < MOVING[2] - 0.1
-        assert (found.velocity[0] < MOVING[0], found.velocity[1] > MOVING[1]) == (True, True)
-        assert asked(Phase.TOUCHDOWN, settings, memory=Memory(contact=True)) == Command(Request.MOTORS_OFF)
-        blind = asked(Phase.TOUCHDOWN, settings, target=False)
-        assert blind == Command(Request.EXTERNAL)
-    r = ROBUST.robust
-    found = asked(Phase.TOUCHDOWN, ROBUST, (0.03, -0.02, 0.1))
-    gain = r.gain_over_pad_1_s
-    assert found.velocity == pytest.approx((0.1 - gain * 0.03, -0.05 + gain * 0.02, 0.02 - r.descent_m_s))
-    own = config(robust={"gain_descent_1_s": 0.7})
-    found = asked(Phase.TOUCHDOWN, own, (0.03, -0.02, 0.1))
-    assert found.velocity[:2] == pytest.approx((0.1 - 0.7 * 0.03, -0.05 + 0.7 * 0.02))
-    over = asked(Phase.LAND, own, (0.03, -0.02, 0.3))
-    assert over == asked(Phase.LAND, ROBUST, (0.03, -0.02, 0.3))
-
-
-def test_by_the_papers_rule_the_motors_go_off_below_its_height():
-    rule = {"touchdown": {"rule": "paper", "height_m": 0.05}}
-    assert asked(Phase.TOUCHDOWN, config("paper", **rule), (0.0, 0.0, 0.2)) == Command(Request.MOTORS_OFF)
-    assert asked(Phase.TOUCHDOWN, config(**rule), (0.0, 0.0, 0.05 - 1e-9)) == Command(Request.MOTORS_OFF)
-    assert asked(Phase.TOUCHDOWN, config(**rule), (0.0, 0.0, 0.05)).request is Request.EXTERNAL
 
 
 def test_holding_is_standing_still_or_following_what_was_followed_and_rising():
@@ -250,39 +194,3 @@ def test_it_does_not_land_while_it_closes_in():
 def test_without_knowing_where_it_is_it_lands_there(lost):
     assert clearing((0.3, 0.0, 0.5), **lost)[0] == Command(Request.LAND)
     assert asked(Phase.ABORT, memory=Memory(abort_way=AbortWay.FLY_CLEAR)) == Command(Request.LAND)
-
-
-def leaves(e, place=None, landed=Landed.IN_AIR, velocity=ZERO, armed=True, **memory):
-    told = {"landed": landed, "velocity": velocity, "armed": armed}
-    before = Memory(target_position_enu_m=PAD, **memory)
-    return asked(Phase.LEAVE, e=e, memory=before, way=Way(place_enu_m=place), **told)
-
-
-def test_a_pad_is_left_upwards_with_the_pad_below():
-    high_m = high_enough_m(ROBUST, BARRIER, Memory(target_position_enu_m=PAD)) - PAD[2]
-    on_pad = leaves((0.02, 0.0, 0.015), landed=Landed.ON_GROUND)
-    assert (on_pad.request, on_pad.filtered) == (Request.TAKEOFF, True)
-    assert on_pad.velocity[2] > MOVING[2]
-    assert leaves((0.02, 0.0, 0.015), armed=False).request is Request.TAKEOFF
-    low = leaves((0.02, 0.0, 0.3))
-    assert low.request is Request.EXTERNAL
-    assert low.velocity[0] < MOVING[0]  # back over the centre
-    assert low.velocity[1] == pytest.approx(MOVING[1])
-    place = (PAD[0] + 2.0, PAD[1] - 1.0, 0.0)
-    flown = leaves((0.0, 0.0, high_m + 0.01), place, was_external=True)
-    assert flown.velocity[0] > 0.0 > flown.velocity[1]
-    assert flown.velocity[0] == pytest.approx(-2.0 * flown.velocity[1])
-    assert leaves((0.0, 0.0, high_m + 0.01), was_external=True).velocity[:2] == (0.0, 0.0)  # unknown position
-    assert leaves((0.0, 0.0, high_m - 0.01), place, was_external=True, climbed=True).velocity[0] > 0.0
-    assert leaves((2.0, 0.0, 1.0), clear=True) == Command(Request.LAND)
-
-
-def test_it_is_clear_over_its_place_and_away_from_the_target():
-    place = (PAD[0] + 1.5, PAD[1], 0.0)
-    keys = {"was_external": True, "target_velocity_enu_m_s": ZERO}
-    assert leaves((1.42, 0.0, 1.0), place, **keys) == Command(Request.LAND)
-    assert leaves((1.38, 0.0, 1.0), place, **keys).request is Request.EXTERNAL  # not there yet
-    assert leaves((1.42, 0.0, 1.0), place, velocity=(0.0, 0.16, 0.0), **keys).request is Request.EXTERNAL
-    near = (PAD[0] + 0.9, PAD[1], 0.0)
-    assert leaves((0.9, 0.0, 1.0), near, **keys).request is Request.EXTERNAL  # not clear of the target
-    assert leaves((1.42, 0.0, 0.1), place, **keys).request is Request.EXTERNAL  # it has not climbed

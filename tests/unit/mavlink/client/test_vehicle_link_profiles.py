@@ -151,28 +151,6 @@ def test_ardupilot_gets_no_set_point_on_the_ground_and_follows_from_the_first_in
     assert auto.state.status.mode is Mode.EXTERNAL
 
 
-def joined(vehicle, line=None):
-    link = linked(vehicle, line=line)
-    vehicle.beat()
-    poll(link, 0.0)
-    return link
-
-
-@pytest.mark.parametrize(("baud", "interval_us", "setpoints"), [(None, 10_000, 100), (57_600, 20_000, 50)])
-def test_rates_are_those_of_the_line(vehicle, baud, interval_us, setpoints):
-    link = joined(vehicle, plan(baud, 100.0, 0.2))
-    for tick in range(100):
-        assert link.send_setpoint(Setpoint((0.1, 0.0, 0.0), 0.0), tick / 100)
-    link.flush([dialect.MAVLink_timesync_message(1, 1)])
-    received = vehicle.take("TIMESYNC")
-    asked = {int(m.param1): m.param2 for m in received if m.get_type() == "COMMAND_LONG" and m.command == 511}
-    assert asked[dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED] == interval_us
-    assert asked[dialect.MAVLINK_MSG_ID_ATTITUDE] == interval_us
-    sent = [m for m in received if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
-    assert len(sent) == setpoints
-    link.close()
-
-
 @pytest.mark.parametrize(
     ("age_s", "baud", "enough"), [(0.2, 9_600, 38_400), (0.2, 19_200, 38_400), (0.05, 57_600, 115_200)]
 )

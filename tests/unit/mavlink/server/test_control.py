@@ -55,14 +55,6 @@ def test_everybody_may_land_it(flown, sender, land) -> None:
     assert flown.mode is FlightMode.LAND
 
 
-def test_set_mode_message_follows_the_same_rule(flown) -> None:
-    flown.handle(mav.MAVLink_set_mode_message(1, 1, 0x03040000), STRANGER)
-    assert flown.mode is FlightMode.OFFBOARD
-    assert flown.texts()[-1] == "Mode refused: 1/191 has control"
-    flown.handle(mav.MAVLink_set_mode_message(1, 1, 0x06040000), STRANGER)
-    assert flown.mode is FlightMode.LAND
-
-
 @pytest.mark.parametrize("kill", [(400, KILL), (185, (1.0,))])
 @pytest.mark.parametrize("sender", [STRANGER, GROUND_STATION, MAVSDK])
 def test_ground_stations_may_stop_the_motors_and_strangers_may_not(flown, kill, sender) -> None:

@@ -76,14 +76,6 @@ def test_parameters_can_be_listed_and_read(served) -> None:
         assert (missing.param_index, (missing.target_system, missing.target_component)) == (index, COMPANION)
 
 
-def test_a_fixed_parameter_is_not_written(served) -> None:
-    write = mav.MAVLink_param_set_message(1, 1, b"MAV_SYS_ID", 2.8e-45, mav.MAV_PARAM_TYPE_INT32)
-    error, in_force = served.handle(write)  # error first: MAVSDK repeats an undone write
-    assert error.error == mav.MAV_PARAM_ERROR_READ_ONLY
-    assert in_force.param_value == pytest.approx(1.4e-45)  # 1, bytewise
-    assert served.texts() == ["MAV_SYS_ID: 2, allowed 1"]
-
-
 def test_time_and_ping_are_answered(served) -> None:
     served.run(1.0)
     (sync,) = served.handle(mav.MAVLink_timesync_message(0, 77))
