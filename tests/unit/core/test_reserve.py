@@ -156,13 +156,6 @@ def told(volts, throttle, from_s=0.0):
     return {"fault": fault, "fault_from_s": 0.0, "fault_to_s": math.inf}
 
 
-def flown(seconds, **changes):
-    world = World(CONFIG, position=(-1.5, 0.2, 1.6), **changes)
-    while world.t_s < seconds and not (world.outputs and world.outputs[-1].finished):
-        world.step()
-    return world
-
-
 def test_a_tired_battery_keeps_a_vehicle_on_the_ground_and_the_reason_says_why():
     ground = {"position": (-1.5, 0.2, 0.0), "armed": False, "landed": Landed.ON_GROUND}
     world = World(CONFIG, **ground, **told(3.5, 0.0))
@@ -176,20 +169,3 @@ def test_a_tired_battery_keeps_a_vehicle_on_the_ground_and_the_reason_says_why()
         silent.step()
     assert silent.phase is Phase.ABORT
     assert "no battery voltage received" in silent.texts[-1]
-
-
-def test_no_go_around_is_left_for_a_tired_battery():
-    world = flown(3.0, **told(3.6, 0.8))
-    controller = world.controller
-    snapshot = world.outputs[-1].snapshot
-    mission = controller._mission
-    flags = {
-        c: mission.flags(replace_charge(snapshot, c), command_failed=False, now_s=world.t_s) for c in Charge
-    }
-    left = {c: bool(f & (1 << 16)) for c, f in flags.items()}
-    assert left == {Charge.FIT: True, Charge.UNKNOWN: True, Charge.TIRED: False}
-
-
-def replace_charge(snapshot, charge):
-    snapshot.charge = charge
-    return snapshot

@@ -9,21 +9,16 @@ import pytest
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import open_session
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import LockstepClock, Silence
-from flightstack.core.parameters.fleet import Fleet
+from flightstack.common.pacing import LockstepClock
 from flightstack.core.types import Intent, Neighbour
 from flightstack.onboard import lockstep
 from flightstack.onboard.lockstep import LockstepWords
-from logs.schema.rows import FleetWordRow
-from logs.verdict.types import Outcome
 from sim.clock import NoAnswerError, TickGrid
 from sim.runners import room as words_wire
-from sim.runners.landing import land_team
 from sim.runners.room import MemberWords, Words
-from sim.scenarios import team
 from sim.scenarios.team import ExchangeLink
 from tests.processes.ports import free_endpoint
-from tests.unit.fleet.fleet_helpers import FIELD, at, same, team_of
+from tests.unit.fleet.fleet_helpers import FIELD, team_of
 from tests.unit.target.ros2_helpers import until
 
 
@@ -79,26 +74,6 @@ def test_words_are_lost_by_the_team_s_seed_and_not_by_the_number_of_members():
     assert len(lost(words(2, loss=1.0), 2, 2)) == 2000
 
 
-@pytest.mark.slow
-def test_the_members_of_a_team_hear_each_other():
-    fleet = [Fleet(id=n, members=(1, 2)) for n in (1, 2)]
-    members = [at(0.0, 0.0), at(9.0, 0.0)]
-    members = [replace(m, onboard=replace(m.onboard, fleet=f)) for m, f in zip(members, fleet, strict=True)]
-    team = replace(team_of(*members), exchange=ExchangeLink(0.02, 0.1))
-    heard, exchange = [], Words(team, 1)
-
-    def listening(tick, outputs):
-        heard.append(exchange(tick, outputs))
-        return heard[-1]
-
-    flown = land_team(team, 1, exchange=listening)
-    assert [landing.verdict.outcome for landing in flown.landings] == [Outcome.LANDED] * 2
-    assert {word.id for one, _ in heard for word in one} == {2}
-    assert {word.id for _, other in heard for word in other} == {1}
-    again = land_team(team, 1)
-    assert all(same(a, b) for a, b in zip(flown.landings, again.landings, strict=True))
-
-
 GRID = TickGrid(100)
 NAMES = ("cf1", "cf2", "cf3")
 
@@ -134,52 +109,6 @@ def ticks(number):
 
 def never():
     return False
-
-
-def test_what_is_told_at_a_tick_is_heard_with_the_next_to_the_bit(ends):
-    passed, before = Words(team.load("fleet_3"), 1), [None] * len(NAMES)
-    for tick in ticks(5):
-        heard = []
-        for process in ends.processes:
-            process.await_tick(tick, never)
-            heard.append(process.words())
-        said = [word(n, tick.now_s, tick.now_s / 3.0) for n in (1, 2, 3)]
-        if tick.number == 2:
-            said[1] = None  # it has no message, and no other process waits for it
-        for process, own in zip(ends.processes, said, strict=True):
-            logged = process.say(own)
-            assert (FleetWordRow.unpack(logged).id if logged else None) == (own.id if own else None)
-        wanted = [tuple(w for w in before if w and w.id != n) for n in (1, 2, 3)]
-        arrived = [tuple(w._replace(arrival_s=tick.now_s) for w in words) for words in wanted]
-        assert [repr(words) for words in heard] == [repr(words) for words in arrived]
-        before = said
-        for vehicle in ends.vehicles:
-            vehicle.tick = tick.number
-        told = [vehicle.take(Silence(), Stop()) for vehicle in ends.vehicles]
-        for vehicle, words in zip(ends.vehicles, passed.pass_on(tick.number, told), strict=True):
-            vehicle.hear(words)
-
-
-def test_who_dies_without_a_word_is_waited_for_once(ends):
-    vehicle, process = ends.vehicles[1], ends.processes[1]
-    looked = []
-
-    class Impatient(Silence):
-        def look(self):
-            looked.append(super().look())
-            return 2.0 * words_wire.COMPANION_SILENT_S
-
-    vehicle.tick = 3
-    assert vehicle.take(Impatient(), Stop()) is None
-    assert len(looked) == 1
-    vehicle.tick = 4
-    assert vehicle.take(Impatient(), Stop()) is None
-    assert len(looked) == 1
-    process.await_tick(ticks(6)[5], never)
-    process.say(word(2, 0.05))  # it was only slow
-    until(lambda: vehicle._poll() or not vehicle._silent)
-    vehicle.tick = 5
-    assert vehicle.take(Silence(), Stop())
 
 
 def test_an_onboard_process_goes_on_without_words_that_do_not_come(ends, monkeypatch):

@@ -103,36 +103,6 @@ def test_it_ends_with_a_parent_that_is_killed(tmp_path):
         killed(parent)
 
 
-@pytest.mark.parametrize("threads", [0, 1])
-def test_a_verb_is_the_same_forked_and_as_a_program(tmp_path, threads):
-    """Arguments, output, name and exit status are right, with and without other threads in the parent."""
-    program = f"""
-over = threading.Event()
-for _ in range({threads}):
-    threading.Thread(target=over.wait).start()
-child = Child("config", ["config", "crazyflie"], folder)
-print(type(child.process).__name__)
-code, text = child.process.wait(60.0), child.lines(1.0)
-print(code, text[0], len(text))
-refused = Child("onboard-cf1", ["onboard", "--vehicle"], folder)
-print(refused.process.wait(60.0), refused.errors())
-words = ["record", "--socket", str(folder / "socket"), "--out", str(folder / "x.mcap")]
-waits = Child("record-x", words, folder)
-waits.wait_ready()
-print(Path(f"/proc/{{waits.process.pid}}/comm").read_text(), waits.end())
-over.set()
-"""
-    kind, *others = python(program, tmp_path).splitlines()
-    assert kind == ("Popen" if threads else "Forked")
-    config, *more = others
-    code, *words = config.split()
-    assert code == "0"
-    assert int(words[-1]) > 20
-    assert more[0].startswith("2 ")
-    assert any("Option '--vehicle' requires an argument" in line for line in more)
-    assert more[-2:] == ["record-x", " 0"]
-
-
 def test_lines_that_come_with_the_one_that_is_waited_for_are_kept(tmp_path):
     child = Child("printf", [r"hello\nready at once\nfirst\nsec"], tmp_path, program=["printf"])
     try:

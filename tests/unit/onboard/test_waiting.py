@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import pytest
 
-from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import Tick
 from flightstack.config.files import load
 from flightstack.config.options import OnboardOptions
@@ -20,7 +19,6 @@ from flightstack.onboard.zenoh_wires import ZenohWires
 from tests.integration.runs import called
 from tests.processes.ports import free_endpoint, free_port
 from tests.unit.target import ros2_helpers as ros
-from tests.unit.target.ros2_helpers import until
 
 CHECKS = Checks()
 STANDS = VehicleStatus(0.0, False, Mode.HOLD, Landed.ON_GROUND, True)
@@ -129,7 +127,6 @@ def test_ages_are_of_now_and_what_never_came_is_no_number():
 
 ROOT = Path(__file__).parents[3]
 CONFIG = load("crazyflie")
-STAMP = 1_700_000_000_000_000_000
 
 
 @pytest.fixture
@@ -146,22 +143,6 @@ def wires():
     yield open_wires
     for one in opened:
         one.close()
-
-
-def test_a_target_of_ros_is_on_the_network_of_ros(wires):
-    with ros.network() as (endpoint, ours, _):
-        ours_ = wires("ros2:/odom", ros2_where=endpoint)
-        put = zenoh_link.dropping_publisher(
-            ours, "0/odom/nav_msgs::msg::dds_::Odometry_/TypeHashNotSupported"
-        )
-        until(lambda: zenoh_link.is_matched(put), "the subscription")
-        put.put(ros.odometry(STAMP, "odom", "base_footprint"))
-        samples = []
-        until(lambda: samples.extend(ours_.odometry.poll()) or samples, "the sample")
-        [text, other] = ours_.texts(0.0)
-        assert "frame_id is 'odom', checks.target_frame is 'map'" in text
-        assert "checks.target_child_frame is 'target'" in other
-        assert zenoh_link.transports(ours_.session) == 0  # independent of the flight's session
 
 
 def test_a_door_to_the_network_without_rules_is_told_once(wires):

@@ -127,34 +127,6 @@ def test_wrong_frames_are_told_and_left_to_the_controller_to_refuse(frame, child
         assert words in listening.take_problems()[0]
 
 
-def moving(i):
-    return (0.2 * i / 50, 0.0, 0.1), STAMP + i * 20_000_000
-
-
-def poses(kind):
-    for i in range(60):
-        position, stamp_ns = moving(i)
-        if kind is TargetType.POSE:
-            yield ros.pose_stamped(stamp_ns, FRAME, position)
-        else:
-            yield ros.pose_covariance(stamp_ns, FRAME, position, [0.0] * 36)
-
-
-@pytest.mark.parametrize("kind", [TargetType.POSE, TargetType.POSE_COVARIANCE])
-def test_a_target_without_a_velocity_gets_one(kind):
-    with source("ros2:/pose", kind) as (robot, listening):
-        for payload in poses(kind):
-            robot.put(payload)
-        samples = collect(listening, 50)
-        until(lambda: samples.extend(listening.poll()) or samples[-1].sequence == 60, "the last")
-        last = sample_of(RawSample(samples[-1].payload), 0.0)
-        assert (last.frame_id, last.child_frame_id) == (FRAME, CHILD)
-        assert last.position_enu_m == pytest.approx(moving(59)[0])
-        assert last.velocity_enu_m_s == pytest.approx((0.2, 0.0, 0.0), abs=0.01)
-        assert last.source_time_s == pytest.approx(moving(59)[1] / 1e9)
-        assert listening.refused == 0
-
-
 @pytest.mark.parametrize(
     ("kind", "payload", "words"),
     [

@@ -83,14 +83,6 @@ def test_all_of_its_state_is_its_memory(made):
         plant.fly(tracking.memory.setpoint_m_s)
 
 
-def test_horizontally_the_set_point_stays_near_the_velocity_so_that_the_tilt_is_bounded():
-    tracking = VelocityTracking(replace(LOOP, error_max_m_s=0.3), T_S)
-    tracking.observe((0.1, -0.1, 0.0), commanding=False)
-    setpoint = tracking.command(ZERO, (3.0, -3.0, 3.0), (0.1, -0.1, 0.0), WIDE)
-    assert setpoint[:2] == pytest.approx((0.4, -0.4))
-    assert setpoint[2] > 3.0  # an upward acceleration needs no tilt
-
-
 @pytest.mark.parametrize("period_s", [0.1, 0.02, 0.002])
 @given(damping=st.floats(0.1, 2.0), axis=st.sampled_from(AXES), start=st.floats(-1.0, 1.0))
 @settings(max_examples=20)

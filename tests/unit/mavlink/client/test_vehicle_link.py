@@ -5,7 +5,6 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from flightstack.core.types import Request
 from tests.unit.mavlink.client.vehicle_link_fakes import (
     FakeAutopilot,
     Setpoint,
@@ -46,17 +45,6 @@ def test_setpoint_that_is_not_finite_never_leaves(link, bad):
     assert not link.send_setpoint(Setpoint((0.0, bad, 0.0), 0.0), 0.0)
     assert not link.send_setpoint(Setpoint((0.0, 0.0, 0.0), bad), 0.0)
     assert link.counters.setpoints_refused == 2
-
-
-def test_everything_of_a_tick_is_one_datagram(vehicle, link):
-    vehicle.beat()
-    poll(link, 1.0)
-    link.command(Request.LAND, 1.0)
-    link.send_setpoint(Setpoint((0.0, 0.0, 0.0), 0.0), 1.0)
-    link.flush([link.timesync_reply(10)])
-    assert vehicle.endpoint.wait(5.0)
-    assert vehicle.endpoint._transport.receive().data.count(b"\xfd") >= 5
-    assert vehicle.endpoint.receive() == []
 
 
 def test_timesync_is_answered_at_once_in_real_time(vehicle, link):

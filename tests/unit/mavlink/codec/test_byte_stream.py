@@ -85,35 +85,6 @@ def drain(far, endpoint, data):
     return True
 
 
-def test_pulled_cable_is_told_and_found_again(wire):
-    far, endpoint = wire
-    connected(far, endpoint)
-    assert endpoint.take_notices() == []
-    far.pull()
-    notices = []
-
-    def told():
-        before_s = time.monotonic()
-        endpoint.receive()
-        endpoint.send([position()])
-        endpoint.wait(0.01)
-        assert time.monotonic() - before_s < AT_ONCE_S
-        notices.extend(endpoint.take_notices())
-        return notices
-
-    until(told, "the loss was not told")
-    assert "is lost" in notices[0]
-    assert "every 0.5 s" in notices[0]
-    assert endpoint.counters.connections_lost == 1
-    assert endpoint.fileno() >= 0
-    assert not endpoint.wait(0.01)
-    far.plug()
-    connected(far, endpoint)
-    (again,) = endpoint.take_notices()
-    assert "is connected again after" in again
-    assert len(notices) == 1, "said once, not at every try"
-
-
 def test_serial_port_in_use_is_a_clear_error(tmp_path):
     far = PtyEnd(tmp_path, 57_600)
     first = Endpoint(far.url, 1, 191)
