@@ -99,7 +99,6 @@ def ned_covariance_from_enu(covariance: Sequence[float]) -> tuple[float, ...]:
 
     ``covariance`` is 6 x 6, row by row, in the order x, y, z and rotations about x, y, z (geometry_msgs). The
     result has the axes north, east and down; the conversion is its own inverse.
-    Raises ValueError: the covariance does not have 36 entries.
     """
     if len(covariance) != 36:
         raise ValueError(f"covariance has {len(covariance)} entries: 6 x 6 are needed")

@@ -89,10 +89,8 @@ class Endpoint:
 
         ``max_peers``: greatest number of peers that are known by a heartbeat; ``always``: peers of ``udpin``
         that receive telemetry from the start and never expire; ``allow_unsigned``: permit listening to a
-        network without a key. Raises ValueError: bad URL or id, the host has no IPv4 address, a network
-        without a key, or an invalid signing state; OSError: the address cannot be bound, the device cannot be
-        opened, or the signing state cannot be read or written. A refused TCP connection is no error: the
-        endpoint retries, and ``take_notices`` reports it.
+        network without a key. A refused TCP connection is no error: the endpoint retries, and
+        ``take_notices`` reports it.
         """
         for name, value in (("system", system_id), ("component", component_id)):
             if not 1 <= value <= 255:

@@ -31,10 +31,7 @@ _HELP = "a key file holds 32 bytes or 64 hexadecimal characters; `flightstack ke
 
 @dataclass(frozen=True, slots=True)
 class SigningKey:
-    """Secret key shared by all members of a link.
-
-    Raises ValueError: the secret has another length, or all its bytes are equal.
-    """
+    """Secret key shared by all members of a link."""
 
     secret: bytes = field(repr=False)
     path: Path | None = None
@@ -47,10 +44,7 @@ class SigningKey:
 
 
 def load_key(path: Path) -> SigningKey:
-    """Read a key from a regular file with mode 0600 or 0400.
-
-    Raises ValueError: the file cannot be read, has another mode, or holds no key.
-    """
+    """Read a key from a regular file with mode 0600 or 0400."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
@@ -74,10 +68,7 @@ def load_key(path: Path) -> SigningKey:
 
 
 def make_key(path: Path) -> None:
-    """Write a new random key as 64 hexadecimal characters; only the owner can read the file.
-
-    Raises FileExistsError: the file exists and is not overwritten; OSError: it cannot be written.
-    """
+    """Write a new random key as 64 hexadecimal characters; only the owner can read the file."""
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
     except FileExistsError as error:
@@ -114,10 +105,7 @@ class SigningState(msgspec.Struct):
 
 
 def load_state(path: Path) -> SigningState:
-    """Read the state file; without a file the state is empty.
-
-    Raises ValueError: the content is invalid; OSError: the file cannot be read.
-    """
+    """Read the state file; without a file the state is empty."""
     try:
         with path.open("rb") as file:
             data = file.read(_STATE_READ_MAX)

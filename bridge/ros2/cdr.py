@@ -56,10 +56,6 @@ class Odometry(NamedTuple):
     twist_covariance: Sequence[float] = NO_COVARIANCE
 
     def pack(self) -> bytes:
-        """Serialise the message.
-
-        Raises OdometryError: the stamp exceeds 32-bit seconds, or a covariance does not have 36 entries.
-        """
         w, x, y, z = self.orientation_wxyz
         header, pose = (self.stamp_ns, self.frame_id), (self.position_m, (x, y, z, w))
         twist = (self.linear_m_s, self.angular_rad_s)
@@ -108,8 +104,7 @@ def _sum(a: Vec3, b: Vec3) -> Vec3:
 def decode_odometry(payload: bytes) -> Odometry:
     """Decode a serialised odometry message.
 
-    Bytes after the last field are ignored, because some writers add padding. Raises OdometryError: the
-    payload is too short, has another encoding, or its strings are invalid.
+    Bytes after the last field are ignored, because some writers add padding. Raises OdometryError.
     """
     (stamp_ns, frame_id), child_frame_id, (pose, pose_cov), (twist, twist_cov) = _decoded(
         _unpack_odometry, payload

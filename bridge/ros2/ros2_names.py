@@ -49,10 +49,7 @@ class Node(NamedTuple):
 
 
 def check_topic(topic: str) -> str:
-    """Return a topic name after checking that it is fully qualified.
-
-    Raises ValueError: the name is not; the text states what is allowed.
-    """
+    """Return a topic name after checking that it is fully qualified."""
     if _TOPIC.fullmatch(topic) and len(topic) <= TOPIC_LENGTH_MAX:
         return topic
     raise ValueError(
@@ -70,10 +67,7 @@ def check_domain(domain: int) -> int:
 
 
 def dds_type(type_name: str) -> str:
-    """Return the name of a message type in DDS, such as ``nav_msgs::msg::dds_::Odometry_``.
-
-    Raises ValueError: the type is not ``package/msg/Name``.
-    """
+    """Return the name of a message type in DDS, such as ``nav_msgs::msg::dds_::Odometry_``."""
     match = _TYPE.fullmatch(type_name)
     if match is None:
         raise ValueError(f"ROS 2 type {type_name!r}: PACKAGE/msg/NAME is needed, as in nav_msgs/msg/Odometry")
@@ -90,10 +84,7 @@ def topic_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
 
 
 def any_type_key(domain: int, topic: str) -> str:
-    """Return the key expression of a topic with any type, to detect a topic with a wrong type.
-
-    Raises ValueError: a part is malformed.
-    """
+    """Return the key expression of a topic with any type, to detect a topic with a wrong type."""
     return f"{check_domain(domain)}{check_topic(topic)}/*/*"
 
 
@@ -113,10 +104,7 @@ def parse_topic_key(key: str) -> TopicKey | None:
 
 
 def bridge_key(topic: str) -> str:
-    """Return the key of a topic behind zenoh-bridge-ros2dds: its name without the leading slash.
-
-    Raises ValueError: the name is malformed.
-    """
+    """Return the key of a topic behind zenoh-bridge-ros2dds: its name without the leading slash."""
     return check_topic(topic).removeprefix("/")
 
 
@@ -129,8 +117,6 @@ def publisher_token(node: Node, number: int, topic: str, type_name: str, type_ha
     """Return the liveliness token of a publisher, for ``ros2 topic list``.
 
     No other entity of the session has the same ``number``; ``qos`` has rmw_zenoh's short form.
-
-    Raises ValueError: a part is malformed.
     """
     topic_key(node.domain, topic, type_name, type_hash)  # raises if a part is malformed
     tail = [node.name, _mangle(topic), dds_type(type_name), type_hash, qos]
@@ -171,11 +157,7 @@ class Ros2Network:
     domain: int = 0  # ROS_DOMAIN_ID of these nodes
 
     def open(self) -> zenoh_link.Session:
-        """Open a session to this network; the caller closes it.
-
-        Raises ValueError: neither an endpoint nor a configuration, or the domain is out of range;
-        ZenohLinkError: no reply.
-        """
+        """Open a session to this network; the caller closes it."""
         check_domain(self.domain)
         if self.where.endswith(_FILES):
             return zenoh_link.open_session(config_file=Path(self.where), role=zenoh_link.Role.CLIENT)
@@ -198,8 +180,6 @@ class Ros2Node:
         """Announce the node to ROS 2.
 
         ``domain`` is the ROS_DOMAIN_ID of the other nodes; topics have full names, whatever the namespace.
-
-        Raises ValueError: a name or the domain is not allowed.
         """
         self._session = session
         self._node = Node(domain, str(session.zid()), name, namespace)
@@ -210,8 +190,6 @@ class Ros2Node:
         """Announce a topic and declare its publisher.
 
         With another type hash ROS 2 nodes receive no samples.
-
-        Raises ValueError: a part is malformed.
         """
         number = 1 + len(self._publishers)  # the node itself has number 0
         token = publisher_token(self._node, number, check_topic(topic), type_name, type_hash, QOS_KEEP_10)

@@ -86,10 +86,7 @@ class TargetSpec:
     def parse(
         cls, text: str, target_type: TargetType = TargetType.ODOMETRY, domain: int = 0, offset_m: Vec3 = ZERO
     ) -> TargetSpec:
-        """Parse ``KEY``, ``ros2:/TOPIC`` or ``ros2dds:/TOPIC``.
-
-        Raises ValueError: ROS 2 does not allow the topic or domain, or an offset is out of range.
-        """
+        """Parse ``KEY``, ``ros2:/TOPIC`` or ``ros2dds:/TOPIC``."""
         if not all(abs(one) <= OFFSET_MAX_M for one in offset_m):  # False for NaN
             raise ValueError(f"--target-offset {offset_m}: up to {OFFSET_MAX_M:g} m on each axis are allowed")
         dialect = next(

@@ -168,10 +168,7 @@ def _configuration(listen: Sequence[str], connect: Sequence[str], file: Path | N
 
 
 def is_client(file: Path | None) -> bool:
-    """Whether a session of this configuration is a client of a router, which cannot listen.
-
-    Raises ValueError: the file cannot be read.
-    """
+    """Whether a session of this configuration is a client of a router, which cannot listen."""
     return _role(_configuration((), (), file, Role.PEER)) is Role.CLIENT
 
 
@@ -252,19 +249,13 @@ def transports(session: Session) -> int:
 def dialled(
     connect: Sequence[str] = (), *, config_file: Path | None = None, role: Role = Role.PEER
 ) -> tuple[Role, list[str]]:
-    """Return the role of ``open_session`` with these arguments, and the endpoints to which it connects.
-
-    Raises ValueError: the file is malformed.
-    """
+    """Return the role of ``open_session`` with these arguments, and the endpoints to which it connects."""
     config = _configuration((), connect, config_file, role)
     return _role(config), _endpoints_of_role(config, "connect")
 
 
 def open_to_all(listen: Sequence[str] = (), *, config_file: Path | None = None) -> list[str]:
-    """Return the endpoints on which ``open_session`` listens to a network without access rules.
-
-    Raises ValueError: the file is malformed.
-    """
+    """Return the endpoints on which ``open_session`` listens to a network without access rules."""
     config = _configuration(listen, (), config_file, Role.PEER)
     if json.loads(config.get_json("access_control/enabled")):
         return []
@@ -346,10 +337,7 @@ _ATTACHMENT = struct.Struct("<qqB16s")  # "B" is the length of the id (attachmen
 
 
 def pack_attachment(sequence: int, source_time_ns: int, gid: bytes) -> bytes:
-    """Return the 33-byte attachment: sequence from 1, Unix time of sending, publisher id (16 bytes).
-
-    Raises ValueError: ``gid`` has another length.
-    """
+    """Return the 33-byte attachment: sequence from 1, Unix time of sending, publisher id (16 bytes)."""
     if len(gid) != GID_BYTES:
         raise ValueError(f"publisher id has {len(gid)} bytes: rmw_zenoh needs {GID_BYTES}")
     return _ATTACHMENT.pack(sequence, source_time_ns, GID_BYTES, gid)

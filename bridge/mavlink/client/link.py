@@ -67,7 +67,6 @@ class VehicleLink:
         position and attitude; ``profile`` None: the first heartbeat selects it; ``defer_timesync``: lockstep,
         see below; ``origin``: sent to a vehicle that needs one and has none; ``line``: rates for a slow
         serial line; ``power``: request the throttle, for ``VehicleState.power``.
-        Raises ValueError: a rate or height that is not positive.
         """
         if not (rate_hz > 0.0 and math.isfinite(rate_hz)):
             raise ValueError(f"loop rate is {rate_hz} Hz: a positive number is needed")
@@ -111,10 +110,7 @@ class VehicleLink:
         return self._requests.sequencer.failed if self._requests is not None else None
 
     def adopt(self, profile: Profile) -> None:
-        """Use the profile that the preflight check found.
-
-        Raises RuntimeError: the link already has a profile, configured or from a heartbeat.
-        """
+        """Use the profile that the preflight check found."""
         if self.state.profile is not None:
             raise RuntimeError(f"the link flies by {self.state.profile.name} already, not by {profile.name}")
         self.state.profile = profile

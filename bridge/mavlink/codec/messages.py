@@ -54,10 +54,7 @@ class Definition(NamedTuple):
 
     @classmethod
     def parse(cls, line: str) -> Definition:
-        """Read ``id;name;crc_extra;type name;...``: ``type[n]`` is an array, ``+type`` an extension.
-
-        Raises ValueError: the line has another form, or a type is unknown.
-        """
+        """Read ``id;name;crc_extra;type name;...``: ``type[n]`` is an array, ``+type`` an extension."""
         id_, name, crc_extra, *fields = line.split(";")
         return cls(int(id_), name, int(crc_extra), tuple(_field(text) for text in fields))
 

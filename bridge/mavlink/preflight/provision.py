@@ -27,7 +27,6 @@ def provision(url: str, system_id: int, key: SigningKey, *, remove: bool, wait_s
 
     ``key``: the new key, or the current key with ``remove``; ``wait_s``: time-out of the first heartbeat.
     Returns the reason of a failure; None: the vehicle has shown the change.
-    Raises ValueError: the URL is bad or leads over a network; OSError: the address cannot be opened.
     """
     kind, host, port = parse_url(url)
     if kind != "serial" and not is_local(resolve(f"MAVLink URL {url!r}", host, port)):

@@ -25,10 +25,7 @@ _PEER_HELP = "allowed is HOST:PORT, PORT 1 to 65535, for example 127.0.0.1:14550
 
 
 def parse_url(url: str) -> tuple[str, str, int]:
-    """Split an endpoint URL into kind ("udpin", "udpout", "tcp"), host, port; or "serial", device, bit/s.
-
-    Raises ValueError: the URL has none of the allowed forms.
-    """
+    """Split an endpoint URL into kind ("udpin", "udpout", "tcp"), host, port; or "serial", device, bit/s."""
     line = _SERIAL.match(url)
     if line is not None:
         baud = int(line.group(2) or DEFAULT_BAUD)
@@ -52,10 +49,7 @@ def parse_url(url: str) -> tuple[str, str, int]:
 
 
 def parse_udp_url(url: str, who: str) -> tuple[str, str, int]:
-    """Parse a URL as ``parse_url`` does, for UDP only; ``who`` is the subject of the error text.
-
-    Raises ValueError: another kind of link, or none of the allowed forms.
-    """
+    """Parse a URL as ``parse_url`` does, for UDP only; ``who`` is the subject of the error text."""
     kind, host, port = parse_url(url)
     if kind not in ("udpin", "udpout"):
         raise ValueError(
@@ -109,7 +103,6 @@ def check_policy(
     ``address``: local address, or address of the only peer; for a serial line device and baud; ``always``:
     peers that receive telemetry from the start; ``signed``: there is a key; ``allow_unsigned``: the operator
     accepts the risk.
-    Raises ValueError: the endpoint is not allowed.
     """
     kind = parse_url(url)[0]
     listens = kind == "udpin"

@@ -215,10 +215,7 @@ class ByteStream:
 
 
 def open_stream(kind: str, address: Peer, counters: EndpointCounters) -> ByteStream:
-    """Open a serial line or TCP connection; ``address``: device and baud, or IPv4 address and port.
-
-    Raises OSError: the device cannot be opened; a refused TCP connection is retried instead.
-    """
+    """Open a serial line or TCP connection; ``address``: device and baud, or IPv4 address and port."""
     if kind == "tcp":
         name = f"TCP connection to {address[0]}:{address[1]}"
         return ByteStream(name, address, lambda: _TcpChannel(address), counters, outgoing_max=OUTGOING_MAX)

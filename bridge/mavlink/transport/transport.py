@@ -60,10 +60,7 @@ _SOCKET_BUFFER = 1 << 20  # requested size, bytes; the kernel may grant less
 
 
 class DatagramTransport:
-    """A UDP socket; without listening it has ``address`` as its only peer. Only ``wait`` blocks.
-
-    Raises OSError: the address cannot be bound, or there is no route to it.
-    """
+    """A UDP socket; without listening it has ``address`` as its only peer. Only ``wait`` blocks."""
 
     baud: int | None = None
     is_stream = False
