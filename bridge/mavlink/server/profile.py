@@ -49,22 +49,6 @@ PX4_CODES: Mapping[FlightMode, Code] = {
 }
 _BY_CODE = {(code.main, code.sub): mode for mode, code in PX4_CODES.items()}
 
-# PX4's other modes, and the reasons why no vehicle of this project supports them.
-_STICKS = "no stick input"
-_NOT_HERE: Mapping[tuple[int, int], str] = {
-    (1, 0): f"manual: {_STICKS}",
-    (2, 0): f"altitude: {_STICKS}",
-    (3, 0): f"position: {_STICKS}",
-    (5, 0): f"acro: {_STICKS}",
-    (7, 0): f"stabilized: {_STICKS}",
-    (8, 0): f"rattitude: {_STICKS}",
-    (10, 0): "termination: use command 185",
-    (4, 1): "ready: use hold",
-    (4, 4): "mission: no missions",
-    (4, 8): "follow: not supported",
-    (4, 9): "precision land: not supported",
-}
-
 # landed_state of EXTENDED_SYS_STATE in the air; on the ground it is always ON_GROUND.
 AIRBORNE_STATE: Mapping[FlightMode, int] = {
     FlightMode.HOLD: dialect.MAV_LANDED_STATE_IN_AIR,
@@ -80,8 +64,7 @@ def mode_of(main: int, sub: int) -> FlightMode | None:
 
 
 def why_no_mode(main: int, sub: int) -> str:
-    reason = _NOT_HERE.get((main, sub if main == PX4_CODES[FlightMode.HOLD].main else 0))
-    return f"Mode refused: {reason}" if reason else f"Mode {main}/{sub} refused: there is none"
+    return f"Mode {main}/{sub} refused: only {', '.join(mode.value for mode in FlightMode)}"
 
 
 def mode_numbers(custom_mode: int) -> tuple[int, int]:
