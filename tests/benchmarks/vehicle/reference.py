@@ -25,12 +25,6 @@ ESCHMANN_LAG_S = 0.072  # quoted by rotorpy 3.0.0, crazyflie_params.py
 L250_RISE_S, L250_FALL_S = 0.136, 0.108  # drone-models 0.1.0, params.toml: reciprocal of its rates, at hover
 L250_HOVER_RPM, L250_HOVER_COUNTS = 18968.0, 42700.0  # L250 curve solved for 31.9 g; firmware's scale
 DATA_SHEET_HOVER_S = 7.0 * 60.0  # Bitcraze, Crazyflie 2.0: flight time
-# firmware supervisor_state_machine.c, compiled and stepped at 25 Hz: ms after the last set-point, or after
-# the first stop set-point
-SUPERVISOR_MS = {
-    False: {"set-points too old": 520, "locked": 2040},  # motors off in the firmware's ExceptFreeFall
-    True: {"landed, motors off": 2000, "disarmed": 5080},
-}
 
 
 def bench_rpm(grams: float) -> float:
@@ -70,12 +64,7 @@ def descend(
     """Simulate the descent of a point mass with rotors; return time and speed of the first touch.
 
     Vertical only, without sensors: paper's velocity law, rotor lag, thrust curve, Cheeseman-Bennett, drag.
-
-    Args:
-        height_m: initial height of the feet.
-        speed_m_s: initial and commanded speed of the descent.
-        motors_off: the motors are off from the start instead.
-        step_s: time step of the integration.
+    ``motors_off``: they are off from the start, instead of the commanded descent.
     """
     p1, p2 = ROTOR.thrust_linear_n_rpm, ROTOR.thrust_square_n_rpm2
     plane = ROTOR.above_com_m - PARAMS.geometry.foot_bottom_m  # height of the rotors above the feet

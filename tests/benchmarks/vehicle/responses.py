@@ -26,7 +26,6 @@ LAGS = {False: analysis.PARAMS.rotor.lag_s, True: analysis.slow_lag_s()}
 NAMES = {False: "nominal motors", True: "slow motors"}
 ROTOR = analysis.PARAMS.rotor
 WEIGHT_N = analysis.MASS * analysis.G
-GUST_RMS_M_S, GUST_STEP_S, GUST_S = 0.6, 0.005, 3600.0
 
 
 @dataclass(frozen=True)
@@ -127,11 +126,6 @@ def rise_s(t: F64, y: F64, end: float) -> float:
     """Return the time from 10 to 90 % of the final value."""
     low, high = (float(t[np.argmax(y >= share * end)]) for share in (0.1, 0.9))
     return high - low
-
-
-@cache
-def gusts() -> F64:
-    return runs.gusts(GUST_S, GUST_STEP_S, GUST_RMS_M_S)
 
 
 def increase(height_m: float) -> float:

@@ -12,7 +12,6 @@ import numpy.typing as npt
 from logs.schema.events import ContactBit
 from sim.plant.params import STEP_S, Plant, load
 from sim.plant.rotors import Rotors, turn_rotors
-from sim.plant.wind import WindModel
 from sim.robot.target import TargetModel
 from sim.scenarios.scenario import (
     OdometryLink,
@@ -22,7 +21,6 @@ from sim.scenarios.scenario import (
     TargetSpec,
     VehicleSpec,
     VelocityLoop,
-    Wind,
 )
 from sim.vehicle.vehicle import Truth, VehicleSim
 from tests.unit.vehicle.vehicle_sim_helpers import QUIET, scenario
@@ -154,11 +152,8 @@ def touchdown(
 ) -> Run:
     """Descend to the pad from 25 cm at the pad's horizontal velocity.
 
-    Args:
-        speed_m_s: speed of the descent.
-        motors_off_below_m: stop set-point below this height over the pad; None: half a second after
-            contact.
-        target: a driving pad; default: the pad at rest.
+    ``motors_off_below_m``: stop set-point below this height over the pad; None: half a second after contact;
+    ``target``: a driving pad; None: the pad at rest.
     """
     spec = target or TargetSpec()
     deck = TargetModel(spec, SEED)
@@ -187,28 +182,3 @@ def touchdown(
 
 
 DRIVING = TargetSpec(path=PathKind.CIRCLE, speed_m_s=0.1, turn_rate_rad_s=0.1)  # paper, scenario 2
-
-
-def supervisor_times(stop: bool, seconds: float) -> dict[str, int]:
-    """Return times of the supervisor's state changes, ms after the last set-point; ``stop``: by stop ones."""
-    sim = make(setpoint_delay_s=0.0)
-    record(sim, 0.53, hold(sim, (0.0, 0.0, 0.0)))  # the last set-point is at 0.52 s, when the supervisor runs
-    times: dict[str, int] = {}
-    for ms in range(round(1000.0 * seconds)):
-        if stop and ms % 10 == 0:
-            sim.stop_setpoint()
-        before = sim.state_text
-        sim.advance(1)
-        if sim.state_text != before:
-            times[sim.state_text.partition(":")[0]] = ms + 10
-    return times
-
-
-def gusts(seconds: float, step_s: float, rms_m_s: float) -> F64:
-    """Return wind over time, (n, 3)."""
-    wind = WindModel(Wind(0.0, rms_m_s), PARAMS.wind, SEED, step_s)
-    out = []
-    for _ in range(round(seconds / step_s)):
-        wind.step()
-        out.append(wind.now_enu_m_s)
-    return np.array(out)

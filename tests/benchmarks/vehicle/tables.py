@@ -18,17 +18,13 @@ from sim.plant.rotors import BatteryModel
 from tests import linear_analysis as analysis
 from tests.benchmarks.vehicle import reference as ref
 from tests.benchmarks.vehicle import runs as runs
-from tests.benchmarks.vehicle.parameters import constant_table, parameter_table, pid_table
 from tests.benchmarks.vehicle.responses import (
-    GUST_RMS_M_S,
-    GUST_STEP_S,
     NAMES,
     PAPER,
     PID,
     ROTOR,
     WEIGHT_N,
     Step,
-    gusts,
     hover,
     increase,
     landing,
@@ -196,28 +192,6 @@ def ground_rows() -> Iterable[Row]:
             yield Row(f"more thrust, rotor {1000.0 * h:.1f} mm high", "%", *values, name, 2)
 
 
-def wind_rows() -> Iterable[Row]:
-    shape = analysis.PARAMS.wind
-    wind = gusts()
-    for axis, name, rms, time_s in (
-        (0, "horizontal", GUST_RMS_M_S, shape.horizontal_time_s),
-        (2, "vertical", GUST_RMS_M_S * shape.vertical_share, shape.vertical_time_s),
-    ):
-        g = wind[:, axis]
-        yield Row(f"{name} gust, rms", "m/s", float(g.std()), rms, "set", 3)
-        lag = round(time_s / GUST_STEP_S)
-        decay = float(np.mean(g[:-lag] * g[lag:]) / np.mean(g * g))
-        yield Row(f"{name} gust, correlation after {time_s} s", "", decay, math.exp(-1.0), "first order", 3)
-
-
-def supervisor_rows() -> Iterable[Row]:
-    for stop, cause in ((False, "set-points stop"), (True, "stop set-points")):
-        found = runs.supervisor_times(stop, 6.0 if stop else 3.0)
-        for state, reference_ms in ref.SUPERVISOR_MS[stop].items():
-            name = f"{cause}: {state}"
-            yield Row(name, "ms", found[state], reference_ms, "supervisor_state_machine.c", 0)
-
-
 HEAD = "| quantity | simulated | reference | deviation | source of the reference |\n|---|---|---|---|---|"
 COMPARISONS: dict[str, Callable[[], Iterable[Row]]] = {
     "hover": hover_rows,
@@ -225,20 +199,14 @@ COMPARISONS: dict[str, Callable[[], Iterable[Row]]] = {
     "roll": roll_rows,
     "velocity": velocity_rows,
     "yaw": yaw_rows,
-    "supervisor": supervisor_rows,
     "touchdown": touchdown_rows,
     "ground": ground_rows,
-    "wind": wind_rows,
 }
 
 
 def tables() -> dict[str, str]:
     """Return all tables by their names in the page."""
-    compared = {
-        name: "\n".join([HEAD, *(row.cells() for row in rows())]) for name, rows in COMPARISONS.items()
-    }
-    numbers = {"parameters": parameter_table(), "constants": constant_table(), "pid": pid_table()}
-    return {**numbers, **compared}
+    return {name: "\n".join([HEAD, *(row.cells() for row in rows())]) for name, rows in COMPARISONS.items()}
 
 
 def written_tables() -> dict[str, str]:

@@ -86,19 +86,6 @@ def test_connects_over_a_radio_that_loses_every_tenth_packet_of_the_real_tables(
         assert server.lost > 20
 
 
-def test_old_firmware_is_refused_with_the_version_needed():
-    with (
-        Server(Firmware(protocol=9, auto_arm=False)) as server,
-        bridge(server) as started,
-        client(started) as one,
-    ):
-        one.until(is_a("HEARTBEAT"), each=one.hello)
-        one.send(one.command(400, 1.0))
-        assert one.until(is_a("COMMAND_ACK", command=400)).result == 1
-        wait_for(lambda: started.said("firmware has CRTP protocol 9, arming needs 12"), "the reason")
-        assert not server.firmware.supervisor.armed
-
-
 def stays_unlocked(server):
     """Wait until the supervisor would lock without set-points; arming must still be possible."""
     ended_s = server.now_s

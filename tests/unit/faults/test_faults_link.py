@@ -77,6 +77,11 @@ def test_a_fault_that_is_over_leaves_nothing_behind(what, kind):
     assert wire.sound
 
 
+def test_a_duplicate_arrives_twice_at_once():
+    _, got = out(late(Kind.DUPLICATE, value=1.0), seconds=2.0)
+    assert [ms for ms, _ in got if ms >= 1000] == [ms for ms in range(1000, 2000, 10) for _ in range(2)]
+
+
 def test_a_stalled_wire_lets_everything_go_at_the_end_within_its_bound():
     _, got = out(late(Kind.STUCK), end_s=3.0)
     assert not [ms for ms, _ in got if 1000 <= ms < 3000]

@@ -20,11 +20,6 @@ def test_every_table_is_in_the_page(fresh):
     assert set(written_tables()) == set(fresh), MAKE_ANEW
 
 
-@pytest.mark.parametrize("name", ["parameters", "constants", "pid"])
-def test_parameters_are_those_of_the_simulator(fresh, name):
-    assert written_tables()[name] == fresh[name], MAKE_ANEW
-
-
 @pytest.mark.parametrize("name", COMPARISONS)
 def test_comparisons_are_those_of_a_fresh_run(fresh, name):
     written, made = written_tables()[name].splitlines(), fresh[name].splitlines()
@@ -36,9 +31,7 @@ def test_comparisons_are_those_of_a_fresh_run(fresh, name):
             assert abs(float(a) - float(b)) < 1.5 * digit, (old, new, MAKE_ANEW)
 
 
-@pytest.mark.parametrize(
-    ("name", "percent"), [("roll", 8), ("velocity", 10), ("yaw", 9), ("touchdown", 2), ("supervisor", 3)]
-)
+@pytest.mark.parametrize(("name", "percent"), [("roll", 8), ("velocity", 10), ("yaw", 9), ("touchdown", 2)])
 def test_the_simulator_agrees_with_theory(fresh, name, percent):
     deviations = [float(d) for d in re.findall(r"\| ([-+][\d.]+) % \|", fresh[name])]
     assert len(deviations) == len(fresh[name].splitlines()) - 2
