@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from bridge.mavlink.server.profile import FlightMode
 from sim.autopilot.autopilot import Autopilot
 from tests.unit.autopilot.autopilot_fakes import RATE_HZ, FakeVehicle, Rig, set_real
-from tests.unit.mavlink.server.served import HOLD, setpoint
+from tests.unit.mavlink.server.served import HOLD, NAN, setpoint
 
 
 def test_no_estimate_clears_health_and_refuses_arming_and_take_off() -> None:
@@ -24,6 +24,19 @@ def test_no_estimate_clears_health_and_refuses_arming_and_take_off() -> None:
     assert rig.texts() == ["Arming refused: no position estimate", "Take-off refused: no position estimate"]
     assert rig.command(400, 1.0, 21196.0) == mav.MAV_RESULT_TEMPORARILY_REJECTED  # forced
     assert not rig.vehicle.armed
+
+
+def test_take_off_climbs_at_half_a_metre_a_second_at_most_and_holds() -> None:
+    rig = Rig()
+    rig.command(400, 1.0)
+    rig.command(22, *[NAN] * 6, 1.0)
+    fastest = 0.0
+    for _ in range(800):
+        rig.run(0.01)
+        fastest = max(fastest, rig.vehicle.state.velocity_enu_m_s[2])
+    assert 0.4 < fastest <= 0.5 + 1e-9
+    assert rig.mode is FlightMode.HOLD
+    assert rig.vehicle.state.position_enu_m[2] == pytest.approx(1.0, abs=0.03)
 
 
 def test_take_off_without_a_height_takes_the_parameter_and_order_does_not_matter() -> None:
@@ -117,6 +130,17 @@ def test_hold_takes_over_a_moving_vehicle_without_a_step() -> None:
     assert rig.vehicle.setpoint == pytest.approx((0.0, 0.4, 0.0), abs=0.02)
     rig.run(8.0)
     assert math.hypot(*rig.vehicle.state.velocity_enu_m_s) < 0.02
+
+
+def test_offboard_hands_on_each_set_point_once_in_enu() -> None:
+    rig = Rig().offboard()
+    rig.run(0.01)
+    before = rig.vehicle.setpoints
+    rig.handle(setpoint(0.1, 0.2, -0.3, yaw=0.0))
+    rig.run(0.05)
+    assert rig.vehicle.setpoints == before + 1
+    assert rig.vehicle.setpoint == pytest.approx((0.2, 0.1, 0.3))
+    assert rig.vehicle.yaw_rad == pytest.approx(math.pi / 2)  # nose to the north
 
 
 def test_yaw_rate_is_integrated_and_no_yaw_holds_the_heading() -> None:

@@ -118,6 +118,8 @@ def test_loss_of_set_points_does_what_the_parameter_says(act: int, mode: FlightM
     assert f"No set-points for 0.5 s: {doing}" in rig.texts()
     assert rig.autopilot.flight.failsafe
     rig.run(3.0)
+    beats = [beat.system_status for beat in rig.seen(mav.MAVLINK_MSG_ID_HEARTBEAT)]
+    assert mav.MAV_STATE_CRITICAL in beats
     if mode is FlightMode.HOLD:
         assert math.hypot(*rig.vehicle.state.velocity_enu_m_s) < 0.02
         rig.run(0.1, (0.0, 0.0, 0.0))

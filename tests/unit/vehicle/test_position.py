@@ -57,6 +57,12 @@ class TestPidPosition:
         up = (2.0 + 0.5 * 0.01) * error[2] - velocity[2]
         assert thrust == pytest.approx(36000.0 + 1000.0 * (25.0 + 15.0 * 0.01) * up, abs=1e-6)
 
+    def test_the_speed_is_limited_before_the_tilt(self):
+        _, _, pitch, _ = pid(
+            PidLoop(PARAMS), sensed_at(velocity=(1.0, 0.0, 0.0)), Setpoint(position=(9.0, 0.0, 0.0))
+        )
+        assert pitch == pytest.approx(25.01 * (1.1 - 1.0))
+
     def test_another_kind_of_set_point_resets_the_integrals(self):
         loop = PidLoop(PARAMS)
         for _ in range(50):
@@ -94,6 +100,21 @@ class TestMellinger:
             np.clip(-gain * e, -32000.0, 32000.0) for gain, e in zip((7e4, 7e4, 6e4), e_r, strict=True)
         ]
         assert (mx, my, mz) == pytest.approx(expected, abs=1.5)
+
+    def test_the_velocity_is_fed_forward(self):
+        loop, moving = MellingerLoop(), (0.3, 0.2, -0.1)
+        counts, moments = mellinger(
+            loop, sensed_at(velocity=moving), Setpoint(*moving, position=(0.0, 0.0, 0.0))
+        )
+        assert counts == pytest.approx(WEIGHT * MASS_THRUST)
+        assert moments == (0, 0, 0)
+
+    def test_the_integral_of_the_height_is_bounded(self):
+        """A vehicle heavier than its nominal mass stays below its set-point, as the recorded ones did."""
+        loop = MellingerLoop()
+        for _ in range(5000):
+            counts, _ = mellinger(loop, sensed_at(), Setpoint(position=(0.0, 0.0, 0.1)))
+        assert counts == pytest.approx((WEIGHT + 1.25 * 0.1 + 0.05 * 0.4) * MASS_THRUST)
 
 
 RAMP_M_S = 0.5

@@ -102,6 +102,14 @@ def test_chunks_of_advance_do_not_matter():
     assert repr(a.truth()) == repr(b.truth())
 
 
+def test_a_vehicle_that_is_locked_after_a_flight_refuses_to_arm():
+    sim = vehicle()
+    fly(sim, (0.0, 0.0, 0.0), 0.5)
+    sim.advance(2600)
+    assert sim.locked
+    assert "reboot" in sim.arm()
+
+
 def test_blind_vehicle_refuses_to_arm():
     spec = VehicleSpec(mocap=OdometryLink(100.0, loss=1.0))
     sim = vehicle(vehicle=spec, start=Start())
