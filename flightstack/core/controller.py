@@ -15,7 +15,6 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 from flightstack.core.fleet.member import NO_ROWS
-from flightstack.core.fleet.precedence import ALONE
 from flightstack.core.kernel import Barriers, LandingKernel
 from flightstack.core.memory import FilterMemory, FleetMemory, LateMemory, OwnMemory, ReserveMemory, State
 from flightstack.core.mission.guidance import NominalCommand, Situation, nominal_command
@@ -23,7 +22,6 @@ from flightstack.core.mission.machine import Transition
 from flightstack.core.parameters.filters import FILTERS
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.gate import ApprovedSetpoint, GateVerdict
-from flightstack.core.safety.position_loop import limit
 from flightstack.core.snapshot import Snapshot, snapshot_of
 from flightstack.core.strategies.strategy import Filter, strategy_class
 from flightstack.core.target.reserve import ReserveEstimate
@@ -108,7 +106,7 @@ class Controller(LandingKernel):
             "memory": self.memory, "track": self.track.memory, "motion": strategy.motion,
             "tracking": strategy.tracking, "plausibility": self.plausibility.memory,
             "reserve": estimate.memory if estimate is not None else ReserveMemory(), "own": strategy.own,
-            "late": strategy.late, "fleet": fleet.memory if fleet is not None else None,
+            "late": strategy.late, "fleet": fleet.memory,
             "filter": strategy.memory, "filter_state": strategy.state,
         }  # fmt: skip
         kind = state_class(self.config)
@@ -144,10 +142,8 @@ class Controller(LandingKernel):
         follows, charge = plausibility.follows, Charge.FIT
         if self.reserve_estimate is not None:
             charge = self._weigh(self.reserve_estimate, inputs, now_s)
-        way, fleet = ALONE, self._fleet
-        if fleet is not None:
-            events += [Event(WARN, why) for why in fleet.take(inputs.neighbours, now_s)]
-            way = fleet.way(memory.phase, target, now_s, inputs.own)
+        texts, way = self._fleet.observe(inputs, memory.phase, target, now_s)
+        events += [Event(WARN, text) for text in texts]
         snapshot = snapshot_of(
             self.config, inputs, target, now_s, believed=believed, follows=follows, charge=charge, way=way,
             target_believed=believed_target,
@@ -158,20 +154,19 @@ class Controller(LandingKernel):
         nominal = nominal_command(Situation(self.config, self.barrier, memory, snapshot, strategy))
         rows, own_word = NO_ROWS, None
         placed = inputs.own if snapshot.own_ok else None
-        if fleet is not None and nominal.velocity is not None and placed is not None:
-            rows = fleet.rows(memory.phase, placed, self.base(placed.velocity_enu_m_s), now_s)
-            most = self.config.limits.velocity_max_m_s
-            if rows.near:
-                nominal = nominal._replace(velocity=fleet.aside(limit(nominal.velocity, most), rows))
-        self._rows, self.crowded = rows, fleet is not None and bool(rows.rows or not way.may_land)
+        if nominal.velocity is not None and placed is not None:
+            base, most = self.base(placed.velocity_enu_m_s), self.config.limits.velocity_max_m_s
+            velocity, rows = self._fleet.beside(memory.phase, placed, base, nominal.velocity, most, now_s)
+            if velocity is not nominal.velocity:
+                nominal = nominal._replace(velocity=velocity)
+        self._rows, self.crowded = rows, bool(rows.rows) or not way.may_land
         barrier, wanted, gate, setpoint = self._command(nominal, snapshot)
-        if fleet is not None:
-            events += [Event(WARN, text) for text in fleet.crowded(now_s)]
-            why = self.reserve_estimate.text if self.reserve_estimate else ""
-            events += [Event(WARN, text) for text in fleet.stays(way, now_s - memory.phase_since_s, why)]
-            if placed is not None:
-                base = self.base(placed.velocity_enu_m_s)
-                own_word = fleet.word(memory, placed, inputs.status, base, target, now_s)
+        why = self.reserve_estimate.text if self.reserve_estimate else ""
+        texts = self._fleet.texts(way, now_s - memory.phase_since_s, why, now_s)
+        events += [Event(WARN, text) for text in texts]
+        if placed is not None:
+            base = self.base(placed.velocity_enu_m_s)
+            own_word = self._fleet.word(memory, placed, inputs.status, base, target, now_s)
         return Outputs(
             phase=memory.phase,
             request=nominal.request,
@@ -191,9 +186,8 @@ class Controller(LandingKernel):
 
     def _finished(self, status: VehicleStatus | None, now_s: float) -> bool:
         """Return whether the flight is over; a fleet member sends its position until all others are down."""
-        fleet = self._fleet
         over = self._mission.finished(status, now_s)
-        return over and (fleet is None or fleet.over(now_s - self.memory.phase_since_s, now_s))
+        return over and self._fleet.over(now_s - self.memory.phase_since_s, now_s)
 
     def _weigh(self, estimate: ReserveEstimate, inputs: Inputs, now_s: float) -> Charge:
         """Estimate the thrust reserve, and limit the accelerations of this tick to those it allows."""

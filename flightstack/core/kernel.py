@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from flightstack.core.fleet.member import NO_ROWS, FleetMember, Rows
+from flightstack.core.fleet.member import NO_ROWS, Rows, member_of
 from flightstack.core.fleet.program import Cone
 from flightstack.core.fleet.solution import Row
 from flightstack.core.memory import Memory
@@ -119,8 +119,8 @@ class LandingKernel:
         )
         self.slew_step = (most[0] * self._period_s, most[1] * self._period_s, most[2] * self._period_s)
         self.up_step_m_s, self.crowded = math.inf, False
-        fleet, lag_s = config.fleet, max(config.velocity_loop.lag_z_s, self._period_s)
-        self._fleet = FleetMember(fleet, config.own.position_noise_m) if fleet is not None else None
+        lag_s = max(config.velocity_loop.lag_z_s, self._period_s)
+        self._fleet = member_of(config)
         self._rows: Rows = NO_ROWS  # constraints by the neighbours in this tick
         self._cone = Cone(self.strategy.rate_1_s, self.barrier.slope_max, lag_s, self._period_s)
 
@@ -246,7 +246,6 @@ class LandingKernel:
         lower: Vec3, upper: Vec3,
     ) -> FilterResult:  # fmt: skip
         """Filter a velocity with the constraints of neighbours, in a box that is smaller near the pad."""
-        assert self._fleet is not None
         if self.strategy.replaces_program:
             own = self.strategy.filtered(at, active_m, gradient, dh_dt_m_s, nominal, lower, upper)
             if own.status is FilterStatus.REJECTED:
@@ -261,7 +260,7 @@ class LandingKernel:
     @rare
     def _clear_of_neighbours(self, wanted: Vec3, base: Vec3) -> Vec3:
         """Filter a velocity with the constraints of neighbours only, which apply in every phase."""
-        if self._fleet is None or not self._rows.rows:
+        if not self._rows.rows:
             return wanted
         return self._fleet.solve(wanted, (), self._rows, *self.box(base)).velocity_enu_m_s
 

@@ -19,15 +19,26 @@ from flightstack.core.fleet.pair import (
     sidestep,
     wider,
 )
-from flightstack.core.fleet.precedence import Pad, Way, decide, heard, place_beside
+from flightstack.core.fleet.precedence import ALONE, Pad, Way, decide, heard, place_beside
 from flightstack.core.fleet.program import FleetProgram
 from flightstack.core.fleet.solution import Row
 from flightstack.core.memory import AbortWay, FleetMemory, Heard, Memory
 from flightstack.core.parameters.fleet import Fleet
+from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.position_loop import limit
 from flightstack.core.safety.qp_filter import FilterResult
 from flightstack.core.target.track import TargetState
-from flightstack.core.types import ZERO, Intent, Landed, Neighbour, OwnState, Phase, Vec3, VehicleStatus
+from flightstack.core.types import (
+    ZERO,
+    Inputs,
+    Intent,
+    Landed,
+    Neighbour,
+    OwnState,
+    Phase,
+    Vec3,
+    VehicleStatus,
+)
 
 FUTURE_MAX_S = 0.05  # largest lead of a stamp over this clock, in addition to the bound of its clock, s
 # longest flight of another member (a wait and a landing), divided by the longest wait
@@ -80,8 +91,55 @@ def intent_of(memory: Memory, *, granted: bool, flies: bool) -> Intent:
     return _INTENTS[memory.phase]
 
 
-class FleetMember:
+class Alone:
+    """A vehicle without neighbours: it has every permission, and neither receives nor sends messages."""
+
+    memory: FleetMemory | None = None
+
+    def observe(
+        self, inputs: Inputs, phase: Phase, target: TargetState | None, now_s: float
+    ) -> tuple[list[str], Way]:
+        """Store the received messages; return texts of events, and the permissions in this tick."""
+        del inputs, phase, target, now_s
+        return [], ALONE
+
+    def beside(
+        self, phase: Phase, own: OwnState, base: Vec3, nominal: Vec3, most_m_s: Vec3, now_s: float
+    ) -> tuple[Vec3, Rows]:
+        """Return the nominal velocity past the neighbours, and their rows.
+
+        ``base``: start of the slew limit; ``most_m_s``: largest velocity.
+        """
+        del phase, own, base, most_m_s, now_s
+        return nominal, NO_ROWS
+
+    def solve(self, nominal: Vec3, firm: Sequence[Row], rows: Rows, lower: Vec3, upper: Vec3) -> FilterResult:
+        """Filter a nominal velocity; the arguments are those of ``FleetProgram.solve``."""
+        raise NotImplementedError("without rows of neighbours, the program of the landing filters a velocity")
+
+    def word(
+        self, memory: Memory, own: OwnState, status: VehicleStatus | None, wanted_m_s: Vec3,
+        target: TargetState | None, now_s: float,
+    ) -> Neighbour | None:  # fmt: skip
+        """Return the message to the other members after this tick."""
+        del memory, own, status, wanted_m_s, target, now_s
+        return None
+
+    def texts(self, way: Way, in_phase_s: float, why: str, now_s: float) -> list[str]:
+        """Return the texts of events after the filter; ``why``: reason against another take-off."""
+        del way, in_phase_s, why, now_s
+        return []
+
+    def over(self, since_s: float, now_s: float) -> bool:
+        """Whether no neighbour needs messages of this vehicle any more: all are down, or silent for long."""
+        del since_s, now_s
+        return True
+
+
+class FleetMember(Alone):
     """This vehicle in its fleet; ``memory`` is its complete state."""
+
+    memory: FleetMemory
 
     def __init__(self, fleet: Fleet, sigma_m: float) -> None:
         self.memory = FleetMemory()
@@ -93,6 +151,11 @@ class FleetMember:
     def slots(self) -> list[tuple[int, Heard]]:
         """Return id and state of each other member."""
         return list(zip(self._index, self.memory.slots, strict=False))  # a smaller fleet uses fewer slots
+
+    def observe(
+        self, inputs: Inputs, phase: Phase, target: TargetState | None, now_s: float
+    ) -> tuple[list[str], Way]:
+        return self.take(inputs.neighbours, now_s), self.way(phase, target, now_s, inputs.own)
 
     def take(self, messages: Sequence[Neighbour], now_s: float) -> list[str]:
         """Store the newest message of each member; return texts on rejected messages and jumped positions."""
@@ -141,7 +204,6 @@ class FleetMember:
         return ""
 
     def over(self, since_s: float, now_s: float) -> bool:
-        """Whether no neighbour needs messages of this vehicle any more: all are down, or silent for long."""
         fleet = self._fleet
         if since_s > FLIGHTS_OF_OTHERS * fleet.wait_max_s:
             return True
@@ -210,19 +272,26 @@ class FleetMember:
         _, _, rows, every_lax, near = zip(*found, strict=True)
         return Rows(rows, every_lax, near, held_back)
 
-    def aside(self, nominal: Vec3, rows: Rows) -> Vec3:
-        """Return the nominal velocity with the side-step past approaching vehicles, slow near silent ones."""
+    def beside(
+        self, phase: Phase, own: OwnState, base: Vec3, nominal: Vec3, most_m_s: Vec3, now_s: float
+    ) -> tuple[Vec3, Rows]:
+        rows = self.rows(phase, own, base, now_s)
+        if not rows.near:
+            return nominal, rows
+        nominal = limit(nominal, most_m_s)
         if rows.held_back:
             nominal = limit(nominal, (HELD_BACK_M_S, HELD_BACK_M_S, math.inf))
-        return sidestep(nominal, rows.near, self._fleet.rate_1_s)
+        return sidestep(nominal, rows.near, self._fleet.rate_1_s), rows
 
     def solve(self, nominal: Vec3, firm: Sequence[Row], rows: Rows, lower: Vec3, upper: Vec3) -> FilterResult:
-        """Filter a nominal velocity; the arguments are those of ``FleetProgram.solve``."""
         found = self._program.solve(nominal, firm, rows.rows, lower, upper, rows.lax)
         self._given_m_s = found.given_m_s
         return found.filter
 
-    def crowded(self, now_s: float) -> list[str]:
+    def texts(self, way: Way, in_phase_s: float, why: str, now_s: float) -> list[str]:
+        return self._crowded(now_s) + self.stays(way, in_phase_s, why)
+
+    def _crowded(self, now_s: float) -> list[str]:
         """Return an event text when the neighbours' rows start to be relaxed, or are met again."""
         memory, given_m_s, self._given_m_s = self.memory, self._given_m_s, 0.0
         if given_m_s > TOLD_M_S:
@@ -240,7 +309,6 @@ class FleetMember:
         self, memory: Memory, own: OwnState, status: VehicleStatus | None, wanted_m_s: Vec3,
         target: TargetState | None, now_s: float,
     ) -> Neighbour:  # fmt: skip
-        """Return the message to the other members after this tick."""
         flies = status is not None and status.armed and status.landed is not Landed.ON_GROUND
         fleet, mine, (x, y, z) = self._fleet, self.memory, own.position_enu_m
         intent = intent_of(memory, granted=mine.granted, flies=flies)
@@ -266,3 +334,9 @@ class FleetMember:
             target.velocity_enu_m_s if target is not None else None,
             yields,
         )
+
+
+def member_of(config: FlightConfig) -> Alone:
+    """Return this vehicle as a member of its fleet; without a table [fleet] it has no neighbours."""
+    fleet = config.fleet
+    return Alone() if fleet is None else FleetMember(fleet, config.own.position_noise_m)

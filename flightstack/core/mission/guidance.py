@@ -12,7 +12,6 @@ from typing import NamedTuple
 from flightstack.core.memory import AbortWay, Memory
 from flightstack.core.mission.conditions import high_enough_m, start_point, waits_for_calm
 from flightstack.core.numeric import numeric
-from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.safety.position_loop import limit, nominal_velocity
@@ -81,8 +80,8 @@ def _land(s: Situation) -> NominalCommand:
     at = s.snapshot.relative
     if at is None:
         return NominalCommand(Request.EXTERNAL)
-    if not s.snapshot.way.may_land and s.config.fleet is not None:
-        return NominalCommand(Request.EXTERNAL, _outside(at, s.config.fleet, s.config), filtered=True)
+    if not s.snapshot.way.may_land:
+        return NominalCommand(Request.EXTERNAL, _outside(at, s.config), filtered=True)
     velocity = towards_pad(s.config, s.memory, s.strategy, at)
     return NominalCommand(Request.EXTERNAL, velocity, filtered=True)
 
@@ -97,9 +96,10 @@ def towards_pad(config: FlightConfig, memory: Memory, strategy: Filter, at: Rela
     return (x, y, z)
 
 
-def _outside(at: Relative, fleet: Fleet, config: FlightConfig) -> Vec3:
+def _outside(at: Relative, config: FlightConfig) -> Vec3:
     """Return the velocity to the waiting place outside the cone, on the side where the vehicle is."""
-    (x, y, z), d = at.e_m, at.d_m
+    (x, y, z), d, fleet = at.e_m, at.d_m, config.fleet
+    assert fleet is not None  # only another member can have the right of way
     side = (x / d, y / d) if d > 1e-6 else (1.0, 0.0)
     e = (x - side[0] * fleet.wait_distance_m, y - side[1] * fleet.wait_distance_m, z - fleet.wait_height_m)
     return nominal_velocity(e, config.position_loop.gain_1_s, at.target.velocity_enu_m_s)
