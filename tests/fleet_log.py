@@ -16,7 +16,7 @@ from logs.recorder.recording import Recorder
 from logs.schema import schemas
 from logs.schema.controller_rows import word_row
 from logs.schema.events import CONTROLLER, pack_log
-from logs.schema.rows import LogRow
+from logs.schema.names import Names
 from sim.campaign.rows import judge_team
 from sim.runners import landing as team_runner
 from sim.runners.landing import Companion
@@ -37,14 +37,12 @@ def near() -> TeamScenario:
 
 
 class MemberFeed:
-    """A feed into a recorder; topics, events, metadata and attachments get a member's name."""
+    """A feed of one member into a recorder."""
 
     connected = True
 
     def __init__(self, recorder: Recorder, number: int):
-        self.recorder, self.name, self.number, self._channels, self._rosout = (
-            recorder, f"cf{number}", number, 0, set(),
-        )  # fmt: skip
+        self.recorder, self.number, self._channels = recorder, number, 0
 
     def _handle(self, kind, payload, channel=0, log_ns=0, publish_ns=0, sequence=0):
         record = Record(kind, channel, log_ns, publish_ns, sequence, payload)
@@ -55,17 +53,11 @@ class MemberFeed:
 
     def channel(self, topic, schema):
         self._channels += 1
-        topic = topic.replace("/uas1/", f"/uas{self.number}/")
-        if schema == schemas.LOG:
-            self._rosout.add(self._channels)
         declared = self._json(Kind.DECLARE, {"topic": topic, "schema": schema})
         self._handle(Kind.DECLARE, declared, self._channels)
         return self._channels
 
     def write(self, channel, log_ns, publish_ns, sequence, payload):
-        if channel in self._rosout:
-            row = LogRow.unpack(payload)
-            payload = row._replace(name=f"{self.name}.{row.name}").pack()
         self._handle(Kind.MESSAGE, payload, channel, log_ns, publish_ns, sequence)
 
     def metadata(self, name, values):
@@ -90,7 +82,7 @@ class RecordedCompanion(Companion):
     def __init__(self, scenario, seed, on_step=None, system_id=1, target_seed=None, *, alone=True):
         super().__init__(scenario, seed, on_step, system_id, target_seed, alone=alone)
         self.feed = MemberFeed(self.recorder, system_id)
-        config, ns = scenario.onboard, self.name
+        config, names = scenario.onboard, Names(self.name, system_id)
         shape = config.barrier.build()
         run = {
             "scenario": scenario.name, "seed": str(seed), "filter": config.filter, "mode": "lockstep",
@@ -98,14 +90,13 @@ class RecordedCompanion(Companion):
             "barrier_beta_m": repr(shape.beta_m), "judge_alpha_1_m": repr(shape.alpha_1_m),
             "judge_beta_m": repr(shape.beta_m), "pad_radius_m": repr(scenario.target.pad_radius_m),
         }  # fmt: skip
-        self.feed.metadata(f"{ns}/run", run)
-        self.feed.metadata(f"{ns}/onboard", {"namespace": ns, "system_id": str(system_id)})
-        self.feed.attachment(f"{ns}/onboard.toml", dumps(config))
-        self.feed.attachment(f"{ns}/scenario.toml", dumps(scenario))
+        self.feed.metadata(names.record("run"), run)
+        self.feed.metadata(names.record("onboard"), {"namespace": self.name, "system_id": str(system_id)})
+        self.feed.attachment(names.record("onboard.toml"), dumps(config))
         self.log = OnboardLog(
-            self.feed, NoSession(), ns, config, lockstep=True,
+            self.feed, NoSession(), names, config, lockstep=True,
         )  # fmt: skip
-        vehicle = VehicleLog(self.feed, EPOCH_NS, ns)
+        vehicle = VehicleLog(self.feed, EPOCH_NS, names)
         rosout = self.feed.channel("/rosout", schemas.LOG)
         truth, event = self._notes.truth, self._notes.event
 
@@ -117,7 +108,7 @@ class RecordedCompanion(Companion):
             event(t_s, level, source, text)
             at_ns = EPOCH_NS + round(t_s * 1e9)
             if source != CONTROLLER:  # the onboard process writes these itself
-                self.feed.write(rosout, at_ns, at_ns, 0, pack_log(at_ns, level, source, text))
+                self.feed.write(rosout, at_ns, at_ns, 0, pack_log(at_ns, level, names.logger(source), text))
 
         self._notes.truth, self._notes.event = note_truth, note_event
 
@@ -149,7 +140,7 @@ def fly_fleet(path: Path, team: TeamScenario, seed: int, monkeypatch):
          "seed": str(seed), "mode": "lockstep"},
     )  # fmt: skip
     first.metadata("made", {"version": "0.1.0"})
-    first.attachment("team.toml", dumps(team))
+    first.attachment("scenario.toml", dumps(team))
     first.close()
     monkeypatch.setattr(RecordedCompanion, "recorder", recorder, raising=False)
     monkeypatch.setattr(RecordedRoom, "recorder", recorder, raising=False)

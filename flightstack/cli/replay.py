@@ -80,13 +80,14 @@ def replay(options: ReplayOptions) -> None:
 
 
 def _members(log: Path) -> tuple[str, ...]:
-    """Return the members of a fleet; () for one flight, and for a log that cannot be read."""
+    """Return the members if there are several; () for one flight, and for a log that cannot be read."""
     from logs.reader.reader import LogError, LogFile
 
     try:
-        return LogFile(log).members
+        names = LogFile(log).members
     except LogError:
         return ()
+    return names if len(names) > 1 else ()
 
 
 def _one(options: ReplayOptions, member: str | None) -> tuple[dict[str, Any], list[str]]:

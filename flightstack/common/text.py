@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 import sys
+from collections.abc import Sequence
 
 # C0 and C1 except tab and line feed, marks of writing direction, line separators, and surrogates (bytes of a
 # path that are not UTF-8)
@@ -12,6 +13,11 @@ _HIDDEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202
 
 
 ROBOT_FAILED, FILTER_FAILED = "the robot's function", "the filter returned no velocity"
+
+
+def labels(names: Sequence[str]) -> list[str]:
+    """Return the names to show beside several things; a single one is shown without its name."""
+    return list(names) if len(names) > 1 else [""] * len(names)
 
 
 def pip_install(extras: str) -> str:

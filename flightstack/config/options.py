@@ -297,9 +297,6 @@ class OnboardOptions(Clocked, FlightOptions):
 
     recorder: Recorder = None
     lockstep: Lockstep = False
-    shared_log: Annotated[bool, Option(
-        "--shared-log", "The recorder writes several flights: names in the log begin with the namespace."
-    )] = False  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,6 +16,7 @@ from flightstack.launch.result import Flown
 from flightstack.launch.run_options import FlyOptions
 from flightstack.onboard.fleet_wire import namespace_of
 from flightstack.onboard.recording import Described, describe, end_recorder, log_in, new_folder
+from logs.schema.names import Names
 
 
 def run(options: FlyOptions, console: Console) -> Flown:
@@ -36,7 +37,7 @@ def run(options: FlyOptions, console: Console) -> Flown:
             recorder = launcher.record(log)
             recorder.yield_to_others(10)
             known = {"config": name, "vehicle": options.vehicle_url, "target": options.target_key}
-            describe(launcher.socket, Described(config, known))
+            describe(launcher.socket, Described(config, known, Names(namespace, options.system_id)))
         # a client of a router cannot listen, so the live view would need a connection to that router, too
         at = () if is_client(options.zenoh_config) else (launcher.endpoint(),)
         if options.view is not None:

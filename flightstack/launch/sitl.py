@@ -1,7 +1,4 @@
-"""One run of ``sitl``: it starts and watches vehicles, robots, onboard processes and recorder.
-
-A run with one vehicle and one robot has no vehicle names in its log, its files and its lines.
-"""
+"""One run of ``sitl``: it starts and watches vehicles, robots, onboard processes and recorder."""
 
 from __future__ import annotations
 
@@ -15,6 +12,7 @@ from rich.console import Console
 from flightstack.common.options import shared
 from flightstack.common.processes import Child
 from flightstack.common.strict_toml import ConfigError, dumps
+from flightstack.common.text import labels
 from flightstack.config.files import load as load_config
 from flightstack.config.options import OnboardOptions
 from flightstack.core.parameters.filters import short_name
@@ -32,7 +30,7 @@ from flightstack.launch.vehicles import (
 from flightstack.onboard import process  # noqa: F401  # forked onboard processes need not load it
 from flightstack.onboard.recording import Described, describe, end_recorder, log_in, new_folder
 from flightstack.verify.certificate import problems
-from logs.schema.names import NO_PAD, Names, member_name
+from logs.schema.names import NO_PAD, SCENARIO, Names
 from sim.options import TargetOptions
 from sim.robot.course import try_out
 from sim.scenarios.scenario import Scenario
@@ -105,16 +103,12 @@ class _Vehicle:
     """One vehicle of the run."""
 
     number: int  # number in the team, from 1
-    names: Names  # names of the vehicle's records in the log
+    name: str  # namespace of the vehicle
+    label: str  # name that is shown beside its lines and files
     scenario: Scenario
     seed: int
     endpoint: str  # Zenoh endpoint of the vehicle's onboard process
     config: Path  # configuration file of the vehicle's onboard process
-
-    @property
-    def space(self) -> str:
-        """Namespace of the vehicle."""
-        return member_name(self.number)
 
 
 def run(options: RunOptions, console: Console) -> Flown:
@@ -126,7 +120,7 @@ def run(options: RunOptions, console: Console) -> Flown:
     name = short_name(team.member[0].onboard.filter)
     folder = options.out or new_folder(f"{team.name}-seed{options.seed}-{name}")
     log = log_in(folder)
-    (folder / team.file).write_text(text(team), encoding="utf-8")
+    (folder / SCENARIO).write_text(text(team), encoding="utf-8")
     with Launcher(folder, console, tells=not options.as_json) as launcher:
         if line := not_proven(team):
             _hint(launcher, line)
@@ -134,13 +128,14 @@ def run(options: RunOptions, console: Console) -> Flown:
 
 
 def _vehicles(launcher: Launcher, options: RunOptions, team: TeamScenario) -> list[_Vehicle]:
-    found = []
+    found, names = [], team.namespaces()
+    shown = labels(list(names.values()))
     for number, (scenario, seed) in enumerate(team.singles(options.seed), 1):
-        names = team.names(number)
-        file = f"onboard-{names.member}.toml" if names.member else "onboard.toml"
-        config = launcher.folder / file
+        config = launcher.folder / f"onboard-{names[number]}.toml"
         config.write_text(dumps(scenario.onboard), encoding="utf-8")
-        found.append(_Vehicle(number, names, scenario, seed, launcher.endpoint(), config))
+        found.append(
+            _Vehicle(number, names[number], shown[number - 1], scenario, seed, launcher.endpoint(), config)
+        )
     return found
 
 
@@ -157,7 +152,7 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
     robots = []
     if not kind.with_robots:
         own = plugged(
-            TargetOptions, launcher, options, team, **flying.clock, rate_hz=team.rate_hz,
+            TargetOptions, launcher, options, **flying.clock, rate_hz=team.rate_hz,
             duration_s=others_s(team), listen=(robots_at,), connect=(vehicles[0].endpoint,),
         )  # fmt: skip
         robots.append(launcher.start("target", own))
@@ -168,19 +163,16 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
     if not options.lockstep:
         recorder.yield_to_others(RECORDER_YIELDS // len(vehicles))  # a recorder without CPU loses records
     for each in vehicles:
-        space = f" --namespace {each.names.member}" if each.names.member else ""
         for endpoint in (each.endpoint, *options.listen):
-            _hint(launcher, f"to watch: flightstack watch --connect {endpoint}{space}")
+            _hint(launcher, f"to watch: flightstack watch --connect {endpoint} --namespace {each.name}")
     if options.members:
         _hint(launcher, f"robots: {robots_at}")
     speed = LOCKSTEP_SLOWEST / len(vehicles) if options.lockstep else min(1.0, options.speed)
     filters = ", ".join(sorted({each.scenario.onboard.filter for each in vehicles}))
     title = f"{team.name}  seed {options.seed}  filter {filters}"
     live = not options.as_json and launcher.console.is_terminal and not options.lockstep
-    shown = Shown([each.endpoint for each in vehicles], title, [each.space for each in vehicles])
-    flights = tuple(
-        Followed(child, each.names.member) for child, each in zip(onboards, vehicles, strict=True)
-    )
+    shown = Shown([each.endpoint for each in vehicles], title, [each.name for each in vehicles])
+    flights = tuple(Followed(child, each.label) for child, each in zip(onboards, vehicles, strict=True))
     started = time.monotonic()
     problem = launcher.watch(
         flights, [*flying.children, *robots, recorder], longest_s(team) / speed + GRACE_S,
@@ -206,18 +198,16 @@ def _start(
     robots_at: str,
 ) -> Child:
     """Start the onboard process of a vehicle; in real time, each one connects to all earlier ones."""
-    member = vehicle.names.member
     earlier = () if options.lockstep else vehicles[: vehicle.number - 1]
     own = {"system_id": vehicle.number, **flying.clock, **flying.options[vehicle.number - 1]}
     onboard = shared(
-        options, OnboardOptions, **own, target_key=f"{vehicle.space}/target/odom",
-        connect=(robots_at, *(each.endpoint for each in earlier)), namespace=member or None,
-        shared_log=bool(member),
+        options, OnboardOptions, **own, target_key=f"{vehicle.name}/target/odom",
+        connect=(robots_at, *(each.endpoint for each in earlier)), namespace=vehicle.name,
         listen=(vehicle.endpoint, *options.listen), config_file=vehicle.config,
         duration_s=vehicle.scenario.duration_max_s, recorder=launcher.socket,
         unproven=True,  # the vehicle is simulated
     )  # fmt: skip
-    return launcher.start("onboard", onboard, of=member)
+    return launcher.start("onboard", onboard, of=vehicle.label)
 
 
 def _describe(recorder: Path, options: RunOptions, team: TeamScenario, vehicles: Sequence[_Vehicle]) -> None:
@@ -234,12 +224,12 @@ def _describe(recorder: Path, options: RunOptions, team: TeamScenario, vehicles:
             "pad_radius_m": repr(scenario.target.pad_radius_m),
             **pad,
         }
-        flights.append(Described(scenario.onboard, run, each.names))
-    files = {each.names.record("scenario.toml"): dumps(each.scenario).encode() for each in vehicles}
-    files[team.file] = text(team).encode()
-    files[team.file.replace(".", "_source.")] = path_of(options.scenario).read_bytes()
-    about = {"members": ",".join(each.space for each in vehicles), **_about(options, team, options.seed)}
-    describe(recorder, *flights, fleet={} if team.is_alone else about, attachments=files)
+        flights.append(Described(scenario.onboard, run, Names(each.name, each.number)))
+    files = {
+        SCENARIO: text(team).encode(),
+        SCENARIO.replace(".", "_source."): path_of(options.scenario).read_bytes(),
+    }
+    describe(recorder, *flights, fleet=_about(options, team, options.seed), attachments=files)
 
 
 def _about(options: RunOptions, scenario: Scenario | TeamScenario, seed: int) -> dict[str, str]:

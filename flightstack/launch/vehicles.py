@@ -23,6 +23,7 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.core.types import Vec3
 from flightstack.launch.launcher import Launcher
 from flightstack.launch.run_options import Flies, RunOptions
+from logs.schema.names import SCENARIO
 from sim.autopilot.ground import ORIGIN_WGS84
 from sim.options import Px4SimOptions, WorldOptions
 from sim.px4.program import InstanceClaim, Px4Model, Px4Program
@@ -54,7 +55,7 @@ def _own(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at:
     child = launcher.start(
         "world",
         plugged(
-            WorldOptions, launcher, options, team, rate_hz=team.rate_hz, duration_s=others_s(team),
+            WorldOptions, launcher, options, rate_hz=team.rate_hz, duration_s=others_s(team),
             listen=(robots_at,), url="udpin:127.0.0.1:0", leave_out=tuple(elsewhere),
         ),
     )  # fmt: skip
@@ -106,7 +107,7 @@ def _px4(launcher: Launcher, options: RunOptions, team: TeamScenario, robots_at:
     simulator = launcher.start(
         "px4-sim",
         plugged(
-            Px4SimOptions, launcher, options, team, duration_s=None, connect=(robots_at,), once=True,
+            Px4SimOptions, launcher, options, duration_s=None, connect=(robots_at,), once=True,
             tcp=f"127.0.0.1:{SIMULATOR_PORT + px4.number}", **clock,
         ),
     )  # fmt: skip
@@ -221,9 +222,9 @@ VEHICLES: Mapping[Flies, Vehicle] = {
 }
 
 
-def plugged(cls: type[T], launcher: Launcher, options: RunOptions, team: TeamScenario, **own: Any) -> T:
+def plugged(cls: type[T], launcher: Launcher, options: RunOptions, **own: Any) -> T:
     """Return the options of a process of the simulator: those of the run, then the process's own."""
-    both = {"scenario": launcher.folder / team.file, "recorder": launcher.socket, "zenoh_config": None}
+    both = {"scenario": launcher.folder / SCENARIO, "recorder": launcher.socket, "zenoh_config": None}
     return shared(options, cls, **both, **own)
 
 

@@ -26,7 +26,7 @@ from logs.schema.controller_rows import (
 )
 from logs.schema.events import CONTROLLER, ONBOARD, pack_log
 from logs.schema.mavlink import MAVLINK_PEERS, PeerNames, pack_mavlink
-from logs.schema.names import OWN, Names
+from logs.schema.names import Names
 from logs.schema.rows import ControllerStateRow, ControllerStepRow, HealthRow, LoopTimingRow
 from logs.schema.schemas import (
     CONTROLLER_INPUT,
@@ -51,21 +51,20 @@ TIMESYNC_ID = 111  # low byte of the message id, at offset 7 of a MAVLink 2 fram
 class OnboardLog:
     """Writer of the log messages of each tick, and publisher of the live ones at lower rates.
 
-    ``session``: session of the live topics; ``config``: configuration that flies; ``names``: names of the
-    records, which differ if flights share a log.
+    ``session``: session of the live topics; ``names``: names of the records; ``config``: configuration that
+    flies.
     """
 
     def __init__(
         self,
         feed: Feed,
         session: zenoh_link.Session,
-        namespace: str,
+        names: Names,
         config: FlightConfig,
         *,
         lockstep: bool,
-        names: Names = OWN,
     ) -> None:
-        self._feed, self._names, self._lockstep = feed, names, lockstep
+        self._feed, self._names, self._lockstep, namespace = feed, names, lockstep, names.member
         state, rate_hz = state_class(config), config.loop.rate_hz
 
         def topic(name: str, schema: str) -> int:

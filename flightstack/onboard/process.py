@@ -36,7 +36,7 @@ from flightstack.onboard.fleet_wire import FleetWire, NoFleet, namespace_of
 from flightstack.onboard.leaving import Ended, Leaving, Signals
 from flightstack.onboard.lockstep import LockstepWires, LockstepWords
 from flightstack.onboard.log import OnboardLog
-from flightstack.onboard.recording import own_recorder
+from flightstack.onboard.recording import Described, own_recorder
 from flightstack.onboard.runner import (
     LinkedVehicle,
     LiveTarget,
@@ -51,7 +51,7 @@ from flightstack.onboard.zenoh_wires import ZenohWires
 from flightstack.verify.certificate import certificate_of, problems
 from logs.recorder.feed import Feed
 from logs.schema.events import CAUSE, ONBOARD
-from logs.schema.names import OWN, Names
+from logs.schema.names import Names
 
 _SEVERITY_LEVEL = {0: ERROR, 1: ERROR, 2: ERROR, 3: ERROR, 4: WARN}  # MAV_SEVERITY to rcl_interfaces level
 
@@ -69,6 +69,7 @@ class Onboard:
         """Open the links, and a recorder if the options name none; ``records`` ends it, if given."""
         self.options, self.config, self.say = options, config, say
         self.namespace = options.namespace or namespace_of(config)
+        self.names = Names(self.namespace, options.system_id)
         rate_hz = config.loop.rate_hz
         self.core = chosen_core(Core(options.core), config, lockstep=options.lockstep)
         self.controller = compiled(config) if self.core is Core.COMPILED else Controller(config)
@@ -94,14 +95,13 @@ class Onboard:
         recorder = options.recorder
         if recorder is None and records is not None and not options.no_record:
             plugged = {"vehicle": options.vehicle_url, "target": options.target_key}
-            recorder, self.log_file = records.enter_context(own_recorder(config, plugged))
+            flight = Described(config, plugged, self.names)
+            recorder, self.log_file = records.enter_context(own_recorder(flight))
         socket = str(recorder) if recorder is not None else None
-        self.names = Names(self.namespace, options.system_id) if options.shared_log else OWN
         self.feed = Feed.connect(socket, self.names.logger(ONBOARD), lossless=options.lockstep)
         self._describe()
         self.log = OnboardLog(
-            self.feed, self.wires.session, self.namespace, config,
-            lockstep=options.lockstep, names=self.names,
+            self.feed, self.wires.session, self.names, config, lockstep=options.lockstep,
         )  # fmt: skip
         self.link.endpoint.tap = self.log.tap
         lockstep = options.lockstep  # in lockstep no text may depend on wall time

@@ -20,7 +20,7 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.strategy import own_boundary
 from logs.recorder.feed import Feed
-from logs.schema.names import FLEET, OWN, Names
+from logs.schema.names import FLEET, Names
 
 LOG = "flight.mcap"
 _PACKAGES = ("pymavlink", "osqp", "eclipse-zenoh", "mcap")
@@ -75,10 +75,9 @@ def end_recorder(recorder: Child) -> str | None:
 
 
 @contextmanager
-def own_recorder(config: FlightConfig, run: Mapping[str, str]) -> Iterator[tuple[Path, Path]]:
+def own_recorder(flight: Described) -> Iterator[tuple[Path, Path]]:
     """Record a log in a new folder of ``runs``; yield socket and log, and warn of an incomplete log.
 
-    ``config``: configuration of the onboard process; ``run``: entries about the run for the log.
     Raises LaunchError: the recorder did not start.
     """
     sockets = socket_folder()
@@ -87,7 +86,7 @@ def own_recorder(config: FlightConfig, run: Mapping[str, str]) -> Iterator[tuple
         recorder = start_recorder(socket, log)
         try:
             recorder.yield_to_others(10)
-            describe(socket, Described(config, run))
+            describe(socket, flight)
             yield socket, log
         finally:
             if problem := end_recorder(recorder):
@@ -101,7 +100,7 @@ class Described(NamedTuple):
 
     config: FlightConfig  # configuration of the onboard process
     run: Mapping[str, str]  # entries about the run; they replace the default entries
-    names: Names = OWN  # names of the flight's records in the log
+    names: Names  # names of the flight's records in the log
 
 
 def describe(
@@ -112,13 +111,12 @@ def describe(
 ) -> None:
     """Write the data to the log that is needed to read and replay it, except that of the onboard process.
 
-    ``recorder``: socket of the recorder; ``fleet``: metadata of all flights, empty for one flight;
-    ``attachments``: files (TOML) by name.
+    ``recorder``: socket of the recorder; ``fleet``: metadata of all flights; ``attachments``: files (TOML) by
+    name.
     Raises FeedError: no recorder listens.
     """
     feed = Feed.connect(str(recorder), "launcher", lossless=True)
-    if fleet:
-        feed.metadata(FLEET, fleet)
+    feed.metadata(FLEET, {"members": ",".join(flight.names.member for flight in flights), **fleet})
     for flight in flights:
         _describe(feed, flight)
     feed.metadata(

@@ -3,9 +3,8 @@
 The messages of a :class:`Deriver` let any viewer show the flight in 3-D. They contain only data of the steps
 and of the run's metadata. The log time of the steps alone determines which messages are derived: two runs
 with equal steps give equal messages. Frames: ``map`` is the ENU world, ``map_ned`` the same origin with NED
-axes, ``<ns>/base_link`` the vehicle (heading only), ``target`` the pad with its heading, ``target_pad`` the
-pad without heading, in which the barrier does not move; in the log of a fleet ``<ns>/target`` and
-``<ns>/target_pad``.
+axes, ``<ns>/base_link`` the vehicle (heading only), ``<ns>/target`` the pad with its heading,
+``<ns>/target_pad`` the pad without heading, in which the barrier does not move.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from bridge.ros2.cdr import NO_COVARIANCE
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.types import ZERO, Vec3
 from logs.derive.frames import FrameDecoder
-from logs.derive.markers import FLEET_REACH, REACH, Scene
+from logs.derive.markers import Scene
 from logs.reader.flight_data import ATTACHMENT, read_config, shape
 from logs.schema.events import pack_string
 from logs.schema.names import Names, split
@@ -51,16 +50,15 @@ _NED_IN_ENU = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
 
 
 class Deriver:
-    def __init__(self, step_topic: str, *, shares_log: bool = False) -> None:
+    def __init__(self, step_topic: str) -> None:
         """Take the name space from the topic of the steps, for example ``/cf1/controller/step``."""
         self._space = step_topic.removesuffix(STEP_SUFFIX)
         name = self._space.strip("/")
-        self._base = f"{name}/base_link".lstrip("/")
-        self._target = f"{name}/target" if shares_log else "target"
+        self._base, self._target = f"{name}/base_link", f"{name}/target"
         self._run_text = b""
         # created early, since the first packer of a type takes milliseconds
         self._pack = {kind: packer(kind) for kind in (TF_MESSAGE, ODOMETRY, POSE_STAMPED, TWIST_STAMPED)}
-        self._scene = Scene(self._base, self._target, FLEET_REACH if shares_log else REACH)
+        self._scene = Scene(self._base, self._target)
         self._slots: dict[int, int] = {}
 
     def configure(self, run: Mapping[str, str], shape: Mapping[str, str] = MappingProxyType({})) -> None:
@@ -127,14 +125,10 @@ def _body_velocity(row: ControllerStepRow) -> Vec3:
 
 
 class Derivers:
-    """Derivations for all clients of one recorder, by topic: a client that reconnects continues.
-
-    In the log of a fleet each member has its own metadata, with its namespace in front.
-    """
+    """Derivations for all clients of one recorder, by topic: a client that reconnects continues."""
 
     def __init__(self) -> None:
-        # metadata of each member by record, with barrier and pad of its configuration as ``shape``; the
-        # member of a log of one flight is empty
+        # metadata of each member by record, with barrier and pad of its configuration as ``shape``
         self._told: dict[str, dict[str, dict[str, str]]] = defaultdict(lambda: defaultdict(dict))
         self._steps: dict[str, Deriver] = {}
         self._frames: dict[str, FrameDecoder] = {}
@@ -157,8 +151,7 @@ class Derivers:
         """Return the function that derives messages from a channel; None: no messages are derived."""
         if schema == CONTROLLER_STEP:
             if topic not in self._steps:
-                fleet = topic.removesuffix(STEP_SUFFIX).strip("/") in self._told
-                self._steps[topic] = Deriver(topic, shares_log=fleet)
+                self._steps[topic] = Deriver(topic)
                 self._configure()
             step = self._steps[topic].step
             return lambda log_time_ns, payload: step(log_time_ns, ControllerStepRow.unpack(payload))
@@ -172,10 +165,10 @@ class Derivers:
     def _configure(self) -> None:
         for topic, deriver in self._steps.items():
             space = topic.removesuffix(STEP_SUFFIX).strip("/")
-            told = self._told[space if space in self._told else ""]
+            told = self._told[space]
             deriver.configure(told["run"], told["shape"])
         for member, told in self._told.items():
-            whose = Names(member, int(told["onboard"].get("system_id", "1"))).frames("") if member else ""
+            whose = Names(member, int(told["onboard"].get("system_id", "1"))).frames("")
             for frames in self._frames.values():
                 if frames.topic.startswith(whose):
                     frames.configure(told["onboard"])

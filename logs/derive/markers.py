@@ -18,7 +18,7 @@ LIFETIME_S = 0.5  # lifetime of 2.5 periods of 5 Hz; a marker that is not sent a
 PATH_POINTS = 200  # greatest number of points of a path; a full path loses every second point
 PATH_PERIOD_NS = 100_000_000  # initial period, 10 Hz
 REACH = 2.5  # radius of the barrier surface, divided by the distance of the barrier's peak
-FLEET_REACH = 1.0  # radius of the barrier surface in a fleet, in the same unit
+REACH_BESIDE = 1.0  # the same for a vehicle with an ellipsoid around it: surfaces of neighbours would overlap
 SECTORS, RINGS = 24, 8  # grid of the barrier surface: 24 x 8 x 2 triangles
 _GRID_1_M = 1024.0  # grid of surface points, 1/1024 m: finer than a millimetre, and compresses well
 _ARROW_SIZE_M = (0.012, 0.03, 0.04)  # shaft diameter, head diameter, head length
@@ -89,9 +89,9 @@ class Path:
 
 
 class Scene:
-    def __init__(self, own_frame: str, target_frame: str = "target", reach: float = REACH) -> None:
+    def __init__(self, own_frame: str, target_frame: str) -> None:
         """Draw the vehicle in its own frame, for example ``cf1/base_link``, and the pad in the target's."""
-        self._own_frame, self._target_frame, self._reach = own_frame, target_frame, reach
+        self._own_frame, self._target_frame = own_frame, target_frame
         self._ellipsoid: Marker | None = None
         self._body = Marker(own_frame, "vehicle", 0, CUBE, BODY_SIZE_M, OWN_COLOR)
         self._own_path = Path()
@@ -107,7 +107,7 @@ class Scene:
         if "barrier_alpha_1_m" in run and "barrier_beta_m" in run:
             barrier = Barrier(float(run["barrier_alpha_1_m"]), float(run["barrier_beta_m"]))
             if barrier.alpha_1_m > 0.0:
-                mesh = surface(barrier, self._reach)
+                mesh = surface(barrier, reach_of(run))
                 scale = (1.0, 1.0, 1.0)
                 self._surface = Marker(
                     f"{frame}_pad", "barrier", 0, TRIANGLE_LIST, scale, BARRIER_COLOR, mesh
@@ -142,11 +142,16 @@ class Scene:
         return self._pack(([_values(row.stamp_ns, marker) for marker in markers if marker is not None],))
 
 
+def reach_of(run: Mapping[str, str]) -> float:
+    """Return the radius of the barrier surface, divided by the distance of the barrier's peak."""
+    return REACH_BESIDE if "ellipsoid_xy_m" in run else REACH
+
+
 def surface(barrier: Barrier, reach: float = REACH) -> bytes:
     """Return the boundary h = 0 around the landing spot as triangles, three doubles per point.
 
     Its radius is two and a half times the distance of its peak, where its height has fallen to half of the
-    peak; a larger surface would hide the flight. In a fleet, where surfaces overlap, it ends at the peak.
+    peak; a larger surface would hide the flight. Beside neighbours, it ends at the peak.
     """
     reach_m = reach * barrier.peak_distance_m
 

@@ -7,7 +7,7 @@ readable part is returned, with a description of the damage.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,6 +16,7 @@ import numpy as np
 
 from bridge.ros2.codec import Unpack
 from flightstack.common.strict_toml import ConfigError
+from flightstack.common.text import labels
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.safety.barrier import Barrier
 from flightstack.core.types import Vec3
@@ -34,7 +35,7 @@ from logs.reader.flight_data import (
     read_config,
     shape,
 )
-from logs.reader.reader import LogError, LogFile, Message
+from logs.reader.reader import LogError, LogFile, Members, Message
 from logs.schema.names import NO_PAD
 from logs.schema.rows import ControllerStepRow, FleetPairRow, LogRow, LoopTimingRow, TrueStateRow
 from logs.schema.schemas import CONTROLLER_STEP, FLEET_PAIR, LOG, LOOP_TIMING, ODOMETRY, TRUE_STATE, codec
@@ -51,26 +52,27 @@ def load_flight(path: Path | str, member: str | None = None) -> Flight:
 
     Args:
         path: log file.
-        member: name of the fleet member to read; None for the log of one flight.
+        member: name of the vehicle whose flight is read; None if the log has one flight.
 
     Raises:
         LogError: not a log, or it holds neither controller steps nor true states, no such member, or a fleet
         without a member given.
     """
-    return _read(LogFile(path, member).single()).flights[""]
+    return next(iter(_read(LogFile(path, member).single()).flights.values()))
 
 
 def load_fleet(path: Path | str, member: str | None = None) -> Fleet:
-    """Read all flights of a log in one pass; the name of a single flight, or of a member alone, is empty."""
+    """Read all flights of a log in one pass, or only that of a member."""
     return _read(LogFile(path, member))
 
 
 def _read(whole: LogFile) -> Fleet:
     whole.need(CONTROLLER_STEP, TRUE_STATE, FLEET_PAIR)
     path = whole.path
-    logs = {name: whole.part(name) for name in whole.members} or {"": whole}
+    logs = {name: whole.part(name) for name in whole.members}
     found: dict[str, dict[str, list[Message]]] = {name: {} for name in logs}
     pairs: dict[tuple[int, int], FleetPairRow] = {}
+    said: list[Message] = []  # events of all
     for message in whole.messages():
         if message.schema == FLEET_PAIR:
             try:
@@ -80,27 +82,36 @@ def _read(whole: LogFile) -> Fleet:
             pairs[pair.one, pair.other] = pair
         kind = _kind(message)
         for name, log in logs.items() if kind else ():
-            seen = message if log is whole else log.part_of(message)
+            seen = log.part_of(message)
             if seen is not None:
                 found[name].setdefault(kind, []).append(seen)
-        if kind == LOG and "" not in logs:
-            found.setdefault("", {}).setdefault(kind, []).append(message)
+        if kind == LOG:
+            said.append(message)
     problem, parts = whole.problem, whole.parts
-    flights = {name: _flight(log, found[name], problem) for name, log in logs.items()}
+    shown = dict(zip(logs, labels(whole.members), strict=True))
+    flights = {name: _flight(log, shown[name], found[name], problem) for name, log in logs.items()}
     origin_ns = min(flight.origin_ns for flight in flights.values())
-    said = sorted(found.get("", {}).get(LOG, []), key=lambda message: message.log_time_ns)
+    said.sort(key=lambda message: message.log_time_ns)
     return Fleet(
         path=whole.path,
         flights=flights,
         pairs=pairs,
         ids=parts.ids,
-        events=_events(said, origin_ns, []),  # unreadable events are among the problems of the flights
+        # unreadable events are among the problems of the flights
+        events=tuple(_of_all(event, parts, shown) for event in _events(said, origin_ns, [])),
         metadata={name: values for name, values in whole.metadata().items() if parts.split(name)[0] is None},
         attachments={a.name: a.data for a in whole.attachments() if parts.split(a.name)[0] is None},
     )
 
 
-def _flight(log: LogFile, by_kind: Mapping[str, list[Message]], problem: str) -> Flight:
+def _of_all(event: Event, parts: Members, shown: Mapping[str, str]) -> Event:
+    """Return an event of a list of all flights; its source starts with the member, if there are several."""
+    owner, logger = parts.split(event.source, ".")
+    label = shown[owner] if owner is not None else ""
+    return replace(event, source=f"{label}.{logger}" if label else logger)
+
+
+def _flight(log: LogFile, label: str, by_kind: Mapping[str, list[Message]], problem: str) -> Flight:
     for messages in by_kind.values():
         messages.sort(key=lambda message: message.log_time_ns)
     damage = [f"the log is cut short or damaged ({problem})"] if problem else []
@@ -119,7 +130,7 @@ def _flight(log: LogFile, by_kind: Mapping[str, list[Message]], problem: str) ->
     truth = read(TRUE_STATE, partial(columns, Truth), TrueStateRow.unpack)
     if steps is None and truth is None:
         found = ", ".join(sorted(by_kind)) or "nothing this stack writes"
-        of = f", {log.member}" if log.member else ""
+        of = f", {label}" if label else ""
         raise LogError(
             f"{log.path}{of}: found {found}; a flight needs controller steps ({CONTROLLER_STEP}) or true "
             f"states ({TRUE_STATE})" + "".join(f"; {each}" for each in damage)
@@ -127,6 +138,7 @@ def _flight(log: LogFile, by_kind: Mapping[str, list[Message]], problem: str) ->
     return Flight(
         path=log.path,
         member=log.member,
+        label=label,
         complete=log.complete,
         origin_ns=origin_ns,
         duration_s=(max(m.log_time_ns for m in spine) - origin_ns) * 1e-9,

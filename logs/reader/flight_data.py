@@ -139,7 +139,8 @@ class Flight(Judged):
 
     Attributes:
         path: log file.
-        member: name of the fleet member; None for the log of one flight.
+        member: name of the vehicle in the log; None for a flight without a log.
+        label: name of the vehicle if the log has several; else empty.
         complete: whether the recorder closed the file and every byte could be read.
         damage: unreadable parts of the log, as text; empty for a good one.
         problems: damage, and a configuration of another version.
@@ -168,6 +169,7 @@ class Flight(Judged):
     barrier: Barrier | None = None
     velocity_max_m_s: Vec3 | None = None
     member: str | None = None
+    label: str = ""
     pad_carries: bool = True
 
     def phase_spans(self) -> list[tuple[Phase | int, float, float]]:
@@ -184,13 +186,13 @@ class Flight(Judged):
 
 @dataclass(frozen=True)
 class Fleet:
-    """The flights of a fleet, from one log."""
+    """All flights of a log, or one of them."""
 
     path: Path  # log file
     flights: dict[str, Flight]  # flights by member; the times of each flight start at its ``origin_ns``
     pairs: dict[tuple[int, int], FleetPairRow]  # newest simulator record of each pair of ids
     ids: dict[int, str]  # members by vehicle id, which is also the MAVLink system id
-    # events of /rosout in order, times since ``origin_ns``; sources have the member's namespace in front
+    # events of /rosout in order, times since ``origin_ns``; sources of several members start with the name
     events: tuple[Event, ...]
     metadata: dict[str, dict[str, str]]  # metadata records of no single member, by name
     attachments: dict[str, bytes]  # attachments of no single member, by name

@@ -1,13 +1,16 @@
-"""Reads a flight log, complete or damaged; of a fleet's log all data, or the part of one member.
+"""Reads a flight log, complete or damaged: all data, or the part of one vehicle.
 
 A killed recorder leaves a file without its index, truncated at any byte; a disk or a transfer may damage any
 byte. The data up to there are read, and the place is reported.
 
-The log of a fleet has a metadata record ``fleet`` with its members. The data of a member have its namespace
-in front: ``/cf2/controller/step``, the logger ``cf2.onboard`` on /rosout, the metadata ``cf2/run``, the
-attachment ``cf2/onboard.toml``. MAVLink frames are on ``/uas<system id>/...``, with the system id in the
-metadata ``cf2/onboard``. Events, metadata and attachments without a member's name belong to all members,
-except for ``fleet`` and ``team.toml``; these, and topics of no member, belong only to the fleet.
+The metadata record ``fleet`` names the vehicles of the log, its members. The data of a member have its
+namespace in front: ``/cf2/controller/step``, the logger ``cf2.onboard`` on /rosout, the metadata ``cf2/run``,
+the attachment ``cf2/onboard.toml``. MAVLink frames are on ``/uas<system id>/...``, with the system id in the
+metadata ``cf2/onboard``. Events, metadata and attachments without a member's name belong to all members;
+topics of no member belong to none.
+
+In older logs of one vehicle, nothing but the topics has the namespace in front, and the scenario of a fleet
+is ``team.toml``. ``Members`` gives them the present names.
 """
 
 from __future__ import annotations
@@ -26,39 +29,56 @@ from mcap.records import Channel, Header, Metadata, Schema
 from mcap.records import Message as MessageRecord
 
 from logs.reader.mcap_records import MAGIC, Records, named, no_file
-from logs.schema.names import FLEET, LOSSES, TEAM
+from logs.schema.names import FLEET, LOSSES, SCENARIO, member_name, split
 from logs.schema.rows import LogRow
 from logs.schema.schemas import LOG, same_fields
 
 ROSOUT = "/rosout"
-_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
+_NAME = re.compile(r"(?=.{1,64}$)[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*")
 _SYSTEM = "uas"  # first part of the topics of MAVLink frames; the system id follows
-_FRAMES = "/uas1"  # first part of these topics in the log of one flight, whatever its system id
+_FRAMES = "/uas1"  # first part of these topics in a member's part, whatever its system id
+_OLD_NAMES = {"team.toml": SCENARIO, "team_source.toml": SCENARIO.replace(".", "_source.")}
+_OWNED = ("run", "onboard")  # metadata of a vehicle
 
 
 class Members:
-    """The members of a fleet."""
+    """The vehicles of a log."""
 
     def __init__(self, metadata: Mapping[str, Mapping[str, str]]) -> None:
         told = metadata.get(FLEET, {}).get("members", "")
-        # namespaces of the members, in the order of the log; empty for a log of one flight
+        owners = [owner for name in metadata for owner, own in (split(name),) if owner and own in _OWNED]
+        # whether the log has one vehicle, whose name is only in its topics
+        self.old = not told and not owners
+        if self.old:
+            told = metadata.get("onboard", {}).get("namespace", "").strip("/") or member_name(1)
+        # namespaces of the members, in the order of the log
         self.names = tuple(name for part in told.split(",") if (name := part.strip()))
+        self.names = self.names or tuple(dict.fromkeys(owners))
         for name in self.names:  # the names are used for files and entities
             if not _NAME.fullmatch(name):
-                raise ValueError(f"metadata {FLEET!r}: found a member {name!r}; allowed are A-Z a-z 0-9 _ -")
+                raise ValueError(
+                    f"metadata {FLEET!r}: found a member {name!r}; allowed are A-Z a-z 0-9 _ - in parts "
+                    "that / separates"
+                )
         # namespaces by MAVLink system id, which is the vehicle's id
         self.ids = {_system_id(metadata, n, name): name for n, name in enumerate(self.names, 1)}
-        self._owners = {name: name for name in self.names}
-        self._owners |= {f"{_SYSTEM}{system_id}": name for system_id, name in self.ids.items()}
+        self._firsts = {f"/{name}/": name for name in self.names}
+        self._firsts |= {f"/{_SYSTEM}{system_id}/": name for system_id, name in self.ids.items()}
+        self._known: dict[str, str | None] = {}  # members by topic
 
     def owner(self, topic: str) -> str | None:
         """Return the member that owns a topic; None: no member."""
-        return self._owners.get(topic.removeprefix("/").partition("/")[0])
+        if topic not in self._known:
+            first = next((each for each in self._firsts if topic.startswith(each)), None)
+            self._known[topic] = self.names[0] if self.old else self._firsts[first] if first else None
+        return self._known[topic]
 
     def split(self, name: str, separator: str = "/") -> tuple[str | None, str]:
         """Return the member (None: no member) and the name without its namespace."""
-        first, _, rest = name.partition(separator)
-        return (first, rest) if rest and first in self.names else (None, name)
+        for member in self.names:
+            if name.startswith(f"{member}{separator}"):
+                return member, name[len(member) + 1 :]
+        return None, _OLD_NAMES.get(name, name)
 
 
 def _system_id(metadata: Mapping[str, Mapping[str, str]], number: int, name: str) -> int:
@@ -68,7 +88,7 @@ def _system_id(metadata: Mapping[str, Mapping[str, str]], number: int, name: str
 
 
 class MemberView:
-    """A member's part of the log, with the names of a log of one flight."""
+    """A member's part of the log, without its namespace in front of metadata, attachments and loggers."""
 
     def __init__(self, members: Members, member: str) -> None:
         self._members, self._member = members, member
@@ -79,13 +99,14 @@ class MemberView:
             return topic
         if self._members.owner(topic) != self._member:
             return None
-        rest = topic.removeprefix("/").partition("/")[2]
-        return topic if topic.startswith(f"/{self._member}/") else f"{_FRAMES}/{rest}"
+        if self._members.old or topic.startswith(f"/{self._member}/"):
+            return topic
+        return f"{_FRAMES}/{topic.removeprefix('/').partition('/')[2]}"
 
     def name(self, name: str) -> str | None:
         """Return the name of a metadata record or attachment; None for one of another member."""
         owner, rest = self._members.split(name)
-        return rest if owner in (None, self._member) and name not in (FLEET, TEAM) else None
+        return rest if owner in (None, self._member) and name != FLEET else None
 
     def values(self, name: str, values: dict[str, str]) -> dict[str, str]:
         """Return the values of a metadata record; losses only of this member and of shared processes."""
@@ -148,16 +169,16 @@ class Outline:
 
 
 class LogFile:
-    """A flight log on disk, or the part of one fleet member as the log of a single flight."""
+    """A flight log on disk, or the part of one member."""
 
     def __init__(self, path: Path | str, member: str | None = None) -> None:
         """Check the start of the file.
 
         With the namespace of a member only its topics, events, metadata and attachments, and those of all
-        members, are read, under the names of a log of one flight.
+        members, are read; without the namespace in front, except for the topics.
         """
         self.path = Path(path)  # the log file
-        self.member = member  # fleet member whose part is read; None: the whole log
+        self.member = member  # member whose part is read; None: the whole log
         try:
             if self.path.exists() and not self.path.is_file():
                 raise LogError(f"{self.path} {no_file(self.path)}")
@@ -170,25 +191,25 @@ class LogFile:
         if not head.startswith(MAGIC):
             raise LogError(f"{self.path} is not an MCAP file: {named(self.path, head)}")
         if member is not None and member not in (names := self.parts.names):
-            holds = f"a fleet of {', '.join(names)}" if names else "one flight, without members"
-            raise LogError(f"{self.path} has no member {member!r}; it holds {holds}")
+            raise LogError(f"{self.path} has no member {member!r}; it holds {', '.join(names)}")
 
     @property
     def members(self) -> tuple[str, ...]:
-        """Namespaces of the members of a fleet; () for one flight, and for the part of one member."""
-        return self.parts.names if self.member is None else ()
+        """Namespaces of the vehicles in the log, or in this part of it."""
+        return self.parts.names if self.member is None else (self.member,)
 
     def single(self) -> LogFile:
-        """Return this log if it holds one flight."""
-        if self.members:
+        """Return the part of the only vehicle. Raises LogError: there are several."""
+        first, *others = self.members
+        if others:
             raise LogError(
                 f"{self.path} holds a fleet of {', '.join(self.members)}; choose a member, for example with "
-                f"--member {self.members[0]}"
+                f"--member {first}"
             )
-        return self
+        return self.part(first)
 
     def part(self, member: str) -> LogFile:
-        """Return a member's part of a fleet's log; the file is not read again."""
+        """Return a member's part of the log; the file is not read again."""
         found = copy(self)
         found.member = member
         found.__dict__.pop("view", None)
@@ -245,7 +266,7 @@ class LogFile:
                         wanted[record.id] = seen, schemas.get(record.schema_id, "")
 
     def part_of(self, message: Message) -> Message | None:
-        """Return a message of the whole log under this member's names; None for one of another member."""
+        """Return a message of the whole log as in this member's part; None for one of another member."""
         topic = None if self.view is None else self.view.topic(message.topic)
         if self.view is None or topic is None:
             return None

@@ -24,7 +24,7 @@ from logs.report.page import (
     time_bar,
     write,
 )
-from logs.schema.names import FLEET, TEAM
+from logs.schema.names import FLEET, SCENARIO
 from logs.verdict.types import SOURCES, TRUTH, Outcome, Verdict
 from logs.verdict.verdict import (
     FleetVerdict,
@@ -37,8 +37,7 @@ from logs.verdict.verdict import (
 
 __all__ = ["ReportError", "write_comparison", "write_page", "write_report"]
 
-_SCENARIO = "scenario.toml"
-_FILES = ((ATTACHMENT, "Configuration of the onboard process"), (_SCENARIO, "Scenario, whole"))
+_FILES = ((ATTACHMENT, "Configuration of the onboard process"), (SCENARIO, "Scenario, whole"))
 _FAULTS = "Injected by the scenario; in the figures a red strip on top."
 _NEAR = "Measured in every physics step while both flew."
 _EVENTS = "wide events"  # style of the tables of events
@@ -54,11 +53,15 @@ def write_report(fleet: Fleet, verdict: FleetVerdict, out: Path | None = None) -
 
     The key "" is the main page. Raises ReportError: the plotting library is not installed.
     """
-    if "" in fleet.flights:
-        return {"": write_page(fleet.flights[""], verdict.members[""], out)}
+    (first, flight), *others = fleet.flights.items()
+    if not others:
+        return {"": write_page(flight, verdict.members[first], out)}
     need_libraries()
     target = _beside(fleet.path) if out is None else out
-    members = {name: target.with_name(f"{target.stem}_{name}{target.suffix}") for name in fleet.flights}
+    members = {
+        name: target.with_name(f"{target.stem}_{name.replace('/', '_')}{target.suffix}")
+        for name in fleet.flights
+    }
     for name, place in members.items():
         write_page(fleet.flights[name], verdict.members[name], place, of=target.name)
     return {"": write(target, fleet_page(fleet, verdict, members)), **members}
@@ -67,7 +70,7 @@ def write_report(fleet: Fleet, verdict: FleetVerdict, out: Path | None = None) -
 def write_page(flight: Flight, verdict: Verdict, out: Path | None = None, of: str | None = None) -> Path:
     """Write the page of a flight with its verdict, by default beside its log; ``of``: its fleet's page."""
     need_libraries()
-    of_member = "" if flight.member is None else f"_{flight.member}"
+    of_member = f"_{flight.label.replace('/', '_')}" if flight.label else ""
     target = out if out is not None else _beside(flight.path, of_member)
     return write(target, flight_page(flight, verdict, of))
 
@@ -91,8 +94,8 @@ def flight_page(flight: Flight, verdict: Verdict, of: str | None = None) -> Page
     side, run = side_of("", flight, verdict), flight.metadata.get("run", {})
     picture, timeline, *figures = panels(side)
     title = run.get("scenario", flight.path.stem)
-    if flight.member is not None and flight.member not in title:
-        title = f"{title}, {flight.member}"
+    if flight.label not in title:
+        title = f"{title}, {flight.label}"
     sources = [(what, flight.attachments.get(name), name) for name, what in _FILES]
     return Page(
         title, tables.headline(verdict), " · ".join([*_flown(run), verdict.reason]), tables.key_numbers(side),
@@ -159,7 +162,7 @@ def fleet_page(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path]) -
                 "events", "Events of all", "Times since the log began; each is a link.",
                 tables.events_table(fleet.events), style=_EVENTS,
             ),
-            _repeat(fleet.path, told, fleet.metadata, fleet.attachments.get(TEAM), TEAM),
+            _repeat(fleet.path, told, fleet.metadata, fleet.attachments.get(SCENARIO)),
             Panel("versions", "Versions", "", tables.versions_table(fleet.metadata)),
             *_configuration("Configurations", sources, fleet.path),
         ],
@@ -196,10 +199,11 @@ def _comparison(a: Side, b: Side) -> Page:
 
 
 def _side(name: str, log: Path, member: str | None) -> Side:
-    member = member if LogFile(log).members else None  # the other log may hold one flight without members
-    LogFile(log, member).single()
-    fleet, verdict = judged(log, member)
-    return side_of(name, fleet.flights[""], verdict.members[""])
+    _, *others = LogFile(log).members
+    flown = LogFile(log, member if others else None).single().member  # the other log may have one flight
+    fleet, verdict = judged(log, flown)
+    ((who, flight),) = fleet.flights.items()
+    return side_of(name, flight, verdict.members[who])
 
 
 def _flown(run: Mapping[str, str]) -> list[str]:
@@ -293,8 +297,8 @@ def command(run: Mapping[str, str], scenario: str) -> str:
 
 def repeat_section(flight: Flight) -> str:
     """Return the section with the commands that repeat a flight, or the reason why there are none."""
-    whole, run = flight.attachments.get(_SCENARIO), flight.metadata.get("run", {})
-    return _repeat(flight.path, run, flight.metadata, whole, _SCENARIO, flight.member)
+    whole, run = flight.attachments.get(SCENARIO), flight.metadata.get("run", {})
+    return _repeat(flight.path, run, flight.metadata, whole, flight.label)
 
 
 def _repeat(
@@ -302,21 +306,19 @@ def _repeat(
     run: Mapping[str, str],
     metadata: Mapping[str, Mapping[str, str]],
     whole: bytes | None,
-    name: str,
-    member: str | None = None,
+    label: str = "",
 ) -> str:
     again = ["flightstack", "replay", log.name, "--check"]
-    if member is not None:  # a member can only be repeated with its fleet
-        return repeat_box(replay=shlex.join([*again, "--member", member]), alone=False)
+    if label:  # a member can only be repeated with its fleet
+        return repeat_box(replay=shlex.join([*again, "--member", label]), alone=False)
     if whole is None or "seed" not in run:
         return repeat_box(replay=shlex.join(again))
-    by_name = name == _SCENARIO and "scenario" in run and "config" not in run
-    title = "The team as it was flown" if name == TEAM else "The scenario as it was flown"
+    by_name = "scenario" in run and "config" not in run
     return repeat_box(
         replay=shlex.join(again),
-        command=command(run, name),
+        command=command(run, SCENARIO),
         revision=metadata.get("made", {}).get("git_revision", ""),
         lockstep=run.get("mode") == "lockstep",
-        scenario=details(title, whole.decode(errors="replace"), name),
+        scenario=details("The scenario as it was flown", whole.decode(errors="replace"), SCENARIO),
         by_name=command(run, run["scenario"]) if by_name else "",
     )

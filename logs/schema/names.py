@@ -1,8 +1,7 @@
-"""Names of a flight's records in a log: plain in a log of one flight, else with its namespace.
+"""Names of a flight's records in a log: they start with the namespace of the vehicle.
 
-A log of several flights has metadata ``cf2/run``, attachments ``cf2/onboard.toml``, the logger
-``cf2.onboard`` on /rosout, and MAVLink frames on ``/uas2``. In every log the topics of a flight start with
-its namespace.
+The flight of ``cf2`` has topics ``/cf2/...``, metadata ``cf2/run``, attachments ``cf2/onboard.toml``, loggers
+``cf2.onboard`` on /rosout, and MAVLink frames on ``/uas2`` with its system id.
 """
 
 from __future__ import annotations
@@ -12,21 +11,21 @@ from typing import NamedTuple
 FLEET = "fleet"  # metadata: the members
 LOSSES = "losses"  # metadata: records that each process could not pass to the recorder
 NO_PAD = "absent"  # metadata "run", key "pad": the vehicle's physics has a floor but no pad
-TEAM = "team.toml"  # attachment: the scenario of all members
+SCENARIO = "scenario.toml"  # attachment: the scenario of all vehicles
 
 
 class Names(NamedTuple):
     """Names of the records of a flight."""
 
-    member: str = ""  # namespace of the flight; empty: the log holds only this flight
-    system_id: int = 1  # MAVLink system id, part of the topics of its frames
+    member: str  # namespace of the vehicle
+    system_id: int  # MAVLink system id, part of the topics of its frames
 
     def record(self, name: str) -> str:
-        return f"{self.member}/{name}" if self.member else name
+        return f"{self.member}/{name}"
 
     def logger(self, name: str) -> str:
         """Return the name of a process, which is also a source of events."""
-        return f"{self.member}.{name}" if self.member else name
+        return f"{self.member}.{name}"
 
     def frames(self, name: str) -> str:
         return f"/uas{self.system_id}/{name}"
@@ -35,9 +34,6 @@ class Names(NamedTuple):
 def member_name(system_id: int) -> str:
     """Return the namespace of a fleet vehicle from its MAVLink system id: cf1, cf2 and so on."""
     return f"cf{system_id}"
-
-
-OWN = Names()  # names in a log that holds one flight
 
 
 def split(name: str) -> tuple[str, str]:

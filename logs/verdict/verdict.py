@@ -218,8 +218,8 @@ def judged(log: Path, member: str | None = None) -> tuple[Fleet, FleetVerdict]:
     verdict = judge_fleet(fleet)
     if member is None:
         return fleet, verdict
-    alone = replace(fleet, flights={"": fleet.flights[member]})
-    return alone, replace(verdict, members={"": verdict.members[member]})
+    alone = replace(fleet, flights={member: fleet.flights[member]})
+    return alone, replace(verdict, members={member: verdict.members[member]})
 
 
 def pairs_known(fleet: Fleet) -> bool:
@@ -246,14 +246,13 @@ def fleet_result(
     the log.
     """
     pages = pages or {}
+    (first, only), *others = verdict.members.items()
+    if not others:
+        return verdict_result(fleet.flights[first], only, pages.get(""), about, realtime_factor)
     vehicles = {
-        name: verdict_result(
-            fleet.flights[name], each, pages.get(name), None if name else about, realtime_factor
-        )
+        name: verdict_result(fleet.flights[name], each, pages.get(name), None, realtime_factor)
         for name, each in verdict.members.items()
     }
-    if "" in vehicles:
-        return vehicles[""]
     if about is None:
         filters = dict.fromkeys(str(each["filter"]) for each in vehicles.values())
         about = flown_by({**fleet.metadata.get(FLEET, {}), "filter": ", ".join(filters)})

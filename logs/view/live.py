@@ -21,7 +21,7 @@ from logs.reader.flight_data import Event, Flight, Floats, Steps, Timing, phase_
 from logs.schema.events import CONTROLLER, Severity
 from logs.schema.rows import ControllerStepRow, LoopTimingRow
 from logs.view.canvas import Canvas, blueprint
-from logs.view.view import draw, viewer_program
+from logs.view.view import draw, events, viewer_program
 
 NATIVE, WEB = "native", "web"
 ENDING = ".rrd"
@@ -78,6 +78,7 @@ class LiveRecording:
             metadata={"run": self._run},
         )
         draw(self._canvas, piece)
+        events(self._canvas, origin_ns, piece.events)
 
     def close(self) -> None:
         """End the recording and the server of the web viewer, in bounded time."""

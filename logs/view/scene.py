@@ -13,13 +13,12 @@ from logs.derive.markers import (
     BODY_SIZE_M,
     COMMAND_COLOR,
     FILTERED_COLOR,
-    FLEET_REACH,
     NOMINAL_COLOR,
     PAD_COLOR,
-    REACH,
     TARGET_COLOR,
     Color,
     Path,
+    reach_of,
     surface,
 )
 from logs.reader.flight_data import PAD_RADIUS_M, Flight, Floats
@@ -108,8 +107,7 @@ def _barrier(canvas: Canvas, run: Mapping[str, str]) -> None:
     barrier = Barrier(float(run["barrier_alpha_1_m"]), float(run["barrier_beta_m"]))
     if barrier.alpha_1_m <= 0.0:
         return
-    reach = FLEET_REACH if canvas.member else REACH
-    corners = np.frombuffer(surface(barrier, reach), dtype="<f8").reshape(-1, 3)
+    corners = np.frombuffer(surface(barrier, reach_of(run)), dtype="<f8").reshape(-1, 3)
     triangles = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
     mesh = rr.Mesh3D(
         vertex_positions=corners, triangle_indices=triangles, vertex_normals=_normals(corners),

@@ -58,11 +58,10 @@ class Recording:
     def save(self, out: Path) -> None:
         self._stream.save(out, default_blueprint=self._blueprint())
         fleet = self._fleet
-        for number, (name, flight) in enumerate(fleet.flights.items()):
-            color = COLORS[number % len(COLORS)] if name else OWN_COLOR
-            draw(Canvas(self._stream, fleet.origin_ns, name, color), flight)
-        if "" not in fleet.flights:
-            events(Canvas(self._stream, fleet.origin_ns), fleet.origin_ns, fleet.events)
+        for number, flight in enumerate(fleet.flights.values()):
+            color = COLORS[number % len(COLORS)] if flight.label else OWN_COLOR
+            draw(Canvas(self._stream, fleet.origin_ns, flight.label, color), flight)
+        events(Canvas(self._stream, fleet.origin_ns), fleet.origin_ns, fleet.events)
         self._stream.flush()
         self._stream.disconnect()
 
@@ -77,7 +76,7 @@ class Recording:
                 shown.append(flight.truth.position_enu_m)
         points = np.concatenate(shown)
         points = points[np.isfinite(points).all(axis=1)]
-        members = [name for name in flights if name]
+        members = [flight.label for flight in flights.values() if flight.label]
         if not len(points):
             return blueprint((0.0, 0.0, 0.0), 1.0, members)
         low, high = points.min(axis=0), points.max(axis=0)
@@ -107,8 +106,6 @@ def draw(canvas: Canvas, flight: Flight) -> None:
     for part in (scene, velocities, truth, _curves):
         part(canvas, flight)
     canvas.style(RUN, rr.TextDocument(_run_text(flight), media_type="text/markdown"))
-    if not canvas.member:  # a fleet has one list of events
-        events(canvas, flight.origin_ns, flight.events)
 
 
 def _curves(canvas: Canvas, flight: Flight) -> None:

@@ -18,6 +18,7 @@ from flightstack.common.pacing import (
     quiet_garbage_collector,
 )
 from logs.recorder.feed import Feed
+from logs.schema.names import Names
 from sim.clock import NS_PER_S, run_process
 from sim.options import Px4SimOptions
 from sim.plant.vehicle_types import Truth
@@ -140,7 +141,7 @@ def _run(scenario: Scenario, options: Px4SimOptions, stop: Stop, stack: ExitStac
     deck = RealTimeDeck(session, options.namespace) if session is not None else None
     # without a robot and at full speed no other process needs the simulated time
     paced = SimulationClock(options.clock) if options.clock is not None else FastClock(speed or 1.0)
-    node = Px4Node(deck, VehicleLog(feed, paced.unix_ns(), options.namespace), paced, stop)
+    node = Px4Node(deck, VehicleLog(feed, paced.unix_ns(), Names(options.namespace, 1)), paced, stop)
     stop.install()
     _say(f"ready tcp:{host}:{server.port}")
     quiet_garbage_collector()

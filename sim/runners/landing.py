@@ -30,7 +30,7 @@ from flightstack.onboard.leaving import Leaving
 from flightstack.onboard.lockstep import VehicleTicks
 from flightstack.onboard.runner import LinkedVehicle, Runner, Taken
 from logs.recorder.feed import Feed
-from logs.schema.names import member_name
+from logs.schema.names import Names, member_name
 from logs.verdict.truth import judge_truth
 from logs.verdict.types import Verdict
 from sim.autopilot.autopilot import Autopilot
@@ -92,7 +92,12 @@ class Companion:
         self._neighbours: tuple[Neighbour, ...] = ()  # messages of other vehicles since the last tick
         self._notes = Notes(config, scenario.target.pad_radius_m)
         self.node = node = VehicleNode(
-            system_id, self.name, vehicle, autopilot, here, VehicleNotes(self._notes, self.name)
+            system_id,
+            self.name,
+            vehicle,
+            autopilot,
+            here,
+            VehicleNotes(self._notes, Names(self.name, system_id)),
         )
         here.answer = self._answer
         self._link.poll(0.0)  # sends the first heartbeat, as the process does before the first tick

@@ -23,7 +23,7 @@ from logs.reader.flight_data import Event, Floats, Ints, Judged, Truth
 from logs.recorder.feed import Feed
 from logs.schema import schemas
 from logs.schema.events import ContactBit, Severity, pack_log
-from logs.schema.names import OWN, Names
+from logs.schema.names import Names
 from logs.schema.rows import TrueStateRow
 from sim.plant import vehicle_types
 
@@ -73,10 +73,10 @@ class EventLog:
 class VehicleLog(EventLog):
     """Events, true state and the deck's true state of the vehicle process."""
 
-    def __init__(self, feed: Feed, epoch_ns: int, namespace: str = "cf1", names: Names = OWN) -> None:
+    def __init__(self, feed: Feed, epoch_ns: int, names: Names) -> None:
         super().__init__(feed, names.logger("vehicle"), epoch_ns)
-        self._truth = feed.channel(f"/{namespace}/sim/truth", schemas.TRUE_STATE)
-        self._target = feed.channel(f"/{namespace}/sim/target/truth", schemas.ODOMETRY)
+        self._truth = feed.channel(f"/{names.member}/sim/truth", schemas.TRUE_STATE)
+        self._target = feed.channel(f"/{names.member}/sim/target/truth", schemas.ODOMETRY)
         self._contact_s: dict[int, float] = {}
         self._targets = 0
 
@@ -230,8 +230,8 @@ class Notes:
 class VehicleNotes(VehicleLog):
     """Replaces the log of the vehicle's process."""
 
-    def __init__(self, notes: Notes, namespace: str = "cf1") -> None:
-        super().__init__(Feed.connect(None, "vehicle", lossless=False), EPOCH_NS, namespace)
+    def __init__(self, notes: Notes, names: Names) -> None:
+        super().__init__(Feed.connect(None, "vehicle", lossless=False), EPOCH_NS, names)
         self._notes = notes
 
     def truth(self, tick: int, now_ns: int, truth: vehicle_types.Truth) -> None:

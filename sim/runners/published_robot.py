@@ -42,6 +42,7 @@ from flightstack.core.types import Phase
 from flightstack.onboard.lockstep import ALIVE
 from logs.recorder.feed import Feed
 from logs.schema.events import Severity
+from logs.schema.names import Names
 from logs.schema.rows import ControllerStepRow
 from sim.clock import STARTUP_S, NoAnswerError, TickGrid, run_process, wait_until
 from sim.options import TargetOptions, WorldOptions
@@ -262,9 +263,8 @@ def robots_of(
     """
     shared, robots = team.target_seed(options.seed), {}
     for number, (scenario, seed) in enumerate(team.singles(options.seed), 1):
-        names = team.names(number)
-        log = EventLog(feed, names.logger("target"), EPOCH_NS)
-        namespace = names.member or options.namespace
+        namespace = team.namespaces(options.namespace)[number]
+        log = EventLog(feed, Names(namespace, number).logger("target"), EPOCH_NS)
         robots[number] = make(scenario, seed if shared is None else shared, namespace, log)
     if (ros2 := network(options)) is None:
         return robots

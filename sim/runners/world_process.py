@@ -21,6 +21,7 @@ from bridge.zenoh import zenoh_link
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import EPOCH_NS, quiet_garbage_collector
 from logs.recorder.feed import Feed
+from logs.schema.names import Names
 from sim.autopilot.autopilot import Autopilot
 from sim.clock import TickGrid, run_process
 from sim.options import VehicleOptions, WorldOptions
@@ -40,11 +41,11 @@ _PAUSE_S = 0.1  # wall time between two checks for signals when all flights are 
 def world_main(team: TeamScenario, options: VehicleOptions) -> int:
     """Run the vehicles until SIGTERM, SIGINT or ``duration_s``; print ``ready URL ...``, cf1's first.
 
-    It also prints ``armed`` and ``disarmed`` on each change, with the name if there are several vehicles.
+    It also prints ``armed`` and ``disarmed`` on each change, with the vehicle's name.
 
     ``team``: the scenario; ``options``: with ``WorldOptions`` the robots run, too. A port other than 0 is
-    that of cf1; the other vehicles use the next ports. System id and namespace apply to a single vehicle;
-    members of a team have their own.
+    that of the first vehicle, like the system id; the other vehicles have the next ones. The namespace is
+    that of the first vehicle; the others are cf2, cf3 and so on.
 
     Returns the exit status.
     """
@@ -54,7 +55,7 @@ def world_main(team: TeamScenario, options: VehicleOptions) -> int:
 
 def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitStack) -> None:
     lockstep, grid, here = options.lockstep, TickGrid(options.rate_hz), _here(team, options)
-    ids = {number: options.system_id if team.is_alone else number for number in here}
+    ids = {number: options.system_id + number - 1 for number in here}
     endpoints = [opened(options, number, ids[number], stack) for number in here]
     session = _session(team, options, stack)
     warm_up_room(team)
@@ -65,11 +66,10 @@ def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitSta
     stack.callback(feed.close)
     nodes = []
     for number, (endpoint, _), vehicle in zip(here, endpoints, simulated, strict=True):
-        names = team.names(number)
-        name = names.member or options.namespace
-        log = VehicleLog(feed, epoch_ns, name, names)
+        name = team.namespaces(options.namespace)[number]
+        log = VehicleLog(feed, epoch_ns, Names(name, ids[number]))
         autopilot = autopilot_of(vehicle, options, ids[number], epoch_ns)
-        nodes.append(VehicleNode(number, name, vehicle, autopilot, endpoint, log, _teller(names.member)))
+        nodes.append(VehicleNode(number, name, vehicle, autopilot, endpoint, log, _teller(name)))
     room, ticks = Room(nodes, grid, feed), grid.count(options.duration_s)
     words = Words(team, options.seed) if lockstep and not team.is_alone else None
     if lockstep:
@@ -181,7 +181,7 @@ def _teller(name: str) -> Callable[[bool], None]:
     """Return a function that prints arming changes for the process that started this one and may end it."""
 
     def tell(armed: bool) -> None:
-        print(f"{'armed' if armed else 'disarmed'} {name}".strip(), flush=True)
+        print(f"{'armed' if armed else 'disarmed'} {name}", flush=True)
 
     return tell
 

@@ -30,7 +30,7 @@ from flightstack.common.strict_toml import (
 from flightstack.config import files as configurations
 from flightstack.core.fleet.assignment import assign
 from flightstack.core.types import Vec3
-from logs.schema.names import OWN, TEAM, Names, member_name
+from logs.schema.names import member_name
 from sim.chance import member as seed_of
 from sim.chance import stream
 from sim.scenarios import scenario as scenarios
@@ -115,14 +115,9 @@ class TeamScenario:
         """Whether the team has only one vehicle."""
         return len(self.member) == 1
 
-    def names(self, number: int) -> Names:
-        """Return the names in the log of a vehicle; a single vehicle has no prefix."""
-        return OWN if self.is_alone else Names(member_name(number), number)
-
-    @property
-    def file(self) -> str:
-        """Name of the scenario's file in a folder and in a log."""
-        return "scenario.toml" if self.is_alone else TEAM
+    def namespaces(self, first: str = "cf1") -> dict[int, str]:
+        """Return the namespaces of the vehicles by number, with that of the first one."""
+        return {1: first} | {number: member_name(number) for number in range(2, len(self.member) + 1)}
 
     @property
     def rate_hz(self) -> int:

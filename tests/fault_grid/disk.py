@@ -24,6 +24,7 @@ from logs.recorder import recorder as recorder_process
 from logs.recorder.feed import Feed
 from logs.recorder.mcap_file import McapFile, SafeStream
 from logs.recorder.recorder import RecorderProcess
+from logs.schema.names import Names
 from tests.fault_grid.flight import Flight
 from tests.fault_grid.table import Way
 
@@ -133,7 +134,9 @@ class Recording:
         self._log: OnboardLog | None = None
 
     def attach(self, flight: Flight) -> None:
-        self._log = OnboardLog(self._feed, _NoSession(), "cf1", flight.controller.config, lockstep=False)
+        self._log = OnboardLog(
+            self._feed, _NoSession(), Names("cf1", 1), flight.controller.config, lockstep=False
+        )
         controller, log = flight.controller, self._log
 
         def step(tick: Tick, taken: Taken, out: Outputs) -> None:

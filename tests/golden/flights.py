@@ -9,8 +9,8 @@ from pathlib import Path
 from mcap.writer import CompressionType, Writer
 
 from flightstack.common.strict_toml import dumps, parse_toml
-from logs.reader.reader import LogFile
-from logs.replay.read import ROSOUT, SINK, SOURCE
+from logs.reader.reader import ROSOUT, LogFile
+from logs.schema.names import FLEET, Names
 from logs.schema.schemas import schema_text
 from sim.scenarios.team import load, text
 
@@ -18,7 +18,7 @@ TOPICS = (
     "controller/input", "controller/step", "controller/state", "controller/power", "controller/neighbours",
     "target/odom",
 )  # fmt: skip
-WIRE = (SOURCE, SINK)
+WIRE = ("mavlink_source", "mavlink_sink")
 CHUNK_BYTES = 16 * 2**20  # one chunk, so that compression finds repetitions over the whole flight
 METADATA = ("onboard", "run")
 
@@ -31,29 +31,32 @@ def write_kept(
     Args:
         source: a complete or broken log.
         target: file to write.
-        member: vehicle of a fleet, kept as the log of a single flight; None: the log has one flight.
+        member: vehicle whose flight is kept; None: the log has one flight.
         wire: also keep MAVLink frames and odometry.
         when: condition for keeping a message; None: all.
         change: returns a message's new data; None: unchanged.
     """
-    log = LogFile(source, member)
-    space = log.metadata()["onboard"]["namespace"]
+    whole, log = LogFile(source), LogFile(source, member).single()
+    onboard = log.metadata()["onboard"]
+    space = onboard["namespace"]
+    names = Names(space, int(onboard.get("system_id", "1")))
     topics = {f"/{space}/{name}" for name in TOPICS if wire or name != "target/odom"}
-    topics |= {ROSOUT, *(WIRE if wire else ())}
+    topics |= {ROSOUT, *(map(names.frames, WIRE) if wire else ())}
     with target.open("wb") as stream:
         writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         writer.start("ros2", "crazyflie-flightstack, kept for replay")
         for each in log.attachments():
-            if each.name.endswith("onboard.toml"):
-                writer.add_attachment(0, 0, each.name, each.media_type, each.data)
+            if each.name == "onboard.toml":
+                writer.add_attachment(0, 0, names.record(each.name), each.media_type, each.data)
+        writer.add_metadata(FLEET, {"members": space})
         for name in METADATA:
             values = dict(log.metadata().get(name, {}))
             if name == "onboard" and not wire:
                 values.pop("lockstep", None)  # the stored log has no frames, so the wire is not replayed
-            writer.add_metadata(name, values)
+            writer.add_metadata(names.record(name), values)
         channels: dict[str, int] = {}
-        for message in log.messages(topics):
-            if when is not None and not when(message):
+        for message in whole.messages(topics):
+            if log.part_of(message) is None or (when is not None and not when(message)):
                 continue
             if message.topic not in channels:
                 schema = writer.register_schema(

@@ -99,9 +99,9 @@ def test_the_log_holds_what_flies_it_again(wired):
     assert metadata["fleet"]["members"] == "cf1,cf2,cf3"
     assert {f"{name}/{record}" for name in NAMES for record in ("run", "onboard")} <= metadata.keys()
     assert not {"run", "onboard"} & metadata.keys()
-    assert {f"{n}/{file}.toml" for n in NAMES for file in ("scenario", "onboard")} < attachments.keys()
-    assert attachments["team.toml"] == (wired.folder / "team.toml").read_bytes()
-    team, again = teams.load(TEAM), teams.load(wired.folder / "team.toml")
+    assert {f"{name}/onboard.toml" for name in NAMES} < attachments.keys()
+    assert attachments["scenario.toml"] == (wired.folder / "scenario.toml").read_bytes()
+    team, again = teams.load(TEAM), teams.load(wired.folder / "scenario.toml")
     assert (team.member, team.exchange, team.name) == (again.member, again.exchange, again.name)
     assert set(metadata["losses"].values()) == {"0"}
 

@@ -38,7 +38,7 @@ def test_lands_records_judges_and_reports(tmp_path):
         done = flightstack("fly", *words, "--core", "compiled", "--out", tmp_path / "flight", "--json")
     assert done.code == 0, done.err
     found = done.json
-    assert LogFile(found["log"]).metadata()["onboard"]["core"] == "compiled"
+    assert LogFile(found["log"]).single().metadata()["onboard"]["core"] == "compiled"
     assert replayed(found["log"])["compared"] > 500  # replayed by interpreted Python
     assert found["outcome"] == "landed"
     assert found["judged_from"] == "estimate"

@@ -20,7 +20,7 @@ def test_a_real_time_flight_replays_bit_by_bit_inputs_from_the_wire_included(tmp
     assert not load_flight(flown.json["log"]).truth.motors_running[-1]
     found = replayed(tmp_path / "flight.mcap")
     assert "APPROACH" in {change["phase"] for change in found["phases_recorded"]}
-    (config,) = [a for a in LogFile(tmp_path / "flight.mcap").attachments() if a.name == "onboard.toml"]
+    (config,) = [a for a in LogFile(tmp_path / "flight.mcap").attachments() if a.name == "cf1/onboard.toml"]
     assert b"alpha_1_m" in config.data
 
 

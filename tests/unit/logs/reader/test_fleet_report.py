@@ -125,8 +125,9 @@ def test_the_page_of_all_links_those_of_the_members(told):
         assert f"flightstack replay flight.mcap --check --member {member}" in page
         assert "Fly it again" not in page
     assert text.count('class="figure"') == 5
-    for words in ("waits for cf1", "cf2 right of way", "cf1 to cf3", "Save as team.toml", "times inside",
-                  "flightstack sitl --scenario team.toml --seed 1 --lockstep", "cf3.controller"):  # fmt: skip
+    for words in ("waits for cf1", "cf2 right of way", "cf1 to cf3", "Save as scenario.toml",
+                  "times inside", "flightstack sitl --scenario scenario.toml --seed 1 --lockstep",
+                  "cf3.controller"):  # fmt: skip
         assert words in text
     assert re.search(r"<td>cf2</td><td>cf1</td>", text)  # the waiting vehicle, and the one it waited for
 

@@ -202,7 +202,7 @@ def test_a_log_of_others_is_shown_and_not_obeyed(tmp_path):
     assert shown.events[-1].text.endswith("<script>alert(1)")  # as written
 
 
-@pytest.mark.parametrize("name", ["../../evil", "a/b", "<b>", "a b", "x" * 65])
+@pytest.mark.parametrize("name", ["../../evil", "a/../b", "/a", "<b>", "a b", "x" * 65])
 def test_names_of_a_log_become_no_paths(tmp_path, name):
     log = evil_log(tmp_path / "a.mcap", {"fleet": {"members": f"{name},cf2"}})
     for verb in (["report"], ["log", "verdict"]):

@@ -61,7 +61,7 @@ def test_frames_and_poses():
     shown = derive(step(yaw=math.pi / 2))
     own, target, pad = shown["/tf"].transforms
     assert [t.header.frame_id for t in (own, target, pad)] == ["map"] * 3
-    assert [t.child_frame_id for t in (own, target, pad)] == ["cf1/base_link", "target", "target_pad"]
+    assert [t.child_frame_id for t in (own, target, pad)] == ["cf1/base_link", "cf1/target", "cf1/target_pad"]
     assert (own.transform.translation.x, own.transform.translation.z) == (1.0, 3.0)
     assert own.transform.rotation.z == pytest.approx(math.sqrt(0.5))
     assert target.transform.translation.z == 0.2
@@ -95,7 +95,7 @@ def test_ned_axes_in_the_static_transform():
 
 def test_what_is_not_valid_is_not_shown():
     blind = derive(step(own_valid=False))
-    assert [t.child_frame_id for t in blind["/tf"].transforms] == ["target", "target_pad"]
+    assert [t.child_frame_id for t in blind["/tf"].transforms] == ["cf1/target", "cf1/target_pad"]
     assert not {"/cf1/pose", "/cf1/odom"} & blind.keys()
     lost = derive(step(target_valid=False))
     assert [t.child_frame_id for t in lost["/tf"].transforms] == ["cf1/base_link"]
@@ -128,9 +128,9 @@ def test_markers():
     numbers = {"barrier": 1, "pad": 1, "path": 2, "vehicle": 1, "velocity": 3}
     assert shown.keys() == {(name, n) for name, count in numbers.items() for n in range(count)}
     barrier, pad, path, arrow = (shown[k] for k in (("barrier", 0), ("pad", 0), ("path", 0), ("velocity", 0)))
-    assert (barrier.type, barrier.header.frame_id) == (barrier.TRIANGLE_LIST, "target_pad")
+    assert (barrier.type, barrier.header.frame_id) == (barrier.TRIANGLE_LIST, "cf1/target_pad")
     assert barrier.frame_locked
-    assert (pad.type, pad.header.frame_id, pad.scale.x) == (pad.CYLINDER, "target", 0.2)
+    assert (pad.type, pad.header.frame_id, pad.scale.x) == (pad.CYLINDER, "cf1/target", 0.2)
     assert (path.type, path.header.frame_id) == (path.LINE_STRIP, "map")
     assert [round(p.x, 6) for p in path.points] == [*(round(0.1 * i, 6) for i in range(10)), 1.0]
     assert arrow.type == arrow.ARROW

@@ -10,6 +10,7 @@ from flightstack.core.types import Phase
 from flightstack.onboard.log import OnboardLog
 from flightstack.onboard.runner import Taken
 from logs.recorder.mcap_file import McapFile
+from logs.schema.names import Names
 from tests.point_mass import DT_S, World
 
 CONFIG = from_table(
@@ -57,12 +58,12 @@ def record(
 ) -> Path:
     """Fly and record; end at the time limit or when the controller has finished."""
     feed = FileFeed(path)
-    feed.file.attachment("onboard.toml", "application/toml", 0, dumps(config).encode())
-    feed.file.metadata("onboard", {"namespace": "cf1"})
+    feed.file.attachment("cf1/onboard.toml", "application/toml", 0, dumps(config).encode())
+    feed.file.metadata("cf1/onboard", {"namespace": "cf1"})
     log = OnboardLog(
         feed,
         NoSession(),
-        "cf1",
+        Names("cf1", 1),
         config,
         lockstep=True,
     )
