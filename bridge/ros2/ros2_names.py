@@ -9,7 +9,6 @@ zenoh-plugin-ros2dds ros2_utils.rs. Name rules: rmw validate_full_topic_name.c.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,7 +16,6 @@ import xxhash
 
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import pack_attachment
-from flightstack.config.options import Ros2
 
 DOMAIN_MAX = 232  # ROS 2 documentation, "The ROS_DOMAIN_ID": limit of the DDS ports
 TOPIC_LENGTH_MAX = 247  # limit of rmw validate_full_topic_name.h
@@ -45,7 +43,6 @@ class Node(NamedTuple):
     session: str  # id of the Zenoh session, as Zenoh prints it
     name: str
     namespace: str = "/"
-    number: int = 0  # number of the node within the session
 
 
 def check_topic(topic: str) -> str:
@@ -110,7 +107,7 @@ def bridge_key(topic: str) -> str:
 
 def node_token(node: Node) -> str:
     """Return the liveliness token of a node, for ``ros2 node list``. Raises ValueError: a name is bad."""
-    return "/".join([*_begin(node, node.number, "NN"), node.name])
+    return "/".join([*_begin(node, 0, "NN"), node.name])
 
 
 def publisher_token(node: Node, number: int, topic: str, type_name: str, type_hash: str, qos: str) -> str:
@@ -138,7 +135,7 @@ def _begin(node: Node, number: int, kind: str) -> list[str]:
         )
     enclave = "%"  # "%" stands for no enclave
     return [
-        _ADMIN, str(check_domain(node.domain)), node.session, str(node.number), str(number), kind, enclave,
+        _ADMIN, str(check_domain(node.domain)), node.session, "0", str(number), kind, enclave,
         _mangle(node.namespace),
     ]  # fmt: skip
 
@@ -150,22 +147,15 @@ def _mangle(name: str) -> str:
 _FILES = (".json5", ".json", ".yaml", ".yml")  # file formats that Zenoh reads
 
 
-@dataclass(frozen=True, slots=True)
-class Ros2Network:
-    # endpoint of their router (``rmw_zenohd``, zenoh-bridge-ros2dds), or a Zenoh configuration file
-    where: str
-    domain: int = 0  # ROS_DOMAIN_ID of these nodes
+def open_network(where: str, domain: int) -> zenoh_link.Session:
+    """Open a session to the ROS 2 nodes of a domain; the caller closes it.
 
-    def open(self) -> zenoh_link.Session:
-        """Open a session to this network; the caller closes it."""
-        check_domain(self.domain)
-        if self.where.endswith(_FILES):
-            return zenoh_link.open_session(config_file=Path(self.where), role=zenoh_link.Role.CLIENT)
-        return zenoh_link.open_session(connect=[self.where], role=zenoh_link.Role.CLIENT)
-
-
-def network(options: Ros2) -> Ros2Network | None:
-    return Ros2Network(options.ros2_where, options.ros_domain) if options.ros2_where is not None else None
+    ``where``: endpoint of their router (``rmw_zenohd``, zenoh-bridge-ros2dds), or a Zenoh configuration file.
+    """
+    check_domain(domain)
+    if where.endswith(_FILES):
+        return zenoh_link.open_session(config_file=Path(where), role=zenoh_link.Role.CLIENT)
+    return zenoh_link.open_session(connect=[where], role=zenoh_link.Role.CLIENT)
 
 
 class Ros2Node:

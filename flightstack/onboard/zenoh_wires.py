@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from bridge.ros2.ros2_names import Ros2Node, Ros2Publisher, network
+from bridge.ros2.ros2_names import Ros2Node, Ros2Publisher, open_network
 from bridge.target.ros2_target import Dialect, KeySearch, TargetSource, TargetSpec, TargetType
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import ConnectionAlarm
@@ -66,10 +66,10 @@ class ZenohWires:
         self._sessions = [self.session]
         self._shown: LiveRos2 | None = None
         rate_hz, checks = config.loop.rate_hz, config.checks
-        if (ros2 := network(options)) is not None:  # else a ROS 2 target uses the flight's session
-            self._sessions.append(ros2.open())
-            self._alarms.append(ConnectionAlarm(self._sessions[-1], [ros2.where], zenoh_link.Role.CLIENT))
-            self._shown = LiveRos2(self._sessions[-1], ros2.domain, namespace, rate_hz)
+        if (ros2 := options.ros2_where) is not None:  # else a ROS 2 target uses the flight's session
+            self._sessions.append(open_network(ros2, options.ros_domain))
+            self._alarms.append(ConnectionAlarm(self._sessions[-1], [ros2], zenoh_link.Role.CLIENT))
+            self._shown = LiveRos2(self._sessions[-1], options.ros_domain, namespace, rate_hz)
         where = self.session if target.dialect is Dialect.PLAIN else self._sessions[-1]
         # samples of the target
         self.odometry = TargetSource(

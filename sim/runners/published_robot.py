@@ -20,7 +20,7 @@ from typing import ClassVar, TypeVar
 
 from bridge.frames import quaternion_from_yaw
 from bridge.ros2.cdr import Odometry
-from bridge.ros2.ros2_names import Ros2Node, Ros2Publisher, network
+from bridge.ros2.ros2_names import Ros2Node, Ros2Publisher, open_network
 from bridge.target.odometry import OdometryPublisher
 from bridge.target.ros2_target import ROS_TYPES, TargetType
 from bridge.zenoh import zenoh_link
@@ -266,13 +266,13 @@ def robots_of(
         namespace = team.namespaces(options.namespace)[number]
         log = EventLog(feed, Names(namespace, number).logger("target"), EPOCH_NS)
         robots[number] = make(scenario, seed if shared is None else shared, namespace, log)
-    if (ros2 := network(options)) is None:
+    if options.ros2_where is None:
         return robots
     if not team.is_alone:
         raise ValueError("--ros2 is for one robot: those of a team are not shown to ROS 2")
-    session = ros2.open()
+    session = open_network(options.ros2_where, options.ros_domain)
     stack.callback(session.close)
-    node = Ros2Node(session, NODE, domain=ros2.domain, namespace=f"/{options.namespace}")
+    node = Ros2Node(session, NODE, domain=options.ros_domain, namespace=f"/{options.namespace}")
     stack.callback(node.close)
     topic = f"/{options.namespace}/target/odom"
     robots[1].shown = node.publisher(topic, *ROS_TYPES[TargetType.ODOMETRY])
