@@ -80,8 +80,6 @@ class Profile:
     unset: float  # value of a command parameter that is not given
     encoding: Encoding
     needs_origin: bool  # the position needs SET_GPS_GLOBAL_ORIGIN if there are no satellites
-    stream_lost: str  # text about the reaction to missing set-points
-    time_sync: str  # text about the use of TIMESYNC
     prepare: tuple[Step, ...] = ()  # steps on the ground before the first request
     asked_hz: Mapping[int, float] = field(default_factory=dict)  # extra rates by message id
     setpoint_mask: int = VELOCITY_AND_YAW
@@ -218,8 +216,6 @@ PX4 = Profile(
     unset=math.nan,
     encoding=Encoding.BYTEWISE,
     needs_origin=False,
-    stream_lost="COM_OBL_RC_ACT after COM_OF_LOSS_T; continues when the stream returns",
-    time_sync="requested at 10 Hz, answered",
     prepare=(_HOLD,),
 )
 
@@ -229,8 +225,6 @@ OWN_SITL = replace(  # the simulated vehicle imitates PX4
     title="own simulator, OFFBOARD",
     # time, s; the vehicle checks each set-point on arrival, and a deck may rise meanwhile
     prestream_s=0.05,
-    stream_lost="COM_OBL_RC_ACT after COM_OF_LOSS_T; remains in that mode when the stream returns",
-    time_sync="requested in lockstep: it is the tick",
 )
 
 CRAZYFLIE = replace(
@@ -241,8 +235,6 @@ CRAZYFLIE = replace(
     # motors would stop after 2 s.
     sequences={**PX4.sequences, Request.TAKEOFF: _OWN_TAKEOFF},
     prepare=(),  # arming does not depend on the mode
-    stream_lost="the firmware stops the motors after 2 s, or the bridge lands it (--land-on-silence)",
-    time_sync="not requested",
 )
 
 _GUIDED = _given(_CUSTOM_MODE_ENABLED, 4.0, 0.0)
@@ -276,8 +268,6 @@ ARDUPILOT = Profile(
     unset=0.0,
     encoding=Encoding.C_CAST,
     needs_origin=True,
-    stream_lost="stops after GUID_TIMEOUT, remains in GUIDED and armed; continues when the stream returns",
-    time_sync="answered on request; not needed",
     # The pre-arm bit depends on the mode, so the mode is set first. ArduPilot acknowledges but drops a mode
     # change in the first seconds after boot, so the step repeats during the whole wait.
     prepare=(Step(_DO_SET_MODE, "switch to GUIDED", _GUIDED, _guided_or_armed, period_s=1.0, tries=3600),),

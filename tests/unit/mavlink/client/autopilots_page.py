@@ -46,6 +46,20 @@ def _answers(profile, reading):
     return ", ".join(dialect.enums["MAV_RESULT"][n].name.removeprefix("MAV_RESULT_") for n in numbers)
 
 
+TIME_SYNC = {
+    "sitl": "requested in lockstep: it is the tick",
+    "crazyflie": "not requested",
+    "px4": "requested at 10 Hz, answered",
+    "ardupilot": "answered on request; not needed",
+}
+STREAM_LOST = {
+    "sitl": "COM_OBL_RC_ACT after COM_OF_LOSS_T; remains in that mode when the stream returns",
+    "crazyflie": "the firmware stops the motors after 2 s, or the bridge lands it (--land-on-silence)",
+    "px4": "COM_OBL_RC_ACT after COM_OF_LOSS_T; continues when the stream returns",
+    "ardupilot": "stops after GUID_TIMEOUT, remains in GUIDED and armed; continues when the stream returns",
+}
+
+
 def _streams(profile):
     extra = [dialect.mavlink_map[n].msgname for n in profile.asked_hz]
     return "SET_MESSAGE_INTERVAL" + (f"; also {', '.join(extra)}" if extra else "")
@@ -83,8 +97,8 @@ def profiles():
             "origin sent by the stack",
             lambda p: "when `vehicle.origin_wgs84` is set" if p.needs_origin else "no",
         ),
-        ("TIMESYNC", lambda p: p.time_sync),
-        ("result of a loss of set-points", lambda p: p.stream_lost),
+        ("TIMESYNC", lambda p: TIME_SYNC[p.name]),
+        ("result of a loss of set-points", lambda p: STREAM_LOST[p.name]),
     ]
     return _table(
         ["property", *(p.title for p in PROFILES)], [[n, *(value(p) for p in PROFILES)] for n, value in rows]
