@@ -116,7 +116,7 @@ class RecordedCompanion(Companion):
         super().write(tick, taken, out, exec_s)
         if out.own_word is not None:
             self.log.word(tick, word_row(out.own_word, EPOCH_NS, self.feed.number).pack())
-        self.log.step(tick, taken, out, self.controller.state)
+        self.log.step(tick, taken, out, self.controller)
         self.log.timing(tick, out, 0.0, 0)
 
 

@@ -11,7 +11,7 @@ from bridge.mavlink.transport.address import Peer
 from bridge.target.odometry import RawSample
 from bridge.zenoh import zenoh_link
 from flightstack.common.pacing import Tick
-from flightstack.core.controller import Outputs, state_class
+from flightstack.core.controller import Controller, Outputs, state_class
 from flightstack.core.memory import State
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.onboard.runner import Taken
@@ -142,11 +142,11 @@ class OnboardLog:
         self._unix_ns += 1
         self.frames()
 
-    def step(self, tick: Tick, taken: Taken, out: Outputs, state: State) -> ControllerStepRow:
+    def step(self, tick: Tick, taken: Taken, out: Outputs, controller: Controller) -> ControllerStepRow:
         """Write frames, inputs, events and outputs of a tick; return the outputs as a row.
 
-        ``taken``: inputs of the controller; ``out``: outputs of the controller; ``state``: its state after
-        the tick, which is written once a second.
+        ``taken``: inputs of the controller; ``out``: its outputs; ``controller``: its state after the tick is
+        written once a second.
         """
         unix_ns = self._unix_ns = tick.unix_ns
         self.frames()
@@ -163,7 +163,7 @@ class OnboardLog:
         self._put(self._step, tick, self._packed_step)
         if tick.number % self._state_every == 0:
             text = self._state_text
-            snapshot = ControllerStateRow(unix_ns, tick.number, text.layout, text.dumps(state))
+            snapshot = ControllerStateRow(unix_ns, tick.number, text.layout, text.dumps(controller.state))
             self._put(self._state, tick, snapshot.pack())
         return row
 

@@ -132,7 +132,7 @@ class Onboard:
         report = self.waiting.step(out, memory, len(arrived.messages), arrived.problems, tick.now_s)
         if report is not None and not self.options.lockstep:
             self.log.event(tick.unix_ns, WARN, report)
-        row = self.log.step(tick, taken, out, self.controller.state)
+        row = self.log.step(tick, taken, out, self.controller)
         self.log.timing(tick, out, exec_s, self.feed.dropped)
         if out.transition is not None and out.transition.reason.startswith((DISARMED, MODE_CHANGED)):
             self.cause = f"; {self.waiting.cause(tick.now_s)}"

@@ -140,7 +140,7 @@ class Recording:
         controller, log = flight.controller, self._log
 
         def step(tick: Tick, taken: Taken, out: Outputs) -> None:
-            log.step(tick, taken, out, controller.state)
+            log.step(tick, taken, out, controller)
             log.timing(tick, out, 0.0, self._feed.dropped)
 
         flight.on_step = step

@@ -71,7 +71,7 @@ def record(
         tick = Tick(number, world.t_s, EPOCH_NS + round(world.t_s * 1e9), 0.0, 0.0)
         given = world.inputs()
         out = world.step()
-        log.step(tick, Taken(given, False), out, world.controller.state)
+        log.step(tick, Taken(given, False), out, world.controller)
         log.timing(tick, out, 0.0, 0)
         if out.finished or (until is not None and until(world)):
             break
