@@ -27,8 +27,8 @@ from sim.px4.messages import Px4Mocap
 from sim.px4.plant import Px4Plant
 from sim.px4.sensors import STEP_MS
 from sim.px4.session import STEP_S, Event, NotPx4Error, Px4Session
-from sim.runners.deck import RealTimeDeck
 from sim.runners.log import VehicleLog
+from sim.runners.robot import RealTimeDeck
 from sim.scenarios.scenario import Scenario
 
 SPEED_MAX = 100.0

@@ -47,9 +47,8 @@ from logs.schema.rows import ControllerStepRow
 from sim.clock import STARTUP_S, NoAnswerError, TickGrid, run_process, wait_until
 from sim.options import TargetOptions, WorldOptions
 from sim.robot.target import Sample
-from sim.runners.deck import DeckState, truth_key
 from sim.runners.log import EventLog
-from sim.runners.robot import Robot, deck_rows
+from sim.runners.robot import DeckState, Robot, deck_rows, truth_key
 from sim.scenarios.scenario import Scenario
 from sim.scenarios.team import TeamScenario
 

@@ -12,8 +12,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import give_up_priority, run_promptly
 from sim.clock import TickGrid
-from sim.runners.deck import RealTimeDeck
 from sim.runners.published_robot import RealTimeRobot
+from sim.runners.robot import RealTimeDeck
 from sim.runners.room import Room
 from sim.runners.vehicle_node import VehicleNode
 

@@ -19,8 +19,8 @@ from sim.clock import NS_PER_S
 from sim.faults.link import LinkFaults, Way
 from sim.faults.schedule import Running
 from sim.plant.vehicle_types import Truth
-from sim.runners.deck import DeckState
 from sim.runners.log import VehicleLog
+from sim.runners.robot import DeckState
 from sim.vehicle.vehicle import VehicleSim
 
 T = TypeVar("T")

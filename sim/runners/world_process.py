@@ -25,11 +25,11 @@ from logs.schema.names import Names
 from sim.autopilot.autopilot import Autopilot
 from sim.clock import TickGrid, run_process
 from sim.options import VehicleOptions, WorldOptions
-from sim.runners.deck import RealTimeDeck
 from sim.runners.lockstep import LockstepVehicle, LockstepWorld
 from sim.runners.log import VehicleLog
 from sim.runners.published_robot import LockstepRobot, RealTimeRobot, robots_of
 from sim.runners.real_time import RealTimeVehicle, RealTimeWorld
+from sim.runners.robot import RealTimeDeck
 from sim.runners.room import MemberWords, Room, Words, warm_up_room
 from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.team import TeamScenario

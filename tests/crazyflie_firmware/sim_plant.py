@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from bridge.frames import yaw_from_quaternion
 from bridge.zenoh import zenoh_link
-from sim.runners.deck import RealTimeDeck
+from sim.runners.robot import RealTimeDeck
 from sim.scenarios.scenario import Scenario, VelocityLoop, load
 from sim.vehicle.vehicle import VehicleSim, warm_up
 from tests.crazyflie_firmware.plant import variance_m2

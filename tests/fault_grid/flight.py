@@ -35,11 +35,10 @@ from sim.autopilot.autopilot import Autopilot
 from sim.clock import TickGrid
 from sim.plant.vehicle_types import Truth as TrueState
 from sim.robot.target import Sample
-from sim.runners.deck import DeckState
 from sim.runners.landing_wire import wires
 from sim.runners.lockstep import LockstepVehicle
 from sim.runners.log import Notes, Seen, VehicleNotes
-from sim.runners.robot import DirectTarget
+from sim.runners.robot import DeckState, DirectTarget
 from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.fault_spec import Fault
 from sim.scenarios.scenario import Scenario

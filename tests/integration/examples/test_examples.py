@@ -18,7 +18,7 @@ import flightstack as fs
 from bridge.target.odometry import raw_sample
 from bridge.zenoh.zenoh_link import drain, open_session, ring_subscriber
 from logs.reader.flight import load_flight
-from sim.runners.deck import deck_state
+from sim.runners.robot import deck_state
 from tests.integration.runs import WALL_MAX_S, flightstack
 from tests.integration.sim_processes import PATIENCE_S, verb, wait_for
 from tests.processes.ports import free_endpoint, free_port

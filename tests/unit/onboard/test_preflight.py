@@ -12,8 +12,7 @@ from bridge.mavlink.profiles import CRAZYFLIE, OWN_SITL, PX4
 from flightstack.common.strict_toml import from_table
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.onboard.preflight import check, needs_of, record, verdict
-from sim.autopilot.autopilot import Autopilot
-from sim.autopilot.parameters import px4_parameters
+from sim.autopilot.autopilot import Autopilot, px4_parameters
 from sim.scenarios import scenario
 from tests.fake_autopilot import Served
 from tests.unit.autopilot.autopilot_fakes import RATE_HZ, FakeVehicle
