@@ -161,8 +161,7 @@ def _name(names: dict[int, object], number: int) -> str:
 
 
 # Parameters have PX4's names, units and values. Fixed ones describe the simulator, or have no effect.
-# The first have no effect, but QGroundControl's PX4 plug-in requires them (PX4 mavlink_parameters.cpp, list in
-# send()).
+# QGroundControl requires the first ones, which have no effect (PX4 mavlink_parameters.cpp, list in send()).
 _FOR_QGROUNDCONTROL = (
     *(fixed(f"CAL_MAG{i}_{kind}", 0) for i in range(4) for kind in ("ID", "ROT")),
     *(fixed(name, 0) for name in ("CAL_ACC0_ID", "CAL_GYRO0_ID", "SENS_BOARD_ROT", "TRIG_MODE")),

@@ -44,10 +44,9 @@ class Truth(NamedTuple):
 TRUTH = 41  # numbers of a true state
 
 
-def truth_of(row: tuple[Any, ...]) -> Truth:
-    """Return the state whose ``TRUTH`` numbers these are, in the order of its fields."""
+def truth_of(row: Any) -> Truth:
+    """Return the state with these ``TRUTH`` numbers, in the order of its fields; arrays give arrays."""
     return Truth(
         row[0], row[1:4], row[4:7], row[7:11], row[11:14], row[14:18], row[18:21], row[21:24], row[24],
-        row[25], row[26], row[27], int(row[28]), row[29:32], row[32:35], row[35], row[36] != 0.0, row[37],
-        row[38:],
+        row[25], row[26], row[27], row[28], row[29:32], row[32:35], row[35], row[36], row[37], row[38:],
     )  # fmt: skip

@@ -26,6 +26,7 @@ from logs.schema.events import ContactBit, Severity, pack_log
 from logs.schema.names import Names
 from logs.schema.rows import TrueStateRow
 from sim.plant import vehicle_types
+from sim.plant.vehicle_types import truth_of
 
 _LEVELS: dict[int, Severity] = {
     dialect.MAV_SEVERITY_EMERGENCY: Severity.FATAL,
@@ -112,13 +113,6 @@ class VehicleLog(EventLog):
                 self._contact_s[bit] = now_s
 
 
-# size of each field of a true state
-_WIDTHS = dict.fromkeys(vehicle_types.Truth._fields, 1) | {
-    "position_enu_m": 3, "velocity_enu_m_s": 3, "quaternion": 4, "angular_velocity_flu_rad_s": 3,
-    "rotor_rpm": 4,
-    "pad_position_enu_m": 3, "pad_velocity_enu_m_s": 3, "first_touch_relative_position_enu_m": 3,
-    "first_touch_relative_velocity_enu_m_s": 3, "wind_enu_m_s": 3,
-}  # fmt: skip
 # fields that the vehicle's true state and the log's have in common
 _SHARED = tuple(f.name for f in fields(Truth) if f.type == "Floats" and f.name in vehicle_types.Truth._fields)
 
@@ -208,21 +202,15 @@ class Notes:
     def _arrays(self) -> Truth:
         self._close_block()
         numbers = np.concatenate(self._blocks)
-        ends = np.cumsum([_WIDTHS[name] for name in vehicle_types.Truth._fields])
-        of = {
-            name: np.ascontiguousarray(part if part.shape[1] > 1 else part[:, 0])
-            for name, part in zip(
-                vehicle_types.Truth._fields, np.split(numbers, ends[:-1], axis=1), strict=True
-            )
-        }
-        columns = {name: of[name] for name in _SHARED}
+        of: Any = truth_of(numbers.T)
+        columns = {name: np.ascontiguousarray(getattr(of, name).T) for name in _SHARED}
         ticks, times_ns = zip(*self._truth_ticks, strict=True)
         return Truth(
             t_s=_seconds(times_ns),
             tick=np.array(ticks),
-            orientation=np.roll(of["quaternion"], -1, axis=1),  # reordered to x, y, z, w
-            contacts=of["contacts"].astype(np.int64),
-            motors_running=of["motors_running"].astype(np.bool_),
+            orientation=np.roll(of.quaternion.T, -1, axis=1),  # reordered to x, y, z, w
+            contacts=of.contacts.astype(np.int64),
+            motors_running=of.motors_running.astype(np.bool_),
             **columns,
         )
 

@@ -160,4 +160,5 @@ class Physics:
     def truth(self, now_ms: int) -> Truth:
         """Return the current true state, and extremes and contacts since the last call."""
         read_truth(self.vehicle, now_ms, self._row)
-        return truth_of(self._read_row())
+        found = truth_of(self._read_row())
+        return found._replace(contacts=int(found.contacts), motors_running=found.motors_running != 0.0)
