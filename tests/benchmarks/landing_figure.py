@@ -25,7 +25,6 @@ from sim.plant.params import load as load_plant
 from sim.runners.landing import Landing, land
 from sim.scenarios.scenario import Scenario, StartKind, load
 
-F64 = npt.NDArray[np.float64]
 FILE = Path(__file__).parents[2] / "docs" / "figures" / "landing.svg"
 FILM = FILE.with_suffix(".gif")
 FRAMES_HZ = 15.0

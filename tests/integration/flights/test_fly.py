@@ -8,7 +8,6 @@ import subprocess
 from contextlib import contextmanager
 
 import pytest
-from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.zenoh import zenoh_link
 from logs.reader.flight import load_flight
@@ -134,10 +133,6 @@ def start():
 @pytest.fixture
 def port():
     return free_port(udp=True)
-
-
-def heartbeat():
-    return mav.MAVLink_heartbeat_message(2, 12, 1, 0, 3, 3)
 
 
 def onboard(start, port, folder, wait_s, *more):

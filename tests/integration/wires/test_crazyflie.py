@@ -28,8 +28,8 @@ from tests.processes.ports import free_endpoint
 
 pytestmark = pytest.mark.xdist_group("real-time")
 
-ARMED, LAND, HOLD = 128, 0x06040000, 0x03040000
-HIGH_M, TABLES = 1.5, (567, 334)  # height, m; table sizes of logs and parameters in firmware 2026.08
+LAND = 0x06040000
+TABLES = (567, 334)  # table sizes of logs and parameters in firmware 2026.08
 
 
 def test_the_simulated_physics_land_on_the_moving_robot_through_cflib(tmp_path):

@@ -7,7 +7,6 @@ import stat
 import threading
 import time
 from contextlib import ExitStack
-from pathlib import Path
 
 import pytest
 
@@ -115,7 +114,6 @@ def test_wrong_wires_of_the_vehicle_are_refused_with_what_to_do(arguments, words
     assert words in done.err
 
 
-ROOT = Path(__file__).parents[3]
 FLIGHT_MAX_S = 120.0
 SLOW = 57_600  # baud
 

@@ -29,7 +29,7 @@ from tests.processes.bounded import AT_ONCE_S
 from tests.processes.ports import free_port
 
 ARMED = 128
-OFFBOARD, TAKEOFF, HOLD, LAND = 0x00060000, 0x02040000, 0x03040000, 0x06040000
+LAND = 0x06040000
 RATE_HZ = 100
 
 

@@ -2,8 +2,12 @@
 
 import re
 
+import pytest
+
 from sim.scenarios.keys import PAGE, commented, keys, page
 from sim.scenarios.scenario import load
+
+pytestmark = pytest.mark.slow
 
 
 def test_the_page_is_equal_to_the_declarations():

@@ -19,57 +19,12 @@ MASS = PARAMS.body.mass_kg
 G = PARAMS.contact.gravity_m_s2
 WEIGHT = (0.0, 0.0, -MASS * G)
 NO_TORQUE = (0.0, 0.0, 0.0)
-GEOMETRY, ROTOR = PARAMS.geometry, PARAMS.rotor
+GEOMETRY = PARAMS.geometry
 STANDING = -GEOMETRY.foot_bottom_m
 
 
 def world(params=PARAMS, target=None):
     return World(params, MASS, target or TargetSpec())
-
-
-def fall(w, steps, deck=None):
-    bits = 0
-    for k in range(steps):
-        if deck and k % 10 == 0:
-            deck(w, k)
-        bits |= w.step(WEIGHT, NO_TORQUE)
-    return bits
-
-
-def test_deck_moves_on_an_exact_arc():
-    w = world()
-    w.set_vehicle((5.0, 0.0, 50.0))
-    w.set_deck((1.0, 0.0, 0.2), 0.0, (0.0, 0.5, 0.1), 0.5)  # radius 1 m about the origin
-    fall(w, 2000)
-    assert w.deck_position == pytest.approx((math.cos(1.0), math.sin(1.0), 0.4), abs=1e-9)
-    assert w.record.deck.velocity == pytest.approx((-0.5 * math.sin(1.0), 0.5 * math.cos(1.0), 0.1), abs=1e-9)
-    assert w.record.deck.yaw == pytest.approx(1.0)
-
-
-def test_stands_on_the_floor_and_sinks_by_less_than_a_tenth_of_a_millimetre():
-    w = world()
-    w.set_vehicle((1.0, 0.0, STANDING))
-    assert fall(w, 1000) == ContactBit.GROUND.value
-    assert w.position == pytest.approx((1.0, 0.0, STANDING), abs=1e-4)
-    assert max(map(abs, w.velocity)) < 1e-6
-
-
-@pytest.mark.parametrize(
-    ("offset", "speed", "rate"),
-    [((0.0, 0.0), 0.1, 0.0), ((0.0, 0.0), 0.1, 0.1), ((0.03, -0.03), 0.5, 0.4), ((0.0, 0.05), 0.2, -0.5)],
-)
-def test_dropped_on_a_driving_pad_it_travels_with_it(offset, speed, rate):
-    w = world()
-    w.set_deck((0.0, 0.0, 0.2), 0.0, (speed, 0.0, 0.0), rate)
-    w.set_vehicle((*offset, 0.2 + STANDING + 0.03), velocity=(speed, 0.0, 0.0))
-    assert fall(w, 3100) == ContactBit.PAD.value
-    x, y, z = (a - b for a, b in zip(w.position, w.deck_position, strict=True))
-    c, s = math.cos(w.record.deck.yaw), math.sin(w.record.deck.yaw)
-    body = (c * x + s * y, c * y - s * x)
-    assert math.dist(body, offset) < 0.008  # while the pad drove more than 0.3 m
-    assert z == pytest.approx(STANDING, abs=1e-4)
-    vx, vy, vz = w.record.deck.velocity
-    assert w.velocity == pytest.approx((vx - rate * y, vy + rate * x, vz), abs=5e-3)
 
 
 def touched(position, quaternion=(1.0, 0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0), steps=400):

@@ -62,7 +62,7 @@ def mean(rows):
     return np.mean(np.array(list(rows)), axis=0)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(ANGLE, st.floats(-1.5, 1.5), ANGLE)
 def test_at_rest_in_any_attitude_accelerometer_and_magnetometer_show_the_world_turned_into_the_body(
     yaw, pitch, roll
@@ -99,7 +99,7 @@ def test_barometer_shows_the_height(height):
     assert np.std([s.pressure_altitude_m for s in slow]) == pytest.approx(0.10, abs=0.02)  # 1.2 Pa
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(*[st.floats(-50.0, 50.0)] * 2, st.floats(0.0, 50.0), *[st.floats(-5.0, 5.0)] * 3)
 def test_fix_shows_position_and_velocity(x, y, z, vx, vy, vz):
     fixes = [r.fix for r in many(body(position=(x, y, z), velocity=(vx, vy, vz)), 250) if r.fix is not None]

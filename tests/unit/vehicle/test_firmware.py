@@ -7,9 +7,32 @@ import math
 import numpy as np
 import pytest
 
+from flightstack.compiled.records import new
 from sim.firmware.estimator import ACCEL_XY_M_S2, ACCEL_Z_M_S2, axis_gains
-from sim.scenarios.scenario import OdometryLink, VehicleSpec, VelocityLoop, Wind
-from tests.unit.vehicle.vehicle_sim_helpers import fly, vehicle
+from sim.firmware.mixer import MapRecord, motor_speed, set_up_map
+from sim.plant.params import load
+from sim.scenarios.scenario import OdometryLink, VehicleSpec, VelocityLoop
+from tests.unit.vehicle.vehicle_sim_helpers import vehicle
+
+PARAMS = load()
+
+
+def speeds_of(counts, rpm_max=1e9):
+    thrust_map = set_up_map(new(MapRecord), PARAMS.rotor, PARAMS.battery)
+    return [motor_speed(thrust_map, c, rpm_max) for c in counts]
+
+
+def test_below_the_smallest_thrust_a_motor_stops():
+    least = 0.0128 / 0.12 * 65535.0
+    assert speeds_of((least - 1.0, least + 1.0, 0.0, 0.0))[0] == 0.0
+    assert PARAMS.rotor.thrust_n(speeds_of((0.0, least + 1.0, 0.0, 0.0))[1]) > 0.0128
+
+
+def test_counts_are_linear_in_thrust_and_the_battery_caps_the_speed():
+    for counts in (10000.0, 42000.0, 65535.0):
+        rpm = speeds_of((counts,) * 4)[2]
+        assert PARAMS.rotor.thrust_n(rpm) == pytest.approx(0.12 * counts / 65535.0, rel=1e-12)
+    assert speeds_of((65535.0,) * 4, 20000.0) == [20000.0] * 4
 
 
 class TestEstimator:
@@ -28,16 +51,6 @@ class TestEstimator:
         )
         p = scipy_linalg.solve_discrete_are(f.T, np.array([[1.0], [0.0], [0.0]]), q, np.array([[1e-4]]))
         assert k == pytest.approx(p[:, 0] / (p[0, 0] + 1e-4), rel=1e-6)
-
-
-CLEAN = OdometryLink(100.0)
-
-
-def flown(known_drag_1_s, wind_m_s=0.0, mocap=CLEAN):
-    spec = VehicleSpec(mocap=mocap, velocity_loop=VelocityLoop.PID, known_drag_1_s=known_drag_1_s)
-    sim = vehicle(vehicle=spec, wind=Wind(wind_m_s, 0.0, 0.0))
-    fly(sim, (0.3, 0.0, 0.0), 6.0)
-    return sim
 
 
 @pytest.mark.parametrize("tilt_rad", [0.0, 0.0175])

@@ -19,6 +19,7 @@ from sim.firmware.supervisor import PERIOD_MS, State, Supervisor, supervise
 from sim.plant.params import load
 from sim.plant.rotation import rotation_axes
 
+pytestmark = pytest.mark.slow
 DATA = Path(__file__).parents[2] / "data"
 PARAMS = load()
 MASS_THRUST = 132000.0  # counts per N, controller_mellinger.c

@@ -15,7 +15,7 @@ from sim.plant.params import load
 from sim.scenarios.scenario import Start, StartKind, VehicleSpec, VelocityLoop
 from tests.unit.vehicle.vehicle_sim_helpers import vehicle
 
-PARAMS, ROOM = load(), load("crazyflie21_room")
+PARAMS = load()
 WEIGHT = MASS_KG * 9.81
 
 

@@ -1,7 +1,5 @@
 """Scenarios and flights for the tests of the simulated vehicle."""
 
-import math
-
 from flightstack.core.parameters.flight import BarrierShape, FlightConfig, Takeoff
 from sim.scenarios.scenario import (
     OdometryLink,
@@ -38,8 +36,3 @@ def fly(sim, velocity, seconds, yaw=0.0):
         sim.advance(10)
         out.append(sim.truth())
     return out
-
-
-def yaw_of(truth):
-    w, x, y, z = truth.quaternion
-    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
