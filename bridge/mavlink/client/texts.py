@@ -8,12 +8,12 @@ number. Format: github.com/mavlink/libevents, README.
 
 from __future__ import annotations
 
-import json
 import re
 import struct
 from functools import cache
 from importlib.resources import files
-from typing import Any, NamedTuple
+
+import msgspec
 
 from bridge.mavlink.codec.messages import CODES, Message
 
@@ -65,7 +65,7 @@ _TAG = re.compile(r"(?<!\\)</?[a-z][^>]*>")
 _ESCAPED = re.compile(r"\\(.)")
 
 
-class _Enum(NamedTuple):
+class _Enum(msgspec.Struct, array_like=True):
     kind: str  # integer type of the enumeration
     is_bitfield: bool
     entries: dict[int, str]
@@ -77,8 +77,8 @@ class _Enum(NamedTuple):
         return ", ".join(text for bit, text in self.entries.items() if value & bit) or str(value)
 
 
-class _Table(NamedTuple):
-    events: dict[int, tuple[str, tuple[str, ...]]]  # event id to message and argument types
+class _Table(msgspec.Struct):
+    events: dict[int, list[str]]  # event id to message, followed by the argument types
     enums: dict[str, _Enum]
 
 
@@ -90,11 +90,11 @@ def event_text(message: Message) -> tuple[int, str] | None:
     known = _table().events.get(message.id)
     if known is None:
         return severity, f"event {message.id:#010x} of the autopilot, which this release does not know"
-    template, kinds = known
+    template, *kinds = known
     return severity, clean(_filled(template, _values(kinds, bytes(message.arguments))))
 
 
-def _values(kinds: tuple[str, ...], data: bytes) -> list[float | str]:
+def _values(kinds: list[str], data: bytes) -> list[float | str]:
     """Decode arguments, which are packed without padding, little-endian."""
     values: list[float | str] = []
     at = 0
@@ -125,12 +125,5 @@ def _filled(template: str, values: list[float | str]) -> str:
 @cache
 def _table() -> _Table:
     """Read the table at the first event; this takes a millisecond."""
-    raw: dict[str, Any] = json.loads(
-        files("bridge.mavlink.client").joinpath("px4_events.json").read_text(encoding="utf-8")
-    )
-    events = {int(id_): (text, tuple(kinds)) for id_, (text, *kinds) in raw["events"].items()}
-    enums = {
-        name: _Enum(kind, is_bitfield, {int(value): text for value, text in entries.items()})
-        for name, (kind, is_bitfield, entries) in raw["enums"].items()
-    }
-    return _Table(events, enums)
+    data = files("bridge.mavlink.client").joinpath("px4_events.json").read_bytes()
+    return msgspec.json.decode(data, type=_Table)
