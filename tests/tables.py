@@ -1,6 +1,6 @@
 """Generates the packaged tables that come from other projects.
 
-``python -m tests.tables messages``: ``bridge/mavlink/codec/wide_messages.csv`` from the installed pymavlink.
+``python -m tests.tables messages``: ``bridge/mavlink/codec/wide_messages.json`` from the installed pymavlink.
 ``python -m tests.tables px4_events FILE``: ``bridge/mavlink/client/px4_events.json`` from the events of a PX4
 build (all_events.json.xz).
 """
@@ -13,17 +13,18 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import msgspec
 from pymavlink.dialects.v20 import all as everything
 from pymavlink.dialects.v20 import ardupilotmega
 
 from bridge.mavlink.codec.messages import Definition, WideField, definitions
 
-MESSAGES = Path(__file__).parents[1] / "bridge" / "mavlink" / "codec" / "wide_messages.csv"
-_HEAD = """\
-# MAVLink messages that pymavlink's dialect ardupilotmega does not have: id;name;CRC_EXTRA;type name;...
-# [n] is an array, + an extension. Sources: pymavlink's dialect all; and MAVLink's common.xml (mavlink.io,
-# messages/common), for those that no dialect of pymavlink has. Renewed by: python -m tests.tables messages
-"""
+MESSAGES = Path(__file__).parents[1] / "bridge" / "mavlink" / "codec" / "wide_messages.json"
+_ABOUT = (
+    "MAVLink messages that pymavlink's dialect ardupilotmega lacks: id, name, CRC_EXTRA, fields (type, name, "
+    "array length, extension). Sources: pymavlink's dialect all; MAVLink's common.xml for those that no "
+    "dialect of pymavlink has. Renewed by: python -m tests.tables messages"
+)
 
 
 def crc_extra(definition: Definition) -> int:
@@ -34,15 +35,6 @@ def crc_extra(definition: Definition) -> int:
             text += f"{field.kind} {field.name} ".encode() + bytes([field.array] if field.array else [])
     crc: int = ardupilotmega.x25crc(text).crc
     return (crc & 0xFF) ^ (crc >> 8)
-
-
-def line(definition: Definition) -> str:
-    """Row of the table."""
-    texts = []
-    for field in definition.fields:
-        array = f"[{field.array}]" if field.array else ""
-        texts.append(f"{'+' if field.extension else ''}{field.kind}{array} {field.name}")
-    return ";".join([str(definition.id), definition.name, str(definition.crc_extra), *texts])
 
 
 def read_class(cls: Any) -> Definition:
@@ -66,7 +58,8 @@ def messages_table() -> str:
     wide = {id_: cls for id_, cls in everything.mavlink_map.items() if id_ not in ardupilotmega.mavlink_map}
     made = {d.id: d for d in definitions() if d.id not in everything.mavlink_map}
     made.update({id_: read_class(cls) for id_, cls in wide.items()})
-    return _HEAD + "".join(f"{line(made[id_])}\n" for id_ in sorted(made))
+    rows = ",\n".join(json.dumps(msgspec.to_builtins(made[id_])) for id_ in sorted(made))
+    return f'{{"about": {json.dumps(_ABOUT)},\n"messages": [\n{rows}\n]}}\n'
 
 
 EVENTS = Path(__file__).parents[1] / "bridge" / "mavlink" / "client" / "px4_events.json"

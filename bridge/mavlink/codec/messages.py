@@ -1,6 +1,6 @@
 """MAVLink's messages as pymavlink's classes, decoded from checked MAVLink 2 frames and packed into frames.
 
-``wide_messages.csv`` holds messages that pymavlink's dialect ``ardupilotmega`` lacks: those of its dialect
+``wide_messages.json`` holds messages that pymavlink's dialect ``ardupilotmega`` lacks: those of its dialect
 ``all`` (which takes 0.6 s to load), and messages of MAVLink's ``common`` that PX4 sends and pymavlink lacks.
 ``python -m tests.tables messages`` updates the first group and keeps the second.
 
@@ -11,12 +11,13 @@ every message of the dialect (tested). Packed frames are unsigned; ``signing`` a
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from importlib.resources import files
 from operator import attrgetter, itemgetter
 from types import FunctionType
-from typing import Any, NamedTuple
+from typing import Any
 
+import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 # MAVLink type to ``struct`` code
@@ -26,7 +27,7 @@ CODES = {
 }  # fmt: skip
 
 
-class WideField(NamedTuple):
+class WideField(msgspec.Struct, array_like=True, frozen=True):
     kind: str  # MAVLink type, without the array length
     name: str
     array: int  # number of elements; 0: no array
@@ -44,19 +45,13 @@ class WideField(NamedTuple):
         return f"{self.array}s" if self.kind == "char" else f"{self.array}{code}"
 
 
-class Definition(NamedTuple):
-    """One line of the table; its fields have the order of the XML definition, not that of the wire."""
+class Definition(msgspec.Struct, array_like=True, frozen=True):
+    """A message of the table; its fields have the order of the XML definition, not that of the wire."""
 
     id: int
     name: str
     crc_extra: int
     fields: tuple[WideField, ...]
-
-    @classmethod
-    def parse(cls, line: str) -> Definition:
-        """Read ``id;name;crc_extra;type name;...``: ``type[n]`` is an array, ``+type`` an extension."""
-        id_, name, crc_extra, *fields = line.split(";")
-        return cls(int(id_), name, int(crc_extra), tuple(_field(text) for text in fields))
 
     @property
     def on_the_wire(self) -> list[WideField]:
@@ -66,12 +61,13 @@ class Definition(NamedTuple):
         return [*sorted(rest, key=lambda field: -field.size), *extensions]
 
 
-def definitions() -> Iterator[Definition]:
-    """Read the table; yield one definition per message, in ascending order of id."""
-    text = files("bridge.mavlink.codec").joinpath("wide_messages.csv").read_text(encoding="ascii")
-    for line in text.splitlines():
-        if line and not line.startswith("#"):
-            yield Definition.parse(line)
+class _Table(msgspec.Struct):
+    messages: list[Definition]  # in ascending order of id
+
+
+def definitions() -> list[Definition]:
+    data = files("bridge.mavlink.codec").joinpath("wide_messages.json").read_bytes()
+    return msgspec.json.decode(data, type=_Table).messages
 
 
 def make_class(definition: Definition) -> Any:
@@ -116,14 +112,6 @@ def make_class(definition: Definition) -> Any:
             "instance_offset": -1,
         },
     )
-
-
-def _field(text: str) -> WideField:
-    kind, _, name = text.removeprefix("+").partition(" ")
-    kind, _, array = kind.removesuffix("]").partition("[")
-    if kind not in CODES or not name:
-        raise ValueError(f"field {text!r} of a MAVLink message: allowed are the types {', '.join(CODES)}")
-    return WideField(kind, name, int(array or 0), text.startswith("+"))
 
 
 # All known messages by id: pymavlink's, then those of the table.
