@@ -10,7 +10,6 @@ from flightstack.compiled.jit import is_kept, is_off, keep, telling
 from flightstack.core.controller import Controller
 from flightstack.core.numeric import hypot_is_known
 from flightstack.core.parameters.flight import FlightConfig, TouchdownRule
-from flightstack.core.safety.qp_filter import SafetyFilter
 
 
 class Core(Enum):
@@ -42,7 +41,7 @@ def suits_but_filter(config: FlightConfig) -> bool:
 
 def _stamp(config: FlightConfig) -> str:
     """Return the name of a file that marks the machine code of this configuration as complete."""
-    return f"core-{config.filter}" if suits(config) else "core"
+    return f"core-{config.filter}"
 
 
 def chosen_core(core: Core, config: FlightConfig, *, lockstep: bool) -> Core:
@@ -57,30 +56,24 @@ def chosen_core(core: Core, config: FlightConfig, *, lockstep: bool) -> Core:
             "--core compiled: numba is not installed, or switched off by NUMBA_DISABLE_JIT; "
             f"{pip_install('sim')}, or leave it out"
         )
+    if core is Core.COMPILED and not suits(config):
+        raise ValueError(
+            f"--core compiled: found filter {config.filter}; compiled code flies robust and paper, without "
+            "[fleet] and velocity_loop.dead_time_s, with touchdown.rule contact: leave it out"
+        )
     if core is Core.AUTO:
-        warm = not lockstep and is_possible() and is_kept(_stamp(config))
+        warm = not lockstep and is_possible() and suits(config) and is_kept(_stamp(config))
         return Core.COMPILED if warm else Core.PLAIN
     return core
 
 
 def compiled(config: FlightConfig) -> Controller:
-    """Return a controller with compiled ticks, or, if these are not possible, with a compiled program."""
-    with telling("the controller, about 10 s"):
-        made = with_compiled_program(Controller(config))
-        if type(made.program) is not SafetyFilter and suits(config) and hypot_is_known():
-            from flightstack.compiled.tick import CompiledController
+    """Return a controller with compiled ticks, or one in plain Python where these are not possible."""
+    if is_off() or not suits(config) or not hypot_is_known():
+        return Controller(config)
+    from flightstack.compiled.tick import CompiledController
 
-            made = CompiledController(config, made.program)
+    with telling("the controller, about 10 s"):
+        made = CompiledController(config)
     keep(_stamp(config))
     return made
-
-
-def with_compiled_program(controller: Controller) -> Controller:
-    """Replace the program of a controller by its compiled form, if there is one; return the controller."""
-    program = controller.program
-    if type(program) is SafetyFilter and not is_off():
-        from flightstack.compiled.program import CompiledFilter, layout_is_known
-
-        if layout_is_known():
-            controller.program = CompiledFilter(program)
-    return controller

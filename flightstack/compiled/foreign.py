@@ -19,7 +19,6 @@ class Doubles(Protocol):
 
 
 if TYPE_CHECKING or is_off():
-    _PAIR = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)
     _NUMBERS = ctypes.POINTER(ctypes.c_double)
 
     def doubles(address: int) -> Doubles:
@@ -30,12 +29,8 @@ if TYPE_CHECKING or is_off():
         """Return the C int at an address."""
         return ctypes.c_int.from_address(int(address)).value
 
-    def call(function: int, first: int, second: int) -> None:
-        """Call a C function of two pointers that returns nothing."""
-        _PAIR(int(function))(int(first), int(second))
-
-    def ask(function: int, arguments: tuple[int, ...]) -> int:
-        """Call a C function of pointers and whole numbers that returns an int."""
+    def call(function: int, arguments: tuple[int, ...]) -> int:
+        """Call a C function of pointers and whole numbers; return its int, arbitrary for ``void``."""
         kind = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * len(arguments))
         return int(kind(int(function))(*[int(each) for each in arguments]))
 
@@ -65,23 +60,8 @@ else:
         return types.int32(types.intp), code
 
     @intrinsic
-    def call(_typing: Any, _function: Any, _first: Any, _second: Any) -> Any:
-        """Call a C function of two pointers that returns nothing."""
-
-        def code(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-            pointer = ir.IntType(8).as_pointer()
-            kind = ir.FunctionType(ir.VoidType(), (pointer, pointer)).as_pointer()
-            builder.call(
-                builder.inttoptr(arguments[0], kind),
-                [builder.inttoptr(each, pointer) for each in arguments[1:]],
-            )
-            return context.get_dummy_value()
-
-        return types.void(types.intp, types.intp, types.intp), code
-
-    @intrinsic
-    def ask(_typing: Any, _function: Any, arguments: Any) -> Any:
-        """Call a C function of pointers and whole numbers that returns an int."""
+    def call(_typing: Any, _function: Any, arguments: Any) -> Any:
+        """Call a C function of pointers and whole numbers; return its int, arbitrary for ``void``."""
 
         def code(_context: Any, builder: Any, signature: Any, values: Any) -> Any:
             given = cgutils.unpack_tuple(builder, values[1], len(signature.args[1]))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, get_origin, get_type_hints
 
 from flightstack.compiled.jit import is_off, jitted, load_numba
 from flightstack.compiled.layout import WORD, Kind, class_of, fields_of, is_enum, kind_of_hint
-from flightstack.core.numeric import MARKED, RARE, NotOrdinary, scope_of
+from flightstack.core.numeric import MARKED, RARE, STAND_INS, NotOrdinary, scope_of
 
 
 class Handle(NamedTuple):
@@ -88,17 +88,18 @@ else:
         return made
 
     def _register(made: Any, cls: type) -> None:
-        others = getattr(cls, "compiled", {})
         for name in dir(cls):
-            one = others.get(name, getattr(cls, name))
-            if isinstance(one, property) and not name.startswith("__"):
+            one = getattr(cls, name)
+            if name.startswith("__") or name in fields_of(cls):  # a property may have the name of a field
+                continue
+            if isinstance(one, property):
                 overload_attribute(made, name, strict=False)(_chooser(one.fget))
             elif isinstance(one, bool):
                 scope: dict[str, Any] = {}
                 exec(f"def constant(one):\n    return {one}", scope)
                 overload_attribute(made, name, strict=False)(lambda _one, f=scope["constant"]: f)
-            elif isinstance(one, python_types.FunctionType) and not name.startswith("__"):
-                overload_method(made, name, strict=False)(_chooser(one))
+            elif isinstance(one, python_types.FunctionType):
+                overload_method(made, name, strict=False)(_chooser(STAND_INS.get(one, one)))
 
     def _chooser(function: Any) -> Any:
         @cache

@@ -201,15 +201,6 @@ def _say(text: str) -> None:
         print(f"flightstack: {text}", file=sys.stderr, flush=True)
 
 
-def forbid_compiling(machine: Callable[..., Any]) -> None:
-    """Make a compiled function raise TypeError instead of compiling again, which takes seconds.
-
-    ``machine``: function made by ``jitted`` and called once with numbers of each kind.
-    """
-    if not is_off():
-        cast("Any", machine).disable_compile()
-
-
 @cache
 def load_numba() -> Any:
     """Return numba, loaded without optional imports that this package does not use.

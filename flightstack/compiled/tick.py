@@ -10,10 +10,11 @@ import math
 import struct
 import time
 from contextlib import suppress
-from typing import Any, ClassVar, cast
+from typing import Any, cast
 
 import numpy as np
 
+from flightstack.compiled.foreign import call, doubles, whole
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.objects import Objects
 from flightstack.compiled.records import F64, I64
@@ -23,9 +24,9 @@ from flightstack.core.kernel import Landing, LandingKernel
 from flightstack.core.memory import Memory, State
 from flightstack.core.mission.conditions import lasting_flags
 from flightstack.core.mission.phases import TABLE
-from flightstack.core.numeric import NotOrdinary
+from flightstack.core.numeric import STAND_INS, NotOrdinary
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.safety.qp_filter import Program
+from flightstack.core.safety.osqp import Osqp, calls
 from flightstack.core.snapshot import FUTURE_MAX_S, Snapshot
 from flightstack.core.target.track import Verdict
 from flightstack.core.types import (
@@ -36,6 +37,7 @@ from flightstack.core.types import (
     Phase,
     Request,
     TargetSample,
+    Vec3,
     VehicleStatus,
 )
 
@@ -46,6 +48,25 @@ RULES: dict[Phase, I64] = {
 _SAMPLES = 4  # largest number of target samples in a compiled tick
 _OWN, _SAMPLE = struct.Struct("=12d"), struct.Struct("=10d")
 _NONE = -1.0  # number of samples that marks a call that only compiles
+
+
+def _solve(one: Osqp, numbers: tuple[float, ...]) -> tuple[Vec3, bool, int]:
+    """Compiled form of ``Osqp.solve``."""
+    memory = doubles(one.numbers)
+    for i in range(len(numbers)):
+        memory[i] = numbers[i]
+    vectors, matrix, start, run = calls(one.rows, one.solver, one.numbers)
+    call(one.update_vectors, vectors)
+    call(one.update_matrix, matrix)
+    call(one.warm_start, start)
+    call(one.run, run)
+    found, iterations = doubles(one.solution), whole(one.iterations) + 0
+    point = (found[0], found[1], found[2])
+    solved = whole(one.status) == one.solved and math.isfinite(point[0] + point[1] + point[2])
+    return point, solved, iterations
+
+
+STAND_INS[Osqp.solve] = _solve
 
 
 @jitted
@@ -87,13 +108,10 @@ class CompiledController(Controller):
     The next access to ``memory`` or ``state`` copies the state back: that is after the set-point was sent.
     """
 
-    compiled: ClassVar = {"memory": None}  # ``memory`` is a plain field in compiled code
-
-    def __init__(self, config: FlightConfig, program: Program) -> None:
+    def __init__(self, config: FlightConfig) -> None:
         # whether compiled memory holds the newest state, and whether Python's objects are older than that
         self._held = self._behind = False
         super().__init__(config)
-        self.program = program
         self._objects = Objects(self)
         self._handle, self._landed = self._objects.handle, cast("Any", _landed)
         self._given = np.zeros(12 + 10 * _SAMPLES)

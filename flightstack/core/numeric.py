@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from dis import get_instructions
 from functools import cache
+from time import perf_counter
 from types import FunctionType
 from typing import Any, TypeVar, cast
 
@@ -147,6 +148,12 @@ def _wrapped(angle_rad: float) -> float:
     return angle_rad - math.copysign(math.tau, angle_rad)
 
 
+@numeric
+def _no_time() -> float:
+    """Return 0: compiled code has no clock, the caller measures the time of a tick."""
+    return 0.0
+
+
 @cache
 def hypot_is_known() -> bool:
     """Whether ``math.hypot`` of this Python equals ``_hypot`` on some thousand numbers."""
@@ -159,4 +166,5 @@ STAND_INS: dict[Callable[..., Any], Callable[..., Any]] = {
     math.hypot: _hypot,
     norm: _norm,
     wrapped: _wrapped,
+    perf_counter: _no_time,
 }

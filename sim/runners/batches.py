@@ -21,7 +21,6 @@ from bridge.mavlink.server.profile import FlightMode
 from flightstack.compiled import core
 from flightstack.compiled.jit import is_off
 from flightstack.compiled.objects import Objects
-from flightstack.compiled.program import CompiledFilter
 from flightstack.compiled.records import F64, I64, cell, new, scalars
 from flightstack.compiled.tick import RULES
 from flightstack.core.controller import Controller
@@ -52,8 +51,7 @@ _BACK_OFF = 4  # maximum number of ticks in Python after failed attempts
 
 def suited(controller: Controller, node: VehicleNode) -> bool:
     """Return whether a landing can fly in batches: compiled, without faults, supported configuration."""
-    possible = not is_off() and node.vehicle.faults.quiet and suits(controller.config)
-    return possible and hypot_is_known() and isinstance(controller.program, CompiledFilter)
+    return not is_off() and node.vehicle.faults.quiet and suits(controller.config) and hypot_is_known()
 
 
 def suits(config: FlightConfig) -> bool:

@@ -22,7 +22,6 @@ from bridge.mavlink.profiles import OWN_SITL
 from bridge.mavlink.server.server import COMPONENT_ID, SYSTEM_ID
 from flightstack.common.hangup import Stop
 from flightstack.common.pacing import EPOCH_NS, Silence, Tick
-from flightstack.compiled.core import with_compiled_program
 from flightstack.compiled.jit import telling
 from flightstack.core.controller import Controller, Outputs
 from flightstack.core.types import Neighbour, Phase
@@ -64,7 +63,7 @@ class Companion:
         config = scenario.onboard
         rate_hz = config.loop.rate_hz
         self.name = member_name(system_id)  # name and namespace of the vehicle: cf1 for system id 1
-        self.controller = with_compiled_program(controller or Controller(config))
+        self.controller = controller or Controller(config)
         self._on_step = on_step
         self._stop = Stop()
         self._over = False

@@ -107,7 +107,7 @@ def apart(reach: ReachRecord, body: BodyRecord, deck: DeckRecord) -> bool:
 
 
 @jitted
-def ask(world: WorldRecord) -> None:
+def to_mujoco(world: WorldRecord) -> None:
     """Write the state, force and torque of this step into MuJoCo's data."""
     body, deck, s = world.body, world.deck, world.wrench
     positions, velocities = doubles(world.mujoco.positions), doubles(world.mujoco.velocities)
@@ -150,8 +150,8 @@ def physics_step(world: WorldRecord) -> None:
     m = world.mujoco
     world.contacts = 0
     if not apart(world.reach, world.body, world.deck):
-        ask(world)
-        call(m.mj_step, m.mj_model, m.mj_data)
+        to_mujoco(world)
+        call(m.mj_step, (m.mj_model, m.mj_data))
         world.contacts = touched(doubles(m.sensors), world.deck.position[2])
     if world.contacts:
         answer(world.body, m)

@@ -14,21 +14,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-
-from flightstack.core.fleet.solution import Nearest, Row, least_slack, nearest, prepare
+from flightstack.core.fleet.solution import Row, least_slack, nearest
 from flightstack.core.parameters.fleet import OTHERS_MAX
+from flightstack.core.safety.osqp import Osqp
 from flightstack.core.safety.position_loop import clip, clip_to_box
 from flightstack.core.safety.projection import best_corner
-from flightstack.core.safety.qp_filter import (
-    RESIDUAL_MAX_M_S,
-    FilterResult,
-    compiled_solver,
-    matrix,
-    solver_settings,
-)
+from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S, FilterResult
 from flightstack.core.types import ZERO, FilterStatus, Vec3
 
 FIRM_MAX = 2  # largest number of rows that are never relaxed
@@ -48,26 +41,10 @@ class FleetResult(NamedTuple):
 
 
 class FleetProgram:
-    """Quadratic program whose memory is allocated once."""
+    """Quadratic program of this vehicle and its neighbours."""
 
-    def __init__(self, neighbours: int = OTHERS_MAX) -> None:
-        prepare(neighbours)
-        osqp = compiled_solver()
-        size, self._infinite, self._used = _ROWS + 3, float(osqp.OSQP_INFTY), _ROWS
-        self._q, self._x, self._y = np.zeros(3), np.zeros(3), np.zeros(size)
-        self._lower, self._upper = np.full(size, -self._infinite), np.full(size, self._infinite)
-        whole = np.vstack([np.ones((_ROWS, 3)), np.eye(3)])
-        self._ax = np.ones(3 * (_ROWS + 1))  # column by column: all rows of an axis, then its side of the box
-        # views of these arrays with Python floats: access takes a third of the time of numpy's
-        self._numbers: list[Any] = [
-            each.data for each in (self._q, self._lower, self._upper, self._x, self._y)
-        ]
-        self._columns: list[Any] = [each.data for each in self._ax.reshape(3, _ROWS + 1)]
-        constraint, hessian = matrix(whole), matrix(np.eye(3))
-        self._solver = osqp.OSQPSolver(
-            hessian, self._q, constraint, self._lower, self._upper, size, 3, solver_settings(osqp)
-        )
-        self._solved = osqp.osqp_status_type.OSQP_SOLVED
+    def __init__(self) -> None:
+        self._solver = Osqp(_ROWS)
 
     def solve(
         self,
@@ -99,18 +76,18 @@ class FleetProgram:
             best = nearest(nominal, every, lower, upper)
         point, residual, iterations, status = corner, 0.0, 0, FilterStatus.CROWDED
         if best is not None:
-            point, residual, iterations = self._osqp(nominal, every, lower, upper, best)
+            point, residual, iterations = self._osqp(nominal, every, lower, upper, *best)
             status = FilterStatus.SOLVED
-            if not (residual <= RESIDUAL_MAX_M_S and math.dist(point, best.point) <= AGREES_M_S):
-                point, status = best.point, FilterStatus.CLOSED_FORM
+            if not (residual <= RESIDUAL_MAX_M_S and math.dist(point, best[0]) <= AGREES_M_S):
+                point, status = best[0], FilterStatus.CLOSED_FORM
         else:
             given_m_s, point = least_slack(firm, neighbours, lower, upper)
-            if not math.isfinite(given_m_s):  # only this corner of the box meets the barrier
-                point = corner
-            else:
+            if math.isfinite(given_m_s):
                 less = given_m_s + RELAXED_M_S
                 found = nearest(nominal, [*firm, *(Row(g, b - less) for g, b in neighbours)], lower, upper)
-                point = found.point if found is not None else point
+                point = found[0] if found is not None else point
+            elif landing is not None:  # only this corner of the box meets the barrier
+                point = corner
         slack = -landing.missing_m_s(point) if landing is not None else math.nan
         active = landing is not None and landing.missing_m_s(clip_to_box(nominal, lower, upper)) > 0.0
         solve_s = time.perf_counter() - started
@@ -118,43 +95,31 @@ class FleetProgram:
         return FleetResult(result, given_m_s)
 
     def _osqp(
-        self, nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3, start: Nearest
-    ) -> tuple[Vec3, float, int]:
+        self, nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3, start: Vec3,
+        multipliers: Sequence[float],
+    ) -> tuple[Vec3, float, int]:  # fmt: skip
         """Return the OSQP result clipped to the box, its residual (inf if not solved) and the iterations."""
-        q, low, high, first, dual = self._numbers
-        in_x, in_y, in_z = self._columns
-        (x, y, z), (px, py, pz), count, least = nominal, start.point, len(rows), -self._infinite
-        q[0], q[1], q[2] = -x, -y, -z
-        first[0], first[1], first[2] = px, py, pz
-        x, y, z = x - px, y - py, z - pz  # x, y, z are now the gradient that the sides of the box balance
-        for k, (((gx, gy, gz), bound_m_s), multiplier) in enumerate(
-            zip(rows, start.multipliers, strict=True)
-        ):
-            low[k] = bound_m_s if bound_m_s > least else least
-            in_x[k], in_y[k], in_z[k], dual[k] = gx, gy, gz, -multiplier
+        infinity, unused = self._solver.infinity, [0.0] * (_ROWS - len(rows))
+        (nx, ny, nz), (px, py, pz) = nominal, start
+        x, y, z = nx - px, ny - py, nz - pz  # gradient that the sides of the box balance
+        for ((gx, gy, gz), _), multiplier in zip(rows, multipliers, strict=True):
             x, y, z = x + multiplier * gx, y + multiplier * gy, z + multiplier * gz
-        for k in range(count, self._used):
-            low[k] = least
-            in_x[k] = in_y[k] = in_z[k] = dual[k] = 0.0
-        self._used = count
-        dual[_ROWS], dual[_ROWS + 1], dual[_ROWS + 2] = x, y, z
-        low[_ROWS], low[_ROWS + 1], low[_ROWS + 2] = lower
-        high[_ROWS], high[_ROWS + 1], high[_ROWS + 2] = upper
-        solver = self._solver
-        solver.update_data_vec(q=self._q, l=self._lower, u=self._upper)
-        solver.update_data_mat(P_x=None, P_i=None, A_x=self._ax, A_i=None)
-        solver.warm_start(self._x, self._y)
-        solver.solve()
-        info = solver.info
-        x, y, z = solver.solution.x.tolist()
-        point = clip_to_box((x, y, z), lower, upper)
-        if info.status_val != self._solved or not math.isfinite(x + y + z):
-            return point, math.inf, info.iter
-        residual = math.dist(point, (x, y, z))
-        for row in rows:
-            missing_m_s = row.missing_m_s(point)
-            residual = missing_m_s if missing_m_s > residual else residual
-        return point, residual, info.iter
+        point, solved, iterations = self._solver.solve(
+            [
+                -nx, -ny, -nz,
+                *(max(row.bound_m_s, -infinity) for row in rows), *(-infinity for _ in unused), *lower,
+                *[infinity] * _ROWS, *upper,
+                *(row.g[0] for row in rows), *unused, 1.0,
+                *(row.g[1] for row in rows), *unused, 1.0,
+                *(row.g[2] for row in rows), *unused, 1.0,
+                px, py, pz,
+                *(-each for each in multipliers), *unused, x, y, z,
+            ]
+        )  # fmt: skip
+        kept = clip_to_box(point, lower, upper)
+        if not solved:
+            return kept, math.inf, iterations
+        return kept, max([math.dist(kept, point), *(row.missing_m_s(kept) for row in rows)]), iterations
 
 
 class Cone(NamedTuple):

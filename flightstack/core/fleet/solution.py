@@ -2,34 +2,36 @@
 
     min |u - u'|^2   subject to   lower <= u <= upper,   g_k . u >= b_k
 
-``by_active_set`` is a fast dual active-set method in plain floats (Goldfarb and Idnani, Mathematical
-Programming 27, 1983): it starts at the clipped u', where sides of the box are active, adds the constraint
-with the largest violation until no constraint is violated, and removes a constraint whose multiplier would
-become negative. Its result is used only if it meets the Karush-Kuhn-Tucker conditions, which are checked
-here; else ``by_all_sets`` tries all active sets: in three dimensions at most three constraints are active at
-the minimiser. If no point meets all rows, the smallest common slack is the lowest vertex of a linear program
-in four variables. The result depends only on the numbers of this tick, and OSQP shares no code with this
-module.
+``by_active_set`` is a dual active-set method in plain floats (Goldfarb and Idnani, Mathematical Programming
+27, 1983): it starts at the clipped u', where sides of the box are active, adds the constraint with the
+largest violation until no constraint is violated, and removes a constraint whose multiplier would become
+negative. Its result is used only if it meets the Karush-Kuhn-Tucker conditions, which are checked here.
+``least_slack`` relaxes rows where no point meets all of them. The result depends only on the numbers of this
+tick, and OSQP shares no code with this module.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
-from functools import cache
-from typing import Any, NamedTuple
+from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
 from flightstack.core.safety.position_loop import clip_to_box
-from flightstack.core.safety.projection import EMPTY, projected
 from flightstack.core.types import ZERO, Vec3
 
 TOLERANCE_M_S = 1e-9  # allowed violation of a constraint, m/s
-_PARALLEL = 1e-10  # determinant of unit vectors below which the vectors count as dependent
-_MULTIPLIER_LEAST = -1e-9
-_FACES = np.vstack([np.eye(3), -np.eye(3)])  # sides of the box
+STEPS_MAX = 60  # greatest number of added constraints; with more, there is no result
+_CONFIRMED_M_S = 2e-9  # allowed violation of an optimality condition, m/s
+_DEPENDS = 1e-12  # squared length of the orthogonal part below which a unit vector depends on others
+_PARALLEL = 1e-10  # determinant below which constraints have no common vertex
+_LEAST_LENGTH = 1e-9  # smallest length of a gradient that has a direction
+_SIDES: tuple[Vec3, ...] = (
+    (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0),  # lower sides of the box
+    (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0),  # upper sides of the box
+)  # fmt: skip
 
 
 class Row(NamedTuple):
@@ -43,119 +45,7 @@ class Row(NamedTuple):
         return self.bound_m_s - (self.g[0] * u[0] + self.g[1] * u[1] + self.g[2] * u[2])
 
 
-class Nearest(NamedTuple):
-    point: Vec3  # minimiser, m/s
-    multipliers: tuple[float, ...]  # one multiplier for each row; 0 for inactive rows
-
-
-def by_all_sets(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
-    """Return the minimiser of the program, or ``None`` if no point of the box meets all rows."""
-    point = clip_to_box(nominal, lower, upper)
-    missed = [k for k, row in enumerate(rows) if row.missing_m_s(point) > 0.0]
-    if not missed:
-        return Nearest(point, (0.0,) * len(rows))
-    for k in missed:
-        at, multiplier = projected(nominal, rows[k].g, rows[k].bound_m_s, lower, upper)
-        if multiplier == EMPTY:
-            return None
-        if all(row.missing_m_s(at) <= TOLERANCE_M_S for row in rows) and multiplier < np.inf:
-            return Nearest(at, tuple(multiplier if n == k else 0.0 for n in range(len(rows))))
-    return _of_all_sets(nominal, rows, lower, upper)
-
-
-@cache
-def _sets(rows: int, size: int) -> Any:
-    """Return the sets of ``size`` rows and sides (rows, lower, upper), without two sides of one axis."""
-    sides = [(rows + k, rows + 3 + k) for k in range(3)]
-    every = itertools.combinations(range(rows + 6), size)
-    return np.array([s for s in every if not any(low in s and high in s for low, high in sides)])
-
-
-def prepare(neighbours: int) -> None:
-    """Compute the sets of all programs with at most this number of neighbours before the flight."""
-    for rows in range(1, neighbours + 3):
-        for size in (1, 2, 3):
-            _sets(rows, size)
-    for soft in range(1, neighbours + 1):
-        for firm in (0, 1, 2):
-            _corners(soft, firm)
-
-
-def _of_all_sets(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
-    count, start = len(rows), np.array(nominal)
-    normals = np.vstack([np.array([row.g for row in rows]).reshape(-1, 3), _FACES])
-    bounds = np.array([*(row.bound_m_s for row in rows), *lower, *(-side for side in upper)])
-    lengths = np.linalg.norm(normals, axis=1)
-    lengths[lengths == 0.0] = 1.0
-    unit, limit = normals / lengths[:, None], bounds / lengths
-    best, least = None, np.inf
-    for size in (1, 2, 3):
-        chosen = _sets(count, size)
-        a = unit[chosen]
-        gram = a @ a.transpose(0, 2, 1)
-        with np.errstate(divide="ignore"):  # the determinant of a dependent set is zero
-            kept = np.linalg.det(gram) > _PARALLEL
-        chosen, a, gram = chosen[kept], a[kept], gram[kept]
-        lacking = limit[chosen] - a @ start
-        multipliers = np.linalg.solve(gram, lacking[..., None])[..., 0]
-        steps = np.einsum("ks,ksx->kx", multipliers, a)
-        points = start + steps
-        meets = (points @ unit.T >= limit - TOLERANCE_M_S).all(axis=1)
-        good = np.flatnonzero(meets & (multipliers >= _MULTIPLIER_LEAST).all(axis=1))
-        for k in good:
-            far = float(steps[k] @ steps[k])
-            if far < least:
-                least, best = far, (points[k], chosen[k], multipliers[k])
-    if best is None:
-        return None
-    at, members, factors = best
-    found = [0.0] * count
-    for member, factor in zip(members.tolist(), factors.tolist(), strict=True):
-        if member < count:
-            found[member] = max(0.0, factor) / float(lengths[member])
-    return Nearest(clip_to_box(at.tolist(), lower, upper), tuple(found))
-
-
-def slack_by_all_sets(
-    firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3
-) -> tuple[float, Vec3]:
-    """Return the smallest slack s >= 0 of all soft rows, g . u + s >= b, and a velocity that meets them."""
-    rows = [*soft, *firm]
-    slack = [1.0] * len(soft) + [0.0] * (len(firm) + 6) + [1.0]
-    normals = np.vstack([np.array([row.g for row in rows]).reshape(-1, 3), _FACES, np.zeros((1, 3))])
-    bounds = np.array([*(row.bound_m_s for row in rows), *lower, *(-side for side in upper), 0.0])
-    matrix = np.column_stack([normals, np.array(slack)])
-    chosen = _corners(len(soft), len(firm))
-    a = matrix[chosen]
-    with np.errstate(divide="ignore"):
-        kept = np.abs(np.linalg.det(a)) > _PARALLEL
-    points = np.linalg.solve(a[kept], bounds[chosen[kept]][..., None])[..., 0]
-    meets = (points @ matrix.T >= bounds - TOLERANCE_M_S).all(axis=1)
-    points = points[meets]
-    if not len(points):
-        return np.inf, lower
-    x, y, z, s = points[int(np.argmin(points[:, 3]))].tolist()
-    return max(0.0, s), clip_to_box((x, y, z), lower, upper)
-
-
-@cache
-def _corners(soft: int, firm: int) -> Any:
-    """Return the sets of four constraints that can form a vertex; one of each set bounds the slack s."""
-    rows = soft + firm
-    last, sides = rows + 6, [(rows + k, rows + 3 + k) for k in range(3)]
-    every = itertools.combinations(range(rows + 7), 4)
-    bounded = (s for s in every if s[0] < soft or s[-1] == last)
-    return np.array([s for s in bounded if not any(low in s and high in s for low, high in sides)])
-
-
-STEPS_MAX = 60  # greatest number of added constraints; with more, there is no result
-_CONFIRMED_M_S = 2e-9  # allowed violation of an optimality condition, m/s
-_DEPENDS = 1e-12  # squared length of the orthogonal part below which a unit vector depends on others
-_LEAST_LENGTH = 1e-9  # smallest length of a gradient that has a direction
-_SIDES: tuple[Vec3, ...] = (
-    (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0),  # lower sides of the box
-    (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0),  # upper sides of the box
-)  # fmt: skip
+Nearest = tuple[Vec3, tuple[float, ...]]  # minimiser, m/s; one multiplier for each row, 0 for inactive rows
 
 
 class Found(NamedTuple):
@@ -174,8 +64,9 @@ def by_active_set(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) 
     normals, bounds, lengths = [], [], []
     for (gx, gy, gz), bound in rows:
         length = math.sqrt(gx * gx + gy * gy + gz * gz)
-        if not length > _LEAST_LENGTH:
-            return None
+        if not length > _LEAST_LENGTH:  # the row is met by all velocities or by none
+            gx = gy = gz = 0.0
+            length = 1.0
         lengths.append(length)
         normals.append((gx / length, gy / length, gz / length))
         bounds.append(bound / length)
@@ -289,47 +180,54 @@ def _impossible(
     return Found(None, tuple(multipliers), lacking_m_s)
 
 
-def _slack_by_active_set(
-    firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3
-) -> tuple[float, Vec3] | None:
-    """Return the smallest common slack of the soft rows and a velocity that meets them with it.
-
-    Each set of contradictory constraints gives a lower bound of the slack. The search is repeated with this
-    slack until no such set is left: then the slack is sufficient and the smallest. None: the search found
-    none.
-    """
-    slack_m_s, middle, free = 0.0, clip_to_box(ZERO, lower, upper), len(firm)
-    for _ in range(STEPS_MAX):
-        eased = [*firm, *(Row(g, bound - slack_m_s) for g, bound in soft)]
-        found = by_active_set(middle, eased, lower, upper)
-        if found is None:
-            return None
-        if found.point is not None:
-            return slack_m_s, clip_to_box(found.point, lower, upper)
-        gives = sum(found.multipliers[free:])
-        if not gives > 0.0:
-            return None
-        more = found.lacking_m_s / gives
-        if not more > 0.0:
-            return None
-        slack_m_s += more
-    return None
-
-
 def nearest(nominal: Vec3, rows: Sequence[Row], lower: Vec3, upper: Vec3) -> Nearest | None:
-    """Return the minimiser of the program, or ``None`` if no point of the box meets all rows."""
+    """Return minimiser and multipliers, or ``None`` if no point of the box is known to meet all rows."""
     x, y, z = point = clip_to_box(nominal, lower, upper)
     for (gx, gy, gz), bound_m_s in rows:
         if gx * x + gy * y + gz * z < bound_m_s:
             break
     else:
-        return Nearest(point, (0.0,) * len(rows))
+        return point, (0.0,) * len(rows)
     found = by_active_set(nominal, rows, lower, upper)
-    if found is None:
-        return by_all_sets(nominal, rows, lower, upper)
-    return None if found.point is None else Nearest(found.point, found.multipliers)
+    return None if found is None or found.point is None else (found.point, found.multipliers)
 
 
 def least_slack(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3) -> tuple[float, Vec3]:
-    """Return the smallest common slack of the soft rows and its velocity."""
-    return _slack_by_active_set(firm, soft, lower, upper) or slack_by_all_sets(firm, soft, lower, upper)
+    """Return the smallest common slack of the soft rows and a velocity that meets them with it.
+
+    Each set of contradictory constraints gives a lower bound of the slack. The search is repeated with this
+    slack until no such set is left: then the slack is sufficient and the smallest. The slack is infinite if
+    none helps.
+    """
+    slack_m_s, middle, free = 0.0, clip_to_box(ZERO, lower, upper), len(firm)
+    for _ in range(STEPS_MAX):
+        eased = [*firm, *(Row(g, bound - slack_m_s) for g, bound in soft)]
+        found = by_active_set(middle, eased, lower, upper)
+        if found is not None and found.point is not None:
+            return slack_m_s, clip_to_box(found.point, lower, upper)
+        gives = sum(found.multipliers[free:]) if found is not None else 0.0
+        if found is None or not gives > 0.0 or not found.lacking_m_s > 0.0:
+            break
+        slack_m_s += found.lacking_m_s / gives
+    return _lowest_vertex(firm, soft, lower, upper)
+
+
+def _lowest_vertex(firm: Sequence[Row], soft: Sequence[Row], lower: Vec3, upper: Vec3) -> tuple[float, Vec3]:
+    """Return the result of ``least_slack`` where rounding hides the bounds, as with nearly parallel rows.
+
+    It is the lowest vertex of a linear program in four variables; each vertex is the intersection of four
+    constraints. All are tried, which takes some milliseconds.
+    """
+    sides = zip(_SIDES, (*lower, *(-side for side in upper)), strict=True)
+    given = [(row, 1.0) for row in soft] + [(row, 0.0) for row in (*firm, *sides)]
+    matrix = np.array([[*g, gives] for (g, _), gives in given] + [[0.0, 0.0, 0.0, 1.0]])
+    bounds = np.array([bound for (_, bound), _ in given] + [0.0])
+    chosen = np.array(list(combinations(range(len(matrix)), 4)))
+    with np.errstate(divide="ignore"):
+        chosen = chosen[np.abs(np.linalg.det(matrix[chosen])) > _PARALLEL]
+    points = np.linalg.solve(matrix[chosen], bounds[chosen][..., None])[..., 0]
+    points = points[(points @ matrix.T >= bounds - TOLERANCE_M_S).all(axis=1)]
+    if not len(points):
+        return math.inf, clip_to_box(ZERO, lower, upper)
+    x, y, z, slack_m_s = points[int(np.argmin(points[:, 3]))].tolist()
+    return max(0.0, slack_m_s), clip_to_box((x, y, z), lower, upper)

@@ -9,97 +9,19 @@ be replayed from any tick, and the time is bounded. (From zero the solver takes 
 the barrier's gradient is nearly the normal of a side of the box and both are active.) A result is used only
 if it has the status solved and meets box and barrier; otherwise the exact projection is used. If no point of
 the box meets the barrier, the command is the corner of the box that raises h fastest, with its own status.
-
-The solver is used without its Python interface and scipy.sparse, which only store a matrix for it: the import
-of these two takes a tenth of a second in each process.
 """
 
 from __future__ import annotations
 
 import math
-import struct
-import sys
-import time
-from functools import cache
-from importlib.machinery import PathFinder
-from importlib.util import find_spec, module_from_spec
-from types import ModuleType
-from typing import Any, NamedTuple, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
+from time import perf_counter
+from typing import NamedTuple, Protocol
 
 from flightstack.core.numeric import numeric
+from flightstack.core.safety.osqp import Osqp
 from flightstack.core.safety.projection import EMPTY, best_corner, projected
 from flightstack.core.types import FilterStatus, Vec3
 
-_NAME = "osqp.ext_builtin"
-_SCIPY, _SPARSE = "scipy", "scipy.sparse"
-
-
-class Columns(NamedTuple):
-    """Sparse matrix stored by columns, with the names of ``scipy.sparse.csc_matrix``, which OSQP reads."""
-
-    shape: tuple[int, ...]
-    indptr: NDArray[np.int32]
-    indices: NDArray[np.int32]
-    data: NDArray[np.float64]
-    nnz: int
-
-
-def columns(dense: NDArray[np.float64]) -> Columns:
-    """Return a matrix stored by columns, without its zeros."""
-    column, row = np.nonzero(dense.T)
-    ends = np.concatenate(([0], np.cumsum(np.count_nonzero(dense, axis=0))))
-    return Columns(
-        dense.shape, ends.astype(np.int32), row.astype(np.int32), dense.T[column, row], int(ends[-1])
-    )
-
-
-@cache
-def compiled_solver() -> Any:
-    """Return the module ``osqp.ext_builtin``; a later import of ``osqp`` finds the same module."""
-    if _NAME in sys.modules:
-        return sys.modules[_NAME]
-    package = find_spec("osqp")
-    found = package and PathFinder.find_spec(_NAME, package.submodule_search_locations)
-    if not found or found.loader is None:
-        raise ModuleNotFoundError(f"no module {_NAME}: pip install osqp", name=_NAME)
-    module = module_from_spec(found)
-    sys.modules[_NAME] = module
-    found.loader.exec_module(module)
-    return module
-
-
-def matrix(dense: NDArray[np.float64]) -> Any:
-    """Return a matrix in the form that the solver reads."""
-    solver = compiled_solver()
-    if _SPARSE in sys.modules:
-        return solver.CSC(sys.modules[_SPARSE].csc_matrix(dense))
-    # The solver imports scipy only to check whether a matrix is stored by columns.
-    absent = [name for name in (_SCIPY, _SPARSE) if name not in sys.modules]
-    sys.modules.update((name, _ByColumns(name)) for name in absent)
-    try:
-        return solver.CSC(columns(dense))
-    finally:
-        for name in absent:
-            del sys.modules[name]
-
-
-class _ByColumns(ModuleType):
-    """Stand-in for ``scipy.sparse`` that recognises a matrix stored by columns."""
-
-    @staticmethod
-    def isspmatrix_csc(matrix: object) -> bool:
-        return isinstance(matrix, Columns)
-
-
-# The first iteration confirmed all of 100,000 random programs of this size.
-EPS = 1e-9  # absolute and relative tolerance of the solver's test, m/s
-RHO = 1.0
-RELAXATION = 1.5
-ITERATIONS_MAX = 200  # about 50 us; after that the exact projection is used
-_NUMBERS = struct.Struct("=24d")  # changing data of the program, and start values of the solver
 RESIDUAL_MAX_M_S = 1e-6  # largest violation of box or barrier by an accepted result
 
 
@@ -134,42 +56,15 @@ class Program(Protocol):
         """Filter one nominal velocity; the arguments are those of ``SafetyFilter.solve``."""
 
 
-def solver_settings(osqp: Any) -> Any:
-    """Return solver settings that make a result depend only on the numbers of its tick."""
-    settings = osqp.OSQPSettings()
-    osqp.osqp_set_default_settings(settings)
-    settings.verbose = 0
-    settings.eps_abs = settings.eps_rel = EPS
-    settings.rho, settings.alpha = RHO, RELAXATION
-    settings.adaptive_rho = 0
-    settings.scaling = 0  # scaling at each update would add rounding errors of earlier ticks
-    settings.max_iter = ITERATIONS_MAX
-    settings.check_termination = 1
-    return settings
-
-
 class SafetyFilter:
     """Quadratic program whose memory is allocated once."""
 
     omega_1_s: float
+    osqp: Osqp
     enforces: bool  # False: the velocity is only limited to the box
 
     def __init__(self, omega_1_s: float) -> None:
-        osqp = compiled_solver()
-        self.omega_1_s, self.enforces = omega_1_s, True
-        constraint = matrix(np.vstack([np.ones((1, 3)), np.eye(3)]))
-        numbers = np.ones(_NUMBERS.size // 8)
-        self._memory = numbers.data
-        # data: -u', bounds of the rows, and of A the columns (g_x, 1), (g_y, 1), (g_z, 1);
-        # start: point and multipliers
-        self._q, self._lower, self._upper = numbers[:3], numbers[3:7], numbers[7:11]
-        self._ax, self._x, self._y = numbers[11:17], numbers[17:20], numbers[20:]
-        self._lower[:], self._upper[:], self._infinity = -1.0, osqp.OSQP_INFTY, osqp.OSQP_INFTY
-        hessian = matrix(np.eye(3))
-        self._solver = osqp.OSQPSolver(
-            hessian, self._q, constraint, self._lower, self._upper, 4, 3, solver_settings(osqp)
-        )
-        self._solved = int(osqp.osqp_status_type.OSQP_SOLVED)
+        self.omega_1_s, self.enforces, self.osqp = omega_1_s, True, Osqp(1)
 
     def solve(
         self, nominal: Vec3, h_m: float, gradient: Vec3, dh_dt_m_s: float, lower: Vec3, upper: Vec3
@@ -187,20 +82,17 @@ class SafetyFilter:
         slack = gx * corner[0] + gy * corner[1] + gz * corner[2] - bound
         if slack < 0.0:
             return FilterResult(corner, slack, True, FilterStatus.INFEASIBLE, 0.0, 0, 0.0)
-        started_s = self._time_s()
+        started_s = perf_counter()
         exact, multiplier = projected(nominal, gradient, bound, lower, upper)
         if multiplier == EMPTY:  # rounding made the feasible set empty
             multiplier = math.inf
         point, residual, iterations = self._osqp(nominal, gradient, bound, lower, upper, exact, multiplier)
-        solve_s = self._time_s() - started_s
+        solve_s = perf_counter() - started_s
         status = FilterStatus.SOLVED
         if residual > RESIDUAL_MAX_M_S or not math.isfinite(residual):
             point, status = exact, FilterStatus.CLOSED_FORM
         slack, active = judged(point, nominal, gradient, bound, lower, upper)
         return FilterResult(point, slack, active, status, residual, iterations, solve_s)
-
-    def _time_s(self) -> float:
-        return time.perf_counter()
 
     def _osqp(
         self, nominal: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3, start: Vec3,
@@ -210,20 +102,11 @@ class SafetyFilter:
 
         The solver starts from the point ``start`` and the multiplier of the barrier there.
         """
-        solver = self._solver
-        # one copy, since numpy needs the same time for each of three
-        numbers = data_and_start(nominal, gradient, bound, lower, upper, self._infinity, start, multiplier)
-        _NUMBERS.pack_into(self._memory, 0, *numbers)
-        solver.update_data_vec(q=self._q, l=self._lower, u=self._upper)
-        solver.update_data_mat(P_x=None, P_i=None, A_x=self._ax, A_i=None)
-        solver.warm_start(self._x, self._y)
-        solver.solve()
-        info = solver.info
-        x, y, z = solver.solution.x.tolist()
-        point, residual = clipped((x, y, z), gradient, bound, lower, upper)
-        if info.status_val != self._solved or not math.isfinite(x + y + z):
-            return point, math.inf, info.iter
-        return point, residual, info.iter
+        point, solved, iterations = self.osqp.solve(
+            data_and_start(nominal, gradient, bound, lower, upper, self.osqp.infinity, start, multiplier)
+        )
+        point, residual = clipped(point, gradient, bound, lower, upper)
+        return point, residual if solved else math.inf, iterations
 
 
 @numeric

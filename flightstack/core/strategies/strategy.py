@@ -28,7 +28,7 @@ from flightstack.core.memory import (
     OwnMemory,
     TrackingMemory,
 )
-from flightstack.core.numeric import UNSEEN
+from flightstack.core.numeric import STAND_INS, UNSEEN
 from flightstack.core.parameters.filters import FILTERS, file_of, named
 from flightstack.core.parameters.flight import FlightConfig, TouchdownRule
 from flightstack.core.safety.barrier import ActiveBarrier, Barrier, problem_of
@@ -75,7 +75,6 @@ class Filter:
     watches_swinging: ClassVar[bool] = True
     ignores: ClassVar[Mapping[str, str]] = MappingProxyType({})
     waits_filtered: ClassVar[bool] = True
-    compiled: ClassVar = MappingProxyType({"choose": chosen, "filtered": filtered})
     rate_1_s: float
     acceleration_max_m_s2: Vec3
     contact_speed_max_m_s: float
@@ -291,6 +290,9 @@ class Filter:
             least_z_m_s: lowest vertical velocity that the set-point may cause if it is the last one.
         """
         return wanted_m_s
+
+
+STAND_INS[Filter.choose], STAND_INS[Filter.filtered] = chosen, filtered
 
 
 class PaperFilter(Filter):

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from flightstack.compiled import core, jit
 from flightstack.compiled.core import Core, chosen_core, compiled, is_possible
-from flightstack.compiled.jit import OFF, is_off
-from flightstack.compiled.program import CompiledFilter
+from flightstack.compiled.jit import OFF, is_off, jitted
+from flightstack.compiled.objects import Objects
 from flightstack.core.controller import Controller
 from flightstack.core.safety.qp_filter import SafetyFilter
 from flightstack.core.types import Phase
@@ -21,18 +21,23 @@ from sim.scenarios.team import load as load_team
 
 numbers = st.floats(-3.0, 3.0)
 any_numbers = st.one_of(numbers, st.sampled_from((math.nan, math.inf, -math.inf, 0.0)))
+PROGRAM = SafetyFilter(0.7)
 vectors, sides = st.tuples(any_numbers, any_numbers, any_numbers), st.floats(0.0, 1.0)
 
 
-@pytest.fixture(scope="module")
-def filters():
+@jitted
+def answered(one, given):
+    return one.solve(*given)
+
+
+def both(given):
+    """Return the results of a program by plain Python and by compiled code, without wall times."""
     if is_off():
         pytest.skip("nothing is compiled")
-    program = SafetyFilter(0.7)
-    return program, CompiledFilter(program)
+    return PROGRAM.solve(*given)._replace(solve_s=0.0), answered(Objects(PROGRAM).handle, given)
 
 
-def flown(scenario, make, monkeypatch):
+def flown(scenario, make):
     """Return the decisions of each step of a landing, without wall times."""
     rows = []
 
@@ -45,10 +50,7 @@ def flown(scenario, make, monkeypatch):
         state = repr(flight.controller.state) if len(rows) % 50 == 0 else ""
         rows.append((repr((out._replace(barrier=barrier, setpoint=None), told)), state))
 
-    monkeypatch.setattr(
-        "sim.runners.landing.with_compiled_program", lambda controller: make(controller.config)
-    )
-    flight = Companion(scenario, 3, note)
+    flight = Companion(scenario, 3, note, controller=make(scenario.onboard))
     flight.fly()
     return rows, repr(flight.controller.state)
 
@@ -56,16 +58,15 @@ def flown(scenario, make, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("filter_name", ["robust", "paper"])
 @pytest.mark.parametrize("name", ["storm", "room"])
-def test_each_step_of_a_landing_is_the_same_to_the_last_bit(monkeypatch, name, filter_name):
+def test_each_step_of_a_landing_is_the_same_to_the_last_bit(name, filter_name):
     scenario = load(name).with_filter(filter_name)
-    by_python = flown(scenario, Controller, monkeypatch)
-    by_machine = flown(scenario, compiled, monkeypatch)
+    by_python = flown(scenario, Controller)
+    by_machine = flown(scenario, compiled)
     assert len(by_python[0]) > 300
     assert by_machine == by_python
 
 
 def test_ordinary_ticks_of_a_landing_are_compiled_and_all_others_are_pythons(monkeypatch):
-    """Fleets are excluded, because their program is compiled separately."""
     if is_off():
         return
     by_python, step = [], Controller.step
@@ -76,7 +77,7 @@ def test_ordinary_ticks_of_a_landing_are_compiled_and_all_others_are_pythons(mon
         return out
 
     monkeypatch.setattr(Controller, "step", counted)
-    rows, _ = flown(load("lab"), compiled, monkeypatch)
+    rows, _ = flown(load("lab"), compiled)
     landing = [phase for phase in by_python if phase in (Phase.APPROACH, Phase.LAND, Phase.TOUCHDOWN)]
     assert len(landing) < 0.1 * len(rows)
     assert type(compiled(load("lab").onboard)).__name__ == "CompiledController"
@@ -85,11 +86,9 @@ def test_ordinary_ticks_of_a_landing_are_compiled_and_all_others_are_pythons(mon
 
 @given(vectors, any_numbers, vectors, any_numbers, vectors, st.tuples(sides, sides, sides))
 @settings(max_examples=500)
-def test_any_program_is_answered_alike(filters, nominal, h_m, gradient, dh_dt_m_s, lower, size):
+def test_any_program_is_answered_alike(nominal, h_m, gradient, dh_dt_m_s, lower, size):
     upper = tuple(low + each for low, each in zip(lower, size, strict=True))
-    by_python, by_machine = (
-        each.solve(nominal, h_m, gradient, dh_dt_m_s, lower, upper)._replace(solve_s=0.0) for each in filters
-    )
+    by_python, by_machine = both((nominal, h_m, gradient, dh_dt_m_s, lower, upper))
     assert repr(by_machine) == repr(by_python)
 
 
@@ -103,6 +102,10 @@ def test_which_core_is_flown(monkeypatch):
         assert chosen_core(Core.AUTO, config, lockstep=False) is (Core.COMPILED if warm else Core.PLAIN)
         for asked in (Core.PLAIN, Core.COMPILED):
             assert chosen_core(asked, config, lockstep=warm) is asked
+    fleet = load_team("fleet_3").member[0].onboard
+    assert chosen_core(Core.AUTO, fleet, lockstep=False) is Core.PLAIN
+    with pytest.raises(ValueError, match="--core compiled: found filter robust"):
+        chosen_core(Core.COMPILED, fleet, lockstep=False)
     monkeypatch.setenv(OFF, "1")
     assert chosen_core(Core.AUTO, config, lockstep=False) is Core.PLAIN
     with pytest.raises(ValueError, match="--core compiled: numba is not installed, or switched off"):

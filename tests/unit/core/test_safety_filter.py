@@ -6,19 +6,18 @@ import random
 import subprocess
 import sys
 import time
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import array_shapes, arrays
-from osqp import ext_builtin
+from osqp import OSQP, ext_builtin
 from scipy import sparse
 
-from flightstack.core.safety import qp_filter
+from flightstack.core.safety import osqp, qp_filter
+from flightstack.core.safety.osqp import Osqp
 from flightstack.core.safety.projection import EMPTY, best_corner, project, projected
-from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S, SafetyFilter, columns
+from flightstack.core.safety.qp_filter import RESIDUAL_MAX_M_S, SafetyFilter
 from flightstack.core.types import FilterStatus
 
 FILTER = SafetyFilter(0.7)
@@ -150,7 +149,7 @@ def test_a_result_does_not_depend_on_what_was_solved_before():
 
 
 def test_the_solver_is_set_as_it_was_scanned():
-    found = FILTER._solver.get_settings()
+    found = osqp._settings()
     expected = {
         "eps_abs": 1e-9, "eps_rel": 1e-9, "rho": 1.0, "alpha": 1.5, "max_iter": 200, "check_termination": 1,
         "adaptive_rho": 0, "scaling": 0, "polishing": 0, "verbose": 0,
@@ -253,52 +252,33 @@ def test_a_result_that_misses_by_as_much_as_allowed_is_used(monkeypatch):
     assert (result.status, result.velocity_enu_m_s) == (FilterStatus.SOLVED, (0.1, 0.0, 0.0))
 
 
-class Solver:
-    """A solver that returns a given result and records its inputs."""
-
-    def __init__(self, point, status=SOLVED):
-        self.solution = SimpleNamespace(x=np.array(point))
-        self.info = SimpleNamespace(status_val=status, iter=35)
-
-    def update_data_vec(self, q, l, u):  # noqa: E741
-        self.vectors = [x.tolist() for x in (q, l, u)]
-
-    def update_data_mat(self, P_x, P_i, A_x, A_i):
-        self.matrix, self.others = A_x.tolist(), (P_x, P_i, A_i)
-
-    def warm_start(self, x, y):
-        self.first, self.dual = x.tolist(), y.tolist()
-
-    def solve(self):
-        pass
-
-
 LOWER, UPPER, NOMINAL, GRADIENT = (-0.1, -0.2, -0.3), (0.4, 0.5, 0.6), (0.7, -0.8, 0.9), (1.5, -2.5, 0.5)
 
 
 def told(point, status=SOLVED, bound=-9.0, multiplier=0.25):
+    """Return the result for a point and a status of the solver, which does not run, and its numbers."""
     judged = SafetyFilter(0.7)
-    judged._solver = Solver(point, status)
-    start = (0.1, 0.2, 0.3), multiplier
-    return judged._osqp(NOMINAL, GRADIENT, bound, LOWER, UPPER, *start), judged._solver
+    solver = judged.osqp
+    solver._calls, solver._status.value, solver._count.value = [], int(status), 35
+    solver._point[:] = point
+    found = judged._osqp(NOMINAL, GRADIENT, bound, LOWER, UPPER, (0.1, 0.2, 0.3), multiplier)
+    return found, solver._memory.tolist()
 
 
 def test_the_solver_is_asked_the_program():
-    _, solver = told(STILL, bound=0.125)
-    q, lower, upper = solver.vectors
-    assert q == [-0.7, 0.8, -0.9]
-    assert (lower, upper[1:]) == ([0.125, *LOWER], list(UPPER))
-    assert upper[0] >= ext_builtin.OSQP_INFTY
-    assert solver.matrix == [1.5, 1.0, -2.5, 1.0, 0.5, 1.0]
-    assert solver.others == (None, None, None)
-    assert solver.first == [0.1, 0.2, 0.3]
+    _, numbers = told(STILL, bound=0.125)
+    assert numbers[:3] == [-0.7, 0.8, -0.9]
+    assert (numbers[3:7], numbers[8:11]) == ([0.125, *LOWER], list(UPPER))
+    assert numbers[7] >= ext_builtin.OSQP_INFTY
+    assert numbers[11:17] == [1.5, 1.0, -2.5, 1.0, 0.5, 1.0]
+    assert numbers[17:20] == [0.1, 0.2, 0.3]
     # u - u' - multiplier g + y = 0
-    assert solver.dual == pytest.approx([-0.25, 0.6 + 0.375, -1.0 - 0.625, 0.6 + 0.125])
+    assert numbers[20:] == pytest.approx([-0.25, 0.6 + 0.375, -1.0 - 0.625, 0.6 + 0.125])
 
 
 def test_a_multiplier_without_end_is_no_start():
-    _, solver = told(STILL, multiplier=math.inf)
-    assert solver.dual == pytest.approx([0.0, 0.6, -1.0, 0.6])
+    _, numbers = told(STILL, multiplier=math.inf)
+    assert numbers[20:] == pytest.approx([0.0, 0.6, -1.0, 0.6])
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -337,18 +317,30 @@ def test_any_other_status_than_solved_is_no_result():
         assert (point, residual, iterations) == ((0.1, 0.5, 0.3), math.inf, 35)
 
 
-_VALUES = st.sampled_from([0.0, 1.0, -2.5])
+@pytest.mark.parametrize("rows", [1, 4, 10])
+def test_the_numbers_are_the_program_of_the_packages_own_solver(rows):
+    chance, infinity = np.random.default_rng(rows), ext_builtin.OSQP_INFTY
+    for _ in range(20):
+        gradients, nominal, sides = chance.normal(size=(rows, 3)), chance.normal(size=3), np.ones(3)
+        bounds = chance.uniform(-1.0, 0.0, rows)
+        matrix = np.vstack([gradients, np.eye(3)])
+        lower, upper = np.concatenate([bounds, -sides]), np.concatenate([np.full(rows, infinity), sides])
+        theirs = OSQP()
+        theirs.setup(
+            sparse.eye(3, format="csc"), -nominal, sparse.csc_matrix(matrix), lower, upper, verbose=False,
+            eps_abs=1e-10, eps_rel=1e-10, max_iter=20_000,
+        )  # fmt: skip
+        expected = theirs.solve(raise_error=True).x
+        columns = np.vstack([gradients, np.ones((1, 3))]).T.ravel()
+        start = np.concatenate([expected, np.zeros(rows + 3)])
+        point, solved, _ = Osqp(rows).solve([*-nominal, *lower, *upper, *columns, *start])
+        assert not solved or point == pytest.approx(expected, abs=1e-7)
 
 
-@given(arrays(np.float64, array_shapes(min_dims=2, max_dims=2, max_side=6), elements=_VALUES))
-def test_columns_are_those_of_scipy(dense):
-    ours, theirs = columns(dense), sparse.csc_matrix(dense)
-    assert ours.shape == theirs.shape
-    assert ours.nnz == theirs.nnz
-    for name in ("indptr", "indices", "data"):
-        mine, its = getattr(ours, name), getattr(theirs, name)
-        assert mine.dtype == its.dtype
-        assert np.array_equal(mine, its)
+def test_a_solver_with_another_layout_is_not_used(monkeypatch):
+    monkeypatch.setattr(osqp, "_STATUS_AT", 36)
+    with pytest.raises(RuntimeError, match="memory layout"):
+        Osqp(1)
 
 
 def test_a_process_that_solves_loads_no_scipy_and_osqp_finds_the_same_module():
@@ -356,7 +348,7 @@ def test_a_process_that_solves_loads_no_scipy_and_osqp_finds_the_same_module():
         "import sys; from flightstack.core.controller import Controller;"
         "from flightstack.core.fleet.program import FleetProgram;"
         "from flightstack.config.files import load;"
-        "from flightstack.core.safety.qp_filter import compiled_solver;"
+        "from flightstack.core.safety.osqp import compiled_solver;"
         "Controller(load('crazyflie')); FleetProgram();"
         "assert not {'scipy', 'scipy.sparse', 'jinja2', 'osqp'} & sys.modules.keys();"
         "import scipy.sparse; assert scipy.sparse.csr_matrix;"

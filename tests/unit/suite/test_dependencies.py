@@ -24,7 +24,7 @@ EXTRAS = {
     "sim.campaign": {"sim", "cluster", "report", "export"},
 }
 # distributions whose extension is loaded by name, without an import statement
-BY_NAME = {"osqp": "flightstack/core/safety/qp_filter.py"}
+BY_NAME = {"osqp": "flightstack/core/safety/osqp.py"}
 
 
 def names(requirements):

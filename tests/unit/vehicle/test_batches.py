@@ -8,7 +8,6 @@ import pytest
 import flightstack as fs
 from examples.own_filter import Smooth
 from flightstack.compiled.jit import is_off
-from flightstack.compiled.program import CompiledFilter, layout_is_known
 from flightstack.core.strategies.answers import compiled_as
 from sim.runners.landing import Companion, warm_up
 from sim.scenarios.scenario import Start, load
@@ -96,14 +95,6 @@ def test_a_thrust_reserve_that_ends_in_a_batch_is_seen_at_the_same_tick():
 @pytest.mark.parametrize("name", ["paper_moving_1", "fault_motor_dead"])
 def test_what_a_batch_does_not_know_is_flown_tick_by_tick(name):
     assert Companion(load(name), 0).batches is None
-
-
-@pytest.mark.skipif(is_off(), reason="nothing is compiled")
-def test_another_layout_of_the_solvers_memory_is_noticed(monkeypatch):
-    assert layout_is_known()
-    solve = CompiledFilter.solve
-    monkeypatch.setattr(CompiledFilter, "solve", lambda *given: solve(*given)._replace(iterations=7))
-    assert not layout_is_known.__wrapped__()
 
 
 def test_it_is_compiled_before_the_first_landing():

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from flightstack.cli.check import check as check_verb
 from flightstack.core.fleet.pair import barrier
-from flightstack.core.fleet.solution import Row, by_all_sets
+from flightstack.core.fleet.solution import Row, nearest
 from flightstack.core.types import ZERO
 from flightstack.verify.certificate import checks
 from flightstack.verify.envelope import extremes
@@ -139,7 +139,7 @@ def test_any_number_of_neighbours_leaves_a_common_point_from_far_enough(slope, n
     from_m = anywhere_m(CONFIG, CONFIG.fleet, CROWD)
     rows = [neighbour_row(away, from_m, speed) for away, speed in others]
     lower = (*BOX[0][:2], climb)
-    assert by_all_sets(ZERO, [landing_row(slope, n, pad_of(w, pad)), *rows], lower, BOX[1]) is not None
+    assert nearest(ZERO, [landing_row(slope, n, pad_of(w, pad)), *rows], lower, BOX[1]) is not None
 
 
 SHORT = one_short_m_s(CONFIG, CROWD, up_the_slope_m_s(CONFIG, CROWD), -math.pi / 2.0)
@@ -150,7 +150,7 @@ SHORT = one_short_m_s(CONFIG, CROWD, up_the_slope_m_s(CONFIG, CROWD), -math.pi /
 def test_one_neighbour_leaves_a_common_point_from_where_it_is_said(slope, n, w, pad, climb, away):
     row = neighbour_row(away, SHORT[0] / CONFIG.fleet.rate_1_s, CONFIG.fleet.speed_max_m_s)
     lower = (*BOX[0][:2], climb)
-    assert by_all_sets(ZERO, [landing_row(slope, n, pad_of(w, pad)), row], lower, BOX[1]) is not None
+    assert nearest(ZERO, [landing_row(slope, n, pad_of(w, pad)), row], lower, BOX[1]) is not None
 
 
 def test_the_worst_neighbour_is_met_at_that_distance_and_not_nearer():
@@ -160,7 +160,7 @@ def test_the_worst_neighbour_is_met_at_that_distance_and_not_nearer():
     landing = landing_row(slope, 0.0, (-CONFIG.touchdown.target_speed_max_m_s, 0.0))
     for nearer_m, found in ((0.01, False), (-0.01, True)):
         row = neighbour_row(away, short_m_s / CONFIG.fleet.rate_1_s - nearer_m, CONFIG.fleet.speed_max_m_s)
-        assert (by_all_sets(ZERO, [landing, row], (-1.0, -1.0, 1.0), BOX[1]) is not None) is found
+        assert (nearest(ZERO, [landing, row], (-1.0, -1.0, 1.0), BOX[1]) is not None) is found
     assert short_m_s > 0.5
 
 
@@ -168,7 +168,7 @@ def test_two_from_opposite_sides_are_met_from_where_it_is_said_and_not_nearer():
     from_m = -one("several neighbours").room / CONFIG.fleet.rate_1_s
     for nearer_m, found in ((0.01, False), (-0.01, True)):
         rows = [neighbour_row((x, 0.0, 0.0), from_m - nearer_m, 1.0) for x in (1.0, -1.0)]
-        assert (by_all_sets(ZERO, rows, *BOX) is not None) is found
+        assert (nearest(ZERO, rows, *BOX) is not None) is found
 
 
 X_FIELD = extremes(scenario.load("field").onboard)
