@@ -9,7 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +17,28 @@ import numpy as np
 import rerun as rr
 
 from flightstack.common.text import one_line
-from logs.derive.markers import COLORS, FILTERED_COLOR, NOMINAL_COLOR, OWN_COLOR, TARGET_COLOR, Color
+from flightstack.core.safety.barrier import Barrier
+from logs.derive import markers
 from logs.reader.flight import load_fleet
-from logs.reader.flight_data import Event, Flight, Floats, Ints, phase_name
+from logs.reader.flight_data import PAD_RADIUS_M, Event, Flight, Floats, Ints, phase_name
 from logs.schema.events import Severity
 from logs.schema.names import FLEET
-from logs.view.canvas import AXES, EVENTS, PHASE, RUN, Canvas, blueprint, rgba, run_of, times
-from logs.view.scene import TRUE_COLOR, VELOCITIES, scene, truth, velocities
+from logs.view.canvas import AXES, EVENTS, PHASE, RUN, WORLD, Canvas, blueprint, every, rgba, run_of, times
 
-ZERO_COLOR: Color = (0.84, 0.15, 0.16, 1.0)
+SCENE_PERIOD_NS = 20_000_000  # period of 50 Hz
+PATH_PERIOD_NS = 200_000_000  # period of the paths, 5 Hz; each row stores the whole path again
+BODY_HALF_M = tuple(0.5 * size for size in markers.BODY_SIZE_M)
+ARROW_RADIUS_M, LINE_RADIUS_M, ELLIPSOID_LINE_M = 0.006, 0.004, 0.001
+SPOT = f"{WORLD}/target_spot"
+FLOWN_COLOR: markers.Color = (0.12, 0.47, 0.71, 1.0)
+TRUE_COLOR: markers.Color = (0.5, 0.5, 0.5, 1.0)
+VELOCITIES = (
+    ("nominal", "nominal_enu_m_s", markers.NOMINAL_COLOR),
+    ("filtered", "filtered_enu_m_s", markers.FILTERED_COLOR),
+    ("command", "command_enu_m_s", markers.COMMAND_COLOR),
+    ("flown", "own_velocity_enu_m_s", FLOWN_COLOR),
+)
+ZERO_COLOR: markers.Color = (0.84, 0.15, 0.16, 1.0)
 _LEVELS: dict[int, str] = {
     Severity.DEBUG: "DEBUG",
     Severity.INFO: "INFO",
@@ -35,13 +48,13 @@ _LEVELS: dict[int, str] = {
 }
 # Curves of the controller steps: entity, field, factor, colour.
 _CURVES = (
-    ("/safety/h/controller", "h_m", 1.0, OWN_COLOR),
-    ("/safety/slack", "slack_m_s", 1.0, OWN_COLOR),
-    ("/safety/dh_dt", "dh_dt_m_s", 1.0, OWN_COLOR),
-    ("/safety/active", "barrier_active", 1.0, OWN_COLOR),
-    ("/age/own", "own_age_s", 1e3, OWN_COLOR),
-    ("/age/target", "target_age_s", 1e3, TARGET_COLOR),
-    ("/samples/accepted", "target_accepted", 1.0, FILTERED_COLOR),
+    ("/safety/h/controller", "h_m", 1.0, markers.OWN_COLOR),
+    ("/safety/slack", "slack_m_s", 1.0, markers.OWN_COLOR),
+    ("/safety/dh_dt", "dh_dt_m_s", 1.0, markers.OWN_COLOR),
+    ("/safety/active", "barrier_active", 1.0, markers.OWN_COLOR),
+    ("/age/own", "own_age_s", 1e3, markers.OWN_COLOR),
+    ("/age/target", "target_age_s", 1e3, markers.TARGET_COLOR),
+    ("/samples/accepted", "target_accepted", 1.0, markers.FILTERED_COLOR),
     ("/samples/rejected", "target_rejected", 1.0, ZERO_COLOR),
 )
 
@@ -59,7 +72,7 @@ class Recording:
         self._stream.save(out, default_blueprint=self._blueprint())
         fleet = self._fleet
         for number, flight in enumerate(fleet.flights.values()):
-            color = COLORS[number % len(COLORS)] if flight.label else OWN_COLOR
+            color = markers.COLORS[number % len(markers.COLORS)] if flight.label else markers.OWN_COLOR
             draw(Canvas(self._stream, fleet.origin_ns, flight.label, color), flight)
         events(Canvas(self._stream, fleet.origin_ns), fleet.origin_ns, fleet.events)
         self._stream.flush()
@@ -103,9 +116,140 @@ def viewer_program() -> str:
 
 def draw(canvas: Canvas, flight: Flight) -> None:
     """Send a complete flight, or its next part, to the viewer."""
-    for part in (scene, velocities, truth, _curves):
+    for part in (_scene, _velocities, _truth, _curves):
         part(canvas, flight)
     canvas.style(RUN, rr.TextDocument(_run_text(flight), media_type="text/markdown"))
+
+
+def _scene(canvas: Canvas, flight: Flight) -> None:
+    """Send the controller's data: vehicle, target with its pad and barrier, both paths."""
+    canvas.style(WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+    steps, run = flight.steps, run_of(flight)
+    if steps is None:
+        return
+    at_ns = times(flight.origin_ns, steps.t_s)
+    shown = every(at_ns, SCENE_PERIOD_NS)
+    for name, valid, position_m, yaw_rad in (
+        ("vehicle", steps.own_valid, steps.own_position_enu_m, steps.own_yaw_rad),
+        ("target", steps.target_valid, steps.target_position_enu_m, steps.target_yaw_rad),
+    ):
+        good = shown[valid[shown]]
+        place_m, half_rad = position_m[good], 0.5 * yaw_rad[good]
+        nothing = np.zeros_like(half_rad)
+        turn = np.stack([nothing, nothing, np.sin(half_rad), np.cos(half_rad)], axis=1)
+        moved = rr.Transform3D.columns(translation=place_m, quaternion=turn)
+        canvas.columns(f"{WORLD}/{name}", at_ns[good], moved)
+        if name == "target":  # the barrier moves with the target but does not rotate with it
+            canvas.columns(SPOT, at_ns[good], rr.Transform3D.columns(translation=place_m))
+    canvas.style(
+        f"{WORLD}/vehicle/body",
+        rr.Boxes3D(
+            half_sizes=[BODY_HALF_M], colors=[rgba(canvas.own_color)], fill_mode="solid",
+            labels=[canvas.member] if canvas.member else None,
+        ),
+    )  # fmt: skip
+    if "ellipsoid_xy_m" in run and "ellipsoid_z_m" in run:  # two such ellipsoids touch at the distance limit
+        beside_m, above_m = 0.5 * float(run["ellipsoid_xy_m"]), 0.5 * float(run["ellipsoid_z_m"])
+        canvas.style(
+            f"{WORLD}/vehicle/ellipsoid",
+            rr.Ellipsoids3D(
+                half_sizes=[(beside_m, beside_m, above_m)], colors=[rgba(canvas.own_color)],
+                line_radii=[ELLIPSOID_LINE_M], fill_mode="majorwireframe",
+            ),
+        )  # fmt: skip
+    radius_m, thickness_m = float(run.get("pad_radius_m", PAD_RADIUS_M)), 0.01
+    canvas.style(
+        f"{WORLD}/target/pad",
+        rr.Cylinders3D(
+            lengths=[thickness_m], radii=[radius_m], centers=[(0.0, 0.0, -0.5 * thickness_m)],
+            colors=[rgba(markers.PAD_COLOR)], fill_mode="solid",
+        ),
+    )  # fmt: skip
+    _barrier(canvas, run)
+    _paths(canvas, flight)
+
+
+def _truth(canvas: Canvas, flight: Flight) -> None:
+    """Send the simulator's true states, if there are any."""
+    if flight.truth is None:
+        return
+    at_ns = times(flight.origin_ns, flight.truth.t_s)
+    shown = every(at_ns, SCENE_PERIOD_NS)
+    moved = rr.Transform3D.columns(
+        translation=flight.truth.position_enu_m[shown], quaternion=flight.truth.orientation[shown]
+    )
+    canvas.columns(f"{WORLD}/true_vehicle", at_ns[shown], moved)
+    body = rr.Boxes3D(half_sizes=[BODY_HALF_M], colors=[rgba(TRUE_COLOR)])
+    canvas.style(f"{WORLD}/true_vehicle/body", body)
+
+
+def _barrier(canvas: Canvas, run: Mapping[str, str]) -> None:
+    if "barrier_alpha_1_m" not in run or "barrier_beta_m" not in run:
+        return
+    barrier = Barrier(float(run["barrier_alpha_1_m"]), float(run["barrier_beta_m"]))
+    if barrier.alpha_1_m <= 0.0:
+        return
+    corners = np.frombuffer(markers.surface(barrier, markers.reach_of(run)), dtype="<f8").reshape(-1, 3)
+    triangles = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
+    mesh = rr.Mesh3D(
+        vertex_positions=corners, triangle_indices=triangles, vertex_normals=_normals(corners),
+        albedo_factor=rgba(markers.BARRIER_COLOR), face_rendering="DoubleSided",
+    )  # fmt: skip
+    canvas.style(f"{SPOT}/barrier", mesh)
+
+
+def _normals(corners: Floats) -> Floats:
+    """Return unit normals of triangles, one per corner and all upwards, so that shading shows the shape."""
+    a, b, c = corners[0::3], corners[1::3], corners[2::3]
+    normal = np.cross(b - a, c - a)
+    normal *= np.where(normal[:, 2:] < 0.0, -1.0, 1.0) / np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.repeat(normal, 3, axis=0)
+
+
+def _paths(canvas: Canvas, flight: Flight) -> None:
+    """Send both paths as they grow."""
+    steps = flight.steps
+    assert steps is not None
+    for name, valid, position_m, color in (
+        ("vehicle_path", steps.own_valid, steps.own_position_enu_m, canvas.own_color),
+        ("target_path", steps.target_valid, steps.target_position_enu_m, markers.TARGET_COLOR),
+    ):
+        path = canvas.paths.setdefault(name, markers.Path())
+        strips, at_ns = [], []
+        for time_ns, known, (x, y, z) in zip(
+            times(flight.origin_ns, steps.t_s).tolist(), valid, position_m.tolist(), strict=True
+        ):
+            if known:
+                path.add(time_ns, (x, y, z))
+            if not canvas.due(name, PATH_PERIOD_NS, time_ns):
+                continue
+            if (marker := path.marker(0, markers.TARGET_COLOR)) is not None:
+                strips.append(np.frombuffer(marker.points, dtype="<f8").reshape(-1, 3))
+                at_ns.append(time_ns)
+        if strips:
+            canvas.columns(
+                f"{WORLD}/{name}", np.array(at_ns, dtype=np.int64), rr.LineStrips3D.columns(strips=strips)
+            )
+            style = rr.LineStrips3D.from_fields(radii=[LINE_RADIUS_M], colors=[rgba(color)])
+            canvas.style(f"{WORLD}/{name}", style)
+
+
+def _velocities(canvas: Canvas, flight: Flight) -> None:
+    """Send velocity arrows at the vehicle, one metre per m/s; none for an unknown velocity."""
+    steps = flight.steps
+    if steps is None:
+        return
+    at_ns = times(flight.origin_ns, steps.t_s)
+    shown = every(at_ns, SCENE_PERIOD_NS)
+    for name, field, color in VELOCITIES:
+        vector = getattr(steps, field)[shown]
+        there = np.isfinite(vector).all(axis=1) & steps.own_valid[shown]
+        if name == "command":
+            there &= steps.setpoint_sent[shown]
+        columns = rr.Arrows3D.columns(vectors=vector[there], origins=steps.own_position_enu_m[shown][there])
+        canvas.columns(f"{WORLD}/velocity/{name}", at_ns[shown], columns.partition(there.astype(int)))
+        style = rr.Arrows3D.from_fields(radii=[ARROW_RADIUS_M], colors=[rgba(color)])
+        canvas.style(f"{WORLD}/velocity/{name}", style)
 
 
 def _curves(canvas: Canvas, flight: Flight) -> None:
@@ -119,8 +263,10 @@ def _curves(canvas: Canvas, flight: Flight) -> None:
         _curve(canvas, "/safety/h/zero", at_ns[[0, -1]], np.zeros(2), ZERO_COLOR)
         for entity, field, scale, color in _CURVES:
             _curve(canvas, entity, at_ns, scale * getattr(steps, field), color)
-        _curve(canvas, "/distance/horizontal", at_ns, np.hypot(apart_m[:, 0], apart_m[:, 1]), OWN_COLOR)
-        _curve(canvas, "/distance/height", at_ns, apart_m[:, 2], TARGET_COLOR)
+        _curve(
+            canvas, "/distance/horizontal", at_ns, np.hypot(apart_m[:, 0], apart_m[:, 1]), markers.OWN_COLOR
+        )
+        _curve(canvas, "/distance/height", at_ns, apart_m[:, 2], markers.TARGET_COLOR)
         for name, field, color in VELOCITIES:
             vector = getattr(steps, field)
             if name == "command":
@@ -129,7 +275,8 @@ def _curves(canvas: Canvas, flight: Flight) -> None:
                 _curve(canvas, f"/velocity/{axis}/{name}", at_ns, values, color)
         _phases(canvas, at_ns, steps.phase)
     if timing is not None:
-        for name, color in (("lateness", NOMINAL_COLOR), ("exec", OWN_COLOR), ("solve", FILTERED_COLOR)):
+        colors = (markers.NOMINAL_COLOR, markers.OWN_COLOR, markers.FILTERED_COLOR)
+        for name, color in zip(("lateness", "exec", "solve"), colors, strict=True):
             values = 1e3 * getattr(timing, f"{name}_s")
             _curve(canvas, f"/loop/{name}", times(flight.origin_ns, timing.t_s), values, color)
 
@@ -150,7 +297,7 @@ def events(canvas: Canvas, origin_ns: int, said: Sequence[Event]) -> None:
         canvas.columns(EVENTS, at_ns, rr.TextLog.columns(text=texts, level=levels))
 
 
-def _curve(canvas: Canvas, entity: str, at_ns: Ints, values: Floats, color: Color) -> None:
+def _curve(canvas: Canvas, entity: str, at_ns: Ints, values: Floats, color: markers.Color) -> None:
     """Send one curve, with a gap for each unknown number."""
     canvas.style(entity, rr.SeriesLines(colors=[rgba(color)], names=[entity.rpartition("/")[2]]))
     canvas.columns(entity, at_ns, rr.Scalars.columns(scalars=values))
