@@ -18,14 +18,13 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterator, Mapping
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
-from mcap.records import Attachment as AttachmentRecord
-from mcap.records import Channel, Header, Metadata, Schema
+from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from mcap.records import Message as MessageRecord
 
 from logs.reader.mcap_records import MAGIC, Records, named, no_file
@@ -145,13 +144,6 @@ class Message(NamedTuple):
     publish_time_ns: int
     sequence: int
     data: bytes  # CDR payload with its four-byte header
-
-
-class Attachment(NamedTuple):
-    name: str
-    media_type: str
-    log_time_ns: int
-    data: bytes
 
 
 @dataclass
@@ -289,7 +281,7 @@ class LogFile:
         view, found = self.view, self.outline.attachments
         if view is None:
             return found
-        return [each._replace(name=seen) for each in found if (seen := view.name(each.name)) is not None]
+        return [replace(each, name=seen) for each in found if (seen := view.name(each.name)) is not None]
 
     def attachment(self, name: str) -> bytes | None:
         """Return the last file with this name; ``None`` if there is none."""
@@ -313,9 +305,8 @@ class LogFile:
             for record in records:
                 if isinstance(record, Metadata):
                     found.metadata.setdefault(record.name, {}).update(record.metadata)
-                elif isinstance(record, AttachmentRecord):
-                    stored = Attachment(record.name, record.media_type, record.log_time, record.data)
-                    found.attachments.append(stored)
+                elif isinstance(record, Attachment):
+                    found.attachments.append(record)
                 elif isinstance(record, Header):
                     found.profile, found.library = record.profile, record.library
                 elif isinstance(record, Schema) and not same_fields(

@@ -72,14 +72,6 @@ def compared_panels(sides: Sequence[Side]) -> list[Panel]:
             "error", "Error of the estimated h", f"{both} Needs true states.",
             several.series(sides, axis, several.h_error_mm, "error of h [mm]"),
         ),
-        Panel(
-            "age", "Age of the target state", both,
-            several.series(sides, axis, several.target_age_ms, "age [ms]"),
-        ),
-        Panel(
-            "tick", "Time spent in a tick", f"{both} Wall clock.",
-            several.series(sides, axis, several.tick_us, "time [µs]"),
-        ),
     ]  # fmt: skip
 
 

@@ -45,14 +45,6 @@ def best_h(flight: Flight) -> tuple[Floats, Floats] | None:
     return low_envelope(t_s[t_s >= start_s], h_m[t_s >= start_s])
 
 
-def target_age_ms(flight: Flight) -> tuple[Floats, Floats] | None:
-    return None if flight.steps is None else (flight.steps.t_s, flight.steps.target_age_s * 1e3)
-
-
-def tick_us(flight: Flight) -> tuple[Floats, Floats] | None:
-    return None if flight.timing is None else (flight.timing.t_s, flight.timing.exec_s * 1e6)
-
-
 def h_error_mm(flight: Flight) -> tuple[Floats, Floats] | None:
     found = estimate_errors(flight)
     return None if found is None else (found.t_s, 1e3 * found.h_m)

@@ -158,7 +158,7 @@ def test_a_comparison_draws_both_flights(tmp_path, browse):
     dom, console = browse(write_comparison(a, b))
     assert errors(console) == []
     seen = Page(dom)
-    assert int(seen.body["data-figures"]) >= 7
+    assert int(seen.body["data-figures"]) >= 5
     assert seen.body["data-figures"] == seen.body["data-figures-drawn"]
     for words in (
         "synthetic and another, compared",
