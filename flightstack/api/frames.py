@@ -1,8 +1,7 @@
-"""Conversion to tables: a pandas DataFrame, else one of polars, a pyarrow Table, or a dict of arrays."""
+"""Conversion to tables: DataFrames of pandas, or of polars if pandas is not installed."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
@@ -33,10 +32,10 @@ def frame(columns: Any) -> Any:
             dataclasses or dicts, each of which becomes a row.
 
     Returns:
-        A pandas DataFrame; without pandas one of polars; without both a ``pyarrow.Table``; else a dict, with
-        a warning that names the extra.
+        A DataFrame of pandas; without pandas one of polars.
 
     Raises:
+        ModuleNotFoundError: neither is installed; the text names the extra.
         TypeError: ``columns`` is none of these.
     """
     if isinstance(columns, list | tuple) and all(is_dataclass(row) for row in columns) and columns:
@@ -64,18 +63,11 @@ def _made(flat: dict[str, Any]) -> Any:
         import pandas
 
         return pandas.DataFrame(flat)
-    flat = {name: _plain(values) for name, values in flat.items()}
-    if find_spec("polars") is not None:
-        return import_module("polars").DataFrame(flat)  # polars is no dependency of an extra
-    if find_spec("pyarrow") is not None:
-        import pyarrow
-
-        return pyarrow.table(flat)
-    warnings.warn(
-        f"no DataFrame but a dict of columns: pandas is not installed; {pip_install('export')}",
-        stacklevel=3,
-    )
-    return flat
+    if find_spec("polars") is None:
+        text = f"a table needs pandas or polars, neither is installed: {pip_install('export')}"
+        raise ModuleNotFoundError(text, name="pandas")
+    columns = {name: _plain(values) for name, values in flat.items()}
+    return import_module("polars").DataFrame(columns)  # polars is no dependency of an extra
 
 
 def _plain(values: Any) -> Any:
