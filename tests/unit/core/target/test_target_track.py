@@ -223,3 +223,13 @@ def test_numbers_of_a_target_that_is_stuck_are_the_last_also_at_rest(track):
     rest = {"position_enu_m": FIRST.position_enu_m, "velocity_enu_m_s": (0.004, -0.003, 0.0)}
     assert track.accept(later(0.02, **rest)) is Verdict.FROZEN
     assert track.accept(later(0.04, **(rest | {"velocity_enu_m_s": ZERO}))) is Verdict.ACCEPTED
+
+
+def test_a_robot_that_jumps_is_refused_whatever_its_velocity_says(track):
+    fast = (1.4, 0.0, 0.0)  # the mean explains 0.15 m
+    assert (
+        track.accept(later(0.2, position_enu_m=(1.34, 2.0, 0.2), velocity_enu_m_s=fast)) is Verdict.ACCEPTED
+    )
+    track = TargetTrack(Checks())
+    track.accept(FIRST)
+    assert track.accept(later(0.2, position_enu_m=(1.36, 2.0, 0.2), velocity_enu_m_s=fast)) is Verdict.JUMP

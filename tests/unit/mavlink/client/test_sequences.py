@@ -229,3 +229,10 @@ def test_long_texts_are_put_together():
     assert texts.add(dialect.MAVLink_statustext_message(6, b"short\x1b[2J", 0, 0)) == [(6, "short [2J")]
     assert texts.add(dialect.MAVLink_statustext_message(3, b"a" * 50, 7, 0)) == []  # breaks off
     assert texts.add(dialect.MAVLink_statustext_message(6, b"next", 0, 0))[0] == (3, "a" * 50 + " ...")
+
+
+def test_an_interrupted_stream_counts_from_its_new_start():
+    s = sequencer()
+    s.note_setpoint(0.0)
+    s.note_setpoint(1.0)
+    assert s.step(EXTERNAL, status(1.0), 1.0) == []

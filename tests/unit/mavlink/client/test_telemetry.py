@@ -254,3 +254,14 @@ def test_answers_to_others_are_ignored_and_the_first_of_ours_counts():
     r.take(value("MINE", 4.0))
     r.take(value("MINE", 5.0))
     assert r.values == {"MINE": 4.0}
+
+
+def test_where_answers_are_lost_a_parameter_is_asked_for_fifteen_times():
+    r = reader("LOST_ONCE", "LOST_LONG")
+    r.step(0.0)
+    r.step(0.4)
+    r.take(value("LOST_ONCE", 1.0))  # the answer to the second request
+    sent = [now for tick in range(41, 1000) for now in [tick * 0.01] if r.step(now)]
+    assert len(sent) == 13
+    assert r.done
+    assert "no answer to 15 requests in 6 s" in r.missing["LOST_LONG"]
