@@ -164,27 +164,13 @@ def test_the_solver_is_set_as_it_was_scanned():
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_numbers_that_are_not_finite_are_refused(bad):
-    good = [[0.1, 0.1, 0.1], 0.1, [0.5, 0.5, 1.0], 0.0, [-0.2, -0.2, -0.5], [0.2, 0.2, 0.5]]
-    places = [
-        (n, axis)
-        for n, value in enumerate(good)
-        for axis in (range(3) if isinstance(value, list) else (None,))
-    ]
-    assert len(places) == 14
-    for n, axis in places:
-        asked = [list(value) if isinstance(value, list) else value for value in good]
-        if axis is None:
-            asked[n] = bad
-        else:
-            asked[n][axis] = bad
-        result = FILTER.solve(*(tuple(value) if isinstance(value, list) else value for value in asked))
+    good = [0.1, 0.1, 0.1, 0.1, 0.5, 0.5, 1.0, 0.0, -0.2, -0.2, -0.5, 0.2, 0.2, 0.5]
+    for place in range(len(good)):
+        n = [*good[:place], bad, *good[place + 1 :]]
+        result = FILTER.solve(n[0:3], n[3], n[4:7], n[7], n[8:11], n[11:14])
         assert result.status is FilterStatus.REJECTED
-        assert (result.velocity_enu_m_s, result.active, result.iterations, result.solve_s) == (
-            STILL,
-            False,
-            0,
-            0.0,
-        )
+        assert (result.velocity_enu_m_s, result.active, result.iterations) == (STILL, False, 0)
+        assert result.solve_s == 0.0
         assert math.isnan(result.slack_m_s)
         assert math.isnan(result.residual_m_s)
 

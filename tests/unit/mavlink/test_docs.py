@@ -16,7 +16,6 @@ from sim.autopilot.telemetry import PX4
 from sim.plant.params import load
 from sim.px4.airframe import parameters
 from sim.px4.sensors import DECLINATION_RAD, INCLINATION_RAD, STRENGTH_GAUSS
-from tests.flight_suite.room import LIMITS
 from tests.unit.autopilot.autopilot_fakes import Rig
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -24,29 +23,6 @@ DOCS = Path(__file__).parents[3] / "docs"
 
 def options(verb):
     return {name for p in bridge.commands[verb].params for name in p.opts}
-
-
-HARDWARE = (Path(__file__).parents[3] / "docs" / "how_to" / "hardware.md").read_text()
-LIMIT_COLUMNS = {
-    "`--autopilot`": lambda name, _: f"`{name}`",
-    "time to come to rest": lambda _, one: f"{one.settle_s:g} s",
-    "largest drift in 5 s": lambda _, one: f"{one.drift_m:g} m",
-    "largest speed in hold": lambda _, one: f"{one.still_m_s:g} m/s",
-    "velocity step": lambda _, one: f"{one.step_m_s:g} m/s, {one.step_s:g} s each way",
-    "flown share of the step's distance": lambda _, one: "{:g} to {:g}".format(*one.moved_share),
-    "reaction to missing set-points": lambda _, one: f"{one.lost.value}, seen within {one.lost_s:g} s",
-}
-
-
-def limits_table():
-    rows = [[cell(name, one) for cell in LIMIT_COLUMNS.values()] for name, one in LIMITS.items()]
-    head, *body = ["| " + " | ".join(cells) + " |" for cells in (LIMIT_COLUMNS, *rows)]
-    return "\n".join([head, "|---" * len(LIMIT_COLUMNS) + "|", *body])
-
-
-def test_the_table_of_limits_is_the_codes():
-    within = HARDWARE.split("<!-- table: limits -->\n")[1].split("\n<!-- end -->")[0]
-    assert within == limits_table()
 
 
 MAVLINK = (Path(__file__).parents[3] / "docs" / "reference" / "mavlink.md").read_text(encoding="utf-8")

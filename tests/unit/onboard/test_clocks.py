@@ -8,13 +8,7 @@ import pytest
 
 from flightstack.common import pacing, processes
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import (
-    FollowedClock,
-    Follower,
-    RealTimePacer,
-    SimulationClock,
-    chosen_clock,
-)
+from flightstack.common.pacing import FollowedClock, Follower, RealTimePacer, SimulationClock, chosen_clock
 from flightstack.common.processes import Child, LaunchError
 from sim import clock
 

@@ -1,4 +1,4 @@
-"""The sequence of a tick; a flight never ends in the air without a landing request."""
+"""The sequence of a tick, and samples that it does not use."""
 
 import math
 from types import SimpleNamespace
@@ -9,83 +9,51 @@ from bridge.ros2.cdr import Odometry
 from bridge.target.odometry import RawSample
 from flightstack.common.pacing import Tick
 from flightstack.core.memory import Memory
-from flightstack.core.types import Inputs, Landed, Mode, Operator, Phase, VehicleStatus
-from flightstack.onboard.runner import (
-    STALL_MAX_S,
-    Arrived,
-    ClockStoppedError,
-    LiveTarget,
-    Runner,
-    Taken,
-    VehicleInputs,
-    decoded,
-)
+from flightstack.core.types import Inputs, Operator
+from flightstack.onboard.runner import STALL_MAX_S, Arrived, LiveTarget, Runner, Taken, VehicleInputs, decoded
 
-
-def status(mode=Mode.EXTERNAL, *, armed=True):
-    return VehicleStatus(0.0, armed, mode, Landed.IN_AIR, True)
-
-
-def out(phase=Phase.APPROACH, *, finished=False):
-    return SimpleNamespace(phase=phase, finished=finished)
+ANSWERS = {
+    "samples": Arrived(("sample",)),
+    "read": VehicleInputs("own", "status", True),
+    "operator": Operator.LAND,
+}
 
 
 class Parts:
     """All parts of a runner, with its controller; records the calls. The landing starts at 0.02 s."""
 
-    def __init__(self, ticks, ends_at_s=math.inf):
-        self.calls, self.taken, self.ticks, self.ends_at_s = [], [], iter(range(ticks)), ends_at_s
-        self.memory = Memory()
-        self.runner = Runner(self, self, self, self, self, self)
+    def __init__(self):
+        self.calls, self.memory = [], Memory()
+        self.runner = Runner(*[self] * 6)
+
+    def __getattr__(self, name):
+        return lambda *given: self.calls.append((name, *given)) or ANSWERS.get(name)
 
     def wait(self):
-        for number in self.ticks:
-            self.calls.append("wait")
-            return Tick(number, 0.01 * number, number, 0.0, 0.0)
-        raise ClockStoppedError("no further message from the vehicle")
-
-    def samples(self, now_s):
-        self.calls.append("samples")
-        return Arrived(("sample",))
-
-    def read(self):
-        self.calls.append("read")
-        return VehicleInputs("own", "status", True)
-
-    def operator(self, status, now_s):
-        assert status == "status"
-        return Operator.LAND
+        number = sum(call[0] == "samples" for call in self.calls)
+        return Tick(number, 0.01 * number, number, 0.0, 0.0)
 
     def step(self, inputs, now_s, *, command_failed):
-        self.calls.append("step")
-        self.memory.started_s = min(self.memory.started_s, 0.02 if now_s >= 0.01 else math.inf)
+        self.calls.append(("step", inputs, command_failed))
+        self.memory.started_s = 0.02 if now_s >= 0.01 else math.inf
         return SimpleNamespace(now_s=now_s)
 
-    def answer(self, out, now_s):
-        assert out.now_s == now_s
-        self.calls.append("answer")
-
-    def landing_began(self, tick):
-        self.calls.append(("landing began", tick))
-
-    def write(self, tick, taken, out, exec_s):
-        assert exec_s >= 0.0
-        self.calls.append("write")
-        self.taken.append(taken)
-
     def ended(self, out, memory, status, now_s):
-        return "over" if now_s >= self.ends_at_s else None
+        return "over" if now_s >= 0.03 else None
 
 
 def test_the_vehicle_is_answered_before_anything_is_written_and_the_target_hears_once_of_the_landing():
-    parts = Parts(4, ends_at_s=0.03)
+    parts = Parts()
     assert [parts.runner.tick() for _ in range(4)] == [None, None, None, "over"]
-    tick = ["wait", "samples", "read", "step", "answer", "write"]
-    began = [*tick[:-1], ("landing began", 2), "write"]
-    assert parts.calls == [*tick, *tick, *began, *tick]
-    assert parts.taken[0] == Taken(
-        Inputs("own", "status", ("sample",), Operator.LAND), True, Arrived(("sample",))
-    )
+    tick = ["samples", "read", "operator", "step", "answer", "write"]
+    assert [name for name, *_ in parts.calls] == [*tick, *tick, *tick[:-1], "landing_began", "write", *tick]
+    calls = {name: given for name, *given in parts.calls}
+    assert calls["landing_began"] == [2]
+    inputs = Inputs("own", "status", ("sample",), Operator.LAND)
+    assert (calls["step"], calls["operator"][0]) == ([inputs, True], "status")
+    assert calls["answer"][0].now_s == calls["answer"][1] == 0.03
+    assert calls["write"][1] == Taken(inputs, True, Arrived(("sample",)))
+    assert calls["write"][3] >= 0.0
 
 
 @pytest.mark.parametrize(("stall_s", "used"), [(STALL_MAX_S / 2, True), (2 * STALL_MAX_S, False)])

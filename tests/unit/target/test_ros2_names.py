@@ -2,22 +2,18 @@
 
 import re
 import string
-import struct
 
 import pytest
 import xxhash
-import zenoh
 from hypothesis import given
 from hypothesis import strategies as st
-from zenoh.ext import Int64, declare_advanced_subscriber, z_serialize
+from zenoh.ext import Int64, z_serialize
 
-from bridge.ros2.cdr import Odometry
 from bridge.ros2.ros2_names import (
     DOMAIN_MAX,
     NO_HASH,
     TOPIC_LENGTH_MAX,
     Node,
-    Ros2Node,
     TopicKey,
     any_type_key,
     bridge_key,
@@ -29,11 +25,7 @@ from bridge.ros2.ros2_names import (
     publisher_token,
     topic_key,
 )
-from bridge.target.ros2_target import ROS_TYPES, TargetType
-from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import pack_attachment, parse_attachment
-from tests.unit.target import ros2_helpers as ros
-from tests.unit.target.ros2_helpers import until
 
 # rmw_zenoh docs/design.md, "Topic and Service name mapping" and "Graph Cache"
 STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
@@ -128,47 +120,3 @@ def test_a_topic_that_ros_does_not_allow_says_what_is(topic):
         check_topic(topic)
     with pytest.raises(ValueError, match="/robot1/odom"):
         bridge_key(topic)
-
-
-ODOMETRY = ROS_TYPES[TargetType.ODOMETRY]
-
-
-def graph(session, domain=0):
-    """Return the data of ``ros2 node list`` and ``ros2 topic list``."""
-    return sorted(
-        str(reply.ok.key_expr) for reply in session.liveliness().get(f"@ros2_lv/{domain}/**", timeout=1.0)
-    )
-
-
-def test_a_node_its_topic_and_its_samples():
-    with ros.network() as (_, ours, theirs):
-        node = Ros2Node(ours, "talker", domain=3, namespace="/cf1")
-        publisher = node.publisher("/cf1/target/odom", *ODOMETRY)
-        until(lambda: len(graph(theirs, 3)) == 2, "both tokens")
-        node_token, publisher_token = graph(theirs, 3)
-        zid = str(ours.zid())
-        assert node_token == f"@ros2_lv/3/{zid}/0/0/NN/%/%cf1/talker"
-        assert publisher_token.startswith(
-            f"@ros2_lv/3/{zid}/0/1/MP/%/%cf1/talker/%cf1%target%odom/nav_msgs::"
-        )
-        assert graph(theirs, 0) == []
-
-        wanted = f"3/cf1/target/odom/nav_msgs::msg::dds_::Odometry_/{ODOMETRY.type_hash}"
-        heard = declare_advanced_subscriber(theirs, wanted, zenoh.handlers.RingChannel(10))
-        until(lambda: publisher.matched, "the subscription")
-        payload = Odometry(1_500_000_000, "map", "target", (1.0, 2.0, 0.2), (1.0, 0.0, 0.0, 0.0)).pack()
-        for i in range(3):
-            publisher.put(payload, 1_700_000_000_000_000_000 + i)
-        samples = []
-        until(lambda: samples.extend(zenoh_link.drain(heard)) or len(samples) == 3, "the samples")
-        for i, sample in enumerate(samples):
-            key = parse_topic_key(str(sample.key_expr))
-            assert (key.domain, key.topic, key.type_name, key.type_hash) == (3, "/cf1/target/odom", *ODOMETRY)
-            sequence, time_ns, length = struct.unpack("<qqB", sample.attachment.to_bytes()[:17])
-            assert (sequence, time_ns, length) == (i + 1, 1_700_000_000_000_000_000 + i, 16)
-            assert sample.attachment.to_bytes()[17:] == publisher_id(publisher_token)
-            message = ros.decode("nav_msgs/msg/Odometry", sample.payload.to_bytes())
-            assert (message.header.frame_id, message.pose.pose.position.z) == ("map", 0.2)
-
-        node.close()
-        until(lambda: graph(theirs, 3) == [], "the end of the tokens")

@@ -75,16 +75,6 @@ def test_the_right_of_way_by_what_was_heard(told, may_land, yields):
     assert way.text == ("" if may_land else "no right of way because of member 7")
 
 
-def test_a_vehicle_that_stands_on_the_pad_is_waited_for():
-    for intent in (Intent.STANDING, Intent.DOWN):
-        member = claimed(intent=intent)
-        slot = member.memory.slots[0]
-        slot.word = slot.word._replace(position_enu_m=(0.2, 0.0, 0.0))
-        assert not member.way(Phase.APPROACH, HERE, 1.2).may_land
-        slot.word = slot.word._replace(position_enu_m=(0.3, 0.0, 0.0))
-        assert member.way(Phase.APPROACH, HERE, 1.2).may_land
-
-
 def test_where_both_believe_to_be_first_the_higher_id_gives_way_in_the_end():
     higher = FleetMember(replace(FLEET, id=7), 0.0)
     higher.way(Phase.APPROACH, HERE, 1.0)

@@ -10,16 +10,7 @@ from flightstack.core.memory import Memory
 from flightstack.core.mission.conditions import LANDED_SETTLE_S, high_enough_m
 from flightstack.core.strategies.robust import DRIFT_SHARE
 from flightstack.core.types import Charge, Landed, Mode, Operator, Phase
-from tests.unit.core.mission.mission_helpers import (
-    BARRIER,
-    NOW_S,
-    PAD,
-    PAPER,
-    ROBUST,
-    names,
-    starting,
-    tick,
-)
+from tests.unit.core.mission.mission_helpers import BARRIER, NOW_S, PAD, PAPER, ROBUST, names, starting, tick
 
 WELL = {"ARMED", "WAS_ARMED", "EXTERNAL", "WAS_EXTERNAL", "READY", "RETRIES_LEFT", "TARGET_KNOWN"}
 

@@ -68,14 +68,10 @@ def fed_back(**sections):
 
 
 def flown_behind(settings, factor, accelerations, errors=None, start_m=0.0):
-    """Return positions relative to the target, m, tick by tick, from rest at a distance of ``start_m``.
+    """Return positions relative to the target, m, tick by tick, from rest at ``start_m``.
 
-    Args:
-        settings: configuration of the onboard process.
-        factor: ratio of the vehicle's velocity loop rate to the declared one.
-        accelerations: acceleration of the target at each tick, m/s^2.
-        errors: errors of the commanded velocity, m/s; none by default.
-        start_m: initial distance from the centre.
+    ``factor``: ratio of the vehicle's velocity loop rate to the declared one; ``accelerations``: of the
+    target, m/s^2; ``errors``: of the commanded velocity, m/s.
     """
     errors = np.zeros(len(accelerations)) if errors is None else errors
     period_s, gain = 1.0 / settings.loop.rate_hz, settings.robust.gain_over_pad_1_s

@@ -113,14 +113,6 @@ def test_a_vehicle_whose_heartbeats_are_rare_is_not_silent_while_its_state_comes
     assert wire.senders.known == HERE
 
 
-def test_before_arming_another_vehicle_may_take_the_place_of_a_silent_one():
-    wire = Wire()
-    assert wire.beats()
-    assert wire.beats(Kind(2, 3), THERE, SILENT_S + 0.1)
-    assert wire.beats(Kind(13, 3), THERE, 2.0 * SILENT_S + 0.2)
-    assert wire.senders.doubled is None
-
-
 def test_two_live_addresses_are_named_and_nothing_arms_until_that_is_known():
     wire = Wire()
     assert wire.beats()
