@@ -12,7 +12,7 @@ from flightstack.common.pacing import Tick
 from flightstack.config.options import OnboardOptions
 from flightstack.core.controller import Outputs
 from flightstack.core.parameters.flight import FlightConfig
-from logs.derive.derive import STEP_SUFFIX, Deriver
+from logs.recorder.derive import STEP_SUFFIX, Deriver
 from logs.schema.events import pack_string
 from logs.schema.rows import ControllerStepRow
 from logs.schema.schemas import (

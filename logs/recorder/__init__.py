@@ -1,1 +1,1 @@
-"""The flight recorder and its MCAP writer."""
+"""The flight recorder, its MCAP file, and the topics that it derives for viewers."""

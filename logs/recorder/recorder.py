@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import selectors
 import signal
 import socket
@@ -105,13 +106,7 @@ class RecorderProcess:
             elif isinstance(fileobj, socket.socket):
                 self._receive(fileobj)
         if ready and not self._stops:
-            self._pause()
-
-    def _pause(self) -> None:
-        """Wait a moment, so that records gather; a stop ends the wait."""
-        with selectors.SelectSelector() as selector:
-            selector.register(self._wake_in, selectors.EVENT_READ)
-            selector.select(READ_PERIOD_S)
+            select.select([self._wake_in], [], [], READ_PERIOD_S)  # records gather; a stop ends the wait
 
     def _accept(self) -> None:
         while True:

@@ -7,7 +7,7 @@ import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from logs.derive.derive import Derive, Derivers
+from logs.recorder.derive import Derive, Derivers
 from logs.recorder.feed import Kind, Record
 from logs.recorder.mcap_file import McapFile
 from logs.schema.events import Severity, pack_log

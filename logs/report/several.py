@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import plotly.graph_objects as go
 
-from logs.derive.markers import COLORS, PAIR_COLORS
 from logs.reader.flight_data import Flight, Floats
+from logs.recorder.markers import COLORS, PAIR_COLORS
 from logs.report.derived import Side, estimate_errors
 from logs.report.series import AXES, sent_m_s
 from logs.report.style import (

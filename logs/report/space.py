@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import plotly.graph_objects as go
 
-from logs.derive.markers import COLORS
 from logs.reader.flight_data import Flight, Floats
+from logs.recorder.markers import COLORS
 from logs.report.derived import Side, touch_index
 from logs.report.style import (
     BOUNDARY,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -48,16 +49,19 @@ class _Lanes:
     def __init__(self, axis: Axis) -> None:
         self._figure, self._axis, self._names = go.Figure(), axis, dict[str, None]()
 
-    def bar(self, lane: str, ends: Sequence[float], color: str, text: str, label: str = "") -> None:
-        """Add a bar; the pointer shows ``text``, the bar shows ``label`` if there is space."""
+    def _line(self, lane: str, x: Any, color: str, width: int, text: str) -> None:
+        """Add a line to a lane; the pointer shows ``text``."""
         self._names[lane] = None
         self._figure.add_trace(
             go.Scatter(
-                x=list(ends), y=[lane, lane], mode="lines", line={"color": color, "width": 13},
-                name=words(text), text=[words(text)] * 2,
-                hovertemplate="%{text}<br>%{x:.2f} s<extra></extra>",
+                x=x, y=[lane] * max(len(x), 1), mode="lines", line={"color": color, "width": width},
+                name=text, hovertemplate=f"{text}<br>%{{x:.2f}} s<extra></extra>",
             )
         )  # fmt: skip
+
+    def bar(self, lane: str, ends: Sequence[float], color: str, text: str, label: str = "") -> None:
+        """Add a bar; the pointer shows ``text``, the bar shows ``label`` if there is space."""
+        self._line(lane, list(ends), color, 13, words(text))
         low, high = self._axis.whole
         if label and ends[1] - ends[0] > _LETTER_SHARE * len(label) * (high - low):
             self._figure.add_annotation(
@@ -71,17 +75,11 @@ class _Lanes:
 
     def mask(self, lane: str, t: Floats, mask: Bools, color: str) -> None:
         """Add bars where the mask is true, as one line with breaks."""
-        self._names[lane] = None
         edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
         begins, ends = edges[::2], np.minimum(edges[1::2], len(t) - 1)
         x = np.full(3 * len(begins), np.nan)
         x[0::3], x[1::3] = t[begins], t[ends]
-        self._figure.add_trace(
-            go.Scatter(
-                x=light(x), y=[lane] * max(len(x), 1), mode="lines", line={"color": color, "width": 9},
-                name=lane, hovertemplate=f"{lane}<br>%{{x:.2f}} s<extra></extra>",
-            )
-        )  # fmt: skip
+        self._line(lane, light(x), color, 9, lane)
 
     def events(self, events: Sequence[Event], offset_s: float) -> None:
         if not events:

@@ -9,8 +9,8 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from logs.derive.markers import OWN_COLOR, Color, Path
 from logs.reader.flight_data import Flight, Floats, Ints, shape
+from logs.recorder.markers import OWN_COLOR, Color, Path
 
 FLIGHT = "flight"  # timeline: seconds since the first step
 LOG_TIME = "log_time"  # timeline: date and time of the log

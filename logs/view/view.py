@@ -18,9 +18,9 @@ import rerun as rr
 
 from flightstack.common.text import one_line
 from flightstack.core.safety.barrier import Barrier
-from logs.derive import markers
 from logs.reader.flight import load_fleet
 from logs.reader.flight_data import PAD_RADIUS_M, Event, Flight, Floats, Ints, phase_name
+from logs.recorder import markers
 from logs.schema.events import Severity
 from logs.schema.names import FLEET
 from logs.view.canvas import AXES, EVENTS, PHASE, RUN, WORLD, Canvas, blueprint, every, rgba, run_of, times

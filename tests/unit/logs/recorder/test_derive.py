@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.core.safety.barrier import Barrier
-from logs.derive.derive import Deriver, Derivers
-from logs.derive.markers import PATH_POINTS, surface
+from logs.recorder.derive import Deriver, Derivers
+from logs.recorder.markers import PATH_POINTS, surface
 from logs.report.derived import frames_lost
 from logs.schema import schemas
 from logs.schema.mavlink import pack_mavlink

@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import all as everything
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from bridge.mavlink.codec.messages import MESSAGES, decode
-from logs.derive.derive import TOPICS_MAX, FrameDecoder
+from logs.recorder.derive import TOPICS_MAX, FrameDecoder
 from logs.schema import mavlink, schemas
 from logs.schema.mavlink import (
     MAVLINK_PEERS,

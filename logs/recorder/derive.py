@@ -19,8 +19,8 @@ from types import MappingProxyType
 from bridge.ros2.cdr import NO_COVARIANCE
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.types import ZERO, Vec3
-from logs.derive.markers import Scene
 from logs.reader.flight_data import ATTACHMENT, read_config, shape
+from logs.recorder.markers import Scene
 from logs.schema.events import pack_string
 from logs.schema.mavlink import PEER_CHARACTERS, Type, of, parts, peer_of, unpack_mavlink
 from logs.schema.names import Names, split

@@ -1,1 +1,0 @@
-"""Topics that the recorder derives for viewers."""
