@@ -11,15 +11,12 @@ import numpy.typing as npt
 
 from flightstack.compiled.records import new
 from sim.plant.ground_effect import GroundRecord, set_up_ground, thrust_increase
-from sim.scenarios.scenario import VelocityLoop
 from tests import linear_analysis as analysis
-from tests.benchmarks.vehicle import linear as pid
-from tests.benchmarks.vehicle import runs as runs
+from tests.benchmarks.vehicle import runs
 from tests.unit.vehicle.vehicle_sim_helpers import QUIET
 
 F64 = npt.NDArray[np.float64]
 C128 = npt.NDArray[np.complex128]
-PAPER, PID = VelocityLoop.PAPER, VelocityLoop.PID
 STEP_M_S, TURN_RAD, RELEASE_RAD = 0.2, 0.3, math.radians(10.0)
 STEPS_S = {"roll": 0.8, "velocity": 3.0, "yaw": 5.0}
 LAGS = {False: analysis.PARAMS.rotor.lag_s, True: analysis.slow_lag_s()}
@@ -65,19 +62,15 @@ def hover() -> runs.Run:
 
 
 @cache
-def roll(loop: VelocityLoop, slow: bool) -> Step:
+def roll(slow: bool) -> Step:
     """Release the vehicle at a roll of 10 degrees."""
-    seconds = STEPS_S["roll"]
-    rolled = runs.roll_release(loop, RELEASE_RAD, seconds, slow=slow).roll / RELEASE_RAD
-    if loop is PID:
-        steps = round(seconds / analysis.DT)
-        return _step(rolled, pid.roll(LAGS[slow]).response(steps, start=1.0, wanted=0.0))
+    rolled = runs.roll_release(RELEASE_RAD, STEPS_S["roll"], slow=slow).roll / RELEASE_RAD
     model = analysis.roll_loop(LAGS[slow])
-    return _step(rolled, 1.0 - model.response(seconds), model.poles())  # the response of the error
+    return _step(rolled, 1.0 - model.response(STEPS_S["roll"]), model.poles())  # the response of the error
 
 
 @cache
-def velocity(loop: VelocityLoop, slow: bool, axis: int, *, late: bool = False) -> Step:
+def velocity(slow: bool, axis: int, *, late: bool = False) -> Step:
     """Step the velocity; half the difference of both directions, which removes biases and curvature.
 
     ``late``: with the motion capture's delay of 10 ms, which the linear models omit.
@@ -85,7 +78,6 @@ def velocity(loop: VelocityLoop, slow: bool, axis: int, *, late: bool = False) -
     seconds = STEPS_S["velocity"]
     ways = [
         runs.velocity_step(
-            loop,
             tuple(s * STEP_M_S * (i == axis) for i in range(3)),
             seconds,
             slow=slow,
@@ -94,9 +86,6 @@ def velocity(loop: VelocityLoop, slow: bool, axis: int, *, late: bool = False) -
         for s in (1.0, -1.0)
     ]
     moved = (ways[0].velocity - ways[1].velocity)[:, axis] / (2.0 * STEP_M_S)
-    if loop is PID:
-        make = pid.vertical if axis == 2 else pid.horizontal
-        return _step(moved, make(LAGS[slow]).response(round(seconds / analysis.DT)))
     model = (analysis.vertical_loop if axis == 2 else analysis.horizontal_loop)(LAGS[slow])
     return _step(moved, model.response(seconds), model.poles())
 
@@ -104,7 +93,7 @@ def velocity(loop: VelocityLoop, slow: bool, axis: int, *, late: bool = False) -
 @cache
 def yaw(slow: bool) -> Step:
     """Step the yaw with the paper's gains."""
-    turned = runs.yaw_step(PAPER, TURN_RAD, STEPS_S["yaw"], slow=slow).yaw / TURN_RAD
+    turned = runs.yaw_step(TURN_RAD, STEPS_S["yaw"], slow=slow).yaw / TURN_RAD
     model = analysis.yaw_loop(LAGS[slow])
     return _step(turned, model.response(STEPS_S["yaw"]), model.poles())
 

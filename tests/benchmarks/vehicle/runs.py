@@ -112,7 +112,6 @@ def motor_step(slow: bool, from_rpm: float, to_rpm: float, seconds: float) -> tu
 
 
 def velocity_step(
-    loop: VelocityLoop,
     velocity: tuple[float, float, float],
     seconds: float,
     *,
@@ -120,24 +119,24 @@ def velocity_step(
     mocap: OdometryLink = PROMPT,
 ) -> Run:
     """Step from hover to a velocity set-point at time zero, without the radio's delay."""
-    sim = make(velocity_loop=loop, slow_motors=slow, mocap=mocap, setpoint_delay_s=0.0)
+    sim = make(velocity_loop=VelocityLoop.PAPER, slow_motors=slow, mocap=mocap, setpoint_delay_s=0.0)
     record(sim, 0.5, hold(sim, (0.0, 0.0, 0.0)))
     return record(sim, seconds, hold(sim, velocity))
 
 
-def yaw_step(loop: VelocityLoop, yaw_rad: float, seconds: float, *, slow: bool = False) -> Run:
+def yaw_step(yaw_rad: float, seconds: float, *, slow: bool = False) -> Run:
     """Step from hover to a yaw set-point at time zero, without the radio's delay."""
-    sim = make(velocity_loop=loop, slow_motors=slow, mocap=PROMPT, setpoint_delay_s=0.0)
+    sim = make(velocity_loop=VelocityLoop.PAPER, slow_motors=slow, mocap=PROMPT, setpoint_delay_s=0.0)
     record(sim, 0.5, hold(sim, (0.0, 0.0, 0.0)))
     return record(sim, seconds, hold(sim, (0.0, 0.0, 0.0), yaw_rad))
 
 
-def roll_release(loop: VelocityLoop, roll_rad: float, seconds: float, *, slow: bool = False) -> Run:
+def roll_release(roll_rad: float, seconds: float, *, slow: bool = False) -> Run:
     """Release the vehicle at a roll angle while the firmware levels out, as it does with old set-points.
 
     Roll is then held at zero, independent of the velocity. The initial estimate is exact.
     """
-    sim = make(velocity_loop=loop, slow_motors=slow)
+    sim = make(velocity_loop=VelocityLoop.PAPER, slow_motors=slow)
     record(sim, 0.5, hold(sim, (0.0, 0.0, 0.0)))
     while "levelling" not in sim.state_text:
         sim.advance(1)

@@ -20,8 +20,6 @@ from tests.benchmarks.vehicle import reference as ref
 from tests.benchmarks.vehicle import runs as runs
 from tests.benchmarks.vehicle.responses import (
     NAMES,
-    PAPER,
-    PID,
     ROTOR,
     WEIGHT_N,
     Step,
@@ -116,28 +114,25 @@ def mode_rows(name: str, step: Step) -> Iterable[Row]:
 
 def roll_rows() -> Iterable[Row]:
     for slow, name in NAMES.items():
-        yield from mode_rows(f"Mellinger, {name}", roll(PAPER, slow))
-    for loop, title in ((PAPER, "Mellinger"), (PID, "PID")):
-        for slow, name in NAMES.items():
-            step = roll(loop, slow)
-            half = [1000.0 * float(np.interp(-0.5, -y, step.t)) for y in (step.simulated, step.linear)]
-            yield Row(f"{title}, {name}: time to half", "ms", *half, "linear model", 1)
+        yield from mode_rows(f"Mellinger, {name}", roll(slow))
+    for slow, name in NAMES.items():
+        step = roll(slow)
+        half = [1000.0 * float(np.interp(-0.5, -y, step.t)) for y in (step.simulated, step.linear)]
+        yield Row(f"Mellinger, {name}: time to half", "ms", *half, "linear model", 1)
 
 
 def velocity_rows() -> Iterable[Row]:
     for axis, way in ((0, "horizontal"), (2, "vertical")):
-        for loop in (PAPER, PID):
-            for slow, motors in NAMES.items():
-                step = velocity(loop, slow, axis)
-                end = float(step.linear[-1])
-                name = f"{way}, {loop.value}, {motors}"
-                times = [1000.0 * rise_s(step.t, y, end) for y in (step.simulated, step.linear)]
-                peaks = [float(y.max()) for y in (step.simulated, step.linear)]
-                yield Row(f"{name}: rise 10 to 90 %", "ms", *times, "linear model", 0)
-                yield Row(f"{name}: peak over set-point", "", *peaks, "linear model", 3)
-                if loop is PAPER:
-                    yield from mode_rows(name, step)
-        step = velocity(PAPER, False, axis, late=True)
+        for slow, motors in NAMES.items():
+            step = velocity(slow, axis)
+            end = float(step.linear[-1])
+            name = f"{way}, paper, {motors}"
+            times = [1000.0 * rise_s(step.t, y, end) for y in (step.simulated, step.linear)]
+            peaks = [float(y.max()) for y in (step.simulated, step.linear)]
+            yield Row(f"{name}: rise 10 to 90 %", "ms", *times, "linear model", 0)
+            yield Row(f"{name}: peak over set-point", "", *peaks, "linear model", 3)
+            yield from mode_rows(name, step)
+        step = velocity(False, axis, late=True)
         peaks = [float(y.max()) for y in (step.simulated, step.linear)]
         yield Row(f"{way}, paper, motion capture 10 ms late: peak", "", *peaks, "the same", 3)
 

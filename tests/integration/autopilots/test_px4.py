@@ -8,17 +8,12 @@ not arm on a driving robot ("GPS Horizontal Pos Drift too high").
 import contextlib
 import os
 import signal
-import subprocess
-import sys
 import time
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from flightstack.common.processes import ended
 from flightstack.common.strict_toml import dumps
 from flightstack.core.types import Mode
 from logs.reader.flight import load_flight
@@ -36,9 +31,7 @@ from tests.processes.bounded import AT_ONCE_S
 from tests.processes.started import StartedChild
 from tests.px4_place import px4_or_skip
 
-ROOT = Path(__file__).parents[3]
 pytestmark = [pytest.mark.xdist_group("real-time"), pytest.mark.xdist_group("stream 0")]  # one flight
-PATIENCE_S = 120.0  # the first run on a machine compiles
 
 
 @pytest.fixture
@@ -48,33 +41,18 @@ def instance():
     claim.close()
 
 
-@contextmanager
-def flying(folder, instance, scenario, *more):
-    """Yield PX4 with the parameters of the scenario's vehicle, on the plant of px4-sim."""
-    loaded = load(scenario)
-    poses = loaded.vehicle.mocap if "--mocap" in more else None
-    wanted = parameters(params.load(loaded.vehicle.airframe), poses)
-    px4 = Px4Program(px4_or_skip(), folder, Px4Model.NONE_IRIS, instance=instance, parameters=wanted)
-    words = ["px4-sim", "--scenario", scenario, "--once", "--tcp", f"127.0.0.1:{px4.simulator_port}", *more]
-    simulator = subprocess.Popen([sys.executable, "-m", "flightstack.cli.main", *words], cwd=ROOT)
-    try:
-        yield px4, wanted
-    finally:
-        px4.end()
-        ended(simulator, PATIENCE_S)
-
-
-def test_is_ready_with_the_parameters_wanted_and_counts_from_the_origin_of_the_room(tmp_path, instance):
+def test_is_ready_with_the_parameters_wanted_and_counts_from_the_origin_of_the_room(tmp_path):
     """Fly by motion capture; test_autopilots.py flies by satellites."""
-    scenario = "grid"
-    with flying(tmp_path, instance, scenario, "--mocap") as (px4, wanted):
-        px4.wait_ready(PATIENCE_S)
+    scenario = load("grid")
+    wanted = parameters(params.load(scenario.vehicle.airframe), scenario.vehicle.mocap)
+    with on_px4(tmp_path, px4_or_skip(), "grid", 0, mocap=True) as room:
+        px4 = room.px4
         assert "Preflight check: OK" in px4.console("commander", "check")
         for name, value in wanted.items():
             px4.console("param", "compare", name, str(value))  # raises if the value differs
         said = px4.console("listener", "vehicle_local_position", "-n", "1").splitlines()
         place = {words[0]: words[1] for words in map(str.split, said) if len(words) > 1}
-        east, north, _ = Px4Plant(load(scenario), 0).body().position_enu_m
+        east, north, _ = Px4Plant(scenario, 0).body().position_enu_m
         assert float(place["y:"]) == pytest.approx(east, abs=0.1)  # NED
         assert float(place["x:"]) == pytest.approx(north, abs=0.1)
 
