@@ -9,16 +9,268 @@ and ``Objects.read`` copies it back. Everything else is copied once.
 
 from __future__ import annotations
 
+import inspect
 import struct
+import types as python_types
 from collections.abc import Iterator
+from functools import cache
 from itertools import accumulate, pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple, get_origin, get_type_hints
 
 import numpy as np
 
-from flightstack.compiled.held import Handle, kind_of
-from flightstack.compiled.jit import is_off
-from flightstack.compiled.layout import WORD, class_of, fields_of, format_of, is_state, reader_of, taker_of
+from flightstack.compiled.jit import is_off, jitted, load_numba
+from flightstack.compiled.layout import (
+    WORD,
+    Kind,
+    class_of,
+    fields_of,
+    format_of,
+    is_enum,
+    is_state,
+    kind_of_hint,
+    reader_of,
+    taker_of,
+)
+from flightstack.core.numeric import MARKED, RARE, STAND_INS, NotOrdinary, scope_of
+
+
+class Handle(NamedTuple):
+    """An object as an argument of compiled code."""
+
+    kind: Any
+    address: int
+
+
+if TYPE_CHECKING or is_off():
+
+    def kind_of(one: object) -> Any:
+        """Return the type of an object for compiled code."""
+        return type(one)
+
+else:
+    load_numba()
+    from llvmlite import ir
+    from numba.core import cgutils, types
+    from numba.core.datamodel import models, register_default
+    from numba.core.typing.templates import AttributeTemplate
+    from numba.extending import (
+        NativeValue,
+        infer_getattr,
+        intrinsic,
+        lower_getattr_generic,
+        lower_setattr_generic,
+        overload_attribute,
+        overload_method,
+        typeof_impl,
+        unbox,
+    )
+
+    class Held(types.Type):
+        """Type of an object that compiled code accesses by its address."""
+
+        def __init__(self, cls: type, others: tuple[tuple[str, Any], ...]) -> None:
+            self.cls, self.others = cls, dict(others)
+            super().__init__(name=f"{cls.__module__}.{cls.__qualname__}{list(others) or ''}")
+
+        def __reduce__(self) -> Any:
+            return _held, (self.cls, tuple(self.others.items()))
+
+        def type_of(self, name: str) -> Any:
+            """Return the type of a field; None if no field has this name."""
+            if name in self.others:
+                return self.others[name]
+            found = fields_of(self.cls).get(name)
+            return _numba_type(found[0]) if found else None
+
+    def _numba_type(kind: Kind) -> Any:
+        if kind.parts:
+            inner = tuple(_numba_type(part) for part in kind.parts)
+            if get_origin(kind.hint) is tuple:
+                return types.BaseTuple.from_types(inner)
+            return types.BaseTuple.from_types(inner, kind.hint)
+        if kind.hint is None:
+            return types.none
+        if kind.hint is bool:
+            return types.boolean
+        if kind.hint is float:
+            return types.float64
+        if is_enum(kind.hint):
+            return types.IntEnumMember(kind.hint, types.int64)
+        return types.int64 if kind.hint in (int, str) else _held(kind.hint, ())
+
+    def _held(cls: type, others: tuple[tuple[str, Any], ...]) -> Held:
+        return _class_of(cls)(cls, others)
+
+    @cache
+    def _class_of(cls: type) -> type[Held]:
+        """Return a numba type for the objects of a class; the type has the methods of the class."""
+        made = type(cls.__name__, (Held,), {})
+        register_default(made)(_Address)
+        _register(made, cls)
+        return made
+
+    def _register(made: Any, cls: type) -> None:
+        for name in dir(cls):
+            one = getattr(cls, name)
+            if name.startswith("__") or name in fields_of(cls):  # a property may have the name of a field
+                continue
+            if isinstance(one, property):
+                overload_attribute(made, name, strict=False)(_chooser(one.fget))
+            elif isinstance(one, bool):
+                scope: dict[str, Any] = {}
+                exec(f"def constant(one):\n    return {one}", scope)
+                overload_attribute(made, name, strict=False)(lambda _one, f=scope["constant"]: f)
+            elif isinstance(one, python_types.FunctionType):
+                overload_method(made, name, strict=False)(_chooser(STAND_INS.get(one, one)))
+
+    def _chooser(function: Any) -> Any:
+        @cache
+        def copied() -> Any:
+            return _raising(function) if function in RARE else scope_of(function, jitted)
+
+        def choose(*_args: Any, **_kwargs: Any) -> Any:
+            return copied()
+
+        choose.__signature__ = inspect.signature(function)  # type: ignore[attr-defined]
+        return choose
+
+    def _raising(function: Any) -> Any:
+        """Return the compiled form of a rare function: it returns the tick to Python."""
+        hint = get_type_hints(function).get("return")
+        kind = None if hint in (None, type(None)) else kind_of_hint(hint)
+        zero = _zero(types.none if kind is None else _numba_type(kind))
+        names = function.__code__.co_varnames[: function.__code__.co_argcount]
+        scope = {"zero": zero, "always": _always, "NotOrdinary": NotOrdinary}
+        exec(
+            f"def rare({', '.join(names)}):\n    if always():\n        raise NotOrdinary\n    return zero()",
+            scope,
+        )
+        return scope["rare"]
+
+    @intrinsic
+    def _always(_typing: Any) -> Any:
+        return types.boolean(), lambda *_: cgutils.true_bit
+
+    @cache
+    def _zero(kind: Any) -> Any:
+        @intrinsic
+        def zero(_typing: Any) -> Any:
+            return kind(), lambda context, *_: context.get_constant_null(kind)
+
+        return zero
+
+    class _Address(models.PrimitiveModel):
+        def __init__(self, manager: Any, kind: Any) -> None:
+            super().__init__(manager, kind, ir.IntType(8).as_pointer())
+
+    @infer_getattr
+    class _Fields(AttributeTemplate):
+        key = Held
+
+        def generic_resolve(self, one: Held, name: str) -> Any:
+            return one.type_of(name)
+
+    def _place(builder: Any, one: Any, address: Any, name: str) -> Any:
+        return cgutils.pointer_add(builder, address, WORD * fields_of(one.cls)[name][1])
+
+    _DOUBLE, _WHOLE = ir.DoubleType(), ir.IntType(64)
+
+    def _load(context: Any, builder: Any, kind: Any, place: Any) -> tuple[Any, int]:
+        """Return a value of a type, and the number of words that it occupies."""
+        if isinstance(kind, types.BaseTuple):
+            items, at = [], 0
+            for each in kind:
+                item, size = _load(context, builder, each, cgutils.pointer_add(builder, place, WORD * at))
+                items.append(item)
+                at += size
+            return context.make_tuple(builder, kind, items), at
+        if kind == types.none:
+            return context.get_dummy_value(), 0
+        if kind == types.float64:
+            return builder.load(builder.bitcast(place, _DOUBLE.as_pointer())), 1
+        number = builder.load(builder.bitcast(place, _WHOLE.as_pointer()))
+        if kind == types.boolean:
+            return builder.icmp_signed("!=", number, _WHOLE(0)), 1
+        if isinstance(kind, Held):
+            return builder.inttoptr(number, ir.IntType(8).as_pointer()), 1
+        return number, 1
+
+    def _store(context: Any, builder: Any, kind: Any, place: Any, value: Any) -> int:
+        if isinstance(kind, types.BaseTuple):
+            at = 0
+            for n, each in enumerate(kind):
+                to = cgutils.pointer_add(builder, place, WORD * at)
+                at += _store(context, builder, each, to, builder.extract_value(value, n))
+            return at
+        if kind == types.none:
+            return 0
+        if kind == types.float64:
+            builder.store(value, builder.bitcast(place, _DOUBLE.as_pointer()))
+            return 1
+        if kind == types.boolean:
+            value = builder.zext(value, _WHOLE)
+        elif isinstance(kind, Held):
+            value = builder.ptrtoint(value, _WHOLE)
+        builder.store(value, builder.bitcast(place, _WHOLE.as_pointer()))
+        return 1
+
+    @lower_getattr_generic(Held)
+    def _get(context: Any, builder: Any, one: Held, address: Any, name: str) -> Any:
+        return _load(context, builder, one.type_of(name), _place(builder, one, address, name))[0]
+
+    @lower_setattr_generic(Held)
+    def _set(context: Any, builder: Any, signature: Any, args: Any, name: str) -> None:
+        one = signature.args[0]
+        _store(context, builder, one.type_of(name), _place(builder, one, args[0], name), args[1])
+
+    @typeof_impl.register(Handle)
+    def _type_of_handle(handle: Handle, _context: Any) -> Any:
+        return handle.kind
+
+    @unbox(Held)
+    def _unbox(_kind: Any, handle: Any, c: Any) -> Any:
+        number = c.pyapi.object_getattr_string(handle, "address")
+        whole = c.pyapi.long_as_longlong(number)
+        c.pyapi.decref(number)
+        return NativeValue(c.builder.inttoptr(whole, ir.IntType(8).as_pointer()))
+
+    _known: set[Any] = set()
+
+    def _register_named() -> None:
+        """Let compiled code use the marked methods of named tuples."""
+        for cls in [each for each in MARKED if isinstance(each, type) and each not in _known]:
+            _known.add(cls)
+            for name, one in vars(cls).items():
+                if isinstance(one, property):
+                    overload_attribute(types.BaseNamedTuple, name, strict=False)(_of_class(cls, one.fget))
+                elif isinstance(one, python_types.FunctionType) and not name.startswith("_"):
+                    overload_method(types.BaseNamedTuple, name, strict=False)(_of_class(cls, one))
+
+    def _of_class(cls: type, function: Any) -> Any:
+        def choose(one: Any, *_args: Any, **_kwargs: Any) -> Any:
+            return scope_of(function, jitted) if one.instance_class is cls else None
+
+        choose.__signature__ = inspect.signature(function)  # type: ignore[attr-defined]
+        return choose
+
+    def kind_of(one: object) -> Any:
+        """Return the type of an object for compiled code."""
+        _register_named()
+        return _kind(one, {})
+
+    def _kind(one: object, known: dict[int, Held]) -> Held:
+        """Type of an object; ``known``: types of the objects found so far, by identity."""
+        if id(one) not in known:
+            cls, others = class_of(one), []
+            for name, (kind, _) in fields_of(cls).items():
+                part = getattr(one, name) if kind.is_object else None
+                if part is not None:
+                    found = _kind(part, known)
+                    if found.cls is not kind.hint or found.others:
+                        others.append((name, found))
+            known[id(one)] = _held(cls, tuple(others))
+        return known[id(one)]
 
 
 class Objects:

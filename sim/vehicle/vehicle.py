@@ -24,7 +24,6 @@ from sim.plant.sensors import NS_PER_MS, ms_from
 from sim.plant.vehicle_types import Estimate, Truth
 from sim.scenarios.fault_spec import Fault, Kind, What
 from sim.scenarios.scenario import Scenario, StartKind
-from sim.vehicle.judge import GAP_MS
 from sim.vehicle.loop import fly
 from sim.vehicle.mocap import MocapTape
 from sim.vehicle.physics import Physics
@@ -61,7 +60,6 @@ class VehicleSim:
         self.faults = Faults(scenario.fault, seed, motors, BatteryFaults(r.battery))
         self._ms = self._supplied_ms = 0
         self._allowed, self._state = scalars(r.firmware.supervisor, "motors_allowed", "state")
-        self._pad_ms, self._ground_ms, self._since_ms = scalars(r.contact, "pad_ms", "ground_ms", "since_ms")
         self._read_commands = reader(r.firmware.commands)
         # set-point that holds the hover at the start against weight and mean wind; zero for other starts
         self.trim_velocity_enu_m_s: Vec3 = ZERO
@@ -310,19 +308,17 @@ class VehicleSim:
     @property
     def on_pad(self) -> bool:
         """Whether the vehicle truly touches the pad's top; a bounce below 30 ms does not end the contact."""
-        on_pad: bool = self._ms - self._pad_ms[0] <= GAP_MS
-        return on_pad
+        return self._physics.on_pad(self._ms)
 
     @property
     def on_ground(self) -> bool:
         """Whether the vehicle touches the floor."""
-        on_ground: bool = self._ms - self._ground_ms[0] <= GAP_MS
-        return on_ground
+        return self._physics.on_ground(self._ms)
 
     @property
     def landed(self) -> bool:
         """Whether the vehicle has touched pad or floor for 0.15 s."""
-        lasts: bool = self._ms - self._since_ms[0] >= LANDED_AFTER_MS
+        lasts: bool = self._ms - self._physics.since_ms[0] >= LANDED_AFTER_MS
         return lasts and (self.on_pad or self.on_ground)
 
     def estimate(self) -> Estimate:
