@@ -133,6 +133,12 @@ def fields_of(cls: Any) -> dict[str, tuple[Kind, int]]:
 
 
 @cache
+def objects_of(cls: Any) -> dict[str, Any]:
+    """Return the fields of a class that hold other objects, each with its declared class."""
+    return {name: kind.hint for name, (kind, _) in fields_of(cls).items() if kind.is_object}
+
+
+@cache
 def reader_of(cls: Any) -> Callable[[Any, tuple[Any, ...]], None]:
     """Return a function that sets the fields of an object from numbers, except fields that hold objects."""
     scope: dict[str, Any] = {"texts": _texts}

@@ -29,6 +29,7 @@ from flightstack.compiled.layout import (
     is_enum,
     is_state,
     kind_of_hint,
+    objects_of,
     reader_of,
     taker_of,
 )
@@ -99,6 +100,7 @@ else:
             return types.IntEnumMember(kind.hint, types.int64)
         return types.int64 if kind.hint in (int, str) else _held(kind.hint, ())
 
+    @cache  # a new type would hash its long name in each call of compiled code
     def _held(cls: type, others: tuple[tuple[str, Any], ...]) -> Held:
         return _class_of(cls)(cls, others)
 
@@ -263,11 +265,10 @@ else:
         """Type of an object; ``known``: types of the objects found so far, by identity."""
         if id(one) not in known:
             cls, others = class_of(one), []
-            for name, (kind, _) in fields_of(cls).items():
-                part = getattr(one, name) if kind.is_object else None
-                if part is not None:
+            for name, hint in objects_of(cls).items():
+                if (part := getattr(one, name)) is not None:
                     found = _kind(part, known)
-                    if found.cls is not kind.hint or found.others:
+                    if found.cls is not hint or found.others:
                         others.append((name, found))
             known[id(one)] = _held(cls, tuple(others))
         return known[id(one)]
@@ -340,6 +341,6 @@ def _reached(one: Any, known: dict[int, Any]) -> Iterator[Any]:
         return
     known[id(one)] = one
     yield one
-    for name, (kind, _) in fields_of(class_of(one)).items():
-        if kind.is_object and getattr(one, name) is not None:
-            yield from _reached(getattr(one, name), known)
+    for name in objects_of(class_of(one)):
+        if (part := getattr(one, name)) is not None:
+            yield from _reached(part, known)
