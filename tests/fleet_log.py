@@ -114,8 +114,8 @@ class RecordedCompanion(Companion):
 
     def write(self, tick, taken, out, exec_s):
         super().write(tick, taken, out, exec_s)
-        if out.own_word is not None:
-            self.log.word(tick, word_row(out.own_word, EPOCH_NS, self.feed.number).pack())
+        if out.own_message is not None:
+            self.log.word(tick, word_row(out.own_message, EPOCH_NS, self.feed.number).pack())
         self.log.step(tick, taken, out, self.controller)
         self.log.timing(tick, out, 0.0, 0)
 

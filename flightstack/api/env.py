@@ -110,7 +110,7 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         self.close()
         flown = int(self.np_random.integers(2**31)) if seed is None else whole("seed", seed)
         controller = Controller(self.scenario.onboard)
-        controller.strategy.ask, controller.strategy.asked.agent = self._ask, True
+        controller.strategy.ask, controller.strategy.exchange.agent = self._ask, True
         assert isinstance(controller.program, SafetyFilter)
         controller.program.enforces = self._enforces
         self._companion = Companion(self.scenario, flown, controller=controller)

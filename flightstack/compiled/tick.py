@@ -99,7 +99,7 @@ def _landed(kernel: LandingKernel, given: F64, rules: I64) -> tuple[Landing, flo
     )
     landing = kernel.land(own, int(given[2]), rules, given[1])
     estimate = kernel.reserve_estimate
-    return landing, estimate.reserve if kernel._weighs and estimate is not None else math.nan
+    return landing, estimate.reserve if kernel._has_reserve and estimate is not None else math.nan
 
 
 class CompiledController(Controller):
@@ -163,8 +163,8 @@ class CompiledController(Controller):
         ):
             return None
         estimate, objects, given = self.reserve_estimate, self._objects, self._given
-        if estimate is not None and estimate.hear(inputs.power, standing=False):
-            objects.write_one(estimate.told)
+        if estimate is not None and estimate.receive(inputs.power, standing=False):
+            objects.write_one(estimate.reported)
         _OWN.pack_into(
             given.data, 0, len(samples), now_s, self._lasting, own.arrival_s, own.source_time_s,
             *own.position_enu_m, *own.velocity_enu_m_s, own.yaw_rad,

@@ -65,7 +65,7 @@ class Outputs(NamedTuple):
     target_accepted: int  # number of accepted target samples
     target_rejected: int  # number of rejected target samples
     reserve: float = math.nan  # maximum thrust over weight; NaN if unknown or without a table [reserve]
-    own_word: Neighbour | None = None  # message to the fleet; None without a table [fleet] or a position
+    own_message: Neighbour | None = None  # message to the fleet; None without a table [fleet] or a position
 
 
 def _level(transition: Transition) -> int:
@@ -129,8 +129,8 @@ class Controller(LandingKernel):
         events = self._take_samples(inputs)
         track = self.track
         target = strategy.target(track, now_s) if track.memory.last is not None else None
-        believed_target = not track.memory.distrusted
-        if target is not None and not believed_target:
+        target_trusted = not track.memory.distrusted
+        if target is not None and not target_trusted:
             target = target._replace(velocity_enu_m_s=track.moves_m_s)
         if inputs.own is not None:
             status = inputs.status
@@ -138,35 +138,35 @@ class Controller(LandingKernel):
             inputs = Inputs(
                 own, inputs.status, inputs.target_samples, inputs.operator, inputs.power, inputs.neighbours
             )
-        believed = plausibility.believes(now_s)
+        trusted = plausibility.trusts(now_s)
         follows, charge = plausibility.follows, Charge.FIT
         if self.reserve_estimate is not None:
-            charge = self._weigh(self.reserve_estimate, inputs, now_s)
-        texts, way = self._fleet.observe(inputs, memory.phase, target, now_s)
+            charge = self._estimate_reserve(self.reserve_estimate, inputs, now_s)
+        texts, permissions = self._fleet.observe(inputs, memory.phase, target, now_s)
         events += [Event(WARN, text) for text in texts]
         snapshot = snapshot_of(
-            self.config, inputs, target, now_s, believed=believed, follows=follows, charge=charge, way=way,
-            target_believed=believed_target,
+            self.config, inputs, target, now_s, trusted=trusted, follows=follows, charge=charge,
+            permissions=permissions, target_trusted=target_trusted,
         )  # fmt: skip
         transition = self._mission.step(snapshot, command_failed=command_failed, now_s=now_s)
         if transition is not None:
             events.append(Event(_level(transition), transition.text))
         nominal = nominal_command(Situation(self.config, self.barrier, memory, snapshot, strategy))
-        rows, own_word = NO_ROWS, None
+        rows, own_message = NO_ROWS, None
         placed = inputs.own if snapshot.own_ok else None
         if nominal.velocity is not None and placed is not None:
             base, most = self.base(placed.velocity_enu_m_s), self.config.limits.velocity_max_m_s
             velocity, rows = self._fleet.beside(memory.phase, placed, base, nominal.velocity, most, now_s)
             if velocity is not nominal.velocity:
                 nominal = nominal._replace(velocity=velocity)
-        self._rows, self.crowded = rows, bool(rows.rows) or not way.may_land
+        self._rows, self.crowded = rows, bool(rows.rows) or not permissions.may_land
         barrier, wanted, gate, setpoint = self._command(nominal, snapshot)
         why = self.reserve_estimate.text if self.reserve_estimate else ""
-        texts = self._fleet.texts(way, now_s - memory.phase_since_s, why, now_s)
+        texts = self._fleet.texts(permissions, now_s - memory.phase_since_s, why, now_s)
         events += [Event(WARN, text) for text in texts]
         if placed is not None:
             base = self.base(placed.velocity_enu_m_s)
-            own_word = self._fleet.word(memory, placed, inputs.status, base, target, now_s)
+            own_message = self._fleet.message(memory, placed, inputs.status, base, target, now_s)
         return Outputs(
             phase=memory.phase,
             request=nominal.request,
@@ -181,7 +181,7 @@ class Controller(LandingKernel):
             target_accepted=self.track.memory.accepted,
             target_rejected=self.track.memory.rejected,
             reserve=self.reserve_estimate.reserve if self.reserve_estimate is not None else math.nan,
-            own_word=own_word,
+            own_message=own_message,
         )
 
     def _finished(self, status: VehicleStatus | None, now_s: float) -> bool:
@@ -189,7 +189,7 @@ class Controller(LandingKernel):
         over = self._mission.finished(status, now_s)
         return over and self._fleet.over(now_s - self.memory.phase_since_s, now_s)
 
-    def _weigh(self, estimate: ReserveEstimate, inputs: Inputs, now_s: float) -> Charge:
+    def _estimate_reserve(self, estimate: ReserveEstimate, inputs: Inputs, now_s: float) -> Charge:
         """Estimate the thrust reserve, and limit the accelerations of this tick to those it allows."""
         own = inputs.own
         rise_m_s = own.velocity_enu_m_s[2] if own is not None else 0.0

@@ -93,7 +93,7 @@ class LandingKernel:
     slew_step: Vec3
     up_step_m_s: float  # largest upward velocity change per tick that the thrust reserve allows
     crowded: bool  # whether neighbours or a missing right of way limit the velocity in this tick
-    _weighs: bool  # whether ``reserve_estimate`` is set
+    _has_reserve: bool  # whether ``reserve_estimate`` is set
     _mission: Mission
     _gate: Gate
     _period_s: float
@@ -107,7 +107,7 @@ class LandingKernel:
         self._period_s = 1.0 / config.loop.rate_hz
         most, table = self.strategy.acceleration_max_m_s2, config.reserve
         self.reserve_estimate = ReserveEstimate(table, most, self._period_s) if table is not None else None
-        self._weighs = table is not None
+        self._has_reserve = table is not None
         self._mission = Mission(
             config, self.barrier, self.strategy, self.track, self.plausibility, self.reserve_estimate
         )
@@ -153,15 +153,15 @@ class LandingKernel:
         """Check the vehicle state, compare its velocity with the command, and predict the current state."""
         memory, plausibility, velocity = self.memory, self.plausibility, own.velocity_enu_m_s
         plausibility.take(own, memory.commanding and not memory.contact)
-        believed = plausibility.believes(now_s)
-        if believed and memory.commanding:
+        trusted = plausibility.trusts(now_s)
+        if trusted and memory.commanding:
             plausibility.follow(memory.command, velocity)
-        elif believed and memory.lifting and flies:
+        elif trusted and memory.lifting and flies:
             plausibility.follow(self._lifting(velocity[2], now_s), velocity)
         else:  # the vehicle follows no set-points of this stack, or stands
             plausibility.forget()
         now = self.strategy.vehicle(own)
-        self.strategy.observe(now.velocity_enu_m_s, memory.commanding and believed)
+        self.strategy.observe(now.velocity_enu_m_s, memory.commanding and trusted)
         return now
 
     def _lifting(self, rises_m_s: float, now_s: float) -> Vec3:
@@ -287,14 +287,14 @@ class LandingKernel:
         if self.track.memory.distrusted or target.age_s > self.config.checks.target_age_max_s:
             raise NotOrdinary
         own = self.estimate_own(own, True, now_s)
-        if not (plausibility.believes(now_s) and plausibility.follows):
+        if not (plausibility.trusts(now_s) and plausibility.follows):
             raise NotOrdinary
         estimate = self.reserve_estimate
-        if self._weighs and estimate is not None:
+        if self._has_reserve and estimate is not None:
             flies = memory.phase is not Phase.LANDED
-            if not now_s - estimate.told.arrival_s <= AGE_MAX_S:
+            if not now_s - estimate.reported.arrival_s <= AGE_MAX_S:
                 raise NotOrdinary
-            estimate.weigh(own.velocity_enu_m_s[2], self.in_free_flight, flies)
+            estimate.update(own.velocity_enu_m_s[2], self.in_free_flight, flies)
             self._accelerate(estimate.acceleration_max_m_s2)
             if flies and estimate.charge is not Charge.FIT:
                 raise NotOrdinary

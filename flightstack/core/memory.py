@@ -181,7 +181,7 @@ class FilterMemory:
 
 
 @dataclass(slots=True)
-class AskedMemory:
+class ExchangeMemory:
     """Values that compiled code passes to Python within a tick, and the answer; not recorded."""
 
     agent: bool = False  # whether a learning agent chooses the nominal velocity

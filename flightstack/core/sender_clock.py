@@ -85,16 +85,16 @@ class SenderClock:
 
     def judge(self, stamp_s: float, arrival_s: float, patience_s: float = PATIENCE_S) -> Reading:
         """Check a time stamp; only ``take`` updates the clock estimate."""
-        memory, way_s = self.memory, arrival_s - stamp_s
+        memory, transit_s = self.memory, arrival_s - stamp_s
         if not 0.0 <= stamp_s <= STAMP_MAX_S:  # also rejects NaN
             return Reading.UNUSABLE
         if stamp_s > memory.stamp_s:
             known = (
                 arrival_s - memory.began_s >= self._proof_s
             )  # earlier samples may come from a queue that empties
-            if known and way_s < memory.floor_s - self.ahead_max_s:
+            if known and transit_s < memory.floor_s - self.ahead_max_s:
                 reading = Reading.AHEAD
-            elif way_s - memory.offset_s > self._late_max_s or self._goes_on_late(way_s, arrival_s):
+            elif transit_s - memory.offset_s > self._late_max_s or self._goes_on_late(transit_s, arrival_s):
                 reading = Reading.LATE
             else:
                 return Reading.FRESH
@@ -110,7 +110,7 @@ class SenderClock:
 
     def take(self, stamp_s: float, arrival_s: float) -> bool:
         """Update the estimate with an accepted stamp; return whether the sender's clock has changed."""
-        memory, way_s = self.memory, arrival_s - stamp_s
+        memory, transit_s = self.memory, arrival_s - stamp_s
         newest = memory.run_stamp_s == stamp_s and memory.run_arrival_s == arrival_s
         stepped = newest and memory.run_since_s < math.inf
         if stepped or memory.began_s == math.inf:
@@ -120,13 +120,13 @@ class SenderClock:
             memory.held_s = 0.0
         else:
             elapsed_s = min(arrival_s - memory.taken_s, ELAPSED_MAX_S)
-            memory.held_s = memory.held_s + elapsed_s if way_s > memory.offset_s + GRAIN_S else 0.0
+            memory.held_s = memory.held_s + elapsed_s if transit_s > memory.offset_s + GRAIN_S else 0.0
             if memory.held_s > HOLDS_S:
                 memory.offset_s += FORGETS * elapsed_s
-            if way_s > memory.floor_s + GRAIN_S:
+            if transit_s > memory.floor_s + GRAIN_S:
                 memory.floor_s += FORGETS_SLOWLY * elapsed_s
-            memory.offset_s = min(way_s, memory.offset_s)
-            memory.floor_s = max(min(way_s, memory.floor_s), memory.offset_s - FLOOR_MAX_S)
+            memory.offset_s = min(transit_s, memory.offset_s)
+            memory.floor_s = max(min(transit_s, memory.floor_s), memory.offset_s - FLOOR_MAX_S)
         memory.stamp_s, memory.taken_s = stamp_s, arrival_s
         memory.run_since_s, memory.run_sure = math.inf, False
         return stepped
@@ -135,28 +135,28 @@ class SenderClock:
         """Return the lateness of a message with this stamp, at a time of this process's clock, s."""
         return max(0.0, now_s - stamp_s - self.memory.offset_s)
 
-    def _goes_on_late(self, way_s: float, arrival_s: float) -> bool:
+    def _goes_on_late(self, transit_s: float, arrival_s: float) -> bool:
         """Whether messages of a clock that was set back slightly have caught up with the newest stamp."""
         m = self.memory
-        return way_s - m.offset_s > AGREE_S and m.run_sure and self._agrees(way_s, arrival_s)
+        return transit_s - m.offset_s > AGREE_S and m.run_sure and self._agrees(transit_s, arrival_s)
 
-    def _agrees(self, way_s: float, arrival_s: float) -> bool:
+    def _agrees(self, transit_s: float, arrival_s: float) -> bool:
         m = self.memory
         in_time = m.run_since_s <= arrival_s <= m.run_arrival_s + GAP_MAX_S
-        return in_time and abs(way_s - m.run_way_s) <= AGREE_S
+        return in_time and abs(transit_s - m.run_way_s) <= AGREE_S
 
     @rare
     def _noted(self, reading: Reading, stamp_s: float, arrival_s: float) -> bool:
         """Store a rejected message; return whether no delay can explain the messages that agree with it."""
-        m, way_s = self.memory, arrival_s - stamp_s
-        if stamp_s > m.run_stamp_s and self._agrees(way_s, arrival_s):
-            m.run_way_s = min(m.run_way_s, way_s)
+        m, transit_s = self.memory, arrival_s - stamp_s
+        if stamp_s > m.run_stamp_s and self._agrees(transit_s, arrival_s):
+            m.run_way_s = min(m.run_way_s, transit_s)
         else:
             before_s = m.run_arrival_s if m.run_since_s < math.inf else m.taken_s
             silent = arrival_s - before_s > GAP_MAX_S
-            began = silent and way_s - m.offset_s > QUEUE_MAX_S  # a queue cannot grow this long in a pause
+            began = silent and transit_s - m.offset_s > QUEUE_MAX_S  # longer than a queue after a pause
             sure = began or reading in (Reading.AHEAD, Reading.OUT_OF_ORDER)
-            m.run_since_s, m.run_way_s, m.run_sure = arrival_s, way_s, sure
+            m.run_since_s, m.run_way_s, m.run_sure = arrival_s, transit_s, sure
             if silent and m.stamp_s - stamp_s > self._reboot_s:
                 m.run_since_s = -math.inf
         m.run_stamp_s, m.run_arrival_s = stamp_s, arrival_s

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from flightstack.core.fleet.precedence import ALONE, Way
+from flightstack.core.fleet.precedence import ALONE, Permissions
 from flightstack.core.numeric import hypot, numeric
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.target.track import TargetState
@@ -49,7 +49,7 @@ class Snapshot:
     e_m: Vec3 | None  # position of the vehicle minus landing spot, ENU, m; ``None`` unless both are known
     follows: bool = True  # the vehicle follows the commanded velocity
     charge: Charge = Charge.FIT  # state of the battery; FIT without a table [reserve]
-    way: Way = ALONE  # permissions with respect to other vehicles; all granted without a table [fleet]
+    permissions: Permissions = ALONE  # with respect to other vehicles; all granted without a table [fleet]
     # the target is recent, but its reported velocity is not trusted: ``target`` has that of its positions
     target_placed: bool = False
     good: bool = field(init=False)  # all inputs are usable
@@ -71,20 +71,20 @@ def snapshot_of(
     target: TargetState | None,
     now_s: float,
     *,
-    believed: bool = True,
+    trusted: bool = True,
     follows: bool = True,
     charge: Charge = Charge.FIT,
-    way: Way = ALONE,
-    target_believed: bool = True,
+    permissions: Permissions = ALONE,
+    target_trusted: bool = True,
 ) -> Snapshot:
     """Check the ages of this tick's inputs."""
     checks, own, status = config.checks, inputs.own, inputs.status
-    own_ok = believed and own is not None and -FUTURE_MAX_S <= now_s - own.arrival_s <= checks.own_age_max_s
+    own_ok = trusted and own is not None and -FUTURE_MAX_S <= now_s - own.arrival_s <= checks.own_age_max_s
     target_fresh = target is not None and target.age_s <= checks.target_age_max_s
     link_ok = status is not None and now_s - status.arrival_s <= checks.status_age_max_s
     e_m = None
     if own is not None and target is not None:
         p, q = own.position_enu_m, target.position_enu_m
         e_m = (p[0] - q[0], p[1] - q[1], p[2] - q[2])
-    target_ok, placed = target_fresh and target_believed, target_fresh and not target_believed
-    return Snapshot(inputs, target, own_ok, target_ok, link_ok, e_m, follows, charge, way, placed)
+    target_ok, placed = target_fresh and target_trusted, target_fresh and not target_trusted
+    return Snapshot(inputs, target, own_ok, target_ok, link_ok, e_m, follows, charge, permissions, placed)

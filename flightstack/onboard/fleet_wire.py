@@ -78,7 +78,7 @@ class NoFleet:
         return ()
 
     def say(self, message: Neighbour | None) -> bytes | None:
-        """Send ``Outputs.own_word`` to the others; return the bytes for the log, None if there are none."""
+        """Send ``Outputs.own_message`` to the others; return the bytes for the log, or None."""
 
     def texts(self) -> list[str]:
         """Return the texts for the operator since the last call."""

@@ -114,7 +114,7 @@ class Onboard:
         """Log and publish a tick, and send the message to the fleet."""
         link, arrived = self.link, taken.arrived
         exec_s *= self.options.speed
-        self.log.word(tick, self.fleet.say(out.own_word))  # sent first, since other members wait for it
+        self.log.word(tick, self.fleet.say(out.own_message))  # sent first, since other members wait for it
         self.log.samples(arrived.messages, tick.unix_ns)
         for text in self.refusals.told(arrived.problems):
             self.log.event(tick.unix_ns, WARN, text)
@@ -141,7 +141,7 @@ class Onboard:
         health = self.log.health(tick, out, why, link.state.battery, self.feed.dropped)
         self.wires.show(tick, out, row, health)
         if out.transition is not None and out.transition.after is not out.transition.before:
-            self.say(out.transition.told(tick.now_s) + self.cause)
+            self.say(out.transition.timed_text(tick.now_s) + self.cause)
         if report is not None and not self.options.lockstep:
             self.say(f"{tick.now_s:8.2f} s  {report}")
 

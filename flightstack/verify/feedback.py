@@ -62,15 +62,15 @@ def linear(config: FlightConfig, faster: float, damped: float | None = None) -> 
     if config.own.learns:
         return _estimated(config, faster, damped)
     loop, feedback, period_s = config.velocity_loop, config.velocity_feedback, 1.0 / config.loop.rate_hz
-    gain, told_s = config.robust.gain_over_pad_1_s, config.own.delay_s
+    gain, delay_s = config.robust.gain_over_pad_1_s, config.own.delay_s
     w, drag = loop.rate_xy_1_s, 2.0 * loop.damping * loop.rate_xy_1_s
-    late_s = told_s + TICKS_LATE * period_s
-    p, v, a, held, m, dm, f, s = np.eye(8)
-    measured = held - v
-    observed = measured + told_s * (dm + f)
+    late_s = delay_s + TICKS_LATE * period_s
+    p, v, a, late, m, dm, f, s = np.eye(8)
+    measured = late - v
+    observed = measured + delay_s * (dm + f)
     missed = measured - m
     wanted, wanted_slope = -gain * p, -gain * v
-    now = m + told_s * (dm + f)
+    now = m + delay_s * (dm + f)
     aim = s + feedback.error_rate_1_s * (wanted - now) - f
     u = now + (drag * dm + feedback.tilt_rate_1_s * (aim - dm)) / (w * w)
     observer = feedback.observer_rate_1_s
@@ -79,7 +79,7 @@ def linear(config: FlightConfig, faster: float, damped: float | None = None) -> 
             v,
             a,
             (faster * w) ** 2 * (u - v) - damped * drag * a,
-            (2.0 * v - held) * 2.0 / late_s,
+            (2.0 * v - late) * 2.0 / late_s,
             dm + f + 2.0 * observer * missed,
             w * w * (u - observed) - drag * dm,
             observer * observer * missed,
@@ -96,12 +96,12 @@ def _estimated(config: FlightConfig, faster: float, damped: float) -> F64:
     velocity command.
     """
     loop, feedback, period_s = config.velocity_loop, config.velocity_feedback, 1.0 / config.loop.rate_hz
-    gain, told_s = config.robust.gain_over_pad_1_s, config.own.delay_s
+    gain, delay_s = config.robust.gain_over_pad_1_s, config.own.delay_s
     w, drag = loop.rate_xy_1_s, 2.0 * loop.damping * loop.rate_xy_1_s
-    late_s = told_s + TICKS_LATE * period_s
-    p, v, a, held_p, held_v, q, m, dm, e, f, s = np.eye(11)
-    position, velocity = held_p - p - q, held_v - v - m - e  # innovations of the measurements
-    now_p, now_m = q + told_s * m, m + told_s * (dm + f)
+    late_s = delay_s + TICKS_LATE * period_s
+    p, v, a, late_p, late_v, q, m, dm, e, f, s = np.eye(11)
+    position, velocity = late_p - p - q, late_v - v - m - e  # innovations of the measurements
+    now_p, now_m = q + delay_s * m, m + delay_s * (dm + f)
     aim = s + feedback.error_rate_1_s * (-gain * now_p - now_m) - f
     u = now_m + e + (drag * dm + feedback.tilt_rate_1_s * (aim - dm)) / (w * w)  # set-point of the velocity
     gains = steady_gains(loop, config.own, period_s)
@@ -112,8 +112,8 @@ def _estimated(config: FlightConfig, faster: float, damped: float) -> F64:
             v,
             a,
             (faster * w) ** 2 * (u - v) - damped * drag * a,
-            (2.0 * p - held_p) * 2.0 / late_s,
-            (2.0 * v - held_v) * 2.0 / late_s,
+            (2.0 * p - late_p) * 2.0 / late_s,
+            (2.0 * v - late_v) * 2.0 / late_s,
             m + added[0],
             dm + f + added[1],
             w * w * (u - m - e) - drag * dm + added[2],

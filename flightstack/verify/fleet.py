@@ -175,8 +175,8 @@ def first_attempt_s(config: FlightConfig, fleet: Fleet, descent_s: float) -> flo
         near_m, gain_1_s = config.touchdown.pad_radius_m, min(config.position_loop.gain_1_s)
         down_m_s = config.limits.velocity_max_m_s[2]
     over_s = math.log(max(1.0, fleet.wait_distance_m / near_m)) / gain_1_s
-    told_s = fleet.age_max_s + 2.0 * fleet.latency_max_s
-    return over_s + fleet.wait_height_m / down_m_s + told_s + descent_s + config.velocity_loop.lag_xy_s
+    announced_s = fleet.age_max_s + 2.0 * fleet.latency_max_s
+    return over_s + fleet.wait_height_m / down_m_s + announced_s + descent_s + config.velocity_loop.lag_xy_s
 
 
 def _landings(config: FlightConfig, fleet: Fleet, descent_s: float) -> list[Check]:

@@ -68,18 +68,18 @@ def tick_matrix(config: FlightConfig, gain_1_s: float, slower: float, response: 
 
     def tick(x: Sequence[float]) -> list[float]:
         p, v, a, m, dm, d, s, before, target, error = x[:STATES]
-        line, held = list(x[STATES : STATES + sent]), list(x[STATES + sent :])
+        line, samples = list(x[STATES : STATES + sent]), list(x[STATES + sent :])
         u = line[-1 - acts]
         p -= period_s * target
         p, v, a = (row[0] * p + row[1] * v + row[2] * a + row[3] * u for row in step)
-        held += [p, v]
-        told_p, told_v, *held = held
-        told_p += config.own.delay_s * (told_v - target)
-        m, dm, d = lead_observed(lead, told_v, line[-1 - late], m, dm, d)
-        way_m, then = lead_carried(lead, told_v, m, dm, line[sent - late :])
-        wanted = target - gain_1_s * (told_p + way_m - loop.dead_time_s * target) + error
+        samples += [p, v]
+        reported_p, reported_v, *samples = samples
+        reported_p += config.own.delay_s * (reported_v - target)
+        m, dm, d = lead_observed(lead, reported_v, line[-1 - late], m, dm, d)
+        distance_m, then = lead_carried(lead, reported_v, m, dm, line[sent - late :])
+        wanted = target - gain_1_s * (reported_p + distance_m - loop.dead_time_s * target) + error
         s, u = lead_commanded(lead, before, wanted, then, s, d, math.inf)
-        return [p, v, a, m, dm, d, s, wanted, target, 0.0, *line[1:], u, *held]
+        return [p, v, a, m, dm, d, s, wanted, target, 0.0, *line[1:], u, *samples]
 
     return np.array([tick(unit) for unit in np.eye(size).tolist()]).T
 

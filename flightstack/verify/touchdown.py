@@ -33,9 +33,9 @@ AGREE = 1.6  # largest factor between the declared lag and the model's
 def descent_time_s(config: FlightConfig, x: Extremes) -> float:
     """Return the longest time of the final descent until contact, s."""
     robust = config.robust
-    way = robust.commit_height_m - config.touchdown.feet_below_reference_m + x.height_error_m
+    descent_m = robust.commit_height_m - config.touchdown.feet_below_reference_m + x.height_error_m
     speed = robust.descent_m_s - robust.tracking_error_m_s
-    return way / speed + x.lag_z_s if speed > 0.0 else math.inf
+    return descent_m / speed + x.lag_z_s if speed > 0.0 else math.inf
 
 
 def modelled(config: FlightConfig) -> Check:
@@ -49,14 +49,14 @@ def modelled(config: FlightConfig) -> Check:
         ("xy", loop.lag_xy_s, 2.0 * loop.damping / loop.rate_xy_1_s + loop.dead_time_s),
         ("z", loop.lag_z_s, 2.0 * loop.damping / loop.rate_z_1_s),
     )
-    factor, axis, told_s, model_s = max(
+    factor, axis, declared_s, model_s = max(
         (max(declared / model, model / declared) if declared > 0.0 else math.inf, axis, declared, model)
         for axis, declared, model in axes
     )
     made = f"2 damping / rate_{axis}_1_s {'+ dead_time_s ' if axis == 'xy' else ''}make {model_s:.3g} s"
     return Check(
         f"velocity_loop.lag_{axis}_s", "rate and damping of the velocity loop's model make the declared lag",
-        AGREE - factor, "", f"found {told_s:g} s, {made}: {factor:.3g} times apart, at most {AGREE:g}",
+        AGREE - factor, "", f"found {declared_s:g} s, {made}: {factor:.3g} times apart, at most {AGREE:g}",
         "identify the loop again (flightstack identify)", PROOF,
     )  # fmt: skip
 
@@ -66,12 +66,13 @@ def drift_m(config: FlightConfig, x: Extremes) -> tuple[float, float]:
 
     The spread is cut into pieces; each piece uses its slowest decay and its largest rho.
     """
-    told_s, spread = config.velocity_loop.lag_xy_s, config.envelope.lag_spread
-    if told_s <= 0.0 or spread <= 0.0:
-        return _drift_of_m(config, x, told_s, 0.0)
-    cuts = [told_s * (1.0 + spread * (2.0 * i / PIECES - 1.0)) for i in range(PIECES + 1)]
+    declared_s, spread = config.velocity_loop.lag_xy_s, config.envelope.lag_spread
+    if declared_s <= 0.0 or spread <= 0.0:
+        return _drift_of_m(config, x, declared_s, 0.0)
+    cuts = [declared_s * (1.0 + spread * (2.0 * i / PIECES - 1.0)) for i in range(PIECES + 1)]
     pieces = (
-        (slow, max(abs(fast - told_s) / fast, abs(slow - told_s) / slow)) for fast, slow in pairwise(cuts)
+        (slow, max(abs(fast - declared_s) / fast, abs(slow - declared_s) / slow))
+        for fast, slow in pairwise(cuts)
     )
     return max(_drift_of_m(config, x, lag_s, rho) for lag_s, rho in pieces)
 
@@ -119,7 +120,7 @@ def over_pad(config: FlightConfig, x: Extremes) -> list[Check]:
     hover_m = floor_m + config.velocity_loop.lag_z_s * robust.tracking_error_m_s + x.height_error_m
     time_s, peak_m = descent_time_s(config, x), x.barrier.peak_height_m
     # the slowest descent stops after v tau + v^2 / (2 a)
-    way_m = speed * x.lag_z_s + 0.5 * speed * speed / config.slew_max_m_s2[2]
+    stop_m = speed * x.lag_z_s + 0.5 * speed * speed / config.slew_max_m_s2[2]
     room_m = robust.wait_height_m - feet_m - x.height_error_m
     top_m = peak_m + config.retreat.climb_margin_m + CLIMB_OVER * config.retreat.climb_margin_m
     left_m = config.limits.altitude_max_m - max(top_m, peak_m + x.shape.margin_m.high)
@@ -174,8 +175,8 @@ def over_pad(config: FlightConfig, x: Extremes) -> list[Check]:
         ),
         Check(
             "robust.descent_min_m_s", "the slowest descent ends between the waiting height and the pad",
-            room_m - way_m, "m",
-            f"found {speed:g}, which ends within {way_m:.3g} m; it waits {room_m:.3g} m above",
+            room_m - stop_m, "m",
+            f"found {speed:g}, which ends within {stop_m:.3g} m; it waits {room_m:.3g} m above",
             "lower robust.descent_min_m_s or raise robust.wait_height_m", PROOF,
         ),
         Check(

@@ -304,7 +304,7 @@ class Estimator:
         """Write the parameters ``kalman.dragB_*``."""
         self.record.known_drag[:] = drag_1_s
 
-    def believed(self) -> Estimate:
+    def estimate(self) -> Estimate:
         """Newest estimate; it is valid as long as samples arrive."""
         s = self._read()  # values in the order of SensedState's fields
         return Estimate(s[:3], s[3:6], s[6:10], s[10:], self._age_s[0] < INNOVATION_AGE_MAX_S)

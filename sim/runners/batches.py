@@ -141,16 +141,16 @@ class Batches:
             until_s = self._quiet_until_s(tick) if self._speak(tick) else None
         if until_s is None:
             return 0
-        if self._prepare() and self._weigh() and self._objects.write():
+        if self._prepare() and self._take_power() and self._objects.write():
             while until_s is not None:
                 flown, how = self._call(tick + done, until_s)
                 done += flown
                 if how == BEFORE or flown == 0:
                     break
                 until_s = self._quiet_until_s(tick + done)
-                if until_s is None and self._speak(tick + done) and self._weigh():
+                if until_s is None and self._speak(tick + done) and self._take_power():
                     if self._reserve is not None:
-                        self._objects.write_one(self._reserve.told)
+                        self._objects.write_one(self._reserve.reported)
                     until_s = self._quiet_until_s(tick + done)
             if done:
                 self._objects.read()
@@ -226,14 +226,14 @@ class Batches:
             rules.speeds[:] = clip
         return True
 
-    def _weigh(self) -> bool:
+    def _take_power(self) -> bool:
         """Store the reported battery and motors; return False if only Python can handle them."""
         estimate, power = self._reserve, self._link.state.power
         if estimate is None:
             return True
         if power is None or (self._flies and estimate.memory.tired):
             return False
-        estimate.hear(power, not self._flies)
+        estimate.receive(power, not self._flies)
         return True
 
     def _call(self, tick: int, until_s: float) -> tuple[int, int]:
@@ -304,7 +304,7 @@ class Batches:
         nominal, h_m, gradient, dh_dt_m_s, lower, upper = asked
         self._controller.memory.command, self._asked = command, tick
         if strategy.ask is not None:
-            strategy.answer = strategy.asked.chosen = strategy.ask(at, nominal)
+            strategy.answer = strategy.exchange.chosen = strategy.ask(at, nominal)
         else:
             refusal = strategy.memory.refusal
             result = strategy.filtered(at, h_m, gradient, dh_dt_m_s, nominal, lower, upper)
@@ -314,8 +314,8 @@ class Batches:
             self._off = objects.numbers(strategy) != self._numbers
             if result.status is FilterStatus.REJECTED or self._off:
                 return False
-            strategy.asked.chosen = result.velocity_enu_m_s
-        objects.write_one(strategy.asked)
+            strategy.exchange.chosen = result.velocity_enu_m_s
+        objects.write_one(strategy.exchange)
         return True
 
     def _goes_on(self, flies: bool) -> bool:

@@ -196,7 +196,7 @@ class _Waits:
 
     def count(self, outputs: Sequence[Outputs | None]) -> None:
         for n, out in enumerate(outputs):
-            if out is None or out.phase is not Phase.APPROACH or out.snapshot.way.may_land:
+            if out is None or out.phase is not Phase.APPROACH or out.snapshot.permissions.may_land:
                 self._now[n] = 0
                 continue
             self._now[n] += 1

@@ -228,7 +228,7 @@ class Words:
         ``outputs``: outputs of all controllers at this tick; None after the end of a flight.
         """
         arrive_s = self._grid.ns(tick + self._ticks) / NS_PER_S
-        told = [None if each is None else each.own_word for each in outputs]
+        told = [None if each is None else each.own_message for each in outputs]
         on_time = [word and word._replace(arrival_s=arrive_s) for word in told]
         return [tuple(words) for words in self.pass_on(tick, on_time)]
 

@@ -198,7 +198,7 @@ def look(
 ) -> tuple[Relative, Vec3, tuple[Vec3, float, Vec3, float, Vec3, Vec3]]:  # fmt: skip
     """Return the inputs of an agent or a user's filter at the next tick.
 
-    They are the relative state, the last command and the values of ``AskedMemory``.
+    They are the relative state, the last command and the values of ``ExchangeMemory``.
 
     The caller restores ``state`` from ``spare``. The arguments are those of ``fly_ticks``.
     Raises NotOrdinary: Python has to run the tick.
@@ -206,11 +206,11 @@ def look(
     spare[:] = state
     before, now_s = kernel.memory.command, plan[0] * NS_PER_S // plan[2] / 1e9
     _, landing = _decided(vehicle[0], rules[0], kernel, phase_rules, samples, plan[4], come[0], now_s)
-    asked = kernel.strategy.asked
+    given = kernel.strategy.exchange
     return (
         landing.at,
         before,
-        (asked.nominal, asked.h_m, asked.gradient, asked.dh_dt_m_s, asked.lower_m_s, asked.upper_m_s),
+        (given.nominal, given.h_m, given.gradient, given.dh_dt_m_s, given.lower_m_s, given.upper_m_s),
     )
 
 

@@ -53,7 +53,7 @@ class VehicleSim:
         self._imu = Imu(params.imu, self._gravity, CONTROL_STEP_S, seed, r.imu)
         spec = scenario.vehicle
         self._firmware = Firmware(spec, params, r.firmware)
-        self._believed = self._firmware.estimator.believed
+        self._newest_estimate = self._firmware.estimator.estimate
         self._mocap = MocapTape(spec.mocap, seed, r.mocap, r.world.body, spec.own)
         motors = MotorFaults(r.motor_share, r.motor_held, r.rotors, params.rotor, physics.hover_rpm)
         # the owner of the MAVLink connection uses ``faults.link``
@@ -168,7 +168,7 @@ class VehicleSim:
         if now_ns >= faults.next_ns:
             faults.run(now_ns)
         if now_ns >= faults.own_state.due_ns:
-            faults.own_state.sample(now_ns, self._believed())
+            faults.own_state.sample(now_ns, self._newest_estimate())
         next_ms = (now_ms // PERIOD_MS + 1) * PERIOD_MS
         mocap.divert(faults.mocap.active)
         if faults.mocap.active:
@@ -323,10 +323,10 @@ class VehicleSim:
 
     def estimate(self) -> Estimate:
         """Return the newest state estimate that has reached the autopilot."""
-        believed = self._believed()
+        newest = self._newest_estimate()
         if self.faults.quiet:
-            return believed
-        return self.faults.own_state.report(self._ms * NS_PER_MS, believed)
+            return newest
+        return self.faults.own_state.report(self._ms * NS_PER_MS, newest)
 
     def truth(self) -> Truth:
         """Return the current true state, and extremes and contacts since the last call."""

@@ -34,9 +34,11 @@ def _lying(exchange: Words, from_tick: int) -> Exchange:
 
     def tell(tick: int, outputs: Sequence[Outputs | None]) -> Sequence[tuple[Neighbour, ...]]:
         told, out = list(outputs), outputs[WHO - 1]
-        if tick >= from_tick and out is not None and out.own_word is not None:
-            x, y, z = out.own_word.position_enu_m
-            told[WHO - 1] = out._replace(own_word=out.own_word._replace(position_enu_m=(x, y + LIE_M, z)))
+        if tick >= from_tick and out is not None and out.own_message is not None:
+            x, y, z = out.own_message.position_enu_m
+            told[WHO - 1] = out._replace(
+                own_message=out.own_message._replace(position_enu_m=(x, y + LIE_M, z))
+            )
         return exchange(tick, told)
 
     return tell

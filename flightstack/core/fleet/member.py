@@ -19,7 +19,7 @@ from flightstack.core.fleet.pair import (
     sidestep,
     wider,
 )
-from flightstack.core.fleet.precedence import ALONE, Pad, Way, decide, heard, place_beside
+from flightstack.core.fleet.precedence import ALONE, Pad, Permissions, decide, is_recent, place_beside
 from flightstack.core.fleet.program import FleetProgram
 from flightstack.core.fleet.solution import Row
 from flightstack.core.memory import AbortWay, FleetMemory, Heard, Memory
@@ -43,8 +43,8 @@ from flightstack.core.types import (
 FUTURE_MAX_S = 0.05  # largest lead of a stamp over this clock, in addition to the bound of its clock, s
 # longest flight of another member (a wait and a landing), divided by the longest wait
 FLIGHTS_OF_OTHERS = 2.0
-TOLD_M_S = 0.005  # smallest slack that is reported, m/s
-CALM_S = 1.0  # time without slack after which the end of the relaxation is reported, s
+REPORTED_M_S = 0.005  # smallest slack that is reported, m/s
+STEADY_S = 1.0  # time without slack after which the end of the relaxation is reported, s
 HELD_BACK_M_S = 0.3  # largest horizontal speed within the reachable set of a silent vehicle, m/s
 STAYS_S = 5.0  # time after a landing at which a vehicle that has not left a requested pad is reported, s
 _INTENTS = MappingProxyType(
@@ -67,8 +67,8 @@ class Rows(NamedTuple):
     """Constraints by the neighbours within reach, and the same neighbours for the side-step."""
 
     rows: tuple[Row, ...]  # rows (constraints) of the program; the nearest neighbour first
-    lax: tuple[Row, ...]  # the same rows without the reachable sets of silent vehicles
-    near: tuple[Near, ...]  # the same neighbours, for the side-step
+    basic: tuple[Row, ...]  # the same rows without the reachable sets of silent vehicles
+    neighbours: tuple[Near, ...]  # the same neighbours, for the side-step
     # the speed is limited, because a silent vehicle may fly near
     held_back: bool = False
 
@@ -98,7 +98,7 @@ class Alone:
 
     def observe(
         self, inputs: Inputs, phase: Phase, target: TargetState | None, now_s: float
-    ) -> tuple[list[str], Way]:
+    ) -> tuple[list[str], Permissions]:
         """Store the received messages; return texts of events, and the permissions in this tick."""
         del inputs, phase, target, now_s
         return [], ALONE
@@ -117,7 +117,7 @@ class Alone:
         """Filter a nominal velocity; the arguments are those of ``FleetProgram.solve``."""
         raise NotImplementedError("without rows of neighbours, the program of the landing filters a velocity")
 
-    def word(
+    def message(
         self, memory: Memory, own: OwnState, status: VehicleStatus | None, wanted_m_s: Vec3,
         target: TargetState | None, now_s: float,
     ) -> Neighbour | None:  # fmt: skip
@@ -125,9 +125,9 @@ class Alone:
         del memory, own, status, wanted_m_s, target, now_s
         return None
 
-    def texts(self, way: Way, in_phase_s: float, why: str, now_s: float) -> list[str]:
+    def texts(self, permissions: Permissions, in_phase_s: float, why: str, now_s: float) -> list[str]:
         """Return the texts of events after the filter; ``why``: reason against another take-off."""
-        del way, in_phase_s, why, now_s
+        del permissions, in_phase_s, why, now_s
         return []
 
     def over(self, since_s: float, now_s: float) -> bool:
@@ -154,8 +154,8 @@ class FleetMember(Alone):
 
     def observe(
         self, inputs: Inputs, phase: Phase, target: TargetState | None, now_s: float
-    ) -> tuple[list[str], Way]:
-        return self.take(inputs.neighbours, now_s), self.way(phase, target, now_s, inputs.own)
+    ) -> tuple[list[str], Permissions]:
+        return self.take(inputs.neighbours, now_s), self.permissions(phase, target, now_s, inputs.own)
 
     def take(self, messages: Sequence[Neighbour], now_s: float) -> list[str]:
         """Store the newest message of each member; return texts on rejected messages and jumped positions."""
@@ -210,28 +210,30 @@ class FleetMember(Alone):
         messages = [slot.word for _, slot in self.slots if slot.word is not None]
         return all(w.intent is Intent.DOWN or now_s - w.stamp_s > fleet.silent_flight_s for w in messages)
 
-    def way(self, phase: Phase, target: TargetState | None, now_s: float, own: OwnState | None = None) -> Way:
+    def permissions(
+        self, phase: Phase, target: TargetState | None, now_s: float, own: OwnState | None = None
+    ) -> Permissions:
         """Return the permissions for the mission in this tick.
 
         The call also updates claim, right of way and landing place; call it once in each tick.
         """
         pad = Pad(target.position_enu_m, target.velocity_enu_m_s) if target is not None else None
-        way = decide(self.memory, self.slots, phase, pad, now_s, self._fleet)
+        permissions = decide(self.memory, self.slots, phase, pad, now_s, self._fleet)
         if phase is Phase.LEAVE and pad is not None and own is not None:
             memory, messages = self.memory, [slot.word for _, slot in self.slots if slot.word is not None]
             memory.left = True
             memory.place_enu_m = place_beside(
                 memory.place_enu_m, own.position_enu_m, pad, messages, self._fleet
             )
-            way = way._replace(place_enu_m=memory.place_enu_m)
-        return way
+            permissions = permissions._replace(place_enu_m=memory.place_enu_m)
+        return permissions
 
-    def stays(self, way: Way, in_phase_s: float, why: str) -> list[str]:
+    def remains_on_pad(self, permissions: Permissions, in_phase_s: float, why: str) -> list[str]:
         """Return an event text, once, if this vehicle has not left a pad that another vehicle waits for."""
-        if not way.pad_wanted or self.memory.stays or in_phase_s < STAYS_S:
+        if not permissions.pad_wanted or self.memory.stays or in_phase_s < STAYS_S:
             return []
         self.memory.stays = True
-        return [f"it stays on the pad: {why or 'an input is lost'}; {way.text}"]
+        return [f"it stays on the pad: {why or 'an input is lost'}; {permissions.text}"]
 
     def rows(self, phase: Phase, own: OwnState, wanted_m_s: Vec3, now_s: float) -> Rows:
         """Return the rows of neighbours within reach that this vehicle has to keep; none in a touchdown."""
@@ -263,49 +265,49 @@ class FleetMember(Alone):
                 continue
             if late and outer_m < 0.0:
                 held_back |= fleet.age_max_s < now.age_s <= fleet.silent_flight_s
-            lax = row(part, h_m, gradient, wanted_m_s, message, now, fleet)
-            made = wider(lax, outer_m, now, fleet) if late else lax
-            found.append((h_m, n, made, lax, Near(h_m, gradient, away, now.velocity_enu_m_s)))
+            basic = row(part, h_m, gradient, wanted_m_s, message, now, fleet)
+            made = wider(basic, outer_m, now, fleet) if late else basic
+            found.append((h_m, n, made, basic, Near(h_m, gradient, away, now.velocity_enu_m_s)))
         if not found:
             return NO_ROWS
         found.sort()  # sorted by h, then by the id
-        _, _, rows, every_lax, near = zip(*found, strict=True)
-        return Rows(rows, every_lax, near, held_back)
+        _, _, rows, basics, near = zip(*found, strict=True)
+        return Rows(rows, basics, near, held_back)
 
     def beside(
         self, phase: Phase, own: OwnState, base: Vec3, nominal: Vec3, most_m_s: Vec3, now_s: float
     ) -> tuple[Vec3, Rows]:
         rows = self.rows(phase, own, base, now_s)
-        if not rows.near:
+        if not rows.neighbours:
             return nominal, rows
         nominal = limit(nominal, most_m_s)
         if rows.held_back:
             nominal = limit(nominal, (HELD_BACK_M_S, HELD_BACK_M_S, math.inf))
-        return sidestep(nominal, rows.near, self._fleet.rate_1_s), rows
+        return sidestep(nominal, rows.neighbours, self._fleet.rate_1_s), rows
 
     def solve(self, nominal: Vec3, firm: Sequence[Row], rows: Rows, lower: Vec3, upper: Vec3) -> FilterResult:
-        found = self._program.solve(nominal, firm, rows.rows, lower, upper, rows.lax)
+        found = self._program.solve(nominal, firm, rows.rows, lower, upper, rows.basic)
         self._given_m_s = found.given_m_s
         return found.filter
 
-    def texts(self, way: Way, in_phase_s: float, why: str, now_s: float) -> list[str]:
-        return self._crowded(now_s) + self.stays(way, in_phase_s, why)
+    def texts(self, permissions: Permissions, in_phase_s: float, why: str, now_s: float) -> list[str]:
+        return self._crowded(now_s) + self.remains_on_pad(permissions, in_phase_s, why)
 
     def _crowded(self, now_s: float) -> list[str]:
         """Return an event text when the neighbours' rows start to be relaxed, or are met again."""
         memory, given_m_s, self._given_m_s = self.memory, self._given_m_s, 0.0
-        if given_m_s > TOLD_M_S:
+        if given_m_s > REPORTED_M_S:
             before, memory.crowded, memory.crowded_s = memory.crowded, True, now_s
             text = (
                 f"no velocity keeps clear of all other vehicles: their rows give way by {given_m_s:.2f} m/s"
             )
             return [] if before else [text]
-        if memory.crowded and now_s - memory.crowded_s > CALM_S:
+        if memory.crowded and now_s - memory.crowded_s > STEADY_S:
             memory.crowded = False
             return ["the rows of the other vehicles hold again"]
         return []
 
-    def word(
+    def message(
         self, memory: Memory, own: OwnState, status: VehicleStatus | None, wanted_m_s: Vec3,
         target: TargetState | None, now_s: float,
     ) -> Neighbour:  # fmt: skip
@@ -315,7 +317,7 @@ class FleetMember(Alone):
         committed = intent is Intent.COMMITTED
         mine.committed_s = min(mine.committed_s, now_s) if committed else math.inf
         # the position of a silent member is unknown, so this vehicle cannot give way to it
-        yields = tuple(n for n, slot in self.slots if slot.yields and heard(slot.word, now_s, fleet))
+        yields = tuple(n for n, slot in self.slots if slot.yields and is_recent(slot.word, now_s, fleet))
         for n in yields:
             mine.slots[self._index[n]].yielded_s = now_s
         v, late_s = own.velocity_enu_m_s, max(0.0, now_s - own.arrival_s)

@@ -219,19 +219,19 @@ def row(
     return Row(gradient, along + part * (now.growth_m_s - fleet.rate_1_s * h_m))
 
 
-def wider(lax: Row, outer_m: float, now: Estimate, fleet: Fleet) -> Row:
+def wider(basic: Row, outer_m: float, now: Estimate, fleet: Fleet) -> Row:
     """Return the constraint for a vehicle whose messages are late: it may be anywhere in a larger ellipsoid.
 
     As long as the other vehicle may fly, this vehicle remains outside the ellipsoid or, inside it, does not
     approach its centre. After that the other vehicle lies in the ellipsoid: a vehicle outside remains
-    outside, and one inside keeps only the row ``lax``, since it has to land, too.
+    outside, and one inside keeps only the row ``basic``, since it has to land, too.
     """
     bound_m_s = -fleet.rate_1_s * outer_m
     if now.age_s <= fleet.silent_flight_s:
         bound_m_s = min(0.0, bound_m_s + fleet.speed_max_m_s)
     elif outer_m < 0.0:
-        return lax
-    return Row(lax.g, max(lax.bound_m_s, bound_m_s))
+        return basic
+    return Row(basic.g, max(basic.bound_m_s, bound_m_s))
 
 
 class Near(NamedTuple):

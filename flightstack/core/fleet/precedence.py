@@ -25,7 +25,7 @@ ON_GROUND = frozenset({Intent.STANDING, Intent.DOWN})
 GOES = frozenset({Intent.LANDING, Intent.COMMITTED})
 
 
-class Way(NamedTuple):
+class Permissions(NamedTuple):
     """Permissions for the mission with respect to the neighbours."""
 
     may_begin: bool = True  # every member sends messages, or is down
@@ -38,7 +38,7 @@ class Way(NamedTuple):
     cut_off: bool = False  # this vehicle receives messages of too few members to continue
 
 
-ALONE = Way()
+ALONE = Permissions()
 
 
 class Pad(NamedTuple):
@@ -60,7 +60,7 @@ def nearest_m(pad: Pad, place_enu_m: Vec3, moves_m_s: Vec3, ahead_s: float) -> f
 def decide(
     memory: FleetMemory, slots: Sequence[tuple[int, Heard]], phase: Phase, pad: Pad | None, now_s: float,
     fleet: Fleet,
-) -> Way:  # fmt: skip
+) -> Permissions:  # fmt: skip
     """Advance claim and right of way by one tick, and return the permissions."""
     missing = [n for n, slot in slots if not _present(slot.word, now_s, fleet)]
     if phase not in CLAIMING or pad is None:
@@ -69,8 +69,10 @@ def decide(
         text, cut_off = _names("not heard", missing), bool(missing) and _cut_off(slots, now_s, fleet)
         if phase is Phase.LANDED and pad is not None and fleet.frees_pad and not memory.left:
             waiting = [n for n, slot in slots if _waits_for(slot.word, pad, now_s, fleet)]
-            return Way(not missing, False, False, False, _names("waits", waiting) or text, bool(waiting))
-        return Way(not missing, False, False, False, text, cut_off=cut_off)
+            return Permissions(
+                not missing, False, False, False, _names("waits", waiting) or text, bool(waiting)
+            )
+        return Permissions(not missing, False, False, False, text, cut_off=cut_off)
     if not math.isfinite(memory.claim_s):
         memory.claim_s, memory.waits_since_s = now_s, now_s
     blockers = [n for n, slot in slots if _blocks(memory, slot, pad, now_s, fleet)]
@@ -80,11 +82,11 @@ def decide(
         taken = memory.granted and any(slot.yields for _, slot in slots)
         memory.granted = (memory.granted or not blockers) and not taken
         memory.waits_since_s = min(memory.waits_since_s, now_s) if not memory.granted else math.inf
-    told_s = now_s - memory.committed_s
-    return Way(
+    announced_s = now_s - memory.committed_s
+    return Permissions(
         not missing,
         memory.granted,
-        told_s >= fleet.age_max_s + fleet.latency_max_s,
+        announced_s >= fleet.age_max_s + fleet.latency_max_s,
         now_s - memory.waits_since_s > fleet.wait_max_s,
         _names("no right of way because of", blockers),
         cut_off=bool(missing) and _cut_off(slots, now_s, fleet),
@@ -111,7 +113,7 @@ def drop(memory: FleetMemory, slots: Sequence[tuple[int, Heard]]) -> None:
         slot.yields = False
 
 
-def heard(message: Neighbour | None, now_s: float, fleet: Fleet) -> bool:
+def is_recent(message: Neighbour | None, now_s: float, fleet: Fleet) -> bool:
     """Whether the newest message of a member is recent."""
     return message is not None and now_s - message.stamp_s <= fleet.age_max_s
 
@@ -122,9 +124,9 @@ def _cut_off(slots: Sequence[tuple[int, Heard]], now_s: float, fleet: Fleet) -> 
     If two parts of a fleet do not receive each other's messages, the larger part continues, or of two equal
     parts the one with the lowest id. Members that are down or never sent a message are not counted.
     """
-    hears = [n for n, slot in slots if heard(slot.word, now_s, fleet)]
-    lost = [n for n, slot in slots if n not in hears and slot.word is not None and not _is_down(slot.word)]
-    ours = [fleet.id, *hears]
+    recent = [n for n, slot in slots if is_recent(slot.word, now_s, fleet)]
+    lost = [n for n, slot in slots if n not in recent and slot.word is not None and not _is_down(slot.word)]
+    ours = [fleet.id, *recent]
     return (len(ours), -min(ours)) < (len(lost), -min(lost, default=0))
 
 

@@ -53,7 +53,7 @@ class FleetProgram:
         neighbours: Sequence[Row],
         lower: Vec3,
         upper: Vec3,
-        lax: Sequence[Row] = (),
+        basic: Sequence[Row] = (),
     ) -> FleetResult:
         """Filter one nominal velocity."""
         every = [*firm, *neighbours]
@@ -71,8 +71,8 @@ class FleetProgram:
             result = FilterResult(corner, -missing_m_s, True, FilterStatus.INFEASIBLE, 0.0, 0, 0.0)
             return FleetResult(result, 0.0)
         best, given_m_s = nearest(nominal, every, lower, upper), 0.0
-        if best is None and lax and lax != neighbours:
-            neighbours, every = lax, [*firm, *lax]
+        if best is None and basic and basic != neighbours:
+            neighbours, every = basic, [*firm, *basic]
             best = nearest(nominal, every, lower, upper)
         point, residual, iterations, status = corner, 0.0, 0, FilterStatus.CROWDED
         if best is not None:

@@ -133,27 +133,26 @@ def condition_flags(
     if snapshot.charge is Charge.TIRED:
         flags &= ~C.RETRIES_LEFT
         flags |= C.TIRED if _better_beside(barrier, memory, snapshot) else 0
-    if snapshot.way.cut_off and _better_beside(barrier, memory, snapshot):
+    if snapshot.permissions.cut_off and _better_beside(barrier, memory, snapshot):
         flags |= C.CUT_OFF
-    status, fit = inputs.status, snapshot.charge is Charge.FIT and snapshot.way.may_begin
+    status, fit = inputs.status, snapshot.charge is Charge.FIT and snapshot.permissions.may_begin
     if status is not None and snapshot.good and (status.ready_to_arm or status.armed) and fit:
         flags |= C.READY if phase is not Phase.WAIT or not target_below(config, snapshot) else 0
     flags |= time_flags(config.checks, times_s, memory, now_s)
-    if snapshot.way.waited and memory.started_s < math.inf:
+    if snapshot.permissions.waited and memory.started_s < math.inf:
         flags |= C.LANDING_TIME_OVER
     if phase is Phase.CLIMB and own is not None:
         flags |= C.HIGH_ENOUGH if own.position_enu_m[2] >= high_enough_m(config, barrier, memory) else 0
     rested = phase is Phase.LANDED and now_s - memory.phase_since_s >= LANDED_SETTLE_S
-    if rested and snapshot.way.pad_wanted and snapshot.good and snapshot.charge is Charge.FIT:
+    if rested and snapshot.permissions.pad_wanted and snapshot.good and snapshot.charge is Charge.FIT:
         flags |= C.PAD_WANTED
     at = snapshot.relative if snapshot.good else None
     if at is None:
         return flags
     if phase is Phase.TAKEOFF and memory.climbed and _at_start(config, at):
         flags |= C.AT_START
-    return flags | landing_flags(
-        config, strategy, barrier, memory, at, now_s, snapshot.way.may_land, snapshot.way.may_touch
-    )
+    may_land, may_touch = snapshot.permissions.may_land, snapshot.permissions.may_touch
+    return flags | landing_flags(config, strategy, barrier, memory, at, now_s, may_land, may_touch)
 
 
 @numeric

@@ -80,7 +80,7 @@ def _land(s: Situation) -> NominalCommand:
     at = s.snapshot.relative
     if at is None:
         return NominalCommand(Request.EXTERNAL)
-    if not s.snapshot.way.may_land:
+    if not s.snapshot.permissions.may_land:
         return NominalCommand(Request.EXTERNAL, _outside(at, s.config), filtered=True)
     velocity = towards_pad(s.config, s.memory, s.strategy, at)
     return NominalCommand(Request.EXTERNAL, velocity, filtered=True)
@@ -143,7 +143,7 @@ def _leave(s: Situation) -> NominalCommand:
         vx, vy, _ = s.strategy.approach_m_s(at, True)
         vz = at.target.velocity_enu_m_s[2] - gain[2] * up_m
         return NominalCommand(request, (vx, vy, vz), filtered=True)
-    px, py, _ = s.snapshot.way.place_enu_m or at.own.position_enu_m
+    px, py, _ = s.snapshot.permissions.place_enu_m or at.own.position_enu_m
     return NominalCommand(request, nominal_velocity((x - px, y - py, up_m), gain, ZERO), filtered=True)
 
 

@@ -68,13 +68,13 @@ class Transition(NamedTuple):
         way = f" ({self.way.name.lower().replace('_', ' ')})" if self.way is not AbortWay.NONE else ""
         return f"{change}: {self.reason}{way}"
 
-    def told(self, now_s: float) -> str:
+    def timed_text(self, now_s: float) -> str:
         """Return the text for the terminal, with the time on the stack's clock."""
         return f"{now_s:8.2f} s  {self.text}"
 
 
 def parse(text: str) -> Transition | None:
-    """Parse a text of ``Transition.text`` or ``Transition.told``; return None for any other text."""
+    """Parse a text of ``Transition.text`` or ``Transition.timed_text``; return None for any other text."""
     found = _TEXT.fullmatch(text)
     if found is None:
         return None
@@ -242,7 +242,7 @@ class Mission:
         if before in RETRY_FROM and after in RETRY_TO:
             memory.retries += 1
         if before is Phase.LAND and after is Phase.APPROACH:
-            memory.swings += snapshot.way.may_land
+            memory.swings += snapshot.permissions.may_land
         if after is Phase.APPROACH and memory.started_s == math.inf:
             memory.started_s = now_s
         if after is Phase.TOUCHDOWN:  # clear the contact timers of an earlier descent
@@ -285,7 +285,7 @@ class Mission:
         )
         details = [say() for condition, say in numbers if raised & condition]
         if not details and rule.about & ~flags & C.READY:
-            others = "" if seen.way.may_begin else seen.way.text
+            others = "" if seen.permissions.may_begin else seen.permissions.text
             below = target_below(self._config, seen)
             details = [battery or others or below or "the vehicle does not say that it is ready to arm"]
         if not details and rule.about & ~flags & C.RECOVERED:
@@ -295,8 +295,8 @@ class Mission:
             speed_m_s = math.hypot(*target.velocity_enu_m_s[:2])
             most_m_s = min(self._config.limits.velocity_max_m_s[:2])
             details = [f"the target drives at {speed_m_s:.2f} m/s; limits.velocity_max_m_s is {most_m_s:g}"]
-        if rule.when & C.LANDING_TIME_OVER and seen.way.waited:
-            details = [seen.way.text]
+        if rule.when & C.LANDING_TIME_OVER and seen.permissions.waited:
+            details = [seen.permissions.text]
         return f"{rule.reason}: {', '.join(details)}" if details else rule.reason
 
     def _own_lost(self, seen: Snapshot, now_s: float) -> str:
@@ -360,7 +360,7 @@ class Mission:
         elif memory.phase is Phase.LEAVE and memory.was_external and snapshot.own_ok:
             x, y, z = own.position_enu_m
             memory.climbed = memory.climbed or z >= high_enough_m(self._config, self._barrier, memory)
-            px, py, _ = snapshot.way.place_enu_m or own.position_enu_m
+            px, py, _ = snapshot.permissions.place_enu_m or own.position_enu_m
             rests = math.hypot(*own.velocity_enu_m_s[:2]) <= PLACE_SPEED_M_S
             there = memory.climbed and rests and math.hypot(px - x, py - y) <= PLACE_RADIUS_M
             memory.clear = memory.clear or (there and flown_clear(self._config, memory, own))

@@ -1,7 +1,7 @@
 """Answers of an agent, or of a user's method ``filter``, in a tick that is compiled code.
 
 Compiled code cannot call them. It computes what they need, Python calls them, and the tick is flown with the
-answer, which stands in ``Filter.asked``.
+answer, which stands in ``Filter.exchange``.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ Ask = Callable[[Relative, Vec3], Vec3]  # vehicle relative to target, nominal ve
 
 def chosen(one: Any, _at: Relative, own: Vec3) -> Vec3:
     """Compiled form of ``Filter.choose``: the agent's answer is given before the tick."""
-    asked = one.asked
-    if not asked.agent:
+    exchange = one.exchange
+    if not exchange.agent:
         return own
-    asked.nominal = own
-    answer: Vec3 = asked.chosen
+    exchange.nominal = own
+    answer: Vec3 = exchange.chosen
     return answer
 
 
@@ -32,14 +32,16 @@ def filtered(
     upper: Vec3,
 ) -> FilterResult:  # fmt: skip
     """Compiled form of ``Filter.filtered``: the result of the user's filter is given before the tick."""
-    asked = one.asked
-    asked.nominal, asked.h_m, asked.gradient, asked.dh_dt_m_s = nominal, h_m, gradient, dh_dt_m_s
-    asked.lower_m_s, asked.upper_m_s = lower, upper
-    return FilterResult(asked.chosen, 0.0, False, FilterStatus.OWN, 0.0, 0, 0.0)
+    exchange = one.exchange
+    exchange.nominal, exchange.h_m, exchange.gradient, exchange.dh_dt_m_s = nominal, h_m, gradient, dh_dt_m_s
+    exchange.lower_m_s, exchange.upper_m_s = lower, upper
+    return FilterResult(exchange.chosen, 0.0, False, FilterStatus.OWN, 0.0, 0, 0.0)
 
 
 _PLAIN = {"filter", "State", "certificate", "__init__", "__doc__", "__module__", "__annotations__"}
-_STATE = {"motion", "tracking", "own", "late", "memory", "asked", "estimator", "own_estimator", "_tracking"}
+_STATE = frozenset(
+    ("motion", "tracking", "own", "late", "memory", "exchange", "estimator", "own_estimator", "_tracking")
+)
 
 
 def compiled_as(cls: type) -> type | None:

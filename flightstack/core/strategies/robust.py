@@ -52,7 +52,7 @@ class RobustFilter(Filter):
     _tracking: VelocityTracking
     _most: Vec3
     _learns: bool  # whether errors of the reported velocity are estimated
-    _weighs: bool  # whether the thrust reserve is estimated
+    _has_reserve: bool  # whether the thrust reserve is estimated
     _lag_z_s: float
 
     def __init__(self, config: FlightConfig, barrier: Barrier) -> None:
@@ -64,7 +64,7 @@ class RobustFilter(Filter):
         self.contact_speed_max_m_s = robust.descent_m_s + robust.descent_lead_max_m_s
         self.stopped_below_m = robust.touch_height_m
         self._most = config.limits.velocity_max_m_s
-        self._learns, self._weighs = config.own.learns, config.reserve is not None
+        self._learns, self._has_reserve = config.own.learns, config.reserve is not None
         loop, period_s = config.velocity_loop, 1.0 / config.loop.rate_hz
         self.estimator = TargetEstimator(config.target)
         fed_back = config.velocity_feedback.horizontal
@@ -168,7 +168,7 @@ class RobustFilter(Filter):
         The acceleration is what the thrust reserve allows in this tick; the certificate shows that the
         configured one is sufficient for the rates of the filter.
         """
-        if not self._weighs:
+        if not self._has_reserve:
             return math.inf
         return math.sqrt(2.0 * BRAKING * self.acceleration_max_m_s2[2] * max(0.0, left_m))
 
@@ -281,7 +281,7 @@ class RobustFilter(Filter):
         """Return the set-point, corrected for lag and disturbance."""
         far = d_m > self._config.velocity_feedback.far_m
         setpoint = self._tracking.command(before_m_s, wanted_m_s, velocity_m_s, self._most, least_z_m_s, far)
-        return self.own_estimator.told(setpoint, self._most) if self._learns else setpoint
+        return self.own_estimator.to_send(setpoint, self._most) if self._learns else setpoint
 
 
 def _refuse_checks(config: FlightConfig) -> None:

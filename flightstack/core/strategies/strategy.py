@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from flightstack.common.strict_toml import ConfigError
 from flightstack.common.text import one_line
 from flightstack.core.memory import (
-    AskedMemory,
+    ExchangeMemory,
     FilterMemory,
     LateMemory,
     MotionMemory,
@@ -83,7 +83,7 @@ class Filter:
     tracking: TrackingMemory
     own: OwnMemory
     late: LateMemory
-    asked: AskedMemory
+    exchange: ExchangeMemory
     replaces_program: bool  # the class has its own method ``filter``
     _by_rule: bool  # the paper's touchdown rule is configured
     _config: FlightConfig
@@ -99,7 +99,7 @@ class Filter:
         self.contact_speed_max_m_s = config.touchdown.descent_m_s
         self.stopped_below_m = 0.0
         self.motion, self.tracking, self.own = MotionMemory(), TrackingMemory(), OwnMemory()
-        self.late, self.asked = LateMemory(), AskedMemory()
+        self.late, self.exchange = LateMemory(), ExchangeMemory()
         self.compiled_as = compiled_as(type(self)) or type(self)
         self.ask: Ask | None = None  # function of an agent (flightstack/api/env.py)
         # answers in a tick that compiled code started: velocity of the agent, result of the user's filter

@@ -71,11 +71,11 @@ def lead_commanded(
 
 def lead_carried(lead: Lead, v: float, m: float, dm: float, sent: Sequence[float]) -> tuple[float, float]:
     """Return distance and velocity after all set-points that have no effect yet, one per tick."""
-    t, way_m, now = lead[0], 0.0, m
+    t, distance_m, now = lead[0], 0.0, m
     for u in sent:
         m, dm, _ = lead_observed(lead, m, u, m, dm, 0.0)
-        way_m += t * (v + (m - now))
-    return way_m, v + (m - now)
+        distance_m += t * (v + (m - now))
+    return distance_m, v + (m - now)
 
 
 @numeric

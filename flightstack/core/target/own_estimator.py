@@ -31,7 +31,7 @@ from flightstack.core.types import OwnState, Vec3
 
 KNOWN = 4  # number of stored set-points: those of 30 ms at 100 Hz, and the one before them
 GAP_MAX_S = 0.2  # gap between samples after which the estimator restarts, s
-TELLS_M_S = 0.01  # noise of a reported velocity between samples, m/s
+VELOCITY_NOISE_M_S = 0.01  # noise of a reported velocity between samples, m/s
 
 PUSH_M_S2 = 0.15  # rms of f: recorded turning moments, a tilt error of 0.015 rad, gusts of 0.3 m/s
 PUSH_TIME_S = 1.0  # correlation time of f, s: between that of moments, 0.1 s, and of a tilt error
@@ -67,8 +67,8 @@ def steady_gains(loop: VelocityLoop, link: OwnStateLink, period_s: float) -> Gai
         0.0, 0.0, 0.0,
         2.0 * t * error * error / link.velocity_error_time_s, 2.0 * t * push * push / PUSH_TIME_S,
     ]  # fmt: skip
-    tells = ((1.0, 0.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 1.0, 0.0))
-    variances = (link.position_noise_m**2, TELLS_M_S**2)
+    measures = ((1.0, 0.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 1.0, 0.0))
+    variances = (link.position_noise_m**2, VELOCITY_NOISE_M_S**2)
     p: Matrix = [[1e-2 if i == j else 0.0 for j in range(5)] for i in range(5)]
     gains: list[list[float]] = [[0.0] * 5, [0.0] * 5]
     for _ in range(PERIODS):
@@ -77,7 +77,7 @@ def steady_gains(loop: VelocityLoop, link: OwnStateLink, period_s: float) -> Gai
         for i in range(5):
             p[i][i] += noise[i]
         before = [row[:] for row in p]
-        (c0, c1), (r0, r1) = tells, variances
+        (c0, c1), (r0, r1) = measures, variances
         to0 = [sum(row[k] * c0[k] for k in range(5)) for row in before]
         to1 = [sum(row[k] * c1[k] for k in range(5)) for row in before]
         s00 = sum(c0[k] * to0[k] for k in range(5)) + r0
@@ -94,7 +94,7 @@ def steady_gains(loop: VelocityLoop, link: OwnStateLink, period_s: float) -> Gai
 
 
 class OwnEstimator:
-    """Estimates the vehicle state. ``step`` is called in each tick, ``told`` with each set-point sent."""
+    """Estimates the vehicle state. ``step`` is called in each tick, ``to_send`` with each set-point sent."""
 
     memory: OwnMemory
     gains: Gains  # gains of the Kalman filter
@@ -148,7 +148,7 @@ class OwnEstimator:
             own.yaw_rad,
         )
 
-    def told(self, velocity_m_s: Vec3, most_m_s: Vec3) -> Vec3:
+    def to_send(self, velocity_m_s: Vec3, most_m_s: Vec3) -> Vec3:
         """Return the set-point to send: the velocity that the vehicle reports when it flies the given one."""
         memory, (x, y, z), (mx, my, mz) = self.memory, velocity_m_s, most_m_s
         ex, ey, ez = memory.x_now[3], memory.y_now[3], memory.z_error_m_s
@@ -232,14 +232,14 @@ def straight_on(axis: AxisState, t_s: float) -> AxisState:
 def drifted_apart(
     p_m: float,
     error_m_s: float,
-    told_m: float,
-    told_m_s: float,
+    measured_m: float,
+    reported_m_s: float,
     elapsed_s: float,
     rate_1_s: float,
     most_m_s: float,
 ) -> tuple[float, float]:
     """Estimate position and velocity error on an axis from a measured position and a reported velocity."""
-    q = p_m + (told_m_s - error_m_s) * elapsed_s
-    missed = told_m - q
+    q = p_m + (reported_m_s - error_m_s) * elapsed_s
+    missed = measured_m - q
     error_m_s = clip(error_m_s - rate_1_s * rate_1_s * elapsed_s * missed, -most_m_s, most_m_s)
     return q + min(1.0, 2.0 * rate_1_s * elapsed_s) * missed, error_m_s

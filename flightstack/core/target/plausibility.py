@@ -83,7 +83,7 @@ class Plausibility:
         most_m = self._checks.own_drift_max_m
         memory.distrusted = drift_m > (TRUSTED_AGAIN * most_m if memory.distrusted else most_m)
 
-    def believes(self, now_s: float) -> bool:
+    def trusts(self, now_s: float) -> bool:
         """Whether the vehicle state is usable now."""
         last = self.memory.last
         if last is None or self.memory.distrusted:

@@ -23,7 +23,7 @@ AGE_MAX_S = 3.0  # longest age of power data, s; the voltage arrives once a seco
 
 
 @dataclass(slots=True)
-class Told:
+class Reported:
     """Reported battery and motor state. An effort is a thrust over that at ``throttle_max``. NaN: unknown."""
 
     arrival_s: float = math.nan
@@ -39,7 +39,7 @@ class ReserveEstimate:
     """Estimate of the thrust reserve. Call ``step`` once a tick; ``memory`` is the complete state."""
 
     memory: ReserveMemory
-    told: Told
+    reported: Reported
     most_m_s2: Vec3  # limit of the commanded acceleration with full reserve
     share: float  # weight of a tick in the average
     lasting_m_s: float  # velocity that gravity causes in the averaging time
@@ -50,11 +50,11 @@ class ReserveEstimate:
     _part: float  # usable fraction of the reserve (``Reserve.share``)
 
     def __init__(self, table: Reserve, most_m_s2: Vec3, period_s: float) -> None:
-        self.memory, self.told = ReserveMemory(), Told()
+        self.memory, self.reported = ReserveMemory(), Reported()
         self._table, self.most_m_s2, self._part = table, most_m_s2, table.share
         self.share = min(1.0, period_s / table.smoothing_s)
         self.lasting_m_s = table.smoothing_s * GRAVITY_M_S2
-        self._known: object = ()
+        self._received: object = ()
         self.least = table.at(table.lowest_voltage_v)
         self._power: Power | None = None
         self.reserve, self.charge = math.nan, Charge.UNKNOWN
@@ -66,38 +66,39 @@ class ReserveEstimate:
         """Update the estimate of the reserve with the inputs of this tick."""
         fresh = power is not None and now_s - power.arrival_s <= AGE_MAX_S
         standing = status is None or not status.armed
-        self.hear(power if fresh else None, standing)
+        self.receive(power if fresh else None, standing)
         # on the ground, motors that spin up give no information
-        self.weigh(rise_m_s, flies, status is not None and status.landed is not Landed.ON_GROUND)
+        self.update(rise_m_s, flies, status is not None and status.landed is not Landed.ON_GROUND)
 
-    def hear(self, power: Power | None, standing: bool) -> bool:
+    def receive(self, power: Power | None, standing: bool) -> bool:
         """Convert the reported state of battery and motors to efforts; return whether the state is new."""
         self._power = power
-        if self._known == (power, standing):
+        if self._received == (power, standing):
             return False
-        self._known, told, table, nan = (power, standing), self.told, self._table, math.nan
-        told.standing, told.arrival_s, told.low = standing, nan, False
-        told.flying = told.resting = told.sags = told.most = nan
+        self._received, reported, table, nan = (power, standing), self.reported, self._table, math.nan
+        reported.standing, reported.arrival_s, reported.low = standing, nan, False
+        reported.flying = reported.resting = reported.sags = reported.most = nan
         if power is None:
             return True
         flight_v = power.voltage_v - (table.sag_v if standing else 0.0)
         known_v = table.lowest_voltage_v
         if flight_v > 0.0:
-            told.resting = table.effort(table.hover_throttle * table.hover_voltage_v / flight_v)
+            reported.resting = table.effort(table.hover_throttle * table.hover_voltage_v / flight_v)
             known_v = flight_v
-        told.flying = told.resting
+        reported.flying = reported.resting
         if power.throttle > 0.0 and math.isfinite(power.cos_tilt):
-            told.flying = table.effort(power.throttle) * power.cos_tilt
-        told.arrival_s, told.low = power.arrival_s, power.voltage_v - table.sag_v < table.start_voltage_v
-        told.sags, told.most = table.sags(known_v), table.most(known_v)
+            reported.flying = table.effort(power.throttle) * power.cos_tilt
+        reported.arrival_s = power.arrival_s
+        reported.low = power.voltage_v - table.sag_v < table.start_voltage_v
+        reported.sags, reported.most = table.sags(known_v), table.most(known_v)
         return True
 
-    def weigh(self, rise_m_s: float, flies: bool, in_air: bool) -> None:
+    def update(self, rise_m_s: float, flies: bool, in_air: bool) -> None:
         """Estimate the reserve from the reported efforts, and set the charge; arguments as in ``step``."""
-        memory, told = self.memory, self.told
-        if told.standing:
+        memory, reported = self.memory, self.reported
+        if reported.standing:
             memory.effort, memory.tired = math.nan, False
-        effort = told.flying if flies else told.resting
+        effort = reported.flying if flies else reported.resting
         if math.isnan(effort):
             self.reserve = math.nan
         else:
@@ -107,12 +108,12 @@ class ReserveEstimate:
             memory.rise_m_s += (self.share if flies else 1.0) * (rise_m_s - memory.rise_m_s)
             # mean acceleration in the averaging time, divided by gravity
             gained = (rise_m_s - memory.rise_m_s) / self.lasting_m_s
-            self.reserve = left(memory.effort / max(LEAST_LIFT, 1.0 + gained), told.sags, told.most)
+            self.reserve = left(memory.effort / max(LEAST_LIFT, 1.0 + gained), reported.sags, reported.most)
         if math.isnan(self.reserve):
             self.charge = Charge.TIRED if memory.tired else Charge.UNKNOWN
         else:
-            if told.standing:
-                memory.tired = told.low
+            if reported.standing:
+                memory.tired = reported.low
             elif in_air:
                 memory.tired = memory.tired or self.reserve < self.least
             self.charge = Charge.TIRED if memory.tired else Charge.FIT
@@ -127,7 +128,7 @@ class ReserveEstimate:
             return ""
         if power is None or self.charge is Charge.UNKNOWN:
             return "no battery voltage received (SYS_STATUS)"
-        if self.told.standing:
+        if self.reported.standing:
             return too_low(table, power.voltage_v)
         return (
             f"the thrust reserve is {self.reserve:.2f} at {power.voltage_v:.2f} V, {self.least:.2f} needed "

@@ -34,7 +34,7 @@ def words(number=3, seed=5, **link):
     exchange = Words(replace(team_of(*[FIELD] * number), exchange=ExchangeLink(**link)), seed)
 
     def told(tick, texts):
-        outputs = [each and SimpleNamespace(own_word=Said(each)) for each in texts]
+        outputs = [each and SimpleNamespace(own_message=Said(each)) for each in texts]
         return [tuple(tuple(word) for word in heard) for heard in exchange(tick, outputs)]
 
     return told

@@ -106,7 +106,7 @@ def test_both_hear_each_other_and_the_log_has_it(onboard, other, feed):
     def placed(inputs, now_s, **named):
         """Run a tick, and add the status message, because the vehicle of this test sends no position."""
         heard.extend(inputs.neighbours)
-        return step(inputs, now_s, **named)._replace(own_word=word(3, now_s))
+        return step(inputs, now_s, **named)._replace(own_message=word(3, now_s))
 
     onboard.controller.step = placed
     theirs = []

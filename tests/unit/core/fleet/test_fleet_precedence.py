@@ -42,7 +42,7 @@ def claimed(**keys):
     member = FleetMember(FLEET, 0.0)
     told = {"stamp_s": 1.2, "arrival_s": 1.2, "intent": Intent.WAITING, "pad_position_enu_m": ZERO, **keys}
     word = Neighbour(7, position_enu_m=AWAY, velocity_enu_m_s=ZERO, wanted_enu_m_s=ZERO, **told)
-    member.way(Phase.APPROACH, HERE, 1.0)
+    member.permissions(Phase.APPROACH, HERE, 1.0)
     assert member.take([word], 1.2) == []
     return member
 
@@ -69,7 +69,7 @@ def claimed(**keys):
 )
 def test_the_right_of_way_by_what_was_heard(told, may_land, yields):
     member = claimed(**told)
-    way = member.way(Phase.APPROACH, HERE, 1.2)
+    way = member.permissions(Phase.APPROACH, HERE, 1.2)
     assert way.may_land is may_land
     assert member.memory.slots[0].yields is yields
     assert way.text == ("" if may_land else "no right of way because of member 7")
@@ -77,24 +77,24 @@ def test_the_right_of_way_by_what_was_heard(told, may_land, yields):
 
 def test_where_both_believe_to_be_first_the_higher_id_gives_way_in_the_end():
     higher = FleetMember(replace(FLEET, id=7), 0.0)
-    higher.way(Phase.APPROACH, HERE, 1.0)
+    higher.permissions(Phase.APPROACH, HERE, 1.0)
     for now_s, yields in ((1.5, False), (1.65, False), (1.75, True)):
         word = Neighbour(3, now_s, now_s, AWAY, ZERO, ZERO, claim_s=1.05, pad_position_enu_m=ZERO)
         higher.take([word], now_s)
-        assert not higher.way(Phase.APPROACH, HERE, now_s).may_land
+        assert not higher.permissions(Phase.APPROACH, HERE, now_s).may_land
         assert higher.memory.slots[0].yields is yields
 
 
 def test_without_a_pad_in_sight_there_is_no_right_of_way_but_the_claim_stands():
     member = claimed()
-    assert not member.way(Phase.APPROACH, None, 1.2).may_land
+    assert not member.permissions(Phase.APPROACH, None, 1.2).may_land
     assert member.memory.claim_s == 1.0
 
 
 def test_it_waits_no_longer_than_allowed_and_says_for_whom():
     member = claimed(claim_s=0.9)
-    assert not member.way(Phase.APPROACH, HERE, 1.0 + FLEET.wait_max_s).waited
-    way = member.way(Phase.APPROACH, HERE, 1.1 + FLEET.wait_max_s)
+    assert not member.permissions(Phase.APPROACH, HERE, 1.0 + FLEET.wait_max_s).waited
+    way = member.permissions(Phase.APPROACH, HERE, 1.1 + FLEET.wait_max_s)
     assert way.waited
     assert way.text == "no right of way because of member 7"
 
@@ -102,13 +102,13 @@ def test_it_waits_no_longer_than_allowed_and_says_for_whom():
 def test_it_may_touch_when_all_know_that_it_gives_way_to_nobody():
     member = claimed()
     own = OwnState(1.2, 1.2, ZERO, ZERO, 0.0)
-    member.way(Phase.APPROACH, HERE, 1.2)
-    member.word(Memory(phase=Phase.LAND), own, FLYING, ZERO, HERE, 1.2)
+    member.permissions(Phase.APPROACH, HERE, 1.2)
+    member.message(Memory(phase=Phase.LAND), own, FLYING, ZERO, HERE, 1.2)
     least_s = FLEET.age_max_s + FLEET.latency_max_s
-    assert not member.way(Phase.LAND, HERE, 1.19 + least_s).may_touch
-    assert member.way(Phase.LAND, HERE, 1.21 + least_s).may_touch
-    member.word(Memory(phase=Phase.APPROACH), own, FLYING, ZERO, HERE, 2.0)
-    assert not member.way(Phase.LAND, HERE, 2.1).may_touch
+    assert not member.permissions(Phase.LAND, HERE, 1.19 + least_s).may_touch
+    assert member.permissions(Phase.LAND, HERE, 1.21 + least_s).may_touch
+    member.message(Memory(phase=Phase.APPROACH), own, FLYING, ZERO, HERE, 2.0)
+    assert not member.permissions(Phase.LAND, HERE, 2.1).may_touch
 
 
 def test_pads_that_drive_towards_each_other_come_near_within_the_time():
@@ -155,7 +155,7 @@ class Claimant:
     def step(self, t_s):
         while self.queue and self.queue[0][0] <= t_s:
             self.member.take([heapq.heappop(self.queue)[2]], t_s)
-        way = self.member.way(self.memory.phase, HERE, t_s)
+        way = self.member.permissions(self.memory.phase, HERE, t_s)
         if self.memory.phase is Phase.TAKEOFF and t_s >= self.begins_s:
             self.memory.phase = Phase.APPROACH
         elif self.memory.phase is Phase.APPROACH and way.may_land:
@@ -165,7 +165,7 @@ class Claimant:
         elif self.memory.phase is Phase.LAND and way.may_touch and t_s >= self.down_s:
             self.memory.phase = Phase.LANDED
         own = OwnState(t_s, t_s, AWAY, ZERO, 0.0)
-        return self.member.word(self.memory, own, FLYING, ZERO, HERE, t_s)
+        return self.member.message(self.memory, own, FLYING, ZERO, HERE, t_s)
 
 
 @settings(max_examples=40, deadline=None)

@@ -52,7 +52,7 @@ class Side:
         firm = mission.phase in (Phase.TOUCHDOWN, Phase.LANDED)
         self.part = NONE if firm or slot.word is None else share(slot, slot.word, now_s, self.fleet)
         own = OwnState(now_s, now_s, ZERO, ZERO, 0.0)
-        return self.member.word(mission, own, FLYING, ZERO, None, now_s)
+        return self.member.message(mission, own, FLYING, ZERO, None, now_s)
 
 
 @settings(max_examples=60, deadline=None)
@@ -165,7 +165,7 @@ def test_a_place_that_jumps_makes_the_ellipsoid_larger_until_it_jumps_back():
     def take(stamp_s, x):
         place = (x, 0.0, 1.0)
         texts = member.take([told._replace(stamp_s=stamp_s, position_enu_m=place)], stamp_s)
-        return texts, member.rows(Phase.APPROACH, own, ZERO, stamp_s).near[0].h_m
+        return texts, member.rows(Phase.APPROACH, own, ZERO, stamp_s).neighbours[0].h_m
 
     assert take(0.0, 0.0) == ([], pytest.approx(2.0 - A.radius_xy_m - A.margin_m))
     texts, h_m = take(0.02, 0.5)
@@ -242,7 +242,7 @@ def test_what_the_others_are_told_of_each_phase(phase, keys, granted, landed, ex
     member.memory.granted = granted
     own = OwnState(0.9, 0.9, (1.0, 2.0, 3.0), (0.5, 0.0, 0.0), 0.0)
     status = VehicleStatus(0.0, True, Mode.EXTERNAL, landed, True)
-    said = member.word(Memory(phase=phase, **keys), own, status, (0.1, 0.2, 0.3), None, 1.0)
+    said = member.message(Memory(phase=phase, **keys), own, status, (0.1, 0.2, 0.3), None, 1.0)
     assert said.intent is expected
     assert (said.id, said.stamp_s, said.wanted_enu_m_s) == (3, 1.0, (0.1, 0.2, 0.3))
     assert said.position_enu_m == pytest.approx((1.05, 2.0, 3.0))  # extrapolated to the time stamp

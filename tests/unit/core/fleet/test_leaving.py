@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from flightstack.common.strict_toml import ConfigError
 from flightstack.core.fleet.assignment import UNIT_M, assign
 from flightstack.core.fleet.member import STAYS_S, FleetMember
-from flightstack.core.fleet.precedence import APART, KEPT_M, Pad, Way, place_beside
+from flightstack.core.fleet.precedence import APART, KEPT_M, Pad, Permissions, place_beside
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.target.track import TargetState
 from flightstack.core.types import ZERO, Intent, Neighbour, Phase
@@ -46,24 +46,26 @@ def member(fleet=FLEET, **told):
     ],
 )
 def test_the_pad_is_wanted_by_who_claims_it_now(fleet, phase, told, wanted):
-    way = member(fleet, **told).way(phase, HERE, 1.0)
+    way = member(fleet, **told).permissions(phase, HERE, 1.0)
     assert way.pad_wanted is wanted
     if wanted:
         assert way.text == "waits member 7"
 
 
 def test_that_it_stays_though_others_wait_is_told_once():
-    found, wanted = member(**WAITS), Way(pad_wanted=True, text="waits member 7")
-    assert found.stays(wanted, STAYS_S - 0.1, "") == []
-    assert found.stays(Way(), STAYS_S + 0.1, "") == []
-    assert found.stays(wanted, STAYS_S + 0.1, "4.1 V") == ["it stays on the pad: 4.1 V; waits member 7"]
-    assert found.stays(wanted, STAYS_S + 9.0, "4.1 V") == []
+    found, wanted = member(**WAITS), Permissions(pad_wanted=True, text="waits member 7")
+    assert found.remains_on_pad(wanted, STAYS_S - 0.1, "") == []
+    assert found.remains_on_pad(Permissions(), STAYS_S + 0.1, "") == []
+    assert found.remains_on_pad(wanted, STAYS_S + 0.1, "4.1 V") == [
+        "it stays on the pad: 4.1 V; waits member 7"
+    ]
+    assert found.remains_on_pad(wanted, STAYS_S + 9.0, "4.1 V") == []
 
 
 def claiming(fleet=FLEET, **told):
     """Return a vehicle with a claim since 0.5 s, and this information about the other one."""
     found = FleetMember(fleet, 0.0)
-    found.way(Phase.APPROACH, HERE, 0.5)
+    found.permissions(Phase.APPROACH, HERE, 0.5)
     found.take([word(pad_position_enu_m=ZERO, **told)], 1.0)
     return found
 
@@ -71,8 +73,8 @@ def claiming(fleet=FLEET, **told):
 @pytest.mark.parametrize(("away_m", "may_land"), [(0.7, False), (0.9, True)])
 def test_who_flies_clear_is_waited_for_until_it_is_away_from_the_pad(away_m, may_land):
     clears = {"intent": Intent.CLEARING, "position": (away_m, 0.0, 1.0)}
-    assert claiming(**clears).way(Phase.APPROACH, HERE, 1.0).may_land is may_land
-    assert claiming(replace(FLEET, frees_pad=False), **clears).way(Phase.APPROACH, HERE, 1.0).may_land
+    assert claiming(**clears).permissions(Phase.APPROACH, HERE, 1.0).may_land is may_land
+    assert claiming(replace(FLEET, frees_pad=False), **clears).permissions(Phase.APPROACH, HERE, 1.0).may_land
 
 
 coordinate = st.floats(-3.0, 3.0)

@@ -28,8 +28,8 @@ BARRIER = ROBUST.barrier.build()
 def tick(
     settings=ROBUST, e=(1.0, 0.0, 1.0), velocity=STILL, target_velocity=STILL, *, now_s=NOW_S, memory=None,
     sigma_m=0.0, own_age_s=0.01, target_age_s=0.03, status_age_s=0.2, armed=True, mode=Mode.EXTERNAL,
-    landed=Landed.IN_AIR, ready=True, operator=Operator.NONE, failed=False, follows=True, believed=True,
-    without=(), way=ALONE, charge=Charge.FIT,
+    landed=Landed.IN_AIR, ready=True, operator=Operator.NONE, failed=False, follows=True, trusted=True,
+    without=(), permissions=ALONE, charge=Charge.FIT,
 ):  # fmt: skip
     """Return the flags of one tick; all inputs are good unless given."""
     position = tuple(a + b for a, b in zip(e, PAD, strict=True))
@@ -41,8 +41,9 @@ def tick(
     )  # fmt: skip
     known = None if "target" in without else target
     seen = snapshot_of(
-        settings, inputs, known, now_s, believed=believed, follows=follows, charge=charge, way=way
-    )
+        settings, inputs, known, now_s, trusted=trusted, follows=follows, charge=charge,
+        permissions=permissions,
+    )  # fmt: skip
     strategy = strategy_of(settings)
     mission = Mission(settings, BARRIER, strategy, TargetTrack(settings.checks), Plausibility(settings))
     mission.memory = memory if memory is not None else Memory()

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from flightstack.core.fleet.precedence import ALONE, Way
+from flightstack.core.fleet.precedence import ALONE, Permissions
 from flightstack.core.memory import Memory
 from flightstack.core.mission.conditions import LANDED_SETTLE_S, high_enough_m
 from flightstack.core.strategies.robust import DRIFT_SHARE
@@ -28,7 +28,7 @@ def test_when_all_is_well():
         ({"operator": Operator.LAND}, {"ABORT_ASKED", "LAND_ASKED"}, set()),
         ({"failed": True}, {"COMMAND_FAILED"}, set()),
         ({"follows": False}, {"NOT_FOLLOWING"}, set()),
-        ({"believed": False}, {"OWN_LOST"}, {"READY"}),
+        ({"trusted": False}, {"OWN_LOST"}, {"READY"}),
         ({"without": ("own",)}, {"OWN_LOST"}, {"READY"}),
         ({"without": ("target",)}, {"TARGET_LOST"}, {"READY", "TARGET_KNOWN"}),
         ({"without": ("status",)}, {"LINK_LOST"}, WELL - {"RETRIES_LEFT", "TARGET_KNOWN"}),
@@ -116,7 +116,7 @@ def test_a_phase_has_its_time(phase, limit_s):
     ("changes", "wanted"),
     [
         ({}, True),
-        ({"way": ALONE}, False),
+        ({"permissions": ALONE}, False),
         ({"memory": Memory(phase=Phase.LANDED, phase_since_s=NOW_S - LANDED_SETTLE_S + 1e-6)}, False),
         ({"memory": Memory(phase=Phase.TOUCHDOWN)}, False),
         ({"charge": Charge.TIRED}, False),
@@ -126,7 +126,8 @@ def test_a_phase_has_its_time(phase, limit_s):
 )
 def test_a_pad_is_left_after_the_rest_with_all_that_a_flight_needs(changes, wanted):
     rested = Memory(phase=Phase.LANDED, phase_since_s=NOW_S - LANDED_SETTLE_S - 1e-6)
-    found = tick(**{"memory": rested, "way": Way(pad_wanted=True), "armed": False, "ready": False, **changes})
+    given = {"memory": rested, "permissions": Permissions(pad_wanted=True), "armed": False, "ready": False}
+    found = tick(**{**given, **changes})
     assert ("PAD_WANTED" in names(found)) is wanted
 
 

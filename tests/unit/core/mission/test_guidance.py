@@ -32,7 +32,7 @@ SHAPES = [PAPER, ROBUST]
 
 def asked(
     phase, settings=ROBUST, e=(0.5, -0.4, 1.0), memory=None, *, own=True, target=True, own_ok=True,
-    target_ok=True, armed=True, landed=Landed.IN_AIR, status=True, velocity=ZERO, way=ALONE,
+    target_ok=True, armed=True, landed=Landed.IN_AIR, status=True, velocity=ZERO, permissions=ALONE,
 ):  # fmt: skip
     """Return the command in one situation."""
     memory = memory if memory is not None else Memory()
@@ -43,7 +43,7 @@ def asked(
     inputs = Inputs(state if own else None, word if status else None)
     known = TargetState(0.0, PAD, MOVING, 0.0)
     e_m = e if own and target else None
-    seen = Snapshot(inputs, known if target else None, own_ok, target_ok, True, e_m, way=way)
+    seen = Snapshot(inputs, known if target else None, own_ok, target_ok, True, e_m, permissions=permissions)
     strategy = strategy_of(settings)
     mission = Mission(settings, BARRIER, strategy, TargetTrack(settings.checks), Plausibility(settings))
     mission.memory = memory

@@ -27,7 +27,7 @@ def test_what_was_written_is_read(before, after, way, why):
         way = AbortWay.NONE
     change = Transition(before, after, why, way)
     assert parse(change.text) == change
-    assert parse(change.told(12.345)) == parse(change.told(1234567.0)) == change
+    assert parse(change.timed_text(12.345)) == parse(change.timed_text(1234567.0)) == change
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from flightstack.core.parameters.robust import OwnStateLink, VelocityLoop
 from flightstack.core.target.own_estimator import (
     PUSH_M_S2,
     PUSH_TIME_S,
-    TELLS_M_S,
+    VELOCITY_NOISE_M_S,
     OwnEstimator,
     steady_gains,
 )
@@ -62,7 +62,7 @@ def follow(vehicle, estimator, seconds, *, lost=()):
         own = vehicle.state()
         if k not in lost:
             found = estimator.step(own)
-            estimator.told(wanted(k * PERIOD_S), MOST)
+            estimator.to_send(wanted(k * PERIOD_S), MOST)
         vehicle.fly(estimator.memory.sent_m_s)
     return found
 
@@ -83,7 +83,7 @@ def test_gains_are_those_of_the_riccati_equation():
         [0, 0, 0, 2 * t * LINK.velocity_error_m_s**2 / LINK.velocity_error_time_s,
          2 * t * PUSH_M_S2**2 / PUSH_TIME_S]
     )  # fmt: skip
-    measured = np.diag([LINK.position_noise_m**2, TELLS_M_S**2])
+    measured = np.diag([LINK.position_noise_m**2, VELOCITY_NOISE_M_S**2])
     p = solve_discrete_are(step.T, told.T, noise, measured)
     expected = p @ told.T @ np.linalg.inv(told @ p @ told.T + measured)
     found = np.array(steady_gains(LOOP, LINK, PERIOD_S)).T
@@ -119,7 +119,7 @@ def test_the_error_learned_is_bounded_whatever_is_told(jumps, most, by_loop):
     estimator = OwnEstimator(link, LOOP, PERIOD_S, by_loop=by_loop)
     for k, (p, v) in enumerate(jumps):
         estimator.step(OwnState(k * 0.01, k * 0.01, (p, -p, p), (v, p, v), 0.0))
-        told = estimator.told(ZERO, MOST)
+        told = estimator.to_send(ZERO, MOST)
         assert max(map(abs, told)) <= most + 1e-12
 
 

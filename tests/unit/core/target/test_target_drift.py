@@ -102,7 +102,7 @@ def believed_s(seconds, speed_m_s, *, flies, moves_m=0.0):
     for k in range(round(seconds / PERIOD_S)):
         at_s = PERIOD_S * k
         watched.take(OwnState(at_s, at_s, (k * moves_m, 0.0, 1.0), (speed_m_s, 0.0, 0.0), 0.0), flies=flies)
-        if not watched.believes(at_s):
+        if not watched.trusts(at_s):
             return at_s - age_s
     return seconds
 
