@@ -43,7 +43,6 @@ class _Other:
 
     first_s: float
     last_s: float
-    met: bool = False  # a frame of the known sender arrived after this address appeared
 
 
 @dataclass(slots=True)
@@ -55,12 +54,12 @@ class Senders:
     repeated: int = 0  # number of frames that arrived again
     doubled: str | None = None  # error text as long as a second address with the same ids is alive
     _now_s: float = -math.inf  # arrival of the newest frame
+    _known_s: float = -math.inf  # arrival of the newest frame from the known address
     _kind: Kind | None = None
     _beat_s: float = -math.inf  # time of the known sender's newest frame after its first heartbeat
     _claims: tuple[int, int] | None = None  # base_mode and custom_mode of that heartbeat
-    _doubted: tuple[tuple[int, int], float] | None = (
-        None  # base_mode, custom_mode and time of a contradicting heartbeat
-    )
+    # base_mode, custom_mode and time of a contradicting heartbeat
+    _doubted: tuple[tuple[int, int], float] | None = None
     _sequence: int = 0  # sequence number of the newest frame of the known sender
     _steady: int = 0  # frames of the known sender in a row without a gap
     _number: int = -1  # sequence number of the known sender's newest frame that was not repeated
@@ -73,7 +72,7 @@ class Senders:
         """Change to another clock; the known sender remains and counts as heard now."""
         if self._kind is not None:
             self._beat_s = now_s
-        self.ignored, self._due, self._now_s = 0, 1, now_s
+        self.ignored, self._due, self._now_s, self._known_s = 0, 1, now_s, -math.inf
         self._others.clear()
 
     @property
@@ -102,8 +101,7 @@ class Senders:
         well = now_s - self._beat_s <= SILENT_S
         fits = kind is not None and (self._kind is None or kind == self._kind or not (well or armed))
         if peer == self.known:
-            if self._others:
-                self._meet(now_s)
+            self._known_s = now_s
             if kind is None:
                 self._count(message.get_header().seq)
                 if well:  # heartbeats may be rarer, or lost
@@ -160,10 +158,6 @@ class Senders:
         self._steady = self._steady + 1 if (number - self._sequence) % 256 <= _GAP_MAX else 0
         self._sequence = number
 
-    def _meet(self, now_s: float) -> None:
-        for other in self._others.values():
-            other.met = other.met or now_s - other.first_s >= _APART_S
-
     def _note(self, peer: Peer, now_s: float, *, well: bool) -> None:
         """Record another address; an address that alternates with the known one is a second sender."""
         other = self._others.get(peer)
@@ -172,7 +166,7 @@ class Senders:
                 del self._others[next(iter(self._others))]
             self._others[peer] = other = _Other(now_s, now_s)
         other.last_s = now_s
-        if well and other.met and self.known is not None:
+        if well and self._known_s - other.first_s >= _APART_S and self.known is not None:
             self.doubled = (
                 f"two senders have the vehicle's ids: {_at(self.known)} and {_at(peer)}; stop one of them, "
                 "or give it another system id (PX4 MAV_SYS_ID, ArduPilot MAV_SYSID or SYSID_THISMAV), which "
