@@ -92,14 +92,12 @@ class StatusPrinter:
     def about(self, topic: str, text: str | None, now_s: float, *, good: str | None = None) -> None:
         """Print a message about a topic at most once a period; None ends the topic and prints ``good``."""
         before, said_s = self._last.get(topic, (None, 0.0))
-        changed = (text is None) != (before is None)
-        if text is not None and (changed or now_s - said_s >= _SAY_S):
-            self._say(text)
-            self._last[topic] = (text, now_s)
-        elif text is None and changed:
-            self._last[topic] = (None, now_s)
-            if good is not None:
-                self._say(good)
+        if (text is None) == (before is None) and (text is None or now_s - said_s < _SAY_S):
+            return
+        self._last[topic] = (text, now_s)
+        shown = good if text is None else text
+        if shown is not None:
+            self._say(shown)
 
 
 class Bridge:
