@@ -27,7 +27,7 @@ from bridge.mavlink.server.parameters import integer as whole
 from bridge.mavlink.server.profile import FlightMode
 from bridge.mavlink.server.server import SYSTEM_ID, Handler, Server
 from bridge.mavlink.server.telemetry import Snapshot
-from flightstack.core.types import ZERO, Vec3
+from flightstack.core.types import Vec3
 from sim.autopilot.flight import Flight
 from sim.autopilot.ground import degrees_e7, x_of, y_of
 from sim.autopilot.telemetry import PX4
@@ -52,15 +52,14 @@ class Autopilot(Server[Flight]):
         *,
         system_id: int = SYSTEM_ID,
         epoch_ns: int = 0,
-        trim_enu_m_s: Vec3 = ZERO,
     ) -> None:
         """Start the autopilot; a vehicle that already flies holds its position.
 
         ``rate_hz``: rate of the loop, and of position and attitude messages; ``epoch_ns``: Unix time at
-        simulated time zero; ``trim_enu_m_s``: set-point that holds a vehicle that starts in the air.
+        simulated time zero.
         """
         parameters = Parameters(px4_parameters(system_id))
-        self.flight = Flight(vehicle, parameters, 1.0 / rate_hz, trim_enu_m_s)
+        self.flight = Flight(vehicle, parameters, 1.0 / rate_hz)
         self._epoch_ns = epoch_ns
         super().__init__(self.flight, PX4, parameters, rate_hz, system_id=system_id)
 

@@ -10,7 +10,6 @@ from bridge.frames import yaw_from_quaternion
 from bridge.mavlink.server.commander import Battery, Commander, Sender, Setpoint
 from bridge.mavlink.server.parameters import Parameters
 from bridge.mavlink.server.profile import POSITION_SOURCE, FlightMode
-from flightstack.core.types import ZERO, Vec3
 from sim.autopilot.pilot import Event, Pilot
 from sim.autopilot.watches import Standing, Watches
 from sim.vehicle.vehicle import VehicleSim
@@ -25,14 +24,12 @@ _ESTIMATE_LOST_S = 0.5  # time without a valid estimate after which the vehicle 
 class Flight(Commander):
     height_range_m = HEIGHT_RANGE_M
 
-    def __init__(
-        self, vehicle: VehicleSim, parameters: Parameters, period_s: float, trim_enu_m_s: Vec3 = ZERO
-    ) -> None:
+    def __init__(self, vehicle: VehicleSim, parameters: Parameters, period_s: float) -> None:
         super().__init__()
         self.vehicle = vehicle
         x, y, _ = vehicle.estimate().position_enu_m
         self.home_enu_m = (x, y, 0.0)
-        self.pilot = Pilot(vehicle, parameters, trim_enu_m_s)
+        self.pilot = Pilot(vehicle, parameters)
         self.watches = Watches(parameters, vehicle)
         self.ground = Standing(vehicle)
         self._parameters = parameters

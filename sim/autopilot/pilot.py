@@ -126,11 +126,11 @@ class Event(Enum):
 class Pilot:
     """Computes velocity set-points for the firmware from mode, estimate and received set-point."""
 
-    def __init__(self, vehicle: VehicleSim, parameters: Parameters, trim_enu_m_s: Vec3 = ZERO) -> None:
+    def __init__(self, vehicle: VehicleSim, parameters: Parameters) -> None:
         self.velocity_setpoint_enu_m_s: Vec3 | None = None  # last one sent to the firmware; None: none active
         self._vehicle = vehicle
         self._parameters = parameters
-        self._hold = PositionHold(trim_enu_m_s)
+        self._hold = PositionHold(vehicle.trim_velocity_enu_m_s)
         self._setpoint: Setpoint | None = None
         self._fresh = False  # the set-point has not been sent to the firmware yet
         self._engaged = False  # the position loop has started in this mode

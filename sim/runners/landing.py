@@ -84,8 +84,7 @@ class Companion:
             power=config.reserve is not None,
         )
         self.vehicle = vehicle = VehicleSim(scenario, seed)  # the simulated vehicle
-        trim = vehicle.trim_velocity_enu_m_s
-        autopilot = Autopilot(vehicle, rate_hz, system_id=system_id, trim_enu_m_s=trim)
+        autopilot = Autopilot(vehicle, rate_hz, system_id=system_id)
         # outputs of the newest tick; None before the first tick and after the last
         self.outputs: Outputs | None = None
         self._neighbours: tuple[Neighbour, ...] = ()  # messages of other vehicles since the last tick

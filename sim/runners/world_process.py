@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 from itertools import zip_longest
@@ -56,7 +56,7 @@ def world_main(team: TeamScenario, options: VehicleOptions) -> int:
 def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitStack) -> None:
     lockstep, grid, here = options.lockstep, TickGrid(options.rate_hz), _here(team, options)
     ids = {number: options.system_id + number - 1 for number in here}
-    endpoints = [opened(options, number, ids[number], stack) for number in here]
+    endpoints = [_opened(options, number, ids[number], stack) for number in here]
     session = _session(team, options, stack)
     warm_up_room(team)
     singles = dict(enumerate(team.singles(options.seed), 1))
@@ -68,8 +68,10 @@ def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitSta
     for number, (endpoint, _), vehicle in zip(here, endpoints, simulated, strict=True):
         name = team.namespaces(options.namespace)[number]
         log = VehicleLog(feed, epoch_ns, Names(name, ids[number]))
-        autopilot = autopilot_of(vehicle, options, ids[number], epoch_ns)
-        nodes.append(VehicleNode(number, name, vehicle, autopilot, endpoint, log, _teller(name)))
+        autopilot = Autopilot(vehicle, options.rate_hz, system_id=ids[number], epoch_ns=epoch_ns)
+        for parameter, value in options.parameters.items():
+            autopilot.parameters.preset(parameter, value)
+        nodes.append(VehicleNode(number, name, vehicle, autopilot, endpoint, log, partial(_tell, name)))
     room, ticks = Room(nodes, grid, feed), grid.count(options.duration_s)
     words = Words(team, options.seed) if lockstep and not team.is_alone else None
     if lockstep:
@@ -123,14 +125,8 @@ def _ready(endpoints: Sequence[tuple[Endpoint, str]], stop: Stop) -> None:
     quiet_garbage_collector()
 
 
-def opened(options: VehicleOptions, number: int, system_id: int, stack: ExitStack) -> tuple[Endpoint, str]:
-    """Open the MAVLink endpoint of a vehicle; return it, and its URL with the actual port.
-
-    ``options``: its URL is that of the first vehicle; ``number``: number of the vehicle, from 1; ``stack``:
-    closes the endpoint.
-    Raises ValueError: options that exclude each other, or an invalid URL; OSError: the address cannot be
-    bound.
-    """
+def _opened(options: VehicleOptions, number: int, system_id: int, stack: ExitStack) -> tuple[Endpoint, str]:
+    """Open the MAVLink endpoint of a vehicle; return it, and its URL with the actual port."""
     kind, host, port = parse_udp_url(options.url, "the simulated vehicle")
     port += number - 1 if port else 0
     if options.lockstep and options.peers:
@@ -163,27 +159,9 @@ def _session(team: TeamScenario, options: VehicleOptions, stack: ExitStack) -> z
     return session
 
 
-def autopilot_of(vehicle: VehicleSim, options: VehicleOptions, system_id: int, epoch_ns: int) -> Autopilot:
-    """Create the autopilot of a vehicle, with its parameters; ``epoch_ns``: Unix time of tick 0."""
-    autopilot = Autopilot(
-        vehicle,
-        options.rate_hz,
-        system_id=system_id,
-        epoch_ns=epoch_ns,
-        trim_enu_m_s=vehicle.trim_velocity_enu_m_s,
-    )
-    for name, value in options.parameters.items():
-        autopilot.parameters.preset(name, value)
-    return autopilot
-
-
-def _teller(name: str) -> Callable[[bool], None]:
-    """Return a function that prints arming changes for the process that started this one and may end it."""
-
-    def tell(armed: bool) -> None:
-        print(f"{'armed' if armed else 'disarmed'} {name}", flush=True)
-
-    return tell
+def _tell(name: str, armed: bool) -> None:
+    """Print a change of arming for the process that started this one and may end it."""
+    print(f"{'armed' if armed else 'disarmed'} {name}", flush=True)
 
 
 def _close(endpoint: Endpoint) -> None:

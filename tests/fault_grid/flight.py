@@ -167,7 +167,7 @@ class Flight:
             profile=OWN_SITL,
         )  # fmt: skip
         self.vehicle = VehicleSim(scenario, seed)  # its ``faults`` can start at any time
-        self._autopilot = Autopilot(self.vehicle, rate_hz, trim_enu_m_s=self.vehicle.trim_velocity_enu_m_s)
+        self._autopilot = Autopilot(self.vehicle, rate_hz)
         self._all_notes = Notes(config, scenario.target.pad_radius_m)
         self._notes = _Notes(self._all_notes)
         self._ground_m = self.vehicle.estimate().position_enu_m[2]

@@ -41,6 +41,7 @@ class FakeVehicle:
     stops: int = 0
     motor_commands: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     duty: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    trim_velocity_enu_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     reboots: int = 0
     failures: dict[tuple[int, int], int] = field(default_factory=dict)  # (unit, instance) to type
     failure_refusal: str | None = None
