@@ -51,11 +51,8 @@ class Tape:
     pieces: tuple[Piece, ...]  # one or more
 
 
-def tape_of(flight: Screened, *, raw: bool = False) -> Tape | None:
-    """Return the errors of a flight; None if it has no estimate, is too slow or too short.
-
-    ``raw``: treat the whole error as an offset of position and velocity in world axes, without a delay.
-    """
+def tape_of(flight: Screened) -> Tape | None:
+    """Return the errors of a flight; None if it has no estimate, is too slow or too short."""
     r = flight.recording
     if r.estimate_position_m is None or r.estimate_velocity_m_s is None:
         return None
@@ -68,20 +65,9 @@ def tape_of(flight: Screened, *, raw: bool = False) -> Tape | None:
     if np.sqrt(np.mean(speed_m_s**2)) < SPEED_MIN_M_S:
         return None
     turn = _turn_rad(r, inner)
-    if raw:
-        return Tape(r.name, r.step_s, tuple(_raw(r, p, turn) for p in inner))
     mean_s = _delay_s(r.position_m, r.estimate_position_m, inner, r.step_s)
     velocity_mean_s = _delay_s(r.velocity_m_s, r.estimate_velocity_m_s, inner, r.step_s)
     return Tape(r.name, r.step_s, tuple(_split(r, p, mean_s, velocity_mean_s, turn) for p in inner))
-
-
-def _raw(r: Recording, piece: slice, turn: Floats) -> Piece:
-    assert r.estimate_position_m is not None
-    assert r.estimate_velocity_m_s is not None
-    none = np.zeros(piece.stop - piece.start)
-    position = r.estimate_position_m[piece] - r.position_m[piece]
-    velocity = r.estimate_velocity_m_s[piece] - r.velocity_m_s[piece]
-    return Piece(none, none, position, none, none, velocity, np.tile(turn, (len(none), 1)), _speed(r, piece))
 
 
 def _split(r: Recording, piece: slice, mean_s: float, velocity_mean_s: float, turn: Floats) -> Piece:
@@ -145,15 +131,15 @@ def _turn_rad(r: Recording, pieces: list[slice]) -> Floats:
 
 
 @cache
-def read_tape(path: Path, *, raw: bool = False) -> Tape | None:
+def read_tape(path: Path) -> Tape | None:
     """Return the tape of a recorded flight, cached in the process; None if the flight gives no tape.
 
     Raises RecordingError: the file cannot be read, or has other columns or units.
     """
-    return tape_of(load(path, read_columns()), raw=raw)
+    return tape_of(load(path, read_columns()))
 
 
-def draw_tape(folder: Path, rng: np.random.Generator, *, raw: bool = False) -> Tape:
+def draw_tape(folder: Path, rng: np.random.Generator) -> Tape:
     """Draw flights until one gives a tape; the others are not read.
 
     Raises RecordingError: the folder does not exist, or no flight in it gives a tape.
@@ -162,7 +148,7 @@ def draw_tape(folder: Path, rng: np.random.Generator, *, raw: bool = False) -> T
     why = "none has an estimate and moves"
     for number in rng.permutation(len(paths)).tolist():
         try:
-            tape = read_tape(paths[number], raw=raw)
+            tape = read_tape(paths[number])
         except RecordingError as error:
             why = f"{paths[number].name}: {error}"
             continue

@@ -15,7 +15,7 @@ import numpy as np
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Cell, Record
 from sim.chance import stream
-from sim.scenarios.scenario import StateError, TapeKind
+from sim.scenarios.scenario import StateError
 
 if TYPE_CHECKING:
     from sim.flights.tape import Piece, Tape
@@ -258,5 +258,5 @@ def state_errors(spec: StateError, seed: int, purpose: str, rate_hz: float) -> R
 
     rng = stream(seed, f"{purpose}.tape")
     chooser = stream(seed, "capture.tape") if spec.delay_shared else rng
-    tape = draw_tape(tape_folder(spec.tape), chooser, raw=spec.tape_kind is TapeKind.RAW)
+    tape = draw_tape(tape_folder(spec.tape), chooser)
     return TapeRows(tape, rng, rate_hz)

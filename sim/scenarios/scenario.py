@@ -125,13 +125,6 @@ class OdometryLink:
     dropout_max_s: Annotated[float, span(0.0, 5.0)] = 0.0  # longest drop-out; its length is drawn up to this
 
 
-class TapeKind(Enum):
-    """Way in which a recorded error is replayed."""
-
-    DELAY = "delay"  # the recorded delay, and the remaining error
-    RAW = "raw"  # the recorded offset of position and velocity, in the recorded axes
-
-
 @dataclass(frozen=True, slots=True)
 class StateError:
     """Error of a measured state as in recorded flights: mainly a varying delay, and correlated errors.
@@ -142,7 +135,6 @@ class StateError:
     """
 
     tape: str | None = None  # folder of recorded flights; their error replaces the model below
-    tape_kind: TapeKind = TapeKind.DELAY  # `delay` or `raw`: which part of the recorded error is replayed
     delay_s: Annotated[float, span(-0.1, 0.2)] = 0.02  # delay of the position, mean of all flights
     delay_spread_s: Annotated[float, span(0.0, 0.1)] = 0.015  # spread between flights
     delay_shared: bool = False  # vehicle and target have the same mean delay, or tapes of the same flight

@@ -12,7 +12,7 @@ from sim.flights.recording import Recording, RecordingError
 from sim.flights.screening import Screened
 from sim.flights.tape import CUT_S, FLIGHTS, draw_tape, tape_folder, tape_of
 from sim.plant.state_error import DELAY, WIDTH, PastRecord, TapeRows, _rows, mismeasured_path, state_errors
-from sim.scenarios.scenario import StateError, TapeKind, load
+from sim.scenarios.scenario import StateError, load
 from tests.recorded import PIECE
 
 STEP_S = 0.01
@@ -62,15 +62,14 @@ def test_an_error_across_the_velocity_is_a_share_of_it():
     assert left == pytest.approx(0.08, abs=0.01)
 
 
-@pytest.mark.parametrize("raw", [False, True])
-def test_on_its_own_path_a_tape_gives_the_recorded_estimate_again(raw):
+def test_on_its_own_path_a_tape_gives_the_recorded_estimate_again():
     flight = made(velocity_error=0.05)
     r, cut = flight.recording, round(CUT_S / STEP_S)
     piece = PIECES[0]
     past = new(PastRecord)
     past.rate = 1.0 / STEP_S
     rows = np.zeros((piece.stop - piece.start, WIDTH))
-    rows[cut:-cut] = _rows(tape_of(flight, raw=raw).pieces[0])
+    rows[cut:-cut] = _rows(tape_of(flight).pieces[0])
     states = np.empty((len(rows), 6))
     mismeasured_path(cell(past), r.position_m[piece], r.velocity_m_s[piece], rows, states)
     assert states[cut:-cut, :3] == pytest.approx(r.estimate_position_m[piece][cut:-cut], abs=1e-9)
@@ -114,8 +113,6 @@ def test_a_run_draws_a_flight_that_can_be_used(folder):
     rows = {purpose: state_errors(spec, 3, purpose, 100.0).take(2000) for purpose in ("own", "target")}
     assert not np.array_equal(rows["own"], rows["target"])
     assert np.array_equal(rows["own"], state_errors(spec, 3, "own", 100.0).take(2000))
-    raw = state_errors(replace(spec, tape_kind=TapeKind.RAW), 3, "own", 100.0).take(2000)
-    assert np.all(raw[:, DELAY] == 0.0)
 
 
 def test_a_tape_is_beside_the_scenario_or_where_the_variable_says(folder, tmp_path, monkeypatch):
