@@ -15,6 +15,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 from bridge.mavlink.client.link import COMPONENT_ID as COMPANION_ID
 from bridge.mavlink.client.link import VehicleLink
@@ -56,6 +57,9 @@ class Companion:
     robot, None: ``seed``; ``alone``: no other vehicle is near, so batches of ticks are allowed.
     """
 
+    robot_type: ClassVar[type[DirectTarget]] = DirectTarget
+    log_type: ClassVar[type[VehicleNotes]] = VehicleNotes
+
     def __init__(
         self, scenario: Scenario, seed: int, on_step: OnStep | None = None, system_id: int = SYSTEM_ID,
         target_seed: int | None = None, *, alone: bool = True, controller: Controller | None = None,
@@ -72,7 +76,7 @@ class Companion:
         ticks_max = grid.count(scenario.duration_max_s + config.retreat.abort_time_max_s + 10.0)
         assert ticks_max is not None  # there is a time limit
         self.ticks_max = ticks_max  # maximum number of ticks of a flight
-        target = DirectTarget(scenario, seed if target_seed is None else target_seed, grid)
+        self.target = target = self.robot_type(scenario, seed if target_seed is None else target_seed, grid)
         here, there = wires((system_id, COMPONENT_ID), (system_id, COMPANION_ID))
         self._link = VehicleLink(
             there,
@@ -95,7 +99,7 @@ class Companion:
             vehicle,
             autopilot,
             here,
-            VehicleNotes(self._notes, Names(self.name, system_id)),
+            self.log_type(self._notes, Names(self.name, system_id)),
         )
         here.answer = self._answer
         self._link.poll(0.0)  # sends the first heartbeat, as the process does before the first tick

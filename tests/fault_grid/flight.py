@@ -14,35 +14,26 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.frames import quaternion_from_yaw
-from bridge.mavlink.client.link import COMPONENT_ID as COMPANION_ID
 from bridge.mavlink.client.link import VehicleLink
 from bridge.mavlink.endpoint import Received
-from bridge.mavlink.profiles import OWN_SITL
-from bridge.mavlink.server.server import COMPONENT_ID, SYSTEM_ID
 from bridge.ros2.cdr import Odometry
 from bridge.target.odometry import RawSample
-from flightstack.common.hangup import Stop
 from flightstack.common.pacing import EPOCH_NS, Tick
 from flightstack.compiled.records import F64
-from flightstack.core.controller import Controller, Outputs
+from flightstack.core.controller import Outputs
 from flightstack.core.memory import Memory
 from flightstack.core.types import Operator, Phase, VehicleStatus
 from flightstack.onboard.leaving import Ended
-from flightstack.onboard.lockstep import VehicleTicks
-from flightstack.onboard.runner import Arrived, LinkedVehicle, Runner, Taken, decoded
+from flightstack.onboard.runner import Arrived, Taken, decoded
 from logs.reader.flight_data import Truth
-from sim.autopilot.autopilot import Autopilot
 from sim.clock import TickGrid
 from sim.plant.vehicle_types import Truth as TrueState
 from sim.robot.target import Sample
-from sim.runners.landing_wire import wires
-from sim.runners.lockstep import LockstepVehicle
-from sim.runners.log import Notes, Seen, VehicleNotes
+from sim.runners.landing import Companion
+from sim.runners.log import Seen, VehicleNotes
 from sim.runners.robot import DeckState, DirectTarget
-from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.fault_spec import Fault
 from sim.scenarios.scenario import Scenario
-from sim.vehicle.vehicle import VehicleSim
 
 REST_S = 2.5  # time after the motors stopped; the judge needs 2 s
 WATCH_MAX_S = 30.0  # longest flight after the disturbance
@@ -119,13 +110,10 @@ def _cdr(sample: Sample) -> bytes:
     ).pack()  # fmt: skip
 
 
-class _Notes(VehicleNotes):
+class _Log(VehicleNotes):
     """Also records the time at which the motors stopped finally."""
 
-    def __init__(self, notes: Notes) -> None:
-        super().__init__(notes)
-        self.down_s = math.nan
-        self.height_m = 0.0
+    down_s, height_m = math.nan, 0.0
 
     def truth(self, tick: int, now_ns: int, truth: TrueState) -> None:
         super().truth(tick, now_ns, truth)
@@ -136,8 +124,10 @@ class _Notes(VehicleNotes):
             self.down_s = truth.time_s
 
 
-class Flight:
-    """A flight with a disturbance."""
+class Flight(Companion):
+    """A flight with a disturbance; faults of ``target`` and ``vehicle`` can start at any time."""
+
+    robot_type, log_type = _Target, _Log
 
     def __init__(
         self,
@@ -146,39 +136,18 @@ class Flight:
         moment: Callable[[Flight], bool],
         disturb: Callable[[Flight], None],
     ) -> None:
-        config = scenario.onboard
-        rate_hz = config.loop.rate_hz
-        grid = TickGrid(rate_hz)
-        self.controller = Controller(config)
-        self.target = _Target(scenario, seed, grid)  # its odometry faults can start at any time
+        super().__init__(scenario, seed, on_step=lambda _tick, _out: None)
         self.asked = Operator.NONE  # request of the operator from the next tick on
         # called after every controller step, for the log
         self.on_step: Callable[[Tick, Taken, Outputs], None] | None = None
         self.phases: list[Phase] = []
         self._moment, self._disturb = moment, disturb
         self._duration_s = scenario.duration_max_s
-        self._stop = Stop()
         self._now_s = 0.0
         self._disturbed_s = self._noticed_s = self._failsafe_s = math.nan
-        self._ended = False
-        here, self._there = wires((SYSTEM_ID, COMPONENT_ID), (SYSTEM_ID, COMPANION_ID))
-        self.link = VehicleLink(
-            self._there, takeoff_height_m=config.takeoff.height_m, rate_hz=rate_hz, defer_timesync=True,
-            profile=OWN_SITL,
-        )  # fmt: skip
-        self.vehicle = VehicleSim(scenario, seed)  # its ``faults`` can start at any time
-        self._autopilot = Autopilot(self.vehicle, rate_hz)
-        self._all_notes = Notes(config, scenario.target.pad_radius_m)
-        self._notes = _Notes(self._all_notes)
         self._ground_m = self.vehicle.estimate().position_enu_m[2]
-        node = VehicleNode(1, "cf1", self.vehicle, self._autopilot, here, self._notes)
-        here.answer = self._tick
-        self.link.poll(0.0)  # sends the first heartbeat, as the process does before the first tick
-        self._loop = LockstepVehicle(node, self.target, grid, self._stop, scenario.vehicle.setpoint_delay_s)
-        self._ticks_max = grid.count(scenario.duration_max_s + WATCH_MAX_S)
-        vehicle = LinkedVehicle(self.link, lockstep=True)
-        ticks = VehicleTicks(vehicle, rate_hz)
-        self._runner = Runner(self.controller, ticks, vehicle, self.target, self, self)
+        self._runner._ending = self
+        self.ticks_max = TickGrid(scenario.onboard.loop.rate_hz).count(scenario.duration_max_s + WATCH_MAX_S)
 
     @property
     def phase(self) -> Phase:
@@ -191,21 +160,21 @@ class Flight:
     @property
     def climbing(self) -> bool:
         """Whether it is in the take-off and off the ground."""
-        return self.phase is Phase.TAKEOFF and self._notes.height_m > self._ground_m + CLIMB_M
+        return self.phase is Phase.TAKEOFF and self.node.log.height_m > self._ground_m + CLIMB_M
 
     def fly(self) -> Flown:
         """Fly to the end. Raises RuntimeError: the moment of the disturbance did not occur."""
-        self._loop.begin()
-        for tick in range(self._ticks_max):
-            self._loop.tick(tick)
-            if self._stop.is_set and not self._loop.answered:
+        self.loop.begin()
+        for tick in range(self.ticks_max):
+            self.loop.tick(tick)
+            if self._stop.is_set and not self.loop.answered:
                 break
         if not self._disturbed:
             raise RuntimeError(f"nothing was disturbed; phases {self.phases}")
         began_s, known = self._disturbed_s, (self._noticed_s, self._failsafe_s)
         noticed_s = min((s for s in known if not math.isnan(s)), default=math.nan)
         return Flown(
-            self._all_notes.seen(), began_s, noticed_s - began_s, self._notes.down_s - began_s,
+            self._notes.seen(), began_s, noticed_s - began_s, self.node.log.down_s - began_s,
             self._failsafe_s - began_s, tuple(self.phases),
         )  # fmt: skip
 
@@ -213,16 +182,16 @@ class Flight:
     def _disturbed(self) -> bool:
         return not math.isnan(self._disturbed_s)
 
-    def _tick(self) -> None:
-        if self._autopilot.flight.failsafe and self._disturbed and math.isnan(self._failsafe_s):
+    def _answer(self) -> None:
+        if self.node.autopilot.flight.failsafe and self._disturbed and math.isnan(self._failsafe_s):
             self._failsafe_s = self._now_s
-        if self._over():
+        if self._watched():
             self._stop.ask()
             return
-        if self._ended:
+        if self._over:
             self._answer_only()
             return
-        self._ended = self._runner.tick() is not None
+        self._over = self._runner.tick() is not None
         if not self._disturbed and self._moment(self):
             self._disturbed_s = self._now_s
             self._disturb(self)
@@ -236,12 +205,10 @@ class Flight:
         return Ended(out.phase, memory.reason, 1) if out.finished or now_s >= self._duration_s else None
 
     def write(self, tick: Tick, taken: Taken, out: Outputs, exec_s: float) -> None:
+        super().write(tick, taken, out, exec_s)
         self._now_s = tick.now_s
-        self._all_notes.step(tick, out)
         for text in taken.arrived.problems:
-            self._all_notes.event(tick.now_s, 30, "onboard", text)
-        for _, text in self.link.take_texts():
-            self._all_notes.event(tick.now_s, 0, "onboard", f"vehicle: {text}")
+            self._notes.event(tick.now_s, 30, "onboard", text)
         if not self.phases or self.phases[-1] is not out.phase:
             self.phases.append(out.phase)
         given_up = out.phase in (Phase.HOLD, Phase.CLIMB, Phase.ABORT)
@@ -250,18 +217,20 @@ class Flight:
         if self.on_step is not None:
             self.on_step(tick, taken, out)
 
-    def _over(self) -> bool:
+    def _watched(self) -> bool:
+        """Whether the flight was observed to its end."""
         if not self._disturbed:
-            return self._ended
-        down_s = self.vehicle.time_s - self._notes.down_s
-        rests = down_s > REST_S and (self._ended or down_s > 2.0 * REST_S)
+            return self._over
+        down_s = self.vehicle.time_s - self.node.log.down_s
+        rests = down_s > REST_S and (self._over or down_s > 2.0 * REST_S)
         return rests or self.vehicle.time_s - self._disturbed_s > WATCH_MAX_S
 
     def _answer_only(self) -> None:
         """Advance the simulated time after the companion has ended."""
-        for received in self._there.receive():
+        endpoint = self._link.endpoint
+        for received in endpoint.receive():
             if _is_request(received):
-                self._there.send([VehicleLink.timesync_reply(received.message.ts1)])
+                endpoint.send([VehicleLink.timesync_reply(received.message.ts1)])
                 self._now_s = received.message.ts1 / 1e9
 
 
