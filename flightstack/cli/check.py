@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -15,11 +15,11 @@ import click
 from flightstack.cli.options import takes
 from flightstack.common.options import Argument, Option
 from flightstack.common.strict_toml import ConfigError, from_table, read_toml
+from flightstack.common.text import labels
 from flightstack.config import options as shared
 from flightstack.config.files import load, names, path_of
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.core.strategies.strategy import ignored
-from logs.schema.names import member_name
 
 if TYPE_CHECKING:
     from flightstack.verify.types import Check
@@ -106,18 +106,27 @@ def _parts(name_or_file: str, name: str | None) -> list[Part]:
         TargetModel(each.target, 0).run(round(each.duration_max_s / STEP_S), STEP_S, True)
     if name is not None:
         team = replace(team, member=tuple(each.with_filter(name) for each in team.member))
-    configs = [each.onboard for each in team.member]
-    if team.is_alone:
-        found = [*checks(configs[0]), *declared(team.member[0])]
-        return [Part(configs[0].filter, found, ignored=ignored(configs[0]))]
-    parts = [
-        Part(config.filter, checks(config), members, f" ({', '.join(members)})", ignored(config))
-        for config, members in _alike(configs)
-    ]
-    if all(config.fleet is not None for config in configs):
-        members = tuple(map(member_name, range(1, len(configs) + 1)))
-        parts.append(Part(configs[0].filter, crowd(team), members, f" ({', '.join(members)} together)"))
+    shown, parts = labels(list(team.namespaces().values())), []
+    for config, numbers in _alike([each.onboard for each in team.member]):
+        found = [*checks(config), *_worst(check for n in numbers for check in declared(team.member[n]))]
+        parts.append(_part(config, found, [shown[n] for n in numbers]))
+    if found := crowd(team):
+        parts.append(_part(team.member[0].onboard, found, shown, " together"))
     return parts
+
+
+def _part(config: FlightConfig, found: list[Check], members: list[str], more: str = "") -> Part:
+    of = f" ({', '.join(members)}{more})" if any(members) else ""
+    return Part(config.filter, found, tuple(members), of, () if more else ignored(config))
+
+
+def _worst(found: Iterable[Check]) -> list[Check]:
+    """Return each check once, where it has the smallest distance to its limit."""
+    worst: dict[str, Check] = {}
+    for each in found:
+        if each.name not in worst or each.room < worst[each.name].room:
+            worst[each.name] = each
+    return list(worst.values())
 
 
 def _configuration(name_or_file: str) -> FlightConfig | None:
@@ -138,13 +147,13 @@ def _configuration(name_or_file: str) -> FlightConfig | None:
         raise ConfigError(f"{path}: {error}") from None
 
 
-def _alike(configs: Sequence[FlightConfig]) -> list[tuple[FlightConfig, tuple[str, ...]]]:
-    """Return configurations that differ in more than the id, each with its vehicles."""
-    alike: dict[FlightConfig, tuple[FlightConfig, list[str]]] = {}
-    for number, config in enumerate(configs, 1):
+def _alike(configs: Sequence[FlightConfig]) -> list[tuple[FlightConfig, list[int]]]:
+    """Return configurations that differ in more than the id, each with the indices of its vehicles."""
+    alike: dict[FlightConfig, tuple[FlightConfig, list[int]]] = {}
+    for n, config in enumerate(configs):
         fleet = config.fleet and replace(config.fleet, id=min(config.fleet.members))
-        alike.setdefault(replace(config, fleet=fleet), (config, []))[1].append(member_name(number))
-    return [(config, tuple(members)) for config, members in alike.values()]
+        alike.setdefault(replace(config, fleet=fleet), (config, []))[1].append(n)
+    return list(alike.values())
 
 
 def _as_json(name: str, parts: Sequence[Part]) -> dict[str, object]:
@@ -156,8 +165,14 @@ def _as_json(name: str, parts: Sequence[Part]) -> dict[str, object]:
         "ignored": [text for part in parts for text in part.ignored],
         "flies": all(result.proven for result in every if result.need.value == "flight"),
     }
-    rows = [{"members": part.members, "checks": [_row(result) for result in part.checks]} for part in parts]
-    return {**found, "parts": rows} if parts[0].members else {**found, "checks": rows[0]["checks"]}
+    rows: list[dict[str, object]] = [
+        {
+            **({"members": part.members} if any(part.members) else {}),
+            "checks": [_row(result) for result in part.checks],
+        }
+        for part in parts
+    ]
+    return {**found, **(rows[0] if len(rows) == 1 else {"parts": rows})}
 
 
 def _row(result: Check) -> dict[str, object]:

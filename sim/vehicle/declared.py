@@ -246,9 +246,11 @@ def _acceleration_m_s2(target: TargetSpec) -> float:
 
 
 def crowd(team: TeamScenario) -> list[Check]:
-    """Return the checks of a whole team."""
+    """Return the checks of all vehicles together; none without neighbours."""
     shapes = [Shape.of(load(each.vehicle.airframe)) for each in team.member]
     radius_m = 2.0 * max(shape.radius_m for shape in shapes)
     up_m = max(shape.top_m for shape in shapes) - min(shape.bottom_m for shape in shapes)
     configs = [each.onboard for each in team.member]
+    if any(config.fleet is None for config in configs):
+        return []
     return team_checks(configs, team.starts_enu_m(), (radius_m, 0.0, up_m), team.pads_apart_m())
