@@ -6,7 +6,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from importlib import import_module
 from importlib.util import find_spec
@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flightstack.api.frames import frame
-from flightstack.api.scenario import Changes, FilterLike, filter_name, scenario, whole
+from flightstack.api.scenario import Changes, FilterLike, scenario, whole
 from flightstack.common.forked import may_fork
 from flightstack.common.strict_toml import ConfigError
 from flightstack.common.terminal import Terminal
@@ -28,7 +28,7 @@ from sim.campaign.summary import summary
 from sim.campaign.workers import Workers
 from sim.runners.landing import land_team, warm_up
 from sim.scenarios.scenario import Scenario
-from sim.scenarios.team import TeamScenario, alone, load, names, text
+from sim.scenarios.team import TeamScenario, load, text
 from sim.vehicle.declared import judged_apart, not_proven
 
 if TYPE_CHECKING:
@@ -156,7 +156,7 @@ def campaign(
         name: name, file or object of the scenario.
         seeds: seeds to fly.
         filter: ``"paper"``, ``"robust"``, ``MODULE:NAME``, or a class; None: that of the scenario.
-        changes: keys of the scenario to change, see ``scenario``; only for one vehicle.
+        changes: keys of the scenario to change for each vehicle, see ``scenario``.
         workers: number of processes; None: one for each core.
 
     Raises:
@@ -177,7 +177,7 @@ def sweep(
     ``judge`` is changed, too.
 
     Args:
-        name: name of a scenario of one vehicle.
+        name: name, file or object of the scenario.
         grid: values of each key, e.g. ``{"wind.mean_m_s": [0, 1]}``; all combinations are flown.
         seeds: seeds to fly, the same at each point.
         filter: as for ``campaign``.
@@ -204,14 +204,9 @@ def _shown() -> list[Any]:
 
 
 def _team(name: str | Path | Scenario, changes: Changes | None, filter: FilterLike) -> TeamScenario:
-    """Return a checked scenario of one vehicle or of several."""
-    if name in names() or (isinstance(name, str | Path) and not changes and not load(name).is_alone):
-        if changes:
-            raise ConfigError(f"{name}: has several vehicles; changes are for scenarios of one vehicle")
-        team = load(name)
-        team = team if filter is None else team.with_filter(filter_name(filter))
-    else:
-        team = alone(scenario(name, changes, filter=filter))
+    """Return a checked scenario; changes are made for each vehicle."""
+    team = TeamScenario.of(name) if isinstance(name, Scenario) else load(name)
+    team = replace(team, member=tuple(scenario(each, changes, filter=filter) for each in team.member))
     found = dict.fromkeys(problem for each in team.member for problem in problems(each.onboard))
     if found:
         raise ConfigError(f"{team.name}: refused before take-off: " + "; ".join(found))

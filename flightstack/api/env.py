@@ -28,7 +28,7 @@ from logs.verdict.truth import judge_truth
 from logs.verdict.types import VIOLATION_LIMIT_M, Outcome, Verdict
 from sim.runners.landing import Companion, warm_up
 from sim.scenarios.scenario import Scenario
-from sim.scenarios.team import alone
+from sim.scenarios.team import TeamScenario
 
 # Rewards. A tick costs little beside the approach, or an agent learns to crash soon instead of to approach.
 APPROACH_REWARD_1_M = 10.0  # for each metre that the distance to the landing spot decreases
@@ -87,7 +87,7 @@ class LandingEnv(gymnasium.Env[np.ndarray, np.ndarray]):  # type: ignore[misc]  
         most = np.array(self.scenario.onboard.limits.velocity_max_m_s)
         self.action_space = spaces.Box(-most, most, dtype=np.float64)
         self.observation_space = spaces.Box(-_SPEED_FAR_M, _SPEED_FAR_M, (13,), np.float64)
-        warm_up(alone(self.scenario))
+        warm_up(TeamScenario.of(self.scenario))
         self._companion: Companion | None = None
         self._flight: greenlet | None = None
         self._builtin: Vec3 = ZERO

@@ -96,13 +96,13 @@ def vehicle(options: VehicleOptions) -> None:
 def _run_world(options: VehicleOptions) -> None:
     from logs.schema.names import member_name
     from sim.runners import world_process
-    from sim.scenarios.team import alone, load
+    from sim.scenarios.team import TeamScenario, load
 
     team = load(options.scenario)
     if options.member is not None:
         single, seed = team.one(options.seed, options.member)
-        name = member_name(options.member)
-        team, options = alone(single), replace(options, seed=seed, namespace=name, system_id=options.member)
+        name, team = member_name(options.member), TeamScenario.of(single)
+        options = replace(options, seed=seed, namespace=name, system_id=options.member)
     sys.exit(world_process.world_main(team, options))
 
 

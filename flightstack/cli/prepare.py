@@ -69,13 +69,12 @@ def scenarios(name: str | None) -> None:
     Scenarios of several vehicles are listed last.
     """
     from flightstack.common.strict_toml import decoded
-    from sim.scenarios import scenario, team
+    from sim.scenarios import team
 
     if name is not None:
         click.echo(decoded(team.path_of(name).read_bytes()), nl=False)
         return
-    listed = {known: scenario.load(known).description for known in scenario.names()}
-    listed |= {known: team.load(known).description for known in team.names()}
+    listed = {known: team.load(known).description for known in team.names()}
     wide = max(map(len, listed)) + 2
     columns = max(shutil.get_terminal_size().columns, wide + 40)
     for known, description in listed.items():

@@ -65,7 +65,7 @@ class Plan:
     @property
     def command(self) -> str:
         """Command that repeats one seed, with ``{seed}`` as placeholder."""
-        return repeat_command(self.scenario_name, self.filter_name, team=not self.scenario.is_alone)
+        return repeat_command(self.scenario_name, self.filter_name)
 
     @property
     def first(self) -> Scenario:

@@ -189,13 +189,10 @@ def lines(told: dict[str, Any]) -> list[tuple[str, str, str]]:
     return found
 
 
-def repeat_command(scenario: str, filter_name: str, *, team: bool = False) -> str:
+def repeat_command(scenario: str, filter_name: str) -> str:
     """Return the command that repeats one seed, with ``{seed}`` as placeholder.
 
-    ``scenario``: name or file; ``filter_name``: name of the safety filter; ``team``: whether there are
-    several vehicles, which fly in one process; a single vehicle flies with separate processes.
+    ``scenario``: name or file; ``filter_name``: name of the safety filter.
     """
     name = shlex.quote(scenario).replace("{", "{{").replace("}", "}}")
-    if team:
-        return f"flightstack campaign {name} --seed {{seed}} --runs 1 --filter {filter_name}"
     return f"flightstack sitl --scenario {name} --seed {{seed}} --filter {filter_name} --lockstep"

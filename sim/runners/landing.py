@@ -43,7 +43,7 @@ from sim.runners.robot import DirectTarget
 from sim.runners.room import Pair, Room, Words, warm_up_room
 from sim.runners.vehicle_node import VehicleNode
 from sim.scenarios.scenario import Scenario, load
-from sim.scenarios.team import TeamScenario, alone
+from sim.scenarios.team import TeamScenario
 from sim.vehicle.vehicle import VehicleSim
 
 OnStep = Callable[[Tick, Outputs], None]
@@ -217,7 +217,7 @@ def land(scenario: Scenario, seed: int, *, on_step: OnStep | None = None) -> Lan
     Raises:
         RuntimeError: the simulation did not end.
     """
-    return land_team(alone(scenario), seed, on_step=on_step).landings[0]
+    return land_team(TeamScenario.of(scenario), seed, on_step=on_step).landings[0]
 
 
 def land_team(
@@ -237,7 +237,7 @@ def land_team(
     singles = list(team.singles(seed))
     robot = team.target_seed(seed)
     members = [
-        Companion(each, own, on_step, system_id=n, target_seed=robot, alone=team.is_alone)
+        Companion(each, own, on_step, system_id=n, target_seed=robot, alone=len(singles) == 1)
         for n, (each, own) in enumerate(singles, 1)
     ]
     waits = _Waits(len(members))
@@ -258,8 +258,9 @@ def _fly(
     team: TeamScenario, members: Sequence[Companion], exchange: Exchange, waits: _Waits
 ) -> tuple[Pair, ...]:
     """Fly until all flights are over; return the smallest distances of all pairs."""
-    if team.is_alone:
-        members[0].fly()
+    first, *others = members
+    if not others:
+        first.fly()
         return ()
 
     def counted(tick: int, outputs: Sequence[Outputs | None]) -> Sequence[tuple[Neighbour, ...]]:
@@ -278,10 +279,10 @@ def warm_up(team: TeamScenario) -> None:
     first = team.member[0]
     warm_up_room(team)
     with telling("the loop of a campaign, about 20 s"):
-        batches = Companion(first, 0).batches
-        if batches is not None and team.is_alone:
+        batches = Companion(first, 0, alone=len(team.member) == 1).batches
+        if batches is not None:
             batches.warm_up()
 
 
 if __name__ == "__main__":  # so that no campaign has to wait for it
-    warm_up(alone(load("lab")))
+    warm_up(TeamScenario.of(load("lab")))

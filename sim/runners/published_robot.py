@@ -255,10 +255,9 @@ def robots_of(
     make: Callable[[Scenario, int, str, EventLog], R],
     stack: ExitStack,
 ) -> dict[int, R]:
-    """Create the robots of a team, by their number; a single robot is also published to ROS 2 on request.
+    """Create the robots of a scenario, by their number; on request they are also published to ROS 2.
 
     ``make``: class of the robots with their common arguments; ``stack``: ends the ROS 2 node.
-    Raises ValueError: ``--ros2`` with several robots.
     """
     shared, robots = team.target_seed(options.seed), {}
     for number, (scenario, seed) in enumerate(team.singles(options.seed), 1):
@@ -267,14 +266,12 @@ def robots_of(
         robots[number] = make(scenario, seed if shared is None else shared, namespace, log)
     if options.ros2_where is None:
         return robots
-    if not team.is_alone:
-        raise ValueError("--ros2 is for one robot: those of a team are not shown to ROS 2")
     session = open_network(options.ros2_where, options.ros_domain)
     stack.callback(session.close)
     node = Ros2Node(session, NODE, domain=options.ros_domain, namespace=f"/{options.namespace}")
     stack.callback(node.close)
-    topic = f"/{options.namespace}/target/odom"
-    robots[1].shown = node.publisher(topic, *ROS_TYPES[TargetType.ODOMETRY])
+    for number, namespace in team.namespaces(options.namespace).items():
+        robots[number].shown = node.publisher(f"/{namespace}/target/odom", *ROS_TYPES[TargetType.ODOMETRY])
     return robots
 
 

@@ -133,8 +133,6 @@ class RealTimeWorld:
 
     def _heard(self, within_s: float) -> Sequence[RealTimeVehicle]:
         """Return the vehicles with received frames; none if no frame arrives in this time."""
-        if len(self._vehicles) == 1:
-            return self._vehicles if self._vehicles[0].node.endpoint.wait(within_s) else ()
         by_number = {vehicle.node.endpoint.fileno(): vehicle for vehicle in self._vehicles}
         ready, _, _ = select.select(list(by_number), (), (), within_s)
         return [by_number[number] for number in ready]

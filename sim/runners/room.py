@@ -276,12 +276,9 @@ class _Way:
 def warm_up_room(team: TeamScenario) -> None:
     """Compile the code of the room, or load it from the cache."""
     warm_up_vehicle(team.member[0])
-    if team.is_alone:
-        return
-    physics = VehicleSim(team.member[0], 0).physics
-    Air([physics, physics]).blow()
-    shape = Shape.of(physics.params)
-    overlapping((shape, shape), np.zeros((2, 3)))
+    two = [VehicleSim(each, 0).physics for each in team.member[:2]]
+    Air(two).blow()
+    overlapping([Shape.of(each.params) for each in two], np.zeros((len(two), 3)))
 
 
 class MemberWords:

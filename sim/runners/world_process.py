@@ -73,7 +73,7 @@ def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitSta
             autopilot.parameters.preset(parameter, value)
         nodes.append(VehicleNode(number, name, vehicle, autopilot, endpoint, log, partial(_tell, name)))
     room, ticks = Room(nodes, grid, feed), grid.count(options.duration_s)
-    words = Words(team, options.seed) if lockstep and not team.is_alone else None
+    words = Words(team, options.seed) if lockstep and team.exchanges else None
     if lockstep:
         ahead: dict[int, LockstepRobot] = {}
         if isinstance(options, WorldOptions):
@@ -107,13 +107,14 @@ def _fly(team: TeamScenario, options: VehicleOptions, stop: Stop, stack: ExitSta
 
 def _here(team: TeamScenario, options: VehicleOptions) -> list[int]:
     """Return the numbers of the vehicles that are simulated here."""
-    if options.leave_out and team.is_alone:
-        raise ValueError("--leave-out is for a scenario of several vehicles: this one has no members")
     if options.leave_out and options.lockstep:
         raise ValueError(
             "--leave-out is for real time: a vehicle from elsewhere does not wait for the others"
         )
-    here = [number for number in range(1, len(team.member) + 1) if number not in options.leave_out]
+    number = len(team.member)
+    if unknown := [n for n in options.leave_out if n > number]:
+        raise ValueError(f"--leave-out: found {unknown[0]}; allowed are 1 to {number}")
+    here = [n for n in range(1, number + 1) if n not in options.leave_out]
     if not here:
         raise ValueError("--leave-out leaves no vehicle; the scenario of one of them simulates it alone")
     return here
@@ -138,12 +139,14 @@ def _opened(options: VehicleOptions, number: int, system_id: int, stack: ExitSta
 
 
 def _session(team: TeamScenario, options: VehicleOptions, stack: ExitStack) -> zenoh_link.Session | None:
-    """Open the Zenoh session of robots and onboard processes; None: a single vehicle without endpoints."""
+    """Open the Zenoh session of robots and onboard processes; None: vehicles without endpoints."""
     with_robots = isinstance(options, WorldOptions)
     if not (options.connect or options.listen or options.zenoh_config is not None):
-        if team.is_alone and not with_robots:
+        if not (with_robots or (options.lockstep and team.exchanges)):
             return None
-        raise ValueError("robots are on Zenoh; --connect, --listen or --zenoh-config is needed")
+        raise ValueError(
+            "robots and messages between vehicles are on Zenoh: give --connect, --listen or --zenoh-config"
+        )
     if options.lockstep and not with_robots:
         raise ValueError(
             "in lockstep a vehicle follows no robot of another process; `flightstack world` simulates both"

@@ -1,8 +1,8 @@
-"""Scenarios of teams: vehicles in one room, each with its robot, or all with one robot.
+"""Scenarios: lists of vehicles in one room, each with its robot, or all with one robot.
 
-A single vehicle is a team, too. A file names the scenario that all members share (``base``). The tables of a
-scenario then override it for the team, and tables ``[[member]]`` for one member. So every key of a scenario
-can be set for all members or for one. ``sim/scenarios/teams`` has the files of the package.
+The tables of a scenario's file are for all vehicles, tables ``[[member]]`` for one vehicle: every key can be
+set for all or for one. A file without ``[[member]]`` is a list of one. ``sim/scenarios/teams`` has the files
+of the package with several vehicles.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from flightstack.common.strict_toml import (
     span,
     to_table,
 )
+from flightstack.common.text import labels
 from flightstack.config import files as configurations
 from flightstack.core.fleet.assignment import assign
 from flightstack.core.types import Vec3
@@ -110,10 +111,10 @@ class TeamScenario:
                 "target.wait_for_landing: found true; with one_target the robot drives at once: set it false"
             )
 
-    @property
-    def is_alone(self) -> bool:
-        """Whether the team has only one vehicle."""
-        return len(self.member) == 1
+    @classmethod
+    def of(cls, scenario: Scenario) -> TeamScenario:
+        """Return the scenario of one vehicle as a list of one."""
+        return cls(scenario.name, scenario.description, (scenario,))
 
     def namespaces(self, first: str = "cf1") -> dict[int, str]:
         """Return the namespaces of the vehicles by number, with that of the first one."""
@@ -123,6 +124,11 @@ class TeamScenario:
     def rate_hz(self) -> int:
         """Ticks per second, the same for all members."""
         return self.member[0].onboard.loop.rate_hz
+
+    @property
+    def exchanges(self) -> bool:
+        """Whether the vehicles send messages to each other."""
+        return any(each.onboard.fleet is not None for each in self.member)
 
     def with_filter(self, name: str) -> TeamScenario:
         """Return the same team, all members with another safety filter.
@@ -154,9 +160,9 @@ class TeamScenario:
         """Yield scenario and seed of each member; a member that no other approaches flies as in these alone.
 
         A room has one mean wind; its direction is drawn from the team's seed if a member gives none. Gusts
-        differ for each member.
+        differ for each member. A single vehicle has the seed of the run.
         """
-        if self.is_alone:
+        if len(self.member) == 1:
             yield self.member[0], seed
             return
         drawn_rad = stream(seed, "wind.direction").uniform(-math.pi, math.pi)
@@ -172,44 +178,37 @@ class TeamScenario:
         Raises ConfigError, with found and allowed value.
         """
         members = list(self.singles(seed))
-        if number is None and len(members) == 1:
-            number = 1
-        if number is None or not 1 <= number <= len(members):
+        chosen = members if number is None else members[number - 1 : number]
+        if len(chosen) != 1:
             what = "missing" if number is None else f"found {number}"
             raise ConfigError(f"--member: {what}; allowed are 1 to {len(members)} of {self.name}")
-        return members[number - 1]
+        return chosen[0]
 
 
 _FILES = Files(TeamScenario, "sim.scenarios.teams", "team")
-names = _FILES.names
 
 
-def alone(scenario: Scenario) -> TeamScenario:
-    """Return the scenario of one vehicle as a team of one."""
-    return TeamScenario(scenario.name, scenario.description, (scenario,))
+def names() -> list[str]:
+    """Return the names of the package's scenarios; those of several vehicles are last."""
+    return [*scenarios.names(), *_FILES.names()]
 
 
 def path_of(name_or_file: str | Path) -> Path:
-    """Return the file of a scenario, of one vehicle or of a team, by name or path.
-
-    Raises ConfigError: neither a known name nor a file.
-    """
-    if name_or_file in names():
+    """Return the file of a scenario by name or path. Raises ConfigError: neither a known name nor a file."""
+    if name_or_file in _FILES.names():
         return _FILES.path_of(name_or_file)
     if name_or_file in scenarios.names() or Path(name_or_file).is_file():
         return scenarios.path_of(name_or_file)
-    raise not_found("scenario", name_or_file, [*scenarios.names(), *names()])
+    raise not_found("scenario", name_or_file, names())
 
 
 def load(name_or_file: str | Path) -> TeamScenario:
-    """Load a scenario by name or path; a scenario of one vehicle becomes a team of one.
+    """Load a scenario by name or path.
 
     Raises ConfigError, with file, key, found and allowed value.
     """
     path = path_of(name_or_file)
     table = read_toml(path)
-    if "member" not in table and name_or_file not in names():
-        return alone(scenarios.load(name_or_file))
     try:
         team = assigned(_team(path, table))
         return replace(team, member=tuple(scenarios.in_place(each, path.parent) for each in team.member))
@@ -223,19 +222,35 @@ def from_text(toml: str) -> TeamScenario:
 
     Raises ConfigError, with key, found and allowed value.
     """
-    table = parse_toml(toml.encode())
-    return _team(Path(), table) if "member" in table else alone(from_table(Scenario, table))
+    return _team(Path(), parse_toml(toml.encode()))
 
 
 def text(team: TeamScenario) -> str:
     """Return a scenario as the text of a complete file, without a base."""
-    if team.is_alone:
-        return dumps(team.member[0])
+    defaults = TeamScenario("", "", team.member)
+    about = ("name", "description")
+    changed = [k for k in _OF_THE_TEAM if k in about or getattr(team, k) != getattr(defaults, k)]
     table = to_table(team)
-    for member in table["member"]:
-        for key in ("name", "description"):  # these are the team's
-            del member[key]
-    return dumps(table)
+    shared, own = _in_common([{k: v for k, v in m.items() if k not in _OF_THE_TEAM} for m in table["member"]])
+    return dumps({key: table[key] for key in changed} | shared | ({"member": own} if own != [{}] else {}))
+
+
+def _in_common(tables: list[dict[str, Any]]) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Return the keys that have the same value in all tables, and the remaining keys of each table."""
+    shared: dict[str, Any] = {}
+    own: list[dict[str, Any]] = [{} for _ in tables]
+    for key in dict.fromkeys(key for table in tables for key in table):
+        values = [table.get(key) for table in tables]
+        if len({repr(value) for value in values}) == 1:
+            shared[key] = values[0]
+        elif all(isinstance(value, dict) for value in values):
+            shared[key], below = _in_common([table[key] for table in tables])
+            for each, rest in zip(own, below, strict=True):
+                each |= {key: rest} if rest else {}
+        else:
+            for each, table in zip(own, tables, strict=True):
+                each |= {key: table[key]} if key in table else {}
+    return shared, own
 
 
 def assigned(team: TeamScenario) -> TeamScenario:
@@ -312,19 +327,24 @@ def _start_m(scenario: Scenario, pad_m: Vec3, number: int) -> Vec3:
 
 
 def _team(path: Path, table: dict[str, Any]) -> TeamScenario:
-    members = table.pop("member", [])
+    listed = "member" in table
+    members = table.pop("member", [{}])
     if not isinstance(members, list) or not all(isinstance(each, dict) for each in members):
         raise ConfigError(f"member: found {members!r}, allowed: tables [[member]], one for each vehicle")
-    about: dict[str, Any] = {key: table.pop(key) for key in _OF_THE_TEAM if key in table}
-    shared = scenarios.FILES.over_base(path, table)
+    whole = table if listed else scenarios.FILES.over_base(path, table)  # may have name and description
+    about: dict[str, Any] = {key: whole.pop(key) for key in _OF_THE_TEAM if key in whole}
+    shared = scenarios.FILES.over_base(path, whole)
     found: list[dict[str, Any]] = []
-    for number, own in enumerate(members, 1):
+    names = labels([member_name(number) for number in range(1, len(members) + 1)])
+    for number, (own, label) in enumerate(zip(members, names, strict=True), 1):
         for key in (*_OF_THE_TEAM, "base"):
             if key in own:
                 raise ConfigError(f"member {number}: {key}: found {own[key]!r}; the team has it, remove it")
         one = scenarios.one_pad(over(_configured(path, shared, own, number), own))
-        one["name"], one["description"] = f"{about.get('name')}.cf{number}", ""
-        found.append(_checked(one, f"member {number}"))
+        one |= {key: about[key] for key in ("name", "description") if key in about}
+        if label:
+            one |= {"name": f"{about.get('name')}.{label}", "description": ""}
+        found.append(_checked(one, f"member {number}: " if listed else ""))
     return from_table(TeamScenario, {**about, "member": found})
 
 
@@ -348,5 +368,5 @@ def _checked(table: dict[str, Any], where: str) -> dict[str, Any]:
     try:
         from_table(Scenario, table)
     except ConfigError as error:
-        raise ConfigError(f"{where}: {error}") from None
+        raise ConfigError(f"{where}{error}") from None
     return table

@@ -15,7 +15,7 @@ from functools import cache, partial
 from sim.campaign.rows import Row, vehicle_row
 from sim.runners.landing import land, warm_up
 from sim.scenarios.scenario import Scenario, load
-from sim.scenarios.team import alone
+from sim.scenarios.team import TeamScenario
 
 NAMES = [
     f"{tier}_{kind}" for tier in ("lab", "room", "field", "storm", "deck") for kind in ("robust", "paper")
@@ -27,7 +27,7 @@ def scenario(name: str) -> Scenario:
     """Return the tier with its filter, with all code compiled."""
     tier, _, kind = name.rpartition("_")
     found = load(tier).with_filter(kind)
-    warm_up(alone(found))
+    warm_up(TeamScenario.of(found))
     return found
 
 

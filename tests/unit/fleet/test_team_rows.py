@@ -92,7 +92,7 @@ def test_a_campaign_flies_teams(tmp_path):
 def test_a_plan_of_a_team_is_checked_for_all_members_and_says_how_to_repeat_a_seed():
     wanted = plan("fleet_3", 2, 0, "paper")
     assert wanted.scenario == load("fleet_3").with_filter("paper")
-    assert wanted.command == "flightstack campaign fleet_3 --seed {seed} --runs 1 --filter paper"
+    assert wanted.command == "flightstack sitl --scenario fleet_3 --seed {seed} --filter paper --lockstep"
     assert wanted.duration_max_s == 270.0
     with pytest.raises(ConfigError, match=r"one of: ardupilot_47, deck, .*, fleet_3, fleet_8"):
         plan("fleet_4", 2, 0, None)

@@ -11,7 +11,7 @@ from flightstack.compiled.jit import is_off
 from flightstack.core.strategies.answers import compiled_as
 from sim.runners.landing import Companion, warm_up
 from sim.scenarios.scenario import Start, load
-from sim.scenarios.team import alone
+from sim.scenarios.team import TeamScenario
 
 pytestmark = pytest.mark.slow
 
@@ -98,7 +98,7 @@ def test_what_a_batch_does_not_know_is_flown_tick_by_tick(name):
 
 
 def test_it_is_compiled_before_the_first_landing():
-    warm_up(alone(load("field")))
+    warm_up(TeamScenario.of(load("field")))
     batches = Companion(load("field"), 0).batches
     assert (batches is None) == is_off()
     if batches is not None:
