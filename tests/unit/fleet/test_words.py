@@ -9,7 +9,7 @@ import pytest
 from bridge.zenoh import zenoh_link
 from bridge.zenoh.zenoh_link import open_session
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import LockstepClock
+from flightstack.common.pacing import LockstepClock, Silence
 from flightstack.core.types import Intent, Neighbour
 from flightstack.onboard import lockstep
 from flightstack.onboard.lockstep import LockstepWords
@@ -131,3 +131,19 @@ def test_vehicles_whose_onboard_processes_do_not_listen_do_not_begin(monkeypatch
             MemberWords(session, "cf1").await_listener(Stop())
     finally:
         session.close()
+
+
+def test_who_leaves_is_gone_with_the_tick_after_its_last_one(ends):
+    vehicle, process = ends.vehicles[0], ends.processes[0]
+    first, second, _ = ticks(3)
+    process.await_tick(first, never)
+    process.say(word(1, 0.0))
+    process.close()
+    until(lambda: vehicle._poll() or vehicle._last == 0)
+    vehicle.tick = first.number
+    assert not vehicle.left  # its answer of this tick may still be in transit
+    assert vehicle.take(Silence(), Stop())
+    vehicle.tick = second.number
+    assert vehicle.left
+    assert vehicle.take(Silence(), Stop()) is None
+    ends.processes.remove(process)

@@ -194,3 +194,20 @@ def test_it_goes_around_when_it_is_going_to_leave_the_corridor():
     near = DRIFT_SHARE * corridor
     for x, expected in ((near - 1e-6, False), (near + 1e-6, True)):
         assert drifted(ROBUST, (x, 0.0, 0.2), velocity=(5.0, 0.0, 0.0)) is expected
+
+
+def test_retries_are_counted():
+    most = ROBUST.checks.retries_max
+    assert "RETRIES_LEFT" in names(tick(memory=Memory(retries=most - 1)))
+    assert "RETRIES_LEFT" not in names(tick(memory=Memory(retries=most)))
+
+
+def test_over_the_pad_is_left_at_a_wider_radius_than_it_is_entered():
+    radius = ROBUST.touchdown.pad_radius_m
+    for phase, limit in ((Phase.APPROACH, radius), (Phase.LAND, 1.5 * radius)):
+        for d, expected in ((limit - 1e-9, True), (limit + 1e-9, False)):
+            found = names(tick(e=(0.0, -d, 0.3), memory=Memory(phase=phase)))
+            assert ("OVER_PAD" in found) is expected
+    peak = BARRIER.peak_height_m
+    for z, expected in ((peak - 1e-9, True), (peak + 1e-9, False)):
+        assert ("OVER_PAD" in names(tick(e=(0.01, 0.0, z), memory=Memory(phase=Phase.APPROACH)))) is expected

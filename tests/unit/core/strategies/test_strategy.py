@@ -8,6 +8,7 @@ from flightstack.common.strict_toml import ConfigError
 from flightstack.config.files import load
 from flightstack.core.parameters.filters import FILTERS, look_here, named
 from flightstack.core.strategies.strategy import (
+    ignored,
     own_boundary,
     packaged_strategy_of,
     strategy_class,
@@ -15,6 +16,7 @@ from flightstack.core.strategies.strategy import (
 )
 from flightstack.verify.certificate import checks, problems
 from tests.integration.runs import called
+from tests.point_mass import World
 from tests.unit.core.core_helpers import config
 
 CONE = "examples.own_boundary:ConeFilter"
@@ -139,3 +141,25 @@ def test_a_boundary_that_cannot_fly_is_refused_before_a_flight(outside):
         ):
             use(config("edges:Mine"))
     assert isinstance(strategy_of(config("edges:Better")), strategy_class("edges:Better"))
+
+
+OTHERS = {
+    "barrier.omega_1_s": {"alpha_1_m": 1.0, "beta_m": 1.5, "omega_1_s": 0.4},
+    "limits.slew_max_m_s2": {"slew_max_m_s2": [3.0, 3.0, 3.0]},
+    "touchdown.descent_m_s": {"descent_m_s": 0.3},
+}
+
+
+@pytest.mark.parametrize("key", strategy_class("robust").ignores)
+def test_a_key_that_the_filter_does_not_read_is_named_and_changes_nothing(key):
+    table = key.partition(".")[0]
+    usual = {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}} if table == "barrier" else {table: {}}
+    changed, plain = (config("robust", **given) for given in ({table: OTHERS[key]}, usual))
+    (text,) = ignored(changed)
+    assert text.startswith(f"robust ignores {key}; it reads robust.")
+    assert ignored(plain) == []
+    wanted = [
+        [(out.phase, out.wanted) for out in World(each, solid_pad=True).run(20.0).outputs]
+        for each in (changed, plain)
+    ]
+    assert wanted[0] == wanted[1]

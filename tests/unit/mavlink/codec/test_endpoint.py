@@ -7,7 +7,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.transport.address import parse_peer, parse_url
-from tests.unit.mavlink.codec.frames_of_messages import position
+from tests.unit.mavlink.codec.frames_of_messages import frames_of, position
 from tests.unit.mavlink.signing.signing_helpers import KEY, heartbeat
 
 
@@ -206,3 +206,12 @@ def test_peers_that_cannot_be_served_are_refused():
         Endpoint("udpin:127.0.0.1:0", 1, 1, always=[("192.0.2.1", 14550)])
     with pytest.raises(ValueError, match="use udpin"):
         Endpoint("udpout:127.0.0.1:14550", 1, 1, always=[("127.0.0.1", 14540)])
+
+
+def test_datagram_beyond_every_network_is_not_looked_at(pair):
+    server, client = pair
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        stranger.sendto(b"".join(frames_of(200)), ("127.0.0.1", server.local_port))
+    client.send([position(7.0)])
+    assert take(server, 1)[0].message.x == 7.0
+    assert server.counters.oversize == 1
