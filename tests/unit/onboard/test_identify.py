@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from flightstack.identify import Segment, TooLittleError, identify, link, motion
+from flightstack.identify import Segment, TooLittleError, identify, link
 
 DT_S = 0.01
 
@@ -98,17 +98,3 @@ def test_noise_rate_loss_and_delay_of_a_link_are_found():
     assert found.loss == pytest.approx(0.05, abs=0.02)
     assert found.delay_s == pytest.approx(0.06, abs=0.001)
     assert found.delay_spread_s == pytest.approx(0.012, abs=0.004)
-
-
-def test_a_delay_is_not_made_up_from_two_clocks_that_differ():
-    stamp, arrival, p, v = samples(3)
-    assert link(stamp, arrival + 1000.0, p, v).delay_s is None
-    assert link(stamp, arrival - 1000.0, p, v).delay_s is None
-
-
-def test_the_largest_motion_is_found():
-    stamp, _, p, _ = samples(5, position=0.002)
-    found = motion(stamp, p)
-    assert found.speed_m_s == pytest.approx(0.4, abs=0.03)
-    assert found.climb_m_s == pytest.approx(0.15, abs=0.02)
-    assert found.acceleration_m_s2 == pytest.approx(0.32, abs=0.08)

@@ -87,10 +87,10 @@ class Vehicle(Served, Simulated):
     """The simulated autopilot on a socket."""
 
 
-def talk(vehicle, chosen=None, wait_s=10.0, accepted=(), system_id=1, stopped=lambda: False):
+def talk(vehicle, chosen=None, **options):
     endpoint = Endpoint(vehicle.url, 1, 191)
     try:
-        return examine(endpoint, system_id, chosen, NEEDS, accepted, wait_s=wait_s, stopped=stopped)
+        return examine(endpoint, 1, chosen, NEEDS, (), wait_s=10.0, **options)
     finally:
         endpoint.close()
         vehicle.close()

@@ -1,34 +1,21 @@
 """The pre-flight check with fake vehicles of every release in its tables."""
 
-import math
-
 import pytest
 
-from bridge.mavlink.endpoint import Endpoint
 from bridge.mavlink.preflight import examine as module
-from bridge.mavlink.preflight.examine import examine
-from bridge.mavlink.preflight.table import Level, Needs, Table, judge, table
+from bridge.mavlink.preflight.table import Level, Table, judge, table
 from flightstack.common.strict_toml import ConfigError, from_table
 from flightstack.onboard.preflight import lines, record, verdict
 from tests.fake_autopilot import OnUdp
 from tests.unit.onboard.safe_parameters import DEV, SAFE, packed
+from tests.unit.onboard.test_preflight import NEEDS, talk
 
-NEEDS = Needs(0.5 * math.sqrt(2.0), 0.5, 1.0, 1.5, 3.0)
 RELEASES = pytest.mark.parametrize(("autopilot", "release"), SAFE, ids=" ".join)
 
 
 def judged(autopilot, release, values):
     asked = table(autopilot).asked(autopilot, release)
     return {f.name: f for f in judge(asked, values, {}, NEEDS, ())}
-
-
-def talk(vehicle, **options):
-    endpoint = Endpoint(vehicle.url, 1, 191)
-    try:
-        return examine(endpoint, 1, None, NEEDS, (), wait_s=10.0, **options)
-    finally:
-        endpoint.close()
-        vehicle.close()
 
 
 def test_the_fakes_are_of_every_release_of_the_tables():

@@ -117,17 +117,6 @@ LIKELY = {
 OTHERS = ("cf1/controller/step", "camera/image")
 
 
-@pytest.fixture
-def pair():
-    """Yield two sessions; the second connects to the first."""
-    endpoint = free_endpoint()
-    there = zenoh_link.open_session(listen=[endpoint])
-    here = zenoh_link.open_session(connect=[endpoint])
-    yield there, here
-    here.close()
-    there.close()
-
-
 def until_found(search, publishers, count):
     deadline_s = time.monotonic() + 10.0
     while len(search.keys()) < count:
@@ -138,8 +127,8 @@ def until_found(search, publishers, count):
     return search.keys()
 
 
-def test_likely_keys_are_found_and_others_are_not(pair):
-    there, here = pair
+def test_likely_keys_are_found_and_others_are_not(sessions):
+    there, here = sessions
     search = KeySearch(here)
     assert search.keys() == ()
     publishers = [zenoh_link.dropping_publisher(there, key) for key in (*OTHERS, *LIKELY)]

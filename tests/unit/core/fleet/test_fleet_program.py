@@ -152,14 +152,6 @@ def test_without_a_place_for_all_the_neighbours_share_the_slack_evenly():
     assert found.filter.slack_m_s >= -1e-9
 
 
-def test_a_solver_that_did_not_solve_is_not_believed(monkeypatch):
-    program = FleetProgram()
-    monkeypatch.setattr(program._solver, "solved", -1)
-    found = program.solve((0.0, 0.0, 0.0), (), [Row((1.0, 0.0, 0.0), 0.1)], (-1.0,) * 3, (1.0,) * 3)
-    assert found.filter.status is FilterStatus.CLOSED_FORM
-    assert found.filter.velocity_enu_m_s == pytest.approx((0.1, 0.0, 0.0))
-
-
 def test_no_slack_helps_where_the_firm_row_is_met_nowhere(monkeypatch):
     firm, soft, box = Row((0.0, 0.0, 1.0), 2.0), Row((1.0, 0.0, 0.0), 2.0), ((-1.0,) * 3, (1.0,) * 3)
     assert least_slack([firm], [soft], *box)[0] == math.inf

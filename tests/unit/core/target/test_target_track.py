@@ -209,15 +209,6 @@ def test_a_yaw_that_is_no_number_turns_nothing(unknown):
     assert 0.0 < with_.memory.turn_rate_rad_s < TURN_RATE_MAX_RAD_S
 
 
-def test_a_velocity_that_is_noise_leads_to_no_wrong_place(track):
-    """A robot is reported 0.3 m from its position, for long: its last velocity leads there."""
-    track.memory.settled = True
-    wrong = {"position_enu_m": (1.3, 2.0, 0.2), "velocity_enu_m_s": (0.02, 0.0, 0.0)}
-    assert {track.accept(later(0.02 * k, **wrong)) for k in range(1, 600)} == {Verdict.JUMP}
-    back = track.accept(later(2.0, arrival_s=22.02, source_time_s=1012.02, position_enu_m=(2.2, 2.0, 0.2)))
-    assert back is Verdict.ACCEPTED  # the position predicted by the last velocity, away from the wrong one
-
-
 def test_numbers_of_a_target_that_is_stuck_are_the_last_also_at_rest(track):
     """Noise of a velocity at rest is enough to detect that a position is repeated."""
     rest = {"position_enu_m": FIRST.position_enu_m, "velocity_enu_m_s": (0.004, -0.003, 0.0)}

@@ -127,19 +127,6 @@ def test_two_live_addresses_are_named_and_nothing_arms_until_that_is_known():
     assert "system id" in wire.senders.doubled
 
 
-def test_datagrams_that_overtake_each_other_are_no_second_sender():
-    wire = Wire()
-    wire.beats()
-    wire.admits(position(1), THERE, 3.0)
-    wire.admits(position(2), HERE, 3.01)
-    wire.beats(peer=THERE, now_s=3.02)
-    assert wire.senders.known == THERE
-    wire.admits(position(3), THERE, 4.0)
-    assert wire.senders.doubled is None
-    wire.admits(position(3), THERE, 3.0 + 2.0 * SILENT_S)
-    assert not wire.senders.suspects
-
-
 @pytest.mark.parametrize("claim", [{"armed": False}, {"mode": LOITER, "armed": True}])
 def test_on_one_line_a_heartbeat_out_of_step_must_say_it_twice(claim):
     wire = Wire()
