@@ -8,7 +8,14 @@ import pytest
 
 from flightstack.common import pacing, processes
 from flightstack.common.hangup import Stop
-from flightstack.common.pacing import FollowedClock, Follower, RealTimePacer, SimulationClock, chosen_clock
+from flightstack.common.pacing import (
+    FastClock,
+    FollowedClock,
+    Follower,
+    RealTimePacer,
+    SimulationClock,
+    chosen_clock,
+)
 from flightstack.common.processes import Child, LaunchError
 from sim import clock
 
@@ -215,3 +222,29 @@ def test_compiling_says_how_far_it_is(tmp_path):
     assert (shares[0], shares[-1], len(shares)) == (0, 90, 10)
     assert said[-1] == "flightstack: compiled"
     assert done.stdout == "True False\n"
+
+
+def test_a_clock_that_is_twice_as_fast_makes_twice_as_many_ticks_and_their_times_agree_between_processes(
+    monkeypatch,
+):
+    wall, day_ns = Clock(), 86_400_000_000_000
+    monkeypatch.setattr(pacing.time, "monotonic", wall.monotonic)
+    monkeypatch.setattr(pacing.time, "sleep", wall.sleep)
+    monkeypatch.setattr(pacing.time, "time_ns", lambda: 20_000 * day_ns + round(wall.now * 1e9))
+
+    def pacer():
+        clock = FastClock(2.0)
+        return RealTimePacer(100, monotonic=clock.monotonic, sleep=clock.sleep, unix_ns=clock.unix_ns)
+
+    first = pacer()
+    ticks = [first.wait() for _ in range(101)]
+    assert wall.now == pytest.approx(100.5, abs=1e-6)  # a second of stack time in half a second
+    assert ticks[-1].now_s == pytest.approx(1.0, abs=1e-6)
+    assert ticks[-1].period_s == pytest.approx(0.01, abs=1e-6)
+    assert first.overruns == 0
+    later = pacer()  # the pacer of another process that starts now
+    assert later.wait().unix_ns == pytest.approx(ticks[-1].unix_ns, abs=10_000)
+    wall.now += 0.011  # two deadlines of 5 ms after the missed one
+    assert later.wait().lateness_s == pytest.approx(0.012, abs=1e-6)
+    assert later.overruns == 1
+    assert FastClock().unix_ns() == pacing.time.time_ns()

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from flightstack.core.fleet.member import FleetMember
 from flightstack.core.fleet.pair import ALL, HALF, NONE, barrier, estimate, growth, jump, row, share
 from flightstack.core.fleet.program import FleetProgram
-from flightstack.core.memory import AbortWay, Memory
+from flightstack.core.memory import AbortWay, Heard, Memory
 from flightstack.core.parameters.fleet import Fleet
 from flightstack.core.types import ZERO, Intent, Landed, Mode, Neighbour, OwnState, Phase, VehicleStatus
 
@@ -246,3 +246,26 @@ def test_what_the_others_are_told_of_each_phase(phase, keys, granted, landed, ex
     assert said.intent is expected
     assert (said.id, said.stamp_s, said.wanted_enu_m_s) == (3, 1.0, (0.1, 0.2, 0.3))
     assert said.position_enu_m == pytest.approx((1.05, 2.0, 3.0))  # extrapolated to the time stamp
+
+
+@pytest.mark.parametrize(
+    ("slot", "word", "now_s", "expected"),
+    [
+        (Heard(), word_of(), 0.1, HALF),
+        (Heard(), word_of(), A.age_max_s + 0.01, ALL),  # silent
+        (Heard(), word_of(clock_bound_s=0.1), A.age_max_s - 0.05, ALL),
+        (Heard(), word_of(yields_to=(3,)), 0.3, NONE),
+        (Heard(), word_of(yields_to=(3,)), 0.31, HALF),
+        (Heard(), word_of(yields_to=(3,), clock_bound_s=0.1), 0.21, HALF),
+        (Heard(), word_of(yields_to=(4,)), 0.1, HALF),
+        (Heard(yields=True), word_of(yields_to=(3,)), 0.1, ALL),
+        (Heard(jumped_m=(0.0, 0.1, 0.0)), word_of(yields_to=(3,)), 0.1, ALL),
+        (Heard(jumped_m=(0.0, 1e-9, 0.0)), word_of(yields_to=(3,)), 0.1, NONE),
+        (Heard(yielded_s=0.0), word_of(yields_to=(3,), stamp_s=0.4), 0.44, ALL),
+        (Heard(yielded_s=0.0), word_of(yields_to=(3,), stamp_s=0.4), 0.46, NONE),
+        *((Heard(), word_of(firm, yields_to=(3,)), 0.1, ALL)
+          for firm in (Intent.STANDING, Intent.COMMITTED, Intent.CLEARING, Intent.DOWN)),
+    ],
+)  # fmt: skip
+def test_the_share_by_what_was_said(slot, word, now_s, expected):
+    assert share(slot, word, now_s, A) == expected

@@ -180,3 +180,24 @@ def test_vehicle_with_its_clock_behind_is_heard_after_one_answer(link):
     turn(link)
     assert link.heard
     vehicle.socket.close()
+
+
+def test_a_repeat_is_no_replay_and_a_damaged_one_is_not_signed():
+    vehicle = Endpoint("udpin:127.0.0.1:0", 1, 1, signing_key=KEY)
+    companion = Endpoint(f"udpout:127.0.0.1:{vehicle.local_port}", 1, 191, signing_key=KEY)
+    hello = heartbeat()
+    companion.send([hello])
+    companion.repeat(bytes(hello.get_msgbuf()))
+    frames = []
+    while len(frames) < 2:
+        assert vehicle.wait(5.0)
+        frames += [r.raw for r in vehicle.receive()]
+    assert frames[0] == frames[1]
+    damaged = bytearray(hello.get_msgbuf())
+    damaged[12] ^= 0xFF
+    companion.repeat(bytes(damaged))
+    assert vehicle.wait(5.0)
+    assert vehicle.receive() == []
+    assert vehicle.counters.bad_crc == 1
+    vehicle.close()
+    companion.close()
