@@ -3,6 +3,8 @@
 import subprocess
 import sys
 import threading
+import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -17,6 +19,8 @@ from flightstack.common.pacing import (
     chosen_clock,
 )
 from flightstack.common.processes import Child, LaunchError
+from flightstack.onboard import lockstep
+from flightstack.onboard.runner import ClockStoppedError
 from sim import clock
 
 
@@ -248,3 +252,18 @@ def test_a_clock_that_is_twice_as_fast_makes_twice_as_many_ticks_and_their_times
     assert later.wait().lateness_s == pytest.approx(0.012, abs=1e-6)
     assert later.overruns == 1
     assert FastClock().unix_ns() == pacing.time.time_ns()
+
+
+@pytest.mark.parametrize("asked_before", [False, True])
+def test_a_companion_says_that_it_waits_for_its_vehicle_and_not_for_ever(monkeypatch, capsys, asked_before):
+    for name, value in {"SAID_S": -1.0, "FIRST_WAIT_MAX_S": 0.1, "LOST_RUN_MAX_S": 0.1}.items():
+        monkeypatch.setattr(lockstep, name, value)
+    endpoint = SimpleNamespace(wait=lambda _: time.sleep(0.001))
+    link = SimpleNamespace(poll=lambda _: None, take_timesync=lambda: None, endpoint=endpoint)
+    ticks = lockstep.VehicleTicks(SimpleNamespace(link=link), 100, lambda: False)
+    if asked_before:
+        ticks.passed(0)
+    why = "no further message" if asked_before else "no vehicle requested a tick within 0.1 s"
+    with pytest.raises(ClockStoppedError, match=why):
+        ticks.wait()
+    assert capsys.readouterr().err.count("waits for the vehicle") == (not asked_before)
