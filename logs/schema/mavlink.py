@@ -61,11 +61,6 @@ class Type(NamedTuple):
     verbatim: bool  # the payload, with its omitted zeros, is the body of the CDR
 
 
-def numbers() -> list[int]:
-    """Return the numbers of all messages of the dialect."""
-    return sorted(_dialect())
-
-
 @cache
 def of(number: int) -> Type | None:
     """Return the message with a number; None if the dialect has none."""

@@ -289,8 +289,6 @@ class PairSeries(NamedTuple):
 
     name: str  # both members, for example cf1–cf2
     t_s: Floats  # seconds since the origin of the fleet
-    one_m: Floats  # position of the first, (n, 3)
-    other_m: Floats  # position of the second, (n, 3)
     distance_m: Floats  # distance of the centres of mass
     measure: Floats  # distance in the ellipsoid's measure, 1 on its surface
     flying: Bools  # whether both flew
@@ -308,8 +306,7 @@ def pair_series(fleet: Fleet) -> list[PairSeries]:
             continue
         t_s = t_s[both]
         there_m = np.column_stack([np.interp(t_s, to_s, column) for column in other.truth.position_enu_m.T])
-        here_m = one.truth.position_enu_m[both]
-        apart_m = here_m - there_m
+        apart_m = one.truth.position_enu_m[both] - there_m
         beside, above = 2.0 * RADIUS_BESIDE_M, 2.0 * RADIUS_ABOVE_M
         measure = np.sqrt(
             (apart_m[:, 0] ** 2 + apart_m[:, 1] ** 2) / beside**2 + (apart_m[:, 2] / above) ** 2
@@ -317,7 +314,7 @@ def pair_series(fleet: Fleet) -> list[PairSeries]:
         nearest = np.clip(np.searchsorted(to_s, t_s), 0, len(to_s) - 1)
         flying = _flying(one)[both] & _flying(other)[nearest]
         distance_m = np.linalg.norm(apart_m, axis=1)
-        found.append(PairSeries(f"{a}–{b}", t_s, here_m, there_m, distance_m, measure, flying))
+        found.append(PairSeries(f"{a}–{b}", t_s, distance_m, measure, flying))
     return found
 
 

@@ -1,11 +1,8 @@
-"""A fleet in Rerun and in Foxglove's layout: every member at its position, without name conflicts."""
+"""A fleet in Rerun: every member at its position, without name conflicts."""
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
-from rosbags.highlevel import AnyReader
 
-from flightstack.cli.main import main
 from logs.reader.flight import load_fleet
 
 pytest.importorskip("rerun", reason="needs the extra [view]")
@@ -43,10 +40,6 @@ def values(rrd, entity, column):
     return [each[0] if each else None for each in found]
 
 
-def run(*arguments):
-    return CliRunner().invoke(main, [str(each) for each in arguments])
-
-
 def test_each_member_is_in_the_scene_at_its_place(fleet, saved):
     entities = {chunk.entity_path for chunk in chunks(saved)}
     read_log = load_fleet(fleet.log)
@@ -72,33 +65,3 @@ def test_a_member_alone_is_as_a_single_flight(fleet, tmp_path):
     entities = {chunk.entity_path for chunk in chunks(tmp_path / "one.rrd")}
     assert {"/world/vehicle/body", "/safety/h/controller", "/phase", "/events", "/run"} <= entities
     assert not {e for e in entities if "cf" in e}
-
-
-@pytest.fixture(scope="module")
-def bag(fleet):
-    """Return topic -> [(log time in ns, message)], decoded by rosbags."""
-    found = {}
-    with AnyReader([fleet.log]) as reader:
-        for connection, log_time_ns, data in reader.messages():
-            if connection.topic.endswith("/markers"):
-                message = reader.deserialize(data, connection.msgtype)
-                found.setdefault(connection.topic, []).append((log_time_ns, message))
-    return found
-
-
-def test_pictures_of_a_member_are_in_its_own_frames(bag):
-    for member in MEMBERS:
-        frames, kinds = {}, set()
-        for _, message in bag[f"/{member}/cbf/markers"]:
-            names = [(marker.ns, marker.id) for marker in message.markers]
-            assert len(names) == len(set(names))
-            for marker in message.markers:
-                frames.setdefault(marker.ns, set()).add(marker.header.frame_id)
-                if marker.ns == "ellipsoid":
-                    kinds.add((marker.type, marker.scale.x, marker.scale.y, marker.scale.z))
-        assert kinds == {(2, 0.25, 0.25, 0.75)}  # sphere with these diameters: half of the pair's ellipsoid
-        assert frames == {
-            "vehicle": {f"{member}/base_link"}, "ellipsoid": {f"{member}/base_link"},
-            "pad": {f"{member}/target"}, "barrier": {f"{member}/target_pad"},
-            "path": {"map"}, "velocity": {"map"},
-        }  # fmt: skip

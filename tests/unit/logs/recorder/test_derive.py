@@ -182,7 +182,13 @@ def test_lost_frames_by_sequence_numbers(numbers, lost):
 def test_members_of_a_fleet_keep_their_frames_their_pads_and_their_scenes_apart():
     derivers, radii_m = Derivers(), {"cf1": 0.1, "cf2": 0.3}
     for n, (name, radius_m) in enumerate(radii_m.items(), 1):
-        derivers.metadata(f"{name}/run", {"pad_radius_m": str(radius_m), "seed": str(n)})
+        told = {
+            "pad_radius_m": str(radius_m),
+            "seed": str(n),
+            "ellipsoid_xy_m": "0.25",
+            "ellipsoid_z_m": "0.75",
+        }
+        derivers.metadata(f"{name}/run", RUN | told)
         derivers.metadata(f"{name}/onboard", {"namespace": name, "system_id": str(n)})
     for n, (name, radius_m) in enumerate(radii_m.items(), 1):
         made = derivers.declare(f"/{name}/controller/step", schemas.CONTROLLER_STEP)(EPOCH_NS, step(0).pack())
@@ -192,8 +198,16 @@ def test_members_of_a_fleet_keep_their_frames_their_pads_and_their_scenes_apart(
         frames = {each.child_frame_id for tf in by_topic["/tf"] for each in tf.transforms}
         assert frames == {f"{name}/base_link", f"{name}/target", f"{name}/target_pad"}
         (scene,) = by_topic[f"/{name}/cbf/markers"]
-        (pad,) = [marker for marker in scene.markers if marker.ns == "pad"]
-        assert (pad.header.frame_id, pad.scale.x) == (f"{name}/target", 2.0 * radius_m)
+        shown = {(marker.ns, marker.id): marker for marker in scene.markers}
+        assert len(shown) == len(scene.markers)
+        assert {ns: marker.header.frame_id for (ns, _), marker in shown.items()} == {
+            "vehicle": f"{name}/base_link", "ellipsoid": f"{name}/base_link", "velocity": "map",
+            "pad": f"{name}/target", "barrier": f"{name}/target_pad",
+        }  # fmt: skip
+        pad, ellipsoid = shown["pad", 0], shown["ellipsoid", 0]
+        assert pad.scale.x == 2.0 * radius_m
+        # these diameters are half of the pair's ellipsoid
+        assert (ellipsoid.type, ellipsoid.scale.x, ellipsoid.scale.z) == (ellipsoid.SPHERE, 0.25, 0.75)
         assert f"seed = {n}" in by_topic[f"/{name}/run"][0].data
         decode = derivers.declare(f"/uas{n}/mavlink_source", schemas.MAVLINK)
         ((topic, _, _),) = decode(EPOCH_NS, frame(0, system=n))
