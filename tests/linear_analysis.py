@@ -22,9 +22,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import expm
 
-from sim.firmware import paper_loop as att
+from sim.firmware import geometric as att
 from sim.firmware.estimator import ACCEL_XY_M_S2, ACCEL_Z_M_S2, axis_gains
-from sim.firmware.paper_loop import K_V_N_S_M
+from sim.firmware.geometric import K_V_N_S_M
 from sim.plant.params import CONTROL_STEP_S, load
 
 F64 = npt.NDArray[np.float64]

@@ -26,17 +26,7 @@ from flightstack.core.snapshot import Snapshot, snapshot_of
 from flightstack.core.strategies.strategy import Filter, strategy_class
 from flightstack.core.target.reserve import ReserveEstimate
 from flightstack.core.target.track import Verdict
-from flightstack.core.types import (
-    ZERO,
-    Charge,
-    Inputs,
-    Mode,
-    Neighbour,
-    Phase,
-    Request,
-    Vec3,
-    VehicleStatus,
-)
+from flightstack.core.types import ZERO, Charge, Inputs, Mode, Neighbour, Phase, Request, Vec3, VehicleStatus
 
 
 class Event(NamedTuple):

@@ -65,13 +65,9 @@ class SenderClock:
     _reboot_s: float
 
     def __init__(
-        self,
-        late_max_s: float,
-        proof_s: float,
-        tick_s: float = 0.0,
-        reboot_s: float = math.inf,
+        self, late_max_s: float, proof_s: float, tick_s: float = 0.0, reboot_s: float = math.inf,
         memory: ClockMemory | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.memory = memory or ClockMemory()
         self.ahead_max_s = AHEAD_S + tick_s
         self._late_max_s, self._proof_s, self._reboot_s = late_max_s, proof_s, reboot_s

@@ -66,17 +66,10 @@ class Snapshot:
 
 
 def snapshot_of(
-    config: FlightConfig,
-    inputs: Inputs,
-    target: TargetState | None,
-    now_s: float,
-    *,
-    trusted: bool = True,
-    follows: bool = True,
-    charge: Charge = Charge.FIT,
-    permissions: Permissions = ALONE,
+    config: FlightConfig, inputs: Inputs, target: TargetState | None, now_s: float, *, trusted: bool = True,
+    follows: bool = True, charge: Charge = Charge.FIT, permissions: Permissions = ALONE,
     target_trusted: bool = True,
-) -> Snapshot:
+) -> Snapshot:  # fmt: skip
     """Check the ages of this tick's inputs."""
     checks, own, status = config.checks, inputs.own, inputs.status
     own_ok = trusted and own is not None and -FUTURE_MAX_S <= now_s - own.arrival_s <= checks.own_age_max_s

@@ -52,11 +52,9 @@ class Most(NamedTuple):
 
 
 def most(
-    upper: Callable[[Cell], float],
-    value: Callable[[tuple[float, ...]], float],
-    domain: Cell,
+    upper: Callable[[Cell], float], value: Callable[[tuple[float, ...]], float], domain: Cell,
     likely: tuple[tuple[float, ...], ...] = (),
-) -> Most:
+) -> Most:  # fmt: skip
     """Bound a function from above over a box.
 
     ``upper``: upper bound of the function in a cell; ``value``: the function at a point with finite

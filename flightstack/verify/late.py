@@ -16,12 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.core.strategies.velocity_tracking import (
-    lead_carried,
-    lead_commanded,
-    lead_observed,
-    lead_of,
-)
+from flightstack.core.strategies.velocity_tracking import lead_carried, lead_commanded, lead_observed, lead_of
 from flightstack.verify.envelope import Extremes
 from flightstack.verify.feedback import F64, matrix_exp
 from flightstack.verify.types import PROOF, Check

@@ -248,13 +248,9 @@ class Estimator:
     """
 
     def __init__(
-        self,
-        mocap_period_s: float,
-        step_s: float,
-        gravity_m_s2: float,
-        record: EstimatorRecord | None = None,
-        known_drag_1_s: Vec3 | None = None,
-    ) -> None:
+        self, mocap_period_s: float, step_s: float, gravity_m_s2: float,
+        record: EstimatorRecord | None = None, known_drag_1_s: Vec3 | None = None,
+    ) -> None:  # fmt: skip
         self.record = r = new(EstimatorRecord) if record is None else record
         self.sensed = s = r.sensed
         self._cell = cell(r)
@@ -273,13 +269,9 @@ class Estimator:
         self.sensed.axes[:] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
     def settle(
-        self,
-        position: Vec3,
-        velocity: Vec3,
-        axes: tuple[float, ...],
-        quaternion: tuple[float, float, float, float],
-        accel_bias: list[float],
-    ) -> None:
+        self, position: Vec3, velocity: Vec3, axes: tuple[float, ...],
+        quaternion: tuple[float, float, float, float], accel_bias: list[float],
+    ) -> None:  # fmt: skip
         """Start in the steady state in which the corrections balance the accelerometer's bias."""
         sensed, gravity = self.sensed, float(self.record.gravity)
         sensed.position[:], sensed.velocity[:], sensed.quaternion[:] = position, velocity, quaternion

@@ -17,7 +17,7 @@ from typing import Annotated
 from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Record, new
 from flightstack.core.types import Vec3
-from sim.firmware.paper_loop import Counts
+from sim.firmware.geometric import Counts
 from sim.firmware.setpoint import SensedState, SetpointRecord
 from sim.plant.params import CONTROL_STEP_S, Params
 
@@ -103,19 +103,8 @@ UNKNOWN, FREE, LEVEL, TO_POSITION = -1, 0, 1, 2
 @jitted
 def cascade_reset(c: CascadeRecord) -> None:
     for pid in (
-        c.x,
-        c.y,
-        c.z,
-        c.vx,
-        c.vy,
-        c.vz,
-        c.roll,
-        c.pitch,
-        c.yaw,
-        c.roll_rate,
-        c.pitch_rate,
-        c.yaw_rate,
-    ):
+        c.x, c.y, c.z, c.vx, c.vy, c.vz, c.roll, c.pitch, c.yaw, c.roll_rate, c.pitch_rate, c.yaw_rate,
+    ):  # fmt: skip
         pid_forget(pid)
     c.roll_rate.previous = c.pitch_rate.previous = c.yaw_rate.previous = 0.0  # attitudeControllerResetAllPID
     c.calls = 0

@@ -29,9 +29,7 @@ class Setpoint(NamedTuple):
     stop: bool = False
     position: Vec3 | None = None
 
-    def fields(
-        self,
-    ) -> tuple[float, float, float, float, bool, float, float, bool, float, float, float]:
+    def fields(self) -> tuple[float, float, float, float, bool, float, float, bool, float, float, float]:
         """Return all fields in the form of ``SetpointRecord``."""
         vx, vy, vz, yaw_rad, stop, position = self
         x, y, z = position or (0.0, 0.0, 0.0)

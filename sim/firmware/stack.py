@@ -8,18 +8,19 @@ from flightstack.compiled.jit import jitted
 from flightstack.compiled.records import F64, Motors, Record, reader
 from flightstack.core.types import Vec3
 from sim.firmware.estimator import Estimator, EstimatorRecord
-from sim.firmware.mellinger import MellingerLoop, MellingerRecord, mellinger_reset, mellinger_update
-from sim.firmware.mixer import OFF, MapRecord, counts_per_n, moments_of, motor_speeds, set_up_map
-from sim.firmware.paper_loop import PaperLoop, PaperRecord, paper_reset, paper_update
-from sim.firmware.pid import CascadeRecord, PidLoop, cascade_reset, cascade_update
-from sim.firmware.setpoint import (
-    STOP,
-    Inbox,
-    InboxRecord,
-    Setpoint,
-    SetpointRecord,
-    receive,
+from sim.firmware.geometric import (
+    MellingerLoop,
+    MellingerRecord,
+    PaperLoop,
+    PaperRecord,
+    mellinger_reset,
+    mellinger_update,
+    paper_reset,
+    paper_update,
 )
+from sim.firmware.mixer import OFF, MapRecord, counts_per_n, moments_of, motor_speeds, set_up_map
+from sim.firmware.pid import CascadeRecord, PidLoop, cascade_reset, cascade_update
+from sim.firmware.setpoint import STOP, Inbox, InboxRecord, Setpoint, SetpointRecord, receive
 from sim.firmware.supervisor import Supervisor, SupervisorRecord, flies, supervise
 from sim.plant.params import CONTROL_STEP_S, Params
 from sim.plant.rotors import Four

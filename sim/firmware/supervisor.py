@@ -135,14 +135,9 @@ def tumbled(s: SupervisorRecord, now_ms: int, ax: float, ay: float, az: float) -
 
 @jitted
 def supervise(
-    s: SupervisorRecord,
-    now_ms: int,
-    setpoint_age_ms: int,
-    motors_running: bool,
-    ax: float,
-    ay: float,
+    s: SupervisorRecord, now_ms: int, setpoint_age_ms: int, motors_running: bool, ax: float, ay: float,
     az: float,
-) -> None:
+) -> None:  # fmt: skip
     """Evaluate the transitions; call it every ``PERIOD_MS`` with the accelerometer's reading in g."""
     if motors_running:
         s.motors_last_ms = now_ms

@@ -58,12 +58,7 @@ class Imu:
     """One IMU. ``step_s``: time between calls of ``measure``; ``record``: memory of the state."""
 
     def __init__(
-        self,
-        imu: ImuParams,
-        gravity_m_s2: float,
-        step_s: float,
-        seed: int,
-        record: ImuRecord | None = None,
+        self, imu: ImuParams, gravity_m_s2: float, step_s: float, seed: int, record: ImuRecord | None = None
     ) -> None:
         self.record = r = new(ImuRecord) if record is None else record
         self._gyro, self._accel = r.gyro, r.accel

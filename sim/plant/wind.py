@@ -43,14 +43,9 @@ class CorrelatedNoise:
     """
 
     def __init__(
-        self,
-        rms: Vec3,
-        time_s: Vec3,
-        seed: int,
-        purpose: str,
-        step_s: float,
+        self, rms: Vec3, time_s: Vec3, seed: int, purpose: str, step_s: float,
         record: NoiseRecord | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.record = r = new(NoiseRecord) if record is None else record
         self._tape = Tape(seed, purpose, r.tape)
         r.on = any(axis > 0.0 for axis in rms)

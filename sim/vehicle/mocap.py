@@ -103,13 +103,9 @@ class MocapTape:
     """
 
     def __init__(
-        self,
-        link: OdometryLink,
-        seed: int,
-        record: MocapRecord,
-        body: BodyRecord,
+        self, link: OdometryLink, seed: int, record: MocapRecord, body: BodyRecord,
         error: StateError | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         noise = link.position_noise_m
         self._rate_hz, self._delay_ns = link.rate_hz, round(link.delay_s * NS)
         self._errors = None

@@ -12,8 +12,8 @@ from flightstack.compiled.records import Values, reader, scalars
 from flightstack.core.types import ZERO, Vec3
 from sim.chance import stream
 from sim.faults.vehicle_faults import BatteryFaults, Faults, MotorFaults
+from sim.firmware.geometric import axes_from_force
 from sim.firmware.mixer import OFF
-from sim.firmware.paper_loop import axes_from_force
 from sim.firmware.setpoint import STOP, Setpoint
 from sim.firmware.stack import Firmware
 from sim.firmware.supervisor import PERIOD_MS, STATES, State

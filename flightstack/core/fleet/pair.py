@@ -103,11 +103,7 @@ def faster(before_m_s2: Vec3, before: Neighbour, message: Neighbour) -> Vec3:
     t = message.stamp_s - before.stamp_s
     share = 1.0 / (t + SMOOTH_S)
     (x, y, z), (ox, oy, oz), (ax, ay, az) = message.wanted_enu_m_s, before.wanted_enu_m_s, before_m_s2
-    return (
-        ax + share * (x - ox - t * ax),
-        ay + share * (y - oy - t * ay),
-        az + share * (z - oz - t * az),
-    )
+    return (ax + share * (x - ox - t * ax), ay + share * (y - oy - t * ay), az + share * (z - oz - t * az))
 
 
 def estimate(
@@ -196,14 +192,9 @@ def share(slot: Heard, message: Neighbour, now_s: float, fleet: Fleet) -> float:
 
 
 def row(
-    part: float,
-    h_m: float,
-    gradient: Vec3,
-    own_wanted_m_s: Vec3,
-    message: Neighbour,
-    now: Estimate,
+    part: float, h_m: float, gradient: Vec3, own_wanted_m_s: Vec3, message: Neighbour, now: Estimate,
     fleet: Fleet,
-) -> Row:
+) -> Row:  # fmt: skip
     """Return the constraint on this vehicle's velocity.
 
     With the whole share, the constraint uses the other vehicle's velocity. With half of it, it uses the mean

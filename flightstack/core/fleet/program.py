@@ -47,14 +47,9 @@ class FleetProgram:
         self._solver = Osqp(_ROWS)
 
     def solve(
-        self,
-        nominal: Vec3,
-        firm: Sequence[Row],
-        neighbours: Sequence[Row],
-        lower: Vec3,
-        upper: Vec3,
+        self, nominal: Vec3, firm: Sequence[Row], neighbours: Sequence[Row], lower: Vec3, upper: Vec3,
         basic: Sequence[Row] = (),
-    ) -> FleetResult:
+    ) -> FleetResult:  # fmt: skip
         """Filter one nominal velocity."""
         every = [*firm, *neighbours]
         (lx, ly, lz), (hx, hy, hz), (x, y, z) = lower, upper, nominal
@@ -154,10 +149,6 @@ class Cone(NamedTuple):
         (tx, ty, tz), (lx, ly, lz), (ux, uy, uz) = target_m_s, lower, upper
         least_z_m_s = min(tz, max(nominal[2], tz - self.rate_1_s * max(0.0, h_m)))
         return (
-            (
-                clip(tx - most, lx, ux),
-                clip(ty - most, ly, uy),
-                clip(least_z_m_s, lz, uz),
-            ),
+            (clip(tx - most, lx, ux), clip(ty - most, ly, uy), clip(least_z_m_s, lz, uz)),
             (clip(tx + most, lx, ux), clip(ty + most, ly, uy), uz),
         )

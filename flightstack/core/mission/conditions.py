@@ -102,15 +102,9 @@ def _landing_distance_m(
 
 
 def condition_flags(
-    config: FlightConfig,
-    strategy: Filter,
-    barrier: Barrier,
-    memory: Memory,
-    times_s: PhaseTimes,
-    snapshot: Snapshot,
-    command_failed: bool,
-    now_s: float,
-) -> int:
+    config: FlightConfig, strategy: Filter, barrier: Barrier, memory: Memory, times_s: PhaseTimes,
+    snapshot: Snapshot, command_failed: bool, now_s: float,
+) -> int:  # fmt: skip
     """Return the flags of this tick; ``memory`` already contains its timers and is not changed."""
     inputs, own, phase = snapshot.inputs, snapshot.inputs.own, memory.phase
     flags = _ASKED[inputs.operator] | lasting_flags(config.checks, memory, inputs.status)

@@ -99,14 +99,9 @@ class Mission:
     _times_s: PhaseTimes
 
     def __init__(
-        self,
-        config: FlightConfig,
-        barrier: Barrier,
-        strategy: Filter,
-        track: TargetTrack,
-        plausibility: Plausibility,
-        reserve: ReserveEstimate | None = None,
-    ) -> None:
+        self, config: FlightConfig, barrier: Barrier, strategy: Filter, track: TargetTrack,
+        plausibility: Plausibility, reserve: ReserveEstimate | None = None,
+    ) -> None:  # fmt: skip
         self.memory = Memory()
         self._config, self._barrier, self._strategy = config, barrier, strategy
         self._times_s = phase_times_s(config)

@@ -76,16 +76,9 @@ class Gate:
     period_s: float
 
     def check(
-        self,
-        velocity: Vec3,
-        setpoint: Vec3,
-        yaw_rad: float,
-        *,
-        own_fresh: bool,
-        target_fresh: bool,
-        altitude_m: float,
-        barrier_check: BarrierCheck | None,
-    ) -> tuple[GateVerdict, ApprovedSetpoint | None]:
+        self, velocity: Vec3, setpoint: Vec3, yaw_rad: float, *, own_fresh: bool, target_fresh: bool,
+        altitude_m: float, barrier_check: BarrierCheck | None,
+    ) -> tuple[GateVerdict, ApprovedSetpoint | None]:  # fmt: skip
         """Approve a velocity, or return the reason for its rejection."""
         verdict = self.verdict(velocity, yaw_rad, own_fresh, target_fresh, altitude_m)
         kept = barrier_check is None or self.keeps_promise(velocity, barrier_check)

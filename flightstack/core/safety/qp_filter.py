@@ -111,15 +111,9 @@ class SafetyFilter:
 
 @numeric
 def data_and_start(
-    nominal: Vec3,
-    gradient: Vec3,
-    bound: float,
-    lower: Vec3,
-    upper: Vec3,
-    infinity: float,
-    point: Vec3,
+    nominal: Vec3, gradient: Vec3, bound: float, lower: Vec3, upper: Vec3, infinity: float, point: Vec3,
     multiplier: float,
-) -> tuple[float, ...]:
+) -> tuple[float, ...]:  # fmt: skip
     """Return the changing numbers of the program, and the point and multipliers where the solver starts.
 
     The start is optimal if u - u' - multiplier g + y = 0; y are the multipliers of the active box sides.

@@ -146,12 +146,9 @@ class VelocityTracking:
     late_ticks: int
 
     def __init__(
-        self,
-        loop: VelocityLoop,
-        period_s: float,
-        feedback: VelocityFeedback | None = None,
+        self, loop: VelocityLoop, period_s: float, feedback: VelocityFeedback | None = None,
         delay_s: float = 0.0,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.memory = TrackingMemory()
         feedback = feedback or VelocityFeedback()
         self.by_feedback = feedback.horizontal
@@ -216,14 +213,9 @@ class VelocityTracking:
         return self._carried[1]
 
     def command(
-        self,
-        before_m_s: Vec3,
-        reference_m_s: Vec3,
-        velocity_m_s: Vec3,
-        most_m_s: Vec3,
-        least_z_m_s: float = -math.inf,
-        far: bool = False,
-    ) -> Vec3:
+        self, before_m_s: Vec3, reference_m_s: Vec3, velocity_m_s: Vec3, most_m_s: Vec3,
+        least_z_m_s: float = -math.inf, far: bool = False,
+    ) -> Vec3:  # fmt: skip
         """Return the set-point with which the vehicle follows the reference velocity."""
         memory, b, r, v = self.memory, before_m_s, reference_m_s, velocity_m_s
         if self.late_ticks:

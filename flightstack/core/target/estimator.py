@@ -80,14 +80,9 @@ class TargetEstimator:
         self.noise_z = _Noise(position2, velocity2, link.jerk_z_m_s3_sqrthz**2, link.acceleration_z_m_s2**2)
 
     def update(
-        self,
-        time_s: float,
-        position_enu_m: Vec3,
-        velocity_enu_m_s: Vec3,
-        yaw_rad: float = math.nan,
-        position_sigma_m: float = 0.0,
-        velocity_sigma_m_s: float = 0.0,
-    ) -> None:
+        self, time_s: float, position_enu_m: Vec3, velocity_enu_m_s: Vec3, yaw_rad: float = math.nan,
+        position_sigma_m: float = 0.0, velocity_sigma_m_s: float = 0.0,
+    ) -> None:  # fmt: skip
         """Update the filter with a sample; an older sample, or one after a long gap, restarts the filter."""
         memory, xy, z = self.memory, self.noise_xy, self.noise_z
         dt_s, before_rad = time_s - memory.time_s, memory.yaw_rad

@@ -230,14 +230,9 @@ def straight_on(axis: AxisState, t_s: float) -> AxisState:
 
 @numeric
 def drifted_apart(
-    p_m: float,
-    error_m_s: float,
-    measured_m: float,
-    reported_m_s: float,
-    elapsed_s: float,
-    rate_1_s: float,
+    p_m: float, error_m_s: float, measured_m: float, reported_m_s: float, elapsed_s: float, rate_1_s: float,
     most_m_s: float,
-) -> tuple[float, float]:
+) -> tuple[float, float]:  # fmt: skip
     """Estimate position and velocity error on an axis from a measured position and a reported velocity."""
     q = p_m + (reported_m_s - error_m_s) * elapsed_s
     missed = measured_m - q

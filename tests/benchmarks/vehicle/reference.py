@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from sim.firmware.paper_loop import K_V_N_S_M
+from sim.firmware.geometric import K_V_N_S_M
 from tests.linear_analysis import MASS, PARAMS, G
 
 F64 = npt.NDArray[np.float64]

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from flightstack.compiled.records import new
+from sim.firmware.geometric import K_V_N_S_M, PaperLoop, paper_update
 from sim.firmware.mixer import mix
-from sim.firmware.paper_loop import K_V_N_S_M, PaperLoop, paper_update
 from sim.firmware.pid import PidLoop, cascade_update
 from sim.firmware.setpoint import SensedState, Setpoint, SetpointRecord
 from sim.firmware.supervisor import PERIOD_MS, State, Supervisor, supervise

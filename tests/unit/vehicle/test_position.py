@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flightstack.compiled.records import new
-from sim.firmware.mellinger import MASS_KG, MASS_THRUST, MellingerLoop, mellinger_update
+from sim.firmware.geometric import MASS_KG, MASS_THRUST, MellingerLoop, mellinger_update
 from sim.firmware.pid import TILT_MAX_DEG, PidLoop, cascade_update
 from sim.firmware.setpoint import SensedState, Setpoint, SetpointRecord
 from sim.plant.params import load
