@@ -178,7 +178,7 @@ def lockstep() -> None:
         with tempfile.TemporaryDirectory() as folder:
             factors.append(sitl(folder, "paper_moving_1", seed, "--lockstep")["realtime_factor"])
     runs = ", ".join(f"{f:.1f}" for f in factors)
-    print(f"{statistics.median(factors):.1f} x real time (asked 50); runs {runs}")
+    print(f"{statistics.median(factors):.1f} x real time (asked 30); runs {runs}")
 
 
 CRAZYFLOW = """

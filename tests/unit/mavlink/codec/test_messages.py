@@ -109,3 +109,18 @@ def test_class_equals_pymavlinks():
             assert getattr(made, name) == getattr(theirs, name), name
         # pymavlink writes an array of one element as one element
         assert made.unpacker.size == theirs.unpacker.size
+
+
+def test_a_payload_of_any_length_is_decoded_as_pymavlink_does():
+    theirs = dialect.MAVLink(None)
+    for cls in CLASSES:
+        rng, size = random.Random(cls.id), cls.unpacker.size
+        for length in (size, rng.randint(1, size), min(255, size + 3)):
+            payload = bytes(rng.choice((0, rng.randrange(256))) for _ in range(length))
+            body = bytes((length, 0, 0, 7, 3, 4)) + cls.id.to_bytes(3, "little") + payload
+            crc = dialect.x25crc(body + bytes((cls.crc_extra,))).crc
+            frame = b"\xfd" + body + crc.to_bytes(2, "little")
+            ours, other = vars(decode(frame)), vars(theirs.decode(bytearray(frame)))
+            for name in set(other) - {"_header", "_payload", "_msgbuf"}:
+                assert repr(ours[name]) == repr(other[name]), (cls.msgname, name)
+            assert vars(ours["_header"]) == vars(other["_header"])
