@@ -162,7 +162,7 @@ def fleet_page(fleet: Fleet, verdict: FleetVerdict, pages: Mapping[str, Path]) -
                 "events", "Events of all", "Times since the log began; each is a link.",
                 tables.events_table(fleet.events), style=_EVENTS,
             ),
-            _repeat(fleet.path, told, fleet.metadata, fleet.attachments.get(SCENARIO)),
+            repeat_section(fleet),
             Panel("versions", "Versions", "", tables.versions_table(fleet.metadata)),
             *_configuration("Configurations", sources, fleet.path),
         ],
@@ -295,29 +295,19 @@ def command(run: Mapping[str, str], scenario: str) -> str:
     return shlex.join(parts + repeated(run))
 
 
-def repeat_section(flight: Flight) -> str:
+def repeat_section(of: Flight | Fleet) -> str:
     """Return the section with the commands that repeat a flight, or the reason why there are none."""
-    whole, run = flight.attachments.get(SCENARIO), flight.metadata.get("run", {})
-    return _repeat(flight.path, run, flight.metadata, whole, flight.label)
-
-
-def _repeat(
-    log: Path,
-    run: Mapping[str, str],
-    metadata: Mapping[str, Mapping[str, str]],
-    whole: bytes | None,
-    label: str = "",
-) -> str:
-    again = ["flightstack", "replay", log.name, "--check"]
-    if label:  # a member can only be repeated with its fleet
-        return repeat_box(replay=shlex.join([*again, "--member", label]), alone=False)
+    run, whole = of.metadata.get("run", of.metadata.get(FLEET, {})), of.attachments.get(SCENARIO)
+    again = ["flightstack", "replay", of.path.name, "--check"]
+    if isinstance(of, Flight) and of.label:  # a member can only be repeated with its fleet
+        return repeat_box(replay=shlex.join([*again, "--member", of.label]), alone=False)
     if whole is None or "seed" not in run:
         return repeat_box(replay=shlex.join(again))
     by_name = "scenario" in run and "config" not in run
     return repeat_box(
         replay=shlex.join(again),
         command=command(run, SCENARIO),
-        revision=metadata.get("made", {}).get("git_revision", ""),
+        revision=of.metadata.get("made", {}).get("git_revision", ""),
         lockstep=run.get("mode") == "lockstep",
         scenario=details("The scenario as it was flown", whole.decode(errors="replace"), SCENARIO),
         by_name=command(run, run["scenario"]) if by_name else "",
