@@ -14,7 +14,7 @@ import click
 from flightstack.cli.options import takes
 from flightstack.common.options import Argument, Option
 from flightstack.common.strict_toml import ConfigError
-from flightstack.common.text import plain
+from flightstack.common.text import labels, outline, plain
 from flightstack.config import options as shared
 from flightstack.core.parameters.filters import FILTERS
 
@@ -55,39 +55,36 @@ def replay(options: ReplayOptions) -> None:
     """
     from logs.replay.replay import ReplayError
 
-    members = () if options.member is not None else _members(options.log)
-    found = {}
-    for member in members or (options.member,):
-        found[member], lines = _one(options, member)
-        if members and not options.as_json:
-            click.echo(plain("\n".join(f"{member}: {line}" for line in lines)))
+    members = _members(options.log) if options.member is None else (options.member,)
+    found, refused = {}, []
+    for member, label in zip(members, labels(members), strict=True):
+        before = f"{label}: " if label else ""
+        found[member], lines = _one(options, member or None)
+        if reason := found[member].get("reason"):
+            refused.append(before + reason)
+        elif not options.as_json:
+            click.echo(plain("\n".join(before + line for line in lines)))
     results = [values["result"] for values in found.values()]
     worst = next(word for word in _STATUS if word in results)
-    if members and options.as_json:
+    if options.as_json:
         whole = {"result": worst, "path": str(options.log), "set": list(options.settings)}
-        click.echo(json.dumps({**whole, "members": found}))
-    elif members:
+        click.echo(json.dumps(outline(whole, "members", found)))
+    elif len(members) > 1:
         click.echo(f"{worst}: {len(members)} members")
-    else:
-        if options.as_json:
-            click.echo(json.dumps(found[options.member]))
-        if worst == "unusable":
-            raise ReplayError(found[options.member]["reason"])
-        if not options.as_json:
-            click.echo(plain("\n".join(lines)))
+    if refused:
+        raise ReplayError("; ".join(refused))
     shown_only = options.settings and not options.check
     sys.exit(EQUAL if shown_only and worst == "different" else _STATUS[worst])
 
 
 def _members(log: Path) -> tuple[str, ...]:
-    """Return the members if there are several; () for one flight, and for a log that cannot be read."""
+    """Return the members; an empty name for a log that cannot be read."""
     from logs.reader.reader import LogError, LogFile
 
     try:
-        names = LogFile(log).members
+        return LogFile(log).members
     except LogError:
-        return ()
-    return names if len(names) > 1 else ()
+        return ("",)
 
 
 def _one(options: ReplayOptions, member: str | None) -> tuple[dict[str, Any], list[str]]:
@@ -105,7 +102,7 @@ def _one(options: ReplayOptions, member: str | None) -> tuple[dict[str, Any], li
         config = changed(table, settings) if settings else None
         result = run(log, config, member)
     except ReplayError as error:
-        return {"result": "unusable", "path": str(log), "reason": str(error)}, [f"unusable: {error}"]
+        return {"result": "unusable", "path": str(log), "reason": str(error)}, []
     except ConfigError as error:
         if options.filter is not None or table["filter"] in FILTERS:
             raise

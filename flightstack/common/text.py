@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 # C0 and C1 except tab and line feed, marks of writing direction, line separators, and surrogates (bytes of a
 # path that are not UTF-8)
@@ -18,6 +19,15 @@ ROBOT_FAILED, FILTER_FAILED = "the robot's function", "the filter returned no ve
 def labels(names: Sequence[str]) -> list[str]:
     """Return the names to show beside several things; a single one is shown without its name."""
     return list(names) if len(names) > 1 else [""] * len(names)
+
+
+def outline(shared: Mapping[str, object], key: str, entries: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the JSON object of several things: what they share, and each of them below ``key``.
+
+    A single one is the object itself.
+    """
+    (only, *others) = entries.values()
+    return {**shared, key: entries} if others else only
 
 
 def pip_install(extras: str) -> str:

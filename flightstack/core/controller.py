@@ -66,13 +66,14 @@ def _level(transition: Transition) -> int:
 
 def state_class(config: FlightConfig) -> type[State]:
     """Return the class of the controller state that this configuration needs; logs contain its name."""
-    late, name, parts = config.velocity_loop.dead_time_s > 0.0, "State", dict[str, Any]()
-    if config.fleet is not None or late or config.reserve is not None or config.own.learns:
-        name, parts = "WholeState", {"reserve": ReserveMemory, "own": OwnMemory}
+    name, parts = "State", dict[str, Any]()
+    whole = {"reserve": ReserveMemory, "own": OwnMemory}
     if config.fleet is not None:
-        name, parts["fleet"] = "FleetState", FleetMemory
-    elif late:
-        name, parts["late"] = "LateState", LateMemory
+        name, parts = "FleetState", {**whole, "fleet": FleetMemory}
+    elif config.velocity_loop.dead_time_s > 0.0:
+        name, parts = "LateState", {**whole, "late": LateMemory}
+    elif config.reserve is not None or config.own.learns:
+        name, parts = "WholeState", whole
     if config.filter not in FILTERS and (found := strategy_class(config.filter)).filter is not Filter.filter:
         name, parts["filter"] = "FilterState", FilterMemory
         if found.State is not None:

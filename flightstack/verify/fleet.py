@@ -322,13 +322,15 @@ def common_points(config: FlightConfig, fleet: Fleet, c: Crowd) -> list[Check]:
 def team_checks(
     configs: Sequence[FlightConfig], starts_enu_m: Sequence[Vec3], touch_m: Vec3, pads_apart_m: float
 ) -> list[Check]:
-    """Return the checks that involve all members.
+    """Return the checks that involve all members; none without a pair, or if one has no table [fleet].
 
-    ``configs``: configurations of the members, each with a table [fleet]; ``starts_enu_m``: known start
+    ``configs``: configurations of the members; ``starts_enu_m``: known start
     places in the air; ``touch_m``: largest offset of two vehicles at which they overlap; ``pads_apart_m``:
     smallest distance of any two pads.
     """
     fleets = [config.fleet for config in configs if config.fleet is not None]
+    if len(fleets) < max(2, len(configs)):
+        return []
     first, config, ids = fleets[0], configs[0], sorted(fleet.id for fleet in fleets)
     keys = [field.name for field in fields(Fleet) if field.name not in ("id", "members")]
     other = [k for k in keys if any(getattr(each, k) != getattr(first, k) for each in fleets)]

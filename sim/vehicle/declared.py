@@ -251,6 +251,4 @@ def crowd(team: TeamScenario) -> list[Check]:
     radius_m = 2.0 * max(shape.radius_m for shape in shapes)
     up_m = max(shape.top_m for shape in shapes) - min(shape.bottom_m for shape in shapes)
     configs = [each.onboard for each in team.member]
-    if any(config.fleet is None for config in configs):
-        return []
     return team_checks(configs, team.starts_enu_m(), (radius_m, 0.0, up_m), team.pads_apart_m())
