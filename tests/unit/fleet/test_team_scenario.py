@@ -36,45 +36,29 @@ def test_a_member_overrides_the_team_and_the_team_its_base(written):
     assert [each.name for each in found.member] == ["mine.cf1", "mine.cf2"]
 
 
+BASED = ABOUT + 'base = "field"\n'
+FIRST, SECOND = BASED + "[[member]]\n", BASED + "[[member]]\n[[member]]\n"
+
+
 @pytest.mark.parametrize(
     ("text", "error"),
     [
-        (
-            ABOUT + 'base = "feild"\n[[member]]\n',
-            "mine.toml: base: scenario 'feild': neither a file nor one of",
-        ),
-        (ABOUT + "base = 3\n[[member]]\n", "mine.toml: base: found 3, the name of a scenario"),
-        (ABOUT + 'base = "field"\nmember = 3\n', r"member: found 3, allowed: tables \[\[member\]\]"),
-        (
-            ABOUT + 'base = "field"\n[[member]]\n[[member]]\nstart.hight_m = 1.0\n',
-            "mine.toml: member 2: start.hight_m: unknown key",
-        ),
-        (
-            ABOUT + 'base = "field"\n[[member]]\ntarget.speed_m_s = 9.0\n',
-            "mine.toml: member 1: target.speed_m_s: found 9.0, allowed: 0 to 3",
-        ),
-        (
-            ABOUT + 'base = "field"\n[[member]]\nname = "a"\n',
-            "mine.toml: member 1: name: found 'a'; the team has it, remove it",
-        ),
-        (
-            ABOUT + 'base = "field"\n[[member]]\nconfig = "px5"\n',
-            "mine.toml: member 1: config: configuration 'px5': neither a file nor one of",
-        ),
-        (
-            ABOUT + 'base = "field"\n[[member]]\nconfig = 3\n',
-            "mine.toml: member 1: config: found 3, the name of a configuration",
-        ),
-        ('base = "field"\n[[member]]\n', "mine.toml: name: missing"),
-        (
-            ABOUT + 'base = "field"\n[[member]]\n[[member]]\nonboard.loop.rate_hz = 50\n',
-            "found 50, 100; all members have the same ticks",
-        ),
+        (ABOUT + 'base = "feild"\n[[member]]\n', "base: scenario 'feild': neither a file nor one of"),
+        (ABOUT + "base = 3\n[[member]]\n", "base: found 3, the name of a scenario"),
+        (BASED + "member = 3\n", r"member: found 3, allowed: tables \[\[member\]\]"),
+        (SECOND + "start.hight_m = 1.0\n", "member 2: start.hight_m: unknown key"),
+        (FIRST + "target.speed_m_s = 9.0\n", "member 1: target.speed_m_s: found 9.0, allowed: 0 to 3"),
+        (FIRST + 'name = "a"\n', "member 1: name: found 'a'; the team has it, remove it"),
+        (FIRST + 'config = "px5"\n', "member 1: config: configuration 'px5': neither a file nor one of"),
+        (FIRST + "config = 3\n", "member 1: config: found 3, the name of a configuration"),
+        ('base = "field"\n[[member]]\n', "name: missing"),
+        (SECOND + "onboard.loop.rate_hz = 50\n", "found 50, 100; all members have the same ticks"),
     ],
 )
 def test_errors_say_what_was_found_and_what_to_do(written, text, error):
-    with pytest.raises(ConfigError, match=error):
+    with pytest.raises(ConfigError, match=error) as raised:
         team.load(written(text))
+    assert "mine.toml: " in str(raised.value)
 
 
 def test_a_member_can_have_a_configuration_of_its_own(written):

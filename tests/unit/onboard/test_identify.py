@@ -98,3 +98,13 @@ def test_noise_rate_loss_and_delay_of_a_link_are_found():
     assert found.loss == pytest.approx(0.05, abs=0.02)
     assert found.delay_s == pytest.approx(0.06, abs=0.001)
     assert found.delay_spread_s == pytest.approx(0.012, abs=0.004)
+
+
+def test_its_standard_errors_are_true():
+    """In nearly all of 24 windy flights the true lag is within two errors, which are not too large."""
+    lag = 2.0 * 0.68 / 5.2
+    found = [identify([made_up(seed, wind=0.05)], DT_S, "x") for seed in range(24)]
+    missed = [abs(one.lag_s - lag) / one.errors[4] for one in found]
+    assert sum(m < 2.0 for m in missed) >= 19
+    spread = np.std([one.lag_s for one in found])
+    assert 0.4 * spread < np.mean([one.errors[4] for one in found]) < 2.5 * spread

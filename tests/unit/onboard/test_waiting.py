@@ -43,19 +43,13 @@ NOT_READY = replace(STANDS, ready_to_arm=False)
         ({"own_age_s": 5.0, "refused": {"not_finite": 9}}, "not finite"),
         ({"own_age_s": 5.0, "refused": {"out_of_order": 9}}, "a time that does not advance"),
         ({"own_age_s": 0.31}, "position is 0.3 s old; checks.own_age_max_s allows 0.2"),
-        (
-            {"heartbeat_every_s": 5.0},
-            "heartbeats: one every 5.00 s (0.2 Hz); checks.status_age_max_s allows 3",
-        ),
+        ({"heartbeat_every_s": 5.0}, "heartbeats: one every 5.00 s (0.2 Hz); checks.status_age_max_s"),
         ({"own_every_s": 0.25}, "positions: one every 0.25 s (4.0 Hz); checks.own_age_max_s allows 0.2"),
         ({"own_believed": False}, "do not agree (checks.own_drift_max_m)"),
         ({"status": replace(STANDS, landed=Landed.UNKNOWN)}, "EXTENDED_SYS_STATE"),
         ({"status": replace(STANDS, landed=Landed.IN_AIR, armed=True)}, "in the air and in mode HOLD"),
         ({"status": NOT_READY, "readiness_told": False}, "whether it may be armed (SYS_STATUS)"),
-        (
-            {"status": NOT_READY, "says": ("PreArm: Need Position Estimate", "Compass")},
-            "pre-arm checks fail (SYS_STATUS); it reports: PreArm: Need Position Estimate | Compass",
-        ),
+        ({"status": NOT_READY, "says": ("GPS", "Compass")}, "fail (SYS_STATUS); it reports: GPS | Compass"),
     ],
 )
 def test_each_lack_of_the_vehicle_has_its_sentence(changed, words):
@@ -68,13 +62,10 @@ def test_each_lack_of_the_vehicle_has_its_sentence(changed, words):
     [
         ({"age_s": None, "arrived": 0}, "no sample on cf1/target/odom; nor on any key like odometry"),
         ({"age_s": None, "arrived": 0, "keys": ("a/odom", "b/odom")}, "there are a/odom, b/odom"),
+        ({"age_s": None, "arrived": 0, "problems": ("a hash",)}, "odom any more; of earlier ones: a hash"),
         (
-            {"age_s": None, "arrived": 0, "problems": ("has the hash RIHS01_0",)},
-            "no sample on cf1/target/odom any more; of earlier ones: has the hash RIHS01_0",
-        ),
-        (
-            {"age_s": None, "arrived": 7, "problems": ("frame_id is 'odom'",)},
-            "7 samples on cf1/target/odom, none accepted: frame_id is 'odom'",
+            {"age_s": None, "arrived": 7, "problems": ("a frame",)},
+            "7 samples on cf1/target/odom, none accepted",
         ),
         ({"every_s": 0.33}, "odom: one every 0.33 s (3.0 Hz); checks.target_age_max_s allows 0.25"),
         ({"contradicts": True}, "do not agree; checks.target_drift_max_m is 0.1; usual causes: a twist in"),
