@@ -1,4 +1,4 @@
-"""Faults of the links and the vehicle's reaction: it holds, climbs or lands away in time."""
+"""Bad samples of the target, and numbers of the vehicle state that are not finite."""
 
 import dataclasses
 import math

@@ -1,4 +1,4 @@
-"""The controller: take-off by set-points, descent at a bounded speed, immediate landing on command."""
+"""The controller: take-off by set-points, and what ends it; an immediate landing on command."""
 
 import pytest
 

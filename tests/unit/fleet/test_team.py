@@ -1,4 +1,4 @@
-"""Several landings in one process: equal to single ones without neighbours; the order does not matter."""
+"""Several landings in one process: repeatable, with collisions, and with a member that fails."""
 
 from pathlib import Path
 

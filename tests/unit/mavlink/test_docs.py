@@ -1,4 +1,4 @@
-"""Documentation of vehicles and bridges compared with the code: tables, options and numbers."""
+"""Tables of the documentation of vehicles compared with the code."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Names of ROS 2 on Zenoh, and this process as a ROS 2 node."""
+"""Names and attachments of ROS 2 on Zenoh."""
 
 import re
 import string

@@ -1,4 +1,4 @@
-"""Differences between the filters: the paper's law unchanged, and properties of the robust filter."""
+"""Properties of the robust filter: the required climb and the margin."""
 
 import math
 

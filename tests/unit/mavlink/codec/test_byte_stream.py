@@ -1,4 +1,4 @@
-"""Serial lines (pseudo-terminals) and TCP connections under an endpoint: cut, full, lost and reopened."""
+"""Serial lines (pseudo-terminals) and TCP connections under an endpoint: full, in use, not there yet."""
 
 import select
 import time
