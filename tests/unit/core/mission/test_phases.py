@@ -13,21 +13,125 @@ FINAL = (Phase.LANDED, Phase.ABORT)
 GOING_ON = [p for p in Phase if p not in FINAL]
 IN_FLIGHT = [Phase.TAKEOFF, Phase.APPROACH, Phase.LAND, Phase.HOLD, Phase.CLIMB]
 STAY = (None, "")
-CUT_OFF = (Phase.ABORT, "too few fleet members send messages")
-TOO_LOW = (Phase.ABORT, "the battery is too low to land on the target")
 ALL = (1 << len(Condition)) - 1
 
 
-class Word:
-    """Sets of condition flags: ``word.armed`` is an array of booleans. ``asked``: flags that were read."""
+# The phase rules of docs/how_it_works/method.md: the first one whose condition holds counts. A name alone
+# stands for all rules of that block, and "while" adds a condition to each of them.
+STATED = f"""
+OPERATOR
+emergency -> ABORT: emergency stop
+abort_asked -> ABORT: abort requested by the operator
+VEHICLE
+was_armed & ~armed & ~link_lost -> ABORT: {DISARMED}
+was_external & ~external & ~link_lost -> ABORT: mode changed without a command from this stack
+command_failed -> ABORT: the vehicle refused a command
+not_following -> ABORT: vehicle does not follow its velocity set-points
+no_result -> ABORT: the filter returned no velocity
+INPUTS
+own_lost -> HOLD: own state lost
+link_lost -> HOLD: heartbeat lost
+target_lost -> HOLD: target lost
+LOST
+own_lost -> ABORT: own state lost
+link_lost -> ABORT: heartbeat lost
+target_lost -> ABORT: target lost
+CUT_OFF
+cut_off -> ABORT: too few fleet members send messages
+TIRED
+tired -> ABORT: the battery is too low to land on the target
+
+WAIT
+= OPERATOR
+command_failed -> ABORT: the vehicle refused a command
+phase_time_over -> ABORT: inputs did not become ready in time
+= TIRED while external & ~standing
+ready & external & ~standing -> APPROACH: flying and all inputs fresh
+ready & recovered & standing -> TAKEOFF: all inputs fresh
+TAKEOFF
+= OPERATOR, VEHICLE, INPUTS, TIRED, CUT_OFF
+phase_time_over -> ABORT: start not reached in time
+at_start & external -> APPROACH: start reached
+APPROACH
+= OPERATOR, VEHICLE, INPUTS, TIRED, CUT_OFF
+landing_time_over -> ABORT: landing took too long
+over_pad -> LAND: inside the descending cone
+LAND
+= OPERATOR, VEHICLE, INPUTS
+landing_time_over -> ABORT: landing took too long
+touch -> TOUCHDOWN: touchdown rule met
+swings -> ABORT: {SWINGING}
+~over_pad -> APPROACH: left the descending cone
+TOUCHDOWN
+= OPERATOR
+was_armed & ~armed & ~link_lost -> LANDED: motors off
+own_lost -> ABORT: own state lost at touchdown
+not_following -> ABORT: vehicle does not follow its velocity set-points
+drifted & retries_left -> APPROACH: going to miss the pad: go around
+drifted -> ABORT: going to miss the pad, and no retry left
+phase_time_over -> ABORT: no contact, or motors did not stop
+HOLD
+= OPERATOR, VEHICLE, CUT_OFF
+recovered & retries_left & started -> APPROACH: inputs good again
+recovered & retries_left -> TAKEOFF: inputs good again
+phase_time_over & own_lost -> ABORT: own state stayed lost
+phase_time_over & link_lost -> ABORT: heartbeat stayed lost
+= TIRED while ~own_lost & ~link_lost
+phase_time_over -> CLIMB: target stayed lost
+CLIMB
+= OPERATOR, VEHICLE
+own_lost -> ABORT: own state lost in the climb
+link_lost -> ABORT: heartbeat lost in the climb
+= TIRED, CUT_OFF
+recovered & retries_left & high_enough & started -> APPROACH: target back
+recovered & retries_left & high_enough & ~started -> TAKEOFF: target back
+phase_time_over -> ABORT: target did not come back
+LANDED
+pad_wanted & ~emergency & ~abort_asked -> LEAVE: another vehicle waits for this pad
+ABORT
+LEAVE
+= OPERATOR
+was_armed & ~armed & ~link_lost & clear -> LANDED: motors off beside the target
+command_failed & standing & ~armed -> LANDED: no further take-off: remains on the pad
+= VEHICLE, LOST while ~clear
+phase_time_over -> ABORT: the pad was not left in time
+"""
+
+
+def blocks():
+    """Return the stated rules of each block: condition, next phase and reason."""
+    found, rules = {}, []
+    for line in STATED.split("\n"):
+        when, _, then = line.partition(" -> ")
+        if line.startswith("= "):
+            names, _, more = line[2:].partition(" while ")
+            for name in names.split(", "):
+                rules += [(f"({when}) & {more}" if more else when, to, why) for when, to, why in found[name]]
+        elif then:
+            to, _, why = then.partition(": ")
+            rules.append((when, Phase[to], why))
+        elif line:
+            rules = found[line] = []
+    return found
+
+
+BLOCKS = blocks()
+
+
+class Word(dict):
+    """Sets of condition flags: ``word["armed"]`` is an array of booleans. ``asked``: flags that were read."""
 
     def __init__(self, words):
         self.words, self.asked = words, 0
 
-    def __getattr__(self, name):
+    def __missing__(self, name):
         flag = Condition[name.upper()]
         self.asked |= flag
         return self.words & flag != 0
+
+
+def expected_rules(phase, word):
+    return [(eval(when, {}, word), to, why) for when, to, why in BLOCKS[phase.name]]
 
 
 @cache
@@ -46,131 +150,6 @@ def everything(phase):
         if mask & flag:
             words = np.concatenate((words, words | np.int64(flag)))
     return np.concatenate((words, words | np.int64(ALL & ~mask)))
-
-
-def operator(w):
-    return [
-        (w.emergency, Phase.ABORT, "emergency stop"),
-        (w.abort_asked, Phase.ABORT, "abort requested by the operator"),
-    ]
-
-
-def in_flight(w):
-    return [
-        *operator(w),
-        (w.was_armed & ~w.armed & ~w.link_lost, Phase.ABORT, DISARMED),
-        (
-            w.was_external & ~w.external & ~w.link_lost,
-            Phase.ABORT,
-            "mode changed without a command from this stack",
-        ),
-        (w.command_failed, Phase.ABORT, "the vehicle refused a command"),
-        (w.not_following, Phase.ABORT, "vehicle does not follow its velocity set-points"),
-        (w.no_result, Phase.ABORT, "the filter returned no velocity"),
-    ]
-
-
-def inputs(w):
-    return [
-        (w.own_lost, Phase.HOLD, "own state lost"),
-        (w.link_lost, Phase.HOLD, "heartbeat lost"),
-        (w.target_lost, Phase.HOLD, "target lost"),
-    ]
-
-
-def expected_rules(phase, w):
-    """The phase rules of docs/how_it_works/method.md on arrays; the first rule that applies counts."""
-    again = w.recovered & w.retries_left
-    match phase:
-        case Phase.WAIT:
-            return [
-                *operator(w),
-                (w.command_failed, Phase.ABORT, "the vehicle refused a command"),
-                (w.phase_time_over, Phase.ABORT, "inputs did not become ready in time"),
-                (w.tired & w.external & ~w.standing, *TOO_LOW),
-                (w.ready & w.external & ~w.standing, Phase.APPROACH, "flying and all inputs fresh"),
-                (w.ready & w.recovered & w.standing, Phase.TAKEOFF, "all inputs fresh"),
-            ]
-        case Phase.TAKEOFF:
-            return [
-                *in_flight(w),
-                *inputs(w),
-                (w.tired, *TOO_LOW),
-                (w.cut_off, *CUT_OFF),
-                (w.phase_time_over, Phase.ABORT, "start not reached in time"),
-                (w.at_start & w.external, Phase.APPROACH, "start reached"),
-            ]
-        case Phase.APPROACH:
-            return [
-                *in_flight(w),
-                *inputs(w),
-                (w.tired, *TOO_LOW),
-                (w.cut_off, *CUT_OFF),
-                (w.landing_time_over, Phase.ABORT, "landing took too long"),
-                (w.over_pad, Phase.LAND, "inside the descending cone"),
-            ]
-        case Phase.LAND:
-            return [
-                *in_flight(w),
-                *inputs(w),
-                (w.landing_time_over, Phase.ABORT, "landing took too long"),
-                (w.touch, Phase.TOUCHDOWN, "touchdown rule met"),
-                (w.swings, Phase.ABORT, SWINGING),
-                (~w.over_pad, Phase.APPROACH, "left the descending cone"),
-            ]
-        case Phase.TOUCHDOWN:
-            return [
-                *operator(w),
-                (w.was_armed & ~w.armed & ~w.link_lost, Phase.LANDED, "motors off"),
-                (w.own_lost, Phase.ABORT, "own state lost at touchdown"),
-                (w.not_following, Phase.ABORT, "vehicle does not follow its velocity set-points"),
-                (w.drifted & w.retries_left, Phase.APPROACH, "going to miss the pad: go around"),
-                (w.drifted, Phase.ABORT, "going to miss the pad, and no retry left"),
-                (w.phase_time_over, Phase.ABORT, "no contact, or motors did not stop"),
-            ]
-        case Phase.HOLD:
-            return [
-                *in_flight(w),
-                (w.cut_off, *CUT_OFF),
-                (again & w.started, Phase.APPROACH, "inputs good again"),
-                (again, Phase.TAKEOFF, "inputs good again"),
-                (w.phase_time_over & w.own_lost, Phase.ABORT, "own state stayed lost"),
-                (w.phase_time_over & w.link_lost, Phase.ABORT, "heartbeat stayed lost"),
-                (w.tired & ~w.own_lost & ~w.link_lost, *TOO_LOW),
-                (w.phase_time_over, Phase.CLIMB, "target stayed lost"),
-            ]
-        case Phase.CLIMB:
-            return [
-                *in_flight(w),
-                (w.own_lost, Phase.ABORT, "own state lost in the climb"),
-                (w.link_lost, Phase.ABORT, "heartbeat lost in the climb"),
-                (w.tired, *TOO_LOW),
-                (w.cut_off, *CUT_OFF),
-                (again & w.high_enough & w.started, Phase.APPROACH, "target back"),
-                (again & w.high_enough & ~w.started, Phase.TAKEOFF, "target back"),
-                (w.phase_time_over, Phase.ABORT, "target did not come back"),
-            ]
-        case Phase.LANDED:
-            free = w.pad_wanted & ~w.emergency & ~w.abort_asked
-            return [(free, Phase.LEAVE, "another vehicle waits for this pad")]
-        case Phase.LEAVE:
-            lost = [(flag, Phase.ABORT, why) for flag, _, why in inputs(w)]
-            return [
-                *operator(w),
-                (
-                    w.was_armed & ~w.armed & ~w.link_lost & w.clear,
-                    Phase.LANDED,
-                    "motors off beside the target",
-                ),
-                (
-                    w.command_failed & w.standing & ~w.armed,
-                    Phase.LANDED,
-                    "no further take-off: remains on the pad",
-                ),
-                *((flag & ~w.clear, to, why) for flag, to, why in [*in_flight(w)[2:], *lost]),
-                (w.phase_time_over, Phase.ABORT, "the pad was not left in time"),
-            ]
-    return []
 
 
 def expected(phase, words):
