@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 from rich.console import Console
 
 from bridge.zenoh.zenoh_link import is_client
@@ -11,11 +9,11 @@ from flightstack.common.options import shared
 from flightstack.common.strict_toml import ConfigError, dumps
 from flightstack.config.files import load
 from flightstack.config.options import OnboardOptions
-from flightstack.launch.launcher import Followed, Launcher, Shown
+from flightstack.launch.launcher import Followed, Launcher
 from flightstack.launch.result import Flown
 from flightstack.launch.run_options import FlyOptions
 from flightstack.onboard.fleet_wire import namespace_of
-from flightstack.onboard.recording import Described, describe, end_recorder, log_in, new_folder
+from flightstack.onboard.recording import Described, describe, log_in, new_folder
 from logs.schema.names import Names
 
 
@@ -32,10 +30,8 @@ def run(options: FlyOptions, console: Console) -> Flown:
     config_file = folder / "onboard.toml"
     config_file.write_text(dumps(config), encoding="utf-8")
     with Launcher(folder, console, tells=live, real=True) as launcher:
-        recorder = None
         if log is not None:
-            recorder = launcher.record(log)
-            recorder.yield_to_others(10)
+            launcher.record(log)
             known = {"config": name, "vehicle": options.vehicle_url, "target": options.target_key}
             describe(launcher.socket, Described(config, known, Names(namespace, options.system_id)))
         # a client of a router cannot listen, so the live view would need a connection to that router, too
@@ -47,20 +43,13 @@ def run(options: FlyOptions, console: Console) -> Flown:
                     "--view ... --connect ROUTER` beside it"
                 )
             launcher.view(options.view, at[0], config_file, namespace)
-        socket = launcher.socket if recorder is not None else None
+        socket = launcher.socket if log is not None else None
         plugged = shared(
             options, OnboardOptions, config_file=config_file, listen=(*options.listen, *at), recorder=socket
         )
-        onboard = launcher.start("onboard", plugged)
-        onboard.wait_ready()
-        for endpoint in (*at, *options.listen):
-            console.print(f"to watch: flightstack watch --connect {endpoint}", style="dim", soft_wrap=True)
+        flight = Followed(launcher.start("onboard", plugged), namespace, (*at, *options.listen))
         title = f"{name}  {options.vehicle_url}  filter {config.filter}"
-        shown = Shown(at, title, [namespace]) if at and live and console.is_terminal else None
-        started, flight = time.monotonic(), Followed(onboard)
-        problem = launcher.watch([flight], [recorder] if recorder is not None else [], None, shown)
-        wall_s = time.monotonic() - started
-        if recorder is not None:
-            problem = end_recorder(recorder) or problem
+        shows = at and live and console.is_terminal
+        problem, wall_s = launcher.fly([flight], title if shows else None)
     about = {"scenario": None, "seed": None, "config": name, "filter": config.filter}
     return Flown(about, folder, log, wall_s, (flight,), problem)

@@ -31,23 +31,15 @@ from flightstack.common.text import failed_code
 from flightstack.config.options import WatchOptions
 from flightstack.core.mission.machine import parse
 from flightstack.core.types import Phase
-from flightstack.onboard.recording import start_recorder
+from flightstack.onboard.recording import end_recorder, start_recorder
 from flightstack.watch import REFRESH_HZ, LiveView, Watch
 
 NAMESPACE = "cf1"
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT, signal.SIGHUP)
 # wall time for the autopilot's landing after the onboard process has ended, detection included, s
 LAND_ALONE_MAX_S = COMPANION_SILENT_S + 100.0
+RECORDER_YIELDS = 10  # nice value of the recorder, divided by the number of vehicles that send it data
 LAND_MAX_S = 30.0  # longest time for an onboard process to end in flight, s: it lands a real vehicle first
-
-
-@dataclass(frozen=True)
-class Shown:
-    """Data for the live view."""
-
-    endpoints: Sequence[str]  # Zenoh endpoints of the onboard processes
-    title: str  # title of the view
-    namespaces: Sequence[str] = (NAMESPACE,)  # first parts of the Zenoh keys of the onboard processes
 
 
 @dataclass
@@ -55,6 +47,8 @@ class Followed:
     """An onboard process that the launcher watches."""
 
     child: Child  # the process
+    namespace: str  # first part of the Zenoh keys of the process
+    endpoints: Sequence[str]  # Zenoh endpoints of the process; the live view uses the first one
     name: str = ""  # prefix of the printed lines if there are several processes; else empty
     last_line: str = ""  # newest line of the process
     aborted: bool = False  # whether the process aborted or failed, so that the autopilot lands the vehicle
@@ -76,6 +70,7 @@ class Launcher:
         self._tells, self._real = tells, real
         # ports and numbers that are reserved until all children have ended
         self.reserved = contextlib.ExitStack()
+        self._recorder: Child | None = None
         self._sockets = socket_folder()
         self.socket = self._sockets / "recorder"  # socket of the recorder
 
@@ -116,14 +111,17 @@ class Launcher:
         self.children.append(child)
         return child
 
-    def record(self, log: Path) -> Child:
+    def hint(self, line: str) -> None:
+        """Print a line that is not about the flight itself."""
+        self.console.print(line, style="dim", soft_wrap=True, markup=False)
+
+    def record(self, log: Path) -> None:
         """Start the recorder and wait until it listens at ``socket``.
 
         Raises LaunchError: the recorder did not start.
         """
-        recorder = start_recorder(self.socket, log)
-        self.children.append(recorder)
-        return recorder
+        self._recorder = start_recorder(self.socket, log)
+        self.children.append(self._recorder)
 
     def view(self, where: str, endpoint: str, config: Path, namespace: str = NAMESPACE) -> None:
         """Start the 3-D view and wait until it is ready. It only subscribes; the flight never waits for it.
@@ -136,8 +134,7 @@ class Launcher:
             "watch",
             WatchOptions(view=where, connect=(endpoint,), config_file=config, namespace=namespace),
         )
-        shown_at = watch.wait_ready()
-        self.console.print(f"view: {shown_at}", style="dim", soft_wrap=True, markup=False)
+        self.hint(f"view: {watch.wait_ready()}")
 
     def end_all(self) -> None:
         """End every child; the recorder is last, so that the log contains the end of the others."""
@@ -151,30 +148,57 @@ class Launcher:
             return CLOSE_TIME_MAX_S
         return LAND_MAX_S if self._real and name.startswith("onboard") else END_TIME_MAX_S
 
-    def watch(
+    def fly(
         self,
         flights: Sequence[Followed],
+        title: str | None,
+        others: Sequence[Running] = (),
+        limit_s: float | None = None,
+        teller: Child | None = None,
+        *,
+        lockstep: bool = False,
+    ) -> tuple[str | None, float]:
+        """Wait for the onboard processes, watch the flights, end all processes; return problem and wall time.
+
+        ``title``: title of the live view (None: no view); ``others``: processes that must outlive the
+        flights; ``limit_s``: wall time after which the run is given up (None: no limit); ``teller``: process
+        that reports arming and disarming. Raises LaunchError: an onboard process did not start.
+        """
+        for flight in flights:  # the processes load at the same time
+            flight.child.wait_ready()
+        if self._recorder is not None and not lockstep:  # a recorder without CPU loses records
+            self._recorder.yield_to_others(RECORDER_YIELDS // len(flights))
+        for flight in flights:
+            for endpoint in flight.endpoints:
+                self.hint(f"to watch: flightstack watch --connect {endpoint} --namespace {flight.namespace}")
+        others = [*others, *([self._recorder] if self._recorder is not None else ())]
+        started_s = time.monotonic()
+        problem = self._watch(flights, title, others, limit_s, teller)
+        wall_s = time.monotonic() - started_s
+        self.end_all()
+        if problem is None and self._recorder is not None:  # the recorder may end after the flight
+            problem = end_recorder(self._recorder)
+        return problem, wall_s
+
+    def _watch(
+        self,
+        flights: Sequence[Followed],
+        title: str | None,
         others: Sequence[Running],
         limit_s: float | None,
-        shown: Shown | None,
-        teller: Child | None = None,
+        teller: Child | None,
     ) -> str | None:
-        """Watch until the onboard processes have ended; return the problem, or None.
-
-        ``others``: processes that must outlive the flights; ``limit_s``: wall time after which the run is
-        given up (None: no limit); ``shown``: data of the live view (None: no view); ``teller``: process that
-        reports arming and disarming.
-        """
+        """Watch until the onboard processes have ended; return the problem, or None."""
         self._take_over()
         begun()
         others, flying = list(others), list(flights)
         until = time.monotonic() + (limit_s if limit_s is not None else math.inf)
         view = session = None
         problem: str | None = None
-        if shown is not None:
-            session = zenoh_link.open_session([], shown.endpoints)
-            watches = {namespace: Watch(session, namespace) for namespace in shown.namespaces}
-            view = LiveView(watches, shown.title, self.console)
+        if title is not None:
+            session = zenoh_link.open_session([], [flight.endpoints[0] for flight in flights])
+            watches = {flight.namespace: Watch(session, flight.namespace) for flight in flights}
+            view = LiveView(watches, title, self.console)
             view.live.start()
         try:
             while flying:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,14 +9,13 @@ from pathlib import Path
 from rich.console import Console
 
 from flightstack.common.options import shared
-from flightstack.common.processes import Child
 from flightstack.common.strict_toml import ConfigError, dumps
 from flightstack.common.text import labels
 from flightstack.config.files import load as load_config
 from flightstack.config.options import OnboardOptions
 from flightstack.core.parameters.filters import short_name
 from flightstack.core.parameters.flight import FlightConfig
-from flightstack.launch.launcher import Followed, Launcher, Shown
+from flightstack.launch.launcher import Followed, Launcher
 from flightstack.launch.result import Flown
 from flightstack.launch.run_options import Flies, RunOptions
 from flightstack.launch.vehicles import (
@@ -28,7 +26,7 @@ from flightstack.launch.vehicles import (
     plugged,
 )
 from flightstack.onboard import process  # noqa: F401  # forked onboard processes need not load it
-from flightstack.onboard.recording import Described, describe, end_recorder, log_in, new_folder
+from flightstack.onboard.recording import Described, describe, log_in, new_folder
 from flightstack.verify.certificate import problems
 from logs.schema.names import NO_PAD, SCENARIO, Names
 from sim.options import TargetOptions
@@ -39,7 +37,6 @@ from sim.vehicle.declared import not_proven, outside
 
 GRACE_S = 60.0  # wall time beyond the scenario's duration after which a run is given up, s
 LOCKSTEP_SLOWEST = 0.05  # fraction of real time below which a lockstep run is given up
-RECORDER_YIELDS = 10  # nice value of the recorder, divided by the number of vehicles that send it data
 
 
 def prepare(options: RunOptions) -> TeamScenario:
@@ -123,7 +120,7 @@ def run(options: RunOptions, console: Console) -> Flown:
     (folder / SCENARIO).write_text(text(team), encoding="utf-8")
     with Launcher(folder, console, tells=not options.as_json) as launcher:
         if line := not_proven(team):
-            _hint(launcher, line)
+            launcher.hint(line)
         return _fly(launcher, options, team, log)
 
 
@@ -143,7 +140,7 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
     """Start each process after those to which it connects; then watch until all flights have ended."""
     vehicles = _vehicles(launcher, options, team)
     robots_at = launcher.endpoint()
-    recorder = launcher.record(log)
+    launcher.record(log)
     if options.view is not None:
         launcher.view(options.view, vehicles[0].endpoint, vehicles[0].config)
     _describe(launcher.socket, options, team, vehicles)
@@ -157,36 +154,19 @@ def _fly(launcher: Launcher, options: RunOptions, team: TeamScenario, log: Path)
         )  # fmt: skip
         robots.append(launcher.start("target", own))
         robots[0].wait_ready()
-    onboards = [_start(launcher, options, each, vehicles, flying, robots_at) for each in vehicles]
-    for child in onboards:  # the processes load at the same time
-        child.wait_ready()
-    if not options.lockstep:
-        recorder.yield_to_others(RECORDER_YIELDS // len(vehicles))  # a recorder without CPU loses records
-    for each in vehicles:
-        for endpoint in (each.endpoint, *options.listen):
-            _hint(launcher, f"to watch: flightstack watch --connect {endpoint} --namespace {each.name}")
+    flights = tuple(_start(launcher, options, each, vehicles, flying, robots_at) for each in vehicles)
     if options.members:
-        _hint(launcher, f"robots: {robots_at}")
+        launcher.hint(f"robots: {robots_at}")
     speed = LOCKSTEP_SLOWEST / len(vehicles) if options.lockstep else min(1.0, options.speed)
     filters = ", ".join(sorted({each.scenario.onboard.filter for each in vehicles}))
     title = f"{team.name}  seed {options.seed}  filter {filters}"
     live = not options.as_json and launcher.console.is_terminal and not options.lockstep
-    shown = Shown([each.endpoint for each in vehicles], title, [each.name for each in vehicles])
-    flights = tuple(Followed(child, each.label) for child, each in zip(onboards, vehicles, strict=True))
-    started = time.monotonic()
-    problem = launcher.watch(
-        flights, [*flying.children, *robots, recorder], longest_s(team) / speed + GRACE_S,
-        shown if live else None, flying.teller,
+    problem, wall_s = launcher.fly(
+        flights, title if live else None, [*flying.children, *robots], longest_s(team) / speed + GRACE_S,
+        flying.teller, lockstep=options.lockstep,
     )  # fmt: skip
-    wall_s = time.monotonic() - started
-    launcher.end_all()
-    problem = problem or end_recorder(recorder)  # the recorder may end after the flight
     about = {"scenario": team.name, "seed": options.seed, "filter": filters}
     return Flown(about, launcher.folder, log, wall_s, flights, problem)
-
-
-def _hint(launcher: Launcher, line: str) -> None:
-    launcher.console.print(line, style="dim", soft_wrap=True)
 
 
 def _start(
@@ -196,7 +176,7 @@ def _start(
     vehicles: Sequence[_Vehicle],
     flying: Flying,
     robots_at: str,
-) -> Child:
+) -> Followed:
     """Start the onboard process of a vehicle; in real time, each one connects to all earlier ones."""
     earlier = () if options.lockstep else vehicles[: vehicle.number - 1]
     own = {"system_id": vehicle.number, **flying.clock, **flying.options[vehicle.number - 1]}
@@ -207,7 +187,8 @@ def _start(
         duration_s=vehicle.scenario.duration_max_s, recorder=launcher.socket,
         unproven=True,  # the vehicle is simulated
     )  # fmt: skip
-    return launcher.start("onboard", onboard, of=vehicle.label)
+    child = launcher.start("onboard", onboard, of=vehicle.label)
+    return Followed(child, vehicle.name, (vehicle.endpoint, *options.listen), vehicle.label)
 
 
 def _describe(recorder: Path, options: RunOptions, team: TeamScenario, vehicles: Sequence[_Vehicle]) -> None:

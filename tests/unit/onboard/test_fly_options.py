@@ -36,7 +36,6 @@ def started(monkeypatch):
     monkeypatch.setattr(Launcher, "record", lambda launcher, log: log.parent)
     monkeypatch.setattr(fly, "describe", lambda *_: None)
     monkeypatch.setattr(fly, "is_client", lambda file: False)  # the file is not a Zenoh configuration
-    monkeypatch.setattr(Path, "yield_to_others", lambda *_: None, raising=False)
 
     def fly_with(*words):
         done = CliRunner().invoke(main, ["fly", *map(str, words)])
