@@ -19,25 +19,12 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.codec.messages import Message
 from flightstack.core.types import Landed, Mode, Request, VehicleStatus
 
-# Set-point mask: ignore position (7) and acceleration (0x1C0), use velocity and yaw, ignore yaw rate (0x800).
-# PX4 and ArduPilot interpret only this mask alike; without a yaw PX4 drifts and ArduPilot turns.
-VELOCITY_AND_YAW = 2503
-
 
 class TakeoffAltitude(Enum):
     """Meaning of param7 of MAV_CMD_NAV_TAKEOFF."""
 
     AMSL = "above sea level"
     ABOVE_HOME = "above home, plus the vehicle's height above home"
-
-
-class Reading(Enum):
-    """Consequence of a MAV_RESULT for the next try; no result proves that a command was executed."""
-
-    NOTED = "telemetry decides"
-    WORKING = "wait longer"
-    AGAIN = "try again"
-    FINAL = "give up after two such results"
 
 
 class Encoding(Enum):
@@ -71,7 +58,6 @@ class Profile:
     autopilot: int  # MAV_AUTOPILOT in the heartbeat
     modes: Mapping[int, Mode]  # mode by custom_mode of the heartbeat; missing ones mean OTHER
     sequences: Mapping[Request, tuple[Step, ...]]
-    answers: Mapping[int, Reading]  # reading by MAV_RESULT; missing ones mean AGAIN
     takeoff_altitude: TakeoffAltitude
     # Whether set-points may be sent during the vehicle's take-off. If not, a set-point ends the take-off, and
     # the external mode follows set-points only after the first one.
@@ -82,8 +68,6 @@ class Profile:
     needs_origin: bool  # the position needs SET_GPS_GLOBAL_ORIGIN if there are no satellites
     prepare: tuple[Step, ...] = ()  # steps on the ground before the first request
     asked_hz: Mapping[int, float] = field(default_factory=dict)  # extra rates by message id
-    setpoint_mask: int = VELOCITY_AND_YAW
-    frame: int = 1  # MAV_FRAME_LOCAL_NED of the set-points
 
     def mode(self, custom_mode: int) -> Mode:
         return self.modes.get(custom_mode, Mode.OTHER)
@@ -177,17 +161,6 @@ _HOLD = Step(
 _OWN_TAKEOFF = (_ARM, Step(_NAV_TAKEOFF, "take off", _takeoff, _flying))
 # A forced disarm is repeated for a minute.
 _KILL = Step(_ARM_DISARM, "force disarm", _given(0.0, FORCE), lambda s: not s.armed, blind=True, tries=120)
-# PX4 answers a mode change twice, the first time always with ACCEPTED, so ACCEPTED proves nothing.
-_ANSWERS: Mapping[int, Reading] = {
-    dialect.MAV_RESULT_ACCEPTED: Reading.NOTED,
-    dialect.MAV_RESULT_IN_PROGRESS: Reading.WORKING,
-    dialect.MAV_RESULT_TEMPORARILY_REJECTED: Reading.AGAIN,
-    dialect.MAV_RESULT_FAILED: Reading.AGAIN,
-    dialect.MAV_RESULT_DENIED: Reading.FINAL,
-    dialect.MAV_RESULT_UNSUPPORTED: Reading.FINAL,
-    dialect.MAV_RESULT_COMMAND_INT_ONLY: Reading.FINAL,
-}
-
 PX4 = Profile(
     name="px4",
     title="PX4, OFFBOARD",
@@ -208,7 +181,6 @@ PX4 = Profile(
         Request.LAND: (_LAND,),
         Request.MOTORS_OFF: (_KILL,),
     },
-    answers=_ANSWERS,
     takeoff_altitude=TakeoffAltitude.AMSL,
     stream_in_takeoff=True,
     # time, s; at its next health check PX4 needs a set-point younger than COM_OF_LOSS_T = 1.0 s
@@ -261,7 +233,6 @@ ARDUPILOT = Profile(
         Request.LAND: (_LAND,),
         Request.MOTORS_OFF: (_KILL,),
     },
-    answers=_ANSWERS,
     takeoff_altitude=TakeoffAltitude.ABOVE_HOME,
     stream_in_takeoff=False,  # a velocity set-point silently ends the take-off (mode_guided.cpp)
     prestream_s=0.0,

@@ -21,7 +21,6 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.mavlink.client.companion import velocity_setpoint
 from bridge.mavlink.client.link import COMPONENT_ID
 from bridge.mavlink.codec.messages import pack
-from bridge.mavlink.profiles import PX4
 from flightstack.common.pacing import quiet_garbage_collector
 from flightstack.common.strict_toml import from_table
 from flightstack.compiled.core import compiled
@@ -70,7 +69,7 @@ def approach(controller: Controller, azimuth_rad: float) -> list[float]:
         started = time.perf_counter_ns()
         out = controller.step(given, tick * 0.01)
         if out.setpoint is not None:
-            pack(velocity_setpoint(out.setpoint, PX4, (1, 1), tick * 0.01), tick % 256, 1, COMPONENT_ID)
+            pack(velocity_setpoint(out.setpoint, (1, 1), tick * 0.01), tick % 256, 1, COMPONENT_ID)
         took.append((time.perf_counter_ns() - started) / 1e3)
         if out.phase is Phase.LAND:
             return took[WARM_STEPS:]

@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.frames import ned_from_enu, yaw_ned_from_enu
 from bridge.mavlink.codec.messages import Message
-from bridge.mavlink.profiles import Profile, Reading, Step, TakeoffAltitude
+from bridge.mavlink.profiles import Profile, Step, TakeoffAltitude
 from flightstack.core.safety.gate import ApprovedSetpoint
 from flightstack.core.types import Request, VehicleStatus
 
@@ -76,15 +76,18 @@ def request_message(target: tuple[int, int], message_id: int, unset: float) -> M
     return dialect.MAVLink_command_long_message(*target, dialect.MAV_CMD_REQUEST_MESSAGE, 0, *params)
 
 
-def velocity_setpoint(
-    setpoint: ApprovedSetpoint, profile: Profile, target: tuple[int, int], now_s: float
-) -> Message:
+# Set-point mask: ignore position (7) and acceleration (0x1C0), use velocity and yaw, ignore yaw rate (0x800).
+# PX4 and ArduPilot interpret only this mask alike; without a yaw PX4 drifts and ArduPilot turns.
+VELOCITY_AND_YAW = 2503
+
+
+def velocity_setpoint(setpoint: ApprovedSetpoint, target: tuple[int, int], now_s: float) -> Message:
     unused = (0.0, 0.0, 0.0)
     return dialect.MAVLink_set_position_target_local_ned_message(
         round(now_s * 1000) & 0xFFFFFFFF,
         *target,
-        profile.frame,
-        profile.setpoint_mask,
+        dialect.MAV_FRAME_LOCAL_NED,
+        VELOCITY_AND_YAW,
         *unused,
         *ned_from_enu(setpoint.velocity_enu_m_s),
         *unused,
@@ -185,6 +188,10 @@ _WORKING_S = 3.0  # time until the next try after MAV_RESULT_IN_PROGRESS, s (as 
 _DATUM_PERIOD_S = 1.0  # time between two requests for the datum of the take-off height, s
 _DATUM_TRIES = 30
 _FINALS = 2  # final rejections before a request fails: one may belong to an earlier try
+# rejections that no repetition changes; other results are followed by the next try
+_FINAL = frozenset(
+    {dialect.MAV_RESULT_DENIED, dialect.MAV_RESULT_UNSUPPORTED, dialect.MAV_RESULT_COMMAND_INT_ONLY}
+)
 
 
 class CommandSequencer:
@@ -246,9 +253,8 @@ class CommandSequencer:
         if self._step is None or command != self._step.command:
             return
         self._last_result = _RESULTS.get(result, f"result {result}")
-        reading = self._profile.answers.get(result, Reading.AGAIN)
-        self._working = reading is Reading.WORKING
-        self._finals += reading is Reading.FINAL
+        self._working = result == dialect.MAV_RESULT_IN_PROGRESS
+        self._finals += result in _FINAL
 
     def note_text(self, text: str) -> None:
         if self._step is not None and text not in self._texts:

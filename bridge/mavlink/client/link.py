@@ -182,7 +182,7 @@ class VehicleLink:
         self._setpoints += 1
         if self._line is not None and self._setpoints % self._line.setpoint_every:
             return True  # the slow line skips this set-point; a newer one follows
-        self._outgoing.append(velocity_setpoint(setpoint, profile, self._target, now_s))
+        self._outgoing.append(velocity_setpoint(setpoint, self._target, now_s))
         return True
 
     def flush(self, extra_messages: Sequence[Message] = ()) -> None:

@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.mavlink.line_budget import LineTooSlowError
 from bridge.mavlink.preflight.table import Level, Needs, table
-from bridge.mavlink.profiles import ARDUPILOT, CRAZYFLIE, OWN_SITL, PX4, Reading
+from bridge.mavlink.profiles import ARDUPILOT, CRAZYFLIE, OWN_SITL, PX4
 from flightstack.core.parameters.flight import BarrierShape, FlightConfig
 from flightstack.core.types import Mode, Request
 from flightstack.onboard.preflight import line_plan, needs_of
@@ -39,11 +39,6 @@ def _takeoff_height(profile):
 def _modes(profile, mode):
     found = [number for number, of in profile.modes.items() if of is mode]
     return ", ".join(f"0x{n:08x}" if n > 0xFFFF else str(n) for n in found) or "no own mode"
-
-
-def _answers(profile, reading):
-    numbers = [number for number, of in profile.answers.items() if of is reading]
-    return ", ".join(dialect.enums["MAV_RESULT"][n].name.removeprefix("MAV_RESULT_") for n in numbers)
 
 
 TIME_SYNC = {
@@ -86,11 +81,9 @@ def profiles():
             lambda p: f"for {p.prestream_s:g} s" if p.prestream_s else "not needed",
         ),
         ("mode switch", lambda p: _steps(p, Request.EXTERNAL)),
-        ("set-point", lambda p: f"mask {p.setpoint_mask}, frame {p.frame}"),
         ("landing", lambda p: _steps(p, Request.LAND)),
         ("kill", lambda p: _steps(p, Request.MOTORS_OFF)),
         ("unused command parameters", lambda p: f"{p.unset:g}"),
-        *((f"replies: {r.value}", lambda p, r=r: _answers(p, r)) for r in Reading),
         ("request of message rates", _streams),
         ("encoding of integer parameters", lambda p: p.encoding.value),
         (
