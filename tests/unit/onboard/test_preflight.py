@@ -9,7 +9,7 @@ from bridge.mavlink.preflight import examine as module
 from bridge.mavlink.preflight.examine import examine
 from bridge.mavlink.preflight.table import Level, Needs, judge, table
 from bridge.mavlink.profiles import CRAZYFLIE, OWN_SITL, PX4
-from flightstack.common.strict_toml import from_table
+from flightstack.common.strict_toml import ConfigError, from_table
 from flightstack.core.parameters.flight import FlightConfig
 from flightstack.onboard.preflight import check, needs_of, record, verdict
 from sim.autopilot.autopilot import Autopilot, px4_parameters
@@ -148,3 +148,20 @@ def test_a_battery_too_low_to_land_is_refused_with_what_it_needs(volts, armed, t
     told = verdict(report) or ""
     assert ("the battery has 3.62 V at rest, at least 3.65 V are needed" in told) == refused
     assert ("charge or change it" in told) == refused
+
+
+def test_accepted_names_are_checked():
+    section = {"barrier": {"alpha_1_m": 1.0, "beta_m": 1.5}}
+    config = from_table(FlightConfig, section | {"vehicle": {"accepted_parameters": ["GUID_TIMEOUT"]}})
+    assert config.vehicle.accepted_parameters == ("GUID_TIMEOUT",)
+    for wrong, words in (
+        ({"accepted_parameters": ["guid_timeout"]}, "in capitals"),
+        ({"accepted_parameters": [""]}, "found ''"),
+        ({"accepted_parameters": ["ABCDEFGHIJKLMNOPQ"]}, "at most 16"),
+        ({"origin_wgs84": [91.0, 0.0, 10.0]}, "latitude of -90 to 90"),
+        ({"origin_wgs84": [47.0, 8.0, 0.0]}, "height of 0 m; ArduPilot takes 0 .* or 10 where"),
+        ({"origin_wgs84": [47.0, 8.0, -0.004]}, "height of -0.004 m"),
+        ({"origin_wgs84": [47.0, 8.0]}, "an array of 3 values"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            from_table(FlightConfig, section | {"vehicle": wrong})

@@ -10,7 +10,18 @@ from bridge.target.odometry import RawSample
 from flightstack.common.pacing import Tick
 from flightstack.core.memory import Memory
 from flightstack.core.types import Inputs, Operator
-from flightstack.onboard.runner import STALL_MAX_S, Arrived, LiveTarget, Runner, Taken, VehicleInputs, decoded
+from flightstack.onboard import leaving
+from flightstack.onboard.leaving import Person
+from flightstack.onboard.runner import (
+    STALL_MAX_S,
+    Arrived,
+    LiveTarget,
+    Refusals,
+    Runner,
+    Taken,
+    VehicleInputs,
+    decoded,
+)
 
 ANSWERS = {
     "samples": Arrived(("sample",)),
@@ -75,3 +86,23 @@ def test_a_sample_that_cannot_be_decoded_is_a_problem_and_stays_for_the_log():
     assert (arrived.samples, arrived.messages) == ((), messages)
     assert "target sample refused: odometry payload has 0 bytes" in arrived.problems[0]
     assert decoded([], 1.0) == Arrived()
+
+
+def test_a_stream_of_refused_samples_is_told_by_doublings():
+    refusals, told = Refusals(), []
+    for n in range(1, 101):
+        told += refusals.told([f"target sample refused: {n}", *(["stalled"] if n == 7 else [])])
+    assert told == [
+        "target sample refused: 1", "target sample refused: 2 (2 refused so far)",
+        "target sample refused: 4 (4 refused so far)", "stalled",
+        *(f"target sample refused: {n} ({n} refused so far)" for n in (8, 16, 32, 64)),
+    ]  # fmt: skip
+
+
+def test_a_process_that_ends_waits_for_ticks_no_longer_than_for_the_landing(monkeypatch):
+    now, person = SimpleNamespace(s=100.0), Person()
+    monkeypatch.setattr(leaving, "time", SimpleNamespace(monotonic=lambda: now.s))
+    assert not person.left()
+    person.stop = True
+    for now.s, left in ((200.0, False), (200.0 + leaving.LAND_SHOWN_MAX_S - 1e-6, False), (201.1, True)):
+        assert person.left() is left
